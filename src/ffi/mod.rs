@@ -1,0 +1,1 @@
+//! Bindings to foreign libraries behind safe types; the only room where `unsafe` may stand.

@@ -1,0 +1,1 @@
+//! Ground labels and local planes.

@@ -1,0 +1,1 @@
+//! Pixel buffers, and the one way between them and OpenCV.

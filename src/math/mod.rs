@@ -1,0 +1,13 @@
+//! Arithmetic that every room shares: rigid and similarity transforms, robust losses, seeded random numbers.
+
+mod align;
+mod random;
+mod rigid3;
+mod robust_loss;
+mod sim3;
+
+pub use align::umeyama;
+pub use random::{Rng, seeded_rng};
+pub use rigid3::Rigid3;
+pub use robust_loss::RobustLoss;
+pub use sim3::Sim3;

@@ -1,0 +1,89 @@
+//! Similarity transforms of three-dimensional space.
+
+use std::ops::Mul;
+
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::Rigid3;
+
+/// Scale, rotation, translation, `target_from_source`: `x_target = s R x_source + t`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sim3 {
+    /// Length in the target frame of one unit of the source frame.
+    pub scale: f64,
+    /// Rotation from the source to the target frame.
+    pub rotation: UnitQuaternion<f64>,
+    /// Origin of the source frame, in the target frame.
+    pub translation: Vector3<f64>,
+}
+
+impl Sim3 {
+    /// The transform that moves nothing.
+    pub fn identity() -> Self {
+        Self { scale: 1.0, rotation: UnitQuaternion::identity(), translation: Vector3::zeros() }
+    }
+
+    /// From its three parts.
+    pub fn new(scale: f64, rotation: UnitQuaternion<f64>, translation: Vector3<f64>) -> Self {
+        Self { scale, rotation, translation }
+    }
+
+    /// `source_from_target`. The scale must not be zero.
+    pub fn inverse(&self) -> Self {
+        let rotation = self.rotation.inverse();
+        let scale = 1.0 / self.scale;
+        Self { scale, rotation, translation: -(rotation * self.translation) * scale }
+    }
+
+    /// The pose `cam_from_target` of a camera given as `cam_from_source`; the camera frame takes the target's unit of
+    /// length, so that image positions stay what they were.
+    pub fn transform_camera(&self, cam_from_source: &Rigid3) -> Rigid3 {
+        Rigid3::from_rotation_and_center(
+            cam_from_source.rotation * self.rotation.inverse(),
+            *self * cam_from_source.center(),
+        )
+    }
+}
+
+impl From<Rigid3> for Sim3 {
+    fn from(t: Rigid3) -> Self {
+        Self { scale: 1.0, rotation: t.rotation, translation: t.translation }
+    }
+}
+
+impl Mul for Sim3 {
+    type Output = Self;
+    /// `a_from_b * b_from_c = a_from_c`.
+    fn mul(self, rhs: Self) -> Self {
+        Self {
+            scale: self.scale * rhs.scale,
+            rotation: self.rotation * rhs.rotation,
+            translation: self.rotation * rhs.translation * self.scale + self.translation,
+        }
+    }
+}
+
+impl Mul<Point3<f64>> for Sim3 {
+    type Output = Point3<f64>;
+    fn mul(self, point_in_source: Point3<f64>) -> Point3<f64> {
+        Point3::from(self.rotation * point_in_source.coords * self.scale + self.translation)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn inverse_undoes_and_cameras_keep_their_view() {
+        let s = Sim3::new(2.5, UnitQuaternion::from_euler_angles(0.4, 0.2, -1.0), Vector3::new(1.0, 2.0, -3.0));
+        let p = Point3::new(0.3, -4.0, 8.0);
+        assert!((s.inverse() * (s * p) - p).norm() < 1e-12);
+        assert!(((s * s.inverse()) * p - p).norm() < 1e-12);
+        let cam = Rigid3::new(UnitQuaternion::from_euler_angles(0.1, 0.3, 0.2), Vector3::new(0.5, 0.1, 9.0));
+        let before = cam * p;
+        let after = s.transform_camera(&cam) * (s * p);
+        assert!((before.coords * s.scale - after.coords).norm() < 1e-12);
+    }
+}

@@ -1,0 +1,1 @@
+//! Segmentation, optical flow and mask tracking.

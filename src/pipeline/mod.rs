@@ -1,0 +1,1 @@
+//! Stage order, resumption, progress.

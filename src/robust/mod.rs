@@ -1,0 +1,1 @@
+//! One RANSAC loop, its samplers and its scoring.

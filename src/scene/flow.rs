@@ -1,0 +1,26 @@
+//! Dense optical flow.
+
+/// Where each pixel of one frame lies in another.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Flow {
+    /// Width of the frame, pixels.
+    pub width: u32,
+    /// Height of the frame, pixels.
+    pub height: u32,
+    /// Row-major displacement (dx, dy), pixels: pixel (x, y) of the source lies at (x + dx, y + dy) in the target.
+    pub displacement: Vec<[f32; 2]>,
+    /// Row-major: whether the flow back from the target returns to where it came from (forward-backward check).
+    pub consistent: Vec<bool>,
+}
+
+impl Flow {
+    /// Displacement at an integer pixel.
+    pub fn at(&self, x: u32, y: u32) -> [f32; 2] {
+        self.displacement[(y * self.width + x) as usize]
+    }
+
+    /// Whether the displacement at an integer pixel passed the forward-backward check.
+    pub fn is_consistent(&self, x: u32, y: u32) -> bool {
+        self.consistent[(y * self.width + x) as usize]
+    }
+}

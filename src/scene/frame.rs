@@ -1,0 +1,40 @@
+//! Frames and objects, by name.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// Index of a frame in its source, from 0: for a video the index of the decoded frame, for a folder the index in the
+/// sorted list of its images. It does not change with `--start`, `--end` or `--every`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct FrameId(pub u32);
+
+/// One tracked vehicle; ids start at 1, since 0 means background in a label map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct ObjectId(pub u32);
+
+impl fmt::Display for ObjectId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// What is known of a frame besides its pixels.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Frame {
+    /// Index in the source.
+    pub id: FrameId,
+    /// Image name in every output: `000042.jpg` for frame 42 of a video, the file's own name for a folder.
+    pub name: String,
+    /// Presentation time, seconds, from the container; for a folder `index / fps` where a rate is known, else the index.
+    pub time_s: f64,
+}
+
+impl Frame {
+    /// The name without its extension.
+    pub fn stem(&self) -> &str {
+        self.name.rsplit_once('.').map_or(self.name.as_str(), |(stem, _)| stem)
+    }
+}

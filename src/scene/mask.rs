@@ -1,0 +1,258 @@
+//! Binary masks, label maps and detections, all at the frame's own resolution.
+
+use serde::{Deserialize, Serialize};
+
+/// A set of pixels of one frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mask {
+    width: u32,
+    height: u32,
+    pixels: Vec<bool>,
+}
+
+/// An axis-aligned box of whole pixels: `x0 ≤ x < x1`, `y0 ≤ y < y1`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BoundingBox {
+    /// First column.
+    pub x0: u32,
+    /// First row.
+    pub y0: u32,
+    /// One past the last column.
+    pub x1: u32,
+    /// One past the last row.
+    pub y1: u32,
+}
+
+impl BoundingBox {
+    /// Width, pixels.
+    pub fn width(&self) -> u32 {
+        self.x1 - self.x0
+    }
+
+    /// Height, pixels.
+    pub fn height(&self) -> u32 {
+        self.y1 - self.y0
+    }
+}
+
+impl Mask {
+    /// No pixel set.
+    pub fn empty(width: u32, height: u32) -> Self {
+        Self { width, height, pixels: vec![false; width as usize * height as usize] }
+    }
+
+    /// The pixels at which `inside(x, y)` holds.
+    pub fn from_fn(width: u32, height: u32, mut inside: impl FnMut(u32, u32) -> bool) -> Self {
+        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| inside(x, y)).collect();
+        Self { width, height, pixels }
+    }
+
+    /// Width, pixels.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height, pixels.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Row-major pixels.
+    pub fn pixels(&self) -> &[bool] {
+        &self.pixels
+    }
+
+    /// Row-major pixels, to change.
+    pub fn pixels_mut(&mut self) -> &mut [bool] {
+        &mut self.pixels
+    }
+
+    /// Row-major bytes, 255 where set: what image libraries and the contract's PNG files take.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        self.pixels.iter().map(|&p| if p { 255 } else { 0 }).collect()
+    }
+
+    /// Whether a pixel is set; outside the frame none is.
+    pub fn get(&self, x: i64, y: i64) -> bool {
+        x >= 0
+            && y >= 0
+            && x < i64::from(self.width)
+            && y < i64::from(self.height)
+            && self.pixels[y as usize * self.width as usize + x as usize]
+    }
+
+    /// Whether the pixel that holds an image position (first pixel centre at 0.5, 0.5) is set.
+    pub fn contains(&self, x: f64, y: f64) -> bool {
+        self.get(x.floor() as i64, y.floor() as i64)
+    }
+
+    /// Sets or clears one pixel, which must lie in the frame.
+    pub fn set(&mut self, x: u32, y: u32, value: bool) {
+        self.pixels[y as usize * self.width as usize + x as usize] = value;
+    }
+
+    /// Number of set pixels.
+    pub fn area_px2(&self) -> usize {
+        self.pixels.iter().filter(|&&p| p).count()
+    }
+
+    /// The smallest box round all set pixels; `None` if there is none.
+    pub fn bounding_box(&self) -> Option<BoundingBox> {
+        let mut found: Option<BoundingBox> = None;
+        for (y, row) in (0..self.height).zip(self.pixels.chunks_exact((self.width as usize).max(1))) {
+            let Some(first) = row.iter().position(|&p| p) else { continue };
+            let last = row.iter().rposition(|&p| p).unwrap_or(first);
+            let (x0, x1) = (first as u32, last as u32 + 1);
+            found = Some(match found {
+                None => BoundingBox { x0, y0: y, x1, y1: y + 1 },
+                Some(b) => BoundingBox { x0: b.x0.min(x0), y0: b.y0, x1: b.x1.max(x1), y1: y + 1 },
+            });
+        }
+        found
+    }
+
+    /// Pixels set in both; the sizes must agree.
+    pub fn intersection_px2(&self, other: &Self) -> usize {
+        assert_eq!((self.width, self.height), (other.width, other.height), "masks of one frame have one size");
+        self.pixels.iter().zip(&other.pixels).filter(|&(&a, &b)| a && b).count()
+    }
+
+    /// Intersection over union; 0 when both are empty.
+    pub fn iou(&self, other: &Self) -> f64 {
+        let both = self.intersection_px2(other);
+        let either = self.area_px2() + other.area_px2() - both;
+        if either == 0 { 0.0 } else { both as f64 / either as f64 }
+    }
+
+    /// Adds the pixels of another mask of the same size.
+    pub fn union_with(&mut self, other: &Self) {
+        assert_eq!((self.width, self.height), (other.width, other.height), "masks of one frame have one size");
+        for (a, &b) in self.pixels.iter_mut().zip(&other.pixels) {
+            *a |= b;
+        }
+    }
+
+    /// The pixels that are not set.
+    pub fn complement(&self) -> Self {
+        Self { width: self.width, height: self.height, pixels: self.pixels.iter().map(|&p| !p).collect() }
+    }
+
+    /// Grown by `radius_px` in the maximum norm: a pixel is set if any within the square round it is.
+    pub fn dilated(&self, radius_px: u32) -> Self {
+        let (w, h, r) = (self.width as usize, self.height as usize, radius_px as usize);
+        if r == 0 || w == 0 || h == 0 {
+            return self.clone();
+        }
+        // Separable: a running "last set" distance along rows, then along columns.
+        let rows = spread(&self.pixels, h, w, w, 1, r);
+        let pixels = spread(&rows, w, h, 1, w, r);
+        Self { width: self.width, height: self.height, pixels }
+    }
+
+    /// Shrunk by `radius_px` in the maximum norm; pixels beyond the frame's border count as set.
+    pub fn eroded(&self, radius_px: u32) -> Self {
+        self.complement().dilated(radius_px).complement()
+    }
+}
+
+/// Spreads set entries by `radius` along lines of `len` entries `step` apart; lines start `stride` apart.
+fn spread(pixels: &[bool], lines: usize, len: usize, stride: usize, step: usize, radius: usize) -> Vec<bool> {
+    let mut out = vec![false; pixels.len()];
+    for line in 0..lines {
+        let at = |k: usize| line * stride + k * step;
+        let mut reach = 0;
+        for k in 0..len {
+            if pixels[at(k)] {
+                reach = k + radius + 1;
+            }
+            out[at(k)] |= k < reach;
+        }
+        let mut reach = len;
+        for k in (0..len).rev() {
+            if pixels[at(k)] {
+                reach = k.saturating_sub(radius);
+            }
+            out[at(k)] |= k >= reach && reach < len;
+        }
+    }
+    out
+}
+
+/// One number per pixel: 0 is background, k is object k (or class k).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LabelMap {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Row-major labels.
+    pub labels: Vec<u8>,
+}
+
+impl LabelMap {
+    /// The pixels that carry one label.
+    pub fn mask(&self, label: u8) -> Mask {
+        Mask { width: self.width, height: self.height, pixels: self.labels.iter().map(|&l| l == label).collect() }
+    }
+
+    /// The pixels that carry any label but 0.
+    pub fn any(&self) -> Mask {
+        Mask { width: self.width, height: self.height, pixels: self.labels.iter().map(|&l| l != 0).collect() }
+    }
+
+    /// The labels that occur, ascending, without 0.
+    pub fn present(&self) -> Vec<u8> {
+        let mut seen = [false; 256];
+        for &label in &self.labels {
+            seen[label as usize] = true;
+        }
+        (1..=255).filter(|&label| seen[label as usize]).collect()
+    }
+}
+
+/// One object found in one frame by a segmentation model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Detection {
+    /// Class name, from the model's metadata.
+    pub class: String,
+    /// The model's score, 0 to 1.
+    pub confidence: f64,
+    /// Its pixels, at the frame's resolution.
+    pub mask: Mask,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dilation_grows_by_the_radius_and_erosion_undoes_it() {
+        let dot = Mask::from_fn(11, 9, |x, y| (x, y) == (5, 4));
+        let grown = dot.dilated(2);
+        assert_eq!(grown.bounding_box(), Some(BoundingBox { x0: 3, y0: 2, x1: 8, y1: 7 }));
+        assert_eq!(grown.area_px2(), 25);
+        assert_eq!(grown.eroded(2), dot);
+        assert_eq!(Mask::empty(4, 4).dilated(3), Mask::empty(4, 4));
+        let corner = Mask::from_fn(5, 5, |x, y| (x, y) == (4, 0)).dilated(1);
+        assert_eq!(corner.bounding_box(), Some(BoundingBox { x0: 3, y0: 0, x1: 5, y1: 2 }));
+        assert_eq!(corner.area_px2(), 4);
+    }
+
+    #[test]
+    fn overlap_is_counted_once() {
+        let a = Mask::from_fn(4, 1, |x, _| x < 3);
+        let b = Mask::from_fn(4, 1, |x, _| x > 0);
+        assert_eq!(a.intersection_px2(&b), 2);
+        assert_eq!(a.iou(&b), 0.5);
+        assert_eq!(Mask::empty(3, 3).iou(&Mask::empty(3, 3)), 0.0);
+        assert!(a.contains(2.9, 0.1) && !a.contains(3.0, 0.1) && !a.contains(-0.1, 0.0));
+    }
+
+    #[test]
+    fn labels_become_masks() {
+        let map = LabelMap { width: 3, height: 1, labels: vec![0, 2, 5] };
+        assert_eq!(map.present(), [2, 5]);
+        assert_eq!(map.mask(5).area_px2(), 1);
+        assert_eq!(map.any().area_px2(), 2);
+    }
+}

@@ -1,0 +1,17 @@
+//! The nouns that every room speaks: frames, masks, flow, detections, reconstructions, ground, trajectories.
+//!
+//! Values only: nothing here reads a disk or runs an algorithm of its own.
+
+mod flow;
+mod frame;
+mod ground;
+mod mask;
+mod reconstruction;
+mod trajectory;
+
+pub use flow::Flow;
+pub use frame::{Frame, FrameId, ObjectId};
+pub use ground::{Ground, GroundPlane, GroundSource};
+pub use mask::{BoundingBox, Detection, LabelMap, Mask};
+pub use reconstruction::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
+pub use trajectory::{ObjectPose, ObjectTrajectory, ScaleEstimate, ScaleMethod, Trajectories, Unit};

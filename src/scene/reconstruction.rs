@@ -1,0 +1,129 @@
+//! A sparse reconstruction, in COLMAP's terms.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Point2, Point3};
+use serde::{Deserialize, Serialize};
+
+use super::FrameId;
+use crate::camera::Camera;
+use crate::math::{Rigid3, Sim3};
+
+macro_rules! id {
+    ($(#[$doc:meta])* $name:ident($inner:ty)) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[serde(transparent)]
+        pub struct $name(pub $inner);
+    };
+}
+
+id!(
+    /// A set of intrinsics; from 1, as in COLMAP.
+    CameraId(u32)
+);
+id!(
+    /// An image of a reconstruction; from 1, as in COLMAP. For frames of a source it is the frame index plus one.
+    ImageId(u32)
+);
+id!(
+    /// A reconstructed point; from 1, as in COLMAP.
+    Point3dId(u64)
+);
+
+impl From<FrameId> for ImageId {
+    fn from(frame: FrameId) -> Self {
+        Self(frame.0 + 1)
+    }
+}
+
+/// A feature position in an image and the point that it observes, if any.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observation {
+    /// Pixels, first pixel centre at (0.5, 0.5).
+    pub pixel: Point2<f64>,
+    /// The point seen here.
+    pub point: Option<Point3dId>,
+}
+
+/// A registered image: one whose pose is known.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Image {
+    /// File name.
+    pub name: String,
+    /// Its intrinsics.
+    pub camera: CameraId,
+    /// World to camera.
+    pub cam_from_world: Rigid3,
+    /// Its features; a [`TrackElement`] refers to them by index.
+    pub observations: Vec<Observation>,
+}
+
+/// One observation of a point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct TrackElement {
+    /// The image that sees the point.
+    pub image: ImageId,
+    /// Index in [`Image::observations`].
+    pub observation_idx: u32,
+}
+
+/// A reconstructed point.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Point3d {
+    /// Position in the world frame of the reconstruction.
+    pub position: Point3<f64>,
+    /// Colour.
+    pub rgb: [u8; 3],
+    /// Mean reprojection error, pixels.
+    pub error_px: f64,
+    /// Where it was seen.
+    pub track: Vec<TrackElement>,
+}
+
+/// Cameras, registered images and points, in one world frame of arbitrary scale.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Reconstruction {
+    /// Intrinsics by id.
+    pub cameras: BTreeMap<CameraId, Camera>,
+    /// Registered images by id, which orders them in time for a video.
+    pub images: BTreeMap<ImageId, Image>,
+    /// Points by id.
+    pub points: BTreeMap<Point3dId, Point3d>,
+}
+
+impl Reconstruction {
+    /// Whether anything is registered.
+    pub fn is_empty(&self) -> bool {
+        self.images.is_empty()
+    }
+
+    /// The intrinsics of an image of this reconstruction.
+    pub fn camera_of(&self, image: &Image) -> &Camera {
+        &self.cameras[&image.camera]
+    }
+
+    /// Registered image by name.
+    pub fn image_named(&self, name: &str) -> Option<(ImageId, &Image)> {
+        self.images.iter().find(|(_, image)| image.name == name).map(|(id, image)| (*id, image))
+    }
+
+    /// Mean reprojection error over all observations, pixels; `None` without observations.
+    pub fn mean_reprojection_error_px(&self) -> Option<f64> {
+        let (sum, count) = self
+            .points
+            .values()
+            .fold((0.0, 0usize), |(sum, count), p| (sum + p.error_px * p.track.len() as f64, count + p.track.len()));
+        (count > 0).then(|| sum / count as f64)
+    }
+
+    /// Moves everything by a similarity of the world frame.
+    pub fn transform(&mut self, target_from_world: &Sim3) {
+        for image in self.images.values_mut() {
+            image.cam_from_world = target_from_world.transform_camera(&image.cam_from_world);
+        }
+        for point in self.points.values_mut() {
+            point.position = *target_from_world * point.position;
+        }
+    }
+}

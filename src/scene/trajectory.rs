@@ -1,0 +1,96 @@
+//! Trajectories, in the shape of the output contract (`trajectories.json`).
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::{FrameId, ObjectId};
+use crate::math::Sim3;
+
+/// How a scale ratio was found; the names are those of the contract.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ScaleMethod {
+    /// View pair ranking on constant distances to the ground (eq. determine_s3).
+    ConstantDistance,
+    /// Smallest ray-plane intersection per image, median over images (eqs. r_per_image, r_median).
+    Intersection,
+}
+
+impl ScaleMethod {
+    /// The name in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ConstantDistance => "constant-distance",
+            Self::Intersection => "intersection",
+        }
+    }
+}
+
+/// The ratio r between the object's and the background's unit of length, and how sure it is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ScaleEstimate {
+    /// r > 0: one unit of the object's model is r units of the background.
+    pub ratio: f64,
+    /// Its standard deviation, where the method gives one.
+    pub std: Option<f64>,
+    /// The method that gave `ratio`.
+    pub method: ScaleMethod,
+    /// Whether the motion leaves r undetermined: `ratio` is then a number to look at, not to trust.
+    pub degenerate: bool,
+    /// Why it is degenerate.
+    pub reason: Option<String>,
+    /// What every method that gave an answer says.
+    pub alternatives: BTreeMap<String, f64>,
+}
+
+/// The unit of length of a result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Unit {
+    /// That of the background reconstruction: arbitrary.
+    Background,
+    /// Metres.
+    Metre,
+}
+
+/// Where an object is in one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ObjectPose {
+    /// The frame.
+    pub frame: FrameId,
+    /// Its image name.
+    pub name: String,
+    /// Its time, seconds.
+    pub time_s: f64,
+    /// The object's centre (mean of its points), in the background's frame.
+    pub position: [f64; 3],
+    /// Places the object's points into the background's frame (eq. object_to_background_coordinates).
+    pub world_from_object: Sim3,
+    /// Metres per second, where the unit is metric.
+    pub speed: Option<f64>,
+}
+
+/// One object's trajectory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ObjectTrajectory {
+    /// The object.
+    pub id: ObjectId,
+    /// Its class name.
+    pub class: String,
+    /// Mean score of its detections, 0 to 1; 1 for given masks.
+    pub confidence: f64,
+    /// Its scale ratio.
+    pub scale: ScaleEstimate,
+    /// Ascending in time; frames without both cameras are absent.
+    pub poses: Vec<ObjectPose>,
+}
+
+/// All trajectories of a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trajectories {
+    /// The unit of every length.
+    pub unit: Unit,
+    /// Ascending by id.
+    pub objects: Vec<ObjectTrajectory>,
+}

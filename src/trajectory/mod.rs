@@ -1,0 +1,1 @@
+//! The scale ratio and the trajectories that follow from it.

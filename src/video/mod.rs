@@ -1,0 +1,1 @@
+//! Decoding, time stamps, orientation and the choice of frames.
