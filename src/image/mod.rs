@@ -1,1 +1,52 @@
 //! Pixel buffers, and the one way between them and OpenCV.
+//!
+//! Frames travel as [`RgbImage`] and [`GrayImage`] of the `image` crate, whose rows follow one another without gaps. What
+//! calls OpenCV turns them into a [`Mat`] here and back again. The `mat_*` functions copy: a [`Mat`] made here owns its
+//! pixels and may go where it likes. [`borrowed_gray`] and [`borrowed_rgb`] do not copy and live as long as their source.
+//!
+//! Channel order is red, green, blue in both worlds unless a name says `bgr`.
+
+mod opencv_mat;
+mod resize;
+
+use std::num::TryFromIntError;
+
+pub use self::opencv_mat::{
+    borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_bytes, mat_from_f32, mat_from_gray, mat_from_rgb,
+    rgb_from_bgr_mat, rgb_from_mat,
+};
+pub use self::resize::{gray_from_rgb, resize_gray, resize_rgb, scale_to_fit};
+pub use ::image::{GrayImage, RgbImage};
+
+/// What can go wrong with pixel buffers.
+#[derive(Debug, thiserror::Error)]
+pub enum ImageError {
+    /// OpenCV refused; its message says which check failed.
+    #[error("OpenCV: {0}")]
+    OpenCv(#[from] opencv::Error),
+    /// A side is beyond what OpenCV can index.
+    #[error("an image side is larger than 2^31 - 1 pixels: {0}")]
+    Side(#[from] TryFromIntError),
+    /// A buffer has not the size that width, height and channels ask for.
+    #[error(
+        "a pixel buffer of {width}x{height} with {channels} channel(s) needs another number of values than {found}"
+    )]
+    BufferSize {
+        /// Width, pixels.
+        width: u32,
+        /// Height, pixels.
+        height: u32,
+        /// Values per pixel.
+        channels: u32,
+        /// Values in the buffer.
+        found: usize,
+    },
+    /// A matrix holds another pixel type than the target.
+    #[error("a matrix of OpenCV type {found} cannot become an image of type {expected}")]
+    PixelType {
+        /// OpenCV's type number that was asked for.
+        expected: i32,
+        /// OpenCV's type number that was found.
+        found: i32,
+    },
+}

@@ -1,0 +1,88 @@
+//! Other sizes and grey.
+
+use ::image::{GrayImage, RgbImage};
+use opencv::core::{Mat, MatTraitConst, Size, ToInputArray};
+use opencv::imgproc;
+
+use super::{ImageError, borrowed_gray, borrowed_rgb, gray_from_mat, rgb_from_mat};
+
+/// The luma of a colour image, as OpenCV weighs it (0.299 R + 0.587 G + 0.114 B).
+pub fn gray_from_rgb(image: &RgbImage) -> Result<GrayImage, ImageError> {
+    if image.is_empty() {
+        return Ok(GrayImage::new(image.width(), image.height()));
+    }
+    let mut gray = Mat::default();
+    imgproc::cvt_color(&borrowed_rgb(image)?, &mut gray, imgproc::COLOR_RGB2GRAY, 0)?;
+    gray_from_mat(&gray)
+}
+
+/// A colour image at another size: averaged over areas when it shrinks, linearly interpolated when it grows. Pixel
+/// corners map to pixel corners, so that (0, 0) stays (0, 0).
+pub fn resize_rgb(image: &RgbImage, width: u32, height: u32) -> Result<RgbImage, ImageError> {
+    if (width, height) == image.dimensions() {
+        return Ok(image.clone());
+    }
+    rgb_from_mat(&resized(&borrowed_rgb(image)?, width, height)?)
+}
+
+/// A grey image at another size; as [`resize_rgb`].
+pub fn resize_gray(image: &GrayImage, width: u32, height: u32) -> Result<GrayImage, ImageError> {
+    if (width, height) == image.dimensions() {
+        return Ok(image.clone());
+    }
+    gray_from_mat(&resized(&borrowed_gray(image)?, width, height)?)
+}
+
+/// The size of an image of `width` × `height` whose longer side is at most `max_side`: never larger than it is, never a
+/// side of zero.
+pub fn scale_to_fit(width: u32, height: u32, max_side: u32) -> (u32, u32) {
+    let longer = width.max(height);
+    if longer <= max_side {
+        return (width, height);
+    }
+    let scaled = |side: u32| {
+        let exact = f64::from(side) * f64::from(max_side) / f64::from(longer);
+        (exact.round() as u32).max(1)
+    };
+    (scaled(width), scaled(height))
+}
+
+fn resized(mat: &(impl MatTraitConst + ToInputArray), width: u32, height: u32) -> Result<Mat, ImageError> {
+    let size = Size::new(i32::try_from(width)?, i32::try_from(height)?);
+    let shrinks = size.width < mat.cols() && size.height < mat.rows();
+    let method = if shrinks { imgproc::INTER_AREA } else { imgproc::INTER_LINEAR };
+    let mut out = Mat::default();
+    imgproc::resize(mat, &mut out, size, 0.0, 0.0, method)?;
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shrinking_averages_areas() {
+        let image = GrayImage::from_fn(4, 2, |x, _| ::image::Luma([if x < 2 { 10 } else { 90 }]));
+        assert_eq!(resize_gray(&image, 2, 1).unwrap().into_raw(), [10, 90]);
+        assert_eq!(resize_gray(&image, 4, 2).unwrap(), image);
+    }
+
+    #[test]
+    fn grey_weighs_green_most() {
+        let image = RgbImage::from_raw(3, 1, vec![255, 0, 0, 0, 255, 0, 0, 0, 255]).unwrap();
+        assert_eq!(gray_from_rgb(&image).unwrap().into_raw(), [76, 150, 29]);
+        assert_eq!(gray_from_rgb(&RgbImage::new(0, 0)).unwrap().dimensions(), (0, 0));
+    }
+
+    #[test]
+    fn fitting_keeps_the_aspect_and_never_enlarges() {
+        assert_eq!(scale_to_fit(1920, 1080, 960), (960, 540));
+        assert_eq!(scale_to_fit(640, 480, 960), (640, 480));
+        assert_eq!(scale_to_fit(5000, 2, 100), (100, 1));
+    }
+
+    #[test]
+    fn a_size_of_zero_is_an_error() {
+        assert!(resize_gray(&GrayImage::new(4, 4), 0, 3).is_err());
+    }
+}
