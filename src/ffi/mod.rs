@@ -1,1 +1,3 @@
 //! Bindings to foreign libraries behind safe types; the only room where `unsafe` may stand.
+
+pub mod environment;

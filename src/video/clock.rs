@@ -1,0 +1,104 @@
+use std::collections::VecDeque;
+
+/// Rebuilds time stamps that are missing or do not rise, one frame at a time.
+///
+/// A missing stamp continues at the pace of the frames before it, which follows a variable rate as far as that can be
+/// done.
+#[derive(Debug)]
+pub(super) struct Clock {
+    nominal_step_s: f64,
+    /// The last few intervals that the container stated, seconds.
+    recent_s: VecDeque<f64>,
+    last_s: Option<f64>,
+    num_rebuilt: u32,
+    num_trailing: u32,
+}
+
+/// The rate that is assumed where a container states none that can be believed.
+const FALLBACK_FPS: f64 = 25.0;
+/// Intervals that set the pace.
+const NUM_RECENT: usize = 7;
+/// Intervals that differ by less than this share are one rate; containers round to ticks.
+const STEADY: f64 = 0.05;
+
+impl Clock {
+    pub(super) fn new(fps: Option<f64>) -> Self {
+        let nominal_step_s = 1.0 / fps.unwrap_or(FALLBACK_FPS);
+        Self { nominal_step_s, recent_s: VecDeque::new(), last_s: None, num_rebuilt: 0, num_trailing: 0 }
+    }
+
+    /// The time of the next frame, from what the container says.
+    pub(super) fn advance(&mut self, stated_s: f64) -> f64 {
+        let believable = stated_s.is_finite() && stated_s >= 0.0 && self.last_s.is_none_or(|last| stated_s > last);
+        if believable {
+            if let Some(last) = self.last_s.filter(|_| self.num_trailing == 0) {
+                self.recent_s.truncate(NUM_RECENT - 1);
+                self.recent_s.push_front(stated_s - last);
+            }
+            self.num_trailing = 0;
+            self.last_s = Some(stated_s);
+            return stated_s;
+        }
+        self.num_rebuilt += 1;
+        self.num_trailing += 1;
+        let time_s = self.last_s.map_or(0.0, |last| last + self.step_s());
+        self.last_s = Some(time_s);
+        time_s
+    }
+
+    /// How many stamps were guessed. Stamps after the last stated one of a steady rate are not counted: decoders give
+    /// none for the frames that they still hold at the end of a file, and the pace is known.
+    pub(super) fn num_guessed(&self) -> u32 {
+        self.num_rebuilt - if self.is_steady() { self.num_trailing } else { 0 }
+    }
+
+    /// Median of the recent intervals.
+    fn step_s(&self) -> f64 {
+        let mut sorted: Vec<f64> = self.recent_s.iter().copied().collect();
+        sorted.sort_by(f64::total_cmp);
+        sorted.get(sorted.len() / 2).copied().unwrap_or(self.nominal_step_s)
+    }
+
+    fn is_steady(&self) -> bool {
+        let shortest = self.recent_s.iter().copied().fold(f64::INFINITY, f64::min);
+        let longest = self.recent_s.iter().copied().fold(0.0, f64::max);
+        longest > 0.0 && longest - shortest <= STEADY * longest
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stamps_rise_whatever_the_container_says() {
+        let mut clock = Clock::new(Some(10.0));
+        let stated = [0.0, 0.1, 0.1, f64::NAN, 0.05, 0.7, -1.0];
+        let times: Vec<f64> = stated.iter().map(|&s| clock.advance(s)).collect();
+        let expected = [0.0, 0.1, 0.2, 0.3, 0.4, 0.7, 0.8];
+        for (time, expected) in times.iter().zip(expected) {
+            assert!((time - expected).abs() < 1e-12, "{times:?}");
+        }
+        assert_eq!(clock.num_guessed(), 3);
+    }
+
+    #[test]
+    fn a_variable_rate_is_kept_and_its_lost_end_is_a_guess() {
+        let mut clock = Clock::new(None);
+        for stated in [0.02, 0.05, 0.5, 0.51] {
+            assert_eq!(clock.advance(stated), stated);
+        }
+        assert_eq!(clock.num_guessed(), 0);
+        clock.advance(0.0);
+        assert_eq!(clock.num_guessed(), 1);
+    }
+
+    #[test]
+    fn the_end_of_a_steady_rate_is_known() {
+        let mut clock = Clock::new(Some(30.0));
+        let stated = [0.0, 0.1, 0.2, 0.3, 0.0, 0.0];
+        let times: Vec<f64> = stated.iter().map(|&s| clock.advance(s)).collect();
+        assert!((times[5] - 0.5).abs() < 1e-12);
+        assert_eq!(clock.num_guessed(), 0);
+    }
+}

@@ -1,0 +1,34 @@
+use ::image::RgbImage;
+
+use super::VideoError;
+use super::options::{Choice, Selection};
+use crate::scene::Frame;
+
+/// Something that gives frames in order of their index. Stepping is cheap beside making the picture.
+pub(super) trait Decoder: Send {
+    /// Steps to the next frame; `None` at the end, or where nothing further can be decoded.
+    fn step(&mut self) -> Option<Frame>;
+
+    /// The picture of the frame last stepped to: upright, at the size asked for.
+    fn picture(&mut self) -> Result<RgbImage, VideoError>;
+
+    /// Frames stepped to so far.
+    fn num_stepped(&self) -> u32;
+
+    /// Time stamps among them that had to be guessed.
+    fn num_guessed(&self) -> u32 {
+        0
+    }
+}
+
+/// Steps to the next frame that is chosen.
+pub(super) fn next_chosen(decoder: &mut dyn Decoder, selection: &mut Selection) -> Option<Frame> {
+    loop {
+        let frame = decoder.step()?;
+        match selection.choose(&frame) {
+            Choice::Take => return Some(frame),
+            Choice::Skip => {}
+            Choice::Stop => return None,
+        }
+    }
+}

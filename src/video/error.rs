@@ -1,0 +1,103 @@
+use std::io;
+use std::path::PathBuf;
+
+use crate::image::ImageError;
+
+/// What can be wrong with a video or a folder of images.
+#[derive(Debug, thiserror::Error)]
+pub enum VideoError {
+    /// There is nothing at the path.
+    #[error("{path}: no such file or folder; check the path", path = path.display())]
+    Missing {
+        /// The input.
+        path: PathBuf,
+    },
+    /// The operating system refuses to read it.
+    #[error("{path}: cannot be read: {source}; check its permissions", path = path.display())]
+    Unreadable {
+        /// The input.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// A file without content.
+    #[error("{path}: the file is empty; copy or record it again", path = path.display())]
+    Empty {
+        /// The input.
+        path: PathBuf,
+    },
+    /// No decoder takes the file.
+    #[error(
+        "{path}: not a video that FFmpeg can read, or its index is damaged; try `ffmpeg -i FILE -c copy repaired.mp4`, \
+         or give a folder of JPEG or PNG images",
+        path = path.display()
+    )]
+    NotAVideo {
+        /// The input.
+        path: PathBuf,
+    },
+    /// The container is readable, but no picture comes out of it.
+    #[error("{path}: not a single frame could be decoded; the file is damaged or holds no pictures", path = path.display())]
+    NoFrames {
+        /// The input.
+        path: PathBuf,
+    },
+    /// A folder without images.
+    #[error("{path}: the folder holds no JPEG or PNG image that can be read", path = path.display())]
+    NoImages {
+        /// The input.
+        path: PathBuf,
+    },
+    /// The options leave no frame over.
+    #[error(
+        "{path}: --start, --end and --every choose none of its frames; it runs from {first_s:.3} s to {last_s:.3} s",
+        path = path.display()
+    )]
+    NothingChosen {
+        /// The input.
+        path: PathBuf,
+        /// Time of the first frame, seconds.
+        first_s: f64,
+        /// Time of the last frame, seconds.
+        last_s: f64,
+    },
+    /// The options contradict one another.
+    #[error("{0}")]
+    Options(String),
+    /// One frame cannot be decoded.
+    #[error("{path}: frame {frame} cannot be decoded: {reason}", path = path.display())]
+    Frame {
+        /// The file.
+        path: PathBuf,
+        /// Index in the source.
+        frame: u32,
+        /// What the decoder says.
+        reason: String,
+    },
+    /// A frame of another size than the first.
+    #[error(
+        "{path}: frame {frame} has {found_width}x{found_height} pixels, the first frame {width}x{height}; cut the input \
+         where its size changes (--end {frame}f)",
+        path = path.display()
+    )]
+    SizeChanges {
+        /// The file.
+        path: PathBuf,
+        /// Index in the source.
+        frame: u32,
+        /// Width of the first frame.
+        width: u32,
+        /// Height of the first frame.
+        height: u32,
+        /// Width of this frame.
+        found_width: u32,
+        /// Height of this frame.
+        found_height: u32,
+    },
+    /// A picture could not be resized or converted.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// OpenCV failed where input has no part in it.
+    #[error("OpenCV's video reader: {0}")]
+    OpenCv(#[from] opencv::Error),
+}

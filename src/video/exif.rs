@@ -1,0 +1,106 @@
+//! What a photograph's EXIF block says about its camera.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use ::image::metadata::Orientation;
+use exif::{Exif, In, Tag, Value};
+
+/// Width of a 35 mm film frame, to which `FocalLengthIn35mmFilm` refers, millimetres.
+const FILM_WIDTH_MM: f64 = 36.0;
+
+/// The EXIF block of an image file; `None` without one that can be read.
+pub(super) fn read(path: &Path) -> Option<Exif> {
+    exif::Reader::new().read_from_container(&mut BufReader::new(File::open(path).ok()?)).ok()
+}
+
+/// How the stored picture has to be turned to stand upright.
+pub(super) fn orientation(exif: &Exif) -> Orientation {
+    exif.get_field(Tag::Orientation, In::PRIMARY)
+        .and_then(|field| field.value.get_uint(0))
+        .and_then(|value| Orientation::from_exif(u8::try_from(value).ok()?))
+        .unwrap_or(Orientation::NoTransforms)
+}
+
+/// Focal length in pixels of a picture of `width` × `height`; `None` where the block does not say.
+///
+/// From `FocalLengthIn35mmFilm`, else from `FocalLength` and the sensor's pixel pitch, provided that the picture still
+/// has the size that the camera gave it.
+pub(super) fn focal_px(exif: &Exif, width: u32, height: u32) -> Option<f64> {
+    let longer_px = f64::from(width.max(height));
+    if let Some(equivalent_mm) = number(exif, Tag::FocalLengthIn35mmFilm) {
+        return Some(equivalent_mm / FILM_WIDTH_MM * longer_px);
+    }
+    let focal_mm = number(exif, Tag::FocalLength)?;
+    let pixels_per_unit = number(exif, Tag::FocalPlaneXResolution)?;
+    let unit_mm = match exif.get_field(Tag::FocalPlaneResolutionUnit, In::PRIMARY).and_then(|f| f.value.get_uint(0)) {
+        Some(3) => 10.0,
+        Some(4) => 1.0,
+        _ => 25.4,
+    };
+    let recorded = [Tag::PixelXDimension, Tag::PixelYDimension].map(|tag| number(exif, tag));
+    let original_px = recorded[0]?.max(recorded[1]?);
+    Some(focal_mm * pixels_per_unit / unit_mm * longer_px / original_px)
+}
+
+/// A positive number.
+fn number(exif: &Exif, tag: Tag) -> Option<f64> {
+    let value = match &exif.get_field(tag, In::PRIMARY)?.value {
+        Value::Rational(values) => values.first()?.to_f64(),
+        Value::Float(values) => f64::from(*values.first()?),
+        Value::Double(values) => *values.first()?,
+        other => f64::from(other.get_uint(0)?),
+    };
+    (value.is_finite() && value > 0.0).then_some(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use exif::experimental::Writer;
+    use exif::{Field, Rational};
+
+    use super::*;
+
+    fn block(fields: &[(Tag, Value)]) -> Exif {
+        let fields: Vec<Field> =
+            fields.iter().map(|(tag, value)| Field { tag: *tag, ifd_num: In::PRIMARY, value: value.clone() }).collect();
+        let mut writer = Writer::new();
+        for field in &fields {
+            writer.push_field(field);
+        }
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        writer.write(&mut bytes, false).unwrap();
+        exif::Reader::new().read_raw(bytes.into_inner()).unwrap()
+    }
+
+    #[test]
+    fn focal_length_from_the_film_equivalent() {
+        let exif =
+            block(&[(Tag::FocalLengthIn35mmFilm, Value::Short(vec![24])), (Tag::Orientation, Value::Short(vec![6]))]);
+        assert_eq!(focal_px(&exif, 3000, 4000), Some(24.0 / 36.0 * 4000.0));
+        assert_eq!(orientation(&exif), Orientation::Rotate90);
+    }
+
+    #[test]
+    fn focal_length_from_the_pixel_pitch() {
+        let rational = |num, denom| Value::Rational(vec![Rational { num, denom }]);
+        let exif = block(&[
+            (Tag::FocalLength, rational(88, 10)),
+            (Tag::FocalPlaneXResolution, rational(4000, 1)),
+            (Tag::FocalPlaneResolutionUnit, Value::Short(vec![3])),
+            (Tag::PixelXDimension, Value::Long(vec![4000])),
+            (Tag::PixelYDimension, Value::Long(vec![3000])),
+        ]);
+        // 4000 pixels per centimetre: 8.8 mm are 3520 pixels, half of that in the picture of half the size.
+        assert!((focal_px(&exif, 2000, 1500).unwrap() - 1760.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn nonsense_is_nothing() {
+        let rational = |num, denom| Value::Rational(vec![Rational { num, denom }]);
+        assert_eq!(focal_px(&block(&[(Tag::FocalLengthIn35mmFilm, Value::Short(vec![0]))]), 10, 10), None);
+        assert_eq!(focal_px(&block(&[(Tag::FocalLength, rational(1, 0))]), 10, 10), None);
+        assert!(read(Path::new("no such file")).is_none());
+    }
+}

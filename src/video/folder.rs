@@ -1,0 +1,216 @@
+//! A folder of images as a video.
+
+use std::cmp::Ordering;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use ::image::metadata::Orientation;
+use ::image::{DynamicImage, ImageDecoder, ImageReader, RgbImage};
+
+use super::VideoError;
+use super::decode::Decoder;
+use super::exif;
+use crate::image::resize_rgb;
+use crate::scene::{Frame, FrameId};
+
+/// Extensions that are taken for images, in lower case.
+const EXTENSIONS: [&str; 3] = ["jpg", "jpeg", "png"];
+
+/// An image of a folder whose header is in order.
+#[derive(Clone, Debug)]
+pub(super) struct Entry {
+    /// Index among all images of the folder.
+    id: u32,
+    path: PathBuf,
+    name: String,
+    orientation: Orientation,
+}
+
+/// The images of a folder that can be used together.
+#[derive(Clone, Debug)]
+pub(super) struct Listing {
+    pub(super) entries: Vec<Entry>,
+    /// Number of files with an image's extension.
+    pub(super) num_files: u32,
+    /// Upright size of the first one, which all have.
+    pub(super) size: (u32, u32),
+    /// Focal length that the first one's EXIF block states, pixels.
+    pub(super) exif_focal_px: Option<f64>,
+    /// What was left out, and why.
+    pub(super) warnings: Vec<String>,
+}
+
+/// Lists a folder in natural order (`img2` before `img10`), reading headers alone.
+pub(super) fn list(path: &Path) -> Result<Listing, VideoError> {
+    let mut names = image_names(path)?;
+    names.sort_by(|a, b| natural_cmp(a, b));
+    let mut listing = Listing {
+        entries: Vec::new(),
+        num_files: names.len() as u32,
+        size: (0, 0),
+        exif_focal_px: None,
+        warnings: Vec::new(),
+    };
+    for (id, name) in (0u32..).zip(names) {
+        let file = path.join(&name);
+        let (stored, exif) = match header(&file) {
+            Ok(size) => (size, exif::read(&file)),
+            Err(reason) => {
+                listing.warnings.push(format!("{}: left out, cannot be read: {reason}", file.display()));
+                continue;
+            }
+        };
+        let orientation = exif.as_ref().map_or(Orientation::NoTransforms, exif::orientation);
+        let size = upright(stored, orientation);
+        if listing.entries.is_empty() {
+            listing.size = size;
+            listing.exif_focal_px = exif.as_ref().and_then(|e| exif::focal_px(e, size.0, size.1));
+        }
+        if size != listing.size {
+            listing.warnings.push(format!(
+                "{}: left out, has {}x{} pixels where the first image has {}x{}",
+                file.display(),
+                size.0,
+                size.1,
+                listing.size.0,
+                listing.size.1
+            ));
+            continue;
+        }
+        listing.entries.push(Entry { id, path: file, name, orientation });
+    }
+    if listing.entries.is_empty() {
+        return Err(VideoError::NoImages { path: path.to_owned() });
+    }
+    Ok(listing)
+}
+
+/// Names of the files that look like images, hidden ones aside.
+fn image_names(path: &Path) -> Result<Vec<String>, VideoError> {
+    let unreadable = |source| VideoError::Unreadable { path: path.to_owned(), source };
+    let mut names = Vec::new();
+    for entry in fs::read_dir(path).map_err(unreadable)? {
+        let entry = entry.map_err(unreadable)?;
+        let Ok(name) = entry.file_name().into_string() else { continue };
+        let extension = Path::new(&name).extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
+        if EXTENSIONS.contains(&extension.as_str()) && !name.starts_with('.') && entry.path().is_file() {
+            names.push(name);
+        }
+    }
+    Ok(names)
+}
+
+/// Stored size of an image, from its header.
+fn header(path: &Path) -> Result<(u32, u32), String> {
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(|e| e.to_string())?;
+    Ok(reader.into_decoder().map_err(|e| e.to_string())?.dimensions())
+}
+
+/// Size after turning.
+fn upright((width, height): (u32, u32), orientation: Orientation) -> (u32, u32) {
+    match orientation {
+        Orientation::Rotate90 | Orientation::Rotate270 | Orientation::Rotate90FlipH | Orientation::Rotate270FlipH => {
+            (height, width)
+        }
+        _ => (width, height),
+    }
+}
+
+/// Compares names as people do: runs of digits by their value, everything else by character.
+fn natural_cmp(a: &str, b: &str) -> Ordering {
+    let (mut left, mut right) = (a, b);
+    loop {
+        let (x, y) = match (left.chars().next(), right.chars().next()) {
+            (Some(x), Some(y)) => (x, y),
+            (x, y) => return x.cmp(&y).then_with(|| a.cmp(b)),
+        };
+        if x.is_ascii_digit() && y.is_ascii_digit() {
+            let (m, n) = (digits(left), digits(right));
+            let value = |run: &str| run.trim_start_matches('0').to_owned();
+            let (p, q) = (value(m), value(n));
+            let order = p.len().cmp(&q.len()).then_with(|| p.cmp(&q));
+            if order != Ordering::Equal {
+                return order;
+            }
+            (left, right) = (&left[m.len()..], &right[n.len()..]);
+        } else if x != y {
+            return x.cmp(&y);
+        } else {
+            (left, right) = (&left[x.len_utf8()..], &right[y.len_utf8()..]);
+        }
+    }
+}
+
+/// The digits at the beginning of a text.
+fn digits(text: &str) -> &str {
+    &text[..text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len())]
+}
+
+/// Steps through the images of a folder.
+pub(super) struct FolderDecoder {
+    entries: std::vec::IntoIter<Entry>,
+    current: Option<Entry>,
+    seconds_per_frame: f64,
+    size: (u32, u32),
+    target: (u32, u32),
+}
+
+impl FolderDecoder {
+    pub(super) fn new(listing: &Listing, fps: Option<f64>, target: (u32, u32)) -> Self {
+        Self {
+            entries: listing.entries.clone().into_iter(),
+            current: None,
+            seconds_per_frame: 1.0 / fps.unwrap_or(1.0),
+            size: listing.size,
+            target,
+        }
+    }
+}
+
+impl Decoder for FolderDecoder {
+    fn step(&mut self) -> Option<Frame> {
+        let entry = self.entries.next()?;
+        let (id, name) = (entry.id, entry.name.clone());
+        self.current = Some(entry);
+        Some(Frame { id: FrameId(id), name, time_s: f64::from(id) * self.seconds_per_frame })
+    }
+
+    fn picture(&mut self) -> Result<RgbImage, VideoError> {
+        let entry = self.current.as_ref().expect("picture() follows step()");
+        let mut picture = decode(&entry.path).map_err(|reason| VideoError::Frame {
+            path: entry.path.clone(),
+            frame: entry.id,
+            reason,
+        })?;
+        picture.apply_orientation(entry.orientation);
+        let picture = picture.into_rgb8();
+        let (found_width, found_height) = picture.dimensions();
+        if (found_width, found_height) != self.size {
+            // Only if the file changed since it was listed.
+            let ((width, height), path, frame) = (self.size, entry.path.clone(), entry.id);
+            return Err(VideoError::SizeChanges { path, frame, width, height, found_width, found_height });
+        }
+        Ok(if self.size == self.target { picture } else { resize_rgb(&picture, self.target.0, self.target.1)? })
+    }
+
+    fn num_stepped(&self) -> u32 {
+        self.current.as_ref().map_or(0, |entry| entry.id + 1)
+    }
+}
+
+fn decode(path: &Path) -> Result<DynamicImage, String> {
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(|e| e.to_string())?;
+    reader.decode().map_err(|e| e.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_sort_as_people_read_them() {
+        let mut names = ["img10.png", "img9.png", "img009.png", "a.png", "img10a.png", "img2.jpg", "img.png"];
+        names.sort_by(|a, b| natural_cmp(a, b));
+        assert_eq!(names, ["a.png", "img.png", "img2.jpg", "img009.png", "img9.png", "img10.png", "img10a.png"]);
+    }
+}

@@ -1,0 +1,199 @@
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use super::VideoError;
+use crate::scene::{Frame, FrameId};
+
+/// A place in the source: a time or a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Position {
+    /// Seconds, on the container's clock.
+    Seconds(f64),
+    /// Index in the source, from 0.
+    Frame(u32),
+}
+
+impl Position {
+    /// Whether a frame lies at or after this place.
+    fn is_reached_by(self, id: FrameId, time_s: f64) -> bool {
+        match self {
+            Self::Seconds(seconds) => time_s >= seconds,
+            Self::Frame(index) => id.0 >= index,
+        }
+    }
+}
+
+impl FromStr for Position {
+    type Err = String;
+
+    /// `12.5` is a time in seconds, `120f` a frame.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("'{text}' is neither seconds (12.5) nor a frame (120f)");
+        if let Some(frame) = text.strip_suffix('f') {
+            return frame.parse().map(Self::Frame).map_err(|_| wrong());
+        }
+        match text.parse::<f64>() {
+            Ok(seconds) if seconds.is_finite() && seconds >= 0.0 => Ok(Self::Seconds(seconds)),
+            _ => Err(wrong()),
+        }
+    }
+}
+
+impl fmt::Display for Position {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Seconds(seconds) => seconds.fmt(f),
+            Self::Frame(index) => write!(f, "{index}f"),
+        }
+    }
+}
+
+impl From<Position> for String {
+    fn from(position: Position) -> Self {
+        position.to_string()
+    }
+}
+
+impl TryFrom<String> for Position {
+    type Error = String;
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+/// Which frames are taken, and how large.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Options {
+    /// The first frame is the first one at or after this place; `None` is the beginning.
+    pub start: Option<Position>,
+    /// Frames at or after this place are left out; `None` is the end.
+    pub end: Option<Position>,
+    /// Every n-th frame, counted from the first one taken.
+    pub every: u32,
+    /// Pictures whose longer side is larger are made smaller to this many pixels, and the whole result is at that
+    /// resolution; `None` keeps them.
+    pub max_dimension: Option<u32>,
+    /// Frames per second of a folder of images, which has no time stamps; without it the index is the time. A video has
+    /// its own.
+    pub fps: Option<f64>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { start: None, end: None, every: 1, max_dimension: None, fps: None }
+    }
+}
+
+/// The smallest picture in which anything can be found.
+const MIN_DIMENSION: u32 = 16;
+
+impl Options {
+    /// Rejects contradictions.
+    ///
+    /// # Errors
+    /// [`VideoError::Options`] says which option to change.
+    pub fn check(&self) -> Result<(), VideoError> {
+        let contradiction = match (self.start, self.end) {
+            (Some(Position::Seconds(start)), Some(Position::Seconds(end))) => start >= end,
+            (Some(Position::Frame(start)), Some(Position::Frame(end))) => start >= end,
+            _ => false,
+        };
+        let wrong = |text: &str| Err(VideoError::Options(text.to_owned()));
+        if contradiction {
+            return wrong("--start must lie before --end");
+        }
+        if self.every == 0 {
+            return wrong("--every must be at least 1");
+        }
+        if self.max_dimension.is_some_and(|side| side < MIN_DIMENSION) {
+            return wrong("--max-dimension must be at least 16 pixels");
+        }
+        if self.fps.is_some_and(|fps| !(fps.is_finite() && fps > 0.0)) {
+            return wrong("--fps must be a positive number of frames per second");
+        }
+        Ok(())
+    }
+}
+
+/// What becomes of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Choice {
+    Take,
+    Skip,
+    Stop,
+}
+
+/// Chooses frames in order of their index.
+#[derive(Debug)]
+pub(super) struct Selection {
+    options: Options,
+    first: Option<FrameId>,
+}
+
+impl Selection {
+    pub(super) fn new(options: &Options) -> Self {
+        Self { options: options.clone(), first: None }
+    }
+
+    pub(super) fn choose(&mut self, frame: &Frame) -> Choice {
+        let reached =
+            |place: Option<Position>, default| place.map_or(default, |p| p.is_reached_by(frame.id, frame.time_s));
+        if reached(self.options.end, false) {
+            return Choice::Stop;
+        }
+        if self.first.is_none() && !reached(self.options.start, true) {
+            return Choice::Skip;
+        }
+        let first = *self.first.get_or_insert(frame.id);
+        if (frame.id.0 - first.0).is_multiple_of(self.options.every.max(1)) { Choice::Take } else { Choice::Skip }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chosen(options: &Options) -> Vec<u32> {
+        let mut selection = Selection::new(options);
+        let mut taken = Vec::new();
+        for id in 0..100 {
+            let frame = Frame { id: FrameId(id), name: String::new(), time_s: f64::from(id) * 0.1 };
+            match selection.choose(&frame) {
+                Choice::Take => taken.push(id),
+                Choice::Skip => {}
+                Choice::Stop => break,
+            }
+        }
+        taken
+    }
+
+    #[test]
+    fn start_end_and_every_choose_frames() {
+        let options = Options { start: "0.95".parse().ok(), end: "20f".parse().ok(), every: 4, ..Options::default() };
+        assert_eq!(chosen(&options), [10, 14, 18]);
+        assert_eq!(chosen(&Options::default()).len(), 100);
+        assert!(chosen(&Options { start: Some(Position::Seconds(99.0)), ..Options::default() }).is_empty());
+    }
+
+    #[test]
+    fn positions_are_seconds_or_frames() {
+        assert_eq!("12.5".parse(), Ok(Position::Seconds(12.5)));
+        assert_eq!("7f".parse(), Ok(Position::Frame(7)));
+        for wrong in ["", "f", "-1", "nan", "1.5f", "1s"] {
+            assert!(wrong.parse::<Position>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn contradictions_are_refused() {
+        let reversed = Options { start: "2".parse().ok(), end: "1".parse().ok(), ..Options::default() };
+        assert!(reversed.check().is_err());
+        assert!(Options { every: 0, ..Options::default() }.check().is_err());
+        assert!(Options { max_dimension: Some(3), ..Options::default() }.check().is_err());
+        assert!(Options::default().check().is_ok());
+    }
+}

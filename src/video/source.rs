@@ -1,0 +1,313 @@
+use std::collections::BTreeSet;
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::decode::{Decoder, next_chosen};
+use super::file::{self, FileDecoder};
+use super::folder::{self, FolderDecoder, Listing};
+use super::options::Selection;
+use super::{Frames, Options, VideoError};
+use crate::image::scale_to_fit;
+use crate::scene::{Frame, FrameId};
+
+/// What an input is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// A file that FFmpeg decodes.
+    Video,
+    /// A folder of images.
+    Folder,
+}
+
+/// What is known of an input before its frames are decoded.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Info {
+    /// Video or folder.
+    pub kind: Kind,
+    /// Width of the frames as they are given out (upright, resized), pixels.
+    pub width: u32,
+    /// Height of the frames as they are given out, pixels.
+    pub height: u32,
+    /// Upright width before resizing, pixels.
+    pub source_width: u32,
+    /// Upright height before resizing, pixels.
+    pub source_height: u32,
+    /// Frames per second: the container's nominal rate, or the one given for a folder.
+    pub fps: Option<f64>,
+    /// Number of frames that the container states (it may be an estimate), or of image files in the folder.
+    pub num_frames: Option<u32>,
+    /// Rotation that the container asks for, degrees; the frames have it applied.
+    pub rotation_deg: i32,
+    /// Focal length that EXIF data state, in pixels of the frames as they are given out.
+    pub exif_focal_px: Option<f64>,
+}
+
+/// The frames that the options choose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Scan {
+    /// Ascending by index; never empty.
+    pub frames: Vec<Frame>,
+    /// What is wrong with the input although it can be used, one sentence each.
+    pub warnings: Vec<String>,
+}
+
+/// A video file or a folder of images.
+#[derive(Debug)]
+pub struct Source {
+    path: PathBuf,
+    options: Options,
+    info: Info,
+    listing: Option<Listing>,
+}
+
+/// Stated counts of frames may be this far off without being worth a word: containers round durations.
+const COUNT_TOLERANCE: u32 = 1;
+
+impl Source {
+    /// Opens an input and decodes its first picture's size.
+    ///
+    /// # Errors
+    /// Every [`VideoError`] that can be told before the frames are walked through: missing, unreadable, empty, not a
+    /// video, no picture, contradicting options.
+    pub fn open(path: &Path, options: &Options) -> Result<Self, VideoError> {
+        options.check()?;
+        let unreadable = |source: io::Error| match source.kind() {
+            io::ErrorKind::NotFound => VideoError::Missing { path: path.to_owned() },
+            _ => VideoError::Unreadable { path: path.to_owned(), source },
+        };
+        let metadata = fs::metadata(path).map_err(unreadable)?;
+        let (info, listing) = if metadata.is_dir() {
+            let listing = folder::list(path)?;
+            (folder_info(&listing, options), Some(listing))
+        } else {
+            File::open(path).map_err(unreadable)?;
+            if metadata.len() == 0 {
+                return Err(VideoError::Empty { path: path.to_owned() });
+            }
+            (file_info(path, options)?, None)
+        };
+        Ok(Self { path: path.to_owned(), options: options.clone(), info, listing })
+    }
+
+    /// What is known of the input.
+    pub fn info(&self) -> &Info {
+        &self.info
+    }
+
+    /// Where the input is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Walks through the whole input without making pictures: which frames there are, at which times.
+    ///
+    /// # Errors
+    /// [`VideoError::NothingChosen`] if the options leave no frame; those of opening the file again.
+    pub fn scan(&self) -> Result<Scan, VideoError> {
+        let mut decoder = self.decoder()?;
+        let mut selection = Selection::new(&self.options);
+        let frames: Vec<Frame> = std::iter::from_fn(|| next_chosen(decoder.as_mut(), &mut selection)).collect();
+        if frames.is_empty() {
+            return Err(self.nothing_chosen()?);
+        }
+        let mut warnings = self.listing.as_ref().map_or_else(Vec::new, |listing| listing.warnings.clone());
+        warnings.extend(self.time_warning(decoder.num_guessed()));
+        warnings.extend(self.count_warning(decoder.as_ref()));
+        Ok(Scan { frames, warnings })
+    }
+
+    /// Decodes the chosen frames in order.
+    ///
+    /// # Errors
+    /// Those of opening the file again; what is wrong with single frames comes from the iterator.
+    pub fn frames(&self) -> Result<Frames, VideoError> {
+        Ok(Frames::start(self.decoder()?, Selection::new(&self.options), None))
+    }
+
+    /// Decodes those of the chosen frames that are asked for, in order.
+    ///
+    /// # Errors
+    /// As [`Source::frames`].
+    pub fn frames_at(&self, ids: BTreeSet<FrameId>) -> Result<Frames, VideoError> {
+        Ok(Frames::start(self.decoder()?, Selection::new(&self.options), Some(ids)))
+    }
+
+    fn decoder(&self) -> Result<Box<dyn Decoder>, VideoError> {
+        let info = &self.info;
+        let target = (info.width, info.height);
+        Ok(match &self.listing {
+            Some(listing) => Box::new(FolderDecoder::new(listing, self.options.fps, target)),
+            None => Box::new(FileDecoder::open(&self.path, (info.source_width, info.source_height), target)?),
+        })
+    }
+
+    fn nothing_chosen(&self) -> Result<VideoError, VideoError> {
+        let mut decoder = self.decoder()?;
+        let times: Vec<f64> = std::iter::from_fn(|| decoder.step()).map(|frame| frame.time_s).collect();
+        Ok(match (times.first(), times.last()) {
+            (Some(&first_s), Some(&last_s)) => VideoError::NothingChosen { path: self.path.clone(), first_s, last_s },
+            _ => VideoError::NoFrames { path: self.path.clone() },
+        })
+    }
+
+    fn time_warning(&self, num_guessed: u32) -> Option<String> {
+        (num_guessed > 0).then(|| {
+            let path = self.path.display();
+            format!("{path}: {num_guessed} time stamps are missing or do not rise; they follow the pace of the frames before")
+        })
+    }
+
+    /// Compares what the container states with what is there, after a scan that went to the end.
+    fn count_warning(&self, decoder: &dyn Decoder) -> Option<String> {
+        let stated = self.info.num_frames.filter(|_| self.info.kind == Kind::Video && self.options.end.is_none())?;
+        let found = decoder.num_stepped();
+        (found + COUNT_TOLERANCE < stated).then(|| {
+            let path = self.path.display();
+            format!("{path}: only {found} of {stated} frames can be decoded; the file is cut off or damaged")
+        })
+    }
+}
+
+fn folder_info(listing: &Listing, options: &Options) -> Info {
+    let (source_width, source_height) = listing.size;
+    let (width, height) = target_size(listing.size, options);
+    let scale = f64::from(width.max(height)) / f64::from(source_width.max(source_height));
+    Info {
+        kind: Kind::Folder,
+        width,
+        height,
+        source_width,
+        source_height,
+        fps: options.fps,
+        num_frames: Some(listing.num_files),
+        rotation_deg: 0,
+        exif_focal_px: listing.exif_focal_px.map(|focal| focal * scale),
+    }
+}
+
+fn file_info(path: &Path, options: &Options) -> Result<Info, VideoError> {
+    let no_frames = || VideoError::NoFrames { path: path.to_owned() };
+    let mut capture = file::open(path)?;
+    let container = file::container(&capture)?;
+    let (source_width, source_height) = file::first_size(&mut capture)?.ok_or_else(no_frames)?;
+    let (width, height) = target_size((source_width, source_height), options);
+    Ok(Info {
+        kind: Kind::Video,
+        width,
+        height,
+        source_width,
+        source_height,
+        fps: container.fps,
+        num_frames: container.num_frames,
+        rotation_deg: container.rotation_deg,
+        exif_focal_px: None,
+    })
+}
+
+fn target_size((width, height): (u32, u32), options: &Options) -> (u32, u32) {
+    options.max_dimension.map_or((width, height), |side| scale_to_fit(width, height, side))
+}
+
+#[cfg(test)]
+mod tests {
+    use opencv::core::{CV_8UC3, Mat, Scalar, Size};
+    use opencv::videoio::{VideoWriter, VideoWriterTrait, VideoWriterTraitConst};
+
+    use super::*;
+    use ::image::RgbImage;
+
+    /// A clip of `n` frames; the red channel of frame k is 10 k.
+    fn clip(folder: &Path, n: u32) -> PathBuf {
+        let path = folder.join("clip.avi");
+        let fourcc = VideoWriter::fourcc('M', 'J', 'P', 'G').unwrap();
+        let mut writer = VideoWriter::new(&path, fourcc, 10.0, Size::new(64, 48), true).unwrap();
+        assert!(writer.is_opened().unwrap());
+        for k in 0..n {
+            let red = Scalar::new(0.0, 0.0, f64::from(k) * 10.0, 0.0);
+            writer.write(&Mat::new_rows_cols_with_default(48, 64, CV_8UC3, red).unwrap()).unwrap();
+        }
+        writer.release().unwrap();
+        path
+    }
+
+    fn png(path: &Path, width: u32, height: u32) {
+        RgbImage::from_pixel(width, height, ::image::Rgb([200, 10, 10])).save(path).unwrap();
+    }
+
+    #[test]
+    fn frames_of_a_video_come_in_order_with_their_times_and_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let options = Options { every: 3, start: "0.2".parse().ok(), max_dimension: Some(32), ..Options::default() };
+        let source = Source::open(&clip(folder.path(), 12), &options).unwrap();
+        assert_eq!((source.info().width, source.info().height, source.info().source_width), (32, 24, 64));
+        let scan = source.scan().unwrap();
+        assert_eq!(scan.frames.iter().map(|f| f.id.0).collect::<Vec<_>>(), [2, 5, 8, 11]);
+        assert_eq!(scan.frames[1].name, "000005.jpg");
+        assert!((scan.frames[1].time_s - 0.5).abs() < 1e-9);
+        assert!(scan.warnings.is_empty(), "{:?}", scan.warnings);
+        for _ in 0..2 {
+            let frames: Vec<_> = source.frames().unwrap().collect::<Result<_, _>>().unwrap();
+            assert_eq!(frames.iter().map(|(frame, _)| frame.clone()).collect::<Vec<_>>(), scan.frames);
+            for (frame, picture) in &frames {
+                assert_eq!(picture.dimensions(), (32, 24));
+                let red = i32::from(picture.get_pixel(16, 12)[0]);
+                assert!((red - frame.id.0 as i32 * 10).abs() < 8, "frame {} is {red}", frame.id.0);
+            }
+        }
+        let some = source.frames_at(BTreeSet::from([FrameId(5), FrameId(6)])).unwrap();
+        assert_eq!(some.map(|f| f.unwrap().0.id.0).collect::<Vec<_>>(), [5]);
+    }
+
+    #[test]
+    fn a_video_that_is_cut_off_gives_what_is_there_and_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = clip(folder.path(), 30);
+        let bytes = fs::read(&path).unwrap();
+        fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+        let scan = Source::open(&path, &Options::default()).unwrap().scan().unwrap();
+        assert!(scan.frames.len() < 29 && !scan.frames.is_empty());
+        assert!(scan.warnings.iter().any(|w| w.contains("of 30 frames")), "{:?}", scan.warnings);
+    }
+
+    #[test]
+    fn what_is_no_video_is_told_apart() {
+        let folder = tempfile::tempdir().unwrap();
+        let open = |name: &str, content: &[u8]| {
+            let path = folder.path().join(name);
+            fs::write(&path, content).unwrap();
+            Source::open(&path, &Options::default()).unwrap_err()
+        };
+        assert!(matches!(open("empty.mp4", b""), VideoError::Empty { .. }));
+        assert!(matches!(open("text.mp4", b"not a video at all"), VideoError::NotAVideo { .. }));
+        let missing = folder.path().join("none.mp4");
+        assert!(matches!(Source::open(&missing, &Options::default()), Err(VideoError::Missing { .. })));
+        let bare = tempfile::tempdir().unwrap();
+        assert!(matches!(Source::open(bare.path(), &Options::default()), Err(VideoError::NoImages { .. })));
+        let late = Options { start: "99".parse().ok(), ..Options::default() };
+        let source = Source::open(&clip(folder.path(), 3), &late).unwrap();
+        assert!(matches!(source.scan(), Err(VideoError::NothingChosen { .. })));
+    }
+
+    #[test]
+    fn a_folder_is_read_in_natural_order_and_odd_files_are_left_out() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["b10.png", "b9.png", "b11.png"] {
+            png(&folder.path().join(name), 20, 16);
+        }
+        png(&folder.path().join("b12.png"), 16, 20);
+        fs::write(folder.path().join("b13.png"), b"not an image").unwrap();
+        fs::write(folder.path().join("notes.txt"), b"not listed").unwrap();
+        let options = Options { fps: Some(4.0), ..Options::default() };
+        let source = Source::open(folder.path(), &options).unwrap();
+        let scan = source.scan().unwrap();
+        assert_eq!(scan.frames.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(), ["b9.png", "b10.png", "b11.png"]);
+        assert_eq!(scan.frames[2].time_s, 0.5);
+        assert_eq!(scan.warnings.len(), 2, "{:?}", scan.warnings);
+        assert_eq!(source.info().num_frames, Some(5));
+        assert_eq!(source.frames().unwrap().filter(Result::is_ok).count(), 3);
+    }
+}
