@@ -6,6 +6,7 @@ mod flow;
 mod frame;
 mod ground;
 mod mask;
+mod mesh;
 mod reconstruction;
 mod trajectory;
 
@@ -13,5 +14,6 @@ pub use flow::Flow;
 pub use frame::{Frame, FrameId, ObjectId};
 pub use ground::{Ground, GroundPlane, GroundSource};
 pub use mask::{BoundingBox, Detection, LabelMap, Mask};
+pub use mesh::TriangleMesh;
 pub use reconstruction::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 pub use trajectory::{ObjectPose, ObjectTrajectory, ScaleEstimate, ScaleMethod, Trajectories, Unit};
