@@ -5,6 +5,9 @@
 //! `docs/formats.md` describes the formats.
 
 pub mod atomic;
+mod bytes;
+pub mod colmap;
 mod error;
+pub mod ply;
 
 pub use error::IoError;

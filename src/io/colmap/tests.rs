@@ -1,0 +1,227 @@
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use nalgebra::{Point2, Point3};
+use rand::Rng as _;
+
+use super::*;
+use crate::math::{Rigid3, seeded_rng};
+use crate::scene::{Image, Observation, Point3d, TrackElement};
+
+/// A small model of random numbers, every kind of camera in it, observations with and without points.
+fn sample() -> Reconstruction {
+    let mut rng = seeded_rng(7, 0);
+    let camera = |focal, radial| Camera { width: 960, height: 540, focal, principal: [480.1, 1.0 / 3.0], radial };
+    let cameras = [
+        (CameraId(1), camera([880.0, 880.0], [0.0; 2])),
+        (CameraId(4), camera([880.0, 881.0 + 1e-13], [0.0; 2])),
+        (CameraId(5), camera([0.1 + 0.2, 0.1 + 0.2], [-0.1, 1e-17])),
+        (CameraId(9), camera([880.0, 881.0], [0.05, 0.0])),
+    ];
+    let camera_ids: Vec<_> = cameras.iter().map(|(id, _)| *id).collect();
+    let mut images = BTreeMap::new();
+    for index in 0..4u32 {
+        let mut number = || rng.random_range(-10.0..10.0);
+        let rotation = UnitQuaternion::from_euler_angles(number(), number(), number());
+        let cam_from_world = Rigid3::new(rotation, Vector3::new(number(), number() * 1e-9, number() * 1e12));
+        let observations = (0..5u64)
+            .map(|k| Observation {
+                pixel: Point2::new(number() + 100.0, number() + 100.0),
+                point: (k % 2 == 0).then_some(Point3dId(1 + k)),
+            })
+            .collect();
+        let name = if index == 2 { "a name with blanks.jpg".into() } else { format!("{index:06}.jpg") };
+        let camera = camera_ids[index as usize];
+        images.insert(ImageId(index + 1), Image { name, camera, cam_from_world, observations });
+    }
+    images.insert(
+        ImageId(9),
+        Image {
+            name: "empty.jpg".into(),
+            camera: CameraId(1),
+            cam_from_world: Rigid3::identity(),
+            observations: vec![],
+        },
+    );
+    let points = [1, 3, 5].map(|id| {
+        let track = (1..5).map(|i| TrackElement { image: ImageId(i), observation_idx: id as u32 - 1 }).collect();
+        let position = Point3::new(rng.random(), rng.random::<f64>() * 1e-20, rng.random());
+        (Point3dId(id), Point3d { position, rgb: [0, 128, 255], error_px: rng.random(), track })
+    });
+    Reconstruction { cameras: cameras.into(), images, points: points.into() }
+}
+
+fn written(model: &Reconstruction, binary: bool) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    if binary { write_binary(folder.path(), model) } else { write_text(folder.path(), model) }.unwrap();
+    folder
+}
+
+#[test]
+fn both_forms_give_back_exactly_what_was_written() {
+    for model in [sample(), Reconstruction::default()] {
+        for binary in [false, true] {
+            assert_eq!(read(written(&model, binary).path()).unwrap(), model, "binary: {binary}");
+        }
+    }
+}
+
+#[test]
+fn every_camera_model_is_read_or_refused_with_a_cure() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cameras.txt");
+    let read_line = |line: &str| {
+        std::fs::write(&path, format!("# comment\n\n{line}\n")).unwrap();
+        read_cameras(&path).map(|cameras| cameras[&CameraId(3)].intrinsics())
+    };
+    let cases = [
+        ("3 SIMPLE_PINHOLE 8 6 5 4 3", [5.0, 5.0, 4.0, 3.0, 0.0, 0.0]),
+        ("3 PINHOLE 8 6 5 5.5 4 3", [5.0, 5.5, 4.0, 3.0, 0.0, 0.0]),
+        ("3 SIMPLE_RADIAL 8 6 5 4 3 0.1", [5.0, 5.0, 4.0, 3.0, 0.1, 0.0]),
+        ("3 RADIAL 8 6 5 4 3 0.1 -0.2", [5.0, 5.0, 4.0, 3.0, 0.1, -0.2]),
+        ("3 OPENCV 8 6 5 5.5 4 3 0.1 -0.2 0 0", [5.0, 5.5, 4.0, 3.0, 0.1, -0.2]),
+        ("3 FULL_OPENCV 8 6 5 5.5 4 3 0.1 -0.2 0 0 0 0 0 0", [5.0, 5.5, 4.0, 3.0, 0.1, -0.2]),
+    ];
+    for (line, expected) in cases {
+        assert_eq!(read_line(line).unwrap(), expected, "{line}");
+    }
+    let refused = [
+        ("3 OPENCV 8 6 5 5.5 4 3 0.1 -0.2 0 0.001", "tangential"),
+        ("3 OPENCV_FISHEYE 8 6 5 5.5 4 3 0 0 0 0", "OPENCV_FISHEYE"),
+        ("3 PINHOLE 8 6 5 5.5 4", "line 3: camera parameter: the line ends before it"),
+        ("3 PINHOLE 8 6 5 5.5 4 3 2", "line 3: end of line: '2' is too much"),
+        ("3 PINHOLE 0 6 5 5.5 4 3", "line 3: image size"),
+        ("3 PINHOLE 8 6 5 nan 4 3", "line 3: camera parameter: NaN"),
+        ("x PINHOLE 8 6 5 5 4 3", "line 3: camera id: 'x' is not a number"),
+        ("3 PINHOLE 8 6 5 5 4 3\n3 PINHOLE 8 6 5 5 4 3", "line 4: camera id: 3 occurs twice"),
+    ];
+    for (line, expected) in refused {
+        let error = read_line(line).unwrap_err().to_string();
+        assert!(error.contains(expected) && error.contains("cameras.txt"), "{line}: {error}");
+    }
+}
+
+#[test]
+fn a_binary_model_cut_anywhere_is_an_error() {
+    let folder = written(&sample(), true);
+    for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+        let path = folder.path().join(name);
+        let whole = std::fs::read(&path).unwrap();
+        for length in 0..whole.len() {
+            std::fs::write(&path, &whole[..length]).unwrap();
+            let error = read(folder.path()).unwrap_err().to_string();
+            assert!(error.contains(name) && error.contains("byte"), "{name} cut at {length}: {error}");
+        }
+        std::fs::write(&path, [whole.as_slice(), &[0]].concat()).unwrap();
+        assert!(read(folder.path()).unwrap_err().to_string().contains("1 bytes follow"));
+        std::fs::write(&path, whole).unwrap();
+    }
+    assert_eq!(read(folder.path()).unwrap(), sample());
+}
+
+#[test]
+fn a_count_beyond_the_file_allocates_nothing() {
+    let folder = written(&sample(), true);
+    for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+        let path = folder.path().join(name);
+        let whole = std::fs::read(&path).unwrap();
+        for count in [u64::MAX, 1 << 40, 1000] {
+            std::fs::write(&path, [&count.to_le_bytes(), &whole[8..]].concat()).unwrap();
+            let error = read(folder.path()).unwrap_err().to_string();
+            assert!(error.contains("do not fit"), "{name}: {error}");
+        }
+        std::fs::write(&path, whole).unwrap();
+    }
+}
+
+#[test]
+fn damaged_bytes_never_panic() {
+    let folder = written(&sample(), true);
+    let mut rng = seeded_rng(11, 0);
+    for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+        let path = folder.path().join(name);
+        let whole = std::fs::read(&path).unwrap();
+        for _ in 0..300 {
+            let mut damaged = whole.clone();
+            for _ in 0..rng.random_range(1..6) {
+                let at = rng.random_range(0..damaged.len());
+                damaged[at] = rng.random();
+            }
+            std::fs::write(&path, damaged).unwrap();
+            let _ = read(folder.path());
+        }
+        std::fs::write(&path, whole).unwrap();
+    }
+}
+
+#[test]
+fn broken_text_names_file_line_and_field() {
+    let folder = written(&sample(), false);
+    let cases = [
+        ("images.txt", "1 1 0 0 0 0 0 0 1", "line 1: name"),
+        ("images.txt", "1 0 0 0 0 0 0 0 1 a.jpg", "line 1: qw qx qy qz"),
+        ("images.txt", "1 1 0 0 0 0 0 0 1 a.jpg\n1 2", "line 2: point id"),
+        ("images.txt", "1 1 0 0 0 0 0 0 1 a.jpg\n1 2 -7", "line 2: point id: -7 is negative"),
+        ("images.txt", "1 1 0 0 0 0 0 0 1 a.jpg\n\n1 1 0 0 0 0 0 0 1 a.jpg\n", "line 3: image id: 1 occurs twice"),
+        ("points3D.txt", "1 0 0 inf 1 2 3 0.5", "line 1: z: inf"),
+        ("points3D.txt", "1 0 0 0 1 2 256 0.5", "line 1: blue: '256'"),
+        ("points3D.txt", "1 0 0 0 1 2 3 0.5 1", "line 1: observation index of a track"),
+        ("points3D.txt", "1 0 0 0 1 2 3 0.5 77 0", "observation 0 of image 77"),
+        ("points3D.txt", "", "tracks hold 0 observations"),
+        ("cameras.txt", "", "camera 1, which is not there"),
+    ];
+    for (name, content, expected) in cases {
+        let path = folder.path().join(name);
+        let whole = std::fs::read(&path).unwrap();
+        std::fs::write(&path, content).unwrap();
+        let error = read(folder.path()).unwrap_err().to_string();
+        assert!(error.contains(expected), "{content:?}: {error}");
+        std::fs::write(&path, whole).unwrap();
+    }
+    std::fs::write(folder.path().join("images.txt"), [0xff, 0xfe]).unwrap();
+    assert!(read(folder.path()).unwrap_err().to_string().contains("UTF-8"));
+    std::fs::remove_file(folder.path().join("images.txt")).unwrap();
+    assert!(read(folder.path()).unwrap_err().is_not_found());
+}
+
+#[test]
+fn what_a_file_cannot_hold_is_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut model = sample();
+    model.images.get_mut(&ImageId(1)).unwrap().name = "two\nlines".into();
+    assert!(write_text(folder.path(), &model).unwrap_err().to_string().contains("two\\nlines"));
+    let mut model = sample();
+    model.points.get_mut(&Point3dId(3)).unwrap().position.y = f64::NAN;
+    assert!(write_binary(folder.path(), &model).unwrap_err().to_string().contains("point 3"));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    write_binary(folder.path(), &sample()).unwrap();
+    assert!(write_text(folder.path(), &sample()).unwrap_err().to_string().contains("binary model"));
+}
+
+#[test]
+fn models_that_colmap_wrote_are_read() {
+    let Some(data) = std::env::var_os("TRACTRIX_DATA").map(PathBuf::from) else {
+        eprintln!("skipped: TRACTRIX_DATA is not set");
+        return;
+    };
+    let object = read(&data.join("interchange/right_curve/colmap_object_bin")).unwrap();
+    assert_eq!((object.images.len(), object.points.len()), (60, 2128));
+    assert_eq!(object.cameras[&CameraId(1)], Camera::with_focal(960, 540, 880.0));
+    // COLMAP's own summary: the mean over points, not over observations.
+    let mean_error_px = object.points.values().map(|p| p.error_px).sum::<f64>() / object.points.len() as f64;
+    assert!((mean_error_px - 0.384257).abs() < 1e-6);
+    let fountain = read(&data.join("interchange/fountain-P11/colmap_bin")).unwrap();
+    assert_eq!((fountain.images.len(), fountain.points.len()), (11, 14002));
+    let camera = &fountain.cameras[&CameraId(1)];
+    assert!((camera.radial[0] + 0.00249982825).abs() < 1e-10 && camera.radial[1] == 0.0);
+    // The stored errors come back from poses, intrinsics and points: the conventions agree.
+    for (id, point) in fountain.points.iter().take(500) {
+        let errors = point.track.iter().map(|e| {
+            let image = &fountain.images[&e.image];
+            let pixel = fountain.camera_of(image).pixel_from_cam(image.cam_from_world * point.position).unwrap();
+            (pixel - image.observations[e.observation_idx as usize].pixel).norm()
+        });
+        let mean = errors.sum::<f64>() / point.track.len() as f64;
+        assert!((mean - point.error_px).abs() < 1e-6, "point {}: {mean} and {}", id.0, point.error_px);
+    }
+}
