@@ -37,6 +37,14 @@ impl From<FrameId> for ImageId {
     }
 }
 
+impl ImageId {
+    /// The frame that an image of a frame source stands for; the inverse of `ImageId::from`. Id 0, which no source
+    /// gives, counts as frame 0.
+    pub fn frame(self) -> FrameId {
+        FrameId(self.0.saturating_sub(1))
+    }
+}
+
 /// A feature position in an image and the point that it observes, if any.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
@@ -106,6 +114,17 @@ impl Reconstruction {
     /// Registered image by name.
     pub fn image_named(&self, name: &str) -> Option<(ImageId, &Image)> {
         self.images.iter().find(|(_, image)| image.name == name).map(|(id, image)| (*id, image))
+    }
+
+    /// The images that this (background) and an object's reconstruction have in common, matched by name and in the
+    /// order of this one's ids, with the frame that this one's id stands for.
+    pub fn paired_images<'a>(&'a self, object: &'a Self) -> Vec<(FrameId, &'a Image, &'a Image)> {
+        let by_name: BTreeMap<&str, &Image> =
+            object.images.values().map(|image| (image.name.as_str(), image)).collect();
+        self.images
+            .iter()
+            .filter_map(|(id, image)| by_name.get(image.name.as_str()).map(|own| (id.frame(), image, *own)))
+            .collect()
     }
 
     /// Mean reprojection error over all observations, pixels; `None` without observations.

@@ -15,14 +15,21 @@ pub enum ScaleMethod {
     ConstantDistance,
     /// Smallest ray-plane intersection per image, median over images (eqs. r_per_image, r_median).
     Intersection,
+    /// Constant distances in all frames at once, robust against frames with a wrong plane.
+    #[serde(rename = "least-squares")]
+    RobustLeastSquares,
 }
 
 impl ScaleMethod {
+    /// Every method, the paper's first.
+    pub const ALL: [Self; 3] = [Self::ConstantDistance, Self::Intersection, Self::RobustLeastSquares];
+
     /// The name in files and on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::ConstantDistance => "constant-distance",
             Self::Intersection => "intersection",
+            Self::RobustLeastSquares => "least-squares",
         }
     }
 }
@@ -63,7 +70,7 @@ pub struct ObjectPose {
     pub name: String,
     /// Its time, seconds.
     pub time_s: f64,
-    /// The object's centre (mean of its points), in the background's frame.
+    /// The object's centre, in the background's frame: the same point of the object in every frame.
     pub position: [f64; 3],
     /// Places the object's points into the background's frame (eq. object_to_background_coordinates).
     pub world_from_object: Sim3,
