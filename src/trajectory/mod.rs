@@ -1,1 +1,31 @@
-//! The scale ratio and the trajectories that follow from it.
+//! The scale ratio between an object's reconstruction and that of the background, and the trajectories that follow.
+//!
+//! Structure from motion leaves each of the two in a unit of its own. A point o_j of the object lies, in the
+//! background's frame and at the time of frame i, at
+//!
+//! ```text
+//! o_ji = c_i + r v_ji,    v_ji = R_i(b)ᵀ R_i(o) (o_j − c_i(o))        (eq. object_to_background_coordinates)
+//! ```
+//!
+//! for one unknown ratio r. Vehicles stand on the ground, and that determines r: [`constant_distance`] and
+//! [`intersection`] are the paper's two estimators, to the letter; [`least_squares`] uses all frames at once and says
+//! how well the motion determines r at all. [`estimate_scale`] runs them and gives a verdict; [`assemble`] places the
+//! object. The derivations are in `docs/maths/scale.md`.
+
+mod assemble;
+mod constant_distance;
+mod error;
+mod estimate;
+mod heading;
+mod intersection;
+mod least_squares;
+mod views;
+
+pub use assemble::{ObjectDescription, assemble, object_center, set_speeds};
+pub use constant_distance::{ConstantDistance, ConstantDistanceOptions, constant_distance};
+pub use error::ScaleError;
+pub use estimate::{Options, estimate_scale};
+pub use heading::{forward_axis, headings};
+pub use intersection::{Intersection, intersection};
+pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
+pub use views::{View, Views};

@@ -1,0 +1,206 @@
+//! All estimators on one object, and a verdict.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    ConstantDistance, ConstantDistanceOptions, LeastSquares, LeastSquaresOptions, ScaleError, Views, constant_distance,
+    intersection, least_squares,
+};
+use crate::scene::{ScaleEstimate, ScaleMethod};
+
+/// How the scale ratio is found.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Options {
+    /// The method whose answer becomes the ratio; the others are reported beside it.
+    pub method: ScaleMethod,
+    /// Limits of the view pair ranking.
+    pub constant_distance: ConstantDistanceOptions,
+    /// The robust fit over all frames.
+    pub least_squares: LeastSquaresOptions,
+    /// Standard deviation of the all-frames solution, relative to it, beyond which the motion counts as degenerate. A
+    /// tenth misplaces an object 25 m away by 2.5 m: further than a lane.
+    pub max_relative_std: f64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            method: ScaleMethod::ConstantDistance,
+            constant_distance: ConstantDistanceOptions::default(),
+            least_squares: LeastSquaresOptions::default(),
+            max_relative_std: 0.1,
+        }
+    }
+}
+
+/// Relative excitation below which nothing but rounding tells the frames apart: single precision of model files.
+const ROUNDING: f64 = 1e-6;
+
+/// Runs every estimator and gives the answer of [`Options::method`] with a verdict.
+///
+/// `std` is the all-frames solution's for `least-squares`; for `constant-distance` that of the winning pair,
+/// sqrt(2 σ² / mean_j D_j²), with σ from the residuals of the all-frames fit; `intersection` has none.
+///
+/// For the two methods that live on the camera's change of height, `degenerate` says that the motion does not determine
+/// r: the camera's height over the ground does not change, or by too little for its noise. Where the chosen method has no
+/// positive answer, the first other that has one stands in, and `method` and `reason` say so.
+///
+/// # Errors
+/// The chosen method's [`ScaleError`], if no method has an answer.
+pub fn estimate_scale(views: &Views, options: &Options) -> Result<ScaleEstimate, ScaleError> {
+    let pair = constant_distance(views, &options.constant_distance);
+    let contact = intersection(views);
+    let all_frames = least_squares(views, &options.least_squares);
+    let answers: BTreeMap<ScaleMethod, Result<f64, ScaleError>> = BTreeMap::from([
+        (ScaleMethod::ConstantDistance, pair.clone().map(|found| found.ratio)),
+        (ScaleMethod::Intersection, contact.map(|found| found.ratio)),
+        (ScaleMethod::RobustLeastSquares, all_frames.clone().and_then(|found| positive(found.ratio, views))),
+    ]);
+    let chosen = [options.method].into_iter().chain(ScaleMethod::ALL);
+    let found = chosen.filter_map(|method| Some((method, *answers.get(&method)?.as_ref().ok()?))).next();
+    let failure = answers.get(&options.method).and_then(|answer| answer.as_ref().err());
+    let Some((method, ratio)) = found else {
+        return Err(failure.cloned().unwrap_or(ScaleError::NoPoints));
+    };
+    let mut reasons: Vec<String> =
+        failure.map(|failure| stands_in(method, options.method, failure)).into_iter().collect();
+    // Contact does not need the camera to climb, so its answer is not judged by the climb.
+    if method != ScaleMethod::Intersection {
+        reasons.extend(degeneracy(&all_frames, options.max_relative_std));
+    }
+    Ok(ScaleEstimate {
+        ratio,
+        std: standard_deviation(method, &pair, &all_frames),
+        method,
+        degenerate: !reasons.is_empty(),
+        reason: (!reasons.is_empty()).then(|| reasons.join("; ")),
+        alternatives: answers.iter().filter_map(|(m, r)| Some((m.name().to_owned(), *r.as_ref().ok()?))).collect(),
+    })
+}
+
+fn positive(ratio: f64, views: &Views) -> Result<f64, ScaleError> {
+    if ratio.is_finite() && ratio > 0.0 {
+        return Ok(ratio);
+    }
+    Err(ScaleError::NotPositive { num_views: views.views.len(), ratio })
+}
+
+fn stands_in(method: ScaleMethod, wanted: ScaleMethod, failure: &ScaleError) -> String {
+    format!("{} stands in for {}, which has no answer: {failure}", method.name(), wanted.name())
+}
+
+fn standard_deviation(
+    method: ScaleMethod,
+    pair: &Result<ConstantDistance, ScaleError>,
+    all_frames: &Result<LeastSquares, ScaleError>,
+) -> Option<f64> {
+    let all_frames = all_frames.as_ref().ok()?;
+    let std = match method {
+        ScaleMethod::RobustLeastSquares => all_frames.std,
+        ScaleMethod::ConstantDistance => {
+            all_frames.residual_std * (2.0 / pair.as_ref().ok()?.mean_denominator_sq).sqrt()
+        }
+        ScaleMethod::Intersection => return None,
+    };
+    std.is_finite().then_some(std)
+}
+
+/// Why the motion does not determine r, in words and numbers; `None` if it does.
+fn degeneracy(all_frames: &Result<LeastSquares, ScaleError>, max_relative_std: f64) -> Option<String> {
+    let fit = match all_frames {
+        Ok(fit) => fit,
+        Err(error) => return Some(format!("the frames cannot be checked against one another: {error}")),
+    };
+    let relative = fit.excitation / fit.mean_height.abs();
+    let motion = format!(
+        "the camera's height over the object varies by {:.3} % of its mean (standard deviation {:.3e}, mean {:.3e}, in the \
+         object's units)",
+        100.0 * relative,
+        fit.excitation,
+        fit.mean_height.abs(),
+    );
+    if relative.is_nan() || relative <= ROUNDING {
+        return Some(format!(
+            "{motion}: camera and object move parallel to the ground, and nothing determines the ratio"
+        ));
+    }
+    let relative_std = fit.std / fit.ratio.abs();
+    if fit.ratio > 0.0 && relative_std <= max_relative_std {
+        return None;
+    }
+    Some(format!(
+        "{motion}, and the ground planes are only good to {:.3e} background units: all frames together give a ratio of \
+         {:.4} ± {:.4}, where at most ± {:.0} % is accepted",
+        fit.residual_std,
+        fit.ratio,
+        fit.std,
+        100.0 * max_relative_std,
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic::drive::{self, Noise, Terrain, drive};
+
+    fn estimate(world: &drive::Options, seed: u64, options: &Options) -> (ScaleEstimate, f64) {
+        let world = drive(world, seed);
+        let views = Views::new(&world.background, &world.object, &world.planes);
+        (estimate_scale(&views, options).unwrap(), world.ratio)
+    }
+
+    const NOISE: Noise = Noise { pixel_px: 0.5, plane_height_m: 0.03, plane_tilt_deg: 0.3, bad_planes: 0.0 };
+
+    #[test]
+    fn parallel_motion_is_degenerate_and_says_why() {
+        for terrain in [Terrain::Flat, Terrain::Slope { gradient: [0.08, 0.02] }] {
+            let world = drive::Options { terrain, camera_climb_m: 0.0, ..Default::default() };
+            let (found, truth) = estimate(&world, 1, &Options::default());
+            assert!(found.degenerate, "{found:?}");
+            assert!(found.reason.unwrap().contains("parallel to the ground"));
+            assert!((found.alternatives["intersection"] / truth - 1.0).abs() < 1e-9);
+            let contact = Options { method: ScaleMethod::Intersection, ..Options::default() };
+            let (found, truth) = estimate(&world, 1, &contact);
+            assert!(!found.degenerate && found.std.is_none() && (found.ratio / truth - 1.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn too_little_climb_for_the_noise_is_degenerate_with_numbers() {
+        // Planes that are wrong in height only: their tilt would by itself change the camera's height over them.
+        let noise = Noise { plane_tilt_deg: 0.0, plane_height_m: 0.1, ..NOISE };
+        let world = drive::Options { camera_climb_m: 0.1, noise, ..Default::default() };
+        for seed in 0..4 {
+            let (found, _) = estimate(&world, seed, &Options::default());
+            assert!(found.degenerate, "{found:?}");
+            assert!(found.reason.unwrap().contains("±"));
+        }
+    }
+
+    #[test]
+    fn a_good_motion_is_not_degenerate_and_its_std_fits_the_error() {
+        for method in [ScaleMethod::ConstantDistance, ScaleMethod::RobustLeastSquares] {
+            for seed in 0..6 {
+                let world = drive::Options { noise: NOISE, ..Default::default() };
+                let (found, truth) = estimate(&world, seed, &Options { method, ..Options::default() });
+                assert!(!found.degenerate && found.reason.is_none(), "{found:?}");
+                assert_eq!((found.method, found.alternatives.len()), (method, 3));
+                let std = found.std.unwrap();
+                assert!(std > 0.0 && (found.ratio - truth).abs() < 4.0 * std, "{} off, std {std}", found.ratio - truth);
+            }
+        }
+    }
+
+    #[test]
+    fn two_frames_have_an_answer_that_nothing_checks() {
+        let world = drive(&drive::Options { num_frames: 2, ..Default::default() }, 3);
+        let views = Views::new(&world.background, &world.object, &world.planes);
+        let found = estimate_scale(&views, &Options::default()).unwrap();
+        assert!(found.degenerate && found.reason.unwrap().contains("cannot be checked"));
+        let none = Views { views: Vec::new(), ..views };
+        assert!(matches!(estimate_scale(&none, &Options::default()), Err(ScaleError::TooFewViews { usable: 0, .. })));
+    }
+}

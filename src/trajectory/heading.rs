@@ -1,0 +1,80 @@
+//! Which way a vehicle points.
+//!
+//! The direction of motion is noise while a vehicle stands. But the object's model turns with the vehicle, so that one
+//! direction in the model's frame is "forward" in all frames: it is found where the vehicle moves, and used everywhere.
+
+use nalgebra::{Unit, Vector3};
+
+use super::assemble::velocity;
+use crate::scene::ObjectTrajectory;
+
+/// The vehicle's forward direction in the object's own frame: the mean, weighted by speed, of its direction of motion
+/// turned into that frame.
+///
+/// A vehicle that backs up part of the way counts as pointing the way that it goes further. `None` for a trajectory that
+/// goes nowhere, or whose directions cancel (mean length below half of what agreement would give): then positions are
+/// noise, or the object's poses do not turn with it.
+pub fn forward_axis(trajectory: &ObjectTrajectory) -> Option<Unit<Vector3<f64>>> {
+    let poses = &trajectory.poses;
+    let (mut sum, mut length) = (Vector3::zeros(), 0.0);
+    for (k, pose) in poses.iter().enumerate() {
+        let Some(velocity) = velocity(poses, k) else { continue };
+        sum += pose.world_from_object.rotation.inverse() * velocity;
+        length += velocity.norm();
+    }
+    (sum.norm() > 0.5 * length).then(|| Unit::new_normalize(sum))
+}
+
+/// Unit direction, in the background's frame, in which the vehicle points at each pose; empty without a
+/// [`forward_axis`].
+pub fn headings(trajectory: &ObjectTrajectory) -> Vec<Unit<Vector3<f64>>> {
+    let Some(forward) = forward_axis(trajectory) else { return Vec::new() };
+    trajectory.poses.iter().map(|pose| pose.world_from_object.rotation * forward).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+
+    use crate::scene::{ObjectId, ScaleEstimate, ScaleMethod, Unit as LengthUnit};
+    use crate::synthetic::drive::{Options, Route, drive};
+    use crate::trajectory::{ObjectDescription, assemble};
+
+    fn trajectory(options: &Options) -> ObjectTrajectory {
+        let world = drive(options, 2);
+        let scale = ScaleEstimate {
+            ratio: world.ratio,
+            std: None,
+            method: ScaleMethod::Intersection,
+            degenerate: false,
+            reason: None,
+            alternatives: BTreeMap::new(),
+        };
+        let description = ObjectDescription { id: ObjectId(1), class: "car".into(), confidence: 1.0 };
+        assemble(description, &world.background, &world.object, scale, &world.frames, LengthUnit::Background)
+    }
+
+    #[test]
+    fn headings_follow_a_curve() {
+        let options = Options { route: Route::Curve { radius_m: 30.0 }, ..Options::default() };
+        let found = trajectory(&options);
+        let headings = headings(&found);
+        assert_eq!(headings.len(), 60);
+        for k in 1..59 {
+            let chord = Vector3::from(found.poses[k + 1].position) - Vector3::from(found.poses[k - 1].position);
+            assert!(headings[k].angle(&chord) < 0.03, "{k}");
+        }
+    }
+
+    #[test]
+    fn a_parked_vehicle_has_no_heading() {
+        let mut found = trajectory(&Options { num_frames: 5, ..Options::default() });
+        for pose in &mut found.poses {
+            pose.position = [1.0, 2.0, 3.0];
+        }
+        assert!(forward_axis(&found).is_none() && headings(&found).is_empty());
+        found.poses.clear();
+        assert!(forward_axis(&found).is_none());
+    }
+}
