@@ -8,6 +8,13 @@ pub mod atomic;
 mod bytes;
 pub mod colmap;
 mod error;
+pub mod ground;
+pub mod json;
+pub mod masks;
+pub mod openmvg;
 pub mod ply;
+mod sequence;
+pub mod trajectories;
 
 pub use error::IoError;
+pub use sequence::{GROUND_LABEL, Sequence, SequenceFrame, TARGET_LABEL};

@@ -1,0 +1,144 @@
+//! `ground.json` of the output contract: the ground points and the local planes.
+//!
+//! ```json
+//! {"version": 1, "source": "masks" | "model" | "geometric", "point_ids": [3, 17],
+//!  "planes": [{"object": 1, "frame": 0, "normal": [0, 0, 1], "point": [1, 2, 3],
+//!              "num_points": 50, "num_inliers": 48, "rms": 0.01}]}
+//! ```
+//!
+//! Point ids are those of `background/`; planes are in its frame, normals of unit length towards the camera's side.
+
+use std::path::Path;
+
+use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::{IoError, atomic, json};
+use crate::scene::{FrameId, Ground, GroundPlane, GroundSource, ObjectId, Point3dId};
+
+/// The only version there is.
+const VERSION: u32 = 1;
+
+#[derive(Serialize, Deserialize)]
+struct Document {
+    version: u32,
+    source: GroundSource,
+    point_ids: Vec<Point3dId>,
+    planes: Vec<Plane>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Plane {
+    object: ObjectId,
+    frame: FrameId,
+    normal: [f64; 3],
+    point: [f64; 3],
+    num_points: usize,
+    num_inliers: usize,
+    rms: f64,
+}
+
+/// Writes the ground of a run; planes are ordered by object, then frame.
+///
+/// # Errors
+/// A system error, or a plane with a number that is not finite.
+pub fn write(path: &Path, ground: &Ground) -> Result<(), IoError> {
+    let plane_to_file = |(&(object, frame), plane): (&(ObjectId, FrameId), &GroundPlane)| Plane {
+        object,
+        frame,
+        normal: plane.normal.into(),
+        point: plane.point.into(),
+        num_points: plane.num_points,
+        num_inliers: plane.num_inliers,
+        rms: plane.rms,
+    };
+    let planes = ground.planes.iter().map(plane_to_file).collect();
+    let document = Document { version: VERSION, source: ground.source, point_ids: ground.point_ids.clone(), planes };
+    check(path, &document)?;
+    atomic::write_json(path, &document)
+}
+
+/// Reads the ground of a run.
+///
+/// # Errors
+/// A missing file, JSON of another shape or version, a normal that is not of unit length, or the same plane twice.
+pub fn read(path: &Path) -> Result<Ground, IoError> {
+    let document: Document = json::read(path)?;
+    if document.version != VERSION {
+        return Err(IoError::Unsupported {
+            path: path.into(),
+            what: format!("version {}", document.version),
+            cure: format!("write it again as version {VERSION}"),
+        });
+    }
+    check(path, &document)?;
+    let num_planes = document.planes.len();
+    let plane_from_file = |p: Plane| {
+        let (normal, point) = (Vector3::from(p.normal), Point3::from(p.point));
+        let (num_points, num_inliers, rms) = (p.num_points, p.num_inliers, p.rms);
+        ((p.object, p.frame), GroundPlane { normal, point, num_points, num_inliers, rms })
+    };
+    let planes: std::collections::BTreeMap<_, _> = document.planes.into_iter().map(plane_from_file).collect();
+    if planes.len() != num_planes {
+        return Err(IoError::content(path, "an object has two planes in one frame"));
+    }
+    Ok(Ground { source: document.source, point_ids: document.point_ids, planes })
+}
+
+fn check(path: &Path, document: &Document) -> Result<(), IoError> {
+    for plane in &document.planes {
+        let mut numbers = plane.normal.iter().chain(&plane.point).chain([&plane.rms]);
+        let length = Vector3::from(plane.normal).norm();
+        let problem = match numbers.find(|n| !n.is_finite()) {
+            Some(number) => format!("{number} is not a finite number"),
+            None if (length - 1.0).abs() > 1e-6 => format!("the normal has length {length}, not 1"),
+            None => continue,
+        };
+        let Plane { object, frame, .. } = plane;
+        return Err(IoError::content(path, format!("plane of object {object} in frame {}: {problem}", frame.0)));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample() -> Ground {
+        let plane = GroundPlane {
+            normal: Vector3::new(0.6, 0.0, 0.8),
+            point: Point3::new(1.0 / 3.0, 2.0, -1e-9),
+            num_points: 50,
+            num_inliers: 48,
+            rms: 0.0125,
+        };
+        let planes = [((ObjectId(2), FrameId(0)), plane), ((ObjectId(1), FrameId(7)), plane)].into();
+        Ground { source: GroundSource::Geometric, point_ids: vec![Point3dId(3), Point3dId(17)], planes }
+    }
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ground.json");
+        write(&path, &sample()).unwrap();
+        assert_eq!(read(&path).unwrap(), sample());
+        let value: serde_json::Value = json::read(&path).unwrap();
+        assert_eq!(value["source"], "geometric");
+        assert_eq!(value["planes"][0]["object"], 1);
+    }
+
+    #[test]
+    fn planes_that_are_none_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ground.json");
+        let mut ground = sample();
+        ground.planes.get_mut(&(ObjectId(1), FrameId(7))).unwrap().normal.x = 0.7;
+        let error = write(&path, &ground).unwrap_err().to_string();
+        assert!(error.contains("object 1 in frame 7"), "{error}");
+        write(&path, &sample()).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(&path, text.replace("\"object\": 2", "\"object\": 1").replace("\"frame\": 0", "\"frame\": 7"))
+            .unwrap();
+        assert!(read(&path).unwrap_err().to_string().contains("two planes"));
+    }
+}

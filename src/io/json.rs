@@ -1,0 +1,26 @@
+//! Reading JSON, with errors that say where.
+
+use std::path::Path;
+
+use serde::de::DeserializeOwned;
+
+use super::IoError;
+
+/// Reads a JSON file as a value.
+///
+/// # Errors
+/// [`IoError::Line`] with line and column if it is not JSON or not of this shape.
+pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, IoError> {
+    let bytes = std::fs::read(path).map_err(IoError::system("read", path))?;
+    serde_json::from_slice(&bytes).map_err(|e| IoError::Line {
+        path: path.to_path_buf(),
+        line: e.line(),
+        field: format!("column {}", e.column()),
+        problem: without_place(&e.to_string()),
+    })
+}
+
+/// serde_json ends its messages with the place, which the error says already.
+fn without_place(message: &str) -> String {
+    message.rsplit_once(" at line ").map_or(message, |(text, _)| text).to_string()
+}

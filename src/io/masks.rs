@@ -1,0 +1,182 @@
+//! Masks and label maps as PNG: one 8-bit grey value per pixel of the frame.
+//!
+//! Colour, palettes, transparency and 16 bits are refused rather than guessed at: what label a red pixel means, nobody
+//! can know.
+
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageDecoder, ImageEncoder};
+
+use super::{IoError, atomic};
+use crate::scene::{LabelMap, Mask};
+
+/// Reads a label map: 0 is background, k is object (or class) k. `frame_size` is the width and height of its frame.
+///
+/// # Errors
+/// A missing or broken file, another size than the frame's, or anything but 8-bit grey.
+pub fn read_label_map(path: &Path, frame_size: (u32, u32)) -> Result<LabelMap, IoError> {
+    let found = decode(path, Some(frame_size), &[8])?;
+    Ok(LabelMap { width: found.size.0, height: found.size.1, labels: found.grey })
+}
+
+/// Reads a mask: every value but 0 is set. 1-bit pictures are taken too.
+///
+/// # Errors
+/// As [`read_label_map`].
+pub fn read_mask(path: &Path, frame_size: (u32, u32)) -> Result<Mask, IoError> {
+    Ok(as_mask(decode(path, Some(frame_size), &[1, 8])?))
+}
+
+/// As [`read_mask`], of whatever size the picture has.
+pub fn read_mask_of_any_size(path: &Path) -> Result<Mask, IoError> {
+    Ok(as_mask(decode(path, None, &[1, 8])?))
+}
+
+/// Writes a mask as 8-bit grey, 255 where it is set.
+pub fn write_mask(path: &Path, mask: &Mask) -> Result<(), IoError> {
+    encode(path, &mask.to_bytes(), mask.width(), mask.height())
+}
+
+/// Writes a label map as 8-bit grey.
+pub fn write_label_map(path: &Path, map: &LabelMap) -> Result<(), IoError> {
+    encode(path, &map.labels, map.width, map.height)
+}
+
+/// The mask of an image in a folder: `<stem>.png`, or `<name>.png`; `None` if neither is there.
+pub fn find(folder: &Path, image_name: &str) -> Option<PathBuf> {
+    let stem = image_name.rsplit_once('.').map_or(image_name, |(stem, _)| stem);
+    [format!("{stem}.png"), format!("{image_name}.png")].into_iter().map(|n| folder.join(n)).find(|p| p.is_file())
+}
+
+struct Grey {
+    size: (u32, u32),
+    grey: Vec<u8>,
+}
+
+fn as_mask(picture: Grey) -> Mask {
+    let (width, height) = picture.size;
+    let mut mask = Mask::empty(width, height);
+    mask.pixels_mut().iter_mut().zip(picture.grey).for_each(|(pixel, value)| *pixel = value != 0);
+    mask
+}
+
+fn decode(path: &Path, frame_size: Option<(u32, u32)>, bit_depths: &[u8]) -> Result<Grey, IoError> {
+    let bytes = std::fs::read(path).map_err(IoError::system("read", path))?;
+    check_kind(path, &bytes, bit_depths)?;
+    let broken = |e: image::ImageError| IoError::content(path, format!("is not a whole PNG picture: {e}"));
+    let decoder = image::codecs::png::PngDecoder::new(Cursor::new(&bytes)).map_err(broken)?;
+    let size = decoder.dimensions();
+    // Before the pixels are decoded: a header can promise any number of them.
+    if let Some(expected) = frame_size.filter(|expected| *expected != size) {
+        return Err(IoError::WrongSize { path: path.into(), expected, found: size });
+    }
+    if u64::from(size.0) * u64::from(size.1) > MAX_PIXELS {
+        return Err(IoError::content(path, format!("{}×{} pixels are too many for a mask", size.0, size.1)));
+    }
+    let mut grey = vec![0; size.0 as usize * size.1 as usize];
+    if decoder.total_bytes() != grey.len() as u64 {
+        return Err(IoError::content(path, "is not one grey value per pixel"));
+    }
+    decoder.read_image(&mut grey).map_err(broken)?;
+    Ok(Grey { size, grey })
+}
+
+/// Far beyond any frame of a video; keeps a hostile header from filling the memory.
+const MAX_PIXELS: u64 = 1 << 28;
+
+/// Looks at the PNG header itself: the decoder would stretch 1, 2 and 4 bits to eight, and labels with them.
+fn check_kind(path: &Path, bytes: &[u8], bit_depths: &[u8]) -> Result<(), IoError> {
+    // Signature, then length and name of IHDR, width, height, bit depth, colour type (PNG specification, 11.2.1).
+    if bytes.len() < 26 || !bytes.starts_with(b"\x89PNG\r\n\x1a\n") {
+        return Err(IoError::content(path, "is not a PNG picture"));
+    }
+    let (bit_depth, colour_type) = (bytes[24], bytes[25]);
+    let kind = match colour_type {
+        0 => "grey",
+        2 => "RGB",
+        3 => "palette",
+        4 => "grey with transparency",
+        6 => "RGB with transparency",
+        _ => "unknown",
+    };
+    if colour_type == 0 && bit_depths.contains(&bit_depth) {
+        return Ok(());
+    }
+    Err(IoError::Unsupported {
+        path: path.into(),
+        what: format!("a mask of kind {kind}, {bit_depth} bits,"),
+        cure: "save it as 8-bit grey, one label per pixel".into(),
+    })
+}
+
+fn encode(path: &Path, grey: &[u8], width: u32, height: u32) -> Result<(), IoError> {
+    let mut bytes = Vec::new();
+    PngEncoder::new(&mut bytes)
+        .write_image(grey, width, height, ExtendedColorType::L8)
+        .map_err(|e| IoError::content(path, format!("cannot be encoded: {e}")))?;
+    atomic::write(path, &bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn labels_and_masks_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("000003.png");
+        let map = LabelMap { width: 3, height: 2, labels: vec![0, 1, 2, 255, 0, 7] };
+        write_label_map(&path, &map).unwrap();
+        assert_eq!(read_label_map(&path, (3, 2)).unwrap(), map);
+        assert_eq!(read_mask(&path, (3, 2)).unwrap(), map.any());
+        write_mask(&path, &map.mask(2)).unwrap();
+        assert_eq!(read_label_map(&path, (3, 2)).unwrap().labels, [0, 0, 255, 0, 0, 0]);
+        assert_eq!(read_mask_of_any_size(&path).unwrap(), map.mask(2));
+        assert_eq!(find(folder.path(), "000003.jpg").unwrap(), path);
+        assert_eq!(find(folder.path(), "000004.jpg"), None);
+    }
+
+    #[test]
+    fn a_mask_of_another_size_names_file_and_sizes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.png");
+        write_mask(&path, &Mask::empty(4, 3)).unwrap();
+        let error = read_mask(&path, (8, 6)).unwrap_err().to_string();
+        assert!(error.contains("m.png") && error.contains("4×3") && error.contains("8×6"), "{error}");
+    }
+
+    #[test]
+    fn other_kinds_of_pictures_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.png");
+        let save = |kind: ExtendedColorType, bytes: &[u8]| {
+            PngEncoder::new(std::fs::File::create(&path).unwrap()).write_image(bytes, 2, 1, kind).unwrap();
+            read_label_map(&path, (2, 1)).unwrap_err().to_string()
+        };
+        assert!(save(ExtendedColorType::Rgb8, &[0; 6]).contains("RGB, 8 bits"));
+        assert!(save(ExtendedColorType::L16, &[0; 4]).contains("grey, 16 bits"));
+        assert!(save(ExtendedColorType::La8, &[0; 4]).contains("transparency"));
+        std::fs::write(&path, b"GIF89a, at any rate not the other thing").unwrap();
+        assert!(read_mask(&path, (2, 1)).unwrap_err().to_string().contains("is not a PNG"));
+        assert!(read_mask(&folder.path().join("none.png"), (2, 1)).unwrap_err().is_not_found());
+    }
+
+    #[test]
+    fn a_picture_cut_anywhere_never_panics() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.png");
+        write_mask(&path, &Mask::from_fn(40, 30, |x, y| (x * y) % 3 == 0)).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        for length in 0..whole.len() - 20 {
+            std::fs::write(&path, &whole[..length]).unwrap();
+            assert!(read_mask(&path, (40, 30)).is_err(), "cut at {length}");
+        }
+        // A header that promises more than memory holds.
+        let mut huge = whole;
+        huge[16..24].copy_from_slice(&[0x7f, 0xff, 0xff, 0xff, 0x7f, 0xff, 0xff, 0xff]);
+        std::fs::write(&path, huge).unwrap();
+        assert!(read_mask_of_any_size(&path).is_err());
+    }
+}

@@ -1,0 +1,283 @@
+//! Ground-truth sequences: `scene.json` with poses, pictures or a video, label maps, and the vehicle's mesh.
+//!
+//! `docs/formats.md` describes the folder. Poses in `scene.json` are `T_world_camera` and `T_world_object`, 4 × 4,
+//! row-major; here they become `cam_from_world` and `world_from_object`.
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use serde::Deserialize;
+
+use super::{IoError, json, masks, ply};
+use crate::camera::Camera;
+use crate::math::Rigid3;
+use crate::scene::{FrameId, LabelMap, Mask, TriangleMesh};
+
+/// Label of the target vehicle in a sequence's masks.
+pub const TARGET_LABEL: u8 = 1;
+
+/// Label of the ground in a sequence's semantic maps.
+pub const GROUND_LABEL: u8 = 3;
+
+/// A sequence whose truth is known.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sequence {
+    /// Where it lies.
+    pub folder: PathBuf,
+    /// Its name.
+    pub name: String,
+    /// The type of the target vehicle, if stated.
+    pub vehicle: Option<String>,
+    /// Frames per second.
+    pub fps: f64,
+    /// The camera of all frames, without distortion.
+    pub camera: Camera,
+    /// Its frames, ascending by index.
+    pub frames: Vec<SequenceFrame>,
+}
+
+/// One frame and its truth.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SequenceFrame {
+    /// Index: frame k of the video.
+    pub id: FrameId,
+    /// File name of its picture, without folder.
+    pub name: String,
+    /// Its picture, which need not be there if the video is.
+    pub image: PathBuf,
+    /// Its label map: 0 background, 1 the target, others moving objects.
+    pub mask: PathBuf,
+    /// Its semantic map; 3 is ground.
+    pub semantic: Option<PathBuf>,
+    /// Time, seconds.
+    pub time_s: f64,
+    /// The camera's pose; the world is in metres.
+    pub cam_from_world: Rigid3,
+    /// The target's pose.
+    pub world_from_object: Rigid3,
+}
+
+#[derive(Deserialize)]
+struct Document {
+    name: String,
+    #[serde(default)]
+    vehicle: Option<String>,
+    units: String,
+    fps: f64,
+    width: u32,
+    height: u32,
+    #[serde(rename = "K")]
+    k: [[f64; 3]; 3],
+    frames: Vec<FrameDocument>,
+}
+
+#[derive(Deserialize)]
+struct FrameDocument {
+    index: u32,
+    image: PathBuf,
+    mask: PathBuf,
+    #[serde(default)]
+    semantic: Option<PathBuf>,
+    time_s: f64,
+    #[serde(rename = "T_world_camera")]
+    world_from_cam: [[f64; 4]; 4],
+    #[serde(rename = "T_world_object")]
+    world_from_object: [[f64; 4]; 4],
+}
+
+impl Sequence {
+    /// Reads `scene.json` of a folder; pictures, masks and mesh are read when they are asked for.
+    ///
+    /// # Errors
+    /// A missing file, JSON of another shape, units other than metres, a matrix K with skew, a pose that is not rigid, or
+    /// frames out of order.
+    pub fn open(folder: &Path) -> Result<Self, IoError> {
+        let path = folder.join("scene.json");
+        let document: Document = json::read(&path)?;
+        if document.units != "metre" {
+            return Err(IoError::Unsupported {
+                path,
+                what: format!("the unit '{}'", document.units),
+                cure: "give lengths in 'metre'".into(),
+            });
+        }
+        let camera = camera(&path, &document)?;
+        if !(document.fps > 0.0 && document.fps.is_finite()) {
+            return Err(IoError::content(&path, format!("fps {} is not positive", document.fps)));
+        }
+        let frames: Vec<_> = document.frames.into_iter().map(|f| frame(&path, f)).collect::<Result<_, _>>()?;
+        if let Some(pair) = frames.windows(2).find(|pair| pair[0].id >= pair[1].id) {
+            return Err(IoError::content(&path, format!("frame {} is out of order", pair[1].id.0)));
+        }
+        let (name, vehicle, fps) = (document.name, document.vehicle, document.fps);
+        Ok(Self { folder: folder.to_path_buf(), name, vehicle, fps, camera, frames })
+    }
+
+    /// Width and height of every frame, pixels.
+    pub fn frame_size(&self) -> (u32, u32) {
+        (self.camera.width, self.camera.height)
+    }
+
+    /// The video, if there is one.
+    pub fn video(&self) -> Option<PathBuf> {
+        Some(self.folder.join("video.mp4")).filter(|path| path.is_file())
+    }
+
+    /// The frame with this index.
+    pub fn frame(&self, id: FrameId) -> Option<&SequenceFrame> {
+        self.frames.binary_search_by_key(&id, |frame| frame.id).ok().map(|index| &self.frames[index])
+    }
+
+    /// The frame that an output's image name means: the name of its picture, or the six digits of its index, which is
+    /// what images of a video are called.
+    pub fn frame_named(&self, image_name: &str) -> Option<&SequenceFrame> {
+        let by_name = self.frames.iter().find(|frame| frame.name == image_name);
+        by_name.or_else(|| {
+            let digits = image_name.strip_suffix(".jpg").filter(|stem| stem.len() == 6)?;
+            self.frame(FrameId(digits.parse().ok()?))
+        })
+    }
+
+    /// The labels of a frame's pixels: 0 background, 1 the target, others moving objects.
+    pub fn labels(&self, frame: &SequenceFrame) -> Result<LabelMap, IoError> {
+        masks::read_label_map(&self.folder.join(&frame.mask), self.frame_size())
+    }
+
+    /// Where the target is seen in a frame.
+    pub fn target_mask(&self, frame: &SequenceFrame) -> Result<Mask, IoError> {
+        Ok(self.labels(frame)?.mask(TARGET_LABEL))
+    }
+
+    /// Where the ground is seen in a frame; `None` if the sequence has no semantic map for it.
+    pub fn ground_mask(&self, frame: &SequenceFrame) -> Result<Option<Mask>, IoError> {
+        let read = |path| masks::read_label_map(&self.folder.join(path), self.frame_size());
+        Ok(frame.semantic.as_ref().map(read).transpose()?.map(|map| map.mask(GROUND_LABEL)))
+    }
+
+    /// The target's shape, in object coordinates, metres.
+    pub fn mesh(&self) -> Result<TriangleMesh, IoError> {
+        ply::read_mesh(&self.folder.join("object_mesh.ply"))
+    }
+}
+
+fn camera(path: &Path, document: &Document) -> Result<Camera, IoError> {
+    let [[fx, skew, cx], [zero, fy, cy], last] = document.k;
+    if document.width == 0 || document.height == 0 {
+        return Err(IoError::content(path, "width and height must not be zero"));
+    }
+    let is_k = skew == 0.0 && zero == 0.0 && last == [0.0, 0.0, 1.0] && fx > 0.0 && fy > 0.0;
+    if !is_k || [fx, fy, cx, cy].iter().any(|v| !v.is_finite()) {
+        return Err(IoError::content(path, format!("K {:?} is not that of a pinhole camera without skew", document.k)));
+    }
+    let (width, height) = (document.width, document.height);
+    Ok(Camera { width, height, focal: [fx, fy], principal: [cx, cy], radial: [0.0; 2] })
+}
+
+fn frame(path: &Path, frame: FrameDocument) -> Result<SequenceFrame, IoError> {
+    let wrong = |what: &str| IoError::content(path, format!("frame {}: {what}", frame.index));
+    let world_from_cam = rigid(frame.world_from_cam).ok_or_else(|| wrong("T_world_camera is not a rigid transform"))?;
+    let world_from_object =
+        rigid(frame.world_from_object).ok_or_else(|| wrong("T_world_object is not a rigid transform"))?;
+    let name = frame.image.file_name().ok_or_else(|| wrong("the image has no name"))?.to_string_lossy().into_owned();
+    if !frame.time_s.is_finite() {
+        return Err(wrong("the time is not finite"));
+    }
+    Ok(SequenceFrame {
+        id: FrameId(frame.index),
+        name,
+        image: frame.image,
+        mask: frame.mask,
+        semantic: frame.semantic,
+        time_s: frame.time_s,
+        cam_from_world: world_from_cam.inverse(),
+        world_from_object,
+    })
+}
+
+/// The rigid transform of a 4 × 4 matrix; `None` if its rotation is further than rounding from one.
+fn rigid([r0, r1, r2, last]: [[f64; 4]; 4]) -> Option<Rigid3> {
+    let rotation = Matrix3::new(r0[0], r0[1], r0[2], r1[0], r1[1], r1[2], r2[0], r2[1], r2[2]);
+    let error = (rotation * rotation.transpose() - Matrix3::identity()).norm();
+    // Six digits are what careful hands write into JSON files.
+    let is_rigid = error < 1e-5 && rotation.determinant() > 0.0 && last == [0.0, 0.0, 0.0, 1.0];
+    let translation = Vector3::new(r0[3], r1[3], r2[3]);
+    if !is_rigid || !translation.iter().all(|c| c.is_finite()) {
+        return None;
+    }
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+    Some(Rigid3::new(rotation, translation))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::{Value, json};
+
+    fn document() -> Value {
+        let pose = [[0.0, -1.0, 0.0, 4.0], [1.0, 0.0, 0.0, 5.0], [0.0, 0.0, 1.0, 6.0], [0.0, 0.0, 0.0, 1.0]];
+        let frame = |index: u32| {
+            json!({"index": index, "image": format!("images/{index:05}.jpg"), "mask": format!("masks/{index:05}.png"),
+                   "semantic": format!("semantic/{index:05}.png"), "time_s": 0.08 * f64::from(index),
+                   "T_world_camera": pose, "T_world_object": pose})
+        };
+        json!({"name": "test", "units": "metre", "fps": 12.5, "n_frames": 2, "width": 4, "height": 3,
+               "K": [[8.0, 0, 2.0], [0, 8.0, 1.5], [0, 0, 1]], "frames": [frame(0), frame(3)], "others": []})
+    }
+
+    fn open(document: &Value) -> Result<Sequence, IoError> {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("scene.json"), document.to_string()).unwrap();
+        Sequence::open(folder.path())
+    }
+
+    #[test]
+    fn poses_and_names_are_read() {
+        let sequence = open(&document()).unwrap();
+        assert_eq!(sequence.camera, Camera { principal: [2.0, 1.5], ..Camera::with_focal(4, 3, 8.0) });
+        let frame = sequence.frame_named("00003.jpg").unwrap();
+        assert_eq!(frame.id, FrameId(3));
+        assert_eq!(sequence.frame_named("000003.jpg"), Some(frame));
+        assert_eq!(sequence.frame_named("000001.jpg"), None);
+        assert!((frame.cam_from_world.center() - nalgebra::Point3::new(4.0, 5.0, 6.0)).norm() < 1e-12);
+        let forward = frame.world_from_object.rotation * Vector3::x();
+        assert!((forward - Vector3::y()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_no_truth_is_refused() {
+        let refused = |change: fn(&mut Value)| {
+            let mut document = document();
+            change(&mut document);
+            open(&document).unwrap_err().to_string()
+        };
+        assert!(refused(|d| d["units"] = json!("foot")).contains("'foot'"));
+        assert!(refused(|d| d["K"][0][1] = json!(0.5)).contains("without skew"));
+        assert!(refused(|d| d["width"] = json!(0)).contains("zero"));
+        assert!(refused(|d| d["fps"] = json!(-1)).contains("fps"));
+        assert!(refused(|d| d["frames"][1]["index"] = json!(0)).contains("out of order"));
+        assert!(refused(|d| d["frames"][1]["T_world_object"][0][0] = json!(0.1)).contains("frame 3: T_world_object"));
+        assert!(refused(|d| d["frames"][0]["T_world_camera"][2][2] = json!(-1)).contains("T_world_camera"));
+        assert!(refused(|d| d["frames"][0]["mask"] = json!(null)).contains("scene.json, line 1"));
+    }
+
+    #[test]
+    fn a_real_sequence_is_read() {
+        let Some(data) = std::env::var_os("TRACTRIX_DATA").map(PathBuf::from) else {
+            eprintln!("skipped: TRACTRIX_DATA is not set");
+            return;
+        };
+        let sequence = Sequence::open(&data.join("sequences/right_curve")).unwrap();
+        assert_eq!((sequence.frames.len(), sequence.frame_size()), (60, (960, 540)));
+        assert!(sequence.video().is_some());
+        // The mesh, posed and projected, covers the target's mask.
+        let (mesh, frame) = (sequence.mesh().unwrap(), &sequence.frames[30]);
+        let mask = sequence.target_mask(frame).unwrap().dilated(2);
+        let pixels = mesh
+            .vertices
+            .iter()
+            .map(|v| sequence.camera.pixel_from_cam(frame.cam_from_world * (frame.world_from_object * *v)).unwrap());
+        let inside = pixels.filter(|p| mask.contains(p.x, p.y)).count();
+        assert!(inside as f64 > 0.95 * mesh.vertices.len() as f64, "{inside} of {}", mesh.vertices.len());
+        assert!(sequence.ground_mask(frame).unwrap().unwrap().area_px2() > 10_000);
+    }
+}

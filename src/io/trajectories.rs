@@ -1,0 +1,285 @@
+//! `trajectories.json`, version 1 of the output contract.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::{IoError, atomic, json};
+use crate::math::Sim3;
+use crate::scene::{FrameId, ObjectId, ObjectPose, ObjectTrajectory, ScaleEstimate, Trajectories, Unit};
+
+/// The only version there is.
+const VERSION: u32 = 1;
+
+/// How far a stored quaternion may be from unit length.
+const MAX_UNIT_ERROR: f64 = 1e-6;
+
+/// How far a pose's scale may be from its object's ratio, relative to it.
+const MAX_SCALE_ERROR: f64 = 1e-9;
+
+// The order of these fields is the order of the keys in the file.
+#[derive(Serialize, Deserialize)]
+struct Document {
+    version: u32,
+    unit: Unit,
+    objects: Vec<Object>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Object {
+    id: ObjectId,
+    class: String,
+    confidence: f64,
+    scale: Scale,
+    frames: Vec<Pose>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Scale {
+    ratio: f64,
+    std: Option<f64>,
+    method: crate::scene::ScaleMethod,
+    degenerate: bool,
+    reason: Option<String>,
+    alternatives: BTreeMap<String, f64>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Pose {
+    frame: FrameId,
+    name: String,
+    time_s: f64,
+    position: [f64; 3],
+    world_from_object: Placement,
+    speed: Option<f64>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Placement {
+    scale: f64,
+    rotation_wxyz: [f64; 4],
+    translation: [f64; 3],
+}
+
+/// Writes the trajectories of a run.
+///
+/// # Errors
+/// A system error; or a value that breaks the contract: a number that is not finite, a ratio that is not positive, a pose
+/// whose scale is not its object's ratio, frames out of order, a degenerate ratio without a reason.
+pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
+    let document = Document {
+        version: VERSION,
+        unit: trajectories.unit,
+        objects: trajectories.objects.iter().map(object_to_file).collect(),
+    };
+    check(path, &document)?;
+    atomic::write_json(path, &document)
+}
+
+/// Reads the trajectories of a run.
+///
+/// # Errors
+/// A missing file, JSON of another shape or version, or values that break the contract (see [`write`]).
+pub fn read(path: &Path) -> Result<Trajectories, IoError> {
+    let document: Document = json::read(path)?;
+    if document.version != VERSION {
+        return Err(IoError::Unsupported {
+            path: path.into(),
+            what: format!("version {}", document.version),
+            cure: format!("write it again as version {VERSION}"),
+        });
+    }
+    check(path, &document)?;
+    Ok(Trajectories { unit: document.unit, objects: document.objects.into_iter().map(object_from_file).collect() })
+}
+
+fn object_to_file(object: &ObjectTrajectory) -> Object {
+    let ScaleEstimate { ratio, std, method, degenerate, reason, alternatives } = object.scale.clone();
+    Object {
+        id: object.id,
+        class: object.class.clone(),
+        confidence: object.confidence,
+        scale: Scale { ratio, std, method, degenerate, reason, alternatives },
+        frames: object.poses.iter().map(pose_to_file).collect(),
+    }
+}
+
+fn pose_to_file(pose: &ObjectPose) -> Pose {
+    let Sim3 { scale, rotation, translation } = pose.world_from_object;
+    // Normalised once more: products of many rotations drift from unit length.
+    let q = rotation.into_inner().normalize();
+    Pose {
+        frame: pose.frame,
+        name: pose.name.clone(),
+        time_s: pose.time_s,
+        position: pose.position,
+        world_from_object: Placement { scale, rotation_wxyz: [q.w, q.i, q.j, q.k], translation: translation.into() },
+        speed: pose.speed,
+    }
+}
+
+fn object_from_file(object: Object) -> ObjectTrajectory {
+    let Scale { ratio, std, method, degenerate, reason, alternatives } = object.scale;
+    ObjectTrajectory {
+        id: object.id,
+        class: object.class,
+        confidence: object.confidence,
+        scale: ScaleEstimate { ratio, std, method, degenerate, reason, alternatives },
+        poses: object.frames.into_iter().map(pose_from_file).collect(),
+    }
+}
+
+fn pose_from_file(pose: Pose) -> ObjectPose {
+    let Placement { scale, rotation_wxyz: [w, x, y, z], translation } = pose.world_from_object;
+    let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
+    ObjectPose {
+        frame: pose.frame,
+        name: pose.name,
+        time_s: pose.time_s,
+        position: pose.position,
+        world_from_object: Sim3::new(scale, rotation, Vector3::from(translation)),
+        speed: pose.speed,
+    }
+}
+
+/// What the contract asks for beyond the shape; JSON has no NaN, so it must not reach the writer.
+fn check(path: &Path, document: &Document) -> Result<(), IoError> {
+    for object in &document.objects {
+        let wrong = |problem: String| Err(IoError::content(path, format!("object {}: {problem}", object.id)));
+        let scale = &object.scale;
+        if !(scale.ratio > 0.0 && scale.ratio.is_finite()) {
+            return wrong(format!("the scale ratio {} is not positive", scale.ratio));
+        }
+        let numbers = scale.std.iter().chain(scale.alternatives.values()).chain([&object.confidence]);
+        if let Some(number) = numbers.into_iter().find(|n| !n.is_finite()) {
+            return wrong(format!("{number} is not a finite number"));
+        }
+        if scale.degenerate && scale.reason.is_none() {
+            return wrong("is degenerate without a reason".into());
+        }
+        if let Some(pair) = object.frames.windows(2).find(|pair| pair[0].frame >= pair[1].frame) {
+            return wrong(format!("frame {} does not come after frame {}", pair[1].frame.0, pair[0].frame.0));
+        }
+        for pose in &object.frames {
+            if let Some(problem) = pose_problem(pose, scale.ratio) {
+                return wrong(format!("frame {}: {problem}", pose.frame.0));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
+    let Placement { scale, rotation_wxyz, translation } = &pose.world_from_object;
+    let numbers = [&pose.time_s].into_iter().chain(&pose.position).chain(rotation_wxyz).chain(translation);
+    if let Some(number) = numbers.chain(&pose.speed).find(|n| !n.is_finite()) {
+        return Some(format!("{number} is not a finite number"));
+    }
+    let [w, x, y, z] = *rotation_wxyz;
+    let norm = Quaternion::new(w, x, y, z).norm();
+    if (norm - 1.0).abs() > MAX_UNIT_ERROR {
+        return Some(format!("the quaternion has length {norm}, not 1"));
+    }
+    // Negated, so that NaN is caught as well.
+    let agrees = (scale / ratio - 1.0).abs() <= MAX_SCALE_ERROR;
+    (!agrees).then(|| format!("the scale {scale} is not the object's ratio {ratio}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::ScaleMethod;
+
+    fn sample() -> Trajectories {
+        let pose = |frame: u32| ObjectPose {
+            frame: FrameId(frame),
+            name: format!("{frame:06}.jpg"),
+            time_s: f64::from(frame) * 0.08,
+            position: [1.0 / 3.0, -2.5, 1e-17],
+            world_from_object: Sim3::new(
+                0.731,
+                UnitQuaternion::from_euler_angles(0.1, f64::from(frame), -0.4),
+                Vector3::new(4.0, 5.0, 6.0),
+            ),
+            speed: (frame > 0).then_some(13.25),
+        };
+        let scale = ScaleEstimate {
+            ratio: 0.731,
+            std: None,
+            method: ScaleMethod::ConstantDistance,
+            degenerate: true,
+            reason: Some("all view pairs are ill conditioned".into()),
+            alternatives: [("constant-distance".into(), 0.731), ("intersection".into(), 0.7)].into(),
+        };
+        let (class, confidence, poses) = ("car".into(), 0.93, vec![pose(0), pose(2)]);
+        let object = ObjectTrajectory { id: ObjectId(1), class, confidence, scale, poses };
+        Trajectories { unit: Unit::Background, objects: vec![object] }
+    }
+
+    #[test]
+    fn the_file_has_the_keys_of_the_contract_in_their_order() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trajectories.json");
+        write(&path, &sample()).unwrap();
+        let value: serde_json::Value = json::read(&path).unwrap();
+        let keys = |v: &serde_json::Value| v.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+        assert_eq!(keys(&value), ["version", "unit", "objects"]);
+        assert_eq!(value["unit"], "background");
+        let object = &value["objects"][0];
+        assert_eq!(keys(object), ["id", "class", "confidence", "scale", "frames"]);
+        assert_eq!(keys(&object["scale"]), ["ratio", "std", "method", "degenerate", "reason", "alternatives"]);
+        assert_eq!(object["scale"]["method"], "constant-distance");
+        assert!(object["scale"]["std"].is_null());
+        let frame = &object["frames"][1];
+        assert_eq!(keys(frame), ["frame", "name", "time_s", "position", "world_from_object", "speed"]);
+        assert_eq!(keys(&frame["world_from_object"]), ["scale", "rotation_wxyz", "translation"]);
+        let q: Vec<f64> = serde_json::from_value(frame["world_from_object"]["rotation_wxyz"].clone()).unwrap();
+        assert!((q.iter().map(|c| c * c).sum::<f64>() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trajectories.json");
+        write(&path, &sample()).unwrap();
+        let back = read(&path).unwrap();
+        let mut expected = sample();
+        for (a, b) in back.objects[0].poses.iter().zip(&mut expected.objects[0].poses) {
+            assert!(a.world_from_object.rotation.angle_to(&b.world_from_object.rotation) < 1e-15);
+            b.world_from_object.rotation = a.world_from_object.rotation;
+        }
+        assert_eq!(back, expected);
+    }
+
+    #[test]
+    fn what_breaks_the_contract_is_neither_written_nor_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trajectories.json");
+        let refused = |change: fn(&mut ObjectTrajectory)| {
+            let mut trajectories = sample();
+            change(&mut trajectories.objects[0]);
+            write(&path, &trajectories).unwrap_err().to_string()
+        };
+        assert!(refused(|o| o.scale.ratio = f64::NAN).contains("object 1: the scale ratio NaN"));
+        assert!(refused(|o| o.poses[1].world_from_object.scale = 0.73).contains("frame 2: the scale 0.73"));
+        assert!(refused(|o| o.poses[1].position[2] = f64::INFINITY).contains("frame 2: inf"));
+        assert!(refused(|o| o.poses.reverse()).contains("frame 0 does not come after frame 2"));
+        assert!(refused(|o| o.scale.reason = None).contains("without a reason"));
+        assert!(!path.exists());
+        write(&path, &sample()).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let broken = [
+            (text.replacen("\"version\": 1", "\"version\": 2", 1), "version 2"),
+            (text.replacen("\"class\": \"car\",", "", 1), "missing field `class`"),
+            (text.replacen("0.731", "-0.731", 1), "not positive"),
+            (text[..text.len() / 2].to_string(), "EOF"),
+        ];
+        for (content, expected) in broken {
+            std::fs::write(&path, content).unwrap();
+            let error = read(&path).unwrap_err().to_string();
+            assert!(error.contains(expected) && error.contains("trajectories.json"), "{error}");
+        }
+    }
+}
