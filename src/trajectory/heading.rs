@@ -61,9 +61,9 @@ mod tests {
         let found = trajectory(&options);
         let headings = headings(&found);
         assert_eq!(headings.len(), 60);
-        for k in 1..59 {
-            let chord = Vector3::from(found.poses[k + 1].position) - Vector3::from(found.poses[k - 1].position);
-            assert!(headings[k].angle(&chord) < 0.03, "{k}");
+        for (around, heading) in found.poses.windows(3).zip(&headings[1..]) {
+            let chord = Vector3::from(around[2].position) - Vector3::from(around[0].position);
+            assert!(heading.angle(&chord) < 0.03, "{:?}", around[1].frame);
         }
     }
 

@@ -1,0 +1,264 @@
+//! One plane per frame: the ground round the object.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use nalgebra::Point2;
+use rayon::prelude::*;
+use thiserror::Error;
+
+use super::Options;
+use super::neighbors::Neighbors;
+use super::plane::{Candidate, PlaneFailure, fit_plane};
+use crate::math::seeded_rng;
+use crate::scene::{FrameId, GroundPlane, Image, ObjectId, Point3dId, Reconstruction};
+
+/// Why a frame has no plane.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum SkipReason {
+    /// The object's model has no observations there.
+    #[error("no point of the object's model is observed")]
+    NoObjectObservations,
+    /// Too few points of the ground are seen.
+    #[error("only {found} ground points are observed; at least {needed} are needed")]
+    TooFewGroundPoints {
+        /// Ground points observed in the frame.
+        found: usize,
+        /// Fewest for a plane.
+        needed: usize,
+    },
+    /// The points do not determine a plane.
+    #[error(transparent)]
+    NoPlane(#[from] PlaneFailure),
+    /// The camera lies on the plane, so that the plane has no camera side.
+    #[error("the camera lies on the plane of the ground points, which is therefore not the ground below it")]
+    CameraOnPlane,
+}
+
+/// A frame without a plane.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SkippedFrame {
+    /// The frame.
+    pub frame: FrameId,
+    /// What was missing.
+    pub reason: SkipReason,
+}
+
+/// The local planes of one object.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LocalPlanes {
+    /// By frame, in the background's frame and unit.
+    pub planes: BTreeMap<FrameId, GroundPlane>,
+    /// Frames that are registered in both models and have no plane, ascending.
+    pub skipped: Vec<SkippedFrame>,
+}
+
+/// Fits the ground round one object, in every frame that is registered in both models.
+///
+/// Ground points are gathered in the image, as in the paper: for each object observation the nearest ground observation,
+/// then for each the next nearest, until [`Options::num_neighbors`] different points are there. A round is always
+/// finished, so that the points are spread evenly round the object. RANSAC and least squares follow; the normal points
+/// to the camera's side. `ground_points` must be ascending.
+///
+/// The same seed gives the same planes, on any number of threads.
+pub fn local_planes(
+    background: &Reconstruction,
+    ground_points: &[Point3dId],
+    object: ObjectId,
+    object_model: &Reconstruction,
+    options: &Options,
+    seed: u64,
+) -> LocalPlanes {
+    let results: Vec<_> = background
+        .paired_images(object_model)
+        .into_par_iter()
+        .map(|(frame, in_background, in_object)| {
+            let ground = ground_observations(background, ground_points, in_background);
+            let stream = u64::from(object.0) << 32 | u64::from(frame.0);
+            let plane = plane_of_frame(background, in_background, &ground, in_object, options, (seed, stream));
+            (frame, plane)
+        })
+        .collect();
+    let mut found = LocalPlanes::default();
+    for (frame, plane) in results {
+        match plane {
+            Ok(plane) => drop(found.planes.insert(frame, plane)),
+            Err(reason) => found.skipped.push(SkippedFrame { frame, reason }),
+        }
+    }
+    found
+}
+
+/// Pixel positions of the ground points that an image observes.
+fn ground_observations(
+    background: &Reconstruction,
+    ground_points: &[Point3dId],
+    image: &Image,
+) -> Vec<(Point2<f64>, Point3dId)> {
+    image
+        .observations
+        .iter()
+        .filter_map(|o| Some((o.pixel, o.point?)))
+        .filter(|(pixel, id)| {
+            // NaN would be accepted by the tree, and poison it.
+            let is_finite = pixel.coords.iter().all(|x| x.is_finite());
+            is_finite && ground_points.binary_search(id).is_ok() && background.points.contains_key(id)
+        })
+        .collect()
+}
+
+fn plane_of_frame(
+    background: &Reconstruction,
+    image: &Image,
+    ground: &[(Point2<f64>, Point3dId)],
+    in_object: &Image,
+    options: &Options,
+    (seed, stream): (u64, u64),
+) -> Result<GroundPlane, SkipReason> {
+    let is_usable = |pixel: &Point2<f64>| pixel.coords.iter().all(|x| x.is_finite());
+    let observed = in_object.observations.iter().filter(|o| o.point.is_some()).map(|o| o.pixel);
+    let object_pixels: Vec<_> = observed.filter(is_usable).collect();
+    if object_pixels.is_empty() {
+        return Err(SkipReason::NoObjectObservations);
+    }
+    let near = points_around(&object_pixels, ground, options.num_neighbors);
+    if near.len() < options.min_points {
+        return Err(SkipReason::TooFewGroundPoints { found: near.len(), needed: options.min_points });
+    }
+    let length_per_depth = options.max_error_px / background.camera_of(image).mean_focal();
+    let candidates: Vec<Candidate> = near
+        .iter()
+        .map(|id| background.points[id].position)
+        .filter_map(|position| {
+            let depth = (image.cam_from_world * position).z;
+            (depth > 0.0).then_some(Candidate { position, tolerance: length_per_depth * depth })
+        })
+        .collect();
+    let rng = &mut seeded_rng(seed, stream);
+    let plane = fit_plane(&candidates, options.min_points, options.max_samples, |_, support| support, rng)?;
+    let height = plane.distance(&image.cam_from_world.center());
+    let tolerance = candidates.iter().map(|c| c.tolerance).fold(f64::INFINITY, f64::min);
+    if height.abs() <= tolerance {
+        return Err(SkipReason::CameraOnPlane);
+    }
+    Ok(GroundPlane {
+        normal: plane.normal * height.signum(),
+        point: plane.point,
+        num_points: near.len(),
+        num_inliers: plane.num_inliers,
+        rms: plane.rms,
+    })
+}
+
+/// P_i: different ground points, the nearest of every object observation, then the second nearest of every one, and so
+/// on, until there are `num_neighbors` of them or no more.
+fn points_around(
+    object_pixels: &[Point2<f64>],
+    ground: &[(Point2<f64>, Point3dId)],
+    num_neighbors: usize,
+) -> BTreeSet<Point3dId> {
+    let positions: Vec<[f64; 2]> = ground.iter().map(|(pixel, _)| [pixel.x, pixel.y]).collect();
+    let Some(tree) = Neighbors::new(&positions) else { return BTreeSet::new() };
+    let mut reach = 4.min(num_neighbors);
+    loop {
+        // A few rounds are often enough; asking for all fifty neighbours of every observation would be waste.
+        let nearest: Vec<_> = object_pixels.iter().map(|pixel| tree.nearest(&[pixel.x, pixel.y], reach)).collect();
+        let mut around = BTreeSet::new();
+        for round in 0..reach {
+            if around.len() >= num_neighbors {
+                return around;
+            }
+            around.extend(nearest.iter().filter_map(|list| Some(ground[*list.get(round)?].1)));
+        }
+        if around.len() >= num_neighbors || reach == num_neighbors {
+            return around;
+        }
+        reach = (4 * reach).min(num_neighbors);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic::drive::{self, Drive, Noise, Terrain, drive};
+
+    fn planes(world: &Drive, ground: &[Point3dId]) -> LocalPlanes {
+        local_planes(&world.background, ground, ObjectId(1), &world.object, &Options::default(), 7)
+    }
+
+    /// Largest tilt (radians) and largest height error below the vehicle (metres) over all frames.
+    fn worst(world: &Drive, found: &LocalPlanes) -> (f64, f64) {
+        let unit_m = 1.0 / world.background_from_metric.scale;
+        found.planes.iter().fold((0.0_f64, 0.0_f64), |(tilt, height), (frame, plane)| {
+            let truth = &world.planes[frame];
+            let off = plane.signed_distance(truth.point) * unit_m;
+            (tilt.max(plane.normal.angle(&truth.normal)), height.max(off.abs()))
+        })
+    }
+
+    #[test]
+    fn planes_of_exact_worlds_are_exact() {
+        for terrain in [Terrain::Flat, Terrain::Slope { gradient: [0.1, -0.05] }] {
+            let world = drive(&drive::Options { terrain, ..Default::default() }, 1);
+            let found = planes(&world, &world.ground_points);
+            assert_eq!((found.planes.len(), found.skipped.len()), (60, 0));
+            let (tilt, height) = worst(&world, &found);
+            assert!(tilt < 1e-6 && height < 1e-9, "{terrain:?}: {tilt} rad, {height} m");
+            assert!(found.planes.values().all(|p| p.num_points >= 50 && p.num_inliers == p.num_points));
+            assert_eq!(found, planes(&world, &world.ground_points));
+        }
+    }
+
+    #[test]
+    fn noise_and_wrong_labels_cost_little() {
+        let noise = Noise { pixel_px: 0.5, ..Noise::default() };
+        let world = drive(&drive::Options { noise, ..Default::default() }, 2);
+        // Every point that is not ground is labelled as ground.
+        let all: Vec<Point3dId> = world.background.points.keys().copied().collect();
+        let found = planes(&world, &all);
+        assert!(found.planes.len() >= 58, "{:?}", found.skipped);
+        let (tilt, height) = worst(&world, &found);
+        // Half a pixel at 25 m and f = 900 px is 1.4 cm; façades and poles within the tolerance pull a little more.
+        assert!(tilt.to_degrees() < 1.5 && height < 0.08, "{}°, {height} m", tilt.to_degrees());
+    }
+
+    #[test]
+    fn frames_without_ground_are_skipped_with_the_reason() {
+        let mut world = drive(&drive::Options { num_frames: 6, ..Default::default() }, 3);
+        let few = planes(&world, &world.ground_points[..3]);
+        assert!(few.planes.is_empty() && few.skipped.len() == 6);
+        assert!(matches!(few.skipped[0].reason, SkipReason::TooFewGroundPoints { needed: 10, .. }));
+        for image in world.object.images.values_mut() {
+            image.observations.clear();
+        }
+        let none = planes(&world, &world.ground_points);
+        assert!(none.skipped.iter().all(|s| s.reason == SkipReason::NoObjectObservations));
+        assert_eq!(none.skipped.len(), 6);
+    }
+
+    #[test]
+    fn points_lie_all_round_the_object() {
+        // Object observations on a small circle, ground on a grid: the points found surround the circle evenly.
+        let object: Vec<_> = (0..24)
+            .map(|k| {
+                let (sin, cos) = (f64::from(k) * 15.0_f64.to_radians()).sin_cos();
+                Point2::new(100.0 + 10.0 * cos, 100.0 + 10.0 * sin)
+            })
+            .collect();
+        let ground: Vec<_> = (0..1600u32)
+            .map(|k| {
+                (Point2::new(f64::from(k % 40) * 5.0 + 2.0, f64::from(k / 40) * 5.0 + 1.0), Point3dId(u64::from(k)))
+            })
+            .filter(|(p, _)| (p - Point2::new(100.0, 100.0)).norm() > 12.0)
+            .collect();
+        let around = points_around(&object, &ground, 50);
+        assert!(around.len() >= 50 && around.len() < 75);
+        let position = |id: &Point3dId| ground.iter().find(|(_, other)| other == id).map(|(p, _)| *p);
+        let mut quadrants = [0; 4];
+        for p in around.iter().filter_map(position) {
+            quadrants[usize::from(p.x > 100.0) + 2 * usize::from(p.y > 100.0)] += 1;
+        }
+        assert!(quadrants.iter().all(|&count| count >= 10), "{quadrants:?}");
+        assert_eq!(points_around(&object, &ground[..7], 50).len(), 7);
+        assert!(points_around(&object, &[], 50).is_empty());
+    }
+}

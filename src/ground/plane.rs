@@ -1,0 +1,199 @@
+//! A plane through points, some of which do not belong to it.
+//!
+//! RANSAC (Fischler and Bolles, 1981) over samples of three points, scored as in MSAC (Torr and Zisserman, 2000): a point counts
+//! 1 − (d / τ)² within its tolerance τ, nothing beyond. Then least squares on the inliers: the plane through their centroid whose normal
+//! is the direction of least variance, repeated until the inliers stay the same.
+
+use nalgebra::{Matrix3, Point3, SymmetricEigen, Vector3};
+use rand::Rng as _;
+use thiserror::Error;
+
+use crate::math::Rng;
+
+/// A point and the distance from the plane up to which it counts as part of it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Candidate {
+    pub position: Point3<f64>,
+    pub tolerance: f64,
+}
+
+/// Why there is no plane.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum PlaneFailure {
+    /// Too few points lie on any one plane.
+    #[error("only {found} of {num_points} ground points lie on one plane; at least {needed} are needed")]
+    TooFewInliers {
+        /// On the best plane.
+        found: usize,
+        /// Points looked at.
+        num_points: usize,
+        /// Fewest that make a plane.
+        needed: usize,
+    },
+    /// The points form a line, so that the plane can turn about it.
+    #[error("the {num_points} ground points lie in a strip too narrow to tell how the plane is tilted about it")]
+    Narrow {
+        /// Points on the strip.
+        num_points: usize,
+    },
+}
+
+/// A fitted plane; the sign of the normal is arbitrary.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Plane {
+    pub normal: Vector3<f64>,
+    pub point: Point3<f64>,
+    pub num_inliers: usize,
+    pub rms: f64,
+}
+
+impl Plane {
+    pub(super) fn distance(&self, point: &Point3<f64>) -> f64 {
+        self.normal.dot(&(point - self.point))
+    }
+
+    fn holds(&self, candidate: &Candidate) -> bool {
+        self.distance(&candidate.position).abs() <= candidate.tolerance
+    }
+}
+
+/// Samples until a plane with more inliers is less likely than 1 in 10,000.
+const FAILURE_PROBABILITY: f64 = 1e-4;
+
+/// The plane that the most points agree on.
+///
+/// `score` judges a plane given the sum of MSAC scores: it can prefer some directions (weights) or rule them out (≤ 0).
+pub(super) fn fit_plane(
+    points: &[Candidate],
+    min_inliers: usize,
+    max_samples: usize,
+    score: impl Fn(&Plane, f64) -> f64,
+    rng: &mut Rng,
+) -> Result<Plane, PlaneFailure> {
+    let too_few = |found| PlaneFailure::TooFewInliers { found, num_points: points.len(), needed: min_inliers };
+    if points.len() < min_inliers.max(3) {
+        return Err(too_few(points.len()));
+    }
+    let mut best: Option<(f64, Plane)> = None;
+    let mut needed = max_samples;
+    let mut drawn = 0;
+    while drawn < needed.min(max_samples) {
+        drawn += 1;
+        let Some(mut plane) = through_sample(points, rng) else { continue };
+        let (support, num_inliers) = support(points, &plane);
+        plane.num_inliers = num_inliers;
+        let value = score(&plane, support);
+        if value > best.as_ref().map_or(0.0, |(value, _)| *value) {
+            best = Some((value, plane));
+            needed = samples_needed(num_inliers as f64 / points.len() as f64);
+        }
+    }
+    let plane = best.map(|(_, plane)| plane).ok_or_else(|| too_few(0))?;
+    if plane.num_inliers < min_inliers {
+        return Err(too_few(plane.num_inliers));
+    }
+    refine(points, plane)
+        .filter(|plane| plane.num_inliers >= min_inliers)
+        .ok_or(PlaneFailure::Narrow { num_points: plane.num_inliers })
+}
+
+fn samples_needed(inlier_share: f64) -> usize {
+    let all_inliers = inlier_share.powi(3).clamp(1e-9, 1.0 - 1e-9);
+    (FAILURE_PROBABILITY.ln() / (-all_inliers).ln_1p()).ceil() as usize
+}
+
+fn through_sample(points: &[Candidate], rng: &mut Rng) -> Option<Plane> {
+    let mut draw = || points[rng.random_range(0..points.len())].position;
+    let (a, b, c) = (draw(), draw(), draw());
+    let (ab, ac) = (b - a, c - a);
+    let normal = ab.cross(&ac);
+    // A triangle thinner than 1 in 100 says little about its plane; equal draws have no area at all.
+    let is_wide = normal.norm() > 0.01 * ab.norm_squared().max(ac.norm_squared());
+    is_wide.then(|| Plane { normal: normal.normalize(), point: a, num_inliers: 0, rms: 0.0 })
+}
+
+/// Sum of MSAC scores, and the number of inliers.
+fn support(points: &[Candidate], plane: &Plane) -> (f64, usize) {
+    points.iter().fold((0.0, 0), |(sum, count), candidate| {
+        let relative = plane.distance(&candidate.position) / candidate.tolerance;
+        if relative.abs() <= 1.0 { (sum + 1.0 - relative * relative, count + 1) } else { (sum, count) }
+    })
+}
+
+/// Least squares on the inliers, until they settle; `None` if they lie in too narrow a strip.
+fn refine(points: &[Candidate], start: Plane) -> Option<Plane> {
+    let mut plane = start;
+    for _ in 0..10 {
+        let inliers: Vec<Candidate> = points.iter().copied().filter(|c| plane.holds(c)).collect();
+        let next = least_squares_plane(&inliers)?;
+        let num_inliers = points.iter().filter(|c| next.holds(c)).count();
+        let has_settled = num_inliers == inliers.len();
+        plane = Plane { num_inliers, ..next };
+        if has_settled {
+            break;
+        }
+    }
+    Some(plane)
+}
+
+/// The plane of least summed squared distance. Points count by the inverse square of their tolerance, which is
+/// proportional to their standard deviation. `None` for fewer than three points, or when they are spread by less than their
+/// tolerance in all directions but one.
+pub(super) fn least_squares_plane(points: &[Candidate]) -> Option<Plane> {
+    if points.len() < 3 {
+        return None;
+    }
+    let weight = |c: &Candidate| 1.0 / (c.tolerance * c.tolerance);
+    let total: f64 = points.iter().map(weight).sum();
+    let center = points.iter().map(|c| c.position.coords * weight(c)).sum::<Vector3<f64>>() / total;
+    let offset = |c: &Candidate| c.position.coords - center;
+    let covariance = points.iter().map(|c| offset(c) * offset(c).transpose() * weight(c)).sum::<Matrix3<f64>>() / total;
+    let eigen = SymmetricEigen::new(covariance);
+    let mut order = [0, 1, 2];
+    order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
+    let normal: Vector3<f64> = eigen.eigenvectors.column(order[0]).into_owned();
+    let mean_tolerance_sq = points.len() as f64 / total;
+    let is_wide = eigen.eigenvalues[order[1]] > mean_tolerance_sq;
+    let rms = (points.iter().map(|c| normal.dot(&offset(c)).powi(2)).sum::<f64>() / points.len() as f64).sqrt();
+    let plane = Plane { normal, point: center.into(), num_inliers: points.len(), rms };
+    (is_wide && normal.iter().all(|x| x.is_finite())).then_some(plane)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::seeded_rng;
+
+    fn scattered(num: usize, num_outliers: usize, seed: u64, width: f64) -> Vec<Candidate> {
+        let mut rng = seeded_rng(seed, 0);
+        let mut uniform = |limit: f64| (rng.random::<f64>() * 2.0 - 1.0) * limit;
+        let inlier = |x: f64, y: f64, noise: f64| Point3::new(x, y, 0.2 * x - 0.1 * y + 3.0 + noise);
+        let mut points: Vec<_> = (0..num).map(|_| inlier(uniform(5.0), uniform(width), uniform(0.02))).collect();
+        points.extend((0..num_outliers).map(|_| Point3::new(uniform(5.0), uniform(5.0), uniform(10.0))));
+        points.into_iter().map(|position| Candidate { position, tolerance: 0.05 }).collect()
+    }
+
+    fn fit(points: &[Candidate]) -> Result<Plane, PlaneFailure> {
+        fit_plane(points, 10, 1000, |_, support| support, &mut seeded_rng(9, 9))
+    }
+
+    #[test]
+    fn outliers_do_not_tilt_the_plane() {
+        let truth = Vector3::new(-0.2, 0.1, 1.0).normalize();
+        for seed in 0..10 {
+            let plane = fit(&scattered(40, 40, seed, 5.0)).unwrap();
+            // Noise of ± 2 cm on 40 points over ± 5 m: about 1 mrad.
+            assert!(plane.normal.cross(&truth).norm() < 0.005, "seed {seed}");
+            assert!(plane.num_inliers >= 40 && plane.rms < 0.025);
+        }
+    }
+
+    #[test]
+    fn lines_and_clouds_have_no_plane() {
+        assert!(matches!(fit(&scattered(40, 0, 1, 0.01)), Err(PlaneFailure::Narrow { .. })));
+        assert!(matches!(fit(&scattered(0, 30, 1, 5.0)), Err(PlaneFailure::TooFewInliers { needed: 10, .. })));
+        assert!(matches!(fit(&scattered(4, 0, 1, 5.0)), Err(PlaneFailure::TooFewInliers { found: 4, .. })));
+        let same = vec![Candidate { position: Point3::origin(), tolerance: 0.1 }; 20];
+        assert!(fit(&same).is_err());
+    }
+}
