@@ -1,3 +1,4 @@
 //! Bindings to foreign libraries behind safe types; the only room where `unsafe` may stand.
 
 pub mod environment;
+pub mod onnx;

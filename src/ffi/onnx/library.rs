@@ -1,0 +1,169 @@
+//! Finding and loading ONNX Runtime.
+
+use std::env;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use ort::environment::Environment;
+use ort::logging::LogLevel;
+use serde::Serialize;
+
+use super::OnnxError;
+
+/// The lowest minor version of ONNX Runtime 1.x that serves: the `api-*` feature that this crate asks `ort` for.
+pub const MINIMUM_VERSION: u32 = ort::MINOR_VERSION;
+
+/// The environment variables that may name the library, first come first served. `ORT_DYLIB_PATH` is `ort`'s own.
+const VARIABLES: [&str; 2] = ["TRACTRIX_ONNXRUNTIME", "ORT_DYLIB_PATH"];
+/// The library's file name on Linux.
+const FILE_NAME: &str = "libonnxruntime.so";
+
+/// The runtime in use.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct RuntimeInfo {
+    /// The shared library; a bare file name if the system's loader found it.
+    pub library: PathBuf,
+    /// Its version, such as `1.31.1`, or all that it says of itself if that cannot be read.
+    pub version: String,
+}
+
+/// A loaded runtime. It lives until the process ends, as the library cannot be unloaded safely.
+pub(super) struct Runtime {
+    pub(super) info: RuntimeInfo,
+    pub(super) environment: Environment,
+}
+
+static RUNTIME: Mutex<Option<&'static Runtime>> = Mutex::new(None);
+
+/// Finds and loads the runtime, as loading a model would do; for `tractrix doctor`.
+///
+/// # Errors
+/// [`OnnxError::RuntimeNotFound`], [`OnnxError::NamedRuntime`], [`OnnxError::Runtime`]; each says how to get it.
+pub fn probe() -> Result<RuntimeInfo, OnnxError> {
+    Ok(runtime()?.info.clone())
+}
+
+/// The runtime, loaded by the first call that succeeds; a failure is tried again by the next call.
+pub(super) fn runtime() -> Result<&'static Runtime, OnnxError> {
+    let mut slot = RUNTIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    if let Some(runtime) = *slot {
+        return Ok(runtime);
+    }
+    let library = load()?;
+    let runtime: &'static Runtime = Box::leak(Box::new(start(library)?));
+    *slot = Some(runtime);
+    Ok(runtime)
+}
+
+/// Loads the first library that serves; which one that is depends on the environment and the file system.
+fn load() -> Result<PathBuf, OnnxError> {
+    for variable in VARIABLES {
+        if let Some(named) = env::var_os(variable).filter(|value| !value.is_empty()) {
+            let path = PathBuf::from(named);
+            return match try_load(&path) {
+                Ok(()) => Ok(path),
+                Err(reason) => Err(OnnxError::NamedRuntime { variable, reason }),
+            };
+        }
+    }
+    let mut tried = Vec::new();
+    for path in candidates(env::current_exe().ok().as_deref(), Path::new(env!("CARGO_MANIFEST_DIR"))) {
+        if path.components().count() > 1 && !path.exists() {
+            tried.push(format!("{} (no such file)", path.display()));
+            continue;
+        }
+        match try_load(&path) {
+            Ok(()) => return Ok(path),
+            Err(reason) => tried.push(reason),
+        }
+    }
+    Err(OnnxError::RuntimeNotFound { tried })
+}
+
+/// Where the library may be: beside the executable, in `third_party` of a folder above it or of the source tree, and
+/// last by its bare name, which the system's loader looks up.
+fn candidates(executable: Option<&Path>, source_tree: &Path) -> Vec<PathBuf> {
+    let in_tree = |root: &Path| root.join("third_party/onnxruntime").join(env::consts::ARCH).join(FILE_NAME);
+    let folder = executable.and_then(Path::parent);
+    let mut found: Vec<PathBuf> = Vec::new();
+    if let Some(folder) = folder {
+        found.push(folder.join(FILE_NAME));
+        found.push(folder.join("../lib").join(FILE_NAME));
+        // Above target/release/deps (tests) or target/release lies the source tree that was built.
+        found.extend(folder.ancestors().skip(1).take(4).map(in_tree).filter(|path| path.exists()));
+    }
+    found.push(in_tree(source_tree));
+    // ort asks for the executable's folder when a path is relative, and would panic without one.
+    if folder.is_some() {
+        found.push(PathBuf::from(FILE_NAME));
+    }
+    found
+}
+
+/// Loads a library into the process; only the first that succeeds counts.
+fn try_load(path: &Path) -> Result<(), String> {
+    let absolute = if path.components().count() > 1 {
+        std::path::absolute(path).map_err(|e| format!("{} ({e})", path.display()))?
+    } else {
+        path.to_path_buf()
+    };
+    match ort::init_from(&absolute) {
+        Ok(_) => Ok(()),
+        Err(reason) => Err(format!("{} ({reason})", path.display())),
+    }
+}
+
+/// Starts the loaded library.
+fn start(library: PathBuf) -> Result<Runtime, OnnxError> {
+    let environment = match ort::init().with_name("tractrix").with_telemetry(false).build() {
+        Ok(environment) => environment,
+        Err(error) => return Err(OnnxError::Runtime { library, reason: error.to_string() }),
+    };
+    environment.set_log_level(LogLevel::Error);
+    let version = version_of(ort::info());
+    Ok(Runtime { info: RuntimeInfo { library, version }, environment })
+}
+
+/// The version in the build information, which reads `ORT Build Info: git-branch=rel-1.31.1, git-commit-id=..., ...`.
+fn version_of(build_info: &str) -> String {
+    let branch = build_info.split("git-branch=").nth(1).and_then(|rest| rest.split(',').next());
+    let digits = branch.map(|b| b.trim_start_matches(|c: char| !c.is_ascii_digit()).trim());
+    match digits {
+        Some(version) if !version.is_empty() => version.to_owned(),
+        _ => build_info.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_version_is_read_from_the_branch() {
+        assert_eq!(
+            version_of("ORT Build Info: git-branch=rel-1.31.1, git-commit-id=26250ae, build type=Release"),
+            "1.31.1"
+        );
+        assert_eq!(version_of("ORT Build Info: git-branch=main, x"), "ORT Build Info: git-branch=main, x");
+        assert_eq!(version_of(""), "");
+    }
+
+    #[test]
+    fn the_library_is_looked_for_beside_the_program_first_and_by_the_loader_last() {
+        let found = candidates(Some(Path::new("/opt/tractrix/bin/tractrix")), Path::new("/src"));
+        assert_eq!(found.first(), Some(&PathBuf::from("/opt/tractrix/bin/libonnxruntime.so")));
+        assert_eq!(found.last(), Some(&PathBuf::from("libonnxruntime.so")));
+        let in_source = Path::new("/src/third_party/onnxruntime").join(env::consts::ARCH).join("libonnxruntime.so");
+        assert!(found.contains(&in_source));
+    }
+
+    #[test]
+    fn what_is_no_library_is_refused_with_its_path() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("libonnxruntime.so");
+        std::fs::write(&path, "not a library").unwrap();
+        let reason = try_load(&path).unwrap_err();
+        assert!(reason.contains("libonnxruntime.so"), "{reason}");
+        assert!(try_load(&folder.path().join("absent.so")).is_err());
+    }
+}

@@ -1,0 +1,70 @@
+//! Networks in ONNX format, run by ONNX Runtime through the `ort` crate.
+//!
+//! The runtime is a shared library that is looked for when the first model is loaded, so that the program starts and
+//! does all other work without it: [`probe`] says where it is or how to get it. [`Model`] is one network; tensors go in
+//! and come out as [`Tensor`], row-major `f32`, whatever number type the network gives.
+//!
+//! Nothing here panics when the library is missing, too old or not ONNX Runtime at all.
+
+mod library;
+mod model;
+
+use std::path::PathBuf;
+
+pub use self::library::{MINIMUM_VERSION, RuntimeInfo, probe};
+pub use self::model::{Model, Tensor, TensorInfo};
+
+/// How to get the runtime, for messages.
+const CURE: &str =
+    "get it with `scripts/fetch-onnxruntime`, or name the file in the environment variable TRACTRIX_ONNXRUNTIME";
+
+/// What can go wrong with networks.
+#[derive(Debug, thiserror::Error)]
+pub enum OnnxError {
+    /// No ONNX Runtime library could be loaded.
+    #[error("ONNX Runtime (libonnxruntime.so, 1.{MINIMUM_VERSION} or later) was not found; {CURE}\n  tried: {}", tried.join("\n  tried: "))]
+    RuntimeNotFound {
+        /// Each place that was tried, with the reason for which it did not serve.
+        tried: Vec<String>,
+    },
+    /// The library that an environment variable names cannot be used.
+    #[error(
+        "the ONNX Runtime library named by {variable} cannot be used: {reason}; correct the variable, or unset it and {CURE}"
+    )]
+    NamedRuntime {
+        /// The environment variable.
+        variable: &'static str,
+        /// The loader's reason, with the path.
+        reason: String,
+    },
+    /// The library was loaded but does not work.
+    #[error("ONNX Runtime at {} failed to start: {reason}; {CURE}", library.display())]
+    Runtime {
+        /// The library.
+        library: PathBuf,
+        /// The runtime's message.
+        reason: String,
+    },
+    /// There is no such model file.
+    #[error("the model file {} does not exist", path.display())]
+    NoModel {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file is not a network that this runtime can load.
+    #[error("{} is not a network that ONNX Runtime can load: {reason}", path.display())]
+    Load {
+        /// The file.
+        path: PathBuf,
+        /// The runtime's message.
+        reason: String,
+    },
+    /// Running the network failed.
+    #[error("running the network {} failed: {reason}", path.display())]
+    Run {
+        /// The file.
+        path: PathBuf,
+        /// The runtime's message.
+        reason: String,
+    },
+}
