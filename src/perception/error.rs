@@ -1,0 +1,108 @@
+//! What can go wrong with perception.
+
+use std::path::PathBuf;
+
+use crate::ffi::onnx::{OnnxError, TensorInfo};
+use crate::image::ImageError;
+use crate::scene::FrameId;
+
+/// What can go wrong with perception; each message names the file or value at fault and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum PerceptionError {
+    /// The network or its runtime could not be used.
+    #[error(transparent)]
+    Onnx(#[from] OnnxError),
+    /// An image operation failed.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// OpenCV failed.
+    #[error("OpenCV: {0}")]
+    OpenCv(#[from] opencv::Error),
+    /// The network belongs to no family that is known.
+    #[error("{}: no known {task} network has these inputs and outputs.\n  inputs: {}\n  outputs: {}\nSupported: {supported}",
+        path.display(), list(inputs), list(outputs))]
+    UnknownLayout {
+        /// The model file.
+        path: PathBuf,
+        /// What the network was to do.
+        task: &'static str,
+        /// Its inputs.
+        inputs: Vec<TensorInfo>,
+        /// Its outputs.
+        outputs: Vec<TensorInfo>,
+        /// The families that are supported.
+        supported: &'static str,
+    },
+    /// The names of a network's classes are unknown.
+    #[error(
+        "{}: the network has {num_classes} classes, but its metadata has no `names` for them; put a list `classes = [...]` \
+         into {}", path.display(), sidecar.display())]
+    NoClassNames {
+        /// The model file.
+        path: PathBuf,
+        /// How many classes it has.
+        num_classes: usize,
+        /// Where the names can be given.
+        sidecar: PathBuf,
+    },
+    /// None of the network's classes is wanted.
+    #[error("{}: none of the network's classes is among those asked for ({}); it has {}",
+        path.display(), wanted.join(", "), found.join(", "))]
+    NoWantedClass {
+        /// The model file.
+        path: PathBuf,
+        /// The classes asked for.
+        wanted: Vec<String>,
+        /// The classes that the network has.
+        found: Vec<String>,
+    },
+    /// A network gave a result of another shape than its family promises.
+    #[error("{}: the network's output has the shape {found:?}, which its family does not allow: {expected}", path.display())]
+    Output {
+        /// The model file.
+        path: PathBuf,
+        /// The shape that was found.
+        found: Vec<usize>,
+        /// The shape that was expected, in words.
+        expected: String,
+    },
+    /// A model description cannot be read.
+    #[error("the model description {} is not valid: {reason}", path.display())]
+    Description {
+        /// The description file.
+        path: PathBuf,
+        /// What is wrong, with the line.
+        reason: String,
+    },
+    /// An option contradicts itself or another.
+    #[error("option {option}: {reason}")]
+    Option {
+        /// The option.
+        option: &'static str,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// Things that belong to one frame differ in size.
+    #[error("{what} is {found:?} pixels large, but the frame is {expected:?}; both must agree")]
+    SizeMismatch {
+        /// What has the wrong size.
+        what: String,
+        /// Width and height of the frame.
+        expected: (u32, u32),
+        /// Width and height that were found.
+        found: (u32, u32),
+    },
+    /// The tracker was given a frame that is not later than the one before.
+    #[error("frame {found:?} was given to the tracker after frame {previous:?}; frames must come in order")]
+    FrameOrder {
+        /// The frame before.
+        previous: FrameId,
+        /// The frame at fault.
+        found: FrameId,
+    },
+}
+
+fn list(tensors: &[TensorInfo]) -> String {
+    let all: Vec<String> = tensors.iter().map(ToString::to_string).collect();
+    if all.is_empty() { "none".to_owned() } else { all.join("; ") }
+}

@@ -1,0 +1,75 @@
+//! Placing a view of the frame in a network's input without changing its aspect.
+
+use ::image::RgbImage;
+
+use super::views::View;
+use crate::image::{ImageError, resize_rgb};
+
+/// The grey that fills what the view leaves free, as YOLO networks are trained with.
+const PAD: u8 = 114;
+
+/// Where a view lies in the network's input: `input = (frame - origin) * scale + pad`, per axis.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Letterbox {
+    origin: [f32; 2],
+    scale: [f32; 2],
+    pad: [f32; 2],
+}
+
+impl Letterbox {
+    /// Cuts `view` out of the frame and fits it into `input` (width, height); gives the input's pixels as well.
+    pub(super) fn place(frame: &RgbImage, view: View, input: (u32, u32)) -> Result<(Self, RgbImage), ImageError> {
+        let crop = ::image::imageops::crop_imm(frame, view.x0, view.y0, view.width, view.height);
+        let crop = if view == View::whole(frame.width(), frame.height()) { frame.clone() } else { crop.to_image() };
+        let ratio = f64::min(
+            f64::from(input.0) / f64::from(view.width.max(1)),
+            f64::from(input.1) / f64::from(view.height.max(1)),
+        );
+        let fit = |side: u32, limit: u32| ((f64::from(side) * ratio).round() as u32).clamp(1, limit.max(1));
+        let (width, height) = (fit(view.width, input.0), fit(view.height, input.1));
+        let resized = resize_rgb(&crop, width, height)?;
+        let (left, top) = ((input.0 - width) / 2, (input.1 - height) / 2);
+        let mut image = RgbImage::from_pixel(input.0, input.1, ::image::Rgb([PAD; 3]));
+        ::image::imageops::replace(&mut image, &resized, i64::from(left), i64::from(top));
+        let boxed = Self {
+            origin: [view.x0 as f32, view.y0 as f32],
+            scale: [width as f32 / view.width as f32, height as f32 / view.height as f32],
+            pad: [left as f32, top as f32],
+        };
+        Ok((boxed, image))
+    }
+
+    /// A position in the frame, as a position in the input.
+    pub(super) fn input_from_frame(&self, x: f32, y: f32) -> [f32; 2] {
+        [(x - self.origin[0]) * self.scale[0] + self.pad[0], (y - self.origin[1]) * self.scale[1] + self.pad[1]]
+    }
+
+    /// A position in the input, as a position in the frame.
+    pub(super) fn frame_from_input(&self, x: f32, y: f32) -> [f32; 2] {
+        [(x - self.pad[0]) / self.scale[0] + self.origin[0], (y - self.pad[1]) / self.scale[1] + self.origin[1]]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wide_frame_gets_grey_above_and_below() {
+        let frame = RgbImage::from_pixel(1280, 720, ::image::Rgb([200, 0, 0]));
+        let (boxed, input) = Letterbox::place(&frame, View::whole(1280, 720), (640, 640)).unwrap();
+        assert_eq!(input.get_pixel(320, 139).0, [114; 3]);
+        assert_eq!(input.get_pixel(320, 140).0, [200, 0, 0]);
+        assert_eq!(boxed.input_from_frame(0.0, 0.0), [0.0, 140.0]);
+        assert_eq!(boxed.frame_from_input(640.0, 500.0), [1280.0, 720.0]);
+    }
+
+    #[test]
+    fn a_tile_is_not_scaled() {
+        let frame = RgbImage::from_fn(100, 80, |x, y| ::image::Rgb([x as u8, y as u8, 0]));
+        let view = View { x0: 30, y0: 10, width: 64, height: 64 };
+        let (boxed, input) = Letterbox::place(&frame, view, (64, 64)).unwrap();
+        assert_eq!(input.get_pixel(5, 6).0, [35, 16, 0]);
+        assert_eq!(boxed.frame_from_input(5.5, 6.5), [35.5, 16.5]);
+    }
+}

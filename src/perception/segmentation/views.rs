@@ -1,0 +1,77 @@
+//! The parts of a frame that a network looks at one after the other.
+
+/// A rectangle of the frame, whole pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct View {
+    pub(super) x0: u32,
+    pub(super) y0: u32,
+    pub(super) width: u32,
+    pub(super) height: u32,
+}
+
+impl View {
+    /// The whole frame.
+    pub(super) fn whole(width: u32, height: u32) -> Self {
+        Self { x0: 0, y0: 0, width, height }
+    }
+
+    /// Whether a box (x0, y0, x1, y1) in frame pixels ends at a border of the view that is not one of the frame: such an
+    /// object is cut, and another view may see more of it.
+    pub(super) fn cuts(&self, corners: [f32; 4], frame: (u32, u32)) -> bool {
+        /// A box within this many pixels of the border ends there.
+        const NEAR_PX: f32 = 3.0;
+        let (right, bottom) = (self.x0 + self.width, self.y0 + self.height);
+        (self.x0 > 0 && corners[0] < self.x0 as f32 + NEAR_PX)
+            || (self.y0 > 0 && corners[1] < self.y0 as f32 + NEAR_PX)
+            || (right < frame.0 && corners[2] > right as f32 - NEAR_PX)
+            || (bottom < frame.1 && corners[3] > bottom as f32 - NEAR_PX)
+    }
+}
+
+/// Tiles of at most `tile` pixels that cover the frame with at least the given overlap, evenly spread; empty if one tile
+/// holds the frame, since the whole frame is looked at anyway.
+pub(super) fn tiles(frame: (u32, u32), tile: (u32, u32), overlap: f64) -> Vec<View> {
+    let columns = starts(frame.0, tile.0, overlap);
+    let rows = starts(frame.1, tile.1, overlap);
+    if columns.len() * rows.len() <= 1 {
+        return Vec::new();
+    }
+    let (width, height) = (tile.0.min(frame.0), tile.1.min(frame.1));
+    rows.iter().flat_map(|&y0| columns.iter().map(move |&x0| View { x0, y0, width, height })).collect()
+}
+
+/// First pixels of the fewest tiles along one side.
+fn starts(side: u32, tile: u32, overlap: f64) -> Vec<u32> {
+    if side <= tile || tile == 0 {
+        return vec![0];
+    }
+    let step = (f64::from(tile) * (1.0 - overlap)).max(1.0);
+    let gaps = (f64::from(side - tile) / step).ceil().max(1.0);
+    (0..=gaps as u32).map(|k| (f64::from(side - tile) * f64::from(k) / gaps).round() as u32).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_cover_the_frame_with_the_overlap_asked_for() {
+        let all = tiles((1280, 720), (640, 640), 0.2);
+        assert_eq!(all.iter().map(|v| v.x0).collect::<Vec<_>>(), [0, 320, 640, 0, 320, 640]);
+        assert_eq!(all.iter().map(|v| v.y0).collect::<Vec<_>>(), [0, 0, 0, 80, 80, 80]);
+        assert!(tiles((640, 360), (640, 640), 0.2).is_empty());
+        for side in [641, 1000, 1153, 3840] {
+            let starts = starts(side, 640, 0.2);
+            assert_eq!(starts.last(), Some(&(side - 640)));
+            assert!(starts.windows(2).all(|w| w[1] - w[0] <= 512), "{starts:?}");
+        }
+    }
+
+    #[test]
+    fn only_inner_borders_cut() {
+        let left = View { x0: 0, y0: 0, width: 640, height: 640 };
+        assert!(!left.cuts([0.0, 0.0, 100.0, 100.0], (1280, 640)));
+        assert!(left.cuts([600.0, 10.0, 639.0, 30.0], (1280, 640)));
+        assert!(!View::whole(1280, 640).cuts([0.0, 0.0, 1280.0, 640.0], (1280, 640)));
+    }
+}

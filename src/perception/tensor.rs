@@ -1,0 +1,76 @@
+//! From pixels to a network's input.
+
+use ::image::RgbImage;
+
+use super::description::{ChannelOrder, Preprocessing};
+use crate::ffi::onnx::Tensor;
+
+/// Fills a tensor [1, 3, height, width] with the pixels of an image: `(v - mean) / std * scale` per channel.
+pub(super) fn tensor_from_image(image: &RgbImage, preprocessing: &Preprocessing) -> Tensor {
+    let plane = image.width() as usize * image.height() as usize;
+    let mut tensor = Tensor::zeros(&[1, 3, image.height() as usize, image.width() as usize]);
+    for (c, values) in tensor.values.chunks_exact_mut(plane.max(1)).enumerate() {
+        let source = match preprocessing.order {
+            ChannelOrder::Rgb => c,
+            ChannelOrder::Bgr => 2 - c,
+        };
+        let factor = preprocessing.scale / preprocessing.std[c];
+        let offset = -preprocessing.mean[c] * factor;
+        for (value, pixel) in values.iter_mut().zip(image.as_raw().chunks_exact(3)) {
+            *value = f32::from(pixel[source]) * factor + offset;
+        }
+    }
+    tensor
+}
+
+/// A plane of numbers that is read between its samples; sample (0, 0) is the centre of the first cell, (0.5, 0.5).
+pub(super) struct Plane<'a> {
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) values: &'a [f32],
+}
+
+impl Plane<'_> {
+    /// Linear interpolation at a position in cells; beyond the outermost centres the border value holds.
+    pub(super) fn sample(&self, x: f32, y: f32) -> f32 {
+        let x = (x - 0.5).clamp(0.0, (self.width - 1) as f32);
+        let y = (y - 0.5).clamp(0.0, (self.height - 1) as f32);
+        let (x0, y0) = (x as usize, y as usize);
+        let (x1, y1) = ((x0 + 1).min(self.width - 1), (y0 + 1).min(self.height - 1));
+        let (fx, fy) = (x - x0 as f32, y - y0 as f32);
+        let at = |x: usize, y: usize| self.values[y * self.width + x];
+        let top = at(x0, y0) + fx * (at(x1, y0) - at(x0, y0));
+        let bottom = at(x0, y1) + fx * (at(x1, y1) - at(x0, y1));
+        top + fy * (bottom - top)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn channels_are_ordered_and_normalised() {
+        let image = RgbImage::from_raw(2, 1, vec![10, 20, 30, 40, 50, 60]).unwrap();
+        let plain = Preprocessing { scale: 0.5, ..Preprocessing::default() };
+        assert_eq!(tensor_from_image(&image, &plain).values, [5.0, 20.0, 10.0, 25.0, 15.0, 30.0]);
+        let bgr = Preprocessing {
+            order: ChannelOrder::Bgr,
+            mean: [30.0, 0.0, 0.0],
+            std: [1.0, 2.0, 1.0],
+            ..Preprocessing::default()
+        };
+        let tensor = tensor_from_image(&image, &Preprocessing { scale: 1.0, ..bgr });
+        assert_eq!(tensor.shape, [1, 3, 1, 2]);
+        assert_eq!(tensor.values, [0.0, 30.0, 10.0, 25.0, 10.0, 40.0]);
+    }
+
+    #[test]
+    fn sampling_is_linear_between_centres_and_constant_beyond() {
+        let plane = Plane { width: 2, height: 2, values: &[0.0, 1.0, 2.0, 3.0] };
+        assert_eq!(plane.sample(0.5, 0.5), 0.0);
+        assert_eq!(plane.sample(1.0, 1.0), 1.5);
+        assert_eq!(plane.sample(9.0, 9.0), 3.0);
+        assert_eq!(plane.sample(-1.0, 0.5), 0.0);
+    }
+}

@@ -1,0 +1,184 @@
+//! Carrying a mask to the next frame by optical flow.
+
+use super::region::Region;
+use crate::scene::{BoundingBox, Flow, Mask};
+
+/// A region carried to the next frame.
+#[derive(Clone, Debug)]
+pub(super) struct Carried {
+    /// Where its pixels are now, holes closed.
+    pub(super) region: Region,
+    /// Median displacement, pixels.
+    pub(super) displacement: [f64; 2],
+    /// Share of its pixels whose flow was of use.
+    pub(super) share: f64,
+}
+
+/// Pixels whose flow is this much off the object's median belong to something else: the mask's rim, or an occluder.
+const MAX_DEVIATION_PX: f64 = 3.0;
+/// The same in units of the object's own spread of flow, for large objects that come nearer or turn.
+const MAX_DEVIATION_SPREADS: f64 = 4.0;
+
+/// Carries a region along the consistent flow of its pixels; `None` if no flow in it is of use or it left the frame.
+pub(super) fn carry(region: &Region, flow: &Flow) -> Option<Carried> {
+    let consistent: Vec<(u32, u32)> = region.iter().filter(|&(x, y)| flow.is_consistent(x, y)).collect();
+    let component = |c: usize| consistent.iter().map(|&(x, y)| f64::from(flow.at(x, y)[c])).collect::<Vec<f64>>();
+    let displacement = [median(component(0))?, median(component(1))?];
+    let deviation = |x: u32, y: u32| {
+        let d = flow.at(x, y);
+        (f64::from(d[0]) - displacement[0]).hypot(f64::from(d[1]) - displacement[1])
+    };
+    let spread = median(consistent.iter().map(|&(x, y)| deviation(x, y)).collect())?;
+    let limit = MAX_DEVIATION_PX.max(MAX_DEVIATION_SPREADS * spread);
+    let used: Vec<(u32, u32)> = consistent.into_iter().filter(|&(x, y)| deviation(x, y) <= limit).collect();
+    let share = used.len() as f64 / region.area() as f64;
+    let targets: Vec<(i64, i64)> = used
+        .iter()
+        .map(|&(x, y)| {
+            let [dx, dy] = flow.at(x, y);
+            ((x as f32 + 0.5 + dx).floor() as i64, (y as f32 + 0.5 + dy).floor() as i64)
+        })
+        .collect();
+    let region = splat(&targets, closing_radius(region.area()), flow.width, flow.height)?;
+    Some(Carried { region, displacement, share })
+}
+
+/// Gaps up to twice this radius are closed: those between pixels that moved apart, and parts without texture.
+fn closing_radius(area: usize) -> u32 {
+    ((area as f64).sqrt() / 12.0).round().clamp(1.0, 12.0) as u32
+}
+
+/// The pixels set by `targets`, closed, without holes, clipped to the frame.
+fn splat(targets: &[(i64, i64)], radius: u32, width: u32, height: u32) -> Option<Region> {
+    let inside = |&&(x, y): &&(i64, i64)| x >= 0 && y >= 0 && x < i64::from(width) && y < i64::from(height);
+    let targets: Vec<(u32, u32)> = targets.iter().filter(inside).map(|&(x, y)| (x as u32, y as u32)).collect();
+    // One more than the radius, so that erosion finds something unset to begin at; the frame's border counts as set.
+    let margin = radius + 1;
+    let x0 = targets.iter().map(|t| t.0).min()?.saturating_sub(margin);
+    let y0 = targets.iter().map(|t| t.1).min()?.saturating_sub(margin);
+    let x1 = (targets.iter().map(|t| t.0).max()? + 1 + margin).min(width);
+    let y1 = (targets.iter().map(|t| t.1).max()? + 1 + margin).min(height);
+    let bounds = BoundingBox { x0, y0, x1, y1 };
+    let mut mask = Mask::empty(bounds.width(), bounds.height());
+    for (x, y) in targets {
+        mask.set(x - x0, y - y0, true);
+    }
+    let mut mask = mask.dilated(radius).eroded(radius);
+    fill_holes(&mut mask);
+    Region::from_pixels(bounds, mask.pixels())
+}
+
+/// Sets what is enclosed by set pixels.
+fn fill_holes(mask: &mut Mask) {
+    let (width, height) = (mask.width(), mask.height());
+    let mut outside = Mask::empty(width, height);
+    let rim =
+        (0..width).flat_map(|x| [(x, 0), (x, height - 1)]).chain((0..height).flat_map(|y| [(0, y), (width - 1, y)]));
+    let mut open: Vec<(u32, u32)> = rim.collect();
+    while let Some((x, y)) = open.pop() {
+        let (u, v) = (i64::from(x), i64::from(y));
+        if mask.get(u, v) || outside.get(u, v) {
+            continue;
+        }
+        outside.set(x, y, true);
+        let near = [(u - 1, v), (u + 1, v), (u, v - 1), (u, v + 1)];
+        let inside = |&(a, b): &(i64, i64)| a >= 0 && b >= 0 && a < i64::from(width) && b < i64::from(height);
+        open.extend(near.into_iter().filter(inside).map(|(a, b)| (a as u32, b as u32)));
+    }
+    *mask = outside.complement();
+}
+
+/// How the background moves round a box: the median flow of the ring round it, without what `occupied` says belongs to
+/// an object. `None` where hardly any pixel serves.
+pub(super) fn background_displacement(flow: &Flow, bounds: BoundingBox, occupied: &Mask) -> Option<[f64; 2]> {
+    /// Pixels needed for a median that means something.
+    const MIN_SAMPLES: usize = 12;
+    /// Samples along the longer side of the ring.
+    const GRID: u32 = 24;
+    let margin = bounds.width().max(bounds.height()).max(8);
+    let (x0, y0) = (bounds.x0.saturating_sub(margin), bounds.y0.saturating_sub(margin));
+    let (x1, y1) = ((bounds.x1 + margin).min(flow.width), (bounds.y1 + margin).min(flow.height));
+    let step = ((x1 - x0).max(y1 - y0) / GRID).max(1) as usize;
+    let mut samples: Vec<[f32; 2]> = Vec::new();
+    for y in (y0..y1).step_by(step) {
+        for x in (x0..x1).step_by(step) {
+            if flow.is_consistent(x, y) && !occupied.get(i64::from(x), i64::from(y)) {
+                samples.push(flow.at(x, y));
+            }
+        }
+    }
+    if samples.len() < MIN_SAMPLES {
+        return None;
+    }
+    let component = |c: usize| samples.iter().map(|d| f64::from(d[c])).collect::<Vec<f64>>();
+    Some([median(component(0))?, median(component(1))?])
+}
+
+/// The upper median; `None` of nothing.
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    let middle = values.len() / 2;
+    if values.is_empty() {
+        return None;
+    }
+    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn flow(width: u32, height: u32, at: impl Fn(u32, u32) -> Option<[f32; 2]>) -> Flow {
+        let pixels: Vec<Option<[f32; 2]>> =
+            (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| at(x, y)).collect();
+        Flow {
+            width,
+            height,
+            displacement: pixels.iter().map(|p| p.unwrap_or([99.0, 99.0])).collect(),
+            consistent: pixels.iter().map(Option::is_some).collect(),
+        }
+    }
+
+    fn block(x: u32, y: u32, w: u32, h: u32) -> Region {
+        Region::from_mask(&Mask::from_fn(60, 40, |u, v| (x..x + w).contains(&u) && (y..y + h).contains(&v))).unwrap()
+    }
+
+    #[test]
+    fn a_block_moves_with_its_flow_and_holes_are_closed() {
+        // The inner part has no consistent flow, as paint without texture.
+        let inner = |x: u32, y: u32| (14..18).contains(&x) && (14..18).contains(&y);
+        let field = flow(60, 40, |x, y| (!inner(x, y)).then_some([5.0, -2.0]));
+        let carried = carry(&block(10, 10, 12, 12), &field).unwrap();
+        assert_eq!(carried.region, block(15, 8, 12, 12));
+        assert_eq!(carried.displacement, [5.0, -2.0]);
+        assert!((carried.share - 128.0 / 144.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn growth_leaves_no_gaps() {
+        let field = flow(60, 40, |x, y| Some([(x as f32 - 20.0) * 0.5, (y as f32 - 20.0) * 0.5]));
+        let carried = carry(&block(14, 14, 12, 12), &field).unwrap();
+        let b = carried.region.bounds();
+        assert_eq!(carried.region.area(), (b.width() * b.height()) as usize);
+        assert!(b.width() >= 16 && b.height() >= 16, "{b:?}");
+    }
+
+    #[test]
+    fn an_occluded_part_is_lost_and_a_lost_object_gives_nothing() {
+        let field = flow(60, 40, |x, _| (x < 16).then_some([0.0, 0.0]));
+        let carried = carry(&block(10, 10, 12, 12), &field).unwrap();
+        assert_eq!(carried.region, block(10, 10, 6, 12));
+        assert!(carry(&block(30, 10, 5, 5), &field).is_none());
+        let leaving = flow(60, 40, |_, _| Some([100.0, 0.0]));
+        assert!(carry(&block(30, 10, 5, 5), &leaving).is_none());
+    }
+
+    #[test]
+    fn the_background_is_what_no_object_occupies() {
+        let object = block(20, 10, 12, 12);
+        let field = flow(60, 40, |x, y| Some(if object.contains(x, y) { [9.0, 9.0] } else { [1.0, 2.0] }));
+        let occupied = object.to_mask(60, 40);
+        assert_eq!(background_displacement(&field, object.bounds(), &occupied), Some([1.0, 2.0]));
+        let nothing = flow(60, 40, |_, _| None);
+        assert_eq!(background_displacement(&nothing, object.bounds(), &occupied), None);
+    }
+}

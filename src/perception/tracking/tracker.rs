@@ -1,0 +1,317 @@
+//! The tracker: one step per frame.
+
+use ::image::RgbImage;
+
+use super::appearance::Appearance;
+use super::assignment::assign;
+use super::carry::{background_displacement, carry};
+use super::region::Region;
+use super::track::{Candidate, Moment, Prediction, Presence, Track, leaves};
+use super::{Evidence, TrackSummary, TrackedMask, TrackerOptions};
+use crate::perception::PerceptionError;
+use crate::scene::{Detection, Flow, Frame, FrameId, Mask, ObjectId};
+
+/// A carried mask must keep at least this share of its pixels after nearer objects took theirs.
+const MIN_VISIBLE: f64 = 0.3;
+/// A detection of which more than this share lies in an object that is already followed starts no track of its own.
+const MAX_COVERED: f64 = 0.6;
+
+/// Classes that a network may confuse for one object; only one of a group is tracked per place.
+const TWO_WHEELERS: [&str; 6] = ["motorcycle", "motor", "motorbike", "bicycle", "rider", "person"];
+
+/// Follows objects from frame to frame; see the module.
+#[derive(Clone, Debug)]
+pub struct Tracker {
+    options: TrackerOptions,
+    tracks: Vec<Track>,
+    finished: Vec<TrackSummary>,
+    num_started: u32,
+    num_confirmed: u32,
+    num_frames: usize,
+    last_frame: Option<(FrameId, f64, (u32, u32))>,
+}
+
+/// What became of a track in the current frame.
+struct Sighting {
+    track_idx: usize,
+    evidence: Evidence,
+    region: Region,
+}
+
+impl Tracker {
+    /// A tracker that has seen nothing yet.
+    pub fn new(options: TrackerOptions) -> Self {
+        Self {
+            options,
+            tracks: Vec::new(),
+            finished: Vec::new(),
+            num_started: 0,
+            num_confirmed: 0,
+            num_frames: 0,
+            last_frame: None,
+        }
+    }
+
+    /// Takes the next frame.
+    ///
+    /// * `image` – the frame's pixels, for appearance.
+    /// * `detections` – what was found in it; may be empty, also because it was not looked at.
+    /// * `flow` – from the frame given before to this one; without it objects are followed by their velocity alone.
+    ///
+    /// Returns the masks of this frame, ascending by provisional id; they do not overlap.
+    ///
+    /// # Errors
+    /// [`PerceptionError::SizeMismatch`] if image, masks and flow differ in size, [`PerceptionError::FrameOrder`] if the
+    /// frame is not later than the last one.
+    pub fn advance(
+        &mut self,
+        frame: &Frame,
+        image: &RgbImage,
+        detections: Vec<Detection>,
+        flow: Option<&Flow>,
+    ) -> Result<Vec<TrackedMask>, PerceptionError> {
+        let elapsed_s = self.check(frame, image, &detections, flow)?;
+        let now = Moment { count: self.num_frames, frame: frame.id, time_s: frame.time_s };
+        let candidates = self.candidates(image, detections);
+        let predictions = self.predict(&candidates, flow, image.dimensions(), elapsed_s);
+        let (pairs, left) = self.associate(&candidates, &predictions, now);
+
+        let mut sightings = Vec::new();
+        for &(track_idx, candidate_idx) in &pairs {
+            let candidate = &candidates[candidate_idx];
+            self.tracks[track_idx].detect(candidate, predictions[track_idx].background, now, elapsed_s);
+            let evidence = Evidence::Detected { confidence: candidate.confidence };
+            sightings.push(Sighting { track_idx, evidence, region: candidate.region.clone() });
+        }
+        sightings.extend(self.start_tracks(&candidates, &left, &sightings, now));
+        let unseen: Vec<usize> = (0..predictions.len()).filter(|t| !pairs.iter().any(|p| p.0 == *t)).collect();
+        let carried = self.carry_on(&unseen, &predictions, &sightings, image, now, elapsed_s);
+        sightings.extend(carried);
+
+        let masks = self.report(sightings, image.dimensions());
+        self.settle(now, image.dimensions());
+        self.num_frames += 1;
+        self.last_frame = Some((frame.id, frame.time_s, image.dimensions()));
+        Ok(masks)
+    }
+
+    /// Ends all tracks. Returns the confirmed ones, ascending by lasting id.
+    pub fn finish(mut self) -> Vec<TrackSummary> {
+        self.finished.extend(self.tracks.iter().filter_map(Track::summary));
+        self.finished.sort_by_key(|summary| summary.id);
+        self.finished
+    }
+
+    /// Checks order and sizes; gives the seconds since the last frame, 0 for the first.
+    fn check(
+        &self,
+        frame: &Frame,
+        image: &RgbImage,
+        detections: &[Detection],
+        flow: Option<&Flow>,
+    ) -> Result<f64, PerceptionError> {
+        self.options.check()?;
+        let expected = self.last_frame.map_or(image.dimensions(), |(_, _, size)| size);
+        let same_size = |what: &str, found: (u32, u32)| {
+            if found == expected {
+                return Ok(());
+            }
+            Err(PerceptionError::SizeMismatch { what: format!("{what} of {}", frame.name), expected, found })
+        };
+        same_size("the image", image.dimensions())?;
+        for detection in detections {
+            same_size("a detected mask", (detection.mask.width(), detection.mask.height()))?;
+        }
+        if let Some(flow) = flow {
+            same_size("the flow", (flow.width, flow.height))?;
+        }
+        match self.last_frame {
+            Some((previous, ..)) if frame.id <= previous => {
+                Err(PerceptionError::FrameOrder { previous, found: frame.id })
+            }
+            Some((_, time_s, _)) => Ok((frame.time_s - time_s).max(0.0)),
+            None => Ok(0.0),
+        }
+    }
+
+    /// The detections that count: of a tracked class, large enough, each object once.
+    fn candidates(&self, image: &RgbImage, mut detections: Vec<Detection>) -> Vec<Candidate> {
+        detections.retain(|d| self.options.track_classes.contains(&d.class));
+        detections.sort_by(|a, b| b.confidence.total_cmp(&a.confidence));
+        let mut kept: Vec<Candidate> = Vec::new();
+        for Detection { class, confidence, mask } in detections {
+            let Some(region) = Region::from_mask(&mask) else { continue };
+            let limit = self.options.duplicate_overlap;
+            let same = |k: &Candidate| {
+                compatible(&k.class, &class) && region.covered_by(&k.region).max(k.region.covered_by(&region)) > limit
+            };
+            if region.area() >= self.options.min_area_px2 && !kept.iter().any(same) {
+                let appearance = Appearance::of(image, &region);
+                kept.push(Candidate { class, confidence, region, appearance });
+            }
+        }
+        kept
+    }
+
+    /// Where each track should be now.
+    fn predict(
+        &self,
+        candidates: &[Candidate],
+        flow: Option<&Flow>,
+        size: (u32, u32),
+        elapsed_s: f64,
+    ) -> Vec<Prediction> {
+        let mut occupied = Mask::empty(size.0, size.1);
+        let regions = self.tracks.iter().map(|t| &t.region).chain(candidates.iter().map(|c| &c.region));
+        for (x, y) in regions.flat_map(Region::iter) {
+            occupied.set(x, y, true);
+        }
+        let predict_one = |track: &Track| {
+            let background = flow.and_then(|f| background_displacement(f, track.region.bounds(), &occupied));
+            let background = background.unwrap_or_default();
+            let is_seen = !matches!(track.presence, Presence::Lost(_));
+            let carried = flow.filter(|_| is_seen).and_then(|f| carry(&track.region, f));
+            let moved = track.region.moved(track.expected(background, elapsed_s), size.0, size.1);
+            Prediction { carried, moved, background }
+        };
+        self.tracks.iter().map(predict_one).collect()
+    }
+
+    /// Pairs (track, candidate) and the candidates left over. Tracks in sight go first, by overlap; then the others, by
+    /// place and appearance.
+    fn associate(
+        &self,
+        candidates: &[Candidate],
+        predictions: &[Prediction],
+        now: Moment,
+    ) -> (Vec<(usize, usize)>, Vec<usize>) {
+        let fits = |t: usize, c: usize| compatible(self.tracks[t].class(), &candidates[c].class);
+        let in_sight: Vec<usize> =
+            (0..self.tracks.len()).filter(|&t| !matches!(self.tracks[t].presence, Presence::Lost(_))).collect();
+        let mut pairs: Vec<(usize, usize)> = assign(in_sight.len(), candidates.len(), |row, c| {
+            let overlap = predictions[in_sight[row]].overlap(&candidates[c].region);
+            (fits(in_sight[row], c) && overlap >= self.options.min_overlap).then_some(overlap)
+        })
+        .into_iter()
+        .map(|(row, c)| (in_sight[row], c))
+        .collect();
+        let free = |pairs: &[(usize, usize)]| -> Vec<usize> {
+            (0..candidates.len()).filter(|c| !pairs.iter().any(|p| p.1 == *c)).collect()
+        };
+        let columns = free(&pairs);
+        let rows: Vec<usize> = (0..self.tracks.len()).filter(|t| !pairs.iter().any(|p| p.0 == *t)).collect();
+        let found_again = assign(rows.len(), columns.len(), |row, column| {
+            let (track, candidate) = (&self.tracks[rows[row]], &candidates[columns[column]]);
+            let score = track.recognise(candidate, now, self.options.min_similarity)?;
+            fits(rows[row], columns[column]).then_some(score)
+        });
+        pairs.extend(found_again.into_iter().map(|(row, column)| (rows[row], columns[column])));
+        pairs.sort_unstable();
+        let left = free(&pairs);
+        (pairs, left)
+    }
+
+    /// Starts tracks from sure detections that no followed object explains.
+    fn start_tracks(
+        &mut self,
+        candidates: &[Candidate],
+        left: &[usize],
+        seen: &[Sighting],
+        now: Moment,
+    ) -> Vec<Sighting> {
+        let mut started = Vec::new();
+        for candidate in left.iter().map(|&c| &candidates[c]) {
+            let explained = seen.iter().any(|s| candidate.region.covered_by(&s.region) > MAX_COVERED);
+            if candidate.confidence < self.options.start_confidence || explained {
+                continue;
+            }
+            self.num_started += 1;
+            self.tracks.push(Track::start(ObjectId(self.num_started), candidate, now));
+            let evidence = Evidence::Detected { confidence: candidate.confidence };
+            started.push(Sighting { track_idx: self.tracks.len() - 1, evidence, region: candidate.region.clone() });
+        }
+        started
+    }
+
+    /// Continues the tracks without a detection: by their carried mask where it can be trusted, else as lost.
+    fn carry_on(
+        &mut self,
+        unseen: &[usize],
+        predictions: &[Prediction],
+        seen: &[Sighting],
+        image: &RgbImage,
+        now: Moment,
+        elapsed_s: f64,
+    ) -> Vec<Sighting> {
+        let mut carried_on = Vec::new();
+        for &track_idx in unseen {
+            let prediction = &predictions[track_idx];
+            let track = &mut self.tracks[track_idx];
+            let trusted = prediction.carried.as_ref().filter(|c| {
+                let hidden: f64 = seen.iter().map(|s| c.region.covered_by(&s.region)).sum();
+                let worn_out = matches!(track.presence, Presence::Carried(n) if n >= self.options.max_carried);
+                let looks_right = match (&track.appearance, Appearance::of(image, &c.region)) {
+                    (Some(before), Some(now)) => before.similarity(&now) >= self.options.min_similarity,
+                    _ => true,
+                };
+                !worn_out && c.share >= self.options.min_carried_share && hidden < 1.0 - MIN_VISIBLE && looks_right
+            });
+            if let Some(carried) = trusted {
+                track.carry(carried, prediction.background, elapsed_s);
+                carried_on.push(Sighting { track_idx, evidence: Evidence::Carried, region: carried.region.clone() });
+            } else {
+                let moved = prediction.moved.clone().unwrap_or_else(|| track.region.clone());
+                track.lose(moved, now);
+            }
+        }
+        carried_on
+    }
+
+    /// The masks of the frame: each pixel goes to one object, to a detected one before a carried one and to the surer
+    /// detection first.
+    fn report(&self, mut sightings: Vec<Sighting>, (width, height): (u32, u32)) -> Vec<TrackedMask> {
+        let rank = |s: &Sighting| match s.evidence {
+            Evidence::Detected { confidence } => confidence,
+            Evidence::Carried => -1.0,
+        };
+        sightings.sort_by(|a, b| rank(b).total_cmp(&rank(a)).then(a.track_idx.cmp(&b.track_idx)));
+        let mut taken = Mask::empty(width, height);
+        let mut masks = Vec::with_capacity(sightings.len());
+        for sighting in sightings {
+            let free = |x: u32, y: u32| !taken.get(i64::from(x), i64::from(y));
+            let Some(region) = sighting.region.filtered(free) else { continue };
+            let mask = region.to_mask(width, height);
+            taken.union_with(&mask);
+            let object = self.tracks[sighting.track_idx].provisional;
+            masks.push(TrackedMask { object, mask, evidence: sighting.evidence });
+        }
+        masks.sort_by_key(|m| m.object);
+        masks
+    }
+
+    /// Gives lasting ids and ends what is over.
+    fn settle(&mut self, now: Moment, (width, height): (u32, u32)) {
+        for track in &mut self.tracks {
+            if track.earns_id(&self.options) {
+                self.num_confirmed += 1;
+                track.id = Some(ObjectId(self.num_confirmed));
+            }
+        }
+        let (options, finished) = (&self.options, &mut self.finished);
+        self.tracks.retain(|track| {
+            let gone =
+                matches!(track.presence, Presence::Lost(_)) && leaves(track.region.bounds(), [0.0; 2], width, height);
+            let over = gone || track.is_over(now, options);
+            if over {
+                finished.extend(track.summary());
+            }
+            !over
+        });
+    }
+}
+
+/// Whether two class names may belong to one object: networks confuse cars, vans, trucks and buses with one another, and
+/// motorcycles with bicycles, but not one group with the other.
+fn compatible(a: &str, b: &str) -> bool {
+    TWO_WHEELERS.contains(&a) == TWO_WHEELERS.contains(&b)
+}
