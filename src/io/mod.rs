@@ -5,6 +5,7 @@
 //! `docs/formats.md` describes the formats.
 
 pub mod atomic;
+pub mod bal;
 mod bytes;
 pub mod colmap;
 mod error;
