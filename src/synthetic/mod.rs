@@ -2,4 +2,5 @@
 
 pub mod drive;
 mod noisy;
+pub mod scene;
 mod vehicle;
