@@ -1,1 +1,3 @@
 //! Structure from motion.
+
+pub mod bundle;

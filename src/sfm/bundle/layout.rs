@@ -1,0 +1,357 @@
+//! Where everything lies: observations sorted by point, parameters grouped in blocks of the reduced system.
+//!
+//! A *view block* holds the six freedoms of a free pose and, where a camera serves one pose only, that camera's free
+//! intrinsics. A camera that serves several poses is a *shared camera* with a block of its own in the border of the
+//! reduced system. All view blocks have the same size; freedoms that a block does not have are masked.
+
+use nalgebra::Point3;
+
+use super::options::{Behind, Gauge, Options};
+use super::problem::{CameraBlock, Problem};
+use crate::camera::NUM_INTRINSICS;
+
+/// Marks an absent index.
+pub(super) const NONE: u32 = u32::MAX;
+/// A depth below this part of the coordinates that it is the difference of is noise, and so is the projection.
+const SMALLEST_DEPTH: f64 = 1e-9;
+/// Freedoms of a pose.
+pub(super) const POSE_DIM: usize = 6;
+
+/// Free intrinsics of a camera as columns of a Jacobian.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Columns {
+    /// How many.
+    pub len: usize,
+    /// Which of fx, fy, cx, cy, k1, k2 each one is.
+    pub source: [usize; NUM_INTRINSICS],
+    /// With one focal length, fy / fx; else zero.
+    pub aspect: f64,
+}
+
+impl Columns {
+    fn of(block: &CameraBlock) -> Self {
+        let mut columns = Self::default();
+        for (k, free) in block.free.iter().enumerate() {
+            if *free && !(block.tie_focal && k == 1) {
+                columns.source[columns.len] = k;
+                columns.len += 1;
+            }
+        }
+        if block.tie_focal {
+            columns.aspect = block.camera.focal[1] / block.camera.focal[0];
+        }
+        columns
+    }
+}
+
+/// How a camera's free intrinsics enter the reduced system.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum IntrinsicsUse {
+    Fixed,
+    /// In the view block of the only pose that uses them.
+    Fused,
+    /// In the border, at this place.
+    Shared(u32),
+}
+
+/// The structure of a problem; see the module.
+pub(super) struct Layout {
+    /// Index in the problem of every point that is observed.
+    pub points: Vec<u32>,
+    /// First observation of each of these, and the end of the last.
+    pub point_start: Vec<u32>,
+    /// Whether each of these is held.
+    pub point_fixed: Vec<bool>,
+    /// Per observation: its pose.
+    pub obs_pose: Vec<u32>,
+    /// Per observation: view block of its pose, or [`NONE`].
+    pub obs_block: Vec<u32>,
+    /// Per observation: place of its point in [`Layout::points`].
+    pub obs_point: Vec<u32>,
+    /// Per observation: measured pixel.
+    pub obs_pixel: Vec<[f64; 2]>,
+    /// Per observation: one over its standard deviation.
+    pub obs_weight: Vec<f64>,
+    /// Per observation: its shared camera in [`Layout::slots`], or [`NONE`].
+    pub obs_slot: Vec<u32>,
+    /// First slot of each point, and the end of the last. A slot is a pair of a point and a shared camera that sees it.
+    pub slot_start: Vec<u32>,
+    /// Shared camera of each slot.
+    pub slots: Vec<u32>,
+    /// Pose of each view block, ascending.
+    pub pose_of_block: Vec<u32>,
+    /// View block of each pose, or [`NONE`].
+    pub block_of_pose: Vec<u32>,
+    /// Which freedoms of each block move: the pose's six, then the intrinsics.
+    pub pose_mask: Vec<[bool; POSE_DIM]>,
+    /// First entry of each block in [`Layout::block_obs`], and the end of the last.
+    pub block_start: Vec<u32>,
+    /// Observations of each block, in the order of their points.
+    pub block_obs: Vec<u32>,
+    /// Free intrinsics of each camera.
+    pub columns: Vec<Columns>,
+    /// Use of each camera's intrinsics.
+    pub intrinsics_use: Vec<IntrinsicsUse>,
+    /// Index in the problem of each shared camera.
+    pub shared: Vec<u32>,
+    /// Observations left out.
+    pub num_ignored: usize,
+    /// Held pose and the pose to which it keeps its distance.
+    pub scale_pair: Option<(usize, usize)>,
+}
+
+impl Layout {
+    /// Sorts a checked problem; linear in the number of observations.
+    pub fn new(problem: &Problem, options: &Options) -> Self {
+        let used = usable_observations(problem, options.behind);
+        let num_ignored = problem.observations.len() - used.len();
+        let gauge = GaugeChoice::new(problem, &used, options.gauge);
+        let mut layout = Self::cameras_and_blocks(problem, &used, &gauge);
+        layout.num_ignored = num_ignored;
+        layout.scale_pair = gauge.scale_pair;
+        layout.sort_observations(problem, used);
+        layout.index_blocks();
+        layout.index_slots(problem);
+        layout
+    }
+
+    /// Number of observations used.
+    pub fn num_obs(&self) -> usize {
+        self.obs_pose.len()
+    }
+
+    /// Number of view blocks.
+    pub fn num_blocks(&self) -> usize {
+        self.pose_of_block.len()
+    }
+
+    /// Observations of a point, by its place in [`Layout::points`].
+    pub fn obs_of_point(&self, point: usize) -> std::ops::Range<usize> {
+        self.point_start[point] as usize..self.point_start[point + 1] as usize
+    }
+
+    /// Slots of a point.
+    pub fn slots_of_point(&self, point: usize) -> std::ops::Range<usize> {
+        self.slot_start[point] as usize..self.slot_start[point + 1] as usize
+    }
+
+    /// Observations of a view block.
+    pub fn obs_of_block(&self, block: usize) -> &[u32] {
+        &self.block_obs[self.block_start[block] as usize..self.block_start[block + 1] as usize]
+    }
+
+    /// Largest number of freedoms in a view block.
+    pub fn largest_block(&self) -> usize {
+        let fused = self
+            .columns
+            .iter()
+            .zip(&self.intrinsics_use)
+            .filter(|(_, u)| **u == IntrinsicsUse::Fused)
+            .map(|(c, _)| c.len);
+        POSE_DIM + fused.max().unwrap_or(0)
+    }
+
+    /// Whether anything can move.
+    pub fn has_freedom(&self) -> bool {
+        self.num_obs() > 0
+            && (self.num_blocks() > 0 || !self.shared.is_empty() || self.point_fixed.iter().any(|fixed| !fixed))
+    }
+
+    fn cameras_and_blocks(problem: &Problem, used: &[u32], gauge: &GaugeChoice) -> Self {
+        let observed = observed_poses(problem, used);
+        let mut users = vec![0usize; problem.cameras.len()];
+        for (pose, _) in problem.poses.iter().zip(&observed).filter(|(_, seen)| **seen) {
+            users[pose.camera] += 1;
+        }
+        let columns: Vec<_> = problem.cameras.iter().map(Columns::of).collect();
+        let mut shared = Vec::new();
+        let intrinsics_use: Vec<_> = (0..problem.cameras.len())
+            .map(|camera| match (columns[camera].len, users[camera]) {
+                (0, _) | (_, 0) => IntrinsicsUse::Fixed,
+                (_, 1) => IntrinsicsUse::Fused,
+                _ => {
+                    shared.push(camera as u32);
+                    IntrinsicsUse::Shared(shared.len() as u32 - 1)
+                }
+            })
+            .collect();
+        let mut block_of_pose = vec![NONE; problem.poses.len()];
+        let (mut pose_of_block, mut pose_mask) = (Vec::new(), Vec::new());
+        for (index, pose) in problem.poses.iter().enumerate().filter(|(index, _)| observed[*index]) {
+            let mask = gauge.mask(index, pose.fixed);
+            if mask != [false; POSE_DIM] || intrinsics_use[pose.camera] == IntrinsicsUse::Fused {
+                block_of_pose[index] = pose_of_block.len() as u32;
+                pose_of_block.push(index as u32);
+                pose_mask.push(mask);
+            }
+        }
+        Self {
+            points: Vec::new(),
+            point_start: Vec::new(),
+            point_fixed: Vec::new(),
+            obs_pose: Vec::new(),
+            obs_block: Vec::new(),
+            obs_point: Vec::new(),
+            obs_pixel: Vec::new(),
+            obs_weight: Vec::new(),
+            obs_slot: Vec::new(),
+            slot_start: Vec::new(),
+            slots: Vec::new(),
+            pose_of_block,
+            block_of_pose,
+            pose_mask,
+            block_start: Vec::new(),
+            block_obs: Vec::new(),
+            columns,
+            intrinsics_use,
+            shared,
+            num_ignored: 0,
+            scale_pair: None,
+        }
+    }
+
+    /// By point, and within a point by block, observations without a block last.
+    fn sort_observations(&mut self, problem: &Problem, used: Vec<u32>) {
+        let num_poses = problem.poses.len();
+        let rank = |o: u32| {
+            let pose = problem.observations[o as usize].pose as usize;
+            match self.block_of_pose[pose] {
+                NONE => self.num_blocks() + pose,
+                block => block as usize,
+            }
+        };
+        let (by_block, _) = counting_sort(&used, self.num_blocks() + num_poses, rank);
+        let point_of = |o: u32| problem.observations[o as usize].point as usize;
+        let (sorted, start) = counting_sort(&by_block, problem.points.len(), point_of);
+        self.points = (0..problem.points.len()).filter(|p| start[*p] < start[p + 1]).map(|p| p as u32).collect();
+        self.point_start = self.points.iter().map(|p| start[*p as usize]).chain([sorted.len() as u32]).collect();
+        self.point_fixed = self.points.iter().map(|p| problem.points[*p as usize].fixed).collect();
+        let observation = |o: &u32| &problem.observations[*o as usize];
+        self.obs_pose = sorted.iter().map(|o| observation(o).pose).collect();
+        self.obs_block = self.obs_pose.iter().map(|pose| self.block_of_pose[*pose as usize]).collect();
+        self.obs_pixel = sorted.iter().map(|o| observation(o).pixel.coords.into()).collect();
+        self.obs_weight = sorted.iter().map(|o| 1.0 / observation(o).sigma).collect();
+        self.obs_point = Vec::with_capacity(sorted.len());
+        for point in 0..self.points.len() {
+            let count = self.obs_of_point(point).len();
+            self.obs_point.extend(std::iter::repeat_n(point as u32, count));
+        }
+    }
+
+    fn index_blocks(&mut self) {
+        let with_block: Vec<u32> = (0..self.num_obs() as u32).filter(|o| self.obs_block[*o as usize] != NONE).collect();
+        let (sorted, start) = counting_sort(&with_block, self.num_blocks(), |o| self.obs_block[o as usize] as usize);
+        self.block_obs = sorted;
+        self.block_start = start;
+    }
+
+    fn index_slots(&mut self, problem: &Problem) {
+        self.obs_slot = vec![NONE; if self.shared.is_empty() { 0 } else { self.num_obs() }];
+        self.slot_start = vec![0; self.points.len() + 1];
+        if self.shared.is_empty() {
+            return;
+        }
+        for point in 0..self.points.len() {
+            let first = self.slots.len();
+            for o in self.obs_of_point(point) {
+                let camera = problem.poses[self.obs_pose[o] as usize].camera;
+                if let IntrinsicsUse::Shared(shared) = self.intrinsics_use[camera] {
+                    let place = self.slots[first..].iter().position(|s| *s == shared).unwrap_or_else(|| {
+                        self.slots.push(shared);
+                        self.slots.len() - 1 - first
+                    });
+                    self.obs_slot[o] = (first + place) as u32;
+                }
+            }
+            self.slot_start[point + 1] = self.slots.len() as u32;
+        }
+    }
+}
+
+/// Stable; returns the sorted items and where each key starts (one more entry than keys).
+fn counting_sort(items: &[u32], num_keys: usize, key: impl Fn(u32) -> usize) -> (Vec<u32>, Vec<u32>) {
+    let mut start = vec![0u32; num_keys + 1];
+    for item in items {
+        start[key(*item) + 1] += 1;
+    }
+    for k in 0..num_keys {
+        start[k + 1] += start[k];
+    }
+    let mut next = start.clone();
+    let mut sorted = vec![0; items.len()];
+    for item in items {
+        let place = &mut next[key(*item)];
+        sorted[*place as usize] = *item;
+        *place += 1;
+    }
+    (sorted, start)
+}
+
+/// Observations whose projection means something and, if asked for, lies in front of the camera.
+fn usable_observations(problem: &Problem, behind: Behind) -> Vec<u32> {
+    let usable = |o: &super::Observation| {
+        let pose = &problem.poses[o.pose as usize];
+        let point = problem.points[o.point as usize].position;
+        let point_in_cam = pose.cam_from_world * point;
+        let rounding = SMALLEST_DEPTH * (point.coords.norm() + pose.cam_from_world.translation.norm());
+        if point_in_cam.z.abs() <= rounding || (behind == Behind::Ignore && point_in_cam.z < 0.0) {
+            return false;
+        }
+        let residual = problem.cameras[pose.camera].camera.project(point_in_cam).pixel - o.pixel;
+        (residual.norm_squared() / (o.sigma * o.sigma)).is_finite()
+    };
+    (0..problem.observations.len() as u32).filter(|o| usable(&problem.observations[*o as usize])).collect()
+}
+
+fn observed_poses(problem: &Problem, used: &[u32]) -> Vec<bool> {
+    let mut observed = vec![false; problem.poses.len()];
+    for o in used {
+        observed[problem.observations[*o as usize].pose as usize] = true;
+    }
+    observed
+}
+
+/// What [`Gauge::Auto`] holds.
+struct GaugeChoice {
+    held_pose: Option<usize>,
+    scale_pair: Option<(usize, usize)>,
+    /// Pose and axis of its translation that does not move.
+    held_axis: Option<(usize, usize)>,
+}
+
+impl GaugeChoice {
+    fn new(problem: &Problem, used: &[u32], gauge: Gauge) -> Self {
+        let nothing = Self { held_pose: None, scale_pair: None, held_axis: None };
+        let points_fixed = problem.points.iter().any(|p| p.fixed);
+        if gauge == Gauge::Free || points_fixed || !problem.priors.poses.is_empty() {
+            return nothing;
+        }
+        let observed = observed_poses(problem, used);
+        let mut fixed = (0..problem.poses.len()).filter(|p| observed[*p] && problem.poses[*p].fixed);
+        let (first_fixed, second_fixed) = (fixed.next(), fixed.next());
+        if second_fixed.is_some() {
+            return nothing;
+        }
+        let Some(held) = first_fixed.or_else(|| observed.iter().position(|seen| *seen)) else { return nothing };
+        let center = |p: usize| problem.poses[p].cam_from_world.center();
+        let distance = |p: usize| (center(p) - center(held)).norm();
+        let farthest = (0..problem.poses.len())
+            .filter(|p| observed[*p] && *p != held)
+            .max_by(|a, b| distance(*a).total_cmp(&distance(*b)).then(b.cmp(a)))
+            .filter(|p| distance(*p) > 0.0);
+        let axis_of = |p: usize| (p, largest_axis(problem.poses[p].cam_from_world * center(held)));
+        Self { held_pose: Some(held), scale_pair: farthest.map(|far| (held, far)), held_axis: farthest.map(axis_of) }
+    }
+
+    fn mask(&self, pose: usize, fixed: bool) -> [bool; POSE_DIM] {
+        let mut mask = [!fixed && self.held_pose != Some(pose); POSE_DIM];
+        if let Some((_, axis)) = self.held_axis.filter(|(held, _)| *held == pose) {
+            mask[3 + axis] = false;
+        }
+        mask
+    }
+}
+
+fn largest_axis(p: Point3<f64>) -> usize {
+    p.coords.iamax()
+}

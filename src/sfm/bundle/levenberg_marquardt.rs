@@ -1,0 +1,280 @@
+//! The iterations: damping, acceptance, termination (eqs. 12–13).
+
+use std::time::Instant;
+
+use super::layout::Layout;
+use super::linearize::{Linearization, Pass, Piece, cost, count_behind, damping_scale, largest_point_gradient, pieces};
+use super::options::Options;
+use super::priors;
+use super::problem::{BundleError, Problem};
+use super::schur::Reduced;
+use super::solver::Solver;
+use super::state::State;
+use super::summary::{Summary, Termination};
+
+/// The damping is never smaller: a gauge that is left free keeps the system singular without it.
+const SMALLEST_DAMPING: f64 = 1e-16;
+/// With so much damping no step can be told from none.
+const LARGEST_DAMPING: f64 = 1e32;
+
+/// Adjusts a problem in place.
+///
+/// On return the free blocks hold the best state seen, the held ones are bit for bit as before. Poses, points and
+/// cameras that no used observation refers to stay as they are.
+///
+/// # Errors
+/// [`BundleError`] for indices, values and options out of range; the problem is then unchanged. A problem that cannot be
+/// improved is no error: see [`Summary::termination`].
+pub fn adjust(problem: &mut Problem, options: &Options) -> Result<Summary, BundleError> {
+    options.check()?;
+    problem.check()?;
+    with_threads(options.threads, |parallel| dispatch(problem, options, parallel))
+}
+
+/// Runs with so many threads; the argument tells whether there is more than one.
+pub(super) fn with_threads<T: Send>(threads: usize, work: impl FnOnce(bool) -> T + Send) -> Result<T, BundleError> {
+    match threads {
+        1 => Ok(work(false)),
+        0 => Ok(work(rayon::current_num_threads() > 1)),
+        n if n == rayon::current_num_threads() => Ok(work(true)),
+        n => {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build();
+            let pool = pool.map_err(|e| BundleError::Threads { threads: n, message: e.to_string() })?;
+            Ok(pool.install(|| work(true)))
+        }
+    }
+}
+
+fn dispatch(problem: &mut Problem, options: &Options, parallel: bool) -> Summary {
+    let start = Instant::now();
+    let layout = Layout::new(problem, options);
+    // One compiled copy for each of the common sizes: poses alone, with f k1 k2, with all intrinsics.
+    let mut summary = match layout.largest_block() {
+        ..=6 => Run::<6>::new(problem, options, &layout, parallel).minimize(start),
+        7..=9 => Run::<9>::new(problem, options, &layout, parallel).minimize(start),
+        _ => Run::<12>::new(problem, options, &layout, parallel).minimize(start),
+    };
+    summary.total_s = start.elapsed().as_secs_f64();
+    summary
+}
+
+/// One adjustment in progress.
+struct Run<'a, const D: usize> {
+    problem: &'a mut Problem,
+    options: &'a Options,
+    layout: &'a Layout,
+    pieces: Vec<Piece>,
+    parallel: bool,
+    state: State,
+    trial: State,
+    lin: Linearization<D>,
+    reduced: Reduced<D>,
+    solver: Solver,
+    step: Vec<f64>,
+    point_steps: Vec<[f64; 3]>,
+    damping: f64,
+    /// Factor by which the next rejection raises the damping.
+    raise: f64,
+    summary: Summary,
+}
+
+/// What became of a trial step.
+enum Outcome {
+    Accepted,
+    Rejected,
+    Stop(Termination),
+}
+
+impl<'a, const D: usize> Run<'a, D> {
+    fn new(problem: &'a mut Problem, options: &'a Options, layout: &'a Layout, parallel: bool) -> Self {
+        let state = State::new(problem, layout);
+        let reduced = Reduced::new(layout);
+        let solver = Solver::new(options.linear_solver, &reduced, parallel);
+        Self {
+            pieces: pieces(layout),
+            trial: state.clone(),
+            lin: Linearization::new(layout),
+            step: vec![0.0; reduced.size()],
+            point_steps: vec![[0.0; 3]; layout.points.len()],
+            damping: options.initial_damping,
+            raise: 2.0,
+            summary: empty_summary(layout, reduced.size()),
+            problem,
+            options,
+            layout,
+            parallel,
+            state,
+            reduced,
+            solver,
+        }
+    }
+
+    fn pass(&self) -> Pass<'_> {
+        Pass { layout: self.layout, pieces: &self.pieces, loss: self.options.loss, parallel: self.parallel }
+    }
+
+    fn minimize(mut self, start: Instant) -> Summary {
+        if !self.layout.has_freedom() {
+            let cost = self.cost_of(&self.state);
+            (self.summary.initial_cost, self.summary.final_cost) = (cost, cost);
+            return self.summary;
+        }
+        self.summary.setup_s = start.elapsed().as_secs_f64();
+        let mut cost = self.linearize();
+        self.summary.initial_cost = cost;
+        self.summary.termination = loop {
+            if self.summary.iterations >= self.options.max_iterations {
+                break Termination::MaxIterations;
+            }
+            self.summary.iterations += 1;
+            match self.iterate(&mut cost) {
+                Outcome::Accepted => {
+                    self.linearize();
+                }
+                Outcome::Rejected => {
+                    if self.damping > LARGEST_DAMPING {
+                        break Termination::NoProgress;
+                    }
+                    self.eliminate();
+                }
+                Outcome::Stop(termination) => break termination,
+            }
+        };
+        self.summary.final_cost = cost;
+        self.summary.num_behind = count_behind(self.layout, &self.state);
+        self.state.write(self.problem, self.layout);
+        self.summary
+    }
+
+    fn linearize(&mut self) -> f64 {
+        let start = Instant::now();
+        let pass = Pass { layout: self.layout, pieces: &self.pieces, loss: self.options.loss, parallel: self.parallel };
+        let cost = self.lin.evaluate(&pass, &self.state, self.damping);
+        self.summary.linearize_s += start.elapsed().as_secs_f64();
+        cost + priors::cost(self.problem, &self.state)
+    }
+
+    fn eliminate(&mut self) {
+        let start = Instant::now();
+        let pass = Pass { layout: self.layout, pieces: &self.pieces, loss: self.options.loss, parallel: self.parallel };
+        self.lin.eliminate(&pass, self.damping);
+        self.summary.linearize_s += start.elapsed().as_secs_f64();
+    }
+
+    fn cost_of(&self, state: &State) -> f64 {
+        cost(&self.pass(), state) + priors::cost(self.problem, state)
+    }
+
+    /// One step from the current linearisation; moves the state and lowers `cost` if it is accepted.
+    fn iterate(&mut self, cost: &mut f64) -> Outcome {
+        if !self.solve() {
+            return self.reject();
+        }
+        if self.largest_gradient() <= self.options.gradient_tolerance {
+            return Outcome::Stop(Termination::GradientTolerance);
+        }
+        let start = Instant::now();
+        let (predicted, trial_cost, length) = self.try_step();
+        self.summary.step_s += start.elapsed().as_secs_f64();
+        if !(predicted > 0.0) {
+            return self.reject();
+        }
+        let tolerance = self.options.parameter_tolerance;
+        let small = length <= tolerance * (self.state.norm() + tolerance);
+        let change = *cost - trial_cost;
+        let flat = change.abs() <= self.options.function_tolerance * *cost;
+        let ratio = change / predicted;
+        if change >= 0.0 && ratio > 1e-3 {
+            std::mem::swap(&mut self.state, &mut self.trial);
+            *cost = trial_cost;
+            self.summary.accepted += 1;
+            self.accept(ratio);
+            match (flat, small) {
+                (true, _) => Outcome::Stop(Termination::FunctionTolerance),
+                (_, true) => Outcome::Stop(Termination::ParameterTolerance),
+                _ => Outcome::Accepted,
+            }
+        } else if flat || small {
+            Outcome::Stop(if flat { Termination::FunctionTolerance } else { Termination::ParameterTolerance })
+        } else {
+            self.reject()
+        }
+    }
+
+    /// Forms and solves the reduced system; false if it is not positive definite.
+    fn solve(&mut self) -> bool {
+        let start = Instant::now();
+        let priors = priors::terms(self.problem, self.layout, &self.state);
+        let pass = Pass { layout: self.layout, pieces: &self.pieces, loss: self.options.loss, parallel: self.parallel };
+        self.reduced.assemble(&pass, &self.lin, &priors, self.damping);
+        let assembled = Instant::now();
+        self.summary.schur_s += (assembled - start).as_secs_f64();
+        let solved = self.solver.solve(&self.reduced, &mut self.step).is_ok();
+        self.summary.solve_s += assembled.elapsed().as_secs_f64();
+        solved && self.step.iter().all(|v| v.is_finite())
+    }
+
+    /// Predicted decrease (eq. 13), cost at the trial state, length of the step.
+    fn try_step(&mut self) -> (f64, f64, f64) {
+        let pass = Pass { layout: self.layout, pieces: &self.pieces, loss: self.options.loss, parallel: self.parallel };
+        let of_points = self.lin.back_substitute(&pass, &self.step, self.damping, &mut self.point_steps);
+        let predicted = 0.5 * (of_points + self.predicted_by_cameras());
+        let in_range = self.trial.move_cameras(&self.state, self.problem, self.layout, &self.step, D);
+        let mut squared: f64 = self.step.iter().map(|v| v * v).sum();
+        for ((moved, from), step) in self.trial.points.iter_mut().zip(&self.state.points).zip(&self.point_steps) {
+            for k in 0..3 {
+                moved[k] = from[k] + step[k];
+                squared += step[k] * step[k];
+            }
+        }
+        let trial_cost = if in_range { self.cost_of(&self.trial) } else { f64::INFINITY };
+        (predicted, trial_cost, squared.sqrt())
+    }
+
+    fn predicted_by_cameras(&self) -> f64 {
+        let reduced = &self.reduced;
+        let diagonal = reduced.views.iter().flat_map(|v| v.diagonal).chain(reduced.camera_diagonal.iter().copied());
+        let gradient = reduced.views.iter().flat_map(|v| v.gradient).chain(reduced.camera_gradient.iter().copied());
+        let terms = self.step.iter().zip(diagonal).zip(gradient);
+        terms.map(|((d, diagonal), g)| d * (self.damping * damping_scale(diagonal) * d - g)).sum()
+    }
+
+    fn largest_gradient(&self) -> f64 {
+        let views = self.reduced.views.iter().flat_map(|v| v.gradient);
+        let cameras = views.chain(self.reduced.camera_gradient.iter().copied());
+        cameras.fold(largest_point_gradient(&self.lin, self.layout), |m, g| m.max(g.abs()))
+    }
+
+    /// Nielsen's rule (eq. 12).
+    fn accept(&mut self, ratio: f64) {
+        let factor = (1.0 - (2.0 * ratio - 1.0).powi(3)).max(1.0 / 3.0);
+        self.damping = (self.damping * factor).max(SMALLEST_DAMPING);
+        self.raise = 2.0;
+    }
+
+    fn reject(&mut self) -> Outcome {
+        self.damping *= self.raise;
+        self.raise *= 2.0;
+        Outcome::Rejected
+    }
+}
+
+fn empty_summary(layout: &Layout, reduced_size: usize) -> Summary {
+    Summary {
+        initial_cost: 0.0,
+        final_cost: 0.0,
+        iterations: 0,
+        accepted: 0,
+        termination: Termination::NothingToDo,
+        num_residuals: layout.num_obs(),
+        num_ignored: layout.num_ignored,
+        num_behind: 0,
+        reduced_size,
+        setup_s: 0.0,
+        linearize_s: 0.0,
+        schur_s: 0.0,
+        solve_s: 0.0,
+        step_s: 0.0,
+        total_s: 0.0,
+    }
+}

@@ -1,0 +1,56 @@
+//! Problems from whole reconstructions, and back.
+
+use std::collections::BTreeMap;
+
+use super::problem::{CameraBlock, Observation, PointBlock, PoseBlock, Problem};
+use crate::camera::Camera;
+use crate::scene::{CameraId, ImageId, Point3dId, Reconstruction};
+
+impl Problem {
+    /// Everything in a reconstruction: all poses and points free, intrinsics as `camera_block` says. Blocks are in the
+    /// order of their ids, so that [`Problem::store`] finds them again; observations without a point are left out.
+    pub fn from_reconstruction(
+        model: &Reconstruction,
+        camera_block: impl Fn(CameraId, &Camera) -> CameraBlock,
+    ) -> Self {
+        let camera_idx = places(model.cameras.keys());
+        let point_idx = places(model.points.keys());
+        let cameras = model.cameras.iter().map(|(id, camera)| camera_block(*id, camera)).collect();
+        let points = model.points.values().map(|p| PointBlock { position: p.position, fixed: false }).collect();
+        let (mut poses, mut observations) = (Vec::new(), Vec::new());
+        for image in model.images.values() {
+            let camera = camera_idx.get(&image.camera).map_or(usize::MAX, |idx| *idx as usize);
+            let seen = image.observations.iter().filter_map(|o| Some((point_idx.get(&o.point?)?, o.pixel)));
+            observations.extend(seen.map(|(point, pixel)| Observation::new(poses.len() as u32, *point, pixel)));
+            poses.push(PoseBlock { cam_from_world: image.cam_from_world, camera, fixed: false });
+        }
+        Self { cameras, poses, points, observations, ..Self::default() }
+    }
+
+    /// Writes poses, intrinsics and points back to the reconstruction that the problem was made from.
+    pub fn store(&self, model: &mut Reconstruction) {
+        for (camera, block) in model.cameras.values_mut().zip(&self.cameras) {
+            *camera = block.camera;
+        }
+        for (image, block) in model.images.values_mut().zip(&self.poses) {
+            image.cam_from_world = block.cam_from_world;
+        }
+        for (point, block) in model.points.values_mut().zip(&self.points) {
+            point.position = block.position;
+        }
+    }
+
+    /// Index in [`Problem::poses`] of every image of the reconstruction that the problem was made from.
+    pub fn pose_indices(model: &Reconstruction) -> BTreeMap<ImageId, u32> {
+        places(model.images.keys())
+    }
+
+    /// Index in [`Problem::points`] of every point of the reconstruction that the problem was made from.
+    pub fn point_indices(model: &Reconstruction) -> BTreeMap<Point3dId, u32> {
+        places(model.points.keys())
+    }
+}
+
+fn places<'a, K: Ord + Copy + 'a>(keys: impl Iterator<Item = &'a K>) -> BTreeMap<K, u32> {
+    keys.enumerate().map(|(idx, key)| (*key, idx as u32)).collect()
+}

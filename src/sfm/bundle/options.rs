@@ -1,0 +1,111 @@
+//! What a caller can choose.
+
+use serde::{Deserialize, Serialize};
+
+use super::BundleError;
+use crate::math::RobustLoss;
+
+/// How the reduced camera system is solved.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum LinearSolver {
+    /// Dense for few cameras or where most pairs of cameras see common points, sparse otherwise.
+    #[default]
+    Auto,
+    /// Dense Cholesky.
+    Dense,
+    /// Sparse supernodal Cholesky: in the order of the poses where that is a band (video), else in AMD order.
+    Sparse,
+    /// Conjugate gradients on the reduced system with a block-Jacobi preconditioner (inexact steps).
+    Iterative,
+}
+
+/// What is done about the seven freedoms (rotation, translation, scale) that the images cannot see.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Gauge {
+    /// Hold just enough: where no pose is fixed the first one is held, and where fewer than two poses and no points are
+    /// fixed the distance between the centres of the held pose and of the one farthest from it is kept.
+    #[default]
+    Auto,
+    /// Hold nothing beyond the blocks that are marked as fixed; the damping keeps the system regular (as Ceres does).
+    Free,
+}
+
+/// What is done with an observation whose point lies behind its camera at the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Behind {
+    /// It is left out and counted in [`super::Summary::num_ignored`].
+    #[default]
+    Ignore,
+    /// It takes part by its projection through the centre (as in the BAL benchmark).
+    Project,
+}
+
+/// Options of [`super::adjust`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Options {
+    /// Robust loss on the residual's length, in units of the observations' standard deviation.
+    pub loss: RobustLoss,
+    /// Most steps tried, rejected ones included.
+    pub max_iterations: usize,
+    /// Stop when a step changes the cost by less than this part of it.
+    pub function_tolerance: f64,
+    /// Stop when the largest entry of the gradient is below this (cost per radian, unit of length, or intrinsic).
+    pub gradient_tolerance: f64,
+    /// Stop when a step is shorter than this part of the length of all parameters.
+    pub parameter_tolerance: f64,
+    /// Damping λ at the start, relative to the diagonal of the normal equations. Small trusts the first step.
+    pub initial_damping: f64,
+    /// Threads; 0 uses the rayon pool of the caller.
+    pub threads: usize,
+    /// How the reduced camera system is solved.
+    pub linear_solver: LinearSolver,
+    /// What holds the gauge.
+    pub gauge: Gauge,
+    /// What happens to points behind a camera at the start.
+    pub behind: Behind,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            loss: RobustLoss::Squared,
+            max_iterations: 50,
+            function_tolerance: 1e-6,
+            gradient_tolerance: 1e-10,
+            parameter_tolerance: 1e-8,
+            initial_damping: 1e-4,
+            threads: 0,
+            linear_solver: LinearSolver::Auto,
+            gauge: Gauge::Auto,
+            behind: Behind::Ignore,
+        }
+    }
+}
+
+impl Options {
+    /// Rejects values that make no sense.
+    ///
+    /// # Errors
+    /// [`BundleError::Option`] names the field.
+    pub fn check(&self) -> Result<(), BundleError> {
+        let fields = [
+            ("function_tolerance", self.function_tolerance, self.function_tolerance >= 0.0),
+            ("gradient_tolerance", self.gradient_tolerance, self.gradient_tolerance >= 0.0),
+            ("parameter_tolerance", self.parameter_tolerance, self.parameter_tolerance >= 0.0),
+            ("initial_damping", self.initial_damping, self.initial_damping > 0.0 && self.initial_damping.is_finite()),
+        ];
+        for (name, value, good) in fields {
+            if !good {
+                return Err(BundleError::Option { name, value });
+            }
+        }
+        match self.loss {
+            RobustLoss::Huber { scale } | RobustLoss::Cauchy { scale } | RobustLoss::SoftL1 { scale }
+                if !(scale > 0.0 && scale.is_finite()) =>
+            {
+                Err(BundleError::Option { name: "loss.scale", value: scale })
+            }
+            _ => Ok(()),
+        }
+    }
+}

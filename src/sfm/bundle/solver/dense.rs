@@ -1,0 +1,89 @@
+//! Dense Cholesky.
+
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::factor::{LltError, LltParams, LltRegularization};
+use faer::linalg::cholesky::llt::{factor, solve};
+use faer::{Auto, MatMut, MatRef, Par, Spec};
+
+use crate::sfm::bundle::schur::{CAMERA_DIM, Reduced};
+
+/// Lower triangle by columns, factorised in place.
+pub(in crate::sfm::bundle) struct DenseSolver {
+    size: usize,
+    /// Distance of columns: not a power of two, whose columns would share cache sets.
+    stride: usize,
+    values: Vec<f64>,
+    par: Par,
+    scratch: MemBuffer,
+}
+
+impl DenseSolver {
+    pub fn new(size: usize, par: Par) -> Self {
+        let stride = size.div_ceil(8).max(1) * 8 + 8;
+        let params: Spec<LltParams, f64> = Spec::new(Auto::<f64>::auto());
+        let scratch = MemBuffer::new(factor::cholesky_in_place_scratch::<f64>(size, par, params));
+        Self { size, stride, values: vec![0.0; stride * size], par, scratch }
+    }
+
+    /// Factorises S; `Err` holds the first pivot that is not positive.
+    pub fn factor<const D: usize>(&mut self, reduced: &Reduced<D>) -> Result<(), usize> {
+        self.copy_views(reduced);
+        self.copy_border(reduced);
+        if self.size == 0 {
+            return Ok(());
+        }
+        let matrix =
+            MatMut::from_column_major_slice_with_stride_mut(&mut self.values, self.size, self.size, self.stride);
+        let (regularization, params) = (LltRegularization::default(), Spec::new(Auto::<f64>::auto()));
+        let stack = MemStack::new(&mut self.scratch);
+        match factor::cholesky_in_place(matrix, regularization, self.par, stack, params) {
+            Ok(_) => Ok(()),
+            Err(LltError::NonPositivePivot { index }) => Err(index),
+        }
+    }
+
+    /// Block (i, j) of the upper triangle lies transposed at rows j, columns i of the lower one.
+    fn copy_views<const D: usize>(&mut self, reduced: &Reduced<D>) {
+        let views = reduced.views.len();
+        for i in 0..views {
+            for r in 0..D {
+                let column = &mut self.values[(i * D + r) * self.stride..][..self.stride];
+                for j in i..views {
+                    let rows = &mut column[j * D..(j + 1) * D];
+                    match reduced.pattern.find(i, j) {
+                        Some(block) => rows.copy_from_slice(&reduced.blocks[block][r]),
+                        None => rows.fill(0.0),
+                    }
+                }
+            }
+        }
+    }
+
+    fn copy_border<const D: usize>(&mut self, reduced: &Reduced<D>) {
+        let (views, n) = (reduced.views.len(), reduced.camera_reduced.len());
+        let num_shared = n / CAMERA_DIM;
+        for i in 0..views {
+            for r in 0..D {
+                let column = &mut self.values[(i * D + r) * self.stride + views * D..][..n];
+                for (camera, rows) in column.chunks_exact_mut(CAMERA_DIM).enumerate() {
+                    rows.copy_from_slice(&reduced.border[i * num_shared + camera][r]);
+                }
+            }
+        }
+        for r in 0..n {
+            let column = &mut self.values[(views * D + r) * self.stride + views * D..][..n];
+            column.copy_from_slice(&reduced.camera_block[r * n..(r + 1) * n]);
+        }
+    }
+
+    /// Solves in place with the last factor, for any number of columns.
+    pub fn solve(&mut self, columns: &mut [f64]) {
+        if self.size == 0 {
+            return;
+        }
+        let count = columns.len() / self.size;
+        let factor = MatRef::from_column_major_slice_with_stride(&self.values, self.size, self.size, self.stride);
+        let rhs = MatMut::from_column_major_slice_mut(columns, self.size, count);
+        solve::solve_in_place(factor, rhs, Par::Seq, MemStack::new(&mut self.scratch));
+    }
+}
