@@ -1,1 +1,202 @@
-//! Comparison with ground truth.
+//! Comparison with ground truth: the paper's protocol.
+//!
+//! 1. **Registration.** A similarity from the background reconstruction to the true world, by Umeyama's method on camera
+//!    centres with up and forward vectors ([`registration`]).
+//! 2. **Trajectory error.** Every object point, placed in every frame, and its distance to the true mesh in that frame's
+//!    pose; the mean over frames and points is the error of the sequence ([`trajectory`]).
+//! 3. **Reference scale ratio.** Rays from the object's cameras through its points meet the true mesh; medians of medians
+//!    give the ratio that a perfect estimator would find (eqs. scale_ratios_ov, scale_ratios_ov_gt, scale_ratios_ob_ref;
+//!    [`reference`]). The deviation of an estimated ratio r is |r − r_ref| / r_ref.
+//!
+//! The rest says how far a reconstruction came: registered fractions, camera errors, and which of the reconstructed
+//! objects is the target at all. What cannot be computed is an [`Outcome::Unavailable`] with its reason; no number here is
+//! ever NaN. `docs/evaluation.md` has the whole protocol.
+//!
+//! Entry point: [`evaluate`].
+
+mod cameras;
+mod figures;
+mod input;
+mod mesh;
+pub mod reference;
+pub mod registration;
+mod table;
+pub mod trajectory;
+
+pub use cameras::CameraErrors;
+pub use figures::{Alternative, Evaluation, OtherObject, Outcome, RegisteredFrames, ScaleFigures, Target};
+pub use input::{Input, Model, ObjectInput, TruthFrame};
+pub use mesh::MeshIndex;
+
+use std::collections::BTreeMap;
+
+use crate::math::{Rigid3, Sim3};
+use crate::scene::FrameId;
+use registration::Registration;
+
+/// Least overlap of masks with which a track is taken for the target.
+pub const MIN_TARGET_IOU: f64 = 0.1;
+
+/// Compares one run with the truth of its sequence.
+pub fn evaluate(input: &Input) -> Evaluation {
+    let pairs = camera_pairs(input);
+    let registration = match &input.background {
+        Ok(_) => Outcome::from(registration::register(&pairs.values().copied().collect::<Vec<_>>())),
+        Err(reason) => Outcome::Unavailable { reason: reason.clone() },
+    };
+    let (target, others) = choose_target(&input.objects);
+    let object = target.as_ref().ok().copied();
+    let subject = Subject::new(input, &registration, object);
+    let reference = Outcome::from(subject.as_ref().map_err(Clone::clone).and_then(Subject::reference));
+    let ratio = reference.as_ref().map(|r| r.ratio);
+    let scale = Outcome::from(scale_figures(object, ratio));
+    let at_ratio = |ratio: f64| subject.as_ref().map_err(Clone::clone).and_then(|s| s.error_at(ratio));
+    let at_reference = reference.as_ref().map_err(String::from).and_then(|r| at_ratio(r.ratio));
+    let trajectory = subject.as_ref().map_err(Clone::clone).and_then(Subject::error_of_estimate);
+    Evaluation {
+        version: 1,
+        sequence: input.sequence.clone(),
+        vehicle: input.vehicle.clone(),
+        registered: registered_frames(input, object),
+        cameras: cameras::errors(&pairs, registration.as_ref()),
+        registration: registration.clone(),
+        target: target.map(|o| Target { object: o.id, iou: o.iou }).into(),
+        others,
+        trajectory: trajectory.into(),
+        trajectory_at_reference: at_reference.into(),
+        alternatives: alternatives(object, ratio, at_ratio),
+        reference_scale: reference,
+        scale,
+    }
+}
+
+/// Estimated and true camera of each frame that has both.
+fn camera_pairs(input: &Input) -> BTreeMap<FrameId, (Rigid3, Rigid3)> {
+    let Ok(background) = &input.background else { return BTreeMap::new() };
+    let pair = |(id, frame): (&FrameId, &TruthFrame)| {
+        background.cam_from_world.get(id).map(|cam| (*id, (*cam, frame.cam_from_world)))
+    };
+    input.frames.iter().filter_map(pair).collect()
+}
+
+/// The object whose masks overlap the target's most. Without any mask to compare, object 1, which is what the target is
+/// called in given masks.
+fn choose_target(objects: &[ObjectInput]) -> (Result<&ObjectInput, String>, Vec<OtherObject>) {
+    let overlapping =
+        objects.iter().filter(|o| o.iou.is_some()).max_by(|a, b| a.iou.partial_cmp(&b.iou).expect("finite"));
+    let target = match overlapping {
+        Some(best) if best.iou >= Some(MIN_TARGET_IOU) => Ok(best),
+        Some(best) => Err(format!(
+            "no track overlaps the target; the best, object {}, does by {:.3}",
+            best.id,
+            best.iou.unwrap_or_default()
+        )),
+        None => {
+            objects.iter().find(|o| o.id.0 == 1).ok_or_else(|| "there is no object 1 and there are no tracks".into())
+        }
+    };
+    let is_target = |o: &&ObjectInput| target.as_ref().is_ok_and(|t| t.id == o.id);
+    let others = objects.iter().filter(|o| !is_target(o)).map(|o| OtherObject { object: o.id, iou: o.iou }).collect();
+    (target, others)
+}
+
+fn registered_frames(input: &Input, object: Option<&ObjectInput>) -> RegisteredFrames {
+    let in_background = |id: &FrameId| input.background.as_ref().is_ok_and(|m| m.cam_from_world.contains_key(id));
+    let model = object.and_then(|o| o.model.as_ref().ok());
+    let in_object = |id: &FrameId| model.is_some_and(|m| m.cam_from_world.contains_key(id));
+    let visible: Vec<_> = input.frames.iter().filter(|(_, f)| f.target_px2 > 0).map(|(id, _)| id).collect();
+    let num_background = input.frames.keys().filter(|id| in_background(id)).count();
+    let num_object = visible.iter().filter(|id| in_object(id)).count();
+    let fraction = |count: usize, of: usize| (of > 0).then(|| count as f64 / of as f64);
+    RegisteredFrames {
+        num_frames: input.frames.len(),
+        num_background,
+        background_fraction: fraction(num_background, input.frames.len()),
+        num_visible: visible.len(),
+        num_object,
+        object_fraction: fraction(num_object, visible.len()),
+        num_both: visible.iter().filter(|id| in_object(id) && in_background(id)).count(),
+        unmatched: input.background.as_ref().map_or(Vec::new(), |m| m.unmatched.clone()),
+    }
+}
+
+fn scale_figures(object: Option<&ObjectInput>, reference: Result<f64, &str>) -> Result<ScaleFigures, String> {
+    let trajectory = object.ok_or("the target was not found")?.trajectory.as_ref()?;
+    let scale = &trajectory.scale;
+    Ok(ScaleFigures {
+        ratio: scale.ratio,
+        std: scale.std,
+        method: scale.method.name().into(),
+        degenerate: scale.degenerate,
+        deviation: reference.ok().map(|r| (scale.ratio - r).abs() / r),
+    })
+}
+
+fn alternatives(
+    object: Option<&ObjectInput>,
+    reference: Result<f64, &str>,
+    error_at: impl Fn(f64) -> Result<trajectory::TrajectoryError, String>,
+) -> BTreeMap<String, Alternative> {
+    let Some(Ok(trajectory)) = object.map(|o| o.trajectory.as_ref()) else { return BTreeMap::new() };
+    let alternative = |ratio: f64| Alternative {
+        ratio,
+        deviation: reference.ok().map(|r| (ratio - r).abs() / r),
+        trajectory_error_m: error_at(ratio).ok().map(|e| e.mean_m),
+    };
+    trajectory.scale.alternatives.iter().map(|(name, ratio)| (name.clone(), alternative(*ratio))).collect()
+}
+
+/// All that the target's trajectory is measured with; it exists only if every part does.
+struct Subject<'a> {
+    input: &'a Input,
+    registration: &'a Registration,
+    background: &'a Model,
+    object: &'a ObjectInput,
+    model: &'a Model,
+    mesh: &'a MeshIndex,
+}
+
+impl<'a> Subject<'a> {
+    fn new(
+        input: &'a Input,
+        registration: &'a Outcome<Registration>,
+        object: Option<&'a ObjectInput>,
+    ) -> Result<Self, String> {
+        let registration = registration.as_ref().map_err(|reason| format!("no registration: {reason}"))?;
+        let object = object.ok_or("the target was not found")?;
+        let model = object.model.as_ref()?;
+        if model.points.is_empty() {
+            return Err("the object's model has no points".into());
+        }
+        let background = input.background.as_ref()?;
+        Ok(Self { input, registration, background, object, model, mesh: input.mesh.as_ref()? })
+    }
+
+    fn reference(&self) -> Result<reference::ReferenceScale, String> {
+        reference::reference_scale(
+            self.model,
+            &self.input.frames,
+            self.mesh,
+            self.registration.world_from_background.scale,
+        )
+    }
+
+    /// The error of the placements that the run gave.
+    fn error_of_estimate(&self) -> Result<trajectory::TrajectoryError, String> {
+        self.object.trajectory.as_ref()?;
+        self.error(&self.object.placements)
+    }
+
+    /// The error of the trajectory family's member with this scale ratio.
+    fn error_at(&self, ratio: f64) -> Result<trajectory::TrajectoryError, String> {
+        self.error(&trajectory::family(&self.background.cam_from_world, &self.model.cam_from_world, ratio))
+    }
+
+    fn error(&self, placements: &BTreeMap<FrameId, Sim3>) -> Result<trajectory::TrajectoryError, String> {
+        let world_from_background = &self.registration.world_from_background;
+        trajectory::error(&self.model.points, placements, world_from_background, &self.input.frames, self.mesh)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,139 @@
+//! The figures of an evaluation, in the shape of `evaluation.json`.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::cameras::CameraErrors;
+use super::reference::ReferenceScale;
+use super::registration::Registration;
+use super::trajectory::TrajectoryError;
+use crate::scene::ObjectId;
+
+/// A figure, or why there is none. In JSON, `"status"` is `"ok"` or `"unavailable"`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "status", rename_all = "kebab-case")]
+pub enum Outcome<T> {
+    /// It could be computed.
+    Ok(T),
+    /// It could not.
+    Unavailable {
+        /// Why.
+        reason: String,
+    },
+}
+
+impl<T> Outcome<T> {
+    /// As a `Result`, the reason as its error.
+    pub fn as_ref(&self) -> Result<&T, &str> {
+        match self {
+            Self::Ok(value) => Ok(value),
+            Self::Unavailable { reason } => Err(reason),
+        }
+    }
+}
+
+impl<T> From<Result<T, String>> for Outcome<T> {
+    fn from(result: Result<T, String>) -> Self {
+        match result {
+            Ok(value) => Self::Ok(value),
+            Err(reason) => Self::Unavailable { reason },
+        }
+    }
+}
+
+/// All figures of one run. Lengths are metres of the true world.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Evaluation {
+    /// Version of this format.
+    pub version: u32,
+    /// Name of the sequence.
+    pub sequence: String,
+    /// Type of the target vehicle, if known.
+    pub vehicle: Option<String>,
+    /// How many frames have a pose.
+    pub registered: RegisteredFrames,
+    /// Background reconstruction to true world.
+    pub registration: Outcome<Registration>,
+    /// Errors of the background cameras.
+    pub cameras: Outcome<CameraErrors>,
+    /// Which of the run's objects is the target.
+    pub target: Outcome<Target>,
+    /// The run's other objects.
+    pub others: Vec<OtherObject>,
+    /// The run's scale ratio.
+    pub scale: Outcome<ScaleFigures>,
+    /// The ratio that a perfect estimator would find.
+    pub reference_scale: Outcome<ReferenceScale>,
+    /// Trajectory error of the run.
+    pub trajectory: Outcome<TrajectoryError>,
+    /// Trajectory error at the reference ratio: what the two reconstructions alone cost.
+    pub trajectory_at_reference: Outcome<TrajectoryError>,
+    /// What every estimator of the run would have given.
+    pub alternatives: BTreeMap<String, Alternative>,
+}
+
+/// How many frames have a pose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RegisteredFrames {
+    /// Frames of the sequence.
+    pub num_frames: usize,
+    /// Those with a background camera.
+    pub num_background: usize,
+    /// `num_background / num_frames`.
+    pub background_fraction: Option<f64>,
+    /// Frames in which the target is seen.
+    pub num_visible: usize,
+    /// Those of `num_visible` with a camera in the target's model.
+    pub num_object: usize,
+    /// `num_object / num_visible`.
+    pub object_fraction: Option<f64>,
+    /// Those of `num_visible` with both cameras.
+    pub num_both: usize,
+    /// Background images that are no frame of the sequence.
+    pub unmatched: Vec<String>,
+}
+
+/// The run's object that is the target.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Target {
+    /// Its id.
+    pub object: ObjectId,
+    /// Overlap of its masks with the target's, over all frames; `None` if there were none to compare.
+    pub iou: Option<f64>,
+}
+
+/// An object that is not the target.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OtherObject {
+    /// Its id.
+    pub object: ObjectId,
+    /// Overlap of its masks with the target's.
+    pub iou: Option<f64>,
+}
+
+/// The run's scale ratio.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ScaleFigures {
+    /// r.
+    pub ratio: f64,
+    /// Its standard deviation, if the method gives one.
+    pub std: Option<f64>,
+    /// The method that gave it.
+    pub method: String,
+    /// Whether the run says that it cannot be trusted.
+    pub degenerate: bool,
+    /// |r − r_ref| / r_ref; `None` without a reference.
+    pub deviation: Option<f64>,
+}
+
+/// What one estimator would have given.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Alternative {
+    /// Its scale ratio.
+    pub ratio: f64,
+    /// |r − r_ref| / r_ref; `None` without a reference.
+    pub deviation: Option<f64>,
+    /// Mean trajectory error at this ratio, metres; `None` where none can be computed.
+    pub trajectory_error_m: Option<f64>,
+}

@@ -1,0 +1,83 @@
+//! Registration of a background reconstruction with the true world.
+//!
+//! The paper's section *Registration of Background Reconstruction and Virtual Environment*: Umeyama's similarity between
+//! camera centres gives an initial scale; then the points c + m u and c + m f are added for each camera, where
+//! u = Rᵀ (0, 1, 0) and f = Rᵀ (0, 0, 1) are its up and forward vectors, and the similarity is computed again over all of
+//! them. The magnitude m is one metre for the true cameras and one metre by the initial scale for the estimated ones. The
+//! vectors settle what centres alone leave open: a straight flight says nothing about the roll round its line.
+//!
+//! Where the centres lie exactly on a line, Umeyama's method has no initial answer; the scale is then the ratio of the
+//! centres' spreads.
+
+use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::math::{Rigid3, Sim3, umeyama};
+
+/// Fewest cameras: three centres and their residuals can contradict one another, two always agree.
+pub const MIN_CAMERAS: usize = 3;
+
+/// Length of the true up and forward vectors, metres.
+const MAGNITUDE_M: f64 = 1.0;
+
+/// Spread below which camera centres lie in one place, metres.
+const MIN_SPREAD_M: f64 = 1e-6;
+
+/// A similarity to the true world, in metres.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Registration {
+    /// T_s; its scale is r_(bv), metres per unit of the background.
+    pub world_from_background: Sim3,
+    /// Cameras that took part.
+    pub num_cameras: usize,
+    /// Where the initial scale came from.
+    pub initial_scale: InitialScale,
+}
+
+/// How the initial scale was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum InitialScale {
+    /// Umeyama's similarity on camera centres.
+    Centers,
+    /// The centres' spreads, since they lie on a line.
+    Spread,
+}
+
+/// Registers pairs of one frame's (estimated, true) `cam_from_world`.
+///
+/// # Errors
+/// The reason, in words: too few cameras, or a camera that does not move.
+pub fn register(pairs: &[(Rigid3, Rigid3)]) -> Result<Registration, String> {
+    if pairs.len() < MIN_CAMERAS {
+        return Err(format!("{} frames have a background camera, {MIN_CAMERAS} are needed", pairs.len()));
+    }
+    let (mut source, mut target): (Vec<_>, Vec<_>) = pairs.iter().map(|(e, t)| (e.center(), t.center())).unzip();
+    let (source_spread, target_spread) = (spread(&source), spread(&target));
+    if target_spread < MIN_SPREAD_M || !(source_spread > 0.0) {
+        return Err("the camera does not move, so there is no scale to compare".into());
+    }
+    let (scale, initial_scale) = match umeyama(&source, &target) {
+        Some(initial) if initial.scale > 0.0 => (initial.scale, InitialScale::Centers),
+        _ => (target_spread / source_spread, InitialScale::Spread),
+    };
+    for (estimated, truth) in pairs {
+        source.extend(direction_points(estimated, MAGNITUDE_M / scale));
+        target.extend(direction_points(truth, MAGNITUDE_M));
+    }
+    let world_from_background = umeyama(&source, &target).ok_or("the cameras leave the similarity open")?;
+    Ok(Registration { world_from_background, num_cameras: pairs.len(), initial_scale })
+}
+
+/// c + m u and c + m f.
+fn direction_points(cam_from_world: &Rigid3, magnitude: f64) -> [Point3<f64>; 2] {
+    let world_from_cam = cam_from_world.rotation.inverse();
+    [Vector3::y(), Vector3::z()].map(|axis| cam_from_world.center() + world_from_cam * axis * magnitude)
+}
+
+/// Root mean square distance from the mean.
+fn spread(points: &[Point3<f64>]) -> f64 {
+    let n = points.len() as f64;
+    let mean = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / n;
+    (points.iter().map(|p| (p.coords - mean).norm_squared()).sum::<f64>() / n).sqrt()
+}

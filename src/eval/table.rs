@@ -1,0 +1,69 @@
+//! The figures as a table for a terminal.
+
+use std::fmt;
+
+use super::figures::{Evaluation, Outcome};
+
+impl fmt::Display for Evaluation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let rows = self.rows();
+        let width = rows.iter().map(|(label, _)| label.chars().count()).max().unwrap_or(0);
+        rows.iter().try_for_each(|(label, value)| writeln!(f, "{label:width$}  {value}"))
+    }
+}
+
+impl Evaluation {
+    /// Label and value of each line.
+    fn rows(&self) -> Vec<(String, String)> {
+        let mut rows = Vec::new();
+        let mut row = |label: &str, value: String| rows.push((label.to_string(), value));
+        row("sequence", self.sequence.clone());
+        let registered = &self.registered;
+        row("background frames", fraction(registered.num_background, registered.num_frames));
+        row("object frames", fraction(registered.num_object, registered.num_visible));
+        row(
+            "target",
+            text(&self.target, |t| match t.iou {
+                Some(iou) => format!("object {} (mask overlap {iou:.3})", t.object),
+                None => format!("object {} (no masks to compare)", t.object),
+            }),
+        );
+        row("camera centres", text(&self.cameras, |c| format!("{} (RMSE)", length(c.center_rmse_m))));
+        row(
+            "camera rotations",
+            text(&self.cameras, |c| format!("{:.4}° mean, {:.4}° at most", c.rotation_mean_deg, c.rotation_max_deg)),
+        );
+        row("trajectory error", text(&self.trajectory, |t| format!("{} (mean)", length(t.mean_m))));
+        row("  at the reference ratio", text(&self.trajectory_at_reference, |t| length(t.mean_m)));
+        row(
+            "scale ratio",
+            text(&self.scale, |s| {
+                let degenerate = if s.degenerate { ", degenerate" } else { "" };
+                format!("{:.6} ({}{degenerate}{})", s.ratio, s.method, deviation(s.deviation))
+            }),
+        );
+        row("  reference", text(&self.reference_scale, |r| format!("{:.6}", r.ratio)));
+        for (name, alternative) in &self.alternatives {
+            let error = alternative.trajectory_error_m.map_or(String::new(), |m| format!(", error {}", length(m)));
+            row(&format!("  {name}"), format!("{:.6}{}{error}", alternative.ratio, deviation(alternative.deviation)));
+        }
+        rows
+    }
+}
+
+fn text<T>(outcome: &Outcome<T>, show: impl FnOnce(&T) -> String) -> String {
+    outcome.as_ref().map_or_else(|reason| format!("– ({reason})"), show)
+}
+
+fn fraction(count: usize, of: usize) -> String {
+    if of == 0 { "0 of 0".into() } else { format!("{count} of {of} ({:.1} %)", 100.0 * count as f64 / of as f64) }
+}
+
+fn deviation(deviation: Option<f64>) -> String {
+    deviation.map_or(String::new(), |d| format!(", off by {:.2} %", 100.0 * d))
+}
+
+/// Metres, or millimetres where that is easier to read.
+fn length(metres: f64) -> String {
+    if metres < 0.01 { format!("{:.2} mm", 1000.0 * metres) } else { format!("{metres:.3} m") }
+}
