@@ -1,6 +1,7 @@
 //! Arithmetic that every room shares: rigid and similarity transforms, robust losses, seeded random numbers.
 
 mod align;
+pub mod polynomial;
 mod random;
 mod rigid3;
 mod robust_loss;

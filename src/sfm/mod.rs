@@ -1,3 +1,4 @@
 //! Structure from motion.
 
 pub mod bundle;
+pub mod solvers;
