@@ -1,0 +1,267 @@
+//! Two-view geometry: verification of matches, relative pose, and whether two views can start a reconstruction.
+
+use nalgebra::{Matrix3, Point3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
+
+use super::solvers::{essential_five_point, homography_from_points};
+use crate::math::{Rigid3, Rng};
+use crate::robust::{self, Consensus, Estimator};
+
+/// Relative pose of two calibrated views that see the same points.
+#[derive(Clone, Debug)]
+pub struct TwoViewGeometry {
+    /// Second camera from first; the translation has unit length.
+    pub cam2_from_cam1: Rigid3,
+    /// Indices of the correspondences that agree with it and lie in front of both cameras.
+    pub inliers: Vec<usize>,
+    /// Median angle at the inlier points between the rays to both cameras, radians.
+    pub median_angle: f64,
+    /// Inliers of the best homography over inliers of the epipolar geometry: near one for a planar scene or a camera
+    /// that only turns.
+    pub homography_ratio: f64,
+}
+
+/// Undistorted positions on the plane z = 1 of the same points in two views; both lists have one length.
+pub struct Correspondences<'a> {
+    /// First view.
+    pub first: &'a [Vector2<f64>],
+    /// Second view.
+    pub second: &'a [Vector2<f64>],
+}
+
+/// Finds the relative pose by five-point LO-RANSAC on the Sampson distance.
+///
+/// * `max_error` – threshold in normalised units: pixels over the focal length.
+///
+/// `None` when no essential matrix is supported by more than its own sample.
+pub fn estimate(pairs: &Correspondences<'_>, max_error: f64, rng: &mut Rng) -> Option<TwoViewGeometry> {
+    let options = robust::Options::with_max_error(max_error);
+    let essential = robust::ransac(&EssentialEstimator(pairs), &options, rng)?;
+    let (cam2_from_cam1, inliers) = pose_in_front(pairs, &essential)?;
+    let angles = inliers.iter().filter_map(|&i| ray_angle(pairs, &cam2_from_cam1, i)).collect();
+    let homography = robust::ransac(&HomographyEstimator(pairs), &options, rng);
+    let homography_inliers = homography.map_or(0, |h| h.inliers.len());
+    Some(TwoViewGeometry {
+        median_angle: median(angles)?,
+        homography_ratio: homography_inliers as f64 / essential.inliers.len() as f64,
+        cam2_from_cam1,
+        inliers,
+    })
+}
+
+/// Which correspondences agree with one epipolar geometry: what is left of raw matches after verification. Empty when
+/// there is none.
+pub fn verify(pairs: &Correspondences<'_>, max_error: f64, rng: &mut Rng) -> Vec<usize> {
+    let options = robust::Options { max_iterations: 1000, ..robust::Options::with_max_error(max_error) };
+    robust::ransac(&EssentialEstimator(pairs), &options, rng).map(|c| c.inliers).unwrap_or_default()
+}
+
+/// Midpoint of the shortest segment between two rays, in the first camera; `None` for parallel rays.
+fn midpoint(pairs: &Correspondences<'_>, cam2_from_cam1: &Rigid3, i: usize) -> Option<Point3<f64>> {
+    let ray1 = pairs.first[i].push(1.0);
+    let ray2 = cam2_from_cam1.rotation.inverse() * pairs.second[i].push(1.0);
+    let center2 = cam2_from_cam1.center().coords;
+    let (a, b, c) = (ray1.norm_squared(), ray1.dot(&ray2), ray2.norm_squared());
+    let determinant = a * c - b * b;
+    if determinant <= 1e-12 * a * c {
+        return None;
+    }
+    let (d, e) = (ray1.dot(&center2), ray2.dot(&center2));
+    let (s, t) = ((c * d - b * e) / determinant, (b * d - a * e) / determinant);
+    (s > 0.0 && t > 0.0).then(|| Point3::from((ray1 * s + center2 + ray2 * t) / 2.0))
+}
+
+fn ray_angle(pairs: &Correspondences<'_>, cam2_from_cam1: &Rigid3, i: usize) -> Option<f64> {
+    let point = midpoint(pairs, cam2_from_cam1, i)?;
+    Some(point.coords.angle(&(point - cam2_from_cam1.center())))
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// Of the four poses of an essential matrix, the one that puts most inliers in front of both cameras.
+fn pose_in_front(pairs: &Correspondences<'_>, essential: &Consensus<Matrix3<f64>>) -> Option<(Rigid3, Vec<usize>)> {
+    poses_from_essential(&essential.model)?
+        .into_iter()
+        .map(|pose| {
+            let in_front = |&i: &usize| midpoint(pairs, &pose, i).is_some();
+            let inliers: Vec<usize> = essential.inliers.iter().copied().filter(in_front).collect();
+            (pose, inliers)
+        })
+        .max_by_key(|(_, inliers)| inliers.len())
+        .filter(|(_, inliers)| !inliers.is_empty())
+}
+
+/// The four poses with unit translation of an essential matrix (Hartley, Zisserman, section 9.6.2).
+fn poses_from_essential(essential: &Matrix3<f64>) -> Option<[Rigid3; 4]> {
+    let svd = essential.svd(true, true);
+    let (mut u, mut v_t) = (svd.u?, svd.v_t?);
+    if u.determinant() < 0.0 {
+        u = -u;
+    }
+    if v_t.determinant() < 0.0 {
+        v_t = -v_t;
+    }
+    // nalgebra sorts singular values descending, so the last column of U spans the left null space.
+    let w = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
+    let translation: Vector3<f64> = u.column(2).into_owned();
+    let rotation = |m: Matrix3<f64>| UnitQuaternion::from_matrix(&m);
+    let (r1, r2) = (rotation(u * w * v_t), rotation(u * w.transpose() * v_t));
+    Some([
+        Rigid3::new(r1, translation),
+        Rigid3::new(r1, -translation),
+        Rigid3::new(r2, translation),
+        Rigid3::new(r2, -translation),
+    ])
+}
+
+struct EssentialEstimator<'a>(&'a Correspondences<'a>);
+
+impl EssentialEstimator<'_> {
+    /// Sampson's first-order distance to the epipolar constraint, signed.
+    fn sampson(&self, essential: &Matrix3<f64>, i: usize) -> f64 {
+        let (p, q) = (self.0.first[i].push(1.0), self.0.second[i].push(1.0));
+        let (line2, line1) = (essential * p, essential.tr_mul(&q));
+        let gradient_sq = line2.xy().norm_squared() + line1.xy().norm_squared();
+        if gradient_sq > 0.0 { q.dot(&line2) / gradient_sq.sqrt() } else { f64::INFINITY }
+    }
+}
+
+impl Estimator for EssentialEstimator<'_> {
+    type Model = Matrix3<f64>;
+    const SAMPLE_SIZE: usize = 5;
+
+    fn num_data(&self) -> usize {
+        self.0.first.len()
+    }
+
+    fn fit(&self, sample: &[usize], models: &mut Vec<Matrix3<f64>>) {
+        let rays = |points: &[Vector2<f64>]| std::array::from_fn(|k| points[sample[k]].push(1.0));
+        models.extend(essential_five_point(&rays(self.0.first), &rays(self.0.second)));
+    }
+
+    fn error_sq(&self, essential: &Matrix3<f64>, datum: usize) -> f64 {
+        self.sampson(essential, datum).powi(2)
+    }
+
+    /// Gauss-Newton on the five degrees of freedom of (R, t / ‖t‖), derivatives by differences: linear eight-point
+    /// refinement would fail on planar scenes.
+    fn refine(&self, essential: &Matrix3<f64>, inliers: &[usize]) -> Option<Matrix3<f64>> {
+        const ROUNDS: usize = 3;
+        const STEP: f64 = 1e-7;
+        let mut pose = poses_from_essential(essential)?[0];
+        for _ in 0..ROUNDS {
+            let current = essential_from_pose(&pose);
+            let moved: [Matrix3<f64>; 5] = std::array::from_fn(|k| {
+                let mut delta = SVector::<f64, 5>::zeros();
+                delta[k] = STEP;
+                essential_from_pose(&perturbed(&pose, &delta))
+            });
+            let mut hessian = SMatrix::<f64, 5, 5>::zeros();
+            let mut gradient = SVector::<f64, 5>::zeros();
+            for &i in inliers {
+                let residual = self.sampson(&current, i);
+                let slope = SVector::<f64, 5>::from_fn(|k, _| (self.sampson(&moved[k], i) - residual) / STEP);
+                hessian += slope * slope.transpose();
+                gradient += slope * residual;
+            }
+            let delta = hessian.cholesky()?.solve(&gradient);
+            pose = perturbed(&pose, &-delta);
+        }
+        let refined = essential_from_pose(&pose);
+        refined.iter().all(|v| v.is_finite()).then_some(refined)
+    }
+}
+
+fn essential_from_pose(pose: &Rigid3) -> Matrix3<f64> {
+    pose.translation.cross_matrix() * pose.rotation.to_rotation_matrix().matrix() / std::f64::consts::SQRT_2
+}
+
+/// Turns by the first three components and moves the translation on its sphere by the last two.
+fn perturbed(pose: &Rigid3, delta: &SVector<f64, 5>) -> Rigid3 {
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(delta[0], delta[1], delta[2]));
+    let t = pose.translation;
+    let helper = if t.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
+    let a = t.cross(&helper).normalize();
+    let b = t.cross(&a);
+    Rigid3::new(turn * pose.rotation, (t + a * delta[3] + b * delta[4]).normalize())
+}
+
+struct HomographyEstimator<'a>(&'a Correspondences<'a>);
+
+impl Estimator for HomographyEstimator<'_> {
+    type Model = Matrix3<f64>;
+    const SAMPLE_SIZE: usize = 4;
+
+    fn num_data(&self) -> usize {
+        self.0.first.len()
+    }
+
+    fn fit(&self, sample: &[usize], models: &mut Vec<Matrix3<f64>>) {
+        models.extend(self.refine(&Matrix3::identity(), sample));
+    }
+
+    fn error_sq(&self, homography: &Matrix3<f64>, datum: usize) -> f64 {
+        let mapped = homography * self.0.first[datum].push(1.0);
+        if mapped.z == 0.0 { f64::INFINITY } else { (mapped.xy() / mapped.z - self.0.second[datum]).norm_squared() }
+    }
+
+    fn refine(&self, _: &Matrix3<f64>, inliers: &[usize]) -> Option<Matrix3<f64>> {
+        let pick = |points: &[Vector2<f64>]| inliers.iter().map(|&i| points[i]).collect::<Vec<_>>();
+        homography_from_points(&pick(self.0.first), &pick(self.0.second))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::seeded_rng;
+    use rand::Rng as _;
+
+    /// Points in a box before two cameras, as seen by both, with outliers at the end.
+    fn views(truth: &Rigid3, planar: bool, outliers: usize) -> (Vec<Vector2<f64>>, Vec<Vector2<f64>>) {
+        let mut rng = seeded_rng(5, 1);
+        let mut pairs: Vec<_> = (0..200)
+            .map(|_| {
+                let mut p =
+                    Point3::new(rng.random_range(-2.0..2.0), rng.random_range(-2.0..2.0), rng.random_range(4.0..8.0));
+                if planar {
+                    p.z = 6.0 + 0.2 * p.x;
+                }
+                let q = *truth * p;
+                (p.xy().coords / p.z, q.xy().coords / q.z)
+            })
+            .collect();
+        let mut wild = || Vector2::new(rng.random_range(-0.5..0.5), rng.random_range(-0.5..0.5));
+        pairs.extend((0..outliers).map(|_| (wild(), wild())));
+        pairs.into_iter().unzip()
+    }
+
+    #[test]
+    fn pose_comes_back_through_outliers() {
+        let t = Vector3::new(1.0, 0.1, 0.2).normalize();
+        let truth = Rigid3::new(UnitQuaternion::from_euler_angles(0.05, -0.1, 0.02), t);
+        let (first, second) = views(&truth, false, 100);
+        let pairs = Correspondences { first: &first, second: &second };
+        let found = estimate(&pairs, 1e-3, &mut seeded_rng(1, 0)).unwrap();
+        assert!(found.cam2_from_cam1.angle_to(&truth) < 1e-4);
+        assert!((found.cam2_from_cam1.translation - t).norm() < 1e-3);
+        assert!(found.inliers.len() >= 200 && found.homography_ratio < 0.5);
+        assert!(found.median_angle > 0.1);
+    }
+
+    #[test]
+    fn planes_and_pure_rotations_show_in_the_homography_ratio() {
+        let planar = Rigid3::new(UnitQuaternion::identity(), Vector3::x());
+        let (first, second) = views(&planar, true, 0);
+        let pairs = Correspondences { first: &first, second: &second };
+        assert!(estimate(&pairs, 1e-3, &mut seeded_rng(1, 0)).unwrap().homography_ratio > 0.95);
+        let turned = Rigid3::new(UnitQuaternion::from_euler_angles(0.0, 0.2, 0.0), Vector3::zeros());
+        let (first, second) = views(&turned, false, 0);
+        let pairs = Correspondences { first: &first, second: &second };
+        if let Some(found) = estimate(&pairs, 1e-3, &mut seeded_rng(1, 0)) {
+            assert!(found.homography_ratio > 0.95);
+        }
+    }
+}
