@@ -1,0 +1,22 @@
+//! What can go wrong in structure from motion, besides geometry: degenerate geometry is an answer, not an error.
+
+/// An error of this room.
+#[derive(Debug, thiserror::Error)]
+pub enum SfmError {
+    /// OpenCV refused; its message says which check failed.
+    #[error("OpenCV: {0}")]
+    OpenCv(#[from] opencv::Error),
+    /// A pixel buffer could not be converted.
+    #[error(transparent)]
+    Image(#[from] crate::image::ImageError),
+    /// A mask has another size than its image.
+    #[error("the mask of {name} is {found:?} pixels, its image {expected:?}: give masks at the size of the frames")]
+    MaskSize {
+        /// Image name.
+        name: String,
+        /// Width and height of the image.
+        expected: (u32, u32),
+        /// Width and height of the mask.
+        found: (u32, u32),
+    },
+}

@@ -1,0 +1,189 @@
+//! SIFT features inside a mask, as RootSIFT descriptors.
+//!
+//! D. Lowe, *Distinctive Image Features from Scale-Invariant Keypoints*, IJCV 2004, by OpenCV; R. Arandjelović,
+//! A. Zisserman, *Three Things Everyone Should Know to Improve Object Retrieval*, CVPR 2012 for the square root. Pixels
+//! outside the mask take no part as keypoints; the picture itself is never painted over, which would make edges.
+
+use nalgebra::Point2;
+use opencv::core::{KeyPoint, KeyPointTraitConst, Mat, MatTraitConst, MatTraitConstManual, Vector};
+use opencv::features2d::{Feature2DTrait, SIFT};
+use serde::{Deserialize, Serialize};
+
+use super::SfmError;
+use crate::image::{GrayImage, RgbImage, gray_from_rgb, mat_from_bytes, mat_from_gray, resize_gray};
+use crate::scene::{BoundingBox, Mask};
+
+/// Length of a descriptor.
+pub const DESCRIPTOR_LEN: usize = 128;
+
+/// How features are found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FeatureOptions {
+    /// Features kept per image at the most, the strongest first.
+    pub max_features: usize,
+    /// Lowe's contrast threshold over the three layers of an octave; lower finds more on plain surfaces.
+    pub contrast_threshold: f64,
+    /// Masks whose box is shorter than this on its longer side are enlarged before detection, pixels: small objects have
+    /// too few features at their own size.
+    pub enlarge_below_px: u32,
+    /// Distance that a feature keeps from the mask's border, pixels: what lies on an outline belongs to no surface.
+    pub border_px: u32,
+}
+
+impl FeatureOptions {
+    /// For whole frames.
+    pub fn background() -> Self {
+        Self { max_features: 4000, contrast_threshold: 0.03, enlarge_below_px: 0, border_px: 0 }
+    }
+
+    /// For one object: more features from less surface.
+    pub fn object() -> Self {
+        Self { max_features: 3000, contrast_threshold: 0.015, enlarge_below_px: 400, border_px: 1 }
+    }
+}
+
+/// Features of one image.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Features {
+    /// Positions, pixels, first pixel centre at (0.5, 0.5).
+    pub pixels: Vec<Point2<f64>>,
+    /// Colours there.
+    pub rgb: Vec<[u8; 3]>,
+    /// Row-major, [`DESCRIPTOR_LEN`] per feature, unit length, entries ≥ 0.
+    pub descriptors: Vec<f32>,
+}
+
+impl Features {
+    /// Number of features.
+    pub fn len(&self) -> usize {
+        self.pixels.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.pixels.is_empty()
+    }
+}
+
+/// Finds features at the set pixels of a mask, which has the image's size. An empty mask gives no features.
+///
+/// # Errors
+/// [`SfmError::OpenCv`] if OpenCV fails, for example on an image side beyond its limits.
+pub fn extract(image: &RgbImage, mask: &Mask, options: &FeatureOptions) -> Result<Features, SfmError> {
+    let mask = mask.eroded(options.border_px);
+    let Some(window) = mask.bounding_box().map(|b| padded(b, image.width(), image.height())) else {
+        return Ok(Features::default());
+    };
+    let (crop, crop_mask) = cropped(&gray_from_rgb(image)?, &mask, window);
+    let scale = enlargement(window, options.enlarge_below_px);
+    let (width, height) = (crop.width() * scale, crop.height() * scale);
+    let crop = if scale > 1 { resize_gray(&crop, width, height)? } else { crop };
+    let crop_mask = Mask::from_fn(width, height, |x, y| crop_mask.get((x / scale).into(), (y / scale).into()));
+    let mut sift = SIFT::create(options.max_features as i32, 3, options.contrast_threshold, 10.0, 1.6)?;
+    let (mut keypoints, mut descriptors) = (Vector::<KeyPoint>::new(), Mat::default());
+    let picture = mat_from_gray(&crop)?;
+    let where_to_look = mat_from_bytes(width, height, &crop_mask.to_bytes())?;
+    sift.detect_and_compute(&picture, &where_to_look, &mut keypoints, &mut descriptors, false)?;
+    collect(image, window, f64::from(scale), &keypoints, &descriptors)
+}
+
+/// The window with room for descriptors that reach over the mask.
+fn padded(b: BoundingBox, width: u32, height: u32) -> BoundingBox {
+    const MARGIN_PX: u32 = 24;
+    BoundingBox {
+        x0: b.x0.saturating_sub(MARGIN_PX),
+        y0: b.y0.saturating_sub(MARGIN_PX),
+        x1: (b.x1 + MARGIN_PX).min(width),
+        y1: (b.y1 + MARGIN_PX).min(height),
+    }
+}
+
+fn cropped(gray: &GrayImage, mask: &Mask, w: BoundingBox) -> (GrayImage, Mask) {
+    let crop = ::image::imageops::crop_imm(gray, w.x0, w.y0, w.width(), w.height()).to_image();
+    let mask = Mask::from_fn(w.width(), w.height(), |x, y| mask.get((x + w.x0).into(), (y + w.y0).into()));
+    (crop, mask)
+}
+
+fn enlargement(window: BoundingBox, enlarge_below_px: u32) -> u32 {
+    let side = window.width().max(window.height()).max(1);
+    enlarge_below_px.div_ceil(side).clamp(1, 4)
+}
+
+fn collect(
+    image: &RgbImage,
+    window: BoundingBox,
+    scale: f64,
+    keypoints: &Vector<KeyPoint>,
+    descriptors: &Mat,
+) -> Result<Features, SfmError> {
+    let mut features = Features::default();
+    let mut last = None;
+    for (row, keypoint) in keypoints.iter().enumerate() {
+        let at = keypoint.pt();
+        // A keypoint with two orientations comes twice; for tracks it is one feature.
+        if last == Some((at.x, at.y)) {
+            continue;
+        }
+        last = Some((at.x, at.y));
+        // OpenCV counts from the centre of the first pixel, and doubles the image by a resize that shifts by a quarter
+        // of an original pixel without taking the shift back (before its option for precise upscaling).
+        let (x, y) = (f64::from(at.x) + 0.5 - 0.25, f64::from(at.y) + 0.5 - 0.25);
+        let pixel = Point2::new(x / scale + f64::from(window.x0), y / scale + f64::from(window.y0));
+        let colour = image.get_pixel_checked(pixel.x.max(0.0) as u32, pixel.y.max(0.0) as u32);
+        features.pixels.push(pixel);
+        features.rgb.push(colour.map_or([0; 3], |c| c.0));
+        features.descriptors.extend(root_sift(descriptors.at_row::<f32>(row as i32)?));
+    }
+    debug_assert_eq!(descriptors.rows() as usize, keypoints.len());
+    let _ = descriptors.is_continuous();
+    Ok(features)
+}
+
+/// Square root of the descriptor scaled to unit sum: its Euclidean distance is the Hellinger distance of the original.
+fn root_sift(descriptor: &[f32]) -> impl Iterator<Item = f32> + '_ {
+    let sum: f32 = descriptor.iter().sum::<f32>().max(f32::MIN_POSITIVE);
+    descriptor.iter().map(move |v| (v / sum).max(0.0).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn blobs(width: u32, height: u32, centers: &[(f64, f64)]) -> RgbImage {
+        RgbImage::from_fn(width, height, |x, y| {
+            let value: f64 = centers
+                .iter()
+                .map(|(cx, cy)| {
+                    let (dx, dy) = (f64::from(x) + 0.5 - cx, f64::from(y) + 0.5 - cy);
+                    180.0 * (-(dx * dx + dy * dy) / (2.0 * 16.0)).exp()
+                })
+                .sum();
+            ::image::Rgb([(30.0 + value) as u8; 3])
+        })
+    }
+
+    #[test]
+    fn positions_keep_the_pixel_convention_at_every_enlargement() {
+        let centers = [(60.3, 50.8), (150.0, 70.25)];
+        let image = blobs(220, 120, &centers);
+        let all = Mask::from_fn(220, 120, |_, _| true);
+        for enlarge_below_px in [0, 400, 800] {
+            let options = FeatureOptions { enlarge_below_px, ..FeatureOptions::object() };
+            let found = extract(&image, &all, &options).unwrap();
+            for (x, y) in centers {
+                let near = found.pixels.iter().map(|p| (p - Point2::new(x, y)).norm()).fold(f64::INFINITY, f64::min);
+                assert!(near < 0.1, "nearest feature {near} px from the blob at enlargement {enlarge_below_px}");
+            }
+        }
+    }
+
+    #[test]
+    fn features_stay_inside_the_mask_and_an_empty_mask_has_none() {
+        let image = blobs(220, 120, &[(60.3, 50.8), (150.0, 70.25)]);
+        let left = Mask::from_fn(220, 120, |x, _| x < 110);
+        let found = extract(&image, &left, &FeatureOptions::object()).unwrap();
+        assert!(!found.is_empty() && found.pixels.iter().all(|p| p.x < 110.0));
+        assert_eq!(found.descriptors.len(), found.len() * DESCRIPTOR_LEN);
+        assert!(extract(&image, &Mask::empty(220, 120), &FeatureOptions::object()).unwrap().is_empty());
+    }
+}
