@@ -9,6 +9,9 @@ pub enum SfmError {
     /// A pixel buffer could not be converted.
     #[error(transparent)]
     Image(#[from] crate::image::ImageError),
+    /// The mapper handed over an adjustment problem that contradicts itself.
+    #[error("bundle adjustment: {0}")]
+    Bundle(#[from] super::bundle::BundleError),
     /// A mask has another size than its image.
     #[error("the mask of {name} is {found:?} pixels, its image {expected:?}: give masks at the size of the frames")]
     MaskSize {

@@ -1,0 +1,157 @@
+//! From a map to a bundle adjustment problem and back.
+
+use std::collections::BTreeMap;
+
+use super::map::Map;
+use super::{Intrinsics, Options};
+use crate::camera::NUM_INTRINSICS;
+use crate::math::RobustLoss;
+use crate::sfm::SfmError;
+use crate::sfm::bundle::{self, CameraBlock, Observation, PointBlock, PoseBlock, Problem};
+
+/// What is adjusted.
+pub enum Scope {
+    /// All views and points.
+    Everything,
+    /// All views, and in each about so many points: the longest tracks of every part of the image.
+    Selected {
+        /// Points per view.
+        per_view: usize,
+    },
+    /// A view, those that share most points with it, and the points that these see; the others are held.
+    Around(usize),
+}
+
+/// Adjusts a map; returns for every track whether its point took part.
+pub fn adjust(
+    map: &mut Map<'_>,
+    scope: &Scope,
+    intrinsics: Intrinsics,
+    options: &Options,
+) -> Result<Vec<bool>, SfmError> {
+    let mut tracks = vec![false; map.table.tracks.len()];
+    let mut free_views = vec![true; map.poses.len()];
+    match scope {
+        Scope::Everything => tracks.iter_mut().enumerate().for_each(|(t, used)| *used = map.point(t).is_some()),
+        Scope::Selected { per_view } => select_tracks(map, *per_view, &mut tracks),
+        Scope::Around(view) => {
+            free_views = neighbourhood(map, *view, options.local_views);
+            for v in (0..free_views.len()).filter(|&v| free_views[v]) {
+                map.visible(v).iter().for_each(|s| tracks[s.track as usize] = true);
+            }
+        }
+    }
+    let (mut problem, parts) = build(map, &tracks, &free_views, intrinsics);
+    let local = matches!(scope, Scope::Around(_));
+    let bundle_options = bundle::Options {
+        loss: RobustLoss::SoftL1 { scale: options.loss_scale_px },
+        max_iterations: if local { 10 } else { 30 },
+        function_tolerance: if local { 1e-4 } else { 1e-6 },
+        threads: options.threads,
+        ..bundle::Options::default()
+    };
+    let summary = bundle::adjust(&mut problem, &bundle_options)?;
+    tracing::trace!(
+        views = problem.poses.len(),
+        points = problem.points.len(),
+        observations = problem.observations.len(),
+        iterations = summary.iterations,
+        cost = summary.final_cost,
+        seconds = summary.total_s,
+        local,
+        "adjusted"
+    );
+    take_over(map, &problem, &parts);
+    Ok(tracks)
+}
+
+/// Which view and track each block of a problem stands for.
+struct Parts {
+    views: Vec<usize>,
+    tracks: Vec<usize>,
+}
+
+fn build(map: &Map<'_>, tracks: &[bool], free_views: &[bool], intrinsics: Intrinsics) -> (Problem, Parts) {
+    let mut problem = Problem::default();
+    let free_intrinsics = match intrinsics {
+        Intrinsics::Fixed => [false; NUM_INTRINSICS],
+        // Focal length and radial distortion; the principal point stays in the middle.
+        Intrinsics::Refined => [true, true, false, false, true, true],
+    };
+    problem.cameras =
+        map.cameras.iter().map(|&camera| CameraBlock { camera, free: free_intrinsics, tie_focal: true }).collect();
+    let mut parts = Parts { views: Vec::new(), tracks: Vec::new() };
+    let mut pose_of_view = BTreeMap::new();
+    for track in (0..tracks.len()).filter(|&t| tracks[t]) {
+        let Some(point) = map.point(track) else { continue };
+        let point_index = problem.points.len() as u32;
+        problem.points.push(PointBlock { position: point.position, fixed: false });
+        parts.tracks.push(track);
+        for (_, view, pixel) in map.observations(track) {
+            let Some(cam_from_world) = map.poses[view] else { continue };
+            let pose = *pose_of_view.entry(view).or_insert_with(|| {
+                let camera = map.table.views[view].camera;
+                problem.poses.push(PoseBlock { cam_from_world, camera, fixed: !free_views[view] });
+                parts.views.push(view);
+                problem.poses.len() - 1
+            });
+            problem.observations.push(Observation::new(pose as u32, point_index, pixel));
+        }
+    }
+    (problem, parts)
+}
+
+fn take_over(map: &mut Map<'_>, problem: &Problem, parts: &Parts) {
+    for (camera, block) in map.cameras.iter_mut().zip(&problem.cameras) {
+        *camera = block.camera;
+    }
+    for (&view, block) in parts.views.iter().zip(&problem.poses) {
+        map.poses[view] = Some(block.cam_from_world);
+    }
+    for (&track, block) in parts.tracks.iter().zip(&problem.points) {
+        map.move_point(track, block.position);
+    }
+}
+
+/// A view and the others that share most points with it.
+fn neighbourhood(map: &Map<'_>, view: usize, count: usize) -> Vec<bool> {
+    let mut shared = vec![0usize; map.poses.len()];
+    for s in map.visible(view) {
+        for (_, other, _) in map.observations(s.track as usize) {
+            shared[other] += 1;
+        }
+    }
+    let mut order: Vec<usize> = (0..shared.len()).filter(|&v| v != view && shared[v] > 0).collect();
+    order.sort_by_key(|&v| (usize::MAX - shared[v], v));
+    let mut chosen = vec![false; shared.len()];
+    chosen[view] = true;
+    order.into_iter().take(count.saturating_sub(1)).for_each(|v| chosen[v] = true);
+    chosen
+}
+
+/// Marks, for every registered view, the longest tracks in each cell of a grid over its image, until it has enough.
+fn select_tracks(map: &Map<'_>, per_view: usize, selected: &mut [bool]) {
+    const GRID: [usize; 2] = [8, 6];
+    let per_cell = (per_view / (GRID[0] * GRID[1])).max(1);
+    let length: Vec<usize> = (0..selected.len()).map(|track| map.observations(track).count()).collect();
+    let registered: Vec<usize> = map.registered().collect();
+    for view in registered {
+        let camera = map.camera_of(view);
+        let mut cells: Vec<Vec<usize>> = vec![Vec::new(); GRID[0] * GRID[1]];
+        for s in map.visible(view) {
+            let (_, pixel) = map.feature(s.track as usize, s.slot as usize);
+            let cell = |at: f64, side: u32, n: usize| ((at / f64::from(side) * n as f64) as usize).min(n - 1);
+            let index = cell(pixel.y, camera.height, GRID[1]) * GRID[0] + cell(pixel.x, camera.width, GRID[0]);
+            cells[index].push(s.track as usize);
+        }
+        for mut cell in cells {
+            cell.sort_by_key(|&track| (!selected[track], usize::MAX - length[track], track));
+            cell.into_iter().take(per_cell).for_each(|track| selected[track] = true);
+        }
+    }
+    // An object fills a few cells of the grid: below this number of points selection saves nothing worth having.
+    const FEW_POINTS: usize = 1500;
+    if map.num_points() <= FEW_POINTS {
+        selected.iter_mut().enumerate().for_each(|(track, used)| *used = map.point(track).is_some());
+    }
+}

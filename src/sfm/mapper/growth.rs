@@ -1,0 +1,248 @@
+//! Growing a map from its first pair.
+
+use super::adjustment::{self, Scope};
+use super::initial_pair::InitialPair;
+use super::map::{Map, Slot};
+use super::{Intrinsics, Options, Reason, Report};
+use crate::math::{Rigid3, seeded_rng};
+use crate::sfm::SfmError;
+use crate::sfm::resection::{self, Resection};
+
+/// A map, what has been tried on it, and how to go on.
+pub struct Growth<'a> {
+    map: Map<'a>,
+    intrinsics: Intrinsics,
+    options: &'a Options,
+    seed: u64,
+    pair: Option<InitialPair>,
+    /// By view: known points seen and inliers at the last failed try.
+    failed: Vec<Option<Attempt>>,
+    /// Registered views at the last global adjustment.
+    adjusted_at: usize,
+}
+
+#[derive(Clone, Copy)]
+struct Attempt {
+    visible: usize,
+    inliers: usize,
+}
+
+impl<'a> Growth<'a> {
+    /// An empty map.
+    pub fn new(map: Map<'a>, intrinsics: Intrinsics, options: &'a Options, seed: u64) -> Self {
+        let failed = vec![None; map.poses.len()];
+        Self { map, intrinsics, options, seed, pair: None, failed, adjusted_at: 0 }
+    }
+
+    /// Starts from a pair; `false` when its points do not hold after adjustment.
+    pub fn start(&mut self, pair: &InitialPair) -> Result<bool, SfmError> {
+        self.map.poses[pair.views[0]] = Some(Rigid3::identity());
+        self.map.poses[pair.views[1]] = Some(pair.cam2_from_cam1);
+        self.pair = Some(pair.clone());
+        let limits = self.options.limits();
+        self.map.triangulate_seen_by(pair.views[0], &limits);
+        // Two views do not determine intrinsics: they stay as they are here.
+        adjustment::adjust(&mut self.map, &Scope::Everything, Intrinsics::Fixed, self.options)?;
+        self.map.update_observations(&limits);
+        self.adjusted_at = 2;
+        // Half of what the pair promised: the rest was outliers or has no angle.
+        Ok(self.map.num_points() >= self.options.min_initial_inliers / 2)
+    }
+
+    /// Adds views until none fits any more.
+    pub fn grow(&mut self) -> Result<(), SfmError> {
+        loop {
+            while let Some(view) = self.next_view() {
+                if self.register(view) {
+                    self.settle(view)?;
+                }
+            }
+            // Everything that can be seen was tried: a global adjustment may open new points, then once more.
+            let before = self.map.num_registered();
+            if before > self.adjusted_at {
+                self.adjust_globally()?;
+            }
+            self.retry_between_neighbours();
+            if self.map.num_registered() == before && self.next_view().is_none() {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Adjusts everything on all points, until observations stop changing.
+    pub fn finish(&mut self) -> Result<(), SfmError> {
+        const MAX_ROUNDS: usize = 3;
+        let limits = self.options.limits();
+        for _ in 0..MAX_ROUNDS {
+            self.map.triangulate_all(&limits);
+            self.map.update_observations(&limits);
+            adjustment::adjust(&mut self.map, &Scope::Everything, self.intrinsics, self.options)?;
+            let changed = self.map.update_observations(&limits);
+            let total: usize = (0..self.map.table.tracks.len()).map(|t| self.map.observations(t).count()).sum();
+            const SETTLED_SHARE: f64 = 0.002;
+            if changed as f64 <= SETTLED_SHARE * total as f64 {
+                break;
+            }
+        }
+        self.drop_unsupported_views();
+        Ok(())
+    }
+
+    /// The map and what became of every view.
+    pub fn into_result(self) -> (Map<'a>, Report) {
+        let views = Report::of_views(&self.map, |view| Some(self.reason(view)));
+        let num_observations = (0..self.map.table.tracks.len()).map(|t| self.map.observations(t).count()).sum();
+        let names = |pair: &InitialPair| pair.views.map(|v| self.map.table.views[v].name.clone());
+        let report = Report {
+            views,
+            initial_pair: self.pair.as_ref().map(names),
+            initial_angle_deg: self.pair.as_ref().map_or(0.0, |p| p.median_angle.to_degrees()),
+            initial_homography_ratio: self.pair.as_ref().map_or(0.0, |p| p.homography_ratio),
+            num_starts: 1,
+            num_points: self.map.num_points(),
+            num_observations,
+            mean_error_px: None,
+            failure: None,
+        };
+        (self.map, report)
+    }
+
+    /// The unregistered view that sees most known points; one that failed comes back when it sees a fifth more.
+    fn next_view(&self) -> Option<usize> {
+        const MORE: f64 = 1.2;
+        let ready = |&view: &usize| {
+            let (_, visible) = self.map.visibility(view);
+            let retry = self.failed[view].is_none_or(|a| visible as f64 > MORE * a.visible as f64);
+            self.map.poses[view].is_none() && visible >= self.options.min_resection_inliers && retry
+        };
+        (0..self.map.poses.len()).filter(ready).max_by_key(|&view| (self.map.visibility(view).1, usize::MAX - view))
+    }
+
+    fn register(&mut self, view: usize) -> bool {
+        let visible = self.map.visible(view);
+        let buffers = self.map.pixels_and_points(&visible);
+        let data = self.map.resection_data(view, &buffers);
+        let mut rng = seeded_rng(self.seed, view as u64);
+        let from_neighbour = self
+            .nearest_registered(view)
+            .and_then(|pose| resection::refine_from(&data, &pose, self.options.max_pose_error_px))
+            .filter(|r| self.is_enough(r, visible.len()));
+        let found =
+            from_neighbour.or_else(|| resection::estimate(&data, self.options.max_pose_error_px, &mut rng));
+        self.accept(view, &visible, found)
+    }
+
+    fn accept(&mut self, view: usize, visible: &[Slot], found: Option<Resection>) -> bool {
+        let inliers = found.as_ref().map_or(0, |r| r.inliers.len());
+        match found.filter(|r| self.is_enough(r, visible.len())) {
+            Some(resection) => {
+                self.map.poses[view] = Some(resection.cam_from_world);
+                self.map.activate(resection.inliers.iter().map(|&i| visible[i]));
+                self.failed[view] = None;
+                true
+            }
+            None => {
+                self.failed[view] = Some(Attempt { visible: visible.len(), inliers });
+                false
+            }
+        }
+    }
+
+    fn is_enough(&self, resection: &Resection, num_visible: usize) -> bool {
+        let inliers = resection.inliers.len();
+        inliers >= self.options.min_resection_inliers
+            && inliers as f64 >= self.options.min_inlier_ratio * num_visible as f64
+    }
+
+    /// The pose of the view next in time, if that one is registered.
+    fn nearest_registered(&self, view: usize) -> Option<Rigid3> {
+        if !self.options.ordered {
+            return None;
+        }
+        let neighbour = |v: Option<usize>| v.and_then(|v| self.map.poses.get(v).copied().flatten());
+        neighbour(view.checked_sub(1)).or_else(|| neighbour(Some(view + 1)))
+    }
+
+    /// After a view was added: new points, a local adjustment, and a global one when the map has grown enough.
+    fn settle(&mut self, view: usize) -> Result<(), SfmError> {
+        let limits = self.options.limits();
+        self.map.triangulate_seen_by(view, &limits);
+        if self.map.num_registered() as f64 >= self.options.global_growth * self.adjusted_at as f64 {
+            return self.adjust_globally();
+        }
+        adjustment::adjust(&mut self.map, &Scope::Around(view), Intrinsics::Fixed, self.options)?;
+        Ok(())
+    }
+
+    fn adjust_globally(&mut self) -> Result<(), SfmError> {
+        let limits = self.options.limits();
+        let scope = Scope::Selected { per_view: self.options.growth_points_per_view };
+        let used = adjustment::adjust(&mut self.map, &scope, self.intrinsics, self.options)?;
+        self.map.retriangulate(&limits, &used);
+        self.map.triangulate_all(&limits);
+        self.map.update_observations(&limits);
+        self.adjusted_at = self.map.num_registered();
+        Ok(())
+    }
+
+    /// Tries views that failed from the pose interpolated between registered neighbours on both sides.
+    fn retry_between_neighbours(&mut self) {
+        if !self.options.ordered {
+            return;
+        }
+        for view in 0..self.map.poses.len() {
+            if self.map.poses[view].is_some() {
+                continue;
+            }
+            let Some(start) = self.interpolated(view) else { continue };
+            let visible = self.map.visible(view);
+            let buffers = self.map.pixels_and_points(&visible);
+            let data = self.map.resection_data(view, &buffers);
+            let found = resection::refine_from(&data, &start, self.options.max_pose_error_px);
+            self.accept(view, &visible, found);
+        }
+    }
+
+    /// Between the nearest registered views on both sides, by time order; `None` at the ends.
+    fn interpolated(&self, view: usize) -> Option<Rigid3> {
+        const MAX_GAP: usize = 10;
+        let before = (view.saturating_sub(MAX_GAP)..view).rev().find(|&v| self.map.poses[v].is_some())?;
+        let last = self.map.poses.len().min(view + MAX_GAP);
+        let after = (view + 1..last).find(|&v| self.map.poses[v].is_some())?;
+        let (a, b) = (self.map.poses[before]?, self.map.poses[after]?);
+        let t = (view - before) as f64 / (after - before) as f64;
+        let rotation = a.rotation.try_slerp(&b.rotation, t, 1e-9)?;
+        let center = a.center() + (b.center() - a.center()) * t;
+        Some(Rigid3::from_rotation_and_center(rotation, center))
+    }
+
+    /// Takes out views that filtering has left with too few observations to hold a pose.
+    fn drop_unsupported_views(&mut self) {
+        let mut support = vec![0usize; self.map.poses.len()];
+        for track in 0..self.map.table.tracks.len() {
+            for (_, view, _) in self.map.observations(track) {
+                support[view] += 1;
+            }
+        }
+        let registered: Vec<usize> = self.map.registered().collect();
+        for view in registered {
+            if support[view] < self.options.min_resection_inliers {
+                let (_, visible) = self.map.visibility(view);
+                self.failed[view] = Some(Attempt { visible, inliers: support[view] });
+                self.map.unregister(view);
+            }
+        }
+        self.map.update_observations(&self.options.limits());
+    }
+
+    fn reason(&self, view: usize) -> Reason {
+        let features = self.map.table.views[view].pixels.len();
+        let (in_tracks, visible) = self.map.visibility(view);
+        match self.failed[view] {
+            _ if features == 0 => Reason::NoFeatures,
+            _ if in_tracks == 0 => Reason::NoMatches { features },
+            Some(Attempt { visible, inliers }) => Reason::NoPose { visible, inliers },
+            None => Reason::TooFewPoints { visible, needed: self.options.min_resection_inliers },
+        }
+    }
+}

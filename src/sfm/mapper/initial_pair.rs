@@ -1,0 +1,139 @@
+//! The pair of views that starts a map: many common points, a wide angle, and not one plane or a mere turn.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector2;
+
+use super::Options;
+use crate::camera::Camera;
+use crate::math::{Rigid3, seeded_rng};
+use crate::sfm::tracks::TrackTable;
+use crate::sfm::two_view::{self, Correspondences, TwoViewGeometry};
+
+/// A candidate start.
+#[derive(Clone, Debug)]
+pub struct InitialPair {
+    /// Its two views.
+    pub views: [usize; 2],
+    /// Second camera from first, unit baseline.
+    pub cam2_from_cam1: Rigid3,
+    /// Median angle at the common points, radians.
+    pub median_angle: f64,
+    /// See [`TwoViewGeometry::homography_ratio`].
+    pub homography_ratio: f64,
+}
+
+/// Views that are looked at as partners; of longer sequences an even selection is.
+const MAX_VIEWS: usize = 48;
+/// Pairs whose geometry is estimated.
+const MAX_ESTIMATED: usize = 60;
+
+/// Candidate starts, best first; empty when no pair has enough common points with any angle between them.
+pub fn ranked(table: &TrackTable, cameras: &[Camera], options: &Options, seed: u64) -> Vec<InitialPair> {
+    let common = common_tracks(table, options.min_initial_inliers);
+    let mut estimated: Vec<(f64, InitialPair)> = promising(table, common)
+        .into_iter()
+        .filter_map(|(views, tracks)| {
+            let geometry = geometry_of(table, cameras, options, seed, views, &tracks)?;
+            let score = score(&geometry, options);
+            let pair = InitialPair {
+                views,
+                cam2_from_cam1: geometry.cam2_from_cam1,
+                median_angle: geometry.median_angle,
+                homography_ratio: geometry.homography_ratio,
+            };
+            let usable = geometry.inliers.len() >= options.min_initial_inliers
+                && geometry.median_angle >= options.min_angle_deg.to_radians();
+            usable.then_some((score, pair))
+        })
+        .collect();
+    estimated.sort_by(|a, b| b.0.total_cmp(&a.0));
+    distinct(estimated.into_iter().map(|(_, pair)| pair))
+}
+
+/// Inliers count up to a number that determines the geometry well, angles up to the wanted one; a start that one
+/// homography explains is worth a fraction.
+fn score(geometry: &TwoViewGeometry, options: &Options) -> f64 {
+    const ENOUGH_INLIERS: f64 = 300.0;
+    const PLANAR_DISCOUNT: f64 = 0.7;
+    let inliers = (geometry.inliers.len() as f64).min(ENOUGH_INLIERS).sqrt();
+    let angle = geometry.median_angle.to_degrees().min(options.initial_angle_deg);
+    inliers * angle * (1.0 - PLANAR_DISCOUNT * geometry.homography_ratio.min(1.0))
+}
+
+type PairTracks = ([usize; 2], Vec<usize>);
+
+/// Tracks that two views have in common, for pairs with enough of them.
+fn common_tracks(table: &TrackTable, min_common: usize) -> Vec<PairTracks> {
+    let step = table.views.len().div_ceil(MAX_VIEWS).max(1);
+    let mut common: BTreeMap<[usize; 2], Vec<usize>> = BTreeMap::new();
+    for (index, track) in table.tracks.iter().enumerate() {
+        let views: Vec<usize> = track.iter().map(|f| f.view as usize).filter(|v| v % step == 0).collect();
+        for (i, &a) in views.iter().enumerate() {
+            for &b in &views[i + 1..] {
+                common.entry([a, b]).or_default().push(index);
+            }
+        }
+    }
+    common.into_iter().filter(|(_, tracks)| tracks.len() >= min_common).collect()
+}
+
+/// The pairs with the largest product of common points (up to a number that suffices) and median displacement, which
+/// stands for the baseline until the geometry is known.
+fn promising(table: &TrackTable, common: Vec<PairTracks>) -> Vec<PairTracks> {
+    let mut rated: Vec<(f64, PairTracks)> = common
+        .into_iter()
+        .map(|(views, tracks)| {
+            let mut moved: Vec<f64> = tracks.iter().filter_map(|&t| displacement(table, t, views)).collect();
+            let middle = moved.len() / 2;
+            let median = *moved.select_nth_unstable_by(middle, f64::total_cmp).1;
+            let count = (tracks.len() as f64).min(400.0);
+            (count.sqrt() * median.max(0.1).sqrt(), (views, tracks))
+        })
+        .collect();
+    rated.sort_by(|a, b| b.0.total_cmp(&a.0));
+    // Every other candidate from the whole list, so that one kind of pair (far apart, few points) does not fill it.
+    let step = (rated.len() / MAX_ESTIMATED).max(1);
+    let head = MAX_ESTIMATED / 2;
+    let (front, rest): (Vec<_>, Vec<_>) = rated.into_iter().enumerate().partition(|(i, _)| *i < head);
+    let spread = rest.into_iter().filter(|(i, _)| i % step == 0).take(MAX_ESTIMATED - head);
+    front.into_iter().chain(spread).map(|(_, (_, pair))| pair).collect()
+}
+
+fn displacement(table: &TrackTable, track: usize, views: [usize; 2]) -> Option<f64> {
+    let pixel = |view: usize| table.tracks[track].iter().find(|f| f.view as usize == view).map(|f| table.pixel(*f));
+    Some((pixel(views[0])? - pixel(views[1])?).norm())
+}
+
+fn geometry_of(
+    table: &TrackTable,
+    cameras: &[Camera],
+    options: &Options,
+    seed: u64,
+    views: [usize; 2],
+    tracks: &[usize],
+) -> Option<TwoViewGeometry> {
+    let camera = |side: usize| &cameras[table.views[views[side]].camera];
+    let normalized = |side: usize| -> Vec<Vector2<f64>> {
+        let feature = |t: &usize| table.tracks[*t].iter().find(|f| f.view as usize == views[side]).copied();
+        tracks.iter().filter_map(feature).map(|f| camera(side).normalized_from_pixel(table.pixel(f))).collect()
+    };
+    let (first, second) = (normalized(0), normalized(1));
+    let mean_focal = (camera(0).mean_focal() * camera(1).mean_focal()).sqrt();
+    let stream = (views[0] as u64) << 32 | views[1] as u64;
+    let pairs = Correspondences { first: &first, second: &second };
+    two_view::estimate(&pairs, options.max_pose_error_px / mean_focal, &mut seeded_rng(seed, stream))
+}
+
+/// Leaves out a pair when a better one lies within two views of it on both sides: a second start should differ.
+fn distinct(pairs: impl Iterator<Item = InitialPair>) -> Vec<InitialPair> {
+    const NEAR: usize = 2;
+    let mut kept: Vec<InitialPair> = Vec::new();
+    for pair in pairs {
+        let near = |other: &InitialPair| (0..2).all(|side| other.views[side].abs_diff(pair.views[side]) <= NEAR);
+        if !kept.iter().any(near) {
+            kept.push(pair);
+        }
+    }
+    kept
+}

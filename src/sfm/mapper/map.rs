@@ -1,0 +1,299 @@
+//! The state of a growing map.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Point2, Point3};
+
+use crate::camera::Camera;
+use crate::math::Rigid3;
+use crate::scene::{CameraId, Image, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
+use crate::sfm::resection::PixelsAndPoints;
+use crate::sfm::tracks::TrackTable;
+use crate::sfm::triangulation::{self, Limits, View, widest_angle};
+
+/// A track whose point is known.
+#[derive(Clone, Debug)]
+pub struct MapPoint {
+    /// In the world.
+    pub position: Point3<f64>,
+    /// For each feature of the track, whether it is an observation of the point: its view is registered and it fits.
+    pub active: Vec<bool>,
+}
+
+/// Place of a feature in its track.
+#[derive(Clone, Copy, Debug)]
+pub struct Slot {
+    /// Track index.
+    pub track: u32,
+    /// Index in the track.
+    pub slot: u32,
+}
+
+/// Poses and points found so far.
+#[derive(Clone)]
+pub struct Map<'a> {
+    /// What is reconstructed.
+    pub table: &'a TrackTable,
+    /// Intrinsics.
+    pub cameras: Vec<Camera>,
+    /// World to camera, by view; `None` where not registered.
+    pub poses: Vec<Option<Rigid3>>,
+    /// By track.
+    points: Vec<Option<MapPoint>>,
+    /// Features of each view that belong to tracks.
+    slots_of_view: Vec<Vec<Slot>>,
+    /// How many of them have a known point.
+    num_visible: Vec<usize>,
+}
+
+impl<'a> Map<'a> {
+    /// Nothing known yet.
+    pub fn new(table: &'a TrackTable, cameras: &[Camera]) -> Self {
+        let mut slots_of_view = vec![Vec::new(); table.views.len()];
+        for (track, features) in table.tracks.iter().enumerate() {
+            for (slot, feature) in features.iter().enumerate() {
+                slots_of_view[feature.view as usize].push(Slot { track: track as u32, slot: slot as u32 });
+            }
+        }
+        Self {
+            table,
+            cameras: cameras.to_vec(),
+            poses: vec![None; table.views.len()],
+            points: vec![None; table.tracks.len()],
+            num_visible: vec![0; table.views.len()],
+            slots_of_view,
+        }
+    }
+
+    /// Registered views.
+    pub fn num_registered(&self) -> usize {
+        self.poses.iter().flatten().count()
+    }
+
+    /// Registered views, ascending.
+    pub fn registered(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.poses.len()).filter(|&view| self.poses[view].is_some())
+    }
+
+    /// Known points.
+    pub fn num_points(&self) -> usize {
+        self.points.iter().flatten().count()
+    }
+
+    /// The point of a track, if known.
+    pub fn point(&self, track: usize) -> Option<&MapPoint> {
+        self.points[track].as_ref()
+    }
+
+    /// Moves a known point.
+    pub fn move_point(&mut self, track: usize, position: Point3<f64>) {
+        if let Some(point) = &mut self.points[track] {
+            point.position = position;
+        }
+    }
+
+    /// How many features of a view belong to tracks, and how many of those have a known point.
+    pub fn visibility(&self, view: usize) -> (usize, usize) {
+        (self.slots_of_view[view].len(), self.num_visible[view])
+    }
+
+    /// Features of a view that belong to tracks.
+    pub fn slots(&self, view: usize) -> &[Slot] {
+        &self.slots_of_view[view]
+    }
+
+    /// Features of a view whose points are known.
+    pub fn visible(&self, view: usize) -> Vec<Slot> {
+        self.slots_of_view[view].iter().copied().filter(|s| self.points[s.track as usize].is_some()).collect()
+    }
+
+    /// View and position of a feature of a track.
+    pub fn feature(&self, track: usize, slot: usize) -> (usize, Point2<f64>) {
+        let feature = self.table.tracks[track][slot];
+        (feature.view as usize, self.table.pixel(feature))
+    }
+
+    /// The intrinsics of a view.
+    pub fn camera_of(&self, view: usize) -> &Camera {
+        &self.cameras[self.table.views[view].camera]
+    }
+
+    /// Pixels and points at some features of a view, for resection.
+    pub fn pixels_and_points(&self, slots: &[Slot]) -> (Vec<Point2<f64>>, Vec<Point3<f64>>) {
+        slots
+            .iter()
+            .filter_map(|s| {
+                let point = self.points[s.track as usize].as_ref()?;
+                Some((self.feature(s.track as usize, s.slot as usize).1, point.position))
+            })
+            .unzip()
+    }
+
+    /// The data of a resection, over buffers made by [`Map::pixels_and_points`].
+    pub fn resection_data<'b>(
+        &'b self,
+        view: usize,
+        (pixels, points): &'b (Vec<Point2<f64>>, Vec<Point3<f64>>),
+    ) -> PixelsAndPoints<'b> {
+        PixelsAndPoints { camera: self.camera_of(view), pixels, points }
+    }
+
+    /// Marks features as observations of their points.
+    pub fn activate(&mut self, slots: impl IntoIterator<Item = Slot>) {
+        for s in slots {
+            if let Some(point) = &mut self.points[s.track as usize] {
+                point.active[s.slot as usize] = true;
+            }
+        }
+    }
+
+    /// Takes a view out again, with all its observations.
+    pub fn unregister(&mut self, view: usize) {
+        self.poses[view] = None;
+        for s in self.slots_of_view[view].clone() {
+            if let Some(point) = &mut self.points[s.track as usize] {
+                point.active[s.slot as usize] = false;
+            }
+        }
+    }
+
+    /// Triangulates the unknown points that a view sees; returns how many were found.
+    pub fn triangulate_seen_by(&mut self, view: usize, limits: &Limits) -> usize {
+        let unknown: Vec<usize> = self.slots_of_view[view]
+            .iter()
+            .map(|s| s.track as usize)
+            .filter(|&track| self.points[track].is_none())
+            .collect();
+        unknown.into_iter().filter(|&track| self.triangulate(track, limits)).count()
+    }
+
+    /// Triangulates every unknown point; returns how many were found.
+    pub fn triangulate_all(&mut self, limits: &Limits) -> usize {
+        (0..self.points.len()).filter(|&t| self.points[t].is_none() && self.triangulate(t, limits)).count()
+    }
+
+    fn triangulate(&mut self, track: usize, limits: &Limits) -> bool {
+        let slots: Vec<usize> =
+            (0..self.table.tracks[track].len()).filter(|&slot| self.pose_at(track, slot).is_some()).collect();
+        if slots.len() < 2 {
+            return false;
+        }
+        let views: Vec<View<'_>> = slots.iter().filter_map(|&slot| self.view_at(track, slot)).collect();
+        let Some(found) = triangulation::triangulate(&views, limits) else { return false };
+        let mut active = vec![false; self.table.tracks[track].len()];
+        for (&slot, inlier) in slots.iter().zip(found.inliers) {
+            active[slot] = inlier;
+        }
+        self.set_point(track, Some(MapPoint { position: found.position, active }));
+        true
+    }
+
+    /// Triangulates known points anew from their observations, leaving out those for which `keep` holds (they were
+    /// adjusted already). A point whose observations no longer meet is dropped.
+    pub fn retriangulate(&mut self, limits: &Limits, keep: &[bool]) {
+        for track in 0..self.points.len() {
+            if self.points[track].is_some() && !keep[track] {
+                self.set_point(track, None);
+                self.triangulate(track, limits);
+            }
+        }
+    }
+
+    /// Adds the registered views that see known points and fit, and takes out observations that do not, points with
+    /// fewer than two observations, and points without an angle. Returns how many observations changed.
+    pub fn update_observations(&mut self, limits: &Limits) -> usize {
+        let mut changed = 0;
+        let max_sq = limits.max_error_px * limits.max_error_px;
+        for track in 0..self.points.len() {
+            let Some(point) = &self.points[track] else { continue };
+            let position = point.position;
+            let fits = |slot: usize| self.view_at(track, slot).is_some_and(|v| v.error_sq(position) <= max_sq);
+            let active: Vec<bool> = (0..point.active.len()).map(fits).collect();
+            changed += active.iter().zip(&point.active).filter(|(a, b)| a != b).count();
+            let centers = (0..active.len())
+                .filter(|&slot| active[slot])
+                .filter_map(|slot| self.pose_at(track, slot).map(Rigid3::center));
+            let enough = active.iter().filter(|&&a| a).count() >= 2;
+            if enough && widest_angle(position, centers) >= limits.min_angle {
+                self.points[track] = Some(MapPoint { position, active });
+            } else {
+                self.set_point(track, None);
+            }
+        }
+        changed
+    }
+
+    fn set_point(&mut self, track: usize, point: Option<MapPoint>) {
+        let (before, after) = (self.points[track].is_some(), point.is_some());
+        self.points[track] = point;
+        if before != after {
+            for feature in &self.table.tracks[track] {
+                let count = &mut self.num_visible[feature.view as usize];
+                *count = if after { *count + 1 } else { *count - 1 };
+            }
+        }
+    }
+
+    fn pose_at(&self, track: usize, slot: usize) -> Option<&Rigid3> {
+        self.poses[self.table.tracks[track][slot].view as usize].as_ref()
+    }
+
+    fn view_at(&self, track: usize, slot: usize) -> Option<View<'_>> {
+        let (view, pixel) = self.feature(track, slot);
+        Some(View { camera: self.camera_of(view), cam_from_world: self.poses[view].as_ref()?, pixel })
+    }
+
+    /// Observations of a known point: slot, view and pixel.
+    pub fn observations(&self, track: usize) -> impl Iterator<Item = (usize, usize, Point2<f64>)> + '_ {
+        let active = self.points[track].iter().flat_map(|p| p.active.iter().enumerate());
+        active.filter(|(_, active)| **active).map(move |(slot, _)| {
+            let (view, pixel) = self.feature(track, slot);
+            (slot, view, pixel)
+        })
+    }
+
+    /// The result, in COLMAP's terms: registered views with all their features, points with their observations.
+    pub fn into_reconstruction(self) -> Reconstruction {
+        let camera_id = |camera: usize| CameraId(camera as u32 + 1);
+        let cameras = self.cameras.iter().enumerate().map(|(i, c)| (camera_id(i), *c)).collect();
+        let mut images = BTreeMap::new();
+        for (view, pose) in self.poses.iter().enumerate() {
+            let (Some(pose), source) = (pose, &self.table.views[view]) else { continue };
+            let observations = source.pixels.iter().map(|&pixel| Observation { pixel, point: None }).collect();
+            let image =
+                Image { name: source.name.clone(), camera: camera_id(source.camera), cam_from_world: *pose, observations };
+            images.insert(source.image, image);
+        }
+        let mut points = BTreeMap::new();
+        for track in 0..self.points.len() {
+            if let Some(point) = self.colmap_point(track) {
+                let id = Point3dId(points.len() as u64 + 1);
+                for element in &point.track {
+                    if let Some(image) = images.get_mut(&element.image) {
+                        image.observations[element.observation_idx as usize].point = Some(id);
+                    }
+                }
+                points.insert(id, point);
+            }
+        }
+        Reconstruction { cameras, images, points }
+    }
+
+    fn colmap_point(&self, track: usize) -> Option<Point3d> {
+        let position = self.points[track].as_ref()?.position;
+        let mut elements = Vec::new();
+        let (mut rgb_sum, mut error_sum) = ([0u32; 3], 0.0);
+        for (slot, view, _) in self.observations(track) {
+            let feature = self.table.tracks[track][slot];
+            let source = &self.table.views[view];
+            elements.push(TrackElement { image: source.image, observation_idx: feature.feature });
+            for (sum, c) in rgb_sum.iter_mut().zip(source.rgb[feature.feature as usize]) {
+                *sum += u32::from(c);
+            }
+            error_sum += self.view_at(track, slot)?.error_sq(position).sqrt();
+        }
+        let n = elements.len();
+        let rgb = rgb_sum.map(|sum| (sum / (n as u32).max(1)) as u8);
+        (n >= 2).then(|| Point3d { position, rgb, error_px: error_sum / n as f64, track: elements })
+    }
+}

@@ -1,0 +1,157 @@
+//! Incremental reconstruction of one target (the background, or one object) from its tracks.
+//!
+//! A pair of views with many common points and a wide angle starts the map. Views are added one by one, the one that sees
+//! most known points first: its pose by P3P ([`super::resection`]), new points by triangulation
+//! ([`super::triangulation`]), then a local bundle adjustment round it, and a global one whenever the map has grown by a
+//! fixed share. Views that fail are tried again when they see more points, and at the end, for a video, from the poses of
+//! their neighbours. When a start does not carry far, the next pair is tried, and the largest map is kept.
+//!
+//! Every view that is not part of the result has a [`Reason`] in the [`Report`].
+
+mod adjustment;
+mod growth;
+mod initial_pair;
+mod map;
+mod report;
+
+use serde::{Deserialize, Serialize};
+
+pub use report::{Outcome, Reason, Report};
+
+use super::SfmError;
+use super::tracks::TrackTable;
+use super::triangulation::Limits;
+use crate::camera::Camera;
+use crate::scene::Reconstruction;
+use growth::Growth;
+use map::Map;
+
+/// What is known of the intrinsics.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Intrinsics {
+    /// Given, or found on the background: not touched.
+    Fixed,
+    /// A guess: focal length and radial distortion are refined with the map.
+    Refined,
+}
+
+/// How a map is built.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Options {
+    /// Fewest inliers of the pair that starts the map.
+    pub min_initial_inliers: usize,
+    /// Median angle at which a starting pair is wide enough, degrees; narrower ones are taken when there is none.
+    pub initial_angle_deg: f64,
+    /// Fewest inliers with which a view is registered.
+    pub min_resection_inliers: usize,
+    /// Fewest inliers of a resection as a share of the known points that the view sees.
+    pub min_inlier_ratio: f64,
+    /// Epipolar and resection threshold, pixels.
+    pub max_pose_error_px: f64,
+    /// Reprojection error above which an observation is taken out, pixels.
+    pub max_error_px: f64,
+    /// Smallest angle between two rays of a point, degrees.
+    pub min_angle_deg: f64,
+    /// Scale of the robust loss of bundle adjustment, pixels.
+    pub loss_scale_px: f64,
+    /// Free poses of a local bundle adjustment.
+    pub local_views: usize,
+    /// Growth of the number of views after which everything is adjusted.
+    pub global_growth: f64,
+    /// Points per view in the global adjustments while the map grows; the last ones take all.
+    pub growth_points_per_view: usize,
+    /// Starts that are tried before the largest map is taken.
+    pub max_starts: usize,
+    /// Whether views are in time order, so that a failed one can be tried from its neighbours.
+    pub ordered: bool,
+    /// Threads.
+    pub threads: usize,
+}
+
+impl Options {
+    /// For the background.
+    pub fn background() -> Self {
+        Self {
+            min_initial_inliers: 60,
+            initial_angle_deg: 12.0,
+            min_resection_inliers: 20,
+            min_inlier_ratio: 0.2,
+            max_pose_error_px: 4.0,
+            max_error_px: 3.0,
+            min_angle_deg: 1.0,
+            loss_scale_px: 1.0,
+            local_views: 6,
+            global_growth: 1.3,
+            growth_points_per_view: 250,
+            max_starts: 3,
+            ordered: true,
+            threads: 1,
+        }
+    }
+
+    /// For one object: far fewer points, so less is asked of them, and they must fit better.
+    pub fn object() -> Self {
+        Self {
+            min_initial_inliers: 16,
+            initial_angle_deg: 8.0,
+            min_resection_inliers: 7,
+            min_inlier_ratio: 0.25,
+            max_pose_error_px: 3.0,
+            max_error_px: 2.0,
+            min_angle_deg: 1.0,
+            max_starts: 5,
+            ..Self::background()
+        }
+    }
+
+    fn limits(&self) -> Limits {
+        Limits { max_error_px: self.max_error_px, min_angle: self.min_angle_deg.to_radians() }
+    }
+}
+
+/// Builds the largest map that the tracks carry.
+///
+/// * `cameras` – intrinsics, indexed by [`super::tracks::View::camera`].
+///
+/// The reconstruction is empty when no pair of views can start one; the report then says why.
+///
+/// # Errors
+/// [`SfmError::Bundle`] only on an invalid bundle adjustment problem, which would be a bug.
+pub fn reconstruct(
+    table: &TrackTable,
+    cameras: &[Camera],
+    intrinsics: Intrinsics,
+    options: &Options,
+    seed: u64,
+) -> Result<(Reconstruction, Report), SfmError> {
+    let pairs = initial_pair::ranked(table, cameras, options, seed);
+    let usable = table.views.iter().filter(|v| !v.pixels.is_empty()).count();
+    let mut best: Option<(Map, Report)> = None;
+    let mut num_starts = 0;
+    for pair in pairs.iter().take(options.max_starts) {
+        num_starts += 1;
+        let mut growth = Growth::new(Map::new(table, cameras), intrinsics, options, seed);
+        if !growth.start(pair)? {
+            continue;
+        }
+        growth.grow()?;
+        growth.finish()?;
+        let (map, report) = growth.into_result();
+        let larger = best.as_ref().is_none_or(|(b, _)| map.num_registered() > b.num_registered());
+        if larger {
+            best = Some((map, report));
+        }
+        const GOOD_SHARE: f64 = 0.95;
+        if best.as_ref().is_some_and(|(b, _)| b.num_registered() as f64 >= GOOD_SHARE * usable as f64) {
+            break;
+        }
+    }
+    Ok(match best {
+        Some((map, mut report)) => {
+            report.num_starts = num_starts;
+            (map.into_reconstruction(), report)
+        }
+        None => (Reconstruction::default(), Report::without_start(table, pairs.len(), num_starts)),
+    })
+}

@@ -1,0 +1,131 @@
+//! What became of every view.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::map::Map;
+use crate::scene::ImageId;
+use crate::sfm::tracks::TrackTable;
+
+/// Why a view is not part of the map.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", tag = "kind")]
+pub enum Reason {
+    /// The target is not seen, or nothing on it could be told from its surroundings.
+    NoFeatures,
+    /// Features, but none that another view shows too.
+    NoMatches {
+        /// Features found.
+        features: usize,
+    },
+    /// Too few of its features belong to known points.
+    TooFewPoints {
+        /// Known points that it sees.
+        visible: usize,
+        /// Known points that it would need.
+        needed: usize,
+    },
+    /// No pose on which enough of its points agree.
+    NoPose {
+        /// Known points that it sees.
+        visible: usize,
+        /// Most of them that agreed on one pose.
+        inliers: usize,
+    },
+    /// Nothing was reconstructed at all.
+    NoStart,
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoFeatures => write!(f, "no features on it"),
+            Self::NoMatches { features } => write!(f, "none of its {features} features is seen in another frame"),
+            Self::TooFewPoints { visible, needed } => {
+                write!(f, "it sees {visible} reconstructed points, {needed} are needed")
+            }
+            Self::NoPose { visible, inliers } => {
+                write!(f, "of {visible} points that it sees, only {inliers} agree on a pose")
+            }
+            Self::NoStart => write!(f, "no pair of frames could start a reconstruction"),
+        }
+    }
+}
+
+/// What became of one view.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Outcome {
+    /// The image.
+    pub image: ImageId,
+    /// Its name.
+    pub name: String,
+    /// `None` when it is registered.
+    pub failure: Option<Reason>,
+}
+
+/// How a reconstruction went.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Every view, in the order of the table.
+    pub views: Vec<Outcome>,
+    /// Names of the pair that started the map.
+    pub initial_pair: Option<[String; 2]>,
+    /// Median angle of that pair, degrees.
+    pub initial_angle_deg: f64,
+    /// Inliers of one homography over inliers of the epipolar geometry, for that pair: near one for a plane.
+    pub initial_homography_ratio: f64,
+    /// Starts that were tried.
+    pub num_starts: usize,
+    /// Points of the map.
+    pub num_points: usize,
+    /// Their observations.
+    pub num_observations: usize,
+    /// Mean reprojection error, pixels.
+    pub mean_error_px: Option<f64>,
+    /// Why nothing was reconstructed, where nothing was.
+    pub failure: Option<String>,
+}
+
+impl Report {
+    /// Registered views.
+    pub fn num_registered(&self) -> usize {
+        self.views.iter().filter(|v| v.failure.is_none()).count()
+    }
+
+    /// Views that are not registered.
+    pub fn failures(&self) -> impl Iterator<Item = (&str, &Reason)> {
+        self.views.iter().filter_map(|v| Some((v.name.as_str(), v.failure.as_ref()?)))
+    }
+
+    pub(super) fn of_views(map: &Map<'_>, failure: impl Fn(usize) -> Option<Reason>) -> Vec<Outcome> {
+        let outcome = |(view, source): (usize, &crate::sfm::tracks::View)| Outcome {
+            image: source.image,
+            name: source.name.clone(),
+            failure: if map.poses[view].is_some() { None } else { failure(view) },
+        };
+        map.table.views.iter().enumerate().map(outcome).collect()
+    }
+
+    /// The report of a target that no pair of views could start.
+    pub(super) fn without_start(table: &TrackTable, num_pairs: usize, num_starts: usize) -> Self {
+        let map = Map::new(table, &[]);
+        let seen = |view: &crate::sfm::tracks::View| !view.pixels.is_empty();
+        let num_seen = table.views.iter().filter(|v| seen(v)).count();
+        let failure = if num_seen < 2 {
+            format!("features in {num_seen} of {} frames; a reconstruction needs at least two", table.views.len())
+        } else if table.tracks.is_empty() {
+            "no feature could be followed from one frame to another".to_owned()
+        } else if num_pairs == 0 {
+            "no pair of frames has enough common points seen from different directions: the camera hardly moves round \
+             the target, or the target is too small or too smooth"
+                .to_owned()
+        } else {
+            format!("{num_starts} pairs of frames were tried and none gave a stable set of points")
+        };
+        let reason = |view: usize| {
+            Some(if table.views[view].pixels.is_empty() { Reason::NoFeatures } else { Reason::NoStart })
+        };
+        Self { views: Self::of_views(&map, reason), num_starts, failure: Some(failure), ..Self::default() }
+    }
+}
