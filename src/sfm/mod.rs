@@ -1,22 +1,63 @@
 //! Structure from motion: cameras and points of the background, and of each object, from what is seen of them.
 //!
-//! A front end turns frames and masks into a [`TrackTable`] ([`front_end`]); the [`mapper`] turns that into a
-//! reconstruction. Both serve background and objects alike; only their options differ.
+//! A [`FrontEnd`] turns frames and masks into a [`TrackTable`]; [`reconstruct`] turns that into a reconstruction. Both
+//! serve background and objects alike; only their [`Options`] differ.
 
 pub mod bundle;
 pub mod features;
-pub mod front_end;
 pub mod mapper;
 pub mod matching;
+pub mod patch;
 pub mod resection;
+pub mod sift_front_end;
 pub mod solvers;
 pub mod tracks;
 pub mod triangulation;
 pub mod two_view;
+pub mod video_front_end;
 
 mod error;
+mod front_end;
+
+use serde::{Deserialize, Serialize};
 
 pub use error::SfmError;
-pub use front_end::{FrontEndOptions, SiftFrontEnd};
-pub use mapper::{Intrinsics, Options, Report, reconstruct};
+pub use front_end::{FrontEnd, FrontEndOptions};
+pub use mapper::{Intrinsics, Report, reconstruct};
+use sift_front_end::SiftOptions;
 pub use tracks::TrackTable;
+use video_front_end::VideoOptions;
+
+/// How one target is reconstructed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Options {
+    /// From frames to tracks.
+    pub front_end: FrontEndOptions,
+    /// From tracks to a map.
+    pub mapper: mapper::Options,
+}
+
+impl Options {
+    /// For the background of a video.
+    pub fn background() -> Self {
+        let front_end = FrontEndOptions::Video(VideoOptions::background());
+        Self { front_end, mapper: mapper::Options::background() }
+    }
+
+    /// For one object of a video.
+    pub fn object() -> Self {
+        Self { front_end: FrontEndOptions::Video(VideoOptions::object()), mapper: mapper::Options::object() }
+    }
+
+    /// For photographs in no order.
+    pub fn unordered() -> Self {
+        let mapper = mapper::Options { ordered: false, ..mapper::Options::background() };
+        Self { front_end: FrontEndOptions::unordered(), mapper }
+    }
+
+    /// The same by SIFT in every frame, matched between frames.
+    pub fn with_sift(self, object: bool) -> Self {
+        let sift = if object { SiftOptions::object() } else { SiftOptions::background() };
+        Self { front_end: FrontEndOptions::Sift(sift), ..self }
+    }
+}

@@ -38,7 +38,9 @@ pub fn estimate(pairs: &Correspondences<'_>, max_error: f64, rng: &mut Rng) -> O
     let essential = robust::ransac(&EssentialEstimator(pairs), &options, rng)?;
     let (cam2_from_cam1, inliers) = pose_in_front(pairs, &essential)?;
     let angles = inliers.iter().filter_map(|&i| ray_angle(pairs, &cam2_from_cam1, i)).collect();
-    let homography = robust::ransac(&HomographyEstimator(pairs), &options, rng);
+    // A share is asked for, not a model: where no plane dominates, more samples would only say so more slowly.
+    let few = robust::Options { max_iterations: 200, ..options };
+    let homography = robust::ransac(&HomographyEstimator(pairs), &few, rng);
     let homography_inliers = homography.map_or(0, |h| h.inliers.len());
     Some(TwoViewGeometry {
         median_angle: median(angles)?,

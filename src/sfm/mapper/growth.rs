@@ -127,8 +127,7 @@ impl<'a> Growth<'a> {
             .nearest_registered(view)
             .and_then(|pose| resection::refine_from(&data, &pose, self.options.max_pose_error_px))
             .filter(|r| self.is_enough(r, visible.len()));
-        let found =
-            from_neighbour.or_else(|| resection::estimate(&data, self.options.max_pose_error_px, &mut rng));
+        let found = from_neighbour.or_else(|| resection::estimate(&data, self.options.max_pose_error_px, &mut rng));
         self.accept(view, &visible, found)
     }
 

@@ -97,11 +97,6 @@ impl<'a> Map<'a> {
         (self.slots_of_view[view].len(), self.num_visible[view])
     }
 
-    /// Features of a view that belong to tracks.
-    pub fn slots(&self, view: usize) -> &[Slot] {
-        &self.slots_of_view[view]
-    }
-
     /// Features of a view whose points are known.
     pub fn visible(&self, view: usize) -> Vec<Slot> {
         self.slots_of_view[view].iter().copied().filter(|s| self.points[s.track as usize].is_some()).collect()
@@ -260,8 +255,12 @@ impl<'a> Map<'a> {
         for (view, pose) in self.poses.iter().enumerate() {
             let (Some(pose), source) = (pose, &self.table.views[view]) else { continue };
             let observations = source.pixels.iter().map(|&pixel| Observation { pixel, point: None }).collect();
-            let image =
-                Image { name: source.name.clone(), camera: camera_id(source.camera), cam_from_world: *pose, observations };
+            let image = Image {
+                name: source.name.clone(),
+                camera: camera_id(source.camera),
+                cam_from_world: *pose,
+                observations,
+            };
             images.insert(source.image, image);
         }
         let mut points = BTreeMap::new();

@@ -13,6 +13,8 @@ mod growth;
 mod initial_pair;
 mod map;
 mod report;
+#[cfg(test)]
+mod tests;
 
 use serde::{Deserialize, Serialize};
 

@@ -123,9 +123,8 @@ impl Report {
         } else {
             format!("{num_starts} pairs of frames were tried and none gave a stable set of points")
         };
-        let reason = |view: usize| {
-            Some(if table.views[view].pixels.is_empty() { Reason::NoFeatures } else { Reason::NoStart })
-        };
+        let reason =
+            |view: usize| Some(if table.views[view].pixels.is_empty() { Reason::NoFeatures } else { Reason::NoStart });
         Self { views: Self::of_views(&map, reason), num_starts, failure: Some(failure), ..Self::default() }
     }
 }

@@ -1,0 +1,131 @@
+//! The mapper on worlds whose truth is known.
+
+use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
+use rand::Rng as _;
+use rand_distr::{Distribution, Normal};
+
+use super::*;
+use crate::math::{Rigid3, Rng, seeded_rng, umeyama};
+use crate::scene::ImageId;
+use crate::sfm::tracks::{Feature, Track, View};
+
+/// A camera that flies along an arc and looks at a box of points.
+struct World {
+    camera: Camera,
+    poses: Vec<Rigid3>,
+    points: Vec<Point3<f64>>,
+}
+
+fn look_at(center: Point3<f64>, target: Point3<f64>) -> Rigid3 {
+    let forward = (target - center).normalize();
+    let right = forward.cross(&Vector3::new(0.0, 0.0, 1.0)).normalize();
+    let down = forward.cross(&right);
+    let rotation = nalgebra::Rotation3::from_basis_unchecked(&[right, down, forward]).inverse();
+    Rigid3::from_rotation_and_center(UnitQuaternion::from_rotation_matrix(&rotation), center)
+}
+
+fn world(num_views: u32, num_points: usize) -> World {
+    let mut rng = seeded_rng(4, 4);
+    let pose = |i: u32| {
+        let t = f64::from(i) / 20.0;
+        look_at(Point3::new(12.0 * t.cos(), 12.0 * t.sin(), 5.0 + t), Point3::origin())
+    };
+    let points = (0..num_points).map(|_| Point3::from(Vector3::from_fn(|_, _| rng.random_range(-3.0..3.0)))).collect();
+    World { camera: Camera::with_focal(960, 540, 900.0), poses: (0..num_views).map(pose).collect(), points }
+}
+
+/// Tracks of all points over windows of views, with noise; `wrong` of them jump away halfway.
+fn tracks(world: &World, noise_px: f64, wrong: usize, rng: &mut Rng) -> TrackTable {
+    const WINDOW: usize = 15;
+    let normal = Normal::new(0.0, noise_px.max(1e-12)).unwrap();
+    let view = |i: usize| View {
+        image: ImageId(i as u32 + 1),
+        name: format!("{i:06}.jpg"),
+        camera: 0,
+        pixels: Vec::new(),
+        rgb: Vec::new(),
+    };
+    let mut table = TrackTable { views: (0..world.poses.len()).map(view).collect(), tracks: Vec::new() };
+    for (index, point) in world.points.iter().enumerate() {
+        // Windows reach over both ends, so that the first and the last view see as much as the others.
+        let end = rng.random_range(WINDOW / 2..world.poses.len() + WINDOW / 2);
+        let first = end.saturating_sub(WINDOW);
+        let mut track = Track::new();
+        for view in first..end.min(world.poses.len()) {
+            let Some(mut pixel) = world.camera.pixel_from_cam(world.poses[view] * *point) else { continue };
+            pixel += nalgebra::Vector2::new(normal.sample(rng), normal.sample(rng));
+            if index < wrong && view > first + WINDOW / 2 {
+                pixel = Point2::new(rng.random_range(0.0..960.0), rng.random_range(0.0..540.0));
+            }
+            let source = &mut table.views[view];
+            track.push(Feature { view: view as u32, feature: source.pixels.len() as u32 });
+            source.pixels.push(pixel);
+            source.rgb.push([120; 3]);
+        }
+        table.tracks.push(track);
+    }
+    table
+}
+
+/// Root mean square distance of the centres after alignment, relative to the length of the path.
+fn center_error(reconstruction: &Reconstruction, world: &World) -> f64 {
+    let (found, truth): (Vec<_>, Vec<_>) = reconstruction
+        .images
+        .iter()
+        .map(|(id, image)| (image.cam_from_world.center(), world.poses[id.0 as usize - 1].center()))
+        .unzip();
+    let similarity = umeyama(&found, &truth).unwrap();
+    let sum: f64 = found.iter().zip(&truth).map(|(a, b)| (similarity * *a - b).norm_squared()).sum();
+    (sum / found.len() as f64).sqrt()
+}
+
+#[test]
+fn exact_tracks_give_the_exact_path() {
+    let world = world(30, 400);
+    let table = tracks(&world, 0.0, 0, &mut seeded_rng(1, 0));
+    let (found, report) = reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 1).unwrap();
+    assert_eq!(report.num_registered(), 30);
+    assert!(center_error(&found, &world) < 1e-4, "{}", center_error(&found, &world));
+}
+
+#[test]
+fn noise_and_wrong_tracks_are_survived_and_seeds_repeat() {
+    let world = world(40, 600);
+    let table = tracks(&world, 0.3, 80, &mut seeded_rng(2, 0));
+    let run = || reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 1).unwrap();
+    let (found, report) = run();
+    assert_eq!(report.num_registered(), 40);
+    // 0.3 px at 900 px focal length and 13 units distance are 4 mm; hundreds of points average that down.
+    assert!(center_error(&found, &world) < 0.01, "{}", center_error(&found, &world));
+    assert_eq!(run().0, found);
+}
+
+#[test]
+fn unknown_focal_length_is_found() {
+    let world = world(40, 600);
+    let table = tracks(&world, 0.2, 20, &mut seeded_rng(3, 0));
+    let guess = Camera::prior(960, 540);
+    let (found, report) = reconstruct(&table, &[guess], Intrinsics::Refined, &Options::background(), 1).unwrap();
+    assert_eq!(report.num_registered(), 40);
+    let focal = found.cameras.values().next().unwrap().mean_focal();
+    assert!((focal / 900.0 - 1.0).abs() < 0.01, "{focal}");
+}
+
+#[test]
+fn what_cannot_be_reconstructed_has_a_reason() {
+    let empty = TrackTable::default();
+    let camera = Camera::prior(960, 540);
+    let (found, report) = reconstruct(&empty, &[camera], Intrinsics::Fixed, &Options::object(), 0).unwrap();
+    assert!(found.is_empty() && report.failure.is_some());
+
+    // A view that sees nothing, in the middle of a good sequence.
+    let world = world(30, 300);
+    let mut table = tracks(&world, 0.1, 0, &mut seeded_rng(5, 0));
+    for track in &mut table.tracks {
+        track.retain(|f| f.view != 12);
+    }
+    table.views[12].pixels.clear();
+    table.views[12].rgb.clear();
+    let (_, report) = reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 0).unwrap();
+    assert_eq!(report.failures().collect::<Vec<_>>(), [("000012.jpg", &Reason::NoFeatures)]);
+}

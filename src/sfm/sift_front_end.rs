@@ -1,0 +1,168 @@
+//! From frames to tracks by SIFT: features in every frame, matches between frames near in time, verified by geometry.
+
+use std::collections::BTreeSet;
+
+use nalgebra::Vector2;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::SfmError;
+use super::features::{FeatureOptions, Features, extract};
+use super::matching::{MatchOptions, match_features};
+use super::tracks::{PairMatches, TrackTable, View, tracks_from_matches};
+use super::two_view::{self, Correspondences};
+use crate::camera::Camera;
+use crate::image::RgbImage;
+use crate::math::seeded_rng;
+use crate::scene::{Frame, Mask};
+
+/// Which pairs of views are matched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Pairing {
+    /// Each with the next ones, and with those 2, 4, 8, … beyond: for frames of a video.
+    Sequential {
+        /// How many next ones.
+        window: usize,
+    },
+    /// All with all: for photographs in no order. The cost grows with the square of their number.
+    Exhaustive,
+}
+
+/// How tracks are made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SiftOptions {
+    /// Features of a frame.
+    pub features: FeatureOptions,
+    /// When two features match.
+    pub matching: MatchOptions,
+    /// Which views are matched.
+    pub pairing: Pairing,
+    /// Epipolar threshold of verification, pixels.
+    pub max_epipolar_error_px: f64,
+    /// Fewest verified matches of a pair that counts.
+    pub min_pair_matches: usize,
+    /// Shortest track that is kept, where there are as many views.
+    pub min_track_length: usize,
+}
+
+impl SiftOptions {
+    /// For the background of a video.
+    pub fn background() -> Self {
+        Self {
+            features: FeatureOptions::background(),
+            matching: MatchOptions::default(),
+            pairing: Pairing::Sequential { window: 5 },
+            max_epipolar_error_px: 3.0,
+            min_pair_matches: 15,
+            min_track_length: 3,
+        }
+    }
+
+    /// For one object of a video.
+    pub fn object() -> Self {
+        Self {
+            features: FeatureOptions::object(),
+            pairing: Pairing::Sequential { window: 8 },
+            max_epipolar_error_px: 2.0,
+            min_pair_matches: 8,
+            ..Self::background()
+        }
+    }
+}
+
+/// Collects features frame by frame.
+pub struct SiftFrontEnd {
+    options: SiftOptions,
+    camera: Camera,
+    views: Vec<View>,
+    features: Vec<Features>,
+}
+
+impl SiftFrontEnd {
+    /// `camera` serves to verify matches; a guess will do.
+    pub fn new(options: SiftOptions, camera: Camera) -> Self {
+        Self { options, camera, views: Vec::new(), features: Vec::new() }
+    }
+
+    /// Adds a frame, looking only where the mask is set.
+    ///
+    /// # Errors
+    /// [`SfmError::OpenCv`] if OpenCV fails.
+    pub fn push(&mut self, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), SfmError> {
+        let mut features = extract(image, mask, &self.options.features)?;
+        self.views.push(View {
+            image: frame.id.into(),
+            name: frame.name.clone(),
+            camera: 0,
+            pixels: features.pixels.clone(),
+            rgb: std::mem::take(&mut features.rgb),
+        });
+        self.features.push(features);
+        Ok(())
+    }
+
+    /// Matches, verifies and joins to tracks.
+    pub fn finish(self, seed: u64) -> TrackTable {
+        let normalized: Vec<Vec<Vector2<f64>>> = self
+            .features
+            .par_iter()
+            .map(|f| f.pixels.iter().map(|&p| self.camera.normalized_from_pixel(p)).collect())
+            .collect();
+        let pairs: Vec<PairMatches> = pairs_of(self.features.len(), self.options.pairing)
+            .into_par_iter()
+            .filter_map(|views| self.verified(views, &normalized, seed))
+            .collect();
+        let counts: Vec<usize> = self.features.iter().map(Features::len).collect();
+        let num_seen = counts.iter().filter(|&&n| n > 0).count();
+        let min_length = self.options.min_track_length.min(num_seen);
+        TrackTable { tracks: tracks_from_matches(&counts, &pairs, min_length), views: self.views }
+    }
+
+    fn verified(&self, views: [usize; 2], normalized: &[Vec<Vector2<f64>>], seed: u64) -> Option<PairMatches> {
+        let matches = match_features(&self.features[views[0]], &self.features[views[1]], &self.options.matching);
+        if matches.len() < self.options.min_pair_matches {
+            return None;
+        }
+        let side = |s: usize| matches.iter().map(|m| normalized[views[s]][m[s] as usize]).collect::<Vec<_>>();
+        let (first, second) = (side(0), side(1));
+        let pairs = Correspondences { first: &first, second: &second };
+        let stream = (views[0] as u64) << 32 | views[1] as u64;
+        let max_error = self.options.max_epipolar_error_px / self.camera.mean_focal();
+        let inliers = two_view::verify(&pairs, max_error, &mut seeded_rng(seed, stream));
+        (inliers.len() >= self.options.min_pair_matches).then(|| PairMatches {
+            views: views.map(|v| v as u32),
+            matches: inliers.into_iter().map(|i| matches[i]).collect(),
+        })
+    }
+}
+
+/// The pairs to match, ascending.
+fn pairs_of(n: usize, pairing: Pairing) -> Vec<[usize; 2]> {
+    let mut pairs = BTreeSet::new();
+    match pairing {
+        Pairing::Exhaustive => (0..n).for_each(|i| pairs.extend((i + 1..n).map(|j| [i, j]))),
+        Pairing::Sequential { window } => {
+            for i in 0..n {
+                pairs.extend((i + 1..=i + window).filter(|&j| j < n).map(|j| [i, j]));
+                let powers = (1..).map(|k| i + window + (1 << k)).take_while(|&j| j < n);
+                pairs.extend(powers.map(|j| [i, j]));
+            }
+        }
+    }
+    pairs.into_iter().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pairs_reach_near_and_far() {
+        let pairs = pairs_of(20, Pairing::Sequential { window: 2 });
+        assert!(pairs.contains(&[0, 1]) && pairs.contains(&[0, 2]) && pairs.contains(&[0, 4]));
+        assert!(pairs.contains(&[0, 18]) && !pairs.contains(&[0, 3]));
+        assert_eq!(pairs_of(5, Pairing::Exhaustive).len(), 10);
+        assert!(pairs_of(1, Pairing::Exhaustive).is_empty());
+    }
+}

@@ -1,0 +1,276 @@
+//! From the frames of a video to tracks: points are followed from frame to frame, and each is measured against its first
+//! sight.
+//!
+//! A point is found where both eigenvalues of the structure tensor are large (J. Shi, C. Tomasi, *Good Features to
+//! Track*, CVPR 1994), predicted in the next frame by pyramidal Lucas-Kanade with a forward-backward check (OpenCV), and
+//! then aligned with the patch that was cut when it was found ([`super::patch`]). The alignment keeps long tracks from
+//! drifting; when the view has changed too much for it, a new patch is cut.
+
+use nalgebra::{Matrix2, Point2};
+use opencv::core::{Mat, Point2f, Size, TermCriteria, Vector};
+use serde::{Deserialize, Serialize};
+
+use super::SfmError;
+use super::patch::{Patch, Warp};
+use super::tracks::{Feature, Track, TrackTable, View};
+use crate::image::{GrayImage, RgbImage, gray_from_rgb, mat_from_bytes, mat_from_gray};
+use crate::scene::{Frame, Mask};
+
+/// How points are found and followed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct VideoOptions {
+    /// Points followed at a time, at the most.
+    pub max_points: usize,
+    /// Smallest distance of a new point to any other, pixels.
+    pub min_distance_px: f64,
+    /// Smallest corner strength relative to the strongest in the frame.
+    pub quality: f64,
+    /// Half the side of the prediction window, pixels.
+    pub window_radius_px: i32,
+    /// Half the side of the patch, pixels.
+    pub patch_radius_px: i32,
+    /// Levels of the pyramid above the image.
+    pub pyramid_levels: i32,
+    /// Largest distance between a point and where tracking back from its successor leads, pixels.
+    pub max_round_trip_px: f32,
+    /// Smallest correlation with the first patch.
+    pub min_correlation: f32,
+    /// Distance that points keep from the mask's border, pixels.
+    pub border_px: u32,
+    /// Shortest track that is kept.
+    pub min_track_length: usize,
+}
+
+impl VideoOptions {
+    /// For the background.
+    pub fn background() -> Self {
+        Self {
+            max_points: 1500,
+            min_distance_px: 12.0,
+            quality: 0.003,
+            window_radius_px: 10,
+            patch_radius_px: 7,
+            pyramid_levels: 3,
+            max_round_trip_px: 0.7,
+            min_correlation: 0.8,
+            border_px: 0,
+            min_track_length: 4,
+        }
+    }
+
+    /// For one object: denser, and with smaller windows, since it is small and its surfaces end soon.
+    pub fn object() -> Self {
+        Self {
+            max_points: 800,
+            min_distance_px: 4.0,
+            quality: 0.002,
+            window_radius_px: 7,
+            patch_radius_px: 5,
+            border_px: 2,
+            min_track_length: 4,
+            ..Self::background()
+        }
+    }
+}
+
+/// A point that is being followed.
+struct Live {
+    track: usize,
+    patch: Patch,
+    warp: Warp,
+}
+
+/// Follows points frame by frame.
+pub struct VideoFrontEnd {
+    options: VideoOptions,
+    previous: Option<Vector<Mat>>,
+    live: Vec<Live>,
+    table: TrackTable,
+}
+
+impl VideoFrontEnd {
+    /// Nothing seen yet.
+    pub fn new(options: VideoOptions) -> Self {
+        Self { options, previous: None, live: Vec::new(), table: TrackTable::default() }
+    }
+
+    /// Adds the next frame, looking only where the mask is set.
+    ///
+    /// # Errors
+    /// [`SfmError::OpenCv`] if OpenCV fails.
+    pub fn push(&mut self, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), SfmError> {
+        let gray = gray_from_rgb(image)?;
+        let mask = mask.eroded(self.options.border_px);
+        let pyramid = self.pyramid(&gray)?;
+        if let Some(previous) = self.previous.take() {
+            self.follow(&previous, &pyramid, &gray, &mask)?;
+        }
+        self.find_new(&gray, &mask)?;
+        self.record(frame, image);
+        self.previous = Some(pyramid);
+        Ok(())
+    }
+
+    /// The tracks.
+    pub fn finish(mut self) -> TrackTable {
+        let min_length = self.options.min_track_length.min(self.table.views.len()).max(2);
+        self.table.tracks.retain(|track| track.len() >= min_length);
+        self.table
+    }
+
+    fn pyramid(&self, gray: &GrayImage) -> Result<Vector<Mat>, SfmError> {
+        let side = 2 * self.options.window_radius_px + 1;
+        let mut pyramid = Vector::<Mat>::new();
+        opencv::video::build_optical_flow_pyramid_def(
+            &mat_from_gray(gray)?,
+            &mut pyramid,
+            Size::new(side, side),
+            self.options.pyramid_levels,
+        )?;
+        Ok(pyramid)
+    }
+
+    fn follow(
+        &mut self,
+        previous: &Vector<Mat>,
+        pyramid: &Vector<Mat>,
+        gray: &GrayImage,
+        mask: &Mask,
+    ) -> Result<(), SfmError> {
+        let starts: Vector<Point2f> = self.live.iter().map(|l| to_opencv(l.warp.center)).collect();
+        if starts.is_empty() {
+            return Ok(());
+        }
+        let (predicted, found) = self.lucas_kanade(previous, pyramid, &starts)?;
+        let (back, found_back) = self.lucas_kanade(pyramid, previous, &predicted)?;
+        let max_round_trip = self.options.max_round_trip_px;
+        let live = std::mem::take(&mut self.live);
+        for (i, point) in live.into_iter().enumerate() {
+            let (start, back) = (from_opencv(starts.get(i)?), from_opencv(back.get(i)?));
+            let returned = found.get(i)? != 0 && found_back.get(i)? != 0 && (start - back).norm() <= max_round_trip;
+            let Some(moved) =
+                returned.then(|| self.aligned(point, from_opencv(predicted.get(i).ok()?), gray)).flatten()
+            else {
+                continue;
+            };
+            let center = moved.warp.center;
+            if mask.contains(center.x.into(), center.y.into()) {
+                self.live.push(moved);
+            }
+        }
+        Ok(())
+    }
+
+    /// Sharpens a prediction against the patch; cuts a new one when the old one no longer fits well.
+    fn aligned(&self, mut point: Live, predicted: Point2<f32>, gray: &GrayImage) -> Option<Live> {
+        const WELL: f32 = 0.92;
+        let start = Warp { shape: point.warp.shape, center: predicted };
+        let aligned = point.patch.align(gray, &start)?;
+        let near = (aligned.warp.center - predicted).norm() <= 2.0;
+        if !near || aligned.correlation < self.options.min_correlation {
+            return None;
+        }
+        point.warp = aligned.warp;
+        let stretch = point.warp.shape.determinant();
+        if aligned.correlation < WELL || !(0.6..1.7).contains(&stretch) {
+            if let Some(patch) = Patch::cut(gray, point.warp.center, self.options.patch_radius_px) {
+                point.patch = patch;
+                point.warp.shape = Matrix2::identity();
+            }
+        }
+        Some(point)
+    }
+
+    fn lucas_kanade(
+        &self,
+        from: &Vector<Mat>,
+        to: &Vector<Mat>,
+        points: &Vector<Point2f>,
+    ) -> Result<(Vector<Point2f>, Vector<u8>), SfmError> {
+        let side = 2 * self.options.window_radius_px + 1;
+        let (mut moved, mut status, mut error) = (Vector::new(), Vector::new(), Vector::<f32>::new());
+        let criteria = TermCriteria::new(3, 20, 0.03)?;
+        opencv::video::calc_optical_flow_pyr_lk(
+            from,
+            to,
+            points,
+            &mut moved,
+            &mut status,
+            &mut error,
+            Size::new(side, side),
+            self.options.pyramid_levels,
+            criteria,
+            0,
+            1e-4,
+        )?;
+        Ok((moved, status))
+    }
+
+    /// Fills up to the wanted number of points, away from those that are followed already.
+    fn find_new(&mut self, gray: &GrayImage, mask: &Mask) -> Result<(), SfmError> {
+        let wanted = self.options.max_points.saturating_sub(self.live.len());
+        let mut free = mask.clone();
+        let reach = self.options.min_distance_px.ceil() as i64;
+        for point in &self.live {
+            clear_disc(&mut free, point.warp.center, reach);
+        }
+        if wanted == 0 || free.bounding_box().is_none() {
+            return Ok(());
+        }
+        let mut corners = Vector::<Point2f>::new();
+        opencv::imgproc::good_features_to_track(
+            &mat_from_gray(gray)?,
+            &mut corners,
+            wanted as i32,
+            self.options.quality,
+            self.options.min_distance_px,
+            &mat_from_bytes(gray.width(), gray.height(), &free.to_bytes())?,
+            3,
+            false,
+            0.04,
+        )?;
+        for corner in corners {
+            let center = from_opencv(corner);
+            if let Some(patch) = Patch::cut(gray, center, self.options.patch_radius_px) {
+                let track = self.table.tracks.len();
+                self.table.tracks.push(Track::new());
+                self.live.push(Live { track, patch, warp: Warp { shape: Matrix2::identity(), center } });
+            }
+        }
+        Ok(())
+    }
+
+    fn record(&mut self, frame: &Frame, image: &RgbImage) {
+        let view = self.table.views.len() as u32;
+        let mut source =
+            View { image: frame.id.into(), name: frame.name.clone(), camera: 0, pixels: Vec::new(), rgb: Vec::new() };
+        for (feature, point) in self.live.iter().enumerate() {
+            let pixel = point.warp.center.cast::<f64>();
+            let colour = image.get_pixel_checked(pixel.x as u32, pixel.y as u32);
+            source.pixels.push(pixel);
+            source.rgb.push(colour.map_or([0; 3], |c| c.0));
+            self.table.tracks[point.track].push(Feature { view, feature: feature as u32 });
+        }
+        self.table.views.push(source);
+    }
+}
+
+fn clear_disc(mask: &mut Mask, center: Point2<f32>, reach: i64) {
+    let (cx, cy) = (center.x as i64, center.y as i64);
+    for y in (cy - reach).max(0)..=(cy + reach).min(i64::from(mask.height()) - 1) {
+        for x in (cx - reach).max(0)..=(cx + reach).min(i64::from(mask.width()) - 1) {
+            if (x - cx).pow(2) + (y - cy).pow(2) <= reach * reach {
+                mask.set(x as u32, y as u32, false);
+            }
+        }
+    }
+}
+
+/// OpenCV counts from the centre of the first pixel.
+fn to_opencv(p: Point2<f32>) -> Point2f {
+    Point2f::new(p.x - 0.5, p.y - 0.5)
+}
+
+fn from_opencv(p: Point2f) -> Point2<f32> {
+    Point2::new(p.x + 0.5, p.y + 0.5)
+}
