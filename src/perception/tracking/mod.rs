@@ -19,8 +19,12 @@ mod appearance;
 mod assignment;
 mod carry;
 mod region;
+#[cfg(test)]
+mod tests;
 mod track;
 mod tracker;
+#[cfg(test)]
+mod world;
 
 use serde::{Deserialize, Serialize};
 

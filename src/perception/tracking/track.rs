@@ -12,6 +12,9 @@ use crate::scene::{BoundingBox, FrameId, ObjectId};
 const LEARNING_RATE: f64 = 0.4;
 /// A tentative track ends after so many frames without a detection.
 const MAX_TENTATIVE_GAP: usize = 2;
+/// Share by which the size of an object shrinks per detection when less of it is seen: it went further away, or is
+/// partly hidden.
+const SHRINK_RATE: f64 = 0.03;
 
 /// How an object was last seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,6 +73,8 @@ pub(super) struct Track {
     /// Its mask in the last frame; while lost, the last one, moved to where it should be.
     pub(super) region: Region,
     pub(super) appearance: Option<Appearance>,
+    /// Side of a square as large as the object's box while all of it was seen, pixels.
+    size: f64,
     /// Pixels per second relative to the background.
     pub(super) velocity: [f64; 2],
     /// Last moment at which the object was detected.
@@ -95,6 +100,7 @@ impl Track {
             presence: Presence::Detected,
             region: candidate.region.clone(),
             appearance: candidate.appearance.clone(),
+            size: candidate.region.size(),
             velocity: [0.0; 2],
             last_detected: now,
             first: now.frame,
@@ -122,11 +128,14 @@ impl Track {
     }
 
     /// Continues the track with a detection.
-    pub(super) fn detect(&mut self, candidate: &Candidate, background: [f64; 2], now: Moment, elapsed_s: f64) {
+    pub(super) fn detect(&mut self, candidate: &Candidate, prediction: &Prediction, now: Moment, elapsed_s: f64) {
         if self.presence == Presence::Detected {
-            let displacement = difference(candidate.region.centre(), self.region.centre());
-            self.learn_velocity(displacement, background, elapsed_s);
+            // Flow follows the object's pixels; the centre of what is visible lags while something hides a part of it.
+            let by_centre = || difference(candidate.region.centre(), self.region.centre());
+            let displacement = prediction.carried.as_ref().map_or_else(by_centre, |c| c.displacement);
+            self.learn_velocity(displacement, prediction.background, elapsed_s);
         }
+        self.size = candidate.region.size().max(self.size * (1.0 - SHRINK_RATE));
         self.region = candidate.region.clone();
         match (&mut self.appearance, &candidate.appearance) {
             (Some(look), Some(newer)) => look.blend(newer, LEARNING_RATE as f32),
@@ -196,7 +205,7 @@ impl Track {
         let similarity = mine.similarity(theirs);
         let lost_s = (now.time_s - self.last_detected.time_s).max(0.0);
         // Uncertain by one length at once and one more for every second.
-        let reach = self.region.size().max(candidate.region.size()) * (1.0 + lost_s);
+        let reach = self.size.max(candidate.region.size()) * (1.0 + lost_s);
         let [dx, dy] = difference(candidate.region.centre(), self.region.centre());
         let nearness = 1.0 - dx.hypot(dy) / reach;
         let ratio = candidate.region.area() as f64 / (self.sum_area / self.num_detected as f64).max(1.0);

@@ -79,7 +79,7 @@ impl Tracker {
         let mut sightings = Vec::new();
         for &(track_idx, candidate_idx) in &pairs {
             let candidate = &candidates[candidate_idx];
-            self.tracks[track_idx].detect(candidate, predictions[track_idx].background, now, elapsed_s);
+            self.tracks[track_idx].detect(candidate, &predictions[track_idx], now, elapsed_s);
             let evidence = Evidence::Detected { confidence: candidate.confidence };
             sightings.push(Sighting { track_idx, evidence, region: candidate.region.clone() });
         }
