@@ -7,14 +7,12 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use image::{Rgb, RgbImage};
-use opencv::prelude::*;
-use opencv::videoio::{CAP_FFMPEG, CAP_PROP_POS_MSEC, VideoCapture};
-use tractrix::image::rgb_from_bgr_mat;
 use tractrix::perception::{
-    Evidence, FlowOptions, SegmentationOptions, Tiling, TrackSummary, TrackedMask, Tracker, TrackerOptions, load_flow,
-    load_segmenter,
+    Evidence, FlowOptions, GroundOptions, SegmentationOptions, Tiling, TrackSummary, TrackedMask, Tracker,
+    TrackerOptions, load_flow, load_ground_segmenter, load_segmenter,
 };
-use tractrix::scene::{BoundingBox, Frame, FrameId, Mask, ObjectId};
+use tractrix::scene::{BoundingBox, Frame, Mask, ObjectId};
+use tractrix::video::Source;
 
 const MODEL: &str = "models/yolov8n-seg_640_fromint8.onnx";
 
@@ -31,21 +29,10 @@ fn data() -> Option<PathBuf> {
     Some(folder)
 }
 
-/// Frames of a video with their times, one after the other.
-fn frames(path: &Path) -> impl Iterator<Item = (Frame, RgbImage)> + use<> {
-    let mut capture = VideoCapture::from_file(path.to_str().unwrap(), CAP_FFMPEG).unwrap();
-    assert!(capture.is_opened().unwrap(), "{} cannot be opened", path.display());
-    let mut count = 0;
-    std::iter::from_fn(move || {
-        let mut bgr = opencv::core::Mat::default();
-        if !capture.read(&mut bgr).unwrap() {
-            return None;
-        }
-        let time_s = capture.get(CAP_PROP_POS_MSEC).unwrap() / 1000.0;
-        let frame = Frame { id: FrameId(count), name: format!("{count:06}.jpg"), time_s };
-        count += 1;
-        Some((frame, rgb_from_bgr_mat(&bgr).unwrap()))
-    })
+/// Frames of a video, one after the other.
+fn frames(path: &Path) -> impl Iterator<Item = (Frame, RgbImage)> {
+    let source = Source::open(path, &tractrix::video::Options::default()).unwrap();
+    source.frames().unwrap().map(Result::unwrap)
 }
 
 /// What one clip gave.
@@ -221,6 +208,45 @@ fn limit() -> usize {
     env::var("TRACTRIX_FRAMES").ok().and_then(|n| n.parse().ok()).unwrap_or(usize::MAX)
 }
 
+/// The part of a mask's rows between two fractions of the height that is set.
+fn share(mask: &Mask, from: f64, to: f64) -> f64 {
+    let rows = (f64::from(mask.height()) * from) as usize..(f64::from(mask.height()) * to) as usize;
+    let pixels = &mask.pixels()[rows.start * mask.width() as usize..rows.end * mask.width() as usize];
+    pixels.iter().filter(|&&p| p).count() as f64 / pixels.len().max(1) as f64
+}
+
+#[test]
+fn a_dashcam_shows_vehicles_and_road() {
+    let Some(data) = data() else { return };
+    let clip = data.join("videos/dashcam_udacity_test_video.mp4");
+    let outcome = follow(&clip, &data.join(MODEL), &SegmentationOptions::default(), 4, "short");
+    assert!(outcome.tracks.len() >= 2, "{:?}", outcome.tracks);
+    assert!(outcome.tracks.iter().all(|t| t.num_detected >= 3));
+    let (_, image) = frames(&clip).next().unwrap();
+    for model in ["espnet_cityscapes_1024x512.onnx", "twinlitenet_bdd100k_640x360.onnx"] {
+        let path = data.join("models").join(model);
+        let mask = load_ground_segmenter(&path, &GroundOptions::default()).unwrap().ground_mask(&image).unwrap();
+        assert_eq!((mask.width(), mask.height()), image.dimensions());
+        let (sky, road) = (share(&mask, 0.0, 0.4), share(&mask, 0.7, 0.9));
+        assert!(sky < 0.02 && road > 0.5, "{model}: sky {sky}, road {road}");
+    }
+}
+
+#[test]
+fn a_network_of_another_kind_is_refused_with_what_it_has() {
+    let Some(data) = data() else { return };
+    let semantic = data.join("models/espnet_cityscapes_1024x512.onnx");
+    let error = load_segmenter(&semantic, &SegmentationOptions::default()).err().unwrap().to_string();
+    assert!(error.contains("logits") && error.contains("YOLO-seg"), "{error}");
+    let error = load_ground_segmenter(&data.join(MODEL), &GroundOptions::default()).err().unwrap().to_string();
+    assert!(error.contains("output0") && error.contains("semantic"), "{error}");
+    let error = load_flow(Some(&semantic), &FlowOptions::default()).err().unwrap().to_string();
+    assert!(error.contains("logits") && error.contains("RAFT"), "{error}");
+    let not_a_network = data.join("videos/truth/uav123_car10_a.target_2d.txt");
+    let error = load_segmenter(&not_a_network, &SegmentationOptions::default()).err().unwrap().to_string();
+    assert!(error.contains("uav123_car10_a"), "{error}");
+}
+
 #[test]
 #[ignore = "minutes; measures all clips: cargo test --release --test perception -- --ignored --nocapture"]
 fn every_clip() {
@@ -230,7 +256,8 @@ fn every_clip() {
         if !clip.contains(&wanted) {
             continue;
         }
-        for tiling in [Tiling::Off, Tiling::On] {
+        let tilings = if env::var_os("TRACTRIX_TILES").is_some() { vec![Tiling::On] } else { vec![Tiling::Off] };
+        for tiling in tilings {
             let options = SegmentationOptions { tiling, ..SegmentationOptions::default() };
             let name = format!("{clip}_{tiling:?}");
             let path = data.join(format!("videos/{clip}.mp4"));
