@@ -1,10 +1,10 @@
 //! Matching of descriptors between two images.
 //!
-//! All similarities of two sets of unit descriptors are one matrix product, taken in blocks (`faer`). A match is mutual,
-//! and better than the second best in its row and its column by Lowe's ratio.
+//! All similarities of two sets of unit descriptors are one matrix product, taken in blocks. A match is mutual, and better
+//! than the second best in its row and its column by Lowe's ratio.
 
-use faer::linalg::matmul::matmul;
-use faer::{Accum, MatMut, MatRef, Par};
+use ndarray::linalg::general_mat_mul;
+use ndarray::{ArrayView2, ArrayViewMut2};
 use serde::{Deserialize, Serialize};
 
 use super::features::{DESCRIPTOR_LEN, Features};
@@ -55,32 +55,45 @@ impl Best {
 
 /// Pairs of feature indices, ascending in the first.
 pub fn match_features(a: &Features, b: &Features, options: &MatchOptions) -> Vec<[u32; 2]> {
-    const BLOCK: usize = 256;
-    let (rows, columns) = (a.len(), b.len());
-    let mut best_of_row = vec![Best::NONE; rows];
-    let mut best_of_column = vec![Best::NONE; columns];
-    let all_b = MatRef::from_row_major_slice(&b.descriptors, columns, DESCRIPTOR_LEN);
-    let mut similarities = vec![0.0f32; BLOCK * columns];
-    for start in (0..rows).step_by(BLOCK) {
-        let n = BLOCK.min(rows - start);
-        let part = &a.descriptors[start * DESCRIPTOR_LEN..(start + n) * DESCRIPTOR_LEN];
-        let block = MatRef::from_row_major_slice(part, n, DESCRIPTOR_LEN);
-        let out = MatMut::from_column_major_slice_mut(&mut similarities[..n * columns], columns, n);
-        matmul(out, Accum::Replace, all_b, block.transpose(), 1.0f32, Par::Seq);
-        for (i, row) in similarities[..n * columns].chunks_exact(columns.max(1)).enumerate() {
-            let best = &mut best_of_row[start + i];
-            for (j, &similarity) in row.iter().enumerate() {
-                best.offer(j as u32, similarity);
-                best_of_column[j].offer((start + i) as u32, similarity);
-            }
-        }
-    }
+    let mut best_of_row = vec![Best::NONE; a.len()];
+    let mut best_of_column = vec![Best::NONE; b.len()];
+    for_each_similarity(a, b, |i, j, similarity| {
+        best_of_row[i].offer(j as u32, similarity);
+        best_of_column[j].offer(i as u32, similarity);
+    });
     let mutual = |(i, best): (usize, &Best)| {
         let back = best_of_column.get(best.index as usize)?;
         let agreed = back.index == i as u32 && best.is_distinct(options) && back.is_distinct(options);
         agreed.then_some([i as u32, best.index])
     };
     best_of_row.iter().enumerate().filter_map(mutual).collect()
+}
+
+/// Calls `seen(i, j, a_i · b_j)` for all pairs, in blocks of rows that keep the products in cache.
+fn for_each_similarity(a: &Features, b: &Features, mut seen: impl FnMut(usize, usize, f32)) {
+    const BLOCK: usize = 64;
+    let columns = b.len();
+    let Ok(all_b) = ArrayView2::from_shape((columns, DESCRIPTOR_LEN), &b.descriptors) else { return };
+    if columns == 0 {
+        return;
+    }
+    let mut similarities = vec![0.0f32; BLOCK * columns];
+    for (block, part) in a.descriptors.chunks(BLOCK * DESCRIPTOR_LEN).enumerate() {
+        let rows = part.len() / DESCRIPTOR_LEN;
+        let out = &mut similarities[..rows * columns];
+        let (Ok(part), Ok(mut product)) = (
+            ArrayView2::from_shape((rows, DESCRIPTOR_LEN), part),
+            ArrayViewMut2::from_shape((rows, columns), &mut *out),
+        ) else {
+            return;
+        };
+        general_mat_mul(1.0, &part, &all_b.t(), 0.0, &mut product);
+        for (i, row) in out.chunks_exact(columns).enumerate() {
+            for (j, &similarity) in row.iter().enumerate() {
+                seen(block * BLOCK + i, j, similarity);
+            }
+        }
+    }
 }
 
 #[cfg(test)]
