@@ -35,6 +35,8 @@ pub struct VideoOptions {
     pub max_round_trip_px: f32,
     /// Smallest correlation with the first patch.
     pub min_correlation: f32,
+    /// Correlation below which a new patch is cut, for as long as the old one still serves to measure.
+    pub renew_correlation: f32,
     /// Distance that points keep from the mask's border, pixels.
     pub border_px: u32,
     /// Shortest track that is kept.
@@ -48,11 +50,12 @@ impl VideoOptions {
             max_points: 1500,
             min_distance_px: 12.0,
             quality: 0.003,
-            window_radius_px: 10,
-            patch_radius_px: 7,
+            window_radius_px: 7,
+            patch_radius_px: 5,
             pyramid_levels: 3,
             max_round_trip_px: 0.7,
-            min_correlation: 0.8,
+            min_correlation: 0.7,
+            renew_correlation: 0.85,
             border_px: 0,
             min_track_length: 4,
         }
@@ -60,16 +63,7 @@ impl VideoOptions {
 
     /// For one object: denser, and with smaller windows, since it is small and its surfaces end soon.
     pub fn object() -> Self {
-        Self {
-            max_points: 800,
-            min_distance_px: 4.0,
-            quality: 0.002,
-            window_radius_px: 7,
-            patch_radius_px: 5,
-            border_px: 2,
-            min_track_length: 4,
-            ..Self::background()
-        }
+        Self { max_points: 800, min_distance_px: 4.0, quality: 0.002, border_px: 2, ..Self::background() }
     }
 }
 
@@ -163,7 +157,6 @@ impl VideoFrontEnd {
 
     /// Sharpens a prediction against the patch; cuts a new one when the old one no longer fits well.
     fn aligned(&self, mut point: Live, predicted: Point2<f32>, gray: &GrayImage) -> Option<Live> {
-        const WELL: f32 = 0.92;
         let start = Warp { shape: point.warp.shape, center: predicted };
         let aligned = point.patch.align(gray, &start)?;
         let near = (aligned.warp.center - predicted).norm() <= 2.0;
@@ -172,7 +165,7 @@ impl VideoFrontEnd {
         }
         point.warp = aligned.warp;
         let stretch = point.warp.shape.determinant();
-        if aligned.correlation < WELL || !(0.6..1.7).contains(&stretch) {
+        if aligned.correlation < self.options.renew_correlation || !(0.6..1.7).contains(&stretch) {
             if let Some(patch) = Patch::cut(gray, point.warp.center, self.options.patch_radius_px) {
                 point.patch = patch;
                 point.warp.shape = Matrix2::identity();

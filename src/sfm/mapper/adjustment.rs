@@ -3,9 +3,8 @@
 use std::collections::BTreeMap;
 
 use super::map::Map;
-use super::{Intrinsics, Options};
+use super::{Intrinsics, Noise, Options};
 use crate::camera::NUM_INTRINSICS;
-use crate::math::RobustLoss;
 use crate::sfm::SfmError;
 use crate::sfm::bundle::{self, CameraBlock, Observation, PointBlock, PoseBlock, Problem};
 
@@ -27,6 +26,7 @@ pub fn adjust(
     map: &mut Map<'_>,
     scope: &Scope,
     intrinsics: Intrinsics,
+    noise: Noise,
     options: &Options,
 ) -> Result<Vec<bool>, SfmError> {
     let mut tracks = vec![false; map.table.tracks.len()];
@@ -44,7 +44,7 @@ pub fn adjust(
     let (mut problem, parts) = build(map, &tracks, &free_views, intrinsics);
     let local = matches!(scope, Scope::Around(_));
     let bundle_options = bundle::Options {
-        loss: RobustLoss::SoftL1 { scale: options.loss_scale_px },
+        loss: options.loss(noise),
         max_iterations: if local { 10 } else { 30 },
         function_tolerance: if local { 1e-4 } else { 1e-6 },
         threads: options.threads,

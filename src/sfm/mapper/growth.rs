@@ -3,10 +3,11 @@
 use super::adjustment::{self, Scope};
 use super::initial_pair::InitialPair;
 use super::map::{Map, Slot};
-use super::{Intrinsics, Options, Reason, Report};
+use super::{Intrinsics, Noise, Options, Reason, Report};
 use crate::math::{Rigid3, seeded_rng};
 use crate::sfm::SfmError;
 use crate::sfm::resection::{self, Resection};
+use crate::sfm::triangulation::Limits;
 
 /// A map, what has been tried on it, and how to go on.
 pub struct Growth<'a> {
@@ -14,6 +15,7 @@ pub struct Growth<'a> {
     intrinsics: Intrinsics,
     options: &'a Options,
     seed: u64,
+    noise: Noise,
     pair: Option<InitialPair>,
     /// By view: known points seen and inliers at the last failed try.
     failed: Vec<Option<Attempt>>,
@@ -31,7 +33,7 @@ impl<'a> Growth<'a> {
     /// An empty map.
     pub fn new(map: Map<'a>, intrinsics: Intrinsics, options: &'a Options, seed: u64) -> Self {
         let failed = vec![None; map.poses.len()];
-        Self { map, intrinsics, options, seed, pair: None, failed, adjusted_at: 0 }
+        Self { map, intrinsics, options, seed, noise: Noise::Unknown, pair: None, failed, adjusted_at: 0 }
     }
 
     /// Starts from a pair; `false` when its points do not hold after adjustment.
@@ -39,10 +41,10 @@ impl<'a> Growth<'a> {
         self.map.poses[pair.views[0]] = Some(Rigid3::identity());
         self.map.poses[pair.views[1]] = Some(pair.cam2_from_cam1);
         self.pair = Some(pair.clone());
-        let limits = self.options.limits();
+        let limits = self.limits();
         self.map.triangulate_seen_by(pair.views[0], &limits);
         // Two views do not determine intrinsics: they stay as they are here.
-        adjustment::adjust(&mut self.map, &Scope::Everything, Intrinsics::Fixed, self.options)?;
+        self.adjust(&Scope::Everything, Intrinsics::Fixed)?;
         self.map.update_observations(&limits);
         self.adjusted_at = 2;
         // Half of what the pair promised: the rest was outliers or has no angle.
@@ -72,11 +74,13 @@ impl<'a> Growth<'a> {
     /// Adjusts everything on all points, until observations stop changing.
     pub fn finish(&mut self) -> Result<(), SfmError> {
         const MAX_ROUNDS: usize = 3;
-        let limits = self.options.limits();
+        let limits = self.limits();
         for _ in 0..MAX_ROUNDS {
             self.map.triangulate_all(&limits);
             self.map.update_observations(&limits);
-            adjustment::adjust(&mut self.map, &Scope::Everything, self.intrinsics, self.options)?;
+            self.adjust(&Scope::Everything, self.intrinsics)?;
+            self.noise = self.map.noise();
+            let limits = self.limits();
             let changed = self.map.update_observations(&limits);
             let total: usize = (0..self.map.table.tracks.len()).map(|t| self.map.observations(t).count()).sum();
             const SETTLED_SHARE: f64 = 0.002;
@@ -105,6 +109,14 @@ impl<'a> Growth<'a> {
             failure: None,
         };
         (self.map, report)
+    }
+
+    fn adjust(&mut self, scope: &Scope, intrinsics: Intrinsics) -> Result<Vec<bool>, SfmError> {
+        adjustment::adjust(&mut self.map, scope, intrinsics, self.noise, self.options)
+    }
+
+    fn limits(&self) -> Limits {
+        self.options.limits(self.noise)
     }
 
     /// The unregistered view that sees most known points; one that failed comes back when it sees a fifth more.
@@ -164,19 +176,19 @@ impl<'a> Growth<'a> {
 
     /// After a view was added: new points, a local adjustment, and a global one when the map has grown enough.
     fn settle(&mut self, view: usize) -> Result<(), SfmError> {
-        let limits = self.options.limits();
+        let limits = self.limits();
         self.map.triangulate_seen_by(view, &limits);
         if self.map.num_registered() as f64 >= self.options.global_growth * self.adjusted_at as f64 {
             return self.adjust_globally();
         }
-        adjustment::adjust(&mut self.map, &Scope::Around(view), Intrinsics::Fixed, self.options)?;
+        self.adjust(&Scope::Around(view), Intrinsics::Fixed)?;
         Ok(())
     }
 
     fn adjust_globally(&mut self) -> Result<(), SfmError> {
-        let limits = self.options.limits();
+        let limits = self.limits();
         let scope = Scope::Selected { per_view: self.options.growth_points_per_view };
-        let used = adjustment::adjust(&mut self.map, &scope, self.intrinsics, self.options)?;
+        let used = self.adjust(&scope, self.intrinsics)?;
         self.map.retriangulate(&limits, &used);
         self.map.triangulate_all(&limits);
         self.map.update_observations(&limits);
@@ -231,7 +243,7 @@ impl<'a> Growth<'a> {
                 self.map.unregister(view);
             }
         }
-        self.map.update_observations(&self.options.limits());
+        self.map.update_observations(&self.limits());
     }
 
     fn reason(&self, view: usize) -> Reason {
