@@ -12,6 +12,7 @@ mod error;
 pub mod ground;
 pub mod json;
 pub mod masks;
+pub mod model;
 pub mod openmvg;
 pub mod ply;
 mod sequence;

@@ -1,0 +1,97 @@
+//! Reconstructions in whatever supported format they come.
+
+use std::fmt;
+use std::path::Path;
+
+use super::{IoError, colmap, openmvg, ply};
+use crate::scene::Reconstruction;
+
+/// A format of reconstructions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// COLMAP's text files, a folder.
+    ColmapText,
+    /// COLMAP's binary files, a folder.
+    ColmapBinary,
+    /// OpenMVG's `sfm_data.json`.
+    OpenMvg,
+    /// Coloured points, `.ply`.
+    Ply,
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::ColmapText => "COLMAP (text)",
+            Self::ColmapBinary => "COLMAP (binary)",
+            Self::OpenMvg => "OpenMVG",
+            Self::Ply => "PLY",
+        })
+    }
+}
+
+/// The format of what is at `path`; `None` if it is none that this program reads. An output folder of `tractrix run` counts
+/// as its background.
+pub fn detect(path: &Path) -> Option<Format> {
+    if path.join("cameras.bin").exists() {
+        Some(Format::ColmapBinary)
+    } else if path.join("cameras.txt").exists() {
+        Some(Format::ColmapText)
+    } else if colmap::is_model(&path.join("background")) {
+        detect(&path.join("background"))
+    } else if path.is_file() && has_extension(path, "json") {
+        Some(Format::OpenMvg)
+    } else {
+        None
+    }
+}
+
+/// Reads a reconstruction: a COLMAP folder, an output folder of `tractrix run` (its background), or OpenMVG's JSON.
+///
+/// # Errors
+/// Nothing there, no format that is read, or what the format's reader says.
+pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
+    std::fs::metadata(path).map_err(IoError::system("read", path))?;
+    match detect(path) {
+        Some(Format::OpenMvg) => openmvg::read(path),
+        Some(_) if colmap::is_model(path) => colmap::read(path),
+        Some(_) => colmap::read(&path.join("background")),
+        None => {
+            Err(IoError::content(path, "is neither a COLMAP folder, nor an output folder, nor OpenMVG's sfm_data.json"))
+        }
+    }
+}
+
+/// Writes a reconstruction. To PLY go its points alone.
+///
+/// # Errors
+/// A format that is only read, or what the format's writer says.
+pub fn write(path: &Path, model: &Reconstruction, format: Format) -> Result<(), IoError> {
+    match format {
+        Format::ColmapText => colmap::write_text(path, model),
+        Format::ColmapBinary => colmap::write_binary(path, model),
+        Format::Ply => {
+            let points: Vec<_> = model.points.values().map(|p| (p.position, p.rgb)).collect();
+            ply::write_points(path, &points)
+        }
+        Format::OpenMvg => Err(IoError::Unsupported {
+            path: path.into(),
+            what: "writing OpenMVG's format".into(),
+            cure: "write a COLMAP model instead".into(),
+        }),
+    }
+}
+
+/// The format in which a conversion from `from` to `to` writes, if none is asked for: PLY by the name, else the other
+/// COLMAP form than the one read, text first.
+pub fn format_for(from: Format, to: &Path) -> Format {
+    match from {
+        _ if has_extension(to, "ply") => Format::Ply,
+        Format::ColmapText => Format::ColmapBinary,
+        _ => Format::ColmapText,
+    }
+}
+
+fn has_extension(path: &Path, extension: &str) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension))
+}
