@@ -57,13 +57,13 @@ pub fn reference_scale(
         object.cam_from_world.iter().filter_map(|(id, cam)| Some((id, cam, frames.get(id)?))).collect();
     let per_frame: Vec<_> =
         cameras.par_iter().map(|(id, cam, truth)| (**id, frame_ratios(&object.points, cam, truth, mesh))).collect();
-    let median_over_frames = |values: &dyn Fn(FrameId, &[Option<f64>]) -> Vec<f64>| {
-        let mut medians: Vec<_> =
-            per_frame.iter().filter_map(|(id, ratios)| median(&mut values(*id, ratios))).collect();
-        (median(&mut medians), medians.len())
+    let all_rays = |_, ratios: &[Option<f64>]| ratios.iter().flatten().copied().collect();
+    let seen = |id: FrameId, ratios: &[Option<f64>]| {
+        let indices = object.seen.get(&id).map_or(&[][..], Vec::as_slice);
+        indices.iter().filter_map(|j| *ratios.get(*j)?).collect()
     };
-    let (all, num_frames) = median_over_frames(&|_, ratios| ratios.iter().flatten().copied().collect());
-    let (from_seen, _) = median_over_frames(&|id, ratios| object.seen[&id].iter().filter_map(|j| ratios[*j]).collect());
+    let (all, num_frames) = median_of_medians(&per_frame, all_rays);
+    let (from_seen, _) = median_of_medians(&per_frame, seen);
     let num_hits = per_frame.iter().map(|(_, ratios)| ratios.iter().flatten().count()).sum();
     let num_rays = per_frame.len() * object.points.len();
     let metres_per_object_unit =
@@ -77,6 +77,15 @@ pub fn reference_scale(
         num_hits,
         num_misses: num_rays - num_hits,
     })
+}
+
+/// The median over frames of the medians of the ratios that `choose` takes in each; and the number of frames with any.
+fn median_of_medians(
+    per_frame: &[(FrameId, Vec<Option<f64>>)],
+    choose: impl Fn(FrameId, &[Option<f64>]) -> Vec<f64>,
+) -> (Option<f64>, usize) {
+    let mut medians: Vec<_> = per_frame.iter().filter_map(|(id, ratios)| median(&mut choose(*id, ratios))).collect();
+    (median(&mut medians), medians.len())
 }
 
 /// ‖m_j‖ / ‖o_j‖ of every point in one frame; `None` where the ray misses.
