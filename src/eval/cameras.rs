@@ -1,14 +1,11 @@
 //! Errors of the background cameras.
 
-use std::collections::BTreeMap;
-
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
 use super::figures::Outcome;
 use super::registration::Registration;
 use crate::math::{Rigid3, Sim3, umeyama};
-use crate::scene::FrameId;
 
 /// How far the estimated cameras are from the true ones.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,8 +22,8 @@ pub struct CameraErrors {
 }
 
 /// Compares (estimated, true) cameras of the frames that have both.
-pub(super) fn errors(
-    pairs: &BTreeMap<FrameId, (Rigid3, Rigid3)>,
+pub(super) fn compare_cameras(
+    pairs: &[(Rigid3, Rigid3)],
     registration: Result<&Registration, &str>,
 ) -> Outcome<CameraErrors> {
     let registration = match registration {
@@ -34,11 +31,11 @@ pub(super) fn errors(
         Err(reason) => return Outcome::Unavailable { reason: reason.into() },
     };
     let world_from_background = registration.world_from_background;
-    let (estimated, truth): (Vec<_>, Vec<_>) = pairs.values().map(|(e, t)| (e.center(), t.center())).unzip();
+    let (estimated, truth): (Vec<_>, Vec<_>) = pairs.iter().map(|(e, t)| (e.center(), t.center())).unzip();
     // Centres on a line have no similarity of their own.
     let best_for_centers = umeyama(&estimated, &truth).unwrap_or(world_from_background);
     let angles_deg: Vec<_> =
-        pairs.values().map(|(e, t)| world_from_background.transform_camera(e).angle_to(t).to_degrees()).collect();
+        pairs.iter().map(|(e, t)| world_from_background.transform_camera(e).angle_to(t).to_degrees()).collect();
     Outcome::Ok(CameraErrors {
         center_rmse_m: rmse(&best_for_centers, &estimated, &truth),
         registered_center_rmse_m: rmse(&world_from_background, &estimated, &truth),

@@ -15,6 +15,7 @@
 //! Entry point: [`evaluate`].
 
 mod cameras;
+pub mod comparison;
 mod figures;
 mod input;
 mod mesh;
@@ -39,9 +40,9 @@ pub const MIN_TARGET_IOU: f64 = 0.1;
 
 /// Compares one run with the truth of its sequence.
 pub fn evaluate(input: &Input) -> Evaluation {
-    let pairs = camera_pairs(input);
+    let cameras = camera_pairs(input);
     let registration = match &input.background {
-        Ok(_) => Outcome::from(registration::register(&pairs.values().copied().collect::<Vec<_>>())),
+        Ok(_) => Outcome::from(registration::register(&cameras)),
         Err(reason) => Outcome::Unavailable { reason: reason.clone() },
     };
     let (target, others) = choose_target(&input.objects);
@@ -58,7 +59,7 @@ pub fn evaluate(input: &Input) -> Evaluation {
         sequence: input.sequence.clone(),
         vehicle: input.vehicle.clone(),
         registered: registered_frames(input, object),
-        cameras: cameras::errors(&pairs, registration.as_ref()),
+        cameras: cameras::compare_cameras(&cameras, registration.as_ref()),
         registration: registration.clone(),
         target: target.map(|o| Target { object: o.id, iou: o.iou }).into(),
         others,
@@ -71,11 +72,9 @@ pub fn evaluate(input: &Input) -> Evaluation {
 }
 
 /// Estimated and true camera of each frame that has both.
-fn camera_pairs(input: &Input) -> BTreeMap<FrameId, (Rigid3, Rigid3)> {
-    let Ok(background) = &input.background else { return BTreeMap::new() };
-    let pair = |(id, frame): (&FrameId, &TruthFrame)| {
-        background.cam_from_world.get(id).map(|cam| (*id, (*cam, frame.cam_from_world)))
-    };
+fn camera_pairs(input: &Input) -> Vec<(Rigid3, Rigid3)> {
+    let Ok(background) = &input.background else { return Vec::new() };
+    let pair = |(id, frame): (&FrameId, &TruthFrame)| Some((*background.cam_from_world.get(id)?, frame.cam_from_world));
     input.frames.iter().filter_map(pair).collect()
 }
 

@@ -20,8 +20,8 @@ pub const MIN_CAMERAS: usize = 3;
 /// Length of the true up and forward vectors, metres.
 const MAGNITUDE_M: f64 = 1.0;
 
-/// Spread below which camera centres lie in one place, metres.
-const MIN_SPREAD_M: f64 = 1e-6;
+/// Spread below which camera centres lie in one place, relative to the length of the vectors.
+const MIN_SPREAD: f64 = 1e-6;
 
 /// A similarity to the true world, in metres.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -49,12 +49,17 @@ pub enum InitialScale {
 /// # Errors
 /// The reason, in words: too few cameras, or a camera that does not move.
 pub fn register(pairs: &[(Rigid3, Rigid3)]) -> Result<Registration, String> {
+    register_with(pairs, MAGNITUDE_M)
+}
+
+/// As [`register`], with up and forward vectors of another length than a metre.
+pub(super) fn register_with(pairs: &[(Rigid3, Rigid3)], magnitude: f64) -> Result<Registration, String> {
     if pairs.len() < MIN_CAMERAS {
         return Err(format!("{} frames have a background camera, {MIN_CAMERAS} are needed", pairs.len()));
     }
     let (mut source, mut target): (Vec<_>, Vec<_>) = pairs.iter().map(|(e, t)| (e.center(), t.center())).unzip();
     let (source_spread, target_spread) = (spread(&source), spread(&target));
-    if target_spread < MIN_SPREAD_M || !(source_spread > 0.0) {
+    if !(target_spread > MIN_SPREAD * magnitude && source_spread > 0.0) {
         return Err("the camera does not move, so there is no scale to compare".into());
     }
     let (scale, initial_scale) = match umeyama(&source, &target) {
@@ -62,8 +67,8 @@ pub fn register(pairs: &[(Rigid3, Rigid3)]) -> Result<Registration, String> {
         _ => (target_spread / source_spread, InitialScale::Spread),
     };
     for (estimated, truth) in pairs {
-        source.extend(direction_points(estimated, MAGNITUDE_M / scale));
-        target.extend(direction_points(truth, MAGNITUDE_M));
+        source.extend(direction_points(estimated, magnitude / scale));
+        target.extend(direction_points(truth, magnitude));
     }
     let world_from_background = umeyama(&source, &target).ok_or("the cameras leave the similarity open")?;
     Ok(Registration { world_from_background, num_cameras: pairs.len(), initial_scale })
@@ -76,7 +81,7 @@ fn direction_points(cam_from_world: &Rigid3, magnitude: f64) -> [Point3<f64>; 2]
 }
 
 /// Root mean square distance from the mean.
-fn spread(points: &[Point3<f64>]) -> f64 {
+pub(super) fn spread(points: &[Point3<f64>]) -> f64 {
     let n = points.len() as f64;
     let mean = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / n;
     (points.iter().map(|p| (p.coords - mean).norm_squared()).sum::<f64>() / n).sqrt()
