@@ -95,6 +95,7 @@ impl Camera {
     }
 
     /// Pixel at which a point in camera coordinates is seen; `None` if it does not lie in front of the camera.
+    #[inline]
     pub fn pixel_from_cam(&self, point_in_cam: Point3<f64>) -> Option<Point2<f64>> {
         if !(point_in_cam.z > f64::EPSILON) {
             return None;
@@ -104,12 +105,14 @@ impl Camera {
     }
 
     /// Pixel of a direction given by its undistorted coordinates (x, y) on the plane z = 1.
+    #[inline]
     pub fn pixel_from_normalized(&self, normalized: Vector2<f64>) -> Point2<f64> {
         let distorted = normalized * self.distortion_factor(normalized.norm_squared());
         Point2::new(self.focal[0] * distorted.x + self.principal[0], self.focal[1] * distorted.y + self.principal[1])
     }
 
     /// As [`Camera::pixel_from_cam`], with derivatives. `point_in_cam.z` must not be zero; its sign is not looked at.
+    #[inline]
     pub fn project(&self, point_in_cam: Point3<f64>) -> Projection {
         let ([fx, fy], [k1, k2]) = (self.focal, self.radial);
         let inverse_z = 1.0 / point_in_cam.z;
@@ -180,6 +183,7 @@ impl Camera {
         pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < f64::from(self.width) && pixel.y < f64::from(self.height)
     }
 
+    #[inline]
     fn distortion_factor(&self, r2: f64) -> f64 {
         1.0 + r2 * (self.radial[0] + r2 * self.radial[1])
     }
