@@ -12,6 +12,9 @@ use super::schur::Reduced;
 use super::solver::Solver;
 use super::state::State;
 
+/// Beyond this the digits of a double are used up, and a variance means nothing.
+const LARGEST_INFLATION: f64 = 1e12;
+
 /// Uncertainty of one pose, given that of everything else that is free.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Covariance {
@@ -67,7 +70,7 @@ fn solve<const D: usize>(
     solver.factor(&reduced).map_err(|pivot| BundleError::Singular { pivot })?;
     let one = |pose: &usize| {
         let block = layout.block_of_pose[*pose] as usize;
-        pose_covariance::<D>(problem, layout, &mut solver, reduced.size(), *pose, block)
+        pose_covariance(problem, layout, &mut solver, &reduced, *pose, block)
     };
     poses.iter().map(one).collect()
 }
@@ -77,10 +80,11 @@ fn pose_covariance<const D: usize>(
     problem: &Problem,
     layout: &Layout,
     solver: &mut Solver,
-    size: usize,
+    reduced: &Reduced<D>,
     pose: usize,
     block: usize,
 ) -> Result<Covariance, BundleError> {
+    let size = reduced.size();
     let mut columns = vec![0.0; size * 6];
     for k in 0..6 {
         columns[k * size + block * D + k] = 1.0;
@@ -89,8 +93,11 @@ fn pose_covariance<const D: usize>(
     let mask = &layout.pose_mask[block];
     let cell = |r: usize, c: usize| if mask[r] && mask[c] { columns[c * size + block * D + r] } else { 0.0 };
     let of_pose = Matrix6::from_fn(|r, c| 0.5 * (cell(r, c) + cell(c, r)));
-    if !of_pose.iter().all(|v| v.is_finite()) {
-        return Err(BundleError::Singular { pivot: block * D });
+    // Rounding can hide a zero pivot; a variance so much larger than if all else were known betrays it.
+    let own = reduced.blocks[reduced.pattern.panel(block)].last();
+    let inflation = |k: usize| of_pose[(k, k)] * own.map_or(1.0, |own| own[k][k]);
+    if let Some(k) = (0..6).find(|k| mask[*k] && !(inflation(*k) < LARGEST_INFLATION)) {
+        return Err(BundleError::Singular { pivot: block * D + k });
     }
     // c' = c − Rᵀ v.
     let world_from_cam = problem.poses[pose].cam_from_world.rotation.inverse().to_rotation_matrix().into_inner();

@@ -210,7 +210,8 @@ impl Layout {
         }
     }
 
-    /// By point, and within a point by block, observations without a block last.
+    /// By point, and within a point by block, observations without a block last. Points come in the order of the first
+    /// block that sees them: what one block needs then lies close together in memory.
     fn sort_observations(&mut self, problem: &Problem, used: Vec<u32>) {
         let num_poses = problem.poses.len();
         let rank = |o: u32| {
@@ -222,9 +223,17 @@ impl Layout {
         };
         let (by_block, _) = counting_sort(&used, self.num_blocks() + num_poses, rank);
         let point_of = |o: u32| problem.observations[o as usize].point as usize;
-        let (sorted, start) = counting_sort(&by_block, problem.points.len(), point_of);
-        self.points = (0..problem.points.len()).filter(|p| start[*p] < start[p + 1]).map(|p| p as u32).collect();
-        self.point_start = self.points.iter().map(|p| start[*p as usize]).chain([sorted.len() as u32]).collect();
+        let (by_point, start) = counting_sort(&by_block, problem.points.len(), point_of);
+        let obs_of = |p: u32| &by_point[start[p as usize] as usize..start[p as usize + 1] as usize];
+        let observed: Vec<u32> = (0..problem.points.len() as u32).filter(|p| !obs_of(*p).is_empty()).collect();
+        (self.points, _) = counting_sort(&observed, self.num_blocks() + num_poses, |p| rank(obs_of(p)[0]));
+        self.point_start = std::iter::once(0)
+            .chain(self.points.iter().scan(0, |end, p| {
+                *end += obs_of(*p).len() as u32;
+                Some(*end)
+            }))
+            .collect();
+        let sorted: Vec<u32> = self.points.iter().flat_map(|p| obs_of(*p)).copied().collect();
         self.point_fixed = self.points.iter().map(|p| problem.points[*p as usize].fixed).collect();
         let observation = |o: &u32| &problem.observations[*o as usize];
         self.obs_pose = sorted.iter().map(|o| observation(o).pose).collect();

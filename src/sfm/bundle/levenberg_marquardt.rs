@@ -3,8 +3,9 @@
 use std::time::Instant;
 
 use super::layout::Layout;
-use super::linearize::{Linearization, Pass, Piece, cost, count_behind, damping_scale, largest_point_gradient, pieces};
+use super::linearize::{Linearization, Pass, Piece, cost, count_behind, pieces};
 use super::options::Options;
+use super::point::damping_scale;
 use super::priors;
 use super::problem::{BundleError, Problem};
 use super::schur::Reduced;
@@ -242,7 +243,7 @@ impl<'a, const D: usize> Run<'a, D> {
     fn largest_gradient(&self) -> f64 {
         let views = self.reduced.views.iter().flat_map(|v| v.gradient);
         let cameras = views.chain(self.reduced.camera_gradient.iter().copied());
-        cameras.fold(largest_point_gradient(&self.lin, self.layout), |m, g| m.max(g.abs()))
+        cameras.fold(self.lin.largest_point_gradient(self.layout), |m, g| m.max(g.abs()))
     }
 
     /// Nielsen's rule (eq. 12).

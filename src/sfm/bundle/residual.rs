@@ -1,30 +1,28 @@
 //! The reprojection residual of one observation and its derivatives (eqs. 1–5).
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector2};
 
 use super::layout::POSE_DIM;
+use super::simd::Fused;
 use super::state::View;
 use crate::math::RobustLoss;
 
-/// A weighted residual (eq. 5) and its Jacobian with respect to a view block of `D` freedoms, a shared camera's
-/// intrinsics and the point.
+/// A weighted residual and its Jacobian (eq. 5) with respect to a view block of `D` freedoms.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Residual<const D: usize> {
     pub value: [f64; 2],
-    /// Two rows: pose, then fused intrinsics.
+    /// Two rows: pose, then the intrinsics that sit in the view block.
     pub d_view: [[f64; D]; 2],
-    /// Two rows.
-    pub d_point: [[f64; 3]; 2],
+    /// Q = Jₚ L⁻ᵀ, two rows (eq. 9); filled by the elimination of the point.
+    pub eliminated: [[f64; 3]; 2],
 }
 
-/// Where derivatives by intrinsics go.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum IntrinsicsTarget {
-    Nowhere,
-    /// Columns 6.. of the view block.
-    ViewBlock,
-    /// The shared camera's own columns.
-    Shared,
+/// What else a linearisation yields.
+pub(super) struct Derivatives<'a> {
+    /// Jₚ, two rows.
+    pub d_point: &'a mut [[f64; 3]; 2],
+    /// By the intrinsics of a shared camera, two rows.
+    pub d_shared: Option<&'a mut [[f64; 6]; 2]>,
 }
 
 /// Position in the camera frame (eq. 1).
@@ -42,7 +40,7 @@ pub(super) fn point_in_cam(view: &View, point: &[f64; 3]) -> [f64; 3] {
 pub(super) fn plain_residual(view: &View, point: &[f64; 3], pixel: &[f64; 2], inverse_sigma: f64) -> [f64; 2] {
     let [x, y, z] = point_in_cam(view, point);
     let inverse_z = 1.0 / z;
-    let seen = view.camera.pixel_from_normalized(nalgebra::Vector2::new(x * inverse_z, y * inverse_z));
+    let seen = view.camera.pixel_from_normalized(Vector2::new(x * inverse_z, y * inverse_z));
     [(seen.x - pixel[0]) * inverse_sigma, (seen.y - pixel[1]) * inverse_sigma]
 }
 
@@ -53,71 +51,57 @@ pub(super) fn robust_cost(loss: &RobustLoss, residual: &[f64; 2]) -> f64 {
     if *loss == RobustLoss::Squared { squared } else { loss.evaluate(squared)[0] }
 }
 
-/// Residual and derivatives, weighted by √ρ' (eq. 5). Derivatives by shared intrinsics go to `d_shared`; freedoms
-/// that `mask` holds get zero columns. The returned cost is ρ.
+/// Residual and derivatives, weighted by √ρ' (eq. 5), and ρ. Derivatives by intrinsics go to `d_shared` if there is one,
+/// else into the view block if it has room.
 #[inline(always)]
-pub(super) fn linearize<const D: usize>(
+pub(super) fn linearize<const D: usize, F: Fused>(
     view: &View,
     point: &[f64; 3],
     pixel: &[f64; 2],
     inverse_sigma: f64,
     loss: &RobustLoss,
-    target: IntrinsicsTarget,
-    d_shared: Option<&mut [[f64; 6]; 2]>,
+    mut derivatives: Derivatives,
 ) -> (f64, Residual<D>) {
     let p = point_in_cam(view, point);
     let projection = view.camera.project(Point3::new(p[0], p[1], p[2]));
     let plain = [(projection.pixel.x - pixel[0]) * inverse_sigma, (projection.pixel.y - pixel[1]) * inverse_sigma];
     let squared = plain[0] * plain[0] + plain[1] * plain[1];
-    let (cost, weight) = match loss {
-        RobustLoss::Squared => (squared, inverse_sigma),
+    let (cost, root) = match loss {
+        RobustLoss::Squared => (squared, 1.0),
         _ => {
             let [rho, slope, _] = loss.evaluate(squared);
-            (rho, slope.sqrt() * inverse_sigma)
+            (rho, slope.sqrt())
         }
     };
-    let scale = weight / inverse_sigma;
+    let weight = root * inverse_sigma;
     let mut out =
-        Residual { value: [plain[0] * scale, plain[1] * scale], d_view: [[0.0; D]; 2], d_point: [[0.0; 3]; 2] };
+        Residual { value: [plain[0] * root, plain[1] * root], d_view: [[0.0; D]; 2], eliminated: [[0.0; 3]; 2] };
+    let r = &view.rotation;
     for i in 0..2 {
-        let d = [
-            projection.d_point[(i, 0)] * weight,
-            projection.d_point[(i, 1)] * weight,
-            projection.d_point[(i, 2)] * weight,
-        ];
+        let d: [f64; 3] = std::array::from_fn(|k| projection.d_point[(i, k)] * weight);
         // Eq. 3: ∂p/∂ω = −[p]ₓ, so a row d becomes p × d; ∂p/∂v = I.
-        let turn = [p[1] * d[2] - p[2] * d[1], p[2] * d[0] - p[0] * d[2], p[0] * d[1] - p[1] * d[0]];
-        out.d_view[i][..3].copy_from_slice(&turn);
-        out.d_view[i][3..POSE_DIM].copy_from_slice(&d);
-        let r = &view.rotation;
+        let row = &mut out.d_view[i];
+        row[0] = F::mul_add(p[1], d[2], -(p[2] * d[1]));
+        row[1] = F::mul_add(p[2], d[0], -(p[0] * d[2]));
+        row[2] = F::mul_add(p[0], d[1], -(p[1] * d[0]));
+        row[3..POSE_DIM].copy_from_slice(&d);
         for k in 0..3 {
-            out.d_point[i][k] = d[0] * r[0][k] + d[1] * r[1][k] + d[2] * r[2][k];
+            derivatives.d_point[i][k] = F::mul_add(d[0], r[0][k], F::mul_add(d[1], r[1][k], d[2] * r[2][k]));
         }
     }
-    let intrinsics_row = |i: usize, into: &mut [f64]| {
-        let columns = &view.columns;
-        for (k, cell) in into.iter_mut().enumerate().take(columns.len) {
+    let columns = &view.columns;
+    if columns.len > 0 {
+        let intrinsic = |i: usize, k: usize| {
             let source = columns.source[k];
-            let mut value = projection.d_intrinsics[(i, source)];
-            if source == 0 {
-                value += columns.aspect * projection.d_intrinsics[(i, 1)];
-            }
-            *cell = value * weight;
-        }
-    };
-    match (target, d_shared) {
-        (IntrinsicsTarget::ViewBlock, _) => {
-            for i in 0..2 {
-                intrinsics_row(i, &mut out.d_view[i][POSE_DIM..]);
+            let tied = if source == 0 { columns.aspect * projection.d_intrinsics[(i, 1)] } else { 0.0 };
+            (projection.d_intrinsics[(i, source)] + tied) * weight
+        };
+        for i in 0..2 {
+            match &mut derivatives.d_shared {
+                Some(shared) => (0..columns.len.min(6)).for_each(|k| shared[i][k] = intrinsic(i, k)),
+                None => (0..columns.len.min(D - POSE_DIM)).for_each(|k| out.d_view[i][POSE_DIM + k] = intrinsic(i, k)),
             }
         }
-        (IntrinsicsTarget::Shared, Some(shared)) => {
-            for (i, row) in shared.iter_mut().enumerate() {
-                *row = [0.0; 6];
-                intrinsics_row(i, row);
-            }
-        }
-        _ => {}
     }
     (cost, out)
 }

@@ -7,8 +7,11 @@
 use rayon::prelude::*;
 
 use super::layout::{Layout, NONE};
-use super::linearize::{Linearization, Pass, Piece, damping_scale};
+use super::linearize::{Linearization, Pass, Piece};
+use super::point::damping_scale;
 use super::priors::{PriorTarget, PriorTerms};
+use super::residual::Residual;
+use super::simd::{Fused, Task, wide};
 
 /// Freedoms reserved for a shared camera.
 pub(super) const CAMERA_DIM: usize = 6;
@@ -187,7 +190,8 @@ impl<const D: usize> Reduced<D> {
             (blocks, border) = (rest, border_rest);
             panels.push(PanelMut { j, blocks: mine, view, border: my_border });
         }
-        let work = |panel: PanelMut<D>| fill_panel(pass.layout, lin, pattern, priors, damping, panel);
+        let layout = pass.layout;
+        let work = |panel: PanelMut<D>| wide(FillPanel { layout, lin, pattern, priors, damping, panel });
         if pass.parallel {
             // Late panels have most rows; the longest tasks go first.
             panels.into_par_iter().rev().with_max_len(1).for_each(work);
@@ -238,132 +242,148 @@ impl<const D: usize> Reduced<D> {
     }
 }
 
-fn fill_panel<const D: usize>(
-    layout: &Layout,
-    lin: &Linearization<D>,
-    pattern: &Pattern,
-    priors: &[PriorTerms],
+/// What fills a panel.
+struct FillPanel<'a, const D: usize> {
+    layout: &'a Layout,
+    lin: &'a Linearization<D>,
+    pattern: &'a Pattern,
+    priors: &'a [PriorTerms],
     damping: f64,
-    panel: PanelMut<D>,
-) {
-    let PanelMut { j, blocks, view, border } = panel;
-    let (first_row, lookup) = pattern.lookup(j);
-    blocks.fill([[0.0; D]; D]);
-    border.fill([[0.0; CAMERA_DIM]; D]);
-    *view = ViewTerms { reduced: [0.0; D], gradient: [0.0; D], diagonal: [0.0; D] };
-    let Some((diagonal, others)) = blocks.split_last_mut() else { return };
-    let mut eliminated_diagonal = [[0.0; D]; D];
-    for o in layout.obs_of_block(j) {
-        let o = *o as usize;
-        let residual = &lin.residuals[o];
-        add_outer2(diagonal, &residual.d_view);
-        for k in 0..D {
-            view.gradient[k] += residual.d_view[0][k] * residual.value[0] + residual.d_view[1][k] * residual.value[1];
+    panel: PanelMut<'a, D>,
+}
+
+impl<const D: usize> Task for FillPanel<'_, D> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<F: Fused>(self) {
+        let Self { layout, lin, pattern, priors, damping, panel } = self;
+        let PanelMut { j, blocks, view, border } = panel;
+        let (first_row, lookup) = pattern.lookup(j);
+        blocks.fill([[0.0; D]; D]);
+        border.fill([[0.0; CAMERA_DIM]; D]);
+        *view = ViewTerms { reduced: [0.0; D], gradient: [0.0; D], diagonal: [0.0; D] };
+        let Some((own, others)) = blocks.split_last_mut() else { return };
+        for o in layout.obs_of_block(j) {
+            let o = *o as usize;
+            let point = layout.obs_point[o] as usize;
+            let mine = &lin.residuals[o];
+            add_own::<D, F>(own, view, mine, &lin.points[point].half_step);
+            if !border.is_empty() {
+                add_border::<D, F>(layout, lin, o, point, border);
+            }
+            if layout.point_fixed[point] {
+                continue;
+            }
+            let start = layout.obs_of_point(point).start;
+            for (other, i) in lin.residuals[start..o].iter().zip(&layout.obs_block[start..o]) {
+                if *i as usize == j {
+                    // The same point twice in one image: both orders fall on the diagonal block.
+                    subtract_pair::<D, F>(own, other, mine);
+                    subtract_pair::<D, F>(own, mine, other);
+                } else {
+                    subtract_pair::<D, F>(&mut others[lookup[*i as usize - first_row] as usize], other, mine);
+                }
+            }
         }
-        let point = layout.obs_point[o] as usize;
-        let y = &lin.eliminated[o];
-        let z = &lin.points[point].half_step;
-        for k in 0..D {
-            view.reduced[k] -= y[0][k] * z[0] + y[1][k] * z[1] + y[2][k] * z[2];
+        for prior in priors.iter().filter(|p| p.target == PriorTarget::Block(j)) {
+            add_prior(own, view, prior);
         }
-        if !border.is_empty() {
-            add_border(layout, lin, o, point, border);
-        }
-        if layout.point_fixed[point] {
-            continue;
-        }
-        add_outer3(&mut eliminated_diagonal, y, y);
-        for other in layout.obs_of_point(point).start..o {
-            let i = layout.obs_block[other] as usize;
-            let y_other = &lin.eliminated[other];
-            if i == j {
-                // The same point twice in one image: both orders fall on the diagonal block.
-                add_outer3(&mut eliminated_diagonal, y, y_other);
-                add_outer3(&mut eliminated_diagonal, y_other, y);
+        for r in 0..D {
+            if view.diagonal[r] == 0.0 {
+                own[r][r] = 1.0;
             } else {
-                subtract_outer3(&mut others[lookup[i - first_row] as usize], y_other, y);
+                own[r][r] += damping * damping_scale(view.diagonal[r]);
             }
         }
     }
-    for prior in priors.iter().filter(|p| p.target == PriorTarget::Block(j)) {
-        add_prior(diagonal, view, prior);
-    }
-    for r in 0..D {
-        view.reduced[r] += view.gradient[r];
-        view.diagonal[r] = diagonal[r][r];
-        for c in 0..D {
-            diagonal[r][c] -= eliminated_diagonal[r][c];
-        }
-        if view.diagonal[r] == 0.0 {
-            diagonal[r][r] = 1.0;
-        } else {
-            diagonal[r][r] += damping * damping_scale(view.diagonal[r]);
-        }
-    }
 }
 
-fn add_prior<const D: usize>(diagonal: &mut [[f64; D]; D], view: &mut ViewTerms<D>, prior: &PriorTerms) {
+fn add_prior<const D: usize>(own: &mut [[f64; D]; D], view: &mut ViewTerms<D>, prior: &PriorTerms) {
     for r in 0..6.min(D - prior.offset) {
-        view.gradient[prior.offset + r] += prior.gradient[r];
+        let row = prior.offset + r;
+        view.gradient[row] += prior.gradient[r];
+        view.reduced[row] += prior.gradient[r];
+        view.diagonal[row] += prior.hessian[r][r];
         for c in 0..6.min(D - prior.offset) {
-            diagonal[prior.offset + r][prior.offset + c] += prior.hessian[r][c];
+            own[row][prior.offset + c] += prior.hessian[r][c];
         }
     }
 }
 
+/// One observation's part of its view's own block, gradients and diagonal (eqs. 7, 10): Jᵀ(I − QQᵀ)J and Jᵀ(r − Qz).
 #[inline(always)]
-fn add_outer2<const D: usize>(out: &mut [[f64; D]; D], a: &[[f64; D]; 2]) {
-    for r in 0..D {
-        for c in 0..D {
-            out[r][c] += a[0][r] * a[0][c] + a[1][r] * a[1][c];
-        }
+fn add_own<const D: usize, F: Fused>(
+    own: &mut [[f64; D]; D],
+    view: &mut ViewTerms<D>,
+    residual: &Residual<D>,
+    z: &[f64; 3],
+) {
+    let ([a, b], [p, q], [r, s]) = (&residual.d_view, &residual.eliminated, residual.value);
+    let dot = |u: &[f64; 3], v: &[f64; 3]| u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
+    let (t, u) = (r - dot(p, z), s - dot(q, z));
+    for k in 0..D {
+        view.gradient[k] = F::mul_add(a[k], r, F::mul_add(b[k], s, view.gradient[k]));
+        view.reduced[k] = F::mul_add(a[k], t, F::mul_add(b[k], u, view.reduced[k]));
+        view.diagonal[k] = F::mul_add(a[k], a[k], F::mul_add(b[k], b[k], view.diagonal[k]));
     }
+    let mixed = -dot(p, q);
+    add_weighted::<D, F>(own, &residual.d_view, [[1.0 - dot(p, p), mixed], [mixed, 1.0 - dot(q, q)]], &residual.d_view);
 }
 
+/// Subtracts one pair's Jᵢᵀ Qᵢ Qⱼᵀ Jⱼ (eq. 8).
 #[inline(always)]
-fn add_outer3<const D: usize>(out: &mut [[f64; D]; D], a: &[[f64; D]; 3], b: &[[f64; D]; 3]) {
-    for r in 0..D {
-        for c in 0..D {
-            out[r][c] += a[0][r] * b[0][c] + a[1][r] * b[1][c] + a[2][r] * b[2][c];
-        }
-    }
+fn subtract_pair<const D: usize, F: Fused>(out: &mut [[f64; D]; D], first: &Residual<D>, second: &Residual<D>) {
+    let cell = |r: usize, c: usize| {
+        let (u, v) = (&first.eliminated[r], &second.eliminated[c]);
+        -F::mul_add(u[0], v[0], F::mul_add(u[1], v[1], u[2] * v[2]))
+    };
+    let weight = [[cell(0, 0), cell(0, 1)], [cell(1, 0), cell(1, 1)]];
+    add_weighted::<D, F>(out, &first.d_view, weight, &second.d_view);
 }
 
+/// out += aᵀ m b, for two rows each.
 #[inline(always)]
-fn subtract_outer3<const D: usize>(out: &mut [[f64; D]; D], a: &[[f64; D]; 3], b: &[[f64; D]; 3]) {
+fn add_weighted<const D: usize, F: Fused>(
+    out: &mut [[f64; D]; D],
+    a: &[[f64; D]; 2],
+    m: [[f64; 2]; 2],
+    b: &[[f64; D]; 2],
+) {
+    let mut mb = [[0.0; D]; 2];
+    for c in 0..D {
+        mb[0][c] = F::mul_add(m[0][0], b[0][c], m[0][1] * b[1][c]);
+        mb[1][c] = F::mul_add(m[1][0], b[0][c], m[1][1] * b[1][c]);
+    }
     for r in 0..D {
         for c in 0..D {
-            out[r][c] -= a[0][r] * b[0][c] + a[1][r] * b[1][c] + a[2][r] * b[2][c];
+            out[r][c] = F::mul_add(a[0][r], mb[0][c], F::mul_add(a[1][r], mb[1][c], out[r][c]));
         }
     }
 }
 
 /// One observation's part of the blocks between its view and all shared cameras that see its point.
-fn add_border<const D: usize>(
+#[inline(always)]
+fn add_border<const D: usize, F: Fused>(
     layout: &Layout,
     lin: &Linearization<D>,
     o: usize,
     point: usize,
     border: &mut [[[f64; CAMERA_DIM]; D]],
 ) {
-    if layout.obs_slot[o] != NONE {
-        let block = &mut border[layout.slots[layout.obs_slot[o] as usize] as usize];
-        let (a, b) = (&lin.residuals[o].d_view, &lin.d_shared[o]);
-        for r in 0..D {
+    let residual = &lin.residuals[o];
+    for slot in layout.slots_of_point(point) {
+        let mut b = if layout.obs_slot[o] as usize == slot { lin.d_shared[o] } else { [[0.0; CAMERA_DIM]; 2] };
+        let y = &lin.slot_eliminated[slot];
+        for (row, q) in b.iter_mut().zip(&residual.eliminated) {
             for c in 0..CAMERA_DIM {
-                block[r][c] += a[0][r] * b[0][c] + a[1][r] * b[1][c];
+                row[c] -= F::mul_add(q[0], y[0][c], F::mul_add(q[1], y[1][c], q[2] * y[2][c]));
             }
         }
-    }
-    if layout.point_fixed[point] {
-        return;
-    }
-    for slot in layout.slots_of_point(point) {
-        let block = &mut border[layout.slots[slot] as usize];
-        let (a, b) = (&lin.eliminated[o], &lin.slot_eliminated[slot]);
+        let (block, a) = (&mut border[layout.slots[slot] as usize], &residual.d_view);
         for r in 0..D {
             for c in 0..CAMERA_DIM {
-                block[r][c] -= a[0][r] * b[0][c] + a[1][r] * b[1][c] + a[2][r] * b[2][c];
+                block[r][c] = F::mul_add(a[0][r], b[0][c], F::mul_add(a[1][r], b[1][c], block[r][c]));
             }
         }
     }

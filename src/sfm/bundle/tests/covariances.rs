@@ -1,0 +1,112 @@
+//! Covariances against the inverse of the whole normal matrix, and against the scatter of repeated adjustments.
+
+use nalgebra::{DMatrix, Matrix3, SMatrix};
+
+use super::super::layout::{Layout, NONE};
+use super::super::linearize::{Linearization, Pass, pieces};
+use super::super::state::State;
+use super::*;
+
+/// The inverse of JᵀJ over all freedoms that are not held, with six rows per pose, from the same Jacobians.
+fn whole_inverse(problem: &Problem, options: &Options) -> (Layout, DMatrix<f64>) {
+    let layout = Layout::new(problem, options);
+    let state = State::new(problem, &layout);
+    let pieces = pieces(&layout);
+    let pass = Pass { layout: &layout, pieces: &pieces, loss: options.loss, parallel: false };
+    let mut lin = Linearization::<6>::new(&layout);
+    lin.evaluate(&pass, &state, 0.0);
+    let (cameras, shared) = (layout.num_blocks() * 6, layout.shared.len() * 6);
+    let size = cameras + shared + layout.points.len() * 3;
+    let mut jacobian = DMatrix::zeros(layout.num_obs() * 2, size);
+    for o in 0..layout.num_obs() {
+        for i in 0..2 {
+            let mut row = jacobian.row_mut(2 * o + i);
+            if layout.obs_block[o] != NONE {
+                let first = layout.obs_block[o] as usize * 6;
+                (0..6).for_each(|k| row[first + k] = lin.residuals[o].d_view[i][k]);
+            }
+            if shared > 0 {
+                (0..6).for_each(|k| row[cameras + k] = lin.d_shared[o][i][k]);
+            }
+            let first = cameras + shared + layout.obs_point[o] as usize * 3;
+            (0..3).for_each(|k| row[first + k] = lin.d_points[o][i][k]);
+        }
+    }
+    let mut normal = jacobian.transpose() * jacobian;
+    for k in (0..size).filter(|k| normal[(*k, *k)] == 0.0).collect::<Vec<_>>() {
+        normal[(k, k)] = 1.0;
+    }
+    (layout, normal.try_inverse().unwrap())
+}
+
+#[test]
+fn they_are_blocks_of_the_inverse_normal_matrix() {
+    for block in [CameraBlock::fixed as fn(Camera) -> CameraBlock, CameraBlock::free_focal_and_radial] {
+        let options = scene::Options { num_images: 5, num_points: 30, noise_px: 0.5, ..Default::default() };
+        let (_, mut problem) = disturbed(&options, block);
+        adjust(&mut problem, &tight()).unwrap();
+        let (layout, inverse) = whole_inverse(&problem, &tight());
+        for (pose, found) in (1..5).zip(covariance(&problem, &tight(), &[1, 2, 3, 4]).unwrap()) {
+            let first = layout.block_of_pose[pose] as usize * 6;
+            let expected: SMatrix<f64, 6, 6> = SMatrix::from_fn(|r, c| {
+                let mask = &layout.pose_mask[layout.block_of_pose[pose] as usize];
+                if mask[r] && mask[c] { inverse[(first + r, first + c)] } else { 0.0 }
+            });
+            let difference = (found.pose - expected).norm();
+            assert!(difference < 1e-6 * expected.norm(), "pose {pose}: {} and {expected}", found.pose);
+        }
+    }
+}
+
+#[test]
+fn they_predict_the_scatter_of_repeated_adjustments() {
+    const RUNS: usize = 300;
+    let sigma = 0.5;
+    let options = scene::Options { num_images: 5, num_points: 40, ..Default::default() };
+    // Two held poses make the gauge the same in every run.
+    let problem_of = |seed: u64| {
+        // The same world every time, with noise of its own.
+        let mut exact = static_scene(&options);
+        let mut rng = crate::math::seeded_rng(seed, 99);
+        for o in exact.images.values_mut().flat_map(|i| &mut i.observations) {
+            use rand::Rng as _;
+            o.pixel.x += sigma * rng.sample::<f64, _>(rand_distr::StandardNormal);
+            o.pixel.y += sigma * rng.sample::<f64, _>(rand_distr::StandardNormal);
+        }
+        let mut problem = Problem::from_reconstruction(&exact, |_, camera| CameraBlock::fixed(*camera));
+        problem.observations.iter_mut().for_each(|o| o.sigma = sigma);
+        (problem.poses[0].fixed, problem.poses[4].fixed) = (true, true);
+        problem
+    };
+    let predicted = covariance(&problem_of(0), &tight(), &[2]).unwrap()[0].center;
+    let centers: Vec<_> = (0..RUNS as u64)
+        .map(|seed| {
+            let mut problem = problem_of(seed);
+            adjust(&mut problem, &tight()).unwrap();
+            problem.poses[2].cam_from_world.center().coords
+        })
+        .collect();
+    let mean = centers.iter().sum::<Vector3<f64>>() / RUNS as f64;
+    let scatter: Matrix3<f64> =
+        centers.iter().map(|c| (c - mean) * (c - mean).transpose()).sum::<Matrix3<f64>>() / (RUNS - 1) as f64;
+    // The standard deviation of a variance from n runs is √(2/n) of it: 8 %; four of them are allowed.
+    for k in 0..3 {
+        let ratio = scatter[(k, k)] / predicted[(k, k)];
+        assert!((ratio - 1.0).abs() < 4.0 * (2.0 / RUNS as f64).sqrt(), "axis {k}: {ratio}");
+    }
+}
+
+#[test]
+fn what_is_held_or_undetermined_has_none() {
+    let (_, problem) = disturbed(&scene::Options::default(), CameraBlock::fixed);
+    assert_eq!(covariance(&problem, &tight(), &[99]), Err(BundleError::NoCovariance { pose: 99 }));
+    let mut held = problem.clone();
+    held.poses[3].fixed = true;
+    assert_eq!(covariance(&held, &tight(), &[3]), Err(BundleError::NoCovariance { pose: 3 }));
+    // A pose that sees one point only is not determined.
+    let mut lonely = problem.clone();
+    let kept = problem.observations.iter().position(|o| o.pose == 5).unwrap();
+    lonely.observations =
+        problem.observations.iter().enumerate().filter(|(i, o)| o.pose != 5 || *i == kept).map(|(_, o)| *o).collect();
+    assert!(matches!(covariance(&lonely, &tight(), &[5]), Err(BundleError::Singular { .. })));
+}
