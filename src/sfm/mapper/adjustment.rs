@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use super::map::Map;
 use super::{Intrinsics, Noise, Options};
-use crate::camera::NUM_INTRINSICS;
+use crate::camera::{Camera, NUM_INTRINSICS};
 use crate::sfm::SfmError;
-use crate::sfm::bundle::{self, CameraBlock, Observation, PointBlock, PoseBlock, Problem};
+use crate::sfm::bundle::{self, CameraBlock, IntrinsicsPrior, Observation, PointBlock, PoseBlock, Problem};
 
 /// What is adjusted.
 pub enum Scope {
@@ -41,7 +41,7 @@ pub fn adjust(
             }
         }
     }
-    let (mut problem, parts) = build(map, &tracks, &free_views, intrinsics);
+    let (mut problem, mut parts) = build(map, &tracks, &free_views, intrinsics);
     let local = matches!(scope, Scope::Around(_));
     let bundle_options = bundle::Options {
         loss: options.loss(noise),
@@ -50,7 +50,13 @@ pub fn adjust(
         threads: options.threads,
         ..bundle::Options::default()
     };
-    let summary = bundle::adjust(&mut problem, &bundle_options)?;
+    let mut summary = bundle::adjust(&mut problem, &bundle_options)?;
+    if intrinsics == Intrinsics::Refined && !problem.cameras.iter().all(|block| is_plausible(&block.camera)) {
+        // The motion does not determine them (yet): better the guess than a lens that nobody builds.
+        (problem, parts) = build(map, &tracks, &free_views, Intrinsics::Fixed);
+        summary = bundle::adjust(&mut problem, &bundle_options)?;
+        tracing::debug!("intrinsics are not determined by {} views; held", problem.poses.len());
+    }
     tracing::trace!(
         views = problem.poses.len(),
         points = problem.points.len(),
@@ -63,6 +69,30 @@ pub fn adjust(
     );
     take_over(map, &problem, &parts);
     Ok(tracks)
+}
+
+/// Whether a lens like this is built: a field of view between 9 and 157 degrees over the longer side, and distortion that
+/// keeps the picture's order from the middle to the corner.
+fn is_plausible(camera: &Camera) -> bool {
+    let side = f64::from(camera.width.max(camera.height));
+    let focal_ok = (0.1 * side..=6.0 * side).contains(&camera.mean_focal());
+    let corner = 0.5 * f64::from(camera.width).hypot(f64::from(camera.height)) / camera.mean_focal();
+    let [k1, k2] = camera.radial;
+    let r2 = corner * corner;
+    let monotonic = 1.0 + 3.0 * k1 * r2 + 5.0 * k2 * r2 * r2 > 0.0 && 1.0 + k1 * r2 + k2 * r2 * r2 < 2.0;
+    focal_ok && monotonic
+}
+
+/// A weak pull towards the guess, for motion that leaves a parameter open: within the spread of real lenses it weighs as
+/// much as one observation.
+fn intrinsics_prior(camera_idx: usize, camera: &Camera) -> IntrinsicsPrior {
+    let side = f64::from(camera.width.max(camera.height));
+    let focal = 1.2 * side;
+    let mut values = camera.intrinsics();
+    (values[0], values[1], values[4], values[5]) = (focal, focal, 0.0, 0.0);
+    let (sigma_focal, sigma_radial) = (0.4 * side, 0.2);
+    let sigma = [sigma_focal, sigma_focal, side, side, sigma_radial, sigma_radial];
+    IntrinsicsPrior { camera: camera_idx, values, sigma }
 }
 
 /// Which view and track each block of a problem stands for.
@@ -80,6 +110,9 @@ fn build(map: &Map<'_>, tracks: &[bool], free_views: &[bool], intrinsics: Intrin
     };
     problem.cameras =
         map.cameras.iter().map(|&camera| CameraBlock { camera, free: free_intrinsics, tie_focal: true }).collect();
+    if intrinsics == Intrinsics::Refined {
+        problem.priors.intrinsics = map.cameras.iter().enumerate().map(|(i, c)| intrinsics_prior(i, c)).collect();
+    }
     let mut parts = Parts { views: Vec::new(), tracks: Vec::new() };
     let mut pose_of_view = BTreeMap::new();
     for track in (0..tracks.len()).filter(|&t| tracks[t]) {
