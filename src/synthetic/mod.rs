@@ -3,4 +3,5 @@
 pub mod drive;
 mod noisy;
 pub mod scene;
+pub mod showcase;
 mod vehicle;
