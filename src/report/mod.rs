@@ -1,1 +1,76 @@
-//! The page that a person looks at.
+//! The page that a person looks at: `report.html`, one file that needs no network.
+//!
+//! [`Data`] holds what a run found, in the nouns of [`crate::scene`]; [`write`] turns it into the page. The page is made
+//! of `page/report.html` (a template that escapes everything it is given: file names are hostile), `page/style.css`,
+//! `page/page.js` (time, strip, charts) and `page/view3d.js` (the 3D view, on three.js from `third_party/three`). A
+//! content security policy inside the page lets run no script but these and load nothing from outside.
+//!
+//! Everything that grows with the video is thinned to a budget: pictures of the strip ([`strip_frames`]), points and
+//! frames of the 3D view, points of the charts. Where something was left out, the page says so.
+
+mod chart;
+mod data;
+mod overlay;
+mod page;
+mod plan;
+mod summary;
+mod view;
+
+#[cfg(test)]
+mod testing;
+
+pub use data::{Data, Fact, Missing, Model, Object, Stage};
+pub use overlay::{Label, Thumbnail, object_colour, overlay, strip_frames};
+
+use std::path::{Path, PathBuf};
+
+/// What can go wrong with the report.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// The file cannot be written.
+    #[error("cannot write the report {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A picture of the strip cannot be encoded.
+    #[error("cannot encode the picture of frame {frame}: {source}")]
+    Picture {
+        /// Index of the frame.
+        frame: u32,
+        /// Why.
+        source: image::ImageError,
+    },
+    /// The page's template does not go with its data: a bug of ours.
+    #[error("the report's template failed: {0}")]
+    Template(#[from] minijinja::Error),
+}
+
+/// The page as text.
+///
+/// # Errors
+/// [`ReportError::Template`].
+pub fn render(data: &Data) -> Result<String, ReportError> {
+    page::render(data)
+}
+
+/// Writes the page, by rename: a report that stands there is whole.
+///
+/// # Errors
+/// [`ReportError::Write`] if the folder is missing or may not be written to.
+pub fn write(path: &Path, data: &Data) -> Result<(), ReportError> {
+    let text = render(data)?;
+    let failed = |source| ReportError::Write { path: path.to_owned(), source };
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut builder = tempfile::Builder::new();
+    // Temporary files are private by default; a report is for everyone whom the umask allows.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let mut file = builder.prefix(".report-").suffix(".part").tempfile_in(folder).map_err(failed)?;
+    std::io::Write::write_all(&mut file, text.as_bytes()).map_err(failed)?;
+    file.as_file().sync_all().map_err(failed)?;
+    file.persist(path).map_err(|e| failed(e.error))?;
+    Ok(())
+}

@@ -1,0 +1,340 @@
+//! Line charts and frame bars as numbers for the template, which draws them as SVG.
+//!
+//! The plotting area is a box of 1000 × 1000 stretched to the page; tick labels are text of the page, placed in per cent,
+//! so that they keep their size on a phone.
+
+use serde::Serialize;
+
+use super::view::quantile;
+
+/// Side of the plotting area in its own units.
+const SIDE: f64 = 1000.0;
+/// Points drawn per line; more are averaged in runs.
+const MAX_POINTS: usize = 500;
+/// A gap of more than this many typical steps breaks a line.
+const GAP_STEPS: f64 = 1.6;
+
+/// One line.
+#[derive(Clone, Debug)]
+pub(super) struct Line {
+    pub label: String,
+    /// A CSS colour.
+    pub colour: String,
+    /// (time in seconds, value), ascending in time.
+    pub points: Vec<(f64, f64)>,
+    /// Dots instead of a line: for values that are no function of their neighbours.
+    pub dots: bool,
+}
+
+/// A horizontal mark across the chart.
+#[derive(Clone, Debug)]
+pub(super) struct Level {
+    pub value: f64,
+    /// Half width of the band round it.
+    pub std: Option<f64>,
+    pub colour: String,
+}
+
+/// A chart over time.
+#[derive(Clone, Debug)]
+pub(super) struct Chart {
+    pub title: String,
+    pub caption: String,
+    pub unit: String,
+    pub lines: Vec<Line>,
+    pub levels: Vec<Level>,
+    /// Whether the value axis starts at zero.
+    pub from_zero: bool,
+}
+
+/// A chart as the template draws it.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Drawing {
+    title: String,
+    caption: String,
+    unit: String,
+    summary: String,
+    lines: Vec<DrawnLine>,
+    levels: Vec<DrawnLevel>,
+    x_ticks: Vec<Tick>,
+    y_ticks: Vec<Tick>,
+    note: Option<String>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct DrawnLine {
+    label: String,
+    colour: String,
+    dots: bool,
+    path: String,
+    range: String,
+    /// Time and value, for the reading at the current time.
+    samples: Vec<[f64; 2]>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct DrawnLevel {
+    y: f64,
+    band: Option<[f64; 2]>,
+    colour: String,
+    label: String,
+}
+
+/// A tick: its place in per cent and its label.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Tick {
+    pub at: f64,
+    pub label: String,
+}
+
+impl Chart {
+    /// The drawing over a span of time; `None` if no line has a point.
+    pub fn draw(&self, span: (f64, f64)) -> Option<Drawing> {
+        let lines: Vec<Line> = self.lines.iter().map(thinned).filter(|l| !l.points.is_empty()).collect();
+        if lines.is_empty() {
+            return None;
+        }
+        let range = self.range(&lines);
+        let (y_ticks, decimals) = ticks(range);
+        let clipped = lines.iter().flat_map(|l| &l.points).filter(|(_, v)| *v < range.0 || *v > range.1).count();
+        let place = |t: f64, v: f64| {
+            let x = (t - span.0) / (span.1 - span.0).max(1e-9) * SIDE;
+            (x, (1.0 - (v - range.0) / (range.1 - range.0)).clamp(0.0, 1.0) * SIDE)
+        };
+        let level = |l: &Level| {
+            let y = |v: f64| place(0.0, v).1;
+            let band = l.std.map(|s| [y(l.value + s), y(l.value - s)]);
+            DrawnLevel { y: y(l.value), band, colour: l.colour.clone(), label: number(l.value, decimals + 1) }
+        };
+        let drawn: Vec<DrawnLine> = lines.iter().map(|l| drawn_line(l, place, decimals)).collect();
+        let summary = drawn.iter().map(|l| format!("{}: {}", l.label, l.range)).collect::<Vec<_>>().join("; ");
+        Some(Drawing {
+            title: self.title.clone(),
+            caption: self.caption.clone(),
+            unit: self.unit.clone(),
+            summary,
+            lines: drawn,
+            levels: self.levels.iter().filter(|l| l.value >= range.0 && l.value <= range.1).map(level).collect(),
+            x_ticks: ticks(span).0,
+            y_ticks,
+            note: (clipped > 0)
+                .then(|| format!("{clipped} values lie outside the shown range; they stand at its edge.")),
+        })
+    }
+
+    /// Low and high end of the value axis: nearly all values, so that one wild value does not flatten the rest.
+    fn range(&self, lines: &[Line]) -> (f64, f64) {
+        let mut values: Vec<f64> = lines.iter().flat_map(|l| l.points.iter().map(|p| p.1)).collect();
+        let (q1, q3) = (quantile(&mut values, 0.05), quantile(&mut values, 0.95));
+        let slack = (q3 - q1).max(1e-12);
+        let inside: Vec<f64> = values.iter().copied().filter(|v| *v >= q1 - slack && *v <= q3 + slack).collect();
+        let fold = |f: fn(f64, f64) -> f64, start| inside.iter().copied().fold(start, f);
+        let (mut low, mut high) = (fold(f64::min, f64::INFINITY), fold(f64::max, f64::NEG_INFINITY));
+        for level in &self.levels {
+            let wide = 4.0 * (high - low) + 0.2 * level.value.abs();
+            if level.value > low - wide && level.value < high + wide {
+                (low, high) = (low.min(level.value), high.max(level.value));
+            }
+        }
+        if self.from_zero {
+            low = low.min(0.0);
+        }
+        // A value that does not change shall not look as if it did.
+        let least = (0.02 * low.abs().max(high.abs())).max(1e-9);
+        let pad = (0.08 * (high - low)).max(least);
+        (if self.from_zero && low >= 0.0 { 0.0 } else { low - pad }, high + pad)
+    }
+}
+
+fn thinned(line: &Line) -> Line {
+    let usable: Vec<_> = line.points.iter().copied().filter(|(t, v)| t.is_finite() && v.is_finite()).collect();
+    let run = usable.len().div_ceil(MAX_POINTS).max(1);
+    let mean = |part: &[(f64, f64)]| {
+        let n = part.len() as f64;
+        (part.iter().map(|p| p.0).sum::<f64>() / n, part.iter().map(|p| p.1).sum::<f64>() / n)
+    };
+    Line { points: usable.chunks(run).map(mean).collect(), ..line.clone() }
+}
+
+fn drawn_line(line: &Line, place: impl Fn(f64, f64) -> (f64, f64), decimals: usize) -> DrawnLine {
+    let mut steps: Vec<f64> = line.points.windows(2).map(|w| w[1].0 - w[0].0).collect();
+    let gap = quantile(&mut steps, 0.5) * GAP_STEPS;
+    let mut path = String::new();
+    let mut last = f64::NEG_INFINITY;
+    for &(t, v) in &line.points {
+        let (x, y) = place(t, v);
+        let alone = line.dots || t - last > gap;
+        path += &format!("{}{x:.1} {y:.1}", if alone { "M" } else { "L" });
+        // A line of no length with round caps is a dot.
+        path += if alone { "h0" } else { "" };
+        last = t;
+    }
+    let (low, high) = line.points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p.1), h.max(p.1)));
+    DrawnLine {
+        label: line.label.clone(),
+        colour: line.colour.clone(),
+        dots: line.dots,
+        path,
+        range: format!("{} to {}", number(low, decimals + 1), number(high, decimals + 1)),
+        samples: line.points.iter().map(|&(t, v)| [significant(t, 7), significant(v, 5)]).collect(),
+    }
+}
+
+/// About five ticks at round numbers, and how many decimals they need.
+pub(super) fn ticks((low, high): (f64, f64)) -> (Vec<Tick>, usize) {
+    let span = high - low;
+    if !(span > 0.0) || !span.is_finite() {
+        return (Vec::new(), 0);
+    }
+    let rough = span / 5.0;
+    let power = 10f64.powf(rough.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|s| *s >= rough).unwrap_or(10.0 * power);
+    let decimals = (-step.log10().floor()).clamp(0.0, 9.0) as usize;
+    let first = (low / step - 1e-9).ceil() as i64;
+    let at = |k: i64| k as f64 * step;
+    let ticks = (first..first + 12).take_while(|&k| at(k) <= high + 1e-9 * span);
+    let tick = |k| Tick { at: (at(k) - low) / span * 100.0, label: number(at(k), decimals) };
+    (ticks.map(tick).collect(), decimals)
+}
+
+/// A number with a fixed number of decimals and a true minus sign.
+fn number(v: f64, decimals: usize) -> String {
+    let text = format!("{v:.decimals$}");
+    match text.strip_prefix('-') {
+        Some(digits) if digits.chars().all(|c| "0.".contains(c)) => digits.to_owned(),
+        Some(digits) => format!("−{digits}"),
+        None => text,
+    }
+}
+
+/// Rounded to a number of significant digits.
+pub(super) fn significant(v: f64, digits: i32) -> f64 {
+    if v == 0.0 || !v.is_finite() {
+        return v;
+    }
+    let factor = 10f64.powi(digits - 1 - v.abs().log10().floor() as i32);
+    let rounded = (v * factor).round() / factor;
+    if rounded.is_finite() { rounded } else { v }
+}
+
+/// What a frame is to a model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum FrameState {
+    /// Not in the picture.
+    Absent,
+    /// In the picture, camera not found.
+    Missing,
+    /// Camera found.
+    Registered,
+}
+
+/// A row of frame bars.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Bars {
+    pub label: String,
+    pub colour: String,
+    pub registered: usize,
+    pub visible: usize,
+    runs: Vec<Run>,
+}
+
+/// Neighbouring frames in one state.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct Run {
+    x: f64,
+    width: f64,
+    missing: bool,
+    title: String,
+}
+
+impl Bars {
+    /// Of one state per frame; `times` are the frames' times and the end of the last, so one longer than `states`.
+    pub fn new(label: String, colour: String, states: &[FrameState], times: &[f64]) -> Self {
+        let count = |state| states.iter().filter(|s| **s == state).count();
+        let registered = count(FrameState::Registered);
+        let visible = registered + count(FrameState::Missing);
+        Self { label, colour, registered, visible, runs: runs(states, times) }
+    }
+}
+
+fn runs(states: &[FrameState], times: &[f64]) -> Vec<Run> {
+    let span = (times[times.len() - 1] - times[0]).max(1e-9);
+    let x = |i: usize| ((times[i] - times[0]) / span * SIDE * 10.0).round() / 10.0;
+    let mut runs = Vec::new();
+    let mut start = 0;
+    for chunk in states.chunk_by(|a, b| a == b) {
+        let end = start + chunk.len();
+        let name = match chunk[0] {
+            FrameState::Absent => None,
+            FrameState::Missing => Some("not registered"),
+            FrameState::Registered => Some("registered"),
+        };
+        if let Some(name) = name {
+            let title = format!("{} frames {name}, {:.2} s to {:.2} s", chunk.len(), times[start], times[end]);
+            let missing = chunk[0] == FrameState::Missing;
+            runs.push(Run { x: x(start), width: x(end) - x(start), missing, title });
+        }
+        start = end;
+    }
+    runs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(points: Vec<(f64, f64)>) -> Line {
+        Line { label: "a".into(), colour: "red".into(), points, dots: false }
+    }
+
+    fn chart(lines: Vec<Line>) -> Chart {
+        let (title, caption, unit) = ("t".into(), "c".into(), "m".into());
+        Chart { title, caption, unit, lines, levels: Vec::new(), from_zero: false }
+    }
+
+    #[test]
+    fn ticks_are_round_numbers_inside_the_range() {
+        let labels = |range| ticks(range).0.into_iter().map(|t| t.label).collect::<Vec<_>>();
+        assert_eq!(labels((0.0, 10.0)), ["0", "2", "4", "6", "8", "10"]);
+        assert_eq!(labels((-0.31, 0.32)), ["−0.2", "0.0", "0.2"]);
+        assert_eq!(labels((1234.0, 1235.0)), ["1234.0", "1234.2", "1234.4", "1234.6", "1234.8", "1235.0"]);
+        assert!(ticks((1.0, 1.0)).0.is_empty());
+        assert!(ticks((f64::NAN, 1.0)).0.is_empty());
+    }
+
+    #[test]
+    fn a_gap_breaks_the_line_and_a_wild_value_does_not_flatten_it() {
+        let mut points: Vec<_> =
+            (0..30).filter(|i| !(10..14).contains(i)).map(|i| (f64::from(i), 5.0 + f64::from(i % 3))).collect();
+        points[20].1 = 4000.0;
+        let drawing = chart(vec![line(points)]).draw((0.0, 29.0)).unwrap();
+        assert_eq!(drawing.lines[0].path.matches('M').count(), 2);
+        assert!(drawing.y_ticks.iter().all(|t| t.label.len() <= 3), "{:?}", drawing.y_ticks);
+        assert!(drawing.note.unwrap().starts_with("1 values"));
+        assert!(chart(vec![line(vec![(0.0, f64::NAN)])]).draw((0.0, 1.0)).is_none());
+    }
+
+    #[test]
+    fn long_lines_are_thinned() {
+        let points = (0..10_000).map(|i| (f64::from(i), f64::from(i))).collect();
+        let drawing = chart(vec![line(points)]).draw((0.0, 1e4)).unwrap();
+        assert_eq!(drawing.lines[0].samples.len(), 500);
+    }
+
+    #[test]
+    fn bars_follow_the_frames() {
+        use FrameState::{Absent, Missing, Registered};
+        let states = [Registered, Registered, Missing, Absent, Registered];
+        let bars = Bars::new("b".into(), "red".into(), &states, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+        assert_eq!((bars.registered, bars.visible), (3, 4));
+        let spans: Vec<_> = bars.runs.iter().map(|r| (r.x, r.width, r.missing)).collect();
+        assert_eq!(spans, [(0.0, 400.0, false), (400.0, 200.0, true), (800.0, 200.0, false)]);
+    }
+
+    #[test]
+    fn numbers_are_rounded_to_significant_digits() {
+        assert_eq!(significant(0.001_234_56, 3), 0.001_23);
+        assert_eq!(significant(-98_765.0, 2), -99_000.0);
+        assert_eq!(significant(0.0, 3), 0.0);
+    }
+}

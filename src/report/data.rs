@@ -1,0 +1,125 @@
+//! What the report is made of.
+
+use std::collections::{BTreeMap, HashMap};
+
+use super::Thumbnail;
+use crate::scene::{Frame, FrameId, Ground, Image, ObjectId, ObjectTrajectory, Reconstruction, Unit};
+
+/// Everything the page shows; the pipeline fills it from a finished output folder.
+#[derive(Clone, Debug)]
+pub struct Data<'a> {
+    /// What was reconstructed: the input's file or folder name.
+    pub title: String,
+    /// Facts on the input: kind, size, rate, where the intrinsics came from.
+    pub input: Vec<Fact>,
+    /// Version of the program.
+    pub version: String,
+    /// The command line.
+    pub arguments: Vec<String>,
+    /// Unit of the background's frame.
+    pub unit: Unit,
+    /// All frames that were used, ascending in time.
+    pub frames: &'a [Frame],
+    /// The background, and why frames are missing from it.
+    pub background: Model<'a>,
+    /// Ground points and local planes, if any were found.
+    pub ground: Option<&'a Ground>,
+    /// Every tracked vehicle, with or without a trajectory.
+    pub objects: Vec<Object<'a>>,
+    /// What else could not be reconstructed.
+    pub missing: Vec<Missing>,
+    /// Pictures of the strip, ascending in time; [`super::strip_frames`] says which frames.
+    pub strip: Vec<Thumbnail>,
+    /// Warnings of the run, the gravest first.
+    pub warnings: Vec<String>,
+    /// What the run cost.
+    pub stages: Vec<Stage>,
+    /// How the result compares with the ground truth; empty if none was given.
+    pub evaluation: Vec<Fact>,
+}
+
+/// A reconstruction and the frames it lacks.
+#[derive(Clone, Debug)]
+pub struct Model<'a> {
+    /// Registered images and points; images belong to frames by name.
+    pub reconstruction: &'a Reconstruction,
+    /// Frames that could not be registered, and why.
+    pub unregistered: BTreeMap<FrameId, String>,
+}
+
+impl<'a> Model<'a> {
+    /// The registered image of each frame. Models that were made elsewhere share only the names with us.
+    pub(super) fn images(&self, frames: &[Frame]) -> Vec<Option<&'a Image>> {
+        let by_name: HashMap<&str, &'a Image> =
+            self.reconstruction.images.values().map(|image| (image.name.as_str(), image)).collect();
+        frames.iter().map(|frame| by_name.get(frame.name.as_str()).copied()).collect()
+    }
+}
+
+/// One tracked vehicle.
+#[derive(Clone, Debug)]
+pub struct Object<'a> {
+    /// Its id.
+    pub id: ObjectId,
+    /// Its class name.
+    pub class: String,
+    /// Mean score of its detections, 0 to 1.
+    pub confidence: f64,
+    /// The frames in which it has a mask, ascending.
+    pub visible: Vec<FrameId>,
+    /// Its reconstruction, if there is one.
+    pub model: Option<Model<'a>>,
+    /// Its trajectory, if there is one.
+    pub trajectory: Option<&'a ObjectTrajectory>,
+    /// The scale ratio that each frame alone gives (eq. r_per_image), where the intersection method ran.
+    pub ratio_per_frame: Vec<(FrameId, f64)>,
+    /// Why there is no trajectory.
+    pub failure: Option<String>,
+}
+
+/// Something that could not be reconstructed.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Missing {
+    /// What.
+    pub what: String,
+    /// Why.
+    pub reason: String,
+}
+
+/// A figure with a name.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Fact {
+    /// The name.
+    pub label: String,
+    /// The figure, with its unit.
+    pub value: String,
+    /// How to read it.
+    pub note: Option<String>,
+}
+
+impl Fact {
+    /// A figure that needs no note.
+    pub fn new(label: impl Into<String>, value: impl Into<String>) -> Self {
+        Self { label: label.into(), value: value.into(), note: None }
+    }
+
+    /// With a note.
+    pub fn with_note(self, note: impl Into<String>) -> Self {
+        Self { note: Some(note.into()), ..self }
+    }
+}
+
+/// What one stage of the run cost.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Stage {
+    /// Its name.
+    pub name: String,
+    /// Elapsed time, seconds.
+    pub wall_s: f64,
+    /// Time of all processors together, seconds.
+    pub cpu_s: f64,
+    /// Peak memory of the process up to its end, MiB.
+    pub peak_rss_mib: f64,
+    /// Whether the result of an earlier run was taken over.
+    pub reused: bool,
+}

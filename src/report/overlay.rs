@@ -1,0 +1,188 @@
+//! Masks drawn over pictures, and the small pictures of the frame strip.
+
+use image::codecs::jpeg::JpegEncoder;
+use image::{Rgb, RgbImage, imageops};
+
+use super::ReportError;
+use crate::scene::{FrameId, Mask, ObjectId};
+
+/// Longer side of a strip picture, pixels.
+const THUMBNAIL_SIDE: u32 = 400;
+/// JPEG quality of a strip picture.
+const THUMBNAIL_QUALITY: u8 = 74;
+/// Pictures in the strip: at about 18 KiB each they stay below 2 MiB as base64.
+const MAX_THUMBNAILS: usize = 72;
+/// How much of the object's colour the inside of a mask takes.
+const TINT: f32 = 0.38;
+
+/// Ten hues that stay apart from each other and from asphalt, grass and sky, on dark and on light ground.
+const PALETTE: [[u8; 3]; 10] = [
+    [0xf2, 0x5c, 0x2e],
+    [0x1e, 0x9b, 0xe8],
+    [0xe0, 0x3f, 0x94],
+    [0x16, 0xa8, 0x6b],
+    [0xe3, 0xa0, 0x08],
+    [0x8b, 0x6c, 0xf6],
+    [0x12, 0xa5, 0xb0],
+    [0xd9, 0x3b, 0x3b],
+    [0x84, 0x9e, 0x12],
+    [0xb5, 0x5e, 0xd1],
+];
+
+/// The colour of an object in pictures, charts and the 3D view. Ids ten apart share one.
+pub fn object_colour(id: ObjectId) -> [u8; 3] {
+    PALETTE[(id.0.max(1) - 1) as usize % PALETTE.len()]
+}
+
+/// A picture with masks in their objects' colours: a tint inside, a solid outline. A mask of another size than the
+/// picture is scaled to it. Later masks lie over earlier ones.
+pub fn overlay(picture: &RgbImage, masks: &[(ObjectId, &Mask)]) -> RgbImage {
+    let mut out = picture.clone();
+    let (width, height) = out.dimensions();
+    let line_px = (width.max(height) / 360).max(1);
+    for &(id, mask) in masks {
+        let colour = object_colour(id);
+        let inside = resampled(mask, width, height);
+        let core = inside.eroded(line_px);
+        for ((pixel, &set), &deep) in out.pixels_mut().zip(inside.pixels()).zip(core.pixels()) {
+            if set {
+                *pixel = if deep { tinted(*pixel, colour) } else { Rgb(colour) };
+            }
+        }
+    }
+    out
+}
+
+fn tinted(pixel: Rgb<u8>, colour: [u8; 3]) -> Rgb<u8> {
+    Rgb(std::array::from_fn(|k| (f32::from(pixel[k]) * (1.0 - TINT) + f32::from(colour[k]) * TINT).round() as u8))
+}
+
+/// The mask at another size, nearest neighbour.
+fn resampled(mask: &Mask, width: u32, height: u32) -> Mask {
+    if (mask.width(), mask.height()) == (width, height) {
+        return mask.clone();
+    }
+    let sx = f64::from(mask.width()) / f64::from(width);
+    let sy = f64::from(mask.height()) / f64::from(height);
+    Mask::from_fn(width, height, |x, y| mask.contains((f64::from(x) + 0.5) * sx, (f64::from(y) + 0.5) * sy))
+}
+
+/// Where an object's number stands in a strip picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Label {
+    /// The object.
+    pub object: ObjectId,
+    /// From the left, as a fraction of the width.
+    pub x: f64,
+    /// From the top, as a fraction of the height.
+    pub y: f64,
+}
+
+/// A picture of the strip: small, masks drawn in, encoded.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Thumbnail {
+    /// The frame.
+    pub frame: FrameId,
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// The file.
+    pub jpeg: Vec<u8>,
+    /// Numbers of the objects, above the top of their masks.
+    pub labels: Vec<Label>,
+}
+
+impl Thumbnail {
+    /// Shrinks a frame's picture, draws its masks over it and encodes it: the picture itself need not be kept.
+    ///
+    /// # Errors
+    /// [`ReportError::Picture`] if the picture is empty.
+    pub fn new(frame: FrameId, picture: &RgbImage, masks: &[(ObjectId, &Mask)]) -> Result<Self, ReportError> {
+        let (width, height) = thumbnail_size(picture.width(), picture.height());
+        let small = if (width, height) == picture.dimensions() {
+            overlay(picture, masks)
+        } else {
+            overlay(&imageops::thumbnail(picture, width, height), masks)
+        };
+        let mut jpeg = Vec::new();
+        JpegEncoder::new_with_quality(&mut jpeg, THUMBNAIL_QUALITY)
+            .encode_image(&small)
+            .map_err(|source| ReportError::Picture { frame: frame.0, source })?;
+        let labels = masks.iter().filter_map(|&(id, mask)| label(id, mask)).collect();
+        Ok(Self { frame, width, height, jpeg, labels })
+    }
+}
+
+fn thumbnail_size(width: u32, height: u32) -> (u32, u32) {
+    let side = width.max(height);
+    if side <= THUMBNAIL_SIDE || side == 0 {
+        return (width, height);
+    }
+    let scaled =
+        |length: u32| (f64::from(length) * f64::from(THUMBNAIL_SIDE) / f64::from(side)).round().max(1.0) as u32;
+    (scaled(width), scaled(height))
+}
+
+fn label(object: ObjectId, mask: &Mask) -> Option<Label> {
+    let b = mask.bounding_box()?;
+    let x = f64::from(b.x0 + b.x1) / 2.0 / f64::from(mask.width());
+    Some(Label { object, x, y: f64::from(b.y0) / f64::from(mask.height()) })
+}
+
+/// The frames whose pictures belong in the strip: all of a short clip, evenly spread ones of a longer one, always the
+/// first and the last.
+pub fn strip_frames(frames: &[FrameId]) -> Vec<FrameId> {
+    spread(frames.len(), MAX_THUMBNAILS).into_iter().map(|i| frames[i]).collect()
+}
+
+/// At most `limit` indices out of `0..len`, evenly spread, with the first and the last.
+pub(super) fn spread(len: usize, limit: usize) -> Vec<usize> {
+    if len <= limit {
+        return (0..len).collect();
+    }
+    match limit {
+        0 => Vec::new(),
+        1 => vec![0],
+        _ => (0..limit).map(|k| (k * (len - 1) + (limit - 1) / 2) / (limit - 1)).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masks_are_tinted_and_outlined_at_any_size() {
+        let grey = RgbImage::from_pixel(40, 20, Rgb([100, 100, 100]));
+        let mask = Mask::from_fn(80, 40, |x, y| (20..60).contains(&x) && (10..30).contains(&y));
+        let drawn = overlay(&grey, &[(ObjectId(1), &mask)]);
+        let colour = object_colour(ObjectId(1));
+        assert_eq!(drawn.get_pixel(10, 5).0, colour, "the outline is solid");
+        assert_eq!(*drawn.get_pixel(20, 10), tinted(Rgb([100; 3]), colour), "the inside is tinted");
+        assert_eq!(drawn.get_pixel(9, 5).0, [100; 3], "the rest is left alone");
+        assert_eq!(overlay(&grey, &[(ObjectId(2), &Mask::empty(40, 20))]), grey);
+    }
+
+    #[test]
+    fn thumbnails_are_small_and_know_where_the_objects_are() {
+        let picture = RgbImage::from_pixel(1920, 1080, Rgb([30, 60, 90]));
+        let mask = Mask::from_fn(1920, 1080, |x, y| (960..1920).contains(&x) && y >= 540);
+        let thumbnail = Thumbnail::new(FrameId(7), &picture, &[(ObjectId(3), &mask)]).unwrap();
+        assert_eq!((thumbnail.width, thumbnail.height), (400, 225));
+        assert_eq!(thumbnail.labels, [Label { object: ObjectId(3), x: 0.75, y: 0.5 }]);
+        let decoded = image::load_from_memory(&thumbnail.jpeg).unwrap().to_rgb8();
+        assert_eq!(decoded.dimensions(), (400, 225));
+        assert!(Thumbnail::new(FrameId(0), &RgbImage::new(0, 0), &[]).is_err());
+    }
+
+    #[test]
+    fn the_strip_is_thinned_and_keeps_both_ends() {
+        let frames: Vec<_> = (0..1000).map(FrameId).collect();
+        let chosen = strip_frames(&frames);
+        assert_eq!((chosen.len(), chosen[0], chosen[71]), (72, FrameId(0), FrameId(999)));
+        assert!(chosen.windows(2).all(|w| w[0] < w[1]));
+        assert_eq!(strip_frames(&frames[..5]).len(), 5);
+        assert!(strip_frames(&[]).is_empty());
+    }
+}

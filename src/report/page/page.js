@@ -1,0 +1,251 @@
+// The page's clock: slider, playing, strip, charts and the 3D view all show the same moment.
+"use strict";
+(() => {
+	const find = (id) => document.getElementById(id);
+	const read = (id) => (find(id) ? JSON.parse(find(id).textContent) : null);
+	const root = document.documentElement;
+	const data = read("scene-data"), charts = read("chart-data") ?? [], [start, end] = read("span-data");
+	const shots = [...document.querySelectorAll(".shot")].map((element) => ({
+		element, time: Number(element.dataset.time), image: element.querySelector("img"), labels: element.querySelectorAll("b"),
+	}));
+	const frames = data ? data.frames : shots.map(({ time }, k) => ({ time, frame: k, camera: null }));
+	const times = frames.map((f) => f.time);
+	const nearest = (list, time) => list.reduce((best, t, k) => (Math.abs(t - time) < Math.abs(list[best] - time) ? k : best), 0);
+	const shotOf = times.map((time) => nearest(shots.map((s) => s.time), time));
+	// A picture belongs to a frame if no more than half a step of the strip away.
+	const shotReach = shots.length > 1 ? (shots.at(-1).time - shots[0].time) / (shots.length - 1) * 0.75 : Infinity;
+	const pictureOf = (index) => {
+		const shot = shots[shotOf[index]];
+		return shot && Math.abs(shot.time - times[index]) <= shotReach ? shot.image : null;
+	};
+	const settings = new URLSearchParams(location.hash.slice(1));
+	let index = 0, playing = null, view = null;
+
+	// ---- the moment
+
+	const cursors = document.querySelectorAll(".cursor");
+	const format = (v) => (Math.abs(v) >= 1000 ? v.toFixed(0) : Number(v.toPrecision(4)).toString()).replace("-", "−");
+	const outputs = charts.map((chart, c) => chart.lines.map((line, l) => ({
+		times: line.samples.map((s) => s[0]), values: line.samples.map((s) => s[1]),
+		element: document.querySelector(`[data-chart="${c}"] [data-line="${l}"]`),
+	}))).flat();
+	const step = times.length > 1 ? (times.at(-1) - times[0]) / (times.length - 1) : 1;
+
+	const readCharts = (time) => {
+		for (const { times: at, values, element } of outputs) {
+			const k = nearest(at, time);
+			const reach = Math.max(step, at.length > 1 ? (at.at(-1) - at[0]) / (at.length - 1) : 0) * 0.8;
+			element.textContent = at.length && Math.abs(at[k] - time) <= reach ? format(values[k]) : "–";
+		}
+	};
+
+	const describe = () => {
+		const text = find("now-text");
+		if (!text || !shots.length) return;
+		const shot = shots[shotOf[index]];
+		find("now-picture").src = shot.image.src;
+		const box = find("now").querySelector(".picture");
+		box.querySelectorAll("b").forEach((b) => b.remove());
+		shot.labels.forEach((label) => box.append(label.cloneNode(true)));
+		text.replaceChildren();
+		const add = (words, colour, absent) => {
+			const span = document.createElement("span");
+			if (colour) {
+				const dot = document.createElement("i");
+				dot.style.setProperty("--c", colour);
+				span.append(dot);
+			}
+			span.classList.toggle("absent", absent);
+			span.append(words);
+			text.append(span);
+		};
+		if (!frames[index].camera) add("Camera not known here", null, true);
+		for (const object of data?.objects ?? []) {
+			const placed = object.poses.some(([i]) => i === index);
+			if (placed) add(object.name, object.colour, false);
+		}
+	};
+
+	let lastShot = null;
+	const markShot = (scroll) => {
+		const shot = shots[shotOf[index]]?.element;
+		if (!shot || shot === lastShot) return;
+		lastShot?.classList.remove("current");
+		lastShot?.removeAttribute("aria-current");
+		shot.classList.add("current");
+		shot.setAttribute("aria-current", "true");
+		lastShot = shot;
+		const strip = find("strip");
+		// Only the strip scrolls, never the page.
+		if (scroll) strip.scrollLeft = shot.offsetLeft - strip.offsetLeft - (strip.clientWidth - shot.clientWidth) / 2;
+	};
+
+	const show = (wanted, { scroll = true } = {}) => {
+		if (!frames.length) return;
+		index = Math.max(0, Math.min(frames.length - 1, wanted));
+		const time = times[index];
+		const percent = end > start ? (time + step / 2 - start) / (end - start) * 100 : 0;
+		cursors.forEach((cursor) => (cursor.style.left = `${Math.min(100, percent)}%`));
+		if (find("time")) {
+			find("time").value = index;
+			find("time").setAttribute("aria-valuetext", `${time.toFixed(2)} seconds, frame ${frames[index].frame}`);
+			find("clock").textContent = `${time.toFixed(2)} s · frame ${frames[index].frame}`;
+		}
+		readCharts(time);
+		markShot(scroll);
+		if (data) {
+			describe();
+			view?.show(index);
+			movePlan();
+		}
+	};
+
+	/** Markers of the top view: what print and browsers without WebGL show. */
+	const movePlan = () => {
+		const plan = find("plan");
+		const put = (element, at) => element && (at ? element.setAttribute("d", `M${at[0] * 10} ${at[2] * 10}h0`) : element.removeAttribute("d"));
+		put(plan.querySelector(".plan-here"), frames[index].camera);
+		for (const object of data.objects) {
+			const pose = object.poses.find(([i]) => i === index);
+			put(plan.querySelector(`.plan-end[data-object="${object.id}"]`), pose?.[1]);
+		}
+	};
+
+	// ---- playing
+
+	const stop = () => {
+		playing = null;
+		if (!find("play")) return;
+		find("play").textContent = "▶";
+		find("play").setAttribute("aria-label", "Play");
+	};
+	const play = () => {
+		if (index >= frames.length - 1) show(0);
+		const run = (playing = { clock: performance.now(), time: times[index] });
+		find("play").textContent = "❚❚";
+		find("play").setAttribute("aria-label", "Pause");
+		const tick = (now) => {
+			if (playing !== run) return;
+			run.time += Math.max(0, now - run.clock) / 1000 * Number(find("speed").value);
+			run.clock = now;
+			let next = index;
+			while (next < times.length - 1 && times[next + 1] <= run.time) next++;
+			if (next !== index) show(next);
+			if (index >= times.length - 1) return stop();
+			requestAnimationFrame(tick);
+		};
+		requestAnimationFrame(tick);
+	};
+	const toggle = () => (playing ? stop() : play());
+	const jump = (time, options) => {
+		stop();
+		show(nearest(times, time), options);
+	};
+
+	// ---- controls
+
+	const fill = (on) => {
+		find("stage").classList.toggle("full", on);
+		find("full").setAttribute("aria-pressed", on);
+		find("full").textContent = on ? "Close" : "Full";
+		document.body.style.overflow = on ? "hidden" : "";
+		listenToWheel();
+	};
+	// The wheel belongs to the page until the reader has taken hold of the view.
+	const listenToWheel = () => {
+		if (!view) return;
+		const held = find("viewport").contains(document.activeElement) || find("stage").classList.contains("full");
+		view.controls.enableZoom = held || matchMedia("(pointer: coarse)").matches;
+		find("canvas").style.touchAction = find("stage").classList.contains("full") ? "none" : "pan-y";
+	};
+
+	const keys = {
+		" ": toggle, k: toggle, ArrowLeft: () => { stop(); show(index - 1); }, ArrowRight: () => { stop(); show(index + 1); },
+		Home: () => { stop(); show(0); }, End: () => { stop(); show(frames.length - 1); },
+	};
+
+	const connect = () => {
+		const stage = find("stage"), viewport = find("viewport");
+		find("time").max = frames.length - 1;
+		find("time").addEventListener("input", (event) => { stop(); show(Number(event.target.value)); });
+		find("play").addEventListener("click", toggle);
+		find("full").addEventListener("click", () => fill(!stage.classList.contains("full")));
+		viewport.addEventListener("keydown", (event) => {
+			if (!keys[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
+			event.preventDefault();
+			keys[event.key]();
+		});
+		addEventListener("keydown", (event) => event.key === "Escape" && stage.classList.contains("full") && fill(false));
+		if (!view) return;
+		viewport.addEventListener("pointerdown", () => viewport.focus({ preventScroll: true }));
+		viewport.addEventListener("focusin", listenToWheel);
+		viewport.addEventListener("focusout", () => setTimeout(listenToWheel));
+		document.querySelectorAll("[data-view]").forEach((button) => button.addEventListener("click", () => view.look(button.dataset.view)));
+		view.onMode = (mode) => document.querySelectorAll("[data-view]").forEach((b) => b.setAttribute("aria-pressed", b.dataset.view === mode && mode !== "home"));
+		document.querySelectorAll("[data-layer]").forEach((box) => box.addEventListener("change", () => view.setLayer(box.dataset.layer, box.checked)));
+		document.querySelectorAll("input[data-object]").forEach((box) => box.addEventListener("change", () => view.setObject(Number(box.dataset.object), box.checked)));
+		find("size").addEventListener("input", (event) => view.setPointSize(Number(event.target.value)));
+		find("grid-size").textContent = `${view.gridLength} ${data.unit === "m" ? "m" : "units"}`;
+		if (matchMedia("(max-width: 640px)").matches) find("layers").open = false;
+		listenToWheel();
+	};
+
+	const scrub = (area) => {
+		const go = (event) => {
+			const box = area.getBoundingClientRect();
+			jump(start + (event.clientX - box.left) / box.width * (end - start) - step / 2);
+		};
+		area.addEventListener("pointerdown", (event) => { area.setPointerCapture(event.pointerId); go(event); });
+		area.addEventListener("pointermove", (event) => event.buttons && go(event));
+	};
+
+	const setTheme = (theme) => {
+		root.dataset.theme = theme;
+		view?.recolour();
+	};
+	const isDark = () => (root.dataset.theme ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches);
+
+	/** The moment to begin with: as many vehicles in place as can be, not quite at the end. */
+	const opening = () => {
+		if (settings.has("t")) return nearest(times, Number(settings.get("t")));
+		const placed = frames.map((f, i) => (f.camera ? 0.5 : 0) + (data?.objects ?? []).filter((o) => o.poses.some(([k]) => k === i)).length);
+		const most = Math.max(...placed), goal = 0.6 * frames.length;
+		return placed.reduce((best, n, i) => (n === most && (best < 0 || Math.abs(i - goal) < Math.abs(best - goal)) ? i : best), -1);
+	};
+
+	const begin = () => {
+		if (settings.has("theme")) root.dataset.theme = settings.get("theme");
+		find("theme").addEventListener("click", () => setTheme(isDark() ? "light" : "dark"));
+		matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view?.recolour());
+		if (data) {
+			let problem = hasWebgl() ? null : "This browser has no WebGL, so you see the top view instead of the 3D view.";
+			if (!problem) {
+				find("canvas").hidden = false;
+				try {
+					view = new SceneView(find("canvas"), find("viewport"), data, pictureOf);
+					find("plan").hidden = true;
+				} catch (error) {
+					problem = `The 3D view could not start (${error.message}), so you see the top view instead.`;
+				}
+			}
+			if (problem) {
+				find("canvas").hidden = true;
+				find("fallback").hidden = false;
+				find("fallback").textContent = problem;
+				document.querySelectorAll("[data-view], #layers").forEach((element) => (element.hidden = true));
+			}
+			connect();
+			if (settings.has("full")) fill(true);
+			if (view && settings.has("view")) view.look(settings.get("view"));
+		}
+		shots.forEach(({ element, time }) => element.addEventListener("click", () => jump(time, { scroll: false })));
+		document.querySelectorAll(".area, .row:not(.axis) .track").forEach(scrub);
+		show(opening());
+		root.dataset.renderer = view ? "webgl" : data ? "plan" : "none";
+		// Two frames later everything is on the screen.
+		requestAnimationFrame(() => requestAnimationFrame(() => { root.dataset.ready = "true"; }));
+	};
+
+	// Pictures first: the frustum carries one.
+	Promise.allSettled(shots.map(({ image }) => image.decode())).then(begin);
+})();

@@ -1,0 +1,98 @@
+//! Something to report on.
+
+use std::collections::BTreeMap;
+
+use super::{Data, Model, Object, Stage, Thumbnail};
+use crate::scene::{Frame, FrameId, Ground, ObjectId, ObjectTrajectory, Reconstruction, Unit};
+pub(super) use crate::synthetic::showcase::UP;
+use crate::synthetic::showcase::{CAR, showcase};
+
+/// The showcase's car, to be changed by tests.
+pub(super) struct World {
+    pub title: String,
+    pub class: String,
+    pub frames: Vec<Frame>,
+    pub background: Reconstruction,
+    pub ground: Ground,
+    pub model: Reconstruction,
+    pub trajectory: ObjectTrajectory,
+    pub visible: Vec<FrameId>,
+    pub strip: Vec<Thumbnail>,
+    pub warnings: Vec<String>,
+}
+
+pub(super) fn world() -> World {
+    let result = showcase(60, 1);
+    let car = result.vehicles[0].clone();
+    World {
+        title: "clip.mp4".into(),
+        class: "car".into(),
+        frames: result.frames,
+        background: result.background,
+        ground: result.ground,
+        model: car.model,
+        trajectory: car.trajectory,
+        visible: car.visible,
+        strip: Vec::new(),
+        warnings: Vec::new(),
+    }
+}
+
+impl World {
+    pub fn data(&self) -> Data<'_> {
+        let object = Object {
+            id: CAR,
+            class: self.class.clone(),
+            confidence: 0.9,
+            visible: self.visible.clone(),
+            model: Some(Model { reconstruction: &self.model, unregistered: BTreeMap::new() }),
+            trajectory: Some(&self.trajectory),
+            ratio_per_frame: vec![(FrameId(3), self.trajectory.scale.ratio)],
+            failure: None,
+        };
+        let lost = Object {
+            id: ObjectId(2),
+            class: String::new(),
+            confidence: f64::NAN,
+            visible: vec![FrameId(4)],
+            model: None,
+            trajectory: None,
+            ratio_per_frame: Vec::new(),
+            failure: Some("too few features".into()),
+        };
+        Data {
+            title: self.title.clone(),
+            objects: vec![object, lost],
+            frames: &self.frames,
+            ground: Some(&self.ground),
+            strip: self.strip.clone(),
+            warnings: self.warnings.clone(),
+            ..nothing(&self.background)
+        }
+    }
+
+    pub fn names(&self) -> Vec<String> {
+        self.data().objects.iter().map(|o| format!("{} {}", o.class, o.id)).collect()
+    }
+}
+
+/// A run that ended with this background and nothing else.
+pub(super) fn nothing(background: &Reconstruction) -> Data<'_> {
+    let stage = Stage { name: "sfm".into(), wall_s: 1.0, cpu_s: 2.0, peak_rss_mib: 100.0, reused: false };
+    Data {
+        title: "clip.mp4".into(),
+        input: Vec::new(),
+        version: "0".into(),
+        arguments: Vec::new(),
+        unit: Unit::Background,
+        frames: &[],
+        background: Model { reconstruction: background, unregistered: BTreeMap::from([(FrameId(3), "dark".into())]) },
+        ground: None,
+        objects: Vec::new(),
+        missing: Vec::new(),
+        strip: Vec::new(),
+        warnings: Vec::new(),
+        stages: vec![stage],
+        evaluation: Vec::new(),
+    }
+}

@@ -1,0 +1,487 @@
+//! The scene as the 3D view gets it: turned upright, moved to the middle, brought to one size, thinned and packed.
+//!
+//! The view's frame is y up, x along the main direction of the drive, z towards the viewer; its origin is the middle of
+//! what matters (camera path and trajectories) and their radius is [`RADIUS`]. All bounds are quantiles, so that a few
+//! points or one lost camera far away do not shrink the scene.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
+use serde::Serialize;
+
+use super::data::{Data, Object};
+use super::overlay::{object_colour, spread};
+use crate::math::Sim3;
+use crate::scene::{Frame, FrameId, Image, Point3d, Point3dId, Reconstruction, Unit};
+
+/// Radius of camera path and trajectories in the view's frame.
+const RADIUS: f64 = 10.0;
+/// Background points shown: 12 characters each in the page.
+const MAX_POINTS: usize = 60_000;
+/// Points shown per object: 22 characters each.
+const MAX_OBJECT_POINTS: usize = 3_000;
+/// Points shown of all objects together.
+const MAX_ALL_OBJECT_POINTS: usize = 24_000;
+/// Frames the time slider can stop at.
+const MAX_FRAMES: usize = 1_500;
+/// The shown volume reaches at most this many radii from the middle.
+const MAX_REACH: f64 = 40.0;
+
+/// The transform into the view's frame, and what was measured on the way.
+#[derive(Clone, Debug)]
+pub(super) struct View {
+    pub view_from_world: Sim3,
+    /// Points beyond this distance from the middle are not shown.
+    pub reach: f64,
+    /// Height of the ground in the view's frame.
+    pub ground: f64,
+    /// Where "up" came from, for the reader.
+    pub up_source: &'static str,
+}
+
+impl View {
+    /// Of a run's data; `None` if nothing was reconstructed.
+    pub fn new(data: &Data) -> Option<Self> {
+        let background = data.background.reconstruction;
+        let centers: Vec<_> = background.images.values().map(|i| i.cam_from_world.center()).filter(finite).collect();
+        if centers.is_empty() {
+            return None;
+        }
+        let focus = focus(data, &centers);
+        let (up, up_source) = up(data);
+        let forward: Vector3<f64> =
+            background.images.values().map(|i| i.cam_from_world.rotation.inverse() * Vector3::z()).sum();
+        let rotation = upright(up, &focus, forward);
+        let turned: Vec<_> = focus.iter().map(|p| rotation * p).collect();
+        let (middle, mut radius) = bounds(&turned);
+        if !(radius > 0.0) {
+            // A still camera and no trajectory: what it looks at gives the size.
+            let distances = background.points.values().map(|p| (p.position - centers[0]).norm());
+            radius = quantile(&mut distances.filter(|d| d.is_finite()).collect::<Vec<_>>(), 0.5).max(1e-9);
+        }
+        let scale = RADIUS / radius;
+        let view_from_world = Sim3::new(scale, rotation, -middle.coords * scale);
+        let reach = reach(background, &view_from_world);
+        let ground = ground_height(data, &view_from_world);
+        Some(Self { view_from_world, reach, ground, up_source })
+    }
+
+    fn point(&self, world: Point3<f64>) -> [f64; 3] {
+        (self.view_from_world * world).coords.map(rounded).into()
+    }
+}
+
+fn finite(p: &Point3<f64>) -> bool {
+    p.iter().all(|v| v.is_finite())
+}
+
+/// What the first look should hold: camera centres and the trajectories that can be trusted (all, if none can).
+fn focus(data: &Data, centers: &[Point3<f64>]) -> Vec<Point3<f64>> {
+    let positions = |object: &Object| -> Vec<Point3<f64>> {
+        object.trajectory.iter().flat_map(|t| &t.poses).map(|p| Point3::from(p.position)).filter(finite).collect()
+    };
+    let sure = |o: &&Object| o.trajectory.is_some_and(|t| !t.scale.degenerate);
+    let mut moving: Vec<_> = data.objects.iter().filter(sure).flat_map(positions).collect();
+    if moving.is_empty() {
+        moving = data.objects.iter().flat_map(positions).collect();
+    }
+    moving.extend(centers);
+    moving
+}
+
+/// Unit vector away from the ground, and where it came from.
+fn up(data: &Data) -> (Vector3<f64>, &'static str) {
+    let background = data.background.reconstruction;
+    if let Some(ground) = data.ground {
+        let sum: Vector3<f64> = ground.planes.values().map(|p| p.normal).sum();
+        if sum.norm() > 0.5 * ground.planes.len() as f64 && sum.norm() > 0.0 {
+            return (sum.normalize(), "mean normal of the local ground planes");
+        }
+        let points: Vec<_> = ground.point_ids.iter().filter_map(|id| background.points.get(id)).collect();
+        if let Some(normal) = plane_normal(&points) {
+            let camera = mean_camera_up(background);
+            let side = if normal.dot(&camera) < 0.0 { -normal } else { normal };
+            return (side, "plane through the ground points");
+        }
+    }
+    (mean_camera_up(background), "mean upward axis of the cameras")
+}
+
+/// Mean of the cameras' −y axes, in the world.
+fn mean_camera_up(background: &Reconstruction) -> Vector3<f64> {
+    let sum: Vector3<f64> =
+        background.images.values().map(|i| i.cam_from_world.rotation.inverse() * -Vector3::y()).sum();
+    sum.try_normalize(1e-9).unwrap_or_else(|| -Vector3::y())
+}
+
+/// Direction of least spread of a set of points; `None` for fewer than ten.
+fn plane_normal(points: &[&Point3d]) -> Option<Vector3<f64>> {
+    let positions: Vec<_> = points.iter().map(|p| p.position).filter(finite).collect();
+    if positions.len() < 10 {
+        return None;
+    }
+    let middle = positions.iter().map(|p| p.coords).sum::<Vector3<f64>>() / positions.len() as f64;
+    let spread: Matrix3<f64> = positions.iter().map(|p| (p.coords - middle) * (p.coords - middle).transpose()).sum();
+    let eigen = spread.symmetric_eigen();
+    let least = eigen.eigenvalues.imin();
+    eigen.eigenvectors.column(least).into_owned().try_normalize(1e-12)
+}
+
+/// The rotation that takes `up` to +y and the main horizontal direction of the focus to ±x, such that the cameras look
+/// away from the viewer.
+fn upright(up: Vector3<f64>, focus: &[Point3<f64>], forward: Vector3<f64>) -> UnitQuaternion<f64> {
+    let middle = focus.iter().map(|p| p.coords).sum::<Vector3<f64>>() / focus.len().max(1) as f64;
+    let flat = |v: Vector3<f64>| v - up * up.dot(&v);
+    let spread: Matrix3<f64> = focus.iter().map(|p| flat(p.coords - middle)).map(|v| v * v.transpose()).sum();
+    let eigen = spread.symmetric_eigen();
+    let main = flat(eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned());
+    let any = flat(if up.x.abs() < 0.7 { Vector3::x() } else { Vector3::z() });
+    let mut x = if main.norm() > 1e-6 { main.normalize() } else { any.normalize() };
+    let mut z = x.cross(&up);
+    if forward.dot(&z) > 0.0 {
+        (x, z) = (-x, -z);
+    }
+    let rows = Matrix3::from_rows(&[x.transpose(), up.transpose(), z.transpose()]);
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rows))
+}
+
+/// Middle and radius of the box between the 2nd and the 98th percentile of each coordinate.
+fn bounds(points: &[Point3<f64>]) -> (Point3<f64>, f64) {
+    let mut middle = Point3::origin();
+    let mut half = Vector3::zeros();
+    for k in 0..3 {
+        let mut values: Vec<_> = points.iter().map(|p| p[k]).collect();
+        let (low, high) = (quantile(&mut values, 0.02), quantile(&mut values, 0.98));
+        middle[k] = (low + high) / 2.0;
+        half[k] = (high - low) / 2.0;
+    }
+    (middle, half.norm())
+}
+
+/// A quantile, nearest rank; 0 for no values.
+pub(super) fn quantile(values: &mut [f64], q: f64) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let rank = ((values.len() - 1) as f64 * q).round() as usize;
+    *values.select_nth_unstable_by(rank, f64::total_cmp).1
+}
+
+/// How far the shown volume reaches: most of the points, but not those at the horizon.
+fn reach(background: &Reconstruction, view_from_world: &Sim3) -> f64 {
+    let distances = background.points.values().map(|p| (*view_from_world * p.position).coords.norm());
+    let most = quantile(&mut distances.filter(|d| d.is_finite()).collect::<Vec<_>>(), 0.95);
+    (1.3 * most).clamp(3.0 * RADIUS, MAX_REACH * RADIUS)
+}
+
+/// Median height of what is known to be ground, else the 10th percentile of all points.
+fn ground_height(data: &Data, view_from_world: &Sim3) -> f64 {
+    let background = data.background.reconstruction;
+    let height = |p: Point3<f64>| (*view_from_world * p).y;
+    let mut known: Vec<f64> = match data.ground {
+        Some(g) if !g.planes.is_empty() => g.planes.values().map(|p| height(p.point)).collect(),
+        Some(g) => g.point_ids.iter().filter_map(|id| background.points.get(id)).map(|p| height(p.position)).collect(),
+        None => Vec::new(),
+    };
+    known.retain(|h| h.is_finite());
+    if !known.is_empty() {
+        return quantile(&mut known, 0.5);
+    }
+    let near = background.points.values().map(|p| *view_from_world * p.position);
+    let mut all: Vec<_> = near.filter(|p| p.coords.norm() < 3.0 * RADIUS).map(|p| p.y).collect();
+    quantile(&mut all, 0.1)
+}
+
+/// What `view3d.js` reads.
+#[derive(Debug, Serialize)]
+pub(super) struct Scene {
+    /// Length of one unit of the background in the view.
+    scale: f64,
+    unit: &'static str,
+    ground: f64,
+    radius: f64,
+    /// Half width and height of the image plane at distance 1.
+    tangent: [f64; 2],
+    frames: Vec<SceneFrame>,
+    points: Cloud,
+    objects: Vec<SceneObject>,
+}
+
+/// A stop of the time slider.
+#[derive(Debug, Serialize)]
+struct SceneFrame {
+    frame: u32,
+    time: f64,
+    /// Camera centre and `view_from_cam` as w x y z; absent where the camera is unknown.
+    camera: Option<[f64; 7]>,
+}
+
+/// Packed points.
+#[derive(Debug, Serialize)]
+struct Cloud {
+    /// Points in the model, points in this cloud, points beyond its reach.
+    total: usize,
+    count: usize,
+    beyond: usize,
+    /// Coordinates from −reach to +reach as 16-bit fractions, little endian.
+    reach: f64,
+    positions: String,
+    /// Four bytes each: red, green, blue, and 255 for ground.
+    colours: String,
+}
+
+/// A vehicle in the 3D view.
+#[derive(Debug, Serialize)]
+struct SceneObject {
+    id: u32,
+    name: String,
+    colour: String,
+    degenerate: bool,
+    total: usize,
+    count: usize,
+    /// In the object's frame: 32-bit floats, little endian.
+    positions: String,
+    colours: String,
+    /// Index in `frames`; position; `view_from_object` as scale, w x y z, translation.
+    poses: Vec<(usize, [f64; 3], [f64; 8])>,
+}
+
+impl Scene {
+    pub fn new(data: &Data, view: &View, names: &[String]) -> Self {
+        let chosen = spread(data.frames.len(), MAX_FRAMES);
+        let images = data.background.images(data.frames);
+        let frames = chosen.iter().map(|&i| scene_frame(&data.frames[i], images[i], view)).collect();
+        let shown = data.objects.iter().filter(|o| o.trajectory.is_some()).count().max(1);
+        let budget = MAX_OBJECT_POINTS.min(MAX_ALL_OBJECT_POINTS / shown);
+        let objects = data.objects.iter().zip(names);
+        Self {
+            scale: view.view_from_world.scale,
+            unit: unit_symbol(data.unit),
+            ground: rounded(view.ground),
+            radius: RADIUS,
+            tangent: tangent(data.background.reconstruction),
+            frames,
+            points: cloud(data, view),
+            objects: objects.filter_map(|(o, n)| scene_object(data, view, o, n, &chosen, budget)).collect(),
+        }
+    }
+
+    /// What was left out, in sentences.
+    pub fn omissions(&self, num_frames: usize) -> Vec<String> {
+        let mut notes = Vec::new();
+        let Cloud { total, count, beyond, .. } = self.points;
+        if count + beyond < total {
+            notes.push(format!("{count} of {total} background points are shown, an even selection."));
+        }
+        if beyond > 0 {
+            notes.push(format!("{beyond} background points lie too far outside the scene to be shown."));
+        }
+        let (shown, all): (usize, usize) = self.objects.iter().fold((0, 0), |(s, a), o| (s + o.count, a + o.total));
+        if shown < all {
+            notes.push(format!("{shown} of {all} vehicle points are shown, an even selection."));
+        }
+        if self.frames.len() < num_frames {
+            notes.push(format!("The time slider stops at {} of {num_frames} frames.", self.frames.len()));
+        }
+        notes
+    }
+}
+
+/// The symbol of the unit of length.
+pub(super) fn unit_symbol(unit: Unit) -> &'static str {
+    match unit {
+        Unit::Metre => "m",
+        Unit::Background => "u",
+    }
+}
+
+fn tangent(background: &Reconstruction) -> [f64; 2] {
+    let camera = background.images.values().next().and_then(|i| background.cameras.get(&i.camera));
+    camera.map_or([0.5, 0.3], |c| {
+        [rounded(0.5 * f64::from(c.width) / c.focal[0]), rounded(0.5 * f64::from(c.height) / c.focal[1])]
+    })
+}
+
+fn scene_frame(frame: &Frame, image: Option<&Image>, view: &View) -> SceneFrame {
+    let pose = |image: &Image| {
+        let [x, y, z] = view.point(image.cam_from_world.center());
+        let q = view.view_from_world.rotation * image.cam_from_world.rotation.inverse();
+        [x, y, z, rounded(q.w), rounded(q.i), rounded(q.j), rounded(q.k)]
+    };
+    let camera = image.map(pose).filter(|c| c.iter().all(|v| v.is_finite()));
+    SceneFrame { frame: frame.id.0, time: rounded(frame.time_s), camera }
+}
+
+fn cloud(data: &Data, view: &View) -> Cloud {
+    let points = &data.background.reconstruction.points;
+    let near = |p: &Point3d| {
+        let distance = (view.view_from_world * p.position).coords.norm();
+        distance <= view.reach
+    };
+    let inside: Vec<(Point3dId, &Point3d)> = points.iter().filter(|(_, p)| near(p)).map(|(id, p)| (*id, p)).collect();
+    let beyond = points.len() - inside.len();
+    let chosen = sample(&inside, MAX_POINTS);
+    let ground = data.ground.map_or(&[][..], |g| &g.point_ids);
+    let mut positions = Vec::with_capacity(chosen.len() * 6);
+    let mut colours = Vec::with_capacity(chosen.len() * 4);
+    for (id, point) in &chosen {
+        for v in (view.view_from_world * point.position).coords.iter() {
+            let fraction = ((v / view.reach + 1.0) / 2.0).clamp(0.0, 1.0);
+            positions.extend(((fraction * 65535.0).round() as u16).to_le_bytes());
+        }
+        colours.extend(point.rgb);
+        colours.push(if ground.binary_search(id).is_ok() { 255 } else { 0 });
+    }
+    Cloud {
+        total: points.len(),
+        count: chosen.len(),
+        beyond,
+        reach: view.reach,
+        positions: STANDARD.encode(positions),
+        colours: STANDARD.encode(colours),
+    }
+}
+
+/// At most `limit` points, chosen by a hash of their ids: even over the scene, and the same in every run.
+fn sample<'a>(points: &[(Point3dId, &'a Point3d)], limit: usize) -> Vec<(Point3dId, &'a Point3d)> {
+    let mut all = points.to_vec();
+    if all.len() > limit {
+        // SplitMix64's finaliser.
+        let key = |id: Point3dId| {
+            let z = id.0.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb)
+        };
+        all.sort_by_key(|(id, _)| (key(*id), *id));
+        all.truncate(limit);
+        all.sort_by_key(|(id, _)| *id);
+    }
+    all
+}
+
+fn scene_object(
+    data: &Data,
+    view: &View,
+    object: &Object,
+    name: &str,
+    chosen: &[usize],
+    budget: usize,
+) -> Option<SceneObject> {
+    let trajectory = object.trajectory?;
+    let index_of = |frame: FrameId| {
+        let index = data.frames.binary_search_by_key(&frame, |f| f.id).ok()?;
+        chosen.binary_search(&index).ok()
+    };
+    let poses = trajectory.poses.iter().filter_map(|pose| {
+        let index = index_of(pose.frame)?;
+        let s = view.view_from_world * pose.world_from_object;
+        let (q, t) = (s.rotation, s.translation);
+        let numbers = [s.scale, q.w, q.i, q.j, q.k, t.x, t.y, t.z];
+        let position = view.point(Point3::from(pose.position));
+        let usable = numbers.iter().chain(&position).all(|v| v.is_finite());
+        usable.then_some((index, position, numbers))
+    });
+    let all: Vec<_> = object
+        .model
+        .iter()
+        .flat_map(|m| &m.reconstruction.points)
+        .filter(|(_, p)| finite(&p.position))
+        .map(|(id, p)| (*id, p))
+        .collect();
+    let points = sample(&all, budget);
+    let floats = points
+        .iter()
+        .flat_map(|(_, p)| p.position.coords.iter().flat_map(|&v| (v as f32).to_le_bytes()).collect::<Vec<_>>());
+    Some(SceneObject {
+        id: object.id.0,
+        name: name.to_owned(),
+        colour: css_colour(object_colour(object.id)),
+        degenerate: trajectory.scale.degenerate,
+        total: all.len(),
+        count: points.len(),
+        positions: STANDARD.encode(floats.collect::<Vec<_>>()),
+        colours: STANDARD.encode(points.iter().flat_map(|(_, p)| p.rgb).collect::<Vec<_>>()),
+        poses: poses.collect(),
+    })
+}
+
+/// `#rrggbb`.
+pub(super) fn css_colour([r, g, b]: [u8; 3]) -> String {
+    format!("#{r:02x}{g:02x}{b:02x}")
+}
+
+/// To five decimals: a hundredth of a pixel on any screen.
+fn rounded(v: f64) -> f64 {
+    (v * 1e5).round() / 1e5
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::testing;
+    use crate::scene::ImageId;
+
+    #[test]
+    fn the_scene_stands_upright_and_far_points_do_not_shrink_it() {
+        let mut world = testing::world();
+        let before = View::new(&world.data()).unwrap();
+        let far_before = Scene::new(&world.data(), &before, &world.names()).points.beyond;
+        for k in 0..40 {
+            let far = world.background.points.values().next().unwrap().clone();
+            let position = Point3::new(1e7, -3e6 * f64::from(k), 2e7);
+            world.background.points.insert(Point3dId(1_000_000 + k as u64), Point3d { position, ..far });
+        }
+        let after = View::new(&world.data()).unwrap();
+        assert_eq!(before.view_from_world, after.view_from_world);
+        assert!(after.reach <= MAX_REACH * RADIUS);
+        let scene = Scene::new(&world.data(), &after, &world.names());
+        assert_eq!(scene.points.beyond, far_before + 40);
+        assert_eq!(scene.omissions(world.frames.len()).len(), 1);
+        let up = after.view_from_world.rotation * testing::UP;
+        assert!((up - Vector3::y()).norm() < 1e-9, "{up}");
+        let forward: Vector3<f64> =
+            world.background.images.values().map(|i| i.cam_from_world.rotation.inverse() * Vector3::z()).sum();
+        assert!((after.view_from_world.rotation * forward).z < 0.0, "cameras look away from the viewer");
+    }
+
+    #[test]
+    fn one_lost_camera_does_not_move_the_view() {
+        let mut world = testing::world();
+        let before = View::new(&world.data()).unwrap();
+        world.background.images.get_mut(&ImageId(5)).unwrap().cam_from_world.translation *= 1e6;
+        let after = View::new(&world.data()).unwrap();
+        let ratio = after.view_from_world.scale / before.view_from_world.scale;
+        assert!((0.5..2.0).contains(&ratio), "{ratio}");
+    }
+
+    #[test]
+    fn what_is_not_finite_is_left_out() {
+        let mut world = testing::world();
+        let far_before = cloud(&world.data(), &View::new(&world.data()).unwrap()).beyond;
+        let first = *world.background.points.keys().next().unwrap();
+        world.background.points.get_mut(&first).unwrap().position.x = f64::NAN;
+        world.trajectory.poses[3].position[1] = f64::INFINITY;
+        let data = world.data();
+        let scene = Scene::new(&data, &View::new(&data).unwrap(), &world.names());
+        assert_eq!(scene.points.beyond, far_before + 1);
+        assert_eq!(scene.objects[0].poses.len(), world.trajectory.poses.len() - 1);
+    }
+
+    #[test]
+    fn selections_keep_their_budget_and_repeat() {
+        let point = testing::world().background.points.values().next().unwrap().clone();
+        let points: Vec<_> = (0..1000).map(|k| (Point3dId(k), &point)).collect();
+        let chosen = sample(&points, 100);
+        assert_eq!(chosen.len(), 100);
+        assert_eq!(chosen, sample(&points, 100));
+        let low = chosen.iter().filter(|(id, _)| id.0 < 500).count();
+        assert!((30..70).contains(&low), "{low} of 100 from the first half");
+    }
+
+    #[test]
+    fn an_empty_run_has_no_view() {
+        let mut world = testing::world();
+        world.background = Reconstruction::default();
+        assert!(View::new(&world.data()).is_none());
+    }
+}
