@@ -1,0 +1,61 @@
+#!/usr/bin/env python3
+"""Renders the whole data set, 5 vehicles x 7 trajectories, in the order in which it is useful.
+
+Every trajectory comes with two vehicles before any comes with a third. Can be
+stopped at any moment: the same command goes on where it was. Each sequence is
+rendered by a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+
+from tractrix_dataset.drives import TRAJECTORIES
+from tractrix_dataset.vehicles.spec import VEHICLES
+
+SCRIPT = Path(__file__).with_name("render.py")
+
+
+def order() -> list[tuple[str, str]]:
+    """(trajectory, vehicle) pairs: a different vehicle each time, all trajectories in every round."""
+    trajectories, vehicles = list(TRAJECTORIES), list(VEHICLES)
+    rounds = range(len(vehicles))
+    return [(t, vehicles[(i + k) % len(vehicles)]) for k in rounds for i, t in enumerate(trajectories)]
+
+
+def main() -> None:
+    """Renders sequence by sequence; other options are passed on to render.py."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--output", type=Path, required=True, help="folder of all sequences")
+    parser.add_argument("--list", action="store_true", help="only say what is there and what is missing")
+    parser.add_argument("--only", type=int, default=35, help="stop after this many sequences in all")
+    arguments, passed = parser.parse_known_args()
+    failed = []
+    for trajectory, vehicle in order()[: arguments.only]:
+        folder = arguments.output / f"{trajectory}_{vehicle}"
+        whole = (folder / "scene.json").is_file()
+        if arguments.list or whole:
+            print(f"{folder.name}: {'there' if whole else 'missing'}", flush=True)
+            continue
+        command = [
+            sys.executable,
+            str(SCRIPT),
+            "--trajectory",
+            trajectory,
+            "--vehicle",
+            vehicle,
+            "--output",
+            str(folder),
+            *passed,
+        ]
+        if subprocess.run(command).returncode != 0:
+            failed.append(folder.name)
+    if failed:
+        sys.exit(f"not rendered: {', '.join(failed)}")
+
+
+if __name__ == "__main__":
+    main()

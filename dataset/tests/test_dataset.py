@@ -1,0 +1,109 @@
+"""Tests of the generator's parts that need no Blender. Run: python -m unittest discover -s dataset/tests"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from tractrix_dataset import labels, mesh, plan, seeds  # noqa: E402
+from tractrix_dataset.paths import Path as Way  # noqa: E402
+from tractrix_dataset.validate import _ground_heights, silhouette  # noqa: E402
+
+
+class Seeds(unittest.TestCase):
+    def test_a_generator_depends_on_its_key_alone(self) -> None:
+        first = seeds.rng("tree", 1).random(4)
+        seeds.rng("tree", 2).random(100)
+        np.testing.assert_array_equal(first, seeds.rng("tree", 1).random(4))
+        self.assertNotEqual(seeds.digest("ab", "c"), seeds.digest("a", "bc"))
+
+    def test_noise_is_continuous_and_bounded(self) -> None:
+        x = np.linspace(-30, 30, 20001)
+        values = seeds.noise(x, 0.37 * x, 2.0, "test")
+        self.assertLessEqual(np.abs(values).max(), 1.0)
+        self.assertGreater(np.ptp(values), 0.8)
+        self.assertLess(np.abs(np.diff(values)).max(), 0.02)
+
+
+class Ways(unittest.TestCase):
+    def test_points_of_a_way_lie_on_it_at_their_arc_length(self) -> None:
+        way = Way([(0, 0, 0), (40, 0, 12), (40, 30, 0)])
+        s = np.linspace(0, way.length, 200)
+        points = way.point(s)
+        distance, along = way.locate(*points.T)
+        self.assertLess(distance.max(), 1e-9)
+        np.testing.assert_allclose(along, s, atol=1e-6)
+        steps = np.hypot(*np.diff(points, axis=0).T)
+        np.testing.assert_allclose(steps.sum(), way.length, rtol=1e-3)
+
+    def test_offsets_are_to_the_left(self) -> None:
+        way = Way([(0, 0, 0), (10, 0, 0)])
+        np.testing.assert_allclose(way.offset_point(np.array([5.0]), 2.0), [[5.0, 2.0]], atol=1e-9)
+
+
+class Plan(unittest.TestCase):
+    def test_the_answer_at_a_point_does_not_depend_on_the_others_asked(self) -> None:
+        r = seeds.rng("points")
+        x, y = r.uniform(-400, 400, (2, 300))
+        together = plan.surface_height(x, y)
+        alone = [float(plan.surface_height(x[i : i + 1], y[i : i + 1])[0]) for i in range(300)]
+        np.testing.assert_allclose(together, alone, atol=1e-9)
+
+    def test_the_bridge_meets_the_street_and_stands_over_the_river(self) -> None:
+        for x in (plan.BRIDGE_START_M - 0.1, plan.BRIDGE_END_M + 0.1):
+            at = np.array([x]), np.array([0.0])
+            self.assertLess(abs(float((plan.deck_height(*at) - plan.ground_height(*at))[0])), 0.02)
+        middle = np.array([plan.RIVER_X_M]), np.array([0.0])
+        self.assertGreater(float((plan.deck_height(*middle) - plan.ground_height(*middle))[0]), 4.0)
+
+    def test_the_steep_street_is_steep(self) -> None:
+        y = np.array([200.0, 220.0])
+        rise = np.diff(plan.base_height(np.zeros(2), y))[0] / 20
+        self.assertTrue(0.10 < rise < 0.18, rise)
+
+
+class Meshes(unittest.TestCase):
+    def test_ply_files_come_back(self) -> None:
+        vertices = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0.25)])
+        triangles = np.array([(0, 1, 2)])
+        with tempfile.TemporaryDirectory() as folder:
+            for write in (mesh.write_ply, mesh.write_ply_ascii):
+                path = Path(folder) / "m.ply"
+                write(path, vertices, triangles, "test")
+                v, t = mesh.read_ply(path)
+                np.testing.assert_allclose(v, vertices, atol=1e-4)
+                np.testing.assert_array_equal(t, triangles)
+
+
+class Checks(unittest.TestCase):
+    def test_a_projected_square_covers_its_pixels(self) -> None:
+        corners = np.array([(-1, -1, 2), (1, -1, 2), (1, 1, 2), (-1, 1, 2)], float)
+        k = np.array([[20, 0, 32], [0, 20, 24], [0, 0, 1.0]])
+        drawn = silhouette(corners, np.array([(0, 1, 2), (0, 2, 3)]), k, (48, 64))
+        wanted = np.zeros((48, 64), bool)
+        wanted[14:34, 22:42] = True
+        self.assertGreater((drawn & wanted).sum() / (drawn | wanted).sum(), 0.9)
+
+    def test_heights_come_from_the_triangle_under_the_point(self) -> None:
+        ground = (np.array([(0, 0, 0), (2, 0, 2), (0, 2, 0)], float), np.array([(0, 1, 2)]))
+        heights = _ground_heights(ground, np.array([(0.5, 0.5), (3.0, 3.0)]))
+        self.assertAlmostEqual(heights[0], 0.5)
+        self.assertTrue(np.isnan(heights[1]))
+
+    def test_tidying_removes_lone_pixels_of_the_target_only(self) -> None:
+        image = np.full((9, 9), labels.GROUND, np.uint8)
+        image[2, 2] = labels.TARGET
+        image[6, 6] = labels.OTHER
+        tidied = labels.tidy(image)
+        self.assertEqual(tidied[2, 2], labels.GROUND)
+        self.assertEqual(tidied[6, 6], labels.OTHER)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,290 @@
+"""Puts a sequence's world together in Blender: ground, houses, things, light, vehicles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from . import blender, buildings, flight, furniture, materials, nature, plan
+from .drives import Trajectory, focus_of, frame_times, variant
+from .flight import CameraPath
+from .ground import MATERIALS, Focus, Ground, build_deck, build_ground
+from .kinematics import Motion, Probe, simulate
+from .labels import GROUND, OTHER, STATIC, TARGET
+from .markings import build_litter, build_markings
+from .mesh import Mesh, MeshBuilder
+from .seeds import Key, rng
+from .shading import Nodes
+from .vehicles.assemble import Vehicle, assemble, pose_wheels
+from .vehicles.spec import VEHICLES, repainted
+
+LOT_REACH_M, PLACE_REACH_M, TREE_REACH_M = 95.0, 70.0, 120.0
+MIN_VIEW_GAP_M = 0.35
+
+
+@dataclass(frozen=True)
+class Request:
+    """Which sequence: names, seed, number of frames."""
+
+    trajectory: str
+    vehicle: str
+    seed: int
+    n_frames: int
+
+    @property
+    def key(self) -> tuple[Key, ...]:
+        """The sequence's key for seeded randomness."""
+        return (self.trajectory, self.vehicle, self.seed)
+
+    @property
+    def name(self) -> str:
+        """The sequence's name."""
+        return f"{self.trajectory}_{self.vehicle}" + (f"_{self.seed}" if self.seed else "")
+
+
+@dataclass
+class World:
+    """A sequence ready to be rendered, with all that is known about it."""
+
+    request: Request
+    trajectory: Trajectory
+    times: np.ndarray
+    target: Vehicle
+    motion: Motion
+    others: list[tuple[Vehicle, Motion]]
+    camera: CameraPath
+    grounds: list[Ground]
+    focus: Focus
+
+
+def _place_ground(grounds: list[Ground]) -> None:
+    for i, ground in enumerate(grounds):
+        data = blender.triangle_data(
+            f"ground_{i}",
+            ground.vertices,
+            ground.triangles,
+            ground.material,
+            MATERIALS,
+            materials.get,
+            {"kerb": ground.kerb},
+        )
+        blender.place(f"ground_{i}", data, GROUND)
+
+
+def _place_mesh(name: str, mesh: Mesh, label: int, matrix: np.ndarray | None = None) -> None:
+    if mesh.faces:
+        blender.place(name, blender.mesh_data(name, mesh, materials.get), label, matrix)
+
+
+def _sign_text(frame: np.ndarray, words: str) -> None:
+    """Raised letters on a shop's sign board."""
+    curve = bpy.data.curves.new("sign", "FONT")
+    curve.body, curve.size, curve.extrude, curve.align_x = words, 0.46, 0.012, "CENTER"
+    letters = bpy.data.objects.new("letters", curve)
+    bpy.context.scene.collection.objects.link(letters)
+    upright = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+    letters.matrix_world = Matrix((frame @ upright).tolist())
+    letters.pass_index = STATIC
+    curve.materials.append(materials.get("white"))
+
+
+def _place_houses(lots: list[buildings.Lot], focus: Focus) -> None:
+    for lot in lots:
+        if focus.distance(*lot.front[:, None])[0] > LOT_REACH_M:
+            continue
+        house = buildings.build_house(lot)
+        _place_mesh("house", house.mesh, STATIC)
+        if house.sign is not None:
+            _sign_text(*house.sign)
+
+
+def _thing_data(kind: str, variant_number: int) -> bpy.types.Mesh:
+    """Mesh data of a kind of thing, shared by all of its instances."""
+    if kind == "tree":
+        variant_number %= nature.N_TREE_KINDS
+    elif kind == "bush":
+        variant_number %= nature.N_BUSH_KINDS
+    name = f"{kind}_{variant_number}"
+    found = bpy.data.meshes.get(name)
+    if found is None:
+        build = {"tree": nature.build_tree, "bush": nature.build_bush}.get(kind)
+        mesh = build(variant_number) if build else furniture.build(kind, variant_number)
+        found = blender.mesh_data(name, mesh, materials.get)
+    return found
+
+
+def _place_things(places: list[furniture.Place], focus: Focus) -> None:
+    x, y = np.array([p.position for p in places]).T
+    for place, away, z in zip(places, focus.distance(x, y), plan.surface_height(x, y)):
+        if away > (TREE_REACH_M if place.kind == "tree" else PLACE_REACH_M):
+            continue
+        if place.kind == "parked":
+            _park(place, place.matrix(z))
+        else:
+            blender.place(place.kind, _thing_data(place.kind, place.variant), STATIC, place.matrix(z))
+
+
+def _park(place: furniture.Place, matrix: np.ndarray) -> None:
+    """A parked car: one of the five models in one of a few paints."""
+    names = sorted(VEHICLES)
+    spec = repainted(VEHICLES[names[place.variant % 5]], place.variant // 5, f"TX {100 + place.variant % 5} P")
+    car = assemble(spec, STATIC)
+    matrix[:3, :3] = _on_slope(place.position, np.array([np.cos(place.heading), np.sin(place.heading)]))
+    car.root.matrix_world = Matrix(matrix.tolist())
+
+
+def _on_slope(position: tuple[float, float], forward: np.ndarray) -> np.ndarray:
+    """Rotation of something that stands on the base ground with this heading."""
+    x, y = position
+    rise = [
+        float(plan.road_height(*(p := np.array([[x], [y]]) + step[:, None]), plan.survey(*p))[0])
+        for step in (
+            forward,
+            -forward,
+            np.array([-forward[1], forward[0]]) * 0.6,
+            np.array([forward[1], -forward[0]]) * 0.6,
+        )
+    ]
+    ahead = np.array([*forward, (rise[0] - rise[1]) / 2])
+    left = np.array([-forward[1], forward[0], (rise[2] - rise[3]) / 1.2])
+    ahead /= np.linalg.norm(ahead)
+    up = np.cross(ahead, left)
+    up /= np.linalg.norm(up)
+    return np.stack([ahead, np.cross(up, ahead), up], 1)
+
+
+def _place_river(focus: Focus) -> None:
+    """Water in the valley, and the bridge's piers and railings."""
+    level = float(plan.base_height(np.array(plan.RIVER_X_M), np.array(120.0))) - plan.RIVER_DEPTH_M + 1.6
+    builder = MeshBuilder()
+    xs, ys = np.linspace(270, 390, 40), np.linspace(-499, 499, 200)
+    for y0, y1 in zip(ys, ys[1:]):
+        builder.strip(
+            np.column_stack([xs, np.full(40, y0), np.full(40, level)]),
+            np.column_stack([xs, np.full(40, y1), np.full(40, level)]),
+            "water",
+        )
+    _place_mesh("river", builder.mesh(), STATIC)
+    if focus.distance(np.array([plan.RIVER_X_M]), np.array([0.0]))[0] < 150:
+        _place_mesh("bridge", _bridge_structure(), STATIC)
+
+
+def _bridge_structure() -> Mesh:
+    """Girders, piers, railings with posts."""
+    builder = MeshBuilder()
+    xs = np.arange(plan.BRIDGE_START_M - 1, plan.BRIDGE_END_M + 1.01, 1.0)
+    top = plan.deck_height(xs, np.zeros(len(xs)))
+    for side in (-1, 1):
+        edge = np.full(len(xs), side * 7.4)
+        upper, lower = np.column_stack([xs, edge, top + 0.16]), np.column_stack([xs, edge, top - 1.3])
+        builder.strip(upper, lower, "concrete")
+        builder.strip(lower, np.column_stack([xs, -0.9 * edge, top - 1.3]), "concrete")
+        for lift, radius in ((1.15, 0.05), (0.75, 0.025), (0.45, 0.025)):
+            builder.tube(
+                np.column_stack([xs, side * np.full(len(xs), 7.25), top + lift]),
+                radius,
+                "rust" if lift > 1 else "steel",
+                6,
+            )
+        for i, (x, z) in enumerate(zip(xs[::2], top[::2])):
+            builder.box((x - 0.05, side * 7.25 - 0.05, z), (x + 0.05, side * 7.25 + 0.05, z + 1.2), "steel")
+            r = rng("railing", i, side)
+            if r.random() < 0.3:
+                builder.box(
+                    (x + 0.2, side * 7.2 - 0.01, z + 0.5),
+                    (x + r.uniform(0.5, 1.4), side * 7.2 + 0.01, z + 1.0),
+                    f"paint_{int(r.integers(10))}",
+                )
+    for x in (plan.RIVER_X_M - 14, plan.RIVER_X_M + 14):
+        builder.box((x - 1.0, -5.5, -20), (x + 1.0, 5.5, float(np.interp(x, xs, top)) - 1.2), "concrete")
+    return builder.mesh()
+
+
+def _light(elevation_deg: float, azimuth_deg: float) -> None:
+    """Sun and a sky with clouds."""
+    sun = bpy.data.lights.new("sun", "SUN")
+    sun.energy, sun.angle, sun.color = 3.6, np.radians(0.6), (1.0, 0.945, 0.86)
+    lamp = bpy.data.objects.new("sun", sun)
+    lamp.rotation_euler = (np.radians(90 - elevation_deg), 0.0, np.radians(azimuth_deg))
+    bpy.context.scene.collection.objects.link(lamp)
+    world = bpy.data.worlds.new("sky")
+    bpy.context.scene.world = world
+    n = Nodes(world)
+    at = n.position("Generated")
+    _, _, up = n.separate(at)
+    blue = n.ramp(
+        n.step(up, -0.1, 0.9), [(0.0, (0.62, 0.68, 0.74)), (0.45, (0.30, 0.45, 0.72)), (1.0, (0.14, 0.27, 0.58))]
+    )
+    cloud = n.step(n.noise(n.warp(at, 1.5, 0.35), 2.4, 6.0, 0.6), 0.50, 0.68)
+    color = n.mix(blue, (0.92, 0.93, 0.95), n.math("MULTIPLY", cloud, 0.85))
+    background = n.node("ShaderNodeBackground", {"Color": color, "Strength": 1.0})
+    n.node("ShaderNodeOutputWorld", {"Surface": background.outputs[0]})
+
+
+def _choose_flight(trajectory: Trajectory, poses: np.ndarray, times: np.ndarray, key: tuple) -> tuple[CameraPath, list]:
+    """The first azimuth that no house is in the way of, or the one with the fewest."""
+    lots = list(buildings.lots())
+    start = int(rng("azimuth", *key).integers(4))
+    candidates = trajectory.flight.azimuths[start:] + trajectory.flight.azimuths[:start]
+    best: tuple[CameraPath, list] | None = None
+    for azimuth in candidates:
+        camera = flight.fly(trajectory.flight, azimuth, poses, times, key)
+        blocked = flight.lots_in_the_way(camera, poses, lots)
+        if best is None or len(blocked) < len(best[1]):
+            best = (camera, blocked)
+        if not blocked:
+            break
+    return best
+
+
+def build_world(request: Request) -> World:
+    """Everything of one sequence, placed in a fresh Blender file."""
+    blender.reset()
+    trajectory = variant(request.trajectory, request.vehicle, request.seed)
+    times = frame_times(request.n_frames)
+    focus = focus_of(trajectory.drive, request.n_frames)
+    grounds = [build_ground(focus, trajectory.ground_step)]
+    if focus.distance(np.array([plan.RIVER_X_M]), np.array([0.0]))[0] < 150:
+        grounds.append(build_deck())
+    probe = Probe(grounds, focus.low - 60, focus.high + 60)
+    spec = VEHICLES[request.vehicle]
+    motion = simulate(spec, trajectory.drive, times, probe)
+    camera, blocked = _choose_flight(trajectory, motion.world_from_object, times, request.key)
+    _build_surroundings(grounds, focus, trajectory, camera, motion, blocked)
+    target = assemble(spec, TARGET)
+    others = []
+    for i, (name, drive) in enumerate(trajectory.others):
+        other = repainted(VEHICLES[name], int(rng("other", *request.key, i).integers(10)), f"TX {310 + 7 * i} Q")
+        others.append((assemble(other, OTHER), simulate(other, drive, times, probe)))
+    return World(request, trajectory, times, target, motion, others, camera, grounds, focus)
+
+
+def _build_surroundings(
+    grounds: list[Ground], focus: Focus, trajectory: Trajectory, camera: CameraPath, motion: Motion, blocked: list
+) -> None:
+    """All that does not move, without what stands in the line of sight."""
+    poses = motion.world_from_object
+    _place_ground(grounds)
+    _place_houses([lot for lot in buildings.lots() if lot not in blocked], focus)
+    everything = furniture.places()
+    close = focus.distance(*np.array([p.position for p in everything]).T) < TREE_REACH_M
+    near = [p for p, is_close in zip(everything, close) if is_close]
+    hiding = set(flight.places_in_the_way(camera, poses, near, MIN_VIEW_GAP_M))
+    _place_things([p for p in near if p not in hiding], focus)
+    _place_mesh("markings", build_markings(focus), GROUND)
+    _place_mesh("litter", build_litter(focus), GROUND)
+    _place_mesh("tufts", nature.build_tufts(focus), GROUND)
+    _place_river(focus)
+    _light(*trajectory.sun)
+
+
+def pose_frame(world: World, index: int) -> None:
+    """Moves vehicles, wheels and camera to where they are in a frame."""
+    for vehicle, motion in [(world.target, world.motion), *world.others]:
+        vehicle.root.matrix_world = Matrix(motion.world_from_object[index].tolist())
+        pose_wheels(vehicle, motion.lift[index], float(motion.spin[index]), float(motion.steer[index]))
+    from_blender = np.diag([1.0, -1.0, -1.0, 1.0])
+    bpy.context.scene.camera.matrix_world = Matrix((world.camera.world_from_camera[index] @ from_blender).tolist())

@@ -1,0 +1,112 @@
+"""Ground truth files: scene.json, the vehicle's mesh, the ground's mesh."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from .drives import FPS
+from .flight import intrinsics
+from .ground import crop
+from .kinematics import Motion
+from .mesh import write_ply, write_ply_ascii
+from .render import RenderOptions
+from .scene import World
+from .vehicles.assemble import ground_truth_mesh
+
+GROUND_REACH_M = 16.0
+MAX_GROUND_TRIANGLES = 60000
+
+CONVENTIONS = (
+    "World: right-handed, z up, metres. Camera: x right, y down, z forward. T_world_camera maps homogeneous camera to "
+    "world points; T_world_object maps object_mesh.ply vertices to world. Object axes: x forward, y left, z up, origin "
+    "on the ground below the middle of the wheelbase. Wheels in the render spin, steer and follow the ground (at most "
+    "7 cm); the mesh holds them at rest. ground_mesh.ply: the ground round the drive as rendered, world coordinates."
+)
+MASKS = (
+    "masks/NNNNN.png (8 bit): 0 background, 1 target vehicle, 2 other moving vehicle. semantic/NNNNN.png: 0 sky, "
+    "1 target, 2 other moving vehicle, 3 ground (street, sidewalk, grass), 4 other static. One label per pixel, "
+    "occlusion-aware, from the object index of the pixel's first sample, 3x3 median at the target's outline."
+)
+
+
+def _rows(matrix: np.ndarray) -> list[list[float]]:
+    return [[float(v) for v in row] for row in matrix]
+
+
+def _frame(world: World, index: int) -> dict:
+    """The entry of one frame."""
+    stem = f"{index:05d}"
+    pose, camera = world.motion.world_from_object[index], world.camera.world_from_camera[index]
+    return {
+        "index": index,
+        "image": f"images/{stem}.jpg",
+        "video_frame": index,
+        "mask": f"masks/{stem}.png",
+        "semantic": f"semantic/{stem}.png",
+        "time_s": float(world.times[index]),
+        "T_world_camera": _rows(camera),
+        "T_world_object": _rows(pose),
+        "T_world_others": [_rows(motion.world_from_object[index]) for _, motion in world.others],
+        "camera_height_over_object_plane": float((camera[:3, 3] - pose[:3, 3]) @ pose[:3, 2]),
+        "speed_m_s": _speed(world.motion, world.times, index),
+    }
+
+
+def _speed(motion: Motion, times: np.ndarray, index: int) -> float:
+    """Speed along the curve (m/s), by central differences."""
+    return float(np.gradient(motion.distance, times)[index])
+
+
+def scene_json(world: World, options: RenderOptions, device: str) -> dict:
+    """The content of scene.json."""
+    request = world.request
+    return {
+        "name": request.name,
+        "units": "metre",
+        "fps": FPS,
+        "n_frames": request.n_frames,
+        "width": options.width,
+        "height": options.height,
+        "vehicle": request.vehicle,
+        "trajectory": request.trajectory,
+        "seed": request.seed,
+        "terrain": world.trajectory.terrain,
+        "near_degenerate": world.trajectory.near_degenerate,
+        "K": _rows(intrinsics(options.width, options.height)),
+        "K_note": "Pixels; the centre of the upper left pixel is (0.5, 0.5). Square pixels, no distortion, no rolling "
+        "shutter, no motion blur.",
+        "conventions": CONVENTIONS,
+        "masks": MASKS,
+        "video": "video.mp4",
+        "video_note": "Frame k of the video is the frame with video_frame k; images/ may be left out.",
+        "object_mesh": "object_mesh.ply",
+        "ground_mesh": "ground_mesh.ply",
+        "samples": options.samples,
+        "engine": f"Cycles ({device}) with OpenImageDenoise",
+        "path_length_m": float(world.motion.distance[-1] - world.motion.distance[0]),
+        "others": [vehicle.spec.name for vehicle, _ in world.others],
+        "frames": [_frame(world, i) for i in range(request.n_frames)],
+    }
+
+
+def write_meshes(world: World, folder: Path) -> None:
+    """Writes object_mesh.ply (text) and ground_mesh.ply (binary)."""
+    vertices, triangles = ground_truth_mesh(world.target)
+    write_ply_ascii(
+        folder / "object_mesh.ply", vertices, triangles, f"{world.request.vehicle}, metres, object coordinates"
+    )
+    pieces = [crop(ground, world.focus, GROUND_REACH_M) for ground in world.grounds]
+    offsets = np.cumsum([0] + [len(v) for v, _ in pieces[:-1]])
+    vertices = np.vstack([v for v, _ in pieces])
+    triangles = np.vstack([t + o for (_, t), o in zip(pieces, offsets)])
+    write_ply(folder / "ground_mesh.ply", vertices, triangles, "ground round the drive, metres, world coordinates")
+
+
+def write_json(path: Path, content: dict) -> None:
+    """Writes JSON, whole or not at all."""
+    partial = path.with_suffix(".partial.json")
+    partial.write_text(json.dumps(content, separators=(",", ":")).replace('{"index"', '\n{"index"') + "\n")
+    partial.replace(path)

@@ -1,0 +1,1 @@
+"""Five procedural vehicles: measures, bodies, liveries, parts."""
