@@ -9,6 +9,7 @@ use opencv::videoio::{self, CAP_FFMPEG, VideoCapture, VideoCaptureTrait, VideoCa
 use super::VideoError;
 use super::clock::Clock;
 use super::decode::Decoder;
+use super::mp4_times;
 use crate::image::{resize_rgb, rgb_from_bgr_mat};
 use crate::scene::{Frame, FrameId};
 
@@ -64,7 +65,7 @@ pub(super) struct FileDecoder {
 impl FileDecoder {
     pub(super) fn open(path: &Path, size: (u32, u32), target: (u32, u32)) -> Result<Self, VideoError> {
         let capture = open(path)?;
-        let clock = Clock::new(container(&capture)?.fps);
+        let clock = Clock::new(container(&capture)?.fps, mp4_times::read(path));
         Ok(Self { path: path.to_owned(), capture, clock, next: 0, size, target })
     }
 

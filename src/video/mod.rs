@@ -15,6 +15,7 @@ mod error;
 mod exif;
 mod file;
 mod folder;
+mod mp4_times;
 mod options;
 mod prefetch;
 mod source;

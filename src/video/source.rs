@@ -310,4 +310,20 @@ mod tests {
         assert_eq!(source.info().num_frames, Some(5));
         assert_eq!(source.frames().unwrap().filter(Result::is_ok).count(), 3);
     }
+
+    #[test]
+    fn variable_rate_and_rotation_are_the_containers() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/variable_rate_rotated.mp4");
+        let source = Source::open(&path, &Options::default()).unwrap();
+        assert_eq!((source.info().width, source.info().height), (48, 64));
+        let scan = source.scan().unwrap();
+        let expected = [0.0, 0.1, 0.2, 0.3, 0.9, 1.0, 1.1, 1.2];
+        assert_eq!(scan.frames.len(), expected.len());
+        for (frame, expected) in scan.frames.iter().zip(expected) {
+            assert!((frame.time_s - expected).abs() < 1e-6, "{:?}", scan.frames);
+        }
+        assert!(scan.warnings.is_empty(), "{:?}", scan.warnings);
+        let (_, picture) = source.frames().unwrap().next().unwrap().unwrap();
+        assert_eq!(picture.dimensions(), (48, 64));
+    }
 }
