@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 
 use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
 
 use crate::scene::ImageId;
 
 /// One image's features.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct View {
     /// Its id in the reconstruction.
     pub image: ImageId,
@@ -22,7 +23,7 @@ pub struct View {
 }
 
 /// A feature of a view, by index.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Feature {
     /// Index in [`TrackTable::views`].
     pub view: u32,
@@ -34,7 +35,7 @@ pub struct Feature {
 pub type Track = Vec<Feature>;
 
 /// All views and tracks of one target: what reconstruction starts from.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TrackTable {
     /// In time order for a video.
     pub views: Vec<View>,

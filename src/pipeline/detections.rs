@@ -1,0 +1,135 @@
+//! Detections on disk, one small file per frame, so that a run that was killed need not ask the network again.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::PipelineError;
+use crate::io::{IoError, atomic};
+use crate::scene::{Detection, Frame, FrameId, Mask};
+
+/// A detection with its mask as run lengths, clear pixels first.
+#[derive(Serialize, Deserialize)]
+struct Stored {
+    class: String,
+    confidence: f64,
+    runs: Vec<u32>,
+}
+
+/// The detections of a run, by frame.
+#[derive(Clone, Debug)]
+pub(super) struct DetectionFolder {
+    folder: PathBuf,
+    size: (u32, u32),
+}
+
+impl DetectionFolder {
+    pub(super) fn new(folder: PathBuf, size: (u32, u32)) -> Self {
+        Self { folder, size }
+    }
+
+    fn path(&self, frame: FrameId) -> PathBuf {
+        self.folder.join(format!("{:06}.bin", frame.0))
+    }
+
+    pub(super) fn has(&self, frame: &Frame) -> bool {
+        self.path(frame.id).is_file()
+    }
+
+    pub(super) fn write(&self, frame: &Frame, detections: &[Detection]) -> Result<(), PipelineError> {
+        let stored: Vec<Stored> = detections
+            .iter()
+            .map(|d| Stored { class: d.class.clone(), confidence: d.confidence, runs: runs(&d.mask) })
+            .collect();
+        let path = self.path(frame.id);
+        let bytes = postcard::to_stdvec(&stored).map_err(|e| damaged(&path, e))?;
+        Ok(atomic::write(&path, &bytes)?)
+    }
+
+    /// The detections of a frame; none for one that could not be decoded.
+    pub(super) fn read(&self, frame: FrameId) -> Result<Vec<Detection>, PipelineError> {
+        let path = self.path(frame);
+        let bytes = match std::fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(error) => return Err(IoError::system("read", &path)(error).into()),
+        };
+        let stored: Vec<Stored> = postcard::from_bytes(&bytes).map_err(|e| damaged(&path, e))?;
+        let detection = |s: Stored| {
+            let mask =
+                mask(&s.runs, self.size).ok_or_else(|| damaged(&path, "a mask has another size than the frame"))?;
+            Ok(Detection { class: s.class, confidence: s.confidence, mask })
+        };
+        stored.into_iter().map(detection).collect()
+    }
+}
+
+fn damaged(path: &Path, reason: impl ToString) -> PipelineError {
+    PipelineError::State { path: path.to_owned(), reason: reason.to_string() }
+}
+
+fn runs(mask: &Mask) -> Vec<u32> {
+    let mut runs = vec![0];
+    let mut value = false;
+    for &pixel in mask.pixels() {
+        if pixel != value {
+            runs.push(0);
+            value = pixel;
+        }
+        *runs.last_mut().expect("starts with one run") += 1;
+    }
+    runs
+}
+
+fn mask(runs: &[u32], (width, height): (u32, u32)) -> Option<Mask> {
+    let total: u64 = runs.iter().map(|&run| u64::from(run)).sum();
+    if total != u64::from(width) * u64::from(height) {
+        return None;
+    }
+    let mut mask = Mask::empty(width, height);
+    let (mut at, mut value) = (0, false);
+    for &run in runs {
+        mask.pixels_mut()[at..at + run as usize].fill(value);
+        at += run as usize;
+        value = !value;
+    }
+    Some(mask)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn detections_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = DetectionFolder::new(folder.path().to_owned(), (7, 5));
+        let frame = Frame { id: FrameId(3), name: "000003.jpg".into(), time_s: 0.0 };
+        let found: Vec<Detection> = [|x, y| x > 2 && y > 1, |_, _| true, |_, _| false]
+            .iter()
+            .map(|inside: &fn(u32, u32) -> bool| Mask::from_fn(7, 5, inside))
+            .map(|mask| Detection { class: "car".into(), confidence: 0.25, mask })
+            .collect();
+        assert!(!store.has(&frame));
+        store.write(&frame, &found).unwrap();
+        assert!(store.has(&frame));
+        assert_eq!(store.read(frame.id).unwrap(), found);
+        assert!(store.read(FrameId(4)).unwrap().is_empty());
+    }
+
+    #[test]
+    fn damaged_files_are_errors() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = DetectionFolder::new(folder.path().to_owned(), (7, 5));
+        let frame = Frame { id: FrameId(3), name: "000003.jpg".into(), time_s: 0.0 };
+        store.write(&frame, &[Detection { class: "car".into(), confidence: 0.5, mask: Mask::empty(7, 5) }]).unwrap();
+        let bytes = std::fs::read(store.path(frame.id)).unwrap();
+        for length in 0..bytes.len() {
+            std::fs::write(store.path(frame.id), &bytes[..length]).unwrap();
+            assert!(store.read(frame.id).is_err(), "cut at {length}");
+        }
+        std::fs::write(store.path(frame.id), &bytes).unwrap();
+        let other = DetectionFolder::new(folder.path().to_owned(), (7, 6));
+        assert!(other.read(frame.id).is_err());
+    }
+}

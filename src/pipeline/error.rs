@@ -1,0 +1,96 @@
+use std::io;
+use std::path::PathBuf;
+
+use crate::io::IoError;
+use crate::perception::PerceptionError;
+use crate::report::ReportError;
+use crate::sfm::SfmError;
+use crate::video::VideoError;
+
+/// Why a run ends without a result. What concerns single frames or objects is no error: it is counted and reported.
+#[derive(Debug, thiserror::Error)]
+pub enum PipelineError {
+    /// The input.
+    #[error(transparent)]
+    Video(#[from] VideoError),
+    /// Segmentation, flow, tracking.
+    #[error(transparent)]
+    Perception(#[from] PerceptionError),
+    /// Structure from motion.
+    #[error(transparent)]
+    Sfm(#[from] SfmError),
+    /// The page.
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    /// A file that is read or written on the way.
+    #[error(transparent)]
+    Io(#[from] IoError),
+    /// The output folder.
+    #[error(
+        "{path}: cannot be written to: {source}; give another folder with --output or change its permissions",
+        path = path.display()
+    )]
+    Output {
+        /// The folder or file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// A second run on the same output folder.
+    #[error("{path}: another tractrix is at work on this folder; wait for it or give another --output", path = path.display())]
+    Busy {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A file of the run's own is damaged.
+    #[error("{path}: {reason}; delete it, and the stage that made it runs again", path = path.display())]
+    State {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A file that the options name cannot be read.
+    #[error("{path}: cannot be read: {source}; check the path and its permissions", path = path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The options do not fit together, or not to the input.
+    #[error("{0}")]
+    Options(String),
+    /// A folder of masks of which none belongs to a frame.
+    #[error(
+        "{path}: no mask belongs to any frame; expected PNG files named like the frames, for example '{example}.png', or \
+         by frame index",
+        path = path.display()
+    )]
+    NoMasks {
+        /// The folder.
+        path: PathBuf,
+        /// Stem of the first frame's name.
+        example: String,
+    },
+    /// A mask that does not fit its frame.
+    #[error(
+        "{path}: the mask has {found_width}x{found_height} pixels, the frames {width}x{height}{or_source}; masks are at \
+         the resolution of the frames, upright",
+        path = path.display()
+    )]
+    MaskSize {
+        /// The mask.
+        path: PathBuf,
+        /// Width of the frames.
+        width: u32,
+        /// Height of the frames.
+        height: u32,
+        /// The size before `--max-dimension`, in words, where it differs.
+        or_source: String,
+        /// Width of the mask.
+        found_width: u32,
+        /// Height of the mask.
+        found_height: u32,
+    },
+}

@@ -1,0 +1,101 @@
+//! Stage `features`: tracks of image points, on the background and on every object, in one pass through the frames.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use serde_json::{Value, json};
+
+use super::masking::Masking;
+use super::run::{Outcome, Run};
+use super::{PipelineError, Stage, models, track};
+use crate::io::{IoError, atomic};
+use crate::scene::ObjectId;
+use crate::sfm::{FrontEnd, TrackTable};
+
+pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+    let (camera, _) = models::initial_camera(run)?;
+    Ok(json!({
+        "camera": camera,
+        "masking": run.options.masking,
+        "background": run.options.background.front_end,
+        "objects": run.options.objects.front_end,
+        "given_background": run.options.background_model.is_some(),
+        "given_objects": run.options.object_models.keys().collect::<Vec<_>>(),
+        "seed": run.options.seed,
+    }))
+}
+
+pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    let objects = track::objects(run)?;
+    let (camera, _) = models::initial_camera(run)?;
+    let masking = Masking::new(run, &objects);
+    let mut background =
+        run.options.background_model.is_none().then(|| FrontEnd::new(&run.options.background.front_end, camera));
+    let wanted = objects.iter().map(|object| object.id).filter(|id| !run.options.object_models.contains_key(id));
+    let mut on_objects: BTreeMap<ObjectId, FrontEnd> =
+        wanted.map(|id| (id, FrontEnd::new(&run.options.objects.front_end, camera))).collect();
+
+    run.progress.begin("features", Some(run.frames()?.len() as u64));
+    for item in run.source.frames()? {
+        run.progress.step();
+        let (frame, picture) = match item {
+            Ok(item) => item,
+            Err(error) => {
+                outcome.warn(error.to_string());
+                continue;
+            }
+        };
+        let masks = masking.of(&frame)?;
+        if let Some(background) = &mut background {
+            background.push(&frame, &picture, &masks.background)?;
+        }
+        for (id, mask) in &masks.objects {
+            if let Some(object) = on_objects.get_mut(id) {
+                object.push(&frame, &picture, mask)?;
+            }
+        }
+    }
+
+    let folder = run.workspace.keep_only("features-", &folder_name(fingerprint))?;
+    if let Some(background) = background {
+        let table = background.finish(run.options.seed);
+        outcome.figure("background_tracks", table.tracks.len());
+        write(&folder.join("background.bin"), &table)?;
+    }
+    for (id, front_end) in on_objects {
+        write(&folder.join(format!("{id}.bin")), &front_end.finish(run.options.seed))?;
+    }
+    outcome.outputs.push(folder);
+    Ok(outcome)
+}
+
+fn folder_name(fingerprint: &str) -> String {
+    format!("features-{}", fingerprint.get(..16).unwrap_or_default())
+}
+
+fn write(path: &std::path::Path, table: &TrackTable) -> Result<(), PipelineError> {
+    let bytes = postcard::to_stdvec(table).map_err(|e| damaged(path.to_owned(), e))?;
+    Ok(atomic::write(path, &bytes)?)
+}
+
+/// The tracks of the background.
+pub(super) fn of_background(run: &Run) -> Result<TrackTable, PipelineError> {
+    read(run, "background")
+}
+
+/// The tracks of one object.
+pub(super) fn of_object(run: &Run, id: ObjectId) -> Result<TrackTable, PipelineError> {
+    read(run, &id.to_string())
+}
+
+fn read(run: &Run, target: &str) -> Result<TrackTable, PipelineError> {
+    let folder = run.workspace.state(&folder_name(run.fingerprint(Stage::Features)));
+    let path = folder.join(format!("{target}.bin"));
+    let bytes = std::fs::read(&path).map_err(IoError::system("read", &path))?;
+    postcard::from_bytes(&bytes).map_err(|e| damaged(path, e))
+}
+
+fn damaged(path: PathBuf, reason: postcard::Error) -> PipelineError {
+    PipelineError::State { path, reason: reason.to_string() }
+}

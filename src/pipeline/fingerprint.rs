@@ -1,0 +1,89 @@
+//! What a result was made from, as a hash: equal fingerprints mean that the work need not be done again.
+
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::Path;
+
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+use super::PipelineError;
+
+/// To be raised when a stage's results change although its options do not, so that results of older programs are not
+/// taken over.
+const REVISION: u32 = 1;
+
+/// Hash of anything that can be written as JSON.
+pub(super) fn of(value: &impl Serialize) -> String {
+    let text = serde_json::to_vec(&(env!("CARGO_PKG_VERSION"), REVISION, value))
+        .expect("options and hashes have string keys and finite numbers");
+    hex(&Sha256::digest(&text))
+}
+
+/// Hash of the content of a file, or of the names and contents of the files directly in a folder, hidden ones aside.
+/// Where it lies and when it was written does not matter.
+///
+/// # Errors
+/// [`PipelineError::Unreadable`] names the file.
+pub(super) fn of_content(path: &Path) -> Result<String, PipelineError> {
+    let unreadable = |source| PipelineError::Unreadable { path: path.to_owned(), source };
+    if !path.is_dir() {
+        return of_file(path).map_err(unreadable);
+    }
+    let mut names = Vec::new();
+    for entry in fs::read_dir(path).map_err(unreadable)? {
+        let entry = entry.map_err(unreadable)?;
+        let hidden = entry.file_name().to_string_lossy().starts_with('.');
+        if entry.path().is_file() && !hidden {
+            names.push(entry.file_name());
+        }
+    }
+    names.sort();
+    let mut hasher = Sha256::new();
+    for name in names {
+        let file = path.join(&name);
+        let hash = of_file(&file).map_err(|source| PipelineError::Unreadable { path: file, source })?;
+        hasher.update(name.as_encoded_bytes());
+        hasher.update([0]);
+        hasher.update(hash);
+    }
+    Ok(hex(&hasher.finalize()))
+}
+
+fn of_file(path: &Path) -> io::Result<String> {
+    let mut file = File::open(path)?;
+    let mut hasher = Sha256::new();
+    let mut buffer = vec![0; 1 << 20];
+    loop {
+        let count = file.read(&mut buffer)?;
+        if count == 0 {
+            return Ok(hex(&hasher.finalize()));
+        }
+        hasher.update(&buffer[..count]);
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn content_counts_and_place_does_not() {
+        let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        for folder in [&a, &b] {
+            fs::write(folder.path().join("1.png"), b"one").unwrap();
+            fs::write(folder.path().join(".hidden"), folder.path().to_string_lossy().as_bytes()).unwrap();
+        }
+        let hash = of_content(a.path()).unwrap();
+        assert_eq!(hash, of_content(b.path()).unwrap());
+        fs::write(b.path().join("1.png"), b"two").unwrap();
+        assert_ne!(hash, of_content(b.path()).unwrap());
+        fs::rename(a.path().join("1.png"), a.path().join("2.png")).unwrap();
+        assert_ne!(hash, of_content(a.path()).unwrap());
+        assert!(of_content(&a.path().join("none")).is_err());
+    }
+}

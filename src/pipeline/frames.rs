@@ -1,0 +1,25 @@
+//! Stage `frames`: the list of frames that all other stages go by.
+
+use serde_json::{Value, json};
+
+use super::PipelineError;
+use super::run::{Outcome, Run};
+
+pub(super) fn depends_on(run: &Run, input: &str) -> Value {
+    json!({ "input": input, "video": run.options.video })
+}
+
+pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
+    run.progress.begin("frames", None);
+    let scan = run.source.scan()?;
+    run.workspace.write_state("frames-list.json", &scan.frames)?;
+    let mut outcome = Outcome::default();
+    for warning in scan.warnings {
+        outcome.warn(warning);
+    }
+    outcome.figure("num_frames", scan.frames.len());
+    outcome.figure("width", run.info().width);
+    outcome.figure("height", run.info().height);
+    outcome.outputs.push(run.workspace.state("frames-list.json"));
+    Ok(outcome)
+}

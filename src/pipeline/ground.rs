@@ -1,0 +1,172 @@
+//! Stage `ground`: which background points are ground, and the plane near every object in every frame.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use super::given_masks::MaskFolder;
+use super::run::{Outcome, Run};
+use super::workspace::mask_name;
+use super::{GroundLabels, PipelineError, fingerprint, models};
+use crate::ground::{dominant_plane_points, label_points, local_planes};
+use crate::io::masks;
+use crate::perception::{GroundOptions, load_ground_segmenter};
+use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Mask, Point3dId, Reconstruction};
+
+/// The name of the list of frames that have no plane, and why.
+const SKIPPED: &str = "ground-skipped.json";
+
+pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+    let labels = match &run.options.ground_labels {
+        GroundLabels::Geometric => json!("geometric"),
+        GroundLabels::Masks { folder, label } => json!({ "masks": fingerprint::of_content(folder)?, "label": label }),
+        GroundLabels::Model(path) => json!({
+            "model": fingerprint::of_content(path)?,
+            "options": GroundOptions { num_threads: 0, ..run.options.ground_segmentation.clone() },
+        }),
+    };
+    Ok(json!({ "labels": labels, "options": run.options.ground, "seed": run.options.seed }))
+}
+
+pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    run.progress.begin("ground", None);
+    let (background, _) = models::background(run)?;
+    let (source, point_ids) = if background.is_empty() {
+        (GroundSource::Geometric, Vec::new())
+    } else {
+        ground_points(run, &background, fingerprint, &mut outcome)?
+    };
+    let mut ground = Ground { source, point_ids, planes: BTreeMap::new() };
+    let mut skipped: BTreeMap<String, BTreeMap<FrameId, String>> = BTreeMap::new();
+    for (id, report) in models::object_reports(run)? {
+        let Some(object) = models::object(run, id, &report)? else { continue };
+        let found = local_planes(&background, &ground.point_ids, id, &object, &run.options.ground, run.options.seed);
+        if let Some(first) = found.skipped.first() {
+            let (missing, all) = (found.skipped.len(), found.skipped.len() + found.planes.len());
+            outcome.warn(format!("object {id}: {missing} of {all} frames have no ground plane: {}", first.reason));
+        }
+        ground.planes.extend(found.planes.into_iter().map(|(frame, plane)| ((id, frame), plane)));
+        let reasons = found.skipped.into_iter().map(|skip| (skip.frame, skip.reason.to_string())).collect();
+        skipped.insert(id.to_string(), reasons);
+    }
+    outcome.figure("source", json!(source));
+    outcome.figure("num_points", ground.point_ids.len());
+    outcome.figure("num_planes", ground.planes.len());
+    let path = run.workspace.root().join("ground.json");
+    crate::io::ground::write(&path, &ground)?;
+    run.workspace.write_state(SKIPPED, &skipped)?;
+    outcome.outputs.extend([path, run.workspace.state(SKIPPED)]);
+    Ok(outcome)
+}
+
+/// The ground; the stage must be done.
+pub(super) fn ground(run: &Run) -> Result<Ground, PipelineError> {
+    Ok(crate::io::ground::read(&run.workspace.root().join("ground.json"))?)
+}
+
+fn ground_points(
+    run: &Run,
+    background: &Reconstruction,
+    fingerprint: &str,
+    outcome: &mut Outcome,
+) -> Result<(GroundSource, Vec<Point3dId>), PipelineError> {
+    let (source, labelled) = match &run.options.ground_labels {
+        GroundLabels::Geometric => (GroundSource::Geometric, None),
+        GroundLabels::Masks { folder, label } => {
+            (GroundSource::Masks, Some(vote_of_masks(run, background, folder, *label, outcome)?))
+        }
+        GroundLabels::Model(path) => {
+            let folder = ground_masks(run, background, path, fingerprint, outcome)?;
+            (GroundSource::Model, Some(vote_of_masks(run, background, &folder, None, outcome)?))
+        }
+    };
+    match labelled {
+        Some(points) if !points.is_empty() => return Ok((source, points)),
+        Some(_) => outcome.warn(
+            "no background point is ground according to the labels; the dominant plane below the camera stands in for them",
+        ),
+        None => outcome.warn(
+            "there are no ground labels: the dominant plane below the camera stands in for them (give --ground-model or \
+             --ground-masks for better ones)",
+        ),
+    }
+    Ok(match dominant_plane_points(background, &run.options.ground, run.options.seed) {
+        Ok(plane) => (GroundSource::Geometric, plane.point_ids),
+        Err(error) => {
+            outcome.warn(format!("no ground was found: {error}"));
+            (GroundSource::Geometric, Vec::new())
+        }
+    })
+}
+
+/// Lets the labels under the observations vote, holding one label map at a time.
+fn vote_of_masks(
+    run: &Run,
+    background: &Reconstruction,
+    folder: &Path,
+    label: Option<u8>,
+    outcome: &mut Outcome,
+) -> Result<Vec<Point3dId>, PipelineError> {
+    let frames = run.frames()?;
+    let files = MaskFolder::open(folder, frames, run.info())?;
+    if matches!(run.options.ground_labels, GroundLabels::Masks { .. }) {
+        if let Some(warning) = files.warning(folder, frames) {
+            outcome.warn(warning);
+        }
+    }
+    let by_name: BTreeMap<&str, FrameId> = frames.iter().map(|frame| (frame.name.as_str(), frame.id)).collect();
+    let mut current: Option<(String, Option<LabelMap>)> = None;
+    let mut failure = None;
+    let points = label_points(background, run.options.ground.min_observations, |image, pixel| {
+        if current.as_ref().is_none_or(|(name, _)| *name != image.name) {
+            let labels = by_name.get(image.name.as_str()).map_or(Ok(None), |&id| files.labels(id));
+            let labels = labels.unwrap_or_else(|error| {
+                failure.get_or_insert(error);
+                None
+            });
+            current = Some((image.name.clone(), labels));
+        }
+        let labels = current.as_ref()?.1.as_ref()?;
+        let value = value_at(labels, pixel.x, pixel.y)?;
+        Some(label.map_or(value != 0, |label| value == label))
+    });
+    failure.map_or(Ok(points), Err)
+}
+
+/// The label of the pixel that holds an image position; `None` outside.
+fn value_at(labels: &LabelMap, x: f64, y: f64) -> Option<u8> {
+    let inside = x >= 0.0 && y >= 0.0 && x < f64::from(labels.width) && y < f64::from(labels.height);
+    inside.then(|| labels.labels[y as usize * labels.width as usize + x as usize])
+}
+
+/// Asks the semantic model for every registered frame that it was not asked for before; gives the folder of the answers.
+fn ground_masks(
+    run: &Run,
+    background: &Reconstruction,
+    model: &Path,
+    fingerprint: &str,
+    outcome: &mut Outcome,
+) -> Result<PathBuf, PipelineError> {
+    let name = format!("ground-masks-{}", fingerprint.get(..16).unwrap_or_default());
+    let folder = run.workspace.keep_only("ground-masks-", &name)?;
+    let num_threads = run.options.threads.unwrap_or(0);
+    let options = GroundOptions { num_threads, ..run.options.ground_segmentation.clone() };
+    let mut segmenter = load_ground_segmenter(model, &options)?;
+    let registered: BTreeSet<&str> = background.images.values().map(|image| image.name.as_str()).collect();
+    let is_open = |frame: &&Frame| registered.contains(frame.name.as_str()) && !folder.join(mask_name(frame)).is_file();
+    let open: BTreeSet<FrameId> = run.frames()?.iter().filter(is_open).map(|frame| frame.id).collect();
+    run.progress.begin("ground", Some(open.len() as u64));
+    for item in run.source.frames_at(open)? {
+        run.progress.step();
+        match item {
+            Ok((frame, picture)) => {
+                let mask: Mask = segmenter.ground_mask(&picture)?;
+                masks::write_mask(&folder.join(mask_name(&frame)), &mask)?;
+            }
+            Err(error) => outcome.warn(error.to_string()),
+        }
+    }
+    Ok(folder)
+}

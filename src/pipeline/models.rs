@@ -1,0 +1,390 @@
+//! Stages `background` and `objects`: a COLMAP model of each, reconstructed or given.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::options::{CameraOrigin, camera};
+use super::run::{Outcome, Run};
+use super::track::TrackedObject;
+use super::{PipelineError, features, fingerprint, track};
+use crate::camera::Camera;
+use crate::io::colmap;
+use crate::scene::{Frame, FrameId, ImageId, ObjectId, Reconstruction};
+use crate::sfm::{self, mapper};
+
+/// How a model came about.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct ModelReport {
+    /// Whether the user gave it.
+    pub(super) given: bool,
+    /// Frames in which the target is visible.
+    pub(super) num_visible: usize,
+    /// Frames whose camera is known.
+    pub(super) num_registered: usize,
+    /// Frames in which the target is visible and the camera is not known, and why.
+    pub(super) unregistered: BTreeMap<FrameId, String>,
+    /// Why there is no model at all, where there is none.
+    pub(super) failure: Option<String>,
+    pub(super) num_points: usize,
+    pub(super) num_observations: usize,
+    pub(super) mean_error_px: Option<f64>,
+}
+
+const BACKGROUND_REPORT: &str = "background-report.json";
+const OBJECT_REPORTS: &str = "objects-report.json";
+
+/// The camera before the background is reconstructed.
+pub(super) fn initial_camera(run: &Run) -> Result<(Camera, CameraOrigin), PipelineError> {
+    camera(run.options.intrinsics.as_ref(), run.info())
+}
+
+pub(super) fn background_depends_on(run: &Run) -> Result<Value, PipelineError> {
+    let (_, origin) = initial_camera(run)?;
+    let given = run.options.background_model.as_deref().map(fingerprint::of_content).transpose()?;
+    Ok(json!({
+        "model": given,
+        "camera_origin": origin,
+        "options": mapper::Options { threads: 1, ..run.options.background.mapper.clone() },
+        "seed": run.options.seed,
+    }))
+}
+
+pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
+    run.progress.begin("background", None);
+    let mut outcome = Outcome::default();
+    let (model, report) = match &run.options.background_model {
+        Some(folder) => given(folder, run, &mut outcome)?,
+        None => {
+            let (camera, origin) = initial_camera(run)?;
+            let intrinsics = match origin {
+                CameraOrigin::Given => sfm::Intrinsics::Fixed,
+                CameraOrigin::Exif | CameraOrigin::Guess => sfm::Intrinsics::Refined,
+            };
+            reconstruct(run, &features::of_background(run)?, camera, intrinsics, &run.options.background.mapper)?
+        }
+    };
+    if let Some(failure) = &report.failure {
+        outcome.warn(format!("the background cannot be reconstructed: {failure}"));
+    } else {
+        warn_of_gaps("background", &report, &mut outcome);
+    }
+    store(&run.workspace.background(), &model)?;
+    run.workspace.write_state(BACKGROUND_REPORT, &report)?;
+    outcome.figure("num_registered", report.num_registered);
+    outcome.figure("num_points", report.num_points);
+    outcome.figure("mean_error_px", report.mean_error_px);
+    if let Some(camera) = model.cameras.values().next() {
+        outcome.figure("intrinsics", json!(camera.intrinsics()));
+    }
+    outcome.outputs.extend([run.workspace.background(), run.workspace.state(BACKGROUND_REPORT)]);
+    Ok(outcome)
+}
+
+/// The background's model; the stage must be done.
+pub(super) fn background(run: &Run) -> Result<(Reconstruction, ModelReport), PipelineError> {
+    Ok((colmap::read(&run.workspace.background())?, run.workspace.read_state(BACKGROUND_REPORT)?))
+}
+
+pub(super) fn objects_depends_on(run: &Run) -> Result<Value, PipelineError> {
+    let given: Result<BTreeMap<_, _>, PipelineError> =
+        run.options.object_models.iter().map(|(id, folder)| Ok((id, fingerprint::of_content(folder)?))).collect();
+    Ok(json!({
+        "models": given?,
+        "options": mapper::Options { threads: 1, ..run.options.objects.mapper.clone() },
+        "seed": run.options.seed,
+    }))
+}
+
+pub(super) fn objects_work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    let objects = track::objects(run)?;
+    let unknown = run.options.object_models.keys().find(|id| objects.iter().all(|object| object.id != **id));
+    if let Some(id) = unknown {
+        let ids: Vec<String> = objects.iter().map(|object| object.id.to_string()).collect();
+        let text = format!("--object-model {id}=...: there is no object {id}; tracked are: {}", ids.join(", "));
+        return Err(PipelineError::Options(text));
+    }
+    let (background, _) = background(run)?;
+    let camera = background.cameras.values().next().copied();
+    run.progress.begin("objects", Some(objects.len() as u64));
+    let mut reports = BTreeMap::new();
+    for object in &objects {
+        run.progress.step();
+        let report = one_object(run, object, camera.filter(|_| !background.is_empty()), fingerprint)?;
+        match &report.failure {
+            Some(failure) => outcome.warn(format!("object {} cannot be reconstructed: {failure}", object.id)),
+            None => warn_of_gaps(&format!("object {}", object.id), &report, &mut outcome),
+        }
+        outcome.figure(
+            &format!("object_{}", object.id),
+            json!({
+                "num_visible": report.num_visible,
+                "num_registered": report.num_registered,
+                "num_points": report.num_points,
+                "mean_error_px": report.mean_error_px,
+            }),
+        );
+        reports.insert(object.id, report);
+    }
+    remove_others(run, &reports)?;
+    let models = reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(&id, _)| run.workspace.object(id));
+    outcome.outputs.extend(models);
+    run.workspace.write_state(OBJECT_REPORTS, &reports)?;
+    outcome.outputs.push(run.workspace.state(OBJECT_REPORTS));
+    Ok(outcome)
+}
+
+/// The reports of all objects; the stage must be done.
+pub(super) fn object_reports(run: &Run) -> Result<BTreeMap<ObjectId, ModelReport>, PipelineError> {
+    run.workspace.read_state(OBJECT_REPORTS)
+}
+
+/// One object's model, where it has one.
+pub(super) fn object(run: &Run, id: ObjectId, report: &ModelReport) -> Result<Option<Reconstruction>, PipelineError> {
+    report.failure.is_none().then(|| Ok(colmap::read(&run.workspace.object(id))?)).transpose()
+}
+
+/// What is left of an object's reconstruction that was finished before the run was stopped.
+#[derive(Serialize, Deserialize)]
+struct ObjectMarker {
+    fingerprint: String,
+    report: ModelReport,
+}
+
+fn one_object(
+    run: &Run,
+    object: &TrackedObject,
+    camera: Option<Camera>,
+    fingerprint: &str,
+) -> Result<ModelReport, PipelineError> {
+    let marker_name = format!("object-{}.json", object.id);
+    let before: Option<ObjectMarker> = run.workspace.read_state(&marker_name).ok();
+    if let Some(before) = before.filter(|marker| marker.fingerprint == fingerprint) {
+        if before.report.failure.is_some() || run.workspace.object(object.id).is_dir() {
+            return Ok(before.report);
+        }
+    }
+    let mut outcome = Outcome::default();
+    let (model, mut report) = match (run.options.object_models.get(&object.id), camera) {
+        (Some(folder), _) => given(folder, run, &mut outcome)?,
+        (None, Some(camera)) => {
+            let table = features::of_object(run, object.id)?;
+            reconstruct(run, &table, camera, sfm::Intrinsics::Fixed, &run.options.objects.mapper)?
+        }
+        (None, None) => {
+            let failure = Some("there is no background to place it in".to_owned());
+            (Reconstruction::default(), ModelReport { failure, ..ModelReport::default() })
+        }
+    };
+    report.num_visible = object.frames.len();
+    match report.failure {
+        Some(_) => run.workspace.remove(&run.workspace.object(object.id))?,
+        None => store(&run.workspace.object(object.id), &model)?,
+    }
+    let marker = ObjectMarker { fingerprint: fingerprint.to_owned(), report };
+    run.workspace.write_state(&marker_name, &marker)?;
+    Ok(marker.report)
+}
+
+/// Removes the models of objects that are no more.
+fn remove_others(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result<(), PipelineError> {
+    let keep: BTreeSet<String> = reports.keys().map(ToString::to_string).collect();
+    let folder = run.workspace.objects();
+    let Ok(entries) = std::fs::read_dir(&folder) else { return Ok(()) };
+    for entry in entries.flatten() {
+        if !keep.contains(entry.file_name().to_string_lossy().as_ref()) && entry.path().is_dir() {
+            run.workspace.remove(&entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// The one place where structure from motion is called.
+fn reconstruct(
+    run: &Run,
+    table: &sfm::TrackTable,
+    camera: Camera,
+    intrinsics: sfm::Intrinsics,
+    options: &mapper::Options,
+) -> Result<(Reconstruction, ModelReport), PipelineError> {
+    let threads = run.options.threads.unwrap_or_else(rayon::current_num_threads);
+    let options = mapper::Options { threads, ..options.clone() };
+    let (mut model, report) = sfm::reconstruct(table, &[camera], intrinsics, &options, run.options.seed)?;
+    if model.is_empty() {
+        // Even an empty model says which camera it would have had.
+        model.cameras.insert(crate::scene::CameraId(1), camera);
+    }
+    let unregistered = report
+        .views
+        .iter()
+        .filter_map(|view| Some((FrameId(view.image.0.checked_sub(1)?), view.failure.as_ref()?.to_string())))
+        .collect();
+    let failure =
+        model.is_empty().then(|| report.failure.clone().unwrap_or_else(|| "no frame is registered".to_owned()));
+    let described = ModelReport {
+        given: false,
+        num_visible: report.views.len(),
+        num_registered: report.num_registered(),
+        unregistered,
+        failure,
+        num_points: model.points.len(),
+        num_observations: report.num_observations,
+        mean_error_px: model.mean_reprojection_error_px(),
+    };
+    Ok((model, described))
+}
+
+/// A model that the user gives, with the ids and names of our frames.
+fn given(folder: &Path, run: &Run, outcome: &mut Outcome) -> Result<(Reconstruction, ModelReport), PipelineError> {
+    let model = colmap::read(folder)?;
+    let size = (run.info().width, run.info().height);
+    if let Some(camera) = model.cameras.values().find(|camera| (camera.width, camera.height) != size) {
+        return Err(PipelineError::Options(format!(
+            "{}: its pictures have {}x{} pixels, the frames {}x{}; models must be at the resolution of the frames",
+            folder.display(),
+            camera.width,
+            camera.height,
+            size.0,
+            size.1
+        )));
+    }
+    let frames = run.frames()?;
+    let num_images = model.images.len();
+    let model = with_frame_ids(model, frames);
+    if model.images.is_empty() {
+        let example = frames.first().map_or("", |frame| frame.name.as_str());
+        return Err(PipelineError::Options(format!(
+            "{}: none of its {num_images} images is a frame of the input; they must be named like the frames ({example})",
+            folder.display()
+        )));
+    }
+    if model.images.len() < num_images {
+        outcome.warn(format!(
+            "{}: {} of its {num_images} images are no frames of the input and were left out",
+            folder.display(),
+            num_images - model.images.len()
+        ));
+    }
+    let absent = frames.iter().filter(|frame| !model.images.contains_key(&ImageId::from(frame.id)));
+    let report = ModelReport {
+        given: true,
+        num_visible: frames.len(),
+        num_registered: model.images.len(),
+        unregistered: absent.map(|frame| (frame.id, "not in the model that was given".to_owned())).collect(),
+        failure: None,
+        num_points: model.points.len(),
+        num_observations: model.points.values().map(|point| point.track.len()).sum(),
+        mean_error_px: model.mean_reprojection_error_px(),
+    };
+    Ok((model, report))
+}
+
+/// The model with the images that are frames, under the frames' ids and names. An image belongs to the frame of its name,
+/// else of its stem, else to the one whose index its stem is.
+fn with_frame_ids(mut model: Reconstruction, frames: &[Frame]) -> Reconstruction {
+    let stem = |name: &str| name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned();
+    let keys: [&dyn Fn(&Frame) -> String; 3] = [&|f| f.name.clone(), &|f| f.stem().to_owned(), &|f| f.id.0.to_string()];
+    let names: [&dyn Fn(&str) -> String; 3] = [&|n| n.to_owned(), &stem, &|n| {
+        let digits = stem(n);
+        digits.parse::<u32>().map_or(digits, |index| index.to_string())
+    }];
+    let frame_of: BTreeMap<ImageId, &Frame> = keys
+        .iter()
+        .zip(names)
+        .map(|(key, name)| {
+            let by_key: BTreeMap<String, &Frame> = frames.iter().map(|frame| (key(frame), frame)).collect();
+            let found = model.images.iter().filter_map(|(&id, image)| Some((id, *by_key.get(&name(&image.name))?)));
+            found.collect::<BTreeMap<_, _>>()
+        })
+        .find(|found| !found.is_empty())
+        .unwrap_or_default();
+    let images = std::mem::take(&mut model.images);
+    for (id, mut image) in images {
+        if let Some(frame) = frame_of.get(&id) {
+            image.name.clone_from(&frame.name);
+            model.images.insert(frame.id.into(), image);
+        }
+    }
+    for point in model.points.values_mut() {
+        point.track.retain_mut(|element| match frame_of.get(&element.image) {
+            Some(frame) => {
+                element.image = frame.id.into();
+                true
+            }
+            None => false,
+        });
+    }
+    model.points.retain(|_, point| !point.track.is_empty());
+    model
+}
+
+/// Writes a model whole.
+fn store(folder: &Path, model: &Reconstruction) -> Result<(), PipelineError> {
+    crate::io::atomic::write_folder(folder, |fresh| Ok(colmap::write_text(fresh, model)?))
+}
+
+fn warn_of_gaps(target: &str, report: &ModelReport, outcome: &mut Outcome) {
+    let missing = report.unregistered.len();
+    if missing == 0 {
+        return;
+    }
+    let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
+    for reason in report.unregistered.values() {
+        *reasons.entry(reason).or_default() += 1;
+    }
+    let commonest = reasons.iter().max_by_key(|(_, count)| **count).map_or("", |(reason, _)| *reason);
+    outcome.warn(format!(
+        "{target}: {missing} of {} frames are not registered, mostly because {commonest}",
+        report.num_visible
+    ));
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Point2, Point3};
+
+    use super::*;
+    use crate::math::Rigid3;
+    use crate::scene::{CameraId, Image, Observation, Point3d, Point3dId, TrackElement};
+
+    fn model(names: &[&str]) -> Reconstruction {
+        let mut model = Reconstruction::default();
+        let mut track = Vec::new();
+        for (k, name) in (10u32..).zip(names) {
+            let observations = vec![Observation { pixel: Point2::new(1.0, 2.0), point: Some(Point3dId(5)) }];
+            let image = Image {
+                name: (*name).to_owned(),
+                camera: CameraId(1),
+                cam_from_world: Rigid3::identity(),
+                observations,
+            };
+            model.images.insert(ImageId(k), image);
+            track.push(TrackElement { image: ImageId(k), observation_idx: 0 });
+        }
+        let point = Point3d { position: Point3::origin(), rgb: [0; 3], error_px: 0.5, track };
+        model.points.insert(Point3dId(5), point);
+        model
+    }
+
+    fn frames() -> Vec<Frame> {
+        (0..4).map(|k| Frame { id: FrameId(k), name: format!("{k:06}.jpg"), time_s: 0.0 }).collect()
+    }
+
+    #[test]
+    fn images_of_given_models_become_frames() {
+        for names in
+            [["000002.jpg", "000000.jpg", "x.jpg"], ["000002.png", "000000.png", "x"], ["2.jpg", "0.jpg", "7.jpg"]]
+        {
+            let found = with_frame_ids(model(&names), &frames());
+            assert_eq!(found.images.keys().map(|id| id.0).collect::<Vec<_>>(), [1, 3], "{names:?}");
+            assert_eq!(found.images[&ImageId(3)].name, "000002.jpg");
+            let track = &found.points[&Point3dId(5)].track;
+            assert_eq!(track.iter().map(|element| element.image.0).collect::<Vec<_>>(), [3, 1]);
+        }
+        let none = with_frame_ids(model(&["a", "b"]), &frames());
+        assert!(none.images.is_empty() && none.points.is_empty());
+    }
+}

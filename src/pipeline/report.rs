@@ -1,0 +1,145 @@
+//! Stage `report`: the page to look at, from what all stages left behind.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+
+use super::models::{self, ModelReport};
+use super::options::CameraOrigin;
+use super::run::{Outcome, Run};
+use super::track::{self, TrackedObject};
+use super::{PipelineError, ground, scale};
+use crate::report::{self, Data, Fact, Missing, Model, Object, Thumbnail};
+use crate::scene::{FrameId, ObjectId, Reconstruction, Trajectories, Unit};
+use crate::video::Kind;
+
+pub(super) fn path(run: &Run) -> PathBuf {
+    run.workspace.root().join("report.html")
+}
+
+pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
+    run.progress.begin("report", None);
+    let frames = run.frames()?;
+    let tracked = track::objects(run)?;
+    let (background, background_report) = models::background(run)?;
+    let reports = models::object_reports(run)?;
+    let object_models = object_models(run, &reports)?;
+    let trajectories = scale::trajectories(run)?;
+    let ground = ground::ground(run)?;
+    let failures = scale::failures(run)?;
+    let data = Data {
+        title: run.input().file_name().map_or_else(|| "input".into(), |name| name.to_string_lossy().into_owned()),
+        input: input_facts(run, &background)?,
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        arguments: run.arguments.to_vec(),
+        unit: Unit::Background,
+        frames,
+        missing: missing(&background_report),
+        background: Model { reconstruction: &background, unregistered: background_report.unregistered },
+        ground: Some(&ground),
+        objects: objects(&tracked, &reports, &object_models, &trajectories, &failures),
+        strip: strip(run, &tracked)?,
+        warnings: run.warnings(),
+        stages: stages(run),
+        evaluation: Vec::new(),
+    };
+    report::write(&path(run), &data)?;
+    Ok(Outcome { outputs: vec![path(run)], ..Outcome::default() })
+}
+
+fn object_models(
+    run: &Run,
+    reports: &BTreeMap<ObjectId, ModelReport>,
+) -> Result<BTreeMap<ObjectId, Reconstruction>, PipelineError> {
+    let mut models = BTreeMap::new();
+    for (&id, report) in reports {
+        if let Some(model) = models::object(run, id, report)? {
+            models.insert(id, model);
+        }
+    }
+    Ok(models)
+}
+
+fn objects<'a>(
+    tracked: &[TrackedObject],
+    reports: &BTreeMap<ObjectId, ModelReport>,
+    models: &'a BTreeMap<ObjectId, Reconstruction>,
+    trajectories: &'a Trajectories,
+    failures: &BTreeMap<String, String>,
+) -> Vec<Object<'a>> {
+    let object = |tracked: &TrackedObject| {
+        let report = reports.get(&tracked.id);
+        let unregistered = report.map(|report| report.unregistered.clone()).unwrap_or_default();
+        let failure = report.and_then(|report| report.failure.clone());
+        Object {
+            id: tracked.id,
+            class: tracked.class.clone(),
+            confidence: tracked.confidence,
+            visible: tracked.frames.clone(),
+            model: models.get(&tracked.id).map(|reconstruction| Model { reconstruction, unregistered }),
+            trajectory: trajectories.objects.iter().find(|trajectory| trajectory.id == tracked.id),
+            ratio_per_frame: Vec::new(),
+            failure: failure.or_else(|| failures.get(&tracked.id.to_string()).cloned()),
+        }
+    };
+    tracked.iter().map(object).collect()
+}
+
+fn missing(background: &ModelReport) -> Vec<Missing> {
+    let what = "the background".to_owned();
+    background.failure.iter().map(|reason| Missing { what: what.clone(), reason: reason.clone() }).collect()
+}
+
+/// Pictures of evenly spread frames, with the masks over them.
+fn strip(run: &Run, tracked: &[TrackedObject]) -> Result<Vec<Thumbnail>, PipelineError> {
+    let ids: Vec<FrameId> = run.frames()?.iter().map(|frame| frame.id).collect();
+    let wanted: BTreeSet<FrameId> = report::strip_frames(&ids).into_iter().collect();
+    let mut strip = Vec::new();
+    // A frame that cannot be decoded was reported by the stage that needed it; here it is one picture less.
+    for (frame, picture) in run.source.frames_at(wanted)?.flatten() {
+        let masks = track::masks_of(run, tracked, &frame)?;
+        let masks: Vec<_> = masks.iter().map(|(id, mask)| (*id, mask)).collect();
+        strip.push(Thumbnail::new(frame.id, &picture, &masks)?);
+    }
+    Ok(strip)
+}
+
+fn stages(run: &Run) -> Vec<report::Stage> {
+    let stage = |record: &super::StageRecord| report::Stage {
+        name: record.stage.name().to_owned(),
+        wall_s: record.marker.cost.wall_s,
+        cpu_s: record.marker.cost.cpu_s,
+        peak_rss_mib: record.marker.cost.peak_rss_mib,
+        reused: record.reused,
+    };
+    run.records.iter().map(stage).collect()
+}
+
+fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, PipelineError> {
+    let info = run.info();
+    let kind = match info.kind {
+        Kind::Video => "video file",
+        Kind::Folder => "folder of images",
+    };
+    let mut facts =
+        vec![Fact::new("Input", kind), Fact::new("Frame size", format!("{} × {}", info.width, info.height))];
+    if (info.source_width, info.source_height) != (info.width, info.height) {
+        facts.push(Fact::new("Source size", format!("{} × {}", info.source_width, info.source_height)));
+    }
+    if let Some(fps) = info.fps {
+        facts.push(Fact::new("Nominal rate", format!("{fps:.3} frames/s")));
+    }
+    if info.rotation_deg != 0 {
+        facts.push(Fact::new("Rotation applied", format!("{}°", info.rotation_deg)));
+    }
+    let (_, origin) = models::initial_camera(run)?;
+    let origin = match origin {
+        CameraOrigin::Given => "given",
+        CameraOrigin::Exif => "from EXIF, refined with the background",
+        CameraOrigin::Guess => "unknown, found with the background",
+    };
+    if let Some(camera) = background.cameras.values().next() {
+        let focal = format!("{:.1} px", camera.mean_focal());
+        facts.push(Fact::new("Focal length", focal).with_note(origin));
+    }
+    Ok(facts)
+}

@@ -1,0 +1,134 @@
+//! The driver: which stages are done already, which have to be done, and what they cost.
+
+use std::cell::OnceCell;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use super::meter::Meter;
+use super::workspace::{Marker, Workspace};
+use super::{Options, PipelineError, Progress, Stage, fingerprint};
+use crate::scene::Frame;
+use crate::video::{Info, Source};
+
+/// What a stage gives back besides its files.
+#[derive(Debug, Default)]
+pub(super) struct Outcome {
+    /// What is wrong although there is a result.
+    pub(super) warnings: Vec<String>,
+    /// Counts and measures, by name.
+    pub(super) figures: BTreeMap<String, Value>,
+    /// Files and folders that the stage made, absolute.
+    pub(super) outputs: Vec<PathBuf>,
+}
+
+impl Outcome {
+    pub(super) fn warn(&mut self, text: impl Into<String>) {
+        let text = text.into();
+        tracing::warn!("{text}");
+        self.warnings.push(text);
+    }
+
+    pub(super) fn figure(&mut self, name: &str, value: impl Into<Value>) {
+        self.figures.insert(name.to_owned(), value.into());
+    }
+}
+
+/// A stage as it stands at the end of a run.
+#[derive(Clone, Debug)]
+pub struct StageRecord {
+    /// Which one.
+    pub stage: Stage,
+    /// What it left behind.
+    pub marker: Marker,
+    /// Whether an earlier run had done it.
+    pub reused: bool,
+}
+
+/// One run under way.
+pub(super) struct Run<'a> {
+    pub(super) options: &'a Options,
+    pub(super) workspace: &'a Workspace,
+    pub(super) source: &'a Source,
+    pub(super) arguments: &'a [String],
+    pub(super) progress: &'a dyn Progress,
+    pub(super) records: Vec<StageRecord>,
+    frames: OnceCell<Vec<Frame>>,
+}
+
+impl<'a> Run<'a> {
+    pub(super) fn new(
+        options: &'a Options,
+        workspace: &'a Workspace,
+        source: &'a Source,
+        arguments: &'a [String],
+        progress: &'a dyn Progress,
+    ) -> Self {
+        Self { options, workspace, source, arguments, progress, records: Vec::new(), frames: OnceCell::new() }
+    }
+
+    pub(super) fn input(&self) -> &Path {
+        self.source.path()
+    }
+
+    pub(super) fn info(&self) -> &Info {
+        self.source.info()
+    }
+
+    /// The chosen frames; the stage `frames` must be done.
+    pub(super) fn frames(&self) -> Result<&[Frame], PipelineError> {
+        if self.frames.get().is_none() {
+            let frames: Vec<Frame> = self.workspace.read_state("frames-list.json")?;
+            let _ = self.frames.set(frames);
+        }
+        Ok(self.frames.get().map_or(&[], Vec::as_slice))
+    }
+
+    /// Does a stage, unless it is done already. `depends_on` is everything that its result hangs on besides the stages
+    /// `after`; `work` is given the fingerprint of all that.
+    pub(super) fn stage(
+        &mut self,
+        stage: Stage,
+        after: &[Stage],
+        depends_on: Value,
+        work: impl FnOnce(&Self, &str) -> Result<Outcome, PipelineError>,
+    ) -> Result<(), PipelineError> {
+        let upstream: Vec<&str> = after.iter().map(|&stage| self.fingerprint(stage)).collect();
+        let fingerprint = fingerprint::of(&json!([stage, depends_on, upstream]));
+        let before = self.workspace.marker(stage).filter(|marker| marker.fingerprint == fingerprint);
+        if let Some(marker) = before.filter(|marker| self.workspace.has_outputs(marker)) {
+            self.progress.begin(stage.name(), None);
+            self.progress.end(true);
+            self.records.push(StageRecord { stage, marker, reused: true });
+            return Ok(());
+        }
+        self.workspace.clear_marker(stage)?;
+        let meter = Meter::start();
+        let outcome = work(self, &fingerprint);
+        self.progress.end(false);
+        let Outcome { warnings, figures, outputs } = outcome?;
+        let cost = meter.read();
+        let outputs =
+            outputs.iter().map(|path| path.strip_prefix(self.workspace.root()).unwrap_or(path).to_owned()).collect();
+        let marker = Marker { fingerprint, cost, warnings, figures, outputs };
+        self.workspace.set_marker(stage, &marker)?;
+        self.records.push(StageRecord { stage, marker, reused: false });
+        Ok(())
+    }
+
+    /// The fingerprint of a stage that this run has been through; empty for one that it left out.
+    pub(super) fn fingerprint(&self, stage: Stage) -> &str {
+        self.records.iter().find(|record| record.stage == stage).map_or("", |record| &record.marker.fingerprint)
+    }
+
+    /// Whether nothing had to be done so far.
+    pub(super) fn all_reused(&self) -> bool {
+        self.records.iter().all(|record| record.reused)
+    }
+
+    /// All warnings so far, in order.
+    pub(super) fn warnings(&self) -> Vec<String> {
+        self.records.iter().flat_map(|record| record.marker.warnings.iter().cloned()).collect()
+    }
+}

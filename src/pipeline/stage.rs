@@ -1,0 +1,68 @@
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// The stages of a run, in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Stage {
+    /// Which frames there are, at which times.
+    Frames,
+    /// Instances in every frame.
+    Segment,
+    /// One mask per object and frame.
+    Track,
+    /// Features inside the masks.
+    Features,
+    /// Structure from motion of the background.
+    Background,
+    /// Structure from motion of every object.
+    Objects,
+    /// Ground points and local planes.
+    Ground,
+    /// Scale ratios and trajectories.
+    Scale,
+    /// The page to look at.
+    Report,
+}
+
+impl Stage {
+    /// All of them, in order.
+    pub const ALL: [Self; 9] = [
+        Self::Frames,
+        Self::Segment,
+        Self::Track,
+        Self::Features,
+        Self::Background,
+        Self::Objects,
+        Self::Ground,
+        Self::Scale,
+        Self::Report,
+    ];
+
+    /// The name in `run.json` and in messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Frames => "frames",
+            Self::Segment => "segment",
+            Self::Track => "track",
+            Self::Features => "features",
+            Self::Background => "background",
+            Self::Objects => "objects",
+            Self::Ground => "ground",
+            Self::Scale => "scale",
+            Self::Report => "report",
+        }
+    }
+
+    /// The stage of a name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|stage| stage.name() == name)
+    }
+}
+
+impl fmt::Display for Stage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.name().fmt(f)
+    }
+}
