@@ -1,21 +1,7 @@
-//! The program; all of it is in the library.
+//! The program. All of it is in the library.
 
-use clap::{Parser, Subcommand};
+use std::process::ExitCode;
 
-#[derive(Parser)]
-#[command(version, about)]
-struct Cli {
-    #[command(subcommand)]
-    command: Command,
-}
-
-#[derive(Subcommand)]
-enum Command {
-    Bal(tractrix::cli::bal::BalArgs),
-}
-
-fn main() -> anyhow::Result<()> {
-    match Cli::parse().command {
-        Command::Bal(args) => tractrix::cli::bal::run(&args),
-    }
+fn main() -> ExitCode {
+    tractrix::cli::main()
 }

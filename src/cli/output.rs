@@ -1,0 +1,76 @@
+//! What leaves the program: text on stdout, failures with their exit code.
+
+use std::fmt;
+use std::io::{self, Write};
+
+/// Why a command ends without having done what was asked.
+#[derive(Debug)]
+pub(super) enum Failure {
+    /// The input, the machine or a file stands in the way: exit code 1.
+    Input(anyhow::Error),
+    /// The command line asks for what cannot be: exit code 2.
+    Usage(String),
+}
+
+impl Failure {
+    pub(super) fn code(&self) -> u8 {
+        match self {
+            Self::Input(_) => 1,
+            Self::Usage(_) => 2,
+        }
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Usage(text) => text.fmt(f),
+            Self::Input(error) => {
+                let mut said = error.to_string();
+                said.fmt(f)?;
+                for cause in error.chain().skip(1).map(ToString::to_string) {
+                    // Messages that already carry their cause are not repeated.
+                    if !said.contains(&cause) {
+                        write!(f, ": {cause}")?;
+                        said.push_str(&cause);
+                    }
+                }
+                Ok(())
+            }
+        }
+    }
+}
+
+impl<E: Into<anyhow::Error>> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::Input(error.into())
+    }
+}
+
+/// Prints a result to stdout. A reader that has gone away (`| head`) is no failure.
+pub(super) fn print(text: &str) -> Result<(), Failure> {
+    match io::stdout().lock().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(()),
+    }
+}
+
+/// Prints a value as indented JSON.
+pub(super) fn print_json(value: &impl serde::Serialize) -> Result<(), Failure> {
+    print(&(serde_json::to_string_pretty(value)? + "\n"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn causes_are_said_once() {
+        let inner = anyhow::anyhow!("permission denied");
+        let failure = Failure::from(inner.context("cannot read a.mp4"));
+        assert_eq!(failure.to_string(), "cannot read a.mp4: permission denied");
+        let inner = anyhow::anyhow!("permission denied");
+        let failure = Failure::from(inner.context("a.mp4: permission denied; check it"));
+        assert_eq!(failure.to_string(), "a.mp4: permission denied; check it");
+    }
+}
