@@ -1,0 +1,31 @@
+//! What tests of the whole program share: the program itself, and a small rendered drive.
+
+#![allow(dead_code)] // Every test file uses its own share of this.
+
+pub mod drive;
+
+use std::path::Path;
+
+use assert_cmd::Command;
+
+/// The program.
+pub fn tractrix() -> Command {
+    let mut command = Command::cargo_bin("tractrix").expect("the binary is built with the tests");
+    command.env_remove("TRACTRIX_LOG").env_remove("OPENCV_LOG_LEVEL").env_remove("OPENCV_FFMPEG_LOGLEVEL");
+    command
+}
+
+/// Exit code, stdout and stderr of the program. A panic fails the test, whatever else was expected.
+pub fn outcome(command: &mut Command) -> (i32, String, String) {
+    let output = command.output().expect("the program starts");
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!stderr.contains("panicked"), "{stderr}");
+    let code = output.status.code().expect("the program ends by itself");
+    (code, String::from_utf8_lossy(&output.stdout).into_owned(), stderr)
+}
+
+/// A JSON file.
+pub fn json(path: &Path) -> serde_json::Value {
+    let text = std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}

@@ -1,0 +1,205 @@
+//! Stop and go on: a run that was killed ends where an undisturbed one ends, and changed options do again what they touch
+//! and nothing else.
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use common::{drive, json, outcome, tractrix};
+use tempfile::TempDir;
+
+const NUM_FRAMES: u32 = 24;
+
+/// A rendered drive and a place for results.
+struct Place {
+    folder: TempDir,
+}
+
+impl Place {
+    fn new() -> Self {
+        let folder = TempDir::new().unwrap();
+        drive::write(folder.path(), NUM_FRAMES);
+        Self { folder }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn arguments(&self, output: &str) -> Vec<String> {
+        let path = |name: &str| self.path(name).display().to_string();
+        let mut arguments = vec!["run".to_owned(), path("images"), "--output".to_owned(), path(output)];
+        for (flag, value) in [
+            ("--masks", path("masks")),
+            ("--ground-masks", path("ground")),
+            ("--intrinsics", drive::intrinsics()),
+            ("--fps", "12".to_owned()),
+            ("--threads", "1".to_owned()),
+        ] {
+            arguments.extend([flag.to_owned(), value]);
+        }
+        arguments
+    }
+
+    /// Runs to the end; gives the stages that were done and those that were taken over.
+    fn run(&self, output: &str, more: &[&str]) -> (Vec<String>, Vec<String>) {
+        let (code, _, stderr) = outcome(tractrix().args(self.arguments(output)).args(more));
+        assert_eq!(code, 0, "{stderr}");
+        let run = json(&self.path(output).join("run.json"));
+        let stages = run["stages"].as_object().unwrap();
+        let (reused, done): (Vec<_>, Vec<_>) = stages.iter().partition(|(_, stage)| stage["reused"] == true);
+        let names = |stages: Vec<(&String, _)>| stages.into_iter().map(|(name, _)| name.clone()).collect();
+        (names(done), names(reused))
+    }
+
+    /// Every file of a result by name, but for those that tell times.
+    fn result(&self, output: &str) -> BTreeMap<PathBuf, Vec<u8>> {
+        let mut files = BTreeMap::new();
+        collect(&self.path(output), Path::new(""), &mut files);
+        files
+    }
+}
+
+fn collect(root: &Path, below: &Path, files: &mut BTreeMap<PathBuf, Vec<u8>>) {
+    for entry in fs::read_dir(root.join(below)).unwrap() {
+        let name = below.join(entry.unwrap().file_name());
+        let tells_times = [".tractrix", "run.json", "report.html"].iter().any(|own| name == Path::new(own));
+        if root.join(&name).is_dir() && !tells_times {
+            collect(root, &name, files);
+        } else if !tells_times {
+            files.insert(name.clone(), fs::read(root.join(&name)).unwrap());
+        }
+    }
+}
+
+fn assert_same(a: &BTreeMap<PathBuf, Vec<u8>>, b: &BTreeMap<PathBuf, Vec<u8>>, what: &str) {
+    assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>(), "{what}");
+    let different: Vec<_> = a.iter().filter(|(name, bytes)| b[*name] != **bytes).map(|(name, _)| name).collect();
+    assert!(different.is_empty(), "{what}: {different:?} differ");
+}
+
+const ALL: [&str; 9] = ["frames", "segment", "track", "features", "background", "objects", "ground", "scale", "report"];
+
+#[test]
+fn a_killed_run_ends_where_an_undisturbed_one_ends() {
+    let place = Place::new();
+    let (done, reused) = place.run("whole", &[]);
+    assert_eq!((done.len(), reused.len()), (ALL.len(), 0));
+    let whole = place.result("whole");
+    assert!(whole.contains_key(Path::new("objects/1/images.txt")), "{:?}", whole.keys());
+    for stage in ["frames", "track", "features", "background", "objects", "scale"] {
+        let output = format!("killed-after-{stage}");
+        kill_after(&place, &output, stage);
+        let (_, reused) = place.run(&output, &[]);
+        assert!(reused.iter().any(|name| name == stage), "{stage} was done twice: {reused:?}");
+        assert_same(&whole, &place.result(&output), &output);
+    }
+}
+
+/// Starts a run and kills it without warning as soon as a stage is marked as done.
+fn kill_after(place: &Place, output: &str, stage: &str) {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_tractrix"))
+        .args(place.arguments(output))
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let marker = place.path(output).join(".tractrix").join(format!("{stage}.json"));
+    let started = Instant::now();
+    while !marker.is_file() && child.try_wait().unwrap().is_none() {
+        assert!(started.elapsed() < Duration::from_secs(600), "{stage} is never done");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(marker.is_file(), "the run ended before {stage} was done");
+}
+
+#[test]
+fn what_changes_is_done_again_and_nothing_else() {
+    let place = Place::new();
+    place.run("out", &[]);
+    let before = place.result("out");
+    let index = |stage: &str| ALL.iter().position(|name| *name == stage).unwrap();
+    let expect = |more: &[&str], first: &str| {
+        let (done, reused) = place.run("out", more);
+        assert_eq!(reused, ALL[..index(first)], "{more:?}");
+        assert_eq!(done, ALL[index(first)..], "{more:?}");
+    };
+
+    // The same again does nothing, and neither does another number of threads.
+    let (done, _) = place.run("out", &[]);
+    assert!(done.iter().all(|stage| stage == "report"), "{done:?}");
+    expect(&["--scale-method", "intersection"], "scale");
+    assert_eq!(json(&place.path("out/trajectories.json"))["objects"][0]["scale"]["method"], "intersection");
+    expect(&[], "scale");
+    assert_same(&before, &place.result("out"), "after going back");
+    expect(&["--ground-label", "1"], "ground");
+    expect(&["--every", "2"], "frames");
+    assert_eq!(json(&place.path("out/run.json"))["stages"]["frames"]["figures"]["num_frames"], NUM_FRAMES / 2);
+    expect(&[], "frames");
+    assert_same(&before, &place.result("out"), "after all frames again");
+
+    // A result that somebody took away is made again.
+    fs::remove_file(place.path("out/trajectories.json")).unwrap();
+    expect(&[], "scale");
+    assert_same(&before, &place.result("out"), "after a loss");
+
+    // A changed picture changes everything, a touched one nothing.
+    let picture = place.path("images/0003.png");
+    let bytes = fs::read(&picture).unwrap();
+    fs::write(&picture, &bytes).unwrap();
+    let (done, _) = place.run("out", &[]);
+    assert!(done.iter().all(|stage| stage == "report"), "{done:?}");
+    let mut altered = image::load_from_memory(&bytes).unwrap().to_rgb8();
+    altered.put_pixel(0, 0, image::Rgb([1, 2, 3]));
+    altered.save(&picture).unwrap();
+    expect(&[], "frames");
+}
+
+#[test]
+fn two_runs_do_not_share_a_folder() {
+    let place = Place::new();
+    let mut first = Command::new(env!("CARGO_BIN_EXE_tractrix"))
+        .args(place.arguments("out"))
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    while !place.path("out/.tractrix/frames.json").is_file() {
+        assert!(first.try_wait().unwrap().is_none(), "the first run ended too early");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let (code, _, stderr) = outcome(tractrix().args(place.arguments("out")));
+    assert_eq!(code, 1);
+    assert!(stderr.contains("another tractrix is at work"), "{stderr}");
+    first.kill().unwrap();
+    first.wait().unwrap();
+}
+
+#[test]
+fn a_drive_becomes_a_trajectory() {
+    let place = Place::new();
+    place.run("out", &[]);
+    let found = json(&place.path("out/trajectories.json"));
+    let object = &found["objects"][0];
+    let frames = object["frames"].as_array().unwrap();
+    assert!(frames.len() as u32 >= NUM_FRAMES - 2, "{} frames", frames.len());
+    assert!((frames[6]["time_s"].as_f64().unwrap() - 0.5).abs() < 1e-9);
+    // In the world that was rendered the camera moves 4/9 of the vehicle's way in height and drives beside it; what can
+    // be said without its unit is that the way of the vehicle is near its true share of the camera's way.
+    let position = |frame: &serde_json::Value| -> nalgebra::Point3<f64> {
+        serde_json::from_value::<[f64; 3]>(frame["position"].clone()).unwrap().into()
+    };
+    let way = (position(&frames[frames.len() - 1]) - position(&frames[0])).norm();
+    let background = tractrix::io::colmap::read(&place.path("out/background")).unwrap();
+    let centers: Vec<_> = background.images.values().map(|image| image.cam_from_world.center()).collect();
+    let camera_way = (centers[centers.len() - 1] - centers[0]).norm();
+    let truth = nalgebra::Vector2::new(9.0f64, 2.5).norm() / nalgebra::Vector3::new(8.0f64, -3.0, 4.0).norm();
+    let share = way / camera_way;
+    assert!((share / truth - 1.0).abs() < 0.1, "the vehicle's way is {share:.3} of the camera's, in truth {truth:.3}");
+}
