@@ -83,6 +83,16 @@ def place(
     return made
 
 
+def float_image(name: str, pixels: np.ndarray) -> bpy.types.Image:
+    """A linear image (H, W, 3), first row at the bottom."""
+    height, width, _ = pixels.shape
+    image = bpy.data.images.new(name, width, height, float_buffer=True)
+    image.colorspace_settings.name = "Linear Rec.709"
+    rgba = np.concatenate([pixels, np.ones((height, width, 1))], 2).astype(np.float32)
+    image.pixels.foreach_set(rgba.ravel())
+    return image
+
+
 def evaluated(thing: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (N, 3) in object space and triangles (M, 3), modifiers applied."""
     graph = bpy.context.evaluated_depsgraph_get()
@@ -95,3 +105,15 @@ def evaluated(thing: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     data.loop_triangles.foreach_get("vertices", triangles)
     owner.to_mesh_clear()
     return vertices.reshape(-1, 3).astype(float), triangles.reshape(-1, 3).astype(np.int64)
+
+
+def decimated(vertices: np.ndarray, triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """A surface with at most about ``count`` triangles; flat parts lose theirs first."""
+    data = triangle_data("whole", vertices, triangles, np.zeros(len(triangles)), (), lambda _: None, {})
+    thing = place("whole", data, 0)
+    modifier = thing.modifiers.new("fewer", "DECIMATE")
+    modifier.ratio = min(1.0, count / max(1, len(triangles)))
+    fewer = evaluated(thing)
+    bpy.data.objects.remove(thing)
+    bpy.data.meshes.remove(data)
+    return fewer

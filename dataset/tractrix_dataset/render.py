@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,6 +83,7 @@ def _cycles(cycles: object, options: RenderOptions) -> None:
     cycles.max_bounces, cycles.diffuse_bounces, cycles.glossy_bounces = 2, 1, 2
     cycles.transmission_bounces, cycles.transparent_max_bounces = 1, 2
     cycles.caustics_reflective = cycles.caustics_refractive = False
+    cycles.use_light_tree = False
     cycles.sample_clamp_indirect, cycles.sample_clamp_direct = 4.0, 12.0
 
 
@@ -98,6 +103,20 @@ def _index_pass(scene: bpy.types.Scene, scratch: Path) -> None:
     tree.links.new(layers.outputs["IndexOB"], output.inputs[0])
 
 
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Sends what Blender prints about its progress to nowhere."""
+    sys.stdout.flush()
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
 def render_frame(world: World, index: int, image: Path, semantic: Path, scratch: Path) -> None:
     """Renders one frame: a PNG and its semantic map, each whole or absent."""
     scene = bpy.context.scene
@@ -106,7 +125,8 @@ def render_frame(world: World, index: int, image: Path, semantic: Path, scratch:
     scene.cycles.seed = index
     partial = image.with_suffix(".partial.png")
     scene.render.filepath = str(partial)
-    bpy.ops.render.render(write_still=True)
+    with _silence():
+        bpy.ops.render.render(write_still=True)
     pass_file = scratch / f"index_{index:04d}.exr"
     labels.write_png(semantic, labels.tidy(labels.read_index_pass(pass_file)))
     pass_file.unlink()

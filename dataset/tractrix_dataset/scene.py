@@ -16,7 +16,7 @@ from .kinematics import Motion, Probe, simulate
 from .labels import GROUND, OTHER, STATIC, TARGET
 from .markings import build_litter, build_markings
 from .mesh import Mesh, MeshBuilder
-from .seeds import Key, rng
+from .seeds import Key, fbm, rng, smoothstep
 from .shading import Nodes
 from .vehicles.assemble import Vehicle, assemble, pose_wheels
 from .vehicles.spec import VEHICLES, repainted
@@ -203,8 +203,23 @@ def _bridge_structure() -> Mesh:
     return builder.mesh()
 
 
-def _light(elevation_deg: float, azimuth_deg: float) -> None:
-    """Sun and a sky with clouds."""
+def _sky_picture(key: tuple[Key, ...]) -> np.ndarray:
+    """An equirectangular sky (H, W, 3), linear: blue, haze at the horizon, clouds of its own for every key."""
+    height, width = 256, 512
+    azimuth = (np.arange(width) + 0.5) / width * 2 * np.pi
+    elevation = ((np.arange(height) + 0.5) / height - 0.5) * np.pi
+    up = np.sin(elevation)[:, None] * np.ones(width)
+    flat = np.cos(elevation)[:, None] / (np.maximum(up, 0) + 0.12)
+    x, y = flat * np.cos(azimuth), flat * np.sin(azimuth)
+    cloud = smoothstep(fbm(x, y, 1.6, 6, "clouds", *key), 0.05, 0.75)[..., None] * 0.85
+    at = np.clip((up + 0.1) / 1.1, 0, 1)
+    stops = np.array([(0.62, 0.68, 0.74), (0.30, 0.45, 0.72), (0.14, 0.27, 0.58)])
+    blue = np.stack([np.interp(at, (0.0, 0.5, 1.0), stops[:, k]) for k in range(3)], -1)
+    return blue * (1 - cloud) + np.array([0.92, 0.93, 0.95]) * cloud
+
+
+def _light(elevation_deg: float, azimuth_deg: float, key: tuple[Key, ...]) -> None:
+    """Sun and sky."""
     sun = bpy.data.lights.new("sun", "SUN")
     sun.energy, sun.angle, sun.color = 3.6, np.radians(0.6), (1.0, 0.945, 0.86)
     lamp = bpy.data.objects.new("sun", sun)
@@ -213,14 +228,8 @@ def _light(elevation_deg: float, azimuth_deg: float) -> None:
     world = bpy.data.worlds.new("sky")
     bpy.context.scene.world = world
     n = Nodes(world)
-    at = n.position("Generated")
-    _, _, up = n.separate(at)
-    blue = n.ramp(
-        n.step(up, -0.1, 0.9), [(0.0, (0.62, 0.68, 0.74)), (0.45, (0.30, 0.45, 0.72)), (1.0, (0.14, 0.27, 0.58))]
-    )
-    cloud = n.step(n.noise(n.warp(at, 1.5, 0.35), 2.4, 6.0, 0.6), 0.50, 0.68)
-    color = n.mix(blue, (0.92, 0.93, 0.95), n.math("MULTIPLY", cloud, 0.85))
-    background = n.node("ShaderNodeBackground", {"Color": color, "Strength": 1.0})
+    sky = n.node("ShaderNodeTexEnvironment", image=blender.float_image("sky", _sky_picture(key)))
+    background = n.node("ShaderNodeBackground", {"Color": sky.outputs[0], "Strength": 1.0})
     n.node("ShaderNodeOutputWorld", {"Surface": background.outputs[0]})
 
 
@@ -253,7 +262,7 @@ def build_world(request: Request) -> World:
     spec = VEHICLES[request.vehicle]
     motion = simulate(spec, trajectory.drive, times, probe)
     camera, blocked = _choose_flight(trajectory, motion.world_from_object, times, request.key)
-    _build_surroundings(grounds, focus, trajectory, camera, motion, blocked)
+    _build_surroundings(grounds, focus, trajectory, camera, motion, blocked, request.key)
     target = assemble(spec, TARGET)
     others = []
     for i, (name, drive) in enumerate(trajectory.others):
@@ -263,7 +272,13 @@ def build_world(request: Request) -> World:
 
 
 def _build_surroundings(
-    grounds: list[Ground], focus: Focus, trajectory: Trajectory, camera: CameraPath, motion: Motion, blocked: list
+    grounds: list[Ground],
+    focus: Focus,
+    trajectory: Trajectory,
+    camera: CameraPath,
+    motion: Motion,
+    blocked: list,
+    key: tuple[Key, ...],
 ) -> None:
     """All that does not move, without what stands in the line of sight."""
     poses = motion.world_from_object
@@ -278,7 +293,7 @@ def _build_surroundings(
     _place_mesh("litter", build_litter(focus), GROUND)
     _place_mesh("tufts", nature.build_tufts(focus), GROUND)
     _place_river(focus)
-    _light(*trajectory.sun)
+    _light(*trajectory.sun, key)
 
 
 def pose_frame(world: World, index: int) -> None:

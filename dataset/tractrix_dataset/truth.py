@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .blender import decimated
 from .drives import FPS
 from .flight import intrinsics
 from .ground import crop
@@ -16,8 +17,8 @@ from .render import RenderOptions
 from .scene import World
 from .vehicles.assemble import ground_truth_mesh
 
-GROUND_REACH_M = 16.0
-MAX_GROUND_TRIANGLES = 60000
+GROUND_REACH_M = 14.0
+MAX_GROUND_TRIANGLES = 18000
 
 CONVENTIONS = (
     "World: right-handed, z up, metres. Camera: x right, y down, z forward. T_world_camera maps homogeneous camera to "
@@ -102,6 +103,7 @@ def write_meshes(world: World, folder: Path) -> None:
     offsets = np.cumsum([0] + [len(v) for v, _ in pieces[:-1]])
     vertices = np.vstack([v for v, _ in pieces])
     triangles = np.vstack([t + o for (_, t), o in zip(pieces, offsets)])
+    vertices, triangles = decimated(vertices, triangles, MAX_GROUND_TRIANGLES)
     write_ply(folder / "ground_mesh.ply", vertices, triangles, "ground round the drive, metres, world coordinates")
 
 
