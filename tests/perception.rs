@@ -132,10 +132,9 @@ fn write_number(picture: &mut RgbImage, x: u32, y: u32, number: u32, colour: [u8
         let dots = DIGITS[usize::from(digit - b'0')];
         for k in 0..60u32 {
             let (u, v) = (k % 6, k / 6);
-            if dots >> (14 - (v / 2 * 3 + u / 2)) & 1 == 1 {
-                if let Some(pixel) = picture.get_pixel_mut_checked(x + i as u32 * 8 + u, y + v) {
-                    *pixel = Rgb(colour);
-                }
+            let is_set = dots >> (14 - (v / 2 * 3 + u / 2)) & 1 == 1;
+            if is_set && let Some(pixel) = picture.get_pixel_mut_checked(x + i as u32 * 8 + u, y + v) {
+                *pixel = Rgb(colour);
             }
         }
     }

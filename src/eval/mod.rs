@@ -6,7 +6,7 @@
 //!    pose; the mean over frames and points is the error of the sequence ([`trajectory`]).
 //! 3. **Reference scale ratio.** Rays from the object's cameras through its points meet the true mesh; medians of medians
 //!    give the ratio that a perfect estimator would find (eqs. scale_ratios_ov, scale_ratios_ov_gt, scale_ratios_ob_ref;
-//!    [`reference`]). The deviation of an estimated ratio r is |r − r_ref| / r_ref.
+//!    [`mod@reference`]). The deviation of an estimated ratio r is |r − r_ref| / r_ref.
 //!
 //! The rest says how far a reconstruction came: registered fractions, camera errors, and which of the reconstructed
 //! objects is the target at all. What cannot be computed is an [`Outcome::Unavailable`] with its reason; no number here is

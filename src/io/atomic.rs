@@ -26,7 +26,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), IoError> {
 /// Writes a value as indented JSON, ending in a newline.
 ///
 /// # Errors
-/// As [`write`]; [`IoError::Content`] if the value cannot be JSON.
+/// As [`write()`]; [`IoError::Content`] if the value cannot be JSON.
 pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<(), IoError> {
     let mut text = serde_json::to_vec_pretty(value).map_err(|e| IoError::content(path, e.to_string()))?;
     text.push(b'\n');

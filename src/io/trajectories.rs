@@ -81,7 +81,7 @@ pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
 /// Reads the trajectories of a run.
 ///
 /// # Errors
-/// A missing file, JSON of another shape or version, or values that break the contract (see [`write`]).
+/// A missing file, JSON of another shape or version, or values that break the contract (see [`write()`]).
 pub fn read(path: &Path) -> Result<Trajectories, IoError> {
     let document: Document = json::read(path)?;
     if document.version != VERSION {

@@ -111,10 +111,11 @@ fn vote_of_masks(
 ) -> Result<Vec<Point3dId>, PipelineError> {
     let frames = run.frames()?;
     let files = MaskFolder::open(folder, frames, run.info())?;
-    if matches!(run.options.ground_labels, GroundLabels::Masks { .. }) {
-        if let Some(warning) = files.warning(folder, frames) {
-            outcome.warn(warning);
-        }
+    // Frames that a model was not asked for, since they are not registered, are not missing.
+    if matches!(run.options.ground_labels, GroundLabels::Masks { .. })
+        && let Some(warning) = files.warning(folder, frames)
+    {
+        outcome.warn(warning);
     }
     let by_name: BTreeMap<&str, FrameId> = frames.iter().map(|frame| (frame.name.as_str(), frame.id)).collect();
     let mut current: Option<(String, Option<LabelMap>)> = None;

@@ -162,10 +162,10 @@ fn one_object(
 ) -> Result<ModelReport, PipelineError> {
     let marker_name = format!("object-{}.json", object.id);
     let before: Option<ObjectMarker> = run.workspace.read_state(&marker_name).ok();
-    if let Some(before) = before.filter(|marker| marker.fingerprint == fingerprint) {
-        if before.report.failure.is_some() || run.workspace.object(object.id).is_dir() {
-            return Ok(before.report);
-        }
+    if let Some(before) = before.filter(|marker| marker.fingerprint == fingerprint)
+        && (before.report.failure.is_some() || run.workspace.object(object.id).is_dir())
+    {
+        return Ok(before.report);
     }
     let mut outcome = Outcome::default();
     let (model, mut report) = match (run.options.object_models.get(&object.id), camera) {
@@ -337,7 +337,7 @@ fn warn_of_gaps(target: &str, report: &ModelReport, outcome: &mut Outcome) {
     }
     let commonest = reasons.iter().max_by_key(|(_, count)| **count).map_or("", |(reason, _)| *reason);
     outcome.warn(format!(
-        "{target}: {missing} of {} frames are not registered, mostly because {commonest}",
+        "{target}: {missing} of {} frames are not registered; the commonest reason: {commonest}",
         report.num_visible
     ));
 }

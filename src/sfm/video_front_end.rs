@@ -165,11 +165,10 @@ impl VideoFrontEnd {
         }
         point.warp = aligned.warp;
         let stretch = point.warp.shape.determinant();
-        if aligned.correlation < self.options.renew_correlation || !(0.6..1.7).contains(&stretch) {
-            if let Some(patch) = Patch::cut(gray, point.warp.center, self.options.patch_radius_px) {
-                point.patch = patch;
-                point.warp.shape = Matrix2::identity();
-            }
+        let is_worn = aligned.correlation < self.options.renew_correlation || !(0.6..1.7).contains(&stretch);
+        if is_worn && let Some(patch) = Patch::cut(gray, point.warp.center, self.options.patch_radius_px) {
+            point.patch = patch;
+            point.warp.shape = Matrix2::identity();
         }
         Some(point)
     }

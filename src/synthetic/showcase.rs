@@ -229,7 +229,7 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
     let visible: Vec<_> = result.frames.iter().map(|f| f.id).filter(|f| id == CAR || f.0 % num_frames > 5).collect();
     let mut model = Reconstruction::default();
     model.cameras.insert(CameraId(1), result.camera);
-    let registered = |f: &FrameId| !(id == CAR && CAR_LOST.contains(&f.0)) && !CAMERA_LOST.contains(&f.0);
+    let registered = |f: &FrameId| !(CAMERA_LOST.contains(&f.0) || id == CAR && CAR_LOST.contains(&f.0));
     for f in visible.iter().filter(|f| registered(f)) {
         let s = progress(*f, num_frames);
         add_image(&mut model, &frame(f.0), cam_from_metric(s) * metric_from_vehicle(id, s));
@@ -287,7 +287,7 @@ fn local_plane(background_from_metric: &Sim3, id: ObjectId, s: f64, rng: &mut Rn
 fn body([length, width, height]: [f64; 3], id: ObjectId, rng: &mut Rng) -> Vec<StreetPoint> {
     let paint = if id == CAR { [176, 30, 36] } else { [228, 228, 224] };
     let point = |k: usize| {
-        let cabin = k % 3 == 0;
+        let cabin = k.is_multiple_of(3);
         let (l, w) = if cabin { (0.55 * length, 0.86 * width) } else { (length, width) };
         let (low, high) = if cabin { (0.55 * height, height) } else { (0.2 * height, 0.58 * height) };
         let mut at = [rng.random_range(-0.5..0.5) * l, rng.random_range(-0.5..0.5) * w, rng.random_range(low..high)];

@@ -119,7 +119,7 @@ fn one_leaves_and_another_enters() {
 fn a_false_alarm_gets_no_lasting_id_and_ids_are_dense() {
     let world = World::still(vec![Thing::car(RED, |t| (10 + 5 * t as i64, 50))]);
     let alarm = |t: usize, mut found: Vec<Detection>| {
-        if t % 7 == 0 {
+        if t.is_multiple_of(7) {
             let mask =
                 Mask::from_fn(WIDTH, HEIGHT, |x, y| (20 + 20 * t as u32 / 7..).take(15).any(|u| u == x) && y < 12);
             found.push(Detection { class: "car".into(), confidence: 0.6, mask });
@@ -137,7 +137,7 @@ fn one_car_that_is_called_car_and_truck_is_one_object() {
     let twice = |t: usize, mut found: Vec<Detection>| {
         let mut truck = found[0].clone();
         truck.class = "truck".into();
-        truck.confidence = if t % 3 == 0 { 0.95 } else { 0.4 };
+        truck.confidence = if t.is_multiple_of(3) { 0.95 } else { 0.4 };
         found.push(truck);
         found
     };

@@ -84,10 +84,9 @@ impl Pattern {
                 place[*i as usize - first] = 0;
             }
         }
-        let mut count = 0;
-        for (row, cell) in place.iter_mut().enumerate().filter(|(_, cell)| **cell != NONE) {
+        let marked = place.iter_mut().enumerate().filter(|(_, cell)| **cell != NONE);
+        for (count, (row, cell)) in (0..).zip(marked) {
             *cell = count;
-            count += 1;
             self.rows.push((first + row) as u32);
         }
         self.start.push(self.rows.len());

@@ -22,6 +22,8 @@ const LARGEST_DENSE: usize = 12_000;
 const PARALLEL_SIZE: usize = 1_000;
 
 /// One of the solvers, with what it keeps from one iteration to the next.
+// There is one of them per problem, so that its size does not matter.
+#[allow(clippy::large_enum_variant)]
 pub(super) enum Solver {
     Dense(DenseSolver),
     Sparse(SparseSolver),

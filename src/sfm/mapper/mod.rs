@@ -54,7 +54,7 @@ pub struct Options {
     pub max_pose_error_px: f64,
     /// Reprojection error above which an observation is taken out while the noise is not known, pixels.
     pub max_error_px: f64,
-    /// The same as a multiple of the noise, once that was measured ([`Noise`]); never below [`Options::min_error_px`].
+    /// The same as a multiple of the noise, once that was measured from the map itself; never below [`Options::min_error_px`].
     pub max_error_sigmas: f64,
     /// Reprojection error that is always let through, pixels.
     pub min_error_px: f64,
