@@ -1,0 +1,51 @@
+#!/usr/bin/env python3
+"""Bundle adjustment beside Ceres, in turns on the same machine: cost, iterations, best CPU and wall seconds.
+
+    scripts/bal/compare.py PROBLEM... [--ceres ./ceres_bal] [--tractrix target/release/tractrix] [--rounds 5]
+
+CPU time is comparable beside other work, wall time is not. Ceres is built from ceres_bal.cc beside this file.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+
+
+def measure(commands, rounds):
+    """Runs the commands in turns; the fastest of each, with the fastest wall time of all its runs."""
+    best = {}
+    for _ in range(rounds):
+        for name, command in commands.items():
+            result = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+            seen = best.setdefault(name, result)
+            seen["solve_cpu_s"] = min(seen["solve_cpu_s"], result["solve_cpu_s"])
+            seen["solve_wall_s"] = min(seen["solve_wall_s"], result["solve_wall_s"])
+    return best
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("problems", nargs="+")
+    parser.add_argument("--tractrix", default="target/release/tractrix")
+    parser.add_argument("--ceres", help="the program built from ceres_bal.cc; left out if not given")
+    parser.add_argument("--rounds", type=int, default=5)
+    args = parser.parse_args()
+
+    print("| problem | program | threads | final cost | iterations | CPU s | wall s |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for problem in args.problems:
+        commands = {}
+        for threads in "1", "2":
+            commands["tractrix", threads] = [args.tractrix, "bal", problem, "--json", "--threads", threads]
+            if args.ceres:
+                for solver in "dense", "sparse":
+                    commands[f"Ceres {solver}", threads] = [args.ceres, problem, solver, threads]
+        for (program, threads), r in sorted(measure(commands, args.rounds).items(), reverse=True):
+            name = os.path.basename(problem).removesuffix(".txt")
+            print(f"| {name} | {program} | {threads} | {r['final_cost']:.3f} | {r['iterations']} "
+                  f"| {r['solve_cpu_s']:.3f} | {r['solve_wall_s']:.3f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
