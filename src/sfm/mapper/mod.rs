@@ -195,8 +195,10 @@ pub fn reconstruct(
     }
     Ok(match best {
         Some((map, mut report)) => {
+            let reconstruction = map.into_reconstruction();
             report.num_starts = num_starts;
-            (map.into_reconstruction(), report)
+            report.mean_error_px = reconstruction.mean_reprojection_error_px();
+            (reconstruction, report)
         }
         None => (Reconstruction::default(), Report::without_start(table, pairs.len(), num_starts)),
     })
