@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tractrix_dataset.drives import TRAJECTORIES
@@ -26,33 +27,38 @@ def order() -> list[tuple[str, str]]:
     return [(t, vehicles[(i + k) % len(vehicles)]) for k in rounds for i, t in enumerate(trajectories)]
 
 
+def finished(folder: Path) -> bool:
+    """Whether a sequence is whole: scene.json is written last."""
+    return (folder / "scene.json").is_file()
+
+
+def render(folder: Path, trajectory: str, vehicle: str, passed: list[str]) -> bool:
+    """Renders one sequence in a process of its own; whether that worked."""
+    names = ["--trajectory", trajectory, "--vehicle", vehicle, "--output", str(folder)]
+    return subprocess.run([sys.executable, str(SCRIPT), *names, *passed]).returncode == 0
+
+
 def main() -> None:
     """Renders sequence by sequence; other options are passed on to render.py."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, required=True, help="folder of all sequences")
     parser.add_argument("--list", action="store_true", help="only say what is there and what is missing")
     parser.add_argument("--only", type=int, default=35, help="stop after this many sequences in all")
+    parser.add_argument("--processes", type=int, default=1, help="sequences rendered at a time, default 1")
     arguments, passed = parser.parse_known_args()
-    failed = []
+    missing = []
     for trajectory, vehicle in order()[: arguments.only]:
         folder = arguments.output / f"{trajectory}_{vehicle}"
-        whole = (folder / "scene.json").is_file()
+        whole = finished(folder)
         if arguments.list or whole:
             print(f"{folder.name}: {'there' if whole else 'missing'}", flush=True)
-            continue
-        command = [
-            sys.executable,
-            str(SCRIPT),
-            "--trajectory",
-            trajectory,
-            "--vehicle",
-            vehicle,
-            "--output",
-            str(folder),
-            *passed,
-        ]
-        if subprocess.run(command).returncode != 0:
-            failed.append(folder.name)
+        if not whole:
+            missing.append((folder, trajectory, vehicle))
+    if arguments.list:
+        return
+    with ThreadPoolExecutor(max(1, arguments.processes)) as pool:
+        good = list(pool.map(lambda item: render(*item, passed), missing))
+    failed = [folder.name for (folder, *_), worked in zip(missing, good) if not worked]
     if failed:
         sys.exit(f"not rendered: {', '.join(failed)}")
 

@@ -1,4 +1,4 @@
-"""Tests of the generator's parts that need no Blender. Run: python -m unittest discover -s dataset/tests"""
+"""Tests of the generator's parts that need no Blender. Run: python -m unittest discover -s dataset/tests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tractrix_dataset import labels, mesh, plan, seeds  # noqa: E402
+from tractrix_dataset import drives, labels, mesh, plan, seeds  # noqa: E402
 from tractrix_dataset.paths import Path as Way  # noqa: E402
 from tractrix_dataset.validate import _ground_heights, silhouette  # noqa: E402
 
@@ -62,10 +62,46 @@ class Plan(unittest.TestCase):
         middle = np.array([plan.RIVER_X_M]), np.array([0.0])
         self.assertGreater(float((plan.deck_height(*middle) - plan.ground_height(*middle))[0]), 4.0)
 
+    def test_the_ground_stays_under_the_deck_and_beside_it_meets_the_land(self) -> None:
+        x, y = (v.ravel() for v in np.meshgrid(np.arange(288.1, 372.0, 0.37), np.linspace(-7.3, 7.3, 41)))
+        self.assertGreater(float((plan.deck_height(x, y) - plan.ground_height(x, y)).min()), 0.25)
+        y = np.concatenate([np.linspace(-30, -9, 60), np.linspace(9, 30, 60)])
+        for edge in (plan.BRIDGE_START_M, plan.BRIDGE_END_M):
+            here, there = (plan.ground_height(np.full(120, edge + step), y) for step in (-1e-3, 1e-3))
+            self.assertLess(float(np.abs(here - there).max()), 0.02)
+
+    def test_the_bridge_is_driven_over_its_deck(self) -> None:
+        for vehicle in ("saloon", "van"):
+            drive = drives.variant("bridge", vehicle, 0).drive
+            points = drive.curve().point(drive.distance(drives.frame_times(60)))
+            self.assertTrue(plan.over_river(*points.T).any())
+            steps = np.diff(plan.surface_height(*drive.curve().point(np.arange(0, 50, 0.1)).T))
+            self.assertLess(float(np.abs(steps).max()), 0.01)
+
     def test_the_steep_street_is_steep(self) -> None:
         y = np.array([200.0, 220.0])
         rise = np.diff(plan.base_height(np.zeros(2), y))[0] / 20
         self.assertTrue(0.10 < rise < 0.18, rise)
+
+
+class Drives(unittest.TestCase):
+    def test_no_two_vehicles_meet(self) -> None:
+        times = drives.frame_times(60)
+        for name, trajectory in drives.TRAJECTORIES.items():
+            for vehicle in ("saloon", "suv", "smart", "hatchback", "van") if trajectory.others else ():
+                target = drives.variant(name, vehicle, 0).drive
+                driven = [target, *(drive for _, drive in trajectory.others)]
+                bodies = [self._axis(drive, times) for drive in driven]
+                for i, a in enumerate(bodies):
+                    for b in bodies[:i]:
+                        gap = np.linalg.norm(a[:, :, None] - b[:, None], axis=-1).min()
+                        self.assertGreater(gap, 2.3, f"{name}, {vehicle}")
+
+    @staticmethod
+    def _axis(drive: drives.Drive, times: np.ndarray) -> np.ndarray:
+        """Points (N, 13, 2) on the middle line of a vehicle of 4.8 m, per frame."""
+        s = drive.distance(times)[:, None] + np.linspace(-2.4, 2.4, 13)
+        return drive.curve().point(s.ravel()).reshape(*s.shape, 2)
 
 
 class Meshes(unittest.TestCase):

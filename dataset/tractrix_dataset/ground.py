@@ -95,7 +95,7 @@ def build_ground(focus: Focus, step: float) -> Ground:
     ys = _grid_lines(focus.low[1], focus.high[1], step, 14.0)
     points, triangles = _grid(xs, ys)
     s = plan.survey(points[:, 0], points[:, 1])
-    kerb = np.where(plan.over_river(points[:, 0], points[:, 1]), 30.0, s.kerb)
+    kerb = plan.open_kerb(points[:, 0], points[:, 1], s.kerb)
     values = np.column_stack([points, kerb])
     for level in (0.0, plan.KERB_FACE_M, plan.KERB_STONE_M, plan.SIDEWALK_M):
         values, triangles = _cut(values, triangles, level)
@@ -109,9 +109,8 @@ def build_ground(focus: Focus, step: float) -> Ground:
 def build_deck() -> Ground:
     """The bridge's carriageway and sidewalks as a strip mesh over the river."""
     half = plan.street("main").half_width
-    across = np.array(
-        [-7.4, -half - 0.18, -half - 0.03, -half, -half / 2, 0, half / 2, half, half + 0.03, half + 0.18, 7.4]
-    )
+    across = np.array([0, half / 2, half, half + plan.KERB_FACE_M, half + plan.KERB_STONE_M, plan.DECK_HALF_M])
+    across = np.concatenate([-across[:0:-1], across])
     along = np.arange(plan.BRIDGE_START_M - 1.5, plan.BRIDGE_END_M + 1.51, 0.5)
     points, triangles = _grid(along, across)
     kerb = np.abs(points[:, 1]) - half

@@ -24,6 +24,7 @@ CORNER_BLEND_M = 8.0
 FAR_M = 80.0
 RIVER_X_M, RIVER_HALF_M, RIVER_DEPTH_M = 330.0, 15.0, 7.0
 BRIDGE_START_M, BRIDGE_END_M, BRIDGE_RISE_M = 288.0, 372.0, 2.6
+DECK_HALF_M, UNDER_DECK_M = 7.4, 0.7
 HILL_START_M, HILL_END_M, HILL_RISE_M = 120.0, 320.0, 18.5
 
 
@@ -116,6 +117,16 @@ def over_river(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return (x > BRIDGE_START_M) & (x < BRIDGE_END_M) & (np.abs(y) < 40)
 
 
+def open_kerb(x: np.ndarray, y: np.ndarray, kerb: np.ndarray) -> np.ndarray:
+    """Distance to the kerb of the ground's own streets (m): under the bridge there is only lawn."""
+    return np.where(over_river(x, y), np.maximum(kerb, SIDEWALK_M + 0.4), kerb)
+
+
+def under_deck(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """How far the ground is dug out under the bridge's deck (m), so that it never shows above it."""
+    return np.where(over_river(x, y), UNDER_DECK_M * (1 - smoothstep(np.abs(y), DECK_HALF_M, DECK_HALF_M + 1.2)), 0.0)
+
+
 def river_bed(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """How far the valley is cut into the ground (m, at least 0)."""
     middle = RIVER_X_M + 10 * np.sin(np.asarray(y) / 70.0)
@@ -151,14 +162,14 @@ def ground_height(x: np.ndarray, y: np.ndarray, s: Survey | None = None) -> np.n
     """Height of the ground (m): carriageway, kerb, sidewalk, lawn or field."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     s = survey(x, y) if s is None else s
-    open_kerb = np.where(over_river(x, y), 30.0, s.kerb)
+    free = open_kerb(x, y, s.kerb)
     town = 1 - s.rural
-    kerb = town * KERB_HEIGHT_M * np.clip(open_kerb / KERB_FACE_M, 0, 1)
-    sidewalk = town * 0.02 * np.clip(open_kerb - KERB_STONE_M, 0, SIDEWALK_M)
-    beyond = np.maximum(open_kerb - np.where(town > 0.5, SIDEWALK_M, 0.3), 0)
+    kerb = town * KERB_HEIGHT_M * np.clip(free / KERB_FACE_M, 0, 1)
+    sidewalk = town * 0.02 * np.clip(free - KERB_STONE_M, 0, SIDEWALK_M)
+    beyond = np.maximum(free - np.where(town > 0.5, SIDEWALK_M, 0.3), 0)
     rough = 0.06 * fbm(x, y, 3.0, 3, "lawn") * np.clip(beyond / 1.0, 0, 1)
     rough += 1.4 * noise(x, y, 45.0, "field") * smoothstep(beyond, 18, 60)
-    return road_height(x, y, s) + kerb + sidewalk + rough - river_bed(x, y)
+    return road_height(x, y, s) + kerb + sidewalk + rough - river_bed(x, y) - under_deck(x, y)
 
 
 def deck_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
