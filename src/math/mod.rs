@@ -6,6 +6,7 @@ mod random;
 mod rigid3;
 mod robust_loss;
 mod sim3;
+mod wxyz;
 
 pub use align::umeyama;
 pub use random::{Rng, seeded_rng};

@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 /// A rotation followed by a translation, `target_from_source`: `x_target = R x_source + t`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rigid3 {
-    /// Rotation from the source to the target frame.
+    /// Rotation from the source to the target frame; in files `rotation_wxyz`.
+    #[serde(rename = "rotation_wxyz", with = "super::wxyz")]
     pub rotation: UnitQuaternion<f64>,
     /// Origin of the source frame, in the target frame.
     pub translation: Vector3<f64>,

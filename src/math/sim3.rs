@@ -12,7 +12,8 @@ use super::Rigid3;
 pub struct Sim3 {
     /// Length in the target frame of one unit of the source frame.
     pub scale: f64,
-    /// Rotation from the source to the target frame.
+    /// Rotation from the source to the target frame; in files `rotation_wxyz`.
+    #[serde(rename = "rotation_wxyz", with = "super::wxyz")]
     pub rotation: UnitQuaternion<f64>,
     /// Origin of the source frame, in the target frame.
     pub translation: Vector3<f64>,
@@ -85,5 +86,27 @@ mod tests {
         let before = cam * p;
         let after = s.transform_camera(&cam) * (s * p);
         assert!((before.coords * s.scale - after.coords).norm() < 1e-12);
+    }
+
+    #[test]
+    fn quaternions_are_stored_with_the_real_part_first() {
+        // A quarter turn round z.
+        let quarter = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
+        let s = Sim3::new(2.0, quarter, Vector3::new(1.0, 2.0, 3.0));
+        let value = serde_json::to_value(s).unwrap();
+        let keys: Vec<_> = value.as_object().unwrap().keys().collect();
+        assert_eq!(keys, ["scale", "rotation_wxyz", "translation"]);
+        let wxyz: [f64; 4] = serde_json::from_value(value["rotation_wxyz"].clone()).unwrap();
+        let expected = [0.5f64.sqrt(), 0.0, 0.0, 0.5f64.sqrt()];
+        assert!(wxyz.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-15), "{wxyz:?}");
+        let text = serde_json::to_string(&s).unwrap();
+        assert_eq!(serde_json::from_str::<Sim3>(&text).unwrap(), s);
+        let rigid = Rigid3::new(quarter, s.translation);
+        assert_eq!(serde_json::to_value(rigid).unwrap()["rotation_wxyz"], value["rotation_wxyz"]);
+        let stretched = text.replace(&format!("{}", wxyz[0]), "0.8");
+        assert!(
+            serde_json::from_str::<Sim3>(&stretched).unwrap_err().to_string().contains("unit length"),
+            "{stretched}"
+        );
     }
 }

@@ -1,0 +1,23 @@
+//! Rotations in files: a unit quaternion as `[w, x, y, z]`, whatever order the library keeps.
+//!
+//! For `#[serde(with = "wxyz")]`.
+
+use nalgebra::{Quaternion, UnitQuaternion};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+
+/// How far a stored quaternion may be from unit length.
+const MAX_UNIT_ERROR: f64 = 1e-6;
+
+pub(super) fn serialize<S: Serializer>(rotation: &UnitQuaternion<f64>, to: S) -> Result<S::Ok, S::Error> {
+    [rotation.w, rotation.i, rotation.j, rotation.k].serialize(to)
+}
+
+pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<UnitQuaternion<f64>, D::Error> {
+    let [w, x, y, z] = <[f64; 4]>::deserialize(from)?;
+    let quaternion = Quaternion::new(w, x, y, z);
+    if !((quaternion.norm() - 1.0).abs() <= MAX_UNIT_ERROR) {
+        return Err(de::Error::custom(format!("the quaternion [{w}, {x}, {y}, {z}] is not of unit length")));
+    }
+    // Kept to the bit: what was written reads back the same.
+    Ok(UnitQuaternion::new_unchecked(quaternion))
+}
