@@ -218,7 +218,9 @@ fn every_command_in_the_help_is_there() {
     let listed =
         help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.trim().is_empty());
     let commands: Vec<&str> = listed.filter_map(|line| line.split_whitespace().next()).collect();
-    for wanted in ["run", "segment", "track", "sfm", "ground", "scale", "evaluate", "bal", "doctor"] {
+    for wanted in
+        ["run", "segment", "track", "sfm", "ground", "scale", "evaluate", "benchmark", "compare", "bal", "doctor"]
+    {
         assert!(commands.contains(&wanted), "{wanted} is not in {commands:?}");
     }
     for command in commands.iter().filter(|command| **command != "help") {

@@ -48,6 +48,10 @@ pub(super) enum Command {
     Scale(Box<JobArgs>),
     /// Compare the result of a run with the ground truth of its sequence
     Evaluate(super::evaluate::Args),
+    /// Run all sequences of a data set, and sum up how far they are from the truth
+    ///
+    /// Can be stopped and started again like `run`. Exit code 1 if a sequence failed; the tables are written all the same.
+    Benchmark(Box<super::benchmark::Args>),
     /// Compare two reconstructions of the same images
     Compare(super::compare::Args),
     /// Write a reconstruction in another format
@@ -113,6 +117,9 @@ pub(super) struct JobArgs {
     /// COLMAP model of vehicle ID, taken as it is; may be repeated
     #[arg(long, value_name = "ID=DIR", value_parser = object_model, help_heading = "Geometry")]
     pub(super) object_model: Vec<(ObjectId, PathBuf)>,
+    /// Reconstruct this vehicle alone; may be repeated [default: all]
+    #[arg(long, value_name = "ID", value_parser = object_id, help_heading = "Geometry")]
+    pub(super) only_object: Vec<ObjectId>,
     /// How the scale ratio is found: constant-distance, intersection, ...
     #[arg(long, value_name = "METHOD", value_parser = scale_method, help_heading = "Geometry")]
     pub(super) scale_method: Option<ScaleMethod>,
@@ -144,6 +151,11 @@ pub(super) struct JobArgs {
     pub(super) options: Option<PathBuf>,
 }
 
+fn object_id(text: &str) -> Result<ObjectId, String> {
+    let id = text.parse().ok().filter(|id| *id > 0);
+    id.map(ObjectId).ok_or_else(|| format!("'{text}' is not an id from 1"))
+}
+
 fn object_model(text: &str) -> Result<(ObjectId, PathBuf), String> {
     let parsed = text.split_once('=').and_then(|(id, folder)| Some((id.parse().ok()?, folder)));
     match parsed {
@@ -152,7 +164,7 @@ fn object_model(text: &str) -> Result<(ObjectId, PathBuf), String> {
     }
 }
 
-fn scale_method(text: &str) -> Result<ScaleMethod, String> {
+pub(super) fn scale_method(text: &str) -> Result<ScaleMethod, String> {
     let names: Vec<&str> = ScaleMethod::ALL.iter().map(|method| method.name()).collect();
     let found = ScaleMethod::ALL.into_iter().find(|method| method.name() == text);
     found.ok_or_else(|| format!("'{text}' is none of {}", names.join(", ")))
@@ -183,7 +195,14 @@ mod tests {
 
     #[test]
     fn nonsense_is_refused() {
-        for tail in ["--object-model 0=a", "--object-model a", "--scale-method x", "--start -1", "--ground-label 3"] {
+        for tail in [
+            "--object-model 0=a",
+            "--only-object 0",
+            "--object-model a",
+            "--scale-method x",
+            "--start -1",
+            "--ground-label 3",
+        ] {
             let line = format!("tractrix run in --output out {tail}");
             assert!(Args::try_parse_from(line.split_whitespace()).is_err(), "{tail}");
         }

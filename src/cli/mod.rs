@@ -5,6 +5,7 @@
 
 mod args;
 pub mod bal;
+mod benchmark;
 pub mod compare;
 pub mod convert;
 mod doctor;
@@ -54,6 +55,7 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &terminal::Talk) -> Resul
         | Command::Ground(job)
         | Command::Scale(job) => run::run(job, args.command.goal(), arguments, json, talk),
         Command::Evaluate(own) => Ok(evaluate::run(&evaluate::Args { json: json || own.json, ..own.clone() })?),
+        Command::Benchmark(own) => benchmark::run(own, arguments, json, talk),
         Command::Compare(own) => Ok(compare::run(&compare::Args { json: json || own.json, ..own.clone() })?),
         Command::Convert(own) => Ok(convert::run(own)?),
         Command::Bal(own) => Ok(bal::run(&bal::BalArgs { json: json || own.json, ..own.clone() })?),

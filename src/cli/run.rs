@@ -11,7 +11,7 @@ use serde_json::json;
 use super::args::JobArgs;
 use super::output::{Failure, print, print_json};
 use super::terminal::Talk;
-use crate::io::Sequence;
+use crate::io::{IoError, Sequence};
 use crate::pipeline::{self, GroundLabels, Instances, Intrinsics, Options, Stage, Summary};
 use crate::scene::{ObjectTrajectory, Trajectories};
 
@@ -59,7 +59,7 @@ fn resolve(job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), Failure> {
     Ok((input, options))
 }
 
-fn read_options(path: &Path) -> Result<Options, Failure> {
+pub(super) fn read_options(path: &Path) -> Result<Options, Failure> {
     let shown = path.display().to_string();
     let text = fs::read_to_string(path).with_context(|| format!("{shown}: cannot be read; check --options"))?;
     Ok(serde_json::from_str(&text).with_context(|| format!("{shown}: not a tree of options; check --options"))?)
@@ -84,6 +84,7 @@ fn apply_flags(job: &JobArgs, options: &mut Options) {
     set(&mut options.flow_model, &job.flow_model);
     set(&mut options.background_model, &job.background_model);
     options.object_models.extend(job.object_model.iter().cloned());
+    options.only_objects.extend(job.only_object.iter().copied());
     options.intrinsics = job.intrinsics.clone().or(options.intrinsics.take());
     options.video.start = job.start.or(options.video.start);
     options.video.end = job.end.or(options.video.end);
@@ -95,9 +96,10 @@ fn apply_flags(job: &JobArgs, options: &mut Options) {
     options.scale.method = job.scale_method.unwrap_or(options.scale.method);
 }
 
-/// Fills in what a ground-truth sequence knows and nobody gave; gives its folder of images.
-fn apply_sequence(sequence: &Sequence, options: &mut Options) -> Result<PathBuf, Failure> {
-    let first = sequence.frames.first().context("scene.json: the sequence has no frames")?;
+/// Fills in what a ground-truth sequence knows and nobody gave; gives its folder of images or its video.
+pub(super) fn apply_sequence(sequence: &Sequence, options: &mut Options) -> Result<PathBuf, IoError> {
+    let input = sequence.input()?;
+    let Some(first) = sequence.frames.first() else { return Ok(input) };
     let folder_of = |file: &Path| sequence.folder.join(file.parent().unwrap_or(Path::new("")));
     if options.instances == Instances::None {
         options.instances = Instances::Masks(folder_of(&first.mask));
@@ -110,7 +112,7 @@ fn apply_sequence(sequence: &Sequence, options: &mut Options) -> Result<PathBuf,
         options.intrinsics = Some(Intrinsics::Given(sequence.camera.intrinsics()));
     }
     options.video.fps = options.video.fps.or(Some(sequence.fps));
-    Ok(folder_of(&first.image))
+    Ok(input)
 }
 
 /// Says which file is missing before any work starts.
@@ -138,7 +140,7 @@ fn check_paths(options: &Options) -> Result<(), Failure> {
     Ok(())
 }
 
-fn use_threads(threads: Option<usize>) -> Result<(), Failure> {
+pub(super) fn use_threads(threads: Option<usize>) -> Result<(), Failure> {
     let Some(threads) = threads else { return Ok(()) };
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("cannot start the threads")?;
     opencv::core::set_num_threads(i32::try_from(threads).unwrap_or(i32::MAX))?;

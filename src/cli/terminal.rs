@@ -40,6 +40,13 @@ impl Talk {
         Self { quiet, bar, stage: Mutex::new(None) }
     }
 
+    /// Says a line, above the bar, unless nothing is to be said.
+    pub(super) fn say(&self, line: &str) {
+        if !self.quiet {
+            self.bar.suspend(|| eprintln!("{line}"));
+        }
+    }
+
     /// Takes the bar away.
     pub(super) fn finish(&self) {
         self.bar.finish_and_clear();

@@ -14,6 +14,7 @@
 //!
 //! Entry point: [`evaluate`].
 
+pub mod benchmark;
 mod cameras;
 pub mod comparison;
 mod figures;

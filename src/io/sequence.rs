@@ -28,6 +28,8 @@ pub struct Sequence {
     pub name: String,
     /// The type of the target vehicle, if stated.
     pub vehicle: Option<String>,
+    /// The type of its trajectory, if stated.
+    pub trajectory: Option<String>,
     /// Frames per second.
     pub fps: f64,
     /// The camera of all frames, without distortion.
@@ -59,9 +61,12 @@ pub struct SequenceFrame {
 
 #[derive(Deserialize)]
 struct Document {
-    name: String,
+    #[serde(default)]
+    name: Option<String>,
     #[serde(default)]
     vehicle: Option<String>,
+    #[serde(default)]
+    trajectory: Option<String>,
     units: String,
     fps: f64,
     width: u32,
@@ -93,7 +98,7 @@ impl Sequence {
     /// frames out of order.
     pub fn open(folder: &Path) -> Result<Self, IoError> {
         let path = folder.join("scene.json");
-        let document: Document = json::read(&path)?;
+        let mut document: Document = json::read(&path)?;
         if document.units != "metre" {
             return Err(IoError::Unsupported {
                 path,
@@ -105,12 +110,14 @@ impl Sequence {
         if !(document.fps > 0.0 && document.fps.is_finite()) {
             return Err(IoError::content(&path, format!("fps {} is not positive", document.fps)));
         }
-        let frames: Vec<_> = document.frames.into_iter().map(|f| frame(&path, f)).collect::<Result<_, _>>()?;
+        let frames: Vec<_> =
+            std::mem::take(&mut document.frames).into_iter().map(|f| frame(&path, f)).collect::<Result<_, _>>()?;
         if let Some(pair) = frames.windows(2).find(|pair| pair[0].id >= pair[1].id) {
             return Err(IoError::content(&path, format!("frame {} is out of order", pair[1].id.0)));
         }
-        let (name, vehicle, fps) = (document.name, document.vehicle, document.fps);
-        Ok(Self { folder: folder.to_path_buf(), name, vehicle, fps, camera, frames })
+        let Document { name, vehicle, trajectory, fps, .. } = document;
+        let name = name.unwrap_or_else(|| folder_name(folder));
+        Ok(Self { folder: folder.to_path_buf(), name, vehicle, trajectory, fps, camera, frames })
     }
 
     /// Width and height of every frame, pixels.
@@ -121,6 +128,26 @@ impl Sequence {
     /// The video, if there is one.
     pub fn video(&self) -> Option<PathBuf> {
         Some(self.folder.join("video.mp4")).filter(|path| path.is_file())
+    }
+
+    /// What a run takes for input: the folder of pictures if it is there, else the video.
+    ///
+    /// # Errors
+    /// A sequence without frames, or with neither pictures nor video.
+    pub fn input(&self) -> Result<PathBuf, IoError> {
+        let scene = self.folder.join("scene.json");
+        let first = self.frames.first().ok_or_else(|| IoError::content(&scene, "the sequence has no frames"))?;
+        let pictures = self.folder.join(first.image.parent().unwrap_or(Path::new("")));
+        if self.folder.join(&first.image).is_file() {
+            return Ok(pictures);
+        }
+        self.video().ok_or_else(|| {
+            let name = first.image.display();
+            IoError::content(
+                &scene,
+                format!("neither {name} nor video.mp4 is there; render the sequence, or copy it whole"),
+            )
+        })
     }
 
     /// The frame with this index.
@@ -158,6 +185,12 @@ impl Sequence {
     pub fn mesh(&self) -> Result<TriangleMesh, IoError> {
         ply::read_mesh(&self.folder.join("object_mesh.ply"))
     }
+}
+
+/// The name of a folder, also of one given as `.`.
+fn folder_name(folder: &Path) -> String {
+    let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+    name(folder).or_else(|| name(&folder.canonicalize().ok()?)).unwrap_or_else(|| "sequence".into())
 }
 
 fn camera(path: &Path, document: &Document) -> Result<Camera, IoError> {
@@ -241,6 +274,27 @@ mod tests {
         assert!((frame.cam_from_world.center() - nalgebra::Point3::new(4.0, 5.0, 6.0)).norm() < 1e-12);
         let forward = frame.world_from_object.rotation * Vector3::x();
         assert!((forward - Vector3::y()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn names_may_be_missing_and_pictures_replaced_by_a_video() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = folder.path().join("left_curves_van");
+        std::fs::create_dir(&place).unwrap();
+        let mut document = document();
+        document.as_object_mut().unwrap().remove("name");
+        document["trajectory"] = json!("left_curves");
+        std::fs::write(place.join("scene.json"), document.to_string()).unwrap();
+        let sequence = Sequence::open(&place).unwrap();
+        assert_eq!((sequence.name.as_str(), sequence.vehicle.as_ref()), ("left_curves_van", None));
+        assert_eq!(sequence.trajectory.as_deref(), Some("left_curves"));
+        let said = sequence.input().unwrap_err().to_string();
+        assert!(said.contains("00000.jpg") && said.contains("video.mp4"), "{said}");
+        std::fs::write(place.join("video.mp4"), b"").unwrap();
+        assert_eq!(sequence.input().unwrap(), place.join("video.mp4"));
+        std::fs::create_dir(place.join("images")).unwrap();
+        std::fs::write(place.join("images/00000.jpg"), b"").unwrap();
+        assert_eq!(sequence.input().unwrap(), place.join("images"));
     }
 
     #[test]

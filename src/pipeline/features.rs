@@ -21,6 +21,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
         "objects": run.options.objects.front_end,
         "given_background": run.options.background_model.is_some(),
         "given_objects": run.options.object_models.keys().collect::<Vec<_>>(),
+        "only_objects": run.options.only_objects,
         "seed": run.options.seed,
     }))
 }
@@ -32,7 +33,9 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let masking = Masking::new(run, &objects);
     let mut background =
         run.options.background_model.is_none().then(|| FrontEnd::new(&run.options.background.front_end, camera));
-    let wanted = objects.iter().map(|object| object.id).filter(|id| !run.options.object_models.contains_key(id));
+    let options = run.options;
+    let wanted = objects.iter().map(|object| object.id);
+    let wanted = wanted.filter(|id| options.wants(*id) && !options.object_models.contains_key(id));
     let mut on_objects: BTreeMap<ObjectId, FrontEnd> =
         wanted.map(|id| (id, FrontEnd::new(&run.options.objects.front_end, camera))).collect();
 

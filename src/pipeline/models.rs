@@ -93,6 +93,7 @@ pub(super) fn objects_depends_on(run: &Run) -> Result<Value, PipelineError> {
         run.options.object_models.iter().map(|(id, folder)| Ok((id, fingerprint::of_content(folder)?))).collect();
     Ok(json!({
         "models": given?,
+        "only": run.options.only_objects,
         "options": mapper::Options { threads: 1, ..run.options.objects.mapper.clone() },
         "seed": run.options.seed,
     }))
@@ -100,13 +101,14 @@ pub(super) fn objects_depends_on(run: &Run) -> Result<Value, PipelineError> {
 
 pub(super) fn objects_work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let objects = track::objects(run)?;
+    let mut objects = track::objects(run)?;
     let unknown = run.options.object_models.keys().find(|id| objects.iter().all(|object| object.id != **id));
     if let Some(id) = unknown {
         let ids: Vec<String> = objects.iter().map(|object| object.id.to_string()).collect();
         let text = format!("--object-model {id}=...: there is no object {id}; tracked are: {}", ids.join(", "));
         return Err(PipelineError::Options(text));
     }
+    objects.retain(|object| run.options.wants(object.id));
     let (background, _) = background(run)?;
     let camera = background.cameras.values().next().copied();
     run.progress.begin("objects", Some(objects.len() as u64));

@@ -1,4 +1,4 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -94,6 +94,8 @@ pub struct Options {
     pub background_model: Option<PathBuf>,
     /// COLMAP models of objects, taken as they are.
     pub object_models: BTreeMap<ObjectId, PathBuf>,
+    /// Objects that are reconstructed; empty is all. The others are still kept out of the background.
+    pub only_objects: BTreeSet<ObjectId>,
     /// How instances are found in a frame.
     pub segmentation: SegmentationOptions,
     /// Optical flow.
@@ -143,6 +145,7 @@ impl Default for Options {
             intrinsics: None,
             background_model: None,
             object_models: BTreeMap::new(),
+            only_objects: BTreeSet::new(),
             segmentation: SegmentationOptions::default(),
             flow: FlowOptions::default(),
             tracker: TrackerOptions::default(),
@@ -159,6 +162,11 @@ impl Default for Options {
 }
 
 impl Options {
+    /// Whether an object is to be reconstructed.
+    pub(super) fn wants(&self, id: ObjectId) -> bool {
+        self.only_objects.is_empty() || self.only_objects.contains(&id)
+    }
+
     /// Rejects contradictions before work starts.
     ///
     /// # Errors

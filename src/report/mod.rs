@@ -8,6 +8,8 @@
 //! Everything that grows with the video is thinned to a budget: pictures of the strip ([`strip_frames`]), points and
 //! frames of the 3D view, points of the charts. Where something was left out, the page says so.
 
+mod bars;
+pub mod benchmark;
 mod chart;
 mod data;
 mod overlay;

@@ -1,0 +1,171 @@
+//! `tractrix benchmark DIR`: every sequence of a data set, one table.
+//!
+//! Each sequence is a run of its own in `OUT/<folder>`, evaluated against its truth; what an earlier benchmark finished is
+//! taken over. The tables are written anew after every sequence, so that a stopped benchmark has those of what is done.
+
+mod sequences;
+mod single;
+#[cfg(test)]
+mod tests;
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use serde_json::json;
+
+use super::output::{Failure, print, print_json};
+use super::run::{read_options, use_threads};
+use super::terminal::Talk;
+use crate::eval::benchmark::{Benchmark, Entry, summarise};
+use crate::io::{self, atomic};
+use crate::pipeline::Options;
+use crate::report::benchmark as pages;
+use crate::scene::ScaleMethod;
+use crate::video::Position;
+use sequences::{Found, find};
+
+/// Version of `benchmark.json`.
+const VERSION: u32 = 1;
+
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct Args {
+    /// Folder of sequences: every folder in it that has a scene.json
+    #[arg(value_name = "DIR")]
+    pub(super) folder: PathBuf,
+    /// Folder for the results: one output folder per sequence, benchmark.json, benchmark.md and two charts
+    #[arg(long, short, value_name = "OUT", default_value = "benchmark")]
+    pub(super) output: PathBuf,
+    /// Only sequences with this in the name of their folder; may be repeated
+    #[arg(long, value_name = "TEXT")]
+    pub(super) only: Vec<String>,
+    /// What to call these results in tables
+    #[arg(long, value_name = "NAME", default_value = "tractrix")]
+    pub(super) label: String,
+    /// benchmark.json of another benchmark, to stand beside this one in the tables; may be repeated
+    #[arg(long, value_name = "FILE")]
+    pub(super) compare: Vec<PathBuf>,
+
+    /// COLMAP models of all sequences, taken as they are: DIR/<sequence>/background and DIR/<sequence>/object
+    #[arg(long, value_name = "DIR", help_heading = "Geometry", conflicts_with_all = ["background_models", "object_models"])]
+    pub(super) models: Option<PathBuf>,
+    /// COLMAP models of the backgrounds: DIR/<sequence>
+    #[arg(long, value_name = "DIR", help_heading = "Geometry")]
+    pub(super) background_models: Option<PathBuf>,
+    /// COLMAP models of the target vehicles: DIR/<sequence>
+    #[arg(long, value_name = "DIR", help_heading = "Geometry")]
+    pub(super) object_models: Option<PathBuf>,
+    /// How the scale ratio is found; the other methods are evaluated beside it
+    #[arg(long, value_name = "METHOD", value_parser = super::args::scale_method, help_heading = "Geometry")]
+    pub(super) scale_method: Option<ScaleMethod>,
+
+    /// End of every sequence, itself left out: seconds or a frame index (30f)
+    #[arg(long, value_name = "TIME", help_heading = "Frames")]
+    pub(super) end: Option<Position>,
+    /// Take every N-th frame; the others count as not registered
+    #[arg(long, value_name = "N", help_heading = "Frames")]
+    pub(super) every: Option<u32>,
+
+    /// Threads [default: one per core]
+    #[arg(long, value_name = "N", help_heading = "General")]
+    pub(super) threads: Option<usize>,
+    /// Seed of every random choice [default: 0]
+    #[arg(long, value_name = "N", help_heading = "General")]
+    pub(super) seed: Option<u64>,
+    /// JSON file with options, as under "options" in a run.json; flags go before it
+    #[arg(long, value_name = "FILE", help_heading = "General")]
+    pub(super) options: Option<PathBuf>,
+}
+
+pub(super) fn run(args: &Args, arguments: &[OsString], json: bool, talk: &Talk) -> Result<(), Failure> {
+    let options = options(args)?;
+    let Found { sequences, left_out } = find(&args.folder, &args.only, &args.output)?;
+    for name in &left_out {
+        tracing::warn!("{}: has no scene.json, left out", args.folder.join(name).display());
+    }
+    let others: Vec<Benchmark> = args.compare.iter().map(|path| read(path)).collect::<Result<_, _>>()?;
+    use_threads(options.threads)?;
+    let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
+    let mut benchmark = Benchmark {
+        version: VERSION,
+        label: args.label.clone(),
+        program: env!("CARGO_PKG_VERSION").into(),
+        arguments: arguments.clone(),
+        num_sequences: sequences.len(),
+        sequences: Vec::new(),
+        left_out,
+    };
+    for (k, folder) in sequences.iter().enumerate() {
+        talk.say(&format!("[{}/{}] {}", k + 1, sequences.len(), folder.display()));
+        let entry = single::sequence(args, folder, &options, &arguments, talk)?;
+        talk.say(&format!("{}: {}", entry.folder, said(&entry)));
+        benchmark.sequences.push(entry);
+        write(&benchmark, &others, &args.output)?;
+    }
+    talk.finish();
+    match json {
+        true => print_json(&with_summary(&benchmark))?,
+        false => print(&format!(
+            "{}\n{}\n",
+            pages::summary(&benchmark, &others),
+            args.output.join("benchmark.md").display()
+        ))?,
+    }
+    match benchmark.failed().map(|entry| entry.folder.as_str()).collect::<Vec<_>>() {
+        failed if failed.is_empty() => Ok(()),
+        failed => Err(Failure::Input(anyhow::anyhow!(
+            "{} of {} sequences failed: {}; benchmark.md has the reasons",
+            failed.len(),
+            benchmark.sequences.len(),
+            failed.join(", ")
+        ))),
+    }
+}
+
+fn options(args: &Args) -> Result<Options, Failure> {
+    let mut options = match &args.options {
+        Some(path) => read_options(path)?,
+        None => Options::default(),
+    };
+    options.video.end = args.end.or(options.video.end);
+    options.video.every = args.every.unwrap_or(options.video.every);
+    options.threads = args.threads.or(options.threads);
+    options.seed = args.seed.unwrap_or(options.seed);
+    options.scale.method = args.scale_method.unwrap_or(options.scale.method);
+    options.check().map_err(|error| Failure::Usage(error.to_string()))?;
+    Ok(options)
+}
+
+fn read(path: &Path) -> Result<Benchmark, Failure> {
+    let benchmark: Benchmark =
+        io::json::read(path).with_context(|| format!("{}: is no benchmark.json; check --compare", path.display()))?;
+    if benchmark.version != VERSION {
+        let text = format!("{}: version {} is not known; make it again", path.display(), benchmark.version);
+        return Err(Failure::Input(anyhow::anyhow!(text)));
+    }
+    Ok(benchmark)
+}
+
+fn write(benchmark: &Benchmark, others: &[Benchmark], output: &Path) -> Result<(), Failure> {
+    let text = |name: &str, text: String| atomic::write(&output.join(name), text.as_bytes());
+    atomic::write_json(&output.join("benchmark.json"), &with_summary(benchmark))?;
+    text("benchmark.md", pages::markdown(benchmark, others))?;
+    text("trajectory-error.svg", pages::trajectory_error_chart(benchmark))?;
+    Ok(text("scale-deviation.svg", pages::scale_deviation_chart(benchmark))?)
+}
+
+/// What stands in `benchmark.json`: the results, and the summary that follows from them.
+fn with_summary(benchmark: &Benchmark) -> serde_json::Value {
+    let mut value = json!(benchmark);
+    value["summary"] = json!(summarise(benchmark, &benchmark.vehicles()));
+    value
+}
+
+/// A sequence's result as a line.
+fn said(entry: &Entry) -> String {
+    match (&entry.failure, entry.trajectory_error_m, entry.floor_m) {
+        (Some(reason), ..) => format!("FAILED: {reason}"),
+        (None, Some(error), Some(floor)) => format!("{error:.3} m ({floor:.3} m at the reference ratio)"),
+        (None, error, _) => error.map_or("FAILED".into(), |error| format!("{error:.3} m")),
+    }
+}

@@ -1,0 +1,82 @@
+//! Which folders are sequences, and what their vehicles and trajectories are called.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+
+use crate::cli::output::Failure;
+use crate::io::Sequence;
+
+/// The folders of a data set.
+pub(super) struct Found {
+    /// Those with a `scene.json` that were asked for, by name.
+    pub(super) sequences: Vec<PathBuf>,
+    /// Names of those without.
+    pub(super) left_out: Vec<String>,
+}
+
+/// The sequences in a folder, those alone whose name has one of `only` in it, if any are given. The results' own folder and
+/// hidden ones are no sequences.
+///
+/// # Errors
+/// A folder that cannot be read, or in which nothing is left.
+pub(super) fn find(folder: &Path, only: &[String], output: &Path) -> Result<Found, Failure> {
+    let entries = fs::read_dir(folder)
+        .with_context(|| format!("{}: cannot be read; give the folder of all sequences", folder.display()))?;
+    let own = output.canonicalize().ok();
+    let mut found = Found { sequences: Vec::new(), left_out: Vec::new() };
+    let mut num_sequences = 0;
+    for entry in entries {
+        let path = entry.with_context(|| format!("{}: cannot be read", folder.display()))?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if !path.is_dir() || name.starts_with('.') || (own.is_some() && path.canonicalize().ok() == own) {
+            continue;
+        }
+        if !path.join("scene.json").is_file() {
+            found.left_out.push(name);
+            continue;
+        }
+        num_sequences += 1;
+        if only.is_empty() || only.iter().any(|text| name.contains(text.as_str())) {
+            found.sequences.push(path);
+        }
+    }
+    found.sequences.sort();
+    found.left_out.sort();
+    let shown = folder.display();
+    match (num_sequences, found.sequences.len()) {
+        (0, _) if folder.join("scene.json").is_file() => Err(Failure::Input(anyhow::anyhow!(
+            "{shown}: is itself a sequence; give the folder above it, and --only with its name"
+        ))),
+        (0, _) => Err(Failure::Input(anyhow::anyhow!("{shown}: no folder in it has a scene.json; render some first"))),
+        (_, 0) => Err(Failure::Input(anyhow::anyhow!("{shown}: no sequence has {} in its name", only.join(" or ")))),
+        _ => Ok(found),
+    }
+}
+
+/// Vehicle and trajectory of a sequence: as its `scene.json` says, else from `<trajectory>_<vehicle>`, which folders are
+/// called, else the folder's name.
+pub(super) fn names(folder: &str, sequence: Option<&Sequence>) -> (String, String) {
+    let vehicle = sequence.and_then(|s| s.vehicle.clone());
+    let trajectory = sequence.and_then(|s| s.trajectory.clone());
+    match (vehicle, trajectory) {
+        (Some(vehicle), Some(trajectory)) => (vehicle, trajectory),
+        (Some(vehicle), None) => {
+            let trajectory = folder.strip_suffix(vehicle.as_str()).and_then(|rest| rest.strip_suffix('_'));
+            let trajectory = trajectory.unwrap_or(folder).to_owned();
+            (vehicle, trajectory)
+        }
+        (None, Some(trajectory)) => {
+            let vehicle = folder.strip_prefix(trajectory.as_str()).and_then(|rest| rest.strip_prefix('_'));
+            (vehicle.unwrap_or(folder).to_owned(), trajectory)
+        }
+        // A sequence that cannot even be read keeps its place in the table.
+        (None, None) => match folder.rsplit_once('_') {
+            Some((trajectory, vehicle)) if !trajectory.is_empty() && !vehicle.is_empty() => {
+                (vehicle.to_owned(), trajectory.to_owned())
+            }
+            _ => (folder.to_owned(), folder.to_owned()),
+        },
+    }
+}

@@ -1,0 +1,113 @@
+//! One sequence: run, evaluate, sum up.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+
+use super::Args;
+use super::sequences::names;
+use crate::cli::evaluate::evaluate;
+use crate::cli::output::Failure;
+use crate::cli::run::apply_sequence;
+use crate::cli::terminal::Talk;
+use crate::eval::Evaluation;
+use crate::eval::benchmark::{Cost, Entry};
+use crate::io::{Sequence, TARGET_LABEL, atomic};
+use crate::pipeline::{self, Options, PipelineError, Stage, Summary};
+use crate::scene::ObjectId;
+
+/// The result on one sequence, which may be that it failed.
+///
+/// # Errors
+/// Only what stands in the way of every sequence: an output folder that cannot be written to or that is in use.
+pub(super) fn sequence(
+    args: &Args,
+    folder: &Path,
+    options: &Options,
+    arguments: &[String],
+    talk: &Talk,
+) -> Result<Entry, Failure> {
+    let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let truth = Sequence::open(folder);
+    let (vehicle, trajectory) = names(&name, truth.as_ref().ok());
+    let described = |entry: Entry| Entry { folder: name.clone(), vehicle, trajectory, ..entry };
+    let failed = |reason: String| Entry { failure: Some(reason), ..Entry::default() };
+    let output = args.output.join(&name);
+    // A panic is a defect of the program, but it must not take the other sequences with it.
+    let result = catch_unwind(AssertUnwindSafe(|| {
+        let truth = truth?;
+        let summary = run(args, &name, &truth, &output, options, arguments, talk)?;
+        let evaluation = evaluate(&output, folder)?;
+        atomic::write_json(&output.join("evaluation.json"), &evaluation)?;
+        Ok::<_, anyhow::Error>(entry(&evaluation, &summary))
+    }));
+    match result {
+        Ok(Ok(entry)) => Ok(described(entry)),
+        Ok(Err(error)) => match error.downcast_ref() {
+            Some(PipelineError::Busy { .. } | PipelineError::Output { .. }) => Err(Failure::Input(error)),
+            _ => Ok(described(failed(Failure::Input(error).to_string()))),
+        },
+        Err(panic) => {
+            let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
+            let text = text.unwrap_or("no message");
+            Ok(described(failed(format!("the program broke, which is a defect to be reported: {text}"))))
+        }
+    }
+}
+
+fn run(
+    args: &Args,
+    name: &str,
+    truth: &Sequence,
+    output: &Path,
+    options: &Options,
+    arguments: &[String],
+    talk: &Talk,
+) -> anyhow::Result<Summary> {
+    let target = ObjectId(TARGET_LABEL.into());
+    let mut options = options.clone();
+    // Other moving vehicles are kept out of the background; what they cost to reconstruct is not the question here.
+    options.only_objects = [target].into();
+    let input = apply_sequence(truth, &mut options)?;
+    if let Some(model) = given(args.models.as_deref(), name, Some("background"))
+        .or_else(|| given(args.background_models.as_deref(), name, None))
+    {
+        options.background_model = Some(exists(model)?);
+    }
+    if let Some(model) =
+        given(args.models.as_deref(), name, Some("object")).or_else(|| given(args.object_models.as_deref(), name, None))
+    {
+        options.object_models = [(target, exists(model)?)].into();
+    }
+    Ok(pipeline::run(&input, output, &options, Stage::Report, arguments, talk)?)
+}
+
+/// Where the model of a sequence would lie.
+fn given(models: Option<&Path>, name: &str, part: Option<&str>) -> Option<PathBuf> {
+    let folder = models?.join(name);
+    Some(part.map_or(folder.clone(), |part| folder.join(part)))
+}
+
+fn exists(model: PathBuf) -> anyhow::Result<PathBuf> {
+    anyhow::ensure!(model.is_dir(), "{}: there is no such model; the other program may have failed", model.display());
+    Ok(model)
+}
+
+fn entry(evaluation: &Evaluation, summary: &Summary) -> Entry {
+    let mut entry = Entry::of(evaluation);
+    // What stopped the run says more than what the evaluation misses for it.
+    if entry.failure.is_some() && summary.failure.is_some() {
+        entry.failure.clone_from(&summary.failure);
+    }
+    let is_sfm = |stage: Stage| matches!(stage, Stage::Features | Stage::Background | Stage::Objects);
+    let mut cost = Cost::default();
+    for record in &summary.stages {
+        let of_stage = record.marker.cost;
+        cost.wall_s += of_stage.wall_s;
+        cost.cpu_s += of_stage.cpu_s;
+        cost.sfm_cpu_s += if is_sfm(record.stage) { of_stage.cpu_s } else { 0.0 };
+        cost.peak_rss_mib = cost.peak_rss_mib.max(of_stage.peak_rss_mib);
+    }
+    entry.cost = Some(cost);
+    entry.warnings.clone_from(&summary.warnings);
+    entry
+}

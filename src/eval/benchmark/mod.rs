@@ -1,0 +1,303 @@
+//! Many evaluations as one: the paper's summary over a data set of sequences.
+//!
+//! A sequence has an error for every scale estimator, or it failed for that estimator, with a reason; it never disappears.
+//! Every mean says over how many sequences it goes and how many failed, and a second median ranks the failed ones behind
+//! all others, which needs no invented penalty ([`Statistics`]).
+//!
+//! The paper's own 35 sequences are such a set, too ([`paper::published`]), so that its table is made by the same code.
+
+pub mod paper;
+mod statistics;
+mod summary;
+
+pub use statistics::Statistics;
+pub use summary::{Figures, Row, Summary, summarise};
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::{Deserialize, Serialize};
+
+use super::figures::{Alternative, Evaluation, RegisteredFrames, ScaleFigures};
+
+/// The results on a data set.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Benchmark {
+    /// Version of this format.
+    pub version: u32,
+    /// What to call these results beside others.
+    pub label: String,
+    /// Version of the program that made them.
+    pub program: String,
+    /// The command line.
+    pub arguments: Vec<String>,
+    /// Sequences that the benchmark is about, done or not.
+    pub num_sequences: usize,
+    /// Those that are done, in the order of their folders' names.
+    pub sequences: Vec<Entry>,
+    /// Folders that are no sequences.
+    pub left_out: Vec<String>,
+}
+
+/// The result on one sequence. Lengths are metres of the true world.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Entry {
+    /// Name of its folder, which is unique.
+    pub folder: String,
+    /// Type of the target vehicle.
+    pub vehicle: String,
+    /// Type of the trajectory.
+    pub trajectory: String,
+    /// Why there is no trajectory of the target, where there is none.
+    pub failure: Option<String>,
+    /// How many frames have a pose.
+    pub registered: Option<RegisteredFrames>,
+    /// Root mean square distance of the background's camera centres from the true ones.
+    pub camera_rmse_m: Option<f64>,
+    /// What the run says of its scale ratio.
+    pub scale: Option<ScaleFigures>,
+    /// Why the run does not trust its scale ratio, where it does not.
+    pub verdict: Option<String>,
+    /// Trajectory error of the run.
+    pub trajectory_error_m: Option<f64>,
+    /// The ratio that a perfect estimator would find.
+    pub reference_ratio: Option<f64>,
+    /// Trajectory error at the reference ratio: what the two reconstructions alone cost.
+    pub floor_m: Option<f64>,
+    /// What every estimator gave, by its name.
+    pub estimators: BTreeMap<String, Answer>,
+    /// What the run cost when its stages were done.
+    pub cost: Option<Cost>,
+    /// What the run warned of.
+    pub warnings: Vec<String>,
+}
+
+/// What one estimator gave.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Answer {
+    /// Its scale ratio; `None` where it was not published.
+    pub ratio: Option<f64>,
+    /// |r − r_ref| / r_ref; `None` without a reference.
+    pub deviation: Option<f64>,
+    /// Mean trajectory error at this ratio; `None` where none can be computed.
+    pub trajectory_error_m: Option<f64>,
+}
+
+impl From<&Alternative> for Answer {
+    fn from(from: &Alternative) -> Self {
+        Self { ratio: Some(from.ratio), deviation: from.deviation, trajectory_error_m: from.trajectory_error_m }
+    }
+}
+
+/// What a run cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Cost {
+    /// Elapsed time, seconds.
+    pub wall_s: f64,
+    /// User and system time of all threads, seconds.
+    pub cpu_s: f64,
+    /// The part of `cpu_s` for features and reconstructions.
+    pub sfm_cpu_s: f64,
+    /// Largest resident memory, MiB.
+    pub peak_rss_mib: f64,
+}
+
+/// Whose answer is looked at.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Estimator {
+    /// An estimator by its name.
+    Named(String),
+    /// The run's own choice.
+    Chosen,
+    /// No estimator, but the reference ratio.
+    Reference,
+}
+
+/// What is looked at of an answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// Mean distance of the placed points to the true mesh, metres.
+    TrajectoryError,
+    /// |r − r_ref| / r_ref.
+    ScaleDeviation,
+}
+
+impl Entry {
+    /// From the evaluation of a run; cost and warnings are the caller's.
+    pub fn of(evaluation: &Evaluation) -> Self {
+        let trajectory = evaluation.trajectory.as_ref();
+        Self {
+            failure: trajectory.err().map(str::to_owned),
+            registered: Some(evaluation.registered.clone()),
+            camera_rmse_m: evaluation.cameras.as_ref().ok().map(|cameras| cameras.center_rmse_m),
+            scale: evaluation.scale.as_ref().ok().cloned(),
+            trajectory_error_m: trajectory.ok().map(|error| error.mean_m),
+            reference_ratio: evaluation.reference_scale.as_ref().ok().map(|reference| reference.ratio),
+            floor_m: evaluation.trajectory_at_reference.as_ref().ok().map(|error| error.mean_m),
+            estimators: evaluation.alternatives.iter().map(|(name, found)| (name.clone(), found.into())).collect(),
+            ..Self::default()
+        }
+    }
+
+    /// The value of an estimator; `None` if the sequence failed for it.
+    pub fn value(&self, estimator: &Estimator, quantity: Quantity) -> Option<f64> {
+        match (estimator, quantity) {
+            (Estimator::Chosen, Quantity::TrajectoryError) => self.trajectory_error_m,
+            // A ratio is worth something only where it places the vehicle.
+            (Estimator::Chosen, Quantity::ScaleDeviation) => {
+                self.scale.as_ref().filter(|_| self.trajectory_error_m.is_some())?.deviation
+            }
+            (Estimator::Reference, Quantity::TrajectoryError) => self.floor_m,
+            (Estimator::Reference, Quantity::ScaleDeviation) => self.reference_ratio.map(|_| 0.0),
+            (Estimator::Named(name), Quantity::TrajectoryError) => self.estimators.get(name)?.trajectory_error_m,
+            (Estimator::Named(name), Quantity::ScaleDeviation) => self.estimators.get(name)?.deviation,
+        }
+    }
+
+    /// Vehicle and trajectory in a form in which those of different data sets can be compared.
+    pub fn cell(&self) -> (String, String) {
+        (plain(&self.vehicle), plain(&self.trajectory))
+    }
+}
+
+/// Lower case, words joined by `_`, without the plural's s: `Right Curves` and `right_curve` are one trajectory.
+fn plain(name: &str) -> String {
+    let joined: String = name.chars().map(|c| if c.is_alphanumeric() { c.to_ascii_lowercase() } else { '_' }).collect();
+    joined.strip_suffix('s').unwrap_or(&joined).to_owned()
+}
+
+impl Benchmark {
+    /// Every estimator that gave an answer anywhere: the paper's baseline and method first, the run's own choice last.
+    pub fn estimators(&self) -> Vec<Estimator> {
+        let names: BTreeSet<&String> = self.sequences.iter().flat_map(|entry| entry.estimators.keys()).collect();
+        let rank = |name: &str| match name {
+            "intersection" => 0,
+            "constant-distance" => 1,
+            _ => 2,
+        };
+        let mut names: Vec<&String> = names.into_iter().collect();
+        names.sort_by_key(|name| rank(name));
+        let named = names.into_iter().cloned().map(Estimator::Named);
+        // The paper's published values hold no choice of a run.
+        let chosen = self.sequences.iter().any(|e| e.scale.is_some() || e.failure.is_some() || e.cost.is_some());
+        named.chain(chosen.then_some(Estimator::Chosen)).collect()
+    }
+
+    /// All vehicles: the paper's in its order, then others as they come.
+    pub fn vehicles(&self) -> Vec<String> {
+        in_order(self.sequences.iter().map(|entry| &entry.vehicle), &paper::VEHICLES)
+    }
+
+    /// All trajectories, likewise.
+    pub fn trajectories(&self) -> Vec<String> {
+        in_order(self.sequences.iter().map(|entry| &entry.trajectory), &paper::TRAJECTORIES)
+    }
+
+    /// The sequences of one vehicle on one trajectory.
+    pub fn of_cell(&self, cell: &(String, String)) -> impl Iterator<Item = &Entry> {
+        self.sequences.iter().filter(move |entry| entry.cell() == *cell)
+    }
+
+    /// Only the sequences whose vehicle and trajectory another set has, too.
+    pub fn restricted_to(&self, other: &Self) -> Self {
+        let cells: BTreeSet<_> = other.sequences.iter().map(Entry::cell).collect();
+        let sequences: Vec<_> = self.sequences.iter().filter(|e| cells.contains(&e.cell())).cloned().collect();
+        Self { num_sequences: sequences.len(), sequences, ..self.clone() }
+    }
+
+    /// Sequences without a trajectory of the target.
+    pub fn failed(&self) -> impl Iterator<Item = &Entry> {
+        self.sequences.iter().filter(|entry| entry.trajectory_error_m.is_none())
+    }
+}
+
+fn in_order<'a>(names: impl Iterator<Item = &'a String>, first: &[&str]) -> Vec<String> {
+    let mut found: Vec<String> = Vec::new();
+    for name in names {
+        if !found.contains(name) {
+            found.push(name.clone());
+        }
+    }
+    let rank = |name: &str| first.iter().position(|known| plain(known) == plain(name)).unwrap_or(first.len());
+    found.sort_by_key(|name| rank(name));
+    found
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// A sequence with the given errors of (intersection, constant-distance, chosen).
+    pub(crate) fn entry(vehicle: &str, trajectory: &str, errors: [Option<f64>; 3]) -> Entry {
+        let answer = |error: f64| Answer {
+            ratio: Some(1.0 + error / 10.0),
+            deviation: Some(error / 10.0),
+            trajectory_error_m: Some(error),
+        };
+        let named = ["intersection", "constant-distance"].into_iter().zip(errors);
+        let [_, _, chosen] = errors;
+        Entry {
+            folder: format!("{trajectory}_{vehicle}"),
+            vehicle: vehicle.into(),
+            trajectory: trajectory.into(),
+            failure: chosen.is_none().then(|| "the object cannot be reconstructed".into()),
+            trajectory_error_m: chosen,
+            floor_m: chosen.map(|error| error / 2.0),
+            estimators: named.filter_map(|(name, error)| Some((name.into(), answer(error?)))).collect(),
+            ..Entry::default()
+        }
+    }
+
+    pub(crate) fn benchmark(sequences: Vec<Entry>) -> Benchmark {
+        Benchmark {
+            version: 1,
+            label: "test".into(),
+            program: "0".into(),
+            arguments: vec![],
+            num_sequences: sequences.len(),
+            sequences,
+            left_out: vec![],
+        }
+    }
+
+    #[test]
+    fn a_failed_sequence_has_no_value_and_keeps_its_place() {
+        let failed = entry("van", "bridge", [Some(0.2), None, None]);
+        let all = benchmark(vec![entry("van", "crossing", [Some(0.1), Some(0.2), Some(0.3)]), failed]);
+        let value =
+            |k: usize, name: &str| all.sequences[k].value(&Estimator::Named(name.into()), Quantity::TrajectoryError);
+        assert_eq!((value(0, "constant-distance"), value(1, "constant-distance")), (Some(0.2), None));
+        assert_eq!(value(1, "intersection"), Some(0.2));
+        assert_eq!(all.failed().map(|e| e.folder.as_str()).collect::<Vec<_>>(), ["bridge_van"]);
+        let named = |name: &str| Estimator::Named(name.into());
+        assert_eq!(all.estimators(), [named("intersection"), named("constant-distance"), Estimator::Chosen]);
+    }
+
+    #[test]
+    fn names_of_different_sets_are_compared_in_plain_form() {
+        let a = entry("Van", "Right Curves", [None; 3]);
+        assert_eq!(a.cell(), entry("van", "right_curve", [None; 3]).cell());
+        let set = benchmark(vec![a, entry("van", "bridge", [None; 3])]);
+        let other = benchmark(vec![entry("van", "right-curves", [None; 3])]);
+        let kept = set.restricted_to(&other);
+        assert_eq!((kept.num_sequences, kept.sequences[0].trajectory.as_str()), (1, "Right Curves"));
+    }
+
+    #[test]
+    fn the_papers_order_comes_first() {
+        let all = benchmark(vec![
+            entry("tractor", "ford", [None; 3]),
+            entry("van", "bridge", [None; 3]),
+            entry("saloon", "right_curve", [None; 3]),
+        ]);
+        assert_eq!(all.vehicles(), ["saloon", "van", "tractor"]);
+        assert_eq!(all.trajectories(), ["right_curve", "bridge", "ford"]);
+    }
+
+    #[test]
+    fn results_read_back_as_they_were_written() {
+        let all = benchmark(vec![entry("van", "crossing", [Some(0.1), None, Some(0.3)])]);
+        let text = serde_json::to_string(&all).unwrap();
+        assert_eq!(serde_json::from_str::<Benchmark>(&text).unwrap(), all);
+    }
+}

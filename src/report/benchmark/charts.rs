@@ -1,0 +1,136 @@
+//! The paper's two bar charts.
+
+use crate::eval::benchmark::{Benchmark, Entry, Estimator, Quantity, paper};
+use crate::report::bars::{Bar, BarChart, Filling, Height};
+
+/// Trajectory error per trajectory, vehicle and estimator, as SVG.
+pub fn trajectory_error_chart(benchmark: &Benchmark) -> String {
+    let quantity = Quantity::TrajectoryError;
+    chart(benchmark, quantity, "Trajectory error", "trajectory error in metres").svg()
+}
+
+/// Deviation of the scale ratio from the reference, likewise.
+pub fn scale_deviation_chart(benchmark: &Benchmark) -> String {
+    let quantity = Quantity::ScaleDeviation;
+    chart(benchmark, quantity, "Scale ratio: deviation from the reference", "|r − reference| / reference").svg()
+}
+
+fn chart(benchmark: &Benchmark, quantity: Quantity, title: &str, y_label: &str) -> BarChart {
+    let published = paper::published();
+    let (vehicles, trajectories) = (benchmark.vehicles(), benchmark.trajectories());
+    let estimators = drawn(benchmark);
+    let bars = |trajectory: &String| {
+        let bars = |vehicle: &String| {
+            let here = |entry: &&Entry| entry.vehicle == *vehicle && entry.trajectory == *trajectory;
+            let entries: Vec<&Entry> = benchmark.sequences.iter().filter(here).collect();
+            estimators.iter().map(|(estimator, ..)| bar(&entries, &published, estimator, quantity)).collect()
+        };
+        vehicles.iter().map(bars).collect()
+    };
+    BarChart {
+        title: format!("{title}, {}", benchmark.label),
+        y_label: y_label.into(),
+        groups: trajectories.iter().map(|name| words(name)).collect(),
+        bars: trajectories.iter().map(bars).collect(),
+        clusters: vehicles.iter().map(|name| words(name)).collect(),
+        fillings: estimators.into_iter().map(|(_, filling, name)| (filling, name)).collect(),
+    }
+}
+
+/// The paper's two estimators, and the run's choice where it is not always the paper's.
+fn drawn(benchmark: &Benchmark) -> Vec<(Estimator, Filling, String)> {
+    let method = "constant-distance";
+    let papers = |scale: &crate::eval::ScaleFigures| scale.method == method;
+    let differs = benchmark.sequences.iter().any(|entry| entry.scale.as_ref().is_some_and(|scale| !papers(scale)));
+    let named = |name: &str| Estimator::Named(name.into());
+    let mut drawn = vec![
+        (named("intersection"), Filling::Hatched, "intersection (baseline)".to_owned()),
+        (named(method), if differs { Filling::Pale } else { Filling::Solid }, "constant distance".to_owned()),
+    ];
+    if differs {
+        drawn.push((Estimator::Chosen, Filling::Solid, "as run".to_owned()));
+    }
+    drawn
+}
+
+/// The mean over the sequences of one vehicle on one trajectory, which are usually one; failed if any failed.
+fn bar(entries: &[&Entry], published: &Benchmark, estimator: &Estimator, quantity: Quantity) -> Bar {
+    let mean_of = |estimator: &Estimator| {
+        let values: Option<Vec<f64>> = entries.iter().map(|entry| entry.value(estimator, quantity)).collect();
+        values.filter(|v| !v.is_empty()).map(|v| v.iter().sum::<f64>() / v.len() as f64)
+    };
+    let height = match mean_of(estimator) {
+        _ if entries.is_empty() => Height::Absent,
+        Some(mean) => Height::Value(mean),
+        None => Height::Failed,
+    };
+    let floor = mean_of(&Estimator::Reference).filter(|_| quantity == Quantity::TrajectoryError);
+    let cell = entries.first().map(|entry| entry.cell());
+    let published = cell.and_then(|cell| published.of_cell(&cell).find_map(|entry| entry.value(estimator, quantity)));
+    let names: Vec<&str> = entries.iter().map(|entry| entry.folder.as_str()).collect();
+    let said = match height {
+        Height::Value(value) => format!("{value:.4}"),
+        _ => "failed".to_owned(),
+    };
+    let mut title = format!("{}, {}: {said}", names.join(", "), name(estimator));
+    if let Some(published) = published {
+        title += &format!("; the paper {published:.4}");
+    }
+    Bar { height, published, floor, title }
+}
+
+fn name(estimator: &Estimator) -> &str {
+    match estimator {
+        Estimator::Named(name) => name,
+        Estimator::Chosen => "as run",
+        Estimator::Reference => "reference ratio",
+    }
+}
+
+fn words(name: &str) -> String {
+    name.replace('_', " ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn paper_with_a_failure() -> Benchmark {
+        let mut set = paper::published();
+        set.sequences[3].estimators.remove("constant-distance");
+        set.sequences.pop();
+        set
+    }
+
+    #[test]
+    fn the_papers_own_chart_is_drawn() {
+        let chart = chart(&paper_with_a_failure(), Quantity::TrajectoryError, "t", "m");
+        assert_eq!((chart.groups.len(), chart.clusters.len(), chart.fillings.len()), (7, 5, 2));
+        // Saloon overtaking: its baseline stands, its method failed; the van's bumpy road was never there.
+        let bars = &chart.bars[3][0];
+        assert_eq!((bars[0].height, bars[1].height), (Height::Value(1.3798), Height::Failed));
+        assert_eq!((bars[0].published, bars[1].published), (Some(1.3798), Some(0.14733)));
+        assert_eq!(chart.bars[6][4][0].height, Height::Absent);
+        assert!(bars[1].title.contains("overtaking_saloon, constant-distance: failed"), "{}", bars[1].title);
+        assert!(chart.svg().contains("steep street"));
+    }
+
+    #[test]
+    fn several_seeds_of_one_cell_are_one_bar() {
+        let mut set = paper::published();
+        let mut twin = set.sequences[0].clone();
+        twin.estimators.get_mut("intersection").unwrap().trajectory_error_m = Some(0.153598);
+        set.sequences.push(twin);
+        let drawn = chart(&set, Quantity::TrajectoryError, "t", "m");
+        assert!(matches!(drawn.bars[0][0][0].height, Height::Value(mean) if (mean - 0.103598).abs() < 1e-12));
+        // Trajectories of another name are another group, even where the paper's values are the same.
+        set.sequences[35].trajectory = "right_curve".into();
+        let drawn = chart(&set, Quantity::TrajectoryError, "t", "m");
+        assert_eq!((drawn.groups.len(), drawn.bars[1][0][0].height), (8, Height::Value(0.153598)));
+        assert_eq!(drawn.bars[1][0][0].published, Some(0.053598));
+        set.sequences[35].trajectory = "right_curves".into();
+        set.sequences[0].estimators.clear();
+        let drawn = chart(&set, Quantity::TrajectoryError, "t", "m");
+        assert_eq!(drawn.bars[0][0][0].height, Height::Failed);
+    }
+}

@@ -1,0 +1,363 @@
+//! The Markdown page, and its first part, which also goes to the terminal.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::table::Table;
+use crate::eval::benchmark::{Benchmark, Cost, Entry, Estimator, Figures, Quantity, Row, Statistics, paper, summarise};
+
+/// Trajectory error above which a sequence is listed with what is known about it, metres.
+pub const ATTENTION_ERROR_M: f64 = 0.3;
+/// Registered share of the object's or background's frames below which it is.
+pub const ATTENTION_FRACTION: f64 = 0.98;
+
+const NONE: &str = "–";
+
+/// The whole page: summary, every sequence, others beside it, and what needs a reason.
+pub fn markdown(own: &Benchmark, others: &[Benchmark]) -> String {
+    let mut page = format!("# Benchmark: {}\n\ntractrix {}", own.label, own.program);
+    if !own.arguments.is_empty() {
+        page += &format!("\n\n    {}", own.arguments.join(" "));
+    }
+    page += "\n\n";
+    page += &summary(own, others);
+    page += "\n![Trajectory error](trajectory-error.svg)\n\n![Scale deviation](scale-deviation.svg)\n";
+    page += "\n## Every sequence\n\nLengths in metres, camera centres in millimetres, deviations in per cent.\n\n";
+    page += &sequences(own);
+    let beside = beside(own, others);
+    if !beside.is_empty() {
+        page += "\n## Beside others\n\nTrajectory error in metres, sequence by sequence.\n\n";
+        page += &beside;
+    }
+    page + &attention(own)
+}
+
+/// The paper's table, twice: trajectory error and scale deviation per vehicle and estimator, the paper's own values below.
+pub fn summary(own: &Benchmark, others: &[Benchmark]) -> String {
+    let published = paper::published();
+    let same = published.restricted_to(own);
+    let mut sets: Vec<(String, &Benchmark)> = vec![(own.label.clone(), own)];
+    sets.extend(others.iter().map(|other| (other.label.clone(), other)));
+    sets.push(("paper".into(), &published));
+    if !same.sequences.is_empty() && same.sequences.len() < published.sequences.len() {
+        sets.push((format!("paper, the same {}", same.sequences.len()), &same));
+    }
+    let vehicles = own.vehicles();
+    let part = |title: &str, note: &str, digits: usize, choose: fn(&Row) -> &Figures| {
+        let last = ["mean", "median", "median, failed last", "largest", "sequences"];
+        let head = ["estimator"].into_iter().map(str::to_owned).chain(vehicles.iter().cloned());
+        let mut table = Table::new(head.chain(last.map(str::to_owned)));
+        for (label, set) in &sets {
+            for row in &summarise(set, &vehicles).rows {
+                let is_trivial = row.estimator == Estimator::Reference && digits == 4;
+                if !is_trivial {
+                    table.row(figures_row(format!("{label}: {}", name(&row.estimator, set)), choose(row), digits));
+                }
+            }
+        }
+        format!("## {title}\n\n{note}\n\n{}\n", table.render(1))
+    };
+    let note = "Mean over the sequences of each vehicle and over all; in brackets how many of how many sequences gave a value, \
+                where some failed.";
+    let error = part("Trajectory error, metres", note, 3, |row| &row.trajectory_error_m);
+    let deviation = part("Scale ratio, deviation from the reference", note, 4, |row| &row.scale_deviation);
+    heading(own) + &error + &deviation + &costs(own)
+}
+
+/// How many sequences there are, what failed, and how the choice compares with the floor.
+fn heading(own: &Benchmark) -> String {
+    let (num, failed) = (own.sequences.len(), own.failed().count());
+    let mut text = format!("{num} sequences, {failed} failed.");
+    if num < own.num_sequences {
+        text = format!("UNFINISHED: {num} of {} sequences are done, {failed} failed.", own.num_sequences);
+    }
+    let of = |estimator| Statistics::new(own.sequences.iter().map(|e| e.value(&estimator, Quantity::TrajectoryError)));
+    let (chosen, floor) = (of(Estimator::Chosen), of(Estimator::Reference));
+    if let (Some(mean), Some(floor)) = (chosen.mean, floor.mean) {
+        text += &format!(
+            " Mean trajectory error as run {} m over {} of {}, {:.2} times the {} m at the reference ratio.",
+            number(Some(mean), 3),
+            chosen.num,
+            chosen.num_all(),
+            mean / floor,
+            number(Some(floor), 3),
+        );
+    }
+    let doubted = own.sequences.iter().filter(|entry| entry.verdict.is_some()).count();
+    if doubted > 0 {
+        let sure = own.sequences.iter().filter(|entry| entry.verdict.is_none());
+        let sure = Statistics::new(sure.map(|entry| entry.trajectory_error_m));
+        text += &format!(
+            " {doubted} scale ratios are marked as not to be trusted; over the other {} of {} the mean is {} m.",
+            sure.num,
+            sure.num_all(),
+            number(sure.mean, 3),
+        );
+    }
+    if !own.left_out.is_empty() {
+        text += &format!(" No sequences (no scene.json), left out: {}.", own.left_out.join(", "));
+    }
+    text + "\n\n"
+}
+
+fn costs(own: &Benchmark) -> String {
+    let costs: Vec<Cost> = own.sequences.iter().filter_map(|entry| entry.cost).collect();
+    let sum = |of: fn(&Cost) -> f64| costs.iter().map(of).sum::<f64>();
+    if costs.is_empty() {
+        return String::new();
+    }
+    format!(
+        "Cost of {} runs: {:.0} CPU s ({:.1} per sequence, {:.1} of them for structure from motion), {:.0} s wall, peak memory \
+         {:.0} MiB.\n",
+        costs.len(),
+        sum(|cost| cost.cpu_s),
+        sum(|cost| cost.cpu_s) / costs.len() as f64,
+        sum(|cost| cost.sfm_cpu_s) / costs.len() as f64,
+        sum(|cost| cost.wall_s),
+        costs.iter().map(|cost| cost.peak_rss_mib).fold(0.0, f64::max),
+    )
+}
+
+fn figures_row(label: String, figures: &Figures, digits: usize) -> Vec<String> {
+    let all = &figures.all;
+    let mut cells = vec![label];
+    cells.extend(figures.vehicles.iter().map(|statistics| mean_of(statistics, digits)));
+    cells.extend([all.mean, all.median, all.median_failed_last, all.max].map(|value| number(value, digits)));
+    cells.push(format!("{} of {}", all.num, all.num_all()));
+    cells
+}
+
+/// A mean, and over how many sequences, where some failed.
+fn mean_of(statistics: &Statistics, digits: usize) -> String {
+    match (statistics.num_all(), statistics.num_failed) {
+        (0, _) => NONE.to_owned(),
+        (_, 0) => number(statistics.mean, digits),
+        (all, _) => format!("{} ({}/{all})", number(statistics.mean, digits), statistics.num),
+    }
+}
+
+fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or(NONE.to_owned(), |value| format!("{value:.digits$}"))
+}
+
+fn name(estimator: &Estimator, set: &Benchmark) -> String {
+    match estimator {
+        Estimator::Named(name) => name.clone(),
+        Estimator::Reference => "at the reference ratio".into(),
+        Estimator::Chosen => {
+            let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+            for scale in set.sequences.iter().filter_map(|entry| entry.scale.as_ref()) {
+                *counts.entry(&scale.method).or_default() += 1;
+            }
+            let methods: Vec<String> = match counts.len() {
+                1 => counts.keys().map(|method| (*method).to_owned()).collect(),
+                _ => counts.iter().map(|(method, count)| format!("{method} {count} ×")).collect(),
+            };
+            if methods.is_empty() { "as run".into() } else { format!("as run ({})", methods.join(", ")) }
+        }
+    }
+}
+
+fn sequences(own: &Benchmark) -> String {
+    let named: Vec<Estimator> = own.estimators().into_iter().filter(|e| *e != Estimator::Chosen).collect();
+    let mut head: Vec<String> =
+        ["sequence", "vehicle", "trajectory", "background", "object", "centres", "floor"].map(str::to_owned).to_vec();
+    head.push("as run".into());
+    head.push("off by".into());
+    for estimator in &named {
+        head.extend([name(estimator, own), "off by".to_owned()]);
+    }
+    head.extend(["SfM CPU s", "CPU s", "wall s", "MiB", "remark"].map(str::to_owned));
+    let mut table = Table::new(head);
+    for entry in &own.sequences {
+        let frames = |of: fn(&crate::eval::RegisteredFrames) -> (usize, usize)| {
+            let counted = entry.registered.as_ref().map(of);
+            counted.map_or(NONE.to_owned(), |(count, of)| format!("{count}/{of}"))
+        };
+        let mut cells = vec![entry.folder.clone(), entry.vehicle.clone(), entry.trajectory.clone()];
+        cells.push(frames(|r| (r.num_background, r.num_frames)));
+        cells.push(frames(|r| (r.num_object, r.num_visible)));
+        cells.push(number(entry.camera_rmse_m.map(|m| 1000.0 * m), 2));
+        cells.push(number(entry.floor_m, 3));
+        for estimator in [Estimator::Chosen].iter().chain(&named) {
+            cells.push(value(entry, estimator));
+            let deviation = entry.value(estimator, Quantity::ScaleDeviation);
+            cells.push(number(deviation.map(|d| 100.0 * d), 2));
+        }
+        let cost = |of: fn(&Cost) -> f64| number(entry.cost.as_ref().map(of), 1);
+        cells.extend([cost(|c| c.sfm_cpu_s), cost(|c| c.cpu_s), cost(|c| c.wall_s), cost(|c| c.peak_rss_mib)]);
+        cells.push(remark(entry));
+        table.row(cells);
+    }
+    table.render(3)
+}
+
+fn value(entry: &Entry, estimator: &Estimator) -> String {
+    match entry.value(estimator, Quantity::TrajectoryError) {
+        Some(metres) => number(Some(metres), 3),
+        None => "failed".to_owned(),
+    }
+}
+
+fn remark(entry: &Entry) -> String {
+    match (&entry.failure, &entry.verdict) {
+        (Some(reason), _) => format!("FAILED: {reason}"),
+        (None, Some(_)) => "not to be trusted, says the run".to_owned(),
+        _ => String::new(),
+    }
+}
+
+/// Ours, the others' and the paper's errors next to one another; empty where there is nothing to compare with.
+fn beside(own: &Benchmark, others: &[Benchmark]) -> String {
+    let published = paper::published();
+    let sets: Vec<(&Benchmark, Vec<Estimator>)> = [own]
+        .into_iter()
+        .chain(others)
+        .chain([&published])
+        .map(|set| {
+            let floor = set.sequences.iter().any(|entry| entry.floor_m.is_some()).then_some(Estimator::Reference);
+            (set, set.estimators().into_iter().chain(floor).collect())
+        })
+        .collect();
+    let mut head = vec!["sequence".to_owned()];
+    for (set, estimators) in &sets {
+        head.extend(estimators.iter().map(|estimator| format!("{}: {}", set.label, short(estimator))));
+    }
+    let mut table = Table::new(head);
+    for entry in &own.sequences {
+        let mut cells = vec![entry.folder.clone()];
+        let mut found_any = false;
+        for (k, (set, estimators)) in sets.iter().enumerate() {
+            let by_folder = set.sequences.iter().find(|other| other.folder == entry.folder);
+            let found = by_folder.or_else(|| set.of_cell(&entry.cell()).next());
+            found_any |= k > 0 && found.is_some();
+            cells.extend(estimators.iter().map(|e| found.map_or(NONE.to_owned(), |found| value(found, e))));
+        }
+        if found_any {
+            table.row(cells);
+        }
+    }
+    if table.is_empty() { String::new() } else { table.render(1) }
+}
+
+fn short(estimator: &Estimator) -> &str {
+    match estimator {
+        Estimator::Named(name) => name,
+        Estimator::Chosen => "as run",
+        Estimator::Reference => "floor",
+    }
+}
+
+/// What is known about every sequence that is not as it should be.
+fn attention(own: &Benchmark) -> String {
+    let mut text = String::new();
+    for entry in &own.sequences {
+        let facts = facts(entry);
+        if !facts.is_empty() {
+            text += &format!("\n- **{}**: {}", entry.folder, facts.into_iter().collect::<Vec<_>>().join("; "));
+        }
+    }
+    let percent = 100.0 * ATTENTION_FRACTION;
+    let title = format!("\n## Failed, over {ATTENTION_ERROR_M} m, or under {percent:.0} % of frames\n");
+    if text.is_empty() { title + "\nNone.\n" } else { title + &text + "\n" }
+}
+
+fn facts(entry: &Entry) -> Vec<String> {
+    let mut facts = Vec::new();
+    facts.extend(entry.failure.as_ref().map(|reason| format!("failed: {reason}")));
+    if let Some(error) = entry.trajectory_error_m.filter(|error| *error > ATTENTION_ERROR_M) {
+        let deviation = entry.value(&Estimator::Chosen, Quantity::ScaleDeviation);
+        facts.push(format!(
+            "{error:.3} m, of which {} m at the reference ratio; the ratio is off by {} %",
+            number(entry.floor_m, 3),
+            number(deviation.map(|d| 100.0 * d), 2)
+        ));
+    }
+    if let Some(registered) = &entry.registered {
+        let few = |fraction: Option<f64>| fraction.is_some_and(|fraction| fraction < ATTENTION_FRACTION);
+        let parts = [
+            ("background", registered.background_fraction, registered.num_background, registered.num_frames),
+            ("object", registered.object_fraction, registered.num_object, registered.num_visible),
+        ];
+        let few = parts.into_iter().filter(|(_, fraction, ..)| few(*fraction));
+        facts.extend(few.map(|(what, _, count, of)| format!("{what}: {count} of {of} frames")));
+    }
+    if facts.is_empty() {
+        return facts;
+    }
+    let warnings: BTreeSet<&String> = entry.warnings.iter().collect();
+    facts.extend(warnings.into_iter().map(|warning| format!("the run says: {warning}")));
+    facts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::eval::benchmark::tests::{benchmark, entry};
+
+    fn set() -> Benchmark {
+        let mut failed = entry("van", "bridge", [None, None, None]);
+        failed.warnings = vec!["object 1: no pair".into()];
+        let doubted =
+            Entry { verdict: Some("no climb".into()), ..entry("van", "crossing", [Some(0.7), Some(0.5), Some(0.5)]) };
+        benchmark(vec![entry("smart", "crossing", [Some(0.5), Some(0.1), Some(0.1)]), doubted, failed])
+    }
+
+    #[test]
+    fn the_summary_counts_what_failed() {
+        let text = summary(&set(), &[]);
+        assert!(
+            text.starts_with("3 sequences, 1 failed. Mean trajectory error as run 0.300 m over 2 of 3, 2.00 times"),
+            "{text}"
+        );
+        assert!(
+            text.contains("1 scale ratios are marked as not to be trusted; over the other 1 of 2 the mean is 0.100 m")
+        );
+        let row = text.lines().find(|line| line.contains("test: constant-distance")).unwrap();
+        let cells: Vec<&str> = row.split('|').map(str::trim).collect();
+        assert_eq!(cells[2..9], ["0.100", "0.500 (1/2)", "0.300", "0.300", "0.500", "0.500", "2 of 3"]);
+        let paper = text.lines().find(|line| line.contains("paper: constant-distance")).unwrap();
+        assert!(paper.contains("0.312") && paper.contains("35 of 35"), "{paper}");
+        // The van's bridge is there in the paper's set, too, though it failed here.
+        assert!(text.contains("paper, the same 3: intersection"), "{text}");
+    }
+
+    #[test]
+    fn every_sequence_has_its_row_and_failures_their_reason() {
+        let page = markdown(&set(), &[]);
+        let row = page.lines().find(|line| line.starts_with("| bridge_van")).unwrap();
+        assert!(row.contains("FAILED: the object cannot be reconstructed") && row.contains("failed |"), "{row}");
+        assert!(page.lines().any(|line| line.starts_with("| crossing_van") && line.contains("not to be trusted")));
+        let listed: Vec<&str> = page.lines().filter(|line| line.starts_with("- **")).collect();
+        assert_eq!(listed.len(), 2, "{listed:?}");
+        assert!(listed[0].contains("crossing_van") && listed[0].contains("0.500 m, of which 0.250 m"), "{listed:?}");
+        assert!(
+            listed[1].contains("bridge_van") && listed[1].ends_with("the run says: object 1: no pair"),
+            "{listed:?}"
+        );
+    }
+
+    #[test]
+    fn other_results_stand_beside_ours() {
+        let mut other = set();
+        other.label = "COLMAP".into();
+        other.sequences.remove(0);
+        let page = markdown(&set(), &[other]);
+        let head =
+            page.lines().find(|line| line.contains("COLMAP: constant-distance") && line.contains("paper:")).unwrap();
+        assert!(head.starts_with("| sequence"), "{head}");
+        let rows: Vec<&str> = page.lines().skip_while(|line| *line != head).skip(2).take(3).collect();
+        assert!(rows[0].starts_with("| crossing_smart") && rows[0].contains(NONE), "{rows:?}");
+        assert!(rows[2].contains("failed"), "{rows:?}");
+        assert!(page.contains("COLMAP: as run"));
+    }
+
+    #[test]
+    fn an_unfinished_benchmark_says_so() {
+        let mut set = set();
+        set.num_sequences = 35;
+        set.left_out = vec!["textures".into()];
+        let text = summary(&set, &[]);
+        assert!(text.starts_with("UNFINISHED: 3 of 35 sequences are done, 1 failed."), "{text}");
+        assert!(text.contains("left out: textures."));
+    }
+}
