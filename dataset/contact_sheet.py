@@ -13,7 +13,7 @@ import numpy as np
 TILE = (320, 180)
 CROP = (240, 180)
 COLUMNS = 4
-MAX_BYTES = 150 * 1024
+MAX_BYTES = 120 * 1024
 N_PER_SEQUENCE = 8
 
 
