@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Parser, Subcommand};
 
-use crate::pipeline::{Intrinsics, Stage};
+use crate::pipeline::{FeatureKind, FrameOrder, Intrinsics, Stage};
 use crate::scene::{ObjectId, ScaleMethod};
 use crate::video::Position;
 
@@ -111,6 +111,18 @@ pub(super) struct JobArgs {
     /// The centre of the upper left pixel is (0.5, 0.5).
     #[arg(long, value_name = "NUMBERS|FILE", help_heading = "Geometry")]
     pub(super) intrinsics: Option<Intrinsics>,
+    /// How image points are found: `video` follows them from frame to frame, `sift` matches them between frames
+    ///
+    /// Without it: `video` for frames in order of time, `sift` for others.
+    #[arg(long, value_name = "KIND", value_parser = feature_kind, help_heading = "Geometry")]
+    pub(super) features: Option<FeatureKind>,
+    /// Whether frames follow one another in time: `time` or `none` (photographs: all pairs are matched)
+    ///
+    /// Without it: a video does, and so does a folder with --fps, --features video, or a scene.json. Of any other folder
+    /// a few pictures are compared with their successors: where less than 60 % of the corners can be followed, they are
+    /// taken for photographs.
+    #[arg(long, value_name = "ORDER", value_parser = frame_order, help_heading = "Frames")]
+    pub(super) order: Option<FrameOrder>,
     /// COLMAP model of the background, taken as it is
     #[arg(long, value_name = "DIR", help_heading = "Geometry")]
     pub(super) background_model: Option<PathBuf>,
@@ -164,6 +176,22 @@ fn object_model(text: &str) -> Result<(ObjectId, PathBuf), String> {
     }
 }
 
+fn feature_kind(text: &str) -> Result<FeatureKind, String> {
+    match text {
+        "video" => Ok(FeatureKind::Video),
+        "sift" => Ok(FeatureKind::Sift),
+        _ => Err(format!("'{text}' is neither video nor sift")),
+    }
+}
+
+fn frame_order(text: &str) -> Result<FrameOrder, String> {
+    match text {
+        "time" => Ok(FrameOrder::Time),
+        "none" => Ok(FrameOrder::None),
+        _ => Err(format!("'{text}' is neither time nor none")),
+    }
+}
+
 pub(super) fn scale_method(text: &str) -> Result<ScaleMethod, String> {
     let names: Vec<&str> = ScaleMethod::ALL.iter().map(|method| method.name()).collect();
     let found = ScaleMethod::ALL.into_iter().find(|method| method.name() == text);
@@ -201,6 +229,8 @@ mod tests {
             "--object-model a",
             "--scale-method x",
             "--start -1",
+            "--features orb",
+            "--order up",
             "--ground-label 3",
         ] {
             let line = format!("tractrix run in --output out {tail}");

@@ -91,6 +91,8 @@ fn apply_flags(job: &JobArgs, options: &mut Options) {
     options.video.every = job.every.unwrap_or(options.video.every);
     options.video.max_dimension = job.max_dimension.or(options.video.max_dimension);
     options.video.fps = job.fps.or(options.video.fps);
+    options.features = job.features.unwrap_or(options.features);
+    options.order = job.order.unwrap_or(options.order);
     options.threads = job.threads.or(options.threads);
     options.seed = job.seed.unwrap_or(options.seed);
     options.scale.method = job.scale_method.unwrap_or(options.scale.method);

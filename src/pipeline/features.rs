@@ -7,18 +7,19 @@ use serde_json::{Value, json};
 
 use super::masking::Masking;
 use super::run::{Outcome, Run};
-use super::{PipelineError, Stage, models, track};
+use super::{PipelineError, Stage, models, order, track};
 use crate::io::{IoError, atomic};
 use crate::scene::ObjectId;
 use crate::sfm::{FrontEnd, TrackTable};
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     let (camera, _) = models::initial_camera(run)?;
+    let (background, objects) = order::sfm_options(run)?;
     Ok(json!({
         "camera": camera,
         "masking": run.options.masking,
-        "background": run.options.background.front_end,
-        "objects": run.options.objects.front_end,
+        "background": background.front_end,
+        "objects": objects.front_end,
         "given_background": run.options.background_model.is_some(),
         "given_objects": run.options.object_models.keys().collect::<Vec<_>>(),
         "only_objects": run.options.only_objects,
@@ -30,14 +31,15 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let mut outcome = Outcome::default();
     let objects = track::objects(run)?;
     let (camera, _) = models::initial_camera(run)?;
+    let (background_options, object_options) = order::sfm_options(run)?;
     let masking = Masking::new(run, &objects);
     let mut background =
-        run.options.background_model.is_none().then(|| FrontEnd::new(&run.options.background.front_end, camera));
+        run.options.background_model.is_none().then(|| FrontEnd::new(&background_options.front_end, camera));
     let options = run.options;
     let wanted = objects.iter().map(|object| object.id);
     let wanted = wanted.filter(|id| options.wants(*id) && !options.object_models.contains_key(id));
     let mut on_objects: BTreeMap<ObjectId, FrontEnd> =
-        wanted.map(|id| (id, FrontEnd::new(&run.options.objects.front_end, camera))).collect();
+        wanted.map(|id| (id, FrontEnd::new(&object_options.front_end, camera))).collect();
 
     run.progress.begin("features", Some(run.frames()?.len() as u64));
     for item in run.source.frames()? {

@@ -3,16 +3,18 @@
 use serde_json::{Value, json};
 
 use super::PipelineError;
+use super::order;
 use super::run::{Outcome, Run};
 
 pub(super) fn depends_on(run: &Run, input: &str) -> Value {
-    json!({ "input": input, "video": run.options.video })
+    json!({ "input": input, "video": run.options.video, "in_time": order::stated(run) })
 }
 
 pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     run.progress.begin("frames", None);
     let scan = run.source.scan()?;
     run.workspace.write_state("frames-list.json", &scan.frames)?;
+    let order = order::find(run, &scan.frames)?;
     let mut outcome = Outcome::default();
     for warning in scan.warnings {
         outcome.warn(warning);
@@ -20,6 +22,10 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     outcome.figure("num_frames", scan.frames.len());
     outcome.figure("width", run.info().width);
     outcome.figure("height", run.info().height);
-    outcome.outputs.push(run.workspace.state("frames-list.json"));
+    outcome.figure("in_time", order.in_time);
+    if let Some(share) = order.followed_share {
+        outcome.figure("followed_share", share);
+    }
+    outcome.outputs.extend([run.workspace.state("frames-list.json"), run.workspace.state(order::STATE)]);
     Ok(outcome)
 }

@@ -19,6 +19,7 @@ mod masking;
 mod meter;
 mod models;
 mod options;
+mod order;
 mod progress;
 mod report;
 mod run;
@@ -35,7 +36,7 @@ use serde_json::json;
 
 pub use error::PipelineError;
 pub use meter::{Cost, process_cpu_s};
-pub use options::{GroundLabels, Instances, Intrinsics, MaskingOptions, Options};
+pub use options::{FeatureKind, FrameOrder, GroundLabels, Instances, Intrinsics, MaskingOptions, Options};
 pub use progress::{Progress, Silent};
 pub use run::StageRecord;
 pub use stage::Stage;

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::options::{CameraOrigin, camera};
 use super::run::{Outcome, Run};
 use super::track::TrackedObject;
-use super::{PipelineError, features, fingerprint, track};
+use super::{PipelineError, features, fingerprint, order, track};
 use crate::camera::Camera;
 use crate::io::colmap;
 use crate::scene::{Frame, FrameId, ImageId, ObjectId, Reconstruction};
@@ -43,11 +43,12 @@ pub(super) fn initial_camera(run: &Run) -> Result<(Camera, CameraOrigin), Pipeli
 
 pub(super) fn background_depends_on(run: &Run) -> Result<Value, PipelineError> {
     let (_, origin) = initial_camera(run)?;
+    let (background, _) = order::sfm_options(run)?;
     let given = run.options.background_model.as_deref().map(fingerprint::of_content).transpose()?;
     Ok(json!({
         "model": given,
         "camera_origin": origin,
-        "options": mapper::Options { threads: 1, ..run.options.background.mapper.clone() },
+        "options": mapper::Options { threads: 1, ..background.mapper },
         "seed": run.options.seed,
     }))
 }
@@ -63,7 +64,7 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
                 CameraOrigin::Given => sfm::Intrinsics::Fixed,
                 CameraOrigin::Exif | CameraOrigin::Guess => sfm::Intrinsics::Refined,
             };
-            reconstruct(run, &features::of_background(run)?, camera, intrinsics, &run.options.background.mapper)?
+            reconstruct(run, &features::of_background(run)?, camera, intrinsics, &order::sfm_options(run)?.0.mapper)?
         }
     };
     if let Some(failure) = &report.failure {
@@ -91,10 +92,11 @@ pub(super) fn background(run: &Run) -> Result<(Reconstruction, ModelReport), Pip
 pub(super) fn objects_depends_on(run: &Run) -> Result<Value, PipelineError> {
     let given: Result<BTreeMap<_, _>, PipelineError> =
         run.options.object_models.iter().map(|(id, folder)| Ok((id, fingerprint::of_content(folder)?))).collect();
+    let (_, objects) = order::sfm_options(run)?;
     Ok(json!({
         "models": given?,
         "only": run.options.only_objects,
-        "options": mapper::Options { threads: 1, ..run.options.objects.mapper.clone() },
+        "options": mapper::Options { threads: 1, ..objects.mapper },
         "seed": run.options.seed,
     }))
 }
@@ -174,7 +176,7 @@ fn one_object(
         (Some(folder), _) => given(folder, run, &mut outcome)?,
         (None, Some(camera)) => {
             let table = features::of_object(run, object.id)?;
-            reconstruct(run, &table, camera, sfm::Intrinsics::Fixed, &run.options.objects.mapper)?
+            reconstruct(run, &table, camera, sfm::Intrinsics::Fixed, &order::sfm_options(run)?.1.mapper)?
         }
         (None, None) => {
             let failure = Some("there is no background to place it in".to_owned());

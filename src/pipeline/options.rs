@@ -76,6 +76,33 @@ impl FromStr for Intrinsics {
     }
 }
 
+/// How image points are found and told again in other frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FeatureKind {
+    /// As the order of the frames wants it: `Video` in time, `Sift` without order.
+    #[default]
+    Auto,
+    /// Points followed from frame to frame.
+    Video,
+    /// SIFT in every frame, matched between frames.
+    Sift,
+}
+
+/// Whether frames follow one another in time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FrameOrder {
+    /// A video file does, and a folder whose rate is given; of other folders a few pictures and their successors are
+    /// looked at.
+    #[default]
+    Auto,
+    /// They do.
+    Time,
+    /// They do not: photographs.
+    None,
+}
+
 /// Everything that decides a result. Stages nest the options of what they use.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -88,6 +115,10 @@ pub struct Options {
     pub flow_model: Option<PathBuf>,
     /// Where the ground labels come from.
     pub ground_labels: GroundLabels,
+    /// How image points are found.
+    pub features: FeatureKind,
+    /// Whether frames follow one another in time.
+    pub order: FrameOrder,
     /// The camera; `None` is EXIF where a photograph has it, else a guess that is refined.
     pub intrinsics: Option<Intrinsics>,
     /// A COLMAP model of the background, taken as it is instead of reconstructing one.
@@ -142,6 +173,8 @@ impl Default for Options {
             instances: Instances::None,
             flow_model: None,
             ground_labels: GroundLabels::Geometric,
+            features: FeatureKind::Auto,
+            order: FrameOrder::Auto,
             intrinsics: None,
             background_model: None,
             object_models: BTreeMap::new(),
@@ -175,6 +208,11 @@ impl Options {
         self.video.check()?;
         if self.threads == Some(0) {
             return Err(PipelineError::Options("--threads must be at least 1".to_owned()));
+        }
+        if (self.features, self.order) == (FeatureKind::Video, FrameOrder::None) {
+            let text =
+                "--features video needs frames in order of time; leave out --order none, or take --features sift";
+            return Err(PipelineError::Options(text.to_owned()));
         }
         if !(0.0..=0.5).contains(&self.masking.dilation) {
             return Err(PipelineError::Options("masking.dilation must lie between 0 and 0.5".to_owned()));
@@ -237,6 +275,13 @@ mod tests {
         for wrong in ["", "1,2,3", "0,1,2,3", "1,2,3,4,5,6,7", "nan,1,2,3", "model"] {
             assert!(wrong.parse::<Intrinsics>().is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn points_cannot_be_followed_without_order() {
+        let wrong = Options { features: FeatureKind::Video, order: FrameOrder::None, ..Options::default() };
+        assert!(wrong.check().is_err());
+        assert!(Options { order: FrameOrder::Auto, ..wrong }.check().is_ok());
     }
 
     #[test]

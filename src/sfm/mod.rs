@@ -7,6 +7,7 @@ pub mod bundle;
 pub mod features;
 pub mod mapper;
 pub mod matching;
+pub mod order;
 pub mod patch;
 pub mod resection;
 pub mod sift_front_end;
@@ -24,7 +25,7 @@ use serde::{Deserialize, Serialize};
 pub use error::SfmError;
 pub use front_end::{FrontEnd, FrontEndOptions};
 pub use mapper::{Intrinsics, Report, reconstruct};
-use sift_front_end::SiftOptions;
+use sift_front_end::{Pairing, SiftOptions};
 pub use tracks::TrackTable;
 use video_front_end::VideoOptions;
 
@@ -51,13 +52,38 @@ impl Options {
 
     /// For photographs in no order.
     pub fn unordered() -> Self {
-        let mapper = mapper::Options { ordered: false, ..mapper::Options::background() };
-        Self { front_end: FrontEndOptions::unordered(), mapper }
+        Self::background().without_order(false)
     }
 
-    /// The same by SIFT in every frame, matched between frames.
+    /// The same by SIFT in every frame, matched between frames; SIFT options that are there already stay.
     pub fn with_sift(self, object: bool) -> Self {
-        let sift = if object { SiftOptions::object() } else { SiftOptions::background() };
+        let default = || if object { SiftOptions::object() } else { SiftOptions::background() };
+        let sift = match self.front_end {
+            FrontEndOptions::Sift(sift) => sift,
+            FrontEndOptions::Video(_) => default(),
+        };
         Self { front_end: FrontEndOptions::Sift(sift), ..self }
+    }
+
+    /// The same by points followed from frame to frame; such options that are there already stay.
+    pub fn with_video(self, object: bool) -> Self {
+        let default = || if object { VideoOptions::object() } else { VideoOptions::background() };
+        let video = match self.front_end {
+            FrontEndOptions::Video(video) => video,
+            FrontEndOptions::Sift(_) => default(),
+        };
+        Self { front_end: FrontEndOptions::Video(video), ..self }
+    }
+
+    /// The same for pictures in no order: SIFT, all pairs, and no neighbours in time.
+    pub fn without_order(self, object: bool) -> Self {
+        let front_end = match self.front_end {
+            FrontEndOptions::Sift(sift) => FrontEndOptions::Sift(SiftOptions { pairing: Pairing::Exhaustive, ..sift }),
+            FrontEndOptions::Video(_) if object => {
+                FrontEndOptions::Sift(SiftOptions { pairing: Pairing::Exhaustive, ..SiftOptions::object() })
+            }
+            FrontEndOptions::Video(_) => FrontEndOptions::unordered(),
+        };
+        Self { front_end, mapper: mapper::Options { ordered: false, ..self.mapper } }
     }
 }

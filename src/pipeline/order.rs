@@ -1,0 +1,114 @@
+//! Whether the pictures follow one another in time, and how tracks are made of them accordingly.
+
+use std::collections::BTreeSet;
+
+use serde::{Deserialize, Serialize};
+
+use super::options::{FeatureKind, FrameOrder};
+use super::run::Run;
+use super::{Options, PipelineError};
+use crate::image::gray_from_rgb;
+use crate::scene::{Frame, FrameId};
+use crate::sfm;
+use crate::video::Kind;
+
+/// Where the order is written down.
+pub(super) const STATE: &str = "frames-order.json";
+
+/// Share of followed corners from which on pictures count as frames of a video.
+const FOLLOWED_SHARE: f64 = 0.6;
+
+/// What is known of the order.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Order {
+    /// Whether pictures follow one another in time.
+    pub(super) in_time: bool,
+    /// Median share of corners that could be followed from a picture to the next, where that was measured.
+    pub(super) followed_share: Option<f64>,
+}
+
+/// The order, where options and input say it; `None` has to be measured.
+pub(super) fn stated(run: &Run) -> Option<bool> {
+    let options = run.options;
+    match (options.order, options.features) {
+        (FrameOrder::Time, _) | (FrameOrder::Auto, FeatureKind::Video) => Some(true),
+        (FrameOrder::None, _) => Some(false),
+        (FrameOrder::Auto, _) => (run.info().kind == Kind::Video || options.video.fps.is_some()).then_some(true),
+    }
+}
+
+/// Finds the order and writes it down for later stages.
+pub(super) fn find(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> {
+    let order = match stated(run) {
+        Some(in_time) => Order { in_time, followed_share: None },
+        None => measured(run, frames)?,
+    };
+    run.workspace.write_state(STATE, &order)?;
+    Ok(order)
+}
+
+/// Follows corners between a few pictures and their successors, evenly over the folder.
+fn measured(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> {
+    const NUM_PAIRS: usize = 3;
+    let last = frames.len().saturating_sub(1);
+    let firsts: BTreeSet<usize> = (0..NUM_PAIRS).map(|k| last * (2 * k + 1) / (2 * NUM_PAIRS)).collect();
+    let firsts: Vec<usize> = firsts.into_iter().filter(|&first| first < last).collect();
+    let ids: BTreeSet<FrameId> = firsts.iter().flat_map(|&k| [frames[k].id, frames[k + 1].id]).collect();
+    let mut pictures = std::collections::BTreeMap::new();
+    for (frame, picture) in run.source.frames_at(ids)?.flatten() {
+        pictures.insert(frame.id, gray_from_rgb(&picture).map_err(sfm::SfmError::from)?);
+    }
+    let mut shares = Vec::new();
+    for k in firsts {
+        if let (Some(a), Some(b)) = (pictures.get(&frames[k].id), pictures.get(&frames[k + 1].id)) {
+            shares.push(sfm::order::followed_share(a, b)?);
+        }
+    }
+    shares.sort_by(f64::total_cmp);
+    let share = shares.get(shares.len() / 2).copied();
+    Ok(Order { in_time: share.is_some_and(|share| share >= FOLLOWED_SHARE), followed_share: share })
+}
+
+/// Structure from motion of the background and of objects as options, input and order want it. The stage `frames` must be
+/// done.
+pub(super) fn sfm_options(run: &Run) -> Result<(sfm::Options, sfm::Options), PipelineError> {
+    let order: Order = run.workspace.read_state(STATE)?;
+    Ok(resolved(run.options, order.in_time))
+}
+
+fn resolved(options: &Options, in_time: bool) -> (sfm::Options, sfm::Options) {
+    let (background, objects) = (options.background.clone(), options.objects.clone());
+    if !in_time {
+        return (background.without_order(false), objects.without_order(true));
+    }
+    match options.features {
+        FeatureKind::Auto => (background, objects),
+        FeatureKind::Video => (background.with_video(false), objects.with_video(true)),
+        FeatureKind::Sift => (background.with_sift(false), objects.with_sift(true)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sfm::FrontEndOptions;
+    use crate::sfm::sift_front_end::Pairing;
+
+    #[test]
+    fn features_and_order_choose_the_front_end() {
+        let with = |features| Options { features, ..Options::default() };
+        let (background, objects) = resolved(&with(FeatureKind::Auto), true);
+        assert!(matches!(background.front_end, FrontEndOptions::Video(_)) && background.mapper.ordered);
+        assert!(matches!(objects.front_end, FrontEndOptions::Video(_)));
+        let (background, objects) = resolved(&with(FeatureKind::Sift), true);
+        for found in [&background, &objects] {
+            let FrontEndOptions::Sift(sift) = &found.front_end else { panic!("asked for SIFT") };
+            assert!(matches!(sift.pairing, Pairing::Sequential { .. }) && found.mapper.ordered);
+        }
+        for features in [FeatureKind::Auto, FeatureKind::Sift] {
+            let (background, _) = resolved(&with(features), false);
+            let FrontEndOptions::Sift(sift) = &background.front_end else { panic!("photographs need SIFT") };
+            assert!(sift.pairing == Pairing::Exhaustive && !background.mapper.ordered);
+        }
+    }
+}

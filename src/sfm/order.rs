@@ -1,0 +1,103 @@
+//! Whether pictures follow one another as the frames of a video do.
+
+use nalgebra::Point2;
+use opencv::core::{Mat, Point2f, Size, TermCriteria, Vector};
+
+use super::SfmError;
+use crate::image::{GrayImage, borrowed_gray, resize_gray, scale_to_fit};
+
+/// Share of the corners of one picture that pyramidal Lucas-Kanade finds in the next, no farther away than a fortieth of
+/// the longer side, and back again within a pixel at 480 pixels; 0 where there are no corners.
+///
+/// Points of a video move by less from frame to frame, and one that moves faster is no better followed than matched.
+///
+/// # Errors
+/// [`SfmError::OpenCv`] if OpenCV fails.
+pub fn followed_share(first: &GrayImage, second: &GrayImage) -> Result<f64, SfmError> {
+    const LONGER_SIDE_PX: u32 = 480;
+    const MAX_CORNERS: i32 = 300;
+    const MAX_ROUND_TRIP_PX: f32 = 1.0;
+    const MAX_MOTION_PX: f32 = LONGER_SIDE_PX as f32 / 40.0;
+    let small = |image: &GrayImage| {
+        let (width, height) = scale_to_fit(image.width(), image.height(), LONGER_SIDE_PX);
+        resize_gray(image, width, height)
+    };
+    let (first, second) = (small(first)?, small(second)?);
+    if first.dimensions() != second.dimensions() {
+        return Ok(0.0);
+    }
+    let (first, second) = (borrowed_gray(&first)?, borrowed_gray(&second)?);
+    let mut corners = Vector::<Point2f>::new();
+    opencv::imgproc::good_features_to_track(
+        &first,
+        &mut corners,
+        MAX_CORNERS,
+        0.01,
+        8.0,
+        &Mat::default(),
+        3,
+        false,
+        0.04,
+    )?;
+    if corners.is_empty() {
+        return Ok(0.0);
+    }
+    let follow = |from: &opencv::boxed_ref::BoxedRef<'_, Mat>,
+                  to: &opencv::boxed_ref::BoxedRef<'_, Mat>,
+                  points: &Vector<Point2f>| {
+        let (mut moved, mut status, mut error) = (Vector::<Point2f>::new(), Vector::<u8>::new(), Vector::<f32>::new());
+        let (window, criteria) = (Size::new(15, 15), TermCriteria::new(3, 20, 0.03)?);
+        opencv::video::calc_optical_flow_pyr_lk(
+            from,
+            to,
+            points,
+            &mut moved,
+            &mut status,
+            &mut error,
+            window,
+            3,
+            criteria,
+            0,
+            1e-3,
+        )?;
+        Ok::<_, SfmError>((moved, status))
+    };
+    let (there, found) = follow(&first, &second, &corners)?;
+    let (back, found_back) = follow(&second, &first, &there)?;
+    let position = |p: Point2f| Point2::new(p.x, p.y);
+    let mut count = 0;
+    for k in 0..corners.len() {
+        let start = position(corners.get(k)?);
+        let returned = (start - position(back.get(k)?)).norm() <= MAX_ROUND_TRIP_PX;
+        let near = (start - position(there.get(k)?)).norm() <= MAX_MOTION_PX;
+        count += usize::from(found.get(k)? != 0 && found_back.get(k)? != 0 && returned && near);
+    }
+    Ok(count as f64 / corners.len() as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::seeded_rng;
+    use rand::Rng as _;
+
+    /// A smooth random texture.
+    fn texture(seed: u64) -> GrayImage {
+        let mut rng = seeded_rng(seed, 0);
+        let coarse = GrayImage::from_fn(80, 60, |_, _| ::image::Luma([rng.random()]));
+        resize_gray(&coarse, 640, 480).unwrap()
+    }
+
+    #[test]
+    fn a_small_shift_is_followed_and_another_picture_is_not() {
+        let whole = texture(1);
+        let crop = |x: u32, y: u32| ::image::imageops::crop_imm(&whole, x, y, 560, 420).to_image();
+        let share = followed_share(&crop(10, 10), &crop(22, 16)).unwrap();
+        assert!(share > 0.7, "{share}");
+        let other = ::image::imageops::crop_imm(&texture(2), 10, 10, 560, 420).to_image();
+        let share = followed_share(&crop(10, 10), &other).unwrap();
+        assert!(share < 0.2, "{share}");
+        let plain = GrayImage::from_pixel(560, 420, ::image::Luma([90]));
+        assert_eq!(followed_share(&plain, &plain).unwrap(), 0.0);
+    }
+}
