@@ -64,12 +64,12 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
 
     let folder = run.workspace.keep_only("features-", &folder_name(fingerprint))?;
     if let Some(background) = background {
-        let table = background.finish(run.options.seed);
+        let table = background.finish(run.options.seed)?;
         outcome.figure("background_tracks", table.tracks.len());
         write(&folder.join("background.bin"), &table)?;
     }
     for (id, front_end) in on_objects {
-        write(&folder.join(format!("{id}.bin")), &front_end.finish(run.options.seed))?;
+        write(&folder.join(format!("{id}.bin")), &front_end.finish(run.options.seed)?)?;
     }
     outcome.outputs.push(folder);
     Ok(outcome)

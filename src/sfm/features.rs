@@ -1,20 +1,22 @@
 //! SIFT features inside a mask, as RootSIFT descriptors.
 //!
-//! D. Lowe, *Distinctive Image Features from Scale-Invariant Keypoints*, IJCV 2004, by OpenCV; R. Arandjelović,
-//! A. Zisserman, *Three Things Everyone Should Know to Improve Object Retrieval*, CVPR 2012 for the square root. Pixels
-//! outside the mask take no part as keypoints; the picture itself is never painted over, which would make edges.
+//! [`super::sift`] finds and describes keypoints; R. Arandjelović, A. Zisserman, *Three Things Everyone Should Know to Improve
+//! Object Retrieval*, CVPR 2012 for the square root. Pixels outside the mask take no part as keypoints; the picture itself
+//! is never painted over, which would make edges.
 
 use nalgebra::Point2;
-use opencv::core::{KeyPoint, KeyPointTraitConst, Mat, MatTraitConst, MatTraitConstManual, Vector};
-use opencv::features2d::{Feature2DTrait, SIFT};
 use serde::{Deserialize, Serialize};
 
 use super::SfmError;
-use crate::image::{GrayImage, RgbImage, gray_from_rgb, mat_from_bytes, mat_from_gray, resize_gray};
+use super::sift::{self, Plane};
+use crate::image::{GrayImage, RgbImage, gray_from_rgb, resize_gray};
 use crate::scene::{BoundingBox, Mask};
 
-/// Length of a descriptor.
-pub const DESCRIPTOR_LEN: usize = 128;
+pub use super::sift::DESCRIPTOR_LEN;
+
+/// Length of a descriptor as a vector. Rounding adds at most half to each of its 128 entries, so that no product of two
+/// descriptors is beyond sixteen bits: (175² + √128 · 175 + 32) < 2¹⁵.
+pub const DESCRIPTOR_NORM: f32 = 175.0;
 
 /// How features are found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -23,6 +25,8 @@ pub struct FeatureOptions {
     pub max_features: usize,
     /// Lowe's contrast threshold over the three layers of an octave; lower finds more on plain surfaces.
     pub contrast_threshold: f64,
+    /// Whether the search begins at twice the image's size: more and smaller features, at several times the cost.
+    pub doubled: bool,
     /// Masks whose box is shorter than this on its longer side are enlarged before detection, pixels: small objects have
     /// too few features at their own size.
     pub enlarge_below_px: u32,
@@ -33,24 +37,24 @@ pub struct FeatureOptions {
 impl FeatureOptions {
     /// For whole frames.
     pub fn background() -> Self {
-        Self { max_features: 4000, contrast_threshold: 0.03, enlarge_below_px: 0, border_px: 0 }
+        Self { max_features: 4000, contrast_threshold: 0.03, doubled: false, enlarge_below_px: 0, border_px: 0 }
     }
 
     /// For one object: more features from less surface.
     pub fn object() -> Self {
-        Self { max_features: 3000, contrast_threshold: 0.015, enlarge_below_px: 400, border_px: 1 }
+        Self { max_features: 3000, contrast_threshold: 0.015, doubled: true, enlarge_below_px: 400, border_px: 1 }
     }
 }
 
-/// Features of one image.
+/// Features of one image, the strongest first.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Features {
     /// Positions, pixels, first pixel centre at (0.5, 0.5).
     pub pixels: Vec<Point2<f64>>,
     /// Colours there.
     pub rgb: Vec<[u8; 3]>,
-    /// Row-major, [`DESCRIPTOR_LEN`] per feature, unit length, entries ≥ 0.
-    pub descriptors: Vec<f32>,
+    /// Row-major, [`DESCRIPTOR_LEN`] per feature, of length [`DESCRIPTOR_NORM`].
+    pub descriptors: Vec<u8>,
 }
 
 impl Features {
@@ -79,12 +83,17 @@ pub fn extract(image: &RgbImage, mask: &Mask, options: &FeatureOptions) -> Resul
     let (width, height) = (crop.width() * scale, crop.height() * scale);
     let crop = if scale > 1 { resize_gray(&crop, width, height)? } else { crop };
     let crop_mask = Mask::from_fn(width, height, |x, y| crop_mask.get((x / scale).into(), (y / scale).into()));
-    let mut sift = SIFT::create(options.max_features as i32, 3, options.contrast_threshold, 10.0, 1.6)?;
-    let (mut keypoints, mut descriptors) = (Vector::<KeyPoint>::new(), Mat::default());
-    let picture = mat_from_gray(&crop)?;
-    let where_to_look = mat_from_bytes(width, height, &crop_mask.to_bytes())?;
-    sift.detect_and_compute(&picture, &where_to_look, &mut keypoints, &mut descriptors, false)?;
-    collect(image, window, f64::from(scale), &keypoints, &descriptors)
+    let values = crop.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect();
+    let picture = Plane { width: width as usize, height: height as usize, values };
+    // Indices of features are sixteen bits wide in matching.
+    const MOST: usize = 60_000;
+    let wanted = sift::Options {
+        max_keypoints: options.max_features.min(MOST),
+        min_contrast: (options.contrast_threshold / 3.0) as f32,
+        doubled: options.doubled,
+    };
+    let found = sift::detect(&picture, &wanted, |x, y| crop_mask.get(x as i64, y as i64));
+    Ok(collected(image, window, f64::from(scale), &found))
 }
 
 /// The window with room for descriptors that reach over the mask.
@@ -109,40 +118,23 @@ fn enlargement(window: BoundingBox, enlarge_below_px: u32) -> u32 {
     enlarge_below_px.div_ceil(side).clamp(1, 4)
 }
 
-fn collect(
-    image: &RgbImage,
-    window: BoundingBox,
-    scale: f64,
-    keypoints: &Vector<KeyPoint>,
-    descriptors: &Mat,
-) -> Result<Features, SfmError> {
+fn collected(image: &RgbImage, window: BoundingBox, scale: f64, found: &sift::Found) -> Features {
     let mut features = Features::default();
-    let mut last = None;
-    for (row, keypoint) in keypoints.iter().enumerate() {
-        let at = keypoint.pt();
-        // A keypoint with two orientations comes twice; for tracks it is one feature.
-        if last == Some((at.x, at.y)) {
-            continue;
-        }
-        last = Some((at.x, at.y));
-        // OpenCV counts from the centre of the first pixel, and doubles the image by a resize that shifts by a quarter
-        // of an original pixel without taking the shift back (before its option for precise upscaling).
-        let (x, y) = (f64::from(at.x) + 0.5 - 0.25, f64::from(at.y) + 0.5 - 0.25);
-        let pixel = Point2::new(x / scale + f64::from(window.x0), y / scale + f64::from(window.y0));
+    for (keypoint, descriptor) in found.keypoints.iter().zip(found.descriptors.chunks_exact(DESCRIPTOR_LEN)) {
+        let (x, y) = (f64::from(keypoint.x) / scale, f64::from(keypoint.y) / scale);
+        let pixel = Point2::new(x + f64::from(window.x0), y + f64::from(window.y0));
         let colour = image.get_pixel_checked(pixel.x.max(0.0) as u32, pixel.y.max(0.0) as u32);
         features.pixels.push(pixel);
         features.rgb.push(colour.map_or([0; 3], |c| c.0));
-        features.descriptors.extend(root_sift(descriptors.at_row::<f32>(row as i32)?));
+        features.descriptors.extend(root_sift(descriptor));
     }
-    debug_assert_eq!(descriptors.rows() as usize, keypoints.len());
-    let _ = descriptors.is_continuous();
-    Ok(features)
+    features
 }
 
 /// Square root of the descriptor scaled to unit sum: its Euclidean distance is the Hellinger distance of the original.
-fn root_sift(descriptor: &[f32]) -> impl Iterator<Item = f32> + '_ {
+fn root_sift(descriptor: &[f32]) -> impl Iterator<Item = u8> + '_ {
     let sum: f32 = descriptor.iter().sum::<f32>().max(f32::MIN_POSITIVE);
-    descriptor.iter().map(move |v| (v / sum).max(0.0).sqrt())
+    descriptor.iter().map(move |v| ((v / sum).max(0.0).sqrt() * DESCRIPTOR_NORM).round().min(127.0) as u8)
 }
 
 #[cfg(test)]

@@ -23,7 +23,7 @@ pub enum FrontEndOptions {
 impl FrontEndOptions {
     /// For photographs in no order.
     pub fn unordered() -> Self {
-        let features = FeatureOptions { max_features: 8000, ..FeatureOptions::background() };
+        let features = FeatureOptions { max_features: 5000, contrast_threshold: 0.02, ..FeatureOptions::background() };
         Self::Sift(SiftOptions { features, pairing: Pairing::Exhaustive, ..SiftOptions::background() })
     }
 }
@@ -61,9 +61,12 @@ impl FrontEnd {
     }
 
     /// The tracks.
-    pub fn finish(self, seed: u64) -> TrackTable {
+    ///
+    /// # Errors
+    /// [`SfmError::OpenCv`].
+    pub fn finish(self, seed: u64) -> Result<TrackTable, SfmError> {
         match self {
-            Self::Video(f) => f.finish(),
+            Self::Video(f) => Ok(f.finish()),
             Self::Sift(f) => f.finish(seed),
         }
     }

@@ -10,6 +10,7 @@ pub mod matching;
 pub mod order;
 pub mod patch;
 pub mod resection;
+pub mod sift;
 pub mod sift_front_end;
 pub mod solvers;
 pub mod tracks;

@@ -77,33 +77,48 @@ pub struct SiftFrontEnd {
     camera: Camera,
     views: Vec<View>,
     features: Vec<Features>,
+    waiting: Vec<(Frame, RgbImage, Mask)>,
 }
 
 impl SiftFrontEnd {
     /// `camera` serves to verify matches; a guess will do.
     pub fn new(options: SiftOptions, camera: Camera) -> Self {
-        Self { options, camera, views: Vec::new(), features: Vec::new() }
+        Self { options, camera, views: Vec::new(), features: Vec::new(), waiting: Vec::new() }
     }
 
     /// Adds a frame, looking only where the mask is set.
     ///
     /// # Errors
-    /// [`SfmError::OpenCv`] if OpenCV fails.
+    /// [`SfmError::OpenCv`] if OpenCV fails, on this frame or on one before it: as many frames are worked on at a time as
+    /// there are threads.
     pub fn push(&mut self, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), SfmError> {
-        let mut features = extract(image, mask, &self.options.features)?;
-        self.views.push(View {
-            image: frame.id.into(),
-            name: frame.name.clone(),
-            camera: 0,
-            pixels: features.pixels.clone(),
-            rgb: std::mem::take(&mut features.rgb),
-        });
-        self.features.push(features);
+        self.waiting.push((frame.clone(), image.clone(), mask.clone()));
+        if self.waiting.len() < rayon::current_num_threads() { Ok(()) } else { self.work_off() }
+    }
+
+    fn work_off(&mut self) -> Result<(), SfmError> {
+        let waiting = std::mem::take(&mut self.waiting);
+        let found: Result<Vec<Features>, SfmError> =
+            waiting.par_iter().map(|(_, image, mask)| extract(image, mask, &self.options.features)).collect();
+        for ((frame, _, _), mut features) in waiting.into_iter().zip(found?) {
+            self.views.push(View {
+                image: frame.id.into(),
+                name: frame.name,
+                camera: 0,
+                pixels: features.pixels.clone(),
+                rgb: std::mem::take(&mut features.rgb),
+            });
+            self.features.push(features);
+        }
         Ok(())
     }
 
     /// Matches, verifies and joins to tracks.
-    pub fn finish(self, seed: u64) -> TrackTable {
+    ///
+    /// # Errors
+    /// As [`SiftFrontEnd::push`].
+    pub fn finish(mut self, seed: u64) -> Result<TrackTable, SfmError> {
+        self.work_off()?;
         let normalized: Vec<Vec<Vector2<f64>>> = self
             .features
             .par_iter()
@@ -116,7 +131,7 @@ impl SiftFrontEnd {
         let counts: Vec<usize> = self.features.iter().map(Features::len).collect();
         let num_seen = counts.iter().filter(|&&n| n > 0).count();
         let min_length = self.options.min_track_length.min(num_seen);
-        TrackTable { tracks: tracks_from_matches(&counts, &pairs, min_length), views: self.views }
+        Ok(TrackTable { tracks: tracks_from_matches(&counts, &pairs, min_length), views: self.views })
     }
 
     fn verified(&self, views: [usize; 2], normalized: &[Vec<Vector2<f64>>], seed: u64) -> Option<PairMatches> {

@@ -21,11 +21,31 @@ pub enum Scope {
     Around(usize),
 }
 
+/// Which intrinsics are adjusted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Freedom {
+    /// None.
+    Nothing,
+    /// One focal length, and radial distortion.
+    FocalAndRadial,
+    /// These and the principal point.
+    WithPrincipalPoint,
+}
+
+impl From<Intrinsics> for Freedom {
+    fn from(intrinsics: Intrinsics) -> Self {
+        match intrinsics {
+            Intrinsics::Fixed => Self::Nothing,
+            Intrinsics::Refined => Self::FocalAndRadial,
+        }
+    }
+}
+
 /// Adjusts a map; returns for every track whether its point took part.
 pub fn adjust(
     map: &mut Map<'_>,
     scope: &Scope,
-    intrinsics: Intrinsics,
+    intrinsics: Freedom,
     noise: Noise,
     options: &Options,
 ) -> Result<Vec<bool>, SfmError> {
@@ -41,7 +61,7 @@ pub fn adjust(
             }
         }
     }
-    let (mut problem, mut parts) = build(map, &tracks, &free_views, intrinsics);
+    let (mut problem, mut parts) = build(map, &tracks, &free_views, intrinsics, noise);
     let local = matches!(scope, Scope::Around(_));
     let bundle_options = bundle::Options {
         loss: options.loss(noise),
@@ -51,9 +71,9 @@ pub fn adjust(
         ..bundle::Options::default()
     };
     let mut summary = bundle::adjust(&mut problem, &bundle_options)?;
-    if intrinsics == Intrinsics::Refined && !problem.cameras.iter().all(|block| is_plausible(&block.camera)) {
+    if intrinsics != Freedom::Nothing && !problem.cameras.iter().all(|block| is_plausible(&block.camera)) {
         // The motion does not determine them (yet): better the guess than a lens that nobody builds.
-        (problem, parts) = build(map, &tracks, &free_views, Intrinsics::Fixed);
+        (problem, parts) = build(map, &tracks, &free_views, Freedom::Nothing, noise);
         summary = bundle::adjust(&mut problem, &bundle_options)?;
         tracing::debug!("intrinsics are not determined by {} views; held", problem.poses.len());
     }
@@ -85,13 +105,26 @@ fn is_plausible(camera: &Camera) -> bool {
 
 /// A weak pull towards the guess, for motion that leaves a parameter open: within the spread of real lenses it weighs as
 /// much as one observation.
-fn intrinsics_prior(camera_idx: usize, camera: &Camera) -> IntrinsicsPrior {
+///
+/// The principal point is held to the middle as lenses are built, within a hundredth of the picture, against observations
+/// that are believed to be five times worse than they look: errors that they have in common (what the model of the lens
+/// leaves out, points that slide with the view) do not average out. Where views turn and spread it moves freely; on a
+/// single flight looking straight down, where it could take up such errors, it stays.
+fn intrinsics_prior(camera_idx: usize, camera: &Camera, noise: Noise) -> IntrinsicsPrior {
+    const COMMON_ERROR_FACTOR: f64 = 5.0;
+    const SIGMA_PRINCIPAL: f64 = 0.01;
     let side = f64::from(camera.width.max(camera.height));
     let focal = 1.2 * side;
     let mut values = camera.intrinsics();
     (values[0], values[1], values[4], values[5]) = (focal, focal, 0.0, 0.0);
+    (values[2], values[3]) = (0.5 * f64::from(camera.width), 0.5 * f64::from(camera.height));
+    // Observations count with a standard deviation of one pixel, so that of the prior is in units of their true one.
+    let sigma_principal = match noise {
+        Noise::Measured { sigma_px } if sigma_px > 0.0 => SIGMA_PRINCIPAL * side / (COMMON_ERROR_FACTOR * sigma_px),
+        _ => SIGMA_PRINCIPAL * side,
+    };
     let (sigma_focal, sigma_radial) = (0.4 * side, 0.2);
-    let sigma = [sigma_focal, sigma_focal, side, side, sigma_radial, sigma_radial];
+    let sigma = [sigma_focal, sigma_focal, sigma_principal, sigma_principal, sigma_radial, sigma_radial];
     IntrinsicsPrior { camera: camera_idx, values, sigma }
 }
 
@@ -101,17 +134,18 @@ struct Parts {
     tracks: Vec<usize>,
 }
 
-fn build(map: &Map<'_>, tracks: &[bool], free_views: &[bool], intrinsics: Intrinsics) -> (Problem, Parts) {
+fn build(map: &Map<'_>, tracks: &[bool], free_views: &[bool], intrinsics: Freedom, noise: Noise) -> (Problem, Parts) {
     let mut problem = Problem::default();
     let free_intrinsics = match intrinsics {
-        Intrinsics::Fixed => [false; NUM_INTRINSICS],
-        // Focal length and radial distortion; the principal point stays in the middle.
-        Intrinsics::Refined => [true, true, false, false, true, true],
+        Freedom::Nothing => [false; NUM_INTRINSICS],
+        Freedom::FocalAndRadial => [true, true, false, false, true, true],
+        Freedom::WithPrincipalPoint => [true; NUM_INTRINSICS],
     };
     problem.cameras =
         map.cameras.iter().map(|&camera| CameraBlock { camera, free: free_intrinsics, tie_focal: true }).collect();
-    if intrinsics == Intrinsics::Refined {
-        problem.priors.intrinsics = map.cameras.iter().enumerate().map(|(i, c)| intrinsics_prior(i, c)).collect();
+    if intrinsics != Freedom::Nothing {
+        problem.priors.intrinsics =
+            map.cameras.iter().enumerate().map(|(i, c)| intrinsics_prior(i, c, noise)).collect();
     }
     let mut parts = Parts { views: Vec::new(), tracks: Vec::new() };
     let mut pose_of_view = BTreeMap::new();

@@ -1,6 +1,6 @@
 //! Growing a map from its first pair.
 
-use super::adjustment::{self, Scope};
+use super::adjustment::{self, Freedom, Scope};
 use super::initial_pair::InitialPair;
 use super::map::{Map, Slot};
 use super::{Intrinsics, Noise, Options, Reason, Report};
@@ -44,7 +44,7 @@ impl<'a> Growth<'a> {
         let limits = self.limits();
         self.map.triangulate_seen_by(pair.views[0], &limits);
         // Two views do not determine intrinsics: they stay as they are here.
-        self.adjust(&Scope::Everything, Intrinsics::Fixed)?;
+        self.adjust(&Scope::Everything, Freedom::Nothing)?;
         self.map.update_observations(&limits);
         self.adjusted_at = 2;
         // Half of what the pair promised: the rest was outliers or has no angle.
@@ -75,16 +75,20 @@ impl<'a> Growth<'a> {
     pub fn finish(&mut self) -> Result<(), SfmError> {
         const MAX_ROUNDS: usize = 3;
         let limits = self.limits();
-        for _ in 0..MAX_ROUNDS {
+        for round in 0..MAX_ROUNDS {
+            // The principal point is free at the very end, when the noise is known and wrong points are gone.
+            let last = round > 0 && self.intrinsics == Intrinsics::Refined;
+            let freedom = if last { Freedom::WithPrincipalPoint } else { self.intrinsics.into() };
             self.map.triangulate_all(&limits);
             self.map.update_observations(&limits);
-            self.adjust(&Scope::Everything, self.intrinsics)?;
+            self.adjust(&Scope::Everything, freedom)?;
             self.noise = self.map.noise();
             let limits = self.limits();
             let changed = self.map.update_observations(&limits);
             let total: usize = (0..self.map.table.tracks.len()).map(|t| self.map.observations(t).count()).sum();
             const SETTLED_SHARE: f64 = 0.002;
-            if changed as f64 <= SETTLED_SHARE * total as f64 {
+            let complete = last || self.intrinsics == Intrinsics::Fixed;
+            if complete && changed as f64 <= SETTLED_SHARE * total as f64 {
                 break;
             }
         }
@@ -111,7 +115,7 @@ impl<'a> Growth<'a> {
         (self.map, report)
     }
 
-    fn adjust(&mut self, scope: &Scope, intrinsics: Intrinsics) -> Result<Vec<bool>, SfmError> {
+    fn adjust(&mut self, scope: &Scope, intrinsics: Freedom) -> Result<Vec<bool>, SfmError> {
         adjustment::adjust(&mut self.map, scope, intrinsics, self.noise, self.options)
     }
 
@@ -181,14 +185,14 @@ impl<'a> Growth<'a> {
         if self.map.num_registered() as f64 >= self.options.global_growth * self.adjusted_at as f64 {
             return self.adjust_globally();
         }
-        self.adjust(&Scope::Around(view), Intrinsics::Fixed)?;
+        self.adjust(&Scope::Around(view), Freedom::Nothing)?;
         Ok(())
     }
 
     fn adjust_globally(&mut self) -> Result<(), SfmError> {
         let limits = self.limits();
         let scope = Scope::Selected { per_view: self.options.growth_points_per_view };
-        let used = self.adjust(&scope, self.intrinsics)?;
+        let used = self.adjust(&scope, self.intrinsics.into())?;
         self.map.retriangulate(&limits, &used);
         self.map.triangulate_all(&limits);
         self.map.update_observations(&limits);

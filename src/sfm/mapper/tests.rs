@@ -112,6 +112,34 @@ fn unknown_focal_length_is_found() {
 }
 
 #[test]
+fn the_principal_point_is_found_where_views_turn_and_stays_where_they_do_not() {
+    let off_center = |mut world: World| {
+        world.camera.principal = [492.0, 262.0];
+        let table = tracks(&world, 0.2, 20, &mut seeded_rng(3, 0));
+        let guess = Camera::prior(960, 540);
+        let (found, report) = reconstruct(&table, &[guess], Intrinsics::Refined, &Options::background(), 1).unwrap();
+        assert_eq!(report.num_registered(), world.poses.len());
+        found.cameras[&crate::scene::CameraId(1)].principal
+    };
+    // Round the scene, with the camera rolled by a right angle in every other view.
+    let mut turning = world(40, 600);
+    for (k, pose) in turning.poses.iter_mut().enumerate() {
+        let roll = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), (k % 2) as f64 * std::f64::consts::FRAC_PI_2);
+        *pose = Rigid3::new(roll, Vector3::zeros()) * *pose;
+    }
+    let [x, y] = off_center(turning);
+    assert!((x - 492.0).abs() < 1.5 && (y - 262.0).abs() < 1.5, "{x} {y}");
+    // Straight on, looking aside: a shift of the principal point is the same as a turn of all views.
+    let mut straight = world(40, 600);
+    for (k, pose) in straight.poses.iter_mut().enumerate() {
+        let center = Point3::new(12.0, -6.0 + 0.3 * k as f64, 0.0);
+        *pose = look_at(center, center - Vector3::x());
+    }
+    let [x, y] = off_center(straight);
+    assert!((x - 480.0).abs() < 12.0 && (y - 270.0).abs() < 8.0, "{x} {y}");
+}
+
+#[test]
 fn what_cannot_be_reconstructed_has_a_reason() {
     let empty = TrackTable::default();
     let camera = Camera::prior(960, 540);
