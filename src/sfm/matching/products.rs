@@ -142,7 +142,7 @@ fn wide_products(
             }
         }
     }
-    sums.map(|sums| sums.map(|sum| bytemuck::cast(sum)))
+    sums.map(|sums| sums.map(bytemuck::cast))
 }
 
 /// The same by plain arithmetic.

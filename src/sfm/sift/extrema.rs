@@ -25,10 +25,11 @@ pub(super) fn find(octave: &Octave, index: usize, min_contrast: f32, mut found: 
             let values = rows.around(layer);
             for x in BORDER..width - BORDER {
                 let value = values[1][1][x];
-                if value.abs() > threshold && is_extremum(value, &values, x) {
-                    if let Some(place) = refined(octave, [layer, y, x], index, min_contrast) {
-                        found(place);
-                    }
+                if value.abs() > threshold
+                    && is_extremum(value, &values, x)
+                    && let Some(place) = refined(octave, [layer, y, x], index, min_contrast)
+                {
+                    found(place);
                 }
             }
         }
