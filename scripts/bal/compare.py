@@ -1,9 +1,11 @@
 #!/usr/bin/env python3
 """Bundle adjustment beside Ceres, in turns on the same machine: cost, iterations, best CPU and wall seconds.
 
-    scripts/bal/compare.py PROBLEM... [--ceres ./ceres_bal] [--tractrix target/release/tractrix] [--rounds 5]
+    scripts/bal/compare.py PROBLEM... [--ceres ./ceres_bal] [--tractrix target/release/tractrix] [--rounds 5] [--undisturbed]
 
-CPU time is comparable beside other work, wall time is not. Ceres is built from ceres_bal.cc beside this file.
+Beside other work, wall times mean little, and CPU times are too high. --undisturbed runs every program under `chrt -f 20`
+(needs root): for its fraction of a second no other process takes a processor from it. Ceres is built from ceres_bal.cc beside
+this file.
 """
 
 import argparse
@@ -30,6 +32,7 @@ def main():
     parser.add_argument("--tractrix", default="target/release/tractrix")
     parser.add_argument("--ceres", help="the program built from ceres_bal.cc; left out if not given")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--undisturbed", action="store_true", help="with real-time priority; needs root")
     args = parser.parse_args()
 
     print("| problem | program | threads | final cost | iterations | CPU s | wall s |")
@@ -41,6 +44,8 @@ def main():
             if args.ceres:
                 for solver in "dense", "sparse":
                     commands[f"Ceres {solver}", threads] = [args.ceres, problem, solver, threads]
+        if args.undisturbed:
+            commands = {name: ["chrt", "-f", "20", *command] for name, command in commands.items()}
         for (program, threads), r in sorted(measure(commands, args.rounds).items(), reverse=True):
             name = os.path.basename(problem).removesuffix(".txt")
             print(f"| {name} | {program} | {threads} | {r['final_cost']:.3f} | {r['iterations']} "

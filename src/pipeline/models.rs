@@ -13,7 +13,7 @@ use super::{PipelineError, features, fingerprint, order, track};
 use crate::camera::Camera;
 use crate::io::colmap;
 use crate::scene::{Frame, FrameId, ImageId, ObjectId, Reconstruction};
-use crate::sfm::{self, mapper};
+use crate::sfm::{self, bundle, mapper};
 
 /// How a model came about.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -33,6 +33,8 @@ pub(super) struct ModelReport {
     pub(super) mean_error_px: Option<f64>,
 }
 
+/// Images whose position's standard deviation is computed: enough for a median.
+const DEVIATION_IMAGES: usize = 16;
 const BACKGROUND_REPORT: &str = "background-report.json";
 const OBJECT_REPORTS: &str = "objects-report.json";
 
@@ -72,6 +74,9 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     } else {
         warn_of_gaps("background", &report, &mut outcome);
     }
+    if let Some(figures) = center_figures(&model) {
+        outcome.figure("camera_center_deviation", figures);
+    }
     store(&run.workspace.background(), &model)?;
     run.workspace.write_state(BACKGROUND_REPORT, &report)?;
     outcome.figure("num_registered", report.num_registered);
@@ -82,6 +87,16 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     }
     outcome.outputs.extend([run.workspace.background(), run.workspace.state(BACKGROUND_REPORT)]);
     Ok(outcome)
+}
+
+/// How sure the camera positions are, in units of the background; nothing where there is too little to tell.
+fn center_figures(model: &Reconstruction) -> Option<Value> {
+    // A model that leaves something undetermined has no such figures, which is no reason to stop.
+    let found = bundle::center_deviations(model, DEVIATION_IMAGES).ok()??;
+    let mut centers: Vec<f64> = found.centers.into_values().collect();
+    centers.sort_by(f64::total_cmp);
+    let (median, largest) = (centers.get(centers.len() / 2)?, centers.last()?);
+    Some(json!({ "median": median, "max": largest, "pixel_px": found.pixel_px }))
 }
 
 /// The background's model; the stage must be done.

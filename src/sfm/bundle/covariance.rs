@@ -1,10 +1,13 @@
-//! Covariance of chosen poses.
+//! Covariance of chosen poses, intrinsics and points.
 
-use nalgebra::{Matrix3, Matrix6};
+use std::collections::BTreeMap;
 
-use super::layout::{Layout, NONE};
+use nalgebra::{Matrix3, Matrix6, Vector3};
+
+use super::camera_sums::CAMERA_DIM;
+use super::layout::{IntrinsicsUse, Layout, NONE, POSE_DIM};
 use super::levenberg_marquardt::with_threads;
-use super::linearize::{Linearization, Pass, pieces};
+use super::linearize::{Linearization, Part, Pass};
 use super::options::{LinearSolver, Options};
 use super::priors;
 use super::problem::{BundleError, Problem};
@@ -15,9 +18,31 @@ use super::state::State;
 /// Beyond this the digits of a double are used up, and a variance means nothing.
 const LARGEST_INFLATION: f64 = 1e12;
 
-/// Uncertainty of one pose, given that of everything else that is free.
+/// Blocks whose covariance is wanted, as indices in the lists of [`Problem`].
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Wanted {
+    /// Poses.
+    pub poses: Vec<usize>,
+    /// Sets of intrinsics.
+    pub cameras: Vec<usize>,
+    /// Points.
+    pub points: Vec<usize>,
+}
+
+/// Uncertainty of each, given that of everything else that is free; in the order of [`Wanted`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Covariances {
+    /// Of poses.
+    pub poses: Vec<PoseCovariance>,
+    /// Of fx, fy, cx, cy, k1, k2; held ones have zero rows and columns.
+    pub cameras: Vec<Matrix6<f64>>,
+    /// Of points in the world.
+    pub points: Vec<Matrix3<f64>>,
+}
+
+/// Uncertainty of one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Covariance {
+pub struct PoseCovariance {
     /// Of the perturbation (ω, v) of `cam_from_world`: R' = exp(ω) R, t' = exp(ω) t + v; radians and world units. Freedoms
     /// that the gauge holds have zero rows and columns.
     pub pose: Matrix6<f64>,
@@ -25,82 +50,178 @@ pub struct Covariance {
     pub center: Matrix3<f64>,
 }
 
-/// Covariances of poses at the current state: the inverse of the normal equations with the gauge held as
-/// [`Options::gauge`] says (eq. 16). Observations count with their own standard deviations; multiply by the variance factor
-/// where those are only relative.
+/// Covariances at the current state: blocks of the inverse of the normal equations with the gauge held as
+/// [`Options::gauge`] says (eqs. 16–17). Observations count with their own standard deviations; multiply by the variance
+/// factor where those are only relative.
 ///
 /// # Errors
-/// As [`super::adjust`]; [`BundleError::NoCovariance`] for a pose that is held or unobserved, [`BundleError::Singular`]
+/// As [`super::adjust`]; [`BundleError::NoCovariance`] for a block that is held or unobserved, [`BundleError::Singular`]
 /// where the gauge is free or something is not determined by what is observed.
-pub fn covariance(problem: &Problem, options: &Options, poses: &[usize]) -> Result<Vec<Covariance>, BundleError> {
+pub fn covariances(problem: &Problem, options: &Options, wanted: &Wanted) -> Result<Covariances, BundleError> {
     options.check()?;
     problem.check()?;
-    let layout = Layout::new(problem, options);
-    for pose in poses {
-        if *pose >= problem.poses.len() || layout.block_of_pose[*pose] == NONE {
-            return Err(BundleError::NoCovariance { pose: *pose });
+    with_threads(options.threads, |parallel| {
+        let layout = Layout::new(problem, options, parallel);
+        match layout.largest_block() {
+            ..=6 => System::<6>::new(problem, options, &layout, parallel)?.covariances(wanted),
+            7..=9 => System::<9>::new(problem, options, &layout, parallel)?.covariances(wanted),
+            _ => System::<12>::new(problem, options, &layout, parallel)?.covariances(wanted),
         }
-    }
-    with_threads(options.threads, |parallel| match layout.largest_block() {
-        ..=6 => solve::<6>(problem, options, &layout, parallel, poses),
-        7..=9 => solve::<9>(problem, options, &layout, parallel, poses),
-        _ => solve::<12>(problem, options, &layout, parallel, poses),
     })?
 }
 
-fn solve<const D: usize>(
-    problem: &Problem,
-    options: &Options,
-    layout: &Layout,
-    parallel: bool,
-    poses: &[usize],
-) -> Result<Vec<Covariance>, BundleError> {
-    let state = State::new(problem, layout);
-    let pieces = pieces(layout);
-    let pass = Pass { layout, pieces: &pieces, loss: options.loss, parallel };
-    let mut lin = Linearization::<D>::new(layout);
-    lin.evaluate(&pass, &state, 0.0);
-    let mut reduced = Reduced::new(layout);
-    reduced.assemble(&pass, &lin, &priors::terms(problem, layout, &state), 0.0);
-    let choice = match options.linear_solver {
-        LinearSolver::Iterative => LinearSolver::Auto,
-        other => other,
-    };
-    let mut solver = Solver::new(choice, &reduced, parallel);
-    solver.factor(&reduced).map_err(|pivot| BundleError::Singular { pivot })?;
-    let one = |pose: &usize| {
-        let block = layout.block_of_pose[*pose] as usize;
-        pose_covariance(problem, layout, &mut solver, &reduced, *pose, block)
-    };
-    poses.iter().map(one).collect()
+/// The normal equations without damping, eliminated and factorised.
+struct System<'a, const D: usize> {
+    problem: &'a Problem,
+    layout: &'a Layout,
+    lin: Linearization<D>,
+    reduced: Reduced<D>,
+    solver: Solver,
 }
 
-/// Six columns of S⁻¹.
-fn pose_covariance<const D: usize>(
-    problem: &Problem,
-    layout: &Layout,
-    solver: &mut Solver,
-    reduced: &Reduced<D>,
-    pose: usize,
-    block: usize,
-) -> Result<Covariance, BundleError> {
-    let size = reduced.size();
-    let mut columns = vec![0.0; size * 6];
-    for k in 0..6 {
-        columns[k * size + block * D + k] = 1.0;
+impl<'a, const D: usize> System<'a, D> {
+    fn new(problem: &'a Problem, options: &Options, layout: &'a Layout, parallel: bool) -> Result<Self, BundleError> {
+        let state = State::new(problem, layout);
+        let pass = Pass { layout, loss: options.loss, parallel };
+        let mut reduced = Reduced::new(layout);
+        let mut lin = Linearization::<D>::new(&pass, &reduced.pattern);
+        lin.evaluate(&pass, &reduced.pattern, &state, 0.0);
+        reduced.assemble(&pass, &lin, &priors::terms(problem, layout, &state), 0.0);
+        let choice = match options.linear_solver {
+            LinearSolver::Iterative => LinearSolver::Auto,
+            other => other,
+        };
+        let mut solver = Solver::new(choice, &reduced, parallel);
+        solver.factor(&reduced).map_err(|pivot| BundleError::Singular { pivot })?;
+        Ok(Self { problem, layout, lin, reduced, solver })
     }
-    solver.solve_columns(&mut columns);
-    let mask = &layout.pose_mask[block];
-    let cell = |r: usize, c: usize| if mask[r] && mask[c] { columns[c * size + block * D + r] } else { 0.0 };
-    let of_pose = Matrix6::from_fn(|r, c| 0.5 * (cell(r, c) + cell(c, r)));
-    // Rounding can hide a zero pivot; a variance so much larger than if all else were known betrays it.
-    let own = reduced.blocks[reduced.pattern.panel(block)].last();
-    let inflation = |k: usize| of_pose[(k, k)] * own.map_or(1.0, |own| own[k][k]);
-    if let Some(k) = (0..6).find(|k| mask[*k] && !(inflation(*k) < LARGEST_INFLATION)) {
-        return Err(BundleError::Singular { pivot: block * D + k });
+
+    fn covariances(mut self, wanted: &Wanted) -> Result<Covariances, BundleError> {
+        let places: BTreeMap<u32, usize> = self.layout.points.iter().copied().zip(0..).collect();
+        Ok(Covariances {
+            poses: wanted.poses.iter().map(|pose| self.pose(*pose)).collect::<Result<_, _>>()?,
+            cameras: wanted.cameras.iter().map(|camera| self.camera(*camera)).collect::<Result<_, _>>()?,
+            points: wanted.points.iter().map(|point| self.point(*point, &places)).collect::<Result<_, _>>()?,
+        })
     }
-    // c' = c − Rᵀ v.
-    let world_from_cam = problem.poses[pose].cam_from_world.rotation.inverse().to_rotation_matrix().into_inner();
-    let center = world_from_cam * of_pose.fixed_view::<3, 3>(3, 3) * world_from_cam.transpose();
-    Ok(Covariance { pose: of_pose, center })
+
+    /// Six rows and columns of S⁻¹, from `first` on.
+    fn six(&mut self, first: usize, count: usize) -> Matrix6<f64> {
+        let size = self.reduced.size();
+        let mut columns = vec![0.0; size * count];
+        for k in 0..count {
+            columns[k * size + first + k] = 1.0;
+        }
+        self.solver.solve_columns(&mut columns);
+        let cell = |r: usize, c: usize| if r < count && c < count { columns[c * size + first + r] } else { 0.0 };
+        Matrix6::from_fn(|r, c| 0.5 * (cell(r, c) + cell(c, r)))
+    }
+
+    fn pose(&mut self, pose: usize) -> Result<PoseCovariance, BundleError> {
+        let block = self.layout.block_of_pose.get(pose).copied().unwrap_or(NONE);
+        if block == NONE || self.layout.pose_mask[block as usize] == [false; POSE_DIM] {
+            return Err(BundleError::NoCovariance { what: "pose", index: pose });
+        }
+        let block = block as usize;
+        let of_pose = self.six(block * D, POSE_DIM);
+        let mask = &self.layout.pose_mask[block];
+        let of_pose = of_pose.map_with_location(|r, c, value| if mask[r] && mask[c] { value } else { 0.0 });
+        // Rounding can hide a zero pivot; a variance so much larger than if all else were known betrays it.
+        let own = self.reduced.blocks[self.reduced.pattern.panel(block)].last();
+        let inflation = |k: usize| of_pose[(k, k)] * own.map_or(1.0, |own| own[k][k]);
+        if let Some(k) = (0..POSE_DIM).find(|k| mask[*k] && !(inflation(*k) < LARGEST_INFLATION)) {
+            return Err(BundleError::Singular { pivot: block * D + k });
+        }
+        // c' = c − Rᵀ v.
+        let cam_from_world = self.problem.poses[pose].cam_from_world;
+        let world_from_cam = cam_from_world.rotation.inverse().to_rotation_matrix().into_inner();
+        let center = world_from_cam * of_pose.fixed_view::<3, 3>(3, 3) * world_from_cam.transpose();
+        Ok(PoseCovariance { pose: of_pose, center })
+    }
+
+    fn camera(&mut self, camera: usize) -> Result<Matrix6<f64>, BundleError> {
+        let none = BundleError::NoCovariance { what: "camera", index: camera };
+        let first = match self.layout.intrinsics_use.get(camera) {
+            Some(IntrinsicsUse::Shared(place)) => self.layout.num_blocks() * D + *place as usize * CAMERA_DIM,
+            Some(IntrinsicsUse::Fused) => {
+                let used = |pose: &u32| self.problem.poses[*pose as usize].camera == camera;
+                let block = self.layout.pose_of_block.iter().position(used).ok_or(none)?;
+                block * D + POSE_DIM
+            }
+            _ => return Err(none),
+        };
+        let columns = self.layout.columns[camera];
+        let of_columns = self.six(first, columns.len);
+        if let Some(k) = (0..columns.len).find(|k| !(of_columns[(*k, *k)] > 0.0 && of_columns[(*k, *k)].is_finite())) {
+            return Err(BundleError::Singular { pivot: first + k });
+        }
+        // How the six intrinsics follow from the free columns (eq. 4).
+        let mut intrinsics = Matrix6::zeros();
+        for k in 0..columns.len {
+            intrinsics[(columns.source[k], k)] = 1.0;
+            if columns.source[k] == 0 {
+                intrinsics[(1, k)] = columns.aspect;
+            }
+        }
+        Ok(intrinsics * of_columns * intrinsics.transpose())
+    }
+
+    /// Eq. 17.
+    fn point(&mut self, point: usize, places: &BTreeMap<u32, usize>) -> Result<Matrix3<f64>, BundleError> {
+        let none = BundleError::NoCovariance { what: "point", index: point };
+        let place = u32::try_from(point).ok().and_then(|point| places.get(&point)).copied();
+        let place = place.filter(|place| !self.layout.point_fixed[*place]).ok_or(none)?;
+        let share = self.lin.parts.iter().find(|share| share.part.piece.points.contains(&place));
+        let Some(part) = share.map(|share| &share.part) else {
+            return Err(BundleError::NoCovariance { what: "point", index: point });
+        };
+        let terms = part.points[place - part.piece.points.start];
+        let size = self.reduced.size();
+        let singular = BundleError::Singular { pivot: size + 3 * place };
+        if terms.is_held() {
+            return Err(singular);
+        }
+        let coupling = coupling(self.layout, part, place, size);
+        let mut solved = coupling.clone();
+        self.solver.solve_columns(&mut solved);
+        let dot = |r: usize, c: usize| -> f64 {
+            let (left, right) = (&coupling[r * size..(r + 1) * size], &solved[c * size..(c + 1) * size]);
+            left.iter().zip(right).map(|(a, b)| a * b).sum()
+        };
+        let inner = Matrix3::identity() + Matrix3::from_fn(|r, c| 0.5 * (dot(r, c) + dot(c, r)));
+        let back = |m: Matrix3<f64>| -> Matrix3<f64> {
+            Matrix3::from_columns(&[0, 1, 2].map(|c| Vector3::from(terms.back_solve(&m.column(c).into_owned().into()))))
+        };
+        let of_point = back(back(inner).transpose());
+        let own = [terms.hessian[0], terms.hessian[3], terms.hessian[5]];
+        match (0..3).all(|k| of_point[(k, k)] * own[k] < LARGEST_INFLATION) {
+            true => Ok(of_point),
+            false => Err(singular),
+        }
+    }
+}
+
+/// Mᵀ = (Σ Qᵀ J)ᵀ over the observations of a point: three columns of the size of the reduced system (eq. 17).
+fn coupling<const D: usize>(layout: &Layout, part: &Part<D>, place: usize, size: usize) -> Vec<f64> {
+    let mut columns = vec![0.0; 3 * size];
+    for o in layout.obs_of_point(place).filter(|o| layout.obs_block[*o] != NONE) {
+        let residual = &part.residuals[o - part.piece.obs.start];
+        let first = layout.obs_block[o] as usize * D;
+        for k in 0..3 {
+            for c in 0..D {
+                columns[k * size + first + c] += residual.eliminated[0][k] * residual.d_view[0][c]
+                    + residual.eliminated[1][k] * residual.d_view[1][c];
+            }
+        }
+    }
+    for slot in layout.slots_of_point(place) {
+        let first = layout.num_blocks() * D + layout.slots[slot] as usize * CAMERA_DIM;
+        let y = &part.slot_eliminated[slot - part.piece.slots.start];
+        for k in 0..3 {
+            for c in 0..CAMERA_DIM {
+                columns[k * size + first + c] += y[k][c];
+            }
+        }
+    }
+    columns
 }

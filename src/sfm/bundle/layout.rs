@@ -7,6 +7,7 @@
 use nalgebra::Point3;
 
 use super::options::{Behind, Gauge, Options};
+use super::parallel::in_order;
 use super::problem::{CameraBlock, Problem};
 use crate::camera::NUM_INTRINSICS;
 
@@ -14,6 +15,8 @@ use crate::camera::NUM_INTRINSICS;
 pub(super) const NONE: u32 = u32::MAX;
 /// A depth below this part of the coordinates that it is the difference of is noise, and so is the projection.
 const SMALLEST_DEPTH: f64 = 1e-9;
+/// Observations that one task looks at.
+const CHUNK: usize = 8192;
 /// Freedoms of a pose.
 pub(super) const POSE_DIM: usize = 6;
 
@@ -102,8 +105,8 @@ pub(super) struct Layout {
 
 impl Layout {
     /// Sorts a checked problem; linear in the number of observations.
-    pub fn new(problem: &Problem, options: &Options) -> Self {
-        let used = usable_observations(problem, options.behind);
+    pub fn new(problem: &Problem, options: &Options, parallel: bool) -> Self {
+        let used = usable_observations(problem, options.behind, parallel);
         let num_ignored = problem.observations.len() - used.len();
         let gauge = GaugeChoice::new(problem, &used, options.gauge);
         let mut layout = Self::cameras_and_blocks(problem, &used, &gauge);
@@ -297,7 +300,7 @@ fn counting_sort(items: &[u32], num_keys: usize, key: impl Fn(u32) -> usize) -> 
 }
 
 /// Observations whose projection means something and, if asked for, lies in front of the camera.
-fn usable_observations(problem: &Problem, behind: Behind) -> Vec<u32> {
+fn usable_observations(problem: &Problem, behind: Behind, parallel: bool) -> Vec<u32> {
     let usable = |o: &super::Observation| {
         let pose = &problem.poses[o.pose as usize];
         let point = problem.points[o.point as usize].position;
@@ -309,7 +312,12 @@ fn usable_observations(problem: &Problem, behind: Behind) -> Vec<u32> {
         let residual = problem.cameras[pose.camera].camera.project(point_in_cam).pixel - o.pixel;
         (residual.norm_squared() / (o.sigma * o.sigma)).is_finite()
     };
-    (0..problem.observations.len() as u32).filter(|o| usable(&problem.observations[*o as usize])).collect()
+    let starts: Vec<usize> = (0..problem.observations.len()).step_by(CHUNK).collect();
+    let of_chunk = |start: usize| -> Vec<u32> {
+        let end = problem.observations.len().min(start + CHUNK);
+        (start as u32..end as u32).filter(|o| usable(&problem.observations[*o as usize])).collect()
+    };
+    in_order(parallel, starts, of_chunk).concat()
 }
 
 fn observed_poses(problem: &Problem, used: &[u32]) -> Vec<bool> {

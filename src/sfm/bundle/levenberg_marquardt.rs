@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use super::layout::Layout;
-use super::linearize::{Linearization, Pass, Piece, cost, count_behind, pieces};
+use super::linearize::{Linearization, Pass};
 use super::options::Options;
 use super::point::damping_scale;
 use super::priors;
@@ -12,6 +12,7 @@ use super::schur::Reduced;
 use super::solver::Solver;
 use super::state::State;
 use super::summary::{Summary, Termination};
+use super::trial::{cost, count_behind, try_step};
 
 /// The damping is never smaller: a gauge that is left free keeps the system singular without it.
 const SMALLEST_DAMPING: f64 = 1e-16;
@@ -36,8 +37,9 @@ pub fn adjust(problem: &mut Problem, options: &Options) -> Result<Summary, Bundl
 pub(super) fn with_threads<T: Send>(threads: usize, work: impl FnOnce(bool) -> T + Send) -> Result<T, BundleError> {
     match threads {
         1 => Ok(work(false)),
-        0 => Ok(work(rayon::current_num_threads() > 1)),
-        n if n == rayon::current_num_threads() => Ok(work(true)),
+        // In the scope everything is begun by one and the same thread of the pool, which has its data at hand.
+        0 => Ok(rayon::scope(|_| work(rayon::current_num_threads() > 1))),
+        n if n == rayon::current_num_threads() => Ok(rayon::scope(|_| work(true))),
         n => {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build();
             let pool = pool.map_err(|e| BundleError::Threads { threads: n, message: e.to_string() })?;
@@ -48,7 +50,7 @@ pub(super) fn with_threads<T: Send>(threads: usize, work: impl FnOnce(bool) -> T
 
 fn dispatch(problem: &mut Problem, options: &Options, parallel: bool) -> Summary {
     let start = Instant::now();
-    let layout = Layout::new(problem, options);
+    let layout = Layout::new(problem, options, parallel);
     // One compiled copy for each of the common sizes: poses alone, with f k1 k2, with all intrinsics.
     let mut summary = match layout.largest_block() {
         ..=6 => Run::<6>::new(problem, options, &layout, parallel).minimize(start),
@@ -64,19 +66,31 @@ struct Run<'a, const D: usize> {
     problem: &'a mut Problem,
     options: &'a Options,
     layout: &'a Layout,
-    pieces: Vec<Piece>,
-    parallel: bool,
+    pass: Pass<'a>,
     state: State,
     trial: State,
     lin: Linearization<D>,
     reduced: Reduced<D>,
     solver: Solver,
     step: Vec<f64>,
-    point_steps: Vec<[f64; 3]>,
+    /// Length of all parameters taken as one vector.
+    norm: f64,
     damping: f64,
     /// Factor by which the next rejection raises the damping.
     raise: f64,
     summary: Summary,
+}
+
+/// Where a step leads.
+struct Tried {
+    /// Predicted decrease of the cost (eq. 13).
+    predicted: f64,
+    /// Cost there.
+    cost: f64,
+    /// Length of the step.
+    length: f64,
+    /// Length of all parameters there.
+    norm: f64,
 }
 
 /// What became of a trial step.
@@ -88,35 +102,31 @@ enum Outcome {
 
 impl<'a, const D: usize> Run<'a, D> {
     fn new(problem: &'a mut Problem, options: &'a Options, layout: &'a Layout, parallel: bool) -> Self {
+        let pass = Pass { layout, loss: options.loss, parallel };
         let state = State::new(problem, layout);
         let reduced = Reduced::new(layout);
         let solver = Solver::new(options.linear_solver, &reduced, parallel);
         Self {
-            pieces: pieces(layout),
             trial: state.clone(),
-            lin: Linearization::new(layout),
+            lin: Linearization::new(&pass, &reduced.pattern),
             step: vec![0.0; reduced.size()],
-            point_steps: vec![[0.0; 3]; layout.points.len()],
+            norm: (state.cameras_norm_sq() + state.points_norm_sq()).sqrt(),
             damping: options.initial_damping,
             raise: 2.0,
             summary: empty_summary(layout, reduced.size()),
             problem,
             options,
             layout,
-            parallel,
+            pass,
             state,
             reduced,
             solver,
         }
     }
 
-    fn pass(&self) -> Pass<'_> {
-        Pass { layout: self.layout, pieces: &self.pieces, loss: self.options.loss, parallel: self.parallel }
-    }
-
     fn minimize(mut self, start: Instant) -> Summary {
         if !self.layout.has_freedom() {
-            let cost = self.cost_of(&self.state);
+            let cost = cost(&self.pass, &self.state) + priors::cost(self.problem, &self.state);
             (self.summary.initial_cost, self.summary.final_cost) = (cost, cost);
             return self.summary;
         }
@@ -149,21 +159,15 @@ impl<'a, const D: usize> Run<'a, D> {
 
     fn linearize(&mut self) -> f64 {
         let start = Instant::now();
-        let pass = Pass { layout: self.layout, pieces: &self.pieces, loss: self.options.loss, parallel: self.parallel };
-        let cost = self.lin.evaluate(&pass, &self.state, self.damping);
+        let cost = self.lin.evaluate(&self.pass, &self.reduced.pattern, &self.state, self.damping);
         self.summary.linearize_s += start.elapsed().as_secs_f64();
         cost + priors::cost(self.problem, &self.state)
     }
 
     fn eliminate(&mut self) {
         let start = Instant::now();
-        let pass = Pass { layout: self.layout, pieces: &self.pieces, loss: self.options.loss, parallel: self.parallel };
-        self.lin.eliminate(&pass, self.damping);
+        self.lin.eliminate(&self.pass, &self.reduced.pattern, self.damping);
         self.summary.linearize_s += start.elapsed().as_secs_f64();
-    }
-
-    fn cost_of(&self, state: &State) -> f64 {
-        cost(&self.pass(), state) + priors::cost(self.problem, state)
     }
 
     /// One step from the current linearisation; moves the state and lowers `cost` if it is accepted.
@@ -175,19 +179,20 @@ impl<'a, const D: usize> Run<'a, D> {
             return Outcome::Stop(Termination::GradientTolerance);
         }
         let start = Instant::now();
-        let (predicted, trial_cost, length) = self.try_step();
+        let Tried { predicted, cost: trial_cost, length, norm } = self.try_step();
         self.summary.step_s += start.elapsed().as_secs_f64();
         if !(predicted > 0.0) {
             return self.reject();
         }
         let tolerance = self.options.parameter_tolerance;
-        let small = length <= tolerance * (self.state.norm() + tolerance);
+        let small = length <= tolerance * (self.norm + tolerance);
         let change = *cost - trial_cost;
         let flat = change.abs() <= self.options.function_tolerance * *cost;
         let ratio = change / predicted;
         if change >= 0.0 && ratio > 1e-3 {
             std::mem::swap(&mut self.state, &mut self.trial);
             *cost = trial_cost;
+            self.norm = norm;
             self.summary.accepted += 1;
             self.accept(ratio);
             match (flat, small) {
@@ -206,8 +211,7 @@ impl<'a, const D: usize> Run<'a, D> {
     fn solve(&mut self) -> bool {
         let start = Instant::now();
         let priors = priors::terms(self.problem, self.layout, &self.state);
-        let pass = Pass { layout: self.layout, pieces: &self.pieces, loss: self.options.loss, parallel: self.parallel };
-        self.reduced.assemble(&pass, &self.lin, &priors, self.damping);
+        self.reduced.assemble(&self.pass, &self.lin, &priors, self.damping);
         let assembled = Instant::now();
         self.summary.schur_s += (assembled - start).as_secs_f64();
         let solved = self.solver.solve(&self.reduced, &mut self.step).is_ok();
@@ -215,21 +219,16 @@ impl<'a, const D: usize> Run<'a, D> {
         solved && self.step.iter().all(|v| v.is_finite())
     }
 
-    /// Predicted decrease (eq. 13), cost at the trial state, length of the step.
-    fn try_step(&mut self) -> (f64, f64, f64) {
-        let pass = Pass { layout: self.layout, pieces: &self.pieces, loss: self.options.loss, parallel: self.parallel };
-        let of_points = self.lin.back_substitute(&pass, &self.step, self.damping, &mut self.point_steps);
-        let predicted = 0.5 * (of_points + self.predicted_by_cameras());
+    /// Moves the trial state.
+    fn try_step(&mut self) -> Tried {
         let in_range = self.trial.move_cameras(&self.state, self.problem, self.layout, &self.step, D);
-        let mut squared: f64 = self.step.iter().map(|v| v * v).sum();
-        for ((moved, from), step) in self.trial.points.iter_mut().zip(&self.state.points).zip(&self.point_steps) {
-            for k in 0..3 {
-                moved[k] = from[k] + step[k];
-                squared += step[k] * step[k];
-            }
-        }
-        let trial_cost = if in_range { self.cost_of(&self.trial) } else { f64::INFINITY };
-        (predicted, trial_cost, squared.sqrt())
+        let of_points = try_step(&self.lin, &self.pass, &self.step, self.damping, &self.state, &mut self.trial);
+        let predicted = 0.5 * (of_points.decrease + self.predicted_by_cameras());
+        let step_sq = of_points.step_sq + self.step.iter().map(|v| v * v).sum::<f64>();
+        let trial_cost =
+            if in_range { of_points.cost + priors::cost(self.problem, &self.trial) } else { f64::INFINITY };
+        let norm_sq = self.trial.cameras_norm_sq() + of_points.norm_sq;
+        Tried { predicted, cost: trial_cost, length: step_sq.sqrt(), norm: norm_sq.sqrt() }
     }
 
     fn predicted_by_cameras(&self) -> f64 {
@@ -243,7 +242,7 @@ impl<'a, const D: usize> Run<'a, D> {
     fn largest_gradient(&self) -> f64 {
         let views = self.reduced.views.iter().flat_map(|v| v.gradient);
         let cameras = views.chain(self.reduced.camera_gradient.iter().copied());
-        cameras.fold(self.lin.largest_point_gradient(self.layout), |m, g| m.max(g.abs()))
+        cameras.fold(self.lin.largest_point_gradient, |m, g| m.max(g.abs()))
     }
 
     /// Nielsen's rule (eq. 12).

@@ -8,18 +8,22 @@
 //! Every step eliminates the points (Schur complement) and solves the remaining system by dense or sparse Cholesky, or
 //! by conjugate gradients. `docs/maths/bundle.md` derives everything; its equation numbers are cited in the code.
 //!
-//! The same problem gives the same bytes at every number of threads as long as the reduced system is solved by one
-//! thread (see [`Options::threads`]): work is cut in pieces that do not depend on the number of threads, and sums are taken
-//! in a fixed order.
+//! The same problem gives the same bytes at every number of threads, unless the reduced system is a large dense one,
+//! which several threads factorise: work is cut in parts that do not depend on the number of threads, and sums are taken in
+//! a fixed order.
 //!
-//! Entry points: [`adjust`], [`covariance`].
+//! Entry points: [`adjust`], [`covariances`], [`center_deviations`].
 
+mod accumulate;
+mod camera_sums;
 mod covariance;
 mod layout;
 mod levenberg_marquardt;
 mod linearize;
 mod model;
 mod options;
+mod parallel;
+mod pattern;
 mod point;
 mod priors;
 mod problem;
@@ -29,14 +33,17 @@ mod simd;
 mod solver;
 mod state;
 mod summary;
+mod trial;
+mod uncertainty;
 
 #[cfg(test)]
 mod tests;
 
-pub use covariance::{Covariance, covariance};
+pub use covariance::{Covariances, PoseCovariance, Wanted, covariances};
 pub use levenberg_marquardt::adjust;
 pub use options::{Behind, Gauge, LinearSolver, Options};
 pub use problem::{
     BundleError, CameraBlock, IntrinsicsPrior, Observation, PointBlock, PoseBlock, PosePrior, Priors, Problem,
 };
 pub use summary::{Summary, Termination};
+pub use uncertainty::{CenterDeviations, center_deviations};

@@ -164,14 +164,16 @@ pub enum BundleError {
         "the covariance is not determined: the normal equations are singular at parameter {pivot}; hold the gauge or remove what nothing observes"
     )]
     Singular {
-        /// Index in the reduced system.
+        /// Index in the reduced system, with the points behind the cameras.
         pivot: usize,
     },
-    /// A covariance was asked for a pose that is held or that nothing observes.
-    #[error("pose {pose} has no covariance: it is held, or nothing observes it")]
+    /// A covariance was asked for a block that is held or that nothing observes.
+    #[error("{what} {index} has no covariance: it is held, or nothing observes it")]
     NoCovariance {
-        /// Index in [`Problem::poses`].
-        pose: usize,
+        /// The list.
+        what: &'static str,
+        /// Index in it.
+        index: usize,
     },
     /// The threads could not be started.
     #[error("could not start {threads} threads: {message}")]

@@ -18,7 +18,7 @@ const DENSE_SIZE: usize = 300;
 const DENSE_FILL: f64 = 0.4;
 /// Above this size even a filled system is left to the sparse solver, which stores only what is there.
 const LARGEST_DENSE: usize = 12_000;
-/// From this size on, two threads factorise faster than one.
+/// From this size on, two threads factorise a dense matrix faster than one.
 const PARALLEL_SIZE: usize = 1_000;
 
 /// One of the solvers, with what it keeps from one iteration to the next.
@@ -37,22 +37,22 @@ impl Solver {
         match choice {
             LinearSolver::Iterative => Self::Iterative(IterativeSolver::new(size)),
             LinearSolver::Dense => Self::Dense(DenseSolver::new(size, par)),
-            LinearSolver::Sparse => Self::sparse(reduced, par),
+            LinearSolver::Sparse => Self::sparse(reduced),
             LinearSolver::Auto => {
                 let views = reduced.views.len();
                 let fill = 2.0 * reduced.pattern.len() as f64 / (views * (views + 1)).max(1) as f64;
                 if size <= DENSE_SIZE || (fill > DENSE_FILL && size <= LARGEST_DENSE) {
                     Self::Dense(DenseSolver::new(size, par))
                 } else {
-                    Self::sparse(reduced, par)
+                    Self::sparse(reduced)
                 }
             }
         }
     }
 
-    fn sparse<const D: usize>(reduced: &Reduced<D>, par: Par) -> Self {
+    fn sparse<const D: usize>(reduced: &Reduced<D>) -> Self {
         // The symbolic factorisation fails only where memory runs out; the iterative solver needs none.
-        match SparseSolver::new(reduced, par) {
+        match SparseSolver::new(reduced) {
             Some(solver) => Self::Sparse(solver),
             None => Self::Iterative(IterativeSolver::new(reduced.size())),
         }

@@ -79,12 +79,16 @@ impl State {
             && step.iter().all(|v| v.is_finite())
     }
 
-    /// Length of all parameters taken as one vector.
-    pub fn norm(&self) -> f64 {
+    /// Sum of the squares of all parameters but the points.
+    pub fn cameras_norm_sq(&self) -> f64 {
         let poses: f64 = self.poses.iter().map(|p| p.translation.norm_squared() + 1.0).sum();
         let cameras: f64 = self.cameras.iter().map(|c| c.intrinsics().iter().map(|v| v * v).sum::<f64>()).sum();
-        let points: f64 = self.points.iter().map(|p| p.iter().map(|v| v * v).sum::<f64>()).sum();
-        (poses + cameras + points).sqrt()
+        poses + cameras
+    }
+
+    /// Sum of the squares of the points' coordinates.
+    pub fn points_norm_sq(&self) -> f64 {
+        self.points.iter().map(|p| p.iter().map(|v| v * v).sum::<f64>()).sum()
     }
 
     /// Writes the values back, after restoring the length of the baseline that the gauge holds (an exact freedom).

@@ -5,7 +5,8 @@ use faer::linalg::cholesky::llt::factor::{LltError, LltParams, LltRegularization
 use faer::linalg::cholesky::llt::{factor, solve};
 use faer::{Auto, MatMut, MatRef, Par, Spec};
 
-use crate::sfm::bundle::schur::{CAMERA_DIM, Reduced};
+use crate::sfm::bundle::camera_sums::CAMERA_DIM;
+use crate::sfm::bundle::schur::Reduced;
 
 /// Lower triangle by columns, factorised in place.
 pub(in crate::sfm::bundle) struct DenseSolver {

@@ -1,6 +1,7 @@
 //! Conjugate gradients on the reduced system, with the inverses of its diagonal blocks as preconditioner.
 
-use crate::sfm::bundle::schur::{CAMERA_DIM, Reduced};
+use crate::sfm::bundle::camera_sums::CAMERA_DIM;
+use crate::sfm::bundle::schur::Reduced;
 
 /// Relative residual at which a step is good enough (the forcing term of an inexact Newton method).
 const FORCING: f64 = 0.01;

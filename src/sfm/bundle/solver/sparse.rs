@@ -9,13 +9,15 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Auto, Conj, MatMut, Par, Side, Spec};
 
-use crate::sfm::bundle::schur::{CAMERA_DIM, Reduced};
+use crate::sfm::bundle::camera_sums::CAMERA_DIM;
+use crate::sfm::bundle::schur::Reduced;
 
 /// Where at least this part of the envelope is taken by blocks, the views lie in a band in their own order, and no
 /// other order makes less fill.
 const BAND_FILL: f64 = 0.5;
 
-/// Upper triangle in compressed columns, symbolic and numeric factor.
+/// Upper triangle in compressed columns, symbolic and numeric factor. On one thread: the supernodes of a band follow from one
+/// another, and a second thread was measured to slow them down.
 pub(in crate::sfm::bundle) struct SparseSolver {
     size: usize,
     column_start: Vec<usize>,
@@ -23,14 +25,13 @@ pub(in crate::sfm::bundle) struct SparseSolver {
     values: Vec<f64>,
     symbolic: SymbolicCholesky<usize>,
     factor: Vec<f64>,
-    par: Par,
     scratch: MemBuffer,
     solve_scratch: MemBuffer,
 }
 
 impl SparseSolver {
     /// Finds order and fill; `None` if memory runs out.
-    pub fn new<const D: usize>(reduced: &Reduced<D>, par: Par) -> Option<Self> {
+    pub fn new<const D: usize>(reduced: &Reduced<D>) -> Option<Self> {
         let size = reduced.size();
         let (column_start, rows) = structure(reduced);
         let pattern = SymbolicSparseColMatRef::new_checked(size, size, &column_start, None, &rows);
@@ -42,10 +43,10 @@ impl SparseSolver {
         };
         let symbolic = factorize_symbolic_cholesky(pattern, Side::Upper, order, params).ok()?;
         let llt: Spec<LltParams, f64> = Spec::new(Auto::<f64>::auto());
-        let scratch = MemBuffer::new(symbolic.factorize_numeric_llt_scratch::<f64>(par, llt));
+        let scratch = MemBuffer::new(symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, llt));
         let solve_scratch = MemBuffer::new(symbolic.solve_in_place_scratch::<f64>(1, Par::Seq));
         let (values, factor) = (vec![0.0; rows.len()], vec![0.0; symbolic.len_val()]);
-        Some(Self { size, column_start, rows, values, symbolic, factor, par, scratch, solve_scratch })
+        Some(Self { size, column_start, rows, values, symbolic, factor, scratch, solve_scratch })
     }
 
     /// Factorises S; `Err` holds the first pivot that is not positive, in the order of the factorisation.
@@ -60,7 +61,7 @@ impl SparseSolver {
             matrix,
             Side::Upper,
             regularization,
-            self.par,
+            Par::Seq,
             stack,
             params,
         );

@@ -3,18 +3,19 @@
 use nalgebra::{DMatrix, Matrix3, SMatrix};
 
 use super::super::layout::{Layout, NONE};
-use super::super::linearize::{Linearization, Pass, pieces};
+use super::super::linearize::{Linearization, Pass};
+use super::super::pattern::Pattern;
 use super::super::state::State;
 use super::*;
 
 /// The inverse of JᵀJ over all freedoms that are not held, with six rows per pose, from the same Jacobians.
 fn whole_inverse(problem: &Problem, options: &Options) -> (Layout, DMatrix<f64>) {
-    let layout = Layout::new(problem, options);
+    let layout = Layout::new(problem, options, false);
     let state = State::new(problem, &layout);
-    let pieces = pieces(&layout);
-    let pass = Pass { layout: &layout, pieces: &pieces, loss: options.loss, parallel: false };
-    let mut lin = Linearization::<6>::new(&layout);
-    lin.evaluate(&pass, &state, 0.0);
+    let pass = Pass { layout: &layout, loss: options.loss, parallel: false };
+    let pattern = Pattern::new(&layout);
+    let mut lin = Linearization::<6>::new(&pass, &pattern);
+    lin.evaluate(&pass, &pattern, &state, 0.0);
     let (cameras, shared) = (layout.num_blocks() * 6, layout.shared.len() * 6);
     let size = cameras + shared + layout.points.len() * 3;
     let mut jacobian = DMatrix::zeros(layout.num_obs() * 2, size);
@@ -23,13 +24,13 @@ fn whole_inverse(problem: &Problem, options: &Options) -> (Layout, DMatrix<f64>)
             let mut row = jacobian.row_mut(2 * o + i);
             if layout.obs_block[o] != NONE {
                 let first = layout.obs_block[o] as usize * 6;
-                (0..6).for_each(|k| row[first + k] = lin.residuals[o].d_view[i][k]);
+                (0..6).for_each(|k| row[first + k] = lin.residual(o).d_view[i][k]);
             }
             if shared > 0 {
-                (0..6).for_each(|k| row[cameras + k] = lin.d_shared[o][i][k]);
+                (0..6).for_each(|k| row[cameras + k] = lin.d_shared(o)[i][k]);
             }
             let first = cameras + shared + layout.obs_point[o] as usize * 3;
-            (0..3).for_each(|k| row[first + k] = lin.d_points[o][i][k]);
+            (0..3).for_each(|k| row[first + k] = lin.d_point(o)[i][k]);
         }
     }
     let mut normal = jacobian.transpose() * jacobian;
@@ -39,6 +40,11 @@ fn whole_inverse(problem: &Problem, options: &Options) -> (Layout, DMatrix<f64>)
     (layout, normal.try_inverse().unwrap())
 }
 
+fn of_poses(problem: &Problem, poses: &[usize]) -> Result<Vec<PoseCovariance>, BundleError> {
+    let wanted = Wanted { poses: poses.to_vec(), ..Wanted::default() };
+    Ok(covariances(problem, &tight(), &wanted)?.poses)
+}
+
 #[test]
 fn they_are_blocks_of_the_inverse_normal_matrix() {
     for block in [CameraBlock::fixed as fn(Camera) -> CameraBlock, CameraBlock::free_focal_and_radial] {
@@ -46,7 +52,7 @@ fn they_are_blocks_of_the_inverse_normal_matrix() {
         let (_, mut problem) = disturbed(&options, block);
         adjust(&mut problem, &tight()).unwrap();
         let (layout, inverse) = whole_inverse(&problem, &tight());
-        for (pose, found) in (1..5).zip(covariance(&problem, &tight(), &[1, 2, 3, 4]).unwrap()) {
+        for (pose, found) in (1..5).zip(of_poses(&problem, &[1, 2, 3, 4]).unwrap()) {
             let first = layout.block_of_pose[pose] as usize * 6;
             let expected: SMatrix<f64, 6, 6> = SMatrix::from_fn(|r, c| {
                 let mask = &layout.pose_mask[layout.block_of_pose[pose] as usize];
@@ -56,6 +62,74 @@ fn they_are_blocks_of_the_inverse_normal_matrix() {
             assert!(difference < 1e-6 * expected.norm(), "pose {pose}: {} and {expected}", found.pose);
         }
     }
+}
+
+#[test]
+fn those_of_points_are_blocks_of_the_inverse_normal_matrix() {
+    for block in [CameraBlock::fixed as fn(Camera) -> CameraBlock, CameraBlock::free_focal_and_radial] {
+        let options = scene::Options { num_images: 5, num_points: 30, noise_px: 0.5, ..Default::default() };
+        let (_, mut problem) = disturbed(&options, block);
+        adjust(&mut problem, &tight()).unwrap();
+        let (layout, inverse) = whole_inverse(&problem, &tight());
+        let points: Vec<usize> = layout.points.iter().map(|p| *p as usize).collect();
+        let found = covariances(&problem, &tight(), &Wanted { points, ..Wanted::default() }).unwrap().points;
+        assert!(found.len() > 20);
+        let cameras = inverse.nrows() - 3 * layout.points.len();
+        for (place, found) in found.iter().enumerate() {
+            let expected: Matrix3<f64> = inverse.fixed_view::<3, 3>(cameras + 3 * place, cameras + 3 * place).into();
+            let difference = (found - expected).norm();
+            assert!(difference < 1e-6 * expected.norm(), "point {place}: {found} and {expected}");
+        }
+    }
+}
+
+#[test]
+fn those_of_intrinsics_are_blocks_of_the_inverse_normal_matrix() {
+    let options = scene::Options { num_images: 5, num_points: 30, noise_px: 0.5, ..Default::default() };
+    let (_, mut problem) = disturbed(&options, CameraBlock::free_focal_and_radial);
+    adjust(&mut problem, &tight()).unwrap();
+    let (layout, inverse) = whole_inverse(&problem, &tight());
+    let wanted = Wanted { cameras: vec![0], ..Wanted::default() };
+    let found = covariances(&problem, &tight(), &wanted).unwrap().cameras[0];
+    // The free columns are f, k1, k2; fy = fx in these scenes.
+    let first = layout.num_blocks() * 6;
+    for (r, column_r) in [(0, 0), (1, 0), (4, 1), (5, 2)] {
+        for (c, column_c) in [(0, 0), (1, 0), (4, 1), (5, 2)] {
+            let expected = inverse[(first + column_r, first + column_c)];
+            let scale =
+                (inverse[(first + column_r, first + column_r)] * inverse[(first + column_c, first + column_c)]).sqrt();
+            assert!((found[(r, c)] - expected).abs() < 1e-6 * scale, "({r}, {c}): {} and {expected}", found[(r, c)]);
+        }
+    }
+    assert!((0..6).all(|k| found[(2, k)] == 0.0 && found[(3, k)] == 0.0), "the principal point is held: {found}");
+    // A camera of its own for every image sits in the view blocks, and its covariance is a block of the same inverse.
+    let own = scene::Options { camera_per_image: true, ..options };
+    let (_, mut problem) = disturbed(&own, CameraBlock::free_focal_and_radial);
+    adjust(&mut problem, &tight()).unwrap();
+    let wanted = Wanted { cameras: vec![2], poses: vec![2], ..Wanted::default() };
+    let found = covariances(&problem, &tight(), &wanted).unwrap();
+    assert!(found.cameras[0][(0, 0)] > 0.0 && found.cameras[0][(0, 0)] == found.cameras[0][(1, 1)]);
+}
+
+#[test]
+fn deviations_of_centres_follow_from_the_residuals() {
+    let options = scene::Options { num_images: 8, num_points: 200, noise_px: 0.5, ..Default::default() };
+    let mut model = static_scene(&options);
+    let mut problem = Problem::from_reconstruction(&model, |_, camera| CameraBlock::fixed(*camera));
+    adjust(&mut problem, &tight()).unwrap();
+    problem.store(&mut model);
+    let found = center_deviations(&model, 3).unwrap().unwrap();
+    assert!((found.pixel_px / 0.5 - 1.0).abs() < 0.1, "{found:?}");
+    assert_eq!(found.centers.keys().map(|id| id.0).collect::<Vec<_>>(), {
+        let ids: Vec<u32> = model.images.keys().map(|id| id.0).collect();
+        [ids[1], ids[4], ids[7]]
+    });
+    let expected = of_poses(&problem, &[1, 4, 7]).unwrap();
+    for (deviation, covariance) in found.centers.values().zip(expected) {
+        let expected = found.pixel_px * covariance.center.trace().sqrt();
+        assert!((deviation / expected - 1.0).abs() < 1e-6, "{deviation} and {expected}");
+    }
+    assert_eq!(center_deviations(&Reconstruction::default(), 3), Ok(None));
 }
 
 #[test]
@@ -78,7 +152,7 @@ fn they_predict_the_scatter_of_repeated_adjustments() {
         (problem.poses[0].fixed, problem.poses[4].fixed) = (true, true);
         problem
     };
-    let predicted = covariance(&problem_of(0), &tight(), &[2]).unwrap()[0].center;
+    let predicted = of_poses(&problem_of(0), &[2]).unwrap()[0].center;
     let centers: Vec<_> = (0..RUNS as u64)
         .map(|seed| {
             let mut problem = problem_of(seed);
@@ -99,14 +173,23 @@ fn they_predict_the_scatter_of_repeated_adjustments() {
 #[test]
 fn what_is_held_or_undetermined_has_none() {
     let (_, problem) = disturbed(&scene::Options::default(), CameraBlock::fixed);
-    assert_eq!(covariance(&problem, &tight(), &[99]), Err(BundleError::NoCovariance { pose: 99 }));
+    assert_eq!(of_poses(&problem, &[99]), Err(BundleError::NoCovariance { what: "pose", index: 99 }));
     let mut held = problem.clone();
     held.poses[3].fixed = true;
-    assert_eq!(covariance(&held, &tight(), &[3]), Err(BundleError::NoCovariance { pose: 3 }));
+    assert_eq!(of_poses(&held, &[3]), Err(BundleError::NoCovariance { what: "pose", index: 3 }));
+    held.points[7].fixed = true;
+    for (wanted, what, index) in [
+        (Wanted { points: vec![7], ..Wanted::default() }, "point", 7),
+        (Wanted { points: vec![usize::MAX], ..Wanted::default() }, "point", usize::MAX),
+        (Wanted { cameras: vec![0], ..Wanted::default() }, "camera", 0),
+        (Wanted { cameras: vec![5], ..Wanted::default() }, "camera", 5),
+    ] {
+        assert_eq!(covariances(&held, &tight(), &wanted), Err(BundleError::NoCovariance { what, index }));
+    }
     // A pose that sees one point only is not determined.
     let mut lonely = problem.clone();
     let kept = problem.observations.iter().position(|o| o.pose == 5).unwrap();
     lonely.observations =
         problem.observations.iter().enumerate().filter(|(i, o)| o.pose != 5 || *i == kept).map(|(_, o)| *o).collect();
-    assert!(matches!(covariance(&lonely, &tight(), &[5]), Err(BundleError::Singular { .. })));
+    assert!(matches!(of_poses(&lonely, &[5]), Err(BundleError::Singular { .. })));
 }

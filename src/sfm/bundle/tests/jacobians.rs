@@ -3,12 +3,13 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::super::layout::{Columns, Layout};
-use super::super::linearize::{Linearization, Pass, cost, pieces};
+use super::super::linearize::{Linearization, Pass};
 use super::super::priors;
 use super::super::residual::{Derivatives, linearize, plain_residual};
 use super::super::schur::Reduced;
 use super::super::simd::{One, Two};
 use super::super::state::{State, View, move_camera, perturb};
+use super::super::trial::cost;
 use super::*;
 
 /// Compares the columns of a Jacobian with central differences of `residual` about zero.
@@ -138,15 +139,14 @@ fn the_gradient_is_that_of_the_cost() {
 }
 
 fn compare_gradients(problem: &Problem, options: &Options) {
-    let layout = Layout::new(problem, options);
+    let layout = Layout::new(problem, options, false);
     let state = State::new(problem, &layout);
-    let pieces = pieces(&layout);
-    let pass = Pass { layout: &layout, pieces: &pieces, loss: options.loss, parallel: false };
-    let mut lin = Linearization::<12>::new(&layout);
-    let with_derivatives = lin.evaluate(&pass, &state, 1e-4);
+    let pass = Pass { layout: &layout, loss: options.loss, parallel: false };
+    let mut reduced = Reduced::<12>::new(&layout);
+    let mut lin = Linearization::<12>::new(&pass, &reduced.pattern);
+    let with_derivatives = lin.evaluate(&pass, &reduced.pattern, &state, 1e-4);
     let plain = cost(&pass, &state);
     assert!((with_derivatives - plain).abs() < 1e-12 * plain);
-    let mut reduced = Reduced::<12>::new(&layout);
     reduced.assemble(&pass, &lin, &priors::terms(problem, &layout, &state), 1e-4);
     let total = |state: &State| cost(&pass, state) + priors::cost(problem, state);
     let gradient: Vec<f64> =
@@ -167,7 +167,7 @@ fn compare_gradients(problem: &Problem, options: &Options) {
         };
         close((at(1e-6) - at(-1e-6)) / 2e-6, *analytic, &format!("camera freedom {k}"));
     }
-    for (p, terms) in lin.points.iter().enumerate() {
+    for (p, terms) in lin.parts.iter().flat_map(|share| &share.part.points).enumerate() {
         for k in 0..3 {
             let at = |h: f64| {
                 let mut moved = state.clone();

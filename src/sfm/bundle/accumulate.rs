@@ -1,0 +1,167 @@
+//! What the points of one part add to the reduced system (eq. 10).
+//!
+//! A part sums into blocks of its own, so that a thread never waits for another nor reads what another has just written;
+//! [`super::schur::Reduced::assemble`] adds the parts up in order.
+
+use std::ops::Range;
+
+use super::camera_sums::{CAMERA_DIM, CameraSums, add_border};
+use super::layout::{Layout, NONE};
+use super::linearize::{Part, Piece};
+use super::pattern::Pattern;
+use super::residual::Residual;
+use super::simd::Fused;
+
+/// Per view: right-hand side, gradient, and the diagonal before elimination and damping.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ViewTerms<const D: usize> {
+    pub reduced: [f64; D],
+    pub gradient: [f64; D],
+    pub diagonal: [f64; D],
+}
+
+impl<const D: usize> ViewTerms<D> {
+    pub const ZERO: Self = Self { reduced: [0.0; D], gradient: [0.0; D], diagonal: [0.0; D] };
+
+    pub fn add(&mut self, other: &Self) {
+        for k in 0..D {
+            self.reduced[k] += other.reduced[k];
+            self.gradient[k] += other.gradient[k];
+            self.diagonal[k] += other.diagonal[k];
+        }
+    }
+}
+
+/// Sums over the points of one part, for the views that see any of them and those between.
+pub(super) struct Sums<const D: usize> {
+    /// Views that it reaches.
+    pub view_range: Range<usize>,
+    /// Places in the pattern of the blocks of their panels.
+    pub block_range: Range<usize>,
+    pub blocks: Vec<[[f64; D]; D]>,
+    pub views: Vec<ViewTerms<D>>,
+    pub border: Vec<[[f64; CAMERA_DIM]; D]>,
+    pub cameras: CameraSums,
+}
+
+/// Views that see the points of a piece, and those between.
+pub(super) fn reach(layout: &Layout, piece: &Piece) -> Range<usize> {
+    let (mut first, mut end) = (usize::MAX, 0);
+    for block in layout.obs_block[piece.obs.clone()].iter().filter(|block| **block != NONE) {
+        (first, end) = (first.min(*block as usize), end.max(*block as usize + 1));
+    }
+    if end == 0 { 0..0 } else { first..end }
+}
+
+impl<const D: usize> Sums<D> {
+    pub fn new(layout: &Layout, pattern: &Pattern, piece: &Piece) -> Self {
+        let view_range = reach(layout, piece);
+        let block_range = pattern.start[view_range.start]..pattern.start[view_range.end];
+        let num_shared = layout.shared.len();
+        Self {
+            blocks: vec![[[0.0; D]; D]; block_range.len()],
+            views: vec![ViewTerms::ZERO; view_range.len()],
+            border: vec![[[0.0; CAMERA_DIM]; D]; view_range.len() * num_shared],
+            cameras: CameraSums::new(num_shared * CAMERA_DIM),
+            view_range,
+            block_range,
+        }
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        self.blocks.fill([[0.0; D]; D]);
+        self.views.fill(ViewTerms::ZERO);
+        self.border.fill([[0.0; CAMERA_DIM]; D]);
+        self.cameras.clear();
+    }
+
+    /// Adds one point, whose observations are linearised and eliminated. Observations are sorted by view, those without
+    /// a view block last.
+    #[inline(always)]
+    pub fn add_point<F: Fused>(&mut self, layout: &Layout, pattern: &Pattern, part: &Part<D>, point: usize) {
+        let obs = layout.obs_of_point(point);
+        let first = obs.start - part.piece.obs.start;
+        let residuals = &part.residuals[first..first + obs.len()];
+        let views = &layout.obs_block[obs.clone()];
+        let half_step = &part.points[point - part.piece.points.start].half_step;
+        let num_shared = layout.shared.len();
+        for (k, (mine, j)) in residuals.iter().zip(views).enumerate() {
+            if *j == NONE {
+                break;
+            }
+            let j = *j as usize;
+            let view = j - self.view_range.start;
+            let own = pattern.start[j + 1] - 1 - self.block_range.start;
+            add_own::<D, F>(&mut self.blocks[own], &mut self.views[view], mine, half_step);
+            if num_shared > 0 {
+                let border = &mut self.border[view * num_shared..(view + 1) * num_shared];
+                add_border::<D, F>(layout, part, obs.start + k, point, border);
+            }
+            if layout.point_fixed[point] {
+                continue;
+            }
+            for (other, i) in residuals[..k].iter().zip(views) {
+                if *i as usize == j {
+                    // The same point twice in one image: both orders fall on the diagonal block.
+                    subtract_pair::<D, F>(&mut self.blocks[own], other, mine);
+                    subtract_pair::<D, F>(&mut self.blocks[own], mine, other);
+                } else {
+                    let place = pattern.place(*i as usize, j) - self.block_range.start;
+                    subtract_pair::<D, F>(&mut self.blocks[place], other, mine);
+                }
+            }
+        }
+    }
+}
+
+/// One observation's part of its view's own block, gradients and diagonal (eqs. 7, 10): Jᵀ(I − QQᵀ)J and Jᵀ(r − Qz).
+#[inline(always)]
+fn add_own<const D: usize, F: Fused>(
+    own: &mut [[f64; D]; D],
+    view: &mut ViewTerms<D>,
+    residual: &Residual<D>,
+    z: &[f64; 3],
+) {
+    let ([a, b], [p, q], [r, s]) = (&residual.d_view, &residual.eliminated, residual.value);
+    let dot = |u: &[f64; 3], v: &[f64; 3]| u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
+    let (t, u) = (r - dot(p, z), s - dot(q, z));
+    for k in 0..D {
+        view.gradient[k] = F::mul_add(a[k], r, F::mul_add(b[k], s, view.gradient[k]));
+        view.reduced[k] = F::mul_add(a[k], t, F::mul_add(b[k], u, view.reduced[k]));
+        view.diagonal[k] = F::mul_add(a[k], a[k], F::mul_add(b[k], b[k], view.diagonal[k]));
+    }
+    let mixed = -dot(p, q);
+    add_weighted::<D, F>(own, &residual.d_view, [[1.0 - dot(p, p), mixed], [mixed, 1.0 - dot(q, q)]], &residual.d_view);
+}
+
+/// Subtracts one pair's Jᵢᵀ Qᵢ Qⱼᵀ Jⱼ (eq. 8).
+#[inline(always)]
+fn subtract_pair<const D: usize, F: Fused>(out: &mut [[f64; D]; D], first: &Residual<D>, second: &Residual<D>) {
+    let cell = |r: usize, c: usize| {
+        let (u, v) = (&first.eliminated[r], &second.eliminated[c]);
+        -F::mul_add(u[0], v[0], F::mul_add(u[1], v[1], u[2] * v[2]))
+    };
+    let weight = [[cell(0, 0), cell(0, 1)], [cell(1, 0), cell(1, 1)]];
+    add_weighted::<D, F>(out, &first.d_view, weight, &second.d_view);
+}
+
+/// out += aᵀ m b, for two rows each.
+#[inline(always)]
+fn add_weighted<const D: usize, F: Fused>(
+    out: &mut [[f64; D]; D],
+    a: &[[f64; D]; 2],
+    m: [[f64; 2]; 2],
+    b: &[[f64; D]; 2],
+) {
+    let mut mb = [[0.0; D]; 2];
+    for c in 0..D {
+        mb[0][c] = F::mul_add(m[0][0], b[0][c], m[0][1] * b[1][c]);
+        mb[1][c] = F::mul_add(m[1][0], b[0][c], m[1][1] * b[1][c]);
+    }
+    for r in 0..D {
+        for c in 0..D {
+            out[r][c] = F::mul_add(a[0][r], mb[0][c], F::mul_add(a[1][r], mb[1][c], out[r][c]));
+        }
+    }
+}

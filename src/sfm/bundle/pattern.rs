@@ -1,0 +1,107 @@
+//! Which pairs of views have a block in the reduced system.
+
+use super::layout::{Layout, NONE};
+
+/// With at most this many views every pair gets a block, and no pattern has to be found.
+const ALL_PAIRS_LIMIT: usize = 64;
+
+/// Which pairs of views have a block.
+pub(super) struct Pattern {
+    /// First block of each panel, and the end of the last.
+    pub start: Vec<usize>,
+    /// Row (first view of the pair) of every block, ascending within a panel; the last of a panel is its own view.
+    pub rows: Vec<u32>,
+    /// Smallest row of each panel.
+    first_row: Vec<u32>,
+    /// Start of each panel's part of `place`.
+    place_start: Vec<usize>,
+    /// Place within its panel of the block of each row from `first_row`, or [`NONE`].
+    place: Vec<u32>,
+}
+
+impl Pattern {
+    pub fn new(layout: &Layout) -> Self {
+        if layout.num_blocks() <= ALL_PAIRS_LIMIT { Self::all_pairs(layout.num_blocks()) } else { Self::seen(layout) }
+    }
+
+    fn all_pairs(n: usize) -> Self {
+        Self {
+            start: (0..=n).map(|j| j * (j + 1) / 2).collect(),
+            rows: (0..n as u32).flat_map(|j| 0..=j).collect(),
+            first_row: vec![0; n],
+            place_start: vec![0; n],
+            place: (0..n as u32).collect(),
+        }
+    }
+
+    /// Marks the pairs of every point in the envelope of the matrix.
+    fn seen(layout: &Layout) -> Self {
+        let n = layout.num_blocks();
+        let mut first_row: Vec<u32> = (0..n as u32).collect();
+        for point in 0..layout.points.len() {
+            let obs = layout.obs_of_point(point);
+            let first = layout.obs_block[obs.start];
+            for o in obs.take_while(|o| layout.obs_block[*o] != NONE) {
+                let row = &mut first_row[layout.obs_block[o] as usize];
+                *row = (*row).min(first);
+            }
+        }
+        let mut place_start = Vec::with_capacity(n);
+        let mut len = 0;
+        for (j, first) in first_row.iter().enumerate() {
+            place_start.push(len);
+            len += j + 1 - *first as usize;
+        }
+        let mut pattern = Self { start: vec![0], rows: Vec::new(), first_row, place_start, place: vec![NONE; len] };
+        for j in 0..n {
+            pattern.mark_panel(layout, j);
+        }
+        pattern
+    }
+
+    fn mark_panel(&mut self, layout: &Layout, j: usize) {
+        let first = self.first_row[j] as usize;
+        let place = &mut self.place[self.place_start[j]..][..j + 1 - first];
+        place[j - first] = 0;
+        for o in layout.obs_of_block(j) {
+            let start = layout.obs_of_point(layout.obs_point[*o as usize] as usize).start;
+            for i in &layout.obs_block[start..*o as usize] {
+                place[*i as usize - first] = 0;
+            }
+        }
+        let marked = place.iter_mut().enumerate().filter(|(_, cell)| **cell != NONE);
+        for (count, (row, cell)) in (0..).zip(marked) {
+            *cell = count;
+            self.rows.push((first + row) as u32);
+        }
+        self.start.push(self.rows.len());
+    }
+
+    /// Blocks of panel j.
+    pub fn panel(&self, j: usize) -> std::ops::Range<usize> {
+        self.start[j]..self.start[j + 1]
+    }
+
+    /// Place of block (i, j), i ≤ j, if there is one.
+    pub fn find(&self, i: usize, j: usize) -> Option<usize> {
+        let row = i.checked_sub(self.first_row[j] as usize)?;
+        let place = self.place[self.place_start[j] + row];
+        (place != NONE).then(|| self.start[j] + place as usize)
+    }
+
+    /// Number of blocks.
+    pub fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Number of blocks in the envelope: from the first of each panel to its diagonal.
+    pub fn envelope(&self) -> usize {
+        self.first_row.iter().enumerate().map(|(j, first)| j + 1 - *first as usize).sum()
+    }
+
+    /// Place of block (i, j), i ≤ j, of two views that see a common point.
+    #[inline(always)]
+    pub fn place(&self, i: usize, j: usize) -> usize {
+        self.start[j] + self.place[self.place_start[j] + i - self.first_row[j] as usize] as usize
+    }
+}

@@ -1,0 +1,171 @@
+//! The step of the points, and the cost where it leads.
+
+use super::layout::{Layout, NONE};
+use super::linearize::{Linearization, Part, Pass, Share};
+use super::parallel::in_order;
+use super::residual::{plain_residual, point_in_cam, robust_cost};
+use super::simd::{Fused, Task, wide};
+use super::state::{State, View};
+
+/// What a trial step promises and what it costs.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Trial {
+    /// The points' part of twice the predicted decrease (eq. 13).
+    pub decrease: f64,
+    /// Square of the length of the points' step.
+    pub step_sq: f64,
+    /// Sum of the squares of the points' coordinates at the new state.
+    pub norm_sq: f64,
+    /// Σ ρ / 2 at the new state; infinite where any residual is not finite.
+    pub cost: f64,
+}
+
+/// Moves the points for a step of the reduced system (eq. 11) from those of `from` to `to`, whose cameras have moved
+/// already.
+pub(super) fn try_step<const D: usize>(
+    lin: &Linearization<D>,
+    pass: &Pass,
+    step: &[f64],
+    damping: f64,
+    from: &State,
+    to: &mut State,
+) -> Trial {
+    let State { views, points, .. } = to;
+    let mut rest = points.as_mut_slice();
+    let mut items = Vec::with_capacity(lin.parts.len());
+    for share in &lin.parts {
+        let (mine, others) = rest.split_at_mut(share.part.piece.points.len());
+        rest = others;
+        items.push((share, mine));
+    }
+    let work = |(share, points): (&Share<D>, &mut [[f64; 3]])| {
+        let part = &share.part;
+        let from = &from.points[part.piece.points.clone()];
+        wide(MovePoints { pass, part, step, damping, views, from, points })
+    };
+    let mut total = Trial::default();
+    for part in in_order(pass.parallel, items, work) {
+        total.decrease += part.decrease;
+        total.step_sq += part.step_sq;
+        total.norm_sq += part.norm_sq;
+        total.cost += part.cost;
+    }
+    total.cost = finite_or_infinite(0.5 * total.cost);
+    total
+}
+
+/// Σ ρ / 2 at a state; infinite where any residual is not finite.
+pub(super) fn cost(pass: &Pass, state: &State) -> f64 {
+    finite_or_infinite(0.5 * wide(Cost { pass, state }))
+}
+
+fn finite_or_infinite(cost: f64) -> f64 {
+    if cost.is_finite() { cost } else { f64::INFINITY }
+}
+
+/// Observations whose point lies behind its camera.
+pub(super) fn count_behind(layout: &Layout, state: &State) -> usize {
+    let behind = |o: &usize| {
+        let view = &state.views[layout.obs_pose[*o] as usize];
+        point_in_cam(view, &state.points[layout.obs_point[*o] as usize])[2] <= 0.0
+    };
+    (0..layout.num_obs()).filter(behind).count()
+}
+
+struct MovePoints<'a, const D: usize> {
+    pass: &'a Pass<'a>,
+    part: &'a Part<D>,
+    step: &'a [f64],
+    damping: f64,
+    views: &'a [View],
+    from: &'a [[f64; 3]],
+    points: &'a mut [[f64; 3]],
+}
+
+impl<const D: usize> Task for MovePoints<'_, D> {
+    type Output = Trial;
+
+    #[inline(always)]
+    fn run<F: Fused>(self) -> Trial {
+        let Self { pass, part, step, damping, views, from, points } = self;
+        let mut out = Trial::default();
+        for (place, point) in part.piece.points.clone().enumerate() {
+            let terms = &part.points[place];
+            let mut delta = [0.0; 3];
+            if !terms.is_held() {
+                delta = back_substitute::<D, F>(pass.layout, part, step, point);
+                out.decrease += terms.predicted_decrease(&delta, damping);
+            }
+            for k in 0..3 {
+                points[place][k] = from[place][k] + delta[k];
+                out.step_sq += delta[k] * delta[k];
+                out.norm_sq += points[place][k] * points[place][k];
+            }
+            out.cost += cost_of_point(pass, views, point, &points[place]);
+        }
+        out
+    }
+}
+
+/// Step of one point (eq. 11).
+#[inline(always)]
+fn back_substitute<const D: usize, F: Fused>(layout: &Layout, part: &Part<D>, step: &[f64], point: usize) -> [f64; 3] {
+    let terms = &part.points[point - part.piece.points.start];
+    let mut t = terms.half_step;
+    for o in layout.obs_of_point(point) {
+        let block = layout.obs_block[o];
+        if block != NONE {
+            let residual = &part.residuals[o - part.piece.obs.start];
+            let d: &[f64] = &step[block as usize * D..][..D];
+            let moved = residual.d_view.map(|row| dot::<D, F>(&row, d));
+            for k in 0..3 {
+                let q = [residual.eliminated[0][k], residual.eliminated[1][k]];
+                t[k] = F::mul_add(q[0], moved[0], F::mul_add(q[1], moved[1], t[k]));
+            }
+        }
+    }
+    for slot in layout.slots_of_point(point) {
+        let first = layout.num_blocks() * D + layout.slots[slot] as usize * 6;
+        for k in 0..3 {
+            t[k] += dot::<6, F>(&part.slot_eliminated[slot - part.piece.slots.start][k], &step[first..first + 6]);
+        }
+    }
+    terms.back_solve(&t).map(|v| -v)
+}
+
+#[inline(always)]
+fn dot<const N: usize, F: Fused>(a: &[f64; N], b: &[f64]) -> f64 {
+    let mut sum = 0.0;
+    for k in 0..N {
+        sum = F::mul_add(a[k], b[k], sum);
+    }
+    sum
+}
+
+struct Cost<'a> {
+    pass: &'a Pass<'a>,
+    state: &'a State,
+}
+
+impl Task for Cost<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn run<F: Fused>(self) -> f64 {
+        let points = self.state.points.iter().enumerate();
+        points.map(|(point, position)| cost_of_point(self.pass, &self.state.views, point, position)).sum()
+    }
+}
+
+/// Σ ρ over the observations of a point.
+#[inline(always)]
+fn cost_of_point(pass: &Pass, views: &[View], point: usize, position: &[f64; 3]) -> f64 {
+    let layout = pass.layout;
+    let mut sum = 0.0;
+    for o in layout.obs_of_point(point) {
+        let view = &views[layout.obs_pose[o] as usize];
+        let r = plain_residual(view, position, &layout.obs_pixel[o], layout.obs_weight[o]);
+        sum += robust_cost(&pass.loss, &r);
+    }
+    sum
+}

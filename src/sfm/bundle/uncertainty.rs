@@ -1,0 +1,56 @@
+//! How sure the camera positions of a reconstruction are.
+
+use std::collections::BTreeMap;
+
+use super::covariance::{Wanted, covariances};
+use super::options::{Behind, Options};
+use super::problem::{BundleError, CameraBlock, Problem};
+use crate::scene::{ImageId, Reconstruction};
+
+/// Standard deviations of camera centres.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CenterDeviations {
+    /// Standard deviation of a pixel coordinate, from the residuals.
+    pub pixel_px: f64,
+    /// Per image √ of the trace of its centre's covariance, world units.
+    pub centers: BTreeMap<ImageId, f64>,
+}
+
+/// Standard deviations of the centres of at most `num_images` images, evenly spread, from the covariance of the
+/// reconstruction's adjustment with its intrinsics held. The noise of a pixel is taken from the residuals:
+/// σ² = Σ r² / (residuals − unknowns).
+///
+/// They are relative to what holds the gauge: the first image, which is exact by definition and left out, and its distance to
+/// the image farthest from it. They know nothing of wrong matches or of intrinsics that are off. `None` where there are no
+/// more residuals than unknowns.
+///
+/// # Errors
+/// As [`covariances`].
+pub fn center_deviations(model: &Reconstruction, num_images: usize) -> Result<Option<CenterDeviations>, BundleError> {
+    let problem = Problem::from_reconstruction(model, |_, camera| CameraBlock::fixed(*camera));
+    problem.check()?;
+    let Some(pixel_px) = pixel_deviation(&problem) else { return Ok(None) };
+    let observed: std::collections::BTreeSet<usize> = problem.observations.iter().map(|o| o.pose as usize).collect();
+    let free: Vec<usize> = observed.into_iter().skip(1).collect();
+    let count = num_images.min(free.len());
+    let poses: Vec<usize> = (0..count).map(|k| free[k * (free.len() - 1) / (count - 1).max(1)]).collect();
+    let ids: Vec<ImageId> = model.images.keys().copied().collect();
+    let options = Options { threads: 1, behind: Behind::Project, ..Options::default() };
+    let found = covariances(&problem, &options, &Wanted { poses: poses.clone(), ..Wanted::default() })?;
+    let deviation = |c: &super::PoseCovariance| pixel_px * c.center.trace().max(0.0).sqrt();
+    let centers = poses.iter().map(|pose| ids[*pose]).zip(found.poses.iter().map(deviation)).collect();
+    Ok(Some(CenterDeviations { pixel_px, centers }))
+}
+
+/// From the residuals' sum of squares and the redundancy, of which the gauge gives back seven.
+fn pixel_deviation(problem: &Problem) -> Option<f64> {
+    let residual_sq = |o: &super::Observation| {
+        let pose = &problem.poses[o.pose as usize];
+        let point_in_cam = pose.cam_from_world * problem.points[o.point as usize].position;
+        (problem.cameras[pose.camera].camera.project(point_in_cam).pixel - o.pixel).norm_squared()
+    };
+    let sum: f64 = problem.observations.iter().map(residual_sq).filter(|sq| sq.is_finite()).sum();
+    let unknowns = (problem.poses.len() * 6 + problem.points.len() * 3).saturating_sub(7);
+    let redundancy = (2 * problem.observations.len()).checked_sub(unknowns).filter(|r| *r > 0)?;
+    Some((sum / redundancy as f64).sqrt())
+}
