@@ -15,9 +15,9 @@ use nalgebra::{Point3, Vector3};
 use thiserror::Error;
 
 use super::Options;
-use super::neighbors::Neighbors;
+
 use super::plane::{Candidate, Plane, PlaneFailure, fit_plane, least_squares_plane};
-use crate::math::seeded_rng;
+use crate::math::{Neighbors, seeded_rng};
 use crate::scene::{Point3dId, Reconstruction};
 
 /// Why no ground was found.

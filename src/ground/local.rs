@@ -7,9 +7,9 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use super::Options;
-use super::neighbors::Neighbors;
+
 use super::plane::{Candidate, PlaneFailure, fit_plane};
-use crate::math::seeded_rng;
+use crate::math::{Neighbors, seeded_rng};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectId, Point3dId, Reconstruction};
 
 /// Why a frame has no plane.

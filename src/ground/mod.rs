@@ -8,7 +8,6 @@
 mod dominant;
 mod labels;
 mod local;
-mod neighbors;
 mod plane;
 
 use serde::{Deserialize, Serialize};

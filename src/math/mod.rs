@@ -1,6 +1,7 @@
 //! Arithmetic that every room shares: rigid and similarity transforms, robust losses, seeded random numbers.
 
 mod align;
+mod neighbors;
 pub mod polynomial;
 mod random;
 mod rigid3;
@@ -9,6 +10,7 @@ mod sim3;
 mod wxyz;
 
 pub use align::umeyama;
+pub(crate) use neighbors::Neighbors;
 pub use random::{Rng, seeded_rng};
 pub use rigid3::Rigid3;
 pub use robust_loss::RobustLoss;

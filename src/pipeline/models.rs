@@ -12,7 +12,8 @@ use super::track::TrackedObject;
 use super::{PipelineError, features, fingerprint, order, track};
 use crate::camera::Camera;
 use crate::io::colmap;
-use crate::scene::{Frame, FrameId, ImageId, ObjectId, Reconstruction};
+use crate::scene::{Frame, FrameId, ImageId, Mask, ObjectId, Point3dId, Reconstruction};
+use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes};
 use crate::sfm::{self, bundle, mapper};
 
 /// How a model came about.
@@ -31,6 +32,17 @@ pub(super) struct ModelReport {
     pub(super) num_points: usize,
     pub(super) num_observations: usize,
     pub(super) mean_error_px: Option<f64>,
+    /// Points that were taken out because they project beside the object's masks.
+    #[serde(default)]
+    pub(super) num_outside_masks: usize,
+}
+
+impl ModelReport {
+    fn describe_points(&mut self, model: &Reconstruction) {
+        self.num_points = model.points.len();
+        self.num_observations = model.points.values().map(|point| point.track.len()).sum();
+        self.mean_error_px = model.mean_reprojection_error_px();
+    }
 }
 
 /// Images whose position's standard deviation is computed: enough for a median.
@@ -144,6 +156,7 @@ pub(super) fn objects_work(run: &Run, fingerprint: &str) -> Result<Outcome, Pipe
                 "num_registered": report.num_registered,
                 "num_points": report.num_points,
                 "mean_error_px": report.mean_error_px,
+                "num_outside_masks": report.num_outside_masks,
             }),
         );
         reports.insert(object.id, report);
@@ -191,7 +204,13 @@ fn one_object(
         (Some(folder), _) => given(folder, run, &mut outcome)?,
         (None, Some(camera)) => {
             let table = features::of_object(run, object.id)?;
-            reconstruct(run, &table, camera, sfm::Intrinsics::Fixed, &order::sfm_options(run)?.1.mapper)?
+            let options = order::sfm_options(run)?.1.mapper;
+            let (mut model, mut report) = reconstruct(run, &table, camera, sfm::Intrinsics::Fixed, &options)?;
+            let outside = outside_masks(run, object.id, &model)?;
+            model.remove_points(&outside);
+            report.num_outside_masks = outside.len();
+            report.describe_points(&model);
+            (model, report)
         }
         (None, None) => {
             let failure = Some("there is no background to place it in".to_owned());
@@ -206,6 +225,37 @@ fn one_object(
     let marker = ObjectMarker { fingerprint: fingerprint.to_owned(), report };
     run.workspace.write_state(&marker_name, &marker)?;
     Ok(marker.report)
+}
+
+/// The points of an object's reconstruction that lie beside its masks.
+fn outside_masks(run: &Run, id: ObjectId, model: &Reconstruction) -> Result<Vec<Point3dId>, PipelineError> {
+    /// Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
+    const BORDER_PX: f64 = 1.0;
+    const BORDER: f64 = 0.01;
+    let mut votes = SilhouetteVotes::default();
+    let objects = track::objects(run)?;
+    for frame in run.frames()? {
+        let image = ImageId::from(frame.id);
+        if !model.images.contains_key(&image) {
+            continue;
+        }
+        let mut hidden = Mask::empty(run.info().width, run.info().height);
+        let mut silhouette = None;
+        for (other, mask) in track::masks_of(run, &objects, frame)? {
+            if other == id {
+                silhouette = mask.bounding_box().map(|b| {
+                    let longer_px = f64::from((b.x1 - b.x0).max(b.y1 - b.y0));
+                    mask.dilated((BORDER_PX + BORDER * longer_px).round() as u32)
+                });
+            } else {
+                hidden.union_with(&mask);
+            }
+        }
+        if let Some(silhouette) = silhouette {
+            votes.add(model, image, &silhouette, &hidden);
+        }
+    }
+    Ok(votes.outside(&SilhouetteOptions::default()))
 }
 
 /// Removes the models of objects that are no more.
@@ -243,16 +293,14 @@ fn reconstruct(
         .collect();
     let failure =
         model.is_empty().then(|| report.failure.clone().unwrap_or_else(|| "no frame is registered".to_owned()));
-    let described = ModelReport {
-        given: false,
+    let mut described = ModelReport {
         num_visible: report.views.len(),
         num_registered: report.num_registered(),
         unregistered,
         failure,
-        num_points: model.points.len(),
-        num_observations: report.num_observations,
-        mean_error_px: model.mean_reprojection_error_px(),
+        ..ModelReport::default()
     };
+    described.describe_points(&model);
     Ok((model, described))
 }
 
@@ -288,16 +336,14 @@ fn given(folder: &Path, run: &Run, outcome: &mut Outcome) -> Result<(Reconstruct
         ));
     }
     let absent = frames.iter().filter(|frame| !model.images.contains_key(&ImageId::from(frame.id)));
-    let report = ModelReport {
+    let mut report = ModelReport {
         given: true,
         num_visible: frames.len(),
         num_registered: model.images.len(),
         unregistered: absent.map(|frame| (frame.id, "not in the model that was given".to_owned())).collect(),
-        failure: None,
-        num_points: model.points.len(),
-        num_observations: model.points.values().map(|point| point.track.len()).sum(),
-        mean_error_px: model.mean_reprojection_error_px(),
+        ..ModelReport::default()
     };
+    report.describe_points(&model);
     Ok((model, report))
 }
 

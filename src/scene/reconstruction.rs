@@ -136,6 +136,19 @@ impl Reconstruction {
         (count > 0).then(|| sum / count as f64)
     }
 
+    /// Takes out points; the features that observed them stay.
+    pub fn remove_points(&mut self, ids: &[Point3dId]) {
+        for id in ids {
+            let Some(point) = self.points.remove(id) else { continue };
+            for element in point.track {
+                let observations = self.images.get_mut(&element.image).map(|image| &mut image.observations);
+                if let Some(seen) = observations.and_then(|all| all.get_mut(element.observation_idx as usize)) {
+                    seen.point = None;
+                }
+            }
+        }
+    }
+
     /// Moves everything by a similarity of the world frame.
     pub fn transform(&mut self, target_from_world: &Sim3) {
         for image in self.images.values_mut() {

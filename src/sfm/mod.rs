@@ -12,6 +12,7 @@ pub mod patch;
 pub mod resection;
 pub mod sift;
 pub mod sift_front_end;
+pub mod silhouette;
 pub mod solvers;
 pub mod tracks;
 pub mod triangulation;
@@ -20,6 +21,7 @@ pub mod video_front_end;
 
 mod error;
 mod front_end;
+mod whitening;
 
 use serde::{Deserialize, Serialize};
 
@@ -29,6 +31,7 @@ pub use mapper::{Intrinsics, Report, reconstruct};
 use sift_front_end::{Pairing, SiftOptions};
 pub use tracks::TrackTable;
 use video_front_end::VideoOptions;
+pub use whitening::Whitening;
 
 /// How one target is reconstructed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

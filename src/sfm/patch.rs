@@ -36,6 +36,8 @@ pub struct Aligned {
     pub warp: Warp,
     /// Normalised cross-correlation with the template, −1 to 1.
     pub correlation: f32,
+    /// See [`Patch::covariance`].
+    pub covariance: Matrix2<f32>,
 }
 
 impl Patch {
@@ -100,7 +102,18 @@ impl Patch {
         }
         let seen = self.normalized_sample(image, &warp)?;
         let products = seen.iter().zip(&self.normalized).map(|(s, t)| s * t).sum::<f32>();
-        Some(Aligned { warp, correlation: products / seen.len() as f32 })
+        let correlation = products / seen.len() as f32;
+        let difference =
+            seen.iter().zip(&self.normalized).map(|(s, t)| (s - t).powi(2)).sum::<f32>() / seen.len() as f32;
+        Some(Aligned { warp, correlation, covariance: self.covariance(&warp.shape, difference) })
+    }
+
+    /// Covariance of the position that an alignment finds, pixels², if the mean squared difference from the template, whose
+    /// variance is 1, is noise that is independent from pixel to pixel; it is not, which makes all covariances too small by
+    /// about the same factor.
+    pub fn covariance(&self, shape: &Matrix2<f32>, difference: f32) -> Matrix2<f32> {
+        let position = self.inverse_hessian.fixed_view::<2, 2>(4, 4) * difference;
+        shape * position * shape.transpose()
     }
 
     fn normalized_sample(&self, image: &GrayImage, warp: &Warp) -> Option<Vec<f32>> {

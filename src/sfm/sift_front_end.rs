@@ -107,6 +107,7 @@ impl SiftFrontEnd {
                 camera: 0,
                 pixels: features.pixels.clone(),
                 rgb: std::mem::take(&mut features.rgb),
+                whitening: Vec::new(),
             });
             self.features.push(features);
         }

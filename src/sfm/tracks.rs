@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
+use super::Whitening;
 use crate::scene::ImageId;
 
 /// One image's features.
@@ -20,6 +21,8 @@ pub struct View {
     pub pixels: Vec<Point2<f64>>,
     /// Colours at the features.
     pub rgb: Vec<[u8; 3]>,
+    /// How exactly each is located, relative to one another; empty for all alike.
+    pub whitening: Vec<Whitening>,
 }
 
 /// A feature of a view, by index.
@@ -47,6 +50,12 @@ impl TrackTable {
     /// Number of features that all tracks hold.
     pub fn num_observations(&self) -> usize {
         self.tracks.iter().map(Vec::len).sum()
+    }
+
+    /// How exactly a feature is located.
+    pub fn whitening(&self, feature: Feature) -> Whitening {
+        let known = self.views[feature.view as usize].whitening.get(feature.feature as usize);
+        known.copied().unwrap_or(Whitening::IDENTITY)
     }
 
     /// Position of a feature.

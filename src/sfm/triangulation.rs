@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
+use super::Whitening;
 use crate::camera::Camera;
 use crate::math::Rigid3;
 
@@ -14,6 +15,8 @@ pub struct View<'a> {
     pub cam_from_world: &'a Rigid3,
     /// Where the point is seen.
     pub pixel: Point2<f64>,
+    /// How exactly.
+    pub whitening: Whitening,
 }
 
 impl View<'_> {
@@ -21,10 +24,10 @@ impl View<'_> {
         self.cam_from_world.rotation.inverse() * self.camera.ray_from_pixel(self.pixel)
     }
 
-    /// Squared reprojection error, pixels²; infinite behind the camera.
+    /// Squared reprojection error, whitened; infinite behind the camera.
     pub fn error_sq(&self, point: Point3<f64>) -> f64 {
         match self.camera.pixel_from_cam(*self.cam_from_world * point) {
-            Some(pixel) => (pixel - self.pixel).norm_squared(),
+            Some(pixel) => self.whitening.norm_sq(pixel - self.pixel),
             None => f64::INFINITY,
         }
     }
@@ -139,7 +142,10 @@ mod tests {
 
     fn views<'a>(camera: &'a Camera, poses: &'a [Rigid3], point: Point3<f64>) -> Vec<View<'a>> {
         let see = |pose: &Rigid3| camera.pixel_from_cam(*pose * point).unwrap();
-        poses.iter().map(|p| View { camera, cam_from_world: p, pixel: see(p) }).collect()
+        poses
+            .iter()
+            .map(|p| View { camera, cam_from_world: p, pixel: see(p), whitening: Whitening::IDENTITY })
+            .collect()
     }
 
     #[test]

@@ -28,7 +28,7 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self {
-            method: ScaleMethod::ConstantDistance,
+            method: ScaleMethod::RobustLeastSquares,
             constant_distance: ConstantDistanceOptions::default(),
             least_squares: LeastSquaresOptions::default(),
             max_relative_std: 0.1,

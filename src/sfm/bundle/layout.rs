@@ -10,6 +10,7 @@ use super::options::{Behind, Gauge, Options};
 use super::parallel::in_order;
 use super::problem::{CameraBlock, Problem};
 use crate::camera::NUM_INTRINSICS;
+use crate::sfm::Whitening;
 
 /// Marks an absent index.
 pub(super) const NONE: u32 = u32::MAX;
@@ -74,7 +75,7 @@ pub(super) struct Layout {
     /// Per observation: measured pixel.
     pub obs_pixel: Vec<[f64; 2]>,
     /// Per observation: one over its standard deviation.
-    pub obs_weight: Vec<f64>,
+    pub obs_whitening: Vec<Whitening>,
     /// Per observation: its shared camera in [`Layout::slots`], or [`NONE`].
     pub obs_slot: Vec<u32>,
     /// First slot of each point, and the end of the last. A slot is a pair of a point and a shared camera that sees it.
@@ -196,7 +197,7 @@ impl Layout {
             obs_block: Vec::new(),
             obs_point: Vec::new(),
             obs_pixel: Vec::new(),
-            obs_weight: Vec::new(),
+            obs_whitening: Vec::new(),
             obs_slot: Vec::new(),
             slot_start: Vec::new(),
             slots: Vec::new(),
@@ -242,7 +243,7 @@ impl Layout {
         self.obs_pose = sorted.iter().map(|o| observation(o).pose).collect();
         self.obs_block = self.obs_pose.iter().map(|pose| self.block_of_pose[*pose as usize]).collect();
         self.obs_pixel = sorted.iter().map(|o| observation(o).pixel.coords.into()).collect();
-        self.obs_weight = sorted.iter().map(|o| 1.0 / observation(o).sigma).collect();
+        self.obs_whitening = sorted.iter().map(|o| observation(o).whitening).collect();
         self.obs_point = Vec::with_capacity(sorted.len());
         for point in 0..self.points.len() {
             let count = self.obs_of_point(point).len();
@@ -310,7 +311,7 @@ fn usable_observations(problem: &Problem, behind: Behind, parallel: bool) -> Vec
             return false;
         }
         let residual = problem.cameras[pose.camera].camera.project(point_in_cam).pixel - o.pixel;
-        (residual.norm_squared() / (o.sigma * o.sigma)).is_finite()
+        o.whitening.norm_sq(residual).is_finite()
     };
     let starts: Vec<usize> = (0..problem.observations.len()).step_by(CHUNK).collect();
     let of_chunk = |start: usize| -> Vec<u32> {

@@ -190,9 +190,9 @@ impl<const D: usize> Part<D> {
             let is_shared = layout.obs_slot.get(o).is_some_and(|slot| *slot != NONE);
             let d_shared = if is_shared { self.d_shared.get_mut(place) } else { None };
             let derivatives = Derivatives { d_point: &mut self.d_points[place], d_shared };
-            let (pixel, weight) = (&layout.obs_pixel[o], layout.obs_weight[o]);
+            let (pixel, whitening) = (&layout.obs_pixel[o], &layout.obs_whitening[o]);
             let (rho, mut residual) =
-                linearize::<D, F>(view, &state.points[point], pixel, weight, &pass.loss, derivatives);
+                linearize::<D, F>(view, &state.points[point], pixel, whitening, &pass.loss, derivatives);
             hold_masked(layout, layout.obs_block[o], &mut residual.d_view);
             cost += rho;
             terms.add::<F>(&self.d_points[place], residual.value);

@@ -5,6 +5,7 @@ use thiserror::Error;
 
 use crate::camera::{Camera, NUM_INTRINSICS};
 use crate::math::Rigid3;
+use crate::sfm::Whitening;
 
 /// Everything that [`super::adjust`] reads and writes.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -74,14 +75,14 @@ pub struct Observation {
     pub point: u32,
     /// Pixels, first pixel centre at (0.5, 0.5).
     pub pixel: Point2<f64>,
-    /// Standard deviation of each coordinate, pixels; 1 gives costs in squared pixels.
-    pub sigma: f64,
+    /// How exactly the position is known; the identity gives costs in squared pixels.
+    pub whitening: Whitening,
 }
 
 impl Observation {
     /// With a standard deviation of one pixel.
     pub fn new(pose: u32, point: u32, pixel: Point2<f64>) -> Self {
-        Self { pose, point, pixel, sigma: 1.0 }
+        Self { pose, point, pixel, whitening: Whitening::IDENTITY }
     }
 }
 
@@ -208,7 +209,7 @@ impl Problem {
         for (index, o) in self.observations.iter().enumerate() {
             in_range("observation", index, "pose", o.pose as usize, self.poses.len())?;
             in_range("observation", index, "point", o.point as usize, self.points.len())?;
-            let good = o.pixel.coords.iter().all(|v| v.is_finite()) && o.sigma > 0.0 && o.sigma.is_finite();
+            let good = o.pixel.coords.iter().all(|v| v.is_finite()) && o.whitening.is_valid();
             require(good, "observation", index)?;
         }
         self.check_priors()

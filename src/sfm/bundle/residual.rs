@@ -6,6 +6,7 @@ use super::layout::POSE_DIM;
 use super::simd::Fused;
 use super::state::View;
 use crate::math::RobustLoss;
+use crate::sfm::Whitening;
 
 /// A weighted residual and its Jacobian (eq. 5) with respect to a view block of `D` freedoms.
 #[derive(Clone, Copy, Debug)]
@@ -35,13 +36,13 @@ pub(super) fn point_in_cam(view: &View, point: &[f64; 3]) -> [f64; 3] {
     [row(0), row(1), row(2)]
 }
 
-/// The residual alone, divided by its standard deviation but not weighted by the loss.
+/// The residual alone, whitened but not weighted by the loss.
 #[inline(always)]
-pub(super) fn plain_residual(view: &View, point: &[f64; 3], pixel: &[f64; 2], inverse_sigma: f64) -> [f64; 2] {
+pub(super) fn plain_residual(view: &View, point: &[f64; 3], pixel: &[f64; 2], whitening: &Whitening) -> [f64; 2] {
     let [x, y, z] = point_in_cam(view, point);
     let inverse_z = 1.0 / z;
     let seen = view.camera.pixel_from_normalized(Vector2::new(x * inverse_z, y * inverse_z));
-    [(seen.x - pixel[0]) * inverse_sigma, (seen.y - pixel[1]) * inverse_sigma]
+    whitening.apply([seen.x - pixel[0], seen.y - pixel[1]])
 }
 
 /// ρ(‖r‖²) of a residual.
@@ -58,13 +59,13 @@ pub(super) fn linearize<const D: usize, F: Fused>(
     view: &View,
     point: &[f64; 3],
     pixel: &[f64; 2],
-    inverse_sigma: f64,
+    whitening: &Whitening,
     loss: &RobustLoss,
     mut derivatives: Derivatives,
 ) -> (f64, Residual<D>) {
     let p = point_in_cam(view, point);
     let projection = view.camera.project(Point3::new(p[0], p[1], p[2]));
-    let plain = [(projection.pixel.x - pixel[0]) * inverse_sigma, (projection.pixel.y - pixel[1]) * inverse_sigma];
+    let plain = whitening.apply([projection.pixel.x - pixel[0], projection.pixel.y - pixel[1]]);
     let squared = plain[0] * plain[0] + plain[1] * plain[1];
     let (cost, root) = match loss {
         RobustLoss::Squared => (squared, 1.0),
@@ -73,12 +74,14 @@ pub(super) fn linearize<const D: usize, F: Fused>(
             (rho, slope.sqrt())
         }
     };
-    let weight = root * inverse_sigma;
+    let weight = Whitening(whitening.0.map(|w| w * root));
     let mut out =
         Residual { value: [plain[0] * root, plain[1] * root], d_view: [[0.0; D]; 2], eliminated: [[0.0; 3]; 2] };
     let r = &view.rotation;
+    let whitened: [[f64; 2]; 3] =
+        std::array::from_fn(|k| weight.apply([projection.d_point[(0, k)], projection.d_point[(1, k)]]));
     for i in 0..2 {
-        let d: [f64; 3] = std::array::from_fn(|k| projection.d_point[(i, k)] * weight);
+        let d = whitened.map(|column| column[i]);
         // Eq. 3: ∂p/∂ω = −[p]ₓ, so a row d becomes p × d; ∂p/∂v = I.
         let row = &mut out.d_view[i];
         row[0] = F::mul_add(p[1], d[2], -(p[2] * d[1]));
@@ -93,8 +96,8 @@ pub(super) fn linearize<const D: usize, F: Fused>(
     if columns.len > 0 {
         let intrinsic = |i: usize, k: usize| {
             let source = columns.source[k];
-            let tied = if source == 0 { columns.aspect * projection.d_intrinsics[(i, 1)] } else { 0.0 };
-            (projection.d_intrinsics[(i, source)] + tied) * weight
+            let tied = |i: usize| if source == 0 { columns.aspect * projection.d_intrinsics[(i, 1)] } else { 0.0 };
+            weight.apply([0, 1].map(|i| projection.d_intrinsics[(i, source)] + tied(i)))[i]
         };
         for i in 0..2 {
             match &mut derivatives.d_shared {

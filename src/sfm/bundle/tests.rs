@@ -9,6 +9,7 @@ use super::*;
 use crate::camera::Camera;
 use crate::math::{Rigid3, RobustLoss, umeyama};
 use crate::scene::Reconstruction;
+use crate::sfm::Whitening;
 use crate::synthetic::scene::{self, Path, disturb, static_scene};
 
 /// Truth, and a problem that starts away from it.
@@ -238,7 +239,7 @@ fn wrong_problems_are_refused_and_unchanged() {
         |p| p.observations[3].pose = 99,
         |p| p.observations[3].point = u32::MAX,
         |p| p.observations[3].pixel.x = f64::NAN,
-        |p| p.observations[3].sigma = 0.0,
+        |p| p.observations[3].whitening = Whitening::isotropic(0.0),
         |p| p.poses[1].camera = 7,
         |p| p.poses[1].cam_from_world.translation.y = f64::INFINITY,
         |p| p.points[2].position.z = f64::NAN,

@@ -164,7 +164,7 @@ fn cost_of_point(pass: &Pass, views: &[View], point: usize, position: &[f64; 3])
     let mut sum = 0.0;
     for o in layout.obs_of_point(point) {
         let view = &views[layout.obs_pose[o] as usize];
-        let r = plain_residual(view, position, &layout.obs_pixel[o], layout.obs_weight[o]);
+        let r = plain_residual(view, position, &layout.obs_pixel[o], &layout.obs_whitening[o]);
         sum += robust_cost(&pass.loss, &r);
     }
     sum

@@ -154,7 +154,7 @@ fn build(map: &Map<'_>, tracks: &[bool], free_views: &[bool], intrinsics: Freedo
         let point_index = problem.points.len() as u32;
         problem.points.push(PointBlock { position: point.position, fixed: false });
         parts.tracks.push(track);
-        for (_, view, pixel) in map.observations(track) {
+        for (slot, view, pixel) in map.observations(track) {
             let Some(cam_from_world) = map.poses[view] else { continue };
             let pose = *pose_of_view.entry(view).or_insert_with(|| {
                 let camera = map.table.views[view].camera;
@@ -162,7 +162,9 @@ fn build(map: &Map<'_>, tracks: &[bool], free_views: &[bool], intrinsics: Freedo
                 parts.views.push(view);
                 problem.poses.len() - 1
             });
-            problem.observations.push(Observation::new(pose as u32, point_index, pixel));
+            let whitening = map.table.whitening(map.table.tracks[track][slot]);
+            let seen = Observation::new(pose as u32, point_index, pixel);
+            problem.observations.push(Observation { whitening, ..seen });
         }
     }
     (problem, parts)

@@ -8,6 +8,7 @@ use super::Noise;
 use crate::camera::Camera;
 use crate::math::Rigid3;
 use crate::scene::{CameraId, Image, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
+use crate::sfm::Whitening;
 use crate::sfm::resection::PixelsAndPoints;
 use crate::sfm::tracks::TrackTable;
 use crate::sfm::triangulation::{self, Limits, View, widest_angle};
@@ -236,7 +237,8 @@ impl<'a> Map<'a> {
 
     fn view_at(&self, track: usize, slot: usize) -> Option<View<'_>> {
         let (view, pixel) = self.feature(track, slot);
-        Some(View { camera: self.camera_of(view), cam_from_world: self.poses[view].as_ref()?, pixel })
+        let whitening = self.table.whitening(self.table.tracks[track][slot]);
+        Some(View { camera: self.camera_of(view), cam_from_world: self.poses[view].as_ref()?, pixel, whitening })
     }
 
     /// Observations of a known point: slot, view and pixel.
@@ -309,7 +311,8 @@ impl<'a> Map<'a> {
             for (sum, c) in rgb_sum.iter_mut().zip(source.rgb[feature.feature as usize]) {
                 *sum += u32::from(c);
             }
-            error_sum += self.view_at(track, slot)?.error_sq(position).sqrt();
+            error_sum +=
+                View { whitening: Whitening::IDENTITY, ..self.view_at(track, slot)? }.error_sq(position).sqrt();
         }
         let n = elements.len();
         let rgb = rgb_sum.map(|sum| (sum / (n as u32).max(1)) as u8);

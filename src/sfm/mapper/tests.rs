@@ -44,6 +44,7 @@ fn tracks(world: &World, noise_px: f64, wrong: usize, rng: &mut Rng) -> TrackTab
         camera: 0,
         pixels: Vec::new(),
         rgb: Vec::new(),
+        whitening: Vec::new(),
     };
     let mut table = TrackTable { views: (0..world.poses.len()).map(view).collect(), tracks: Vec::new() };
     for (index, point) in world.points.iter().enumerate() {

@@ -148,7 +148,7 @@ fn they_predict_the_scatter_of_repeated_adjustments() {
             o.pixel.y += sigma * rng.sample::<f64, _>(rand_distr::StandardNormal);
         }
         let mut problem = Problem::from_reconstruction(&exact, |_, camera| CameraBlock::fixed(*camera));
-        problem.observations.iter_mut().for_each(|o| o.sigma = sigma);
+        problem.observations.iter_mut().for_each(|o| o.whitening = Whitening::isotropic(sigma));
         (problem.poses[0].fixed, problem.poses[4].fixed) = (true, true);
         problem
     };

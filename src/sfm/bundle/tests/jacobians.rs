@@ -11,6 +11,7 @@ use super::super::simd::{One, Two};
 use super::super::state::{State, View, move_camera, perturb};
 use super::super::trial::cost;
 use super::*;
+use crate::sfm::Whitening;
 
 /// Compares the columns of a Jacobian with central differences of `residual` about zero.
 fn check_jacobian<const N: usize>(
@@ -48,7 +49,7 @@ fn reprojection() {
         ..Camera::with_focal(960, 540, 1.0)
     };
     let point = [0.7, -0.4, 0.9];
-    let (pixel, inverse_sigma) = ([600.0, 200.0], 1.0 / 0.6);
+    let (pixel, whitening) = ([600.0, 200.0], Whitening([1.7, -0.4, 0.9]));
     let tied = Columns { len: 3, source: [0, 4, 5, 0, 0, 0], aspect: 820.0 / 800.0 };
     let all = Columns { len: 6, source: [0, 1, 2, 3, 4, 5], aspect: 0.0 };
     for loss in [RobustLoss::Squared, RobustLoss::Huber { scale: 2.0 }, RobustLoss::Cauchy { scale: 3.0 }] {
@@ -57,14 +58,14 @@ fn reprojection() {
                 let view = View::new(&pose(), &camera, columns);
                 let (mut d_point, mut d_shared) = ([[0.0; 3]; 2], [[0.0; 6]; 2]);
                 let derivatives = Derivatives { d_point: &mut d_point, d_shared: shared.then_some(&mut d_shared) };
-                let (_, r) = linearize::<12, One>(&view, &point, &pixel, inverse_sigma, &loss, derivatives);
-                let plain = plain_residual(&view, &point, &pixel, inverse_sigma);
+                let (_, r) = linearize::<12, One>(&view, &point, &pixel, &whitening, &loss, derivatives);
+                let plain = plain_residual(&view, &point, &pixel, &whitening);
                 let weight = loss.evaluate(plain[0] * plain[0] + plain[1] * plain[1])[1].sqrt();
                 let moved = |d: &[f64; 15]| {
                     let camera = move_camera(&camera, &columns, &d[6..12]);
                     let view = View::new(&perturb(&pose(), &d[..6]), &camera, columns);
                     let point = std::array::from_fn(|k| point[k] + d[12 + k]);
-                    plain_residual(&view, &point, &pixel, inverse_sigma).map(|v| v * weight).to_vec()
+                    plain_residual(&view, &point, &pixel, &whitening).map(|v| v * weight).to_vec()
                 };
                 let intrinsics =
                     if shared { d_shared } else { r.d_view.map(|row| std::array::from_fn(|k| row[6 + k])) };
@@ -90,9 +91,9 @@ fn instruction_sets_agree() {
         let derivatives = Derivatives { d_point: &mut d_point, d_shared: None };
         let (point, pixel, loss) = ([0.7, -0.4, 0.9], [600.0, 200.0], RobustLoss::Squared);
         let r = if fused {
-            linearize::<6, One>(&view, &point, &pixel, 1.0, &loss, derivatives).1
+            linearize::<6, One>(&view, &point, &pixel, &Whitening::IDENTITY, &loss, derivatives).1
         } else {
-            linearize::<6, Two>(&view, &point, &pixel, 1.0, &loss, derivatives).1
+            linearize::<6, Two>(&view, &point, &pixel, &Whitening::IDENTITY, &loss, derivatives).1
         };
         [r.d_view[0].to_vec(), r.d_view[1].to_vec(), d_point.as_flattened().to_vec()].concat()
     };

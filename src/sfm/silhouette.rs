@@ -1,0 +1,125 @@
+//! Points of an object that its silhouettes contradict.
+//!
+//! Every point of an object projects into its silhouette from wherever it is seen: the object lies within its visual hull
+//! (A. Laurentini, *The Visual Hull Concept for Silhouette-Based Image Understanding*, PAMI 1994). A wrong match, a
+//! reflection or a shadow that moves along may agree with all pictures that observe it; the others, whose masks it leaves,
+//! show that it is none of the object.
+
+use std::collections::BTreeMap;
+
+use crate::scene::{ImageId, Mask, Point3dId, Reconstruction};
+
+/// When a point counts as outside.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SilhouetteOptions {
+    /// Share of pictures by which the mask may miss a point: something in front of the object hides it from the masks too,
+    /// and masks flicker.
+    pub max_outside: f64,
+    /// Fewest pictures to judge by.
+    pub min_votes: u32,
+}
+
+impl Default for SilhouetteOptions {
+    fn default() -> Self {
+        Self { max_outside: 0.3, min_votes: 5 }
+    }
+}
+
+/// Counts for each point of one object in how many pictures it lies outside the mask.
+#[derive(Clone, Debug, Default)]
+pub struct SilhouetteVotes {
+    /// Votes, and how many of them say outside.
+    votes: BTreeMap<Point3dId, [u32; 2]>,
+}
+
+impl SilhouetteVotes {
+    /// Takes the vote of one registered image; points that project beyond the picture or into `hidden` have none in it.
+    ///
+    /// * `silhouette` – the object's mask in this image, grown by what its border may be off.
+    /// * `hidden` – where other objects may stand in front.
+    pub fn add(&mut self, object: &Reconstruction, image: ImageId, silhouette: &Mask, hidden: &Mask) {
+        let Some(image) = object.images.get(&image) else { return };
+        let camera = object.camera_of(image);
+        for (&id, point) in &object.points {
+            let Some(pixel) = camera.pixel_from_cam(image.cam_from_world * point.position) else { continue };
+            if !camera.contains(pixel) || hidden.contains(pixel.x, pixel.y) {
+                continue;
+            }
+            let [votes, outside] = self.votes.entry(id).or_default();
+            *votes += 1;
+            *outside += u32::from(!silhouette.contains(pixel.x, pixel.y));
+        }
+    }
+
+    /// The points that are outside too often.
+    pub fn outside(&self, options: &SilhouetteOptions) -> Vec<Point3dId> {
+        let is_outside = |[votes, outside]: [u32; 2]| {
+            votes >= options.min_votes && f64::from(outside) > options.max_outside * f64::from(votes)
+        };
+        self.votes.iter().filter(|(_, counts)| is_outside(**counts)).map(|(&id, _)| id).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Point3, Vector3};
+
+    use super::*;
+    use crate::camera::Camera;
+    use crate::math::Rigid3;
+    use crate::scene::{CameraId, Image, Point3d};
+
+    /// Ten cameras in a row, 10 m before a ball of radius 1, and points in it, beside it and behind it.
+    #[test]
+    fn points_beside_and_behind_a_ball_are_found() {
+        let camera = Camera::with_focal(200, 200, 150.0);
+        let mut object = Reconstruction::default();
+        object.cameras.insert(CameraId(1), camera);
+        let positions = [[0.0, 0.0, 0.0], [0.6, -0.5, 0.4], [0.0, 0.9, 0.0], [0.0, 1.6, 0.0], [0.0, 0.0, 6.0]];
+        for (id, position) in (1..).zip(positions) {
+            let position = Point3::from(Vector3::from(position));
+            object.points.insert(Point3dId(id), Point3d { position, rgb: [0; 3], error_px: 0.1, track: Vec::new() });
+        }
+        let mut votes = SilhouetteVotes::default();
+        for k in 0..10u32 {
+            let center = Vector3::new(f64::from(k) - 4.5, 0.0, -10.0);
+            let cam_from_world = Rigid3::new(nalgebra::UnitQuaternion::identity(), -center);
+            let image = Image { name: k.to_string(), camera: CameraId(1), cam_from_world, observations: Vec::new() };
+            object.images.insert(ImageId(k + 1), image);
+            let ball = camera.pixel_from_cam(Point3::from(-center)).unwrap();
+            let radius = 150.0 / 10.0;
+            let mask = Mask::from_fn(200, 200, |x, y| {
+                (f64::from(x) + 0.5 - ball.x).hypot(f64::from(y) + 0.5 - ball.y) < radius + 1.0
+            });
+            // The second picture's mask is lost: one voice of ten is not heard.
+            let mask = if k == 1 { Mask::empty(200, 200) } else { mask };
+            votes.add(&object, ImageId(k + 1), &mask, &Mask::empty(200, 200));
+        }
+        let options = SilhouetteOptions::default();
+        assert_eq!(votes.outside(&options), [Point3dId(4), Point3dId(5)]);
+        assert_eq!(votes.outside(&SilhouetteOptions { min_votes: 11, ..options }), []);
+    }
+
+    #[test]
+    fn what_stands_in_front_has_no_vote() {
+        let camera = Camera::with_focal(100, 100, 100.0);
+        let mut object = Reconstruction::default();
+        object.cameras.insert(CameraId(1), camera);
+        let point = Point3d { position: Point3::new(0.0, 0.0, 5.0), rgb: [0; 3], error_px: 0.1, track: Vec::new() };
+        object.points.insert(Point3dId(1), point);
+        let image = Image {
+            name: String::new(),
+            camera: CameraId(1),
+            cam_from_world: Rigid3::identity(),
+            observations: Vec::new(),
+        };
+        object.images.insert(ImageId(1), image);
+        let options = SilhouetteOptions { min_votes: 1, ..SilhouetteOptions::default() };
+        let (nothing, all) = (Mask::empty(100, 100), Mask::empty(100, 100).complement());
+        let mut votes = SilhouetteVotes::default();
+        votes.add(&object, ImageId(1), &nothing, &all);
+        assert_eq!(votes.outside(&options), []);
+        votes.add(&object, ImageId(1), &nothing, &nothing);
+        assert_eq!(votes.outside(&options), [Point3dId(1)]);
+    }
+}
