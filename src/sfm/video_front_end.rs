@@ -53,7 +53,7 @@ impl VideoOptions {
             min_distance_px: 12.0,
             quality: 0.003,
             window_radius_px: 7,
-            patch_radius_px: 5,
+            patch_radius_px: 7,
             pyramid_levels: 3,
             max_round_trip_px: 0.7,
             min_correlation: 0.7,

@@ -46,7 +46,7 @@ const ROUNDING: f64 = 1e-6;
 ///
 /// For the two methods that live on the camera's change of height, `degenerate` says that the motion does not determine
 /// r: the camera's height over the ground does not change, or by too little for its noise. Where the chosen method has no
-/// positive answer, the first other that has one stands in, and `method` and `reason` say so.
+/// positive answer, `intersection` stands in, or else the first other that has one, and `method` and `reason` say so.
 ///
 /// # Errors
 /// The chosen method's [`ScaleError`], if no method has an answer.
@@ -59,7 +59,8 @@ pub fn estimate_scale(views: &Views, options: &Options) -> Result<ScaleEstimate,
         (ScaleMethod::Intersection, contact.map(|found| found.ratio)),
         (ScaleMethod::RobustLeastSquares, all_frames.clone().and_then(|found| positive(found.ratio, views))),
     ]);
-    let chosen = [options.method].into_iter().chain(ScaleMethod::ALL);
+    // Contact stands in first: it does not need what the other two lack when they have no answer, a climb.
+    let chosen = [options.method, ScaleMethod::Intersection].into_iter().chain(ScaleMethod::ALL);
     let found = chosen.filter_map(|method| Some((method, *answers.get(&method)?.as_ref().ok()?))).next();
     let failure = answers.get(&options.method).and_then(|answer| answer.as_ref().err());
     let Some((method, ratio)) = found else {
@@ -67,8 +68,8 @@ pub fn estimate_scale(views: &Views, options: &Options) -> Result<ScaleEstimate,
     };
     let mut reasons: Vec<String> =
         failure.map(|failure| stands_in(method, options.method, failure)).into_iter().collect();
-    // Contact does not need the camera to climb, so its answer is not judged by the climb.
-    if method != ScaleMethod::Intersection {
+    // Contact does not need the camera to climb, so its answer, where it was asked for, is not judged by the climb.
+    if [method, options.method] != [ScaleMethod::Intersection; 2] {
         reasons.extend(degeneracy(&all_frames, options.max_relative_std));
     }
     Ok(ScaleEstimate {

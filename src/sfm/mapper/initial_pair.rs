@@ -25,6 +25,8 @@ pub struct InitialPair {
 
 /// Views that are looked at as partners; of longer sequences an even selection is.
 const MAX_VIEWS: usize = 48;
+/// Median displacement of the common points below which two views count as one: whatever geometry fits is noise.
+const MIN_DISPLACEMENT_PX: f64 = 0.5;
 /// Pairs whose geometry is estimated.
 const MAX_ESTIMATED: usize = 60;
 
@@ -81,16 +83,14 @@ fn common_tracks(table: &TrackTable, min_common: usize) -> Vec<PairTracks> {
 /// The pairs with the largest product of common points (up to a number that suffices) and median displacement, which
 /// stands for the baseline until the geometry is known.
 fn promising(table: &TrackTable, common: Vec<PairTracks>) -> Vec<PairTracks> {
-    let mut rated: Vec<(f64, PairTracks)> = common
-        .into_iter()
-        .map(|(views, tracks)| {
-            let mut moved: Vec<f64> = tracks.iter().filter_map(|&t| displacement(table, t, views)).collect();
-            let middle = moved.len() / 2;
-            let median = *moved.select_nth_unstable_by(middle, f64::total_cmp).1;
-            let count = (tracks.len() as f64).min(400.0);
-            (count.sqrt() * median.max(0.1).sqrt(), (views, tracks))
-        })
-        .collect();
+    let rate = |(views, tracks): PairTracks| {
+        let mut moved: Vec<f64> = tracks.iter().filter_map(|&t| displacement(table, t, views)).collect();
+        let middle = moved.len() / 2;
+        let median = *moved.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let count = (tracks.len() as f64).min(400.0);
+        (median >= MIN_DISPLACEMENT_PX).then(|| (count.sqrt() * median.sqrt(), (views, tracks)))
+    };
+    let mut rated: Vec<(f64, PairTracks)> = common.into_iter().filter_map(rate).collect();
     rated.sort_by(|a, b| b.0.total_cmp(&a.0));
     // Every other candidate from the whole list, so that one kind of pair (far apart, few points) does not fill it.
     let step = (rated.len() / MAX_ESTIMATED).max(1);
@@ -125,6 +125,20 @@ fn geometry_of(
     two_view::estimate(&pairs, options.max_pose_error_px / mean_focal, &mut seeded_rng(seed, stream))
 }
 
+/// The same pairs, each next one the best that lies a sixth of all views away from those before it on one side at least;
+/// what is near comes at the end.
+pub fn far_from_one_another(pairs: Vec<InitialPair>, num_views: usize) -> Vec<InitialPair> {
+    let least = num_views.div_ceil(6);
+    let mut far: Vec<InitialPair> = Vec::new();
+    let mut near = Vec::new();
+    for pair in pairs {
+        let is_near = |other: &InitialPair| (0..2).all(|side| other.views[side].abs_diff(pair.views[side]) < least);
+        if far.iter().any(is_near) { near.push(pair) } else { far.push(pair) }
+    }
+    far.append(&mut near);
+    far
+}
+
 /// Leaves out a pair when a better one lies within two views of it on both sides: a second start should differ.
 fn distinct(pairs: impl Iterator<Item = InitialPair>) -> Vec<InitialPair> {
     const NEAR: usize = 2;
@@ -136,4 +150,22 @@ fn distinct(pairs: impl Iterator<Item = InitialPair>) -> Vec<InitialPair> {
         }
     }
     kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_next_start_lies_elsewhere() {
+        let pair =
+            |views| InitialPair { views, cam2_from_cam1: Rigid3::identity(), median_angle: 0.2, homography_ratio: 0.1 };
+        let best_first = [[10, 20], [12, 22], [10, 30], [40, 50], [41, 49]];
+        let order = far_from_one_another(best_first.map(pair).to_vec(), 60);
+        assert_eq!(
+            order.iter().map(|p| p.views).collect::<Vec<_>>(),
+            [[10, 20], [10, 30], [40, 50], [12, 22], [41, 49]]
+        );
+        assert_eq!(distinct(best_first.map(pair).into_iter()).len(), 3);
+    }
 }

@@ -250,6 +250,20 @@ impl<'a> Map<'a> {
         })
     }
 
+    /// How many of all observations the map explains: each counts from 1, where it fits exactly, to 0 at `max_error` (in
+    /// units of the whitening) or where its point or view is not known.
+    pub fn num_explained(&self, max_error: f64) -> f64 {
+        let misfit = |track: usize, position: Point3<f64>, slot: usize| {
+            self.view_at(track, slot).map_or(1.0, |view| (view.error_sq(position) / max_error.powi(2)).min(1.0))
+        };
+        (0..self.points.len())
+            .filter_map(|track| Some((track, self.points[track].as_ref()?.position)))
+            .map(|(track, position)| {
+                self.observations(track).map(|(slot, _, _)| 1.0 - misfit(track, position, slot)).sum::<f64>()
+            })
+            .sum()
+    }
+
     /// Robust noise of the observations: the median distance to the projection, as the standard deviation of a coordinate
     /// under Gaussian noise (a Rayleigh median is 1.177 σ).
     pub fn noise(&self) -> Noise {

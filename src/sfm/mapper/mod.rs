@@ -70,7 +70,9 @@ pub struct Options {
     pub global_growth: f64,
     /// Points per view in the global adjustments while the map grows; the last ones take all.
     pub growth_points_per_view: usize,
-    /// Starts that are tried before the largest map is taken.
+    /// Starts that are made in any case, far from one another, to keep the map that explains the tracks best.
+    pub min_starts: usize,
+    /// Starts that are tried at most while none registers nearly all views.
     pub max_starts: usize,
     /// Whether views are in time order, so that a failed one can be tried from its neighbours.
     pub ordered: bool,
@@ -96,6 +98,7 @@ impl Options {
             local_views: 6,
             global_growth: 1.3,
             growth_points_per_view: 250,
+            min_starts: 1,
             max_starts: 3,
             ordered: true,
             threads: 1,
@@ -112,6 +115,7 @@ impl Options {
             max_pose_error_px: 3.0,
             max_error_px: 2.0,
             min_angle_deg: 1.0,
+            min_starts: 3,
             max_starts: 5,
             ..Self::background()
         }
@@ -156,7 +160,10 @@ enum Noise {
     },
 }
 
-/// Builds the largest map that the tracks carry.
+/// Builds the map that explains the tracks best.
+///
+/// A start on few points or on one plane (a car's tail) may grow into a map that is bent at one frame, whose residuals are
+/// hardly larger than those of the right one, so that objects are built from several starts.
 ///
 /// * `cameras` – intrinsics, indexed by [`super::tracks::View::camera`].
 ///
@@ -173,28 +180,32 @@ pub fn reconstruct(
 ) -> Result<(Reconstruction, Report), SfmError> {
     let pairs = initial_pair::ranked(table, cameras, options, seed);
     let usable = table.views.iter().filter(|v| !v.pixels.is_empty()).count();
-    let mut best: Option<(Map, Report)> = None;
+    let mut best: Option<(f64, Map, Report)> = None;
     let mut num_starts = 0;
-    for pair in pairs.iter().take(options.max_starts) {
+    for pair in initial_pair::far_from_one_another(pairs.clone(), table.views.len()).iter().take(options.max_starts) {
         num_starts += 1;
         let mut growth = Growth::new(Map::new(table, cameras), intrinsics, options, seed);
-        if !growth.start(pair)? {
-            continue;
-        }
-        growth.grow()?;
-        growth.finish()?;
-        let (map, report) = growth.into_result();
-        let larger = best.as_ref().is_none_or(|(b, _)| map.num_registered() > b.num_registered());
-        if larger {
-            best = Some((map, report));
+        if growth.start(pair)? {
+            growth.grow()?;
+            growth.finish()?;
+            let (map, report) = growth.into_result();
+            let explained = map.num_explained(options.max_error_px);
+            tracing::debug!(
+                "start {num_starts}: {} views, {explained:.0} observations explained",
+                map.num_registered()
+            );
+            if best.as_ref().is_none_or(|(b, ..)| explained > *b) {
+                best = Some((explained, map, report));
+            }
         }
         const GOOD_SHARE: f64 = 0.95;
-        if best.as_ref().is_some_and(|(b, _)| b.num_registered() as f64 >= GOOD_SHARE * usable as f64) {
+        let is_good = |map: &Map| map.num_registered() as f64 >= GOOD_SHARE * usable as f64;
+        if num_starts >= options.min_starts && best.as_ref().is_some_and(|(_, map, _)| is_good(map)) {
             break;
         }
     }
     Ok(match best {
-        Some((map, mut report)) => {
+        Some((_, map, mut report)) => {
             let reconstruction = map.into_reconstruction();
             report.num_starts = num_starts;
             report.mean_error_px = reconstruction.mean_reprojection_error_px();
