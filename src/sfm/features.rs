@@ -8,6 +8,7 @@ use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
 use super::SfmError;
+use super::refinement::Shape;
 use super::sift::{self, Plane};
 use crate::image::{GrayImage, RgbImage, gray_from_rgb, resize_gray};
 use crate::scene::{BoundingBox, Mask};
@@ -53,6 +54,8 @@ pub struct Features {
     pub pixels: Vec<Point2<f64>>,
     /// Colours there.
     pub rgb: Vec<[u8; 3]>,
+    /// Their sizes and directions.
+    pub shapes: Vec<Shape>,
     /// Row-major, [`DESCRIPTOR_LEN`] per feature, of length [`DESCRIPTOR_NORM`].
     pub descriptors: Vec<u8>,
 }
@@ -126,6 +129,7 @@ fn collected(image: &RgbImage, window: BoundingBox, scale: f64, found: &sift::Fo
         let colour = image.get_pixel_checked(pixel.x.max(0.0) as u32, pixel.y.max(0.0) as u32);
         features.pixels.push(pixel);
         features.rgb.push(colour.map_or([0; 3], |c| c.0));
+        features.shapes.push(Shape { scale: keypoint.scale / scale as f32, angle: keypoint.angle });
         features.descriptors.extend(root_sift(descriptor));
     }
     features

@@ -24,7 +24,13 @@ impl FrontEndOptions {
     /// For photographs in no order.
     pub fn unordered() -> Self {
         let features = FeatureOptions { max_features: 5000, contrast_threshold: 0.02, ..FeatureOptions::background() };
-        Self::Sift(SiftOptions { features, pairing: Pairing::Exhaustive, ..SiftOptions::background() })
+        Self::Sift(SiftOptions {
+            features,
+            pairing: Pairing::Exhaustive,
+            // With refined positions points of two views help more than they harm.
+            min_track_length: 2,
+            ..SiftOptions::background()
+        })
     }
 }
 

@@ -9,6 +9,7 @@ pub mod mapper;
 pub mod matching;
 pub mod order;
 pub mod patch;
+pub mod refinement;
 pub mod resection;
 pub mod sift;
 pub mod sift_front_end;

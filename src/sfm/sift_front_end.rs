@@ -9,10 +9,11 @@ use serde::{Deserialize, Serialize};
 use super::SfmError;
 use super::features::{FeatureOptions, Features, extract};
 use super::matching::{MatchOptions, match_features};
+use super::refinement::{self, Pyramid};
 use super::tracks::{PairMatches, TrackTable, View, tracks_from_matches};
 use super::two_view::{self, Correspondences};
 use crate::camera::Camera;
-use crate::image::RgbImage;
+use crate::image::{GrayImage, RgbImage, gray_from_rgb};
 use crate::math::seeded_rng;
 use crate::scene::{Frame, Mask};
 
@@ -42,6 +43,9 @@ pub struct SiftOptions {
     pub max_epipolar_error_px: f64,
     /// Fewest verified matches of a pair that counts.
     pub min_pair_matches: usize,
+    /// Largest number of pixels of all images together up to which positions are refined by comparing pictures, millions;
+    /// the pictures are kept for that. 0 leaves the positions as they were found.
+    pub max_refined_mpx: f64,
     /// Shortest track that is kept, where there are as many views.
     pub min_track_length: usize,
 }
@@ -55,6 +59,7 @@ impl SiftOptions {
             pairing: Pairing::Sequential { window: 5 },
             max_epipolar_error_px: 3.0,
             min_pair_matches: 15,
+            max_refined_mpx: 400.0,
             min_track_length: 3,
         }
     }
@@ -78,12 +83,23 @@ pub struct SiftFrontEnd {
     views: Vec<View>,
     features: Vec<Features>,
     waiting: Vec<(Frame, RgbImage, Mask)>,
+    /// Grey pictures for refinement, as long as they are not too many.
+    pictures: Vec<GrayImage>,
+    num_pixels: f64,
 }
 
 impl SiftFrontEnd {
     /// `camera` serves to verify matches; a guess will do.
     pub fn new(options: SiftOptions, camera: Camera) -> Self {
-        Self { options, camera, views: Vec::new(), features: Vec::new(), waiting: Vec::new() }
+        Self {
+            options,
+            camera,
+            views: Vec::new(),
+            features: Vec::new(),
+            waiting: Vec::new(),
+            pictures: Vec::new(),
+            num_pixels: 0.0,
+        }
     }
 
     /// Adds a frame, looking only where the mask is set.
@@ -100,7 +116,8 @@ impl SiftFrontEnd {
         let waiting = std::mem::take(&mut self.waiting);
         let found: Result<Vec<Features>, SfmError> =
             waiting.par_iter().map(|(_, image, mask)| extract(image, mask, &self.options.features)).collect();
-        for ((frame, _, _), mut features) in waiting.into_iter().zip(found?) {
+        for ((frame, image, _), mut features) in waiting.into_iter().zip(found?) {
+            self.keep_picture(&image)?;
             self.views.push(View {
                 image: frame.id.into(),
                 name: frame.name,
@@ -110,6 +127,16 @@ impl SiftFrontEnd {
                 whitening: Vec::new(),
             });
             self.features.push(features);
+        }
+        Ok(())
+    }
+
+    fn keep_picture(&mut self, image: &RgbImage) -> Result<(), SfmError> {
+        self.num_pixels += f64::from(image.width()) * f64::from(image.height());
+        if self.num_pixels > 1e6 * self.options.max_refined_mpx {
+            self.pictures.clear();
+        } else {
+            self.pictures.push(gray_from_rgb(image)?);
         }
         Ok(())
     }
@@ -132,7 +159,14 @@ impl SiftFrontEnd {
         let counts: Vec<usize> = self.features.iter().map(Features::len).collect();
         let num_seen = counts.iter().filter(|&&n| n > 0).count();
         let min_length = self.options.min_track_length.min(num_seen);
-        Ok(TrackTable { tracks: tracks_from_matches(&counts, &pairs, min_length), views: self.views })
+        let mut table = TrackTable { tracks: tracks_from_matches(&counts, &pairs, min_length), views: self.views };
+        if self.pictures.len() == table.views.len() {
+            let pyramids: Result<Vec<Pyramid>, SfmError> = self.pictures.into_par_iter().map(Pyramid::new).collect();
+            let shapes: Vec<_> = self.features.into_iter().map(|f| f.shapes).collect();
+            let moved = refinement::refine(&mut table, &shapes, &pyramids?);
+            tracing::debug!("{moved} of {} positions refined", table.num_observations());
+        }
+        Ok(table)
     }
 
     fn verified(&self, views: [usize; 2], normalized: &[Vec<Vector2<f64>>], seed: u64) -> Option<PairMatches> {

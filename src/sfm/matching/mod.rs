@@ -66,6 +66,7 @@ mod tests {
         Features {
             pixels: vec![Point2::origin(); n],
             rgb: vec![[0; 3]; n],
+            shapes: Vec::new(),
             descriptors: (0..n).flat_map(descriptor).collect(),
         }
     }

@@ -14,8 +14,8 @@ pub const DESCRIPTOR_LEN: usize = CELLS * CELLS * DIRECTIONS;
 /// Side of a cell, in σ of the keypoint.
 const CELL_SIGMAS: f32 = 3.0;
 
-/// The descriptor, turned by the dominant direction.
-pub(super) fn describe(layer: &Plane, place: &Place) -> [f32; DESCRIPTOR_LEN] {
+/// The dominant direction, radians, and the descriptor turned by it.
+pub(super) fn describe(layer: &Plane, place: &Place) -> (f32, [f32; DESCRIPTOR_LEN]) {
     let angle = dominant_direction(layer, place);
     let (sin, cos) = angle.sin_cos();
     let cell = CELL_SIGMAS * place.sigma;
@@ -60,7 +60,7 @@ pub(super) fn describe(layer: &Plane, place: &Place) -> [f32; DESCRIPTOR_LEN] {
         *value = if k == 0 { cell[0] + cell[DIRECTIONS] } else { cell[k] };
     }
     limited(&mut out);
-    out
+    (angle, out)
 }
 
 /// Unit length, no entry above a fifth: strong single gradients (lights, edges of shadows) do not outvote the rest.

@@ -116,7 +116,7 @@ fn refined(
             };
             let pixel = |at: f32| at * octave.step + 0.5;
             let (x, y) = (pixel(place.x), pixel(place.y));
-            return Some(Keypoint { x, y, scale: place.sigma * octave.step, contrast, place });
+            return Some(Keypoint { x, y, scale: place.sigma * octave.step, angle: 0.0, contrast, place });
         }
         let moved = |at: usize, by: f32| at.checked_add_signed(by.round() as isize);
         (x, y, layer) = (moved(x, offset.x)?, moved(y, offset.y)?, moved(layer, offset.z)?);

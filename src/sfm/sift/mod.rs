@@ -42,6 +42,8 @@ pub struct Keypoint {
     pub y: f32,
     /// Standard deviation of the Gaussian at which it was found, pixels.
     pub scale: f32,
+    /// Dominant gradient direction, radians.
+    pub angle: f32,
     /// Interpolated difference of Gaussians there.
     pub contrast: f32,
     /// Place in its octave.
@@ -84,10 +86,12 @@ pub fn detect(picture: &Plane, options: &Options, wanted: impl Fn(f32, f32) -> b
     }
     keep_strongest(&mut keypoints, options.max_keypoints);
     let mut descriptors = Vec::with_capacity(keypoints.len() * DESCRIPTOR_LEN);
-    for keypoint in &keypoints {
+    for keypoint in &mut keypoints {
         let place = &keypoint.place;
         let layer = &octaves[place.octave].layers[place.layer];
-        descriptors.extend(descriptor::describe(layer, place));
+        let (angle, descriptor) = descriptor::describe(layer, place);
+        keypoint.angle = angle;
+        descriptors.extend(descriptor);
     }
     Found { keypoints, descriptors }
 }
