@@ -10,6 +10,7 @@ pub mod compare;
 pub mod convert;
 mod doctor;
 pub mod evaluate;
+mod models;
 mod output;
 mod run;
 mod terminal;

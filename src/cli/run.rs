@@ -9,6 +9,7 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::args::JobArgs;
+use super::models;
 use super::output::{Failure, print, print_json};
 use super::terminal::Talk;
 use crate::io::{IoError, Sequence};
@@ -175,7 +176,7 @@ fn as_json(summary: &Summary, goal: Stage, trajectories: Option<&Trajectories>) 
 }
 
 fn as_text(summary: &Summary, goal: Stage, trajectories: Option<&Trajectories>) -> String {
-    let mut text = String::new();
+    let mut text = if goal == Stage::Objects { models::as_text(&summary.stages) } else { String::new() };
     // Writing to a string cannot fail.
     if let Some(found) = trajectories {
         let _ = writeln!(text, "{} vehicles with a trajectory", found.objects.len());
