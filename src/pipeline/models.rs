@@ -32,6 +32,9 @@ pub(super) struct ModelReport {
     pub(super) num_points: usize,
     pub(super) num_observations: usize,
     pub(super) mean_error_px: Option<f64>,
+    /// What weakens the model: a planar scene, forward motion, ...
+    #[serde(default)]
+    pub(super) remarks: Vec<String>,
     /// Points that were taken out because they project beside the object's masks.
     #[serde(default)]
     pub(super) num_outside_masks: usize,
@@ -84,6 +87,7 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     if let Some(failure) = &report.failure {
         outcome.warn(format!("the background cannot be reconstructed: {failure}"));
     } else {
+        report.remarks.iter().for_each(|remark| outcome.warn(format!("background: {remark}")));
         warn_of_gaps("background", &report, &mut outcome);
     }
     if let Some(figures) = center_figures(&model) {
@@ -298,6 +302,7 @@ fn reconstruct(
         num_registered: report.num_registered(),
         unregistered,
         failure,
+        remarks: report.remarks.iter().map(ToString::to_string).collect(),
         ..ModelReport::default()
     };
     described.describe_points(&model);

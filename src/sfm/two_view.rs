@@ -18,6 +18,10 @@ pub struct TwoViewGeometry {
     /// Inliers of the best homography over inliers of the epipolar geometry: near one for a planar scene or a camera
     /// that only turns.
     pub homography_ratio: f64,
+    /// That homography, second view from first.
+    pub homography: Option<Matrix3<f64>>,
+    /// Its inliers as a share of all correspondences.
+    pub homography_share: f64,
 }
 
 /// Undistorted positions on the plane z = 1 of the same points in two views; both lists have one length.
@@ -41,10 +45,12 @@ pub fn estimate(pairs: &Correspondences<'_>, max_error: f64, rng: &mut Rng) -> O
     // A share is asked for, not a model: where no plane dominates, more samples would only say so more slowly.
     let few = robust::Options { max_iterations: 200, ..options };
     let homography = robust::ransac(&HomographyEstimator(pairs), &few, rng);
-    let homography_inliers = homography.map_or(0, |h| h.inliers.len());
+    let homography_inliers = homography.as_ref().map_or(0, |h| h.inliers.len());
     Some(TwoViewGeometry {
         median_angle: median(angles)?,
         homography_ratio: homography_inliers as f64 / essential.inliers.len() as f64,
+        homography: homography.map(|h| h.model),
+        homography_share: homography_inliers as f64 / pairs.first.len() as f64,
         cam2_from_cam1,
         inliers,
     })

@@ -26,6 +26,10 @@ pub enum Scope {
 pub enum Freedom {
     /// None.
     Nothing,
+    /// One focal length.
+    Focal,
+    /// One focal length, and the first coefficient of radial distortion.
+    FocalAndFirstRadial,
     /// One focal length, and radial distortion.
     FocalAndRadial,
     /// These and the principal point.
@@ -49,18 +53,7 @@ pub fn adjust(
     noise: Noise,
     options: &Options,
 ) -> Result<Vec<bool>, SfmError> {
-    let mut tracks = vec![false; map.table.tracks.len()];
-    let mut free_views = vec![true; map.poses.len()];
-    match scope {
-        Scope::Everything => tracks.iter_mut().enumerate().for_each(|(t, used)| *used = map.point(t).is_some()),
-        Scope::Selected { per_view } => select_tracks(map, *per_view, &mut tracks),
-        Scope::Around(view) => {
-            free_views = neighbourhood(map, *view, options.local_views);
-            for v in (0..free_views.len()).filter(|&v| free_views[v]) {
-                map.visible(v).iter().for_each(|s| tracks[s.track as usize] = true);
-            }
-        }
-    }
+    let (tracks, free_views) = taking_part(map, scope, options);
     let (mut problem, mut parts) = build(map, &tracks, &free_views, intrinsics, noise);
     let local = matches!(scope, Scope::Around(_));
     let bundle_options = bundle::Options {
@@ -91,6 +84,82 @@ pub fn adjust(
     Ok(tracks)
 }
 
+/// Which points take part in a scope, by track, and which views are free.
+fn taking_part(map: &Map<'_>, scope: &Scope, options: &Options) -> (Vec<bool>, Vec<bool>) {
+    let mut tracks = vec![false; map.table.tracks.len()];
+    let mut free_views = vec![true; map.poses.len()];
+    match scope {
+        Scope::Everything => tracks.iter_mut().enumerate().for_each(|(t, used)| *used = map.point(t).is_some()),
+        Scope::Selected { per_view } => select_tracks(map, *per_view, &mut tracks),
+        Scope::Around(view) => {
+            free_views = neighbourhood(map, *view, options.local_views);
+            for v in (0..free_views.len()).filter(|&v| free_views[v]) {
+                map.visible(v).iter().for_each(|s| tracks[s.track as usize] = true);
+            }
+        }
+    }
+    (tracks, free_views)
+}
+
+/// Standard deviation of the focal length as a share of it, if observations are as wrong together as
+/// [`COMMON_ERROR_FACTOR`] says; infinite where the motion leaves it open.
+///
+/// A focal length that is some percent off is held, and everything else is adjusted to it: what that costs, in units of
+/// the common errors, is (change / deviation)².
+pub fn focal_deviation(map: &Map<'_>, sigma_px: f64, options: &Options) -> Result<f64, SfmError> {
+    const CHANGE: f64 = 0.03;
+    let probe = Probe::new(map, sigma_px, options);
+    let best = probe.cost(map, Freedom::FocalAndRadial, |_| ())?;
+    let held = probe.cost(map, Freedom::FocalAndRadial, |block| {
+        block.camera.focal = block.camera.focal.map(|f| f * (1.0 + CHANGE));
+        (block.free[0], block.free[1]) = (false, false);
+    })?;
+    let rise = held - best;
+    Ok(if rise > 0.0 { CHANGE / rise.sqrt() } else { f64::INFINITY })
+}
+
+/// How much the first coefficient of distortion explains, in units of the common errors squared, where it is the only one.
+pub fn first_radial_gain(map: &Map<'_>, sigma_px: f64, options: &Options) -> Result<f64, SfmError> {
+    let probe = Probe::new(map, sigma_px, options);
+    let straight = |block: &mut CameraBlock| block.camera.radial = [0.0; 2];
+    Ok(probe.cost(map, Freedom::Focal, straight)? - probe.cost(map, Freedom::FocalAndFirstRadial, straight)?)
+}
+
+/// Adjustments on trial, of some points in every part of every view.
+struct Probe<'a> {
+    tracks: Vec<bool>,
+    free_views: Vec<bool>,
+    noise: Noise,
+    /// Standard deviation of the common errors, in units of the observations'.
+    common_sigma: f64,
+    options: &'a Options,
+}
+
+impl<'a> Probe<'a> {
+    fn new(map: &Map<'_>, sigma_px: f64, options: &'a Options) -> Self {
+        let scope = Scope::Selected { per_view: options.growth_points_per_view };
+        let (tracks, free_views) = taking_part(map, &scope, options);
+        let noise = Noise::Measured { sigma_px };
+        Self { tracks, free_views, noise, common_sigma: COMMON_ERROR_FACTOR * sigma_px, options }
+    }
+
+    /// χ² after adjustment with cameras that are changed first, in units of the common errors.
+    fn cost(&self, map: &Map<'_>, freedom: Freedom, change: impl Fn(&mut CameraBlock)) -> Result<f64, SfmError> {
+        let (mut problem, _) = build(map, &self.tracks, &self.free_views, freedom, self.noise);
+        problem.priors.intrinsics.clear();
+        problem.cameras.iter_mut().for_each(change);
+        let bundle_options = bundle::Options {
+            loss: self.options.loss(self.noise),
+            max_iterations: 20,
+            function_tolerance: 1e-5,
+            threads: self.options.threads,
+            ..bundle::Options::default()
+        };
+        let cost = bundle::adjust(&mut problem, &bundle_options)?.final_cost;
+        Ok(2.0 * cost / (self.common_sigma * self.common_sigma))
+    }
+}
+
 /// Whether a lens like this is built: a field of view between 9 and 157 degrees over the longer side, and distortion that
 /// keeps the picture's order from the middle to the corner.
 fn is_plausible(camera: &Camera) -> bool {
@@ -103,15 +172,18 @@ fn is_plausible(camera: &Camera) -> bool {
     focal_ok && monotonic
 }
 
+/// How much worse than their residuals say observations are believed to be, where something may be wrong with all of them
+/// together: what the model of the lens or of the shutter leaves out, points that slide with the view. Such errors do not
+/// average out.
+const COMMON_ERROR_FACTOR: f64 = 5.0;
+
 /// A weak pull towards the guess, for motion that leaves a parameter open: within the spread of real lenses it weighs as
 /// much as one observation.
 ///
 /// The principal point is held to the middle as lenses are built, within a hundredth of the picture, against observations
-/// that are believed to be five times worse than they look: errors that they have in common (what the model of the lens
-/// leaves out, points that slide with the view) do not average out. Where views turn and spread it moves freely; on a
-/// single flight looking straight down, where it could take up such errors, it stays.
+/// with common errors ([`COMMON_ERROR_FACTOR`]). Where views turn and spread it moves freely; on a single flight looking
+/// straight down, where it could take up such errors, it stays.
 fn intrinsics_prior(camera_idx: usize, camera: &Camera, noise: Noise) -> IntrinsicsPrior {
-    const COMMON_ERROR_FACTOR: f64 = 5.0;
     const SIGMA_PRINCIPAL: f64 = 0.01;
     let side = f64::from(camera.width.max(camera.height));
     let focal = 1.2 * side;
@@ -138,6 +210,8 @@ fn build(map: &Map<'_>, tracks: &[bool], free_views: &[bool], intrinsics: Freedo
     let mut problem = Problem::default();
     let free_intrinsics = match intrinsics {
         Freedom::Nothing => [false; NUM_INTRINSICS],
+        Freedom::Focal => [true, true, false, false, false, false],
+        Freedom::FocalAndFirstRadial => [true, true, false, false, true, false],
         Freedom::FocalAndRadial => [true, true, false, false, true, true],
         Freedom::WithPrincipalPoint => [true; NUM_INTRINSICS],
     };

@@ -1,8 +1,11 @@
 //! Growing a map from its first pair.
 
+mod finish;
+
 use super::adjustment::{self, Freedom, Scope};
 use super::initial_pair::InitialPair;
 use super::map::{Map, Slot};
+use super::motion::{self, Remark};
 use super::{Intrinsics, Noise, Options, Reason, Report};
 use crate::math::{Rigid3, seeded_rng};
 use crate::sfm::SfmError;
@@ -16,9 +19,19 @@ pub struct Growth<'a> {
     options: &'a Options,
     seed: u64,
     noise: Noise,
+    /// What adjustments of everything move.
+    freedom: Freedom,
+    /// Whether that was decided by what the motion determines.
+    lens_decided: bool,
     pair: Option<InitialPair>,
     /// By view: known points seen and inliers at the last failed try.
     failed: Vec<Option<Attempt>>,
+    /// Where the motion hardly tells the focal length.
+    focal_remark: Option<Remark>,
+    /// Whether views were taken out by the view graph since the last adjustment of everything.
+    reviewed: bool,
+    /// By view: the points for and against the best pose that was found, where the view graph refused it.
+    refused: Vec<Option<(usize, usize)>>,
     /// Registered views at the last global adjustment.
     adjusted_at: usize,
 }
@@ -32,8 +45,22 @@ struct Attempt {
 impl<'a> Growth<'a> {
     /// An empty map.
     pub fn new(map: Map<'a>, intrinsics: Intrinsics, options: &'a Options, seed: u64) -> Self {
-        let failed = vec![None; map.poses.len()];
-        Self { map, intrinsics, options, seed, noise: Noise::Unknown, pair: None, failed, adjusted_at: 0 }
+        let (failed, refused) = (vec![None; map.poses.len()], vec![None; map.poses.len()]);
+        Self {
+            map,
+            intrinsics,
+            options,
+            seed,
+            noise: Noise::Unknown,
+            freedom: intrinsics.into(),
+            lens_decided: false,
+            focal_remark: None,
+            reviewed: false,
+            pair: None,
+            failed,
+            refused,
+            adjusted_at: 0,
+        }
     }
 
     /// Starts from a pair; `false` when its points do not hold after adjustment.
@@ -71,31 +98,6 @@ impl<'a> Growth<'a> {
         }
     }
 
-    /// Adjusts everything on all points, until observations stop changing.
-    pub fn finish(&mut self) -> Result<(), SfmError> {
-        const MAX_ROUNDS: usize = 3;
-        let limits = self.limits();
-        for round in 0..MAX_ROUNDS {
-            // The principal point is free at the very end, when the noise is known and wrong points are gone.
-            let last = round > 0 && self.intrinsics == Intrinsics::Refined;
-            let freedom = if last { Freedom::WithPrincipalPoint } else { self.intrinsics.into() };
-            self.map.triangulate_all(&limits);
-            self.map.update_observations(&limits);
-            self.adjust(&Scope::Everything, freedom)?;
-            self.noise = self.map.noise();
-            let limits = self.limits();
-            let changed = self.map.update_observations(&limits);
-            let total: usize = (0..self.map.table.tracks.len()).map(|t| self.map.observations(t).count()).sum();
-            const SETTLED_SHARE: f64 = 0.002;
-            let complete = last || self.intrinsics == Intrinsics::Fixed;
-            if complete && changed as f64 <= SETTLED_SHARE * total as f64 {
-                break;
-            }
-        }
-        self.drop_unsupported_views();
-        Ok(())
-    }
-
     /// The map and what became of every view.
     pub fn into_result(self) -> (Map<'a>, Report) {
         let views = Report::of_views(&self.map, |view| Some(self.reason(view)));
@@ -110,6 +112,7 @@ impl<'a> Growth<'a> {
             num_points: self.map.num_points(),
             num_observations,
             mean_error_px: None,
+            remarks: self.focal_remark.into_iter().chain(motion::remarks_on(&self.map, self.intrinsics)).collect(),
             failure: None,
         };
         (self.map, report)
@@ -129,7 +132,10 @@ impl<'a> Growth<'a> {
         let ready = |&view: &usize| {
             let (_, visible) = self.map.visibility(view);
             let retry = self.failed[view].is_none_or(|a| visible as f64 > MORE * a.visible as f64);
-            self.map.poses[view].is_none() && visible >= self.options.min_resection_inliers && retry
+            self.map.poses[view].is_none()
+                && self.refused[view].is_none()
+                && visible >= self.options.min_resection_inliers
+                && retry
         };
         (0..self.map.poses.len()).filter(ready).max_by_key(|&view| (self.map.visibility(view).1, usize::MAX - view))
     }
@@ -192,7 +198,7 @@ impl<'a> Growth<'a> {
     fn adjust_globally(&mut self) -> Result<(), SfmError> {
         let limits = self.limits();
         let scope = Scope::Selected { per_view: self.options.growth_points_per_view };
-        let used = self.adjust(&scope, self.intrinsics.into())?;
+        let used = self.adjust(&scope, self.freedom)?;
         self.map.retriangulate(&limits, &used);
         self.map.triangulate_all(&limits);
         self.map.update_observations(&limits);
@@ -206,7 +212,7 @@ impl<'a> Growth<'a> {
             return;
         }
         for view in 0..self.map.poses.len() {
-            if self.map.poses[view].is_some() {
+            if self.map.poses[view].is_some() || self.refused[view].is_some() {
                 continue;
             }
             let Some(start) = self.interpolated(view) else { continue };
@@ -231,28 +237,12 @@ impl<'a> Growth<'a> {
         Some(Rigid3::from_rotation_and_center(rotation, center))
     }
 
-    /// Takes out views that filtering has left with too few observations to hold a pose.
-    fn drop_unsupported_views(&mut self) {
-        let mut support = vec![0usize; self.map.poses.len()];
-        for track in 0..self.map.table.tracks.len() {
-            for (_, view, _) in self.map.observations(track) {
-                support[view] += 1;
-            }
-        }
-        let registered: Vec<usize> = self.map.registered().collect();
-        for view in registered {
-            if support[view] < self.options.min_resection_inliers {
-                let (_, visible) = self.map.visibility(view);
-                self.failed[view] = Some(Attempt { visible, inliers: support[view] });
-                self.map.unregister(view);
-            }
-        }
-        self.map.update_observations(&self.limits());
-    }
-
     fn reason(&self, view: usize) -> Reason {
         let features = self.map.table.views[view].pixels.len();
         let (in_tracks, visible) = self.map.visibility(view);
+        if let Some((agreeing, contradicting)) = self.refused[view] {
+            return Reason::Contradicted { agreeing, contradicting };
+        }
         match self.failed[view] {
             _ if features == 0 => Reason::NoFeatures,
             _ if in_tracks == 0 => Reason::NoMatches { features },

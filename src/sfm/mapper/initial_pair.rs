@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector2;
 
-use super::Options;
+use super::motion::{self, PairMotion, Survey};
+use super::{Intrinsics, Options};
 use crate::camera::Camera;
 use crate::math::{Rigid3, seeded_rng};
 use crate::sfm::tracks::TrackTable;
@@ -30,10 +31,18 @@ const MIN_DISPLACEMENT_PX: f64 = 0.5;
 /// Pairs whose geometry is estimated.
 const MAX_ESTIMATED: usize = 60;
 
-/// Candidate starts, best first; empty when no pair has enough common points with any angle between them.
-pub fn ranked(table: &TrackTable, cameras: &[Camera], options: &Options, seed: u64) -> Vec<InitialPair> {
+/// Candidate starts, best first, and what all pairs tell of the motion. No start when no pair has enough common points with
+/// any angle between them.
+pub fn ranked(
+    table: &TrackTable,
+    cameras: &[Camera],
+    intrinsics: Intrinsics,
+    options: &Options,
+    seed: u64,
+) -> (Vec<InitialPair>, Survey) {
     let common = common_tracks(table, options.min_initial_inliers);
-    let mut estimated: Vec<(f64, InitialPair)> = promising(table, common)
+    let mut survey = Survey::default();
+    let mut estimated: Vec<(f64, InitialPair)> = promising(table, common, &mut survey)
         .into_iter()
         .filter_map(|(views, tracks)| {
             let geometry = geometry_of(table, cameras, options, seed, views, &tracks)?;
@@ -44,13 +53,16 @@ pub fn ranked(table: &TrackTable, cameras: &[Camera], options: &Options, seed: u
                 median_angle: geometry.median_angle,
                 homography_ratio: geometry.homography_ratio,
             };
-            let usable = geometry.inliers.len() >= options.min_initial_inliers
+            let motion = motion::of_pair(&geometry, intrinsics);
+            survey.add(motion);
+            let usable = motion == PairMotion::Other
+                && geometry.inliers.len() >= options.min_initial_inliers
                 && geometry.median_angle >= options.min_angle_deg.to_radians();
             usable.then_some((score, pair))
         })
         .collect();
     estimated.sort_by(|a, b| b.0.total_cmp(&a.0));
-    distinct(estimated.into_iter().map(|(_, pair)| pair))
+    (distinct(estimated.into_iter().map(|(_, pair)| pair)), survey)
 }
 
 /// Inliers count up to a number that determines the geometry well, angles up to the wanted one; a start that one
@@ -81,16 +93,20 @@ fn common_tracks(table: &TrackTable, min_common: usize) -> Vec<PairTracks> {
 }
 
 /// The pairs with the largest product of common points (up to a number that suffices) and median displacement, which
-/// stands for the baseline until the geometry is known.
-fn promising(table: &TrackTable, common: Vec<PairTracks>) -> Vec<PairTracks> {
-    let rate = |(views, tracks): PairTracks| {
+/// stands for the baseline until the geometry is known. Pairs between which nothing moves are only counted.
+fn promising(table: &TrackTable, common: Vec<PairTracks>, survey: &mut Survey) -> Vec<PairTracks> {
+    let mut rate = |(views, tracks): PairTracks| {
         let mut moved: Vec<f64> = tracks.iter().filter_map(|&t| displacement(table, t, views)).collect();
         let middle = moved.len() / 2;
         let median = *moved.select_nth_unstable_by(middle, f64::total_cmp).1;
         let count = (tracks.len() as f64).min(400.0);
-        (median >= MIN_DISPLACEMENT_PX).then(|| (count.sqrt() * median.sqrt(), (views, tracks)))
+        if median < MIN_DISPLACEMENT_PX {
+            survey.add(PairMotion::Still);
+            return None;
+        }
+        Some((count.sqrt() * median.sqrt(), (views, tracks)))
     };
-    let mut rated: Vec<(f64, PairTracks)> = common.into_iter().filter_map(rate).collect();
+    let mut rated: Vec<(f64, PairTracks)> = common.into_iter().filter_map(&mut rate).collect();
     rated.sort_by(|a, b| b.0.total_cmp(&a.0));
     // Every other candidate from the whole list, so that one kind of pair (far apart, few points) does not fill it.
     let step = (rated.len() / MAX_ESTIMATED).max(1);

@@ -4,7 +4,8 @@
 //! most known points first: its pose by P3P ([`super::resection`]), new points by triangulation
 //! ([`super::triangulation`]), then a local bundle adjustment round it, and a global one whenever the map has grown by a
 //! fixed share. Views that fail are tried again when they see more points, and at the end, for a video, from the poses of
-//! their neighbours. When a start does not carry far, the next pair is tried, and the largest map is kept.
+//! their neighbours. Views that contradict what pairs of views say by themselves are taken out and tried again
+//! ([`view_graph`]). When a start does not carry far, the next pair is tried, and the largest map is kept.
 //!
 //! Every view that is not part of the result has a [`Reason`] in the [`Report`].
 
@@ -12,12 +13,15 @@ mod adjustment;
 mod growth;
 mod initial_pair;
 mod map;
+mod motion;
 mod report;
 #[cfg(test)]
 mod tests;
+mod view_graph;
 
 use serde::{Deserialize, Serialize};
 
+pub use motion::Remark;
 pub use report::{Outcome, Reason, Report};
 
 use super::SfmError;
@@ -178,7 +182,7 @@ pub fn reconstruct(
     options: &Options,
     seed: u64,
 ) -> Result<(Reconstruction, Report), SfmError> {
-    let pairs = initial_pair::ranked(table, cameras, options, seed);
+    let (pairs, survey) = initial_pair::ranked(table, cameras, intrinsics, options, seed);
     let usable = table.views.iter().filter(|v| !v.pixels.is_empty()).count();
     let mut best: Option<(f64, Map, Report)> = None;
     let mut num_starts = 0;
@@ -211,6 +215,6 @@ pub fn reconstruct(
             report.mean_error_px = reconstruction.mean_reprojection_error_px();
             (reconstruction, report)
         }
-        None => (Reconstruction::default(), Report::without_start(table, pairs.len(), num_starts)),
+        None => (Reconstruction::default(), Report::without_start(table, pairs.len(), num_starts, &survey)),
     })
 }

@@ -5,6 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::map::Map;
+use super::motion::{Remark, Survey};
 use crate::scene::ImageId;
 use crate::sfm::tracks::TrackTable;
 
@@ -33,6 +34,13 @@ pub enum Reason {
         /// Most of them that agreed on one pose.
         inliers: usize,
     },
+    /// It fits nowhere without contradicting the pairs that it makes with others, as on repeated structure.
+    Contradicted {
+        /// Points of pairs that agree with its best pose.
+        agreeing: usize,
+        /// Points of pairs that contradict it.
+        contradicting: usize,
+    },
     /// Nothing was reconstructed at all.
     NoStart,
 }
@@ -48,6 +56,10 @@ impl fmt::Display for Reason {
             Self::NoPose { visible, inliers } => {
                 write!(f, "of {visible} points that it sees, only {inliers} agree on a pose")
             }
+            Self::Contradicted { agreeing, contradicting } => write!(
+                f,
+                "its best pose contradicts {contradicting} points that it shares with other frames, and agrees with {agreeing}"
+            ),
             Self::NoStart => write!(f, "no pair of frames could start a reconstruction"),
         }
     }
@@ -83,6 +95,9 @@ pub struct Report {
     pub num_observations: usize,
     /// Mean reprojection error, pixels.
     pub mean_error_px: Option<f64>,
+    /// What weakens the map, in the motion and in the scene.
+    #[serde(default)]
+    pub remarks: Vec<Remark>,
     /// Why nothing was reconstructed, where nothing was.
     pub failure: Option<String>,
 }
@@ -108,7 +123,7 @@ impl Report {
     }
 
     /// The report of a target that no pair of views could start.
-    pub(super) fn without_start(table: &TrackTable, num_pairs: usize, num_starts: usize) -> Self {
+    pub(super) fn without_start(table: &TrackTable, num_pairs: usize, num_starts: usize, survey: &Survey) -> Self {
         let map = Map::new(table, &[]);
         let seen = |view: &crate::sfm::tracks::View| !view.pixels.is_empty();
         let num_seen = table.views.iter().filter(|v| seen(v)).count();
@@ -116,6 +131,8 @@ impl Report {
             format!("features in {num_seen} of {} frames; a reconstruction needs at least two", table.views.len())
         } else if table.tracks.is_empty() {
             "no feature could be followed from one frame to another".to_owned()
+        } else if let Some(motion) = survey.failure() {
+            motion
         } else if num_pairs == 0 {
             "no pair of frames has enough common points seen from different directions: the camera hardly moves round \
              the target, or the target is too small or too smooth"

@@ -1,0 +1,183 @@
+//! Whether registered views agree with what pairs of views say by themselves.
+//!
+//! On repeated structure (the windows of a façade, the two sides of a symmetric building) a view can be registered at the
+//! wrong copy: enough points agree, and bundle adjustment cannot carry it away. Its true neighbours know better: with them
+//! it shares many points that one epipolar geometry explains, but of which the map explains few. A pair like that speaks
+//! against both its views, a pair whose points fit in both speaks for them, each with the number of its points; a view
+//! that has more against it than for it is taken out, the worst first, and what it was blamed for is taken back.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector2;
+
+use super::map::Map;
+use crate::math::seeded_rng;
+use crate::sfm::two_view::{self, Correspondences};
+
+/// Pairs that are looked at, of those that share most points with a view.
+const MAX_PARTNERS: usize = 10;
+/// Fewest known points that a pair must have in common to say anything.
+const MIN_COMMON: usize = 15;
+/// A pair of which the map explains at least this share of the common points agrees with it.
+const AGREEING_SHARE: f64 = 0.5;
+/// A pair of which the map explains at most this share contradicts it, if one epipolar geometry explains twice as many.
+const CONTRADICTING_SHARE: f64 = 0.3;
+
+/// What a pair of registered views says of the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Opinion {
+    /// The views.
+    pub views: [usize; 2],
+    /// Points for the map; 0 where the pair contradicts it.
+    pub agreeing: usize,
+    /// Points against it.
+    pub contradicting: usize,
+}
+
+/// The pairs of views that share most points.
+pub struct ViewGraph {
+    /// Views and the tracks that they have in common.
+    pairs: Vec<([usize; 2], Vec<u32>)>,
+    /// Epipolar and reprojection threshold, pixels.
+    max_error_px: f64,
+    seed: u64,
+}
+
+impl ViewGraph {
+    /// Of all views of a map's table, registered or not.
+    pub fn new(map: &Map<'_>, max_error_px: f64, seed: u64) -> Self {
+        let tracks = &map.table.tracks;
+        let mut tracks_of: Vec<Vec<u32>> = vec![Vec::new(); map.poses.len()];
+        for (index, track) in tracks.iter().enumerate() {
+            track.iter().for_each(|f| tracks_of[f.view as usize].push(index as u32));
+        }
+        let mut chosen: BTreeMap<[usize; 2], Vec<u32>> = BTreeMap::new();
+        for (view, own) in tracks_of.iter().enumerate() {
+            let mut shared = BTreeMap::new();
+            for &track in own {
+                for feature in &tracks[track as usize] {
+                    *shared.entry(feature.view as usize).or_insert(0usize) += 1;
+                }
+            }
+            shared.remove(&view);
+            let mut partners: Vec<(usize, usize)> = shared.into_iter().filter(|&(_, n)| n >= MIN_COMMON).collect();
+            partners.sort_by_key(|&(other, n)| (usize::MAX - n, other));
+            for (other, _) in partners.into_iter().take(MAX_PARTNERS) {
+                chosen.entry([view.min(other), view.max(other)]).or_default();
+            }
+        }
+        for ([a, b], common) in &mut chosen {
+            let seen_by_b = |&&track: &&u32| tracks_of[*b].binary_search(&track).is_ok();
+            common.extend(tracks_of[*a].iter().filter(seen_by_b));
+        }
+        Self { pairs: chosen.into_iter().collect(), max_error_px, seed }
+    }
+
+    /// What pairs of registered views say; of those of one view only, where one is given.
+    pub fn opinions(&self, map: &Map<'_>, of: Option<usize>) -> Vec<Opinion> {
+        let wanted = |views: &[usize; 2]| {
+            of.is_none_or(|view| views.contains(&view)) && views.iter().all(|&v| map.poses[v].is_some())
+        };
+        self.pairs
+            .iter()
+            .filter(|(views, _)| wanted(views))
+            .filter_map(|(views, tracks)| self.opinion(map, *views, tracks))
+            .collect()
+    }
+
+    fn opinion(&self, map: &Map<'_>, views: [usize; 2], tracks: &[u32]) -> Option<Opinion> {
+        let known: Vec<usize> = tracks.iter().map(|&t| t as usize).filter(|&t| map.point(t).is_some()).collect();
+        if known.len() < MIN_COMMON {
+            return None;
+        }
+        let fits = known.iter().filter(|&&t| views.iter().all(|&v| self.fits(map, t, v))).count();
+        let share = fits as f64 / known.len() as f64;
+        if share >= AGREEING_SHARE {
+            return Some(Opinion { views, agreeing: fits, contradicting: 0 });
+        }
+        if share > CONTRADICTING_SHARE {
+            return None;
+        }
+        let by_itself = self.epipolar_inliers(map, views, &known);
+        let contradicts = by_itself >= MIN_COMMON.max(2 * fits);
+        contradicts.then_some(Opinion { views, agreeing: 0, contradicting: by_itself })
+    }
+
+    fn fits(&self, map: &Map<'_>, track: usize, view: usize) -> bool {
+        let (Some(point), Some(pose)) = (map.point(track), &map.poses[view]) else { return false };
+        let Some(feature) = map.table.tracks[track].iter().find(|f| f.view as usize == view) else { return false };
+        map.camera_of(view)
+            .pixel_from_cam(*pose * point.position)
+            .is_some_and(|pixel| (pixel - map.table.pixel(*feature)).norm() <= self.max_error_px)
+    }
+
+    /// How many of the tracks one epipolar geometry of the two views explains.
+    fn epipolar_inliers(&self, map: &Map<'_>, views: [usize; 2], tracks: &[usize]) -> usize {
+        let normalized = |view: usize| -> Vec<Vector2<f64>> {
+            let feature = |t: &usize| map.table.tracks[*t].iter().find(|f| f.view as usize == view);
+            let camera = map.camera_of(view);
+            tracks.iter().filter_map(feature).map(|f| camera.normalized_from_pixel(map.table.pixel(*f))).collect()
+        };
+        let (first, second) = (normalized(views[0]), normalized(views[1]));
+        let mean_focal = (map.camera_of(views[0]).mean_focal() * map.camera_of(views[1]).mean_focal()).sqrt();
+        let stream = (views[0] as u64) << 32 | views[1] as u64;
+        let pairs = Correspondences { first: &first, second: &second };
+        two_view::verify(&pairs, self.max_error_px / mean_focal, &mut seeded_rng(self.seed, stream)).len()
+    }
+}
+
+/// Points for and against a view.
+pub fn balance(opinions: &[Opinion], view: usize) -> (usize, usize) {
+    let own = opinions.iter().filter(|o| o.views.contains(&view));
+    own.fold((0, 0), |(agreeing, against), o| (agreeing + o.agreeing, against + o.contradicting))
+}
+
+/// The views that have more against them than for them, the worst first; opinions of pairs with a worse view do not count.
+pub fn contradicted(mut opinions: Vec<Opinion>) -> Vec<usize> {
+    let mut out = Vec::new();
+    loop {
+        let mut views: Vec<usize> = opinions.iter().flat_map(|o| o.views).collect();
+        views.sort_unstable();
+        views.dedup();
+        let share = |view: usize| {
+            let (agreeing, against) = balance(&opinions, view);
+            against as f64 / (agreeing + against).max(1) as f64
+        };
+        // The first of equals, so that the result does not depend on anything else.
+        let worst = views.into_iter().rev().max_by(|&a, &b| share(a).total_cmp(&share(b)));
+        match worst.filter(|&view| share(view) > 0.5) {
+            Some(view) => {
+                opinions.retain(|o| !o.views.contains(&view));
+                out.push(view);
+            }
+            None => return out,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn opinion(a: usize, b: usize, agreeing: usize, contradicting: usize) -> Opinion {
+        Opinion { views: [a, b], agreeing, contradicting }
+    }
+
+    #[test]
+    fn the_view_that_most_speak_against_is_named_and_its_accusers_are_not() {
+        let opinions = vec![
+            opinion(0, 1, 200, 0),
+            opinion(1, 2, 200, 0),
+            opinion(3, 4, 180, 0),
+            // View 5 agrees with 0 and contradicts those round it; 2 has nobody else but 1.
+            opinion(0, 5, 60, 0),
+            opinion(3, 5, 0, 150),
+            opinion(4, 5, 0, 150),
+            opinion(2, 5, 0, 250),
+        ];
+        assert_eq!(balance(&opinions, 5), (60, 550));
+        assert_eq!(contradicted(opinions), [5]);
+        assert!(contradicted(vec![opinion(0, 1, 20, 0), opinion(1, 2, 0, 15)]).contains(&2));
+        assert!(contradicted(Vec::new()).is_empty());
+    }
+}
