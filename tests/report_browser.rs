@@ -35,7 +35,8 @@ fn run(browser: &Path, arguments: &[&str], page: &Path, fragment: &str) -> (Stri
         .args(["--headless=new", "--no-sandbox", "--no-first-run", "--disable-extensions", "--hide-scrollbars"])
         .args(["--disable-background-networking", "--disable-dev-shm-usage", "--enable-logging=stderr"])
         .arg(format!("--user-data-dir={}", profile.path().display()))
-        .args(["--virtual-time-budget=8000", "--timeout=60000"])
+        // Virtual time runs on while a busy machine loads the page: there must be plenty of it.
+        .args(["--virtual-time-budget=60000", "--timeout=120000"])
         .args(arguments)
         .arg(format!("file://{}{fragment}", page.display()))
         .stdin(Stdio::null())

@@ -133,7 +133,7 @@ fn degeneracy(all_frames: &Result<LeastSquares, ScaleError>, max_relative_std: f
         return None;
     }
     Some(format!(
-        "{motion}, and the ground planes are only good to {:.3e} background units: all frames together give a ratio of \
+        "{motion}, and the object's distance to the ground is only constant to {:.3e} background units: all frames together give a ratio of \
          {:.4} ± {:.4}, where at most ± {:.0} % is accepted",
         fit.residual_std,
         fit.ratio,
