@@ -5,6 +5,7 @@ use rand::Rng as _;
 use rand_distr::{Distribution, Normal};
 
 mod motion;
+mod repetition;
 
 use super::*;
 use crate::math::{Rigid3, Rng, seeded_rng, umeyama};
@@ -159,58 +160,4 @@ fn what_cannot_be_reconstructed_has_a_reason() {
     table.views[12].rgb.clear();
     let (_, report) = reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 0).unwrap();
     assert_eq!(report.failures().collect::<Vec<_>>(), [("000012.jpg", &Reason::NoFeatures)]);
-}
-
-/// A view of a street that has the same façade twice, whose matches on the second one went to the first.
-#[test]
-fn a_view_at_the_wrong_copy_of_a_facade_is_moved_to_the_right_one() {
-    const CONFUSED: usize = 20;
-    let mut rng = seeded_rng(8, 0);
-    let mut along = |from: f64, to: f64| {
-        Point3::new(rng.random_range(from..to), rng.random_range(8.0..12.0), rng.random_range(-2.5..2.5))
-    };
-    let facade: Vec<Point3<f64>> = (0..220).map(|_| along(-2.0, 6.0)).collect();
-    let copy_of = |p: &Point3<f64>| p + Vector3::new(15.0, 0.0, 0.0);
-    let street: Vec<Point3<f64>> = (0..500).map(|_| along(-6.0, 26.0)).collect();
-    let pose = |k: usize| {
-        let center = Point3::new(0.9 * k as f64, 0.3 * (k as f64).sin(), 0.2 * (0.7 * k as f64).cos());
-        look_at(center, center + Vector3::new(0.02 * k as f64 - 0.2, 10.0, 0.0))
-    };
-    let camera = Camera::with_focal(960, 540, 800.0);
-    let world = World { camera, poses: (0..24).map(pose).collect(), points: Vec::new() };
-    let mut table = tracks(&World { points: Vec::new(), ..world }, 0.0, 0, &mut rng);
-    let world = World { camera, poses: (0..24).map(pose).collect(), points: street };
-    let normal = Normal::new(0.0, 0.2).unwrap();
-    let mut add = |seen: Vec<(usize, Point3<f64>)>| {
-        let mut track = Track::new();
-        for (view, point) in seen {
-            let Some(pixel) = camera.pixel_from_cam(world.poses[view] * point).filter(|p| camera.contains(*p)) else {
-                continue;
-            };
-            let source = &mut table.views[view];
-            track.push(Feature { view: view as u32, feature: source.pixels.len() as u32 });
-            source.pixels.push(pixel + Vector3::from_fn(|_, _| normal.sample(&mut rng)).xy());
-            source.rgb.push([120; 3]);
-        }
-        table.tracks.push(track);
-    };
-    for point in &world.points {
-        add((0..24).map(|view| (view, *point)).collect());
-    }
-    for (k, point) in facade.iter().enumerate() {
-        let copy = copy_of(point);
-        // What the confused view sees on the copy, it takes for the first; half of the others do not confuse the two.
-        let first = |view: usize| (view, if view == CONFUSED { copy } else { *point });
-        let of_first = (0..14).map(first).chain((k % 2 == 0).then(|| first(CONFUSED)));
-        add(of_first.collect());
-        add((14..24).filter(|&view| view != CONFUSED).map(|view| (view, copy)).collect());
-    }
-    table.tracks.retain(|t| t.len() >= 2);
-    let (found, report) = reconstruct(&table, &[camera], Intrinsics::Fixed, &unordered(), 1).unwrap();
-    assert_eq!(report.num_registered(), 24);
-    assert!(center_error(&found, &world) < 0.02, "{}", center_error(&found, &world));
-}
-
-fn unordered() -> Options {
-    Options { ordered: false, ..Options::background() }
 }
