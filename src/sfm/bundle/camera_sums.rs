@@ -19,8 +19,9 @@ pub(super) fn add_border<const D: usize, F: Fused>(
 ) {
     let place = o - part.piece.obs.start;
     let residual = &part.residuals[place];
+    let in_point = o - layout.obs_of_point(point).start;
     for slot in layout.slots_of_point(point) {
-        let mut b = if layout.obs_slot[o] as usize == slot { part.d_shared[place] } else { [[0.0; CAMERA_DIM]; 2] };
+        let mut b = if layout.obs_slot[o] as usize == slot { part.d_shared[in_point] } else { [[0.0; CAMERA_DIM]; 2] };
         let y = &part.slot_eliminated[slot - part.piece.slots.start];
         for (row, q) in b.iter_mut().zip(&residual.eliminated) {
             for c in 0..CAMERA_DIM {
@@ -58,12 +59,12 @@ impl CameraSums {
         }
     }
 
-    /// Adds what a part's points contribute.
-    pub fn add<const D: usize>(&mut self, layout: &Layout, part: &Part<D>) {
+    /// Adds one point of a part, whose observations are linearised and eliminated.
+    pub fn add_point<const D: usize>(&mut self, layout: &Layout, part: &Part<D>, point: usize) {
         let Piece { points, obs, slots } = &part.piece;
-        for o in obs.clone().filter(|o| layout.obs_slot[*o] != NONE) {
+        for (k, o) in layout.obs_of_point(point).enumerate().filter(|(_, o)| layout.obs_slot[*o] != NONE) {
             let first = layout.slots[layout.obs_slot[o] as usize] as usize * CAMERA_DIM;
-            let (d, value) = (&part.d_shared[o - obs.start], &part.residuals[o - obs.start].value);
+            let (d, value) = (&part.d_shared[k], &part.residuals[o - obs.start].value);
             for r in 0..CAMERA_DIM {
                 let g = d[0][r] * value[0] + d[1][r] * value[1];
                 self.gradient[first + r] += g;
@@ -74,22 +75,23 @@ impl CameraSums {
                 }
             }
         }
-        for point in points.clone().filter(|p| !layout.point_fixed[*p]) {
-            let z = &part.points[point - points.start].half_step;
-            for slot in layout.slots_of_point(point) {
-                let y = &part.slot_eliminated[slot - slots.start];
-                let first = layout.slots[slot] as usize * CAMERA_DIM;
+        if layout.point_fixed[point] {
+            return;
+        }
+        let z = &part.points[point - points.start].half_step;
+        for slot in layout.slots_of_point(point) {
+            let y = &part.slot_eliminated[slot - slots.start];
+            let first = layout.slots[slot] as usize * CAMERA_DIM;
+            for r in 0..CAMERA_DIM {
+                self.reduced[first + r] -= y[0][r] * z[0] + y[1][r] * z[1] + y[2][r] * z[2];
+            }
+            for other in layout.slots_of_point(point) {
+                let w = &part.slot_eliminated[other - slots.start];
+                let column = layout.slots[other] as usize * CAMERA_DIM;
                 for r in 0..CAMERA_DIM {
-                    self.reduced[first + r] -= y[0][r] * z[0] + y[1][r] * z[1] + y[2][r] * z[2];
-                }
-                for other in layout.slots_of_point(point) {
-                    let w = &part.slot_eliminated[other - slots.start];
-                    let column = layout.slots[other] as usize * CAMERA_DIM;
-                    for r in 0..CAMERA_DIM {
-                        for c in 0..CAMERA_DIM {
-                            self.block[(first + r) * self.n + column + c] -=
-                                y[0][r] * w[0][c] + y[1][r] * w[1][c] + y[2][r] * w[2][c];
-                        }
+                    for c in 0..CAMERA_DIM {
+                        self.block[(first + r) * self.n + column + c] -=
+                            y[0][r] * w[0][c] + y[1][r] * w[1][c] + y[2][r] * w[2][c];
                     }
                 }
             }

@@ -146,7 +146,7 @@ impl<'a, const D: usize> Run<'a, D> {
                     if self.damping > LARGEST_DAMPING {
                         break Termination::NoProgress;
                     }
-                    self.eliminate();
+                    self.linearize();
                 }
                 Outcome::Stop(termination) => break termination,
             }
@@ -162,12 +162,6 @@ impl<'a, const D: usize> Run<'a, D> {
         let cost = self.lin.evaluate(&self.pass, &self.reduced.pattern, &self.state, self.damping);
         self.summary.linearize_s += start.elapsed().as_secs_f64();
         cost + priors::cost(self.problem, &self.state)
-    }
-
-    fn eliminate(&mut self) {
-        let start = Instant::now();
-        self.lin.eliminate(&self.pass, &self.reduced.pattern, self.damping);
-        self.summary.linearize_s += start.elapsed().as_secs_f64();
     }
 
     /// One step from the current linearisation; moves the state and lowers `cost` if it is accepted.

@@ -35,7 +35,7 @@ pub(super) struct Piece {
 }
 
 /// Cuts the points in parts of about the same work: as many as there can be without each losing too much by blocks of
-/// the reduced system that others have, too.
+/// the reduced system that others have, too, and without these taking more memory than the system itself.
 pub(super) fn pieces(layout: &Layout, pattern: &Pattern) -> Vec<Piece> {
     let work: Vec<usize> = (0..layout.points.len())
         .scan(0, |sum, point| {
@@ -53,7 +53,7 @@ pub(super) fn pieces(layout: &Layout, pattern: &Pattern) -> Vec<Piece> {
             pattern.start[views.end] - pattern.start[views.start]
         };
         let doubled = pieces.iter().map(blocks).sum::<usize>().saturating_sub(pattern.len());
-        if total >= count * PART_WORK && total >= doubled * WORK_PER_BLOCK {
+        if total >= count * PART_WORK && total >= doubled * WORK_PER_BLOCK && doubled <= pattern.len() {
             return pieces;
         }
         count /= 2;
@@ -82,9 +82,9 @@ fn cut(layout: &Layout, work: &[usize], count: usize) -> Vec<Piece> {
 pub(super) struct Part<const D: usize> {
     pub piece: Piece,
     pub residuals: Vec<Residual<D>>,
-    /// Jₚ of every observation.
-    pub d_points: Vec<[[f64; 3]; 2]>,
-    /// Derivatives by shared intrinsics; empty without shared cameras.
+    /// Jₚ of every observation of the point that is being worked on.
+    d_points: Vec<[[f64; 3]; 2]>,
+    /// Its derivatives by shared intrinsics; empty without shared cameras.
     pub d_shared: Vec<[[f64; 6]; 2]>,
     /// L⁻¹ Jₚᵀ J_c of every slot, summed over the slot's observations (eq. 9).
     pub slot_eliminated: Vec<[[f64; 6]; 3]>,
@@ -121,18 +121,13 @@ impl<const D: usize> Linearization<D> {
     }
 
     /// Residuals, Jacobians and the points' normal equations at a state (eqs. 1–6), their elimination with damping λ,
-    /// and the sums for the reduced system. Returns the cost.
+    /// and the sums for the reduced system. Returns the cost. Another damping is another evaluation: what it could reuse
+    /// would take as much memory again as all that is kept.
     pub fn evaluate(&mut self, pass: &Pass, pattern: &Pattern, state: &State, damping: f64) -> f64 {
-        let work = |share: &mut Share<D>| wide(Evaluate { pass, pattern, state: Some(state), damping, share });
+        let work = |share: &mut Share<D>| wide(Evaluate { pass, pattern, state, damping, share });
         let found = in_order(pass.parallel, self.parts.iter_mut().collect(), work);
         self.largest_point_gradient = found.iter().fold(0.0, |m, part| m.max(part.largest_gradient));
         0.5 * found.iter().map(|part| part.cost).sum::<f64>()
-    }
-
-    /// The elimination and the sums alone, for another damping.
-    pub fn eliminate(&mut self, pass: &Pass, pattern: &Pattern, damping: f64) {
-        let work = |share: &mut Share<D>| wide(Evaluate { pass, pattern, state: None, damping, share });
-        in_order(pass.parallel, self.parts.iter_mut().collect(), work);
     }
 
     #[cfg(test)]
@@ -148,30 +143,16 @@ impl<const D: usize> Linearization<D> {
         let (part, place) = self.of_obs(o);
         &part.residuals[place]
     }
-
-    /// Jₚ of an observation.
-    #[cfg(test)]
-    pub fn d_point(&self, o: usize) -> &[[f64; 3]; 2] {
-        let (part, place) = self.of_obs(o);
-        &part.d_points[place]
-    }
-
-    /// Its derivatives by shared intrinsics.
-    #[cfg(test)]
-    pub fn d_shared(&self, o: usize) -> &[[f64; 6]; 2] {
-        let (part, place) = self.of_obs(o);
-        &part.d_shared[place]
-    }
 }
 
 impl<const D: usize> Part<D> {
     fn new(layout: &Layout, piece: Piece) -> Self {
         let none = Residual { value: [0.0; 2], d_view: [[0.0; D]; 2], eliminated: [[0.0; 3]; 2] };
-        let n = piece.obs.len();
+        let longest = piece.points.clone().map(|point| layout.obs_of_point(point).len()).max().unwrap_or(0);
         Self {
-            residuals: vec![none; n],
-            d_points: vec![[[0.0; 3]; 2]; n],
-            d_shared: vec![[[0.0; 6]; 2]; if layout.shared.is_empty() { 0 } else { n }],
+            residuals: vec![none; piece.obs.len()],
+            d_points: vec![[[0.0; 3]; 2]; longest],
+            d_shared: vec![[[0.0; 6]; 2]; if layout.shared.is_empty() { 0 } else { longest }],
             slot_eliminated: vec![[[0.0; 6]; 3]; piece.slots.len()],
             points: vec![PointTerms::default(); piece.points.len()],
             piece,
@@ -184,19 +165,18 @@ impl<const D: usize> Part<D> {
         let layout = pass.layout;
         let mut terms = PointTerms::default();
         let mut cost = 0.0;
-        for o in layout.obs_of_point(point) {
+        for (k, o) in layout.obs_of_point(point).enumerate() {
             let view = &state.views[layout.obs_pose[o] as usize];
-            let place = o - self.piece.obs.start;
             let is_shared = layout.obs_slot.get(o).is_some_and(|slot| *slot != NONE);
-            let d_shared = if is_shared { self.d_shared.get_mut(place) } else { None };
-            let derivatives = Derivatives { d_point: &mut self.d_points[place], d_shared };
+            let d_shared = if is_shared { self.d_shared.get_mut(k) } else { None };
+            let derivatives = Derivatives { d_point: &mut self.d_points[k], d_shared };
             let (pixel, whitening) = (&layout.obs_pixel[o], &layout.obs_whitening[o]);
             let (rho, mut residual) =
                 linearize::<D, F>(view, &state.points[point], pixel, whitening, &pass.loss, derivatives);
             hold_masked(layout, layout.obs_block[o], &mut residual.d_view);
             cost += rho;
-            terms.add::<F>(&self.d_points[place], residual.value);
-            self.residuals[place] = residual;
+            terms.add::<F>(&self.d_points[k], residual.value);
+            self.residuals[o - self.piece.obs.start] = residual;
         }
         self.points[point - self.piece.points.start] = terms;
         cost
@@ -211,16 +191,15 @@ impl<const D: usize> Part<D> {
         }
         let terms = &mut self.points[point - self.piece.points.start];
         terms.eliminate(layout.point_fixed[point], damping);
-        for o in layout.obs_of_point(point) {
-            let place = o - self.piece.obs.start;
-            let q = self.d_points[place].map(|row| terms.forward_solve(&row));
-            self.residuals[place].eliminated = q;
+        for (k, o) in layout.obs_of_point(point).enumerate() {
+            let q = self.d_points[k].map(|row| terms.forward_solve(&row));
+            self.residuals[o - self.piece.obs.start].eliminated = q;
             if layout.obs_slot.get(o).is_some_and(|slot| *slot != NONE) {
                 let y = &mut self.slot_eliminated[layout.obs_slot[o] as usize - first_slot];
-                let d = &self.d_shared[place];
-                for k in 0..3 {
+                let d = &self.d_shared[k];
+                for r in 0..3 {
                     for c in 0..6 {
-                        y[k][c] = F::mul_add(d[0][c], q[0][k], F::mul_add(d[1][c], q[1][k], y[k][c]));
+                        y[r][c] = F::mul_add(d[0][c], q[0][r], F::mul_add(d[1][c], q[1][r], y[r][c]));
                     }
                 }
             }
@@ -255,8 +234,7 @@ struct Evaluated {
 struct Evaluate<'a, const D: usize> {
     pass: &'a Pass<'a>,
     pattern: &'a Pattern,
-    /// Where to linearise; `None` keeps the Jacobians.
-    state: Option<&'a State>,
+    state: &'a State,
     damping: f64,
     share: &'a mut Share<D>,
 }
@@ -272,18 +250,16 @@ impl<const D: usize> Task for Evaluate<'_, D> {
         sums.clear();
         let mut found = Evaluated { cost: 0.0, largest_gradient: 0.0 };
         for point in part.piece.points.clone() {
-            if let Some(state) = state {
-                found.cost += part.linearize_point::<F>(pass, state, point);
-            }
+            found.cost += part.linearize_point::<F>(pass, state, point);
             if !layout.point_fixed[point] {
                 let gradient = part.points[point - part.piece.points.start].gradient;
                 found.largest_gradient = gradient.iter().fold(found.largest_gradient, |m, g| m.max(g.abs()));
             }
             part.eliminate_point::<F>(layout, point, damping);
             sums.add_point::<F>(layout, pattern, part, point);
-        }
-        if !layout.shared.is_empty() {
-            sums.cameras.add(layout, part);
+            if !layout.shared.is_empty() {
+                sums.cameras.add_point(layout, part, point);
+            }
         }
         found
     }

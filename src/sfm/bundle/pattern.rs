@@ -5,6 +5,10 @@ use super::layout::{Layout, NONE};
 /// With at most this many views every pair gets a block, and no pattern has to be found.
 const ALL_PAIRS_LIMIT: usize = 64;
 
+/// Where at least this part of the envelope is taken by blocks, the views lie in a band in their own order, and no other
+/// order makes less fill.
+const BAND_FILL: f64 = 0.5;
+
 /// Which pairs of views have a block.
 pub(super) struct Pattern {
     /// First block of each panel, and the end of the last.
@@ -97,6 +101,11 @@ impl Pattern {
     /// Number of blocks in the envelope: from the first of each panel to its diagonal.
     pub fn envelope(&self) -> usize {
         self.first_row.iter().enumerate().map(|(j, first)| j + 1 - *first as usize).sum()
+    }
+
+    /// Whether the views lie in a band in their own order, as those of a video do.
+    pub fn is_band(&self) -> bool {
+        self.len() as f64 >= BAND_FILL * self.envelope() as f64
     }
 
     /// Place of block (i, j), i ≤ j, of two views that see a common point.

@@ -52,6 +52,19 @@ pub(super) fn robust_cost(loss: &RobustLoss, residual: &[f64; 2]) -> f64 {
     if *loss == RobustLoss::Squared { squared } else { loss.evaluate(squared)[0] }
 }
 
+/// ρ(‖r‖²) of a residual, and √ρ'.
+#[inline(always)]
+pub(super) fn robust_cost_and_root(loss: &RobustLoss, residual: &[f64; 2]) -> (f64, f64) {
+    let squared = residual[0] * residual[0] + residual[1] * residual[1];
+    match loss {
+        RobustLoss::Squared => (squared, 1.0),
+        _ => {
+            let [rho, slope, _] = loss.evaluate(squared);
+            (rho, slope.sqrt())
+        }
+    }
+}
+
 /// Residual and derivatives, weighted by √ρ' (eq. 5), and ρ. Derivatives by intrinsics go to `d_shared` if there is one,
 /// else into the view block if it has room.
 #[inline(always)]
@@ -66,14 +79,7 @@ pub(super) fn linearize<const D: usize, F: Fused>(
     let p = point_in_cam(view, point);
     let projection = view.camera.project(Point3::new(p[0], p[1], p[2]));
     let plain = whitening.apply([projection.pixel.x - pixel[0], projection.pixel.y - pixel[1]]);
-    let squared = plain[0] * plain[0] + plain[1] * plain[1];
-    let (cost, root) = match loss {
-        RobustLoss::Squared => (squared, 1.0),
-        _ => {
-            let [rho, slope, _] = loss.evaluate(squared);
-            (rho, slope.sqrt())
-        }
-    };
+    let (cost, root) = robust_cost_and_root(loss, &plain);
     let weight = Whitening(whitening.0.map(|w| w * root));
     let mut out =
         Residual { value: [plain[0] * root, plain[1] * root], d_view: [[0.0; D]; 2], eliminated: [[0.0; 3]; 2] };

@@ -16,6 +16,8 @@ use super::schur::Reduced;
 const DENSE_SIZE: usize = 300;
 /// Above this part of all pairs of views the factor fills up, and a dense factorisation is faster.
 const DENSE_FILL: f64 = 0.4;
+/// The same where the views lie in a band, which has no fill outside of it.
+const DENSE_BAND_FILL: f64 = 0.7;
 /// Above this size even a filled system is left to the sparse solver, which stores only what is there.
 const LARGEST_DENSE: usize = 12_000;
 /// From this size on, two threads factorise a dense matrix faster than one.
@@ -40,8 +42,15 @@ impl Solver {
             LinearSolver::Sparse => Self::sparse(reduced),
             LinearSolver::Auto => {
                 let views = reduced.views.len();
-                let fill = 2.0 * reduced.pattern.len() as f64 / (views * (views + 1)).max(1) as f64;
-                if size <= DENSE_SIZE || (fill > DENSE_FILL && size <= LARGEST_DENSE) {
+                let of_all = 2.0 / (views * (views + 1)).max(1) as f64;
+                let is_filled = if reduced.pattern.is_band() {
+                    reduced.pattern.envelope() as f64 * of_all > DENSE_BAND_FILL
+                } else {
+                    reduced.pattern.len() as f64 * of_all > DENSE_FILL
+                };
+                let (blocks, envelope) = (reduced.pattern.len(), reduced.pattern.envelope());
+                tracing::trace!(size, views, blocks, envelope, is_filled, "reduced system");
+                if size <= DENSE_SIZE || (is_filled && size <= LARGEST_DENSE) {
                     Self::Dense(DenseSolver::new(size, par))
                 } else {
                     Self::sparse(reduced)

@@ -3,7 +3,7 @@
 use super::layout::{Layout, NONE};
 use super::linearize::{Linearization, Part, Pass, Share};
 use super::parallel::in_order;
-use super::residual::{plain_residual, point_in_cam, robust_cost};
+use super::residual::{plain_residual, point_in_cam, robust_cost, robust_cost_and_root};
 use super::simd::{Fused, Task, wide};
 use super::state::{State, View};
 
@@ -96,15 +96,49 @@ impl<const D: usize> Task for MovePoints<'_, D> {
                 delta = back_substitute::<D, F>(pass.layout, part, step, point);
                 out.decrease += terms.predicted_decrease(&delta, damping);
             }
+            let moved = std::array::from_fn(|k| from[place][k] + delta[k]);
+            let (position, cost) = settled::<D, F>(pass, part, views, point, moved);
+            points[place] = position;
+            out.cost += cost;
             for k in 0..3 {
-                points[place][k] = from[place][k] + delta[k];
-                out.step_sq += delta[k] * delta[k];
-                out.norm_sq += points[place][k] * points[place][k];
+                out.step_sq += (position[k] - from[place][k]).powi(2);
+                out.norm_sq += position[k] * position[k];
             }
-            out.cost += cost_of_point(pass, views, point, &points[place]);
         }
         out
     }
+}
+
+/// One more step of a point alone after the cameras have moved (eq. 11a), if it lowers the cost; the position and its cost.
+#[inline(always)]
+fn settled<const D: usize, F: Fused>(
+    pass: &Pass,
+    part: &Part<D>,
+    views: &[View],
+    point: usize,
+    position: [f64; 3],
+) -> ([f64; 3], f64) {
+    let layout = pass.layout;
+    let terms = &part.points[point - part.piece.points.start];
+    // L⁻¹ Jₚᵀ r', from Q = Jₚ L⁻ᵀ.
+    let (mut cost, mut half_step) = (0.0, [0.0; 3]);
+    for o in layout.obs_of_point(point) {
+        let view = &views[layout.obs_pose[o] as usize];
+        let r = plain_residual(view, &position, &layout.obs_pixel[o], &layout.obs_whitening[o]);
+        let (rho, root) = robust_cost_and_root(&pass.loss, &r);
+        cost += rho;
+        let [a, b] = &part.residuals[o - part.piece.obs.start].eliminated;
+        for k in 0..3 {
+            half_step[k] = F::mul_add(a[k], r[0] * root, F::mul_add(b[k], r[1] * root, half_step[k]));
+        }
+    }
+    if terms.is_held() {
+        return (position, cost);
+    }
+    let step = terms.back_solve(&half_step);
+    let refined = std::array::from_fn(|k| position[k] - step[k]);
+    let refined_cost = cost_of_point(pass, views, point, &refined);
+    if refined_cost < cost { (refined, refined_cost) } else { (position, cost) }
 }
 
 /// Step of one point (eq. 11).

@@ -76,7 +76,9 @@ pub fn adjust(
         observations = problem.observations.len(),
         iterations = summary.iterations,
         cost = summary.final_cost,
-        seconds = summary.total_s,
+        linearize_s = summary.linearize_s,
+        solve_s = summary.solve_s,
+        total_s = summary.total_s,
         local,
         "adjusted"
     );

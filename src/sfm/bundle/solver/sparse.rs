@@ -12,10 +12,6 @@ use faer::{Auto, Conj, MatMut, Par, Side, Spec};
 use crate::sfm::bundle::camera_sums::CAMERA_DIM;
 use crate::sfm::bundle::schur::Reduced;
 
-/// Where at least this part of the envelope is taken by blocks, the views lie in a band in their own order, and no
-/// other order makes less fill.
-const BAND_FILL: f64 = 0.5;
-
 /// Upper triangle in compressed columns, symbolic and numeric factor. On one thread: the supernodes of a band follow from one
 /// another, and a second thread was measured to slow them down.
 pub(in crate::sfm::bundle) struct SparseSolver {
@@ -35,8 +31,7 @@ impl SparseSolver {
         let size = reduced.size();
         let (column_start, rows) = structure(reduced);
         let pattern = SymbolicSparseColMatRef::new_checked(size, size, &column_start, None, &rows);
-        let banded = reduced.pattern.len() as f64 >= BAND_FILL * reduced.pattern.envelope() as f64;
-        let order = if banded { SymmetricOrdering::Identity } else { SymmetricOrdering::Amd };
+        let order = if reduced.pattern.is_band() { SymmetricOrdering::Identity } else { SymmetricOrdering::Amd };
         let params = CholeskySymbolicParams {
             supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
             ..Default::default()

@@ -5,6 +5,8 @@ use nalgebra::{DMatrix, Matrix3, SMatrix};
 use super::super::layout::{Layout, NONE};
 use super::super::linearize::{Linearization, Pass};
 use super::super::pattern::Pattern;
+use super::super::residual::{Derivatives, linearize};
+use super::super::simd::Two;
 use super::super::state::State;
 use super::*;
 
@@ -20,6 +22,11 @@ fn whole_inverse(problem: &Problem, options: &Options) -> (Layout, DMatrix<f64>)
     let size = cameras + shared + layout.points.len() * 3;
     let mut jacobian = DMatrix::zeros(layout.num_obs() * 2, size);
     for o in 0..layout.num_obs() {
+        let (mut d_point, mut d_shared) = ([[0.0; 3]; 2], [[0.0; 6]; 2]);
+        let (view, point) = (&state.views[layout.obs_pose[o] as usize], &state.points[layout.obs_point[o] as usize]);
+        let derivatives = Derivatives { d_point: &mut d_point, d_shared: (shared > 0).then_some(&mut d_shared) };
+        let (pixel, whitening) = (&layout.obs_pixel[o], &layout.obs_whitening[o]);
+        linearize::<6, Two>(view, point, pixel, whitening, &options.loss, derivatives);
         for i in 0..2 {
             let mut row = jacobian.row_mut(2 * o + i);
             if layout.obs_block[o] != NONE {
@@ -27,10 +34,10 @@ fn whole_inverse(problem: &Problem, options: &Options) -> (Layout, DMatrix<f64>)
                 (0..6).for_each(|k| row[first + k] = lin.residual(o).d_view[i][k]);
             }
             if shared > 0 {
-                (0..6).for_each(|k| row[cameras + k] = lin.d_shared(o)[i][k]);
+                (0..6).for_each(|k| row[cameras + k] = d_shared[i][k]);
             }
             let first = cameras + shared + layout.obs_point[o] as usize * 3;
-            (0..3).for_each(|k| row[first + k] = lin.d_point(o)[i][k]);
+            (0..3).for_each(|k| row[first + k] = d_point[i][k]);
         }
     }
     let mut normal = jacobian.transpose() * jacobian;
