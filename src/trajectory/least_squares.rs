@@ -3,8 +3,8 @@
 //! With h_i and a_ij as in [`View`](super::View), constant distance reads h_i + r a_i = d for the mean a_i of the a_ij over the
 //! object's points. The residuals e_i = h_i + r a_i − d have two sources: ground planes are off by something new in every
 //! frame (white noise), and an object's reconstruction drifts, as every chain of frames does: its depth wanders by a percent
-//! over a drive, slowly (a random walk). Plain least squares takes the drift for information, on r that is wrong by ten of its
-//! standard deviations. Here
+//! over a drive, slowly (a random walk). Plain least squares takes the drift for information, and r is wrong by up to fourteen
+//! of its standard deviations. Here
 //!
 //! ```text
 //! e_i = white_i + walk_i,   var(white_i) = σ² / w_i,   var(walk_i − walk_(i−1)) = q σ² (t_i − t_(i−1))
