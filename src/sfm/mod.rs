@@ -22,6 +22,7 @@ pub mod video_front_end;
 
 mod error;
 mod front_end;
+mod lucas_kanade;
 mod whitening;
 
 use serde::{Deserialize, Serialize};

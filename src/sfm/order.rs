@@ -1,9 +1,9 @@
 //! Whether pictures follow one another as the frames of a video do.
 
-use nalgebra::Point2;
-use opencv::core::{Mat, Point2f, Size, TermCriteria, Vector};
+use opencv::core::{Mat, Point2f, Vector};
 
 use super::SfmError;
+use super::lucas_kanade::{Followed, LucasKanade};
 use crate::image::{GrayImage, borrowed_gray, resize_gray, scale_to_fit};
 
 /// Share of the corners of one picture that pyramidal Lucas-Kanade finds in the next, no farther away than a fortieth of
@@ -42,36 +42,15 @@ pub fn followed_share(first: &GrayImage, second: &GrayImage) -> Result<f64, SfmE
     if corners.is_empty() {
         return Ok(0.0);
     }
-    let follow = |from: &opencv::boxed_ref::BoxedRef<'_, Mat>,
-                  to: &opencv::boxed_ref::BoxedRef<'_, Mat>,
-                  points: &Vector<Point2f>| {
-        let (mut moved, mut status, mut error) = (Vector::<Point2f>::new(), Vector::<u8>::new(), Vector::<f32>::new());
-        let (window, criteria) = (Size::new(15, 15), TermCriteria::new(3, 20, 0.03)?);
-        opencv::video::calc_optical_flow_pyr_lk(
-            from,
-            to,
-            points,
-            &mut moved,
-            &mut status,
-            &mut error,
-            window,
-            3,
-            criteria,
-            0,
-            1e-3,
-        )?;
-        Ok::<_, SfmError>((moved, status))
+    let tracker = LucasKanade { window_radius_px: 7, pyramid_levels: 3, min_eigenvalue: 1e-3 };
+    let followed = tracker.there_and_back(&first, &second, &corners)?;
+    let is_near = |(start, followed): &(Point2f, Option<Followed>)| {
+        followed.is_some_and(|f| {
+            let motion_px = (start.x - f.position.x).hypot(start.y - f.position.y);
+            f.round_trip_px <= MAX_ROUND_TRIP_PX && motion_px <= MAX_MOTION_PX
+        })
     };
-    let (there, found) = follow(&first, &second, &corners)?;
-    let (back, found_back) = follow(&second, &first, &there)?;
-    let position = |p: Point2f| Point2::new(p.x, p.y);
-    let mut count = 0;
-    for k in 0..corners.len() {
-        let start = position(corners.get(k)?);
-        let returned = (start - position(back.get(k)?)).norm() <= MAX_ROUND_TRIP_PX;
-        let near = (start - position(there.get(k)?)).norm() <= MAX_MOTION_PX;
-        count += usize::from(found.get(k)? != 0 && found_back.get(k)? != 0 && returned && near);
-    }
+    let count = corners.iter().zip(followed).filter(is_near).count();
     Ok(count as f64 / corners.len() as f64)
 }
 

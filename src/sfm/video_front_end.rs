@@ -8,9 +8,10 @@
 //! exactly the patch fixes it ([`Whitening`]).
 
 use nalgebra::{Matrix2, Point2, Vector2};
-use opencv::core::{Mat, Point2f, Size, TermCriteria, Vector};
+use opencv::core::{Mat, Point2f, Size, Vector};
 use serde::{Deserialize, Serialize};
 
+use super::lucas_kanade::LucasKanade;
 use super::patch::{Patch, Warp};
 use super::tracks::{Feature, Track, TrackTable, View};
 use super::{SfmError, Whitening};
@@ -138,14 +139,18 @@ impl VideoFrontEnd {
         if starts.is_empty() {
             return Ok(());
         }
-        let (predicted, found) = self.lucas_kanade(previous, pyramid, &starts)?;
-        let (back, found_back) = self.lucas_kanade(pyramid, previous, &predicted)?;
-        let max_round_trip = self.options.max_round_trip_px;
+        let tracker = LucasKanade {
+            window_radius_px: self.options.window_radius_px,
+            pyramid_levels: self.options.pyramid_levels,
+            min_eigenvalue: 1e-4,
+        };
+        let followed = tracker.there_and_back(previous, pyramid, &starts)?;
+        let max_round_trip_px = self.options.max_round_trip_px;
         let (mut moves, mut lost) = (Vec::new(), Vec::new());
-        for (i, mut point) in std::mem::take(&mut self.live).into_iter().enumerate() {
-            let (start, back) = (point.warp.center, from_opencv(back.get(i)?));
-            let returned = found.get(i)? != 0 && found_back.get(i)? != 0 && (start - back).norm() <= max_round_trip;
-            if returned && point.align(from_opencv(predicted.get(i)?), gray, self.options.min_correlation) {
+        for (mut point, followed) in std::mem::take(&mut self.live).into_iter().zip(followed) {
+            let start = point.warp.center;
+            let returned = followed.filter(|f| f.round_trip_px <= max_round_trip_px);
+            if returned.is_some_and(|f| point.align(from_opencv(f.position), gray, self.options.min_correlation)) {
                 moves.push([start, point.warp.center]);
                 self.live.push(point);
             } else {
@@ -163,31 +168,6 @@ impl VideoFrontEnd {
             mask.contains(center.x, center.y)
         });
         Ok(())
-    }
-
-    fn lucas_kanade(
-        &self,
-        from: &Vector<Mat>,
-        to: &Vector<Mat>,
-        points: &Vector<Point2f>,
-    ) -> Result<(Vector<Point2f>, Vector<u8>), SfmError> {
-        let side = 2 * self.options.window_radius_px + 1;
-        let (mut moved, mut status, mut error) = (Vector::new(), Vector::new(), Vector::<f32>::new());
-        let criteria = TermCriteria::new(3, 20, 0.03)?;
-        opencv::video::calc_optical_flow_pyr_lk(
-            from,
-            to,
-            points,
-            &mut moved,
-            &mut status,
-            &mut error,
-            Size::new(side, side),
-            self.options.pyramid_levels,
-            criteria,
-            0,
-            1e-4,
-        )?;
-        Ok((moved, status))
     }
 
     /// Fills up to the wanted number of points, away from those that are followed already.
