@@ -159,7 +159,7 @@ enum Noise {
     Unknown,
     /// Robust standard deviation of a coordinate.
     Measured {
-        /// Pixels.
+        /// Pixels; where positions carry a covariance, of a good corner (a whitening of one).
         sigma_px: f64,
     },
 }
