@@ -1,7 +1,8 @@
 //! Stage `features`: tracks of image points, on the background and on every object, in one pass through the frames.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::io::Write;
+use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
@@ -79,9 +80,39 @@ fn folder_name(fingerprint: &str) -> String {
     format!("features-{}", fingerprint.get(..16).unwrap_or_default())
 }
 
-fn write(path: &std::path::Path, table: &TrackTable) -> Result<(), PipelineError> {
-    let bytes = postcard::to_stdvec(table).map_err(|e| damaged(path.to_owned(), e))?;
-    Ok(atomic::write(path, &bytes)?)
+/// Piece by piece: the tracks of a long video are not to lie in memory twice.
+fn write(path: &Path, table: &TrackTable) -> Result<(), PipelineError> {
+    let written = atomic::write_with(path, |out| {
+        let mut out = KeepsError { out, error: None };
+        let done = postcard::to_io(table, &mut out);
+        let failed = done.err().map(std::io::Error::other);
+        out.error.or(failed).map_or(Ok(()), Err)
+    });
+    Ok(written?)
+}
+
+/// Keeps what went wrong, of which [`postcard`] says only that something did.
+struct KeepsError<'a> {
+    out: &'a mut dyn Write,
+    error: Option<std::io::Error>,
+}
+
+impl Write for KeepsError<'_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.out.write(bytes)
+    }
+
+    fn write_all(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        self.out.write_all(bytes).map_err(|e| {
+            let kind = e.kind();
+            self.error = Some(e);
+            kind.into()
+        })
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.out.flush()
+    }
 }
 
 /// The tracks of the background.
