@@ -52,17 +52,16 @@ impl ViewGraph {
             track.iter().for_each(|f| tracks_of[f.view as usize].push(index as u32));
         }
         let mut chosen: BTreeMap<[usize; 2], Vec<u32>> = BTreeMap::new();
+        let mut shared = vec![0usize; tracks_of.len()];
         for (view, own) in tracks_of.iter().enumerate() {
-            let mut shared = BTreeMap::new();
-            for &track in own {
-                for feature in &tracks[track as usize] {
-                    *shared.entry(feature.view as usize).or_insert(0usize) += 1;
-                }
+            shared.fill(0);
+            for feature in own.iter().flat_map(|&track| &tracks[track as usize]) {
+                shared[feature.view as usize] += 1;
             }
-            shared.remove(&view);
-            let mut partners: Vec<(usize, usize)> = shared.into_iter().filter(|&(_, n)| n >= MIN_COMMON).collect();
-            partners.sort_by_key(|&(other, n)| (usize::MAX - n, other));
-            for (other, _) in partners.into_iter().take(MAX_PARTNERS) {
+            let is_partner = |&other: &usize| other != view && shared[other] >= MIN_COMMON;
+            let mut partners: Vec<usize> = (0..shared.len()).filter(is_partner).collect();
+            partners.sort_by_key(|&other| (usize::MAX - shared[other], other));
+            for other in partners.into_iter().take(MAX_PARTNERS) {
                 chosen.entry([view.min(other), view.max(other)]).or_default();
             }
         }
