@@ -81,7 +81,7 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
                 CameraOrigin::Given => sfm::Intrinsics::Fixed,
                 CameraOrigin::Exif | CameraOrigin::Guess => sfm::Intrinsics::Refined,
             };
-            reconstruct(run, &features::of_background(run)?, camera, intrinsics, &order::sfm_options(run)?.0.mapper)?
+            reconstruct(run, features::of_background(run)?, camera, intrinsics, &order::sfm_options(run)?.0.mapper)?
         }
     };
     if let Some(failure) = &report.failure {
@@ -209,7 +209,7 @@ fn one_object(
         (None, Some(camera)) => {
             let table = features::of_object(run, object.id)?;
             let options = order::sfm_options(run)?.1.mapper;
-            let (mut model, mut report) = reconstruct(run, &table, camera, sfm::Intrinsics::Fixed, &options)?;
+            let (mut model, mut report) = reconstruct(run, table, camera, sfm::Intrinsics::Fixed, &options)?;
             let outside = outside_masks(run, object.id, &model)?;
             model.remove_points(&outside);
             report.num_outside_masks = outside.len();
@@ -278,14 +278,15 @@ fn remove_others(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result
 /// The one place where structure from motion is called.
 fn reconstruct(
     run: &Run,
-    table: &sfm::TrackTable,
+    mut table: sfm::TrackTable,
     camera: Camera,
     intrinsics: sfm::Intrinsics,
     options: &mapper::Options,
 ) -> Result<(Reconstruction, ModelReport), PipelineError> {
     let threads = run.options.threads.unwrap_or_else(rayon::current_num_threads);
     let options = mapper::Options { threads, ..options.clone() };
-    let (mut model, report) = sfm::reconstruct(table, &[camera], intrinsics, &options, run.options.seed)?;
+    sfm::cut_long_tracks(&mut table, &[camera], intrinsics, &options, run.options.seed);
+    let (mut model, report) = sfm::reconstruct(&table, &[camera], intrinsics, &options, run.options.seed)?;
     if model.is_empty() {
         // Even an empty model says which camera it would have had.
         model.cameras.insert(crate::scene::CameraId(1), camera);

@@ -96,9 +96,7 @@ fn common_tracks(table: &TrackTable, min_common: usize) -> Vec<PairTracks> {
 /// stands for the baseline until the geometry is known. Pairs between which nothing moves are only counted.
 fn promising(table: &TrackTable, common: Vec<PairTracks>, survey: &mut Survey) -> Vec<PairTracks> {
     let mut rate = |(views, tracks): PairTracks| {
-        let mut moved: Vec<f64> = tracks.iter().filter_map(|&t| displacement(table, t, views)).collect();
-        let middle = moved.len() / 2;
-        let median = *moved.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let median = median_displacement(table, &tracks, views)?;
         let count = (tracks.len() as f64).min(400.0);
         if median < MIN_DISPLACEMENT_PX {
             survey.add(PairMotion::Still);
@@ -116,12 +114,24 @@ fn promising(table: &TrackTable, common: Vec<PairTracks>, survey: &mut Survey) -
     front.into_iter().chain(spread).map(|(_, (_, pair))| pair).collect()
 }
 
+/// Whether two views count as one by their common tracks.
+pub fn is_still(table: &TrackTable, tracks: &[usize], views: [usize; 2]) -> bool {
+    median_displacement(table, tracks, views).is_none_or(|median| median < MIN_DISPLACEMENT_PX)
+}
+
+fn median_displacement(table: &TrackTable, tracks: &[usize], views: [usize; 2]) -> Option<f64> {
+    let mut moved: Vec<f64> = tracks.iter().filter_map(|&t| displacement(table, t, views)).collect();
+    let middle = moved.len() / 2;
+    (!moved.is_empty()).then(|| *moved.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
 fn displacement(table: &TrackTable, track: usize, views: [usize; 2]) -> Option<f64> {
     let pixel = |view: usize| table.tracks[track].iter().find(|f| f.view as usize == view).map(|f| table.pixel(*f));
     Some((pixel(views[0])? - pixel(views[1])?).norm())
 }
 
-fn geometry_of(
+/// Two-view geometry of some common tracks.
+pub fn geometry_of(
     table: &TrackTable,
     cameras: &[Camera],
     options: &Options,

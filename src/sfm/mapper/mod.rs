@@ -12,6 +12,7 @@
 mod adjustment;
 mod growth;
 mod initial_pair;
+mod long_tracks;
 mod map;
 mod motion;
 mod report;
@@ -21,6 +22,7 @@ mod view_graph;
 
 use serde::{Deserialize, Serialize};
 
+pub use long_tracks::cut_long_tracks;
 pub use motion::Remark;
 pub use report::{Outcome, Reason, Report};
 
@@ -80,6 +82,8 @@ pub struct Options {
     pub max_starts: usize,
     /// Whether views are in time order, so that a failed one can be tried from its neighbours.
     pub ordered: bool,
+    /// Views in time order after which [`cut_long_tracks`] cuts a track.
+    pub max_track_views: usize,
     /// Threads.
     pub threads: usize,
 }
@@ -105,6 +109,7 @@ impl Options {
             min_starts: 1,
             max_starts: 3,
             ordered: true,
+            max_track_views: 96,
             threads: 1,
         }
     }
@@ -168,6 +173,8 @@ enum Noise {
 ///
 /// A start on few points or on one plane (a car's tail) may grow into a map that is bent at one frame, whose residuals are
 /// hardly larger than those of the right one, so that objects are built from several starts.
+///
+/// Long videos cost the least after [`cut_long_tracks`].
 ///
 /// * `cameras` – intrinsics, indexed by [`super::tracks::View::camera`].
 ///

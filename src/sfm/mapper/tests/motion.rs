@@ -5,7 +5,7 @@ use super::*;
 const POINTS: usize = 400;
 
 /// All points in all views that see them, with noise.
-fn seen_by_all(camera: &Camera, poses: &[Rigid3], points: &[Point3<f64>], noise_px: f64) -> TrackTable {
+pub fn seen_by_all(camera: &Camera, poses: &[Rigid3], points: &[Point3<f64>], noise_px: f64) -> TrackTable {
     let mut rng = seeded_rng(21, 0);
     let normal = Normal::new(0.0, noise_px).unwrap();
     let empty = World { camera: *camera, poses: poses.to_vec(), points: Vec::new() };
@@ -27,10 +27,16 @@ fn seen_by_all(camera: &Camera, poses: &[Rigid3], points: &[Point3<f64>], noise_
 
 /// A landscape before the camera, from 6 to 30 units away.
 fn landscape() -> Vec<Point3<f64>> {
+    landscape_along(0.0)
+}
+
+/// The same before a camera that flies so far to the right.
+pub fn landscape_along(length: f64) -> Vec<Point3<f64>> {
     let mut rng = seeded_rng(22, 0);
     let mut point = || {
         let z = rng.random_range(6.0..30.0);
-        Point3::new(z * rng.random_range(-0.9..0.9), z * rng.random_range(-0.4..0.4), z)
+        let along = if length > 0.0 { rng.random_range(0.0..length) } else { 0.0 };
+        Point3::new(along + z * rng.random_range(-0.9..0.9), z * rng.random_range(-0.4..0.4), z)
     };
     (0..POINTS).map(|_| point()).collect()
 }
@@ -47,7 +53,7 @@ fn both(table: &TrackTable, camera: &Camera) -> [(Reconstruction, Report); 2] {
     [known, reconstruct(table, &[guess], Intrinsics::Refined, &options, 0).unwrap()]
 }
 
-fn camera() -> Camera {
+pub fn camera() -> Camera {
     Camera::with_focal(960, 540, 900.0)
 }
 

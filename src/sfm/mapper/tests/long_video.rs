@@ -1,0 +1,63 @@
+//! Tracks that are far longer than the pieces they are cut in.
+
+use super::motion::{camera, landscape_along, seen_by_all};
+use super::*;
+
+/// Positions of a camera that looks aside: so many views flying, then standing, then flying on.
+fn flight(counts: [usize; 3]) -> Vec<Rigid3> {
+    const STEP: f64 = 0.1;
+    let [before, standing, after] = counts;
+    let center = |x: f64| Point3::new(x, 0.3 * (0.7 * x).sin(), 0.2 * (0.4 * x).cos());
+    let at = |x: f64| Rigid3::from_rotation_and_center(UnitQuaternion::identity(), center(x));
+    let place = |view: usize| view.min(before) + view.saturating_sub(before + standing);
+    (0..before + standing + after).map(|view| at(STEP * place(view) as f64)).collect()
+}
+
+fn options() -> Options {
+    Options { max_track_views: 24, ..Options::background() }
+}
+
+fn cut(table: &TrackTable) -> TrackTable {
+    let mut table = table.clone();
+    cut_long_tracks(&mut table, &[camera()], Intrinsics::Fixed, &options(), 1);
+    table
+}
+
+fn mapped(table: &TrackTable, poses: &[Rigid3]) -> (Report, f64) {
+    let (found, report) = reconstruct(table, &[camera()], Intrinsics::Fixed, &options(), 1).unwrap();
+    let truth = World { camera: camera(), poses: poses.to_vec(), points: Vec::new() };
+    (report, center_error(&found, &truth))
+}
+
+fn longest(table: &TrackTable) -> usize {
+    table.tracks.iter().map(Vec::len).max().unwrap_or(0)
+}
+
+#[test]
+fn a_video_in_pieces_is_mapped_as_a_whole() {
+    let poses = flight([150, 0, 0]);
+    let whole = seen_by_all(&camera(), &poses, &landscape_along(15.0), 0.2);
+    let pieces = cut(&whole);
+    assert_eq!(pieces.num_observations(), whole.num_observations());
+    // A first piece is longer by up to a half, a last one by three.
+    assert!(longest(&whole) > 120 && longest(&pieces) <= 24 + 12 + 3, "{} {}", longest(&whole), longest(&pieces));
+    assert!(pieces.tracks.is_sorted_by_key(|t| t[0]) && pieces.tracks.iter().all(|t| t.is_sorted()));
+    let ((report_of_whole, whole), (report_of_pieces, pieces)) = (mapped(&whole, &poses), mapped(&pieces, &poses));
+    assert_eq!([report_of_whole.num_registered(), report_of_pieces.num_registered()], [150; 2]);
+    // Noise without any system is the worst case of a cut, and still a fifth of that error is all that it should cost.
+    assert!(pieces < 1.25 * whole, "{pieces} {whole}");
+}
+
+#[test]
+fn where_the_camera_stands_no_track_is_cut() {
+    let poses = flight([50, 60, 50]);
+    let whole = seen_by_all(&camera(), &poses, &landscape_along(10.0), 0.1);
+    let pieces = cut(&whole);
+    // Stretches of eight views are judged, of which two lie half on this side and half on that.
+    let begins_standing = |track: &&Track| (57..104).contains(&track[0].view);
+    assert!(pieces.tracks.len() > whole.tracks.len() && !pieces.tracks.iter().any(|t| begins_standing(&t)));
+    let (report, error) = mapped(&pieces, &poses);
+    assert_eq!(report.num_registered(), 160);
+    // 0.1 px at 900 px focal length and 15 units distance are 1.7 thousandths; hundreds of points average that down.
+    assert!(error < 0.002, "{error}");
+}
