@@ -134,9 +134,14 @@ fn what_changes_is_done_again_and_nothing_else() {
     // The same again does nothing, and neither does another number of threads.
     let (done, _) = place.run("out", &[]);
     assert!(done.iter().all(|stage| stage == "report"), "{done:?}");
+    // The vehicle's model is adjusted with the ground, unless another method takes it as it is.
+    let model = |folder: &str| fs::read(place.path("out").join(folder).join("1/points3D.txt")).unwrap();
+    assert_ne!(model("objects"), model(".tractrix/objects"));
     expect(&["--scale-method", "intersection"], "scale");
     assert_eq!(json(&place.path("out/trajectories.json"))["objects"][0]["scale"]["method"], "intersection");
+    assert_eq!(model("objects"), model(".tractrix/objects"));
     expect(&[], "scale");
+    assert_eq!(json(&place.path("out/trajectories.json"))["objects"][0]["scale"]["method"], "joint");
     assert_same(&before, &place.result("out"), "after going back");
     expect(&["--ground-label", "1"], "ground");
     expect(&["--every", "2"], "frames");

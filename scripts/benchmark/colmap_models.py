@@ -2,7 +2,7 @@
 """COLMAP's reconstructions of ground-truth sequences: background and target, with the given masks and the true K.
 
     python3 -m venv VENV && VENV/bin/pip install pycolmap==4.2.1
-    VENV/bin/python scripts/benchmark/colmap_models.py SEQUENCE... --output DIR [--first-octave 0] [--threads 1]
+    VENV/bin/python scripts/benchmark/colmap_models.py SEQUENCE... --output DIR [--first-octave 0] [--growth 0] [--threads 1]
 
 Needs pycolmap and the program ffmpeg. For every sequence DIR/<sequence>/ holds `background/` and `object/` (COLMAP
 binary models, absent where COLMAP made none) and `colmap.json`: settings, registered frames, points, CPU seconds per
@@ -55,14 +55,30 @@ def decode(sequence: Path, scene: dict, folder: Path) -> None:
         (folder / extra).unlink()
 
 
-def write_masks(sequence: Path, scene: dict, label: int, folder: Path) -> None:
-    """COLMAP masks, white where features are looked for: on the pixels that carry ``label``."""
+def grown(area: np.ndarray, radius: int) -> np.ndarray:
+    """A boolean image with every area grown by ``radius`` pixels, in a square."""
+    out = area
+    for axis in (0, 1):
+        padding = [(radius, radius) if k == axis else (0, 0) for k in (0, 1)]
+        padded = np.pad(out, padding)
+        out = np.lib.stride_tricks.sliding_window_view(padded, 2 * radius + 1, axis=axis).any(axis=-1)
+    return out
+
+
+def write_masks(sequence: Path, scene: dict, label: int, growth: float, folder: Path) -> None:
+    """COLMAP masks, white where features are looked for: on the pixels that carry ``label``.
+
+    What moves is grown by ``growth`` of the longer side for the background, as ``tractrix run`` does it.
+    """
     folder.mkdir()
     for frame in scene["frames"]:
         labels = pycolmap.Bitmap.read(str(sequence / frame["mask"]), False)
         if labels is None:
             raise ValueError(f"{sequence / frame['mask']}: missing or not a picture")
-        chosen = np.squeeze(labels.to_array()) == label
+        values = np.squeeze(labels.to_array())
+        chosen = values == label
+        if label == BACKGROUND and growth > 0:
+            chosen = ~grown(~chosen, round(growth * max(values.shape)))
         white = np.ascontiguousarray(chosen.astype(np.uint8) * 255)
         pycolmap.Bitmap.from_array(white).write(str(folder / f"{image_name(frame)}.png"))
 
@@ -157,7 +173,7 @@ def run(sequence: Path, folder: Path, settings: dict) -> dict:
     result = {"sequence": sequence.name, "frames": len(scene["frames"]), "pycolmap": pycolmap.__version__, **settings}
     for name, label in (("background", BACKGROUND), ("object", TARGET)):
         masks = work / f"{name}_masks"
-        write_masks(sequence, scene, label, masks)
+        write_masks(sequence, scene, label, settings["growth"], masks)
         model, seconds, n_models = reconstruct(scene, work / "images", masks, work / name, settings)
         shutil.rmtree(folder / name, ignore_errors=True)
         if model is not None:
@@ -180,10 +196,17 @@ def main() -> None:
     parser.add_argument(
         "--first-octave", type=int, default=-1, help="of SIFT; COLMAP's own is -1, 0 is 3-5 times faster"
     )
+    parser.add_argument(
+        "--growth",
+        type=float,
+        default=0.005,
+        help="by how much the masks of what moves are grown for the background, as a share of the longer side; the "
+        "default is that of `tractrix run`",
+    )
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
     pycolmap.logging.minloglevel = 2
-    settings = {"first_octave": arguments.first_octave, "threads": arguments.threads}
+    settings = {"first_octave": arguments.first_octave, "growth": arguments.growth, "threads": arguments.threads}
     failed = []
     for sequence in arguments.sequences:
         sequence = sequence.resolve()
@@ -192,10 +215,9 @@ def main() -> None:
             done = folder / "colmap.json"
             fresh = not done.is_file()
             result = run(sequence, folder, settings) if fresh else json.loads(done.read_text())
-            if result["first_octave"] != arguments.first_octave:
-                raise ValueError(
-                    f"{done}: was made with first octave {result['first_octave']}; choose another --output"
-                )
+            for name in ("first_octave", "growth"):
+                if result.get(name) != settings[name]:
+                    raise ValueError(f"{done}: was made with {name} {result.get(name)}; choose another --output")
         except (OSError, KeyError, ValueError, subprocess.CalledProcessError) as error:
             failed.append(sequence.name)
             print(f"{sequence.name}: {error}", file=sys.stderr, flush=True)

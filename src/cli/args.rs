@@ -132,7 +132,7 @@ pub(super) struct JobArgs {
     /// Reconstruct this vehicle alone; may be repeated [default: all]
     #[arg(long, value_name = "ID", value_parser = object_id, help_heading = "Geometry")]
     pub(super) only_object: Vec<ObjectId>,
-    /// How the scale ratio is found: constant-distance, intersection, ... [default: least-squares]
+    /// How the scale ratio is found: joint, least-squares, constant-distance, intersection [default: joint]
     #[arg(long, value_name = "METHOD", value_parser = scale_method, help_heading = "Geometry")]
     pub(super) scale_method: Option<ScaleMethod>,
 

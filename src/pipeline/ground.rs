@@ -41,7 +41,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let mut ground = Ground { source, point_ids, planes: BTreeMap::new() };
     let mut skipped: BTreeMap<String, BTreeMap<FrameId, String>> = BTreeMap::new();
     for (id, report) in models::object_reports(run)? {
-        let Some(object) = models::object(run, id, &report)? else { continue };
+        let Some(object) = models::reconstructed_object(run, id, &report)? else { continue };
         let found = local_planes(&background, &ground.point_ids, id, &object, &run.options.ground, run.options.seed);
         if let Some(first) = found.skipped.first() {
             let (missing, all) = (found.skipped.len(), found.skipped.len() + found.planes.len());

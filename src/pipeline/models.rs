@@ -125,6 +125,7 @@ pub(super) fn objects_depends_on(run: &Run) -> Result<Value, PipelineError> {
         run.options.object_models.iter().map(|(id, folder)| Ok((id, fingerprint::of_content(folder)?))).collect();
     let (_, objects) = order::sfm_options(run)?;
     Ok(json!({
+        "kept_in": ".tractrix/objects",
         "models": given?,
         "only": run.options.only_objects,
         "options": mapper::Options { threads: 1, ..objects.mapper },
@@ -166,8 +167,10 @@ pub(super) fn objects_work(run: &Run, fingerprint: &str) -> Result<Outcome, Pipe
         reports.insert(object.id, report);
     }
     remove_others(run, &reports)?;
-    let models = reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(&id, _)| run.workspace.object(id));
-    outcome.outputs.extend(models);
+    let models = reports.iter().filter(|(_, report)| report.failure.is_none());
+    outcome
+        .outputs
+        .extend(models.flat_map(|(&id, _)| [run.workspace.object(id), run.workspace.reconstructed_object(id)]));
     run.workspace.write_state(OBJECT_REPORTS, &reports)?;
     outcome.outputs.push(run.workspace.state(OBJECT_REPORTS));
     Ok(outcome)
@@ -178,9 +181,23 @@ pub(super) fn object_reports(run: &Run) -> Result<BTreeMap<ObjectId, ModelReport
     run.workspace.read_state(OBJECT_REPORTS)
 }
 
-/// One object's model, where it has one.
+/// One object's model as structure from motion left it, where it has one.
+pub(super) fn reconstructed_object(
+    run: &Run,
+    id: ObjectId,
+    report: &ModelReport,
+) -> Result<Option<Reconstruction>, PipelineError> {
+    report.failure.is_none().then(|| Ok(colmap::read(&run.workspace.reconstructed_object(id))?)).transpose()
+}
+
+/// One object's model to which its trajectory refers, where it has one; the stage `scale` must be done.
 pub(super) fn object(run: &Run, id: ObjectId, report: &ModelReport) -> Result<Option<Reconstruction>, PipelineError> {
     report.failure.is_none().then(|| Ok(colmap::read(&run.workspace.object(id))?)).transpose()
+}
+
+/// Leaves an object's model where the user looks for it.
+pub(super) fn store_object(run: &Run, id: ObjectId, model: &Reconstruction) -> Result<(), PipelineError> {
+    store(&run.workspace.object(id), model)
 }
 
 /// What is left of an object's reconstruction that was finished before the run was stopped.
@@ -199,7 +216,10 @@ fn one_object(
     let marker_name = format!("object-{}.json", object.id);
     let before: Option<ObjectMarker> = run.workspace.read_state(&marker_name).ok();
     if let Some(before) = before.filter(|marker| marker.fingerprint == fingerprint)
-        && (before.report.failure.is_some() || run.workspace.object(object.id).is_dir())
+        && (before.report.failure.is_some()
+            || [run.workspace.object(object.id), run.workspace.reconstructed_object(object.id)]
+                .iter()
+                .all(|f| f.is_dir()))
     {
         return Ok(before.report);
     }
@@ -223,8 +243,14 @@ fn one_object(
     };
     report.num_visible = object.frames.len();
     match report.failure {
-        Some(_) => run.workspace.remove(&run.workspace.object(object.id))?,
-        None => store(&run.workspace.object(object.id), &model)?,
+        Some(_) => {
+            run.workspace.remove(&run.workspace.object(object.id))?;
+            run.workspace.remove(&run.workspace.reconstructed_object(object.id))?;
+        }
+        None => {
+            store(&run.workspace.reconstructed_object(object.id), &model)?;
+            store_object(run, object.id, &model)?;
+        }
     }
     let marker = ObjectMarker { fingerprint: fingerprint.to_owned(), report };
     run.workspace.write_state(&marker_name, &marker)?;
@@ -265,11 +291,12 @@ fn outside_masks(run: &Run, id: ObjectId, model: &Reconstruction) -> Result<Vec<
 /// Removes the models of objects that are no more.
 fn remove_others(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result<(), PipelineError> {
     let keep: BTreeSet<String> = reports.keys().map(ToString::to_string).collect();
-    let folder = run.workspace.objects();
-    let Ok(entries) = std::fs::read_dir(&folder) else { return Ok(()) };
-    for entry in entries.flatten() {
-        if !keep.contains(entry.file_name().to_string_lossy().as_ref()) && entry.path().is_dir() {
-            run.workspace.remove(&entry.path())?;
+    for folder in [run.workspace.objects(), run.workspace.state("objects")] {
+        let Ok(entries) = std::fs::read_dir(&folder) else { continue };
+        for entry in entries.flatten() {
+            if !keep.contains(entry.file_name().to_string_lossy().as_ref()) && entry.path().is_dir() {
+                run.workspace.remove(&entry.path())?;
+            }
         }
     }
     Ok(())

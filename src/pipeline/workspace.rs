@@ -54,7 +54,7 @@ impl Workspace {
             Err(TryLockError::Error(source)) => return Err(failed(source)),
         }
         let workspace = Self { root: root.to_owned(), _lock: lock };
-        for folder in [root, &state, &workspace.objects(), &workspace.tracks()] {
+        for folder in [root, &state, &workspace.objects(), &workspace.state("objects"), &workspace.tracks()] {
             if folder.is_dir() {
                 atomic::remove_leftovers(folder)?;
             }
@@ -85,6 +85,11 @@ impl Workspace {
     /// One object's model.
     pub fn object(&self, id: ObjectId) -> PathBuf {
         self.objects().join(id.to_string())
+    }
+
+    /// One object's model as structure from motion left it, before it was put on the ground.
+    pub fn reconstructed_object(&self, id: ObjectId) -> PathBuf {
+        self.state("objects").join(id.to_string())
     }
 
     /// The folder of all masks.

@@ -18,11 +18,13 @@ pub enum ScaleMethod {
     /// Constant distances in all frames at once, robust against frames with a wrong plane.
     #[serde(rename = "least-squares")]
     RobustLeastSquares,
+    /// The object's reconstruction adjusted once more, together with the ground under it.
+    Joint,
 }
 
 impl ScaleMethod {
     /// Every method, the paper's first.
-    pub const ALL: [Self; 3] = [Self::ConstantDistance, Self::Intersection, Self::RobustLeastSquares];
+    pub const ALL: [Self; 4] = [Self::ConstantDistance, Self::Intersection, Self::RobustLeastSquares, Self::Joint];
 
     /// The name in files and on the command line.
     pub fn name(self) -> &'static str {
@@ -30,6 +32,7 @@ impl ScaleMethod {
             Self::ConstantDistance => "constant-distance",
             Self::Intersection => "intersection",
             Self::RobustLeastSquares => "least-squares",
+            Self::Joint => "joint",
         }
     }
 }

@@ -49,4 +49,18 @@ pub enum ScaleError {
         /// The solution.
         ratio: f64,
     },
+    /// The adjustment with the ground cannot be done.
+    #[error("the adjustment of the object with the ground failed: {0}")]
+    Adjustment(String),
+    /// What the object's pictures say and what the ground says does not fit together.
+    #[error(
+        "with the object on the ground its image positions are off by {after_px:.2} px (median) instead of \
+         {before_px:.2}: the local planes are wrong, or the object does not stand on the ground"
+    )]
+    GroundContradicts {
+        /// Median error before.
+        before_px: f64,
+        /// And after.
+        after_px: f64,
+    },
 }

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ConstantDistance, ConstantDistanceOptions, LeastSquares, LeastSquaresOptions, ScaleError, Views, constant_distance,
-    intersection, least_squares,
+    ConstantDistance, ConstantDistanceOptions, Joint, JointOptions, LeastSquares, LeastSquaresOptions, ScaleError,
+    Views, constant_distance, intersection, least_squares,
 };
 use crate::scene::{ScaleEstimate, ScaleMethod};
 
@@ -20,6 +20,8 @@ pub struct Options {
     pub constant_distance: ConstantDistanceOptions,
     /// The robust fit over all frames.
     pub least_squares: LeastSquaresOptions,
+    /// The adjustment with the ground.
+    pub joint: JointOptions,
     /// Standard deviation of the all-frames solution, relative to it, beyond which the motion counts as degenerate. A
     /// tenth misplaces an object 25 m away by 2.5 m: further than a lane.
     pub max_relative_std: f64,
@@ -28,9 +30,10 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self {
-            method: ScaleMethod::RobustLeastSquares,
+            method: ScaleMethod::Joint,
             constant_distance: ConstantDistanceOptions::default(),
             least_squares: LeastSquaresOptions::default(),
+            joint: JointOptions::default(),
             max_relative_std: 0.1,
         }
     }
@@ -39,7 +42,8 @@ impl Default for Options {
 /// Relative excitation below which nothing but rounding tells the frames apart: single precision of model files.
 const ROUNDING: f64 = 1e-6;
 
-/// Runs every estimator and gives the answer of [`Options::method`] with a verdict.
+/// Runs every estimator that takes a reconstruction as it is and gives the answer of [`Options::method`] with a verdict;
+/// `least-squares` for [`ScaleMethod::Joint`], whose own answer is [`joint_estimate`].
 ///
 /// `std` is the all-frames solution's for `least-squares`; for `constant-distance` that of the winning pair,
 /// sqrt(2 σ² / mean_j D_j²), with σ from the residuals of the all-frames fit; `intersection` has none.
@@ -51,25 +55,21 @@ const ROUNDING: f64 = 1e-6;
 /// # Errors
 /// The chosen method's [`ScaleError`], if no method has an answer.
 pub fn estimate_scale(views: &Views, options: &Options) -> Result<ScaleEstimate, ScaleError> {
-    let pair = constant_distance(views, &options.constant_distance);
-    let contact = intersection(views);
-    let all_frames = least_squares(views, &options.least_squares);
-    let answers: BTreeMap<ScaleMethod, Result<f64, ScaleError>> = BTreeMap::from([
-        (ScaleMethod::ConstantDistance, pair.clone().map(|found| found.ratio)),
-        (ScaleMethod::Intersection, contact.map(|found| found.ratio)),
-        (ScaleMethod::RobustLeastSquares, all_frames.clone().and_then(|found| positive(found.ratio, views))),
-    ]);
+    let wanted = match options.method {
+        ScaleMethod::Joint => ScaleMethod::RobustLeastSquares,
+        method => method,
+    };
+    let Answers { pair, all_frames, ratios: answers } = Answers::new(views, options);
     // Contact stands in first: it does not need what the other two lack when they have no answer, a climb.
-    let chosen = [options.method, ScaleMethod::Intersection].into_iter().chain(ScaleMethod::ALL);
+    let chosen = [wanted, ScaleMethod::Intersection].into_iter().chain(ScaleMethod::ALL);
     let found = chosen.filter_map(|method| Some((method, *answers.get(&method)?.as_ref().ok()?))).next();
-    let failure = answers.get(&options.method).and_then(|answer| answer.as_ref().err());
+    let failure = answers.get(&wanted).and_then(|answer| answer.as_ref().err());
     let Some((method, ratio)) = found else {
         return Err(failure.cloned().unwrap_or(ScaleError::NoPoints));
     };
-    let mut reasons: Vec<String> =
-        failure.map(|failure| stands_in(method, options.method, failure)).into_iter().collect();
+    let mut reasons: Vec<String> = failure.map(|failure| stands_in(method, wanted, failure)).into_iter().collect();
     // Contact does not need the camera to climb, so its answer, where it was asked for, is not judged by the climb.
-    if [method, options.method] != [ScaleMethod::Intersection; 2] {
+    if [method, wanted] != [ScaleMethod::Intersection; 2] {
         reasons.extend(degeneracy(&all_frames, options.max_relative_std));
     }
     Ok(ScaleEstimate {
@@ -78,8 +78,57 @@ pub fn estimate_scale(views: &Views, options: &Options) -> Result<ScaleEstimate,
         method,
         degenerate: !reasons.is_empty(),
         reason: (!reasons.is_empty()).then(|| reasons.join("; ")),
-        alternatives: answers.iter().filter_map(|(m, r)| Some((m.name().to_owned(), *r.as_ref().ok()?))).collect(),
+        alternatives: names(&answers),
     })
+}
+
+/// The answer of an adjustment with the ground, with a verdict, and what the others say of the adjusted reconstruction.
+///
+/// * `views` – of [`Joint::object`].
+pub fn joint_estimate(views: &Views, found: &Joint, options: &Options) -> ScaleEstimate {
+    let mut alternatives = names(&Answers::new(views, options).ratios);
+    alternatives.insert(ScaleMethod::Joint.name().to_owned(), found.ratio);
+    let relative_std = found.std / found.ratio;
+    let is_sure = relative_std <= options.max_relative_std;
+    let reason = format!(
+        "neither the camera's height over the ground, which changes too little, nor the outlines of the object determine the \
+         ratio to better than ± {:.0} %, where at most ± {:.0} % is accepted",
+        100.0 * relative_std,
+        100.0 * options.max_relative_std
+    );
+    ScaleEstimate {
+        ratio: found.ratio,
+        std: Some(found.std),
+        method: ScaleMethod::Joint,
+        degenerate: !is_sure,
+        reason: (!is_sure).then_some(reason),
+        alternatives,
+    }
+}
+
+/// What each estimator says of a reconstruction as it is.
+struct Answers {
+    pair: Result<ConstantDistance, ScaleError>,
+    all_frames: Result<LeastSquares, ScaleError>,
+    ratios: BTreeMap<ScaleMethod, Result<f64, ScaleError>>,
+}
+
+impl Answers {
+    fn new(views: &Views, options: &Options) -> Self {
+        let pair = constant_distance(views, &options.constant_distance);
+        let all_frames = least_squares(views, &options.least_squares);
+        let ratios = BTreeMap::from([
+            (ScaleMethod::ConstantDistance, pair.clone().map(|found| found.ratio)),
+            (ScaleMethod::Intersection, intersection(views).map(|found| found.ratio)),
+            (ScaleMethod::RobustLeastSquares, all_frames.clone().and_then(|found| positive(found.ratio, views))),
+        ]);
+        Self { pair, all_frames, ratios }
+    }
+}
+
+/// The answers that there are, by name.
+fn names(ratios: &BTreeMap<ScaleMethod, Result<f64, ScaleError>>) -> BTreeMap<String, f64> {
+    ratios.iter().filter_map(|(method, ratio)| Some((method.name().to_owned(), *ratio.as_ref().ok()?))).collect()
 }
 
 fn positive(ratio: f64, views: &Views) -> Result<f64, ScaleError> {
@@ -104,7 +153,7 @@ fn standard_deviation(
         ScaleMethod::ConstantDistance => {
             all_frames.residual_std * (2.0 / pair.as_ref().ok()?.mean_denominator_sq).sqrt()
         }
-        ScaleMethod::Intersection => return None,
+        ScaleMethod::Intersection | ScaleMethod::Joint => return None,
     };
     std.is_finite().then_some(std)
 }

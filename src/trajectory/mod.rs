@@ -9,23 +9,28 @@
 //!
 //! for one unknown ratio r. Vehicles stand on the ground, and that determines r: [`constant_distance`] and
 //! [`intersection`] are the paper's two estimators, to the letter; [`least_squares`] uses all frames at once and says
-//! how well the motion determines r at all. [`estimate_scale`] runs them and gives a verdict; [`assemble`] places the
-//! object. The derivations are in `docs/maths/scale.md`.
+//! how well the motion determines r at all. [`joint`] goes further: it adjusts the object's reconstruction once more, together
+//! with the ground. [`estimate_scale`] runs the others and gives a verdict; [`assemble`] places the object. The derivations are in `docs/maths/scale.md`.
 
 mod assemble;
 mod constant_distance;
+mod contact;
 mod error;
 mod estimate;
 mod heading;
 mod intersection;
+mod joint;
 mod least_squares;
+mod mirror;
 mod views;
 
 pub use assemble::{ObjectDescription, assemble, object_center, set_speeds};
 pub use constant_distance::{ConstantDistance, ConstantDistanceOptions, constant_distance};
+pub use contact::{Contact, ContactOptions, Silhouette, contact};
 pub use error::ScaleError;
-pub use estimate::{Options, estimate_scale};
+pub use estimate::{Options, estimate_scale, joint_estimate};
 pub use heading::{forward_axis, headings};
 pub use intersection::{Intersection, intersection};
+pub use joint::{Grounded, Joint, JointOptions, joint};
 pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
 pub use views::{View, Views};

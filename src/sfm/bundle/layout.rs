@@ -8,7 +8,7 @@ use nalgebra::Point3;
 
 use super::options::{Behind, Gauge, Options};
 use super::parallel::in_order;
-use super::problem::{CameraBlock, Problem};
+use super::problem::{CameraBlock, PointPrior, Problem};
 use crate::camera::NUM_INTRINSICS;
 use crate::sfm::Whitening;
 
@@ -58,6 +58,34 @@ pub(super) enum IntrinsicsUse {
     Shared(u32),
 }
 
+/// All priors on one point together: a place, and the sum of their weights 1/σ².
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct KnownPoint {
+    position: [f64; 3],
+    pub weight: f64,
+}
+
+impl KnownPoint {
+    fn add(&mut self, prior: &PointPrior) {
+        let weight = prior.sigma.powi(-2);
+        let total = self.weight + weight;
+        for k in 0..3 {
+            self.position[k] += (prior.position[k] - self.position[k]) * weight / total;
+        }
+        self.weight = total;
+    }
+
+    /// How far a position is from the known place.
+    pub fn offset(&self, position: &[f64; 3]) -> [f64; 3] {
+        std::array::from_fn(|k| position[k] - self.position[k])
+    }
+
+    /// The sum of the squared residuals at a position.
+    pub fn cost(&self, position: &[f64; 3]) -> f64 {
+        self.weight * self.offset(position).iter().map(|v| v * v).sum::<f64>()
+    }
+}
+
 /// The structure of a problem; see the module.
 pub(super) struct Layout {
     /// Index in the problem of every point that is observed.
@@ -66,6 +94,8 @@ pub(super) struct Layout {
     pub point_start: Vec<u32>,
     /// Whether each of these is held.
     pub point_fixed: Vec<bool>,
+    /// What is known of each of these; empty if nothing is known of any.
+    pub point_priors: Vec<KnownPoint>,
     /// Per observation: its pose.
     pub obs_pose: Vec<u32>,
     /// Per observation: view block of its pose, or [`NONE`].
@@ -114,6 +144,7 @@ impl Layout {
         layout.num_ignored = num_ignored;
         layout.scale_pair = gauge.scale_pair;
         layout.sort_observations(problem, used);
+        layout.place_priors(problem);
         layout.index_blocks();
         layout.index_slots(problem);
         layout
@@ -193,6 +224,7 @@ impl Layout {
             points: Vec::new(),
             point_start: Vec::new(),
             point_fixed: Vec::new(),
+            point_priors: Vec::new(),
             obs_pose: Vec::new(),
             obs_block: Vec::new(),
             obs_point: Vec::new(),
@@ -249,6 +281,17 @@ impl Layout {
             let count = self.obs_of_point(point).len();
             self.obs_point.extend(std::iter::repeat_n(point as u32, count));
         }
+    }
+
+    fn place_priors(&mut self, problem: &Problem) {
+        if problem.priors.points.is_empty() {
+            return;
+        }
+        let mut known = vec![KnownPoint::default(); problem.points.len()];
+        for prior in &problem.priors.points {
+            known[prior.point].add(prior);
+        }
+        self.point_priors = self.points.iter().map(|point| known[*point as usize]).collect();
     }
 
     fn index_blocks(&mut self) {
@@ -341,7 +384,7 @@ impl GaugeChoice {
     fn new(problem: &Problem, used: &[u32], gauge: Gauge) -> Self {
         let nothing = Self { held_pose: None, scale_pair: None, held_axis: None };
         let points_fixed = problem.points.iter().any(|p| p.fixed);
-        if gauge == Gauge::Free || points_fixed || !problem.priors.poses.is_empty() {
+        if gauge == Gauge::Free || points_fixed || problem.priors.hold_gauge() {
             return nothing;
         }
         let observed = observed_poses(problem, used);

@@ -178,6 +178,10 @@ impl<const D: usize> Part<D> {
             terms.add::<F>(&self.d_points[k], residual.value);
             self.residuals[o - self.piece.obs.start] = residual;
         }
+        if let Some(known) = layout.point_priors.get(point) {
+            terms.add_prior(known, &state.points[point]);
+            cost += known.cost(&state.points[point]);
+        }
         self.points[point - self.piece.points.start] = terms;
         cost
     }

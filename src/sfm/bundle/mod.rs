@@ -24,6 +24,7 @@ mod model;
 mod options;
 mod parallel;
 mod pattern;
+mod plane_prior;
 mod point;
 mod priors;
 mod problem;
@@ -43,7 +44,8 @@ pub use covariance::{Covariances, PoseCovariance, Wanted, covariances};
 pub use levenberg_marquardt::adjust;
 pub use options::{Behind, Gauge, LinearSolver, Options};
 pub use problem::{
-    BundleError, CameraBlock, IntrinsicsPrior, Observation, PointBlock, PoseBlock, PosePrior, Priors, Problem,
+    BundleError, CameraBlock, IntrinsicsPrior, Observation, PlanePrior, PointBlock, PointPrior, PoseBlock, PosePrior,
+    Priors, Problem,
 };
 pub use summary::{Summary, Termination};
 pub use uncertainty::{CenterDeviations, center_deviations};

@@ -1,5 +1,6 @@
 //! The 3 × 3 normal equations of one point.
 
+use super::layout::KnownPoint;
 use super::simd::Fused;
 
 /// Bounds of the diagonal that scales the damping (those of Ceres).
@@ -30,6 +31,16 @@ impl PointTerms {
                 cell += 1;
             }
             self.gradient[i] = F::mul_add(a[i], r, F::mul_add(b[i], s, self.gradient[i]));
+        }
+    }
+
+    /// Adds a prior on the point, where it is now.
+    pub fn add_prior(&mut self, known: &KnownPoint, position: &[f64; 3]) {
+        for cell in [0, 3, 5] {
+            self.hessian[cell] += known.weight;
+        }
+        for (gradient, offset) in self.gradient.iter_mut().zip(known.offset(position)) {
+            *gradient += known.weight * offset;
         }
     }
 

@@ -1,8 +1,10 @@
-//! Priors on poses and intrinsics: small dense terms of the normal equations (eqs. 14–15).
+//! Priors on poses and intrinsics: small dense terms of the normal equations (eqs. 14–15). Those on points are in
+//! [`super::layout::KnownPoint`].
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::layout::{Columns, IntrinsicsUse, Layout, NONE};
+use super::plane_prior;
 use super::problem::{IntrinsicsPrior, PosePrior, Problem};
 use super::state::State;
 use crate::camera::NUM_INTRINSICS;
@@ -45,16 +47,20 @@ pub(super) fn cost(problem: &Problem, state: &State) -> f64 {
         .flat_map(|prior| intrinsics_residual(prior, &state.cameras[prior.camera].intrinsics()))
         .map(|r| r * r)
         .sum();
-    0.5 * (poses + intrinsics)
+    let planes: f64 =
+        problem.priors.planes.iter().map(|prior| plane_prior::cost(prior, &state.poses[prior.pose])).sum();
+    0.5 * (poses + intrinsics + planes)
 }
 
 /// Normal equations of all priors on blocks that move.
 pub(super) fn terms(problem: &Problem, layout: &Layout, state: &State) -> Vec<PriorTerms> {
     let mut out = Vec::new();
-    for prior in &problem.priors.poses {
-        let block = layout.block_of_pose[prior.pose];
+    let of_poses = problem.priors.poses.iter().map(|prior| (prior.pose, pose_terms(prior, &state.poses[prior.pose])));
+    let of_planes =
+        problem.priors.planes.iter().map(|prior| (prior.pose, plane_prior::terms(prior, &state.poses[prior.pose])));
+    for (pose, mut terms) in of_poses.chain(of_planes) {
+        let block = layout.block_of_pose[pose];
         if block != NONE {
-            let mut terms = pose_terms(prior, &state.poses[prior.pose]);
             terms.target = PriorTarget::Block(block as usize);
             hold(&mut terms, &layout.pose_mask[block as usize]);
             out.push(terms);
@@ -157,6 +163,6 @@ fn intrinsics_terms(prior: &IntrinsicsPrior, columns: &Columns, values: &[f64; N
     terms
 }
 
-fn empty() -> PriorTerms {
+pub(super) fn empty() -> PriorTerms {
     PriorTerms { target: PriorTarget::Block(0), offset: 0, hessian: [[0.0; 6]; 6], gradient: [0.0; 6] }
 }

@@ -1,10 +1,10 @@
 //! What varies, what is held, and what was observed.
 
-use nalgebra::{Point2, Point3};
+use nalgebra::{Point2, Point3, Vector3};
 use thiserror::Error;
 
 use crate::camera::{Camera, NUM_INTRINSICS};
-use crate::math::Rigid3;
+use crate::math::{Rigid3, RobustLoss};
 use crate::sfm::Whitening;
 
 /// Everything that [`super::adjust`] reads and writes.
@@ -93,6 +93,17 @@ pub struct Priors {
     pub poses: Vec<PosePrior>,
     /// On intrinsics.
     pub intrinsics: Vec<IntrinsicsPrior>,
+    /// On poses, by planes that are known in the cameras' frames.
+    pub planes: Vec<PlanePrior>,
+    /// On points that are observed.
+    pub points: Vec<PointPrior>,
+}
+
+impl Priors {
+    /// Whether any prior ties the world to a frame of its own, so that the gauge is not free.
+    pub(super) fn hold_gauge(&self) -> bool {
+        !self.poses.is_empty() || !self.planes.is_empty() || !self.points.is_empty()
+    }
 }
 
 /// A pose is near a known one.
@@ -106,6 +117,38 @@ pub struct PosePrior {
     pub sigma_rotation: f64,
     /// Standard deviation of each coordinate of the camera centre, world units; infinite leaves the centre out.
     pub sigma_center: f64,
+}
+
+/// A plane that is known in the camera's frame, n · x + h = 0, passes near a point of the world and is near level there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlanePrior {
+    /// Index in [`Problem::poses`].
+    pub pose: usize,
+    /// n: the plane's unit normal in the camera's frame.
+    pub normal_in_cam: Vector3<f64>,
+    /// h: how far the camera lies on the normal's side of the plane, world units.
+    pub camera_height: f64,
+    /// The point of the world through which the plane passes.
+    pub point: Point3<f64>,
+    /// The unit vector of the world that is the plane's normal.
+    pub up: Vector3<f64>,
+    /// Standard deviation of the point's distance to the plane, world units; infinite leaves the distance out.
+    pub sigma_distance: f64,
+    /// Standard deviation of the tilt about each axis in the plane, radians; infinite leaves the tilt out.
+    pub sigma_tilt: f64,
+    /// Robust loss on distance and tilt each, in standard deviations: some planes are wrong.
+    pub loss: RobustLoss,
+}
+
+/// A point is near a known place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PointPrior {
+    /// Index in [`Problem::points`].
+    pub point: usize,
+    /// The known place.
+    pub position: Point3<f64>,
+    /// Standard deviation of each coordinate, world units.
+    pub sigma: f64,
 }
 
 /// Intrinsics are near known ones.
@@ -240,6 +283,16 @@ impl Problem {
             in_range("intrinsics prior", index, "camera", prior.camera, self.cameras.len())?;
             let good = prior.values.iter().all(|v| v.is_finite()) && prior.sigma.iter().all(|s| *s > 0.0);
             require(good, "intrinsics prior", index)?;
+        }
+        for (index, prior) in self.priors.planes.iter().enumerate() {
+            in_range("plane prior", index, "pose", prior.pose, self.poses.len())?;
+            let numbers = prior.normal_in_cam.sum() + prior.camera_height + prior.point.coords.sum() + prior.up.sum();
+            let good = numbers.is_finite() && prior.sigma_distance > 0.0 && prior.sigma_tilt > 0.0;
+            require(good, "plane prior", index)?;
+        }
+        for (index, prior) in self.priors.points.iter().enumerate() {
+            in_range("point prior", index, "point", prior.point, self.points.len())?;
+            require(prior.position.coords.sum().is_finite() && prior.sigma > 0.0, "point prior", index)?;
         }
         Ok(())
     }

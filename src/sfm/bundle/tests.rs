@@ -317,3 +317,31 @@ fn priors_pull_as_strongly_as_they_say() {
     adjust(&mut problem, &tight()).unwrap();
     assert!((problem.cameras[0].camera.focal[0] - 790.0).abs() < 1e-3);
 }
+
+/// Planes under the cameras and a few known points take a world of any place, orientation and size to where they are.
+#[test]
+fn planes_and_points_decide_where_the_world_is() {
+    let (truth, mut problem) = disturbed(&scene::Options::default(), CameraBlock::fixed);
+    let (up, foot) = (Vector3::z(), Point3::new(0.2, -0.1, -0.4));
+    for (pose, image) in truth.images.values().enumerate() {
+        let cam_from_world = image.cam_from_world;
+        problem.priors.planes.push(PlanePrior {
+            pose,
+            normal_in_cam: cam_from_world.rotation * up,
+            camera_height: cam_from_world.center().z - foot.z,
+            point: foot,
+            up,
+            sigma_distance: 0.1,
+            sigma_tilt: 0.1,
+            loss: crate::math::RobustLoss::Squared,
+        });
+    }
+    for (point, known) in truth.points.values().enumerate().step_by(10) {
+        problem.priors.points.push(PointPrior { point, position: known.position, sigma: 10.0 });
+    }
+    let summary = adjust(&mut problem, &tight()).unwrap();
+    assert!(summary.final_cost < 1e-12, "{summary:?}");
+    for (block, known) in problem.poses.iter().zip(truth.images.values()) {
+        assert!((block.cam_from_world.center() - known.cam_from_world.center()).norm() < 1e-5);
+    }
+}

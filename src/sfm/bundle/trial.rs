@@ -132,6 +132,13 @@ fn settled<const D: usize, F: Fused>(
             half_step[k] = F::mul_add(a[k], r[0] * root, F::mul_add(b[k], r[1] * root, half_step[k]));
         }
     }
+    if let Some(known) = layout.point_priors.get(point) {
+        cost += known.cost(&position);
+        let pull = terms.forward_solve(&known.offset(&position).map(|v| known.weight * v));
+        for k in 0..3 {
+            half_step[k] += pull[k];
+        }
+    }
     if terms.is_held() {
         return (position, cost);
     }
@@ -195,7 +202,7 @@ impl Task for Cost<'_> {
 #[inline(always)]
 fn cost_of_point(pass: &Pass, views: &[View], point: usize, position: &[f64; 3]) -> f64 {
     let layout = pass.layout;
-    let mut sum = 0.0;
+    let mut sum = layout.point_priors.get(point).map_or(0.0, |known| known.cost(position));
     for o in layout.obs_of_point(point) {
         let view = &views[layout.obs_pose[o] as usize];
         let r = plain_residual(view, position, &layout.obs_pixel[o], &layout.obs_whitening[o]);

@@ -1,9 +1,10 @@
 //! Every derivative against finite differences.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::super::layout::{Columns, Layout};
 use super::super::linearize::{Linearization, Pass};
+use super::super::plane_prior;
 use super::super::priors;
 use super::super::residual::{Derivatives, linearize, plain_residual};
 use super::super::schur::Reduced;
@@ -122,6 +123,37 @@ fn pose_prior() {
     }
 }
 
+#[test]
+fn plane_priors() {
+    let prior = plane_through(Point3::new(0.3, -0.2, 0.5));
+    let (by_turn, by_shift, tilt_by_turn) = plane_prior::jacobians(&prior, &pose());
+    let moved = |d: &[f64; 6]| {
+        let (distance, tilt) = plane_prior::residual(&prior, &perturb(&pose(), d));
+        vec![distance, tilt.x, tilt.y, tilt.z]
+    };
+    let jacobian = |row: usize, k: usize| match (row, k < 3) {
+        (0, true) => by_turn[k],
+        (0, false) => by_shift[k - 3],
+        (_, true) => tilt_by_turn[(row - 1, k)],
+        _ => 0.0,
+    };
+    check_jacobian("plane prior", moved, jacobian, [1e-6; 6]);
+}
+
+/// Of no special place or direction.
+fn plane_through(point: Point3<f64>) -> PlanePrior {
+    PlanePrior {
+        pose: 1,
+        normal_in_cam: Vector3::new(0.1, -0.8, -0.5).normalize(),
+        camera_height: 3.0,
+        point,
+        up: Vector3::new(0.2, 0.1, 0.9).normalize(),
+        sigma_distance: 0.3,
+        sigma_tilt: 0.2,
+        loss: RobustLoss::Cauchy { scale: 2.0 },
+    }
+}
+
 /// The whole cost, priors and robust loss included, against the gradient that the solver works with; and the path
 /// without derivatives against the one with them.
 #[test]
@@ -134,6 +166,11 @@ fn the_gradient_is_that_of_the_cost() {
         problem.priors.poses.push(PosePrior { pose: 1, cam_from_world: known, sigma_rotation: 0.1, sigma_center: 0.2 });
         let (values, sigma) = ([790.0, 810.0, 470.0, 280.0, 0.1, 0.0], [5.0, 6.0, 3.0, f64::INFINITY, 0.2, 0.1]);
         problem.priors.intrinsics.push(IntrinsicsPrior { camera: 0, values, sigma });
+        problem.priors.planes.push(plane_through(Point3::new(0.3, -0.2, 0.5)));
+        let known = problem.points[3].position + Vector3::new(0.02, -0.01, 0.03);
+        for sigma in [0.02, 0.05] {
+            problem.priors.points.push(PointPrior { point: 3, position: known, sigma });
+        }
         let options = Options { loss: RobustLoss::Cauchy { scale: 2.0 }, gauge: Gauge::Free, ..tight() };
         compare_gradients(&problem, &options);
     }

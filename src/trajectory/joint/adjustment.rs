@@ -1,0 +1,218 @@
+//! The adjustment itself.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
+
+use super::precision::for_each_residual;
+use super::{Grounded, JointOptions};
+use crate::math::{RobustLoss, Sim3, umeyama};
+use crate::scene::{FrameId, Image, ObjectId, Reconstruction, ScaleEstimate, ScaleMethod, Unit as LengthUnit};
+use crate::sfm::Whitening;
+use crate::sfm::bundle::{self, CameraBlock, PlanePrior, PointPrior, Problem, Wanted};
+use crate::trajectory::contact::solid_points;
+use crate::trajectory::mirror::mean_normal;
+use crate::trajectory::views::median;
+use crate::trajectory::{
+    Contact, LeastSquaresOptions, ObjectDescription, ScaleError, Views, assemble, contact, forward_axis, intersection,
+    least_squares, object_center,
+};
+
+/// An object's reconstruction with the ground at z = 0, in the background's unit.
+pub(super) struct Adjustment<'a> {
+    grounded: &'a Grounded<'a>,
+    options: &'a JointOptions,
+    pub(super) object: Reconstruction,
+    /// Standard deviation of an image position before it is made to count less.
+    noise_px: f64,
+    /// By how much the object's distance to the ground wanders, as a share of the camera's height over it; within bounds.
+    wander: f64,
+    /// The median of that height, units of the background.
+    camera_height: f64,
+}
+
+impl<'a> Adjustment<'a> {
+    pub(super) fn new(grounded: &'a Grounded<'a>, options: &'a JointOptions) -> Result<Self, ScaleError> {
+        let views = Views::new(grounded.background, grounded.object, grounded.planes);
+        let (up, _) = mean_normal(&views).ok_or(ScaleError::NoPoints)?;
+        let all_frames = least_squares(&views, &LeastSquaresOptions::default());
+        let ratio = match all_frames.as_ref().map(|found| found.ratio) {
+            Ok(ratio) if ratio > 0.0 && ratio.is_finite() => ratio,
+            _ => intersection(&views)?.ratio,
+        };
+        let spread = all_frames.as_ref().map_or(f64::INFINITY, |found| found.residual_std);
+        let level = UnitQuaternion::rotation_between(&up, &Vector3::z())
+            .unwrap_or_else(|| UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0));
+        let center = object_center(grounded.object);
+        let heights: Vec<f64> =
+            views.views.iter().map(|view| view.camera_height + ratio * view.offset(&center)).collect();
+        let height = median(heights).unwrap_or(0.0);
+        let camera_height = median(views.views.iter().map(|view| view.camera_height.abs()).collect()).unwrap_or(0.0);
+        let [least, most] = options.sigma_distance;
+        let wander = (spread / camera_height).max(least).min(most);
+        let lift = Vector3::z() * height - level * (center.coords * ratio);
+        let mut object = grounded.object.clone();
+        object.transform(&Sim3::new(ratio, level, lift));
+        let mut residuals = Vec::new();
+        for_each_residual(&object, |_, residual| residuals.extend([residual.x.abs(), residual.y.abs()]));
+        let noise_px = 1.4826 * median(residuals).ok_or(ScaleError::NoPoints)?;
+        Ok(Self { grounded, options, object, noise_px: noise_px.max(1e-3), wander, camera_height })
+    }
+
+    /// Where the outlines put the ground.
+    pub(super) fn contact(&self) -> Result<Contact, ScaleError> {
+        contact(&self.object, self.grounded.silhouettes, self.forward(), &self.options.contact)
+            .ok_or(ScaleError::NoPoints)
+    }
+
+    /// The vehicle's forward direction, from its way through the background.
+    fn forward(&self) -> Option<Unit<Vector3<f64>>> {
+        let scale = ScaleEstimate {
+            ratio: 1.0,
+            std: None,
+            method: ScaleMethod::Joint,
+            degenerate: false,
+            reason: None,
+            alternatives: BTreeMap::new(),
+        };
+        let description = ObjectDescription { id: ObjectId(1), class: String::new(), confidence: 1.0 };
+        let Grounded { background, frames, .. } = self.grounded;
+        forward_axis(&assemble(description, background, &self.object, scale, frames, LengthUnit::Background))
+    }
+
+    /// One adjustment; outlines say that the ground is at `contact`.
+    pub(super) fn round(&mut self, contact: &Contact) -> Result<(), ScaleError> {
+        let mut problem = self.problem(contact);
+        let options = bundle::Options { threads: 1, ..self.bundle_options(&problem) };
+        bundle::adjust(&mut problem, &options).map_err(|error| ScaleError::Adjustment(error.to_string()))?;
+        problem.store(&mut self.object);
+        Ok(())
+    }
+
+    fn bundle_options(&self, problem: &Problem) -> bundle::Options {
+        let scale = self.options.pixel_loss_scale / self.devaluation(problem);
+        bundle::Options { loss: RobustLoss::Cauchy { scale }, ..bundle::Options::default() }
+    }
+
+    /// Factor on the standard deviation of an image position, so that those of one frame count as few.
+    fn devaluation(&self, problem: &Problem) -> f64 {
+        let per_frame = problem.observations.len() as f64 / problem.poses.len().max(1) as f64;
+        let drift = self.wander / self.options.sigma_distance[1];
+        ((per_frame / self.options.independent_points).sqrt() * drift).max(1.0)
+    }
+
+    fn problem(&self, contact: &Contact) -> Problem {
+        let mut problem = Problem::from_reconstruction(&self.object, |_, camera| CameraBlock::fixed(*camera));
+        let sigma = self.noise_px * self.devaluation(&problem);
+        for observation in &mut problem.observations {
+            observation.whitening = Whitening::isotropic(sigma);
+        }
+        problem.priors.planes = self.planes();
+        problem.priors.points = self.anchors(contact);
+        problem
+    }
+
+    /// Plane i below the middle of the vehicle.
+    fn planes(&self) -> Vec<PlanePrior> {
+        let Grounded { background, planes, .. } = self.grounded;
+        let middle = object_center(&self.object);
+        let pose_of: BTreeMap<&str, usize> =
+            self.object.images.values().map(|image| image.name.as_str()).zip(0..).collect();
+        let known = |(frame, in_background, in_object): (FrameId, &Image, &Image)| {
+            let plane = planes.get(&frame)?;
+            Some(PlanePrior {
+                pose: *pose_of.get(in_object.name.as_str())?,
+                normal_in_cam: in_background.cam_from_world.rotation * plane.normal,
+                camera_height: plane.signed_distance(in_background.cam_from_world.center()),
+                point: Point3::new(middle.x, middle.y, 0.0),
+                up: Vector3::z(),
+                sigma_distance: self.sigma_distance(),
+                sigma_tilt: self.options.sigma_tilt,
+                loss: RobustLoss::Squared,
+            })
+        };
+        let mut found: Vec<PlanePrior> = background.paired_images(&self.object).into_iter().filter_map(known).collect();
+        found.retain(|plane| plane.camera_height.is_finite() && plane.normal_in_cam.norm_squared() > 0.5);
+        let scale = self.loss_scale(&found);
+        for plane in &mut found {
+            plane.loss = RobustLoss::Cauchy { scale };
+        }
+        found
+    }
+
+    /// Standard deviation of a plane's distance to the vehicle.
+    fn sigma_distance(&self) -> f64 {
+        (self.wander * self.camera_height).max(f64::MIN_POSITIVE)
+    }
+
+    /// As long as most planes are far off, none of them is an outlier.
+    fn loss_scale(&self, planes: &[PlanePrior]) -> f64 {
+        let poses: Vec<&Image> = self.object.images.values().collect();
+        let off = |plane: &PlanePrior| {
+            let pose = poses[plane.pose].cam_from_world;
+            let distance = plane.normal_in_cam.dot(&(pose * plane.point).coords) + plane.camera_height;
+            let tilt = plane.normal_in_cam.angle(&(pose.rotation * plane.up));
+            (distance.abs() / self.sigma_distance()).max(tilt / self.options.sigma_tilt)
+        };
+        let typical = median(planes.iter().map(off).collect()).unwrap_or(0.0);
+        self.options.loss_scale * typical.max(1.0)
+    }
+
+    /// The outlines' word on where the ground is, spread over all points: each is near where it is, but lower by the height
+    /// at which the outlines see the ground. Together they weigh as much as the contact is known.
+    fn anchors(&self, contact: &Contact) -> Vec<PointPrior> {
+        let solid = solid_points(&self.object, &self.options.contact);
+        let bounds: [(f64, f64); 3] = std::array::from_fn(|axis| {
+            solid
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), p| (least.min(p[axis]), most.max(p[axis])))
+        });
+        let is_solid = |p: &Point3<f64>| (0..3).all(|axis| bounds[axis].0 <= p[axis] && p[axis] <= bounds[axis].1);
+        let points = self.object.points.values().enumerate().filter(|(_, point)| is_solid(&point.position));
+        let mut anchors: Vec<PointPrior> = points
+            .map(|(index, point)| PointPrior {
+                point: index,
+                position: point.position - Vector3::z() * contact.z,
+                sigma: contact.std,
+            })
+            .collect();
+        let share = (anchors.len() as f64).sqrt();
+        anchors.iter_mut().for_each(|anchor| anchor.sigma = (anchor.sigma * share).max(f64::MIN_POSITIVE));
+        anchors
+    }
+
+    /// Standard deviation of the object's size, relative to it: that of its distance from the camera, since its size in the
+    /// picture is known exactly. The median of a few frames.
+    pub(super) fn relative_std(&self, contact: &Contact) -> Result<f64, ScaleError> {
+        const FRAMES: usize = 5;
+        let problem = self.problem(contact);
+        let count = problem.poses.len();
+        let poses: BTreeSet<usize> = (0..FRAMES).map(|k| k * count.saturating_sub(1) / (FRAMES - 1)).collect();
+        let wanted = Wanted { poses: poses.iter().copied().collect(), ..Wanted::default() };
+        let options = bundle::Options { threads: 1, ..self.bundle_options(&problem) };
+        let failed = |error: bundle::BundleError| ScaleError::Adjustment(error.to_string());
+        let found = bundle::covariances(&problem, &options, &wanted).map_err(failed)?;
+        let middle = object_center(&self.object);
+        let deviations = poses.iter().zip(&found.poses).map(|(pose, covariance)| {
+            let sight = middle - problem.poses[*pose].cam_from_world.center();
+            let distance = sight.norm();
+            let along = sight / distance;
+            (along.dot(&(covariance.center * along)).max(0.0)).sqrt() / distance
+        });
+        median(deviations.collect()).filter(|std| std.is_finite()).ok_or(ScaleError::NoPoints)
+    }
+
+    /// The similarity onto the points of the reconstruction that this was made from.
+    pub(super) fn back_to(&self, original: &Reconstruction) -> Option<Sim3> {
+        let solid: Vec<_> = self
+            .object
+            .points
+            .iter()
+            .filter(|(_, point)| point.track.len() >= self.options.contact.min_track)
+            .filter_map(|(id, point)| Some((point.position, original.points.get(id)?.position)))
+            .filter(|(a, b)| a.coords.iter().chain(b.coords.iter()).all(|x| x.is_finite()))
+            .collect();
+        let (from, to): (Vec<_>, Vec<_>) = solid.into_iter().unzip();
+        umeyama(&from, &to).filter(|found| found.scale > 0.0 && found.scale.is_finite())
+    }
+}

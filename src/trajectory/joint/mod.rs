@@ -1,0 +1,167 @@
+//! One adjustment of an object's reconstruction with the ground under it.
+//!
+//! Structure from motion leaves an object's depth and inclination to a chain of weak links: along sixty frames of plain,
+//! glossy paint its size wanders by a few percent, which nothing in its own pictures contradicts. The ground does. The
+//! object stands on it in every frame, so that its frame can be chosen with the ground at z = 0 and in the background's unit
+//! of length. Then no unknown is left besides poses and points: in the frame of camera i the plane n_i · x + h_i = 0 passes through the
+//! point below the vehicle's middle, is level there, and the vehicle's outline touches it ([`contact`]). All of that goes
+//! into one bundle adjustment with the image positions, and the scale ratio is the size with which the object comes out.
+//!
+//! Derivation, weights and figures: docs/maths/scale.md.
+
+mod adjustment;
+mod precision;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use self::adjustment::Adjustment;
+use self::precision::{median_error_px, set_errors, uncertain_points};
+use super::mirror::{mean_normal, mirrored};
+use super::{Contact, ContactOptions, ScaleError, Silhouette, Views};
+use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction};
+
+/// How much each kind of knowledge counts.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct JointOptions {
+    /// Standard deviation of a local plane's distance to the vehicle, as a share of the camera's height over it: what the
+    /// distance wanders by before the adjustment, but no less than the first of these and no more than the second. The less it
+    /// wanders, the better are planes and reconstruction.
+    pub sigma_distance: [f64; 2],
+    /// Points as many as which those of one frame count, where the distance wanders by the most. Errors on glossy paint
+    /// and of tracks that wander are common to many points and many frames; taken for independent they would leave nothing to the ground.
+    pub independent_points: f64,
+    /// Standard deviation of a vehicle's inclination against its plane, radians: springs, and planes that are not quite plane.
+    pub sigma_tilt: f64,
+    /// Standard deviations beyond which a plane loses weight (Cauchy).
+    pub loss_scale: f64,
+    /// Standard deviations beyond which an image position loses weight (Cauchy).
+    pub pixel_loss_scale: f64,
+    /// Median angle between planes and object, radians, from which on the mirror image is looked at, too.
+    pub suspicious_tilt: f64,
+    /// Most rounds of adjustment and new contact.
+    pub max_rounds: usize,
+    /// By how much the image positions may fit worse afterwards, as a factor of their median error.
+    pub max_error_growth: f64,
+    /// Standard deviation of a point's place, as a share of the object's radius (the median distance of its points from the
+    /// middle), beyond which it is left out. On glossy paint most of what is seen in a few frames only is so uncertain.
+    pub max_deviation: f64,
+    /// Share of the points that stays in any case: the surest.
+    pub least_share: f64,
+    /// Where the vehicle touches the ground.
+    pub contact: ContactOptions,
+}
+
+impl Default for JointOptions {
+    fn default() -> Self {
+        Self {
+            sigma_distance: [0.003, 0.008],
+            independent_points: 1.25,
+            sigma_tilt: 0.03,
+            loss_scale: 3.0,
+            pixel_loss_scale: 3.0,
+            suspicious_tilt: 0.07,
+            max_rounds: 5,
+            max_error_growth: 3.0,
+            max_deviation: 0.05,
+            least_share: 0.5,
+            contact: ContactOptions::default(),
+        }
+    }
+}
+
+/// What is known of one object and of the place around it.
+#[derive(Clone, Copy, Debug)]
+pub struct Grounded<'a> {
+    /// The background's reconstruction.
+    pub background: &'a Reconstruction,
+    /// The object's.
+    pub object: &'a Reconstruction,
+    /// The local plane of each frame, in the background's frame.
+    pub planes: &'a BTreeMap<FrameId, GroundPlane>,
+    /// The object's outlines.
+    pub silhouettes: &'a BTreeMap<FrameId, Silhouette>,
+    /// All frames.
+    pub frames: &'a [Frame],
+}
+
+/// An object's reconstruction that stands on the ground.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Joint {
+    /// The reconstruction, in the frame and unit of the one that it was made from.
+    pub object: Reconstruction,
+    /// r, for this reconstruction.
+    pub ratio: f64,
+    /// Its standard deviation.
+    pub std: f64,
+    /// Where the vehicle touches the ground, relative to it and in units of the background: what is left of the outlines'
+    /// contradiction to the planes.
+    pub contact: Contact,
+    /// Whether it is the mirror image of the one that it was made from.
+    pub mirrored: bool,
+    /// Median error of the image positions before and after, pixels.
+    pub error_px: [f64; 2],
+    /// Points that were left out because their place is too uncertain.
+    pub num_uncertain: usize,
+}
+
+/// Adjusts an object's reconstruction together with the ground.
+///
+/// # Errors
+/// [`ScaleError`] where there are fewer than three frames with a plane, no points, nothing to begin with, or where image
+/// positions and ground contradict one another.
+pub fn joint(grounded: &Grounded, options: &JointOptions) -> Result<Joint, ScaleError> {
+    let views = Views::new(grounded.background, grounded.object, grounded.planes);
+    views.require(3)?;
+    let tilt = |views: &Views| mean_normal(views).map_or(0.0, |(_, angle)| angle);
+    if tilt(&views) > options.suspicious_tilt {
+        let object = mirrored(grounded.object);
+        let other = Views::new(grounded.background, &object, grounded.planes);
+        if tilt(&other) < 0.5 * tilt(&views)
+            && let Ok(found) = adjusted(&Grounded { object: &object, ..*grounded }, options, true)
+        {
+            return Ok(found);
+        }
+    }
+    adjusted(grounded, options, false)
+}
+
+fn adjusted(grounded: &Grounded, options: &JointOptions, is_mirrored: bool) -> Result<Joint, ScaleError> {
+    let mut adjustment = Adjustment::new(grounded, options)?;
+    let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
+    let mut last = adjustment.contact()?;
+    for _ in 0..options.max_rounds {
+        adjustment.round(&last)?;
+        let contact = adjustment.contact()?;
+        let moved = (contact.z - last.z).abs();
+        last = contact;
+        if moved < 0.05 * contact.std {
+            break;
+        }
+    }
+    let after_px = median_error_px(&adjustment.object).unwrap_or(f64::INFINITY);
+    if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {
+        return Err(ScaleError::GroundContradicts { before_px, after_px });
+    }
+    let relative_std = adjustment.relative_std(&last)?;
+    let object_from_ground = adjustment.back_to(grounded.object).ok_or(ScaleError::NoPoints)?;
+    let mut object = adjustment.object;
+    object.transform(&object_from_ground);
+    let uncertain = uncertain_points(&object, options.max_deviation, options.least_share);
+    object.remove_points(&uncertain);
+    set_errors(&mut object);
+    let ratio = 1.0 / object_from_ground.scale;
+    Ok(Joint {
+        object,
+        ratio,
+        std: relative_std * ratio,
+        contact: last,
+        mirrored: is_mirrored,
+        error_px: [before_px, after_px],
+        num_uncertain: uncertain.len(),
+    })
+}

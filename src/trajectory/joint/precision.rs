@@ -1,0 +1,85 @@
+//! How well image positions and points agree, and how sure points are.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Matrix3, Vector2};
+
+use crate::scene::{Image, Observation, Point3dId, Reconstruction};
+use crate::trajectory::object_center;
+use crate::trajectory::views::median;
+
+/// Every residual of image positions, pixels, with the point that it belongs to.
+pub(super) fn for_each_residual(model: &Reconstruction, mut visit: impl FnMut(Point3dId, Vector2<f64>)) {
+    for image in model.images.values() {
+        let camera = model.camera_of(image);
+        for (id, observation) in points_of(model, image) {
+            if let Some(pixel) = camera.pixel_from_cam(image.cam_from_world * model.points[&id].position) {
+                visit(id, pixel - observation.pixel);
+            }
+        }
+    }
+}
+
+/// Median length of the residuals, pixels.
+pub(super) fn median_error_px(model: &Reconstruction) -> Option<f64> {
+    let mut lengths = Vec::new();
+    for_each_residual(model, |_, residual| lengths.push(residual.norm()));
+    median(lengths)
+}
+
+/// Mean reprojection errors of all points, as they are now.
+pub(super) fn set_errors(model: &mut Reconstruction) {
+    let mut sums: BTreeMap<Point3dId, (f64, f64)> = BTreeMap::new();
+    for_each_residual(model, |id, residual| {
+        let (sum, count) = sums.entry(id).or_default();
+        *sum += residual.norm();
+        *count += 1.0;
+    });
+    for (id, (sum, count)) in sums {
+        if let Some(point) = model.points.get_mut(&id) {
+            point.error_px = sum / count;
+        }
+    }
+}
+
+/// The points whose place is too uncertain, the poses taken as known, though never more than `1 - least_share` of all.
+///
+/// A point's variance is the largest one of (Σ JᵀJ)⁻¹ times the variance of its own residuals, to which the typical one of
+/// all points is added as if it came from three more observations. `max_deviation` is a share of the median distance of
+/// the points from their middle.
+pub(super) fn uncertain_points(model: &Reconstruction, max_deviation: f64, least_share: f64) -> Vec<Point3dId> {
+    const MORE_OBSERVATIONS: f64 = 3.0;
+    let Some(typical_px) = median_error_px(model) else { return Vec::new() };
+    let mut sums: BTreeMap<Point3dId, (Matrix3<f64>, f64, f64)> = BTreeMap::new();
+    for image in model.images.values() {
+        let camera = model.camera_of(image);
+        let world_to_cam = image.cam_from_world.rotation.to_rotation_matrix().into_inner();
+        for (id, observation) in points_of(model, image) {
+            let projection = camera.project(image.cam_from_world * model.points[&id].position);
+            let slope = projection.d_point * world_to_cam;
+            let (information, squares, count) = sums.entry(id).or_insert((Matrix3::zeros(), 0.0, 0.0));
+            *information += slope.transpose() * slope;
+            *squares += (projection.pixel - observation.pixel).norm_squared();
+            *count += 1.0;
+        }
+    }
+    let deviation = |(information, squares, count): &(Matrix3<f64>, f64, f64)| {
+        let variance_px2 =
+            (squares + MORE_OBSERVATIONS * typical_px * typical_px) / (2.0 * (count + MORE_OBSERVATIONS));
+        let least = information.symmetric_eigenvalues().min();
+        if least > 0.0 { (variance_px2 / least).sqrt() } else { f64::INFINITY }
+    };
+    let mut deviations: Vec<(f64, Point3dId)> = sums.iter().map(|(id, sum)| (deviation(sum), *id)).collect();
+    deviations.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let center = object_center(model);
+    let radius = median(model.points.values().map(|point| (point.position - center).norm()).collect()).unwrap_or(0.0);
+    let sure = deviations.partition_point(|(deviation, _)| *deviation <= max_deviation * radius);
+    let kept = sure.max((least_share * deviations.len() as f64).ceil() as usize);
+    deviations.iter().skip(kept).map(|(_, id)| *id).collect()
+}
+
+/// What an image sees of the points.
+fn points_of<'a>(model: &'a Reconstruction, image: &'a Image) -> impl Iterator<Item = (Point3dId, &'a Observation)> {
+    let seen = image.observations.iter().filter_map(|observation| Some((observation.point?, observation)));
+    seen.filter(|(id, _)| model.points.contains_key(id))
+}

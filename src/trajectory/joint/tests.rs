@@ -1,0 +1,138 @@
+use nalgebra::{Point2, Vector3};
+
+use super::*;
+use crate::math::Rigid3;
+use crate::synthetic::drive::{Drive, Noise, Options, drive};
+use crate::trajectory::contact::Silhouette;
+
+const NOISE: Noise = Noise { pixel_px: 0.3, plane_height_m: 0.03, plane_tilt_deg: 0.5, bad_planes: 0.0 };
+
+/// What the masks of the vehicle would be: the convex hull of its points, wheels included.
+fn silhouettes(world: &Drive) -> BTreeMap<FrameId, Silhouette> {
+    let hull = |image: &crate::scene::Image| {
+        let camera = world.object.camera_of(image);
+        let pixels =
+            world.object.points.values().filter_map(|p| camera.pixel_from_cam(image.cam_from_world * p.position));
+        Silhouette { hull: pixels.collect::<Vec<Point2<f64>>>() }
+    };
+    world.object.images.iter().map(|(id, image)| (id.frame(), hull(image))).collect()
+}
+
+fn solve(
+    world: &Drive,
+    object: &Reconstruction,
+    silhouettes: &BTreeMap<FrameId, Silhouette>,
+) -> Result<Joint, ScaleError> {
+    let Drive { background, planes, frames, .. } = world;
+    joint(&Grounded { background, object, planes, silhouettes, frames }, &JointOptions::default())
+}
+
+/// Relative error of the ratio for the size that the object has come out with.
+fn error(world: &Drive, found: &Joint) -> f64 {
+    let size = |object: &Reconstruction| {
+        let ids: Vec<_> = found.object.points.keys().collect();
+        let distance = |k: usize| (object.points[ids[k]].position - object.points[ids[0]].position).norm();
+        (1..ids.len()).map(distance).sum::<f64>()
+    };
+    found.ratio * size(&found.object) / (world.ratio * size(&world.object)) - 1.0
+}
+
+/// As a chain of frames wanders: the object comes nearer and nearer, by 3 % from the first frame to the last, and the points that
+/// are seen late are smaller accordingly.
+fn drifted(world: &Drive) -> Reconstruction {
+    let mut object = world.object.clone();
+    let center = crate::trajectory::object_center(&object);
+    let count = object.images.len() as f64;
+    for (k, image) in object.images.values_mut().enumerate() {
+        let cam_from_world = image.cam_from_world;
+        let away = cam_from_world.center() - center;
+        let nearer = center + away * (1.015 - 0.03 * k as f64 / count);
+        image.cam_from_world = Rigid3::from_rotation_and_center(cam_from_world.rotation, nearer);
+    }
+    object
+}
+
+#[test]
+fn drift_is_taken_out_and_the_deviation_is_honest() {
+    let mut squares = 0.0;
+    for seed in 0..5 {
+        let world = drive(&Options { noise: NOISE, ..Options::default() }, seed);
+        let found = solve(&world, &drifted(&world), &silhouettes(&world)).unwrap();
+        let error = error(&world, &found);
+        assert!(
+            error.abs() < 0.015 && !found.mirrored && found.contact.num_frames > 20,
+            "seed {seed}: {error}, {found:?}"
+        );
+        let std = found.std / found.ratio;
+        assert!((1e-4..0.02).contains(&std), "{std}");
+        squares += (error / std).powi(2) / 5.0;
+    }
+    assert!(squares < 6.0, "{squares}");
+}
+
+#[test]
+fn outlines_determine_what_parallel_motion_does_not() {
+    for seed in 0..3 {
+        let world = drive(&Options { noise: NOISE, camera_climb_m: 0.0, ..Options::default() }, seed);
+        let found = solve(&world, &world.object, &silhouettes(&world)).unwrap();
+        let error = error(&world, &found);
+        assert!(error.abs() < 0.02, "seed {seed}: {error}");
+        // Without outlines the lowest points are left to go by, and that is less sure.
+        let guessed = solve(&world, &world.object, &BTreeMap::new()).unwrap();
+        assert!(guessed.contact.num_frames == 0 && guessed.std / guessed.ratio > found.std / found.ratio);
+    }
+}
+
+#[test]
+fn the_mirror_image_is_recognised() {
+    let world = drive(&Options { noise: NOISE, distance_m: [60.0, 70.0], ..Options::default() }, 4);
+    let other = crate::trajectory::mirror::mirrored(&world.object);
+    let silhouettes = silhouettes(&world);
+    let found = solve(&world, &other, &silhouettes).unwrap();
+    assert!(found.mirrored && error(&world, &found).abs() < 0.02, "{}", error(&world, &found));
+    let right = solve(&world, &world.object, &silhouettes).unwrap();
+    assert!(!right.mirrored);
+}
+
+#[test]
+fn an_object_in_the_air_is_said_to_contradict_the_ground_or_is_left_alone() {
+    let mut world = drive(&Options { noise: NOISE, ..Options::default() }, 1);
+    // Planes that jump up and down by two metres have nothing to do with the object.
+    for (frame, plane) in &mut world.planes {
+        let jump = if frame.0 % 2 == 0 { 0.5 } else { -0.5 };
+        plane.point += plane.normal * jump;
+        plane.normal = (plane.normal + Vector3::new(jump, -jump, 0.3 * jump)).normalize();
+    }
+    match solve(&world, &world.object, &silhouettes(&world)) {
+        Err(ScaleError::GroundContradicts { before_px, after_px }) => assert!(after_px > before_px),
+        Err(other) => panic!("{other}"),
+        Ok(found) => assert!(found.error_px[1] <= 3.0 * found.error_px[0]),
+    }
+}
+
+#[test]
+fn too_little_to_go_by_is_an_error() {
+    let world = drive(&Options { num_frames: 2, ..Options::default() }, 3);
+    assert!(matches!(solve(&world, &world.object, &BTreeMap::new()), Err(ScaleError::TooFewViews { .. })));
+    let mut empty = world.object.clone();
+    let all: Vec<_> = empty.points.keys().copied().collect();
+    empty.remove_points(&all);
+    assert_eq!(solve(&world, &empty, &BTreeMap::new()), Err(ScaleError::NoPoints));
+}
+
+#[test]
+fn uncertain_points_are_left_out_but_never_most() {
+    let world = drive(&Options { noise: NOISE, num_frames: 20, ..Options::default() }, 2);
+    let mut object = world.object.clone();
+    // A point that two neighbouring frames see is one without a depth.
+    let id = *object.points.keys().nth(5).unwrap();
+    let track: Vec<_> = object.points[&id].track.clone();
+    for element in &track[2..] {
+        object.images.get_mut(&element.image).unwrap().observations[element.observation_idx as usize].point = None;
+    }
+    object.points.get_mut(&id).unwrap().track.truncate(2);
+    assert_eq!(uncertain_points(&object, 0.05, 0.5), [id]);
+    let count = object.points.len();
+    assert_eq!(uncertain_points(&object, 0.0, 0.5).len(), count / 2);
+    assert!(uncertain_points(&object, f64::INFINITY, 0.5).is_empty());
+}
