@@ -98,6 +98,11 @@ fn a_killed_run_ends_where_an_undisturbed_one_ends() {
         assert!(reused.iter().any(|name| name == stage), "{stage} was done twice: {reused:?}");
         assert_same(&whole, &place.result(&output), &output);
     }
+    // The vehicle is reconstructed, and not yet compared with the masks of all frames.
+    kill_after(&place, "killed-inside", "object-1");
+    place.run("killed-inside", &[]);
+    assert_same(&whole, &place.result("killed-inside"), "killed-inside");
+    assert!(!place.path("killed-inside/.tractrix/objects-unchecked").exists());
 }
 
 /// Starts a run and kills it without warning as soon as a stage is marked as done.

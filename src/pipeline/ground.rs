@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use super::given_masks::MaskFolder;
 use super::run::{Outcome, Run};
 use super::workspace::mask_name;
-use super::{GroundLabels, PipelineError, fingerprint, models};
+use super::{GroundLabels, PipelineError, fingerprint, models, objects};
 use crate::ground::{dominant_plane_points, label_points, local_planes};
 use crate::io::masks;
 use crate::perception::{GroundOptions, load_ground_segmenter};
@@ -40,8 +40,8 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     };
     let mut ground = Ground { source, point_ids, planes: BTreeMap::new() };
     let mut skipped: BTreeMap<String, BTreeMap<FrameId, String>> = BTreeMap::new();
-    for (id, report) in models::object_reports(run)? {
-        let Some(object) = models::reconstructed_object(run, id, &report)? else { continue };
+    for (id, report) in objects::reports(run)? {
+        let Some(object) = objects::reconstructed(run, id, &report)? else { continue };
         let found = local_planes(&background, &ground.point_ids, id, &object, &run.options.ground, run.options.seed);
         if let Some(first) = found.skipped.first() {
             let (missing, all) = (found.skipped.len(), found.skipped.len() + found.planes.len());

@@ -18,6 +18,7 @@ mod ground;
 mod masking;
 mod meter;
 mod models;
+mod objects;
 mod options;
 mod order;
 mod progress;
@@ -109,7 +110,7 @@ fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<(), PipelineErr
             let depends_on = models::background_depends_on(run)?;
             run.stage(stage, &[Features], depends_on, |run, _| models::background_work(run))
         }
-        Objects => run.stage(stage, &[Features, Background], models::objects_depends_on(run)?, models::objects_work),
+        Objects => run.stage(stage, &[Features, Background], objects::depends_on(run)?, objects::work),
         Ground => run.stage(stage, &[Background, Objects], ground::depends_on(run)?, ground::work),
         Scale => run.stage(stage, &[Ground], scale::depends_on(run), |run, _| scale::work(run)),
         // The page shows the command line and what every stage cost, so it is made anew whenever anything was done.

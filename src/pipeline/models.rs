@@ -1,6 +1,6 @@
-//! Stages `background` and `objects`: a COLMAP model of each, reconstructed or given.
+//! Stage `background`, and what it shares with `objects`: a COLMAP model, reconstructed or given.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -8,12 +8,10 @@ use serde_json::{Value, json};
 
 use super::options::{CameraOrigin, camera};
 use super::run::{Outcome, Run};
-use super::track::TrackedObject;
-use super::{PipelineError, features, fingerprint, order, track};
+use super::{PipelineError, features, fingerprint, order};
 use crate::camera::Camera;
 use crate::io::colmap;
-use crate::scene::{Frame, FrameId, ImageId, Mask, ObjectId, Point3dId, Reconstruction};
-use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes};
+use crate::scene::{Frame, FrameId, ImageId, Reconstruction};
 use crate::sfm::{self, bundle, mapper};
 
 /// How a model came about.
@@ -41,7 +39,7 @@ pub(super) struct ModelReport {
 }
 
 impl ModelReport {
-    fn describe_points(&mut self, model: &Reconstruction) {
+    pub(super) fn describe_points(&mut self, model: &Reconstruction) {
         self.num_points = model.points.len();
         self.num_observations = model.points.values().map(|point| point.track.len()).sum();
         self.mean_error_px = model.mean_reprojection_error_px();
@@ -51,7 +49,6 @@ impl ModelReport {
 /// Images whose position's standard deviation is computed: enough for a median.
 const DEVIATION_IMAGES: usize = 16;
 const BACKGROUND_REPORT: &str = "background-report.json";
-const OBJECT_REPORTS: &str = "objects-report.json";
 
 /// The camera before the background is reconstructed.
 pub(super) fn initial_camera(run: &Run) -> Result<(Camera, CameraOrigin), PipelineError> {
@@ -120,190 +117,8 @@ pub(super) fn background(run: &Run) -> Result<(Reconstruction, ModelReport), Pip
     Ok((colmap::read(&run.workspace.background())?, run.workspace.read_state(BACKGROUND_REPORT)?))
 }
 
-pub(super) fn objects_depends_on(run: &Run) -> Result<Value, PipelineError> {
-    let given: Result<BTreeMap<_, _>, PipelineError> =
-        run.options.object_models.iter().map(|(id, folder)| Ok((id, fingerprint::of_content(folder)?))).collect();
-    let (_, objects) = order::sfm_options(run)?;
-    Ok(json!({
-        "kept_in": ".tractrix/objects",
-        "models": given?,
-        "only": run.options.only_objects,
-        "options": mapper::Options { threads: 1, ..objects.mapper },
-        "seed": run.options.seed,
-    }))
-}
-
-pub(super) fn objects_work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
-    let mut outcome = Outcome::default();
-    let mut objects = track::objects(run)?;
-    let unknown = run.options.object_models.keys().find(|id| objects.iter().all(|object| object.id != **id));
-    if let Some(id) = unknown {
-        let ids: Vec<String> = objects.iter().map(|object| object.id.to_string()).collect();
-        let text = format!("--object-model {id}=...: there is no object {id}; tracked are: {}", ids.join(", "));
-        return Err(PipelineError::Options(text));
-    }
-    objects.retain(|object| run.options.wants(object.id));
-    let (background, _) = background(run)?;
-    let camera = background.cameras.values().next().copied();
-    run.progress.begin("objects", Some(objects.len() as u64));
-    let mut reports = BTreeMap::new();
-    for object in &objects {
-        run.progress.step();
-        let report = one_object(run, object, camera.filter(|_| !background.is_empty()), fingerprint)?;
-        match &report.failure {
-            Some(failure) => outcome.warn(format!("object {} cannot be reconstructed: {failure}", object.id)),
-            None => warn_of_gaps(&format!("object {}", object.id), &report, &mut outcome),
-        }
-        outcome.figure(
-            &format!("object_{}", object.id),
-            json!({
-                "num_visible": report.num_visible,
-                "num_registered": report.num_registered,
-                "num_points": report.num_points,
-                "mean_error_px": report.mean_error_px,
-                "num_outside_masks": report.num_outside_masks,
-            }),
-        );
-        reports.insert(object.id, report);
-    }
-    remove_others(run, &reports)?;
-    let models = reports.iter().filter(|(_, report)| report.failure.is_none());
-    outcome
-        .outputs
-        .extend(models.flat_map(|(&id, _)| [run.workspace.object(id), run.workspace.reconstructed_object(id)]));
-    run.workspace.write_state(OBJECT_REPORTS, &reports)?;
-    outcome.outputs.push(run.workspace.state(OBJECT_REPORTS));
-    Ok(outcome)
-}
-
-/// The reports of all objects; the stage must be done.
-pub(super) fn object_reports(run: &Run) -> Result<BTreeMap<ObjectId, ModelReport>, PipelineError> {
-    run.workspace.read_state(OBJECT_REPORTS)
-}
-
-/// One object's model as structure from motion left it, where it has one.
-pub(super) fn reconstructed_object(
-    run: &Run,
-    id: ObjectId,
-    report: &ModelReport,
-) -> Result<Option<Reconstruction>, PipelineError> {
-    report.failure.is_none().then(|| Ok(colmap::read(&run.workspace.reconstructed_object(id))?)).transpose()
-}
-
-/// One object's model to which its trajectory refers, where it has one; the stage `scale` must be done.
-pub(super) fn object(run: &Run, id: ObjectId, report: &ModelReport) -> Result<Option<Reconstruction>, PipelineError> {
-    report.failure.is_none().then(|| Ok(colmap::read(&run.workspace.object(id))?)).transpose()
-}
-
-/// Leaves an object's model where the user looks for it.
-pub(super) fn store_object(run: &Run, id: ObjectId, model: &Reconstruction) -> Result<(), PipelineError> {
-    store(&run.workspace.object(id), model)
-}
-
-/// What is left of an object's reconstruction that was finished before the run was stopped.
-#[derive(Serialize, Deserialize)]
-struct ObjectMarker {
-    fingerprint: String,
-    report: ModelReport,
-}
-
-fn one_object(
-    run: &Run,
-    object: &TrackedObject,
-    camera: Option<Camera>,
-    fingerprint: &str,
-) -> Result<ModelReport, PipelineError> {
-    let marker_name = format!("object-{}.json", object.id);
-    let before: Option<ObjectMarker> = run.workspace.read_state(&marker_name).ok();
-    if let Some(before) = before.filter(|marker| marker.fingerprint == fingerprint)
-        && (before.report.failure.is_some()
-            || [run.workspace.object(object.id), run.workspace.reconstructed_object(object.id)]
-                .iter()
-                .all(|f| f.is_dir()))
-    {
-        return Ok(before.report);
-    }
-    let mut outcome = Outcome::default();
-    let (model, mut report) = match (run.options.object_models.get(&object.id), camera) {
-        (Some(folder), _) => given(folder, run, &mut outcome)?,
-        (None, Some(camera)) => {
-            let table = features::of_object(run, object.id)?;
-            let options = order::sfm_options(run)?.1.mapper;
-            let (mut model, mut report) = reconstruct(run, table, camera, sfm::Intrinsics::Fixed, &options)?;
-            let outside = outside_masks(run, object.id, &model)?;
-            model.remove_points(&outside);
-            report.num_outside_masks = outside.len();
-            report.describe_points(&model);
-            (model, report)
-        }
-        (None, None) => {
-            let failure = Some("there is no background to place it in".to_owned());
-            (Reconstruction::default(), ModelReport { failure, ..ModelReport::default() })
-        }
-    };
-    report.num_visible = object.frames.len();
-    match report.failure {
-        Some(_) => {
-            run.workspace.remove(&run.workspace.object(object.id))?;
-            run.workspace.remove(&run.workspace.reconstructed_object(object.id))?;
-        }
-        None => {
-            store(&run.workspace.reconstructed_object(object.id), &model)?;
-            store_object(run, object.id, &model)?;
-        }
-    }
-    let marker = ObjectMarker { fingerprint: fingerprint.to_owned(), report };
-    run.workspace.write_state(&marker_name, &marker)?;
-    Ok(marker.report)
-}
-
-/// The points of an object's reconstruction that lie beside its masks.
-fn outside_masks(run: &Run, id: ObjectId, model: &Reconstruction) -> Result<Vec<Point3dId>, PipelineError> {
-    /// Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
-    const BORDER_PX: f64 = 1.0;
-    const BORDER: f64 = 0.01;
-    let mut votes = SilhouetteVotes::default();
-    let objects = track::objects(run)?;
-    for frame in run.frames()? {
-        let image = ImageId::from(frame.id);
-        if !model.images.contains_key(&image) {
-            continue;
-        }
-        let mut hidden = Mask::empty(run.info().width, run.info().height);
-        let mut silhouette = None;
-        for (other, mask) in track::masks_of(run, &objects, frame)? {
-            if other == id {
-                silhouette = mask.bounding_box().map(|b| {
-                    let longer_px = f64::from((b.x1 - b.x0).max(b.y1 - b.y0));
-                    mask.dilated((BORDER_PX + BORDER * longer_px).round() as u32)
-                });
-            } else {
-                hidden.union_with(&mask);
-            }
-        }
-        if let Some(silhouette) = silhouette {
-            votes.add(model, image, &silhouette, &hidden);
-        }
-    }
-    Ok(votes.outside(&SilhouetteOptions::default()))
-}
-
-/// Removes the models of objects that are no more.
-fn remove_others(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result<(), PipelineError> {
-    let keep: BTreeSet<String> = reports.keys().map(ToString::to_string).collect();
-    for folder in [run.workspace.objects(), run.workspace.state("objects")] {
-        let Ok(entries) = std::fs::read_dir(&folder) else { continue };
-        for entry in entries.flatten() {
-            if !keep.contains(entry.file_name().to_string_lossy().as_ref()) && entry.path().is_dir() {
-                run.workspace.remove(&entry.path())?;
-            }
-        }
-    }
-    Ok(())
-}
-
 /// The one place where structure from motion is called.
-fn reconstruct(
+pub(super) fn reconstruct(
     run: &Run,
     mut table: sfm::TrackTable,
     camera: Camera,
@@ -338,7 +153,11 @@ fn reconstruct(
 }
 
 /// A model that the user gives, with the ids and names of our frames.
-fn given(folder: &Path, run: &Run, outcome: &mut Outcome) -> Result<(Reconstruction, ModelReport), PipelineError> {
+pub(super) fn given(
+    folder: &Path,
+    run: &Run,
+    outcome: &mut Outcome,
+) -> Result<(Reconstruction, ModelReport), PipelineError> {
     let model = colmap::read(folder)?;
     let size = (run.info().width, run.info().height);
     if let Some(camera) = model.cameras.values().find(|camera| (camera.width, camera.height) != size) {
@@ -420,11 +239,12 @@ fn with_frame_ids(mut model: Reconstruction, frames: &[Frame]) -> Reconstruction
 }
 
 /// Writes a model whole.
-fn store(folder: &Path, model: &Reconstruction) -> Result<(), PipelineError> {
+pub(super) fn store(folder: &Path, model: &Reconstruction) -> Result<(), PipelineError> {
     crate::io::atomic::write_folder(folder, |fresh| Ok(colmap::write_text(fresh, model)?))
 }
 
-fn warn_of_gaps(target: &str, report: &ModelReport, outcome: &mut Outcome) {
+/// Warns where a target is visible in frames whose camera is not known.
+pub(super) fn warn_of_gaps(target: &str, report: &ModelReport, outcome: &mut Outcome) {
     let missing = report.unregistered.len();
     if missing == 0 {
         return;

@@ -7,7 +7,7 @@ use super::models::{self, ModelReport};
 use super::options::CameraOrigin;
 use super::run::{Outcome, Run};
 use super::track::{self, TrackedObject};
-use super::{PipelineError, ground, scale};
+use super::{PipelineError, ground, objects, scale};
 use crate::report::{self, Data, Fact, Missing, Model, Object, Thumbnail};
 use crate::scene::{FrameId, ObjectId, Reconstruction, Trajectories, Unit};
 use crate::video::Kind;
@@ -21,7 +21,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let frames = run.frames()?;
     let tracked = track::objects(run)?;
     let (background, background_report) = models::background(run)?;
-    let reports = models::object_reports(run)?;
+    let reports = objects::reports(run)?;
     let object_models = object_models(run, &reports)?;
     let trajectories = scale::trajectories(run)?;
     let ground = ground::ground(run)?;
@@ -52,7 +52,7 @@ fn object_models(
 ) -> Result<BTreeMap<ObjectId, Reconstruction>, PipelineError> {
     let mut models = BTreeMap::new();
     for (&id, report) in reports {
-        if let Some(model) = models::object(run, id, report)? {
+        if let Some(model) = objects::model(run, id, report)? {
             models.insert(id, model);
         }
     }

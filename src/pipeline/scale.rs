@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use super::run::{Outcome, Run};
 use super::track::{self, TrackedObject};
-use super::{PipelineError, exports, ground, models};
+use super::{PipelineError, exports, ground, models, objects};
 use crate::scene::{
     Frame, FrameId, Ground, GroundPlane, ObjectId, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod,
     Trajectories, Unit,
@@ -27,7 +27,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     run.progress.begin("scale", None);
     let (background, _) = models::background(run)?;
     let ground = ground::ground(run)?;
-    let reports = models::object_reports(run)?;
+    let reports = objects::reports(run)?;
     let frames = run.frames()?;
     run.workspace.remove(&run.workspace.root().join("ply"))?;
     outcome.outputs.push(exports::background(run, &background)?);
@@ -36,11 +36,11 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let silhouettes = silhouettes(run, frames)?;
     for tracked in track::objects(run)? {
         let Some(report) = reports.get(&tracked.id) else { continue };
-        let Some(mut model) = models::reconstructed_object(run, tracked.id, report)? else { continue };
+        let Some(mut model) = objects::reconstructed(run, tracked.id, report)? else { continue };
         let scene =
             Scene { background: &background, ground: &ground, silhouettes: silhouettes.get(&tracked.id), frames };
         let trajectory = scene.trajectory(run, &tracked, &mut model, report.given, &mut outcome);
-        models::store_object(run, tracked.id, &model)?;
+        objects::store(run, tracked.id, &model)?;
         match trajectory {
             Ok(trajectory) => {
                 outcome.outputs.push(exports::object(run, &trajectory, &model)?);

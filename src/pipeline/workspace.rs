@@ -54,7 +54,8 @@ impl Workspace {
             Err(TryLockError::Error(source)) => return Err(failed(source)),
         }
         let workspace = Self { root: root.to_owned(), _lock: lock };
-        for folder in [root, &state, &workspace.objects(), &workspace.state("objects"), &workspace.tracks()] {
+        let (kept, unchecked) = (workspace.state("objects"), workspace.unchecked_objects());
+        for folder in [root, &state, &workspace.objects(), &kept, &unchecked, &workspace.tracks()] {
             if folder.is_dir() {
                 atomic::remove_leftovers(folder)?;
             }
@@ -90,6 +91,11 @@ impl Workspace {
     /// One object's model as structure from motion left it, before it was put on the ground.
     pub fn reconstructed_object(&self, id: ObjectId) -> PathBuf {
         self.state("objects").join(id.to_string())
+    }
+
+    /// The folder of objects' models that are not yet compared with the masks; there only while that is to be done.
+    pub fn unchecked_objects(&self) -> PathBuf {
+        self.state("objects-unchecked")
     }
 
     /// The folder of all masks.

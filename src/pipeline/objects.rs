@@ -1,0 +1,298 @@
+//! Stage `objects`: a COLMAP model of every object, reconstructed or given.
+//!
+//! First every object is reconstructed, and what is finished is kept one by one. Then one pass through the frames compares
+//! all of them with the masks, and the points that lie beside those are taken out. An object's marker says which of the two
+//! is done: a run that is killed in the pass does it again for the objects that have not been through it.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::models::{self, ModelReport};
+use super::run::{Outcome, Run};
+use super::track::{self, TrackedObject};
+use super::{PipelineError, features, fingerprint, order};
+use crate::camera::Camera;
+use crate::io::colmap;
+use crate::scene::{ImageId, Mask, ObjectId, Reconstruction};
+use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes};
+use crate::sfm::{self, mapper};
+
+const REPORTS: &str = "objects-report.json";
+/// Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
+const BORDER_PX: f64 = 1.0;
+const BORDER: f64 = 0.01;
+
+pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+    let given: Result<BTreeMap<_, _>, PipelineError> =
+        run.options.object_models.iter().map(|(id, folder)| Ok((id, fingerprint::of_content(folder)?))).collect();
+    let (_, objects) = order::sfm_options(run)?;
+    Ok(json!({
+        "kept_in": ".tractrix/objects",
+        "models": given?,
+        "only": run.options.only_objects,
+        "options": mapper::Options { threads: 1, ..objects.mapper },
+        "seed": run.options.seed,
+    }))
+}
+
+pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    let tracked = track::objects(run)?;
+    let unknown = run.options.object_models.keys().find(|id| tracked.iter().all(|object| object.id != **id));
+    if let Some(id) = unknown {
+        let ids: Vec<String> = tracked.iter().map(|object| object.id.to_string()).collect();
+        let text = format!("--object-model {id}=...: there is no object {id}; tracked are: {}", ids.join(", "));
+        return Err(PipelineError::Options(text));
+    }
+    let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
+    let (background, _) = models::background(run)?;
+    let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
+    run.progress.begin("objects", Some(wanted.len() as u64));
+    let mut markers = BTreeMap::new();
+    for object in wanted {
+        run.progress.step();
+        markers.insert(object.id, one_object(run, object, camera, fingerprint)?);
+    }
+    check_silhouettes(run, &tracked, &mut markers)?;
+    let reports: BTreeMap<ObjectId, ModelReport> =
+        markers.into_iter().map(|(id, marker)| (id, marker.report)).collect();
+    for (id, report) in &reports {
+        describe(*id, report, &mut outcome);
+    }
+    remove_others(run, &reports)?;
+    let models = reports.iter().filter(|(_, report)| report.failure.is_none());
+    outcome
+        .outputs
+        .extend(models.flat_map(|(&id, _)| [run.workspace.object(id), run.workspace.reconstructed_object(id)]));
+    run.workspace.write_state(REPORTS, &reports)?;
+    outcome.outputs.push(run.workspace.state(REPORTS));
+    Ok(outcome)
+}
+
+fn describe(id: ObjectId, report: &ModelReport, outcome: &mut Outcome) {
+    match &report.failure {
+        Some(failure) => outcome.warn(format!("object {id} cannot be reconstructed: {failure}")),
+        None => models::warn_of_gaps(&format!("object {id}"), report, outcome),
+    }
+    outcome.figure(
+        &format!("object_{id}"),
+        json!({
+            "num_visible": report.num_visible,
+            "num_registered": report.num_registered,
+            "num_points": report.num_points,
+            "mean_error_px": report.mean_error_px,
+            "num_outside_masks": report.num_outside_masks,
+        }),
+    );
+}
+
+/// The reports of all objects; the stage must be done.
+pub(super) fn reports(run: &Run) -> Result<BTreeMap<ObjectId, ModelReport>, PipelineError> {
+    run.workspace.read_state(REPORTS)
+}
+
+/// One object's model as structure from motion left it, where it has one.
+pub(super) fn reconstructed(
+    run: &Run,
+    id: ObjectId,
+    report: &ModelReport,
+) -> Result<Option<Reconstruction>, PipelineError> {
+    report.failure.is_none().then(|| Ok(colmap::read(&run.workspace.reconstructed_object(id))?)).transpose()
+}
+
+/// One object's model to which its trajectory refers, where it has one; the stage `scale` must be done.
+pub(super) fn model(run: &Run, id: ObjectId, report: &ModelReport) -> Result<Option<Reconstruction>, PipelineError> {
+    report.failure.is_none().then(|| Ok(colmap::read(&run.workspace.object(id))?)).transpose()
+}
+
+/// Leaves an object's model where the user looks for it.
+pub(super) fn store(run: &Run, id: ObjectId, model: &Reconstruction) -> Result<(), PipelineError> {
+    models::store(&run.workspace.object(id), model)
+}
+
+/// How far an object is, for a run that was stopped in this stage.
+#[derive(Serialize, Deserialize)]
+struct ObjectMarker {
+    fingerprint: String,
+    /// Whether the model was compared with the masks, or needs no comparison.
+    is_checked: bool,
+    report: ModelReport,
+}
+
+impl ObjectMarker {
+    /// Whether the models are there of which the marker tells.
+    fn has_models(&self, run: &Run, id: ObjectId) -> bool {
+        let workspace = run.workspace;
+        let are_there = match self.is_checked {
+            true => workspace.object(id).is_dir() && workspace.reconstructed_object(id).is_dir(),
+            false => workspace.unchecked_objects().join(id.to_string()).is_dir(),
+        };
+        are_there || self.report.failure.is_some()
+    }
+
+    /// To be called when the models are in their places.
+    fn write(&self, run: &Run, id: ObjectId) -> Result<(), PipelineError> {
+        run.workspace.write_state(&marker_name(id), self)
+    }
+}
+
+fn marker_name(id: ObjectId) -> String {
+    format!("object-{id}.json")
+}
+
+/// Leaves an object's final reconstruction for this stage's users and for the user.
+fn settle(run: &Run, id: ObjectId, model: &Reconstruction) -> Result<(), PipelineError> {
+    models::store(&run.workspace.reconstructed_object(id), model)?;
+    store(run, id, model)
+}
+
+/// One object's reconstruction, which is still to be compared with the masks; or its model that was given.
+fn one_object(
+    run: &Run,
+    object: &TrackedObject,
+    camera: Option<Camera>,
+    fingerprint: &str,
+) -> Result<ObjectMarker, PipelineError> {
+    let id = object.id;
+    let before: Option<ObjectMarker> = run.workspace.read_state(&marker_name(id)).ok();
+    if let Some(before) = before.filter(|marker| marker.fingerprint == fingerprint && marker.has_models(run, id)) {
+        return Ok(before);
+    }
+    let mut outcome = Outcome::default();
+    let given = run.options.object_models.get(&id);
+    let (model, mut report) = match (given, camera) {
+        (Some(folder), _) => models::given(folder, run, &mut outcome)?,
+        (None, Some(camera)) => {
+            let table = features::of_object(run, id)?;
+            let options = order::sfm_options(run)?.1.mapper;
+            models::reconstruct(run, table, camera, sfm::Intrinsics::Fixed, &options)?
+        }
+        (None, None) => {
+            let failure = Some("there is no background to place it in".to_owned());
+            (Reconstruction::default(), ModelReport { failure, ..ModelReport::default() })
+        }
+    };
+    report.num_visible = object.frames.len();
+    let is_checked = given.is_some() || report.failure.is_some();
+    if report.failure.is_some() {
+        run.workspace.remove(&run.workspace.object(id))?;
+        run.workspace.remove(&run.workspace.reconstructed_object(id))?;
+    } else if is_checked {
+        settle(run, id, &model)?;
+    } else {
+        models::store(&run.workspace.unchecked_objects().join(id.to_string()), &model)?;
+    }
+    let marker = ObjectMarker { fingerprint: fingerprint.to_owned(), is_checked, report };
+    marker.write(run, id)?;
+    Ok(marker)
+}
+
+/// A reconstruction that is being compared with the masks.
+struct Unchecked {
+    model: Reconstruction,
+    votes: SilhouetteVotes,
+}
+
+/// Takes the points out of all unchecked reconstructions that lie beside their masks; every mask is read once.
+fn check_silhouettes(
+    run: &Run,
+    tracked: &[TrackedObject],
+    markers: &mut BTreeMap<ObjectId, ObjectMarker>,
+) -> Result<(), PipelineError> {
+    let folder = run.workspace.unchecked_objects();
+    let unchecked = markers.iter().filter(|(_, marker)| !marker.is_checked).map(|(&id, _)| {
+        let model = colmap::read(&folder.join(id.to_string()))?;
+        Ok((id, Unchecked { model, votes: SilhouetteVotes::default() }))
+    });
+    let mut unchecked: BTreeMap<ObjectId, Unchecked> = unchecked.collect::<Result<_, PipelineError>>()?;
+    vote(run, tracked, &mut unchecked)?;
+    for (id, Unchecked { mut model, votes }) in unchecked {
+        let Some(marker) = markers.get_mut(&id) else { continue };
+        let outside = votes.outside(&SilhouetteOptions::default());
+        model.remove_points(&outside);
+        marker.report.num_outside_masks = outside.len();
+        marker.report.describe_points(&model);
+        settle(run, id, &model)?;
+        marker.is_checked = true;
+        marker.write(run, id)?;
+    }
+    run.workspace.remove(&folder)
+}
+
+/// Compares reconstructions with the masks of all frames.
+fn vote(
+    run: &Run,
+    tracked: &[TrackedObject],
+    unchecked: &mut BTreeMap<ObjectId, Unchecked>,
+) -> Result<(), PipelineError> {
+    if unchecked.is_empty() {
+        return Ok(());
+    }
+    let frames = run.frames()?;
+    run.progress.begin("objects", Some(frames.len() as u64));
+    for frame in frames {
+        run.progress.step();
+        let image = ImageId::from(frame.id);
+        if unchecked.values().all(|object| !object.model.images.contains_key(&image)) {
+            continue;
+        }
+        let masks = track::masks_of(run, tracked, frame)?;
+        let counts = num_masks(run, &masks);
+        for (id, mask) in &masks {
+            let Some(Unchecked { model, votes }) = unchecked.get_mut(id) else { continue };
+            let Some(bounds) = mask.bounding_box().filter(|_| model.images.contains_key(&image)) else { continue };
+            let longer_px = f64::from(bounds.width().max(bounds.height()));
+            let silhouette = mask.dilated((BORDER_PX + BORDER * longer_px).round() as u32);
+            votes.add(model, image, &silhouette, &others(mask, &counts));
+        }
+    }
+    Ok(())
+}
+
+/// In how many masks each pixel lies.
+fn num_masks(run: &Run, masks: &[(ObjectId, Mask)]) -> Vec<u32> {
+    let mut counts = vec![0; run.info().width as usize * run.info().height as usize];
+    for (_, mask) in masks {
+        counts.iter_mut().zip(mask.pixels()).for_each(|(count, &is_set)| *count += u32::from(is_set));
+    }
+    counts
+}
+
+/// The pixels that lie in another mask than `own`, from the number of masks in which they lie.
+fn others(own: &Mask, counts: &[u32]) -> Mask {
+    let mut others = Mask::empty(own.width(), own.height());
+    for ((other, &is_own), &count) in others.pixels_mut().iter_mut().zip(own.pixels()).zip(counts) {
+        *other = count > u32::from(is_own);
+    }
+    others
+}
+
+/// Removes the models of objects that are no more.
+fn remove_others(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result<(), PipelineError> {
+    let keep: BTreeSet<String> = reports.keys().map(ToString::to_string).collect();
+    for folder in [run.workspace.objects(), run.workspace.state("objects")] {
+        let Ok(entries) = std::fs::read_dir(&folder) else { continue };
+        for entry in entries.flatten() {
+            if !keep.contains(entry.file_name().to_string_lossy().as_ref()) && entry.path().is_dir() {
+                run.workspace.remove(&entry.path())?;
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn other_masks_are_those_that_overlap_too() {
+        let row = |from: u32, to: u32| Mask::from_fn(6, 1, |x, _| (from..to).contains(&x));
+        let masks = [row(0, 3), row(2, 5)];
+        let counts = [1, 1, 2, 1, 1, 0];
+        assert_eq!(others(&masks[0], &counts), row(2, 5));
+        assert_eq!(others(&masks[1], &counts), row(0, 3));
+    }
+}
