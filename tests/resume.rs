@@ -3,7 +3,7 @@
 
 mod common;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -158,6 +158,10 @@ fn what_changes_is_done_again_and_nothing_else() {
     fs::remove_file(place.path("out/trajectories.json")).unwrap();
     expect(&[], "scale");
     assert_same(&before, &place.result("out"), "after a loss");
+    fs::remove_dir_all(place.path("out/objects/1")).unwrap();
+    let (done, _) = place.run("out", &[]);
+    assert_eq!(done.iter().map(String::as_str).collect::<BTreeSet<_>>(), BTreeSet::from(["objects", "scale", "report"]));
+    assert_same(&before, &place.result("out"), "after the loss of a model");
 
     // A changed picture changes everything, a touched one nothing.
     let picture = place.path("images/0003.png");

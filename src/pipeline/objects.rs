@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use super::models::{self, ModelReport};
 use super::run::{Outcome, Run};
 use super::track::{self, TrackedObject};
-use super::{PipelineError, features, fingerprint, order};
+use super::{PipelineError, Stage, features, fingerprint, order};
 use crate::camera::Camera;
 use crate::io::colmap;
 use crate::scene::{ImageId, Mask, ObjectId, Reconstruction};
@@ -49,6 +49,8 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
     let (background, _) = models::background(run)?;
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
+    // It puts the models of this stage on the ground, and must do so again.
+    run.workspace.clear_marker(Stage::Scale)?;
     run.progress.begin("objects", Some(wanted.len() as u64));
     let mut markers = BTreeMap::new();
     for object in wanted {
