@@ -160,7 +160,10 @@ fn what_changes_is_done_again_and_nothing_else() {
     assert_same(&before, &place.result("out"), "after a loss");
     fs::remove_dir_all(place.path("out/objects/1")).unwrap();
     let (done, _) = place.run("out", &[]);
-    assert_eq!(done.iter().map(String::as_str).collect::<BTreeSet<_>>(), BTreeSet::from(["objects", "scale", "report"]));
+    assert_eq!(
+        done.iter().map(String::as_str).collect::<BTreeSet<_>>(),
+        BTreeSet::from(["objects", "scale", "report"])
+    );
     assert_same(&before, &place.result("out"), "after the loss of a model");
 
     // A changed picture changes everything, a touched one nothing.

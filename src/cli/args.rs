@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use clap::{Parser, Subcommand};
 
 use crate::pipeline::{FeatureKind, FrameOrder, Intrinsics, Stage};
-use crate::scene::{ObjectId, ScaleMethod};
+use crate::scene::ObjectId;
 use crate::video::Position;
 
+use super::common::CommonArgs;
 use super::doctor::DoctorArgs;
 
 /// Three-dimensional trajectories of the vehicles in one video from a moving camera.
@@ -132,9 +133,6 @@ pub(super) struct JobArgs {
     /// Reconstruct this vehicle alone; may be repeated [default: all]
     #[arg(long, value_name = "ID", value_parser = object_id, help_heading = "Geometry")]
     pub(super) only_object: Vec<ObjectId>,
-    /// How the scale ratio is found: joint, least-squares, constant-distance, intersection [default: joint]
-    #[arg(long, value_name = "METHOD", value_parser = scale_method, help_heading = "Geometry")]
-    pub(super) scale_method: Option<ScaleMethod>,
 
     /// First frame: seconds (12.5) or a frame index (120f)
     #[arg(long, value_name = "TIME", help_heading = "Frames")]
@@ -152,15 +150,8 @@ pub(super) struct JobArgs {
     #[arg(long, value_name = "RATE", help_heading = "Frames")]
     pub(super) fps: Option<f64>,
 
-    /// Threads [default: one per core]
-    #[arg(long, value_name = "N", help_heading = "General")]
-    pub(super) threads: Option<usize>,
-    /// Seed of every random choice [default: 0]
-    #[arg(long, value_name = "N", help_heading = "General")]
-    pub(super) seed: Option<u64>,
-    /// JSON file with options, as under "options" in a run.json; flags go before it
-    #[arg(long, value_name = "FILE", help_heading = "General")]
-    pub(super) options: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) common: CommonArgs,
 }
 
 fn object_id(text: &str) -> Result<ObjectId, String> {
@@ -192,17 +183,12 @@ fn frame_order(text: &str) -> Result<FrameOrder, String> {
     }
 }
 
-pub(super) fn scale_method(text: &str) -> Result<ScaleMethod, String> {
-    let names: Vec<&str> = ScaleMethod::ALL.iter().map(|method| method.name()).collect();
-    let found = ScaleMethod::ALL.into_iter().find(|method| method.name() == text);
-    found.ok_or_else(|| format!("'{text}' is none of {}", names.join(", ")))
-}
-
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory;
 
     use super::*;
+    use crate::scene::ScaleMethod;
 
     #[test]
     fn the_definition_is_consistent() {
@@ -217,6 +203,13 @@ mod tests {
         let Command::Run(job) = args.command else { panic!("run is run") };
         assert_eq!(job.object_model, [(ObjectId(1), "o".into()), (ObjectId(2), "p".into())]);
         assert!(args.quiet && args.json);
+        assert_eq!((job.common.threads, job.common.seed), (Some(2), Some(7)));
+        let line = "tractrix benchmark d --threads 2 --seed 7 --options o.json --scale-method intersection";
+        let Command::Benchmark(benchmark) = Args::try_parse_from(line.split_whitespace()).unwrap().command else {
+            panic!("benchmark is benchmark")
+        };
+        assert_eq!((benchmark.common.threads, benchmark.common.seed), (Some(2), Some(7)));
+        assert_eq!(benchmark.common.scale_method, Some(ScaleMethod::Intersection));
         let models = "tractrix sfm in --output out --segmentation-model s.onnx --ground-model g.onnx";
         assert!(Args::try_parse_from(models.split_whitespace()).is_ok());
     }

@@ -6,6 +6,7 @@
 mod args;
 pub mod bal;
 mod benchmark;
+mod common;
 pub mod compare;
 pub mod convert;
 mod doctor;

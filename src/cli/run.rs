@@ -38,10 +38,7 @@ pub(super) fn run(job: &JobArgs, goal: Stage, arguments: &[OsString], json: bool
 
 /// Input and options from the flags, the options file, and the folder of a sequence.
 fn resolve(job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), Failure> {
-    let mut options = match &job.options {
-        Some(path) => read_options(path)?,
-        None => Options::default(),
-    };
+    let mut options = job.common.options()?;
     apply_flags(job, &mut options);
     let mut input = job.input.clone();
     if input.join("scene.json").is_file() {
@@ -58,12 +55,6 @@ fn resolve(job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), Failure> {
     options.check().map_err(|error| Failure::Usage(error.to_string()))?;
     check_paths(&options)?;
     Ok((input, options))
-}
-
-pub(super) fn read_options(path: &Path) -> Result<Options, Failure> {
-    let shown = path.display().to_string();
-    let text = fs::read_to_string(path).with_context(|| format!("{shown}: cannot be read; check --options"))?;
-    Ok(serde_json::from_str(&text).with_context(|| format!("{shown}: not a tree of options; check --options"))?)
 }
 
 fn apply_flags(job: &JobArgs, options: &mut Options) {
@@ -94,9 +85,6 @@ fn apply_flags(job: &JobArgs, options: &mut Options) {
     options.video.fps = job.fps.or(options.video.fps);
     options.features = job.features.unwrap_or(options.features);
     options.order = job.order.unwrap_or(options.order);
-    options.threads = job.threads.or(options.threads);
-    options.seed = job.seed.unwrap_or(options.seed);
-    options.scale.method = job.scale_method.unwrap_or(options.scale.method);
 }
 
 /// Fills in what a ground-truth sequence knows and nobody gave; gives its folder of images or its video.

@@ -14,21 +14,23 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use serde_json::json;
 
+use super::common::CommonArgs;
 use super::output::{Failure, print, print_json};
-use super::run::{read_options, use_threads};
+use super::run::use_threads;
 use super::terminal::Talk;
 use crate::eval::benchmark::{Benchmark, Entry, summarise};
 use crate::io::{self, atomic};
 use crate::pipeline::Options;
 use crate::report::benchmark as pages;
-use crate::scene::ScaleMethod;
 use crate::video::Position;
 use sequences::{Found, find};
 
 /// Version of `benchmark.json`.
 const VERSION: u32 = 1;
+const SCALE_METHOD_HELP: &str = "How the scale ratio is found; the other methods are evaluated beside it";
 
 #[derive(Clone, Debug, clap::Args)]
+#[command(mut_arg("scale_method", |flag| flag.help(SCALE_METHOD_HELP)))]
 pub(super) struct Args {
     /// Folder of sequences: every folder in it that has a scene.json
     #[arg(value_name = "DIR")]
@@ -55,9 +57,6 @@ pub(super) struct Args {
     /// COLMAP models of the target vehicles: DIR/<sequence>
     #[arg(long, value_name = "DIR", help_heading = "Geometry")]
     pub(super) object_models: Option<PathBuf>,
-    /// How the scale ratio is found; the other methods are evaluated beside it
-    #[arg(long, value_name = "METHOD", value_parser = super::args::scale_method, help_heading = "Geometry")]
-    pub(super) scale_method: Option<ScaleMethod>,
 
     /// End of every sequence, itself left out: seconds or a frame index (30f)
     #[arg(long, value_name = "TIME", help_heading = "Frames")]
@@ -66,15 +65,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "N", help_heading = "Frames")]
     pub(super) every: Option<u32>,
 
-    /// Threads [default: one per core]
-    #[arg(long, value_name = "N", help_heading = "General")]
-    pub(super) threads: Option<usize>,
-    /// Seed of every random choice [default: 0]
-    #[arg(long, value_name = "N", help_heading = "General")]
-    pub(super) seed: Option<u64>,
-    /// JSON file with options, as under "options" in a run.json; flags go before it
-    #[arg(long, value_name = "FILE", help_heading = "General")]
-    pub(super) options: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) common: CommonArgs,
 }
 
 pub(super) fn run(args: &Args, arguments: &[OsString], json: bool, talk: &Talk) -> Result<(), Failure> {
@@ -123,15 +115,9 @@ pub(super) fn run(args: &Args, arguments: &[OsString], json: bool, talk: &Talk) 
 }
 
 fn options(args: &Args) -> Result<Options, Failure> {
-    let mut options = match &args.options {
-        Some(path) => read_options(path)?,
-        None => Options::default(),
-    };
+    let mut options = args.common.options()?;
     options.video.end = args.end.or(options.video.end);
     options.video.every = args.every.unwrap_or(options.video.every);
-    options.threads = args.threads.or(options.threads);
-    options.seed = args.seed.unwrap_or(options.seed);
-    options.scale.method = args.scale_method.unwrap_or(options.scale.method);
     options.check().map_err(|error| Failure::Usage(error.to_string()))?;
     Ok(options)
 }

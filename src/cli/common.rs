@@ -1,0 +1,53 @@
+//! Flags that `run`, the commands that do a part of it, and `benchmark` have in common.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+
+use super::output::Failure;
+use crate::pipeline::Options;
+use crate::scene::ScaleMethod;
+
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct CommonArgs {
+    /// How the scale ratio is found: joint, least-squares, constant-distance, intersection [default: joint]
+    #[arg(long, value_name = "METHOD", value_parser = scale_method, help_heading = "Geometry")]
+    pub(super) scale_method: Option<ScaleMethod>,
+
+    /// Threads [default: one per core]
+    #[arg(long, value_name = "N", help_heading = "General")]
+    pub(super) threads: Option<usize>,
+    /// Seed of every random choice [default: 0]
+    #[arg(long, value_name = "N", help_heading = "General")]
+    pub(super) seed: Option<u64>,
+    /// JSON file with options, as under "options" in a run.json; flags go before it
+    #[arg(long, value_name = "FILE", help_heading = "General")]
+    pub(super) options: Option<PathBuf>,
+}
+
+impl CommonArgs {
+    /// The options of the file, or the defaults, with these flags.
+    pub(super) fn options(&self) -> Result<Options, Failure> {
+        let mut options = match &self.options {
+            Some(path) => read_options(path)?,
+            None => Options::default(),
+        };
+        options.threads = self.threads.or(options.threads);
+        options.seed = self.seed.unwrap_or(options.seed);
+        options.scale.method = self.scale_method.unwrap_or(options.scale.method);
+        Ok(options)
+    }
+}
+
+fn read_options(path: &Path) -> Result<Options, Failure> {
+    let shown = path.display().to_string();
+    let text = fs::read_to_string(path).with_context(|| format!("{shown}: cannot be read; check --options"))?;
+    Ok(serde_json::from_str(&text).with_context(|| format!("{shown}: not a tree of options; check --options"))?)
+}
+
+fn scale_method(text: &str) -> Result<ScaleMethod, String> {
+    let names: Vec<&str> = ScaleMethod::ALL.iter().map(|method| method.name()).collect();
+    let found = ScaleMethod::ALL.into_iter().find(|method| method.name() == text);
+    found.ok_or_else(|| format!("'{text}' is none of {}", names.join(", ")))
+}
