@@ -9,7 +9,7 @@ use ::image::{DynamicImage, ImageDecoder, ImageReader, RgbImage};
 
 use super::VideoError;
 use super::decode::Decoder;
-use super::exif;
+use super::{exif, jpeg};
 use crate::image::resize_rgb;
 use crate::scene::{Frame, FrameId};
 
@@ -40,7 +40,7 @@ pub(super) struct Listing {
     pub(super) warnings: Vec<String>,
 }
 
-/// Lists a folder in natural order (`img2` before `img10`), reading headers alone.
+/// Lists a folder in natural order (`img2` before `img10`), reading headers, and where pictures end.
 pub(super) fn list(path: &Path) -> Result<Listing, VideoError> {
     let mut names = image_names(path)?;
     names.sort_by(|a, b| natural_cmp(a, b));
@@ -100,10 +100,15 @@ fn image_names(path: &Path) -> Result<Vec<String>, VideoError> {
     Ok(names)
 }
 
-/// Stored size of an image, from its header.
+/// Stored size of an image, from its header, if it seems to be whole.
 fn header(path: &Path) -> Result<(u32, u32), String> {
     let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(|e| e.to_string())?;
-    Ok(reader.into_decoder().map_err(|e| e.to_string())?.dimensions())
+    let size = reader.into_decoder().map_err(|e| e.to_string())?.dimensions();
+    // A PNG that is cut short fails when it is decoded, a JPEG does not.
+    match jpeg::is_cut_short(path).map_err(|e| e.to_string())? {
+        true => Err("the file is cut short, its picture has no end; copy it again".to_owned()),
+        false => Ok(size),
+    }
 }
 
 /// Size after turning.

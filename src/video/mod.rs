@@ -15,6 +15,7 @@ mod error;
 mod exif;
 mod file;
 mod folder;
+mod jpeg;
 mod mp4_times;
 mod options;
 mod prefetch;

@@ -312,6 +312,30 @@ mod tests {
     }
 
     #[test]
+    fn pictures_that_are_cut_short_are_left_out_and_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let noise = RgbImage::from_fn(64, 48, |x, y| ::image::Rgb([(x * 37 + y * 91) as u8, (x * y) as u8, y as u8]));
+        for name in ["1.jpg", "2.jpg", "3.png", "4.jpg"] {
+            noise.save(folder.path().join(name)).unwrap();
+        }
+        for name in ["2.jpg", "3.png"] {
+            let file = folder.path().join(name);
+            let bytes = fs::read(&file).unwrap();
+            fs::write(&file, &bytes[..bytes.len() * 2 / 3]).unwrap();
+        }
+        let source = Source::open(folder.path(), &Options::default()).unwrap();
+        let scan = source.scan().unwrap();
+        // The PNG is found out when it is decoded.
+        assert_eq!(scan.frames.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(), ["1.jpg", "3.png", "4.jpg"]);
+        assert_eq!(scan.warnings.len(), 1, "{:?}", scan.warnings);
+        assert!(scan.warnings[0].contains("2.jpg: left out") && scan.warnings[0].contains("cut short"));
+        let (pictures, failed): (Vec<_>, Vec<_>) = source.frames().unwrap().partition(Result::is_ok);
+        assert_eq!(pictures.into_iter().map(|f| f.unwrap().0.id.0).collect::<Vec<_>>(), [0, 3]);
+        assert_eq!(failed.len(), 1);
+        assert!(failed[0].as_ref().unwrap_err().to_string().contains("3.png: frame 2 cannot be decoded"));
+    }
+
+    #[test]
     fn variable_rate_and_rotation_are_the_containers() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/variable_rate_rotated.mp4");
         let source = Source::open(&path, &Options::default()).unwrap();

@@ -1,0 +1,101 @@
+//! Whether a JPEG file ends where its picture ends.
+//!
+//! Decoders fill what is missing of a picture with grey, and call that a success. A file that was cut short has no marker
+//! for the end of the image (ITU-T T.81, B.1.1.3). The marker need not stand at the end of the file: cameras write zeros,
+//! previews or whole films after it.
+
+use std::fs::{self, File};
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+
+const START: [u8; 2] = [0xff, 0xd8];
+const END: [u8; 2] = [0xff, 0xd9];
+/// How much of a file's end is looked at first.
+const TAIL_BYTES: i64 = 4096;
+
+/// Whether a file is a JPEG whose picture has no end. Most files are known to be whole from their last bytes.
+pub(super) fn is_cut_short(path: &Path) -> io::Result<bool> {
+    let mut file = File::open(path)?;
+    let mut start = Vec::new();
+    file.by_ref().take(2).read_to_end(&mut start)?;
+    if start != START {
+        return Ok(false);
+    }
+    if file.seek(SeekFrom::End(-TAIL_BYTES)).is_err() {
+        file.rewind()?;
+    }
+    let mut tail = Vec::new();
+    file.read_to_end(&mut tail)?;
+    let without_padding = tail.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
+    Ok(!tail[..without_padding].ends_with(&END) && !has_end(&fs::read(path)?))
+}
+
+/// Goes from marker to marker until the end of the image. Segments are skipped by their length, since a preview in one of
+/// them has an end of its own.
+fn has_end(jpeg: &[u8]) -> bool {
+    let mut at = START.len();
+    while let Some(skipped) = jpeg.get(at..).and_then(|rest| rest.iter().position(|&byte| byte == 0xff)) {
+        at += skipped;
+        match jpeg.get(at + 1) {
+            Some(0xd9) => return true,
+            // A fill byte before a marker.
+            Some(0xff) => at += 1,
+            // A byte of the picture's data, a restart, and what else has no length.
+            Some(0x00 | 0x01 | 0xd0..=0xd8) => at += 2,
+            Some(_) => match jpeg.get(at + 2..at + 4) {
+                Some(&[high, low]) => at += 2 + usize::from(u16::from_be_bytes([high, low])),
+                _ => return false,
+            },
+            None => return false,
+        }
+    }
+    false
+}
+
+#[cfg(test)]
+mod tests {
+    use ::image::codecs::jpeg::JpegEncoder;
+    use ::image::{Rgb, RgbImage};
+
+    use super::*;
+
+    fn jpeg() -> Vec<u8> {
+        let picture =
+            RgbImage::from_fn(64, 48, |x, y| Rgb([(x * 37 % 251) as u8, (y * 91 % 241) as u8, (x * y) as u8]));
+        let mut bytes = Vec::new();
+        JpegEncoder::new_with_quality(&mut bytes, 95).encode_image(&picture).unwrap();
+        bytes
+    }
+
+    /// With a segment that holds a whole picture, as cameras write it.
+    fn with_preview(jpeg: &[u8]) -> Vec<u8> {
+        let length = u16::try_from(jpeg.len() + 2).unwrap().to_be_bytes();
+        [&START[..], &[0xff, 0xe1], &length, jpeg, &jpeg[2..]].concat()
+    }
+
+    #[test]
+    fn a_picture_without_its_end_is_cut_short_wherever_it_was_cut() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.jpg");
+        let is_cut = |bytes: &[u8]| {
+            fs::write(&path, bytes).unwrap();
+            is_cut_short(&path).unwrap()
+        };
+        let plain = jpeg();
+        let whole = with_preview(&plain);
+        assert!(whole.len() > 2 * TAIL_BYTES as usize);
+        for file in [&plain, &whole] {
+            assert!(!is_cut(file));
+            assert!(!is_cut(&[&file[..], &[0; 5000]].concat()), "padded");
+            assert!(!is_cut(&[&file[..], b"\0\0\0\x18ftypmp42 and so on"].concat()), "with a film behind it");
+            for tenths in 1..10 {
+                let cut = &file[..file.len() * tenths / 10];
+                assert!(is_cut(cut), "{tenths} tenths");
+                assert!(is_cut(&[cut, &[0; 5000]].concat()), "{tenths} tenths, padded");
+            }
+            assert!(is_cut(&file[..file.len() - 1]));
+            assert!(is_cut(&file[..2]));
+        }
+        assert!(!is_cut(b"") && !is_cut(b"\xff") && !is_cut(b"no JPEG at all"));
+    }
+}
