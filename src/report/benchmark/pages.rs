@@ -93,6 +93,10 @@ fn heading(own: &Benchmark) -> String {
             number(sure.mean, 3),
         );
     }
+    if own.sequences.iter().any(|entry| entry.estimators.contains_key("joint")) {
+        text += " `joint` adjusts each object's reconstruction together with the ground, and the other estimators' rows are of the \
+                 adjusted reconstructions; `--scale-method least-squares` leaves them as structure from motion made them.";
+    }
     if !own.left_out.is_empty() {
         text += &format!(" No sequences (no scene.json), left out: {}.", own.left_out.join(", "));
     }
