@@ -15,7 +15,7 @@ use super::track::{self, TrackedObject};
 use super::{PipelineError, Stage, features, fingerprint, order};
 use crate::camera::Camera;
 use crate::io::colmap;
-use crate::scene::{ImageId, Mask, ObjectId, Reconstruction};
+use crate::scene::{ImageId, ObjectId, Reconstruction};
 use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes};
 use crate::sfm::{self, mapper};
 
@@ -241,34 +241,16 @@ fn vote(
             continue;
         }
         let masks = track::masks_of(run, tracked, frame)?;
-        let counts = num_masks(run, &masks);
         for (id, mask) in &masks {
             let Some(Unchecked { model, votes }) = unchecked.get_mut(id) else { continue };
             let Some(bounds) = mask.bounding_box().filter(|_| model.images.contains_key(&image)) else { continue };
             let longer_px = f64::from(bounds.width().max(bounds.height()));
             let silhouette = mask.dilated((BORDER_PX + BORDER * longer_px).round() as u32);
-            votes.add(model, image, &silhouette, &others(mask, &counts));
+            let is_hidden = |x, y| masks.iter().any(|(other, mask)| other != id && mask.contains(x, y));
+            votes.add(model, image, &silhouette, is_hidden);
         }
     }
     Ok(())
-}
-
-/// In how many masks each pixel lies.
-fn num_masks(run: &Run, masks: &[(ObjectId, Mask)]) -> Vec<u32> {
-    let mut counts = vec![0; run.info().width as usize * run.info().height as usize];
-    for (_, mask) in masks {
-        counts.iter_mut().zip(mask.pixels()).for_each(|(count, &is_set)| *count += u32::from(is_set));
-    }
-    counts
-}
-
-/// The pixels that lie in another mask than `own`, from the number of masks in which they lie.
-fn others(own: &Mask, counts: &[u32]) -> Mask {
-    let mut others = Mask::empty(own.width(), own.height());
-    for ((other, &is_own), &count) in others.pixels_mut().iter_mut().zip(own.pixels()).zip(counts) {
-        *other = count > u32::from(is_own);
-    }
-    others
 }
 
 /// Removes the models of objects that are no more.
@@ -283,18 +265,4 @@ fn remove_others(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result
         }
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn other_masks_are_those_that_overlap_too() {
-        let row = |from: u32, to: u32| Mask::from_fn(6, 1, |x, _| (from..to).contains(&x));
-        let masks = [row(0, 3), row(2, 5)];
-        let counts = [1, 1, 2, 1, 1, 0];
-        assert_eq!(others(&masks[0], &counts), row(2, 5));
-        assert_eq!(others(&masks[1], &counts), row(0, 3));
-    }
 }

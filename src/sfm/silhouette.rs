@@ -33,16 +33,23 @@ pub struct SilhouetteVotes {
 }
 
 impl SilhouetteVotes {
-    /// Takes the vote of one registered image; points that project beyond the picture or into `hidden` have none in it.
+    /// Takes the vote of one registered image; points that project beyond the picture or where `is_hidden` have
+    /// none in it.
     ///
     /// * `silhouette` – the object's mask in this image, grown by what its border may be off.
-    /// * `hidden` – where other objects may stand in front.
-    pub fn add(&mut self, object: &Reconstruction, image: ImageId, silhouette: &Mask, hidden: &Mask) {
+    /// * `is_hidden` – whether another object may stand in front of an image position.
+    pub fn add(
+        &mut self,
+        object: &Reconstruction,
+        image: ImageId,
+        silhouette: &Mask,
+        is_hidden: impl Fn(f64, f64) -> bool,
+    ) {
         let Some(image) = object.images.get(&image) else { return };
         let camera = object.camera_of(image);
         for (&id, point) in &object.points {
             let Some(pixel) = camera.pixel_from_cam(image.cam_from_world * point.position) else { continue };
-            if !camera.contains(pixel) || hidden.contains(pixel.x, pixel.y) {
+            if !camera.contains(pixel) || is_hidden(pixel.x, pixel.y) {
                 continue;
             }
             let [votes, outside] = self.votes.entry(id).or_default();
@@ -93,7 +100,7 @@ mod tests {
             });
             // The second picture's mask is lost: one voice of ten is not heard.
             let mask = if k == 1 { Mask::empty(200, 200) } else { mask };
-            votes.add(&object, ImageId(k + 1), &mask, &Mask::empty(200, 200));
+            votes.add(&object, ImageId(k + 1), &mask, |_, _| false);
         }
         let options = SilhouetteOptions::default();
         assert_eq!(votes.outside(&options), [Point3dId(4), Point3dId(5)]);
@@ -115,11 +122,11 @@ mod tests {
         };
         object.images.insert(ImageId(1), image);
         let options = SilhouetteOptions { min_votes: 1, ..SilhouetteOptions::default() };
-        let (nothing, all) = (Mask::empty(100, 100), Mask::empty(100, 100).complement());
+        let nothing = Mask::empty(100, 100);
         let mut votes = SilhouetteVotes::default();
-        votes.add(&object, ImageId(1), &nothing, &all);
+        votes.add(&object, ImageId(1), &nothing, |_, _| true);
         assert_eq!(votes.outside(&options), []);
-        votes.add(&object, ImageId(1), &nothing, &nothing);
+        votes.add(&object, ImageId(1), &nothing, |_, _| false);
         assert_eq!(votes.outside(&options), [Point3dId(1)]);
     }
 }
