@@ -220,3 +220,17 @@ fn a_drive_becomes_a_trajectory() {
     let share = way / camera_way;
     assert!((share / truth - 1.0).abs() < 0.1, "the vehicle's way is {share:.3} of the camera's, in truth {truth:.3}");
 }
+
+#[test]
+fn images_of_a_given_model_that_are_no_frames_are_named() {
+    let place = Place::new();
+    place.run("out", &[]);
+    let model = format!("1={}", place.path("out/objects/1").display());
+    place.run("given", &["--every", "2", "--object-model", &model]);
+    let run = json(&place.path("given/run.json"));
+    let warnings: Vec<&str> = run["warnings"].as_array().unwrap().iter().filter_map(|text| text.as_str()).collect();
+    let named = |text: &&str| text.starts_with("object 1: ") && text.contains("images are no frames of the input");
+    assert_eq!(warnings.iter().filter(|text| named(text)).count(), 1, "{warnings:?}");
+    let scale = &json(&place.path("given/trajectories.json"))["objects"][0]["scale"];
+    assert_eq!(scale["method"], "least-squares", "a model that the user gives is not adjusted");
+}

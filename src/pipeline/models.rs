@@ -71,7 +71,7 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     run.progress.begin("background", None);
     let mut outcome = Outcome::default();
     let (model, report) = match &run.options.background_model {
-        Some(folder) => given(folder, run, &mut outcome)?,
+        Some(folder) => given(folder, run)?,
         None => {
             let (camera, origin) = initial_camera(run)?;
             let intrinsics = match origin {
@@ -153,11 +153,7 @@ pub(super) fn reconstruct(
 }
 
 /// A model that the user gives, with the ids and names of our frames.
-pub(super) fn given(
-    folder: &Path,
-    run: &Run,
-    outcome: &mut Outcome,
-) -> Result<(Reconstruction, ModelReport), PipelineError> {
+pub(super) fn given(folder: &Path, run: &Run) -> Result<(Reconstruction, ModelReport), PipelineError> {
     let model = colmap::read(folder)?;
     let size = (run.info().width, run.info().height);
     if let Some(camera) = model.cameras.values().find(|camera| (camera.width, camera.height) != size) {
@@ -180,19 +176,18 @@ pub(super) fn given(
             folder.display()
         )));
     }
-    if model.images.len() < num_images {
-        outcome.warn(format!(
-            "{}: {} of its {num_images} images are no frames of the input and were left out",
-            folder.display(),
-            num_images - model.images.len()
-        ));
-    }
+    let num_left_out = num_images - model.images.len();
+    let remark = (num_left_out > 0).then(|| {
+        let folder = folder.display();
+        format!("{folder}: {num_left_out} of its {num_images} images are no frames of the input and were left out")
+    });
     let absent = frames.iter().filter(|frame| !model.images.contains_key(&ImageId::from(frame.id)));
     let mut report = ModelReport {
         given: true,
         num_visible: frames.len(),
         num_registered: model.images.len(),
         unregistered: absent.map(|frame| (frame.id, "not in the model that was given".to_owned())).collect(),
+        remarks: remark.into_iter().collect(),
         ..ModelReport::default()
     };
     report.describe_points(&model);

@@ -78,6 +78,9 @@ fn describe(id: ObjectId, report: &ModelReport, outcome: &mut Outcome) {
         Some(failure) => outcome.warn(format!("object {id} cannot be reconstructed: {failure}")),
         None => models::warn_of_gaps(&format!("object {id}"), report, outcome),
     }
+    if report.given {
+        report.remarks.iter().for_each(|remark| outcome.warn(format!("object {id}: {remark}")));
+    }
     outcome.figure(
         &format!("object_{id}"),
         json!({
@@ -162,10 +165,9 @@ fn one_object(
     if let Some(before) = before.filter(|marker| marker.fingerprint == fingerprint && marker.has_models(run, id)) {
         return Ok(before);
     }
-    let mut outcome = Outcome::default();
     let given = run.options.object_models.get(&id);
     let (model, mut report) = match (given, camera) {
-        (Some(folder), _) => models::given(folder, run, &mut outcome)?,
+        (Some(folder), _) => models::given(folder, run)?,
         (None, Some(camera)) => {
             let table = features::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
