@@ -83,7 +83,7 @@ impl<'a> Adjustment<'a> {
     /// One adjustment; outlines say that the ground is at `contact`.
     pub(super) fn round(&mut self, contact: &Contact) -> Result<(), ScaleError> {
         let mut problem = self.problem(contact);
-        let options = bundle::Options { threads: 1, ..self.bundle_options(&problem) };
+        let options = self.bundle_options(&problem);
         bundle::adjust(&mut problem, &options).map_err(|error| ScaleError::Adjustment(error.to_string()))?;
         problem.store(&mut self.object);
         Ok(())
@@ -91,7 +91,7 @@ impl<'a> Adjustment<'a> {
 
     fn bundle_options(&self, problem: &Problem) -> bundle::Options {
         let scale = self.options.pixel_loss_scale / self.devaluation(problem);
-        bundle::Options { loss: RobustLoss::Cauchy { scale }, ..bundle::Options::default() }
+        bundle::Options { loss: RobustLoss::Cauchy { scale }, threads: 1, ..bundle::Options::default() }
     }
 
     /// Factor on the standard deviation of an image position, so that those of one frame count as few.
@@ -189,7 +189,7 @@ impl<'a> Adjustment<'a> {
         let count = problem.poses.len();
         let poses: BTreeSet<usize> = (0..FRAMES).map(|k| k * count.saturating_sub(1) / (FRAMES - 1)).collect();
         let wanted = Wanted { poses: poses.iter().copied().collect(), ..Wanted::default() };
-        let options = bundle::Options { threads: 1, ..self.bundle_options(&problem) };
+        let options = self.bundle_options(&problem);
         let failed = |error: bundle::BundleError| ScaleError::Adjustment(error.to_string());
         let found = bundle::covariances(&problem, &options, &wanted).map_err(failed)?;
         let middle = object_center(&self.object);
