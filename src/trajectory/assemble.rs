@@ -35,6 +35,24 @@ pub fn assemble(
     frames: &[Frame],
     unit: Unit,
 ) -> ObjectTrajectory {
+    let mut poses = poses(background, object, scale.ratio, frames);
+    poses.sort_by_key(|pose: &ObjectPose| -> FrameId { pose.frame });
+    let ObjectDescription { id, class, confidence } = description;
+    let mut trajectory = ObjectTrajectory { id, class, confidence, scale, poses };
+    if unit == Unit::Metre {
+        set_speeds(&mut trajectory);
+    }
+    trajectory
+}
+
+/// The object's pose in every frame whose image is registered in both models, in the order of `frames`, at the scale ratio `ratio`
+/// (eq. object_to_background_coordinates); without speeds.
+pub(super) fn poses(
+    background: &Reconstruction,
+    object: &Reconstruction,
+    ratio: f64,
+    frames: &[Frame],
+) -> Vec<ObjectPose> {
     let center = object_center(object);
     let by_name: BTreeMap<&str, (&Image, &Image)> = background
         .paired_images(object)
@@ -43,7 +61,7 @@ pub fn assemble(
         .collect();
     let pose = |frame: &Frame| {
         let (in_background, in_object) = by_name.get(frame.name.as_str())?;
-        let world_from_object = place(&in_background.cam_from_world, &in_object.cam_from_world, scale.ratio);
+        let world_from_object = place(&in_background.cam_from_world, &in_object.cam_from_world, ratio);
         Some(ObjectPose {
             frame: frame.id,
             name: frame.name.clone(),
@@ -53,14 +71,7 @@ pub fn assemble(
             speed: None,
         })
     };
-    let mut poses: Vec<ObjectPose> = frames.iter().filter_map(pose).collect();
-    poses.sort_by_key(|pose: &ObjectPose| -> FrameId { pose.frame });
-    let ObjectDescription { id, class, confidence } = description;
-    let mut trajectory = ObjectTrajectory { id, class, confidence, scale, poses };
-    if unit == Unit::Metre {
-        set_speeds(&mut trajectory);
-    }
-    trajectory
+    frames.iter().filter_map(pose).collect()
 }
 
 /// The similarity world ← object of one frame (eq. object_to_background_coordinates): camera coordinates of the object

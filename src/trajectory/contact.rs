@@ -116,7 +116,7 @@ pub struct Contact {
 }
 
 /// The points that count for extent and outline.
-pub(super) fn solid_points(object: &Reconstruction, options: &ContactOptions) -> Vec<Point3<f64>> {
+fn solid_points(object: &Reconstruction, options: &ContactOptions) -> Vec<Point3<f64>> {
     let seen = object.points.values().filter(|point| point.track.len() >= options.min_track);
     let mut points: Vec<Point3<f64>> =
         seen.map(|point| point.position).filter(|p| p.coords.iter().all(|x| x.is_finite())).collect();

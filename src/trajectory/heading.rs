@@ -6,7 +6,7 @@
 use nalgebra::{Unit, Vector3};
 
 use super::assemble::velocity;
-use crate::scene::ObjectTrajectory;
+use crate::scene::{ObjectPose, ObjectTrajectory};
 
 /// The vehicle's forward direction in the object's own frame: the mean, weighted by speed, of its direction of motion
 /// turned into that frame.
@@ -14,8 +14,7 @@ use crate::scene::ObjectTrajectory;
 /// A vehicle that backs up part of the way counts as pointing the way that it goes further. `None` for a trajectory that
 /// goes nowhere, or whose directions cancel (mean length below half of what agreement would give): then positions are
 /// noise, or the object's poses do not turn with it.
-pub fn forward_axis(trajectory: &ObjectTrajectory) -> Option<Unit<Vector3<f64>>> {
-    let poses = &trajectory.poses;
+pub fn forward_axis(poses: &[ObjectPose]) -> Option<Unit<Vector3<f64>>> {
     let (mut sum, mut length) = (Vector3::zeros(), 0.0);
     for (k, pose) in poses.iter().enumerate() {
         let Some(velocity) = velocity(poses, k) else { continue };
@@ -28,7 +27,7 @@ pub fn forward_axis(trajectory: &ObjectTrajectory) -> Option<Unit<Vector3<f64>>>
 /// Unit direction, in the background's frame, in which the vehicle points at each pose; empty without a
 /// [`forward_axis`].
 pub fn headings(trajectory: &ObjectTrajectory) -> Vec<Unit<Vector3<f64>>> {
-    let Some(forward) = forward_axis(trajectory) else { return Vec::new() };
+    let Some(forward) = forward_axis(&trajectory.poses) else { return Vec::new() };
     trajectory.poses.iter().map(|pose| pose.world_from_object.rotation * forward).collect()
 }
 
@@ -73,8 +72,8 @@ mod tests {
         for pose in &mut found.poses {
             pose.position = [1.0, 2.0, 3.0];
         }
-        assert!(forward_axis(&found).is_none() && headings(&found).is_empty());
+        assert!(forward_axis(&found.poses).is_none() && headings(&found).is_empty());
         found.poses.clear();
-        assert!(forward_axis(&found).is_none());
+        assert!(forward_axis(&found.poses).is_none());
     }
 }

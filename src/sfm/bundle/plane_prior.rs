@@ -6,11 +6,13 @@ use super::priors::{PriorTerms, empty};
 use super::problem::PlanePrior;
 use crate::math::Rigid3;
 
-/// (n · (R p + t) + h) / σ_d and n × R u / σ_t.
-pub(super) fn residual(prior: &PlanePrior, cam_from_world: &Rigid3) -> (f64, Vector3<f64>) {
-    let distance = prior.normal_in_cam.dot(&(*cam_from_world * prior.point).coords) + prior.camera_height;
-    let tilt = prior.normal_in_cam.cross(&(cam_from_world.rotation * prior.up));
-    (distance / prior.sigma_distance, tilt / prior.sigma_tilt)
+impl PlanePrior {
+    /// (n · (R p + t) + h) / σ_d and n × R u / σ_t: by how many standard deviations a camera's pose contradicts distance and tilt.
+    pub fn residual(&self, cam_from_world: &Rigid3) -> (f64, Vector3<f64>) {
+        let distance = self.normal_in_cam.dot(&(*cam_from_world * self.point).coords) + self.camera_height;
+        let tilt = self.normal_in_cam.cross(&(cam_from_world.rotation * self.up));
+        (distance / self.sigma_distance, tilt / self.sigma_tilt)
+    }
 }
 
 /// ∂ of the distance by ω and v, and of the tilt by ω.
@@ -27,13 +29,13 @@ pub(super) fn jacobians(
 
 /// Σ ρ of the two residuals.
 pub(super) fn cost(prior: &PlanePrior, cam_from_world: &Rigid3) -> f64 {
-    let (distance, tilt) = residual(prior, cam_from_world);
+    let (distance, tilt) = prior.residual(cam_from_world);
     prior.loss.evaluate(distance * distance)[0] + prior.loss.evaluate(tilt.norm_squared())[0]
 }
 
 /// H and g, weighted by ρ'.
 pub(super) fn terms(prior: &PlanePrior, cam_from_world: &Rigid3) -> PriorTerms {
-    let (distance, tilt) = residual(prior, cam_from_world);
+    let (distance, tilt) = prior.residual(cam_from_world);
     let (by_turn, by_shift, tilt_by_turn) = jacobians(prior, cam_from_world);
     let weight = prior.loss.evaluate(distance * distance)[1];
     let tilt_weight = prior.loss.evaluate(tilt.norm_squared())[1];

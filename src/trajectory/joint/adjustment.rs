@@ -7,15 +7,14 @@ use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 use super::precision::for_each_residual;
 use super::{Grounded, JointOptions};
 use crate::math::{RobustLoss, Sim3, umeyama};
-use crate::scene::{FrameId, Image, ObjectId, Reconstruction, ScaleEstimate, ScaleMethod, Unit as LengthUnit};
+use crate::scene::{FrameId, Image, Reconstruction};
 use crate::sfm::Whitening;
 use crate::sfm::bundle::{self, CameraBlock, PlanePrior, PointPrior, Problem, Wanted};
-use crate::trajectory::contact::solid_points;
+use crate::trajectory::assemble::poses;
 use crate::trajectory::mirror::mean_normal;
 use crate::trajectory::views::median;
 use crate::trajectory::{
-    Contact, LeastSquaresOptions, ObjectDescription, ScaleError, Views, assemble, contact, forward_axis, intersection,
-    least_squares, object_center,
+    Contact, LeastSquaresOptions, ScaleError, Views, contact, forward_axis, intersection, least_squares, object_center,
 };
 
 /// An object's reconstruction with the ground at z = 0, in the background's unit.
@@ -67,17 +66,8 @@ impl<'a> Adjustment<'a> {
 
     /// The vehicle's forward direction, from its way through the background.
     fn forward(&self) -> Option<Unit<Vector3<f64>>> {
-        let scale = ScaleEstimate {
-            ratio: 1.0,
-            std: None,
-            method: ScaleMethod::Joint,
-            degenerate: false,
-            reason: None,
-            alternatives: BTreeMap::new(),
-        };
-        let description = ObjectDescription { id: ObjectId(1), class: String::new(), confidence: 1.0 };
         let Grounded { background, frames, .. } = self.grounded;
-        forward_axis(&assemble(description, background, &self.object, scale, frames, LengthUnit::Background))
+        forward_axis(&poses(background, &self.object, 1.0, frames))
     }
 
     /// One adjustment; outlines say that the ground is at `contact`.
@@ -149,10 +139,8 @@ impl<'a> Adjustment<'a> {
     fn loss_scale(&self, planes: &[PlanePrior]) -> f64 {
         let poses: Vec<&Image> = self.object.images.values().collect();
         let off = |plane: &PlanePrior| {
-            let pose = poses[plane.pose].cam_from_world;
-            let distance = plane.normal_in_cam.dot(&(pose * plane.point).coords) + plane.camera_height;
-            let tilt = plane.normal_in_cam.angle(&(pose.rotation * plane.up));
-            (distance.abs() / self.sigma_distance()).max(tilt / self.options.sigma_tilt)
+            let (distance, tilt) = plane.residual(&poses[plane.pose].cam_from_world);
+            distance.abs().max(tilt.norm())
         };
         let typical = median(planes.iter().map(off).collect()).unwrap_or(0.0);
         self.options.loss_scale * typical.max(1.0)
@@ -161,24 +149,10 @@ impl<'a> Adjustment<'a> {
     /// The outlines' word on where the ground is, spread over all points: each is near where it is, but lower by the height
     /// at which the outlines see the ground. Together they weigh as much as the contact is known.
     fn anchors(&self, contact: &Contact) -> Vec<PointPrior> {
-        let solid = solid_points(&self.object, &self.options.contact);
-        let bounds: [(f64, f64); 3] = std::array::from_fn(|axis| {
-            solid
-                .iter()
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), p| (least.min(p[axis]), most.max(p[axis])))
-        });
-        let is_solid = |p: &Point3<f64>| (0..3).all(|axis| bounds[axis].0 <= p[axis] && p[axis] <= bounds[axis].1);
-        let points = self.object.points.values().enumerate().filter(|(_, point)| is_solid(&point.position));
-        let mut anchors: Vec<PointPrior> = points
-            .map(|(index, point)| PointPrior {
-                point: index,
-                position: point.position - Vector3::z() * contact.z,
-                sigma: contact.std,
-            })
-            .collect();
-        let share = (anchors.len() as f64).sqrt();
-        anchors.iter_mut().for_each(|anchor| anchor.sigma = (anchor.sigma * share).max(f64::MIN_POSITIVE));
-        anchors
+        let sigma = (contact.std * (self.object.points.len() as f64).sqrt()).max(f64::MIN_POSITIVE);
+        let lowered = self.object.points.values().map(|point| point.position - Vector3::z() * contact.z);
+        let anchor = |(point, position)| PointPrior { point, position, sigma };
+        lowered.enumerate().map(anchor).filter(|anchor| anchor.position.coords.iter().all(|x| x.is_finite())).collect()
     }
 
     /// Standard deviation of the object's size, relative to it: that of its distance from the camera, since its size in the

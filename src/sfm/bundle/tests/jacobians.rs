@@ -128,7 +128,7 @@ fn plane_priors() {
     let prior = plane_through(Point3::new(0.3, -0.2, 0.5));
     let (by_turn, by_shift, tilt_by_turn) = plane_prior::jacobians(&prior, &pose());
     let moved = |d: &[f64; 6]| {
-        let (distance, tilt) = plane_prior::residual(&prior, &perturb(&pose(), d));
+        let (distance, tilt) = prior.residual(&perturb(&pose(), d));
         vec![distance, tilt.x, tilt.y, tilt.z]
     };
     let jacobian = |row: usize, k: usize| match (row, k < 3) {
