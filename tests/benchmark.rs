@@ -68,7 +68,7 @@ fn a_broken_sequence_counts_as_failed_and_the_rest_is_done_once() {
     assert!((25..=30).contains(&registered), "{registered}");
     let number = |key: &str| done[key].as_f64().unwrap();
     assert!(number("floor_m") > 0.0 && number("floor_m") < 1.0 && number("camera_rmse_m") < 0.1, "{done}");
-    for estimator in ["constant-distance", "intersection"] {
+    for estimator in ["constant-distance", "intersection", "least-squares", "joint"] {
         assert!(done["estimators"][estimator]["trajectory_error_m"].is_number(), "{done}");
     }
     let cost = |key: &str| done["cost"][key].as_f64().unwrap();
@@ -94,9 +94,23 @@ fn a_broken_sequence_counts_as_failed_and_the_rest_is_done_once() {
         assert_eq!(sequence(&again, CLIP)[key], done[key], "{key}");
     }
 
-    // With another scale method only that stage is done again, and reconstructions stay as they are.
+    // With another scale method only that stage is done again, reconstructions stay as they are, and the result is the one
+    // that stood beside the first.
     let (code, _, stderr) = benchmark(&set, &out, &["--only", CLIP, "--scale-method", "least-squares"]);
     assert_eq!(code, 0, "{stderr}");
+    let other = json(&out.join("benchmark.json"));
+    let other = sequence(&other, CLIP);
+    let same = |a: &Value, b: &Value| {
+        let (a, b) = (a.as_f64().unwrap(), b.as_f64().unwrap());
+        assert!((a - b).abs() < 1e-9 * b, "{a}, {b}");
+    };
+    assert!(other["floor_as_reconstructed_m"].is_null() && other["estimators"]["joint"].is_null(), "{other}");
+    same(&other["floor_m"], &done["floor_as_reconstructed_m"]);
+    same(&other["trajectory_error_m"], &done["estimators"]["least-squares"]["trajectory_error_m"]);
+    same(
+        &other["estimators"]["intersection"]["trajectory_error_m"],
+        &done["estimators"]["intersection"]["trajectory_error_m"],
+    );
     models_of_others_are_taken_as_they_are(folder.path(), &set, &out);
 }
 

@@ -69,7 +69,20 @@ pub struct Evaluation {
     pub trajectory: Outcome<TrajectoryError>,
     /// Trajectory error at the reference ratio: what the two reconstructions alone cost.
     pub trajectory_at_reference: Outcome<TrajectoryError>,
-    /// What every estimator of the run would have given.
+    /// What every estimator of the run would have given on the reconstructions in the output folder.
+    pub alternatives: BTreeMap<String, Alternative>,
+    /// The same on the target as structure from motion left it; `None` where nothing was adjusted after that.
+    pub as_reconstructed: Option<AsReconstructed>,
+}
+
+/// What there would be if the target's reconstruction had not been adjusted with the ground.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AsReconstructed {
+    /// The ratio that a perfect estimator would find.
+    pub reference_ratio: Option<f64>,
+    /// Mean trajectory error at that ratio, metres.
+    pub error_at_reference_m: Option<f64>,
+    /// What every estimator would have given.
     pub alternatives: BTreeMap<String, Alternative>,
 }
 
@@ -123,6 +136,8 @@ pub struct ScaleFigures {
     pub method: String,
     /// Whether the run says that it cannot be trusted.
     pub degenerate: bool,
+    /// Why it cannot.
+    pub reason: Option<String>,
     /// |r − r_ref| / r_ref; `None` without a reference.
     pub deviation: Option<f64>,
 }

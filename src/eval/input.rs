@@ -44,6 +44,9 @@ pub struct ObjectInput {
     pub iou: Option<f64>,
     /// Its reconstruction.
     pub model: Result<Model, String>,
+    /// The reconstruction as it was before it was adjusted with the ground, and what estimators say of that, by name; `None` where
+    /// nothing was adjusted.
+    pub as_reconstructed: Option<(Model, BTreeMap<String, f64>)>,
     /// Its trajectory.
     pub trajectory: Result<ObjectTrajectory, String>,
     /// `world_from_object` of the trajectory's frames, where the world is the background's.

@@ -26,7 +26,9 @@ mod table;
 pub mod trajectory;
 
 pub use cameras::CameraErrors;
-pub use figures::{Alternative, Evaluation, OtherObject, Outcome, RegisteredFrames, ScaleFigures, Target};
+pub use figures::{
+    Alternative, AsReconstructed, Evaluation, OtherObject, Outcome, RegisteredFrames, ScaleFigures, Target,
+};
 pub use input::{Input, Model, ObjectInput, TruthFrame};
 pub use mesh::MeshIndex;
 
@@ -66,7 +68,13 @@ pub fn evaluate(input: &Input) -> Evaluation {
         others,
         trajectory: trajectory.into(),
         trajectory_at_reference: at_reference.into(),
-        alternatives: alternatives(object, ratio, at_ratio),
+        alternatives: match object.map(|o| o.trajectory.as_ref()) {
+            Some(Ok(trajectory)) => alternatives(&trajectory.scale.alternatives, ratio, at_ratio),
+            _ => BTreeMap::new(),
+        },
+        as_reconstructed: object.and_then(|o| o.as_reconstructed.as_ref()).map(|(model, ratios)| {
+            as_reconstructed(subject.as_ref().map_err(Clone::clone).and_then(|s| s.with(model)), ratios)
+        }),
         reference_scale: reference,
         scale,
     }
@@ -128,22 +136,32 @@ fn scale_figures(object: Option<&ObjectInput>, reference: Result<f64, &str>) -> 
         std: scale.std,
         method: scale.method.name().into(),
         degenerate: scale.degenerate,
+        reason: scale.reason.clone(),
         deviation: reference.ok().map(|r| (scale.ratio - r).abs() / r),
     })
 }
 
 fn alternatives(
-    object: Option<&ObjectInput>,
+    ratios: &BTreeMap<String, f64>,
     reference: Result<f64, &str>,
     error_at: impl Fn(f64) -> Result<trajectory::TrajectoryError, String>,
 ) -> BTreeMap<String, Alternative> {
-    let Some(Ok(trajectory)) = object.map(|o| o.trajectory.as_ref()) else { return BTreeMap::new() };
     let alternative = |ratio: f64| Alternative {
         ratio,
         deviation: reference.ok().map(|r| (ratio - r).abs() / r),
         trajectory_error_m: error_at(ratio).ok().map(|e| e.mean_m),
     };
-    trajectory.scale.alternatives.iter().map(|(name, ratio)| (name.clone(), alternative(*ratio))).collect()
+    ratios.iter().map(|(name, ratio)| (name.clone(), alternative(*ratio))).collect()
+}
+
+fn as_reconstructed(subject: Result<Subject, String>, ratios: &BTreeMap<String, f64>) -> AsReconstructed {
+    let error_at = |ratio: f64| subject.as_ref().map_err(Clone::clone).and_then(|s| s.error_at(ratio));
+    let reference = subject.as_ref().map_err(Clone::clone).and_then(Subject::reference).map(|found| found.ratio);
+    AsReconstructed {
+        reference_ratio: reference.as_ref().ok().copied(),
+        error_at_reference_m: reference.as_ref().ok().and_then(|ratio| error_at(*ratio).ok()).map(|error| error.mean_m),
+        alternatives: alternatives(ratios, reference.as_ref().copied().map_err(String::as_str), error_at),
+    }
 }
 
 /// All that the target's trajectory is measured with; it exists only if every part does.
@@ -165,11 +183,16 @@ impl<'a> Subject<'a> {
         let registration = registration.as_ref().map_err(|reason| format!("no registration: {reason}"))?;
         let object = object.ok_or("the target was not found")?;
         let model = object.model.as_ref()?;
+        let background = input.background.as_ref()?;
+        Self { input, registration, background, object, model, mesh: input.mesh.as_ref()? }.with(model)
+    }
+
+    /// The same with another reconstruction of the target.
+    fn with(&self, model: &'a Model) -> Result<Self, String> {
         if model.points.is_empty() {
             return Err("the object's model has no points".into());
         }
-        let background = input.background.as_ref()?;
-        Ok(Self { input, registration, background, object, model, mesh: input.mesh.as_ref()? })
+        Ok(Self { model, ..*self })
     }
 
     fn reference(&self) -> Result<reference::ReferenceScale, String> {

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::figures::{Evaluation, Outcome};
+use super::figures::{Alternative, Evaluation, Outcome};
 
 impl fmt::Display for Evaluation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -43,12 +43,24 @@ impl Evaluation {
             }),
         );
         row("  reference", text(&self.reference_scale, |r| format!("{:.6}", r.ratio)));
-        for (name, alternative) in &self.alternatives {
-            let error = alternative.trajectory_error_m.map_or(String::new(), |m| format!(", error {}", length(m)));
-            row(&format!("  {name}"), format!("{:.6}{}{error}", alternative.ratio, deviation(alternative.deviation)));
+        for (name, answer) in &self.alternatives {
+            row(&format!("  {name}"), alternative(answer));
+        }
+        if let Some(before) = &self.as_reconstructed {
+            let error = before.error_at_reference_m.map_or(String::new(), |m| format!(", error {}", length(m)));
+            let reference = before.reference_ratio.map_or("–".to_owned(), |ratio| format!("{ratio:.6}"));
+            row("not adjusted: reference", reference + &error);
+            for (name, answer) in &before.alternatives {
+                row(&format!("  {name}"), alternative(answer));
+            }
         }
         rows
     }
+}
+
+fn alternative(answer: &Alternative) -> String {
+    let error = answer.trajectory_error_m.map_or(String::new(), |m| format!(", error {}", length(m)));
+    format!("{:.6}{}{error}", answer.ratio, deviation(answer.deviation))
 }
 
 fn text<T>(outcome: &Outcome<T>, show: impl FnOnce(&T) -> String) -> String {

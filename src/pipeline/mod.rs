@@ -40,6 +40,7 @@ pub use meter::{Cost, process_cpu_s};
 pub use options::{FeatureKind, FrameOrder, GroundLabels, Instances, Intrinsics, MaskingOptions, Options};
 pub use progress::{Progress, Silent};
 pub use run::StageRecord;
+pub use scale::{AsReconstructed, as_reconstructed};
 pub use stage::Stage;
 pub use workspace::{Marker, Workspace};
 

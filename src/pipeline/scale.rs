@@ -1,25 +1,31 @@
 //! Stage `scale`: the scale ratio of every object, and its trajectory.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
 use super::run::{Outcome, Run};
 use super::track::{self, TrackedObject};
-use super::{PipelineError, exports, ground, models, objects};
+use super::{PipelineError, exports, ground, models, objects, workspace};
 use crate::scene::{
     Frame, FrameId, Ground, GroundPlane, ObjectId, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod,
     Trajectories, Unit,
 };
 use crate::trajectory::{
-    Grounded, ObjectDescription, Silhouette, Views, assemble, estimate_scale, joint, joint_estimate,
+    Grounded, ObjectDescription, Silhouette, Views, all_ratios, assemble, estimate_scale, joint, joint_estimate,
 };
 
 /// The name of the list of objects without a trajectory, and why.
 const FAILURES: &str = "scale-failures.json";
+/// What the estimators that leave a reconstruction as it is say of those that were adjusted.
+const AS_RECONSTRUCTED: &str = "as-reconstructed.json";
+
+/// Ratios by the name of the estimator.
+type Ratios = BTreeMap<String, f64>;
 
 pub(super) fn depends_on(run: &Run) -> Value {
-    json!(run.options.scale)
+    json!({ "options": run.options.scale, "keeps": AS_RECONSTRUCTED })
 }
 
 pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
@@ -33,13 +39,21 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     outcome.outputs.push(exports::background(run, &background)?);
     let mut found = Vec::new();
     let mut failures = BTreeMap::new();
-    let silhouettes = silhouettes(run, frames)?;
+    let mut as_reconstructed = BTreeMap::new();
+    let with_model = reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id).collect();
+    let silhouettes = silhouettes(run, frames, &with_model)?;
     for tracked in track::objects(run)? {
         let Some(report) = reports.get(&tracked.id) else { continue };
         let Some(mut model) = objects::reconstructed(run, tracked.id, report)? else { continue };
         let scene =
             Scene { background: &background, ground: &ground, silhouettes: silhouettes.get(&tracked.id), frames };
-        let trajectory = scene.trajectory(run, &tracked, &mut model, report.given, &mut outcome);
+        let is_adjusted = run.options.scale.method == ScaleMethod::Joint && !report.given;
+        let adjusted = is_adjusted.then(|| scene.on_the_ground(run, tracked.id, &mut model, &mut outcome)).flatten();
+        let scale = adjusted.map(|(scale, before)| {
+            as_reconstructed.insert(tracked.id, before);
+            scale
+        });
+        let trajectory = scene.trajectory(run, &tracked, &model, scale);
         objects::store(run, tracked.id, &model)?;
         match trajectory {
             Ok(trajectory) => {
@@ -59,8 +73,30 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let path = run.workspace.root().join("trajectories.json");
     crate::io::trajectories::write(&path, &Trajectories { unit: Unit::Background, objects: found })?;
     run.workspace.write_state(FAILURES, &failures)?;
-    outcome.outputs.extend([path, run.workspace.state(FAILURES)]);
+    run.workspace.write_state(AS_RECONSTRUCTED, &as_reconstructed)?;
+    outcome.outputs.extend([path, run.workspace.state(FAILURES), run.workspace.state(AS_RECONSTRUCTED)]);
     Ok(outcome)
+}
+
+/// An object as it was before it was adjusted with the ground.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AsReconstructed {
+    /// Folder of its COLMAP model.
+    pub model: PathBuf,
+    /// What the estimators that leave it as it is say of it, by their names.
+    pub ratios: Ratios,
+}
+
+/// The objects of the run in the folder `output` that were adjusted with the ground, as they were before. Empty where none
+/// was, or where the folder has nothing but results.
+pub fn as_reconstructed(output: &Path) -> BTreeMap<ObjectId, AsReconstructed> {
+    let ratios: Option<BTreeMap<ObjectId, Ratios>> =
+        crate::io::json::read(&workspace::state_of(output, AS_RECONSTRUCTED)).ok();
+    let with_model = |(id, ratios): (ObjectId, Ratios)| {
+        let model = workspace::state_of(output, "objects").join(id.to_string());
+        model.is_dir().then_some((id, AsReconstructed { model, ratios }))
+    };
+    ratios.into_iter().flatten().filter_map(with_model).collect()
 }
 
 /// The trajectories; the stage must be done.
@@ -73,16 +109,18 @@ pub(super) fn failures(run: &Run) -> Result<BTreeMap<String, String>, PipelineEr
     run.workspace.read_state(FAILURES)
 }
 
-/// The outlines of all objects, where any is to be adjusted with the ground.
+/// The outlines of objects, where any is to be adjusted with the ground.
 fn silhouettes(
     run: &Run,
     frames: &[Frame],
+    wanted: &BTreeSet<ObjectId>,
 ) -> Result<BTreeMap<ObjectId, BTreeMap<FrameId, Silhouette>>, PipelineError> {
     let mut found: BTreeMap<ObjectId, BTreeMap<FrameId, Silhouette>> = BTreeMap::new();
     if run.options.scale.method != ScaleMethod::Joint {
         return Ok(found);
     }
-    let objects = track::objects(run)?;
+    let mut objects = track::objects(run)?;
+    objects.retain(|object| wanted.contains(&object.id));
     for frame in frames {
         for (id, mask) in track::masks_of(run, &objects, frame)? {
             if let Some(silhouette) = Silhouette::of(&mask) {
@@ -102,26 +140,26 @@ struct Scene<'a> {
 }
 
 impl Scene<'_> {
-    /// One object's trajectory, or why there is none. Puts its model on the ground, unless the user gave it.
+    /// The local planes under one object.
+    fn planes(&self, id: ObjectId) -> BTreeMap<FrameId, GroundPlane> {
+        let planes = self.ground.planes.iter().filter(|((of, _), _)| *of == id);
+        planes.map(|(&(_, frame), &plane)| (frame, plane)).collect()
+    }
+
+    /// One object's trajectory, or why there is none. `scale` is known where the model was adjusted with the ground.
     fn trajectory(
         &self,
         run: &Run,
         tracked: &TrackedObject,
-        model: &mut Reconstruction,
-        is_given: bool,
-        outcome: &mut Outcome,
+        model: &Reconstruction,
+        scale: Option<ScaleEstimate>,
     ) -> Result<ObjectTrajectory, String> {
-        let planes = self.ground.planes.iter().filter(|((id, _), _)| *id == tracked.id);
-        let planes: BTreeMap<FrameId, GroundPlane> = planes.map(|(&(_, frame), &plane)| (frame, plane)).collect();
-        let is_adjusted = run.options.scale.method == ScaleMethod::Joint && !is_given;
-        let adjusted = is_adjusted.then(|| self.on_the_ground(run, tracked.id, model, &planes, outcome)).flatten();
-        let scale = match adjusted {
-            Some(scale) => scale,
-            None => {
-                let views = Views::new(self.background, model, &planes);
-                estimate_scale(&views, &run.options.scale).map_err(|error| error.to_string())?
-            }
+        let estimated = || {
+            let planes = self.planes(tracked.id);
+            let views = Views::new(self.background, model, &planes);
+            estimate_scale(&views, &run.options.scale).map_err(|error| error.to_string())
         };
+        let scale = scale.map_or_else(estimated, Ok)?;
         let description =
             ObjectDescription { id: tracked.id, class: tracked.class.clone(), confidence: tracked.confidence };
         let trajectory = assemble(description, self.background, model, scale, self.frames, Unit::Background);
@@ -131,20 +169,21 @@ impl Scene<'_> {
         Ok(trajectory)
     }
 
-    /// Adjusts a model with the ground; where that cannot be done it stays as it is, and a warning says why.
+    /// Adjusts a model with the ground: its scale, and what the other estimators say of it as it was. Where that cannot be
+    /// done it stays as it is, and a warning says why.
     fn on_the_ground(
         &self,
         run: &Run,
         id: ObjectId,
         model: &mut Reconstruction,
-        planes: &BTreeMap<FrameId, GroundPlane>,
         outcome: &mut Outcome,
-    ) -> Option<ScaleEstimate> {
+    ) -> Option<(ScaleEstimate, Ratios)> {
+        let planes = self.planes(id);
         let nothing = BTreeMap::new();
         let grounded = Grounded {
             background: self.background,
             object: model,
-            planes,
+            planes: &planes,
             silhouettes: self.silhouettes.unwrap_or(&nothing),
             frames: self.frames,
         };
@@ -159,10 +198,11 @@ impl Scene<'_> {
                         "num_uncertain_points": found.num_uncertain,
                     }),
                 );
-                let views = Views::new(self.background, &found.object, planes);
+                let before = all_ratios(&Views::new(self.background, model, &planes), &run.options.scale);
+                let views = Views::new(self.background, &found.object, &planes);
                 let scale = joint_estimate(&views, &found, &run.options.scale);
                 *model = found.object;
-                Some(scale)
+                Some((scale, before))
             }
             Err(error) => {
                 outcome.warn(format!("object {id} is not adjusted with the ground: {error}"));

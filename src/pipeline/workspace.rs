@@ -70,7 +70,7 @@ impl Workspace {
 
     /// A file of the run's own.
     pub fn state(&self, name: &str) -> PathBuf {
-        self.root.join(STATE).join(name)
+        state_of(&self.root, name)
     }
 
     /// The background's model.
@@ -177,6 +177,11 @@ impl Workspace {
             _ => Ok(()),
         }
     }
+}
+
+/// A file of the run's own in the output folder `root`, which need not be open.
+pub(super) fn state_of(root: &Path, name: &str) -> PathBuf {
+    root.join(STATE).join(name)
 }
 
 /// Name of an image's mask: COLMAP's convention, which keeps `a.jpg` and `a.png` apart.

@@ -86,7 +86,7 @@ pub fn estimate_scale(views: &Views, options: &Options) -> Result<ScaleEstimate,
 ///
 /// * `views` – of [`Joint::object`].
 pub fn joint_estimate(views: &Views, found: &Joint, options: &Options) -> ScaleEstimate {
-    let mut alternatives = names(&Answers::new(views, options).ratios);
+    let mut alternatives = all_ratios(views, options);
     alternatives.insert(ScaleMethod::Joint.name().to_owned(), found.ratio);
     let relative_std = found.std / found.ratio;
     let is_sure = relative_std <= options.max_relative_std;
@@ -104,6 +104,11 @@ pub fn joint_estimate(views: &Views, found: &Joint, options: &Options) -> ScaleE
         reason: (!is_sure).then_some(reason),
         alternatives,
     }
+}
+
+/// What every estimator that takes a reconstruction as it is says of it, by its name; without those that have no answer.
+pub fn all_ratios(views: &Views, options: &Options) -> BTreeMap<String, f64> {
+    names(&Answers::new(views, options).ratios)
 }
 
 /// What each estimator says of a reconstruction as it is.

@@ -28,7 +28,7 @@ pub use assemble::{ObjectDescription, assemble, object_center, set_speeds};
 pub use constant_distance::{ConstantDistance, ConstantDistanceOptions, constant_distance};
 pub use contact::{Contact, ContactOptions, Silhouette, contact};
 pub use error::ScaleError;
-pub use estimate::{Options, estimate_scale, joint_estimate};
+pub use estimate::{Options, all_ratios, estimate_scale, joint_estimate};
 pub use heading::{forward_axis, headings};
 pub use intersection::{Intersection, intersection};
 pub use joint::{Grounded, Joint, JointOptions, joint};

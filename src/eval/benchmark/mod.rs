@@ -63,7 +63,10 @@ pub struct Entry {
     pub reference_ratio: Option<f64>,
     /// Trajectory error at the reference ratio: what the two reconstructions alone cost.
     pub floor_m: Option<f64>,
-    /// What every estimator gave, by its name.
+    /// The same on the target as structure from motion left it; `None` where the target was not adjusted with the ground.
+    pub floor_as_reconstructed_m: Option<f64>,
+    /// What every estimator gave, by its name: `joint` on the target that it has adjusted, the others on the target as
+    /// structure from motion left it, which is what `--scale-method` with their name gives.
     pub estimators: BTreeMap<String, Answer>,
     /// What the run cost when its stages were done.
     pub cost: Option<Cost>,
@@ -111,6 +114,8 @@ pub enum Estimator {
     Chosen,
     /// No estimator, but the reference ratio.
     Reference,
+    /// The same on the target as structure from motion left it.
+    ReferenceAsReconstructed,
 }
 
 /// What is looked at of an answer.
@@ -126,15 +131,20 @@ impl Entry {
     /// From the evaluation of a run; cost and warnings are the caller's.
     pub fn of(evaluation: &Evaluation) -> Self {
         let trajectory = evaluation.trajectory.as_ref();
+        let before = evaluation.as_reconstructed.as_ref();
+        // Those of the target as it was replace their answers on the adjusted one.
+        let answers = evaluation.alternatives.iter().chain(before.iter().flat_map(|before| &before.alternatives));
         Self {
             failure: trajectory.err().map(str::to_owned),
             registered: Some(evaluation.registered.clone()),
             camera_rmse_m: evaluation.cameras.as_ref().ok().map(|cameras| cameras.center_rmse_m),
             scale: evaluation.scale.as_ref().ok().cloned(),
+            verdict: evaluation.scale.as_ref().ok().and_then(|scale| scale.reason.clone()),
             trajectory_error_m: trajectory.ok().map(|error| error.mean_m),
             reference_ratio: evaluation.reference_scale.as_ref().ok().map(|reference| reference.ratio),
             floor_m: evaluation.trajectory_at_reference.as_ref().ok().map(|error| error.mean_m),
-            estimators: evaluation.alternatives.iter().map(|(name, found)| (name.clone(), found.into())).collect(),
+            floor_as_reconstructed_m: before.and_then(|before| before.error_at_reference_m),
+            estimators: answers.map(|(name, found)| (name.clone(), found.into())).collect(),
             ..Self::default()
         }
     }
@@ -148,7 +158,12 @@ impl Entry {
                 self.scale.as_ref().filter(|_| self.trajectory_error_m.is_some())?.deviation
             }
             (Estimator::Reference, Quantity::TrajectoryError) => self.floor_m,
-            (Estimator::Reference, Quantity::ScaleDeviation) => self.reference_ratio.map(|_| 0.0),
+            (Estimator::ReferenceAsReconstructed, Quantity::TrajectoryError) => {
+                self.floor_as_reconstructed_m.or(self.floor_m)
+            }
+            (Estimator::Reference | Estimator::ReferenceAsReconstructed, Quantity::ScaleDeviation) => {
+                self.reference_ratio.map(|_| 0.0)
+            }
             (Estimator::Named(name), Quantity::TrajectoryError) => self.estimators.get(name)?.trajectory_error_m,
             (Estimator::Named(name), Quantity::ScaleDeviation) => self.estimators.get(name)?.deviation,
         }
@@ -167,7 +182,20 @@ fn plain(name: &str) -> String {
 }
 
 impl Benchmark {
-    /// Every estimator that gave an answer anywhere: the paper's baseline and method first, the run's own choice last.
+    /// The method that gave the scale ratio of every run, if it was the same.
+    pub fn only_choice(&self) -> Option<&str> {
+        let mut methods = self.sequences.iter().filter_map(|entry| entry.scale.as_ref()).map(|scale| &scale.method);
+        let first = methods.next()?;
+        methods.all(|method| method == first).then_some(first)
+    }
+
+    /// Whether a target anywhere was adjusted after structure from motion.
+    pub fn has_adjusted(&self) -> bool {
+        self.sequences.iter().any(|entry| entry.floor_as_reconstructed_m.is_some())
+    }
+
+    /// Every estimator that gave an answer anywhere: the paper's baseline and method first, the run's own choice last, which
+    /// stands for an estimator that was always the choice.
     pub fn estimators(&self) -> Vec<Estimator> {
         let names: BTreeSet<&String> = self.sequences.iter().flat_map(|entry| entry.estimators.keys()).collect();
         let rank = |name: &str| match name {
@@ -175,7 +203,8 @@ impl Benchmark {
             "constant-distance" => 1,
             _ => 2,
         };
-        let mut names: Vec<&String> = names.into_iter().collect();
+        let mut names: Vec<&String> =
+            names.into_iter().filter(|name| Some(name.as_str()) != self.only_choice()).collect();
         names.sort_by_key(|name| rank(name));
         let named = names.into_iter().cloned().map(Estimator::Named);
         // The paper's published values hold no choice of a run.
@@ -271,6 +300,24 @@ pub(crate) mod tests {
         assert_eq!(all.failed().map(|e| e.folder.as_str()).collect::<Vec<_>>(), ["bridge_van"]);
         let named = |name: &str| Estimator::Named(name.into());
         assert_eq!(all.estimators(), [named("intersection"), named("constant-distance"), Estimator::Chosen]);
+    }
+
+    #[test]
+    fn an_estimator_that_was_always_the_choice_has_no_row_of_its_own() {
+        let scale = |method: &str| ScaleFigures {
+            ratio: 1.0,
+            std: None,
+            method: method.into(),
+            degenerate: false,
+            reason: None,
+            deviation: None,
+        };
+        let mut all = benchmark(vec![entry("van", "bridge", [Some(0.1); 3]), entry("suv", "bridge", [Some(0.1); 3])]);
+        all.sequences.iter_mut().for_each(|entry| entry.scale = Some(scale("constant-distance")));
+        let intersection = Estimator::Named("intersection".into());
+        assert_eq!(all.estimators(), [intersection, Estimator::Chosen]);
+        all.sequences[1].scale = Some(scale("intersection"));
+        assert_eq!(all.estimators().len(), 3);
     }
 
     #[test]

@@ -33,10 +33,13 @@ pub struct Figures {
     pub vehicles: Vec<Statistics>,
 }
 
-/// The summary of a set, with a row for the reference ratio where there is one.
+/// The summary of a set, with rows for the reference ratio where there is one.
 pub fn summarise(benchmark: &Benchmark, vehicles: &[String]) -> Summary {
     let has_floor = benchmark.sequences.iter().any(|entry| entry.floor_m.is_some());
-    let estimators = benchmark.estimators().into_iter().chain(has_floor.then_some(Estimator::Reference));
+    let has_two = benchmark.has_adjusted();
+    let floors = [(has_two, Estimator::ReferenceAsReconstructed), (has_floor, Estimator::Reference)];
+    let floors = floors.into_iter().filter_map(|(is_there, estimator)| is_there.then_some(estimator));
+    let estimators = benchmark.estimators().into_iter().chain(floors);
     let row = |estimator: Estimator| Row {
         trajectory_error_m: figures(benchmark, vehicles, &estimator, Quantity::TrajectoryError),
         scale_deviation: figures(benchmark, vehicles, &estimator, Quantity::ScaleDeviation),

@@ -48,7 +48,8 @@ fn drawn(benchmark: &Benchmark) -> Vec<(Estimator, Filling, String)> {
         (named(method), if differs { Filling::Pale } else { Filling::Solid }, "constant distance".to_owned()),
     ];
     if differs {
-        drawn.push((Estimator::Chosen, Filling::Solid, "as run".to_owned()));
+        let said = benchmark.only_choice().map_or("as run".to_owned(), |method| format!("{method} (as run)"));
+        drawn.push((Estimator::Chosen, Filling::Solid, said));
     }
     drawn
 }
@@ -64,7 +65,11 @@ fn bar(entries: &[&Entry], published: &Benchmark, estimator: &Estimator, quantit
         Some(mean) => Height::Value(mean),
         None => Height::Failed,
     };
-    let floor = mean_of(&Estimator::Reference).filter(|_| quantity == Quantity::TrajectoryError);
+    let floor = match estimator {
+        Estimator::Named(_) => Estimator::ReferenceAsReconstructed,
+        _ => Estimator::Reference,
+    };
+    let floor = mean_of(&floor).filter(|_| quantity == Quantity::TrajectoryError);
     let cell = entries.first().map(|entry| entry.cell());
     let published = cell.and_then(|cell| published.of_cell(&cell).find_map(|entry| entry.value(estimator, quantity)));
     let names: Vec<&str> = entries.iter().map(|entry| entry.folder.as_str()).collect();
@@ -84,6 +89,7 @@ fn name(estimator: &Estimator) -> &str {
         Estimator::Named(name) => name,
         Estimator::Chosen => "as run",
         Estimator::Reference => "reference ratio",
+        Estimator::ReferenceAsReconstructed => "reference ratio, not adjusted",
     }
 }
 
@@ -94,6 +100,7 @@ fn words(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::eval::benchmark::tests::{benchmark, entry};
 
     fn paper_with_a_failure() -> Benchmark {
         let mut set = paper::published();
@@ -113,6 +120,18 @@ mod tests {
         assert_eq!(chart.bars[6][4][0].height, Height::Absent);
         assert!(bars[1].title.contains("overtaking_saloon, constant-distance: failed"), "{}", bars[1].title);
         assert!(chart.svg().contains("steep street"));
+    }
+
+    #[test]
+    fn every_bar_has_the_floor_of_its_own_reconstruction() {
+        let mut adjusted = entry("van", "bridge", [Some(0.4), Some(0.3), Some(0.1)]);
+        (adjusted.floor_m, adjusted.floor_as_reconstructed_m) = (Some(0.05), Some(0.2));
+        let set = benchmark(vec![adjusted, entry("van", "crossing", [Some(0.4), Some(0.3), Some(0.1)])]);
+        let estimators = [Estimator::Named("intersection".into()), Estimator::Chosen];
+        let floor = |entry, estimator| bar(&[entry], &paper::published(), estimator, Quantity::TrajectoryError).floor;
+        let floors = |entry| estimators.each_ref().map(|estimator| floor(entry, estimator));
+        assert_eq!(floors(&set.sequences[0]), [Some(0.2), Some(0.05)]);
+        assert_eq!(floors(&set.sequences[1]), [Some(0.05), Some(0.05)]);
     }
 
     #[test]

@@ -48,7 +48,8 @@ pub fn summary(own: &Benchmark, others: &[Benchmark]) -> String {
         let mut table = Table::new(head.chain(last.map(str::to_owned)));
         for (label, set) in &sets {
             for row in &summarise(set, &vehicles).rows {
-                let is_trivial = row.estimator == Estimator::Reference && digits == 4;
+                let is_floor = matches!(row.estimator, Estimator::Reference | Estimator::ReferenceAsReconstructed);
+                let is_trivial = is_floor && digits == 4;
                 if !is_trivial {
                     table.row(figures_row(format!("{label}: {}", name(&row.estimator, set)), choose(row), digits));
                 }
@@ -93,9 +94,9 @@ fn heading(own: &Benchmark) -> String {
             number(sure.mean, 3),
         );
     }
-    if own.sequences.iter().any(|entry| entry.estimators.contains_key("joint")) {
-        text += " `joint` adjusts each object's reconstruction together with the ground, and the other estimators' rows are of the \
-                 adjusted reconstructions; `--scale-method least-squares` leaves them as structure from motion made them.";
+    if own.has_adjusted() {
+        text += " `joint` adjusts each target's reconstruction together with the ground; the other estimators take it as structure \
+                 from motion left it.";
     }
     if !own.left_out.is_empty() {
         text += &format!(" No sequences (no scene.json), left out: {}.", own.left_out.join(", "));
@@ -146,7 +147,9 @@ fn number(value: Option<f64>, digits: usize) -> String {
 fn name(estimator: &Estimator, set: &Benchmark) -> String {
     match estimator {
         Estimator::Named(name) => name.clone(),
+        Estimator::Reference if set.has_adjusted() => "at the reference ratio, adjusted".into(),
         Estimator::Reference => "at the reference ratio".into(),
+        Estimator::ReferenceAsReconstructed => "at the reference ratio, not adjusted".into(),
         Estimator::Chosen => {
             let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
             for scale in set.sequences.iter().filter_map(|entry| entry.scale.as_ref()) {
@@ -165,10 +168,13 @@ fn sequences(own: &Benchmark) -> String {
     let named: Vec<Estimator> = own.estimators().into_iter().filter(|e| *e != Estimator::Chosen).collect();
     let mut head: Vec<String> =
         ["sequence", "vehicle", "trajectory", "background", "object", "centres", "floor"].map(str::to_owned).to_vec();
-    head.push("as run".into());
+    head.push(name(&Estimator::Chosen, own));
     head.push("off by".into());
     for estimator in &named {
         head.extend([name(estimator, own), "off by".to_owned()]);
+    }
+    if own.has_adjusted() {
+        head.push(short(&Estimator::ReferenceAsReconstructed).to_owned());
     }
     head.extend(["SfM CPU s", "CPU s", "wall s", "MiB", "remark"].map(str::to_owned));
     let mut table = Table::new(head);
@@ -186,6 +192,9 @@ fn sequences(own: &Benchmark) -> String {
             cells.push(value(entry, estimator));
             let deviation = entry.value(estimator, Quantity::ScaleDeviation);
             cells.push(number(deviation.map(|d| 100.0 * d), 2));
+        }
+        if own.has_adjusted() {
+            cells.push(number(entry.value(&Estimator::ReferenceAsReconstructed, Quantity::TrajectoryError), 3));
         }
         let cost = |of: fn(&Cost) -> f64| number(entry.cost.as_ref().map(of), 1);
         cells.extend([cost(|c| c.sfm_cpu_s), cost(|c| c.cpu_s), cost(|c| c.wall_s), cost(|c| c.peak_rss_mib)]);
@@ -248,6 +257,7 @@ fn short(estimator: &Estimator) -> &str {
         Estimator::Named(name) => name,
         Estimator::Chosen => "as run",
         Estimator::Reference => "floor",
+        Estimator::ReferenceAsReconstructed => "floor, not adjusted",
     }
 }
 
@@ -338,6 +348,22 @@ mod tests {
             listed[1].contains("bridge_van") && listed[1].ends_with("the run says: object 1: no pair"),
             "{listed:?}"
         );
+    }
+
+    #[test]
+    fn the_reconstructions_as_they_were_have_a_floor_of_their_own() {
+        let mut set = set();
+        assert!(!markdown(&set, &[]).contains("not adjusted"));
+        set.sequences[0].floor_as_reconstructed_m = Some(0.07);
+        let page = markdown(&set, &[]);
+        let cells = |label: &str| -> Vec<String> {
+            let row = page.lines().find(|line| line.starts_with("| test:") && line.contains(label)).unwrap();
+            row.split('|').map(|cell| cell.trim().to_owned()).collect()
+        };
+        assert_eq!(cells("at the reference ratio, adjusted")[2..4], ["0.050", "0.250 (1/2)"]);
+        assert_eq!(cells("at the reference ratio, not adjusted")[2..4], ["0.070", "0.250 (1/2)"]);
+        let row = page.lines().find(|line| line.starts_with("| crossing_smart")).unwrap();
+        assert!(row.contains(" 0.070 "), "{row}");
     }
 
     #[test]
