@@ -169,6 +169,12 @@ impl Entry {
         }
     }
 
+    /// The standard deviation that the run gives for its scale ratio, as a share of it.
+    pub fn relative_std(&self) -> Option<f64> {
+        let scale = self.scale.as_ref().filter(|_| self.trajectory_error_m.is_some())?;
+        scale.std.map(|std| std / scale.ratio.abs())
+    }
+
     /// Vehicle and trajectory in a form in which those of different data sets can be compared.
     pub fn cell(&self) -> (String, String) {
         (plain(&self.vehicle), plain(&self.trajectory))

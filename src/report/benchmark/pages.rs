@@ -21,7 +21,8 @@ pub fn markdown(own: &Benchmark, others: &[Benchmark]) -> String {
     page += "\n\n";
     page += &summary(own, others);
     page += "\n![Trajectory error](trajectory-error.svg)\n\n![Scale deviation](scale-deviation.svg)\n";
-    page += "\n## Every sequence\n\nLengths in metres, camera centres in millimetres, deviations in per cent.\n\n";
+    page += "\n## Every sequence\n\nLengths in metres, camera centres in millimetres, deviations in per cent; ± is the standard \
+             deviation that the run gives for its ratio.\n\n";
     page += &sequences(own);
     let beside = beside(own, others);
     if !beside.is_empty() {
@@ -94,6 +95,7 @@ fn heading(own: &Benchmark) -> String {
             number(sure.mean, 3),
         );
     }
+    text += &calibration(own).unwrap_or_default();
     if own.has_adjusted() {
         text += " `joint` adjusts each target's reconstruction together with the ground; the other estimators take it as structure \
                  from motion left it.";
@@ -102,6 +104,22 @@ fn heading(own: &Benchmark) -> String {
         text += &format!(" No sequences (no scene.json), left out: {}.", own.left_out.join(", "));
     }
     text + "\n\n"
+}
+
+/// How the errors of the ratios compare with what the runs say of them; `None` where none says anything.
+fn calibration(own: &Benchmark) -> Option<String> {
+    let errors = own.sequences.iter().filter_map(|entry| {
+        let deviation = entry.value(&Estimator::Chosen, Quantity::ScaleDeviation)?;
+        entry.relative_std().filter(|std| *std > 0.0).map(|std| deviation / std)
+    });
+    let errors: Vec<f64> = errors.collect();
+    let largest = errors.iter().copied().reduce(f64::max)?;
+    let mean_square = errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64;
+    Some(format!(
+        " The ratios of {} runs are off by {:.2} times their stated standard deviations (root mean square), {largest:.2} times at most.",
+        errors.len(),
+        mean_square.sqrt(),
+    ))
 }
 
 fn costs(own: &Benchmark) -> String {
@@ -169,7 +187,7 @@ fn sequences(own: &Benchmark) -> String {
     let mut head: Vec<String> =
         ["sequence", "vehicle", "trajectory", "background", "object", "centres", "floor"].map(str::to_owned).to_vec();
     head.push(name(&Estimator::Chosen, own));
-    head.push("off by".into());
+    head.extend(["off by", "±"].map(str::to_owned));
     for estimator in &named {
         head.extend([name(estimator, own), "off by".to_owned()]);
     }
@@ -192,6 +210,9 @@ fn sequences(own: &Benchmark) -> String {
             cells.push(value(entry, estimator));
             let deviation = entry.value(estimator, Quantity::ScaleDeviation);
             cells.push(number(deviation.map(|d| 100.0 * d), 2));
+            if *estimator == Estimator::Chosen {
+                cells.push(number(entry.relative_std().map(|std| 100.0 * std), 2));
+            }
         }
         if own.has_adjusted() {
             cells.push(number(entry.value(&Estimator::ReferenceAsReconstructed, Quantity::TrajectoryError), 3));
@@ -348,6 +369,28 @@ mod tests {
             listed[1].contains("bridge_van") && listed[1].ends_with("the run says: object 1: no pair"),
             "{listed:?}"
         );
+    }
+
+    #[test]
+    fn what_the_runs_say_of_their_ratios_is_held_against_the_errors() {
+        let mut set = set();
+        assert!(!summary(&set, &[]).contains("standard deviations"));
+        for (entry, deviation) in set.sequences.iter_mut().zip([0.01, 0.03]) {
+            let method = "joint".to_owned();
+            let (std, deviation) = (Some(0.04), Some(deviation));
+            let scale =
+                crate::eval::ScaleFigures { ratio: 2.0, std, method, degenerate: false, reason: None, deviation };
+            entry.scale = Some(scale);
+        }
+        // Errors of 0.5 and 1.5 standard deviations of 2 %.
+        let text = summary(&set, &[]);
+        assert!(
+            text.contains("The ratios of 2 runs are off by 1.12 times") && text.contains("1.50 times at most"),
+            "{text}"
+        );
+        let page = markdown(&set, &[]);
+        let row = page.lines().find(|line| line.starts_with("| crossing_van")).unwrap();
+        assert!(row.contains(" 3.00 | 2.00 |"), "{row}");
     }
 
     #[test]
