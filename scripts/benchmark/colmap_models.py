@@ -2,7 +2,7 @@
 """COLMAP's reconstructions of ground-truth sequences: background and target, with the given masks and the true K.
 
     python3 -m venv VENV && VENV/bin/pip install pycolmap==4.2.1
-    VENV/bin/python scripts/benchmark/colmap_models.py SEQUENCE... --output DIR [--first-octave 0] [--growth 0] [--threads 1]
+    VENV/bin/python scripts/benchmark/colmap_models.py SEQUENCE... --output DIR [--first-octave 0] [--growth 0] [--matching exhaustive] [--threads 1]
 
 Needs pycolmap and the program ffmpeg. For every sequence DIR/<sequence>/ holds `background/` and `object/` (COLMAP
 binary models, absent where COLMAP made none) and `colmap.json`: settings, registered frames, points, CPU seconds per
@@ -103,8 +103,9 @@ def reconstruct(scene: dict, images: Path, masks: Path, work: Path, settings: di
     work.mkdir()
     database = work / "database.db"
     reader, extraction, mapping = options_of(scene, masks, settings)
-    matching, pairing = pycolmap.FeatureMatchingOptions(), pycolmap.SequentialPairingOptions()
-    matching.num_threads = pairing.num_threads = settings["threads"]
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.num_threads = settings["threads"]
+    match = {"sequential": pycolmap.match_sequential, "exhaustive": pycolmap.match_exhaustive}[settings["matching"]]
     cpu = pycolmap.Device.cpu
     models = {}
     stages = {
@@ -116,9 +117,7 @@ def reconstruct(scene: dict, images: Path, masks: Path, work: Path, settings: di
             extraction_options=extraction,
             device=cpu,
         ),
-        "matching": lambda: pycolmap.match_sequential(
-            database, matching_options=matching, pairing_options=pairing, device=cpu
-        ),
+        "matching": lambda: match(database, matching_options=matching, device=cpu),
         "mapping": lambda: models.update(pycolmap.incremental_mapping(database, images, work, mapping)),
     }
     seconds = {}
@@ -203,10 +202,13 @@ def main() -> None:
         help="by how much the masks of what moves are grown for the background, as a share of the longer side; the "
         "default is that of `tractrix run`",
     )
+    parser.add_argument(
+        "--matching", choices=("sequential", "exhaustive"), default="sequential", help="pairs of frames that are compared"
+    )
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
     pycolmap.logging.minloglevel = 2
-    settings = {"first_octave": arguments.first_octave, "growth": arguments.growth, "threads": arguments.threads}
+    settings = {name: getattr(arguments, name) for name in ("first_octave", "growth", "matching", "threads")}
     failed = []
     for sequence in arguments.sequences:
         sequence = sequence.resolve()
@@ -215,9 +217,10 @@ def main() -> None:
             done = folder / "colmap.json"
             fresh = not done.is_file()
             result = run(sequence, folder, settings) if fresh else json.loads(done.read_text())
-            for name in ("first_octave", "growth"):
-                if result.get(name) != settings[name]:
-                    raise ValueError(f"{done}: was made with {name} {result.get(name)}; choose another --output")
+            for name in ("first_octave", "growth", "matching"):
+                before = result.get(name, "sequential" if name == "matching" else None)
+                if before != settings[name]:
+                    raise ValueError(f"{done}: was made with {name} {before}; choose another --output")
         except (OSError, KeyError, ValueError, subprocess.CalledProcessError) as error:
             failed.append(sequence.name)
             print(f"{sequence.name}: {error}", file=sys.stderr, flush=True)
