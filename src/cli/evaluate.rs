@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
-use crate::eval::{self, Evaluation, Input, MeshIndex, Model, ObjectInput, TruthFrame};
+use crate::eval::{self, Evaluation, Input, MeshIndex, Model, ObjectInput, TruthFrame, Unadjusted};
 use crate::io::{IoError, Sequence, SequenceFrame, atomic, colmap, masks, trajectories};
-use crate::pipeline::{AsReconstructed, as_reconstructed};
+use crate::pipeline::as_reconstructed;
 use crate::scene::{FrameId, Mask, ObjectId, ObjectTrajectory, Reconstruction, Trajectories};
 
 /// Compares the output of a run with a sequence whose truth is known.
@@ -53,7 +53,13 @@ fn gather(output: &Path, sequence: &Sequence) -> Result<Input, IoError> {
     let all = trajectories::read(&output.join("trajectories.json")).map_err(|e| reason(&e));
     let ids = object_ids(output, all.as_ref().ok());
     let masks = MaskFigures::read(output, &ids, sequence)?;
-    let before = as_reconstructed(output);
+    let before = as_reconstructed(output).map_err(|error| error.to_string());
+    let before_of = |id| match &before {
+        Ok(before) => before
+            .get(&id)
+            .map(|before| Ok(Unadjusted { model: model(&before.model, sequence)?, ratios: before.ratios.clone() })),
+        Err(reason) => Some(Err(reason.clone())),
+    };
     let truth = |frame: &SequenceFrame| TruthFrame {
         cam_from_world: frame.cam_from_world,
         world_from_object: frame.world_from_object,
@@ -66,7 +72,7 @@ fn gather(output: &Path, sequence: &Sequence) -> Result<Input, IoError> {
         frames: sequence.frames.iter().map(|f| (f.id, truth(f))).collect(),
         mesh: mesh.and_then(|m| MeshIndex::new(&m).ok_or_else(|| "the true mesh has no triangles".into())),
         background: model(&output.join("background"), sequence),
-        objects: ids.into_iter().map(|id| object(output, id, sequence, &all, masks.iou(id), before.get(&id))).collect(),
+        objects: ids.into_iter().map(|id| object(output, id, sequence, &all, masks.iou(id), before_of(id))).collect(),
     })
 }
 
@@ -102,7 +108,7 @@ fn object(
     sequence: &Sequence,
     all: &Result<Trajectories, String>,
     iou: Option<f64>,
-    before: Option<&AsReconstructed>,
+    as_reconstructed: Option<Result<Unadjusted, String>>,
 ) -> ObjectInput {
     let trajectory: Result<ObjectTrajectory, String> = all.as_ref().map_err(Clone::clone).and_then(|all| {
         let found = all.objects.iter().find(|o| o.id == id).cloned();
@@ -110,8 +116,6 @@ fn object(
     });
     let poses = trajectory.iter().flat_map(|t| &t.poses);
     let placements = poses.filter_map(|p| Some((sequence.frame_named(&p.name)?.id, p.world_from_object))).collect();
-    let as_reconstructed =
-        before.and_then(|before| Some((model(&before.model, sequence).ok()?, before.ratios.clone())));
     let model = model(&output.join("objects").join(id.to_string()), sequence);
     ObjectInput { id, iou, model, as_reconstructed, trajectory, placements }
 }

@@ -72,16 +72,16 @@ pub struct Evaluation {
     /// What every estimator of the run would have given on the reconstructions in the output folder.
     pub alternatives: BTreeMap<String, Alternative>,
     /// The same on the target as structure from motion left it; `None` where nothing was adjusted after that.
-    pub as_reconstructed: Option<AsReconstructed>,
+    pub as_reconstructed: Option<Outcome<AsReconstructed>>,
 }
 
 /// What there would be if the target's reconstruction had not been adjusted with the ground.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AsReconstructed {
     /// The ratio that a perfect estimator would find.
-    pub reference_ratio: Option<f64>,
+    pub reference_ratio: f64,
     /// Mean trajectory error at that ratio, metres.
-    pub error_at_reference_m: Option<f64>,
+    pub error_at_reference_m: f64,
     /// What every estimator would have given.
     pub alternatives: BTreeMap<String, Alternative>,
 }

@@ -44,13 +44,21 @@ pub struct ObjectInput {
     pub iou: Option<f64>,
     /// Its reconstruction.
     pub model: Result<Model, String>,
-    /// The reconstruction as it was before it was adjusted with the ground, and what estimators say of that, by name; `None` where
-    /// nothing was adjusted.
-    pub as_reconstructed: Option<(Model, BTreeMap<String, f64>)>,
+    /// The object as it was before it was adjusted with the ground; `None` where nothing was adjusted.
+    pub as_reconstructed: Option<Result<Unadjusted, String>>,
     /// Its trajectory.
     pub trajectory: Result<ObjectTrajectory, String>,
     /// `world_from_object` of the trajectory's frames, where the world is the background's.
     pub placements: BTreeMap<FrameId, Sim3>,
+}
+
+/// An object as structure from motion left it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Unadjusted {
+    /// Its reconstruction.
+    pub model: Model,
+    /// What the estimators that leave it as it is say of it, by their names.
+    pub ratios: BTreeMap<String, f64>,
 }
 
 /// What is looked at of a reconstruction.

@@ -29,7 +29,7 @@ pub use cameras::CameraErrors;
 pub use figures::{
     Alternative, AsReconstructed, Evaluation, OtherObject, Outcome, RegisteredFrames, ScaleFigures, Target,
 };
-pub use input::{Input, Model, ObjectInput, TruthFrame};
+pub use input::{Input, Model, ObjectInput, TruthFrame, Unadjusted};
 pub use mesh::MeshIndex;
 
 use std::collections::BTreeMap;
@@ -72,9 +72,13 @@ pub fn evaluate(input: &Input) -> Evaluation {
             Some(Ok(trajectory)) => alternatives(&trajectory.scale.alternatives, ratio, at_ratio),
             _ => BTreeMap::new(),
         },
-        as_reconstructed: object.and_then(|o| o.as_reconstructed.as_ref()).map(|(model, ratios)| {
-            as_reconstructed(subject.as_ref().map_err(Clone::clone).and_then(|s| s.with(model)), ratios)
-        }),
+        as_reconstructed: object
+            .and_then(|o| o.as_reconstructed.as_ref())
+            .map(|before| {
+                let Unadjusted { model, ratios } = before.as_ref().map_err(Clone::clone)?;
+                as_reconstructed(&subject.as_ref().map_err(Clone::clone)?.with(model)?, ratios)
+            })
+            .map(Outcome::from),
         reference_scale: reference,
         scale,
     }
@@ -154,14 +158,13 @@ fn alternatives(
     ratios.iter().map(|(name, ratio)| (name.clone(), alternative(*ratio))).collect()
 }
 
-fn as_reconstructed(subject: Result<Subject, String>, ratios: &BTreeMap<String, f64>) -> AsReconstructed {
-    let error_at = |ratio: f64| subject.as_ref().map_err(Clone::clone).and_then(|s| s.error_at(ratio));
-    let reference = subject.as_ref().map_err(Clone::clone).and_then(Subject::reference).map(|found| found.ratio);
-    AsReconstructed {
-        reference_ratio: reference.as_ref().ok().copied(),
-        error_at_reference_m: reference.as_ref().ok().and_then(|ratio| error_at(*ratio).ok()).map(|error| error.mean_m),
-        alternatives: alternatives(ratios, reference.as_ref().copied().map_err(String::as_str), error_at),
-    }
+fn as_reconstructed(subject: &Subject, ratios: &BTreeMap<String, f64>) -> Result<AsReconstructed, String> {
+    let reference_ratio = subject.reference()?.ratio;
+    Ok(AsReconstructed {
+        reference_ratio,
+        error_at_reference_m: subject.error_at(reference_ratio)?.mean_m,
+        alternatives: alternatives(ratios, Ok(reference_ratio), |ratio| subject.error_at(ratio)),
+    })
 }
 
 /// All that the target's trajectory is measured with; it exists only if every part does.

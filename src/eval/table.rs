@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::figures::{Alternative, Evaluation, Outcome};
+use super::figures::{Alternative, AsReconstructed, Evaluation, Outcome};
 
 impl fmt::Display for Evaluation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -47,10 +47,10 @@ impl Evaluation {
             row(&format!("  {name}"), alternative(answer));
         }
         if let Some(before) = &self.as_reconstructed {
-            let error = before.error_at_reference_m.map_or(String::new(), |m| format!(", error {}", length(m)));
-            let reference = before.reference_ratio.map_or("–".to_owned(), |ratio| format!("{ratio:.6}"));
-            row("not adjusted: reference", reference + &error);
-            for (name, answer) in &before.alternatives {
+            let reference =
+                |b: &AsReconstructed| format!("{:.6}, error {}", b.reference_ratio, length(b.error_at_reference_m));
+            row("not adjusted: reference", text(before, reference));
+            for (name, answer) in before.as_ref().ok().iter().flat_map(|before| &before.alternatives) {
                 row(&format!("  {name}"), alternative(answer));
             }
         }

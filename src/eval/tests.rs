@@ -288,24 +288,31 @@ fn a_target_that_was_adjusted_is_also_measured_as_it_was() {
     model.cam_from_world.values_mut().for_each(|cam| cam.translation *= 2.0);
     let half = 0.5 * TRUE_RATIO;
     let ratios = BTreeMap::from([("constant-distance".to_owned(), half), ("least-squares".to_owned(), 1.1 * half)]);
-    object.as_reconstructed = Some((model, ratios));
+    object.as_reconstructed = Some(Ok(Unadjusted { model, ratios }));
     let evaluation = evaluate(&input);
     assert_exact(&evaluation);
-    let before = evaluation.as_reconstructed.as_ref().unwrap();
-    assert!((before.reference_ratio.unwrap() / half - 1.0).abs() < 1e-9);
-    assert!(before.error_at_reference_m.unwrap() < 1e-9);
+    let before = evaluation.as_reconstructed.as_ref().unwrap().as_ref().unwrap();
+    assert!((before.reference_ratio / half - 1.0).abs() < 1e-9);
+    assert!(before.error_at_reference_m < 1e-9);
     assert!(before.alternatives["constant-distance"].trajectory_error_m.unwrap() < 1e-9);
     assert!((before.alternatives["least-squares"].deviation.unwrap() - 0.1).abs() < 1e-9);
     assert!(evaluation.to_string().contains("not adjusted: reference"));
     // In a benchmark these answers replace those of the same name, and the others stay.
     let entry = benchmark::Entry::of(&evaluation);
-    assert_eq!(entry.floor_as_reconstructed_m, before.error_at_reference_m);
+    assert_eq!(entry.floor_as_reconstructed_m, Some(before.error_at_reference_m));
     assert_eq!(entry.estimators["constant-distance"].ratio, Some(half));
     assert_eq!(entry.estimators["intersection"].ratio, Some(0.9 * TRUE_RATIO));
 
-    input.objects[0].as_reconstructed = Some((Model::default(), BTreeMap::from([("intersection".to_owned(), half)])));
-    let before = evaluate(&input).as_reconstructed.unwrap();
-    assert_eq!((before.reference_ratio, before.alternatives["intersection"].trajectory_error_m), (None, None));
+    for (broken, reason) in [(Ok(Unadjusted::default()), "no points"), (Err("is cut short".into()), "cut short")] {
+        input.objects[0].as_reconstructed = Some(broken);
+        let evaluation = evaluate(&input);
+        assert!(evaluation.as_reconstructed.as_ref().unwrap().as_ref().unwrap_err().contains(reason));
+        assert!(evaluation.to_string().contains(reason));
+        // Answers on the adjusted target do not stand in for those that are lost.
+        let entry = benchmark::Entry::of(&evaluation);
+        assert_eq!(entry.estimators.keys().collect::<Vec<_>>(), ["constant-distance"]);
+        assert_exact(&evaluation);
+    }
 }
 
 #[test]

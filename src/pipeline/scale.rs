@@ -89,14 +89,20 @@ pub struct AsReconstructed {
 
 /// The objects of the run in the folder `output` that were adjusted with the ground, as they were before. Empty where none
 /// was, or where the folder has nothing but results.
-pub fn as_reconstructed(output: &Path) -> BTreeMap<ObjectId, AsReconstructed> {
-    let ratios: Option<BTreeMap<ObjectId, Ratios>> =
-        crate::io::json::read(&workspace::state_of(output, AS_RECONSTRUCTED)).ok();
+///
+/// # Errors
+/// [`PipelineError::Io`] if what the run left of them was changed by other hands.
+pub fn as_reconstructed(output: &Path) -> Result<BTreeMap<ObjectId, AsReconstructed>, PipelineError> {
+    let path = workspace::state_of(output, AS_RECONSTRUCTED);
+    if !path.exists() {
+        return Ok(BTreeMap::new());
+    }
+    let ratios: BTreeMap<ObjectId, Ratios> = crate::io::json::read(&path)?;
     let with_model = |(id, ratios): (ObjectId, Ratios)| {
         let model = workspace::state_of(output, "objects").join(id.to_string());
-        model.is_dir().then_some((id, AsReconstructed { model, ratios }))
+        (id, AsReconstructed { model, ratios })
     };
-    ratios.into_iter().flatten().filter_map(with_model).collect()
+    Ok(ratios.into_iter().map(with_model).collect())
 }
 
 /// The trajectories; the stage must be done.

@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
-use super::figures::{Alternative, Evaluation, RegisteredFrames, ScaleFigures};
+use super::figures::{Alternative, Evaluation, Outcome, RegisteredFrames, ScaleFigures};
 
 /// The results on a data set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -131,9 +131,13 @@ impl Entry {
     /// From the evaluation of a run; cost and warnings are the caller's.
     pub fn of(evaluation: &Evaluation) -> Self {
         let trajectory = evaluation.trajectory.as_ref();
-        let before = evaluation.as_reconstructed.as_ref();
-        // Those of the target as it was replace their answers on the adjusted one.
-        let answers = evaluation.alternatives.iter().chain(before.iter().flat_map(|before| &before.alternatives));
+        let before = evaluation.as_reconstructed.as_ref().map(Outcome::as_ref);
+        let is_lost = matches!(before, Some(Err(_)));
+        let before = before.and_then(Result::ok);
+        let chosen = evaluation.scale.as_ref().ok().map(|scale| &scale.method);
+        // Those of the target as it was replace their answers on the adjusted one; without them these are nobody's.
+        let answers = evaluation.alternatives.iter().filter(|(name, _)| !is_lost || Some(*name) == chosen);
+        let answers = answers.chain(before.iter().flat_map(|before| &before.alternatives));
         Self {
             failure: trajectory.err().map(str::to_owned),
             registered: Some(evaluation.registered.clone()),
@@ -143,7 +147,7 @@ impl Entry {
             trajectory_error_m: trajectory.ok().map(|error| error.mean_m),
             reference_ratio: evaluation.reference_scale.as_ref().ok().map(|reference| reference.ratio),
             floor_m: evaluation.trajectory_at_reference.as_ref().ok().map(|error| error.mean_m),
-            floor_as_reconstructed_m: before.and_then(|before| before.error_at_reference_m),
+            floor_as_reconstructed_m: before.map(|before| before.error_at_reference_m),
             estimators: answers.map(|(name, found)| (name.clone(), found.into())).collect(),
             ..Self::default()
         }
