@@ -10,6 +10,7 @@
 //! Conventions, everywhere: transforms are named `target_from_source`; camera axes are x right, y down, z forward; the
 //! centre of the upper left pixel is (0.5, 0.5); angles are radians.
 
+pub mod bundle;
 pub mod camera;
 pub mod cli;
 pub mod eval;

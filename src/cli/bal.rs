@@ -8,8 +8,8 @@ use clap::Args;
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
+use crate::bundle::{Behind, CameraBlock, Gauge, LinearSolver, Options, Problem, Summary, adjust};
 use crate::io::bal;
-use crate::sfm::bundle::{Behind, CameraBlock, Gauge, LinearSolver, Options, Problem, Summary, adjust};
 
 /// Adjusts a BAL problem (all cameras with their own f, k1, k2) and prints what came out.
 #[derive(Args, Clone, Debug)]

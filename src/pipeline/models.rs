@@ -9,10 +9,11 @@ use serde_json::{Value, json};
 use super::options::{CameraOrigin, camera};
 use super::run::{Outcome, Run};
 use super::{PipelineError, features, fingerprint, order};
+use crate::bundle;
 use crate::camera::Camera;
 use crate::io::colmap;
 use crate::scene::{Frame, FrameId, ImageId, Reconstruction};
-use crate::sfm::{self, bundle, mapper};
+use crate::sfm::{self, mapper};
 
 /// How a model came about.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

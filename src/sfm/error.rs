@@ -11,7 +11,7 @@ pub enum SfmError {
     Image(#[from] crate::image::ImageError),
     /// The mapper handed over an adjustment problem that contradicts itself.
     #[error("bundle adjustment: {0}")]
-    Bundle(#[from] super::bundle::BundleError),
+    Bundle(#[from] crate::bundle::BundleError),
     /// A mask has another size than its image.
     #[error("the mask of {name} is {found:?} pixels, its image {expected:?}: give masks at the size of the frames")]
     MaskSize {

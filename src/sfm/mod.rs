@@ -3,7 +3,6 @@
 //! A [`FrontEnd`] turns frames and masks into a [`TrackTable`]; [`reconstruct`] turns that into a reconstruction. Both
 //! serve background and objects alike; only their [`Options`] differ.
 
-pub mod bundle;
 pub mod features;
 pub mod mapper;
 pub mod matching;
@@ -23,7 +22,6 @@ pub mod video_front_end;
 mod error;
 mod front_end;
 mod lucas_kanade;
-mod whitening;
 
 use serde::{Deserialize, Serialize};
 
@@ -33,7 +31,6 @@ pub use mapper::{Intrinsics, Report, cut_long_tracks, reconstruct};
 use sift_front_end::{Pairing, SiftOptions};
 pub use tracks::TrackTable;
 use video_front_end::VideoOptions;
-pub use whitening::Whitening;
 
 /// How one target is reconstructed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-use super::Whitening;
+use crate::bundle::Whitening;
 use crate::scene::ImageId;
 
 /// One image's features.

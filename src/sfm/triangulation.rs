@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
-use super::Whitening;
+use crate::bundle::Whitening;
 use crate::camera::Camera;
 use crate::math::Rigid3;
 

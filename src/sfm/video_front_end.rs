@@ -11,10 +11,11 @@ use nalgebra::{Matrix2, Point2, Vector2};
 use opencv::core::{Mat, Point2f, Size, Vector};
 use serde::{Deserialize, Serialize};
 
+use super::SfmError;
 use super::lucas_kanade::LucasKanade;
 use super::patch::{Patch, Warp};
 use super::tracks::{Feature, Track, TrackTable, View};
-use super::{SfmError, Whitening};
+use crate::bundle::Whitening;
 use crate::image::{GrayImage, RgbImage, gray_from_rgb, mat_from_bytes, mat_from_gray};
 use crate::math::Neighbors;
 use crate::scene::{Frame, Mask};

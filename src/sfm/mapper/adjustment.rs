@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use super::map::Map;
 use super::{Intrinsics, Noise, Options};
+use crate::bundle::{self, CameraBlock, IntrinsicsPrior, Observation, PointBlock, PoseBlock, Problem};
 use crate::camera::{Camera, NUM_INTRINSICS};
 use crate::sfm::SfmError;
-use crate::sfm::bundle::{self, CameraBlock, IntrinsicsPrior, Observation, PointBlock, PoseBlock, Problem};
 
 /// What is adjusted.
 pub enum Scope {

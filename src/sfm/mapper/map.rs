@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use nalgebra::{Point2, Point3};
 
 use super::Noise;
+use crate::bundle::Whitening;
 use crate::camera::Camera;
 use crate::math::Rigid3;
 use crate::scene::{CameraId, Image, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
-use crate::sfm::Whitening;
 use crate::sfm::resection::PixelsAndPoints;
 use crate::sfm::tracks::TrackTable;
 use crate::sfm::triangulation::{self, Limits, View, widest_angle};

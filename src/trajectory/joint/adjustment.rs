@@ -6,10 +6,10 @@ use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 
 use super::precision::for_each_residual;
 use super::{Grounded, JointOptions};
+use crate::bundle::Whitening;
+use crate::bundle::{self, CameraBlock, PlanePrior, PointPrior, Problem, Wanted};
 use crate::math::{RobustLoss, Sim3, umeyama};
 use crate::scene::{FrameId, Image, Reconstruction};
-use crate::sfm::Whitening;
-use crate::sfm::bundle::{self, CameraBlock, PlanePrior, PointPrior, Problem, Wanted};
 use crate::trajectory::assemble::poses;
 use crate::trajectory::mirror::mean_normal;
 use crate::trajectory::views::median;

@@ -12,7 +12,7 @@ use super::super::simd::{One, Two};
 use super::super::state::{State, View, move_camera, perturb};
 use super::super::trial::cost;
 use super::*;
-use crate::sfm::Whitening;
+use crate::bundle::Whitening;
 
 /// Compares the columns of a Jacobian with central differences of `residual` about zero.
 fn check_jacobian<const N: usize>(

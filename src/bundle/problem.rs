@@ -3,9 +3,9 @@
 use nalgebra::{Point2, Point3, Vector3};
 use thiserror::Error;
 
+use super::whitening::Whitening;
 use crate::camera::{Camera, NUM_INTRINSICS};
 use crate::math::{Rigid3, RobustLoss};
-use crate::sfm::Whitening;
 
 /// Everything that [`super::adjust`] reads and writes.
 #[derive(Clone, Debug, Default, PartialEq)]

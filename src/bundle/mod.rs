@@ -36,6 +36,7 @@ mod state;
 mod summary;
 mod trial;
 mod uncertainty;
+mod whitening;
 
 #[cfg(test)]
 mod tests;
@@ -49,3 +50,4 @@ pub use problem::{
 };
 pub use summary::{Summary, Termination};
 pub use uncertainty::{CenterDeviations, center_deviations};
+pub use whitening::Whitening;

@@ -9,12 +9,12 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Auto, Conj, MatMut, Par, Side, Spec};
 
-use crate::sfm::bundle::camera_sums::CAMERA_DIM;
-use crate::sfm::bundle::schur::Reduced;
+use crate::bundle::camera_sums::CAMERA_DIM;
+use crate::bundle::schur::Reduced;
 
 /// Upper triangle in compressed columns, symbolic and numeric factor. On one thread: the supernodes of a band follow from one
 /// another, and a second thread was measured to slow them down.
-pub(in crate::sfm::bundle) struct SparseSolver {
+pub(in crate::bundle) struct SparseSolver {
     size: usize,
     column_start: Vec<usize>,
     rows: Vec<usize>,

@@ -1,7 +1,7 @@
 //! Conjugate gradients on the reduced system, with the inverses of its diagonal blocks as preconditioner.
 
-use crate::sfm::bundle::camera_sums::CAMERA_DIM;
-use crate::sfm::bundle::schur::Reduced;
+use crate::bundle::camera_sums::CAMERA_DIM;
+use crate::bundle::schur::Reduced;
 
 /// Relative residual at which a step is good enough (the forcing term of an inexact Newton method).
 const FORCING: f64 = 0.01;
@@ -9,7 +9,7 @@ const FORCING: f64 = 0.01;
 const MAX_ITERATIONS: usize = 500;
 
 /// Work space.
-pub(in crate::sfm::bundle) struct IterativeSolver {
+pub(in crate::bundle) struct IterativeSolver {
     residual: Vec<f64>,
     direction: Vec<f64>,
     preconditioned: Vec<f64>,

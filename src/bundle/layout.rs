@@ -9,8 +9,8 @@ use nalgebra::Point3;
 use super::options::{Behind, Gauge, Options};
 use super::parallel::in_order;
 use super::problem::{CameraBlock, PointPrior, Problem};
+use super::whitening::Whitening;
 use crate::camera::NUM_INTRINSICS;
-use crate::sfm::Whitening;
 
 /// Marks an absent index.
 pub(super) const NONE: u32 = u32::MAX;

@@ -6,10 +6,10 @@ mod jacobians;
 use nalgebra::{Point2, Point3, Vector3};
 
 use super::*;
+use crate::bundle::Whitening;
 use crate::camera::Camera;
 use crate::math::{Rigid3, RobustLoss, umeyama};
 use crate::scene::Reconstruction;
-use crate::sfm::Whitening;
 use crate::synthetic::scene::{self, Path, disturb, static_scene};
 
 /// Truth, and a problem that starts away from it.

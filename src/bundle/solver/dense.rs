@@ -5,11 +5,11 @@ use faer::linalg::cholesky::llt::factor::{LltError, LltParams, LltRegularization
 use faer::linalg::cholesky::llt::{factor, solve};
 use faer::{Auto, MatMut, MatRef, Par, Spec};
 
-use crate::sfm::bundle::camera_sums::CAMERA_DIM;
-use crate::sfm::bundle::schur::Reduced;
+use crate::bundle::camera_sums::CAMERA_DIM;
+use crate::bundle::schur::Reduced;
 
 /// Lower triangle by columns, factorised in place.
-pub(in crate::sfm::bundle) struct DenseSolver {
+pub(in crate::bundle) struct DenseSolver {
     size: usize,
     /// Distance of columns: not a power of two, whose columns would share cache sets.
     stride: usize,

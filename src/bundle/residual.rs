@@ -5,8 +5,8 @@ use nalgebra::{Point3, Vector2};
 use super::layout::POSE_DIM;
 use super::simd::Fused;
 use super::state::View;
+use super::whitening::Whitening;
 use crate::math::RobustLoss;
-use crate::sfm::Whitening;
 
 /// A weighted residual and its Jacobian (eq. 5) with respect to a view block of `D` freedoms.
 #[derive(Clone, Copy, Debug)]
