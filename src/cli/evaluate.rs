@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
-use crate::eval::{self, Evaluation, Input, MeshIndex, Model, ObjectInput, TruthFrame, Unadjusted};
+use crate::eval::{self, AsReconstructed, Evaluation, Input, MeshIndex, Model, ObjectInput, TruthFrame};
 use crate::io::{IoError, Sequence, SequenceFrame, atomic, colmap, masks, trajectories};
 use crate::pipeline::as_reconstructed;
 use crate::scene::{FrameId, Mask, ObjectId, ObjectTrajectory, Reconstruction, Trajectories};
@@ -55,9 +55,9 @@ fn gather(output: &Path, sequence: &Sequence) -> Result<Input, IoError> {
     let masks = MaskFigures::read(output, &ids, sequence)?;
     let before = as_reconstructed(output).map_err(|error| error.to_string());
     let before_of = |id| match &before {
-        Ok(before) => before
-            .get(&id)
-            .map(|before| Ok(Unadjusted { model: model(&before.model, sequence)?, ratios: before.ratios.clone() })),
+        Ok(before) => before.get(&id).map(|before| {
+            Ok(AsReconstructed { model: model(&before.model, sequence)?, ratios: before.ratios.clone() })
+        }),
         Err(reason) => Some(Err(reason.clone())),
     };
     let truth = |frame: &SequenceFrame| TruthFrame {
@@ -108,7 +108,7 @@ fn object(
     sequence: &Sequence,
     all: &Result<Trajectories, String>,
     iou: Option<f64>,
-    as_reconstructed: Option<Result<Unadjusted, String>>,
+    as_reconstructed: Option<Result<AsReconstructed, String>>,
 ) -> ObjectInput {
     let trajectory: Result<ObjectTrajectory, String> = all.as_ref().map_err(Clone::clone).and_then(|all| {
         let found = all.objects.iter().find(|o| o.id == id).cloned();

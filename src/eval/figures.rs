@@ -8,7 +8,7 @@ use super::cameras::CameraErrors;
 use super::reference::ReferenceScale;
 use super::registration::Registration;
 use super::trajectory::TrajectoryError;
-use crate::scene::ObjectId;
+use crate::scene::{ModelState, ObjectId, ScaleMethod};
 
 /// A figure, or why there is none. In JSON, `"status"` is `"ok"` or `"unavailable"`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -69,21 +69,22 @@ pub struct Evaluation {
     pub trajectory: Outcome<TrajectoryError>,
     /// Trajectory error at the reference ratio: what the two reconstructions alone cost.
     pub trajectory_at_reference: Outcome<TrajectoryError>,
-    /// What every estimator of the run would have given on the reconstructions in the output folder.
-    pub alternatives: BTreeMap<String, Alternative>,
-    /// The same on the target as structure from motion left it; `None` where nothing was adjusted after that.
-    pub as_reconstructed: Option<Outcome<AsReconstructed>>,
+    /// What every estimator of the run would have given on the models that the trajectory refers to (`objects/<id>`).
+    pub alternatives: BTreeMap<ScaleMethod, Alternative>,
+    /// The same on the target as structure from motion left it (`as-reconstructed/<id>`); `None` where nothing was adjusted
+    /// after that.
+    pub as_reconstructed: Option<Outcome<AsReconstructedFigures>>,
 }
 
 /// What there would be if the target's reconstruction had not been adjusted with the ground.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct AsReconstructed {
+pub struct AsReconstructedFigures {
     /// The ratio that a perfect estimator would find.
     pub reference_ratio: f64,
     /// Mean trajectory error at that ratio, metres.
     pub error_at_reference_m: f64,
     /// What every estimator would have given.
-    pub alternatives: BTreeMap<String, Alternative>,
+    pub alternatives: BTreeMap<ScaleMethod, Alternative>,
 }
 
 /// How many frames have a pose.
@@ -133,13 +134,23 @@ pub struct ScaleFigures {
     /// Its standard deviation, if the method gives one.
     pub std: Option<f64>,
     /// The method that gave it.
-    pub method: String,
+    pub method: ScaleMethod,
     /// Whether the run says that it cannot be trusted.
     pub degenerate: bool,
     /// Why it cannot.
     pub reason: Option<String>,
     /// |r − r_ref| / r_ref; `None` without a reference.
     pub deviation: Option<f64>,
+}
+
+impl Evaluation {
+    /// Which of the target's models [`Evaluation::alternatives`] speak of.
+    pub fn model(&self) -> ModelState {
+        match self.as_reconstructed {
+            Some(_) => ModelState::Adjusted,
+            None => ModelState::AsReconstructed,
+        }
+    }
 }
 
 /// What one estimator would have given.

@@ -6,7 +6,7 @@ use nalgebra::Point3;
 
 use super::mesh::MeshIndex;
 use crate::math::{Rigid3, Sim3};
-use crate::scene::{FrameId, ObjectId, ObjectTrajectory, Reconstruction};
+use crate::scene::{FrameId, ObjectId, ObjectTrajectory, Ratios, Reconstruction};
 
 /// A run and the truth of its sequence. What is missing is the reason for which it is.
 pub struct Input {
@@ -45,7 +45,7 @@ pub struct ObjectInput {
     /// Its reconstruction.
     pub model: Result<Model, String>,
     /// The object as it was before it was adjusted with the ground; `None` where nothing was adjusted.
-    pub as_reconstructed: Option<Result<Unadjusted, String>>,
+    pub as_reconstructed: Option<Result<AsReconstructed, String>>,
     /// Its trajectory.
     pub trajectory: Result<ObjectTrajectory, String>,
     /// `world_from_object` of the trajectory's frames, where the world is the background's.
@@ -54,11 +54,11 @@ pub struct ObjectInput {
 
 /// An object as structure from motion left it.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Unadjusted {
+pub struct AsReconstructed {
     /// Its reconstruction.
     pub model: Model,
-    /// What the estimators that leave it as it is say of it, by their names.
-    pub ratios: BTreeMap<String, f64>,
+    /// What the estimators that leave it as it is say of it.
+    pub ratios: Ratios,
 }
 
 /// What is looked at of a reconstruction.

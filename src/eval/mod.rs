@@ -27,15 +27,15 @@ pub mod trajectory;
 
 pub use cameras::CameraErrors;
 pub use figures::{
-    Alternative, AsReconstructed, Evaluation, OtherObject, Outcome, RegisteredFrames, ScaleFigures, Target,
+    Alternative, AsReconstructedFigures, Evaluation, OtherObject, Outcome, RegisteredFrames, ScaleFigures, Target,
 };
-pub use input::{Input, Model, ObjectInput, TruthFrame, Unadjusted};
+pub use input::{AsReconstructed, Input, Model, ObjectInput, TruthFrame};
 pub use mesh::MeshIndex;
 
 use std::collections::BTreeMap;
 
 use crate::math::{Rigid3, Sim3};
-use crate::scene::FrameId;
+use crate::scene::{FrameId, Ratios, ScaleMethod};
 use registration::Registration;
 
 /// Least overlap of masks with which a track is taken for the target.
@@ -75,7 +75,7 @@ pub fn evaluate(input: &Input) -> Evaluation {
         as_reconstructed: object
             .and_then(|o| o.as_reconstructed.as_ref())
             .map(|before| {
-                let Unadjusted { model, ratios } = before.as_ref().map_err(Clone::clone)?;
+                let AsReconstructed { model, ratios } = before.as_ref().map_err(Clone::clone)?;
                 as_reconstructed(&subject.as_ref().map_err(Clone::clone)?.with(model)?, ratios)
             })
             .map(Outcome::from),
@@ -138,7 +138,7 @@ fn scale_figures(object: Option<&ObjectInput>, reference: Result<f64, &str>) -> 
     Ok(ScaleFigures {
         ratio: scale.ratio,
         std: scale.std,
-        method: scale.method.name().into(),
+        method: scale.method,
         degenerate: scale.degenerate,
         reason: scale.reason.clone(),
         deviation: reference.ok().map(|r| (scale.ratio - r).abs() / r),
@@ -146,21 +146,21 @@ fn scale_figures(object: Option<&ObjectInput>, reference: Result<f64, &str>) -> 
 }
 
 fn alternatives(
-    ratios: &BTreeMap<String, f64>,
+    ratios: &Ratios,
     reference: Result<f64, &str>,
     error_at: impl Fn(f64) -> Result<trajectory::TrajectoryError, String>,
-) -> BTreeMap<String, Alternative> {
+) -> BTreeMap<ScaleMethod, Alternative> {
     let alternative = |ratio: f64| Alternative {
         ratio,
         deviation: reference.ok().map(|r| (ratio - r).abs() / r),
         trajectory_error_m: error_at(ratio).ok().map(|e| e.mean_m),
     };
-    ratios.iter().map(|(name, ratio)| (name.clone(), alternative(*ratio))).collect()
+    ratios.iter().map(|(method, ratio)| (*method, alternative(*ratio))).collect()
 }
 
-fn as_reconstructed(subject: &Subject, ratios: &BTreeMap<String, f64>) -> Result<AsReconstructed, String> {
+fn as_reconstructed(subject: &Subject, ratios: &Ratios) -> Result<AsReconstructedFigures, String> {
     let reference_ratio = subject.reference()?.ratio;
-    Ok(AsReconstructed {
+    Ok(AsReconstructedFigures {
         reference_ratio,
         error_at_reference_m: subject.error_at(reference_ratio)?.mean_m,
         alternatives: alternatives(ratios, Ok(reference_ratio), |ratio| subject.error_at(ratio)),

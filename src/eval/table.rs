@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::figures::{Alternative, AsReconstructed, Evaluation, Outcome};
+use super::figures::{Alternative, AsReconstructedFigures, Evaluation, Outcome};
 
 impl fmt::Display for Evaluation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -39,19 +39,20 @@ impl Evaluation {
             "scale ratio",
             text(&self.scale, |s| {
                 let degenerate = if s.degenerate { ", degenerate" } else { "" };
-                format!("{:.6} ({}{degenerate}{})", s.ratio, s.method, deviation(s.deviation))
+                format!("{:.6} ({}{degenerate}{})", s.ratio, s.method.name(), deviation(s.deviation))
             }),
         );
         row("  reference", text(&self.reference_scale, |r| format!("{:.6}", r.ratio)));
-        for (name, answer) in &self.alternatives {
-            row(&format!("  {name}"), alternative(answer));
+        for (method, answer) in &self.alternatives {
+            row(&format!("  {}", method.name()), alternative(answer));
         }
         if let Some(before) = &self.as_reconstructed {
-            let reference =
-                |b: &AsReconstructed| format!("{:.6}, error {}", b.reference_ratio, length(b.error_at_reference_m));
-            row("not adjusted: reference", text(before, reference));
-            for (name, answer) in before.as_ref().ok().iter().flat_map(|before| &before.alternatives) {
-                row(&format!("  {name}"), alternative(answer));
+            let reference = |b: &AsReconstructedFigures| {
+                format!("{:.6}, error {}", b.reference_ratio, length(b.error_at_reference_m))
+            };
+            row("as reconstructed: reference", text(before, reference));
+            for (method, answer) in before.as_ref().ok().iter().flat_map(|before| &before.alternatives) {
+                row(&format!("  {}", method.name()), alternative(answer));
             }
         }
         rows

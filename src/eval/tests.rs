@@ -5,7 +5,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::registration::InitialScale;
 use super::*;
 use crate::math::seeded_rng;
-use crate::scene::{ObjectId, ObjectTrajectory, ScaleEstimate, ScaleMethod, TriangleMesh};
+use crate::scene::{ModelState, ObjectId, ObjectTrajectory, ScaleEstimate, TriangleMesh};
 
 /// One unit of the object's model in units of the background.
 const TRUE_RATIO: f64 = 0.37;
@@ -91,9 +91,17 @@ fn world(num_frames: u32, camera_center: impl Fn(f64) -> Point3<f64>) -> Input {
 }
 
 fn some_trajectory(ratio: f64) -> ObjectTrajectory {
-    let alternatives = [("constant-distance".into(), ratio), ("intersection".into(), ratio * 0.9)].into();
+    let alternatives = [(ScaleMethod::ConstantDistance, ratio), (ScaleMethod::Intersection, ratio * 0.9)].into();
     let method = ScaleMethod::ConstantDistance;
-    let scale = ScaleEstimate { ratio, std: None, method, degenerate: false, reason: None, alternatives };
+    let scale = ScaleEstimate {
+        ratio,
+        std: None,
+        method,
+        degenerate: false,
+        reason: None,
+        alternatives,
+        as_reconstructed: None,
+    };
     ObjectTrajectory { id: ObjectId(1), class: "car".into(), confidence: 1.0, scale, poses: vec![] }
 }
 
@@ -125,10 +133,10 @@ fn an_exact_run_has_no_error() {
     assert_eq!(evaluation.registration.as_ref().unwrap().initial_scale, InitialScale::Centers);
     assert_eq!(evaluation.registered.object_fraction, Some(1.0));
     // A ratio of 10 % too little moves every point towards the camera by a tenth of its distance, 15 to 20 m.
-    let intersection = &evaluation.alternatives["intersection"];
+    let intersection = &evaluation.alternatives[&ScaleMethod::Intersection];
     assert!((intersection.deviation.unwrap() - 0.1).abs() < 1e-9);
     assert!((1.0..2.5).contains(&intersection.trajectory_error_m.unwrap()));
-    assert!(evaluation.alternatives["constant-distance"].trajectory_error_m.unwrap() < 1e-9);
+    assert!(evaluation.alternatives[&ScaleMethod::ConstantDistance].trajectory_error_m.unwrap() < 1e-9);
 }
 
 #[test]
@@ -287,30 +295,32 @@ fn a_target_that_was_adjusted_is_also_measured_as_it_was() {
     model.points.iter_mut().for_each(|p| p.coords *= 2.0);
     model.cam_from_world.values_mut().for_each(|cam| cam.translation *= 2.0);
     let half = 0.5 * TRUE_RATIO;
-    let ratios = BTreeMap::from([("constant-distance".to_owned(), half), ("least-squares".to_owned(), 1.1 * half)]);
-    object.as_reconstructed = Some(Ok(Unadjusted { model, ratios }));
+    let ratios = [(ScaleMethod::ConstantDistance, half), (ScaleMethod::RobustLeastSquares, 1.1 * half)].into();
+    object.as_reconstructed = Some(Ok(AsReconstructed { model, ratios }));
     let evaluation = evaluate(&input);
     assert_exact(&evaluation);
     let before = evaluation.as_reconstructed.as_ref().unwrap().as_ref().unwrap();
     assert!((before.reference_ratio / half - 1.0).abs() < 1e-9);
     assert!(before.error_at_reference_m < 1e-9);
-    assert!(before.alternatives["constant-distance"].trajectory_error_m.unwrap() < 1e-9);
-    assert!((before.alternatives["least-squares"].deviation.unwrap() - 0.1).abs() < 1e-9);
-    assert!(evaluation.to_string().contains("not adjusted: reference"));
+    assert!(before.alternatives[&ScaleMethod::ConstantDistance].trajectory_error_m.unwrap() < 1e-9);
+    assert!((before.alternatives[&ScaleMethod::RobustLeastSquares].deviation.unwrap() - 0.1).abs() < 1e-9);
+    assert!(evaluation.to_string().contains("as reconstructed: reference"));
     // In a benchmark these answers replace those of the same name, and the others stay.
     let entry = benchmark::Entry::of(&evaluation);
     assert_eq!(entry.floor_as_reconstructed_m, Some(before.error_at_reference_m));
-    assert_eq!(entry.estimators["constant-distance"].ratio, Some(half));
-    assert_eq!(entry.estimators["intersection"].ratio, Some(0.9 * TRUE_RATIO));
+    assert_eq!(entry.estimators[&ScaleMethod::ConstantDistance].ratio, Some(half));
+    assert_eq!(entry.estimators[&ScaleMethod::ConstantDistance].model, ModelState::AsReconstructed);
+    assert_eq!(entry.estimators[&ScaleMethod::Intersection].ratio, Some(0.9 * TRUE_RATIO));
+    assert_eq!(entry.estimators[&ScaleMethod::Intersection].model, ModelState::Adjusted);
 
-    for (broken, reason) in [(Ok(Unadjusted::default()), "no points"), (Err("is cut short".into()), "cut short")] {
+    for (broken, reason) in [(Ok(AsReconstructed::default()), "no points"), (Err("is cut short".into()), "cut short")] {
         input.objects[0].as_reconstructed = Some(broken);
         let evaluation = evaluate(&input);
         assert!(evaluation.as_reconstructed.as_ref().unwrap().as_ref().unwrap_err().contains(reason));
         assert!(evaluation.to_string().contains(reason));
         // Answers on the adjusted target do not stand in for those that are lost.
         let entry = benchmark::Entry::of(&evaluation);
-        assert_eq!(entry.estimators.keys().collect::<Vec<_>>(), ["constant-distance"]);
+        assert_eq!(entry.estimators.keys().collect::<Vec<_>>(), [&ScaleMethod::ConstantDistance]);
         assert_exact(&evaluation);
     }
 }

@@ -8,7 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{IoError, atomic, json};
 use crate::math::Sim3;
-use crate::scene::{FrameId, ObjectId, ObjectPose, ObjectTrajectory, ScaleEstimate, Trajectories, Unit};
+use crate::scene::{
+    FrameId, ObjectId, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, Trajectories, Unit,
+};
 
 /// The only version there is.
 const VERSION: u32 = 1;
@@ -40,10 +42,12 @@ struct Object {
 struct Scale {
     ratio: f64,
     std: Option<f64>,
-    method: crate::scene::ScaleMethod,
+    method: ScaleMethod,
     degenerate: bool,
     reason: Option<String>,
-    alternatives: BTreeMap<String, f64>,
+    alternatives: Ratios,
+    #[serde(default)]
+    as_reconstructed: Option<Ratios>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -96,12 +100,12 @@ pub fn read(path: &Path) -> Result<Trajectories, IoError> {
 }
 
 fn object_to_file(object: &ObjectTrajectory) -> Object {
-    let ScaleEstimate { ratio, std, method, degenerate, reason, alternatives } = object.scale.clone();
+    let ScaleEstimate { ratio, std, method, degenerate, reason, alternatives, as_reconstructed } = object.scale.clone();
     Object {
         id: object.id,
         class: object.class.clone(),
         confidence: object.confidence,
-        scale: Scale { ratio, std, method, degenerate, reason, alternatives },
+        scale: Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed },
         frames: object.poses.iter().map(pose_to_file).collect(),
     }
 }
@@ -121,12 +125,12 @@ fn pose_to_file(pose: &ObjectPose) -> Pose {
 }
 
 fn object_from_file(object: Object) -> ObjectTrajectory {
-    let Scale { ratio, std, method, degenerate, reason, alternatives } = object.scale;
+    let Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed } = object.scale;
     ObjectTrajectory {
         id: object.id,
         class: object.class,
         confidence: object.confidence,
-        scale: ScaleEstimate { ratio, std, method, degenerate, reason, alternatives },
+        scale: ScaleEstimate { ratio, std, method, degenerate, reason, alternatives, as_reconstructed },
         poses: object.frames.into_iter().map(pose_from_file).collect(),
     }
 }
@@ -152,7 +156,8 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         if !(scale.ratio > 0.0 && scale.ratio.is_finite()) {
             return wrong(format!("the scale ratio {} is not positive", scale.ratio));
         }
-        let numbers = scale.std.iter().chain(scale.alternatives.values()).chain([&object.confidence]);
+        let ratios = scale.alternatives.values().chain(scale.as_reconstructed.iter().flat_map(BTreeMap::values));
+        let numbers = scale.std.iter().chain(ratios).chain([&object.confidence]);
         if let Some(number) = numbers.into_iter().find(|n| !n.is_finite()) {
             return wrong(format!("{number} is not a finite number"));
         }
@@ -211,7 +216,8 @@ mod tests {
             method: ScaleMethod::ConstantDistance,
             degenerate: true,
             reason: Some("all view pairs are ill conditioned".into()),
-            alternatives: [("constant-distance".into(), 0.731), ("intersection".into(), 0.7)].into(),
+            alternatives: [(ScaleMethod::ConstantDistance, 0.731), (ScaleMethod::Intersection, 0.7)].into(),
+            as_reconstructed: Some([(ScaleMethod::Intersection, 0.71)].into()),
         };
         let (class, confidence, poses) = ("car".into(), 0.93, vec![pose(0), pose(2)]);
         let object = ObjectTrajectory { id: ObjectId(1), class, confidence, scale, poses };
@@ -229,7 +235,8 @@ mod tests {
         assert_eq!(value["unit"], "background");
         let object = &value["objects"][0];
         assert_eq!(keys(object), ["id", "class", "confidence", "scale", "frames"]);
-        assert_eq!(keys(&object["scale"]), ["ratio", "std", "method", "degenerate", "reason", "alternatives"]);
+        let of_scale = ["ratio", "std", "method", "degenerate", "reason", "alternatives", "as_reconstructed"];
+        assert_eq!(keys(&object["scale"]), of_scale);
         assert_eq!(object["scale"]["method"], "constant-distance");
         assert!(object["scale"]["std"].is_null());
         let frame = &object["frames"][1];

@@ -8,21 +8,13 @@ use serde_json::{Value, json};
 use super::run::{Outcome, Run};
 use super::track::{self, TrackedObject};
 use super::{PipelineError, exports, ground, models, objects, workspace};
-use crate::scene::{
-    Frame, FrameId, Ground, GroundPlane, ObjectId, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod,
-    Trajectories, Unit,
-};
-use crate::trajectory::{
-    Grounded, ObjectDescription, Silhouette, Views, all_ratios, assemble, estimate_scale, joint, joint_estimate,
-};
+use crate::scene::{Frame, FrameId, Ground, GroundPlane, ObjectId, Ratios, ScaleMethod, Trajectories, Unit};
+use crate::trajectory::{self, Adjustment, Evidence, ModelOrigin, ObjectDescription, Silhouette};
 
 /// The name of the list of objects without a trajectory, and why.
 const FAILURES: &str = "scale-failures.json";
 /// What the estimators that leave a reconstruction as it is say of those that were adjusted.
 const AS_RECONSTRUCTED: &str = "as-reconstructed.json";
-
-/// Ratios by the name of the estimator.
-type Ratios = BTreeMap<String, f64>;
 
 pub(super) fn depends_on(run: &Run) -> Value {
     json!({ "options": run.options.scale, "keeps": AS_RECONSTRUCTED })
@@ -42,22 +34,30 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let mut as_reconstructed = BTreeMap::new();
     let with_model = reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id).collect();
     let silhouettes = silhouettes(run, frames, &with_model)?;
+    let no_silhouettes = BTreeMap::new();
     for tracked in track::objects(run)? {
         let Some(report) = reports.get(&tracked.id) else { continue };
-        let Some(mut model) = objects::reconstructed(run, tracked.id, report)? else { continue };
-        let scene =
-            Scene { background: &background, ground: &ground, silhouettes: silhouettes.get(&tracked.id), frames };
-        let is_adjusted = run.options.scale.method == ScaleMethod::Joint && !report.given;
-        let adjusted = is_adjusted.then(|| scene.on_the_ground(run, tracked.id, &mut model, &mut outcome)).flatten();
-        let scale = adjusted.map(|(scale, before)| {
-            as_reconstructed.insert(tracked.id, before);
-            scale
-        });
-        let trajectory = scene.trajectory(run, &tracked, &model, scale);
-        objects::store(run, tracked.id, &model)?;
-        match trajectory {
+        let Some(object) = objects::reconstructed(run, tracked.id, report)? else { continue };
+        let placed = trajectory::place(
+            &Evidence {
+                description: description(&tracked),
+                origin: if report.given { ModelOrigin::Given } else { ModelOrigin::Reconstructed },
+                background: &background,
+                object: &object,
+                planes: &planes(&ground, tracked.id),
+                silhouettes: silhouettes.get(&tracked.id).unwrap_or(&no_silhouettes),
+                frames,
+            },
+            &run.options.scale,
+        );
+        objects::store(run, tracked.id, &placed.object)?;
+        describe_adjustment(tracked.id, &placed.adjustment, &mut outcome);
+        match placed.trajectory {
             Ok(trajectory) => {
-                outcome.outputs.push(exports::object(run, &trajectory, &model)?);
+                if let Some(before) = &trajectory.scale.as_reconstructed {
+                    as_reconstructed.insert(tracked.id, before.clone());
+                }
+                outcome.outputs.push(exports::object(run, &trajectory, &placed.object)?);
                 if let Some(reason) = &trajectory.scale.reason {
                     outcome.warn(format!("object {}: its scale ratio is not to be trusted: {reason}", tracked.id));
                 }
@@ -65,7 +65,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
             }
             Err(reason) => {
                 outcome.warn(format!("object {} has no trajectory: {reason}", tracked.id));
-                failures.insert(tracked.id.to_string(), reason);
+                failures.insert(tracked.id.to_string(), reason.to_string());
             }
         }
     }
@@ -76,6 +76,32 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     run.workspace.write_state(AS_RECONSTRUCTED, &as_reconstructed)?;
     outcome.outputs.extend([path, run.workspace.state(FAILURES), run.workspace.state(AS_RECONSTRUCTED)]);
     Ok(outcome)
+}
+
+fn description(tracked: &TrackedObject) -> ObjectDescription {
+    ObjectDescription { id: tracked.id, class: tracked.class.clone(), confidence: tracked.confidence }
+}
+
+/// The local planes under one object.
+fn planes(ground: &Ground, id: ObjectId) -> BTreeMap<FrameId, GroundPlane> {
+    let planes = ground.planes.iter().filter(|((of, _), _)| *of == id);
+    planes.map(|(&(_, frame), &plane)| (frame, plane)).collect()
+}
+
+fn describe_adjustment(id: ObjectId, adjustment: &Adjustment, outcome: &mut Outcome) {
+    match adjustment {
+        Adjustment::None => {}
+        Adjustment::Failed(error) => outcome.warn(format!("object {id} is not adjusted with the ground: {error}")),
+        Adjustment::Done(found) => outcome.figure(
+            &format!("object_{id}"),
+            json!({
+                "mirrored": found.mirrored,
+                "frames_with_outline": found.frames_with_outline,
+                "median_error_px": found.error_px,
+                "num_uncertain_points": found.num_uncertain,
+            }),
+        ),
+    }
 }
 
 /// An object as it was before it was adjusted with the ground.
@@ -135,85 +161,4 @@ fn silhouettes(
         }
     }
     Ok(found)
-}
-
-/// Where an object drives.
-struct Scene<'a> {
-    background: &'a Reconstruction,
-    ground: &'a Ground,
-    silhouettes: Option<&'a BTreeMap<FrameId, Silhouette>>,
-    frames: &'a [Frame],
-}
-
-impl Scene<'_> {
-    /// The local planes under one object.
-    fn planes(&self, id: ObjectId) -> BTreeMap<FrameId, GroundPlane> {
-        let planes = self.ground.planes.iter().filter(|((of, _), _)| *of == id);
-        planes.map(|(&(_, frame), &plane)| (frame, plane)).collect()
-    }
-
-    /// One object's trajectory, or why there is none. `scale` is known where the model was adjusted with the ground.
-    fn trajectory(
-        &self,
-        run: &Run,
-        tracked: &TrackedObject,
-        model: &Reconstruction,
-        scale: Option<ScaleEstimate>,
-    ) -> Result<ObjectTrajectory, String> {
-        let estimated = || {
-            let planes = self.planes(tracked.id);
-            let views = Views::new(self.background, model, &planes);
-            estimate_scale(&views, &run.options.scale).map_err(|error| error.to_string())
-        };
-        let scale = scale.map_or_else(estimated, Ok)?;
-        let description =
-            ObjectDescription { id: tracked.id, class: tracked.class.clone(), confidence: tracked.confidence };
-        let trajectory = assemble(description, self.background, model, scale, self.frames, Unit::Background);
-        if trajectory.poses.is_empty() {
-            return Err("no frame is registered in both the background's and the object's model".to_owned());
-        }
-        Ok(trajectory)
-    }
-
-    /// Adjusts a model with the ground: its scale, and what the other estimators say of it as it was. Where that cannot be
-    /// done it stays as it is, and a warning says why.
-    fn on_the_ground(
-        &self,
-        run: &Run,
-        id: ObjectId,
-        model: &mut Reconstruction,
-        outcome: &mut Outcome,
-    ) -> Option<(ScaleEstimate, Ratios)> {
-        let planes = self.planes(id);
-        let nothing = BTreeMap::new();
-        let grounded = Grounded {
-            background: self.background,
-            object: model,
-            planes: &planes,
-            silhouettes: self.silhouettes.unwrap_or(&nothing),
-            frames: self.frames,
-        };
-        match joint(&grounded, &run.options.scale.joint) {
-            Ok(found) => {
-                outcome.figure(
-                    &format!("object_{id}"),
-                    json!({
-                        "mirrored": found.mirrored,
-                        "frames_with_outline": found.contact.num_frames,
-                        "median_error_px": found.error_px,
-                        "num_uncertain_points": found.num_uncertain,
-                    }),
-                );
-                let before = all_ratios(&Views::new(self.background, model, &planes), &run.options.scale);
-                let views = Views::new(self.background, &found.object, &planes);
-                let scale = joint_estimate(&views, &found, &run.options.scale);
-                *model = found.object;
-                Some((scale, before))
-            }
-            Err(error) => {
-                outcome.warn(format!("object {id} is not adjusted with the ground: {error}"));
-                None
-            }
-        }
-    }
 }

@@ -15,7 +15,7 @@ use super::overlay::{object_colour, spread};
 use super::plan::Plan;
 use super::summary::{self, Verdict, count, figure, length, percent};
 use super::view::{Scene, View, css_colour};
-use crate::scene::{Frame, FrameId, GroundPlane, GroundSource, Image, ObjectPose, Unit};
+use crate::scene::{Frame, FrameId, GroundPlane, GroundSource, Image, ObjectPose, ScaleMethod, Unit};
 
 const TEMPLATE: &str = include_str!("page/report.html");
 const STYLE: &str = include_str!("page/style.css");
@@ -316,17 +316,17 @@ fn duration(object: &Object) -> String {
 fn alternatives(object: &Object) -> Vec<Alternative> {
     let Some(trajectory) = object.trajectory else { return Vec::new() };
     let scale = &trajectory.scale;
-    if scale.alternatives.keys().all(|k| k == scale.method.name()) {
+    if scale.alternatives.keys().all(|method| *method == scale.method) {
         return Vec::new();
     }
-    let entry = |(method, ratio): (&String, &f64)| {
+    let entry = |(method, ratio): (&ScaleMethod, &f64)| {
         let difference = ratio / scale.ratio - 1.0;
         let sign = if difference < 0.0 { "−" } else { "+" };
         Alternative {
-            method: method.clone(),
+            method: method.name().to_owned(),
             ratio: figure(*ratio, 4),
             deviation: format!("{sign}{}", percent(difference.abs())),
-            chosen: method == scale.method.name(),
+            chosen: *method == scale.method,
         }
     };
     scale.alternatives.iter().map(entry).collect()

@@ -64,7 +64,7 @@ pub(super) fn relative_std(scale: &ScaleEstimate) -> Option<f64> {
 
 /// The largest deviation of another method's ratio, as a fraction.
 pub(super) fn disagreement(scale: &ScaleEstimate) -> Option<f64> {
-    let others = scale.alternatives.iter().filter(|(name, _)| *name != scale.method.name());
+    let others = scale.alternatives.iter().filter(|(method, _)| **method != scale.method);
     others.map(|(_, r)| (r / scale.ratio - 1.0).abs()).filter(|d| d.is_finite()).reduce(f64::max)
 }
 
@@ -216,9 +216,9 @@ mod tests {
     use crate::scene::ScaleMethod;
 
     fn scale(ratio: f64, std: Option<f64>, other: Option<f64>) -> ScaleEstimate {
-        let alternatives = other.map(|r| ("intersection".to_owned(), r)).into_iter().collect();
+        let alternatives = other.map(|r| (ScaleMethod::Intersection, r)).into_iter().collect();
         let method = ScaleMethod::ConstantDistance;
-        ScaleEstimate { ratio, std, method, degenerate: false, reason: None, alternatives }
+        ScaleEstimate { ratio, std, method, degenerate: false, reason: None, alternatives, as_reconstructed: None }
     }
 
     #[test]

@@ -16,4 +16,6 @@ pub use ground::{Ground, GroundPlane, GroundSource};
 pub use mask::{BoundingBox, Detection, LabelMap, Mask};
 pub use mesh::TriangleMesh;
 pub use reconstruction::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
-pub use trajectory::{ObjectPose, ObjectTrajectory, ScaleEstimate, ScaleMethod, Trajectories, Unit};
+pub use trajectory::{
+    ModelState, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, Trajectories, Unit,
+};

@@ -50,9 +50,26 @@ pub struct ScaleEstimate {
     pub degenerate: bool,
     /// Why it is degenerate.
     pub reason: Option<String>,
-    /// What every method that gave an answer says.
-    pub alternatives: BTreeMap<String, f64>,
+    /// What every method that gave an answer says of the model that the trajectory refers to.
+    pub alternatives: Ratios,
+    /// What the methods say of the object as it was reconstructed; `None` where that is the same model, because nothing was
+    /// adjusted after structure from motion.
+    pub as_reconstructed: Option<Ratios>,
 }
+
+/// Which of an object's models an answer speaks of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ModelState {
+    /// As structure from motion left it, or as it was given.
+    #[default]
+    AsReconstructed,
+    /// Adjusted together with the ground.
+    Adjusted,
+}
+
+/// Scale ratios by the method that gave them. Which model of the object they speak of is said where they stand.
+pub type Ratios = BTreeMap<ScaleMethod, f64>;
 
 /// The unit of length of a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -257,7 +257,7 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
         });
         result.ground.planes.insert((id, *f), local_plane(&result.background_from_metric, id, s, rng));
     }
-    let alternatives = [("constant-distance".to_owned(), ratio * wrong), ("intersection".to_owned(), ratio * 1.013)];
+    let alternatives = [(ScaleMethod::ConstantDistance, ratio * wrong), (ScaleMethod::Intersection, ratio * 1.013)];
     let scale = ScaleEstimate {
         ratio: ratio * wrong,
         std: (!degenerate).then_some(0.011 * ratio),
@@ -265,6 +265,7 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
         degenerate,
         reason: degenerate.then(|| "the camera keeps its height over the ground, seen from the van".to_owned()),
         alternatives: alternatives.into(),
+        as_reconstructed: None,
     };
     let class = if id == CAR { "car" } else { "van" }.to_owned();
     let confidence = if id == CAR { 0.93 } else { 0.78 };

@@ -144,7 +144,15 @@ mod tests {
     fn known(ratio: f64) -> ScaleEstimate {
         let alternatives = BTreeMap::new();
         let method = ScaleMethod::ConstantDistance;
-        ScaleEstimate { ratio, std: None, method, degenerate: false, reason: None, alternatives }
+        ScaleEstimate {
+            ratio,
+            std: None,
+            method,
+            degenerate: false,
+            reason: None,
+            alternatives,
+            as_reconstructed: None,
+        }
     }
 
     fn assembled(world: &Drive, unit: Unit) -> ObjectTrajectory {

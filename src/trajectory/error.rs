@@ -2,6 +2,8 @@
 
 use thiserror::Error;
 
+use crate::scene::ScaleMethod;
+
 /// Why an estimator has no answer. The messages are made to be shown to the user as they are.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ScaleError {
@@ -23,6 +25,38 @@ pub enum ScaleError {
     /// The object's model has no points.
     #[error("the object's model has no points")]
     NoPoints,
+    /// The model has points, and too few of them are seen often enough to show where the vehicle touches the ground.
+    #[error(
+        "the object's model has {num_points} points, none of them seen in {min_track} frames or more and near the others: \
+         nothing shows where the object touches the ground"
+    )]
+    NoSolidPoints {
+        /// Points of the model.
+        num_points: usize,
+        /// Observations that a point needs to count.
+        min_track: usize,
+    },
+    /// The planes point everywhere.
+    #[error("the normals of the {num_views} local ground planes have no mean direction in the object's frame")]
+    NoMeanNormal {
+        /// Planes looked at.
+        num_views: usize,
+    },
+    /// No observation of the object's model can be compared with its point.
+    #[error("no image position of the object's model can be compared with its point")]
+    NoObservations,
+    /// The adjustment left something undetermined.
+    #[error("the adjustment of the object with the ground does not say how sure it is")]
+    NoCovariance,
+    /// The adjusted points cannot be brought back.
+    #[error("the adjusted points cannot be brought back to where the object was reconstructed")]
+    NoSimilarity,
+    /// The object is nowhere.
+    #[error("no frame is registered in both the background's and the object's model")]
+    NoCommonFrame,
+    /// A method that gives no answer of this kind was asked for.
+    #[error("{} does not take a reconstruction as it is", .0.name())]
+    NoAnswer(ScaleMethod),
     /// The equations of all view pairs give a ratio that is negative, zero or not finite.
     #[error(
         "none of {num_pairs} view pairs gives a positive scale ratio: the camera's height over the ground does not \
@@ -40,8 +74,7 @@ pub enum ScaleError {
     },
     /// The least squares solution over all frames is not positive.
     #[error(
-        "the least squares ratio over {num_views} frames is {ratio:.3e}: the camera's height over the ground does not \
-         change beyond its noise"
+        "{}: the camera's height over the ground does not change beyond its noise", least_squares_words(*num_views, *ratio)
     )]
     NotPositive {
         /// Frames used.
@@ -63,4 +96,34 @@ pub enum ScaleError {
         /// And after.
         after_px: f64,
     },
+}
+
+fn least_squares_words(num_views: usize, ratio: f64) -> String {
+    match ratio.is_finite() {
+        true => format!("the least squares ratio over {num_views} frames is {}", significant(ratio)),
+        false => format!("least squares over {num_views} frames has no solution"),
+    }
+}
+
+/// A number for people: three significant digits, and a power of ten only where there would be too many zeros.
+pub(super) fn significant(number: f64) -> String {
+    let magnitude = number.abs();
+    if number == 0.0 || !number.is_finite() || !(1e-4..1e6).contains(&magnitude) {
+        return format!("{number:.2e}");
+    }
+    let decimals = (2 - magnitude.log10().floor() as i32).max(0);
+    format!("{number:.*}", usize::try_from(decimals).unwrap_or(0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_for_people() {
+        let said = [0.03954, 2.092, 1234.5, -0.5, 1e-9].map(significant);
+        assert_eq!(said, ["0.0395", "2.09", "1234", "-0.500", "1.00e-9"]);
+        let nowhere = ScaleError::NotPositive { num_views: 3, ratio: f64::NAN }.to_string();
+        assert!(!nowhere.contains("NaN") && nowhere.contains("no solution"), "{nowhere}");
+    }
 }

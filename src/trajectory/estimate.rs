@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::error::significant;
 use super::{
     ConstantDistance, ConstantDistanceOptions, Joint, JointOptions, LeastSquares, LeastSquaresOptions, ScaleError,
     Views, constant_distance, intersection, least_squares,
 };
-use crate::scene::{ScaleEstimate, ScaleMethod};
+use crate::scene::{Ratios, ScaleEstimate, ScaleMethod};
 
 /// How the scale ratio is found.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,8 +43,10 @@ impl Default for Options {
 /// Relative excitation below which nothing but rounding tells the frames apart: single precision of model files.
 const ROUNDING: f64 = 1e-6;
 
-/// Runs every estimator that takes a reconstruction as it is and gives the answer of [`Options::method`] with a verdict;
-/// `least-squares` for [`ScaleMethod::Joint`], whose own answer is [`joint_estimate`].
+/// Runs every estimator that takes a reconstruction as it is and gives the answer of `wanted` with a verdict.
+///
+/// [`ScaleMethod::Joint`] is not among them, since it makes a reconstruction of its own ([`joint`](super::joint()));
+/// [`place`](super::place()) chooses between the two.
 ///
 /// `std` is the all-frames solution's for `least-squares`; for `constant-distance` that of the winning pair,
 /// sqrt(2 σ² / mean_j D_j²), with σ from the residuals of the all-frames fit; `intersection` has none.
@@ -54,18 +57,14 @@ const ROUNDING: f64 = 1e-6;
 ///
 /// # Errors
 /// The chosen method's [`ScaleError`], if no method has an answer.
-pub fn estimate_scale(views: &Views, options: &Options) -> Result<ScaleEstimate, ScaleError> {
-    let wanted = match options.method {
-        ScaleMethod::Joint => ScaleMethod::RobustLeastSquares,
-        method => method,
-    };
+pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> Result<ScaleEstimate, ScaleError> {
     let Answers { pair, all_frames, ratios: answers } = Answers::new(views, options);
     // Contact stands in first: it does not need what the other two lack when they have no answer, a climb.
     let chosen = [wanted, ScaleMethod::Intersection].into_iter().chain(ScaleMethod::ALL);
     let found = chosen.filter_map(|method| Some((method, *answers.get(&method)?.as_ref().ok()?))).next();
     let failure = answers.get(&wanted).and_then(|answer| answer.as_ref().err());
     let Some((method, ratio)) = found else {
-        return Err(failure.cloned().unwrap_or(ScaleError::NoPoints));
+        return Err(failure.cloned().unwrap_or(ScaleError::NoAnswer(wanted)));
     };
     let mut reasons: Vec<String> = failure.map(|failure| stands_in(method, wanted, failure)).into_iter().collect();
     // Contact does not need the camera to climb, so its answer, where it was asked for, is not judged by the climb.
@@ -78,16 +77,17 @@ pub fn estimate_scale(views: &Views, options: &Options) -> Result<ScaleEstimate,
         method,
         degenerate: !reasons.is_empty(),
         reason: (!reasons.is_empty()).then(|| reasons.join("; ")),
-        alternatives: names(&answers),
+        alternatives: found_by(&answers),
+        as_reconstructed: None,
     })
 }
 
 /// The answer of an adjustment with the ground, with a verdict, and what the others say of the adjusted reconstruction.
 ///
 /// * `views` – of [`Joint::object`].
-pub fn joint_estimate(views: &Views, found: &Joint, options: &Options) -> ScaleEstimate {
-    let mut alternatives = all_ratios(views, options);
-    alternatives.insert(ScaleMethod::Joint.name().to_owned(), found.ratio);
+pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options) -> ScaleEstimate {
+    let mut alternatives = ratios_of(views, options);
+    alternatives.insert(ScaleMethod::Joint, found.ratio);
     let relative_std = found.std / found.ratio;
     let is_sure = relative_std <= options.max_relative_std;
     let reason = format!(
@@ -103,12 +103,13 @@ pub fn joint_estimate(views: &Views, found: &Joint, options: &Options) -> ScaleE
         degenerate: !is_sure,
         reason: (!is_sure).then_some(reason),
         alternatives,
+        as_reconstructed: None,
     }
 }
 
-/// What every estimator that takes a reconstruction as it is says of it, by its name; without those that have no answer.
-pub fn all_ratios(views: &Views, options: &Options) -> BTreeMap<String, f64> {
-    names(&Answers::new(views, options).ratios)
+/// What every estimator that takes a reconstruction as it is says of it; without those that have no answer.
+pub fn ratios_of(views: &Views, options: &Options) -> Ratios {
+    found_by(&Answers::new(views, options).ratios)
 }
 
 /// What each estimator says of a reconstruction as it is.
@@ -131,9 +132,9 @@ impl Answers {
     }
 }
 
-/// The answers that there are, by name.
-fn names(ratios: &BTreeMap<ScaleMethod, Result<f64, ScaleError>>) -> BTreeMap<String, f64> {
-    ratios.iter().filter_map(|(method, ratio)| Some((method.name().to_owned(), *ratio.as_ref().ok()?))).collect()
+/// The answers that there are.
+fn found_by(ratios: &BTreeMap<ScaleMethod, Result<f64, ScaleError>>) -> Ratios {
+    ratios.iter().filter_map(|(method, ratio)| Some((*method, *ratio.as_ref().ok()?))).collect()
 }
 
 fn positive(ratio: f64, views: &Views) -> Result<f64, ScaleError> {
@@ -170,14 +171,18 @@ fn degeneracy(all_frames: &Result<LeastSquares, ScaleError>, max_relative_std: f
         Err(error) => return Some(format!("the frames cannot be checked against one another: {error}")),
     };
     let relative = fit.excitation / fit.mean_height.abs();
+    if !relative.is_finite() {
+        return Some(
+            "the frames cannot be checked against one another: too few of them agree on the ground".to_owned(),
+        );
+    }
     let motion = format!(
-        "the camera's height over the object varies by {:.3} % of its mean (standard deviation {:.3e}, mean {:.3e}, in the \
-         object's units)",
+        "the camera's height over the object varies by {:.3} % of its mean (by {} of {}, in the object's units)",
         100.0 * relative,
-        fit.excitation,
-        fit.mean_height.abs(),
+        significant(fit.excitation),
+        significant(fit.mean_height.abs()),
     );
-    if relative.is_nan() || relative <= ROUNDING {
+    if relative <= ROUNDING {
         return Some(format!(
             "{motion}: camera and object move parallel to the ground, and nothing determines the ratio"
         ));
@@ -186,10 +191,13 @@ fn degeneracy(all_frames: &Result<LeastSquares, ScaleError>, max_relative_std: f
     if fit.ratio > 0.0 && relative_std <= max_relative_std {
         return None;
     }
+    if ![fit.residual_std, fit.ratio, fit.std].iter().all(|number| number.is_finite()) {
+        return Some(format!("{motion}, and all frames together have no solution"));
+    }
     Some(format!(
-        "{motion}, and the object's distance to the ground is only constant to {:.3e} background units: all frames together give a ratio of \
-         {:.4} ± {:.4}, where at most ± {:.0} % is accepted",
-        fit.residual_std,
+        "{motion}, and the object's distance to the ground is only constant to {} background units: all frames together \
+         give a ratio of {:.4} ± {:.4}, where at most ± {:.0} % is accepted",
+        significant(fit.residual_std),
         fit.ratio,
         fit.std,
         100.0 * max_relative_std,
@@ -201,10 +209,10 @@ mod tests {
     use super::*;
     use crate::synthetic::drive::{self, Noise, Terrain, drive};
 
-    fn estimate(world: &drive::Options, seed: u64, options: &Options) -> (ScaleEstimate, f64) {
+    fn estimate(world: &drive::Options, seed: u64, wanted: ScaleMethod) -> (ScaleEstimate, f64) {
         let world = drive(world, seed);
         let views = Views::new(&world.background, &world.object, &world.planes);
-        (estimate_scale(&views, options).unwrap(), world.ratio)
+        (estimate_scale(&views, wanted, &Options::default()).unwrap(), world.ratio)
     }
 
     const NOISE: Noise = Noise { pixel_px: 0.5, plane_height_m: 0.03, plane_tilt_deg: 0.3, bad_planes: 0.0 };
@@ -213,12 +221,11 @@ mod tests {
     fn parallel_motion_is_degenerate_and_says_why() {
         for terrain in [Terrain::Flat, Terrain::Slope { gradient: [0.08, 0.02] }] {
             let world = drive::Options { terrain, camera_climb_m: 0.0, ..Default::default() };
-            let (found, truth) = estimate(&world, 1, &Options::default());
+            let (found, truth) = estimate(&world, 1, ScaleMethod::RobustLeastSquares);
             assert!(found.degenerate, "{found:?}");
             assert!(found.reason.unwrap().contains("parallel to the ground"));
-            assert!((found.alternatives["intersection"] / truth - 1.0).abs() < 1e-9);
-            let contact = Options { method: ScaleMethod::Intersection, ..Options::default() };
-            let (found, truth) = estimate(&world, 1, &contact);
+            assert!((found.alternatives[&ScaleMethod::Intersection] / truth - 1.0).abs() < 1e-9);
+            let (found, truth) = estimate(&world, 1, ScaleMethod::Intersection);
             assert!(!found.degenerate && found.std.is_none() && (found.ratio / truth - 1.0).abs() < 1e-9);
         }
     }
@@ -229,7 +236,7 @@ mod tests {
         let noise = Noise { plane_tilt_deg: 0.0, plane_height_m: 0.1, ..NOISE };
         let world = drive::Options { camera_climb_m: 0.1, noise, ..Default::default() };
         for seed in 0..4 {
-            let (found, _) = estimate(&world, seed, &Options::default());
+            let (found, _) = estimate(&world, seed, ScaleMethod::RobustLeastSquares);
             assert!(found.degenerate, "{found:?}");
             assert!(found.reason.unwrap().contains("±"));
         }
@@ -240,7 +247,7 @@ mod tests {
         for method in [ScaleMethod::ConstantDistance, ScaleMethod::RobustLeastSquares] {
             for seed in 0..6 {
                 let world = drive::Options { noise: NOISE, ..Default::default() };
-                let (found, truth) = estimate(&world, seed, &Options { method, ..Options::default() });
+                let (found, truth) = estimate(&world, seed, method);
                 assert!(!found.degenerate && found.reason.is_none(), "{found:?}");
                 assert_eq!((found.method, found.alternatives.len()), (method, 3));
                 let std = found.std.unwrap();
@@ -253,9 +260,10 @@ mod tests {
     fn two_frames_have_an_answer_that_nothing_checks() {
         let world = drive(&drive::Options { num_frames: 2, ..Default::default() }, 3);
         let views = Views::new(&world.background, &world.object, &world.planes);
-        let found = estimate_scale(&views, &Options::default()).unwrap();
+        let estimate = |views: &Views| estimate_scale(views, ScaleMethod::RobustLeastSquares, &Options::default());
+        let found = estimate(&views).unwrap();
         assert!(found.degenerate && found.reason.unwrap().contains("cannot be checked"));
         let none = Views { views: Vec::new(), ..views };
-        assert!(matches!(estimate_scale(&none, &Options::default()), Err(ScaleError::TooFewViews { usable: 0, .. })));
+        assert!(matches!(estimate(&none), Err(ScaleError::TooFewViews { usable: 0, .. })));
     }
 }

@@ -49,6 +49,7 @@ mod tests {
             degenerate: false,
             reason: None,
             alternatives: BTreeMap::new(),
+            as_reconstructed: None,
         };
         let description = ObjectDescription { id: ObjectId(1), class: "car".into(), confidence: 1.0 };
         assemble(description, &world.background, &world.object, scale, &world.frames, LengthUnit::Background)

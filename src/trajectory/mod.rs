@@ -22,15 +22,17 @@ mod intersection;
 mod joint;
 mod least_squares;
 mod mirror;
+mod place;
 mod views;
 
 pub use assemble::{ObjectDescription, assemble, object_center, set_speeds};
 pub use constant_distance::{ConstantDistance, ConstantDistanceOptions, constant_distance};
 pub use contact::{Contact, ContactOptions, Silhouette, contact};
 pub use error::ScaleError;
-pub use estimate::{Options, all_ratios, estimate_scale, joint_estimate};
+pub use estimate::{Options, estimate_scale, ratios_of};
 pub use heading::{forward_axis, headings};
 pub use intersection::{Intersection, intersection};
 pub use joint::{Grounded, Joint, JointOptions, joint};
 pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
+pub use place::{Adjustment, AdjustmentFigures, Evidence, ModelOrigin, Placed, place};
 pub use views::{View, Views};

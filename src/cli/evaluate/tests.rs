@@ -53,7 +53,8 @@ fn output_from_others(data: &Path, sequence: &Sequence, ratio: f64) -> tempfile:
         method: ScaleMethod::ConstantDistance,
         degenerate: false,
         reason: None,
-        alternatives: [("constant-distance".into(), ratio)].into(),
+        alternatives: [(ScaleMethod::ConstantDistance, ratio)].into(),
+        as_reconstructed: None,
     };
     let poses = placements.iter().map(pose).collect();
     let object = ObjectTrajectory { id: ObjectId(1), class: "car".into(), confidence: 1.0, scale, poses };

@@ -18,6 +18,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::{Deserialize, Serialize};
 
 use super::figures::{Alternative, Evaluation, Outcome, RegisteredFrames, ScaleFigures};
+use crate::scene::{ModelState, ScaleMethod};
 
 /// The results on a data set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -67,7 +68,7 @@ pub struct Entry {
     pub floor_as_reconstructed_m: Option<f64>,
     /// What every estimator gave, by its name: `joint` on the target that it has adjusted, the others on the target as
     /// structure from motion left it, which is what `--scale-method` with their name gives.
-    pub estimators: BTreeMap<String, Answer>,
+    pub estimators: BTreeMap<ScaleMethod, Answer>,
     /// What the run cost when its stages were done.
     pub cost: Option<Cost>,
     /// What the run warned of.
@@ -77,6 +78,8 @@ pub struct Entry {
 /// What one estimator gave.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
+    /// Which of the target's models it speaks of.
+    pub model: ModelState,
     /// Its scale ratio; `None` where it was not published.
     pub ratio: Option<f64>,
     /// |r − r_ref| / r_ref; `None` without a reference.
@@ -85,9 +88,10 @@ pub struct Answer {
     pub trajectory_error_m: Option<f64>,
 }
 
-impl From<&Alternative> for Answer {
-    fn from(from: &Alternative) -> Self {
-        Self { ratio: Some(from.ratio), deviation: from.deviation, trajectory_error_m: from.trajectory_error_m }
+impl Answer {
+    fn on(model: ModelState, from: &Alternative) -> Self {
+        let Alternative { ratio, deviation, trajectory_error_m } = *from;
+        Self { model, ratio: Some(ratio), deviation, trajectory_error_m }
     }
 }
 
@@ -108,8 +112,8 @@ pub struct Cost {
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Estimator {
-    /// An estimator by its name.
-    Named(String),
+    /// An estimator.
+    Named(ScaleMethod),
     /// The run's own choice.
     Chosen,
     /// No estimator, but the reference ratio.
@@ -134,10 +138,13 @@ impl Entry {
         let before = evaluation.as_reconstructed.as_ref().map(Outcome::as_ref);
         let is_lost = matches!(before, Some(Err(_)));
         let before = before.and_then(Result::ok);
-        let chosen = evaluation.scale.as_ref().ok().map(|scale| &scale.method);
-        // Those of the target as it was replace their answers on the adjusted one; without them these are nobody's.
-        let answers = evaluation.alternatives.iter().filter(|(name, _)| !is_lost || Some(*name) == chosen);
-        let answers = answers.chain(before.iter().flat_map(|before| &before.alternatives));
+        let chosen = evaluation.scale.as_ref().ok().map(|scale| scale.method);
+        // An estimator's own answer is the one on the target as it was reconstructed, which replaces the one on the adjusted
+        // target. Where the former is lost, the latter does not stand in for it, but for the run's own choice.
+        let final_ones = evaluation.alternatives.iter().filter(|(method, _)| !is_lost || Some(**method) == chosen);
+        let final_ones = final_ones.map(|(method, found)| (*method, Answer::on(evaluation.model(), found)));
+        let first_ones = before.iter().flat_map(|before| &before.alternatives);
+        let first_ones = first_ones.map(|(method, found)| (*method, Answer::on(ModelState::AsReconstructed, found)));
         Self {
             failure: trajectory.err().map(str::to_owned),
             registered: Some(evaluation.registered.clone()),
@@ -148,7 +155,7 @@ impl Entry {
             reference_ratio: evaluation.reference_scale.as_ref().ok().map(|reference| reference.ratio),
             floor_m: evaluation.trajectory_at_reference.as_ref().ok().map(|error| error.mean_m),
             floor_as_reconstructed_m: before.map(|before| before.error_at_reference_m),
-            estimators: answers.map(|(name, found)| (name.clone(), found.into())).collect(),
+            estimators: final_ones.chain(first_ones).collect(),
             ..Self::default()
         }
     }
@@ -193,8 +200,8 @@ fn plain(name: &str) -> String {
 
 impl Benchmark {
     /// The method that gave the scale ratio of every run, if it was the same.
-    pub fn only_choice(&self) -> Option<&str> {
-        let mut methods = self.sequences.iter().filter_map(|entry| entry.scale.as_ref()).map(|scale| &scale.method);
+    pub fn only_choice(&self) -> Option<ScaleMethod> {
+        let mut methods = self.sequences.iter().filter_map(|entry| entry.scale.as_ref()).map(|scale| scale.method);
         let first = methods.next()?;
         methods.all(|method| method == first).then_some(first)
     }
@@ -207,16 +214,18 @@ impl Benchmark {
     /// Every estimator that gave an answer anywhere: the paper's baseline and method first, the run's own choice last, which
     /// stands for an estimator that was always the choice.
     pub fn estimators(&self) -> Vec<Estimator> {
-        let names: BTreeSet<&String> = self.sequences.iter().flat_map(|entry| entry.estimators.keys()).collect();
-        let rank = |name: &str| match name {
-            "intersection" => 0,
-            "constant-distance" => 1,
-            _ => 2,
+        let methods: BTreeSet<ScaleMethod> =
+            self.sequences.iter().flat_map(|entry| entry.estimators.keys().copied()).collect();
+        let rank = |method: &ScaleMethod| match method {
+            ScaleMethod::Intersection => 0,
+            ScaleMethod::ConstantDistance => 1,
+            ScaleMethod::Joint => 2,
+            ScaleMethod::RobustLeastSquares => 3,
         };
-        let mut names: Vec<&String> =
-            names.into_iter().filter(|name| Some(name.as_str()) != self.only_choice()).collect();
-        names.sort_by_key(|name| rank(name));
-        let named = names.into_iter().cloned().map(Estimator::Named);
+        let mut methods: Vec<ScaleMethod> =
+            methods.into_iter().filter(|method| Some(*method) != self.only_choice()).collect();
+        methods.sort_by_key(rank);
+        let named = methods.into_iter().map(Estimator::Named);
         // The paper's published values hold no choice of a run.
         let chosen = self.sequences.iter().any(|e| e.scale.is_some() || e.failure.is_some() || e.cost.is_some());
         named.chain(chosen.then_some(Estimator::Chosen)).collect()
@@ -269,11 +278,12 @@ pub(crate) mod tests {
     /// A sequence with the given errors of (intersection, constant-distance, chosen).
     pub(crate) fn entry(vehicle: &str, trajectory: &str, errors: [Option<f64>; 3]) -> Entry {
         let answer = |error: f64| Answer {
+            model: ModelState::AsReconstructed,
             ratio: Some(1.0 + error / 10.0),
             deviation: Some(error / 10.0),
             trajectory_error_m: Some(error),
         };
-        let named = ["intersection", "constant-distance"].into_iter().zip(errors);
+        let named = [ScaleMethod::Intersection, ScaleMethod::ConstantDistance].into_iter().zip(errors);
         let [_, _, chosen] = errors;
         Entry {
             folder: format!("{trajectory}_{vehicle}"),
@@ -282,7 +292,7 @@ pub(crate) mod tests {
             failure: chosen.is_none().then(|| "the object cannot be reconstructed".into()),
             trajectory_error_m: chosen,
             floor_m: chosen.map(|error| error / 2.0),
-            estimators: named.filter_map(|(name, error)| Some((name.into(), answer(error?)))).collect(),
+            estimators: named.filter_map(|(method, error)| Some((method, answer(error?)))).collect(),
             ..Entry::default()
         }
     }
@@ -303,30 +313,32 @@ pub(crate) mod tests {
     fn a_failed_sequence_has_no_value_and_keeps_its_place() {
         let failed = entry("van", "bridge", [Some(0.2), None, None]);
         let all = benchmark(vec![entry("van", "crossing", [Some(0.1), Some(0.2), Some(0.3)]), failed]);
-        let value =
-            |k: usize, name: &str| all.sequences[k].value(&Estimator::Named(name.into()), Quantity::TrajectoryError);
-        assert_eq!((value(0, "constant-distance"), value(1, "constant-distance")), (Some(0.2), None));
-        assert_eq!(value(1, "intersection"), Some(0.2));
+        let value = |k: usize, method| all.sequences[k].value(&Estimator::Named(method), Quantity::TrajectoryError);
+        assert_eq!(
+            (value(0, ScaleMethod::ConstantDistance), value(1, ScaleMethod::ConstantDistance)),
+            (Some(0.2), None)
+        );
+        assert_eq!(value(1, ScaleMethod::Intersection), Some(0.2));
         assert_eq!(all.failed().map(|e| e.folder.as_str()).collect::<Vec<_>>(), ["bridge_van"]);
-        let named = |name: &str| Estimator::Named(name.into());
-        assert_eq!(all.estimators(), [named("intersection"), named("constant-distance"), Estimator::Chosen]);
+        let named = [ScaleMethod::Intersection, ScaleMethod::ConstantDistance].map(Estimator::Named);
+        assert_eq!(all.estimators(), [named[0].clone(), named[1].clone(), Estimator::Chosen]);
     }
 
     #[test]
     fn an_estimator_that_was_always_the_choice_has_no_row_of_its_own() {
-        let scale = |method: &str| ScaleFigures {
+        let scale = |method: ScaleMethod| ScaleFigures {
             ratio: 1.0,
             std: None,
-            method: method.into(),
+            method,
             degenerate: false,
             reason: None,
             deviation: None,
         };
         let mut all = benchmark(vec![entry("van", "bridge", [Some(0.1); 3]), entry("suv", "bridge", [Some(0.1); 3])]);
-        all.sequences.iter_mut().for_each(|entry| entry.scale = Some(scale("constant-distance")));
-        let intersection = Estimator::Named("intersection".into());
+        all.sequences.iter_mut().for_each(|entry| entry.scale = Some(scale(ScaleMethod::ConstantDistance)));
+        let intersection = Estimator::Named(ScaleMethod::Intersection);
         assert_eq!(all.estimators(), [intersection, Estimator::Chosen]);
-        all.sequences[1].scale = Some(scale("intersection"));
+        all.sequences[1].scale = Some(scale(ScaleMethod::Intersection));
         assert_eq!(all.estimators().len(), 3);
     }
 

@@ -6,11 +6,12 @@
 //! paper's pipeline had on what kind of sequence, no more.
 
 use super::{Answer, Benchmark, Entry};
+use crate::scene::{ModelState, ScaleMethod};
 
-/// The baseline's name.
-const BASELINE: &str = "intersection";
-/// The name of the paper's own estimator.
-const METHOD: &str = "constant-distance";
+/// The baseline.
+const BASELINE: ScaleMethod = ScaleMethod::Intersection;
+/// The paper's own estimator.
+const METHOD: ScaleMethod = ScaleMethod::ConstantDistance;
 
 /// Its vehicles, in its order.
 pub const VEHICLES: [&str; 5] = ["saloon", "suv", "smart", "hatchback", "van"];
@@ -76,10 +77,10 @@ pub fn published() -> Benchmark {
 
 fn entry((vehicle, trajectory, errors, deviations): &Published) -> Entry {
     let estimators = [BASELINE, METHOD].into_iter().zip(errors.iter().zip(deviations));
-    let estimator = |(name, (error, deviation)): (&str, (&f64, &f64))| {
+    let estimator = |(method, (error, deviation)): (ScaleMethod, (&f64, &f64))| {
         // The ratios themselves were not published.
-        let given = Answer { ratio: None, deviation: Some(*deviation), trajectory_error_m: Some(*error) };
-        (name.to_owned(), given)
+        let model = ModelState::AsReconstructed;
+        (method, Answer { model, ratio: None, deviation: Some(*deviation), trajectory_error_m: Some(*error) })
     };
     Entry {
         folder: format!("{trajectory}_{vehicle}"),
@@ -108,17 +109,17 @@ mod tests {
             (BASELINE, [0.42, 0.53, 0.25, 0.95, 1.68], [0.05, 0.07, 0.01, 0.08, 0.13], [0.766, 0.270, 0.068, 0.024]),
             (METHOD, [0.20, 0.23, 0.33, 0.33, 0.47], [0.04, 0.04, 0.04, 0.06, 0.08], [0.312, 0.232, 0.051, 0.027]),
         ];
-        for (row, (name, errors, deviations, [mean_m, median_m, mean, median])) in summary.rows.iter().zip(printed) {
-            assert_eq!(row.estimator, Estimator::Named(name.into()));
+        for (row, (method, errors, deviations, [mean_m, median_m, mean, median])) in summary.rows.iter().zip(printed) {
+            assert_eq!(row.estimator, Estimator::Named(method));
             let (error, deviation) = (&row.trajectory_error_m, &row.scale_deviation);
             assert_eq!((error.all.num, error.all.num_failed), (35, 0));
             for k in 0..vehicles.len() {
-                assert!((error.vehicles[k].mean.unwrap() - errors[k]).abs() < 0.0051, "{name} {k}");
-                assert!((deviation.vehicles[k].mean.unwrap() - deviations[k]).abs() < 0.0051, "{name} {k}");
+                assert!((error.vehicles[k].mean.unwrap() - errors[k]).abs() < 0.0051, "{method:?} {k}");
+                assert!((deviation.vehicles[k].mean.unwrap() - deviations[k]).abs() < 0.0051, "{method:?} {k}");
             }
             let found = [error.all.mean, error.all.median, deviation.all.mean, deviation.all.median];
             for (found, expected) in found.into_iter().zip([mean_m, median_m, mean, median]) {
-                assert!((found.unwrap() - expected).abs() < 0.00051, "{name}: {found:?}, {expected}");
+                assert!((found.unwrap() - expected).abs() < 0.00051, "{method:?}: {found:?}, {expected}");
             }
         }
     }

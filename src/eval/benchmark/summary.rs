@@ -61,6 +61,7 @@ fn figures(benchmark: &Benchmark, vehicles: &[String], estimator: &Estimator, qu
 mod tests {
     use super::super::tests::{benchmark, entry};
     use super::*;
+    use crate::scene::ScaleMethod;
 
     #[test]
     fn a_failed_sequence_is_in_every_count() {
@@ -72,7 +73,7 @@ mod tests {
         let summary = summarise(&all, &all.vehicles());
         assert_eq!(summary.vehicles, ["smart", "van"]);
         let row = |estimator: &Estimator| summary.rows.iter().find(|row| row.estimator == *estimator).unwrap();
-        let method = &row(&Estimator::Named("constant-distance".into())).trajectory_error_m;
+        let method = &row(&Estimator::Named(ScaleMethod::ConstantDistance)).trajectory_error_m;
         assert_eq!((method.all.num, method.all.num_failed), (2, 1));
         assert!((method.all.mean.unwrap() - 0.2).abs() < 1e-15);
         assert_eq!((method.vehicles[0].num_failed, method.vehicles[1].num_failed), (0, 1));
@@ -80,7 +81,7 @@ mod tests {
         assert_eq!(row(&Estimator::Chosen).trajectory_error_m, *method);
         let floor = &row(&Estimator::Reference).trajectory_error_m.all;
         assert!((floor.mean.unwrap() - 0.1).abs() < 1e-15 && floor.num_failed == 1);
-        let deviation = &row(&Estimator::Named("intersection".into())).scale_deviation.all;
+        let deviation = &row(&Estimator::Named(ScaleMethod::Intersection)).scale_deviation.all;
         assert!((deviation.mean.unwrap() - 0.06).abs() < 1e-15);
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::eval::benchmark::{Benchmark, Entry, Estimator, Quantity, paper};
 use crate::report::bars::{Bar, BarChart, Filling, Height};
+use crate::scene::ScaleMethod;
 
 /// Trajectory error per trajectory, vehicle and estimator, as SVG.
 pub fn trajectory_error_chart(benchmark: &Benchmark) -> String {
@@ -39,16 +40,19 @@ fn chart(benchmark: &Benchmark, quantity: Quantity, title: &str, y_label: &str) 
 
 /// The paper's two estimators, and the run's choice where it is not always the paper's.
 fn drawn(benchmark: &Benchmark) -> Vec<(Estimator, Filling, String)> {
-    let method = "constant-distance";
+    let method = ScaleMethod::ConstantDistance;
     let papers = |scale: &crate::eval::ScaleFigures| scale.method == method;
     let differs = benchmark.sequences.iter().any(|entry| entry.scale.as_ref().is_some_and(|scale| !papers(scale)));
-    let named = |name: &str| Estimator::Named(name.into());
     let mut drawn = vec![
-        (named("intersection"), Filling::Hatched, "intersection (baseline)".to_owned()),
-        (named(method), if differs { Filling::Pale } else { Filling::Solid }, "constant distance".to_owned()),
+        (Estimator::Named(ScaleMethod::Intersection), Filling::Hatched, "intersection (baseline)".to_owned()),
+        (
+            Estimator::Named(method),
+            if differs { Filling::Pale } else { Filling::Solid },
+            "constant distance".to_owned(),
+        ),
     ];
     if differs {
-        let said = benchmark.only_choice().map_or("as run".to_owned(), |method| format!("{method} (as run)"));
+        let said = benchmark.only_choice().map_or("as run".to_owned(), |method| format!("{} (as run)", method.name()));
         drawn.push((Estimator::Chosen, Filling::Solid, said));
     }
     drawn
@@ -86,10 +90,10 @@ fn bar(entries: &[&Entry], published: &Benchmark, estimator: &Estimator, quantit
 
 fn name(estimator: &Estimator) -> &str {
     match estimator {
-        Estimator::Named(name) => name,
+        Estimator::Named(method) => method.name(),
         Estimator::Chosen => "as run",
         Estimator::Reference => "reference ratio",
-        Estimator::ReferenceAsReconstructed => "reference ratio, not adjusted",
+        Estimator::ReferenceAsReconstructed => "reference ratio, as reconstructed",
     }
 }
 
@@ -104,7 +108,7 @@ mod tests {
 
     fn paper_with_a_failure() -> Benchmark {
         let mut set = paper::published();
-        set.sequences[3].estimators.remove("constant-distance");
+        set.sequences[3].estimators.remove(&ScaleMethod::ConstantDistance);
         set.sequences.pop();
         set
     }
@@ -127,7 +131,7 @@ mod tests {
         let mut adjusted = entry("van", "bridge", [Some(0.4), Some(0.3), Some(0.1)]);
         (adjusted.floor_m, adjusted.floor_as_reconstructed_m) = (Some(0.05), Some(0.2));
         let set = benchmark(vec![adjusted, entry("van", "crossing", [Some(0.4), Some(0.3), Some(0.1)])]);
-        let estimators = [Estimator::Named("intersection".into()), Estimator::Chosen];
+        let estimators = [Estimator::Named(ScaleMethod::Intersection), Estimator::Chosen];
         let floor = |entry, estimator| bar(&[entry], &paper::published(), estimator, Quantity::TrajectoryError).floor;
         let floors = |entry| estimators.each_ref().map(|estimator| floor(entry, estimator));
         assert_eq!(floors(&set.sequences[0]), [Some(0.2), Some(0.05)]);
@@ -138,7 +142,7 @@ mod tests {
     fn several_seeds_of_one_cell_are_one_bar() {
         let mut set = paper::published();
         let mut twin = set.sequences[0].clone();
-        twin.estimators.get_mut("intersection").unwrap().trajectory_error_m = Some(0.153598);
+        twin.estimators.get_mut(&ScaleMethod::Intersection).unwrap().trajectory_error_m = Some(0.153598);
         set.sequences.push(twin);
         let drawn = chart(&set, Quantity::TrajectoryError, "t", "m");
         assert!(matches!(drawn.bars[0][0][0].height, Height::Value(mean) if (mean - 0.103598).abs() < 1e-12));

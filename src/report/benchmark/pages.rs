@@ -164,14 +164,14 @@ fn number(value: Option<f64>, digits: usize) -> String {
 
 fn name(estimator: &Estimator, set: &Benchmark) -> String {
     match estimator {
-        Estimator::Named(name) => name.clone(),
+        Estimator::Named(method) => method.name().into(),
         Estimator::Reference if set.has_adjusted() => "at the reference ratio, adjusted".into(),
         Estimator::Reference => "at the reference ratio".into(),
-        Estimator::ReferenceAsReconstructed => "at the reference ratio, not adjusted".into(),
+        Estimator::ReferenceAsReconstructed => "at the reference ratio, as reconstructed".into(),
         Estimator::Chosen => {
             let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
             for scale in set.sequences.iter().filter_map(|entry| entry.scale.as_ref()) {
-                *counts.entry(&scale.method).or_default() += 1;
+                *counts.entry(scale.method.name()).or_default() += 1;
             }
             let methods: Vec<String> = match counts.len() {
                 1 => counts.keys().map(|method| (*method).to_owned()).collect(),
@@ -275,10 +275,10 @@ fn beside(own: &Benchmark, others: &[Benchmark]) -> String {
 
 fn short(estimator: &Estimator) -> &str {
     match estimator {
-        Estimator::Named(name) => name,
+        Estimator::Named(method) => method.name(),
         Estimator::Chosen => "as run",
         Estimator::Reference => "floor",
-        Estimator::ReferenceAsReconstructed => "floor, not adjusted",
+        Estimator::ReferenceAsReconstructed => "floor, as reconstructed",
     }
 }
 
@@ -376,7 +376,7 @@ mod tests {
         let mut set = set();
         assert!(!summary(&set, &[]).contains("standard deviations"));
         for (entry, deviation) in set.sequences.iter_mut().zip([0.01, 0.03]) {
-            let method = "joint".to_owned();
+            let method = crate::scene::ScaleMethod::Joint;
             let (std, deviation) = (Some(0.04), Some(deviation));
             let scale =
                 crate::eval::ScaleFigures { ratio: 2.0, std, method, degenerate: false, reason: None, deviation };
@@ -404,7 +404,7 @@ mod tests {
             row.split('|').map(|cell| cell.trim().to_owned()).collect()
         };
         assert_eq!(cells("at the reference ratio, adjusted")[2..4], ["0.050", "0.250 (1/2)"]);
-        assert_eq!(cells("at the reference ratio, not adjusted")[2..4], ["0.070", "0.250 (1/2)"]);
+        assert_eq!(cells("at the reference ratio, as reconstructed")[2..4], ["0.070", "0.250 (1/2)"]);
         let row = page.lines().find(|line| line.starts_with("| crossing_smart")).unwrap();
         assert!(row.contains(" 0.070 "), "{row}");
     }

@@ -14,7 +14,7 @@ use crate::trajectory::assemble::poses;
 use crate::trajectory::mirror::mean_normal;
 use crate::trajectory::views::median;
 use crate::trajectory::{
-    Contact, LeastSquaresOptions, ScaleError, Views, contact, forward_axis, intersection, least_squares, object_center,
+    Contact, Options, ScaleError, Views, contact, forward_axis, intersection, least_squares, object_center,
 };
 
 /// An object's reconstruction with the ground at z = 0, in the background's unit.
@@ -31,13 +31,13 @@ pub(super) struct Adjustment<'a> {
 }
 
 impl<'a> Adjustment<'a> {
-    pub(super) fn new(grounded: &'a Grounded<'a>, options: &'a JointOptions) -> Result<Self, ScaleError> {
-        let views = Views::new(grounded.background, grounded.object, grounded.planes);
-        let (up, _) = mean_normal(&views).ok_or(ScaleError::NoPoints)?;
-        let all_frames = least_squares(&views, &LeastSquaresOptions::default());
+    pub(super) fn new(grounded: &'a Grounded<'a>, views: &Views, options: &'a Options) -> Result<Self, ScaleError> {
+        let (up, _) = mean_normal(views).ok_or(ScaleError::NoMeanNormal { num_views: views.views.len() })?;
+        let all_frames = least_squares(views, &options.least_squares);
+        let options = &options.joint;
         let ratio = match all_frames.as_ref().map(|found| found.ratio) {
             Ok(ratio) if ratio > 0.0 && ratio.is_finite() => ratio,
-            _ => intersection(&views)?.ratio,
+            _ => intersection(views)?.ratio,
         };
         let spread = all_frames.as_ref().map_or(f64::INFINITY, |found| found.residual_std);
         let level = UnitQuaternion::rotation_between(&up, &Vector3::z())
@@ -54,14 +54,16 @@ impl<'a> Adjustment<'a> {
         object.transform(&Sim3::new(ratio, level, lift));
         let mut residuals = Vec::new();
         for_each_residual(&object, |_, residual| residuals.extend([residual.x.abs(), residual.y.abs()]));
-        let noise_px = 1.4826 * median(residuals).ok_or(ScaleError::NoPoints)?;
+        let noise_px = 1.4826 * median(residuals).ok_or(ScaleError::NoObservations)?;
         Ok(Self { grounded, options, object, noise_px: noise_px.max(1e-3), wander, camera_height })
     }
 
     /// Where the outlines put the ground.
     pub(super) fn contact(&self) -> Result<Contact, ScaleError> {
-        contact(&self.object, self.grounded.silhouettes, self.forward(), &self.options.contact)
-            .ok_or(ScaleError::NoPoints)
+        contact(&self.object, self.grounded.silhouettes, self.forward(), &self.options.contact).ok_or_else(|| {
+            let num_points = self.object.points.len();
+            ScaleError::NoSolidPoints { num_points, min_track: self.options.contact.min_track }
+        })
     }
 
     /// The vehicle's forward direction, from its way through the background.
@@ -173,7 +175,7 @@ impl<'a> Adjustment<'a> {
             let along = sight / distance;
             (along.dot(&(covariance.center * along)).max(0.0)).sqrt() / distance
         });
-        median(deviations.collect()).filter(|std| std.is_finite()).ok_or(ScaleError::NoPoints)
+        median(deviations.collect()).filter(|std| std.is_finite()).ok_or(ScaleError::NoCovariance)
     }
 
     /// The similarity onto the points of the reconstruction that this was made from.

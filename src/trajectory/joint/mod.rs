@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 use self::adjustment::Adjustment;
 use self::precision::{median_error_px, set_errors, uncertain_points};
 use super::mirror::{mean_normal, mirrored};
-use super::{Contact, ContactOptions, ScaleError, Silhouette, Views};
+use super::{Contact, ContactOptions, Options, ScaleError, Silhouette, Views};
 use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction};
 
 /// How much each kind of knowledge counts.
@@ -111,27 +111,30 @@ pub struct Joint {
 
 /// Adjusts an object's reconstruction together with the ground.
 ///
+/// * `views` – of `grounded.object`.
+/// * `options` – besides those of `joint` itself those of `least_squares`, from which the adjustment starts.
+///
 /// # Errors
 /// [`ScaleError`] where there are fewer than three frames with a plane, no points, nothing to begin with, or where image
 /// positions and ground contradict one another.
-pub fn joint(grounded: &Grounded, options: &JointOptions) -> Result<Joint, ScaleError> {
-    let views = Views::new(grounded.background, grounded.object, grounded.planes);
+pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Joint, ScaleError> {
     views.require(3)?;
     let tilt = |views: &Views| mean_normal(views).map_or(0.0, |(_, angle)| angle);
-    if tilt(&views) > options.suspicious_tilt {
+    if tilt(views) > options.joint.suspicious_tilt {
         let object = mirrored(grounded.object);
         let other = Views::new(grounded.background, &object, grounded.planes);
-        if tilt(&other) < 0.5 * tilt(&views)
-            && let Ok(found) = adjusted(&Grounded { object: &object, ..*grounded }, options, true)
+        if tilt(&other) < 0.5 * tilt(views)
+            && let Ok(found) = adjusted(&Grounded { object: &object, ..*grounded }, &other, options, true)
         {
             return Ok(found);
         }
     }
-    adjusted(grounded, options, false)
+    adjusted(grounded, views, options, false)
 }
 
-fn adjusted(grounded: &Grounded, options: &JointOptions, is_mirrored: bool) -> Result<Joint, ScaleError> {
-    let mut adjustment = Adjustment::new(grounded, options)?;
+fn adjusted(grounded: &Grounded, views: &Views, options: &Options, is_mirrored: bool) -> Result<Joint, ScaleError> {
+    let mut adjustment = Adjustment::new(grounded, views, options)?;
+    let options = &options.joint;
     let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
     let mut last = adjustment.contact()?;
     for _ in 0..options.max_rounds {
@@ -148,7 +151,7 @@ fn adjusted(grounded: &Grounded, options: &JointOptions, is_mirrored: bool) -> R
         return Err(ScaleError::GroundContradicts { before_px, after_px });
     }
     let relative_std = adjustment.relative_std(&last)?;
-    let object_from_ground = adjustment.back_to(grounded.object).ok_or(ScaleError::NoPoints)?;
+    let object_from_ground = adjustment.back_to(grounded.object).ok_or(ScaleError::NoSimilarity)?;
     let mut object = adjustment.object;
     object.transform(&object_from_ground);
     let uncertain = uncertain_points(&object, options.max_deviation, options.least_share);

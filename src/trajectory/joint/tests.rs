@@ -24,7 +24,8 @@ fn solve(
     silhouettes: &BTreeMap<FrameId, Silhouette>,
 ) -> Result<Joint, ScaleError> {
     let Drive { background, planes, frames, .. } = world;
-    joint(&Grounded { background, object, planes, silhouettes, frames }, &JointOptions::default())
+    let views = Views::new(background, object, planes);
+    joint(&Grounded { background, object, planes, silhouettes, frames }, &views, &crate::trajectory::Options::default())
 }
 
 /// Relative error of the ratio for the size that the object has come out with.

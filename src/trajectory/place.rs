@@ -1,0 +1,194 @@
+//! The whole way from reconstructions, planes and outlines to an object that is placed: the one call that a user of the
+//! library needs.
+//!
+//! With the method `joint` the object's reconstruction is first adjusted together with the ground ([`joint`]); where that
+//! cannot be done, or another method is wanted, it is taken as it is and [`estimate_scale`] finds the ratio. Either way the
+//! trajectory refers to [`Placed::object`].
+
+use std::collections::BTreeMap;
+
+use super::estimate::{estimate_scale, joint_estimate, ratios_of};
+use super::{Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views, assemble, joint};
+use crate::scene::{Frame, FrameId, GroundPlane, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod, Unit};
+
+/// Where an object's model comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ModelOrigin {
+    /// Structure from motion: `joint` may adjust it.
+    Reconstructed,
+    /// The user: it is taken as it is, whatever the method.
+    Given,
+}
+
+/// What is known of one object and of the place around it.
+#[derive(Clone, Debug)]
+pub struct Evidence<'a> {
+    /// Id, class and score, handed on to the trajectory.
+    pub description: ObjectDescription,
+    /// Where `object` comes from.
+    pub origin: ModelOrigin,
+    /// The background's reconstruction.
+    pub background: &'a Reconstruction,
+    /// The object's, as it was reconstructed.
+    pub object: &'a Reconstruction,
+    /// The local plane of each frame, in the background's frame; frames without one are absent.
+    pub planes: &'a BTreeMap<FrameId, GroundPlane>,
+    /// The object's outlines; only `joint` looks at them.
+    pub silhouettes: &'a BTreeMap<FrameId, Silhouette>,
+    /// All frames.
+    pub frames: &'a [Frame],
+}
+
+/// An object in its place.
+#[derive(Clone, Debug)]
+pub struct Placed {
+    /// The model to which the trajectory refers: adjusted with the ground where that was done, else as it was.
+    pub object: Reconstruction,
+    /// Whether, and how, the model was adjusted.
+    pub adjustment: Adjustment,
+    /// The trajectory, in units of the background, or why there is none.
+    pub trajectory: Result<ObjectTrajectory, ScaleError>,
+}
+
+/// What became of the adjustment with the ground.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Adjustment {
+    /// Not wanted: another method, or a model that the user gave.
+    None,
+    /// The model was adjusted.
+    Done(AdjustmentFigures),
+    /// The model stays as it was.
+    Failed(ScaleError),
+}
+
+/// What the adjustment found besides the model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdjustmentFigures {
+    /// Whether the model is the mirror image of the one that it was made from.
+    pub mirrored: bool,
+    /// Frames whose outline shows where the ground is; 0 where it was guessed from the lowest points.
+    pub frames_with_outline: usize,
+    /// Median error of the image positions before and after, pixels.
+    pub error_px: [f64; 2],
+    /// Points that were left out because their place is too uncertain.
+    pub num_uncertain: usize,
+}
+
+impl From<&Joint> for AdjustmentFigures {
+    fn from(found: &Joint) -> Self {
+        Self {
+            mirrored: found.mirrored,
+            frames_with_outline: found.contact.num_frames,
+            error_px: found.error_px,
+            num_uncertain: found.num_uncertain,
+        }
+    }
+}
+
+/// Places one object: adjusts its model if `options` want that, finds the scale ratio, and assembles the trajectory.
+///
+/// Never fails as a whole: [`Placed::trajectory`] and [`Placed::adjustment`] say what could not be done and why.
+pub fn place(evidence: &Evidence, options: &Options) -> Placed {
+    let as_it_is = Views::new(evidence.background, evidence.object, evidence.planes);
+    let is_adjusted = options.method == ScaleMethod::Joint && evidence.origin == ModelOrigin::Reconstructed;
+    let adjustment = match is_adjusted.then(|| joint(&evidence.grounded(), &as_it_is, options)) {
+        None => Adjustment::None,
+        Some(Err(error)) => Adjustment::Failed(error),
+        Some(Ok(found)) => return evidence.adjusted(found, &as_it_is, options),
+    };
+    let method = match options.method {
+        ScaleMethod::Joint => ScaleMethod::RobustLeastSquares,
+        method => method,
+    };
+    let scale = estimate_scale(&as_it_is, method, options);
+    let object = evidence.object.clone();
+    let trajectory = scale.and_then(|scale| evidence.trajectory(&object, scale));
+    Placed { object, adjustment, trajectory }
+}
+
+impl Evidence<'_> {
+    fn grounded(&self) -> Grounded<'_> {
+        let Self { background, object, planes, silhouettes, frames, .. } = *self;
+        Grounded { background, object, planes, silhouettes, frames }
+    }
+
+    /// The object after an adjustment; `as_it_was` are the views of the model before.
+    fn adjusted(&self, found: Joint, as_it_was: &Views, options: &Options) -> Placed {
+        let views = Views::new(self.background, &found.object, self.planes);
+        let as_reconstructed = Some(ratios_of(as_it_was, options));
+        let scale = ScaleEstimate { as_reconstructed, ..joint_estimate(&views, &found, options) };
+        let adjustment = Adjustment::Done(AdjustmentFigures::from(&found));
+        let trajectory = self.trajectory(&found.object, scale);
+        Placed { object: found.object, adjustment, trajectory }
+    }
+
+    fn trajectory(&self, object: &Reconstruction, scale: ScaleEstimate) -> Result<ObjectTrajectory, ScaleError> {
+        let description = self.description.clone();
+        let trajectory = assemble(description, self.background, object, scale, self.frames, Unit::Background);
+        match trajectory.poses.is_empty() {
+            true => Err(ScaleError::NoCommonFrame),
+            false => Ok(trajectory),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::ObjectId;
+    use crate::synthetic::drive::{self, Drive, Noise, drive};
+
+    const NOISE: Noise = Noise { pixel_px: 0.3, plane_height_m: 0.03, plane_tilt_deg: 0.3, bad_planes: 0.0 };
+
+    fn evidence<'a>(
+        world: &'a Drive,
+        silhouettes: &'a BTreeMap<FrameId, Silhouette>,
+        origin: ModelOrigin,
+    ) -> Evidence<'a> {
+        let description = ObjectDescription { id: ObjectId(1), class: "car".into(), confidence: 1.0 };
+        let Drive { background, object, planes, frames, .. } = world;
+        Evidence { description, origin, background, object, planes, silhouettes, frames }
+    }
+
+    fn world() -> Drive {
+        drive(&drive::Options { noise: NOISE, ..drive::Options::default() }, 3)
+    }
+
+    #[test]
+    fn a_reconstructed_object_is_adjusted_and_says_what_it_was_before() {
+        let (world, none) = (world(), BTreeMap::new());
+        let placed = place(&evidence(&world, &none, ModelOrigin::Reconstructed), &Options::default());
+        assert!(matches!(placed.adjustment, Adjustment::Done(_)), "{:?}", placed.adjustment);
+        let scale = placed.trajectory.unwrap().scale;
+        assert_eq!(scale.method, ScaleMethod::Joint);
+        assert_eq!(scale.alternatives[&ScaleMethod::Joint], scale.ratio);
+        let before = scale.as_reconstructed.unwrap();
+        assert!(!before.contains_key(&ScaleMethod::Joint) && before.contains_key(&ScaleMethod::Intersection));
+        assert_ne!(placed.object, world.object);
+    }
+
+    #[test]
+    fn a_given_model_and_another_method_leave_the_model_as_it_is() {
+        let (world, none) = (world(), BTreeMap::new());
+        let contact = Options { method: ScaleMethod::Intersection, ..Options::default() };
+        for (origin, options, method) in [
+            (ModelOrigin::Given, Options::default(), ScaleMethod::RobustLeastSquares),
+            (ModelOrigin::Reconstructed, contact, ScaleMethod::Intersection),
+        ] {
+            let placed = place(&evidence(&world, &none, origin), &options);
+            assert_eq!((placed.adjustment, &placed.object), (Adjustment::None, &world.object));
+            let scale = placed.trajectory.unwrap().scale;
+            assert_eq!((scale.method, scale.as_reconstructed), (method, None));
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_placed_says_why() {
+        let (mut world, none) = (world(), BTreeMap::new());
+        world.planes.clear();
+        let placed = place(&evidence(&world, &none, ModelOrigin::Reconstructed), &Options::default());
+        assert!(matches!(placed.adjustment, Adjustment::Failed(ScaleError::TooFewViews { usable: 0, .. })));
+        assert!(matches!(placed.trajectory, Err(ScaleError::TooFewViews { .. })));
+        assert_eq!(placed.object, world.object);
+    }
+}
