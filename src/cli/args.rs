@@ -86,6 +86,9 @@ pub(super) struct JobArgs {
     /// Folder for the results; made if missing, continued if an earlier run was stopped
     #[arg(long, short, value_name = "DIR")]
     pub(super) output: PathBuf,
+    /// Replace the results of another input that are in the output folder
+    #[arg(long)]
+    pub(super) overwrite: bool,
 
     /// Given vehicle masks: one 8-bit PNG per frame with the frame's stem, 0 background, k = vehicle k
     #[arg(long, value_name = "DIR", conflicts_with = "segmentation_model", help_heading = "Vehicles")]

@@ -18,6 +18,9 @@ pub struct Args {
     /// Format to write; by default .ply by its name, binary from COLMAP text, text from all else
     #[arg(long, value_enum)]
     pub to: Option<To>,
+    /// Replace files that are there
+    #[arg(long)]
+    pub overwrite: bool,
 }
 
 /// A format that can be written.
@@ -41,6 +44,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Some(To::Ply) => Format::Ply,
         None => model::format_for(from, &args.output),
     };
+    model::check_target(&args.input, &args.output, format, args.overwrite)?;
     model::write(&args.output, &reconstruction, format)?;
     let (images, points) = (reconstruction.images.len(), reconstruction.points.len());
     tracing::info!("{from} to {format}: {images} images, {points} points in {}", args.output.display());
@@ -55,7 +59,7 @@ mod tests {
     use crate::io::colmap;
 
     fn convert(input: &Path, output: &Path, to: Option<To>) -> anyhow::Result<()> {
-        run(&Args { input: input.into(), output: output.into(), to })
+        run(&Args { input: input.into(), output: output.into(), to, overwrite: false })
     }
 
     #[test]

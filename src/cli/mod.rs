@@ -56,7 +56,7 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &terminal::Talk) -> Resul
         | Command::Sfm(job)
         | Command::Ground(job)
         | Command::Scale(job) => run::run(job, args.command.goal(), arguments, json, talk),
-        Command::Evaluate(own) => Ok(evaluate::run(&evaluate::Args { json: json || own.json, ..own.clone() })?),
+        Command::Evaluate(own) => evaluate::run(&evaluate::Args { json: json || own.json, ..own.clone() }),
         Command::Benchmark(own) => benchmark::run(own, arguments, json, talk),
         Command::Compare(own) => Ok(compare::run(&compare::Args { json: json || own.json, ..own.clone() })?),
         Command::Convert(own) => Ok(convert::run(own)?),

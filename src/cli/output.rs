@@ -3,6 +3,9 @@
 use std::fmt;
 use std::io::{self, Write};
 
+use crate::io::FolderError;
+use crate::pipeline::PipelineError;
+
 /// Why a command ends without having done what was asked.
 #[derive(Debug)]
 pub(super) enum Failure {
@@ -43,7 +46,12 @@ impl fmt::Display for Failure {
 
 impl<E: Into<anyhow::Error>> From<E> for Failure {
     fn from(error: E) -> Self {
-        Self::Input(error.into())
+        let error = error.into();
+        let of_pipeline = error.downcast_ref().is_some_and(PipelineError::is_wrong_use);
+        match of_pipeline || error.downcast_ref().is_some_and(FolderError::is_wrong_use) {
+            true => Self::Usage(error.to_string()),
+            false => Self::Input(error),
+        }
     }
 }
 

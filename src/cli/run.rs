@@ -12,25 +12,32 @@ use super::args::JobArgs;
 use super::models;
 use super::output::{Failure, print, print_json};
 use super::terminal::Talk;
-use crate::io::{IoError, Sequence};
-use crate::pipeline::{self, GroundLabels, Instances, Intrinsics, Options, Stage, Summary};
+use crate::io::{IoError, RunFolder, Sequence};
+use crate::pipeline::{self, GroundLabels, Instances, Intrinsics, Job, Options, Overwrite, Stage, Summary};
 use crate::scene::{ObjectTrajectory, Trajectories};
 
 pub(super) fn run(job: &JobArgs, goal: Stage, arguments: &[OsString], json: bool, talk: &Talk) -> Result<(), Failure> {
     let (input, options) = resolve(job, goal)?;
     use_threads(options.threads)?;
     let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
-    let summary = pipeline::run(&input, &job.output, &options, goal, &arguments, talk)?;
-    talk.finish();
-    let trajectories = match goal >= Stage::Scale {
-        true => Some(crate::io::trajectories::read(&job.output.join("trajectories.json"))?),
-        false => None,
+    let task = Job {
+        input: &input,
+        output: &job.output,
+        options: &options,
+        goal,
+        also_read: job.common.options.iter().map(|path| ("--options", path.as_path())).collect(),
+        overwrite: if job.overwrite { Overwrite::AnyInput } else { Overwrite::SameInput },
+        arguments: &arguments,
     };
+    let summary = pipeline::run(&task, talk)?;
+    talk.finish();
+    let folder = RunFolder::at(&job.output);
+    let trajectories = (goal >= Stage::Scale).then(|| folder.read_trajectories()).transpose()?;
     match json {
         true => print_json(&as_json(&summary, goal, trajectories.as_ref()))?,
         false => print(&as_text(&summary, goal, trajectories.as_ref()))?,
     }
-    match summary.failure {
+    match summary.failure() {
         Some(failure) => Err(Failure::Input(anyhow::anyhow!(failure))),
         None => Ok(()),
     }
@@ -108,24 +115,7 @@ pub(super) fn apply_sequence(sequence: &Sequence, options: &mut Options) -> Resu
 
 /// Says which file is missing before any work starts.
 fn check_paths(options: &Options) -> Result<(), Failure> {
-    let mut named: Vec<(&str, &Path)> = Vec::new();
-    match &options.instances {
-        Instances::Masks(folder) => named.push(("--masks", folder)),
-        Instances::Model(model) => named.push(("--segmentation-model", model)),
-        Instances::None => {}
-    }
-    match &options.ground_labels {
-        GroundLabels::Masks { folder, .. } => named.push(("--ground-masks", folder)),
-        GroundLabels::Model(model) => named.push(("--ground-model", model)),
-        GroundLabels::Geometric => {}
-    }
-    if let Some(Intrinsics::File(file)) = &options.intrinsics {
-        named.push(("--intrinsics", file));
-    }
-    named.extend(options.flow_model.as_deref().map(|path| ("--flow-model", path)));
-    named.extend(options.background_model.as_deref().map(|path| ("--background-model", path)));
-    named.extend(options.object_models.values().map(|path| ("--object-model", path.as_path())));
-    for (flag, path) in named {
+    for (flag, path) in options.named_paths() {
         fs::metadata(path).with_context(|| format!("{}: cannot be read; check {flag}", path.display()))?;
     }
     Ok(())
@@ -155,16 +145,16 @@ fn as_json(summary: &Summary, goal: Stage, trajectories: Option<&Trajectories>) 
     });
     json!({
         "output": summary.output,
-        "report": (goal == Stage::Report).then(|| summary.output.join("report.html")),
+        "report": (goal == Stage::Report).then(|| RunFolder::at(&summary.output).report()),
         "objects": objects,
         "stages": stages,
         "warnings": summary.warnings,
-        "failure": summary.failure,
+        "failure": summary.failure(),
     })
 }
 
 fn as_text(summary: &Summary, goal: Stage, trajectories: Option<&Trajectories>) -> String {
-    let mut text = if goal == Stage::Objects { models::as_text(&summary.stages) } else { String::new() };
+    let mut text = if goal == Stage::Objects { models::as_text(summary) } else { String::new() };
     // Writing to a string cannot fail.
     if let Some(found) = trajectories {
         let _ = writeln!(text, "{} vehicles with a trajectory", found.objects.len());
@@ -179,7 +169,8 @@ fn as_text(summary: &Summary, goal: Stage, trajectories: Option<&Trajectories>) 
             );
         }
     }
-    let result = if goal == Stage::Report { summary.output.join("report.html") } else { summary.output.clone() };
+    let folder = RunFolder::at(&summary.output);
+    let result = if goal == Stage::Report { folder.report() } else { summary.output.clone() };
     let _ = writeln!(text, "{}", result.display());
     text
 }

@@ -80,6 +80,10 @@ impl Progress for Talk {
         self.bar.enable_steady_tick(Duration::from_millis(200));
     }
 
+    fn note(&self, line: &str) {
+        self.say(line);
+    }
+
     fn step(&self) {
         self.bar.inc(1);
     }

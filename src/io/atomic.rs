@@ -2,8 +2,8 @@
 //!
 //! A file is written under a temporary name in the folder where it belongs (a rename is atomic only within one file
 //! system), flushed, synchronised, renamed, and then the folder is synchronised, since power can fail at any moment. A
-//! folder is filled beside its place and renamed as one. A process that is killed can leave a temporary file or folder
-//! behind, never half of a real one; [`remove_leftovers`] clears them.
+//! process that is killed can leave a temporary file behind, never half of a real one; [`remove_leftovers`] clears them. Whole
+//! folders, and files among those of others, are [`OwnedFolder`](super::OwnedFolder)'s matter.
 
 use std::fs::{self, File, Permissions};
 use std::io::{BufWriter, Write};
@@ -50,29 +50,9 @@ pub fn write_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> std::io::Res
     sync_folder(folder)
 }
 
-/// Fills a new folder through `fill`, which gets its temporary place, and puts it at `path`, replacing a folder that is
-/// there with all that is in it.
-///
-/// If the power fails in the short moment between taking the old folder away and putting the new one in its place, there
-/// is no folder at `path`, but never half of one.
-///
-/// # Errors
-/// What `fill` reports, or a system error, as `E`; `path` is then what it was.
-pub fn write_folder<T, E: From<IoError>>(path: &Path, fill: impl FnOnce(&Path) -> Result<T, E>) -> Result<T, E> {
-    let above = parent(path);
-    fs::create_dir_all(above).map_err(IoError::system("create", above))?;
-    let mut builder = Builder::new();
-    builder.prefix(TEMPORARY_PREFIX).permissions(Permissions::from_mode(0o777));
-    let fresh = builder.tempdir_in(above).map_err(IoError::system("write into", above))?;
-    let value = fill(fresh.path())?;
-    sync_tree(fresh.path())?;
-    // Dropping this handle removes the old folder, after the new one has taken its place.
-    let _old = set_aside(path, above)?;
-    fs::rename(fresh.path(), path).map_err(IoError::system("replace", path))?;
-    // The folder has a new name now; its temporary name must not be removed from under whoever takes it next.
-    let _ = fresh.keep();
-    sync_folder(above)?;
-    Ok(value)
+/// Whether a name is one under which a file is written before it is whole.
+pub(super) fn is_temporary(name: &str) -> bool {
+    name.starts_with(TEMPORARY_PREFIX)
 }
 
 /// Removes temporary files and folders that a killed process left directly in `folder`; returns how many.
@@ -82,7 +62,7 @@ pub fn remove_leftovers(folder: &Path) -> Result<usize, IoError> {
     let mut removed = 0;
     for entry in fs::read_dir(folder).map_err(IoError::system("read", folder))? {
         let entry = entry.map_err(IoError::system("read", folder))?;
-        if !entry.file_name().to_string_lossy().starts_with(TEMPORARY_PREFIX) {
+        if !is_temporary(&entry.file_name().to_string_lossy()) {
             continue;
         }
         let path = entry.path();
@@ -94,17 +74,6 @@ pub fn remove_leftovers(folder: &Path) -> Result<usize, IoError> {
     Ok(removed)
 }
 
-/// Moves what is at `path` into a temporary folder beside it, if anything is there.
-fn set_aside(path: &Path, above: &Path) -> Result<Option<tempfile::TempDir>, IoError> {
-    if fs::symlink_metadata(path).is_err() {
-        return Ok(None);
-    }
-    let aside =
-        Builder::new().prefix(TEMPORARY_PREFIX).tempdir_in(above).map_err(IoError::system("write into", above))?;
-    fs::rename(path, aside.path().join("old")).map_err(IoError::system("replace", path))?;
-    Ok(Some(aside))
-}
-
 fn parent(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -112,11 +81,11 @@ fn parent(path: &Path) -> &Path {
     }
 }
 
-fn sync_folder(folder: &Path) -> Result<(), IoError> {
+pub(super) fn sync_folder(folder: &Path) -> Result<(), IoError> {
     File::open(folder).and_then(|f| f.sync_all()).map_err(IoError::system("synchronise", folder))
 }
 
-fn sync_tree(folder: &Path) -> Result<(), IoError> {
+pub(super) fn sync_tree(folder: &Path) -> Result<(), IoError> {
     for entry in fs::read_dir(folder).map_err(IoError::system("read", folder))? {
         let path: PathBuf = entry.map_err(IoError::system("read", folder))?.path();
         if path.is_dir() {
@@ -154,25 +123,6 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"second");
         assert_eq!(names(path.parent().unwrap()), ["file.txt"]);
         assert_ne!(fs::metadata(&path).unwrap().permissions().mode() & 0o044, 0, "others may read results");
-    }
-
-    #[test]
-    fn a_folder_is_replaced_whole_or_not_at_all() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("model");
-        let fill = |names: &'static [&'static str]| {
-            move |tmp: &Path| -> Result<(), IoError> { names.iter().try_for_each(|name| write(&tmp.join(name), b"x")) }
-        };
-        write_folder(&path, fill(&["a", "sub/b"])).unwrap();
-        let failed: Result<(), IoError> = write_folder(&path, |tmp| {
-            write(&tmp.join("c"), b"x")?;
-            Err(IoError::content(tmp, "no"))
-        });
-        assert!(failed.is_err_and(|e| e.to_string().contains("no")));
-        assert_eq!(names(&path), ["a", "sub"]);
-        write_folder(&path, fill(&["d"])).unwrap();
-        assert_eq!(names(&path), ["d"]);
-        assert_eq!(names(folder.path()), ["model"]);
     }
 
     #[test]

@@ -14,9 +14,13 @@ pub mod json;
 pub mod masks;
 pub mod model;
 pub mod openmvg;
+mod owned_folder;
 pub mod ply;
+mod run_folder;
 mod sequence;
 pub mod trajectories;
 
 pub use error::IoError;
+pub use owned_folder::{FolderError, InputIdentity, OwnedFolder, Place, refuse_own_input};
+pub use run_folder::RunFolder;
 pub use sequence::{GROUND_LABEL, Sequence, SequenceFrame, TARGET_LABEL};

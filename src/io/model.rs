@@ -1,9 +1,9 @@
 //! Reconstructions in whatever supported format they come.
 
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use super::{IoError, colmap, openmvg, ply};
+use super::{FolderError, IoError, RunFolder, colmap, openmvg, ply};
 use crate::scene::Reconstruction;
 
 /// A format of reconstructions.
@@ -37,8 +37,8 @@ pub fn detect(path: &Path) -> Option<Format> {
         Some(Format::ColmapBinary)
     } else if path.join("cameras.txt").exists() {
         Some(Format::ColmapText)
-    } else if colmap::is_model(&path.join("background")) {
-        detect(&path.join("background"))
+    } else if colmap::is_model(&RunFolder::at(path).background()) {
+        detect(&RunFolder::at(path).background())
     } else if path.is_file() && has_extension(path, "json") {
         Some(Format::OpenMvg)
     } else {
@@ -55,7 +55,7 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     match detect(path) {
         Some(Format::OpenMvg) => openmvg::read(path),
         Some(_) if colmap::is_model(path) => colmap::read(path),
-        Some(_) => colmap::read(&path.join("background")),
+        Some(_) => RunFolder::at(path).read_background(),
         None => {
             Err(IoError::content(path, "is neither a COLMAP folder, nor an output folder, nor OpenMVG's sfm_data.json"))
         }
@@ -79,6 +79,41 @@ pub fn write(path: &Path, model: &Reconstruction, format: Format) -> Result<(), 
             what: "writing OpenMVG's format".into(),
             cure: "write a COLMAP model instead".into(),
         }),
+    }
+}
+
+/// Looks whether a reconstruction may be written: no file is written through a link or over the one that is read, and over
+/// others only if `overwrite` is set.
+///
+/// # Errors
+/// [`FolderError`] says what is in the way.
+pub fn check_target(input: &Path, output: &Path, format: Format, overwrite: bool) -> Result<(), FolderError> {
+    let is_same =
+        |a: &Path, b: &Path| std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(b).is_ok_and(|b| a == b));
+    let files = files_of(output, format);
+    if is_same(input, output) || files.iter().any(|file| is_same(input, file)) {
+        return Err(FolderError::OwnInput { flag: "IN".to_owned(), input: input.to_owned() });
+    }
+    for file in &files {
+        let Ok(found) = std::fs::symlink_metadata(file) else { continue };
+        let shown = || file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if found.file_type().is_symlink() {
+            return Err(FolderError::Link { path: output.to_owned(), link: shown() });
+        }
+        if !overwrite {
+            return Err(FolderError::Exists { path: file.clone() });
+        }
+    }
+    Ok(())
+}
+
+/// The files that a reconstruction is written to.
+fn files_of(output: &Path, format: Format) -> Vec<PathBuf> {
+    let [text, binary] = [&colmap::FILES[..3], &colmap::FILES[3..]];
+    match format {
+        Format::ColmapText => text.iter().map(|name| output.join(name)).collect(),
+        Format::ColmapBinary => binary.iter().map(|name| output.join(name)).collect(),
+        Format::Ply | Format::OpenMvg => vec![output.to_owned()],
     }
 }
 

@@ -1,7 +1,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use crate::io::IoError;
+use crate::io::{FolderError, IoError};
 use crate::perception::PerceptionError;
 use crate::report::ReportError;
 use crate::sfm::SfmError;
@@ -26,22 +26,8 @@ pub enum PipelineError {
     #[error(transparent)]
     Io(#[from] IoError),
     /// The output folder.
-    #[error(
-        "{path}: cannot be written to: {source}; give another folder with --output or change its permissions",
-        path = path.display()
-    )]
-    Output {
-        /// The folder or file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// A second run on the same output folder.
-    #[error("{path}: another tractrix is at work on this folder; wait for it or give another --output", path = path.display())]
-    Busy {
-        /// The folder.
-        path: PathBuf,
-    },
+    #[error(transparent)]
+    Folder(#[from] FolderError),
     /// A file of the run's own is damaged.
     #[error("{path}: {reason}; delete it, and the stage that made it runs again", path = path.display())]
     State {
@@ -93,4 +79,11 @@ pub enum PipelineError {
         /// Height of the mask.
         found_height: u32,
     },
+}
+
+impl PipelineError {
+    /// Whether the command line asks for what must not be, so that nothing was begun.
+    pub fn is_wrong_use(&self) -> bool {
+        matches!(self, Self::Folder(error) if error.is_wrong_use())
+    }
 }

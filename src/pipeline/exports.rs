@@ -12,7 +12,7 @@ use crate::scene::{ObjectTrajectory, Reconstruction};
 /// Writes the background's points; gives the file.
 pub(super) fn background(run: &Run, model: &Reconstruction) -> Result<PathBuf, PipelineError> {
     let points: Vec<_> = model.points.values().map(|point| (point.position, point.rgb)).collect();
-    write(run, "background", &points)
+    write(run, run.workspace.background_points(), &points)
 }
 
 /// Writes an object's points where they are in every frame of its trajectory, in the background's frame; gives the file.
@@ -26,11 +26,10 @@ pub(super) fn object(
         model.points.values().map(move |point| (world_from_object * point.position, point.rgb))
     };
     let points: Vec<_> = trajectory.poses.iter().flat_map(placed).collect();
-    write(run, &format!("object-{}", trajectory.id), &points)
+    write(run, run.workspace.object_points(trajectory.id), &points)
 }
 
-fn write(run: &Run, name: &str, points: &[(Point3<f64>, [u8; 3])]) -> Result<PathBuf, PipelineError> {
-    let path = run.workspace.root().join("ply").join(format!("{name}.ply"));
-    ply::write_points(&path, points)?;
+fn write(run: &Run, path: PathBuf, points: &[(Point3<f64>, [u8; 3])]) -> Result<PathBuf, PipelineError> {
+    run.workspace.put_file(&path, |fresh| ply::write_points(fresh, points))?;
     Ok(path)
 }

@@ -7,10 +7,9 @@ use serde_json::{Value, json};
 
 use super::given_masks::MaskFolder;
 use super::run::{Outcome, Run};
-use super::workspace::mask_name;
 use super::{GroundLabels, PipelineError, fingerprint, models, objects};
 use crate::ground::{dominant_plane_points, label_points, local_planes};
-use crate::io::masks;
+use crate::io::{RunFolder, masks};
 use crate::perception::{GroundOptions, load_ground_segmenter};
 use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Mask, Point3dId, Reconstruction};
 
@@ -41,7 +40,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let mut ground = Ground { source, point_ids, planes: BTreeMap::new() };
     let mut skipped: BTreeMap<String, BTreeMap<FrameId, String>> = BTreeMap::new();
     for (id, report) in objects::reports(run)? {
-        let Some(object) = objects::reconstructed(run, id, &report)? else { continue };
+        let Some(object) = objects::as_reconstructed(run, id, &report)? else { continue };
         let found = local_planes(&background, &ground.point_ids, id, &object, &run.options.ground, run.options.seed);
         if let Some(first) = found.skipped.first() {
             let (missing, all) = (found.skipped.len(), found.skipped.len() + found.planes.len());
@@ -54,8 +53,8 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     outcome.figure("source", json!(source));
     outcome.figure("num_points", ground.point_ids.len());
     outcome.figure("num_planes", ground.planes.len());
-    let path = run.workspace.root().join("ground.json");
-    crate::io::ground::write(&path, &ground)?;
+    let path = run.workspace.ground();
+    run.workspace.put_file(&path, |fresh| crate::io::ground::write(fresh, &ground))?;
     run.workspace.write_state(SKIPPED, &skipped)?;
     outcome.outputs.extend([path, run.workspace.state(SKIPPED)]);
     Ok(outcome)
@@ -63,7 +62,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
 
 /// The ground; the stage must be done.
 pub(super) fn ground(run: &Run) -> Result<Ground, PipelineError> {
-    Ok(crate::io::ground::read(&run.workspace.root().join("ground.json"))?)
+    Ok(run.workspace.read_ground()?)
 }
 
 fn ground_points(
@@ -156,7 +155,9 @@ fn ground_masks(
     let options = GroundOptions { num_threads, ..run.options.ground_segmentation.clone() };
     let mut segmenter = load_ground_segmenter(model, &options)?;
     let registered: BTreeSet<&str> = background.images.values().map(|image| image.name.as_str()).collect();
-    let is_open = |frame: &&Frame| registered.contains(frame.name.as_str()) && !folder.join(mask_name(frame)).is_file();
+    let is_open = |frame: &&Frame| {
+        registered.contains(frame.name.as_str()) && !folder.join(RunFolder::mask_name(frame)).is_file()
+    };
     let open: BTreeSet<FrameId> = run.frames()?.iter().filter(is_open).map(|frame| frame.id).collect();
     run.progress.begin("ground", Some(open.len() as u64));
     for item in run.source.frames_at(open)? {
@@ -164,7 +165,7 @@ fn ground_masks(
         match item {
             Ok((frame, picture)) => {
                 let mask: Mask = segmenter.ground_mask(&picture)?;
-                masks::write_mask(&folder.join(mask_name(&frame)), &mask)?;
+                masks::write_mask(&folder.join(RunFolder::mask_name(&frame)), &mask)?;
             }
             Err(error) => outcome.warn(error.to_string()),
         }

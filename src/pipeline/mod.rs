@@ -9,6 +9,7 @@
 
 mod detections;
 mod error;
+mod evaluate;
 mod exports;
 mod features;
 mod fingerprint;
@@ -31,19 +32,23 @@ mod stage;
 mod track;
 mod workspace;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
 pub use error::PipelineError;
+pub use evaluate::{Kept, evaluate, keep_evaluation};
 pub use meter::{Cost, process_cpu_s};
+pub use models::ModelReport;
 pub use options::{FeatureKind, FrameOrder, GroundLabels, Instances, Intrinsics, MaskingOptions, Options};
 pub use progress::{Progress, Silent};
 pub use run::StageRecord;
-pub use scale::{AsReconstructed, as_reconstructed};
 pub use stage::Stage;
-pub use workspace::{Marker, Workspace};
+pub use workspace::{Marker, Overwrite, Workspace};
 
+use crate::io::InputIdentity;
+use crate::scene::ObjectId;
 use crate::video::Source;
 use run::Run;
 
@@ -54,72 +59,108 @@ pub struct Summary {
     pub output: PathBuf,
     /// The stages up to the goal, in order.
     pub stages: Vec<StageRecord>,
+    /// The frames that were chosen.
+    pub num_frames: usize,
+    /// How the background came about; `None` before the goal [`Stage::Background`].
+    pub background: Option<ModelReport>,
+    /// How the vehicles came about; empty before the goal [`Stage::Objects`].
+    pub objects: BTreeMap<ObjectId, ModelReport>,
     /// What is wrong although there is a result.
     pub warnings: Vec<String>,
-    /// Why there is no background to speak of, where there is none: the input did not give what was asked for, although
-    /// all that could be found stands in the output folder.
-    pub failure: Option<String>,
 }
 
-/// Does everything up to and with the stage `goal`, as far as it is not done already.
+impl Summary {
+    /// Why there is no background to speak of, where there is none: the input did not give what was asked for, although all
+    /// that could be found stands in the output folder.
+    pub fn failure(&self) -> Option<String> {
+        let failure = self.background.as_ref()?.failure.as_ref()?;
+        Some(format!("the background cannot be reconstructed: {failure}"))
+    }
+}
+
+/// What is asked of a run.
+#[derive(Clone, Debug)]
+pub struct Job<'a> {
+    /// A video file or a folder of images.
+    pub input: &'a Path,
+    /// The output folder.
+    pub output: &'a Path,
+    /// Everything that decides the result.
+    pub options: &'a Options,
+    /// The last stage that is done.
+    pub goal: Stage,
+    /// Other files that were read to come here, after the flags that named them: they must not lie where the run writes.
+    pub also_read: Vec<(&'a str, &'a Path)>,
+    /// What may be replaced.
+    pub overwrite: Overwrite,
+    /// The command line, for `run.json` and the report.
+    pub arguments: &'a [String],
+}
+
+/// Does everything up to and with the goal, as far as it is not done already.
 ///
-/// `arguments` is the command line, for `run.json` and the report.
+/// Nothing is written before it is sure that the output folder is the run's own, or new, and that no input lies in it.
 ///
 /// # Errors
 /// [`PipelineError`] when there can be no result; what concerns single frames or objects is counted and reported instead.
-pub fn run(
-    input: &Path,
-    output: &Path,
-    options: &Options,
-    goal: Stage,
-    arguments: &[String],
-    progress: &dyn Progress,
-) -> Result<Summary, PipelineError> {
+pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError> {
+    let Job { options, goal, .. } = *job;
     options.check()?;
-    let source = Source::open(input, &options.video)?;
-    let workspace = Workspace::open(output)?;
-    let mut run = Run::new(options, &workspace, &source, arguments, progress);
-    let result = stages(&mut run, goal);
+    Workspace::inspect(job.output, &job.inputs())?;
+    let source = Source::open(job.input, &options.video)?;
+    let workspace = Workspace::open(job.output)?;
+    progress.begin("input", None);
+    let content = fingerprint::of_content(source.path());
+    progress.end(false);
+    let content = content?;
+    let path = std::fs::canonicalize(source.path()).unwrap_or_else(|_| source.path().to_owned());
+    workspace.claim(InputIdentity { path, content: content.clone() }, job.overwrite)?;
+    let mut run = Run::new(options, &workspace, &source, job.arguments, progress);
+    let result = stages(&mut run, goal, &content);
     let error = result.as_ref().err().map(ToString::to_string);
     run_json::write(&run, error.as_deref())?;
-    let failure = result?;
-    Ok(Summary { output: output.to_owned(), warnings: run.warnings(), stages: run.records, failure })
+    result?;
+    summary(job, run)
 }
 
-fn stages(run: &mut Run, goal: Stage) -> Result<Option<String>, PipelineError> {
-    run.progress.begin("input", None);
-    let input = fingerprint::of_content(run.input())?;
-    run.progress.end(false);
-    for stage in Stage::ALL.into_iter().filter(|stage| *stage <= goal) {
-        one_stage(run, stage, &input)?;
+fn summary(job: &Job, run: Run) -> Result<Summary, PipelineError> {
+    let background = (job.goal >= Stage::Background).then(|| models::background_report(&run)).transpose()?;
+    let objects = if job.goal >= Stage::Objects { objects::reports(&run)? } else { BTreeMap::new() };
+    let (output, warnings, num_frames) = (job.output.to_owned(), run.warnings(), run.frames()?.len());
+    Ok(Summary { output, stages: run.records, num_frames, background, objects, warnings })
+}
+
+impl Job<'_> {
+    /// All that is read, after the flag that named it.
+    fn inputs(&self) -> Vec<(&str, &Path)> {
+        let mut inputs = vec![("the input", self.input)];
+        inputs.extend(self.options.named_paths());
+        inputs.extend(self.also_read.iter().copied());
+        inputs
     }
-    if goal < Stage::Background {
-        return Ok(None);
-    }
-    let (_, report) = models::background(run)?;
-    Ok(report.failure.map(|failure| format!("the background cannot be reconstructed: {failure}")))
+}
+
+fn stages(run: &mut Run, goal: Stage, input: &str) -> Result<(), PipelineError> {
+    Stage::ALL.into_iter().filter(|stage| *stage <= goal).try_for_each(|stage| one_stage(run, stage, input))
 }
 
 fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<(), PipelineError> {
     use Stage::{Background, Features, Frames, Ground, Objects, Report, Scale, Segment, Track};
     match stage {
-        Frames => run.stage(stage, &[], frames::depends_on(run, input), |run, _| frames::work(run)),
-        Segment => run.stage(stage, &[Frames], segment::depends_on(run)?, segment::work),
-        Track => run.stage(stage, &[Frames, Segment], track::depends_on(run)?, |run, _| track::work(run)),
-        Features => run.stage(stage, &[Frames, Segment, Track], features::depends_on(run)?, features::work),
-        Background => {
-            let depends_on = models::background_depends_on(run)?;
-            run.stage(stage, &[Features], depends_on, |run, _| models::background_work(run))
-        }
-        Objects => run.stage(stage, &[Features, Background], objects::depends_on(run)?, objects::work),
-        Ground => run.stage(stage, &[Background, Objects], ground::depends_on(run)?, ground::work),
-        Scale => run.stage(stage, &[Ground], scale::depends_on(run), |run, _| scale::work(run)),
+        Frames => run.stage(stage, frames::depends_on(run, input), |run, _| frames::work(run)),
+        Segment => run.stage(stage, segment::depends_on(run)?, segment::work),
+        Track => run.stage(stage, track::depends_on(run)?, |run, _| track::work(run)),
+        Features => run.stage(stage, features::depends_on(run)?, features::work),
+        Background => run.stage(stage, models::background_depends_on(run)?, |run, _| models::background_work(run)),
+        Objects => run.stage(stage, objects::depends_on(run)?, objects::work),
+        Ground => run.stage(stage, ground::depends_on(run)?, ground::work),
+        Scale => run.stage(stage, scale::depends_on(run), |run, _| scale::work(run)),
         // The page shows the command line and what every stage cost, so it is made anew whenever anything was done.
         Report => {
             if !run.all_reused() {
                 run.workspace.clear_marker(stage)?;
             }
-            run.stage(stage, &[Scale], json!({ "arguments": run.arguments }), |run, _| report::work(run))
+            run.stage(stage, json!({ "arguments": run.arguments }), |run, _| report::work(run))
         }
     }
 }

@@ -17,26 +17,29 @@ use crate::sfm::{self, mapper};
 
 /// How a model came about.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct ModelReport {
+pub struct ModelReport {
     /// Whether the user gave it.
-    pub(super) given: bool,
+    pub given: bool,
     /// Frames in which the target is visible.
-    pub(super) num_visible: usize,
+    pub num_visible: usize,
     /// Frames whose camera is known.
-    pub(super) num_registered: usize,
+    pub num_registered: usize,
     /// Frames in which the target is visible and the camera is not known, and why.
-    pub(super) unregistered: BTreeMap<FrameId, String>,
+    pub unregistered: BTreeMap<FrameId, String>,
     /// Why there is no model at all, where there is none.
-    pub(super) failure: Option<String>,
-    pub(super) num_points: usize,
-    pub(super) num_observations: usize,
-    pub(super) mean_error_px: Option<f64>,
+    pub failure: Option<String>,
+    /// Points.
+    pub num_points: usize,
+    /// Observations of these points.
+    pub num_observations: usize,
+    /// Mean reprojection error, pixels; `None` without observations.
+    pub mean_error_px: Option<f64>,
     /// What weakens the model: a planar scene, forward motion, ...
-    #[serde(default)]
-    pub(super) remarks: Vec<String>,
+    pub remarks: Vec<String>,
     /// Points that were taken out because they project beside the object's masks.
-    #[serde(default)]
-    pub(super) num_outside_masks: usize,
+    pub num_outside_masks: usize,
+    /// The first of its cameras.
+    pub camera: Option<Camera>,
 }
 
 impl ModelReport {
@@ -44,6 +47,7 @@ impl ModelReport {
         self.num_points = model.points.len();
         self.num_observations = model.points.values().map(|point| point.track.len()).sum();
         self.mean_error_px = model.mean_reprojection_error_px();
+        self.camera = model.cameras.values().next().copied();
     }
 }
 
@@ -91,7 +95,7 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     if let Some(figures) = center_figures(&model) {
         outcome.figure("camera_center_deviation", figures);
     }
-    store(&run.workspace.background(), &model)?;
+    store(run, &run.workspace.background(), &model)?;
     run.workspace.write_state(BACKGROUND_REPORT, &report)?;
     outcome.figure("num_registered", report.num_registered);
     outcome.figure("num_points", report.num_points);
@@ -115,7 +119,12 @@ fn center_figures(model: &Reconstruction) -> Option<Value> {
 
 /// The background's model; the stage must be done.
 pub(super) fn background(run: &Run) -> Result<(Reconstruction, ModelReport), PipelineError> {
-    Ok((colmap::read(&run.workspace.background())?, run.workspace.read_state(BACKGROUND_REPORT)?))
+    Ok((run.workspace.read_background()?, background_report(run)?))
+}
+
+/// How the background's model came about; the stage must be done.
+pub(super) fn background_report(run: &Run) -> Result<ModelReport, PipelineError> {
+    run.workspace.read_state(BACKGROUND_REPORT)
 }
 
 /// The one place where structure from motion is called.
@@ -234,9 +243,9 @@ fn with_frame_ids(mut model: Reconstruction, frames: &[Frame]) -> Reconstruction
     model
 }
 
-/// Writes a model whole.
-pub(super) fn store(folder: &Path, model: &Reconstruction) -> Result<(), PipelineError> {
-    crate::io::atomic::write_folder(folder, |fresh| Ok(colmap::write_text(fresh, model)?))
+/// Puts a model in its public place, whole.
+pub(super) fn store(run: &Run, folder: &Path, model: &Reconstruction) -> Result<(), PipelineError> {
+    run.workspace.put_folder(folder, |fresh| Ok(colmap::write_text(fresh, model)?))
 }
 
 /// Warns where a target is visible in frames whose camera is not known.

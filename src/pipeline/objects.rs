@@ -4,7 +4,7 @@
 //! all of them with the masks, and the points that lie beside those are taken out. An object's marker says which of the two
 //! is done: a run that is killed in the pass does it again for the objects that have not been through it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use super::models::{self, ModelReport};
 use super::run::{Outcome, Run};
 use super::track::{self, TrackedObject};
-use super::{PipelineError, Stage, features, fingerprint, order};
+use super::{PipelineError, features, fingerprint, order};
 use crate::camera::Camera;
 use crate::io::colmap;
 use crate::scene::{ImageId, ObjectId, Reconstruction};
@@ -29,7 +29,6 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
         run.options.object_models.iter().map(|(id, folder)| Ok((id, fingerprint::of_content(folder)?))).collect();
     let (_, objects) = order::sfm_options(run)?;
     Ok(json!({
-        "kept_in": ".tractrix/objects",
         "models": given?,
         "only": run.options.only_objects,
         "options": mapper::Options { threads: 1, ..objects.mapper },
@@ -49,8 +48,6 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
     let (background, _) = models::background(run)?;
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
-    // It puts the models of this stage on the ground, and must do so again.
-    run.workspace.clear_marker(Stage::Scale)?;
     run.progress.begin("objects", Some(wanted.len() as u64));
     let mut markers = BTreeMap::new();
     for object in wanted {
@@ -63,11 +60,9 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     for (id, report) in &reports {
         describe(*id, report, &mut outcome);
     }
-    remove_others(run, &reports)?;
+    run.workspace.keep_objects(&run.workspace.all_as_reconstructed(), |id| reports.contains_key(&id))?;
     let models = reports.iter().filter(|(_, report)| report.failure.is_none());
-    outcome
-        .outputs
-        .extend(models.flat_map(|(&id, _)| [run.workspace.object(id), run.workspace.reconstructed_object(id)]));
+    outcome.outputs.extend(models.map(|(&id, _)| run.workspace.as_reconstructed(id)));
     run.workspace.write_state(REPORTS, &reports)?;
     outcome.outputs.push(run.workspace.state(REPORTS));
     Ok(outcome)
@@ -99,22 +94,12 @@ pub(super) fn reports(run: &Run) -> Result<BTreeMap<ObjectId, ModelReport>, Pipe
 }
 
 /// One object's model as structure from motion left it, where it has one.
-pub(super) fn reconstructed(
+pub(super) fn as_reconstructed(
     run: &Run,
     id: ObjectId,
     report: &ModelReport,
 ) -> Result<Option<Reconstruction>, PipelineError> {
-    report.failure.is_none().then(|| Ok(colmap::read(&run.workspace.reconstructed_object(id))?)).transpose()
-}
-
-/// One object's model to which its trajectory refers, where it has one; the stage `scale` must be done.
-pub(super) fn model(run: &Run, id: ObjectId, report: &ModelReport) -> Result<Option<Reconstruction>, PipelineError> {
-    report.failure.is_none().then(|| Ok(colmap::read(&run.workspace.object(id))?)).transpose()
-}
-
-/// Leaves an object's model where the user looks for it.
-pub(super) fn store(run: &Run, id: ObjectId, model: &Reconstruction) -> Result<(), PipelineError> {
-    models::store(&run.workspace.object(id), model)
+    report.failure.is_none().then(|| Ok(run.workspace.read_as_reconstructed(id)?)).transpose()
 }
 
 /// How far an object is, for a run that was stopped in this stage.
@@ -131,7 +116,7 @@ impl ObjectMarker {
     fn has_models(&self, run: &Run, id: ObjectId) -> bool {
         let workspace = run.workspace;
         let are_there = match self.is_checked {
-            true => workspace.object(id).is_dir() && workspace.reconstructed_object(id).is_dir(),
+            true => workspace.as_reconstructed(id).is_dir(),
             false => workspace.unchecked_objects().join(id.to_string()).is_dir(),
         };
         are_there || self.report.failure.is_some()
@@ -145,12 +130,6 @@ impl ObjectMarker {
 
 fn marker_name(id: ObjectId) -> String {
     format!("object-{id}.json")
-}
-
-/// Leaves an object's final reconstruction for this stage's users and for the user.
-fn settle(run: &Run, id: ObjectId, model: &Reconstruction) -> Result<(), PipelineError> {
-    models::store(&run.workspace.reconstructed_object(id), model)?;
-    store(run, id, model)
 }
 
 /// One object's reconstruction, which is still to be compared with the masks; or its model that was given.
@@ -181,12 +160,13 @@ fn one_object(
     report.num_visible = object.frames.len();
     let is_checked = given.is_some() || report.failure.is_some();
     if report.failure.is_some() {
-        run.workspace.remove(&run.workspace.object(id))?;
-        run.workspace.remove(&run.workspace.reconstructed_object(id))?;
+        run.workspace.remove(&run.workspace.as_reconstructed(id))?;
     } else if is_checked {
-        settle(run, id, &model)?;
+        models::store(run, &run.workspace.as_reconstructed(id), &model)?;
     } else {
-        models::store(&run.workspace.unchecked_objects().join(id.to_string()), &model)?;
+        let folder = run.workspace.unchecked_objects().join(id.to_string());
+        run.workspace.remove_state(&folder)?;
+        colmap::write_text(&folder, &model)?;
     }
     let marker = ObjectMarker { fingerprint: fingerprint.to_owned(), is_checked, report };
     marker.write(run, id)?;
@@ -218,11 +198,11 @@ fn check_silhouettes(
         model.remove_points(&outside);
         marker.report.num_outside_masks = outside.len();
         marker.report.describe_points(&model);
-        settle(run, id, &model)?;
+        models::store(run, &run.workspace.as_reconstructed(id), &model)?;
         marker.is_checked = true;
         marker.write(run, id)?;
     }
-    run.workspace.remove(&folder)
+    run.workspace.remove_state(&folder)
 }
 
 /// Compares reconstructions with the masks of all frames.
@@ -250,20 +230,6 @@ fn vote(
             let silhouette = mask.dilated((BORDER_PX + BORDER * longer_px).round() as u32);
             let is_hidden = |x, y| masks.iter().any(|(other, mask)| other != id && mask.contains(x, y));
             votes.add(model, image, &silhouette, is_hidden);
-        }
-    }
-    Ok(())
-}
-
-/// Removes the models of objects that are no more.
-fn remove_others(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result<(), PipelineError> {
-    let keep: BTreeSet<String> = reports.keys().map(ToString::to_string).collect();
-    for folder in [run.workspace.objects(), run.workspace.state("objects")] {
-        let Ok(entries) = std::fs::read_dir(&folder) else { continue };
-        for entry in entries.flatten() {
-            if !keep.contains(entry.file_name().to_string_lossy().as_ref()) && entry.path().is_dir() {
-                run.workspace.remove(&entry.path())?;
-            }
         }
     }
     Ok(())

@@ -1,5 +1,5 @@
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
@@ -198,6 +198,28 @@ impl Options {
     /// Whether an object is to be reconstructed.
     pub(super) fn wants(&self, id: ObjectId) -> bool {
         self.only_objects.is_empty() || self.only_objects.contains(&id)
+    }
+
+    /// Every file and folder that the options name, after the flag that sets it.
+    pub fn named_paths(&self) -> Vec<(&'static str, &Path)> {
+        let mut named: Vec<(&'static str, &Path)> = Vec::new();
+        match &self.instances {
+            Instances::None => {}
+            Instances::Masks(folder) => named.push(("--masks", folder)),
+            Instances::Model(model) => named.push(("--segmentation-model", model)),
+        }
+        match &self.ground_labels {
+            GroundLabels::Geometric => {}
+            GroundLabels::Masks { folder, .. } => named.push(("--ground-masks", folder)),
+            GroundLabels::Model(model) => named.push(("--ground-model", model)),
+        }
+        if let Some(Intrinsics::File(path)) = &self.intrinsics {
+            named.push(("--intrinsics", path));
+        }
+        named.extend(self.flow_model.iter().map(|path| ("--flow-model", path.as_path())));
+        named.extend(self.background_model.iter().map(|path| ("--background-model", path.as_path())));
+        named.extend(self.object_models.values().map(|path| ("--object-model", path.as_path())));
+        named
     }
 
     /// Rejects contradictions before work starts.

@@ -4,6 +4,8 @@ pub trait Progress: Sync {
     fn begin(&self, stage: &str, total: Option<u64>);
     /// Another step is done.
     fn step(&self);
+    /// Something that a person should know, and that is no fault.
+    fn note(&self, _: &str) {}
     /// The stage is over; `reused` if an earlier run had done it.
     fn end(&self, reused: bool);
 }

@@ -3,17 +3,42 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
+use serde::Deserialize;
+
 use super::models::{self, ModelReport};
 use super::options::CameraOrigin;
 use super::run::{Outcome, Run};
 use super::track::{self, TrackedObject};
-use super::{PipelineError, ground, objects, scale};
+use super::{Options, PipelineError, Silent, Workspace, ground, objects, scale};
+use crate::io::json;
 use crate::report::{self, Data, Fact, Missing, Model, Object, Thumbnail};
 use crate::scene::{FrameId, ObjectId, Reconstruction, Trajectories, Unit};
-use crate::video::Kind;
+use crate::video::{Kind, Source};
 
-pub(super) fn path(run: &Run) -> PathBuf {
-    run.workspace.root().join("report.html")
+/// Makes the page of a finished run anew, with what was put into the folder since.
+///
+/// # Errors
+/// The input is no longer where it was, or the run is not finished.
+pub(super) fn renew(workspace: &Workspace) -> Result<(), PipelineError> {
+    let told: Told = json::read(&workspace.run_json())?;
+    let input = workspace.claimed_by().map_or(told.input.path, |input| input.path);
+    let source = Source::open(&input, &told.options.video)?;
+    let mut run = Run::new(&told.options, workspace, &source, &told.arguments, &Silent);
+    run.recall();
+    work(&run).map(drop)
+}
+
+/// What `run.json` tells of a run.
+#[derive(Deserialize)]
+struct Told {
+    arguments: Vec<String>,
+    input: ToldInput,
+    options: Options,
+}
+
+#[derive(Deserialize)]
+struct ToldInput {
+    path: PathBuf,
 }
 
 pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
@@ -42,8 +67,9 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
         stages: stages(run),
         evaluation: Vec::new(),
     };
-    report::write(&path(run), &data)?;
-    Ok(Outcome { outputs: vec![path(run)], ..Outcome::default() })
+    let path = run.workspace.report();
+    run.workspace.put_file(&path, |fresh| report::write(fresh, &data))?;
+    Ok(Outcome { outputs: vec![path], ..Outcome::default() })
 }
 
 fn object_models(
@@ -52,8 +78,8 @@ fn object_models(
 ) -> Result<BTreeMap<ObjectId, Reconstruction>, PipelineError> {
     let mut models = BTreeMap::new();
     for (&id, report) in reports {
-        if let Some(model) = objects::model(run, id, report)? {
-            models.insert(id, model);
+        if report.failure.is_none() {
+            models.insert(id, run.workspace.read_object(id)?);
         }
     }
     Ok(models)

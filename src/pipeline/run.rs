@@ -1,6 +1,6 @@
 //! The driver: which stages are done already, which have to be done, and what they cost.
 
-use std::cell::OnceCell;
+use std::cell::{Cell, OnceCell};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -55,6 +55,7 @@ pub(super) struct Run<'a> {
     pub(super) progress: &'a dyn Progress,
     pub(super) records: Vec<StageRecord>,
     frames: OnceCell<Vec<Frame>>,
+    said_anew: Cell<bool>,
 }
 
 impl<'a> Run<'a> {
@@ -65,7 +66,8 @@ impl<'a> Run<'a> {
         arguments: &'a [String],
         progress: &'a dyn Progress,
     ) -> Self {
-        Self { options, workspace, source, arguments, progress, records: Vec::new(), frames: OnceCell::new() }
+        let (records, frames, said_anew) = (Vec::new(), OnceCell::new(), Cell::new(false));
+        Self { options, workspace, source, arguments, progress, records, frames, said_anew }
     }
 
     pub(super) fn input(&self) -> &Path {
@@ -85,23 +87,29 @@ impl<'a> Run<'a> {
         Ok(self.frames.get().map_or(&[], Vec::as_slice))
     }
 
-    /// Does a stage, unless it is done already. `depends_on` is everything that its result hangs on besides the stages
-    /// `after`; `work` is given the fingerprint of all that.
+    /// Does a stage, unless it is done already.
+    ///
+    /// * `depends_on` – everything that its result hangs on besides the stages before it.
+    /// * `work` – is given the fingerprint of all that.
     pub(super) fn stage(
         &mut self,
         stage: Stage,
-        after: &[Stage],
         depends_on: Value,
         work: impl FnOnce(&Self, &str) -> Result<Outcome, PipelineError>,
     ) -> Result<(), PipelineError> {
-        let upstream: Vec<&str> = after.iter().map(|&stage| self.fingerprint(stage)).collect();
-        let fingerprint = fingerprint::of(&json!([stage, depends_on, upstream]));
-        let before = self.workspace.marker(stage).filter(|marker| marker.fingerprint == fingerprint);
-        if let Some(marker) = before.filter(|marker| self.workspace.has_outputs(marker)) {
+        let upstream: Vec<&str> = stage.after().iter().map(|&stage| self.fingerprint(stage)).collect();
+        let fingerprint = fingerprint::of(&json!([stage, stage.revision(), depends_on, upstream]));
+        let before = self.workspace.marker(stage);
+        let is_other = before.as_ref().is_some_and(|marker| marker.fingerprint != fingerprint);
+        let same = before.filter(|marker| !is_other && self.workspace.has_outputs(marker));
+        if let Some(marker) = same {
             self.progress.begin(stage.name(), None);
             self.progress.end(true);
             self.records.push(StageRecord { stage, marker, reused: true });
             return Ok(());
+        }
+        if is_other {
+            self.say_what_is_done_anew(stage);
         }
         self.workspace.clear_marker(stage)?;
         let meter = Meter::start();
@@ -117,9 +125,26 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
+    /// Says once, of the first stage whose options have changed, which results are replaced.
+    fn say_what_is_done_anew(&self, first: Stage) {
+        if first == Stage::Report || self.said_anew.replace(true) {
+            return;
+        }
+        let stages: Vec<&str> = first.and_dependents().into_iter().map(Stage::name).collect();
+        self.progress.note(&format!("other options than before: done anew are {}", stages.join(", ")));
+    }
+
     /// The fingerprint of a stage that this run has been through; empty for one that it left out.
     pub(super) fn fingerprint(&self, stage: Stage) -> &str {
         self.records.iter().find(|record| record.stage == stage).map_or("", |record| &record.marker.fingerprint)
+    }
+
+    /// Takes over what an earlier run did, as far as it went.
+    pub(super) fn recall(&mut self) {
+        let done = Stage::ALL
+            .into_iter()
+            .filter_map(|stage| self.workspace.marker(stage).map(|marker| StageRecord { stage, marker, reused: true }));
+        self.records = done.collect();
     }
 
     /// Whether nothing had to be done so far.

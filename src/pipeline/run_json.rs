@@ -29,5 +29,5 @@ pub(super) fn write(run: &Run, error: Option<&str>) -> Result<(), PipelineError>
         "warnings": run.warnings(),
         "error": error,
     });
-    Ok(atomic::write_json(&run.workspace.root().join("run.json"), &document)?)
+    run.workspace.put_file(&run.workspace.run_json(), |fresh| atomic::write_json(fresh, &document))
 }

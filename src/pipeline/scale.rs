@@ -1,23 +1,19 @@
 //! Stage `scale`: the scale ratio of every object, and its trajectory.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
-
 use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::run::{Outcome, Run};
 use super::track::{self, TrackedObject};
-use super::{PipelineError, exports, ground, models, objects, workspace};
-use crate::scene::{Frame, FrameId, Ground, GroundPlane, ObjectId, Ratios, ScaleMethod, Trajectories, Unit};
+use super::{PipelineError, exports, ground, models, objects};
+use crate::scene::{Frame, FrameId, Ground, GroundPlane, ObjectId, ScaleMethod, Trajectories, Unit};
 use crate::trajectory::{self, Adjustment, Evidence, ModelOrigin, ObjectDescription, Silhouette};
 
 /// The name of the list of objects without a trajectory, and why.
 const FAILURES: &str = "scale-failures.json";
-/// What the estimators that leave a reconstruction as it is say of those that were adjusted.
-const AS_RECONSTRUCTED: &str = "as-reconstructed.json";
 
 pub(super) fn depends_on(run: &Run) -> Value {
-    json!({ "options": run.options.scale, "keeps": AS_RECONSTRUCTED })
+    json!({ "options": run.options.scale })
 }
 
 pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
@@ -27,17 +23,20 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let ground = ground::ground(run)?;
     let reports = objects::reports(run)?;
     let frames = run.frames()?;
-    run.workspace.remove(&run.workspace.root().join("ply"))?;
+    // It speaks of the trajectories that are replaced.
+    run.workspace.remove(&run.workspace.evaluation())?;
+    run.workspace.remove(&run.workspace.point_clouds())?;
+    run.workspace
+        .keep_objects(&run.workspace.objects(), |id| reports.get(&id).is_some_and(|report| report.failure.is_none()))?;
     outcome.outputs.push(exports::background(run, &background)?);
     let mut found = Vec::new();
     let mut failures = BTreeMap::new();
-    let mut as_reconstructed = BTreeMap::new();
     let with_model = reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id).collect();
     let silhouettes = silhouettes(run, frames, &with_model)?;
     let no_silhouettes = BTreeMap::new();
     for tracked in track::objects(run)? {
         let Some(report) = reports.get(&tracked.id) else { continue };
-        let Some(object) = objects::reconstructed(run, tracked.id, report)? else { continue };
+        let Some(object) = objects::as_reconstructed(run, tracked.id, report)? else { continue };
         let placed = trajectory::place(
             &Evidence {
                 description: description(&tracked),
@@ -50,13 +49,11 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
             },
             &run.options.scale,
         );
-        objects::store(run, tracked.id, &placed.object)?;
+        models::store(run, &run.workspace.object(tracked.id), &placed.object)?;
+        outcome.outputs.push(run.workspace.object(tracked.id));
         describe_adjustment(tracked.id, &placed.adjustment, &mut outcome);
         match placed.trajectory {
             Ok(trajectory) => {
-                if let Some(before) = &trajectory.scale.as_reconstructed {
-                    as_reconstructed.insert(tracked.id, before.clone());
-                }
                 outcome.outputs.push(exports::object(run, &trajectory, &placed.object)?);
                 if let Some(reason) = &trajectory.scale.reason {
                     outcome.warn(format!("object {}: its scale ratio is not to be trusted: {reason}", tracked.id));
@@ -70,11 +67,10 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
         }
     }
     outcome.figure("num_trajectories", found.len());
-    let path = run.workspace.root().join("trajectories.json");
-    crate::io::trajectories::write(&path, &Trajectories { unit: Unit::Background, objects: found })?;
+    let (path, all) = (run.workspace.trajectories(), Trajectories { unit: Unit::Background, objects: found });
+    run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
     run.workspace.write_state(FAILURES, &failures)?;
-    run.workspace.write_state(AS_RECONSTRUCTED, &as_reconstructed)?;
-    outcome.outputs.extend([path, run.workspace.state(FAILURES), run.workspace.state(AS_RECONSTRUCTED)]);
+    outcome.outputs.extend([path, run.workspace.state(FAILURES)]);
     Ok(outcome)
 }
 
@@ -104,36 +100,9 @@ fn describe_adjustment(id: ObjectId, adjustment: &Adjustment, outcome: &mut Outc
     }
 }
 
-/// An object as it was before it was adjusted with the ground.
-#[derive(Clone, Debug, PartialEq)]
-pub struct AsReconstructed {
-    /// Folder of its COLMAP model.
-    pub model: PathBuf,
-    /// What the estimators that leave it as it is say of it, by their names.
-    pub ratios: Ratios,
-}
-
-/// The objects of the run in the folder `output` that were adjusted with the ground, as they were before. Empty where none
-/// was, or where the folder has nothing but results.
-///
-/// # Errors
-/// [`PipelineError::Io`] if what the run left of them was changed by other hands.
-pub fn as_reconstructed(output: &Path) -> Result<BTreeMap<ObjectId, AsReconstructed>, PipelineError> {
-    let path = workspace::state_of(output, AS_RECONSTRUCTED);
-    if !path.exists() {
-        return Ok(BTreeMap::new());
-    }
-    let ratios: BTreeMap<ObjectId, Ratios> = crate::io::json::read(&path)?;
-    let with_model = |(id, ratios): (ObjectId, Ratios)| {
-        let model = workspace::state_of(output, "objects").join(id.to_string());
-        (id, AsReconstructed { model, ratios })
-    };
-    Ok(ratios.into_iter().map(with_model).collect())
-}
-
 /// The trajectories; the stage must be done.
 pub(super) fn trajectories(run: &Run) -> Result<Trajectories, PipelineError> {
-    Ok(crate::io::trajectories::read(&run.workspace.root().join("trajectories.json"))?)
+    Ok(run.workspace.read_trajectories()?)
 }
 
 /// Why objects have no trajectory although they have a model, by id; the stage must be done.

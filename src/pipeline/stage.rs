@@ -55,6 +55,43 @@ impl Stage {
         }
     }
 
+    /// The stages whose results this one reads.
+    pub fn after(self) -> &'static [Self] {
+        use Stage::{Background, Features, Frames, Ground, Objects, Scale, Segment, Track};
+        match self {
+            Frames => &[],
+            Segment => &[Frames],
+            Track => &[Frames, Segment],
+            Features => &[Frames, Segment, Track],
+            Background => &[Features],
+            Objects => &[Features, Background],
+            Ground => &[Background, Objects],
+            Scale => &[Ground],
+            Self::Report => &[Scale],
+        }
+    }
+
+    /// This stage and all that come after it, directly or not.
+    pub fn and_dependents(self) -> Vec<Self> {
+        let mut found = vec![self];
+        for stage in Self::ALL {
+            if !found.contains(&stage) && stage.after().iter().any(|before| found.contains(before)) {
+                found.push(stage);
+            }
+        }
+        found
+    }
+
+    /// To be raised when a stage's results change although its options do not, so that results of older programs are not
+    /// taken over.
+    pub(super) fn revision(self) -> u32 {
+        match self {
+            // Results are in a place of their own.
+            Self::Objects | Self::Scale => 2,
+            _ => 1,
+        }
+    }
+
     /// The stage of a name.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|stage| stage.name() == name)

@@ -9,9 +9,8 @@ use serde_json::{Value, json};
 
 use super::given_masks::MaskFolder;
 use super::run::{Outcome, Run};
-use super::workspace::mask_name;
 use super::{Instances, PipelineError, fingerprint, segment};
-use crate::io::{atomic, masks};
+use crate::io::{IoError, RunFolder, masks};
 use crate::perception::{FlowOptions, TrackSummary, TrackedMask, Tracker, load_flow};
 use crate::scene::{Frame, FrameId, Mask, ObjectId};
 
@@ -47,7 +46,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
 
 pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let objects = atomic::write_folder(&run.workspace.tracks(), |folder| match &run.options.instances {
+    let objects = run.workspace.put_folder(&run.workspace.tracks(), |folder| match &run.options.instances {
         Instances::None => Ok(Vec::new()),
         Instances::Masks(given) => split_given(run, given, folder, &mut outcome),
         Instances::Model(_) => follow(run, folder, &mut outcome),
@@ -74,7 +73,7 @@ pub(super) fn masks_of(
 ) -> Result<Vec<(ObjectId, Mask)>, PipelineError> {
     let size = (run.info().width, run.info().height);
     let seen = objects.iter().filter(|object| object.frames.binary_search(&frame.id).is_ok());
-    seen.map(|object| Ok((object.id, masks::read_mask(&run.workspace.track_mask(object.id, frame), size)?))).collect()
+    seen.map(|object| Ok((object.id, masks::read_mask(&run.workspace.mask(object.id, frame), size)?))).collect()
 }
 
 /// One mask per label of the given label maps.
@@ -97,7 +96,7 @@ fn split_given(
         let Some(labels) = files.labels(frame.id)? else { continue };
         for label in labels.present() {
             let id = ObjectId(label.into());
-            masks::write_mask(&folder.join(id.to_string()).join(mask_name(frame)), &labels.mask(label))?;
+            masks::write_mask(&folder.join(id.to_string()).join(RunFolder::mask_name(frame)), &labels.mask(label))?;
             seen.entry(id).or_default().push(frame.id);
         }
     }
@@ -129,7 +128,7 @@ fn follow(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<Vec<Tracked
         let found = detections.as_ref().map_or(Ok(Vec::new()), |store| store.read(frame.id))?;
         let carried = previous.as_ref().map(|previous| flow.flow(previous, &picture)).transpose()?;
         for TrackedMask { object, mask, .. } in tracker.advance(&frame, &picture, found, carried.as_ref())? {
-            masks::write_mask(&provisional(folder, object).join(mask_name(&frame)), &mask)?;
+            masks::write_mask(&provisional(folder, object).join(RunFolder::mask_name(&frame)), &mask)?;
             seen.entry(object).or_default().insert(frame.id);
         }
         previous = Some(picture);
@@ -139,7 +138,7 @@ fn follow(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<Vec<Tracked
     let objects =
         summaries.into_iter().map(|summary| settle(folder, summary, &mut seen, &names)).collect::<Result<_, _>>()?;
     for dropped in seen.into_keys() {
-        run.workspace.remove(&provisional(folder, dropped))?;
+        run.workspace.remove_state(&provisional(folder, dropped))?;
     }
     Ok(objects)
 }
@@ -160,12 +159,12 @@ fn settle(
     let confirmed = summary.first..=summary.last;
     for frame in frames.extract_if(.., |frame| !confirmed.contains(frame)) {
         if let Some(frame) = names.get(&frame) {
-            let mask = from.join(mask_name(frame));
-            std::fs::remove_file(&mask).map_err(|source| PipelineError::Output { path: mask, source })?;
+            let mask = from.join(RunFolder::mask_name(frame));
+            std::fs::remove_file(&mask).map_err(IoError::system("remove", &mask))?;
         }
     }
     let to = folder.join(summary.id.to_string());
-    std::fs::rename(&from, &to).map_err(|source| PipelineError::Output { path: to, source })?;
+    std::fs::rename(&from, &to).map_err(IoError::system("rename", &from))?;
     Ok(TrackedObject {
         id: summary.id,
         class: summary.class,

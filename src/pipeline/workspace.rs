@@ -1,7 +1,8 @@
-//! The output folder: where everything lies, and that one process alone writes to it.
+//! The output folder while a run has it: the public results, and what the run needs to go on where it was.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File, TryLockError};
+use std::fs;
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
@@ -9,17 +10,35 @@ use serde::{Deserialize, Serialize};
 
 use super::meter::Cost;
 use super::{PipelineError, Stage};
-use crate::io::atomic;
-use crate::scene::{Frame, ObjectId};
+use crate::io::{InputIdentity, IoError, OwnedFolder, RunFolder, atomic, refuse_own_input};
+use crate::scene::ObjectId;
 
-/// Folder inside the output folder for what a run needs to go on where it was.
-const STATE: &str = ".tractrix";
+/// Which command such folders are made by.
+const MADE_BY: &str = "tractrix run";
 
-/// An output folder that this process has for itself.
+/// An output folder that this process has for itself. What lies where in it is [`RunFolder`]'s to say.
 #[derive(Debug)]
 pub struct Workspace {
-    root: PathBuf,
-    _lock: File,
+    owned: OwnedFolder,
+    places: RunFolder,
+}
+
+impl Deref for Workspace {
+    type Target = RunFolder;
+
+    fn deref(&self) -> &RunFolder {
+        &self.places
+    }
+}
+
+/// What is given up for a new result.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Overwrite {
+    /// Results of the same input alone.
+    #[default]
+    SameInput,
+    /// Results of another input, too.
+    AnyInput,
 }
 
 /// What a finished stage leaves behind.
@@ -39,73 +58,96 @@ pub struct Marker {
 }
 
 impl Workspace {
+    /// Looks whether a run may write into a folder, and whether all that it reads lies elsewhere; changes nothing.
+    ///
+    /// * `inputs` – what is read, after the flag that named it.
+    ///
+    /// # Errors
+    /// [`PipelineError::Folder`] says what is in the way.
+    pub fn inspect(output: &Path, inputs: &[(&str, &Path)]) -> Result<(), PipelineError> {
+        OwnedFolder::inspect(output, MADE_BY, RunFolder::place)?;
+        for (flag, input) in inputs {
+            refuse_own_input(output, RunFolder::place, flag, input)?;
+        }
+        Ok(())
+    }
+
     /// Makes the folder if need be and takes it.
     ///
     /// # Errors
-    /// [`PipelineError::Output`] if it cannot be written to, [`PipelineError::Busy`] if another run has it.
-    pub fn open(root: &Path) -> Result<Self, PipelineError> {
-        let failed = |source| PipelineError::Output { path: root.to_owned(), source };
-        let state = root.join(STATE);
-        fs::create_dir_all(&state).map_err(failed)?;
-        let lock = File::create(state.join("lock")).map_err(failed)?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Err(PipelineError::Busy { path: root.to_owned() }),
-            Err(TryLockError::Error(source)) => return Err(failed(source)),
-        }
-        let workspace = Self { root: root.to_owned(), _lock: lock };
-        let (kept, unchecked) = (workspace.state("objects"), workspace.unchecked_objects());
-        for folder in [root, &state, &workspace.objects(), &kept, &unchecked, &workspace.tracks()] {
-            if folder.is_dir() {
-                atomic::remove_leftovers(folder)?;
-            }
-        }
-        Ok(workspace)
+    /// [`PipelineError::Folder`] if it is not a run's own, cannot be written to, or if another run has it.
+    pub fn open(output: &Path) -> Result<Self, PipelineError> {
+        let owned = OwnedFolder::open(output, MADE_BY, RunFolder::place)?;
+        let places = RunFolder::at(owned.root());
+        Ok(Self { owned, places })
     }
 
-    /// The output folder.
-    pub fn root(&self) -> &Path {
-        &self.root
+    /// Whether a folder was made by a run.
+    pub fn is_own(output: &Path) -> bool {
+        OwnedFolder::is_own(output, MADE_BY)
     }
 
-    /// A file of the run's own.
+    /// Says what the results are made from; results of another input go, if that is allowed.
+    ///
+    /// # Errors
+    /// [`PipelineError::Folder`] where it is not.
+    pub fn claim(&self, input: InputIdentity, overwrite: Overwrite) -> Result<(), PipelineError> {
+        Ok(self.owned.claim(input, overwrite == Overwrite::AnyInput)?)
+    }
+
+    /// What the results were made from.
+    pub fn claimed_by(&self) -> Option<InputIdentity> {
+        self.owned.input()
+    }
+
+    /// Puts a public file in its place, whole, through `fill`, which is told where to write it.
+    ///
+    /// # Errors
+    /// What `fill` says, or [`PipelineError::Folder`].
+    pub fn put_file<E>(&self, path: &Path, fill: impl FnOnce(&Path) -> Result<(), E>) -> Result<(), PipelineError>
+    where
+        PipelineError: From<E>,
+    {
+        self.owned.put_file(path, |fresh| fill(fresh).map_err(PipelineError::from))
+    }
+
+    /// Puts a public folder in its place, whole, through `fill`, which gets an empty one.
+    ///
+    /// # Errors
+    /// As [`Self::put_file`].
+    pub fn put_folder<T>(
+        &self,
+        path: &Path,
+        fill: impl FnOnce(&Path) -> Result<T, PipelineError>,
+    ) -> Result<T, PipelineError> {
+        self.owned.put_folder(path, fill)
+    }
+
+    /// Removes a run's own public files at and below a path.
+    ///
+    /// # Errors
+    /// [`PipelineError::Folder`] if the system refuses.
+    pub fn remove(&self, path: &Path) -> Result<(), PipelineError> {
+        Ok(self.owned.remove(path)?)
+    }
+
+    /// Removes a run's own files of all objects in `folder` but those to `keep`.
+    ///
+    /// # Errors
+    /// As [`Self::remove`].
+    pub fn keep_objects(&self, folder: &Path, keep: impl Fn(ObjectId) -> bool) -> Result<(), PipelineError> {
+        let others = RunFolder::ids_in(folder).into_iter().filter(|id| !keep(*id));
+        others.into_iter().try_for_each(|id| self.remove(&folder.join(id.to_string())))
+    }
+
+    /// A file of the run's own, of which nothing public hangs.
     pub fn state(&self, name: &str) -> PathBuf {
-        state_of(&self.root, name)
-    }
-
-    /// The background's model.
-    pub fn background(&self) -> PathBuf {
-        self.root.join("background")
-    }
-
-    /// The folder of all objects' models.
-    pub fn objects(&self) -> PathBuf {
-        self.root.join("objects")
-    }
-
-    /// One object's model.
-    pub fn object(&self, id: ObjectId) -> PathBuf {
-        self.objects().join(id.to_string())
-    }
-
-    /// One object's model as structure from motion left it, before it was put on the ground.
-    pub fn reconstructed_object(&self, id: ObjectId) -> PathBuf {
-        self.state("objects").join(id.to_string())
+        self.root().join(RunFolder::STATE).join(name)
     }
 
     /// The folder of objects' models that are not yet compared with the masks; there only while that is to be done.
     pub fn unchecked_objects(&self) -> PathBuf {
         self.state("objects-unchecked")
-    }
-
-    /// The folder of all masks.
-    pub fn tracks(&self) -> PathBuf {
-        self.root.join("tracks")
-    }
-
-    /// One object's mask in one frame.
-    pub fn track_mask(&self, id: ObjectId, frame: &Frame) -> PathBuf {
-        self.tracks().join(id.to_string()).join(mask_name(frame))
     }
 
     /// What a stage left behind, if it can be read.
@@ -123,7 +165,7 @@ impl Workspace {
         let path = self.state(&marker_name(stage));
         match fs::remove_file(&path) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                Err(PipelineError::Output { path, source: error })
+                Err(IoError::system("remove", &path)(error).into())
             }
             _ => Ok(()),
         }
@@ -131,7 +173,7 @@ impl Workspace {
 
     /// Whether every part of a marked result is still there.
     pub fn has_outputs(&self, marker: &Marker) -> bool {
-        marker.outputs.iter().all(|path| self.root.join(path).exists())
+        marker.outputs.iter().all(|path| self.root().join(path).exists())
     }
 
     /// Reads a value that [`Workspace::write_state`] wrote.
@@ -150,43 +192,33 @@ impl Workspace {
         Ok(atomic::write_json(&self.state(name), value)?)
     }
 
-    /// Makes sure that of the folders in `.tractrix` whose names begin with `prefix` only `keep` is there: the others
+    /// Makes sure that of the folders in `.tractrix` that are named `prefix` and a fingerprint only `keep` is there: the others
     /// belong to other options.
     pub fn keep_only(&self, prefix: &str, keep: &str) -> Result<PathBuf, PipelineError> {
-        let state = self.root.join(STATE);
-        let failed = |source| PipelineError::Output { path: state.clone(), source };
-        for entry in fs::read_dir(&state).map_err(failed)? {
-            let entry = entry.map_err(failed)?;
+        let state = self.root().join(RunFolder::STATE);
+        for entry in fs::read_dir(&state).map_err(IoError::system("read", &state))? {
+            let entry = entry.map_err(IoError::system("read", &state))?;
             let name = entry.file_name();
             let name = name.to_string_lossy();
-            if name.starts_with(prefix) && name != keep && entry.path().is_dir() {
-                fs::remove_dir_all(entry.path()).map_err(failed)?;
+            let is_fingerprint = |rest: &str| !rest.is_empty() && rest.chars().all(|c| c.is_ascii_hexdigit());
+            if name != keep && name.strip_prefix(prefix).is_some_and(is_fingerprint) {
+                self.remove_state(&entry.path())?;
             }
         }
         let kept = state.join(keep);
-        fs::create_dir_all(&kept).map_err(failed)?;
+        fs::create_dir_all(&kept).map_err(IoError::system("create", &kept))?;
         Ok(kept)
     }
 
-    /// Removes a folder of results, if it is there.
-    pub fn remove(&self, path: &Path) -> Result<(), PipelineError> {
+    /// Removes a folder of the run's own, if it is there.
+    pub fn remove_state(&self, path: &Path) -> Result<(), PipelineError> {
         match fs::remove_dir_all(path) {
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                Err(PipelineError::Output { path: path.to_owned(), source })
+                Err(IoError::system("remove", path)(source).into())
             }
             _ => Ok(()),
         }
     }
-}
-
-/// A file of the run's own in the output folder `root`, which need not be open.
-pub(super) fn state_of(root: &Path, name: &str) -> PathBuf {
-    root.join(STATE).join(name)
-}
-
-/// Name of an image's mask: COLMAP's convention, which keeps `a.jpg` and `a.png` apart.
-pub fn mask_name(frame: &Frame) -> String {
-    format!("{}.png", frame.name)
 }
 
 fn marker_name(stage: Stage) -> String {
@@ -196,12 +228,13 @@ fn marker_name(stage: Stage) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::io::FolderError;
 
     #[test]
     fn one_process_at_a_time() {
         let folder = tempfile::tempdir().unwrap();
         let first = Workspace::open(&folder.path().join("out")).unwrap();
-        assert!(matches!(Workspace::open(first.root()), Err(PipelineError::Busy { .. })));
+        assert!(matches!(Workspace::open(first.root()), Err(PipelineError::Folder(FolderError::Busy { .. }))));
         let root = first.root().to_owned();
         drop(first);
         assert!(Workspace::open(&root).is_ok());
@@ -212,7 +245,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("file");
         fs::write(&file, b"").unwrap();
-        assert!(matches!(Workspace::open(&file.join("out")), Err(PipelineError::Output { .. })));
+        assert!(matches!(Workspace::open(&file.join("out")), Err(PipelineError::Folder(FolderError::System { .. }))));
     }
 
     #[test]

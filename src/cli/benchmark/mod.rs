@@ -19,7 +19,7 @@ use super::output::{Failure, print, print_json};
 use super::run::use_threads;
 use super::terminal::Talk;
 use crate::eval::benchmark::{Benchmark, Entry, summarise};
-use crate::io::{self, atomic};
+use crate::io::{self, FolderError, OwnedFolder, Place, RunFolder, atomic, refuse_own_input};
 use crate::pipeline::Options;
 use crate::report::benchmark as pages;
 use crate::video::Position;
@@ -27,6 +27,10 @@ use sequences::{Found, find};
 
 /// Version of `benchmark.json`.
 const VERSION: u32 = 1;
+const JSON: &str = "benchmark.json";
+const MARKDOWN: &str = "benchmark.md";
+const TRAJECTORY_ERROR: &str = "trajectory-error.svg";
+const SCALE_DEVIATION: &str = "scale-deviation.svg";
 const SCALE_METHOD_HELP: &str = "How the scale ratio is found; the other methods are evaluated beside it";
 
 #[derive(Clone, Debug, clap::Args)]
@@ -38,6 +42,9 @@ pub(super) struct Args {
     /// Folder for the results: one output folder per sequence, benchmark.json, benchmark.md and two charts
     #[arg(long, short, value_name = "OUT", default_value = "benchmark")]
     pub(super) output: PathBuf,
+    /// Replace results of sequences that have changed since
+    #[arg(long)]
+    pub(super) overwrite: bool,
     /// Only sequences with this in the name of their folder; may be repeated
     #[arg(long, value_name = "TEXT")]
     pub(super) only: Vec<String>,
@@ -76,6 +83,10 @@ pub(super) fn run(args: &Args, arguments: &[OsString], json: bool, talk: &Talk) 
         tracing::warn!("{}: has no scene.json, left out", args.folder.join(name).display());
     }
     let others: Vec<Benchmark> = args.compare.iter().map(|path| read(path)).collect::<Result<_, _>>()?;
+    for path in &args.compare {
+        refuse_own_input(&args.output, place, "--compare", path)?;
+    }
+    let output = OwnedFolder::open(&args.output, "tractrix benchmark", place)?;
     use_threads(options.threads)?;
     let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
     let mut benchmark = Benchmark {
@@ -89,10 +100,10 @@ pub(super) fn run(args: &Args, arguments: &[OsString], json: bool, talk: &Talk) 
     };
     for (k, folder) in sequences.iter().enumerate() {
         talk.say(&format!("[{}/{}] {}", k + 1, sequences.len(), folder.display()));
-        let entry = single::sequence(args, folder, &options, &arguments, talk)?;
+        let entry = single::sequence(args, folder, &output, &options, &arguments, talk)?;
         talk.say(&format!("{}: {}", entry.folder, said(&entry)));
         benchmark.sequences.push(entry);
-        write(&benchmark, &others, &args.output)?;
+        write(&benchmark, &others, &output)?;
     }
     talk.finish();
     match json {
@@ -132,12 +143,27 @@ fn read(path: &Path) -> Result<Benchmark, Failure> {
     Ok(benchmark)
 }
 
-fn write(benchmark: &Benchmark, others: &[Benchmark], output: &Path) -> Result<(), Failure> {
-    let text = |name: &str, text: String| atomic::write(&output.join(name), text.as_bytes());
-    atomic::write_json(&output.join("benchmark.json"), &with_summary(benchmark))?;
-    text("benchmark.md", pages::markdown(benchmark, others))?;
-    text("trajectory-error.svg", pages::trajectory_error_chart(benchmark))?;
-    Ok(text("scale-deviation.svg", pages::scale_deviation_chart(benchmark))?)
+/// What a benchmark may put into its folder, besides the sequences' own output folders.
+fn place(relative: &Path) -> Place {
+    let parts: Vec<_> = relative.iter().filter_map(|part| part.to_str()).collect();
+    match parts[..] {
+        [] => Place::Folder,
+        [RunFolder::STATE, ..] => Place::State,
+        [JSON | MARKDOWN | TRAJECTORY_ERROR | SCALE_DEVIATION] => Place::File,
+        _ => Place::Elsewhere,
+    }
+}
+
+fn write(benchmark: &Benchmark, others: &[Benchmark], output: &OwnedFolder) -> Result<(), FolderError> {
+    let put = |name: &str, text: String| {
+        output.put_file(Path::new(name), |fresh| Ok::<_, FolderError>(atomic::write(fresh, text.as_bytes())?))
+    };
+    output.put_file(Path::new(JSON), |fresh| {
+        Ok::<_, FolderError>(atomic::write_json(fresh, &with_summary(benchmark))?)
+    })?;
+    put(MARKDOWN, pages::markdown(benchmark, others))?;
+    put(TRAJECTORY_ERROR, pages::trajectory_error_chart(benchmark))?;
+    put(SCALE_DEVIATION, pages::scale_deviation_chart(benchmark))
 }
 
 /// What stands in `benchmark.json`: the results, and the summary that follows from them.

@@ -5,14 +5,13 @@ use std::path::{Path, PathBuf};
 
 use super::Args;
 use super::sequences::names;
-use crate::cli::evaluate::evaluate;
 use crate::cli::output::Failure;
 use crate::cli::run::apply_sequence;
 use crate::cli::terminal::Talk;
 use crate::eval::Evaluation;
 use crate::eval::benchmark::{Cost, Entry};
-use crate::io::{Sequence, TARGET_LABEL, atomic};
-use crate::pipeline::{self, Options, PipelineError, Stage, Summary};
+use crate::io::{FolderError, OwnedFolder, Sequence, TARGET_LABEL};
+use crate::pipeline::{self, Job, Options, Overwrite, PipelineError, Stage, Summary};
 use crate::scene::ObjectId;
 
 /// The result on one sequence, which may be that it failed.
@@ -22,6 +21,7 @@ use crate::scene::ObjectId;
 pub(super) fn sequence(
     args: &Args,
     folder: &Path,
+    results: &OwnedFolder,
     options: &Options,
     arguments: &[String],
     talk: &Talk,
@@ -31,19 +31,19 @@ pub(super) fn sequence(
     let (vehicle, trajectory) = names(&name, truth.as_ref().ok());
     let described = |entry: Entry| Entry { folder: name.clone(), vehicle, trajectory, ..entry };
     let failed = |reason: String| Entry { failure: Some(reason), ..Entry::default() };
-    let output = args.output.join(&name);
+    let output = results.subfolder(&name)?;
     // A panic is a defect of the program, but it must not take the other sequences with it.
     let result = catch_unwind(AssertUnwindSafe(|| {
         let truth = truth?;
         let summary = run(args, &name, &truth, &output, options, arguments, talk)?;
-        let evaluation = evaluate(&output, folder)?;
-        atomic::write_json(&output.join("evaluation.json"), &evaluation)?;
+        let evaluation = pipeline::evaluate(&output, folder)?;
+        pipeline::keep_evaluation(&output, folder, &evaluation)?;
         Ok::<_, anyhow::Error>(entry(&evaluation, &summary))
     }));
     match result {
         Ok(Ok(entry)) => Ok(described(entry)),
         Ok(Err(error)) => match error.downcast_ref() {
-            Some(PipelineError::Busy { .. } | PipelineError::Output { .. }) => Err(Failure::Input(error)),
+            Some(PipelineError::Folder(of_all)) if stands_in_every_way(of_all) => Err(error.into()),
             _ => Ok(described(failed(Failure::Input(error).to_string()))),
         },
         Err(panic) => {
@@ -52,6 +52,11 @@ pub(super) fn sequence(
             Ok(described(failed(format!("the program broke, which is a defect to be reported: {text}"))))
         }
     }
+}
+
+/// Whether the next sequence would meet the same.
+fn stands_in_every_way(error: &FolderError) -> bool {
+    error.is_wrong_use() || matches!(error, FolderError::Busy { .. } | FolderError::System { .. })
 }
 
 fn run(
@@ -78,7 +83,16 @@ fn run(
     {
         options.object_models = [(target, exists(model)?)].into();
     }
-    Ok(pipeline::run(&input, output, &options, Stage::Report, arguments, talk)?)
+    let job = Job {
+        input: &input,
+        output,
+        options: &options,
+        goal: Stage::Report,
+        also_read: vec![("the sequence", &truth.folder)],
+        overwrite: if args.overwrite { Overwrite::AnyInput } else { Overwrite::SameInput },
+        arguments,
+    };
+    Ok(pipeline::run(&job, talk)?)
 }
 
 /// Where the model of a sequence would lie.
@@ -95,8 +109,8 @@ fn exists(model: PathBuf) -> anyhow::Result<PathBuf> {
 fn entry(evaluation: &Evaluation, summary: &Summary) -> Entry {
     let mut entry = Entry::of(evaluation);
     // What stopped the run says more than what the evaluation misses for it.
-    if entry.failure.is_some() && summary.failure.is_some() {
-        entry.failure.clone_from(&summary.failure);
+    if entry.failure.is_some() && summary.failure().is_some() {
+        entry.failure = summary.failure();
     }
     let is_sfm = |stage: Stage| matches!(stage, Stage::Features | Stage::Background | Stage::Objects);
     let mut cost = Cost::default();

@@ -39,6 +39,9 @@ pub fn read(folder: &Path) -> Result<Reconstruction, IoError> {
     Ok(model)
 }
 
+/// Names of a model's files, as text and binary.
+pub const FILES: [&str; 6] = ["cameras.txt", "images.txt", "points3D.txt", "cameras.bin", "images.bin", "points3D.bin"];
+
 /// Reads the cameras of one file alone: `cameras.txt`, or `cameras.bin` if the name ends so.
 pub fn read_cameras(path: &Path) -> Result<std::collections::BTreeMap<CameraId, Camera>, IoError> {
     if path.extension().is_some_and(|e| e == "bin") { binary::read_cameras(path) } else { text::read_cameras(path) }

@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use super::*;
 use crate::eval::trajectory;
-use crate::io::openmvg;
+use crate::io::{colmap, openmvg, trajectories};
 use crate::scene::{ObjectPose, ScaleEstimate, ScaleMethod, Unit};
 
 /// The folder of the shared inputs, or a note that the test is skipped.
@@ -99,8 +99,10 @@ fn an_output_without_anything_is_evaluated_as_such() {
     let Some(data) = data() else { return };
     let truth = data.join("sequences/right_curve");
     let out = tempfile::tempdir().unwrap();
-    run(&Args { output: out.path().into(), truth: truth.clone(), json: true }).unwrap();
-    let evaluation: Evaluation = crate::io::json::read(&out.path().join("evaluation.json")).unwrap();
+    let evaluation = evaluate(out.path(), &truth).unwrap();
+    // A folder that no run made is read and not written into.
+    assert_eq!(keep_evaluation(out.path(), &truth, &evaluation).unwrap(), Kept::Nowhere);
+    assert_eq!(std::fs::read_dir(out.path()).unwrap().count(), 0);
     assert_eq!(evaluation.registered.num_background, 0);
     assert_eq!(evaluation.registered.num_visible, 60);
     assert!(evaluation.registration.as_ref().unwrap_err().contains("background"));

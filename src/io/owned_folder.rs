@@ -1,0 +1,649 @@
+//! A folder that the program writes into without touching anything that is not its own.
+//!
+//! The program knows its own files by a manifest, `.tractrix/manifest.json`. It takes a folder only if that is new, empty or
+//! has such a manifest; it replaces and removes only files that the manifest lists; files that others put beside them stay.
+//! It never follows a link inside the folder. A file is listed before it is put in its place, so that a process that is
+//! killed leaves nothing that the next one does not know.
+//!
+//! What is written is prepared in `.tractrix/tmp` and moved to its place whole. A folder of results is exchanged as one
+//! where all in it is the program's own, else file by file.
+
+use std::collections::BTreeSet;
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use serde::{Deserialize, Serialize};
+use tempfile::{Builder, TempDir};
+
+use super::atomic::{sync_folder, sync_tree};
+use super::{IoError, RunFolder, atomic};
+
+const STATE: &str = RunFolder::STATE;
+const MANIFEST: &str = "manifest.json";
+const LOCK: &str = "lock";
+const SCRATCH: &str = "tmp";
+const VERSION: u32 = 1;
+
+/// What the program may put at a path of its folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// One of its files.
+    File,
+    /// One of its folders; others may have files in it.
+    Folder,
+    /// Inside the folder that belongs to it alone.
+    State,
+    /// Nothing: what is there is somebody else's.
+    Elsewhere,
+}
+
+/// What a path of the folder is for.
+pub type Places = fn(&Path) -> Place;
+
+/// What the results in a folder were made from.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct InputIdentity {
+    /// Where it lay, for people and for reading it again.
+    pub path: PathBuf,
+    /// Hash of its content.
+    pub content: String,
+}
+
+/// Why the program does not write into a folder.
+#[derive(Debug, thiserror::Error)]
+pub enum FolderError {
+    /// Somebody else's.
+    #[error(
+        "{}: this folder is not empty and was not made by {program} (it holds {examples}); nothing was changed; give a \
+         new or empty folder with --output",
+        path.display()
+    )]
+    NotOwn {
+        /// The folder.
+        path: PathBuf,
+        /// Which command makes such folders.
+        program: &'static str,
+        /// Some of what it holds.
+        examples: String,
+    },
+    /// Files of others where results belong.
+    #[error("{}: {examples} stands where results are to be written; nothing was changed; move it away or give another --output", path.display())]
+    InTheWay {
+        /// The folder.
+        path: PathBuf,
+        /// Some of these files.
+        examples: String,
+    },
+    /// A link inside the folder.
+    #[error(
+        "{}: {link} is a link, and results are never written through one; nothing was changed; remove the link or give \
+         another --output",
+        path.display()
+    )]
+    Link {
+        /// The folder.
+        path: PathBuf,
+        /// The link, relative to it.
+        link: String,
+    },
+    /// Results of another input.
+    #[error(
+        "{}: holds the results of another input ({}); nothing was changed; give another --output, or --overwrite to \
+         replace them",
+        path.display(), input.display()
+    )]
+    OtherInput {
+        /// The folder.
+        path: PathBuf,
+        /// The input whose results are there.
+        input: PathBuf,
+    },
+    /// Something that is to be read lies where results are written.
+    #[error("{flag} {}: lies in the output folder, where results are written; copy it elsewhere first, or give another --output", input.display())]
+    OwnInput {
+        /// How the input was named.
+        flag: String,
+        /// The input.
+        input: PathBuf,
+    },
+    /// A single file that is there.
+    #[error("{}: is there already; nothing was changed; give another name, or --overwrite to replace it", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Another process has the folder.
+    #[error("{}: another tractrix is at work on this folder; wait for it or give another --output", path.display())]
+    Busy {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The system refuses.
+    #[error("{}: cannot be written to: {source}; {}", path.display(), cure(source))]
+    System {
+        /// The folder or file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// A file cannot be written.
+    #[error(transparent)]
+    Io(#[from] IoError),
+}
+
+fn cure(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "make room, or give a folder on another disk with --output"
+        }
+        _ => "give another folder with --output or change its permissions",
+    }
+}
+
+impl FolderError {
+    /// Whether the command line asks for what must not be, so that nothing was begun.
+    pub fn is_wrong_use(&self) -> bool {
+        use FolderError::{Exists, InTheWay, Link, NotOwn, OtherInput, OwnInput};
+        matches!(
+            self,
+            NotOwn { .. } | InTheWay { .. } | Link { .. } | OtherInput { .. } | OwnInput { .. } | Exists { .. }
+        )
+    }
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Manifest {
+    version: u32,
+    /// Which command writes into the folder.
+    made_by: String,
+    input: Option<InputIdentity>,
+    /// Relative to the folder, without what lies in the state folder.
+    files: BTreeSet<PathBuf>,
+}
+
+/// A folder that this process has for itself.
+#[derive(Debug)]
+pub struct OwnedFolder {
+    root: PathBuf,
+    manifest: Mutex<Manifest>,
+    _lock: File,
+}
+
+impl OwnedFolder {
+    /// Looks whether a folder may be taken; changes nothing.
+    ///
+    /// * `made_by` – the command that asks; a folder of another command's is not its own.
+    ///
+    /// # Errors
+    /// [`FolderError`] says what is in the way.
+    pub fn inspect(path: &Path, made_by: &'static str, places: Places) -> Result<(), FolderError> {
+        let system = |source| FolderError::System { path: path.to_owned(), source };
+        match fs::metadata(path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                return match fs::symlink_metadata(path) {
+                    Ok(_) => Err(FolderError::Link { path: path.to_owned(), link: path.display().to_string() }),
+                    Err(_) => Ok(()),
+                };
+            }
+            Err(error) => return Err(system(error)),
+            Ok(found) if !found.is_dir() => return Err(system(io::ErrorKind::NotADirectory.into())),
+            Ok(_) => {}
+        }
+        let manifest = read_manifest(path)?;
+        match manifest.filter(|manifest| manifest.made_by == made_by) {
+            Some(manifest) => Survey { root: path, manifest: &manifest, places }.run(),
+            None => is_as_good_as_empty(path, made_by),
+        }
+    }
+
+    /// Makes the folder if need be and takes it, if [`Self::inspect`] has nothing against it.
+    ///
+    /// # Errors
+    /// [`FolderError`] says what is in the way.
+    pub fn open(path: &Path, made_by: &'static str, places: Places) -> Result<Self, FolderError> {
+        Self::inspect(path, made_by, places)?;
+        let system = |source| FolderError::System { path: path.to_owned(), source };
+        fs::create_dir_all(path.join(STATE)).map_err(system)?;
+        // A link to the folder itself is the user's way of naming it; below it no link is followed.
+        let root = fs::canonicalize(path).map_err(system)?;
+        let lock = lock(&root, path)?;
+        let manifest = read_manifest(&root)?.unwrap_or_default();
+        let owned = Self { root, manifest: Mutex::new(manifest), _lock: lock };
+        // Once more: somebody may have been faster than the lock.
+        Self::inspect(path, made_by, places)?;
+        owned.tidy(made_by)?;
+        Ok(owned)
+    }
+
+    /// Whether there is a folder of this command's at a path.
+    pub fn is_own(path: &Path, made_by: &str) -> bool {
+        read_manifest(path).is_ok_and(|found| found.is_some_and(|manifest| manifest.made_by == made_by))
+    }
+
+    /// Forgets files that are no more, so that a later file of that name counts as somebody else's; clears what a killed
+    /// process left unfinished.
+    fn tidy(&self, made_by: &str) -> Result<(), FolderError> {
+        let scratch = self.root.join(STATE).join(SCRATCH);
+        if scratch.exists() {
+            fs::remove_dir_all(&scratch).map_err(IoError::system("remove", &scratch))?;
+        }
+        atomic::remove_leftovers(&self.root.join(STATE))?;
+        let mut manifest = self.manifest();
+        let before = manifest.clone();
+        manifest.version = VERSION;
+        made_by.clone_into(&mut manifest.made_by);
+        manifest.files.retain(|file| fs::symlink_metadata(self.root.join(file)).is_ok());
+        if *manifest != before {
+            self.write_manifest(&manifest)?;
+        }
+        Ok(())
+    }
+
+    /// The folder, without links.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// What the results were made from, where that was said.
+    pub fn input(&self) -> Option<InputIdentity> {
+        self.manifest().input.clone()
+    }
+
+    /// Says what the results are made from. Results of something else are only given up with `overwrite`, and then they
+    /// are removed, so that never results of two inputs stand side by side.
+    ///
+    /// # Errors
+    /// [`FolderError::OtherInput`].
+    pub fn claim(&self, input: InputIdentity, overwrite: bool) -> Result<(), FolderError> {
+        let before = self.input();
+        let others = before.as_ref().filter(|before| before.content != input.content);
+        if let Some(other) = others.filter(|_| !overwrite) {
+            return Err(FolderError::OtherInput { path: self.root.clone(), input: other.path.clone() });
+        }
+        if others.is_some() {
+            self.remove(Path::new(""))?;
+        }
+        if before.as_ref() == Some(&input) {
+            return Ok(());
+        }
+        let mut manifest = self.manifest();
+        manifest.input = Some(input);
+        self.write_manifest(&manifest)
+    }
+
+    /// A folder inside this one that is not its matter; it must be no link.
+    ///
+    /// # Errors
+    /// [`FolderError::Link`].
+    pub fn subfolder(&self, name: &str) -> Result<PathBuf, FolderError> {
+        self.check_way(&self.relative(Path::new(name))?)?;
+        Ok(self.root.join(name))
+    }
+
+    /// Puts a file in its place, whole: `fill` writes it where it is told.
+    ///
+    /// # Errors
+    /// What `fill` says; [`FolderError`] if something else is in that place.
+    pub fn put_file<E: From<FolderError>>(
+        &self,
+        path: &Path,
+        fill: impl FnOnce(&Path) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let relative = self.relative(path)?;
+        self.check_way(&relative)?;
+        self.check_vacant(&relative)?;
+        let scratch = self.scratch()?;
+        let fresh = scratch.path().join(relative.file_name().unwrap_or_default());
+        fill(&fresh)?;
+        self.list([relative.clone()])?;
+        self.move_in(&fresh, &relative)?;
+        Ok(())
+    }
+
+    /// Puts a folder in its place, whole: `fill` gets an empty one. The program's own files that were there go; those of
+    /// others stay.
+    ///
+    /// # Errors
+    /// As [`Self::put_file`].
+    pub fn put_folder<T, E: From<FolderError>>(
+        &self,
+        path: &Path,
+        fill: impl FnOnce(&Path) -> Result<T, E>,
+    ) -> Result<T, E> {
+        let relative = self.relative(path)?;
+        self.check_way(&relative)?;
+        let scratch = self.scratch()?;
+        let fresh = scratch.path().join("new");
+        fs::create_dir(&fresh).map_err(IoError::system("create", &fresh)).map_err(FolderError::from)?;
+        let value = fill(&fresh)?;
+        self.replace_folder(&relative, &fresh, &scratch.path().join("old"))?;
+        Ok(value)
+    }
+
+    fn replace_folder(&self, relative: &Path, fresh: &Path, aside: &Path) -> Result<(), FolderError> {
+        sync_tree(fresh)?;
+        let new: BTreeSet<PathBuf> = files_below(fresh)?.into_iter().map(|file| relative.join(file)).collect();
+        for file in &new {
+            self.check_vacant(file)?;
+        }
+        let target = self.root.join(relative);
+        let old: BTreeSet<PathBuf> = self.own_below(relative);
+        let there: Vec<PathBuf> = files_below_if_any(&target)?.into_iter().map(|file| relative.join(file)).collect();
+        self.list(new.iter().cloned())?;
+        match there.iter().all(|file| old.contains(file)) {
+            true => self.exchange(relative, fresh, aside)?,
+            false => new.iter().try_for_each(|file| {
+                let inside = file.strip_prefix(relative).unwrap_or(file);
+                self.move_in(&fresh.join(inside), file)
+            })?,
+        }
+        self.remove_files(old.difference(&new))?;
+        self.prune(relative)
+    }
+
+    /// Puts a new folder in the place of one in which all is the program's own. If the power fails in the short moment
+    /// between the two moves, there is no folder, but never half of one.
+    fn exchange(&self, relative: &Path, fresh: &Path, aside: &Path) -> Result<(), FolderError> {
+        let target = self.root.join(relative);
+        self.make_parents(relative)?;
+        if fs::symlink_metadata(&target).is_ok() {
+            fs::rename(&target, aside).map_err(IoError::system("replace", &target))?;
+        }
+        fs::rename(fresh, &target).map_err(IoError::system("replace", &target))?;
+        // A file that somebody put there while this went on stays, too.
+        for file in
+            files_below_if_any(aside)?.iter().filter(|file| !self.manifest().files.contains(&relative.join(file)))
+        {
+            self.move_in(&aside.join(file), &relative.join(file))?;
+        }
+        Ok(sync_folder(target.parent().unwrap_or(&self.root))?)
+    }
+
+    /// Removes the program's own files at and below a path, and folders that are empty then.
+    ///
+    /// # Errors
+    /// [`FolderError`] if the system refuses.
+    pub fn remove(&self, path: &Path) -> Result<(), FolderError> {
+        let relative = self.relative(path)?;
+        self.check_way(&relative)?;
+        let own = self.own_below(&relative);
+        self.remove_files(own.iter())?;
+        self.prune(&relative)
+    }
+
+    fn remove_files<'a>(&self, files: impl Iterator<Item = &'a PathBuf>) -> Result<(), FolderError> {
+        let mut gone = BTreeSet::new();
+        for file in files {
+            let path = self.root.join(file);
+            match fs::remove_file(&path) {
+                Err(error) if !is_absent(&error) => return Err(IoError::system("remove", &path)(error).into()),
+                _ => gone.insert(file.clone()),
+            };
+        }
+        if gone.is_empty() {
+            return Ok(());
+        }
+        let mut manifest = self.manifest();
+        manifest.files.retain(|file| !gone.contains(file));
+        self.write_manifest(&manifest)
+    }
+
+    /// Removes folders at and below a path that hold nothing; never the folder itself.
+    fn prune(&self, relative: &Path) -> Result<(), FolderError> {
+        let top = self.root.join(relative);
+        if relative == Path::new("") || !is_real_folder(&top) {
+            return Ok(());
+        }
+        for folder in folders_below(&top)?.into_iter().rev() {
+            // Refused where it is not empty, as it should be.
+            let _ = fs::remove_dir(folder);
+        }
+        let _ = fs::remove_dir(top);
+        Ok(())
+    }
+
+    /// Adds files to the manifest.
+    fn list(&self, files: impl IntoIterator<Item = PathBuf>) -> Result<(), FolderError> {
+        let mut manifest = self.manifest();
+        let before = manifest.files.len();
+        manifest.files.extend(files);
+        match manifest.files.len() == before {
+            true => Ok(()),
+            false => self.write_manifest(&manifest),
+        }
+    }
+
+    fn own_below(&self, relative: &Path) -> BTreeSet<PathBuf> {
+        self.manifest().files.iter().filter(|file| file.starts_with(relative)).cloned().collect()
+    }
+
+    /// That nobody else's file is at a path.
+    fn check_vacant(&self, relative: &Path) -> Result<(), FolderError> {
+        let path = self.root.join(relative);
+        match fs::symlink_metadata(&path) {
+            Ok(found) if found.file_type().is_symlink() => Err(self.link(relative)),
+            Ok(found) if found.is_dir() || !self.manifest().files.contains(relative) => {
+                Err(FolderError::InTheWay { path: self.root.clone(), examples: relative.display().to_string() })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// That no link leads from the folder to a path in it.
+    fn check_way(&self, relative: &Path) -> Result<(), FolderError> {
+        for above in relative.ancestors().filter(|above| !above.as_os_str().is_empty()) {
+            match fs::symlink_metadata(self.root.join(above)) {
+                Ok(found) if found.file_type().is_symlink() => return Err(self.link(above)),
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    fn link(&self, relative: &Path) -> FolderError {
+        FolderError::Link { path: self.root.clone(), link: relative.display().to_string() }
+    }
+
+    fn move_in(&self, fresh: &Path, relative: &Path) -> Result<(), FolderError> {
+        let target = self.root.join(relative);
+        self.make_parents(relative)?;
+        fs::rename(fresh, &target).map_err(IoError::system("replace", &target))?;
+        Ok(sync_folder(target.parent().unwrap_or(&self.root))?)
+    }
+
+    fn make_parents(&self, relative: &Path) -> Result<(), FolderError> {
+        self.check_way(relative)?;
+        let target = self.root.join(relative);
+        let folder = target.parent().unwrap_or(&self.root);
+        Ok(fs::create_dir_all(folder).map_err(IoError::system("create", folder))?)
+    }
+
+    fn scratch(&self) -> Result<TempDir, FolderError> {
+        let folder = self.root.join(STATE).join(SCRATCH);
+        self.check_way(&Path::new(STATE).join(SCRATCH))?;
+        fs::create_dir_all(&folder).map_err(|source| FolderError::System { path: folder.clone(), source })?;
+        let made = Builder::new().prefix("").tempdir_in(&folder);
+        made.map_err(|source| FolderError::System { path: folder, source })
+    }
+
+    fn relative(&self, path: &Path) -> Result<PathBuf, FolderError> {
+        let relative = if path.is_absolute() { path.strip_prefix(&self.root).ok() } else { Some(path) };
+        let plain = |path: &&Path| path.components().all(|part| matches!(part, std::path::Component::Normal(_)));
+        relative.filter(plain).map(Path::to_owned).ok_or_else(|| {
+            IoError::content(path, format!("lies outside the output folder {}", self.root.display())).into()
+        })
+    }
+
+    fn manifest(&self) -> MutexGuard<'_, Manifest> {
+        self.manifest.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn write_manifest(&self, manifest: &Manifest) -> Result<(), FolderError> {
+        Ok(atomic::write_json(&self.root.join(STATE).join(MANIFEST), manifest)?)
+    }
+}
+
+/// Refuses an input that lies where the program writes in the folder `output`, whatever links and `..` say.
+///
+/// * `flag` – how the input was named on the command line.
+///
+/// # Errors
+/// [`FolderError::OwnInput`].
+pub fn refuse_own_input(output: &Path, places: Places, flag: &str, input: &Path) -> Result<(), FolderError> {
+    // What is not there cannot be written over; who reads it says that it is missing.
+    let (Ok(output), Ok(real)) = (fs::canonicalize(output), fs::canonicalize(input)) else { return Ok(()) };
+    let is_own = |real: &Path| real.strip_prefix(&output).is_ok_and(|inside| places(inside) != Place::Elsewhere);
+    let entries = fs::read_dir(&real).into_iter().flatten().flatten();
+    let mut linked = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_symlink()));
+    match is_own(&real) || linked.any(|entry| fs::canonicalize(entry.path()).is_ok_and(|real| is_own(&real))) {
+        true => Err(FolderError::OwnInput { flag: flag.to_owned(), input: input.to_owned() }),
+        false => Ok(()),
+    }
+}
+
+/// Looks through an own folder for what is not its own and stands where it writes.
+struct Survey<'a> {
+    root: &'a Path,
+    manifest: &'a Manifest,
+    places: Places,
+}
+
+impl Survey<'_> {
+    fn run(&self) -> Result<(), FolderError> {
+        let mut foreign = Vec::new();
+        self.look(Path::new(""), &mut foreign)?;
+        match foreign.is_empty() {
+            true => Ok(()),
+            false => Err(FolderError::InTheWay { path: self.root.to_owned(), examples: some_of(&foreign) }),
+        }
+    }
+
+    fn look(&self, below: &Path, foreign: &mut Vec<String>) -> Result<(), FolderError> {
+        let folder = self.root.join(below);
+        let system = |source| FolderError::System { path: folder.clone(), source };
+        for entry in fs::read_dir(&folder).map_err(system)? {
+            let entry = entry.map_err(system)?;
+            let (relative, kind) = (below.join(entry.file_name()), entry.file_type().map_err(system)?);
+            let place = (self.places)(&relative);
+            if place != Place::Elsewhere && kind.is_symlink() {
+                return Err(FolderError::Link { path: self.root.to_owned(), link: relative.display().to_string() });
+            }
+            match place {
+                Place::File if !kind.is_file() || !self.manifest.files.contains(&relative) => {
+                    foreign.push(relative.display().to_string());
+                }
+                Place::Folder if !kind.is_dir() => foreign.push(relative.display().to_string()),
+                Place::Folder | Place::State if kind.is_dir() => self.look(&relative, foreign)?,
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+}
+
+fn read_manifest(root: &Path) -> Result<Option<Manifest>, FolderError> {
+    let state = root.join(STATE);
+    for (path, name) in [(state.clone(), STATE.to_owned()), (state.join(MANIFEST), format!("{STATE}/{MANIFEST}"))] {
+        if fs::symlink_metadata(&path).is_ok_and(|found| found.file_type().is_symlink()) {
+            return Err(FolderError::Link { path: root.to_owned(), link: name });
+        }
+    }
+    let Ok(bytes) = fs::read(state.join(MANIFEST)) else { return Ok(None) };
+    // One that cannot be read says nothing: the folder is then nobody's, and left alone.
+    Ok(serde_json::from_slice::<Manifest>(&bytes).ok().filter(|manifest| manifest.version == VERSION))
+}
+
+/// A folder without a manifest has to be empty, but for what a process leaves that is killed as it begins.
+fn is_as_good_as_empty(path: &Path, made_by: &'static str) -> Result<(), FolderError> {
+    let system = |source| FolderError::System { path: path.to_owned(), source };
+    let names = |folder: &Path| -> io::Result<Vec<String>> {
+        fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect()
+    };
+    let mut found = names(path).map_err(system)?;
+    if found == [STATE] && is_real_folder(&path.join(STATE)) {
+        let state = path.join(STATE);
+        let is_first = |name: &String| {
+            let is_link = fs::symlink_metadata(state.join(name)).is_ok_and(|found| found.file_type().is_symlink());
+            (name == LOCK || atomic::is_temporary(name)) && !is_link
+        };
+        if names(&state).map_err(system)?.iter().all(is_first) {
+            return Ok(());
+        }
+    }
+    if found.is_empty() {
+        return Ok(());
+    }
+    found.sort();
+    Err(FolderError::NotOwn { path: path.to_owned(), program: made_by, examples: some_of(&found) })
+}
+
+fn some_of(names: &[String]) -> String {
+    const SHOWN: usize = 3;
+    let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
+    match names.len().saturating_sub(SHOWN) {
+        0 => shown,
+        more => format!("{shown} and {more} more"),
+    }
+}
+
+fn lock(root: &Path, shown: &Path) -> Result<File, FolderError> {
+    let path = root.join(STATE).join(LOCK);
+    let no_link = i32::try_from(rustix::fs::OFlags::NOFOLLOW.bits()).unwrap_or(0);
+    let opened = OpenOptions::new().write(true).create(true).truncate(false).custom_flags(no_link).open(&path);
+    let lock = opened.map_err(|source| FolderError::System { path: path.clone(), source })?;
+    match lock.try_lock() {
+        Ok(()) => Ok(lock),
+        Err(TryLockError::WouldBlock) => Err(FolderError::Busy { path: shown.to_owned() }),
+        Err(TryLockError::Error(source)) => Err(FolderError::System { path, source }),
+    }
+}
+
+/// Files, links and the like below a folder, relative to it, ascending; links are not followed.
+fn files_below(folder: &Path) -> Result<Vec<PathBuf>, FolderError> {
+    let mut found = Vec::new();
+    for inside in std::iter::once(folder.to_owned()).chain(folders_below(folder)?) {
+        for entry in fs::read_dir(&inside).map_err(IoError::system("read", &inside))? {
+            let entry = entry.map_err(IoError::system("read", &inside))?;
+            if !entry.file_type().map_err(IoError::system("read", &inside))?.is_dir() {
+                let path = entry.path();
+                found.push(path.strip_prefix(folder).unwrap_or(&path).to_owned());
+            }
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+fn files_below_if_any(folder: &Path) -> Result<Vec<PathBuf>, FolderError> {
+    if is_real_folder(folder) { files_below(folder) } else { Ok(Vec::new()) }
+}
+
+/// Folders below a folder, those above before those below.
+fn folders_below(folder: &Path) -> Result<Vec<PathBuf>, FolderError> {
+    let mut found = Vec::new();
+    let mut open = vec![folder.to_owned()];
+    while let Some(inside) = open.pop() {
+        for entry in fs::read_dir(&inside).map_err(IoError::system("read", &inside))? {
+            let entry = entry.map_err(IoError::system("read", &inside))?;
+            if entry.file_type().map_err(IoError::system("read", &inside))?.is_dir() {
+                found.push(entry.path());
+                open.push(entry.path());
+            }
+        }
+    }
+    Ok(found)
+}
+
+fn is_real_folder(path: &Path) -> bool {
+    fs::symlink_metadata(path).is_ok_and(|found| found.is_dir())
+}
+
+fn is_absent(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
+}
+
+#[cfg(test)]
+mod tests;
