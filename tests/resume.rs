@@ -141,10 +141,10 @@ fn what_changes_is_done_again_and_nothing_else() {
     assert!(done.iter().all(|stage| stage == "report"), "{done:?}");
     // The vehicle's model is adjusted with the ground, unless another method takes it as it is.
     let model = |folder: &str| fs::read(place.path("out").join(folder).join("1/points3D.txt")).unwrap();
-    assert_ne!(model("objects"), model(".tractrix/objects"));
+    assert_ne!(model("objects"), model("as-reconstructed"));
     expect(&["--scale-method", "intersection"], "scale");
     assert_eq!(json(&place.path("out/trajectories.json"))["objects"][0]["scale"]["method"], "intersection");
-    assert_eq!(model("objects"), model(".tractrix/objects"));
+    assert_eq!(model("objects"), model("as-reconstructed"));
     expect(&[], "scale");
     assert_eq!(json(&place.path("out/trajectories.json"))["objects"][0]["scale"]["method"], "joint");
     assert_same(&before, &place.result("out"), "after going back");
@@ -159,12 +159,12 @@ fn what_changes_is_done_again_and_nothing_else() {
     expect(&[], "scale");
     assert_same(&before, &place.result("out"), "after a loss");
     fs::remove_dir_all(place.path("out/objects/1")).unwrap();
-    let (done, _) = place.run("out", &[]);
-    assert_eq!(
-        done.iter().map(String::as_str).collect::<BTreeSet<_>>(),
-        BTreeSet::from(["objects", "scale", "report"])
-    );
+    expect(&[], "scale");
     assert_same(&before, &place.result("out"), "after the loss of a model");
+    fs::remove_dir_all(place.path("out/as-reconstructed/1")).unwrap();
+    let (done, _) = place.run("out", &[]);
+    assert_eq!(done.iter().map(String::as_str).collect::<BTreeSet<_>>(), BTreeSet::from(["objects", "report"]));
+    assert_same(&before, &place.result("out"), "after the loss of what it was made from");
 
     // A changed picture changes everything, a touched one nothing.
     let picture = place.path("images/0003.png");
@@ -175,7 +175,9 @@ fn what_changes_is_done_again_and_nothing_else() {
     let mut altered = image::load_from_memory(&bytes).unwrap().to_rgb8();
     altered.put_pixel(0, 0, image::Rgb([1, 2, 3]));
     altered.save(&picture).unwrap();
-    expect(&[], "frames");
+    let (code, _, stderr) = outcome(tractrix().args(place.arguments("out")));
+    assert!(code == 2 && stderr.contains("another input"), "{stderr}");
+    expect(&["--overwrite"], "frames");
 }
 
 #[test]
