@@ -5,11 +5,12 @@ use nalgebra::Point2;
 use crate::scene::{Image, Point3dId, Reconstruction};
 
 /// The points of a background reconstruction that are ground: seen at least `min_observations` times (the paper's four),
-/// and with more votes for ground than against it.
+/// and with more votes for ground than against it (eq. 2 of `docs/maths/ground.md`).
 ///
 /// `vote` says what lies under an observation: ground, something else, or `None` where there is no label (outside the
-/// mask, or a frame without one). A point without any vote, or with as many for as against, is not ground. Observations are visited image by
-/// image, ascending by id, so that `vote` can load one label map after the other. Returns ids, ascending.
+/// mask, or a frame without one). A point without any vote, or with as many for as against, is not ground. Observations
+/// are visited image by image, ascending by id, so that `vote` can load one label map after the other. Returns ids,
+/// ascending.
 pub fn label_points(
     background: &Reconstruction,
     min_observations: usize,
