@@ -1,9 +1,9 @@
 //! A plane through points, some of which do not belong to it.
 //!
-//! RANSAC (Fischler and Bolles, 1981) over samples of three points, scored as in MSAC (Torr and Zisserman, 2000): a point
-//! counts 1 − (d / ε)² within its tolerance ε, nothing beyond. Then least squares on the inliers: the plane through their
-//! centroid whose normal is the direction of least variance, repeated until the inliers stay the same. Equations 4 to 8 of
-//! `docs/maths/ground.md`.
+//! RANSAC (Fischler and Bolles, 1981) over samples of three points, scored as in MSAC (Torr and Zisserman, 2000): a
+//! point counts 1 − (d / ε)² within its tolerance ε, nothing beyond. Then least squares on the inliers: the plane
+//! through their centroid whose normal is the direction of least variance, repeated until the inliers stay the same.
+//! Equations 4 to 8 of `docs/maths/ground.md`.
 
 use nalgebra::{Matrix3, Point3, SymmetricEigen, Vector3};
 use rand::Rng as _;

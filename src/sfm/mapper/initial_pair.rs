@@ -31,8 +31,8 @@ const MIN_DISPLACEMENT_PX: f64 = 0.5;
 /// Pairs whose geometry is estimated.
 const MAX_ESTIMATED: usize = 60;
 
-/// Candidate starts, best first, and what all pairs tell of the motion. No start when no pair has enough common points with
-/// any angle between them.
+/// Candidate starts, best first, and what all pairs tell of the motion. No start when no pair has enough common points
+/// with any angle between them.
 pub fn ranked(
     table: &TrackTable,
     cameras: &[Camera],
@@ -151,8 +151,8 @@ pub fn geometry_of(
     two_view::estimate(&pairs, options.max_pose_error_px / mean_focal, &mut seeded_rng(seed, stream))
 }
 
-/// The same pairs, each next one the best that lies a sixth of all views away from those before it on one side at least;
-/// what is near comes at the end.
+/// The same pairs, each next one the best that lies a sixth of all views away from those before it on one side at
+/// least; what is near comes at the end.
 pub fn far_from_one_another(pairs: Vec<InitialPair>, num_views: usize) -> Vec<InitialPair> {
     let least = num_views.div_ceil(6);
     let mut far: Vec<InitialPair> = Vec::new();

@@ -1,8 +1,8 @@
 //! Long tracks of a video in pieces, so that a view costs the same however long the video is.
 //!
 //! Two views that see a common point have a block in the reduced system of bundle adjustment. Tracks that live for
-//! hundreds of views, as of points far ahead, fill that system, and to factorise it then takes time with the cube of the
-//! number of views. Cut in pieces, each a point of its own, they leave a band whose width does not grow.
+//! hundreds of views, as of points far ahead, fill that system, and to factorise it then takes time with the cube of
+//! the number of views. Cut in pieces, each a point of its own, they leave a band whose width does not grow.
 //!
 //! A piece must show its point from different sides, or the views in its middle see no point whose depth is known. So
 //! only those views count towards its length between which the two-view geometry shows depth: while the camera stands,
@@ -20,8 +20,8 @@ const STRETCHES: usize = 3;
 /// A last piece with fewer features stays with the one before it.
 const MIN_PIECE: usize = 4;
 
-/// Cuts the tracks of views in time order after [`Options::max_track_views`] views that show depth; tables without longer
-/// tracks, and those of views in no order, stay as they are.
+/// Cuts the tracks of views in time order after [`Options::max_track_views`] views that show depth; tables without
+/// longer tracks, and those of views in no order, stay as they are.
 ///
 /// The first piece of a track may be longer by up to a half, by another part for each track: else all that begin in one
 /// view would end in one view, too, and nothing would hold the map together there.
