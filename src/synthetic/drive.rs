@@ -103,8 +103,7 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// The setting of the measurements in `docs/benchmarks.md`: 60 frames, camera 12 m up and climbing 8 m, vehicle 22
-    /// to 30 m off, no noise.
+    /// An easy case: 60 frames, camera 12 m up and climbing 8 m, vehicle 22 to 30 m off, no noise.
     fn default() -> Self {
         Self {
             num_frames: 60,
