@@ -1,7 +1,7 @@
 //! What the points of one part add to the reduced system (eq. 10).
 //!
-//! A part sums into blocks of its own, so that a thread never waits for another nor reads what another has just written;
-//! [`super::schur::Reduced::assemble`] adds the parts up in order.
+//! A part sums into blocks of its own, so that a thread never waits for another nor reads what another has just
+//! written; [`super::schur::Reduced::assemble`] adds the parts up in order.
 
 use std::ops::Range;
 

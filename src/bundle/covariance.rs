@@ -43,20 +43,20 @@ pub struct Covariances {
 /// Uncertainty of one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseCovariance {
-    /// Of the perturbation (ω, v) of `cam_from_world`: R' = exp(ω) R, t' = exp(ω) t + v; radians and world units. Freedoms
-    /// that the gauge holds have zero rows and columns.
+    /// Of the perturbation (ω, v) of `cam_from_world`: R' = exp(ω) R, t' = exp(ω) t + v; radians and world units.
+    /// Freedoms that the gauge holds have zero rows and columns.
     pub pose: Matrix6<f64>,
     /// Of the camera centre in the world.
     pub center: Matrix3<f64>,
 }
 
 /// Covariances at the current state: blocks of the inverse of the normal equations with the gauge held as
-/// [`Options::gauge`] says (eqs. 16–17). Observations count with their own standard deviations; multiply by the variance
-/// factor where those are only relative.
+/// [`Options::gauge`] says (eqs. 16–17). Observations count with their own standard deviations; multiply by the
+/// variance factor where those are only relative.
 ///
 /// # Errors
-/// As [`super::adjust`]; [`BundleError::NoCovariance`] for a block that is held or unobserved, [`BundleError::Singular`]
-/// where the gauge is free or something is not determined by what is observed.
+/// As [`super::adjust`]; [`BundleError::NoCovariance`] for a block that is held or unobserved,
+/// [`BundleError::Singular`] where the gauge is free or something is not determined by what is observed.
 pub fn covariances(problem: &Problem, options: &Options, wanted: &Wanted) -> Result<Covariances, BundleError> {
     options.check()?;
     problem.check()?;

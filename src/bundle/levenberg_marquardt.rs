@@ -25,8 +25,8 @@ const LARGEST_DAMPING: f64 = 1e32;
 /// cameras that no used observation refers to stay as they are.
 ///
 /// # Errors
-/// [`BundleError`] for indices, values and options out of range; the problem is then unchanged. A problem that cannot be
-/// improved is no error: see [`Summary::termination`].
+/// [`BundleError`] for indices, values and options out of range; the problem is then unchanged. A problem that cannot
+/// be improved is no error: see [`Summary::termination`].
 pub fn adjust(problem: &mut Problem, options: &Options) -> Result<Summary, BundleError> {
     options.check()?;
     problem.check()?;

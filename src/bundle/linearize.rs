@@ -1,9 +1,9 @@
 //! Linearisation: residuals and Jacobians, elimination of the points, and their sums in the reduced system.
 //!
 //! The points are cut in a few parts. A part keeps everything that belongs to its points, and a thread goes through it
-//! point by point from the projection to the reduced system, while the point's Jacobians are still in the nearest cache.
-//! The cut depends on the problem alone and sums are taken in the order of the parts, so that nothing depends on the number
-//! of threads.
+//! point by point from the projection to the reduced system, while the point's Jacobians are still in the nearest
+//! cache. The cut depends on the problem alone and sums are taken in the order of the parts, so that nothing depends on
+//! the number of threads.
 
 use std::ops::Range;
 
@@ -121,8 +121,8 @@ impl<const D: usize> Linearization<D> {
     }
 
     /// Residuals, Jacobians and the points' normal equations at a state (eqs. 1–6), their elimination with damping λ,
-    /// and the sums for the reduced system. Returns the cost. Another damping is another evaluation: what it could reuse
-    /// would take as much memory again as all that is kept.
+    /// and the sums for the reduced system. Returns the cost. Another damping is another evaluation: what it could
+    /// reuse would take as much memory again as all that is kept.
     pub fn evaluate(&mut self, pass: &Pass, pattern: &Pattern, state: &State, damping: f64) -> f64 {
         let work = |share: &mut Share<D>| wide(Evaluate { pass, pattern, state, damping, share });
         let found = in_order(pass.parallel, self.parts.iter_mut().collect(), work);

@@ -9,8 +9,8 @@
 //! by conjugate gradients. `docs/maths/bundle.md` derives everything; its equation numbers are cited in the code.
 //!
 //! The same problem gives the same bytes at every number of threads, unless the reduced system is a large dense one,
-//! which several threads factorise: work is cut in parts that do not depend on the number of threads, and sums are taken in
-//! a fixed order.
+//! which several threads factorise: work is cut in parts that do not depend on the number of threads, and sums are
+//! taken in a fixed order.
 //!
 //! Entry points: [`adjust`], [`covariances`], [`center_deviations`].
 

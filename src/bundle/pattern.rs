@@ -5,8 +5,8 @@ use super::layout::{Layout, NONE};
 /// With at most this many views every pair gets a block, and no pattern has to be found.
 const ALL_PAIRS_LIMIT: usize = 64;
 
-/// Where at least this part of the envelope is taken by blocks, the views lie in a band in their own order, and no other
-/// order makes less fill.
+/// Where at least this part of the envelope is taken by blocks, the views lie in a band in their own order, and no
+/// other order makes less fill.
 const BAND_FILL: f64 = 0.5;
 
 /// Which pairs of views have a block.

@@ -7,7 +7,8 @@ use super::problem::PlanePrior;
 use crate::math::Rigid3;
 
 impl PlanePrior {
-    /// (n · (R p + t) + h) / σ_d and n × R u / σ_t: by how many standard deviations a camera's pose contradicts distance and tilt.
+    /// (n · (R p + t) + h) / σ_d and n × R u / σ_t: by how many standard deviations a camera's pose contradicts
+    /// distance and tilt.
     pub fn residual(&self, cam_from_world: &Rigid3) -> (f64, Vector3<f64>) {
         let distance = self.normal_in_cam.dot(&(*cam_from_world * self.point).coords) + self.camera_height;
         let tilt = self.normal_in_cam.cross(&(cam_from_world.rotation * self.up));

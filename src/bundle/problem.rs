@@ -119,7 +119,8 @@ pub struct PosePrior {
     pub sigma_center: f64,
 }
 
-/// A plane that is known in the camera's frame, n · x + h = 0, passes near a point of the world and is near level there.
+/// A plane that is known in the camera's frame, n · x + h = 0, passes near a point of the world and is near level
+/// there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanePrior {
     /// Index in [`Problem::poses`].
@@ -205,7 +206,8 @@ pub enum BundleError {
     },
     /// The normal equations are singular where a covariance was asked for.
     #[error(
-        "the covariance is not determined: the normal equations are singular at parameter {pivot}; hold the gauge or remove what nothing observes"
+        "the covariance is not determined: the normal equations are singular at parameter {pivot}; hold the \
+         gauge or remove what nothing observes"
     )]
     Singular {
         /// Index in the reduced system, with the points behind the cameras.

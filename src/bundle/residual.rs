@@ -65,8 +65,8 @@ pub(super) fn robust_cost_and_root(loss: &RobustLoss, residual: &[f64; 2]) -> (f
     }
 }
 
-/// Residual and derivatives, weighted by √ρ' (eq. 5), and ρ. Derivatives by intrinsics go to `d_shared` if there is one,
-/// else into the view block if it has room.
+/// Residual and derivatives, weighted by √ρ' (eq. 5), and ρ. Derivatives by intrinsics go to `d_shared` if there is
+/// one, else into the view block if it has room.
 #[inline(always)]
 pub(super) fn linearize<const D: usize, F: Fused>(
     view: &View,

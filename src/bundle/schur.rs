@@ -1,8 +1,8 @@
 //! The reduced camera system S δ = −b that is left when the points are eliminated (eqs. 8–10).
 //!
-//! S is stored by *panels*: panel j holds the blocks (i, j), i ≤ j, of the pairs of views that see a common point. Every part
-//! of the points has sums of its own ([`Sums`]); here they are added up, in the order of the parts, with priors and damping.
-//! Shared cameras form a dense border.
+//! S is stored by *panels*: panel j holds the blocks (i, j), i ≤ j, of the pairs of views that see a common point.
+//! Every part of the points has sums of its own ([`Sums`]); here they are added up, in the order of the parts, with
+//! priors and damping. Shared cameras form a dense border.
 
 use super::accumulate::{Sums, ViewTerms};
 use super::camera_sums::{CAMERA_DIM, CameraSums};

@@ -1,7 +1,7 @@
 //! Running a task with the widest vector instructions that the processor has.
 //!
-//! The compiler targets the oldest processor of its architecture; [`wide`] compiles its task a second time for AVX2 with
-//! fused multiply-add and chooses at run time. Everything below must be inlined into the task to profit.
+//! The compiler targets the oldest processor of its architecture; [`wide`] compiles its task a second time for AVX2
+//! with fused multiply-add and chooses at run time. Everything below must be inlined into the task to profit.
 
 use pulp::{Arch, Simd, WithSimd};
 

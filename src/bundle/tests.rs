@@ -30,7 +30,8 @@ fn tight() -> Options {
     }
 }
 
-/// Largest distances of camera centres and points to the truth after alignment by the centres, and largest rotation error.
+/// Largest distances of camera centres and points to the truth after alignment by the centres, and largest rotation
+/// error.
 fn errors(truth: &Reconstruction, problem: &Problem) -> (f64, f64, f64) {
     let mut found = truth.clone();
     problem.store(&mut found);

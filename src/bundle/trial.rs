@@ -109,7 +109,8 @@ impl<const D: usize> Task for MovePoints<'_, D> {
     }
 }
 
-/// One more step of a point alone after the cameras have moved (eq. 11a), if it lowers the cost; the position and its cost.
+/// One more step of a point alone after the cameras have moved (eq. 11a), if it lowers the cost; the position and its
+/// cost.
 #[inline(always)]
 fn settled<const D: usize, F: Fused>(
     pass: &Pass,

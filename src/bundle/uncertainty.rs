@@ -20,9 +20,9 @@ pub struct CenterDeviations {
 /// reconstruction's adjustment with its intrinsics held. The noise of a pixel is taken from the residuals:
 /// σ² = Σ r² / (residuals − unknowns).
 ///
-/// They are relative to what holds the gauge: the first image, which is exact by definition and left out, and its distance to
-/// the image farthest from it. They know nothing of wrong matches or of intrinsics that are off. `None` where there are no
-/// more residuals than unknowns.
+/// They are relative to what holds the gauge: the first image, which is exact by definition and left out, and its
+/// distance to the image farthest from it. They know nothing of wrong matches or of intrinsics that are off. `None`
+/// where there are no more residuals than unknowns.
 ///
 /// # Errors
 /// As [`covariances`].

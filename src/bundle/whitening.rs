@@ -3,8 +3,8 @@
 use nalgebra::{Matrix2, SymmetricEigen, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// The symmetric matrix W = C^(−1/2) of a position's covariance C, stored as w_xx, w_xy, w_yy: residuals times W have unit
-/// covariance. A point on an edge is located well across the edge and badly along it, and W says so.
+/// The symmetric matrix W = C^(−1/2) of a position's covariance C, stored as w_xx, w_xy, w_yy: residuals times W have
+/// unit covariance. A point on an edge is located well across the edge and badly along it, and W says so.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Whitening(pub [f64; 3]);
 

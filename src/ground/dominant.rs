@@ -2,20 +2,20 @@
 //!
 //! A stand-in for labels, and marked as such in the result ([`GroundSource::Geometric`](crate::scene::GroundSource)).
 //! Of all planes through many background points, the ground is told from façades and roofs by the cameras: they lie
-//! above it, they are not rolled against it, and hardly anything lies below it. Which of its directions is "down" depends on the
-//! camera's pitch, which is free: level, oblique and straight down all occur.
+//! above it, they are not rolled against it, and hardly anything lies below it (eq. 9 to 11 of `docs/maths/ground.md`).
+//! Which of its directions is "down" depends on the camera's pitch, which is free: level, oblique and straight down all
+//! occur.
 //!
-//! From the points of that plane the ground is grown over slopes and hills: a point joins if the plane through its nearest ground points,
-//! which must not be steep, meets it.
+//! From the points of that plane the ground is grown over slopes and hills: a point joins if the plane through its
+//! nearest ground points, which must not be steep, meets it (eq. 12).
 //!
-//! Limits: a street without texture between façades full of it, a forest without ground, and straight views at a façade have
-//! no ground that this could find, or the wrong one.
+//! Limits: a street without texture between façades full of it, a forest without ground, and straight views at a façade
+//! have no ground that this could find, or the wrong one.
 
 use nalgebra::{Point3, Vector3};
 use thiserror::Error;
 
 use super::Options;
-
 use super::plane::{Candidate, Plane, PlaneFailure, fit_plane, least_squares_plane};
 use crate::math::{Neighbors, seeded_rng};
 use crate::scene::{Point3dId, Reconstruction};
@@ -93,7 +93,7 @@ pub fn dominant_plane_points(
     })
 }
 
-/// Points seen often enough, with the tolerance of their median depth.
+/// Points seen often enough, with the tolerance of their median depth (eq. 1).
 fn stable_points(background: &Reconstruction, options: &Options) -> (Vec<Point3dId>, Vec<Candidate>) {
     let usable = |p: &Point3<f64>| p.coords.iter().all(|x| x.is_finite());
     background
@@ -139,11 +139,11 @@ impl Cameras {
         if 2 * num_positive >= self.centers.len() { 1.0 } else { -1.0 }
     }
 
-    /// How well a plane fits the cameras as their ground, 0 to 1.
+    /// How well a plane fits the cameras as their ground, 0 to 1 (eq. 9 and 10).
     ///
-    /// 0 if more than one camera in ten lies below it, if the cameras are rolled against it by more than the limit, or if
-    /// they hang upside down over it. Else it grows with the part of "up in the image" that is along the normal: of a
-    /// level camera the ground has 1 and the façade before it the least value; the ground straight below a camera has
+    /// 0 if more than one camera in ten lies below it, if the cameras are rolled against it by more than the limit, or
+    /// if they hang upside down over it. Else it grows with the part of "up in the image" that is along the normal: of
+    /// a level camera the ground has 1 and the façade before it the least value; the ground straight below a camera has
     /// that value too, but no rival.
     fn plausibility(&self, plane: &Plane, max_roll_deg: f64) -> f64 {
         let count = self.centers.len() as f64;
@@ -160,7 +160,7 @@ impl Cameras {
     }
 }
 
-/// Points that are plainly on the other side of the plane than the cameras: three tolerances and more.
+/// Points that are plainly on the other side of the plane than the cameras: three tolerances and more (b of eq. 11).
 fn num_below(candidates: &[Candidate], plane: &Plane, side: f64) -> usize {
     candidates.iter().filter(|c| side * plane.distance(&c.position) < -3.0 * c.tolerance).count()
 }
@@ -191,7 +191,8 @@ fn grow(candidates: &[Candidate], is_ground: &mut [bool], normal: &Vector3<f64>,
     }
 }
 
-/// Whether the plane through the nearest ground points meets a point, near enough for it to say anything there.
+/// Whether the plane through the nearest ground points meets a point, near enough for it to say anything there
+/// (eq. 12).
 fn joins(candidate: &Candidate, nearest: &[Candidate], normal: &Vector3<f64>, least_cos: f64) -> bool {
     let Some(local) = least_squares_plane(nearest) else { return false };
     let spread = nearest.iter().map(|c| (c.position - local.point).norm_squared()).sum::<f64>() / nearest.len() as f64;
@@ -238,8 +239,8 @@ mod tests {
         for height in [6.0, 12.0, 21.0] {
             for terrain in [Terrain::Flat, Terrain::Slope { gradient: [0.12, 0.05] }] {
                 let (recall, error) = recall_and_error(&world(terrain, height, 2000));
-                // Wrong are the feet of poles, within four pixels of the ground; missing are points that were seen a few
-                // times from nearly one place, and whose depth is therefore poor.
+                // Wrong are the feet of poles, within four pixels of the ground; missing are points that were seen a
+                // few times from nearly one place, and whose depth is therefore poor.
                 assert!(recall > 0.9 && error < 0.05, "{terrain:?} from {height} m: {recall}, {error}");
             }
         }

@@ -4,12 +4,13 @@ use nalgebra::Point2;
 
 use crate::scene::{Image, Point3dId, Reconstruction};
 
-/// The points of a background reconstruction that are ground: seen at least `min_observations` times (the paper's four),
-/// and with more votes for ground than against it.
+/// The points of a background reconstruction that are ground: seen at least `min_observations` times (the paper's
+/// four), and with more votes for ground than against it (eq. 2 of `docs/maths/ground.md`).
 ///
 /// `vote` says what lies under an observation: ground, something else, or `None` where there is no label (outside the
-/// mask, or a frame without one). A point without any vote, or with as many for as against, is not ground. Observations are visited image by
-/// image, ascending by id, so that `vote` can load one label map after the other. Returns ids, ascending.
+/// mask, or a frame without one). A point without any vote, or with as many for as against, is not ground. Observations
+/// are visited image by image, ascending by id, so that `vote` can load one label map after the other. Returns ids,
+/// ascending.
 pub fn label_points(
     background: &Reconstruction,
     min_observations: usize,
@@ -41,7 +42,8 @@ mod tests {
         let truth = &world.ground_points;
         let observed = |id: &Point3dId| world.background.points[id].track.len() >= 4;
         let expected: Vec<_> = truth.iter().copied().filter(observed).collect();
-        // Every fifth label is missing and every fourth is wrong; odd errors never reach a majority of a track's labels.
+        // Every fifth label is missing and every fourth is wrong; odd errors never reach a majority of a track's
+        // labels.
         let by_pixel = |image: &Image, pixel: Point2<f64>| {
             let seen = image.observations.iter().find(|o| o.pixel == pixel)?.point?;
             Some(truth.binary_search(&seen).is_ok())

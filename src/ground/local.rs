@@ -7,7 +7,6 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use super::Options;
-
 use super::plane::{Candidate, PlaneFailure, fit_plane};
 use crate::math::{Neighbors, seeded_rng};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectId, Point3dId, Reconstruction};
@@ -54,10 +53,10 @@ pub struct LocalPlanes {
 
 /// Fits the ground round one object, in every frame that is registered in both models.
 ///
-/// Ground points are gathered in the image, as in the paper: for each object observation the nearest ground observation,
-/// then for each the next nearest, until [`Options::num_neighbors`] different points are there. A round is always
-/// finished, so that the points are spread evenly round the object. RANSAC and least squares follow; the normal points
-/// to the camera's side. `ground_points` must be ascending.
+/// Ground points are gathered in the image, as in the paper: for each object observation the nearest ground
+/// observation, then for each the next nearest, until [`Options::num_neighbors`] different points are there (eq. 3 of
+/// `docs/maths/ground.md`). A round is always finished, so that the points are spread evenly round the object. RANSAC
+/// and least squares follow (eq. 4 to 8); the normal points to the camera's side. `ground_points` must be ascending.
 ///
 /// The same seed gives the same planes, on any number of threads.
 pub fn local_planes(
@@ -149,8 +148,8 @@ fn plane_of_frame(
     })
 }
 
-/// P_i: different ground points, the nearest of every object observation, then the second nearest of every one, and so
-/// on, until there are `num_neighbors` of them or no more.
+/// P of eq. 3: different ground points, the nearest of every object observation, then the second nearest of every one,
+/// and so on, until there are `num_neighbors` of them or no more.
 fn points_around(
     object_pixels: &[Point2<f64>],
     ground: &[(Point2<f64>, Point3dId)],

@@ -1,9 +1,9 @@
 //! Which background points are ground, and what plane the ground is near an object.
 //!
-//! [`label_points`] lets the labels under a point's observations vote; [`dominant_plane_points`] stands in where there are no
-//! labels. [`local_planes`] fits one plane per frame to the ground round the object. Everything is scale free:
-//! a background reconstruction has a unit of its own, so that tolerances are pixels, turned into lengths by the depth
-//! at which a point is seen. Derivations: docs/maths/ground.md.
+//! [`label_points`] lets the labels under a point's observations vote (eq. 2 of `docs/maths/ground.md`);
+//! [`dominant_plane_points`] stands in where there are no labels (eq. 9 to 12). [`local_planes`] fits one plane per
+//! frame to the ground round the object (eq. 3 to 8). Everything is scale free: a background reconstruction has a unit
+//! of its own, so that tolerances are pixels, turned into lengths by the depth at which a point is seen (eq. 1).
 
 mod dominant;
 mod labels;
@@ -27,9 +27,9 @@ pub struct Options {
     pub num_neighbors: usize,
     /// Fewest points that a local plane is fitted to: with less than ten, RANSAC cannot tell a plane from chance.
     pub min_points: usize,
-    /// Tolerance of the plane, pixels: a point belongs to it if it lies no further away than this many pixels are at its
-    /// depth (`max_error_px · depth / focal length`). Four pixels is what reconstructions let an observation be off,
-    /// so that any point they kept may be off by as much.
+    /// Tolerance of the plane, pixels: a point belongs to it if it lies no further away than this many pixels are at
+    /// its depth (`max_error_px · depth / focal length`, eq. 1). Four pixels is what reconstructions let an observation
+    /// be off, so that any point they kept may be off by as much.
     pub max_error_px: f64,
     /// Most RANSAC samples; it stops as soon as a better plane is unlikely (1 in 10,000).
     pub max_samples: usize,

@@ -1,8 +1,9 @@
 //! A plane through points, some of which do not belong to it.
 //!
-//! RANSAC (Fischler and Bolles, 1981) over samples of three points, scored as in MSAC (Torr and Zisserman, 2000): a point counts
-//! 1 − (d / τ)² within its tolerance τ, nothing beyond. Then least squares on the inliers: the plane through their centroid whose normal
-//! is the direction of least variance, repeated until the inliers stay the same.
+//! RANSAC (Fischler and Bolles, 1981) over samples of three points, scored as in MSAC (Torr and Zisserman, 2000): a
+//! point counts 1 − (d / ε)² within its tolerance ε, nothing beyond. Then least squares on the inliers: the plane
+//! through their centroid whose normal is the direction of least variance, repeated until the inliers stay the same.
+//! Equations 4 to 8 of `docs/maths/ground.md`.
 
 use nalgebra::{Matrix3, Point3, SymmetricEigen, Vector3};
 use rand::Rng as _;
@@ -10,7 +11,7 @@ use thiserror::Error;
 
 use crate::math::Rng;
 
-/// A point and the distance from the plane up to which it counts as part of it.
+/// A point and the distance from the plane up to which it counts as part of it (eq. 1).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Candidate {
     pub position: Point3<f64>,
@@ -97,11 +98,13 @@ pub(super) fn fit_plane(
         .ok_or(PlaneFailure::Narrow { num_points: plane.num_inliers })
 }
 
+/// Eq. 6.
 fn samples_needed(inlier_share: f64) -> usize {
     let all_inliers = inlier_share.powi(3).clamp(1e-9, 1.0 - 1e-9);
     (FAILURE_PROBABILITY.ln() / (-all_inliers).ln_1p()).ceil() as usize
 }
 
+/// Three points drawn at random; `None` if they lie too nearly on a line (eq. 4).
 fn through_sample(points: &[Candidate], rng: &mut Rng) -> Option<Plane> {
     let mut draw = || points[rng.random_range(0..points.len())].position;
     let (a, b, c) = (draw(), draw(), draw());
@@ -112,7 +115,7 @@ fn through_sample(points: &[Candidate], rng: &mut Rng) -> Option<Plane> {
     is_wide.then(|| Plane { normal: normal.normalize(), point: a, num_inliers: 0, rms: 0.0 })
 }
 
-/// Sum of MSAC scores, and the number of inliers.
+/// Sum of MSAC scores (eq. 5), and the number of inliers.
 fn support(points: &[Candidate], plane: &Plane) -> (f64, usize) {
     points.iter().fold((0.0, 0), |(sum, count), candidate| {
         let relative = plane.distance(&candidate.position) / candidate.tolerance;
@@ -136,9 +139,9 @@ fn refine(points: &[Candidate], start: Plane) -> Option<Plane> {
     Some(plane)
 }
 
-/// The plane of least summed squared distance. Points count by the inverse square of their tolerance, which is
-/// proportional to their standard deviation. `None` for fewer than three points, or when they are spread by less than their
-/// tolerance in all directions but one.
+/// The plane of least summed squared distance (eq. 7). Points count by the inverse square of their tolerance, which is
+/// proportional to their standard deviation. `None` for fewer than three points, or when they are spread by less than
+/// their tolerance in all directions but one (eq. 8).
 pub(super) fn least_squares_plane(points: &[Candidate]) -> Option<Plane> {
     if points.len() < 3 {
         return None;

@@ -1,8 +1,9 @@
 //! Pixel buffers, and the one way between them and OpenCV.
 //!
-//! Frames travel as [`RgbImage`] and [`GrayImage`] of the `image` crate, whose rows follow one another without gaps. What
-//! calls OpenCV turns them into a `Mat` here and back again. The `mat_*` functions copy: a `Mat` made here owns its
-//! pixels and may go where it likes. [`borrowed_gray`] and [`borrowed_rgb`] do not copy and live as long as their source.
+//! Frames travel as [`RgbImage`] and [`GrayImage`] of the `image` crate, whose rows follow one another without gaps.
+//! What calls OpenCV turns them into a `Mat` here and back again. The `mat_*` functions copy: a `Mat` made here owns
+//! its pixels and may go where it likes. [`borrowed_gray`] and [`borrowed_rgb`] do not copy and live as long as their
+//! source.
 //!
 //! Channel order is red, green, blue in both worlds unless a name says `bgr`.
 

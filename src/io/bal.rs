@@ -1,8 +1,8 @@
 //! Problems of *Bundle Adjustment in the Large* (Agarwal et al., ECCV 2010).
 //!
-//! A text file: the numbers of cameras, points and observations; per observation its camera, its point and a pixel position;
-//! then nine numbers per camera (rotation vector, translation, f, k1, k2) and three per point. There a camera looks down its
-//! negative z axis, y points up and the principal point is the origin:
+//! A text file: the numbers of cameras, points and observations; per observation its camera, its point and a pixel
+//! position; then nine numbers per camera (rotation vector, translation, f, k1, k2) and three per point. There a camera
+//! looks down its negative z axis, y points up and the principal point is the origin:
 //!
 //! ```text
 //! P = R X + t,   p = −P / P_z,   pixel = f (1 + k1 ‖p‖² + k2 ‖p‖⁴) p.
@@ -24,8 +24,8 @@ use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Re
 /// Reads a problem: one camera of its own for every image; camera, image and point ids are the file's indices plus one.
 ///
 /// # Errors
-/// [`IoError`] with path, line and field where the file breaks off, holds what is no finite number, or an index past the
-/// counts in its first line.
+/// [`IoError`] with path, line and field where the file breaks off, holds what is no finite number, or an index past
+/// the counts in its first line.
 pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     let system = |source| IoError::System { action: "read", path: path.to_path_buf(), source };
     let bytes = std::fs::read(path).map_err(system)?;

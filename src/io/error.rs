@@ -58,7 +58,10 @@ pub enum IoError {
         cure: String,
     },
     /// A picture of another size than the frame that it belongs to.
-    #[error("{}: the picture is {}×{} pixels, its frame {}×{}", path.display(), found.0, found.1, expected.0, expected.1)]
+    #[error(
+        "{}: the picture is {}×{} pixels, its frame {}×{}",
+        path.display(), found.0, found.1, expected.0, expected.1
+    )]
     WrongSize {
         /// The picture.
         path: PathBuf,

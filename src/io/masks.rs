@@ -1,7 +1,7 @@
-//! Masks and label maps as PNG: one 8-bit grey value per pixel of the frame.
+//! Masks and label maps as PNG: one grey value per pixel of the frame, of 8 bits, or of one.
 //!
-//! Colour, palettes, transparency and 16 bits are refused rather than guessed at: what label a red pixel means, nobody
-//! can know.
+//! White of a 1-bit picture is label 1. Colour, palettes, transparency and other depths are refused rather than guessed
+//! at: what label a red pixel means, nobody can know.
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -15,23 +15,23 @@ use crate::scene::{LabelMap, Mask};
 /// Reads a label map: 0 is background, k is object (or class) k. `frame_size` is the width and height of its frame.
 ///
 /// # Errors
-/// A missing or broken file, another size than the frame's, or anything but 8-bit grey.
+/// A missing or broken file, another size than the frame's, or anything but grey of 8 bits or one.
 pub fn read_label_map(path: &Path, frame_size: (u32, u32)) -> Result<LabelMap, IoError> {
-    let found = decode(path, Some(frame_size), &[8])?;
+    let found = decode(path, Some(frame_size))?;
     Ok(LabelMap { width: found.size.0, height: found.size.1, labels: found.grey })
 }
 
-/// Reads a mask: every value but 0 is set. 1-bit pictures are taken too.
+/// Reads a mask: every value but 0 is set.
 ///
 /// # Errors
 /// As [`read_label_map`].
 pub fn read_mask(path: &Path, frame_size: (u32, u32)) -> Result<Mask, IoError> {
-    Ok(as_mask(decode(path, Some(frame_size), &[1, 8])?))
+    Ok(as_mask(decode(path, Some(frame_size))?))
 }
 
 /// As [`read_mask`], of whatever size the picture has.
 pub fn read_mask_of_any_size(path: &Path) -> Result<Mask, IoError> {
-    Ok(as_mask(decode(path, None, &[1, 8])?))
+    Ok(as_mask(decode(path, None)?))
 }
 
 /// Writes a mask as 8-bit grey, 255 where it is set.
@@ -62,9 +62,9 @@ fn as_mask(picture: Grey) -> Mask {
     mask
 }
 
-fn decode(path: &Path, frame_size: Option<(u32, u32)>, bit_depths: &[u8]) -> Result<Grey, IoError> {
+fn decode(path: &Path, frame_size: Option<(u32, u32)>) -> Result<Grey, IoError> {
     let bytes = std::fs::read(path).map_err(IoError::system("read", path))?;
-    check_kind(path, &bytes, bit_depths)?;
+    let depth = check_kind(path, &bytes)?;
     let broken = |e: image::ImageError| IoError::content(path, format!("is not a whole PNG picture: {e}"));
     let decoder = image::codecs::png::PngDecoder::new(Cursor::new(&bytes)).map_err(broken)?;
     let size = decoder.dimensions();
@@ -80,14 +80,25 @@ fn decode(path: &Path, frame_size: Option<(u32, u32)>, bit_depths: &[u8]) -> Res
         return Err(IoError::content(path, "is not one grey value per pixel"));
     }
     decoder.read_image(&mut grey).map_err(broken)?;
+    if depth == Depth::One {
+        // The decoder stretches one bit to 0 and 255.
+        grey.iter_mut().for_each(|value| *value = u8::from(*value != 0));
+    }
     Ok(Grey { size, grey })
 }
 
 /// Far beyond any frame of a video; keeps a hostile header from filling the memory.
 const MAX_PIXELS: u64 = 1 << 28;
 
-/// Looks at the PNG header itself: the decoder would stretch 1, 2 and 4 bits to eight, and labels with them.
-fn check_kind(path: &Path, bytes: &[u8], bit_depths: &[u8]) -> Result<(), IoError> {
+/// Bits per pixel.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Depth {
+    One,
+    Eight,
+}
+
+/// Looks at the PNG header itself: the decoder would stretch 2 and 4 bits to eight, and labels with them.
+fn check_kind(path: &Path, bytes: &[u8]) -> Result<Depth, IoError> {
     // Signature, then length and name of IHDR, width, height, bit depth, colour type (PNG specification, 11.2.1).
     if bytes.len() < 26 || !bytes.starts_with(b"\x89PNG\r\n\x1a\n") {
         return Err(IoError::content(path, "is not a PNG picture"));
@@ -101,8 +112,10 @@ fn check_kind(path: &Path, bytes: &[u8], bit_depths: &[u8]) -> Result<(), IoErro
         6 => "RGB with transparency",
         _ => "unknown",
     };
-    if colour_type == 0 && bit_depths.contains(&bit_depth) {
-        return Ok(());
+    match (colour_type, bit_depth) {
+        (0, 1) => return Ok(Depth::One),
+        (0, 8) => return Ok(Depth::Eight),
+        _ => {}
     }
     Err(IoError::Unsupported {
         path: path.into(),
@@ -161,6 +174,26 @@ mod tests {
         std::fs::write(&path, b"GIF89a, at any rate not the other thing").unwrap();
         assert!(read_mask(&path, (2, 1)).unwrap_err().to_string().contains("is not a PNG"));
         assert!(read_mask(&folder.path().join("none.png"), (2, 1)).unwrap_err().is_not_found());
+    }
+
+    /// A 1-bit grey picture of 3×2 pixels: white, black, white; black, white, black.
+    const ONE_BIT: &[u8] =
+        b"\x89PNG\x0d\x0a\x1a\x0a\x00\x00\x00\x0dIHDR\x00\x00\x00\x03\x00\x00\x00\x02\x01\x00\x00\x00\x00\
+        \xb5\x0f[\xb7\x00\x00\x00\x0cIDATx\x9ccX\xc0\xe0\x00\x00\x02$\x00\xe1s\xeb;\xf2\x00\x00\x00\x00I\
+        END\xaeB`\x82";
+
+    #[test]
+    fn white_of_one_bit_is_label_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.png");
+        std::fs::write(&path, ONE_BIT).unwrap();
+        assert_eq!(read_label_map(&path, (3, 2)).unwrap().labels, [1, 0, 1, 0, 1, 0]);
+        assert_eq!(read_mask(&path, (3, 2)).unwrap().pixels(), [true, false, true, false, true, false]);
+        // Two bits say nothing of what their values mean.
+        let mut two_bits = ONE_BIT.to_vec();
+        two_bits[24] = 2;
+        std::fs::write(&path, two_bits).unwrap();
+        assert!(read_label_map(&path, (3, 2)).unwrap_err().to_string().contains("grey, 2 bits"));
     }
 
     #[test]

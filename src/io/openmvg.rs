@@ -256,7 +256,8 @@ mod tests {
             }
             json!({"key": key, "value": value})
         };
-        let pose = |key: u32, x: f64| json!({"key": key, "value": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "center": [x, 0, -4]}});
+        let rotation = json!([[1, 0, 0], [0, 1, 0], [0, 0, 1]]);
+        let pose = |key: u32, x: f64| json!({"key": key, "value": {"rotation": rotation, "center": [x, 0, -4]}});
         let seen = |key: u32, x: f64| json!({"key": key, "value": {"id_feat": 3, "x": [x, 239.5]}});
         json!({"sfm_data_version": "0.3", "root_path": "images",
             "views": [view(0, 0), view(1, 1), view(2, 4294967295)],

@@ -94,8 +94,8 @@ impl Sequence {
     /// Reads `scene.json` of a folder; pictures, masks and mesh are read when they are asked for.
     ///
     /// # Errors
-    /// A missing file, JSON of another shape, units other than metres, a matrix K with skew, a pose that is not rigid, or
-    /// frames out of order.
+    /// A missing file, JSON of another shape, units other than metres, a matrix K with skew, a pose that is not rigid,
+    /// or frames out of order.
     pub fn open(folder: &Path) -> Result<Self, IoError> {
         let path = folder.join("scene.json");
         let mut document: Document = json::read(&path)?;

@@ -6,7 +6,8 @@ use super::Sim3;
 
 /// The similarity `target_from_source` that minimises the summed squared distance over pairs.
 ///
-/// S. Umeyama, *Least-squares estimation of transformation parameters between two point patterns*, PAMI 1991, eqs. 34–43.
+/// S. Umeyama, *Least-squares estimation of transformation parameters between two point patterns*, PAMI 1991, eqs.
+/// 34–43.
 ///
 /// Returns `None` for fewer than three pairs, for lists of unequal length, and where the source or target points lie on
 /// one line or in one place: the rotation is then not determined.

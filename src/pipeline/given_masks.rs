@@ -60,7 +60,7 @@ impl MaskFolder {
     /// `--max-dimension` is made smaller like the frame.
     ///
     /// # Errors
-    /// [`PipelineError::MaskSize`] for any other size, [`PipelineError::Io`] for what is no 8-bit PNG.
+    /// [`PipelineError::MaskSize`] for any other size, [`PipelineError::Io`] for what is no grey PNG.
     pub(super) fn labels(&self, frame: FrameId) -> Result<Option<LabelMap>, PipelineError> {
         let Some(path) = self.files.get(&frame) else { return Ok(None) };
         match masks::read_label_map(path, self.size) {

@@ -1,3 +1,5 @@
+//! The stages of a run: their order, and their names in files and messages.
+
 use std::fmt;
 
 use serde::{Deserialize, Serialize};

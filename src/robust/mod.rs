@@ -1,9 +1,9 @@
 //! One RANSAC loop, for every model of the program.
 //!
 //! LO-RANSAC (Chum, Matas, Kittler, *Locally Optimized RANSAC*, DAGM 2003) with the truncated quadratic score of MSAC
-//! (Torr, Zisserman, *MLESAC*, CVIU 2000): a model costs `Σ min(e², t²)`. Whenever a sample beats the best model so far,
-//! the model is refined on its inliers, which is where most of the accuracy comes from. The number of samples adapts to
-//! the inlier ratio. Samples are drawn from a seeded generator: the same data and seed give the same answer.
+//! (Torr, Zisserman, *MLESAC*, CVIU 2000): a model costs `Σ min(e², t²)`. Whenever a sample beats the best model so
+//! far, the model is refined on its inliers, which is where most of the accuracy comes from. The number of samples
+//! adapts to the inlier ratio. Samples are drawn from a seeded generator: the same data and seed give the same answer.
 
 use rand::Rng as _;
 

@@ -6,8 +6,8 @@ use super::SfmError;
 use super::lucas_kanade::{Followed, LucasKanade};
 use crate::image::{GrayImage, borrowed_gray, resize_gray, scale_to_fit};
 
-/// Share of the corners of one picture that pyramidal Lucas-Kanade finds in the next, no farther away than a fortieth of
-/// the longer side, and back again within a pixel at 480 pixels; 0 where there are no corners.
+/// Share of the corners of one picture that pyramidal Lucas-Kanade finds in the next, no farther away than a fortieth
+/// of the longer side, and back again within a pixel at 480 pixels; 0 where there are no corners.
 ///
 /// Points of a video move by less from frame to frame, and one that moves faster is no better followed than matched.
 ///

@@ -2,14 +2,15 @@
 //!
 //! Inverse compositional Lucas-Kanade (S. Baker, I. Matthews, *Lucas-Kanade 20 Years On*, IJCV 2004, section 3.2): the
 //! patch keeps its gradients and normal equations from the frame in which it was born, so that a track always compares
-//! with its first sight and does not drift from frame to frame. Gain and bias are taken out by giving the warped patch the
-//! template's mean and standard deviation in every iteration.
+//! with its first sight and does not drift from frame to frame. Gain and bias are taken out by giving the warped patch
+//! the template's mean and standard deviation in every iteration.
 
 use nalgebra::{Matrix2, Matrix6, Point2, Vector2, Vector6};
 
 use crate::image::GrayImage;
 
-/// A warp from patch coordinates (offsets from the patch's centre) to image positions: `pixel = shape · offset + center`.
+/// A warp from patch coordinates (offsets from the patch's centre) to image positions: `pixel = shape · offset +
+/// center`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Warp {
     /// Affine part.
@@ -108,9 +109,9 @@ impl Patch {
         Some(Aligned { warp, correlation, covariance: self.covariance(&warp.shape, difference) })
     }
 
-    /// Covariance of the position that an alignment finds, pixels², if the mean squared difference from the template, whose
-    /// variance is 1, is noise that is independent from pixel to pixel; it is not, which makes all covariances too small by
-    /// about the same factor.
+    /// Covariance of the position that an alignment finds, pixels², if the mean squared difference from the template,
+    /// whose variance is 1, is noise that is independent from pixel to pixel; it is not, which makes all covariances
+    /// too small by about the same factor.
     pub fn covariance(&self, shape: &Matrix2<f32>, difference: f32) -> Matrix2<f32> {
         let position = self.inverse_hessian.fixed_view::<2, 2>(4, 4) * difference;
         shape * position * shape.transpose()

@@ -1,9 +1,9 @@
 //! Positions of the features of a track, made to agree by comparing pictures.
 //!
-//! A keypoint of SIFT lies where a difference of Gaussians is greatest, which shifts when the surface is seen from another
-//! side. So one view of every track is taken for its template, and the patch round the feature is aligned with the other
-//! views ([`super::patch`]), starting from the positions, scales and directions of the keypoints. Where that does not
-//! converge nearby with a high correlation, the keypoint's own position stays.
+//! A keypoint of SIFT lies where a difference of Gaussians is greatest, which shifts when the surface is seen from
+//! another side. So one view of every track is taken for its template, and the patch round the feature is aligned with
+//! the other views ([`super::patch`]), starting from the positions, scales and directions of the keypoints. Where that
+//! does not converge nearby with a high correlation, the keypoint's own position stays.
 
 use nalgebra::{Matrix2, Point2};
 use rayon::prelude::*;

@@ -1,9 +1,9 @@
 //! Points of an object that its silhouettes contradict.
 //!
-//! Every point of an object projects into its silhouette from wherever it is seen: the object lies within its visual hull
-//! (A. Laurentini, *The Visual Hull Concept for Silhouette-Based Image Understanding*, PAMI 1994). A wrong match, a
-//! reflection or a shadow that moves along may agree with all pictures that observe it; the others, whose masks it leaves,
-//! show that it is none of the object.
+//! Every point of an object projects into its silhouette from wherever it is seen: the object lies within its visual
+//! hull (A. Laurentini, *The Visual Hull Concept for Silhouette-Based Image Understanding*, PAMI 1994). A wrong match,
+//! a reflection or a shadow that moves along may agree with all pictures that observe it; the others, whose masks it
+//! leaves, show that it is none of the object.
 
 use std::collections::BTreeMap;
 
@@ -12,8 +12,8 @@ use crate::scene::{ImageId, Mask, Point3dId, Reconstruction};
 /// When a point counts as outside.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SilhouetteOptions {
-    /// Share of pictures by which the mask may miss a point: something in front of the object hides it from the masks too,
-    /// and masks flicker.
+    /// Share of pictures by which the mask may miss a point: something in front of the object hides it from the masks
+    /// too, and masks flicker.
     pub max_outside: f64,
     /// Fewest pictures to judge by.
     pub min_votes: u32,

@@ -51,8 +51,8 @@ pub struct Limits {
     pub min_angle: f64,
 }
 
-/// Triangulates by trying pairs of views with a wide angle, keeping the point on which most views agree, and refining it
-/// on those. `None` when fewer than two views agree or their rays are too nearly parallel.
+/// Triangulates by trying pairs of views with a wide angle, keeping the point on which most views agree, and refining
+/// it on those. `None` when fewer than two views agree or their rays are too nearly parallel.
 pub fn triangulate(views: &[View<'_>], limits: &Limits) -> Option<Triangulated> {
     let rays: Vec<_> = views.iter().map(|v| (v.cam_from_world.center(), v.ray_in_world())).collect();
     let max_sq = limits.max_error_px * limits.max_error_px;
@@ -83,8 +83,8 @@ pub fn triangulate(views: &[View<'_>], limits: &Limits) -> Option<Triangulated> 
     enough.then_some(Triangulated { position: point, inliers })
 }
 
-/// The largest angle at a point between the directions to the first or the last of the centres and any other: for a path
-/// of cameras the widest one, at linear cost.
+/// The largest angle at a point between the directions to the first or the last of the centres and any other: for a
+/// path of cameras the widest one, at linear cost.
 pub fn widest_angle(point: Point3<f64>, centers: impl Iterator<Item = Point3<f64>>) -> f64 {
     let directions: Vec<_> = centers.map(|c| (c - point).normalize()).collect();
     let ends = [directions.first(), directions.last()];

@@ -81,8 +81,8 @@ pub struct Options {
     pub speed_m_s: f64,
     /// Height of the camera over the ground at the start, metres.
     pub camera_height_m: f64,
-    /// How much it climbs until the end (ΔH), metres. Over [`Terrain::Flat`] and [`Terrain::Slope`] no climb means that the camera
-    /// moves exactly parallel to the ground: the degenerate case.
+    /// How much it climbs until the end (ΔH), metres. Over [`Terrain::Flat`] and [`Terrain::Slope`] no climb means that
+    /// the camera moves exactly parallel to the ground: the degenerate case.
     pub camera_climb_m: f64,
     /// Distance from camera to vehicle, first and last, metres.
     pub distance_m: [f64; 2],
@@ -103,8 +103,7 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// The setting of the measurements in `docs/benchmarks.md`: 60 frames, camera 12 m up and climbing 8 m, vehicle 22
-    /// to 30 m off, no noise.
+    /// An easy case: 60 frames, camera 12 m up and climbing 8 m, vehicle 22 to 30 m off, no noise.
     fn default() -> Self {
         Self {
             num_frames: 60,
@@ -403,7 +402,8 @@ fn plane(metric_from_vehicle: &Rigid3, background_from_metric: &Sim3, noise: &No
     let axis = Unit::new_unchecked(Vector3::new(direction.cos(), direction.sin(), 0.0));
     let normal =
         metric_from_vehicle.rotation * (UnitQuaternion::from_axis_angle(&axis, tilt.to_radians()) * Vector3::z());
-    // The anchor of a fitted plane is the middle of its points, a few metres from the vehicle; its height error counts there.
+    // The anchor of a fitted plane is the middle of its points, a few metres from the vehicle; its height error counts
+    // there.
     let anchor = *metric_from_vehicle * Point3::new(place[0], place[1], height);
     GroundPlane {
         normal: background_from_metric.rotation * normal,

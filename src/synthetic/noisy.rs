@@ -1,8 +1,8 @@
 //! What pixel noise does to a reconstruction: points triangulated and cameras resected from noisy observations.
 //!
 //! Each point is moved to where its noisy observations put it, given the true cameras, and each camera to where its
-//! noisy observations put it, given the true points. That is one half-step each of an alternation, not a bundle adjustment, but errors
-//! have the size and the direction (depth against rotation) that real ones have.
+//! noisy observations put it, given the true points. That is one half-step each of an alternation, not a bundle
+//! adjustment, but errors have the size and the direction (depth against rotation) that real ones have.
 
 use nalgebra::{Matrix3, Matrix6, Point3, SMatrix, UnitQuaternion, Vector3, Vector6};
 use rand::Rng as _;

@@ -13,11 +13,11 @@ use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Re
 /// How the camera moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Path {
-    /// On an arc of 120 degrees and radius 6 about a ball of points of radius 2, looking at its middle: every camera sees
-    /// every point.
+    /// On an arc of 120 degrees and radius 6 about a ball of points of radius 2, looking at its middle: every camera
+    /// sees every point.
     Arc,
-    /// Sideways past a wall of points 5 units away, half a unit per image: neighbours in time see common points, distant
-    /// images do not.
+    /// Sideways past a wall of points 5 units away, half a unit per image: neighbours in time see common points,
+    /// distant images do not.
     Flight,
 }
 
@@ -67,8 +67,8 @@ pub fn static_scene(options: &Options) -> Reconstruction {
     Reconstruction { cameras, images, points }
 }
 
-/// Moves every pose and point at random: rotations by `rotation` radians about a random axis, camera centres and points by
-/// `distance` in every coordinate (standard deviations).
+/// Moves every pose and point at random: rotations by `rotation` radians about a random axis, camera centres and points
+/// by `distance` in every coordinate (standard deviations).
 pub fn disturb(model: &mut Reconstruction, rotation: f64, distance: f64, seed: u64) {
     let mut rng = seeded_rng(seed, 17);
     for image in model.images.values_mut() {

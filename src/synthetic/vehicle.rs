@@ -11,7 +11,8 @@ const SIZE_M: [f64; 3] = [4.5, 1.8, 1.5];
 pub(super) const CLEARANCE_M: f64 = 0.37;
 const WHEEL_RADIUS_M: f64 = 0.33;
 
-/// A surface point in the vehicle's frame: metres; x forward, y left, z up; the origin lies on the ground, amid the wheels.
+/// A surface point in the vehicle's frame: metres; x forward, y left, z up; the origin lies on the ground, amid the
+/// wheels.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SurfacePoint {
     pub position: Point3<f64>,

@@ -1,9 +1,11 @@
+//! Time stamps for frames whose container states none, or none that rise.
+
 use std::collections::VecDeque;
 
 /// Rebuilds time stamps that are missing or do not rise, one frame at a time.
 ///
-/// A missing stamp is taken from the file's index, as long as that has agreed with all stamps before; else it continues at
-/// the pace of the frames before it.
+/// A missing stamp is taken from the file's index, as long as that has agreed with all stamps before; else it continues
+/// at the pace of the frames before it.
 #[derive(Debug)]
 pub(super) struct Clock {
     /// Times from the file's index, if there is one that can be believed.

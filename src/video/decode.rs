@@ -1,3 +1,6 @@
+//! What video files and folders of images have in common: frames in order of their index, and a picture for those that
+//! are asked for.
+
 use ::image::RgbImage;
 
 use super::VideoError;

@@ -1,8 +1,8 @@
 //! Whether a JPEG file ends where its picture ends.
 //!
-//! Decoders fill what is missing of a picture with grey, and call that a success. A file that was cut short has no marker
-//! for the end of the image (ITU-T T.81, B.1.1.3). The marker need not stand at the end of the file: cameras write zeros,
-//! previews or whole films after it.
+//! Decoders fill what is missing of a picture with grey, and call that a success. A file that was cut short has no
+//! marker for the end of the image (ITU-T T.81, B.1.1.3). The marker need not stand at the end of the file: cameras
+//! write zeros, previews or whole films after it.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom};
@@ -30,8 +30,8 @@ pub(super) fn is_cut_short(path: &Path) -> io::Result<bool> {
     Ok(!tail[..without_padding].ends_with(&END) && !has_end(&fs::read(path)?))
 }
 
-/// Goes from marker to marker until the end of the image. Segments are skipped by their length, since a preview in one of
-/// them has an end of its own.
+/// Goes from marker to marker until the end of the image. Segments are skipped by their length, since a preview in one
+/// of them has an end of its own.
 fn has_end(jpeg: &[u8]) -> bool {
     let mut at = START.len();
     while let Some(skipped) = jpeg.get(at..).and_then(|rest| rest.iter().position(|&byte| byte == 0xff)) {

@@ -1,8 +1,8 @@
 //! Frames out of a video file or a folder of images, one at a time.
 //!
 //! A [`Source`] is opened once, [`Source::scan`] lists the frames that the options choose (with what was wrong with the
-//! input, in words), and [`Source::frames`] decodes them in the same order, two ahead of the caller and never more: memory
-//! does not grow with the length of the video. Both may be called again; they give the same frames every time.
+//! input, in words), and [`Source::frames`] decodes them in the same order, two ahead of the caller and never more:
+//! memory does not grow with the length of the video. Both may be called again; they give the same frames every time.
 //!
 //! Time stamps are the container's. Those that are missing or do not rise are rebuilt from the nominal rate, with a
 //! warning. Pictures come upright (rotation metadata and EXIF orientation are applied) and no larger than asked for.
@@ -26,8 +26,8 @@ pub use options::{Options, Position};
 pub use prefetch::Frames;
 pub use source::{Info, Kind, Scan, Source};
 
-/// Silences what OpenCV and FFmpeg print by themselves; what is wrong comes back as a [`VideoError`]. To be called before
-/// the first thread starts. Levels that the user set in the environment are left alone.
+/// Silences what OpenCV and FFmpeg print by themselves; what is wrong comes back as a [`VideoError`]. To be called
+/// before the first thread starts. Levels that the user set in the environment are left alone.
 pub fn silence_decoders() {
     crate::ffi::environment::set_default("OPENCV_LOG_LEVEL", "SILENT");
     crate::ffi::environment::set_default("OPENCV_FFMPEG_LOGLEVEL", "-8");

@@ -1,8 +1,8 @@
 //! Presentation times from the index of an MP4 or MOV file.
 //!
-//! OpenCV gives no time for the frames that a decoder still holds when the file ends: as many as it reorders and as it has
-//! threads. The index of the file has them all (ISO/IEC 14496-12: `stts` decoding times, `ctts` offsets to presentation,
-//! `elst` the shift of the whole track). Whatever is unusual gives `None`, and the caller does without.
+//! OpenCV gives no time for the frames that a decoder still holds when the file ends: as many as it reorders and as it
+//! has threads. The index of the file has them all (ISO/IEC 14496-12: `stts` decoding times, `ctts` offsets to
+//! presentation, `elst` the shift of the whole track). Whatever is unusual gives `None`, and the caller does without.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};

@@ -1,3 +1,5 @@
+//! Decoding on a thread of its own, a fixed number of pictures ahead of the caller.
+
 use std::collections::BTreeSet;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::{self, JoinHandle};

@@ -12,8 +12,8 @@ use faer::{Auto, Conj, MatMut, Par, Side, Spec};
 use crate::bundle::camera_sums::CAMERA_DIM;
 use crate::bundle::schur::Reduced;
 
-/// Upper triangle in compressed columns, symbolic and numeric factor. On one thread: the supernodes of a band follow from one
-/// another, and a second thread was measured to slow them down.
+/// Upper triangle in compressed columns, symbolic and numeric factor. On one thread: the supernodes of a band follow
+/// from one another, and a second thread was measured to slow them down.
 pub(in crate::bundle) struct SparseSolver {
     size: usize,
     column_start: Vec<usize>,

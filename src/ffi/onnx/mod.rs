@@ -22,14 +22,18 @@ const CURE: &str =
 #[derive(Debug, thiserror::Error)]
 pub enum OnnxError {
     /// No ONNX Runtime library could be loaded.
-    #[error("ONNX Runtime (libonnxruntime.so, 1.{MINIMUM_VERSION} or later) was not found; {CURE}\n  tried: {}", tried.join("\n  tried: "))]
+    #[error(
+        "ONNX Runtime (libonnxruntime.so, 1.{MINIMUM_VERSION} or later) was not found; {CURE}\n  tried: {}",
+        tried.join("\n  tried: ")
+    )]
     RuntimeNotFound {
         /// Each place that was tried, with the reason for which it did not serve.
         tried: Vec<String>,
     },
     /// The library that an environment variable names cannot be used.
     #[error(
-        "the ONNX Runtime library named by {variable} cannot be used: {reason}; correct the variable, or unset it and {CURE}"
+        "the ONNX Runtime library named by {variable} cannot be used: {reason}; correct the variable, or unset \
+         it and {CURE}"
     )]
     NamedRuntime {
         /// The environment variable.

@@ -1,11 +1,12 @@
 //! COLMAP models: `cameras`, `images` and `points3D`, as text (`.txt`) or binary (`.bin`).
 //!
-//! The formats are those of COLMAP's documentation, `doc/format.rst`. Poses are `cam_from_world`, quaternions w x y z, the
-//! corner of the image is (0, 0): as everywhere in this program, so nothing is converted. `rigs` and `frames`, which
-//! COLMAP 4 writes beside, are not needed to read a model and are not written; COLMAP makes them up from the images.
+//! The formats are those of COLMAP's documentation, `doc/format.rst`. Poses are `cam_from_world`, quaternions w x y z,
+//! the corner of the image is (0, 0): as everywhere in this program, so nothing is converted. `rigs` and `frames`,
+//! which COLMAP 4 writes beside, are not needed to read a model and are not written; COLMAP makes them up from the
+//! images.
 //!
-//! Only registered images are written, as COLMAP does. Numbers in text files are the shortest that read back as the same
-//! double, so both forms give back exactly what was written.
+//! Only registered images are written, as COLMAP does. Numbers in text files are the shortest that read back as the
+//! same double, so both forms give back exactly what was written.
 
 mod binary;
 mod camera_model;

@@ -48,7 +48,8 @@ pub fn write_mesh(path: &Path, mesh: &TriangleMesh) -> Result<(), IoError> {
     })
 }
 
-/// Reads a triangle mesh; polygons become fans of triangles, properties other than positions and corners are passed over.
+/// Reads a triangle mesh; polygons become fans of triangles, properties other than positions and corners are passed
+/// over.
 ///
 /// # Errors
 /// A missing or broken file, no faces, or a face that names a vertex which is not there.

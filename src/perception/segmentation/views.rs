@@ -15,8 +15,8 @@ impl View {
         Self { x0: 0, y0: 0, width, height }
     }
 
-    /// Whether a box (x0, y0, x1, y1) in frame pixels ends at a border of the view that is not one of the frame: such an
-    /// object is cut, and another view may see more of it.
+    /// Whether a box (x0, y0, x1, y1) in frame pixels ends at a border of the view that is not one of the frame: such
+    /// an object is cut, and another view may see more of it.
     pub(super) fn cuts(&self, corners: [f32; 4], frame: (u32, u32)) -> bool {
         /// A box within this many pixels of the border ends there.
         const NEAR_PX: f32 = 3.0;
@@ -28,8 +28,8 @@ impl View {
     }
 }
 
-/// Tiles of at most `tile` pixels that cover the frame with at least the given overlap, evenly spread; empty if one tile
-/// holds the frame, since the whole frame is looked at anyway.
+/// Tiles of at most `tile` pixels that cover the frame with at least the given overlap, evenly spread; empty if one
+/// tile holds the frame, since the whole frame is looked at anyway.
 pub(super) fn tiles(frame: (u32, u32), tile: (u32, u32), overlap: f64) -> Vec<View> {
     let columns = starts(frame.0, tile.0, overlap);
     let rows = starts(frame.1, tile.1, overlap);

@@ -1,9 +1,9 @@
 //! The YOLO-seg family: YOLOv8-seg, YOLO11-seg and what shares their head.
 //!
-//! In: one image [1, 3, h, w], RGB between 0 and 1, letterboxed with grey. Out: [1, 4 + C + K, N], per column a box (centre
-//! x, centre y, width, height in input pixels), C class scores after the sigmoid and K mask coefficients; and K prototype
-//! masks [1, K, h / 4, w / 4]. An object's mask is where sigmoid(coefficients · prototypes), interpolated at the frame's
-//! pixels inside its box, exceeds one half.
+//! In: one image [1, 3, h, w], RGB between 0 and 1, letterboxed with grey. Out: [1, 4 + C + K, N], per column a box
+//! (centre x, centre y, width, height in input pixels), C class scores after the sigmoid and K mask coefficients; and K
+//! prototype masks [1, K, h / 4, w / 4]. An object's mask is where sigmoid(coefficients · prototypes), interpolated at
+//! the frame's pixels inside its box, exceeds one half.
 
 use ::image::RgbImage;
 

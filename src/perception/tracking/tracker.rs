@@ -61,8 +61,8 @@ impl Tracker {
     /// Returns the masks of this frame, ascending by provisional id; they do not overlap.
     ///
     /// # Errors
-    /// [`PerceptionError::SizeMismatch`] if image, masks and flow differ in size, [`PerceptionError::FrameOrder`] if the
-    /// frame is not later than the last one.
+    /// [`PerceptionError::SizeMismatch`] if image, masks and flow differ in size, [`PerceptionError::FrameOrder`] if
+    /// the frame is not later than the last one.
     pub fn advance(
         &mut self,
         frame: &Frame,
@@ -310,8 +310,8 @@ impl Tracker {
     }
 }
 
-/// Whether two class names may belong to one object: networks confuse cars, vans, trucks and buses with one another, and
-/// motorcycles with bicycles, but not one group with the other.
+/// Whether two class names may belong to one object: networks confuse cars, vans, trucks and buses with one another,
+/// and motorcycles with bicycles, but not one group with the other.
 fn compatible(a: &str, b: &str) -> bool {
     TWO_WHEELERS.contains(&a) == TWO_WHEELERS.contains(&b)
 }

@@ -24,15 +24,15 @@ pub struct InitialPair {
     pub homography_ratio: f64,
 }
 
-/// Views that are looked at as partners; of longer sequences an even selection is.
+/// So many views are tried as partners; of longer sequences they are chosen evenly.
 const MAX_VIEWS: usize = 48;
 /// Median displacement of the common points below which two views count as one: whatever geometry fits is noise.
 const MIN_DISPLACEMENT_PX: f64 = 0.5;
 /// Pairs whose geometry is estimated.
 const MAX_ESTIMATED: usize = 60;
 
-/// Candidate starts, best first, and what all pairs tell of the motion. No start when no pair has enough common points with
-/// any angle between them.
+/// Candidate starts, best first, and what all pairs tell of the motion. No start when no pair has enough common points
+/// with any angle between them.
 pub fn ranked(
     table: &TrackTable,
     cameras: &[Camera],
@@ -151,8 +151,8 @@ pub fn geometry_of(
     two_view::estimate(&pairs, options.max_pose_error_px / mean_focal, &mut seeded_rng(seed, stream))
 }
 
-/// The same pairs, each next one the best that lies a sixth of all views away from those before it on one side at least;
-/// what is near comes at the end.
+/// The same pairs in another order: first the best of every neighbourhood, best first, then all others. Two pairs are
+/// neighbours if both their first and their second views lie less than a sixth of all views apart.
 pub fn far_from_one_another(pairs: Vec<InitialPair>, num_views: usize) -> Vec<InitialPair> {
     let least = num_views.div_ceil(6);
     let mut far: Vec<InitialPair> = Vec::new();

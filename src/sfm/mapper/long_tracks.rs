@@ -1,8 +1,8 @@
 //! Long tracks of a video in pieces, so that a view costs the same however long the video is.
 //!
 //! Two views that see a common point have a block in the reduced system of bundle adjustment. Tracks that live for
-//! hundreds of views, as of points far ahead, fill that system, and to factorise it then takes time with the cube of the
-//! number of views. Cut in pieces, each a point of its own, they leave a band whose width does not grow.
+//! hundreds of views, as of points far ahead, fill that system, and to factorise it then takes time with the cube of
+//! the number of views. Cut in pieces, each a point of its own, they leave a band whose width does not grow.
 //!
 //! A piece must show its point from different sides, or the views in its middle see no point whose depth is known. So
 //! only those views count towards its length between which the two-view geometry shows depth: while the camera stands,
@@ -20,8 +20,8 @@ const STRETCHES: usize = 3;
 /// A last piece with fewer features stays with the one before it.
 const MIN_PIECE: usize = 4;
 
-/// Cuts the tracks of views in time order after [`Options::max_track_views`] views that show depth; tables without longer
-/// tracks, and those of views in no order, stay as they are.
+/// Cuts the tracks of views in time order after [`Options::max_track_views`] views that show depth; tables without
+/// longer tracks, and those of views in no order, stay as they are.
 ///
 /// The first piece of a track may be longer by up to a half, by another part for each track: else all that begin in one
 /// view would end in one view, too, and nothing would hold the map together there.
@@ -58,7 +58,7 @@ fn extra(index: usize, range: usize) -> usize {
     ((u64::from((index as u32).wrapping_mul(GOLDEN)) * range as u64) >> 32) as usize
 }
 
-/// Cuts a track once its first piece has so many views that count, and once any later one has.
+/// Cuts a track into pieces: the first is over when `first` of its views have counted, every other after `later`.
 fn cut(track: Track, [first, later]: [usize; 2], counts: &[bool], pieces: &mut Vec<Track>) {
     let (mut start, mut limit, mut counted) = (0, first, 0);
     for end in 1..=track.len() {
@@ -71,7 +71,8 @@ fn cut(track: Track, [first, later]: [usize; 2], counts: &[bool], pieces: &mut V
     pieces.push(if start == 0 { track } else { track[start..].to_vec() });
 }
 
-/// By view: whether it lies in a stretch between whose ends depth shows, or tracks are too short to tell.
+/// By view: whether it counts, which it does if the first and the last view of its stretch together show depth, or if
+/// too few tracks reach from one to the other to tell.
 fn views_that_count(
     table: &TrackTable,
     cameras: &[Camera],
@@ -81,7 +82,7 @@ fn views_that_count(
 ) -> Vec<bool> {
     let step = (options.max_track_views / STRETCHES).max(1);
     let ends = common_tracks(table, step);
-    // So that all stretches of a piece together show its points under the angle that is asked for.
+    // Each stretch has its part of the angle, so that all stretches of a piece together have the whole.
     let min_angle = options.min_angle_deg.to_radians() / STRETCHES as f64;
     let mut counts = vec![true; table.views.len()];
     for (first, tracks) in ends.into_iter().filter(|(_, tracks)| tracks.len() >= options.min_initial_inliers) {
@@ -100,7 +101,7 @@ fn views_that_count(
     counts
 }
 
-/// Tracks that are seen in the first view of a stretch and in that of the next, by the first of these.
+/// The tracks that reach from the first view of a stretch to the first view of the next, by that first view.
 fn common_tracks(table: &TrackTable, step: usize) -> BTreeMap<usize, Vec<usize>> {
     let mut common: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for (index, track) in table.tracks.iter().enumerate() {

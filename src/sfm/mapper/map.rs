@@ -250,8 +250,8 @@ impl<'a> Map<'a> {
         })
     }
 
-    /// How many of all observations the map explains: each counts from 1, where it fits exactly, to 0 at `max_error` (in
-    /// units of the whitening) or where its point or view is not known.
+    /// How many of all observations the map explains: each counts from 1, where it fits exactly, to 0 at `max_error`
+    /// (in units of the whitening) or where its point or view is not known.
     pub fn num_explained(&self, max_error: f64) -> f64 {
         let misfit = |track: usize, position: Point3<f64>, slot: usize| {
             self.view_at(track, slot).map_or(1.0, |view| (view.error_sq(position) / max_error.powi(2)).min(1.0))
@@ -264,8 +264,8 @@ impl<'a> Map<'a> {
             .sum()
     }
 
-    /// Robust noise of the observations: the median distance to the projection, as the standard deviation of a coordinate
-    /// under Gaussian noise (a Rayleigh median is 1.177 σ).
+    /// Robust noise of the observations: the median distance to the projection, as the standard deviation of a
+    /// coordinate under Gaussian noise (a Rayleigh median is 1.177 σ).
     pub fn noise(&self) -> Noise {
         const RAYLEIGH_MEDIAN: f64 = 1.177_41;
         let mut errors: Vec<f64> = (0..self.points.len())

@@ -2,11 +2,12 @@
 //!
 //! - A **still** camera moves no point.
 //! - A camera that only **turns** moves all points by one homography, H = K R K⁻¹: K⁻¹ H K is a rotation for some focal
-//!   length. Five-point geometry fits such pairs as well, with any translation, and points far away; they must not start a
-//!   map.
+//!   length. Five-point geometry fits such pairs as well, with any translation, and points far away; they must not
+//!   start a map.
 //! - A **plane** moves by a homography too, but not by one of that kind. With known intrinsics it is reconstructed like
 //!   anything else; without, the focal length is weak.
-//! - **Forward** motion is reconstructed, with points near the middle of the picture that are far less certain in depth.
+//! - **Forward** motion is reconstructed, with points near the middle of the picture that are far less certain in
+//!   depth.
 
 use std::fmt;
 
@@ -82,7 +83,8 @@ impl Survey {
         let is_most = |count: usize| count > 0 && count as f64 >= MOST * self.total as f64;
         if is_most(self.still) {
             Some(format!(
-                "the camera stands still: nothing moves in {} of {} pairs of frames, and it has to move round the target",
+                "the camera stands still: nothing moves in {} of {} pairs of frames, and it has to move round \
+                 the target",
                 self.still, self.total
             ))
         } else if is_most(self.turning) || is_most(self.turning + self.still) {
@@ -120,7 +122,8 @@ impl fmt::Display for Remark {
             Self::PlanarScene { intrinsics_refined: false } => write!(f, "all points lie near one plane"),
             Self::PlanarScene { intrinsics_refined: true } => write!(
                 f,
-                "all points lie near one plane, on which the focal length is uncertain: give --intrinsics if you know them"
+                "all points lie near one plane, on which the focal length is uncertain: give --intrinsics if you \
+                 know them"
             ),
             Self::ForwardMotion => write!(
                 f,

@@ -58,7 +58,8 @@ impl fmt::Display for Reason {
             }
             Self::Contradicted { agreeing, contradicting } => write!(
                 f,
-                "its best pose contradicts {contradicting} points that it shares with other frames, and agrees with {agreeing}"
+                "its best pose contradicts {contradicting} points that it shares with other frames, and agrees \
+                 with {agreeing}"
             ),
             Self::NoStart => write!(f, "no pair of frames could start a reconstruction"),
         }

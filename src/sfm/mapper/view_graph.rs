@@ -1,10 +1,11 @@
 //! Whether registered views agree with what pairs of views say by themselves.
 //!
-//! On repeated structure (the windows of a façade, the two sides of a symmetric building) a view can be registered at the
-//! wrong copy: enough points agree, and bundle adjustment cannot carry it away. Its true neighbours know better: with them
-//! it shares many points that one epipolar geometry explains, but of which the map explains few. A pair like that speaks
-//! against both its views, a pair whose points fit in both speaks for them, each with the number of its points; a view
-//! that has more against it than for it is taken out, the worst first, and what it was blamed for is taken back.
+//! On repeated structure (the windows of a façade, the two sides of a symmetric building) a view can be registered at
+//! the wrong copy: enough points agree, and bundle adjustment cannot carry it away. Its true neighbours know better:
+//! with them it shares many points that one epipolar geometry explains, but of which the map explains few. A pair like
+//! that speaks against both its views, a pair whose points fit in both speaks for them, each with the number of its
+//! points; a view that has more against it than for it is taken out, the worst first, and what it was blamed for is
+//! taken back.
 
 use std::collections::BTreeMap;
 
@@ -131,7 +132,8 @@ pub fn balance(opinions: &[Opinion], view: usize) -> (usize, usize) {
     own.fold((0, 0), |(agreeing, against), o| (agreeing + o.agreeing, against + o.contradicting))
 }
 
-/// The views that have more against them than for them, the worst first; opinions of pairs with a worse view do not count.
+/// The views that have more against them than for them, the worst first; opinions of pairs with a worse view do not
+/// count.
 pub fn contradicted(mut opinions: Vec<Opinion>) -> Vec<usize> {
     let mut out = Vec::new();
     loop {

@@ -1,7 +1,7 @@
 //! Scalar products of many short vectors of bytes, and the best of every row and column.
 //!
-//! Descriptors are bytes of such a length that a scalar product fits sixteen bits (see [`super::super::features`]), so one
-//! instruction multiplies and adds 32 of them. The results are integers: the same on every processor.
+//! Descriptors are bytes of such a length that a scalar product fits sixteen bits (see [`super::super::features`]), so
+//! one instruction multiplies and adds 32 of them. The results are integers: the same on every processor.
 
 use pulp::bytemuck;
 

@@ -1,10 +1,10 @@
 //! SIFT keypoints and descriptors.
 //!
-//! D. Lowe, *Distinctive Image Features from Scale-Invariant Keypoints*, IJCV 2004: extrema of differences of Gaussians in
-//! space and scale, refined by a quadratic, with one dominant gradient direction each, described by 4 × 4 × 8 histograms of
-//! gradient directions. Own, for three reasons: the first octave need not be the doubled image, which costs three to five
-//! times as much and gains little on easy scenes; only the keypoints that are kept are described; and positions are those
-//! of the image without a shift, as the pixel convention wants them.
+//! D. Lowe, *Distinctive Image Features from Scale-Invariant Keypoints*, IJCV 2004: extrema of differences of Gaussians
+//! in space and scale, refined by a quadratic, with one dominant gradient direction each, described by 4 × 4 × 8
+//! histograms of gradient directions. Own, for three reasons: the first octave need not be the doubled image, which
+//! costs three to five times as much and gains little on easy scenes; only the keypoints that are kept are described;
+//! and positions are those of the image without a shift, as the pixel convention wants them.
 //!
 //! Everything is computed in the same order and without fused multiplications on every machine.
 
@@ -134,8 +134,8 @@ mod tests {
                     .min_by(|a, b| (a.x - x).hypot(a.y - y).total_cmp(&(b.x - x).hypot(b.y - y)))
                     .unwrap();
                 let off = (near.x - x).hypot(near.y - y);
-                // Of two Gaussians of nearly one size the difference is greatest where the blob has theirs; the picture is
-                // held to have half a pixel of blur, which the sampled blob has not.
+                // Of two Gaussians of nearly one size the difference is greatest where the blob has theirs; the picture
+                // is held to have half a pixel of blur, which the sampled blob has not.
                 let ratio = near.scale / s;
                 assert!(
                     off < 0.06 && (0.8..1.25).contains(&ratio),

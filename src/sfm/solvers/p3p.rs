@@ -1,7 +1,7 @@
 //! Absolute pose from three rays and three points.
 //!
-//! Grunert's quartic in the ratio of two distances, as given by Haralick et al., *Review and Analysis of Solutions of the
-//! Three Point Perspective Pose Estimation Problem*, IJCV 1994, section "Grunert's solution". The cosines are those
+//! Grunert's quartic in the ratio of two distances, as given by Haralick et al., *Review and Analysis of Solutions of
+//! the Three Point Perspective Pose Estimation Problem*, IJCV 1994, section "Grunert's solution". The cosines are those
 //! between the rays, a, b, c the sides of the triangle opposite to points 1, 2, 3.
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};

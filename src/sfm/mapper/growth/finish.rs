@@ -11,8 +11,8 @@ use crate::sfm::mapper::{Intrinsics, Noise};
 use crate::sfm::resection::{self, Resection};
 
 impl Growth<'_> {
-    /// Adjusts everything on all points, takes out and tries again what contradicts the view graph, and tries again what
-    /// failed.
+    /// Adjusts everything on all points, takes out and tries again what contradicts the view graph, and tries again
+    /// what failed.
     pub fn finish(&mut self) -> Result<(), SfmError> {
         self.adjust_until_settled()?;
         let before: Vec<Option<Rigid3>> = self.map.poses.clone();
@@ -55,9 +55,9 @@ impl Growth<'_> {
 
     /// Which intrinsics the motion determines, once the noise is known and wrong points are gone.
     ///
-    /// Where the focal length itself is loosely held, as on a single flight looking straight down, a second coefficient of
-    /// distortion and the principal point would take up what the model of the camera leaves out (the shutter that rolls
-    /// down the picture), and bend the map: they go back to the guess.
+    /// Where the focal length itself is loosely held, as on a single flight looking straight down, a second coefficient
+    /// of distortion and the principal point would take up what the model of the camera leaves out (the shutter that
+    /// rolls down the picture), and bend the map: they go back to the guess.
     fn final_freedom(&mut self) -> Result<Freedom, SfmError> {
         const LOOSE: f64 = 0.01;
         // Three standard deviations.
@@ -115,8 +115,8 @@ impl Growth<'_> {
         Ok(())
     }
 
-    /// Tries the points that the accusers see, then all, then the pose between the neighbours in time; the pose for which
-    /// most speaks is taken, unless as much speaks against it.
+    /// Tries the points that the accusers see, then all, then the pose between the neighbours in time; the pose for
+    /// which most speaks is taken, unless as much speaks against it.
     fn register_again(&mut self, view: usize, accusers: &[usize], graph: &ViewGraph) -> bool {
         let all = self.map.visible(view);
         let of_accusers: Vec<Slot> = all.iter().copied().filter(|s| self.is_seen_by(s, accusers)).collect();
