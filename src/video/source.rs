@@ -11,7 +11,7 @@ use super::folder::{self, FolderDecoder, Listing};
 use super::options::Selection;
 use super::{Frames, Options, VideoError};
 use crate::image::scale_to_fit;
-use crate::scene::{Frame, FrameId};
+use crate::scene::{Frame, FrameId, TimeBase};
 
 /// What an input is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -44,6 +44,16 @@ pub struct Info {
     pub rotation_deg: i32,
     /// Focal length that EXIF data state, in pixels of the frames as they are given out.
     pub exif_focal_px: Option<f64>,
+}
+
+impl Info {
+    /// What the times of the frames count: a video has times of its own, a folder only where its rate is given.
+    pub fn time_base(&self) -> TimeBase {
+        match (self.kind, self.fps) {
+            (Kind::Folder, None) => TimeBase::Frames,
+            (Kind::Folder, Some(_)) | (Kind::Video, _) => TimeBase::Seconds,
+        }
+    }
 }
 
 /// The frames that the options choose.
@@ -308,6 +318,9 @@ mod tests {
         assert_eq!(scan.frames[2].time_s, 0.5);
         assert_eq!(scan.warnings.len(), 2, "{:?}", scan.warnings);
         assert_eq!(source.info().num_frames, Some(5));
+        assert_eq!(source.info().time_base(), TimeBase::Seconds);
+        let without_rate = Source::open(folder.path(), &Options::default()).unwrap();
+        assert_eq!(without_rate.info().time_base(), TimeBase::Frames);
         assert_eq!(source.frames().unwrap().filter(Result::is_ok).count(), 3);
     }
 
