@@ -11,6 +11,7 @@ pub mod compare;
 pub mod convert;
 mod doctor;
 pub mod evaluate;
+mod job;
 mod models;
 mod output;
 mod run;

@@ -15,8 +15,8 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::common::CommonArgs;
+use super::job::use_threads;
 use super::output::{Failure, print, print_json};
-use super::run::use_threads;
 use super::terminal::Talk;
 use crate::eval::benchmark::{Benchmark, Entry, summarise};
 use crate::io::{self, FolderError, OwnedFolder, Place, RunFolder, atomic, refuse_own_input};
