@@ -2,8 +2,8 @@
 
 use clap::{Parser, Subcommand};
 
-use super::doctor::DoctorArgs;
 use super::job::JobArgs;
+use super::terminal::ProgressKind;
 use crate::pipeline::Stage;
 
 /// Three-dimensional trajectories of the vehicles in one video from a moving camera.
@@ -13,15 +13,18 @@ pub(super) struct Args {
     /// What to do
     #[command(subcommand)]
     pub(super) command: Command,
-    /// Say nothing but errors
+    /// Say nothing but errors: no progress, no warnings, no summary
     #[arg(long, global = true)]
     pub(super) quiet: bool,
     /// Say more about what is going on
     #[arg(short, long, global = true, conflicts_with = "quiet")]
     pub(super) verbose: bool,
-    /// Print the result as one JSON object
+    /// Print the result, or the error, as one JSON object
     #[arg(long, global = true)]
     pub(super) json: bool,
+    /// How stderr shows what is going on: auto, bar, plain (lines), json (an object a line), none
+    #[arg(long, global = true, value_name = "KIND", value_enum, default_value_t, hide_possible_values = true)]
+    pub(super) progress: ProgressKind,
 }
 
 #[derive(Debug, Subcommand)]
@@ -53,9 +56,9 @@ pub(super) enum Command {
     /// Write a reconstruction in another format
     Convert(super::convert::Args),
     /// Solve a problem of "Bundle Adjustment in the Large"
-    Bal(super::bal::BalArgs),
+    Bal(super::bal::Args),
     /// Say what is installed, what is missing, and how to get it
-    Doctor(DoctorArgs),
+    Doctor(super::doctor::Args),
 }
 
 impl Command {

@@ -7,13 +7,13 @@ use serde_json::json;
 
 use super::job::{JobArgs, resolve, use_threads};
 use super::models;
-use super::output::{Failure, print, print_json};
+use super::output::{Failure, Form, show};
 use super::terminal::Talk;
 use crate::io::RunFolder;
 use crate::pipeline::{self, Job, Overwrite, Stage, Summary};
 use crate::scene::{ObjectTrajectory, Trajectories};
 
-pub(super) fn run(job: &JobArgs, goal: Stage, arguments: &[OsString], json: bool, talk: &Talk) -> Result<(), Failure> {
+pub(super) fn run(job: &JobArgs, goal: Stage, arguments: &[OsString], form: Form, talk: &Talk) -> Result<(), Failure> {
     let (input, options) = resolve(job, goal)?;
     use_threads(options.threads)?;
     let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
@@ -26,18 +26,18 @@ pub(super) fn run(job: &JobArgs, goal: Stage, arguments: &[OsString], json: bool
         overwrite: if job.overwrite { Overwrite::AnyInput } else { Overwrite::SameInput },
         arguments: &arguments,
     };
+    talk.say_how_to_go_on();
     let summary = pipeline::run(&task, talk)?;
     talk.finish();
     let folder = RunFolder::at(&job.output);
     let trajectories = (goal >= Stage::Scale).then(|| folder.read_trajectories()).transpose()?;
-    match json {
-        true => print_json(&as_json(&summary, goal, trajectories.as_ref()))?,
-        false => print(&as_text(&summary, goal, trajectories.as_ref()))?,
+    let failure = summary.failure().map(|failure| Failure::Partial(anyhow::anyhow!(failure)));
+    let mut value = as_json(&summary, goal, trajectories.as_ref());
+    if let Some(failure) = &failure {
+        value["error"] = failure.as_json();
     }
-    match summary.failure() {
-        Some(failure) => Err(Failure::Input(anyhow::anyhow!(failure))),
-        None => Ok(()),
-    }
+    show(form, &value, || as_text(&summary, goal, trajectories.as_ref()))?;
+    failure.map_or(Ok(()), Err)
 }
 
 fn as_json(summary: &Summary, goal: Stage, trajectories: Option<&Trajectories>) -> serde_json::Value {

@@ -103,8 +103,7 @@ impl<'a> Run<'a> {
         let is_other = before.as_ref().is_some_and(|marker| marker.fingerprint != fingerprint);
         let same = before.filter(|marker| !is_other && self.workspace.has_outputs(marker));
         if let Some(marker) = same {
-            self.progress.begin(stage.name(), None);
-            self.progress.end(true);
+            self.progress.skip(stage.name());
             self.records.push(StageRecord { stage, marker, reused: true });
             return Ok(());
         }
@@ -114,7 +113,7 @@ impl<'a> Run<'a> {
         self.workspace.clear_marker(stage)?;
         let meter = Meter::start();
         let outcome = work(self, &fingerprint);
-        self.progress.end(false);
+        self.progress.end();
         let Outcome { warnings, figures, outputs } = outcome?;
         let cost = meter.read();
         let outputs =
