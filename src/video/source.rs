@@ -157,9 +157,15 @@ impl Source {
 
     fn nothing_chosen(&self) -> Result<VideoError, VideoError> {
         let mut decoder = self.decoder()?;
-        let times: Vec<f64> = std::iter::from_fn(|| decoder.step()).map(|frame| frame.time_s).collect();
-        Ok(match (times.first(), times.last()) {
-            (Some(&first_s), Some(&last_s)) => VideoError::NothingChosen { path: self.path.clone(), first_s, last_s },
+        let frames: Vec<Frame> = std::iter::from_fn(|| decoder.step()).collect();
+        let place = |frame: &Frame| match self.info.time_base() {
+            TimeBase::Seconds => format!("{:.3} s", frame.time_s),
+            TimeBase::Frames => format!("frame {}", frame.id.0),
+        };
+        Ok(match (frames.first(), frames.last()) {
+            (Some(first), Some(last)) => {
+                VideoError::NothingChosen { path: self.path.clone(), first: place(first), last: place(last) }
+            }
             _ => VideoError::NoFrames { path: self.path.clone() },
         })
     }
