@@ -158,7 +158,9 @@ pub(super) fn apply_sequence(sequence: &Sequence, options: &mut Options) -> Resu
     if options.intrinsics.is_none() {
         options.intrinsics = Some(Intrinsics::Given(sequence.camera.intrinsics()));
     }
-    options.video.fps = options.video.fps.or(Some(sequence.fps));
+    if input.is_dir() {
+        options.video.fps = options.video.fps.or(Some(sequence.fps));
+    }
     Ok(input)
 }
 

@@ -16,12 +16,15 @@ mod fingerprint;
 mod frames;
 mod given_masks;
 mod ground;
+mod lens;
 mod masking;
 mod meter;
 mod models;
 mod objects;
 mod options;
 mod order;
+mod pictures;
+mod preflight;
 mod progress;
 mod report;
 mod run;
@@ -35,7 +38,7 @@ mod workspace;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use serde_json::json;
+use serde_json::{Value, json};
 
 pub use error::PipelineError;
 pub use evaluate::{Kept, evaluate, keep_evaluation};
@@ -50,7 +53,7 @@ pub use workspace::{Marker, Overwrite, Workspace};
 use crate::io::InputIdentity;
 use crate::scene::ObjectId;
 use crate::video::Source;
-use run::Run;
+use run::{Outcome, Run};
 
 /// What a run did.
 #[derive(Clone, Debug)]
@@ -142,26 +145,65 @@ impl Job<'_> {
 }
 
 fn stages(run: &mut Run, goal: Stage, input: &str) -> Result<(), PipelineError> {
-    Stage::ALL.into_iter().filter(|stage| *stage <= goal).try_for_each(|stage| one_stage(run, stage, input))
+    preflight::check_camera(run)?;
+    for stage in Stage::ALL.into_iter().filter(|stage| *stage <= goal) {
+        one_stage(run, stage, input)?;
+        match stage {
+            Stage::Frames => preflight::check_files(run, goal, |stage| is_done(run, stage, input))?,
+            // The other stages write down that there is nothing, which is not worth a word.
+            Stage::Background if models::background_report(run)?.failure.is_some() => run.progress = &Silent,
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<(), PipelineError> {
-    use Stage::{Background, Features, Frames, Ground, Objects, Report, Scale, Segment, Track};
-    match stage {
-        Frames => run.stage(stage, frames::depends_on(run, input), |run, _| frames::work(run)),
-        Segment => run.stage(stage, segment::depends_on(run)?, segment::work),
-        Track => run.stage(stage, track::depends_on(run)?, |run, _| track::work(run)),
-        Features => run.stage(stage, features::depends_on(run)?, features::work),
-        Background => run.stage(stage, models::background_depends_on(run)?, |run, _| models::background_work(run)),
-        Objects => run.stage(stage, objects::depends_on(run)?, objects::work),
-        Ground => run.stage(stage, ground::depends_on(run)?, ground::work),
-        Scale => run.stage(stage, scale::depends_on(run), |run, _| scale::work(run)),
-        // The page shows the command line and what every stage cost, so it is made anew whenever anything was done.
-        Report => {
-            if !run.all_reused() {
-                run.workspace.clear_marker(stage)?;
-            }
-            run.stage(stage, json!({ "arguments": run.arguments }), |run, _| report::work(run))
-        }
+    // The page shows the command line and what every stage cost, so it is made anew whenever anything was done.
+    if stage == Stage::Report && !run.all_reused() {
+        run.workspace.clear_marker(stage)?;
     }
+    let depends_on = depends_on(run, stage, input)?;
+    run.stage(stage, depends_on, |run, fingerprint| work(run, stage, fingerprint))
+}
+
+/// Everything that a stage's result hangs on besides the stages before it.
+fn depends_on(run: &Run, stage: Stage, input: &str) -> Result<Value, PipelineError> {
+    Ok(match stage {
+        Stage::Frames => frames::depends_on(run, input),
+        Stage::Segment => segment::depends_on(run)?,
+        Stage::Track => track::depends_on(run)?,
+        Stage::Features => features::depends_on(run)?,
+        Stage::Background => models::background_depends_on(run)?,
+        Stage::Objects => objects::depends_on(run)?,
+        Stage::Ground => ground::depends_on(run)?,
+        Stage::Scale => scale::depends_on(run),
+        Stage::Report => json!({ "arguments": run.arguments }),
+    })
+}
+
+fn work(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    match stage {
+        Stage::Frames => frames::work(run),
+        Stage::Segment => segment::work(run, fingerprint),
+        Stage::Track => track::work(run),
+        Stage::Features => features::work(run, fingerprint),
+        Stage::Background => models::background_work(run),
+        Stage::Objects => objects::work(run, fingerprint),
+        Stage::Ground => ground::work(run, fingerprint),
+        Stage::Scale => scale::work(run),
+        Stage::Report => report::work(run),
+    }
+}
+
+/// Whether an earlier run has done a stage with the options and the input of this one; `frames` must be done.
+fn is_done(run: &Run, stage: Stage, input: &str) -> Result<bool, PipelineError> {
+    let Some(marker) = run.workspace.marker(stage) else { return Ok(false) };
+    let mut fingerprints: BTreeMap<Stage, String> = BTreeMap::new();
+    for stage in Stage::ALL.into_iter().filter(|other| *other <= stage) {
+        let upstream: Vec<&str> = stage.after().iter().map(|stage| fingerprints[stage].as_str()).collect();
+        let fingerprint = fingerprint::of_stage(stage, &depends_on(run, stage, input)?, &upstream);
+        fingerprints.insert(stage, fingerprint);
+    }
+    Ok(marker.fingerprint == fingerprints[&stage] && run.workspace.has_outputs(&marker))
 }
