@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 
-use super::job::JobArgs;
+use super::job::{self, JobArgs};
 use super::terminal::ProgressKind;
 use crate::pipeline::Stage;
 
@@ -34,14 +34,18 @@ pub(super) enum Command {
     /// Can be stopped and started again at any moment: what is finished is not done twice.
     Run(Box<JobArgs>),
     /// Find the vehicles in every frame
+    #[command(mut_args(|flag| job::shown_up_to(Stage::Segment, flag)))]
     Segment(Box<JobArgs>),
     /// Follow the vehicles from frame to frame (after `segment`)
+    #[command(mut_args(|flag| job::shown_up_to(Stage::Track, flag)))]
     Track(Box<JobArgs>),
     /// Reconstruct the background, and every tracked vehicle
     ///
     /// Without --masks or --segmentation-model no vehicles are looked for, and all pixels are background.
+    #[command(mut_args(|flag| job::shown_up_to(Stage::Objects, flag)))]
     Sfm(Box<JobArgs>),
     /// Find the ground and its plane near every vehicle (after `sfm`)
+    #[command(mut_args(|flag| job::shown_up_to(Stage::Ground, flag)))]
     Ground(Box<JobArgs>),
     /// Find scale ratios and trajectories (after `ground`)
     Scale(Box<JobArgs>),
@@ -104,6 +108,20 @@ mod tests {
         assert_eq!(benchmark.common.scale_method, Some(ScaleMethod::Intersection));
         let models = "tractrix sfm in --output out --segmentation-model s.onnx --ground-model g.onnx";
         assert!(Args::try_parse_from(models.split_whitespace()).is_ok());
+    }
+
+    #[test]
+    fn the_help_of_a_part_lists_what_that_part_uses() {
+        let mut command = Args::command();
+        let mut help = |name: &str| command.find_subcommand_mut(name).unwrap().render_long_help().to_string();
+        let flags = ["--segmentation-model", "--flow-model", "--intrinsics", "--ground-model", "--scale-method"];
+        for (name, num_shown) in [("segment", 1), ("track", 2), ("sfm", 3), ("ground", 4), ("scale", 5), ("run", 5)] {
+            let help = help(name);
+            let shown: Vec<bool> = flags.iter().map(|flag| help.contains(flag)).collect();
+            assert_eq!(shown, flags.map(|flag| flags[..num_shown].contains(&flag)), "{name}");
+        }
+        // The same flags serve every part.
+        assert!(Args::try_parse_from("tractrix segment in -o out --scale-method joint".split_whitespace()).is_ok());
     }
 
     #[test]

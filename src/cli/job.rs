@@ -92,6 +92,19 @@ pub(super) struct JobArgs {
     pub(super) common: CommonArgs,
 }
 
+/// The flag as the help of a part of a run shows it: not at all if it is used by later parts alone. It is taken
+/// nevertheless, so that the same flags serve every part.
+pub(super) fn shown_up_to(goal: Stage, flag: clap::Arg) -> clap::Arg {
+    let first_use = match flag.get_id().as_str() {
+        "flow_model" => Stage::Track,
+        "intrinsics" | "features" | "background_model" | "object_model" | "only_object" => Stage::Features,
+        "ground_masks" | "ground_label" | "ground_model" => Stage::Ground,
+        "scale_method" => Stage::Scale,
+        _ => Stage::Frames,
+    };
+    flag.hide(first_use > goal)
+}
+
 /// Input and options from the flags, the options file, and the folder of a sequence.
 pub(super) fn resolve(job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), Failure> {
     let mut options = job.common.options()?;

@@ -51,10 +51,18 @@ impl fmt::Display for Failure {
                         said.push_str(&cause);
                     }
                 }
-                Ok(())
+                match error.chain().any(is_full_disk) {
+                    true => f.write_str("; make room there, and the same command goes on where it was"),
+                    false => Ok(()),
+                }
             }
         }
     }
+}
+
+fn is_full_disk(cause: &(dyn std::error::Error + 'static)) -> bool {
+    let is_full = |kind| matches!(kind, io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded);
+    cause.downcast_ref().is_some_and(|cause: &io::Error| is_full(cause.kind()))
 }
 
 impl<E: Into<anyhow::Error>> From<E> for Failure {
@@ -114,6 +122,16 @@ mod tests {
         let inner = anyhow::anyhow!("permission denied");
         let failure = Failure::from(inner.context("a.mp4: permission denied; check it"));
         assert_eq!(failure.to_string(), "a.mp4: permission denied; check it");
+    }
+
+    #[test]
+    fn a_full_disk_has_a_cure() {
+        let full = anyhow::Error::from(io::Error::from(io::ErrorKind::StorageFull));
+        let failure = Failure::Input(full.context("cannot write out/a.png"));
+        assert!(
+            failure.to_string().ends_with("make room there, and the same command goes on where it was"),
+            "{failure}"
+        );
     }
 
     #[test]
