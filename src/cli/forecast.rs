@@ -78,9 +78,10 @@ fn left_of_stage_s(expected_s: f64, position: &Position) -> f64 {
 /// A time that is left, in words, as coarse as it is known.
 pub(super) fn in_words(left_s: f64) -> String {
     const MINUTE_S: f64 = 60.0;
-    let minutes = (left_s / MINUTE_S).ceil() as u64;
+    let (seconds, minutes) = (left_s.ceil() as u64, (left_s / MINUTE_S).ceil() as u64);
     match minutes {
-        0 | 1 => "less than a minute left".to_owned(),
+        _ if seconds <= 5 => "a few seconds left".to_owned(),
+        0 | 1 => format!("about {} s left", seconds.next_multiple_of(10)),
         2..=89 => format!("about {minutes} min left"),
         _ => format!("about {} h {:02} min left", minutes / 60, minutes % 60),
     }
@@ -136,7 +137,7 @@ mod tests {
 
     #[test]
     fn times_are_as_coarse_as_they_are_known() {
-        assert_eq!(in_words(12.0), "less than a minute left");
+        assert_eq!((in_words(2.0), in_words(12.0)), ("a few seconds left".to_owned(), "about 20 s left".to_owned()));
         assert_eq!(in_words(330.0), "about 6 min left");
         assert_eq!(in_words(3.0 * 3600.0 - 1.0), "about 3 h 00 min left");
     }

@@ -169,7 +169,7 @@ fn start_ticker(period: Duration, voice: Voice, course: Arc<Mutex<Course>>) -> S
     thread::spawn(move || {
         while stop.recv_timeout(period) == Err(RecvTimeoutError::Timeout) {
             let moment = lock(&course).moment(Event::GoesOn);
-            voice.tell(moment);
+            voice.tell(moment.filter(|moment| moment.stage_s >= period.as_secs_f64() / 2.0));
         }
     });
     sender
@@ -258,7 +258,7 @@ impl Voice {
     fn show(&self, moment: Option<&Moment>, course: &Arc<Mutex<Course>>) {
         let Some(moment) = moment.filter(|_| self.shown == Shown::Bar) else { return };
         let template = match moment.total {
-            Some(_) => "{prefix} {bar:30} {pos}/{len} {left}",
+            Some(_) => "{prefix} {bar:30} {pos}/{len}, {left}",
             None => "{prefix} {spinner} {left}",
         };
         let course = course.clone();
