@@ -18,6 +18,7 @@ mod job;
 mod models;
 mod output;
 mod run;
+mod summary;
 mod terminal;
 
 use std::ffi::OsString;

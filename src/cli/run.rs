@@ -1,17 +1,17 @@
 //! `run` and the commands that do a part of it.
 
 use std::ffi::OsString;
-use std::fmt::Write;
 
 use serde_json::json;
 
 use super::job::{JobArgs, resolve, use_threads};
 use super::models;
 use super::output::{Failure, Form, show};
+use super::summary;
 use super::terminal::Talk;
 use crate::io::RunFolder;
 use crate::pipeline::{self, Job, Overwrite, Stage, Summary};
-use crate::scene::{ObjectTrajectory, Trajectories};
+use crate::scene::Trajectories;
 
 pub(super) fn run(job: &JobArgs, goal: Stage, arguments: &[OsString], form: Form, talk: &Talk) -> Result<(), Failure> {
     let (input, options) = resolve(job, goal)?;
@@ -50,15 +50,11 @@ fn as_json(summary: &Summary, goal: Stage, trajectories: Option<&Trajectories>) 
             (record.stage.name().to_owned(), value)
         })
         .collect();
-    let objects = trajectories.map(|found| {
-        let object =
-            |o: &ObjectTrajectory| json!({ "id": o.id, "class": o.class, "frames": o.poses.len(), "scale": o.scale });
-        found.objects.iter().map(object).collect::<Vec<_>>()
-    });
     json!({
         "output": summary.output,
         "report": (goal == Stage::Report).then(|| RunFolder::at(&summary.output).report()),
-        "objects": objects,
+        "objects": trajectories.map(|found| summary::placed_as_json(summary, found)),
+        "missing": trajectories.map(|found| summary::missing_as_json(summary, found)),
         "stages": stages,
         "warnings": summary.warnings,
         "failure": summary.failure(),
@@ -67,22 +63,11 @@ fn as_json(summary: &Summary, goal: Stage, trajectories: Option<&Trajectories>) 
 
 fn as_text(summary: &Summary, goal: Stage, trajectories: Option<&Trajectories>) -> String {
     let mut text = if goal == Stage::Objects { models::as_text(summary) } else { String::new() };
-    // Writing to a string cannot fail.
-    if let Some(found) = trajectories {
-        let _ = writeln!(text, "{} vehicles with a trajectory", found.objects.len());
-        for object in &found.objects {
-            let scale = &object.scale;
-            let verdict = if scale.degenerate { ", not to be trusted" } else { "" };
-            let (id, class, poses, ratio) = (object.id, &object.class, object.poses.len(), scale.ratio);
-            let _ = writeln!(
-                text,
-                "  {id}: {class}, {poses} frames, scale ratio {ratio:.5} ({}{verdict})",
-                scale.method.name()
-            );
-        }
+    // What has no background has no vehicles either, and the failure says why.
+    if let Some(found) = trajectories.filter(|_| summary.failure().is_none()) {
+        text += &summary::as_text(summary, found);
     }
     let folder = RunFolder::at(&summary.output);
     let result = if goal == Stage::Report { folder.report() } else { summary.output.clone() };
-    let _ = writeln!(text, "{}", result.display());
-    text
+    text + &format!("{}\n", result.display())
 }

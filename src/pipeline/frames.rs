@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 use super::PipelineError;
 use super::order;
 use super::run::{Outcome, Run};
+use crate::scene::TimeBase;
 use crate::video::Kind;
 
 pub(super) fn depends_on(run: &Run, input: &str) -> Value {
@@ -20,7 +21,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     for warning in scan.warnings {
         outcome.warn(warning);
     }
-    if order.in_time && !run.info().time_is_known() {
+    if order.in_time && run.info().time_base() == TimeBase::Frames {
         outcome.warn("no rate is known: times are frame numbers; give --fps RATE (frames per second) to have seconds");
     }
     if run.info().kind == Kind::Video && run.options.video.fps.is_some() {

@@ -51,7 +51,7 @@ pub use stage::Stage;
 pub use workspace::{Marker, Overwrite, Workspace};
 
 use crate::io::InputIdentity;
-use crate::scene::ObjectId;
+use crate::scene::{ObjectId, TimeBase};
 use crate::video::Source;
 use run::{Outcome, Run};
 
@@ -64,12 +64,25 @@ pub struct Summary {
     pub stages: Vec<StageRecord>,
     /// The frames that were chosen.
     pub num_frames: usize,
+    /// What their times count.
+    pub time_base: TimeBase,
     /// How the background came about; `None` before the goal [`Stage::Background`].
     pub background: Option<ModelReport>,
-    /// How the vehicles came about; empty before the goal [`Stage::Objects`].
-    pub objects: BTreeMap<ObjectId, ModelReport>,
+    /// What became of the vehicles; empty before the goal [`Stage::Objects`].
+    pub vehicles: BTreeMap<ObjectId, Vehicle>,
     /// What is wrong although there is a result.
     pub warnings: Vec<String>,
+}
+
+/// A vehicle that was to be reconstructed.
+#[derive(Clone, Debug, Default)]
+pub struct Vehicle {
+    /// What it is, by the model that found it.
+    pub class: String,
+    /// How its model came about.
+    pub model: ModelReport,
+    /// Why it has no trajectory although it has a model, where that is so.
+    pub not_placed: Option<String>,
 }
 
 impl Summary {
@@ -129,9 +142,24 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
 
 fn summary(job: &Job, run: Run) -> Result<Summary, PipelineError> {
     let background = (job.goal >= Stage::Background).then(|| models::background_report(&run)).transpose()?;
-    let objects = if job.goal >= Stage::Objects { objects::reports(&run)? } else { BTreeMap::new() };
+    let vehicles = vehicles(&run, job.goal)?;
     let (output, warnings, num_frames) = (job.output.to_owned(), run.warnings(), run.frames()?.len());
-    Ok(Summary { output, stages: run.records, num_frames, background, objects, warnings })
+    let time_base = run.info().time_base();
+    Ok(Summary { output, stages: run.records, num_frames, time_base, background, vehicles, warnings })
+}
+
+fn vehicles(run: &Run, goal: Stage) -> Result<BTreeMap<ObjectId, Vehicle>, PipelineError> {
+    if goal < Stage::Objects {
+        return Ok(BTreeMap::new());
+    }
+    let mut classes: BTreeMap<ObjectId, String> =
+        track::objects(run)?.into_iter().map(|object| (object.id, object.class)).collect();
+    let mut failures = if goal >= Stage::Scale { scale::failures(run)? } else { BTreeMap::new() };
+    let vehicle = |(id, model): (ObjectId, ModelReport)| {
+        let class = classes.remove(&id).unwrap_or_default();
+        (id, Vehicle { class, model, not_placed: failures.remove(&id.to_string()) })
+    };
+    Ok(objects::reports(run)?.into_iter().map(vehicle).collect())
 }
 
 impl Job<'_> {
@@ -149,7 +177,7 @@ fn stages(run: &mut Run, goal: Stage, input: &str) -> Result<(), PipelineError> 
     for stage in Stage::ALL.into_iter().filter(|stage| *stage <= goal) {
         one_stage(run, stage, input)?;
         match stage {
-            Stage::Frames => preflight::check_files(run, goal, |stage| is_done(run, stage, input))?,
+            Stage::Frames => preflight::check_files(run, &open_stages(run, goal, input)?)?,
             // The other stages write down that there is nothing, which is not worth a word.
             Stage::Background if models::background_report(run)?.failure.is_some() => run.progress = &Silent,
             _ => {}
@@ -196,14 +224,21 @@ fn work(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, PipelineE
     }
 }
 
-/// Whether an earlier run has done a stage with the options and the input of this one; `frames` must be done.
-fn is_done(run: &Run, stage: Stage, input: &str) -> Result<bool, PipelineError> {
-    let Some(marker) = run.workspace.marker(stage) else { return Ok(false) };
+/// The stages up to the goal that no earlier run has done with the options and the input of this one; `frames` must be done.
+fn open_stages(run: &Run, goal: Stage, input: &str) -> Result<Vec<Stage>, PipelineError> {
+    let stages: Vec<Stage> = Stage::ALL.into_iter().filter(|stage| *stage <= goal).collect();
+    if stages.iter().skip(1).all(|&stage| run.workspace.marker(stage).is_none()) {
+        return Ok(stages);
+    }
     let mut fingerprints: BTreeMap<Stage, String> = BTreeMap::new();
-    for stage in Stage::ALL.into_iter().filter(|other| *other <= stage) {
-        let upstream: Vec<&str> = stage.after().iter().map(|stage| fingerprints[stage].as_str()).collect();
+    let mut open = Vec::new();
+    for stage in stages {
+        let upstream: Vec<&str> = stage.after().iter().map(|before| fingerprints[before].as_str()).collect();
         let fingerprint = fingerprint::of_stage(stage, &depends_on(run, stage, input)?, &upstream);
+        if !run.is_done(stage, &fingerprint) {
+            open.push(stage);
+        }
         fingerprints.insert(stage, fingerprint);
     }
-    Ok(marker.fingerprint == fingerprints[&stage] && run.workspace.has_outputs(&marker))
+    Ok(open)
 }

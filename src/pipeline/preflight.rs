@@ -23,28 +23,19 @@ pub(super) fn check_camera(run: &mut Run) -> Result<(), PipelineError> {
     Ok(())
 }
 
-/// Looks at every file that the stages up to `goal` are given; `frames` must be done.
+/// Looks at every file that the stages are given which are still to be done; `frames` must be done.
 ///
 /// # Errors
 /// What the stage itself would say of the file.
-pub(super) fn check_files(
-    run: &Run,
-    goal: Stage,
-    is_done: impl Fn(Stage) -> Result<bool, PipelineError>,
-) -> Result<(), PipelineError> {
-    let checks: [(Stage, fn(&Run) -> Result<(), PipelineError>); 5] = [
-        (Stage::Segment, segmentation_model),
-        (Stage::Track, masks_and_flow_model),
-        (Stage::Background, background_model),
-        (Stage::Objects, object_models),
-        (Stage::Ground, ground_labels),
-    ];
-    for (stage, check) in checks.into_iter().filter(|(stage, _)| *stage <= goal) {
-        if !is_done(stage)? {
-            check(run)?;
-        }
-    }
-    Ok(())
+pub(super) fn check_files(run: &Run, open: &[Stage]) -> Result<(), PipelineError> {
+    open.iter().try_for_each(|stage| match stage {
+        Stage::Segment => segmentation_model(run),
+        Stage::Track => masks_and_flow_model(run),
+        Stage::Background => background_model(run),
+        Stage::Objects => object_models(run),
+        Stage::Ground => ground_labels(run),
+        Stage::Frames | Stage::Features | Stage::Scale | Stage::Report => Ok(()),
+    })
 }
 
 fn segmentation_model(run: &Run) -> Result<(), PipelineError> {

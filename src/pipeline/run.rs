@@ -131,6 +131,12 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
+    /// Whether an earlier run has left what a stage of this fingerprint makes.
+    pub(super) fn is_done(&self, stage: Stage, fingerprint: &str) -> bool {
+        let marker = self.workspace.marker(stage);
+        marker.is_some_and(|marker| marker.fingerprint == fingerprint && self.workspace.has_outputs(&marker))
+    }
+
     /// Says once, of the first stage whose options have changed, which results are replaced.
     fn say_what_is_done_anew(&self, first: Stage) {
         if first == Stage::Report || self.said_anew.replace(true) {
