@@ -1,15 +1,10 @@
 //! What may stand on the command line.
 
-use std::path::PathBuf;
-
 use clap::{Parser, Subcommand};
 
-use crate::pipeline::{FeatureKind, FrameOrder, Intrinsics, Stage};
-use crate::scene::ObjectId;
-use crate::video::Position;
-
-use super::common::CommonArgs;
-use super::doctor::DoctorArgs;
+use super::job::{self, JobArgs};
+use super::terminal::ProgressKind;
+use crate::pipeline::Stage;
 
 /// Three-dimensional trajectories of the vehicles in one video from a moving camera.
 #[derive(Debug, Parser)]
@@ -18,15 +13,18 @@ pub(super) struct Args {
     /// What to do
     #[command(subcommand)]
     pub(super) command: Command,
-    /// Say nothing but errors
+    /// Say nothing but errors: no progress, no warnings, no summary
     #[arg(long, global = true)]
     pub(super) quiet: bool,
     /// Say more about what is going on
     #[arg(short, long, global = true, conflicts_with = "quiet")]
     pub(super) verbose: bool,
-    /// Print the result as one JSON object
+    /// Print the result, or the error, as one JSON object
     #[arg(long, global = true)]
     pub(super) json: bool,
+    /// How stderr shows what is going on: auto, bar, plain (lines), json (an object a line), none
+    #[arg(long, global = true, value_name = "KIND", value_enum, default_value_t, hide_possible_values = true)]
+    pub(super) progress: ProgressKind,
 }
 
 #[derive(Debug, Subcommand)]
@@ -36,14 +34,18 @@ pub(super) enum Command {
     /// Can be stopped and started again at any moment: what is finished is not done twice.
     Run(Box<JobArgs>),
     /// Find the vehicles in every frame
+    #[command(mut_args(|flag| job::shown_up_to(Stage::Segment, flag)))]
     Segment(Box<JobArgs>),
     /// Follow the vehicles from frame to frame (after `segment`)
+    #[command(mut_args(|flag| job::shown_up_to(Stage::Track, flag)))]
     Track(Box<JobArgs>),
     /// Reconstruct the background, and every tracked vehicle
     ///
     /// Without --masks or --segmentation-model no vehicles are looked for, and all pixels are background.
+    #[command(mut_args(|flag| job::shown_up_to(Stage::Objects, flag)))]
     Sfm(Box<JobArgs>),
     /// Find the ground and its plane near every vehicle (after `sfm`)
+    #[command(mut_args(|flag| job::shown_up_to(Stage::Ground, flag)))]
     Ground(Box<JobArgs>),
     /// Find scale ratios and trajectories (after `ground`)
     Scale(Box<JobArgs>),
@@ -58,9 +60,9 @@ pub(super) enum Command {
     /// Write a reconstruction in another format
     Convert(super::convert::Args),
     /// Solve a problem of "Bundle Adjustment in the Large"
-    Bal(super::bal::BalArgs),
+    Bal(super::bal::Args),
     /// Say what is installed, what is missing, and how to get it
-    Doctor(DoctorArgs),
+    Doctor(super::doctor::Args),
 }
 
 impl Command {
@@ -77,121 +79,12 @@ impl Command {
     }
 }
 
-#[derive(Debug, clap::Args)]
-pub(super) struct JobArgs {
-    /// Video file, folder of images, or folder of a ground-truth sequence (one with a scene.json)
-    ///
-    /// Of a sequence, images, masks, ground labels and intrinsics are taken, unless given otherwise.
-    pub(super) input: PathBuf,
-    /// Folder for the results; made if missing, continued if an earlier run was stopped
-    #[arg(long, short, value_name = "DIR")]
-    pub(super) output: PathBuf,
-    /// Replace the results of another input that are in the output folder
-    #[arg(long)]
-    pub(super) overwrite: bool,
-
-    /// Given vehicle masks: one 8-bit PNG per frame with the frame's stem, 0 background, k = vehicle k
-    #[arg(long, value_name = "DIR", conflicts_with = "segmentation_model", help_heading = "Vehicles")]
-    pub(super) masks: Option<PathBuf>,
-    /// ONNX model for instance segmentation (YOLO-seg family)
-    #[arg(long, value_name = "FILE", help_heading = "Vehicles")]
-    pub(super) segmentation_model: Option<PathBuf>,
-    /// ONNX model for optical flow [default: OpenCV's DIS]
-    #[arg(long, value_name = "FILE", help_heading = "Vehicles")]
-    pub(super) flow_model: Option<PathBuf>,
-
-    /// Given ground masks: one 8-bit PNG per frame, non-zero = ground
-    #[arg(long, value_name = "DIR", conflicts_with = "ground_model", help_heading = "Ground")]
-    pub(super) ground_masks: Option<PathBuf>,
-    /// The value in --ground-masks that means ground, where others mean something else
-    #[arg(long, value_name = "VALUE", requires = "ground_masks", help_heading = "Ground")]
-    pub(super) ground_label: Option<u8>,
-    /// ONNX model for semantic segmentation [default: the dominant plane below the camera]
-    #[arg(long, value_name = "FILE", help_heading = "Ground")]
-    pub(super) ground_model: Option<PathBuf>,
-
-    /// fx,fy,cx,cy[,k1,k2] in pixels of the source, or a COLMAP cameras.txt [default: from EXIF, or found]
-    ///
-    /// The centre of the upper left pixel is (0.5, 0.5).
-    #[arg(long, value_name = "NUMBERS|FILE", help_heading = "Geometry")]
-    pub(super) intrinsics: Option<Intrinsics>,
-    /// How image points are found: `video` follows them from frame to frame, `sift` matches them between frames
-    ///
-    /// Without it: `video` for frames in order of time, `sift` for others.
-    #[arg(long, value_name = "KIND", value_parser = feature_kind, help_heading = "Geometry")]
-    pub(super) features: Option<FeatureKind>,
-    /// Whether frames follow one another in time: `time` or `none` (photographs: all pairs are matched)
-    ///
-    /// Without it: a video does, and so does a folder with --fps, --features video, or a scene.json. Of any other folder
-    /// a few pictures are compared with their successors: where less than 60 % of the corners can be followed, they are
-    /// taken for photographs.
-    #[arg(long, value_name = "ORDER", value_parser = frame_order, help_heading = "Frames")]
-    pub(super) order: Option<FrameOrder>,
-    /// COLMAP model of the background, taken as it is
-    #[arg(long, value_name = "DIR", help_heading = "Geometry")]
-    pub(super) background_model: Option<PathBuf>,
-    /// COLMAP model of vehicle ID, taken as it is; may be repeated
-    #[arg(long, value_name = "ID=DIR", value_parser = object_model, help_heading = "Geometry")]
-    pub(super) object_model: Vec<(ObjectId, PathBuf)>,
-    /// Reconstruct this vehicle alone; may be repeated [default: all]
-    #[arg(long, value_name = "ID", value_parser = object_id, help_heading = "Geometry")]
-    pub(super) only_object: Vec<ObjectId>,
-
-    /// First frame: seconds (12.5) or a frame index (120f)
-    #[arg(long, value_name = "TIME", help_heading = "Frames")]
-    pub(super) start: Option<Position>,
-    /// End, itself left out: seconds or a frame index
-    #[arg(long, value_name = "TIME", help_heading = "Frames")]
-    pub(super) end: Option<Position>,
-    /// Take every N-th frame
-    #[arg(long, value_name = "N", help_heading = "Frames")]
-    pub(super) every: Option<u32>,
-    /// Make frames smaller whose longer side is larger, pixels; results are at that resolution
-    #[arg(long, value_name = "PIXELS", help_heading = "Frames")]
-    pub(super) max_dimension: Option<u32>,
-    /// Frames per second of a folder of images
-    #[arg(long, value_name = "RATE", help_heading = "Frames")]
-    pub(super) fps: Option<f64>,
-
-    #[command(flatten)]
-    pub(super) common: CommonArgs,
-}
-
-fn object_id(text: &str) -> Result<ObjectId, String> {
-    let id = text.parse().ok().filter(|id| *id > 0);
-    id.map(ObjectId).ok_or_else(|| format!("'{text}' is not an id from 1"))
-}
-
-fn object_model(text: &str) -> Result<(ObjectId, PathBuf), String> {
-    let parsed = text.split_once('=').and_then(|(id, folder)| Some((id.parse().ok()?, folder)));
-    match parsed {
-        Some((id, folder)) if id > 0 && !folder.is_empty() => Ok((ObjectId(id), folder.into())),
-        _ => Err(format!("'{text}' is not ID=DIR with an id from 1")),
-    }
-}
-
-fn feature_kind(text: &str) -> Result<FeatureKind, String> {
-    match text {
-        "video" => Ok(FeatureKind::Video),
-        "sift" => Ok(FeatureKind::Sift),
-        _ => Err(format!("'{text}' is neither video nor sift")),
-    }
-}
-
-fn frame_order(text: &str) -> Result<FrameOrder, String> {
-    match text {
-        "time" => Ok(FrameOrder::Time),
-        "none" => Ok(FrameOrder::None),
-        _ => Err(format!("'{text}' is neither time nor none")),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory;
 
     use super::*;
-    use crate::scene::ScaleMethod;
+    use crate::scene::{ObjectId, ScaleMethod};
 
     #[test]
     fn the_definition_is_consistent() {
@@ -215,6 +108,20 @@ mod tests {
         assert_eq!(benchmark.common.scale_method, Some(ScaleMethod::Intersection));
         let models = "tractrix sfm in --output out --segmentation-model s.onnx --ground-model g.onnx";
         assert!(Args::try_parse_from(models.split_whitespace()).is_ok());
+    }
+
+    #[test]
+    fn the_help_of_a_part_lists_what_that_part_uses() {
+        let mut command = Args::command();
+        let mut help = |name: &str| command.find_subcommand_mut(name).unwrap().render_long_help().to_string();
+        let flags = ["--segmentation-model", "--flow-model", "--intrinsics", "--ground-model", "--scale-method"];
+        for (name, num_shown) in [("segment", 1), ("track", 2), ("sfm", 3), ("ground", 4), ("scale", 5), ("run", 5)] {
+            let help = help(name);
+            let shown: Vec<bool> = flags.iter().map(|flag| help.contains(flag)).collect();
+            assert_eq!(shown, flags.map(|flag| flags[..num_shown].contains(&flag)), "{name}");
+        }
+        // The same flags serve every part.
+        assert!(Args::try_parse_from("tractrix segment in -o out --scale-method joint".split_whitespace()).is_ok());
     }
 
     #[test]

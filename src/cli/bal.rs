@@ -4,38 +4,35 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Context;
-use clap::Args;
-use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
+use super::output::{Failure, Form, show};
 use crate::bundle::{Behind, CameraBlock, Gauge, LinearSolver, Options, Problem, Summary, adjust};
 use crate::io::bal;
+use crate::pipeline::process_cpu_s;
 
 /// Adjusts a BAL problem (all cameras with their own f, k1, k2) and prints what came out.
-#[derive(Args, Clone, Debug)]
-pub struct BalArgs {
+#[derive(clap::Args, Clone, Debug)]
+pub(super) struct Args {
     /// A problem of "Bundle Adjustment in the Large", as text.
-    pub problem: PathBuf,
-    /// Print one JSON object.
-    #[arg(long)]
-    pub json: bool,
+    pub(super) problem: PathBuf,
     /// Threads; 0 takes all.
     #[arg(long, default_value_t = 1)]
-    pub threads: usize,
+    pub(super) threads: usize,
     /// Most iterations.
     #[arg(long, default_value_t = 50)]
-    pub max_iterations: usize,
+    pub(super) max_iterations: usize,
     /// Stop when a step changes the cost by less than this part of it.
     #[arg(long, default_value_t = 1e-6)]
-    pub function_tolerance: f64,
+    pub(super) function_tolerance: f64,
     /// Solver of the reduced camera system.
     #[arg(long, value_enum, default_value_t = SolverArg::Auto)]
-    pub solver: SolverArg,
+    pub(super) solver: SolverArg,
 }
 
 /// [`LinearSolver`] by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum SolverArg {
+pub(super) enum SolverArg {
     /// Dense or sparse, by size and fill.
     Auto,
     /// Dense Cholesky.
@@ -62,7 +59,7 @@ struct Output {
 ///
 /// # Errors
 /// What is wrong with the file, with its line; or with an option.
-pub fn run(args: &BalArgs) -> anyhow::Result<()> {
+pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     let model = bal::read(&args.problem)?;
     let mut problem = Problem::from_reconstruction(&model, |_, camera| CameraBlock::free_focal_and_radial(*camera));
     let options = Options {
@@ -80,40 +77,42 @@ pub fn run(args: &BalArgs) -> anyhow::Result<()> {
         behind: Behind::Project,
         ..Options::default()
     };
-    let (wall, cpu) = (Instant::now(), cpu_seconds());
+    let (wall, cpu) = (Instant::now(), process_cpu_s());
     let summary =
         adjust(&mut problem, &options).with_context(|| format!("cannot adjust {}", args.problem.display()))?;
     let output = Output {
         initial_cost: summary.initial_cost,
         final_cost: summary.final_cost,
         iterations: summary.iterations,
-        solve_cpu_s: cpu_seconds() - cpu,
+        solve_cpu_s: process_cpu_s() - cpu,
         solve_wall_s: wall.elapsed().as_secs_f64(),
         num_images: problem.poses.len(),
         num_points: problem.points.len(),
         summary,
     };
-    if args.json {
-        println!("{}", serde_json::to_string(&output)?);
-    } else {
-        print_text(&output);
-    }
-    Ok(())
+    show(form, &output, || as_text(&output))
 }
 
-fn print_text(output: &Output) {
+fn as_text(output: &Output) -> String {
     let s = &output.summary;
-    println!("{} images, {} points, {} observations", output.num_images, output.num_points, s.num_residuals);
-    println!("cost {:.3} → {:.3} in {} iterations ({:?})", s.initial_cost, s.final_cost, s.iterations, s.termination);
-    println!("CPU {:.3} s, wall {:.3} s", output.solve_cpu_s, output.solve_wall_s);
-    println!(
-        "set-up {:.3}, linearisation {:.3}, reduced system {:.3}, its solution {:.3}, steps {:.3} s",
-        s.setup_s, s.linearize_s, s.schur_s, s.solve_s, s.step_s
-    );
-}
-
-/// CPU time of this process so far, seconds.
-fn cpu_seconds() -> f64 {
-    let time = clock_gettime(ClockId::ProcessCPUTime);
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+    format!(
+        "{} images, {} points, {} observations\n\
+         cost {:.3} → {:.3} in {} iterations ({:?})\n\
+         CPU {:.3} s, wall {:.3} s\n\
+         set-up {:.3}, linearisation {:.3}, reduced system {:.3}, its solution {:.3}, steps {:.3} s\n",
+        output.num_images,
+        output.num_points,
+        s.num_residuals,
+        s.initial_cost,
+        s.final_cost,
+        s.iterations,
+        s.termination,
+        output.solve_cpu_s,
+        output.solve_wall_s,
+        s.setup_s,
+        s.linearize_s,
+        s.schur_s,
+        s.solve_s,
+        s.step_s
+    )
 }

@@ -2,30 +2,31 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context;
+use serde::Serialize;
 
+use super::output::{Failure, Form, show};
 use crate::io::model::{self, Format};
 
 /// Converts a reconstruction between COLMAP text, COLMAP binary, OpenMVG (reading) and PLY points (writing).
 #[derive(Clone, Debug, clap::Args)]
-pub struct Args {
+pub(super) struct Args {
     /// COLMAP folder, output folder of `tractrix run` (its background), or OpenMVG's sfm_data.json
     #[arg(value_name = "IN")]
-    pub input: PathBuf,
+    pub(super) input: PathBuf,
     /// Folder to write a COLMAP model into, or a file ending in .ply for the points alone
     #[arg(value_name = "OUT")]
-    pub output: PathBuf,
+    pub(super) output: PathBuf,
     /// Format to write; by default .ply by its name, binary from COLMAP text, text from all else
     #[arg(long, value_enum)]
-    pub to: Option<To>,
+    pub(super) to: Option<To>,
     /// Replace files that are there
     #[arg(long)]
-    pub overwrite: bool,
+    pub(super) overwrite: bool,
 }
 
 /// A format that can be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum To {
+pub(super) enum To {
     /// cameras.txt, images.txt, points3D.txt
     ColmapText,
     /// cameras.bin, images.bin, points3D.bin
@@ -34,10 +35,35 @@ pub enum To {
     Ply,
 }
 
+/// What was converted.
+#[derive(Debug, Serialize)]
+struct Conversion {
+    input: PathBuf,
+    from: String,
+    output: PathBuf,
+    to: String,
+    num_images: usize,
+    num_points: usize,
+}
+
+impl Conversion {
+    fn as_text(&self) -> String {
+        let what = match self.num_images {
+            0 => format!("{} points", self.num_points),
+            images => format!("{images} images, {} points", self.num_points),
+        };
+        format!("{} to {}: {what}\n{}\n", self.from, self.to, self.output.display())
+    }
+}
+
 /// Converts and says what was written.
-pub fn run(args: &Args) -> anyhow::Result<()> {
-    let reconstruction = model::read(&args.input)?;
-    let from = model::detect(&args.input).context("what was just read has no format any more")?;
+pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
+    let conversion = convert(args)?;
+    show(form, &conversion, || conversion.as_text())
+}
+
+fn convert(args: &Args) -> anyhow::Result<Conversion> {
+    let (reconstruction, from) = model::read(&args.input)?;
     let format = match args.to {
         Some(To::ColmapText) => Format::ColmapText,
         Some(To::ColmapBinary) => Format::ColmapBinary,
@@ -46,9 +72,15 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     model::check_target(&args.input, &args.output, format, args.overwrite)?;
     model::write(&args.output, &reconstruction, format)?;
-    let (images, points) = (reconstruction.images.len(), reconstruction.points.len());
-    tracing::info!("{from} to {format}: {images} images, {points} points in {}", args.output.display());
-    Ok(())
+    Ok(Conversion {
+        input: args.input.clone(),
+        from: from.to_string(),
+        output: args.output.clone(),
+        to: format.to_string(),
+        // Points alone go to PLY.
+        num_images: if format == Format::Ply { 0 } else { reconstruction.images.len() },
+        num_points: reconstruction.points.len(),
+    })
 }
 
 #[cfg(test)]
@@ -58,8 +90,8 @@ mod tests {
     use super::*;
     use crate::io::colmap;
 
-    fn convert(input: &Path, output: &Path, to: Option<To>) -> anyhow::Result<()> {
-        run(&Args { input: input.into(), output: output.into(), to, overwrite: false })
+    fn convert(input: &Path, output: &Path, to: Option<To>) -> anyhow::Result<Conversion> {
+        super::convert(&Args { input: input.into(), output: output.into(), to, overwrite: false })
     }
 
     #[test]
@@ -71,7 +103,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let original = data.join("interchange/right_curve/colmap_object_bin");
         let [text, binary, points] = ["text", "binary", "points.ply"].map(|name| folder.path().join(name));
-        convert(&original, &text, None).unwrap();
+        assert_eq!(convert(&original, &text, None).unwrap().num_points, 2128);
         convert(&text, &binary, None).unwrap();
         assert!(binary.join("cameras.bin").is_file() && text.join("cameras.txt").is_file());
         assert_eq!(colmap::read(&binary).unwrap(), colmap::read(&original).unwrap());
@@ -80,7 +112,7 @@ mod tests {
         let openmvg = data.join("interchange/right_curve/openmvg_background_sfm_data.json");
         convert(&openmvg, &folder.path().join("out/background"), None).unwrap();
         // An output folder counts as its background.
-        assert_eq!(model::read(&folder.path().join("out")).unwrap().images.len(), 60);
+        assert_eq!(model::read(&folder.path().join("out")).unwrap().0.images.len(), 60);
     }
 
     #[test]

@@ -2,20 +2,21 @@
 
 use std::fmt::Write;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use opencv::videoio;
 use serde::Serialize;
+use serde_json::json;
 
-use super::output::{Failure, print, print_json};
+use super::output::{Failure, Form, show};
 use crate::ffi::onnx;
 use crate::perception::{
-    FlowOptions, GroundOptions, SegmentationOptions, load_flow, load_ground_segmenter, load_segmenter,
+    FlowOptions, GroundOptions, PerceptionError, SegmentationOptions, load_flow, load_ground_segmenter, load_segmenter,
 };
 
 /// Models to look at.
 #[derive(Debug, clap::Args)]
-pub(super) struct DoctorArgs {
+pub(super) struct Args {
     /// Try this instance segmentation model
     #[arg(long, value_name = "FILE")]
     segmentation_model: Option<PathBuf>,
@@ -27,11 +28,26 @@ pub(super) struct DoctorArgs {
     flow_model: Option<PathBuf>,
 }
 
+/// How it is with a thing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum State {
+    /// In order.
+    Ok,
+    /// Nobody named one: what to do about it.
+    NotGiven,
+    /// Not there.
+    Missing,
+    /// There, and no use.
+    Wrong,
+}
+
 /// One thing that was looked at.
 #[derive(Debug, Serialize)]
 struct Finding {
     name: &'static str,
     ok: bool,
+    state: State,
     found: String,
     /// What does not work without it, and how to get it.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -40,15 +56,19 @@ struct Finding {
 
 impl Finding {
     fn good(name: &'static str, found: impl Into<String>) -> Self {
-        Self { name, ok: true, found: found.into(), cure: None }
+        Self { name, ok: true, state: State::Ok, found: found.into(), cure: None }
     }
 
-    fn bad(name: &'static str, found: impl Into<String>, cure: impl Into<String>) -> Self {
-        Self { name, ok: false, found: found.into(), cure: Some(cure.into()) }
+    fn bad(name: &'static str, state: State, found: impl Into<String>, cure: impl Into<String>) -> Self {
+        Self { name, ok: false, state, found: found.into(), cure: Some(cure.into()) }
+    }
+
+    fn not_given(name: &'static str, found: impl Into<String>, cure: impl Into<String>) -> Self {
+        Self { ok: true, ..Self::bad(name, State::NotGiven, found, cure) }
     }
 }
 
-pub(super) fn run(args: &DoctorArgs, json: bool) -> Result<(), Failure> {
+pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     let mut findings = vec![
         Finding::good("tractrix", format!("{} ({})", env!("CARGO_PKG_VERSION"), std::env::consts::ARCH)),
         processors(),
@@ -58,16 +78,17 @@ pub(super) fn run(args: &DoctorArgs, json: bool) -> Result<(), Failure> {
         onnx_runtime(),
     ];
     findings.extend(models(args));
-    match json {
-        true => print_json(&findings)?,
-        false => print(&as_text(&findings))?,
-    }
+    let failure = failure(&findings);
+    let error = failure.as_ref().map(Failure::as_json);
+    show(form, &json!({ "findings": findings, "error": error }), || as_text(&findings))?;
+    failure.map_or(Ok(()), Err)
+}
+
+/// Without ONNX Runtime everything but networks works, so that alone is no failure; a model that was named is.
+fn failure(findings: &[Finding]) -> Option<Failure> {
     let broken: Vec<&str> = findings.iter().filter(|finding| !finding.ok).map(|finding| finding.name).collect();
-    // Without ONNX Runtime everything but networks works, so that alone is no failure; a model that was named is.
-    match broken.iter().any(|name| *name != ONNX) {
-        true => Err(Failure::Input(anyhow::anyhow!("not in order: {}", broken.join(", ")))),
-        false => Ok(()),
-    }
+    let fails = broken.iter().any(|name| *name != ONNX);
+    fails.then(|| Failure::Partial(anyhow::anyhow!("not in order: {}", broken.join(", "))))
 }
 
 const ONNX: &str = "ONNX Runtime";
@@ -109,6 +130,7 @@ fn video_decoder() -> Finding {
         true => Finding::good("video decoding", format!("FFmpeg behind OpenCV{codec}")),
         false => Finding::bad(
             "video decoding",
+            State::Missing,
             "OpenCV was built without FFmpeg",
             "only folders of images can be read; install an OpenCV with FFmpeg (Debian and Ubuntu: libopencv-videoio-dev)",
         ),
@@ -116,45 +138,82 @@ fn video_decoder() -> Finding {
 }
 
 fn onnx_runtime() -> Finding {
-    match onnx::probe() {
-        Ok(runtime) => Finding::good(ONNX, format!("{} at {}", runtime.version, runtime.library.display())),
-        Err(error) => Finding::bad(
-            ONNX,
-            error.to_string(),
-            "needed for --segmentation-model, --ground-model and --flow-model only; scripts/fetch-onnxruntime gets it",
-        ),
-    }
+    let runtime = match onnx::probe() {
+        Ok(runtime) => runtime,
+        Err(error) => {
+            return Finding::bad(
+                ONNX,
+                State::Missing,
+                error.to_string(),
+                "needed for --segmentation-model, --ground-model and --flow-model only; scripts/fetch-onnxruntime gets it",
+            );
+        }
+    };
+    let version = runtime.version.unwrap_or_else(|| "version unknown".to_owned());
+    Finding::good(ONNX, format!("{version} at {}", runtime.library.display()))
 }
 
-fn models(args: &DoctorArgs) -> Vec<Finding> {
-    let mut findings = Vec::new();
-    let mut add = |name, path: &PathBuf, result: Result<(), String>| {
-        findings.push(match result {
-            Ok(()) => Finding::good(name, format!("{}: recognised", path.display())),
-            Err(reason) => Finding::bad(name, reason, "give a model of a supported family; see docs/perception.md"),
-        });
-    };
-    if let Some(path) = &args.segmentation_model {
-        let loaded = load_segmenter(path, &SegmentationOptions::default()).map(drop).map_err(|e| e.to_string());
-        add("segmentation model", path, loaded);
+/// The models that were named, and what to do without.
+fn models(args: &Args) -> [Finding; 3] {
+    [
+        match &args.segmentation_model {
+            Some(path) => model(SEGMENTATION, path, load_segmenter(path, &SegmentationOptions::default()).map(drop)),
+            None => Finding::not_given(
+                SEGMENTATION,
+                "none named: nothing is bundled that finds vehicles",
+                "give --segmentation-model FILE, an ONNX model of the YOLO-seg family (`pip install ultralytics`, then \
+                 `yolo export model=yolov8n-seg.pt format=onnx`; mind its licence), or run with --masks DIR: one 8-bit \
+                 PNG per frame with the frame's name, 0 background, k = vehicle k; see docs/perception.md",
+            ),
+        },
+        match &args.ground_model {
+            Some(path) => model(GROUND, path, load_ground_segmenter(path, &GroundOptions::default()).map(drop)),
+            None => Finding::not_given(
+                GROUND,
+                "none named: the dominant plane below the camera serves",
+                "give --ground-model FILE for roads that are not flat, or run with --ground-masks DIR: one 8-bit PNG per \
+                 frame, 0 = no ground",
+            ),
+        },
+        match &args.flow_model {
+            Some(path) => model(FLOW, path, load_flow(Some(path), &FlowOptions::default()).map(drop)),
+            None => Finding::good(FLOW, "none named: OpenCV's DIS serves"),
+        },
+    ]
+}
+
+const SEGMENTATION: &str = "segmentation model";
+const GROUND: &str = "ground model";
+const FLOW: &str = "flow model";
+
+/// A model that was named.
+fn model(name: &'static str, path: &Path, loaded: Result<(), PerceptionError>) -> Finding {
+    match loaded {
+        Ok(()) => Finding::good(name, format!("{}: recognised", path.display())),
+        Err(_) if !path.exists() => {
+            Finding::bad(name, State::Missing, format!("{}: not found", path.display()), "check the path")
+        }
+        Err(error) if onnx::probe().is_err() => {
+            Finding::bad(name, State::Missing, error.to_string(), "a model can only be tried with ONNX Runtime")
+        }
+        Err(error) => {
+            let cure = "give a model of a supported family; see docs/perception.md";
+            Finding::bad(name, State::Wrong, error.to_string(), cure)
+        }
     }
-    if let Some(path) = &args.ground_model {
-        let loaded = load_ground_segmenter(path, &GroundOptions::default()).map(drop).map_err(|e| e.to_string());
-        add("ground model", path, loaded);
-    }
-    if let Some(path) = &args.flow_model {
-        let loaded = load_flow(Some(path), &FlowOptions::default()).map(drop).map_err(|e| e.to_string());
-        add("flow model", path, loaded);
-    }
-    findings
 }
 
 fn as_text(findings: &[Finding]) -> String {
     let mut text = String::new();
     for finding in findings {
-        let mark = if finding.ok { "ok     " } else { "MISSING" };
+        let mark = match finding.state {
+            State::Ok => "ok",
+            State::NotGiven => "-",
+            State::Missing => "MISSING",
+            State::Wrong => "WRONG",
+        };
         // Writing to a string cannot fail.
-        let _ = writeln!(text, "{mark}  {:<18}  {}", finding.name, finding.found);
+        let _ = writeln!(text, "{mark:<7}  {:<18}  {}", finding.name, finding.found);
         if let Some(cure) = &finding.cure {
             let _ = writeln!(text, "         {:<18}  {cure}", "");
         }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::output::{Failure, print, print_json};
+use super::output::{Failure, Form, show};
 use crate::pipeline::{self, Kept};
 
 /// Compares the output of a run with a sequence whose truth is known.
@@ -14,18 +14,12 @@ pub struct Args {
     /// Folder of the sequence: scene.json, masks/, object_mesh.ply
     #[arg(long, value_name = "SEQUENCE")]
     pub truth: PathBuf,
-    /// Print the figures as JSON instead of a table
-    #[arg(long)]
-    pub json: bool,
 }
 
 /// Evaluates, prints the figures, writes `OUT/evaluation.json`, and makes the report anew with them.
-pub(super) fn run(args: &Args) -> Result<(), Failure> {
+pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     let evaluation = pipeline::evaluate(&args.output, &args.truth)?;
-    match args.json {
-        true => print_json(&evaluation)?,
-        false => print(&evaluation.to_string())?,
-    }
+    show(form, &evaluation, || evaluation.to_string())?;
     let output = args.output.display();
     match pipeline::keep_evaluation(&args.output, &args.truth, &evaluation)? {
         Kept::Everywhere => {}

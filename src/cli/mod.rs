@@ -1,28 +1,35 @@
 //! The command line: raw flags, then options, then the pipeline; what comes back goes to the terminal.
 //!
 //! Results go to stdout, everything else to stderr. An error is printed once, with all its causes and what to do about
-//! it. Exit codes: 0 done, 1 failed on the input, 2 wrong use.
+//! it; with `--json` it stands on stdout as well, as `{"error": {"kind": "input" or "usage", "message": ...}}`. Exit codes:
+//! 0 done, 1 failed on the input, 2 wrong use, 130 stopped by Ctrl-C.
 
 mod args;
-pub mod bal;
+mod bal;
 mod benchmark;
 mod common;
-pub mod compare;
-pub mod convert;
+mod compare;
+mod convert;
+mod course;
 mod doctor;
 pub mod evaluate;
+mod forecast;
+mod job;
 mod models;
 mod output;
 mod run;
+mod summary;
 mod terminal;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::Parser;
+use serde_json::json;
 
 use args::{Args, Command};
-use output::Failure;
+use output::{Failure, Form, print_json};
+use terminal::{Talk, Verbosity};
 
 /// Runs the program on the arguments of the process.
 pub fn main() -> ExitCode {
@@ -30,37 +37,63 @@ pub fn main() -> ExitCode {
     let arguments: Vec<OsString> = std::env::args_os().collect();
     let args = match Args::try_parse_from(&arguments) {
         Ok(args) => args,
-        // Help and version count as done, anything else as wrong use; clap says which.
-        Err(error) => {
-            let _ = error.print();
-            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
-        }
+        Err(error) => return not_parsed(&error, &arguments),
     };
-    let talk = terminal::Talk::start(args.quiet, args.verbose);
+    let talk = Talk::start(args.progress, verbosity(&args));
     match dispatch(&args, &arguments, &talk) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            talk.finish();
-            eprintln!("tractrix: error: {failure}");
+            talk.error(&failure.to_string());
+            if args.json && !matches!(failure, Failure::Partial(_)) {
+                // What cannot be printed cannot be reported either.
+                let _ = print_json(&json!({ "error": failure.as_json() }));
+            }
             ExitCode::from(failure.code())
         }
     }
 }
 
-fn dispatch(args: &Args, arguments: &[OsString], talk: &terminal::Talk) -> Result<(), Failure> {
-    let json = args.json;
+/// Help and version count as done, anything else as wrong use; clap says which.
+fn not_parsed(error: &clap::Error, arguments: &[OsString]) -> ExitCode {
+    let _ = error.print();
+    let wants_json = arguments.iter().take_while(|argument| *argument != "--").any(|argument| argument == "--json");
+    if wants_json && error.use_stderr() {
+        let failure = Failure::Usage(error.render().to_string().trim().to_owned());
+        let _ = print_json(&json!({ "error": failure.as_json() }));
+    }
+    ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
+}
+
+fn verbosity(args: &Args) -> Verbosity {
+    match (args.quiet, args.verbose) {
+        (true, _) => Verbosity::Quiet,
+        (_, true) => Verbosity::Verbose,
+        _ => Verbosity::Normal,
+    }
+}
+
+fn form(args: &Args) -> Form {
+    match (args.json, args.quiet) {
+        (true, _) => Form::Json,
+        (_, true) => Form::Nothing,
+        _ => Form::Text,
+    }
+}
+
+fn dispatch(args: &Args, arguments: &[OsString], talk: &Talk) -> Result<(), Failure> {
+    let form = form(args);
     match &args.command {
         Command::Run(job)
         | Command::Segment(job)
         | Command::Track(job)
         | Command::Sfm(job)
         | Command::Ground(job)
-        | Command::Scale(job) => run::run(job, args.command.goal(), arguments, json, talk),
-        Command::Evaluate(own) => evaluate::run(&evaluate::Args { json: json || own.json, ..own.clone() }),
-        Command::Benchmark(own) => benchmark::run(own, arguments, json, talk),
-        Command::Compare(own) => Ok(compare::run(&compare::Args { json: json || own.json, ..own.clone() })?),
-        Command::Convert(own) => Ok(convert::run(own)?),
-        Command::Bal(own) => Ok(bal::run(&bal::BalArgs { json: json || own.json, ..own.clone() })?),
-        Command::Doctor(doctor) => doctor::run(doctor, json),
+        | Command::Scale(job) => run::run(job, args.command.goal(), arguments, form, talk),
+        Command::Evaluate(own) => evaluate::run(own, form),
+        Command::Benchmark(own) => benchmark::run(own, arguments, form, talk),
+        Command::Compare(own) => compare::run(own, form),
+        Command::Convert(own) => convert::run(own, form),
+        Command::Bal(own) => bal::run(own, form),
+        Command::Doctor(own) => doctor::run(own, form),
     }
 }

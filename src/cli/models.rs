@@ -15,8 +15,8 @@ pub(super) fn as_text(summary: &Summary) -> String {
         let focal = if fx == fy { format!("{fx:.2}") } else { format!("{fx:.2} {fy:.2}") };
         let _ = writeln!(text, "camera: focal length {focal}, centre {cx:.2} {cy:.2}, distortion {k1:.4} {k2:.4}");
     }
-    for (id, found) in &summary.objects {
-        let _ = writeln!(text, "vehicle {id}: {}", model(found, found.num_visible));
+    for (id, vehicle) in &summary.vehicles {
+        let _ = writeln!(text, "vehicle {id}: {}", model(&vehicle.model, vehicle.model.num_visible));
     }
     text
 }
@@ -30,7 +30,8 @@ fn model(report: &ModelReport, num_frames: usize) -> String {
 mod tests {
     use super::*;
     use crate::camera::Camera;
-    use crate::scene::ObjectId;
+    use crate::pipeline::Vehicle;
+    use crate::scene::{ObjectId, TimeBase};
 
     #[test]
     fn the_summary_names_frames_points_camera_and_vehicles() {
@@ -47,8 +48,9 @@ mod tests {
             output: "out".into(),
             stages: Vec::new(),
             num_frames: 12,
+            time_base: TimeBase::Seconds,
             background: Some(background),
-            objects: [(ObjectId(3), vehicle)].into(),
+            vehicles: [(ObjectId(3), Vehicle { model: vehicle, ..Vehicle::default() })].into(),
             warnings: Vec::new(),
         };
         assert_eq!(

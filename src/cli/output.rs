@@ -1,7 +1,9 @@
-//! What leaves the program: text on stdout, failures with their exit code.
+//! What leaves the program: results on stdout, in the form that was asked for, and failures with their exit code.
 
 use std::fmt;
 use std::io::{self, Write};
+
+use serde_json::{Value, json};
 
 use crate::io::FolderError;
 use crate::pipeline::PipelineError;
@@ -13,14 +15,25 @@ pub(super) enum Failure {
     Input(anyhow::Error),
     /// The command line asks for what cannot be: exit code 2.
     Usage(String),
+    /// There is a result, which was printed, and it is not what was asked for: exit code 1. As JSON it holds the error.
+    Partial(anyhow::Error),
 }
 
 impl Failure {
     pub(super) fn code(&self) -> u8 {
         match self {
-            Self::Input(_) => 1,
+            Self::Input(_) | Self::Partial(_) => 1,
             Self::Usage(_) => 2,
         }
+    }
+
+    /// What stands under "error" in the JSON that is printed.
+    pub(super) fn as_json(&self) -> Value {
+        let kind = match self {
+            Self::Input(_) | Self::Partial(_) => "input",
+            Self::Usage(_) => "usage",
+        };
+        json!({ "kind": kind, "message": self.to_string() })
     }
 }
 
@@ -28,7 +41,7 @@ impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Usage(text) => text.fmt(f),
-            Self::Input(error) => {
+            Self::Input(error) | Self::Partial(error) => {
                 let mut said = error.to_string();
                 said.fmt(f)?;
                 for cause in error.chain().skip(1).map(ToString::to_string) {
@@ -38,10 +51,18 @@ impl fmt::Display for Failure {
                         said.push_str(&cause);
                     }
                 }
-                Ok(())
+                match error.chain().any(is_full_disk) {
+                    true => f.write_str("; make room there, and the same command goes on where it was"),
+                    false => Ok(()),
+                }
             }
         }
     }
+}
+
+fn is_full_disk(cause: &(dyn std::error::Error + 'static)) -> bool {
+    let is_full = |kind| matches!(kind, io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded);
+    cause.downcast_ref().is_some_and(|cause: &io::Error| is_full(cause.kind()))
 }
 
 impl<E: Into<anyhow::Error>> From<E> for Failure {
@@ -55,9 +76,30 @@ impl<E: Into<anyhow::Error>> From<E> for Failure {
     }
 }
 
-/// Prints a result to stdout. A reader that has gone away (`| head`) is no failure.
+/// The form in which a result is printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Form {
+    /// For people.
+    Text,
+    /// One JSON object, for programs.
+    Json,
+    /// Not at all: it lies in files.
+    Nothing,
+}
+
+/// Prints a result to stdout.
+pub(super) fn show(form: Form, value: &impl serde::Serialize, text: impl FnOnce() -> String) -> Result<(), Failure> {
+    match form {
+        Form::Text => print(&text()),
+        Form::Json => print_json(value),
+        Form::Nothing => Ok(()),
+    }
+}
+
+/// Prints to stdout. A reader that has gone away (`| head`) is no failure.
 pub(super) fn print(text: &str) -> Result<(), Failure> {
-    match io::stdout().lock().write_all(text.as_bytes()) {
+    let mut stdout = io::stdout().lock();
+    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error.into()),
         _ => Ok(()),
     }
@@ -80,5 +122,22 @@ mod tests {
         let inner = anyhow::anyhow!("permission denied");
         let failure = Failure::from(inner.context("a.mp4: permission denied; check it"));
         assert_eq!(failure.to_string(), "a.mp4: permission denied; check it");
+    }
+
+    #[test]
+    fn a_full_disk_has_a_cure() {
+        let full = anyhow::Error::from(io::Error::from(io::ErrorKind::StorageFull));
+        let failure = Failure::Input(full.context("cannot write out/a.png"));
+        assert!(
+            failure.to_string().ends_with("make room there, and the same command goes on where it was"),
+            "{failure}"
+        );
+    }
+
+    #[test]
+    fn programs_are_told_whose_fault_it_is() {
+        let failure = Failure::Usage("--start must lie before --end".to_owned());
+        assert_eq!(failure.as_json(), json!({ "kind": "usage", "message": "--start must lie before --end" }));
+        assert_eq!(Failure::from(anyhow::anyhow!("a.mp4 is empty")).as_json()["kind"], "input");
     }
 }

@@ -1,83 +1,194 @@
 //! Talk on stderr: warnings, and how far a run is.
 
 use std::io::{self, IsTerminal, Write};
-use std::sync::Mutex;
-use std::time::{Duration, Instant};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
+use serde_json::json;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
 
-use crate::pipeline::Progress;
+use super::course::{Course, Event, Moment};
+use super::forecast::in_words;
+use crate::pipeline::{Plan, Progress};
 
 /// The environment variable that sets what is logged, in `tracing`'s filter language.
 const LOG_VARIABLE: &str = "TRACTRIX_LOG";
+/// How often a line says how far a stage is, where there is no bar.
+const PLAIN_PERIOD: Duration = Duration::from_secs(30);
+/// The same for programs that read it.
+const JSON_PERIOD: Duration = Duration::from_secs(1);
+/// How often the bar is drawn.
+const BAR_PERIOD: Duration = Duration::from_millis(200);
 
-/// Shows progress: a bar where stderr is a terminal, else a line per stage.
+/// How progress is to be shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, clap::ValueEnum)]
+pub(super) enum ProgressKind {
+    /// A bar where stderr is a terminal, else lines
+    #[default]
+    Auto,
+    /// A bar
+    Bar,
+    /// A line when a stage begins, when it ends, and every half minute between
+    Plain,
+    /// JSON objects, one a line
+    Json,
+    /// Not at all
+    None,
+}
+
+/// How much is said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Verbosity {
+    /// Errors alone.
+    Quiet,
+    /// Warnings, too.
+    Normal,
+    /// What is going on, too.
+    Verbose,
+}
+
+/// How progress is shown, once it is known what stderr is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Shown {
+    Bar,
+    Plain,
+    Json,
+    Nothing,
+}
+
+impl Shown {
+    fn new(kind: ProgressKind, verbosity: Verbosity) -> Self {
+        match kind {
+            _ if verbosity == Verbosity::Quiet => Self::Nothing,
+            ProgressKind::Auto if io::stderr().is_terminal() => Self::Bar,
+            ProgressKind::Auto | ProgressKind::Plain => Self::Plain,
+            ProgressKind::Bar => Self::Bar,
+            ProgressKind::Json => Self::Json,
+            ProgressKind::None => Self::Nothing,
+        }
+    }
+
+    /// How often a line is said while a stage is under way.
+    fn period(self) -> Option<Duration> {
+        match self {
+            Self::Plain => Some(PLAIN_PERIOD),
+            Self::Json => Some(JSON_PERIOD),
+            Self::Bar | Self::Nothing => None,
+        }
+    }
+}
+
+/// Says on stderr what is going on.
 pub(super) struct Talk {
-    quiet: bool,
-    bar: ProgressBar,
-    stage: Mutex<Option<(String, Instant)>>,
+    voice: Voice,
+    verbosity: Verbosity,
+    course: Arc<Mutex<Course>>,
+    /// Ends the thread that says how far a stage is when this is dropped.
+    _ticker: Option<Sender<()>>,
 }
 
 impl Talk {
     /// Starts logging, too.
-    pub(super) fn start(quiet: bool, verbose: bool) -> Self {
+    pub(super) fn start(kind: ProgressKind, verbosity: Verbosity) -> Self {
+        let shown = Shown::new(kind, verbosity);
         let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());
-        if io::stderr().is_terminal() && !quiet {
+        if shown == Shown::Bar {
             bar.set_draw_target(ProgressDrawTarget::stderr());
         }
-        let level = match (quiet, verbose) {
-            (true, _) => "error",
-            (_, true) => "tractrix=debug,warn",
-            _ => "warn",
-        };
-        let filter = EnvFilter::try_from_env(LOG_VARIABLE).unwrap_or_else(|_| EnvFilter::new(level));
-        let writer = AboveBar { bar: bar.clone() };
-        let subscriber = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer).with_target(false);
-        // Only a second start in one process fails, and then the first one's settings hold.
-        let _ = subscriber.without_time().with_ansi(io::stderr().is_terminal()).try_init();
-        Self { quiet, bar, stage: Mutex::new(None) }
+        let voice = Voice { bar, shown };
+        start_logging(voice.clone(), verbosity);
+        let course = Arc::new(Mutex::new(Course::new()));
+        let ticker = shown.period().map(|period| start_ticker(period, voice.clone(), course.clone()));
+        Self { voice, verbosity, course, _ticker: ticker }
     }
 
-    /// Says a line, above the bar, unless nothing is to be said.
+    /// Says a line, above the bar, unless nothing but errors is to be said.
     pub(super) fn say(&self, line: &str) {
-        if !self.quiet {
-            self.bar.suspend(|| eprintln!("{line}"));
+        if self.verbosity != Verbosity::Quiet {
+            self.voice.say("message", line);
+        }
+    }
+
+    /// Says why the program ends.
+    pub(super) fn error(&self, text: &str) {
+        self.voice.bar.finish_and_clear();
+        match self.voice.shown {
+            Shown::Json => self.voice.say("error", text),
+            _ => self.voice.line(&format!("tractrix: error: {text}")),
         }
     }
 
     /// Takes the bar away.
     pub(super) fn finish(&self) {
-        self.bar.finish_and_clear();
+        self.voice.bar.finish_and_clear();
     }
 
-    fn stage(&self) -> std::sync::MutexGuard<'_, Option<(String, Instant)>> {
-        self.stage.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    /// Has a run that is stopped by hand (Ctrl-C) or by the system (SIGTERM) say how it goes on. Nothing is ever left
+    /// half-written, so it can end at once.
+    pub(super) fn say_how_to_go_on(&self) {
+        use signal_hook::consts::{SIGINT, SIGTERM};
+        // Where no handler can be had, the system's own ends the run, without a word.
+        let Ok(mut signals) = signal_hook::iterator::Signals::new([SIGINT, SIGTERM]) else { return };
+        let (voice, verbosity) = (self.voice.clone(), self.verbosity);
+        thread::spawn(move || {
+            let Some(signal) = signals.forever().next() else { return };
+            voice.bar.finish_and_clear();
+            if verbosity != Verbosity::Quiet {
+                voice.say("message", "stopped; the same command goes on where it was");
+            }
+            // The code that shells expect of a program that a signal ends.
+            signal_hook::low_level::exit(128 + signal);
+        });
+    }
+
+    fn course(&self) -> MutexGuard<'_, Course> {
+        lock(&self.course)
     }
 }
 
+fn start_logging(voice: Voice, verbosity: Verbosity) {
+    let level = match verbosity {
+        Verbosity::Quiet => "error",
+        Verbosity::Normal => "warn",
+        Verbosity::Verbose => "tractrix=debug,warn",
+    };
+    let filter = EnvFilter::try_from_env(LOG_VARIABLE).unwrap_or_else(|_| EnvFilter::new(level));
+    let with_colours = io::stderr().is_terminal() && voice.shown != Shown::Json;
+    let subscriber = tracing_subscriber::fmt().with_env_filter(filter).with_writer(voice).with_target(false);
+    // Only a second start in one process fails, and then the first one's settings hold.
+    let _ = subscriber.without_time().with_ansi(with_colours).try_init();
+}
+
+/// Says how far the stage under way is, again and again, until the sender is gone.
+fn start_ticker(period: Duration, voice: Voice, course: Arc<Mutex<Course>>) -> Sender<()> {
+    let (sender, stop): (Sender<()>, Receiver<()>) = channel();
+    thread::spawn(move || {
+        while stop.recv_timeout(period) == Err(RecvTimeoutError::Timeout) {
+            let moment = lock(&course).moment(Event::GoesOn);
+            voice.tell(moment.filter(|moment| moment.stage_s >= period.as_secs_f64() / 2.0));
+        }
+    });
+    sender
+}
+
+fn lock(course: &Mutex<Course>) -> MutexGuard<'_, Course> {
+    course.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Drawing the bar asks the course how much is left: it must not be locked while the bar is touched.
 impl Progress for Talk {
+    fn plan(&self, plan: &Plan) {
+        self.course().plan(plan);
+    }
+
     fn begin(&self, stage: &str, total: Option<u64>) {
-        let mut current = self.stage();
-        if current.as_ref().is_none_or(|(name, _)| name != stage) {
-            *current = Some((stage.to_owned(), Instant::now()));
-        }
-        let template = match total {
-            Some(_) => "{prefix:<10} {bar:30} {pos}/{len}, {eta} left",
-            None => "{prefix:<10} {spinner} {elapsed}",
-        };
-        if let Ok(style) = ProgressStyle::with_template(template) {
-            self.bar.set_style(style);
-        }
-        self.bar.reset();
-        self.bar.set_prefix(stage.to_owned());
-        self.bar.set_position(0);
-        match total {
-            Some(total) => self.bar.set_length(total),
-            None => self.bar.unset_length(),
-        }
-        self.bar.enable_steady_tick(Duration::from_millis(200));
+        let moment = self.course().begin(stage, total);
+        self.voice.show(moment.as_ref(), &self.course);
+        self.voice.tell(moment.filter(|moment| moment.event == Event::Begins));
     }
 
     fn note(&self, line: &str) {
@@ -85,36 +196,104 @@ impl Progress for Talk {
     }
 
     fn step(&self) {
-        self.bar.inc(1);
+        let done = self.course().step();
+        self.voice.bar.set_position(done);
     }
 
-    fn end(&self, reused: bool) {
-        self.bar.disable_steady_tick();
-        let Some((stage, started)) = self.stage().take() else { return };
-        if self.quiet || stage == "input" {
-            return;
-        }
-        let took = if reused { "done before".to_owned() } else { format!("{:.1} s", started.elapsed().as_secs_f64()) };
-        self.bar.suspend(|| eprintln!("{stage:<10} {took}"));
+    fn reach(&self, done: u64) {
+        let done = self.course().reach(done);
+        self.voice.bar.set_position(done);
+    }
+
+    fn end(&self) {
+        self.voice.bar.disable_steady_tick();
+        let moment = self.course().end();
+        self.voice.tell(moment);
+    }
+
+    fn skip(&self, stage: &str) {
+        let moment = self.course().skip(stage);
+        self.voice.tell(moment);
     }
 }
 
-/// Writes log lines above the bar.
+/// Writes to stderr, above the bar. A stderr that has gone away is no failure.
 #[derive(Clone)]
-struct AboveBar {
+struct Voice {
     bar: ProgressBar,
+    shown: Shown,
 }
 
-impl<'a> MakeWriter<'a> for AboveBar {
+impl Voice {
+    fn line(&self, line: &str) {
+        self.bar.suspend(|| {
+            let _ = writeln!(io::stderr().lock(), "{line}");
+        });
+    }
+
+    /// Says a text as a line, or as a JSON object under a key.
+    fn say(&self, key: &str, text: &str) {
+        match self.shown {
+            Shown::Json => self.line(&json!({ key: text }).to_string()),
+            _ => self.line(text),
+        }
+    }
+
+    /// Says how far a run is. The bar shows that by itself, but for the ends of stages.
+    fn tell(&self, moment: Option<Moment>) {
+        let Some(moment) = moment else { return };
+        let is_over = !matches!(moment.event, Event::Begins | Event::GoesOn);
+        match self.shown {
+            Shown::Nothing => {}
+            Shown::Json => self.line(&moment.json().to_string()),
+            // Reading the input is no stage, and over in a moment but for very long files.
+            _ if moment.index.is_none() && moment.event != Event::GoesOn => {}
+            Shown::Bar if is_over => self.line(&moment.line()),
+            Shown::Bar => {}
+            Shown::Plain => self.line(&moment.line()),
+        }
+    }
+
+    /// Has the bar show a stage from its beginning.
+    fn show(&self, moment: Option<&Moment>, course: &Arc<Mutex<Course>>) {
+        let Some(moment) = moment.filter(|_| self.shown == Shown::Bar) else { return };
+        let template = match moment.total {
+            Some(_) => "{prefix} {bar:30} {pos}/{len}, {left}",
+            None => "{prefix} {spinner} {left}",
+        };
+        let course = course.clone();
+        let left = move |_: &ProgressState, out: &mut dyn std::fmt::Write| {
+            let left_s = lock(&course).moment(Event::GoesOn).and_then(|moment| moment.left_s);
+            let _ = out.write_str(&left_s.map_or_else(String::new, in_words));
+        };
+        if let Ok(style) = ProgressStyle::with_template(template) {
+            self.bar.set_style(style.with_key("left", left));
+        }
+        self.bar.reset();
+        self.bar.set_prefix(format!("{:<10} {}", moment.name, moment.place()));
+        self.bar.set_position(0);
+        match moment.total {
+            Some(total) => self.bar.set_length(total),
+            None => self.bar.unset_length(),
+        }
+        self.bar.enable_steady_tick(BAR_PERIOD);
+    }
+}
+
+impl<'a> MakeWriter<'a> for Voice {
     type Writer = Self;
     fn make_writer(&'a self) -> Self {
         self.clone()
     }
 }
 
-impl Write for AboveBar {
+/// For log lines, which come whole.
+impl Write for Voice {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.bar.suspend(|| io::stderr().write_all(bytes))?;
+        match self.shown {
+            Shown::Json => self.say("message", String::from_utf8_lossy(bytes).trim()),
+            _ => self.bar.suspend(|| io::stderr().write_all(bytes))?,
+        }
         Ok(bytes.len())
     }
 

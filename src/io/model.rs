@@ -46,20 +46,21 @@ pub fn detect(path: &Path) -> Option<Format> {
     }
 }
 
-/// Reads a reconstruction: a COLMAP folder, an output folder of `tractrix run` (its background), or OpenMVG's JSON.
+/// Reads a reconstruction and says in which format it came: a COLMAP folder, an output folder of `tractrix run` (its
+/// background), or OpenMVG's JSON.
 ///
 /// # Errors
 /// Nothing there, no format that is read, or what the format's reader says.
-pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
+pub fn read(path: &Path) -> Result<(Reconstruction, Format), IoError> {
     std::fs::metadata(path).map_err(IoError::system("read", path))?;
-    match detect(path) {
-        Some(Format::OpenMvg) => openmvg::read(path),
-        Some(_) if colmap::is_model(path) => colmap::read(path),
-        Some(_) => RunFolder::at(path).read_background(),
-        None => {
-            Err(IoError::content(path, "is neither a COLMAP folder, nor an output folder, nor OpenMVG's sfm_data.json"))
-        }
-    }
+    let unknown = "is neither a COLMAP folder, nor an output folder, nor OpenMVG's sfm_data.json";
+    let format = detect(path).ok_or_else(|| IoError::content(path, unknown))?;
+    let model = match format {
+        Format::OpenMvg => openmvg::read(path),
+        _ if colmap::is_model(path) => colmap::read(path),
+        _ => RunFolder::at(path).read_background(),
+    }?;
+    Ok((model, format))
 }
 
 /// Writes a reconstruction. To PLY go its points alone.

@@ -46,14 +46,19 @@ impl DetectionFolder {
         Ok(atomic::write(&path, &bytes)?)
     }
 
+    /// How many detections a frame has; none for one that could not be decoded.
+    pub(super) fn count(&self, frame: FrameId) -> Result<u64, PipelineError> {
+        let path = self.path(frame);
+        let Some(bytes) = bytes_of(&path)? else { return Ok(0) };
+        // A list begins with its length.
+        let (count, _) = postcard::take_from_bytes(&bytes).map_err(|e| damaged(&path, e))?;
+        Ok(count)
+    }
+
     /// The detections of a frame; none for one that could not be decoded.
     pub(super) fn read(&self, frame: FrameId) -> Result<Vec<Detection>, PipelineError> {
         let path = self.path(frame);
-        let bytes = match std::fs::read(&path) {
-            Ok(bytes) => bytes,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
-            Err(error) => return Err(IoError::system("read", &path)(error).into()),
-        };
+        let Some(bytes) = bytes_of(&path)? else { return Ok(Vec::new()) };
         let stored: Vec<Stored> = postcard::from_bytes(&bytes).map_err(|e| damaged(&path, e))?;
         let detection = |s: Stored| {
             let mask =
@@ -61,6 +66,15 @@ impl DetectionFolder {
             Ok(Detection { class: s.class, confidence: s.confidence, mask })
         };
         stored.into_iter().map(detection).collect()
+    }
+}
+
+/// The content of a file; `None` where there is none.
+fn bytes_of(path: &Path) -> Result<Option<Vec<u8>>, PipelineError> {
+    match std::fs::read(path) {
+        Ok(bytes) => Ok(Some(bytes)),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(IoError::system("read", path)(error).into()),
     }
 }
 
@@ -114,6 +128,7 @@ mod tests {
         store.write(&frame, &found).unwrap();
         assert!(store.has(&frame));
         assert_eq!(store.read(frame.id).unwrap(), found);
+        assert_eq!((store.count(frame.id).unwrap(), store.count(FrameId(4)).unwrap()), (3, 0));
         assert!(store.read(FrameId(4)).unwrap().is_empty());
     }
 

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::masking::Masking;
 use super::run::{Outcome, Run};
-use super::{PipelineError, Stage, models, order, track};
+use super::{PipelineError, Stage, models, order, pictures, track};
 use crate::io::{IoError, atomic};
 use crate::scene::ObjectId;
 use crate::sfm::{FrontEnd, TrackTable};
@@ -31,6 +31,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
 pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     let objects = track::objects(run)?;
+    track::check_ids(run, &objects, &mut outcome)?;
     let (camera, _) = models::initial_camera(run)?;
     let (background_options, object_options) = order::sfm_options(run)?;
     let masking = Masking::new(run, &objects);
@@ -43,15 +44,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
         wanted.map(|id| (id, FrontEnd::new(&object_options.front_end, camera))).collect();
 
     run.progress.begin("features", Some(run.frames()?.len() as u64));
-    for item in run.source.frames()? {
-        run.progress.step();
-        let (frame, picture) = match item {
-            Ok(item) => item,
-            Err(error) => {
-                outcome.warn(error.to_string());
-                continue;
-            }
-        };
+    pictures::for_each(run, run.source.frames()?, &mut outcome, |frame, picture| {
         let masks = masking.of(&frame)?;
         if let Some(background) = &mut background {
             background.push(&frame, &picture, &masks.background)?;
@@ -61,7 +54,8 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
                 object.push(&frame, &picture, mask)?;
             }
         }
-    }
+        Ok(())
+    })?;
 
     let folder = run.workspace.keep_only("features-", &folder_name(fingerprint))?;
     if let Some(background) = background {

@@ -5,15 +5,22 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use serde::Serialize;
+use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
-use super::PipelineError;
+use super::{PipelineError, Stage};
 
 /// Hash of anything that can be written as JSON.
-pub(super) fn of(value: &impl Serialize) -> String {
+fn of(value: &impl Serialize) -> String {
     let text = serde_json::to_vec(&(env!("CARGO_PKG_VERSION"), value))
         .expect("options and hashes have string keys and finite numbers");
     hex(&Sha256::digest(&text))
+}
+
+/// Hash of everything that a stage's result is made from: what it depends on by itself, and the fingerprints of the stages
+/// that it builds on.
+pub(super) fn of_stage(stage: Stage, depends_on: &Value, upstream: &[&str]) -> String {
+    of(&json!([stage, stage.revision(), depends_on, upstream]))
 }
 
 /// Hash of the content of a file, or of the names and contents of the files directly in a folder, hidden ones aside.

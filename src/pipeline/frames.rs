@@ -5,6 +5,8 @@ use serde_json::{Value, json};
 use super::PipelineError;
 use super::order;
 use super::run::{Outcome, Run};
+use crate::scene::TimeBase;
+use crate::video::Kind;
 
 pub(super) fn depends_on(run: &Run, input: &str) -> Value {
     json!({ "input": input, "video": run.options.video, "in_time": order::stated(run) })
@@ -18,6 +20,12 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     for warning in scan.warnings {
         outcome.warn(warning);
+    }
+    if order.in_time && run.info().time_base() == TimeBase::Frames {
+        outcome.warn("no rate is known: times are frame numbers; give --fps RATE (frames per second) to have seconds");
+    }
+    if run.info().kind == Kind::Video && run.options.video.fps.is_some() {
+        outcome.warn("--fps is for folders of images; a video has its own time stamps, which are taken");
     }
     outcome.figure("num_frames", scan.frames.len());
     outcome.figure("width", run.info().width);

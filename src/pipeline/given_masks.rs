@@ -73,6 +73,22 @@ impl MaskFolder {
         }
     }
 
+    /// Looks at the size of every mask, and at the whole of the first one.
+    ///
+    /// # Errors
+    /// As [`MaskFolder::labels`].
+    pub(super) fn check(&self) -> Result<(), PipelineError> {
+        let fits = |size: (u32, u32)| size == self.size || size == self.source_size;
+        for (k, (&frame, path)) in self.files.iter().enumerate() {
+            // The header is enough where it is in order.
+            let is_in_order = ::image::image_dimensions(path).is_ok_and(fits);
+            if k == 0 || !is_in_order {
+                self.labels(frame)?;
+            }
+        }
+        Ok(())
+    }
+
     fn wrong_size(&self, path: &Path, (found_width, found_height): (u32, u32)) -> PipelineError {
         let ((width, height), source) = (self.size, self.source_size);
         let or_source = match self.size == source {
@@ -157,5 +173,17 @@ mod tests {
         assert_eq!(open(info(3, 2, 2)).unwrap().unwrap().labels, [1, 0, 2, 1, 0, 2]);
         let error = open(info(5, 4, 1)).unwrap_err().to_string();
         assert!(error.contains("a.png") && error.contains("6x4") && error.contains("5x4"), "{error}");
+    }
+
+    #[test]
+    fn a_mask_that_does_not_fit_is_found_before_its_turn() {
+        let folder = tempfile::tempdir().unwrap();
+        write(folder.path(), "a.png", 3, 2);
+        write(folder.path(), "b.png", 6, 4);
+        let check = |info| MaskFolder::open(folder.path(), &frames(&["a.jpg", "b.jpg"]), &info).unwrap().check();
+        assert!(check(info(3, 2, 2)).is_ok());
+        assert!(check(info(3, 2, 1)).unwrap_err().to_string().contains("b.png"));
+        fs::write(folder.path().join("b.png"), b"no picture").unwrap();
+        assert!(check(info(3, 2, 2)).unwrap_err().to_string().contains("b.png"));
     }
 }

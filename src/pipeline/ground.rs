@@ -7,11 +7,11 @@ use serde_json::{Value, json};
 
 use super::given_masks::MaskFolder;
 use super::run::{Outcome, Run};
-use super::{GroundLabels, PipelineError, fingerprint, models, objects};
+use super::{GroundLabels, PipelineError, fingerprint, models, objects, pictures};
 use crate::ground::{dominant_plane_points, label_points, local_planes};
 use crate::io::{RunFolder, masks};
-use crate::perception::{GroundOptions, load_ground_segmenter};
-use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Mask, Point3dId, Reconstruction};
+use crate::perception::{GroundOptions, GroundSegmenter, load_ground_segmenter};
+use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Reconstruction};
 
 /// The name of the list of frames that have no plane, and why.
 const SKIPPED: &str = "ground-skipped.json";
@@ -141,6 +141,12 @@ fn value_at(labels: &LabelMap, x: f64, y: f64) -> Option<u8> {
     inside.then(|| labels.labels[y as usize * labels.width as usize + x as usize])
 }
 
+/// Loads the semantic model with the options of the run.
+pub(super) fn load(run: &Run, model: &Path) -> Result<Box<dyn GroundSegmenter>, PipelineError> {
+    let num_threads = run.options.threads.unwrap_or(0);
+    Ok(load_ground_segmenter(model, &GroundOptions { num_threads, ..run.options.ground_segmentation.clone() })?)
+}
+
 /// Asks the semantic model for every registered frame that it was not asked for before; gives the folder of the answers.
 fn ground_masks(
     run: &Run,
@@ -151,24 +157,15 @@ fn ground_masks(
 ) -> Result<PathBuf, PipelineError> {
     let name = format!("ground-masks-{}", fingerprint.get(..16).unwrap_or_default());
     let folder = run.workspace.keep_only("ground-masks-", &name)?;
-    let num_threads = run.options.threads.unwrap_or(0);
-    let options = GroundOptions { num_threads, ..run.options.ground_segmentation.clone() };
-    let mut segmenter = load_ground_segmenter(model, &options)?;
+    let mut segmenter = load(run, model)?;
     let registered: BTreeSet<&str> = background.images.values().map(|image| image.name.as_str()).collect();
     let is_open = |frame: &&Frame| {
         registered.contains(frame.name.as_str()) && !folder.join(RunFolder::mask_name(frame)).is_file()
     };
     let open: BTreeSet<FrameId> = run.frames()?.iter().filter(is_open).map(|frame| frame.id).collect();
     run.progress.begin("ground", Some(open.len() as u64));
-    for item in run.source.frames_at(open)? {
-        run.progress.step();
-        match item {
-            Ok((frame, picture)) => {
-                let mask: Mask = segmenter.ground_mask(&picture)?;
-                masks::write_mask(&folder.join(RunFolder::mask_name(&frame)), &mask)?;
-            }
-            Err(error) => outcome.warn(error.to_string()),
-        }
-    }
+    pictures::for_each(run, run.source.frames_at(open)?, outcome, |frame, picture| {
+        Ok(masks::write_mask(&folder.join(RunFolder::mask_name(&frame)), &segmenter.ground_mask(&picture)?)?)
+    })?;
     Ok(folder)
 }

@@ -16,12 +16,15 @@ mod fingerprint;
 mod frames;
 mod given_masks;
 mod ground;
+mod lens;
 mod masking;
 mod meter;
 mod models;
 mod objects;
 mod options;
 mod order;
+mod pictures;
+mod preflight;
 mod progress;
 mod report;
 mod run;
@@ -35,22 +38,22 @@ mod workspace;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use serde_json::json;
+use serde_json::{Value, json};
 
 pub use error::PipelineError;
 pub use evaluate::{Kept, evaluate, keep_evaluation};
 pub use meter::{Cost, process_cpu_s};
 pub use models::ModelReport;
 pub use options::{FeatureKind, FrameOrder, GroundLabels, Instances, Intrinsics, MaskingOptions, Options};
-pub use progress::{Progress, Silent};
+pub use progress::{Plan, Planned, Progress, Silent};
 pub use run::StageRecord;
 pub use stage::Stage;
 pub use workspace::{Marker, Overwrite, Workspace};
 
 use crate::io::InputIdentity;
-use crate::scene::ObjectId;
+use crate::scene::{ObjectId, TimeBase};
 use crate::video::Source;
-use run::Run;
+use run::{Outcome, Run};
 
 /// What a run did.
 #[derive(Clone, Debug)]
@@ -61,12 +64,25 @@ pub struct Summary {
     pub stages: Vec<StageRecord>,
     /// The frames that were chosen.
     pub num_frames: usize,
+    /// What their times count.
+    pub time_base: TimeBase,
     /// How the background came about; `None` before the goal [`Stage::Background`].
     pub background: Option<ModelReport>,
-    /// How the vehicles came about; empty before the goal [`Stage::Objects`].
-    pub objects: BTreeMap<ObjectId, ModelReport>,
+    /// What became of the vehicles; empty before the goal [`Stage::Objects`].
+    pub vehicles: BTreeMap<ObjectId, Vehicle>,
     /// What is wrong although there is a result.
     pub warnings: Vec<String>,
+}
+
+/// A vehicle that was to be reconstructed.
+#[derive(Clone, Debug, Default)]
+pub struct Vehicle {
+    /// What it is, by the model that found it.
+    pub class: String,
+    /// How its model came about.
+    pub model: ModelReport,
+    /// Why it has no trajectory although it has a model, where that is so.
+    pub not_placed: Option<String>,
 }
 
 impl Summary {
@@ -109,9 +125,10 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
     Workspace::inspect(job.output, &job.inputs())?;
     let source = Source::open(job.input, &options.video)?;
     let workspace = Workspace::open(job.output)?;
+    progress.plan(&Plan::new(&workspace, options, source.info(), goal));
     progress.begin("input", None);
     let content = fingerprint::of_content(source.path());
-    progress.end(false);
+    progress.end();
     let content = content?;
     let path = std::fs::canonicalize(source.path()).unwrap_or_else(|_| source.path().to_owned());
     workspace.claim(InputIdentity { path, content: content.clone() }, job.overwrite)?;
@@ -125,9 +142,24 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
 
 fn summary(job: &Job, run: Run) -> Result<Summary, PipelineError> {
     let background = (job.goal >= Stage::Background).then(|| models::background_report(&run)).transpose()?;
-    let objects = if job.goal >= Stage::Objects { objects::reports(&run)? } else { BTreeMap::new() };
+    let vehicles = vehicles(&run, job.goal)?;
     let (output, warnings, num_frames) = (job.output.to_owned(), run.warnings(), run.frames()?.len());
-    Ok(Summary { output, stages: run.records, num_frames, background, objects, warnings })
+    let time_base = run.info().time_base();
+    Ok(Summary { output, stages: run.records, num_frames, time_base, background, vehicles, warnings })
+}
+
+fn vehicles(run: &Run, goal: Stage) -> Result<BTreeMap<ObjectId, Vehicle>, PipelineError> {
+    if goal < Stage::Objects {
+        return Ok(BTreeMap::new());
+    }
+    let mut classes: BTreeMap<ObjectId, String> =
+        track::objects(run)?.into_iter().map(|object| (object.id, object.class)).collect();
+    let mut failures = if goal >= Stage::Scale { scale::failures(run)? } else { BTreeMap::new() };
+    let vehicle = |(id, model): (ObjectId, ModelReport)| {
+        let class = classes.remove(&id).unwrap_or_default();
+        (id, Vehicle { class, model, not_placed: failures.remove(&id.to_string()) })
+    };
+    Ok(objects::reports(run)?.into_iter().map(vehicle).collect())
 }
 
 impl Job<'_> {
@@ -141,26 +173,72 @@ impl Job<'_> {
 }
 
 fn stages(run: &mut Run, goal: Stage, input: &str) -> Result<(), PipelineError> {
-    Stage::ALL.into_iter().filter(|stage| *stage <= goal).try_for_each(|stage| one_stage(run, stage, input))
+    preflight::check_camera(run)?;
+    for stage in Stage::ALL.into_iter().filter(|stage| *stage <= goal) {
+        one_stage(run, stage, input)?;
+        match stage {
+            Stage::Frames => preflight::check_files(run, &open_stages(run, goal, input)?)?,
+            // The other stages write down that there is nothing, which is not worth a word.
+            Stage::Background if models::background_report(run)?.failure.is_some() => run.progress = &Silent,
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<(), PipelineError> {
-    use Stage::{Background, Features, Frames, Ground, Objects, Report, Scale, Segment, Track};
-    match stage {
-        Frames => run.stage(stage, frames::depends_on(run, input), |run, _| frames::work(run)),
-        Segment => run.stage(stage, segment::depends_on(run)?, segment::work),
-        Track => run.stage(stage, track::depends_on(run)?, |run, _| track::work(run)),
-        Features => run.stage(stage, features::depends_on(run)?, features::work),
-        Background => run.stage(stage, models::background_depends_on(run)?, |run, _| models::background_work(run)),
-        Objects => run.stage(stage, objects::depends_on(run)?, objects::work),
-        Ground => run.stage(stage, ground::depends_on(run)?, ground::work),
-        Scale => run.stage(stage, scale::depends_on(run), |run, _| scale::work(run)),
-        // The page shows the command line and what every stage cost, so it is made anew whenever anything was done.
-        Report => {
-            if !run.all_reused() {
-                run.workspace.clear_marker(stage)?;
-            }
-            run.stage(stage, json!({ "arguments": run.arguments }), |run, _| report::work(run))
-        }
+    // The page shows the command line and what every stage cost, so it is made anew whenever anything was done.
+    if stage == Stage::Report && !run.all_reused() {
+        run.workspace.clear_marker(stage)?;
     }
+    let depends_on = depends_on(run, stage, input)?;
+    run.stage(stage, depends_on, |run, fingerprint| work(run, stage, fingerprint))
+}
+
+/// Everything that a stage's result hangs on besides the stages before it.
+fn depends_on(run: &Run, stage: Stage, input: &str) -> Result<Value, PipelineError> {
+    Ok(match stage {
+        Stage::Frames => frames::depends_on(run, input),
+        Stage::Segment => segment::depends_on(run)?,
+        Stage::Track => track::depends_on(run)?,
+        Stage::Features => features::depends_on(run)?,
+        Stage::Background => models::background_depends_on(run)?,
+        Stage::Objects => objects::depends_on(run)?,
+        Stage::Ground => ground::depends_on(run)?,
+        Stage::Scale => scale::depends_on(run),
+        Stage::Report => json!({ "arguments": run.arguments }),
+    })
+}
+
+fn work(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    match stage {
+        Stage::Frames => frames::work(run),
+        Stage::Segment => segment::work(run, fingerprint),
+        Stage::Track => track::work(run),
+        Stage::Features => features::work(run, fingerprint),
+        Stage::Background => models::background_work(run),
+        Stage::Objects => objects::work(run, fingerprint),
+        Stage::Ground => ground::work(run, fingerprint),
+        Stage::Scale => scale::work(run),
+        Stage::Report => report::work(run),
+    }
+}
+
+/// The stages up to the goal that no earlier run has done with the options and the input of this one; `frames` must be done.
+fn open_stages(run: &Run, goal: Stage, input: &str) -> Result<Vec<Stage>, PipelineError> {
+    let stages: Vec<Stage> = Stage::ALL.into_iter().filter(|stage| *stage <= goal).collect();
+    if stages.iter().skip(1).all(|&stage| run.workspace.marker(stage).is_none()) {
+        return Ok(stages);
+    }
+    let mut fingerprints: BTreeMap<Stage, String> = BTreeMap::new();
+    let mut open = Vec::new();
+    for stage in stages {
+        let upstream: Vec<&str> = stage.after().iter().map(|before| fingerprints[before].as_str()).collect();
+        let fingerprint = fingerprint::of_stage(stage, &depends_on(run, stage, input)?, &upstream);
+        if !run.is_done(stage, &fingerprint) {
+            open.push(stage);
+        }
+        fingerprints.insert(stage, fingerprint);
+    }
+    Ok(open)
 }

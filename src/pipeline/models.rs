@@ -83,11 +83,15 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
                 CameraOrigin::Given => sfm::Intrinsics::Fixed,
                 CameraOrigin::Exif | CameraOrigin::Guess => sfm::Intrinsics::Refined,
             };
-            reconstruct(run, features::of_background(run)?, camera, intrinsics, &order::sfm_options(run)?.0.mapper)?
+            let table = features::of_background(run)?;
+            let num_frames = table.views.len() as u64;
+            run.progress.begin("background", Some(num_frames));
+            let mut watch = |share: f64| run.progress.reach((share * num_frames as f64) as u64);
+            reconstruct(run, table, camera, intrinsics, &order::sfm_options(run)?.0.mapper, &mut watch)?
         }
     };
     if let Some(failure) = &report.failure {
-        outcome.warn(format!("the background cannot be reconstructed: {failure}"));
+        outcome.note(format!("the background cannot be reconstructed: {failure}"));
     } else {
         report.remarks.iter().for_each(|remark| outcome.warn(format!("background: {remark}")));
         warn_of_gaps("background", &report, &mut outcome);
@@ -127,18 +131,20 @@ pub(super) fn background_report(run: &Run) -> Result<ModelReport, PipelineError>
     run.workspace.read_state(BACKGROUND_REPORT)
 }
 
-/// The one place where structure from motion is called.
+/// The one place where structure from motion is called. `watch` is told which share of it is done.
 pub(super) fn reconstruct(
     run: &Run,
     mut table: sfm::TrackTable,
     camera: Camera,
     intrinsics: sfm::Intrinsics,
     options: &mapper::Options,
+    watch: &mut dyn FnMut(f64),
 ) -> Result<(Reconstruction, ModelReport), PipelineError> {
     let threads = run.options.threads.unwrap_or_else(rayon::current_num_threads);
     let options = mapper::Options { threads, ..options.clone() };
     sfm::cut_long_tracks(&mut table, &[camera], intrinsics, &options, run.options.seed);
-    let (mut model, report) = sfm::reconstruct(&table, &[camera], intrinsics, &options, run.options.seed)?;
+    let (mut model, report) =
+        sfm::reconstruct_watched(&table, &[camera], intrinsics, &options, run.options.seed, watch)?;
     if model.is_empty() {
         // Even an empty model says which camera it would have had.
         model.cameras.insert(crate::scene::CameraId(1), camera);

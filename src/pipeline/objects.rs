@@ -20,6 +20,8 @@ use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes};
 use crate::sfm::{self, mapper};
 
 const REPORTS: &str = "objects-report.json";
+/// Why there is no model where it is not the object's fault.
+const NO_BACKGROUND: &str = "there is no background to place it in";
 /// Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
 const BORDER_PX: f64 = 1.0;
 const BORDER: f64 = 0.01;
@@ -39,20 +41,20 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
 pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     let tracked = track::objects(run)?;
-    let unknown = run.options.object_models.keys().find(|id| tracked.iter().all(|object| object.id != **id));
-    if let Some(id) = unknown {
-        let ids: Vec<String> = tracked.iter().map(|object| object.id.to_string()).collect();
-        let text = format!("--object-model {id}=...: there is no object {id}; tracked are: {}", ids.join(", "));
-        return Err(PipelineError::Options(text));
-    }
     let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
     let (background, _) = models::background(run)?;
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
-    run.progress.begin("objects", Some(wanted.len() as u64));
+    // The frames of every object, and then all frames once more for the masks.
+    let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
+    run.progress.begin("objects", Some((num_views + run.frames()?.len()) as u64));
     let mut markers = BTreeMap::new();
+    let mut num_done = 0;
     for object in wanted {
-        run.progress.step();
-        markers.insert(object.id, one_object(run, object, camera, fingerprint)?);
+        let (before, of_this) = (num_done, object.frames.len());
+        let mut watch = |share: f64| run.progress.reach(before + (share * of_this as f64) as u64);
+        markers.insert(object.id, one_object(run, object, camera, fingerprint, &mut watch)?);
+        num_done += of_this as u64;
+        run.progress.reach(num_done);
     }
     check_silhouettes(run, &tracked, &mut markers)?;
     let reports: BTreeMap<ObjectId, ModelReport> =
@@ -70,6 +72,10 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
 
 fn describe(id: ObjectId, report: &ModelReport, outcome: &mut Outcome) {
     match &report.failure {
+        // That is what the whole run ends with.
+        Some(failure) if failure == NO_BACKGROUND => {
+            outcome.note(format!("object {id} cannot be reconstructed: {failure}"))
+        }
         Some(failure) => outcome.warn(format!("object {id} cannot be reconstructed: {failure}")),
         None => models::warn_of_gaps(&format!("object {id}"), report, outcome),
     }
@@ -138,6 +144,7 @@ fn one_object(
     object: &TrackedObject,
     camera: Option<Camera>,
     fingerprint: &str,
+    watch: &mut dyn FnMut(f64),
 ) -> Result<ObjectMarker, PipelineError> {
     let id = object.id;
     let before: Option<ObjectMarker> = run.workspace.read_state(&marker_name(id)).ok();
@@ -150,10 +157,10 @@ fn one_object(
         (None, Some(camera)) => {
             let table = features::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
-            models::reconstruct(run, table, camera, sfm::Intrinsics::Fixed, &options)?
+            models::reconstruct(run, table, camera, sfm::Intrinsics::Fixed, &options, watch)?
         }
         (None, None) => {
-            let failure = Some("there is no background to place it in".to_owned());
+            let failure = Some(NO_BACKGROUND.to_owned());
             (Reconstruction::default(), ModelReport { failure, ..ModelReport::default() })
         }
     };
@@ -215,7 +222,6 @@ fn vote(
         return Ok(());
     }
     let frames = run.frames()?;
-    run.progress.begin("objects", Some(frames.len() as u64));
     for frame in frames {
         run.progress.step();
         let image = ImageId::from(frame.id);

@@ -4,7 +4,7 @@ use std::cell::{Cell, OnceCell};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::meter::Meter;
 use super::workspace::{Marker, Workspace};
@@ -28,6 +28,11 @@ impl Outcome {
         let text = text.into();
         tracing::warn!("{text}");
         self.warnings.push(text);
+    }
+
+    /// As [`Outcome::warn`], of what the end of the run says anyway.
+    pub(super) fn note(&mut self, text: impl Into<String>) {
+        self.warnings.push(text.into());
     }
 
     pub(super) fn figure(&mut self, name: &str, value: impl Into<Value>) {
@@ -54,6 +59,8 @@ pub(super) struct Run<'a> {
     pub(super) arguments: &'a [String],
     pub(super) progress: &'a dyn Progress,
     pub(super) records: Vec<StageRecord>,
+    /// What is odd about what was given, before any stage.
+    warnings: Vec<String>,
     frames: OnceCell<Vec<Frame>>,
     said_anew: Cell<bool>,
 }
@@ -66,8 +73,8 @@ impl<'a> Run<'a> {
         arguments: &'a [String],
         progress: &'a dyn Progress,
     ) -> Self {
-        let (records, frames, said_anew) = (Vec::new(), OnceCell::new(), Cell::new(false));
-        Self { options, workspace, source, arguments, progress, records, frames, said_anew }
+        let (records, warnings, frames, said_anew) = (Vec::new(), Vec::new(), OnceCell::new(), Cell::new(false));
+        Self { options, workspace, source, arguments, progress, records, warnings, frames, said_anew }
     }
 
     pub(super) fn input(&self) -> &Path {
@@ -98,13 +105,12 @@ impl<'a> Run<'a> {
         work: impl FnOnce(&Self, &str) -> Result<Outcome, PipelineError>,
     ) -> Result<(), PipelineError> {
         let upstream: Vec<&str> = stage.after().iter().map(|&stage| self.fingerprint(stage)).collect();
-        let fingerprint = fingerprint::of(&json!([stage, stage.revision(), depends_on, upstream]));
+        let fingerprint = fingerprint::of_stage(stage, &depends_on, &upstream);
         let before = self.workspace.marker(stage);
         let is_other = before.as_ref().is_some_and(|marker| marker.fingerprint != fingerprint);
         let same = before.filter(|marker| !is_other && self.workspace.has_outputs(marker));
         if let Some(marker) = same {
-            self.progress.begin(stage.name(), None);
-            self.progress.end(true);
+            self.progress.skip(stage.name());
             self.records.push(StageRecord { stage, marker, reused: true });
             return Ok(());
         }
@@ -114,7 +120,7 @@ impl<'a> Run<'a> {
         self.workspace.clear_marker(stage)?;
         let meter = Meter::start();
         let outcome = work(self, &fingerprint);
-        self.progress.end(false);
+        self.progress.end();
         let Outcome { warnings, figures, outputs } = outcome?;
         let cost = meter.read();
         let outputs =
@@ -123,6 +129,12 @@ impl<'a> Run<'a> {
         self.workspace.set_marker(stage, &marker)?;
         self.records.push(StageRecord { stage, marker, reused: false });
         Ok(())
+    }
+
+    /// Whether an earlier run has left what a stage of this fingerprint makes.
+    pub(super) fn is_done(&self, stage: Stage, fingerprint: &str) -> bool {
+        let marker = self.workspace.marker(stage);
+        marker.is_some_and(|marker| marker.fingerprint == fingerprint && self.workspace.has_outputs(&marker))
     }
 
     /// Says once, of the first stage whose options have changed, which results are replaced.
@@ -152,8 +164,23 @@ impl<'a> Run<'a> {
         self.records.iter().all(|record| record.reused)
     }
 
+    /// Says what is odd about what was given.
+    pub(super) fn warn(&mut self, text: String) {
+        tracing::warn!("{text}");
+        self.warnings.push(text);
+    }
+
     /// All warnings so far, in order.
     pub(super) fn warnings(&self) -> Vec<String> {
-        self.records.iter().flat_map(|record| record.marker.warnings.iter().cloned()).collect()
+        self.all_warnings().cloned().collect()
+    }
+
+    /// Whether a stage before has said this.
+    pub(super) fn has_warned(&self, text: &str) -> bool {
+        self.all_warnings().any(|warning| warning == text)
+    }
+
+    fn all_warnings(&self) -> impl Iterator<Item = &String> {
+        self.warnings.iter().chain(self.records.iter().flat_map(|record| &record.marker.warnings))
     }
 }

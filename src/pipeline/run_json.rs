@@ -23,7 +23,7 @@ pub(super) fn write(run: &Run, error: Option<&str>) -> Result<(), PipelineError>
     let document = json!({
         "version": env!("CARGO_PKG_VERSION"),
         "arguments": run.arguments,
-        "input": { "path": run.input().display().to_string(), "info": run.info() },
+        "input": { "path": run.input().display().to_string(), "info": run.info(), "times": run.info().time_base() },
         "options": run.options,
         "stages": Value::Object(stages),
         "warnings": run.warnings(),

@@ -7,9 +7,8 @@ use serde_json::{Value, json};
 
 use super::detections::DetectionFolder;
 use super::run::{Outcome, Run};
-use super::{Instances, PipelineError, Stage, fingerprint};
-use crate::perception::{SegmentationOptions, load_segmenter};
-use crate::scene::Frame;
+use super::{Instances, PipelineError, Stage, fingerprint, pictures};
+use crate::perception::{SegmentationOptions, Segmenter, load_segmenter};
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     Ok(match &run.options.instances {
@@ -47,34 +46,36 @@ fn folder_name(fingerprint: &str) -> String {
     format!("detections-{}", fingerprint.get(..16).unwrap_or_default())
 }
 
+/// Loads the model with the options of the run.
+pub(super) fn load(run: &Run, model: &Path) -> Result<Box<dyn Segmenter>, PipelineError> {
+    let num_threads = run.options.threads.unwrap_or(0);
+    Ok(load_segmenter(model, &SegmentationOptions { num_threads, ..run.options.segmentation.clone() })?)
+}
+
 fn detect(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let path = run.workspace.keep_only("detections-", &folder_name(fingerprint))?;
     let store = DetectionFolder::new(path.clone(), (run.info().width, run.info().height));
-    let num_threads = run.options.threads.unwrap_or(0);
-    let mut segmenter =
-        load_segmenter(model, &SegmentationOptions { num_threads, ..run.options.segmentation.clone() })?;
+    let mut segmenter = load(run, model)?;
     let frames = run.frames()?;
     let open: BTreeSet<_> = frames.iter().filter(|frame| !store.has(frame)).map(|frame| frame.id).collect();
     run.progress.begin("segment", Some(open.len() as u64));
     let mut outcome = Outcome::default();
-    let num_open = open.len();
-    for item in run.source.frames_at(open)? {
-        run.progress.step();
-        match item {
-            Ok((frame, picture)) => store.write(&frame, &segmenter.segment(&picture)?)?,
-            Err(error) => outcome.warn(error.to_string()),
-        }
-    }
-    tracing::debug!("{} of {} frames were segmented before", frames.len() - num_open, frames.len());
-    let found = count(&store, frames)?;
+    tracing::debug!("{} of {} frames were segmented before", frames.len() - open.len(), frames.len());
+    let before = frames.iter().filter(|frame| !open.contains(&frame.id));
+    let mut found = before.map(|frame| store.count(frame.id)).sum::<Result<u64, _>>()?;
+    pictures::for_each(run, run.source.frames_at(open)?, &mut outcome, |frame, picture| {
+        let detections = segmenter.segment(&picture)?;
+        found += detections.len() as u64;
+        store.write(&frame, &detections)
+    })?;
     outcome.figure("num_detections", found);
     if found == 0 {
-        outcome.warn(format!("{}: the model finds nothing that moves in any frame", model.display()));
+        outcome.warn(format!(
+            "{}: the model finds no vehicle in any frame; it may not know such views, or the vehicles are too small for it \
+             (options segmentation.tiling and segmentation.confidence)",
+            model.display()
+        ));
     }
     outcome.outputs.push(path);
     Ok(outcome)
-}
-
-fn count(store: &DetectionFolder, frames: &[Frame]) -> Result<usize, PipelineError> {
-    frames.iter().try_fold(0, |sum, frame| Ok(sum + store.read(frame.id)?.len()))
 }

@@ -9,9 +9,9 @@ use serde_json::{Value, json};
 
 use super::given_masks::MaskFolder;
 use super::run::{Outcome, Run};
-use super::{Instances, PipelineError, fingerprint, segment};
+use super::{Instances, PipelineError, fingerprint, pictures, segment};
 use crate::io::{IoError, RunFolder, masks};
-use crate::perception::{FlowOptions, TrackSummary, TrackedMask, Tracker, load_flow};
+use crate::perception::{FlowEstimator, FlowOptions, TrackSummary, TrackedMask, Tracker, load_flow};
 use crate::scene::{Frame, FrameId, Mask, ObjectId};
 
 /// A vehicle that was followed through the frames.
@@ -105,26 +105,40 @@ fn split_given(
     Ok(seen.into_iter().map(object).collect())
 }
 
+/// The optical flow of the run's options.
+pub(super) fn load_flow_estimator(run: &Run) -> Result<Box<dyn FlowEstimator>, PipelineError> {
+    let options = FlowOptions { num_threads: run.options.threads.unwrap_or(0), ..run.options.flow.clone() };
+    Ok(load_flow(run.options.flow_model.as_deref(), &options)?)
+}
+
+/// Holds what was asked for by id against what was tracked.
+///
+/// # Errors
+/// [`PipelineError::Options`] if a model was given of an object that is not tracked.
+pub(super) fn check_ids(run: &Run, tracked: &[TrackedObject], outcome: &mut Outcome) -> Result<(), PipelineError> {
+    let is_unknown = |id: &&ObjectId| tracked.iter().all(|object| object.id != **id);
+    let ids: Vec<String> = tracked.iter().map(|object| object.id.to_string()).collect();
+    let ids = if ids.is_empty() { "none".to_owned() } else { ids.join(", ") };
+    if let Some(id) = run.options.object_models.keys().find(is_unknown) {
+        let text = format!("--object-model {id}=...: there is no object {id}; tracked are: {ids}");
+        return Err(PipelineError::Options(text));
+    }
+    for id in run.options.only_objects.iter().filter(is_unknown) {
+        outcome.warn(format!("--only-object {id}: there is no object {id}; tracked are: {ids}"));
+    }
+    Ok(())
+}
+
 /// Joins detections to tracks by optical flow.
 fn follow(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<Vec<TrackedObject>, PipelineError> {
-    let options = run.options;
     let frames = run.frames()?;
-    let flow_options = FlowOptions { num_threads: options.threads.unwrap_or(0), ..options.flow.clone() };
-    let mut flow = load_flow(options.flow_model.as_deref(), &flow_options)?;
-    let mut tracker = Tracker::new(options.tracker.clone());
+    let mut flow = load_flow_estimator(run)?;
+    let mut tracker = Tracker::new(run.options.tracker.clone());
     let detections = segment::finished(run);
     let mut previous: Option<RgbImage> = None;
     let mut seen: BTreeMap<ObjectId, BTreeSet<FrameId>> = BTreeMap::new();
     run.progress.begin("track", Some(frames.len() as u64));
-    for item in run.source.frames()? {
-        run.progress.step();
-        let (frame, picture) = match item {
-            Ok(item) => item,
-            Err(error) => {
-                outcome.warn(error.to_string());
-                continue;
-            }
-        };
+    pictures::for_each(run, run.source.frames()?, outcome, |frame, picture| {
         let found = detections.as_ref().map_or(Ok(Vec::new()), |store| store.read(frame.id))?;
         let carried = previous.as_ref().map(|previous| flow.flow(previous, &picture)).transpose()?;
         for TrackedMask { object, mask, .. } in tracker.advance(&frame, &picture, found, carried.as_ref())? {
@@ -132,7 +146,8 @@ fn follow(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<Vec<Tracked
             seen.entry(object).or_default().insert(frame.id);
         }
         previous = Some(picture);
-    }
+        Ok(())
+    })?;
     let names: BTreeMap<FrameId, &Frame> = frames.iter().map(|frame| (frame.id, frame)).collect();
     let summaries = tracker.finish();
     let objects =

@@ -21,6 +21,16 @@ impl fmt::Display for ObjectId {
     }
 }
 
+/// What the times of an input's frames count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TimeBase {
+    /// Seconds.
+    Seconds,
+    /// Frames: nobody stated a rate, so no time can be told.
+    Frames,
+}
+
 /// What is known of a frame besides its pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Frame {

@@ -11,7 +11,7 @@ mod reconstruction;
 mod trajectory;
 
 pub use flow::Flow;
-pub use frame::{Frame, FrameId, ObjectId};
+pub use frame::{Frame, FrameId, ObjectId, TimeBase};
 pub use ground::{Ground, GroundPlane, GroundSource};
 pub use mask::{BoundingBox, Detection, LabelMap, Mask};
 pub use mesh::TriangleMesh;

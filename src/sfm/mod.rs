@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize};
 
 pub use error::SfmError;
 pub use front_end::{FrontEnd, FrontEndOptions};
-pub use mapper::{Intrinsics, Report, cut_long_tracks, reconstruct};
+pub use mapper::{Intrinsics, Report, cut_long_tracks, reconstruct, reconstruct_watched};
 use sift_front_end::{Pairing, SiftOptions};
 pub use tracks::TrackTable;
 use video_front_end::VideoOptions;

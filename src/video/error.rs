@@ -28,11 +28,27 @@ pub enum VideoError {
     },
     /// No decoder takes the file.
     #[error(
-        "{path}: not a video that FFmpeg can read, or its index is damaged; try `ffmpeg -i FILE -c copy repaired.mp4`, \
-         or give a folder of JPEG or PNG images",
+        "{path}: not a video that FFmpeg can read; if players show it, `ffmpeg -i FILE converted.mp4` makes one, or give a \
+         folder of JPEG or PNG images",
         path = path.display()
     )]
     NotAVideo {
+        /// The input.
+        path: PathBuf,
+    },
+    /// An MP4 or MOV file whose index was never written, or is cut off.
+    #[error(
+        "{path}: the recording was not finished or not copied whole: its index (the moov box) is missing; copy it again, \
+         or have it repaired by a tool that takes a whole video of the same camera for a pattern, such as untrunc",
+        path = path.display()
+    )]
+    NoIndex {
+        /// The input.
+        path: PathBuf,
+    },
+    /// Sound alone.
+    #[error("{path}: has no picture track, only sound; give the video that it belongs to", path = path.display())]
+    NoPictures {
         /// The input.
         path: PathBuf,
     },
@@ -43,23 +59,25 @@ pub enum VideoError {
         path: PathBuf,
     },
     /// A folder without images.
-    #[error("{path}: the folder holds no JPEG or PNG image that can be read", path = path.display())]
+    #[error("{path}: the folder holds no JPEG or PNG image that can be read: {found}", path = path.display())]
     NoImages {
         /// The input.
         path: PathBuf,
+        /// What is there instead, and what to do about it.
+        found: String,
     },
     /// The options leave no frame over.
     #[error(
-        "{path}: --start, --end and --every choose none of its frames; it runs from {first_s:.3} s to {last_s:.3} s",
+        "{path}: --start, --end and --every choose none of its frames; it runs from {first} to {last}",
         path = path.display()
     )]
     NothingChosen {
         /// The input.
         path: PathBuf,
-        /// Time of the first frame, seconds.
-        first_s: f64,
-        /// Time of the last frame, seconds.
-        last_s: f64,
+        /// The first frame, in words: its time, or its index where no time is known.
+        first: String,
+        /// The last frame.
+        last: String,
     },
     /// The options contradict one another.
     #[error("{0}")]

@@ -9,7 +9,7 @@ use opencv::videoio::{self, CAP_FFMPEG, VideoCapture, VideoCaptureTrait, VideoCa
 use super::VideoError;
 use super::clock::Clock;
 use super::decode::Decoder;
-use super::mp4_times;
+use super::{diagnosis, mp4_times};
 use crate::image::{resize_rgb, rgb_from_bgr_mat};
 use crate::scene::{Frame, FrameId};
 
@@ -31,7 +31,7 @@ const MAX_FPS: f64 = 1000.0;
 pub(super) fn open(path: &Path) -> Result<VideoCapture, VideoError> {
     let mut capture = VideoCapture::from_file(path, CAP_FFMPEG)?;
     if !capture.is_opened()? {
-        return Err(VideoError::NotAVideo { path: path.to_owned() });
+        return Err(diagnosis::why_not(path));
     }
     // Frames come upright. It is OpenCV's default, stated because the result hangs on it; false means "not supported".
     capture.set(videoio::CAP_PROP_ORIENTATION_AUTO, 1.0)?;

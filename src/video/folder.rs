@@ -1,6 +1,7 @@
 //! A folder of images as a video.
 
 use std::cmp::Ordering;
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -42,7 +43,7 @@ pub(super) struct Listing {
 
 /// Lists a folder in natural order (`img2` before `img10`), reading headers, and where pictures end.
 pub(super) fn list(path: &Path) -> Result<Listing, VideoError> {
-    let mut names = image_names(path)?;
+    let Contents { mut names, others } = contents(path)?;
     names.sort_by(|a, b| natural_cmp(a, b));
     let mut listing = Listing {
         entries: Vec::new(),
@@ -80,24 +81,56 @@ pub(super) fn list(path: &Path) -> Result<Listing, VideoError> {
         listing.entries.push(Entry { id, path: file, name, orientation });
     }
     if listing.entries.is_empty() {
-        return Err(VideoError::NoImages { path: path.to_owned() });
+        let found = listing.warnings.into_iter().next().unwrap_or_else(|| described(&others));
+        return Err(VideoError::NoImages { path: path.to_owned(), found });
     }
     Ok(listing)
 }
 
-/// Names of the files that look like images, hidden ones aside.
-fn image_names(path: &Path) -> Result<Vec<String>, VideoError> {
+/// The files of a folder, hidden ones aside.
+struct Contents {
+    /// Names of those that look like images.
+    names: Vec<String>,
+    /// How many others there are, by their extension in lower case.
+    others: BTreeMap<String, usize>,
+}
+
+fn contents(path: &Path) -> Result<Contents, VideoError> {
     let unreadable = |source| VideoError::Unreadable { path: path.to_owned(), source };
-    let mut names = Vec::new();
+    let mut contents = Contents { names: Vec::new(), others: BTreeMap::new() };
     for entry in fs::read_dir(path).map_err(unreadable)? {
         let entry = entry.map_err(unreadable)?;
         let Ok(name) = entry.file_name().into_string() else { continue };
         let extension = Path::new(&name).extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
-        if EXTENSIONS.contains(&extension.as_str()) && !name.starts_with('.') && entry.path().is_file() {
-            names.push(name);
+        if name.starts_with('.') || !entry.path().is_file() {
+            continue;
+        }
+        match EXTENSIONS.contains(&extension.as_str()) {
+            true => contents.names.push(name),
+            false => *contents.others.entry(extension).or_default() += 1,
         }
     }
-    Ok(names)
+    Ok(contents)
+}
+
+/// What there is instead of images, and what to do about it.
+fn described(others: &BTreeMap<String, usize>) -> String {
+    const VIDEOS: [&str; 9] = ["mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "mpg", "gif"];
+    const PICTURES: [&str; 9] = ["webp", "tif", "tiff", "bmp", "heic", "heif", "avif", "dng", "exr"];
+    let Some((commonest, count)) = others.iter().max_by_key(|(_, count)| **count) else {
+        return "it is empty, or holds folders alone; give the folder that the images are in".to_owned();
+    };
+    let files = if *count == 1 { "file" } else { "files" };
+    let kind = if commonest.is_empty() { "without an ending".to_owned() } else { format!(".{commonest}") };
+    let cure = match commonest.as_str() {
+        video if VIDEOS.contains(&video) => "give one video by its name",
+        picture if PICTURES.contains(&picture) => "convert them to PNG or JPEG (ImageMagick: `mogrify -format png *`)",
+        _ => "give a folder of JPEG or PNG images, or a video",
+    };
+    match commonest.is_empty() {
+        true => format!("it holds {count} {files} {kind}; {cure}"),
+        false => format!("it holds {count} {kind} {files}; {cure}"),
+    }
 }
 
 /// Stored size of an image, from its header, if it seems to be whole.

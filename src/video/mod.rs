@@ -11,6 +11,7 @@
 
 mod clock;
 mod decode;
+mod diagnosis;
 mod error;
 mod exif;
 mod file;

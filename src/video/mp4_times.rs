@@ -33,7 +33,7 @@ pub(super) fn read(path: &Path) -> Option<Vec<f64>> {
 }
 
 /// The content of the top-level `moov` box.
-fn movie_box(file: &mut File) -> Option<Vec<u8>> {
+pub(super) fn movie_box(file: &mut File) -> Option<Vec<u8>> {
     let end = file.seek(SeekFrom::End(0)).ok()?;
     let mut at = 0;
     while at + 8 <= end {
@@ -60,7 +60,7 @@ fn movie_box(file: &mut File) -> Option<Vec<u8>> {
 }
 
 /// The boxes inside a box, by name.
-fn children(content: &[u8]) -> impl Iterator<Item = (&[u8; 4], &[u8])> {
+pub(super) fn children(content: &[u8]) -> impl Iterator<Item = (&[u8; 4], &[u8])> {
     let mut rest = content;
     std::iter::from_fn(move || {
         let size = u32_at(rest, 0)? as usize;
@@ -89,7 +89,7 @@ fn scale(header: &[u8]) -> Option<u32> {
     u32_at(header, at).filter(|scale| *scale > 0)
 }
 
-fn is_video(track: &[u8]) -> bool {
+pub(super) fn is_video(track: &[u8]) -> bool {
     let handler = child(track, b"mdia").and_then(|media| child(media, b"hdlr"));
     handler.and_then(|handler| handler.get(8..12)) == Some(b"vide")
 }

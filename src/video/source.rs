@@ -11,7 +11,7 @@ use super::folder::{self, FolderDecoder, Listing};
 use super::options::Selection;
 use super::{Frames, Options, VideoError};
 use crate::image::scale_to_fit;
-use crate::scene::{Frame, FrameId};
+use crate::scene::{Frame, FrameId, TimeBase};
 
 /// What an input is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -44,6 +44,16 @@ pub struct Info {
     pub rotation_deg: i32,
     /// Focal length that EXIF data state, in pixels of the frames as they are given out.
     pub exif_focal_px: Option<f64>,
+}
+
+impl Info {
+    /// What the times of the frames count: a video has times of its own, a folder only where its rate is given.
+    pub fn time_base(&self) -> TimeBase {
+        match (self.kind, self.fps) {
+            (Kind::Folder, None) => TimeBase::Frames,
+            (Kind::Folder, Some(_)) | (Kind::Video, _) => TimeBase::Seconds,
+        }
+    }
 }
 
 /// The frames that the options choose.
@@ -147,9 +157,15 @@ impl Source {
 
     fn nothing_chosen(&self) -> Result<VideoError, VideoError> {
         let mut decoder = self.decoder()?;
-        let times: Vec<f64> = std::iter::from_fn(|| decoder.step()).map(|frame| frame.time_s).collect();
-        Ok(match (times.first(), times.last()) {
-            (Some(&first_s), Some(&last_s)) => VideoError::NothingChosen { path: self.path.clone(), first_s, last_s },
+        let frames: Vec<Frame> = std::iter::from_fn(|| decoder.step()).collect();
+        let place = |frame: &Frame| match self.info.time_base() {
+            TimeBase::Seconds => format!("{:.3} s", frame.time_s),
+            TimeBase::Frames => format!("frame {}", frame.id.0),
+        };
+        Ok(match (frames.first(), frames.last()) {
+            (Some(first), Some(last)) => {
+                VideoError::NothingChosen { path: self.path.clone(), first: place(first), last: place(last) }
+            }
             _ => VideoError::NoFrames { path: self.path.clone() },
         })
     }
@@ -308,6 +324,9 @@ mod tests {
         assert_eq!(scan.frames[2].time_s, 0.5);
         assert_eq!(scan.warnings.len(), 2, "{:?}", scan.warnings);
         assert_eq!(source.info().num_frames, Some(5));
+        assert_eq!(source.info().time_base(), TimeBase::Seconds);
+        let without_rate = Source::open(folder.path(), &Options::default()).unwrap();
+        assert_eq!(without_rate.info().time_base(), TimeBase::Frames);
         assert_eq!(source.frames().unwrap().filter(Result::is_ok).count(), 3);
     }
 

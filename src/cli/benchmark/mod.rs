@@ -15,8 +15,8 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::common::CommonArgs;
-use super::output::{Failure, print, print_json};
-use super::run::use_threads;
+use super::job::use_threads;
+use super::output::{Failure, Form, show};
 use super::terminal::Talk;
 use crate::eval::benchmark::{Benchmark, Entry, summarise};
 use crate::io::{self, FolderError, OwnedFolder, Place, RunFolder, atomic, refuse_own_input};
@@ -76,7 +76,7 @@ pub(super) struct Args {
     pub(super) common: CommonArgs,
 }
 
-pub(super) fn run(args: &Args, arguments: &[OsString], json: bool, talk: &Talk) -> Result<(), Failure> {
+pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) -> Result<(), Failure> {
     let options = options(args)?;
     let Found { sequences, left_out } = find(&args.folder, &args.only, &args.output)?;
     for name in &left_out {
@@ -88,6 +88,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], json: bool, talk: &Talk) 
     }
     let output = OwnedFolder::open(&args.output, "tractrix benchmark", place)?;
     use_threads(options.threads)?;
+    talk.say_how_to_go_on();
     let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
     let mut benchmark = Benchmark {
         version: VERSION,
@@ -106,23 +107,24 @@ pub(super) fn run(args: &Args, arguments: &[OsString], json: bool, talk: &Talk) 
         write(&benchmark, &others, &output)?;
     }
     talk.finish();
-    match json {
-        true => print_json(&with_summary(&benchmark))?,
-        false => print(&format!(
-            "{}\n{}\n",
-            pages::summary(&benchmark, &others),
-            args.output.join("benchmark.md").display()
-        ))?,
+    let failure = failure(&benchmark).map(|text| Failure::Partial(anyhow::anyhow!(text)));
+    let mut value = with_summary(&benchmark);
+    if let Some(failure) = &failure {
+        value["error"] = failure.as_json();
     }
-    match benchmark.failed().map(|entry| entry.folder.as_str()).collect::<Vec<_>>() {
-        failed if failed.is_empty() => Ok(()),
-        failed => Err(Failure::Input(anyhow::anyhow!(
-            "{} of {} sequences failed: {}; benchmark.md has the reasons",
-            failed.len(),
-            benchmark.sequences.len(),
-            failed.join(", ")
-        ))),
-    }
+    show(form, &value, || {
+        format!("{}\n{}\n", pages::summary(&benchmark, &others), args.output.join("benchmark.md").display())
+    })?;
+    failure.map_or(Ok(()), Err)
+}
+
+/// Which sequences failed.
+fn failure(benchmark: &Benchmark) -> Option<String> {
+    let failed: Vec<&str> = benchmark.failed().map(|entry| entry.folder.as_str()).collect();
+    (!failed.is_empty()).then(|| {
+        let (num_failed, all) = (failed.len(), benchmark.sequences.len());
+        format!("{num_failed} of {all} sequences failed: {}; benchmark.md has the reasons", failed.join(", "))
+    })
 }
 
 fn options(args: &Args) -> Result<Options, Failure> {

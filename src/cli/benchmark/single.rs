@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use super::Args;
 use super::sequences::names;
+use crate::cli::job::apply_sequence;
 use crate::cli::output::Failure;
-use crate::cli::run::apply_sequence;
 use crate::cli::terminal::Talk;
 use crate::eval::Evaluation;
 use crate::eval::benchmark::{Cost, Entry};

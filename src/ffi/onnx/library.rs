@@ -1,6 +1,8 @@
 //! Finding and loading ONNX Runtime.
 
 use std::env;
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
@@ -23,8 +25,8 @@ const FILE_NAME: &str = "libonnxruntime.so";
 pub struct RuntimeInfo {
     /// The shared library; a bare file name if the system's loader found it.
     pub library: PathBuf,
-    /// Its version, such as `1.31.1`, or all that it says of itself if that cannot be read.
-    pub version: String,
+    /// Its version, such as `1.31.1`; `None` where it does not say it.
+    pub version: Option<String>,
 }
 
 /// A loaded runtime. It lives until the process ends, as the library cannot be unloaded safely.
@@ -120,18 +122,33 @@ fn start(library: PathBuf) -> Result<Runtime, OnnxError> {
         Err(error) => return Err(OnnxError::Runtime { library, reason: error.to_string() }),
     };
     environment.set_log_level(LogLevel::Error);
-    let version = version_of(ort::info());
+    let version = named_version(ort::info()).or_else(|| symbol_version(&library));
     Ok(Runtime { info: RuntimeInfo { library, version }, environment })
 }
 
-/// The version in the build information, which reads `ORT Build Info: git-branch=rel-1.31.1, git-commit-id=..., ...`.
-fn version_of(build_info: &str) -> String {
-    let branch = build_info.split("git-branch=").nth(1).and_then(|rest| rest.split(',').next());
-    let digits = branch.map(|b| b.trim_start_matches(|c: char| !c.is_ascii_digit()).trim());
-    match digits {
-        Some(version) if !version.is_empty() => version.to_owned(),
-        _ => build_info.to_owned(),
-    }
+/// The version in the build information, which reads `ORT Build Info: git-branch=rel-1.31.1, git-commit-id=..., ...` if it
+/// was built from a branch of that name.
+fn named_version(build_info: &str) -> Option<String> {
+    let branch = build_info.split("git-branch=").nth(1)?.split(',').next()?;
+    leading_version(branch.trim_start_matches(|c: char| !c.is_ascii_digit()))
+}
+
+/// The version that the library's symbols carry, `VERS_1.31.1`; it stands near the beginning of the file.
+fn symbol_version(library: &Path) -> Option<String> {
+    const MARK: &[u8] = b"VERS_";
+    const HEAD_BYTES: u64 = 4 << 20;
+    let mut head = Vec::new();
+    File::open(library).ok()?.take(HEAD_BYTES).read_to_end(&mut head).ok()?;
+    let versions = head.windows(MARK.len()).enumerate().filter(|(_, window)| *window == MARK);
+    let after = |at: usize| String::from_utf8_lossy(&head[at..head.len().min(at + 32)]).into_owned();
+    versions.map(|(at, _)| after(at + MARK.len())).find_map(|text| leading_version(&text))
+}
+
+/// The numbers and dots at the beginning of a text, if they are a version.
+fn leading_version(text: &str) -> Option<String> {
+    let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let version = text[..end].trim_end_matches('.');
+    version.contains('.').then(|| version.to_owned())
 }
 
 #[cfg(test)]
@@ -139,13 +156,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_version_is_read_from_the_branch() {
-        assert_eq!(
-            version_of("ORT Build Info: git-branch=rel-1.31.1, git-commit-id=26250ae, build type=Release"),
-            "1.31.1"
-        );
-        assert_eq!(version_of("ORT Build Info: git-branch=main, x"), "ORT Build Info: git-branch=main, x");
-        assert_eq!(version_of(""), "");
+    fn the_version_is_read_from_the_branch_or_from_the_symbols() {
+        let info = "ORT Build Info: git-branch=rel-1.31.1, git-commit-id=26250ae, build type=Release";
+        assert_eq!(named_version(info).as_deref(), Some("1.31.1"));
+        assert_eq!(named_version("ORT Build Info: git-branch=HEAD, git-commit-id=1, x"), None);
+        let folder = tempfile::tempdir().unwrap();
+        let library = folder.path().join("libonnxruntime.so");
+        std::fs::write(&library, b"\x7fELF\0VERS_x\0OrtGetApiBase\0VERS_1.31.1\0more").unwrap();
+        assert_eq!(symbol_version(&library).as_deref(), Some("1.31.1"));
+        assert_eq!(symbol_version(&folder.path().join("none.so")), None);
     }
 
     #[test]

@@ -78,12 +78,13 @@ impl<'a> Growth<'a> {
         Ok(self.map.num_points() >= self.options.min_initial_inliers / 2)
     }
 
-    /// Adds views until none fits any more.
-    pub fn grow(&mut self) -> Result<(), SfmError> {
+    /// Adds views until none fits any more; `watch` is told how many there are.
+    pub fn grow(&mut self, watch: &mut dyn FnMut(usize)) -> Result<(), SfmError> {
         loop {
             while let Some(view) = self.next_view() {
                 if self.register(view) {
                     self.settle(view)?;
+                    watch(self.map.num_registered());
                 }
             }
             // Everything that can be seen was tried: a global adjustment may open new points, then once more.

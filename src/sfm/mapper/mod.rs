@@ -189,15 +189,39 @@ pub fn reconstruct(
     options: &Options,
     seed: u64,
 ) -> Result<(Reconstruction, Report), SfmError> {
+    reconstruct_watched(table, cameras, intrinsics, options, seed, &mut |_| {})
+}
+
+/// As [`reconstruct`]; `watch` is told now and then which share of the work is done, as far as that can be told: starts
+/// that turn out to be needed set it back.
+///
+/// # Errors
+/// As [`reconstruct`].
+pub fn reconstruct_watched(
+    table: &TrackTable,
+    cameras: &[Camera],
+    intrinsics: Intrinsics,
+    options: &Options,
+    seed: u64,
+    watch: &mut dyn FnMut(f64),
+) -> Result<(Reconstruction, Report), SfmError> {
+    // Of a start, growing takes about so much, the last adjustments the rest.
+    const GROWTH_SHARE: f64 = 0.7;
     let (pairs, survey) = initial_pair::ranked(table, cameras, intrinsics, options, seed);
     let usable = table.views.iter().filter(|v| !v.pixels.is_empty()).count();
     let mut best: Option<(f64, Map, Report)> = None;
     let mut num_starts = 0;
     for pair in initial_pair::far_from_one_another(pairs.clone(), table.views.len()).iter().take(options.max_starts) {
+        let all_starts = options.min_starts.max(num_starts + 1) as f64;
+        let before = num_starts as f64;
         num_starts += 1;
         let mut growth = Growth::new(Map::new(table, cameras), intrinsics, options, seed);
         if growth.start(pair)? {
-            growth.grow()?;
+            let mut grown = |num_registered: usize| {
+                let share = num_registered as f64 / usable.max(1) as f64;
+                watch((before + GROWTH_SHARE * share) / all_starts);
+            };
+            growth.grow(&mut grown)?;
             growth.finish()?;
             let (map, report) = growth.into_result();
             let explained = map.num_explained(options.max_error_px);
@@ -209,6 +233,7 @@ pub fn reconstruct(
                 best = Some((explained, map, report));
             }
         }
+        watch((before + 1.0) / all_starts);
         const GOOD_SHARE: f64 = 0.95;
         let is_good = |map: &Map| map.num_registered() as f64 >= GOOD_SHARE * usable as f64;
         if num_starts >= options.min_starts && best.as_ref().is_some_and(|(_, map, _)| is_good(map)) {

@@ -169,7 +169,7 @@ impl Growth<'_> {
         }
         self.noise = Noise::Unknown;
         again.into_iter().for_each(|view| self.failed[view] = None);
-        self.grow()
+        self.grow(&mut |_| {})
     }
 
     /// Takes out views that filtering has left with too few observations to hold a pose.

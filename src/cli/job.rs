@@ -1,0 +1,223 @@
+//! What a run is asked to do: its flags, and what they come to together with the options file and the input's own folder.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+
+use super::common::CommonArgs;
+use super::output::Failure;
+use crate::io::{IoError, Sequence};
+use crate::pipeline::{FeatureKind, FrameOrder, GroundLabels, Instances, Intrinsics, Options, Stage};
+use crate::scene::ObjectId;
+use crate::video::Position;
+
+#[derive(Debug, clap::Args)]
+pub(super) struct JobArgs {
+    /// Video file, folder of images, or folder of a ground-truth sequence (one with a scene.json)
+    ///
+    /// Of a sequence, images, masks, ground labels and intrinsics are taken, unless given otherwise.
+    pub(super) input: PathBuf,
+    /// Folder for the results; made if missing, continued if an earlier run was stopped
+    #[arg(long, short, value_name = "DIR")]
+    pub(super) output: PathBuf,
+    /// Replace the results of another input that are in the output folder
+    #[arg(long)]
+    pub(super) overwrite: bool,
+
+    /// Given vehicle masks: one 8-bit PNG per frame with the frame's stem, 0 background, k = vehicle k
+    #[arg(long, value_name = "DIR", conflicts_with = "segmentation_model", help_heading = "Vehicles")]
+    pub(super) masks: Option<PathBuf>,
+    /// ONNX model for instance segmentation (YOLO-seg family)
+    #[arg(long, value_name = "FILE", help_heading = "Vehicles")]
+    pub(super) segmentation_model: Option<PathBuf>,
+    /// ONNX model for optical flow [default: OpenCV's DIS]
+    #[arg(long, value_name = "FILE", help_heading = "Vehicles")]
+    pub(super) flow_model: Option<PathBuf>,
+
+    /// Given ground masks: one 8-bit PNG per frame, non-zero = ground
+    #[arg(long, value_name = "DIR", conflicts_with = "ground_model", help_heading = "Ground")]
+    pub(super) ground_masks: Option<PathBuf>,
+    /// The value in --ground-masks that means ground, where others mean something else
+    #[arg(long, value_name = "VALUE", requires = "ground_masks", help_heading = "Ground")]
+    pub(super) ground_label: Option<u8>,
+    /// ONNX model for semantic segmentation [default: the dominant plane below the camera]
+    #[arg(long, value_name = "FILE", help_heading = "Ground")]
+    pub(super) ground_model: Option<PathBuf>,
+
+    /// fx,fy,cx,cy[,k1,k2] in pixels of the source, or a COLMAP cameras.txt [default: from EXIF, or found]
+    ///
+    /// The centre of the upper left pixel is (0.5, 0.5).
+    #[arg(long, value_name = "NUMBERS|FILE", help_heading = "Geometry")]
+    pub(super) intrinsics: Option<Intrinsics>,
+    /// How image points are found: `video` follows them from frame to frame, `sift` matches them between frames
+    ///
+    /// Without it: `video` for frames in order of time, `sift` for others.
+    #[arg(long, value_name = "KIND", value_parser = feature_kind, help_heading = "Geometry")]
+    pub(super) features: Option<FeatureKind>,
+    /// Whether frames follow one another in time: `time` or `none` (photographs: all pairs are matched)
+    ///
+    /// Without it: a video does, and so does a folder with --fps, --features video, or a scene.json. Of any other folder
+    /// a few pictures are compared with their successors: where less than 60 % of the corners can be followed, they are
+    /// taken for photographs.
+    #[arg(long, value_name = "ORDER", value_parser = frame_order, help_heading = "Frames")]
+    pub(super) order: Option<FrameOrder>,
+    /// COLMAP model of the background, taken as it is
+    #[arg(long, value_name = "DIR", help_heading = "Geometry")]
+    pub(super) background_model: Option<PathBuf>,
+    /// COLMAP model of vehicle ID, taken as it is; may be repeated
+    #[arg(long, value_name = "ID=DIR", value_parser = object_model, help_heading = "Geometry")]
+    pub(super) object_model: Vec<(ObjectId, PathBuf)>,
+    /// Reconstruct this vehicle alone; may be repeated [default: all]
+    #[arg(long, value_name = "ID", value_parser = object_id, help_heading = "Geometry")]
+    pub(super) only_object: Vec<ObjectId>,
+
+    /// First frame: seconds (12.5) or a frame index (120f)
+    #[arg(long, value_name = "TIME", help_heading = "Frames")]
+    pub(super) start: Option<Position>,
+    /// End, itself left out: seconds or a frame index
+    #[arg(long, value_name = "TIME", help_heading = "Frames")]
+    pub(super) end: Option<Position>,
+    /// Take every N-th frame
+    #[arg(long, value_name = "N", help_heading = "Frames")]
+    pub(super) every: Option<u32>,
+    /// Make frames smaller whose longer side is larger, pixels; results are at that resolution
+    #[arg(long, value_name = "PIXELS", help_heading = "Frames")]
+    pub(super) max_dimension: Option<u32>,
+    /// Frames per second of a folder of images
+    #[arg(long, value_name = "RATE", help_heading = "Frames")]
+    pub(super) fps: Option<f64>,
+
+    #[command(flatten)]
+    pub(super) common: CommonArgs,
+}
+
+/// The flag as the help of a part of a run shows it: not at all if it is used by later parts alone. It is taken
+/// nevertheless, so that the same flags serve every part.
+pub(super) fn shown_up_to(goal: Stage, flag: clap::Arg) -> clap::Arg {
+    let first_use = match flag.get_id().as_str() {
+        "flow_model" => Stage::Track,
+        "intrinsics" | "features" | "background_model" | "object_model" | "only_object" => Stage::Features,
+        "ground_masks" | "ground_label" | "ground_model" => Stage::Ground,
+        "scale_method" => Stage::Scale,
+        _ => Stage::Frames,
+    };
+    flag.hide(first_use > goal)
+}
+
+/// Input and options from the flags, the options file, and the folder of a sequence.
+pub(super) fn resolve(job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), Failure> {
+    let mut options = job.common.options()?;
+    apply_flags(job, &mut options);
+    let mut input = job.input.clone();
+    if input.join("scene.json").is_file() {
+        input = apply_sequence(&Sequence::open(&job.input)?, &mut options)?;
+    }
+    let looks_for_vehicles = !matches!(goal, Stage::Frames | Stage::Objects);
+    if looks_for_vehicles && options.instances == Instances::None {
+        return Err(Failure::Usage(
+            "nothing says where the vehicles are; give --segmentation-model FILE (an ONNX model of the YOLO-seg family) \
+             or --masks DIR (`tractrix doctor` says more)"
+                .to_owned(),
+        ));
+    }
+    options.check().map_err(|error| Failure::Usage(error.to_string()))?;
+    check_paths(&options)?;
+    Ok((input, options))
+}
+
+fn apply_flags(job: &JobArgs, options: &mut Options) {
+    if let Some(folder) = &job.masks {
+        options.instances = Instances::Masks(folder.clone());
+    } else if let Some(model) = &job.segmentation_model {
+        options.instances = Instances::Model(model.clone());
+    }
+    if let Some(folder) = &job.ground_masks {
+        options.ground_labels = GroundLabels::Masks { folder: folder.clone(), label: job.ground_label };
+    } else if let Some(model) = &job.ground_model {
+        options.ground_labels = GroundLabels::Model(model.clone());
+    }
+    let set = |to: &mut Option<PathBuf>, flag: &Option<PathBuf>| {
+        if flag.is_some() {
+            to.clone_from(flag);
+        }
+    };
+    set(&mut options.flow_model, &job.flow_model);
+    set(&mut options.background_model, &job.background_model);
+    options.object_models.extend(job.object_model.iter().cloned());
+    options.only_objects.extend(job.only_object.iter().copied());
+    options.intrinsics = job.intrinsics.clone().or(options.intrinsics.take());
+    options.video.start = job.start.or(options.video.start);
+    options.video.end = job.end.or(options.video.end);
+    options.video.every = job.every.unwrap_or(options.video.every);
+    options.video.max_dimension = job.max_dimension.or(options.video.max_dimension);
+    options.video.fps = job.fps.or(options.video.fps);
+    options.features = job.features.unwrap_or(options.features);
+    options.order = job.order.unwrap_or(options.order);
+}
+
+/// Fills in what a ground-truth sequence knows and nobody gave; gives its folder of images or its video.
+pub(super) fn apply_sequence(sequence: &Sequence, options: &mut Options) -> Result<PathBuf, IoError> {
+    let input = sequence.input()?;
+    let Some(first) = sequence.frames.first() else { return Ok(input) };
+    let folder_of = |file: &Path| sequence.folder.join(file.parent().unwrap_or(Path::new("")));
+    if options.instances == Instances::None {
+        options.instances = Instances::Masks(folder_of(&first.mask));
+    }
+    if let (GroundLabels::Geometric, Some(semantic)) = (&options.ground_labels, &first.semantic) {
+        let label = Some(crate::io::GROUND_LABEL);
+        options.ground_labels = GroundLabels::Masks { folder: folder_of(semantic), label };
+    }
+    if options.intrinsics.is_none() {
+        options.intrinsics = Some(Intrinsics::Given(sequence.camera.intrinsics()));
+    }
+    if input.is_dir() {
+        options.video.fps = options.video.fps.or(Some(sequence.fps));
+    }
+    Ok(input)
+}
+
+/// Says which file is missing before any work starts.
+fn check_paths(options: &Options) -> Result<(), Failure> {
+    for (flag, path) in options.named_paths() {
+        fs::metadata(path).with_context(|| format!("{}: cannot be read; check {flag}", path.display()))?;
+    }
+    Ok(())
+}
+
+/// Has the work done by so many threads, where a number is given.
+pub(super) fn use_threads(threads: Option<usize>) -> Result<(), Failure> {
+    let Some(threads) = threads else { return Ok(()) };
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("cannot start the threads")?;
+    opencv::core::set_num_threads(i32::try_from(threads).unwrap_or(i32::MAX))?;
+    Ok(())
+}
+
+fn object_id(text: &str) -> Result<ObjectId, String> {
+    let id = text.parse().ok().filter(|id| *id > 0);
+    id.map(ObjectId).ok_or_else(|| format!("'{text}' is not an id from 1"))
+}
+
+fn object_model(text: &str) -> Result<(ObjectId, PathBuf), String> {
+    let parsed = text.split_once('=').and_then(|(id, folder)| Some((id.parse().ok()?, folder)));
+    match parsed {
+        Some((id, folder)) if id > 0 && !folder.is_empty() => Ok((ObjectId(id), folder.into())),
+        _ => Err(format!("'{text}' is not ID=DIR with an id from 1")),
+    }
+}
+
+fn feature_kind(text: &str) -> Result<FeatureKind, String> {
+    match text {
+        "video" => Ok(FeatureKind::Video),
+        "sift" => Ok(FeatureKind::Sift),
+        _ => Err(format!("'{text}' is neither video nor sift")),
+    }
+}
+
+fn frame_order(text: &str) -> Result<FrameOrder, String> {
+    match text {
+        "time" => Ok(FrameOrder::Time),
+        "none" => Ok(FrameOrder::None),
+        _ => Err(format!("'{text}' is neither time nor none")),
+    }
+}

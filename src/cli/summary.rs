@@ -1,0 +1,248 @@
+//! What a run found, as its last lines say it: vehicle by vehicle, in words that need no manual.
+
+use std::fmt::Write;
+
+use serde_json::{Value, json};
+
+use crate::pipeline::{Summary, Vehicle};
+use crate::scene::{ObjectId, ObjectPose, ObjectTrajectory, ScaleEstimate, TimeBase, Trajectories, Unit};
+
+/// A relative standard deviation beyond which a length is no measurement.
+const WEAK: f64 = 0.1;
+
+/// One paragraph per vehicle; where a run ends before the trajectories, nothing.
+pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String {
+    let mut text = headline(summary.vehicles.len(), trajectories.objects.len()) + "\n";
+    for (&id, vehicle) in &summary.vehicles {
+        // Writing to a string cannot fail.
+        let _ = match trajectories.objects.iter().find(|trajectory| trajectory.id == id) {
+            Some(found) => write!(text, "{}", placed(found, vehicle, trajectories.unit, summary.time_base)),
+            None => writeln!(text, "  {id}: {}, no trajectory: {}", class(vehicle), why_not(vehicle)),
+        };
+    }
+    text
+}
+
+fn headline(num_vehicles: usize, num_placed: usize) -> String {
+    let vehicles = count(num_vehicles, "vehicle");
+    match num_placed {
+        _ if num_vehicles == 0 => "no vehicle".to_owned(),
+        0 if num_vehicles == 1 => format!("{vehicles}, without a trajectory"),
+        0 => format!("{vehicles}, none with a trajectory"),
+        all if all == num_vehicles => {
+            format!("{vehicles} with {}", if all == 1 { "a trajectory" } else { "trajectories" })
+        }
+        some => format!("{vehicles}, {some} of them with a trajectory"),
+    }
+}
+
+fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, unit: Unit, times: TimeBase) -> String {
+    let (id, class) = (found.id, class(vehicle));
+    let (placed, visible) = (found.poses.len(), vehicle.model.num_visible);
+    let mut text =
+        format!("  {id}: {class}, placed in {placed} of {}{}\n", count(visible, "frame"), span(found, times));
+    // Writing to a string cannot fail.
+    let _ = writeln!(text, "     path: {}{}", length(path_length(found), unit), speed(found, unit, times));
+    let _ = writeln!(text, "     {}", sureness(&found.scale));
+    if let Some(reason) = vehicle.model.unregistered.values().next().filter(|_| placed < visible) {
+        let _ = writeln!(text, "     not in {}: {reason}", count(visible.saturating_sub(placed), "frame"));
+    }
+    text
+}
+
+/// From when to when.
+fn span(found: &ObjectTrajectory, times: TimeBase) -> String {
+    let (Some(first), Some(last)) = (found.poses.first(), found.poses.last()) else { return String::new() };
+    match times {
+        TimeBase::Seconds => format!(", from {:.1} s to {:.1} s", first.time_s, last.time_s),
+        TimeBase::Frames => format!(", from frame {} to frame {}", first.frame.0, last.frame.0),
+    }
+}
+
+/// How far size and distance can be trusted: both hang on the scale ratio alone.
+fn sureness(scale: &ScaleEstimate) -> String {
+    let std = scale.std.map(|std| std / scale.ratio).filter(|std| std.is_finite());
+    match std {
+        _ if scale.degenerate => {
+            let reason = scale.reason.as_deref().map_or_else(String::new, |reason| format!(": {reason}"));
+            format!("size and distance are undetermined, do not measure with them{reason}")
+        }
+        Some(std) if std > WEAK => {
+            format!("size and distance may well be wrong by {} (one standard deviation)", percent(std))
+        }
+        Some(std) => format!("size and distance are right to about {} (one standard deviation)", percent(std)),
+        None => "how exact size and distance are is not known".to_owned(),
+    }
+}
+
+fn percent(share: f64) -> String {
+    let percent = 100.0 * share;
+    let decimals = if percent < 9.95 { 1 } else { 0 };
+    format!("{percent:.decimals$} %")
+}
+
+fn why_not(vehicle: &Vehicle) -> &str {
+    let reason = vehicle.model.failure.as_deref().or(vehicle.not_placed.as_deref());
+    reason.unwrap_or("it is not known why")
+}
+
+fn class(vehicle: &Vehicle) -> &str {
+    if vehicle.class.is_empty() { "vehicle" } else { &vehicle.class }
+}
+
+/// `1 frame`, `2 frames`.
+fn count(number: usize, noun: &str) -> String {
+    let plural = if number == 1 { "" } else { "s" };
+    format!("{number} {noun}{plural}")
+}
+
+/// Length of the way between the first and the last pose, gaps bridged by straight lines.
+fn path_length(found: &ObjectTrajectory) -> f64 {
+    found.poses.windows(2).map(|pair| distance(&pair[0], &pair[1])).sum()
+}
+
+fn distance(a: &ObjectPose, b: &ObjectPose) -> f64 {
+    a.position.iter().zip(&b.position).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
+}
+
+fn length(length: f64, unit: Unit) -> String {
+    match unit {
+        Unit::Metre => format!("{length:.1} m"),
+        Unit::Background => format!("{} units of the background", with_three_digits(length)),
+    }
+}
+
+/// Units of the background are arbitrary: a path may be 0.00123 or 12300 of them long.
+fn with_three_digits(value: f64) -> String {
+    let magnitude = if value > 0.0 { value.log10().floor() as i32 } else { 0 };
+    let decimals = (2 - magnitude).clamp(0, 9) as usize;
+    format!("{value:.decimals$}")
+}
+
+/// The mean speed, where it has a meaning.
+fn speed(found: &ObjectTrajectory, unit: Unit, times: TimeBase) -> String {
+    let (Some(first), Some(last)) = (found.poses.first(), found.poses.last()) else { return String::new() };
+    let seconds = last.time_s - first.time_s;
+    match (unit, times) {
+        (Unit::Metre, TimeBase::Seconds) if seconds > 0.0 => {
+            let speed = path_length(found) / seconds;
+            format!(", on average {speed:.1} m/s ({:.0} km/h)", 3.6 * speed)
+        }
+        _ => String::new(),
+    }
+}
+
+/// The vehicles with a trajectory, for programs.
+pub(super) fn placed_as_json(summary: &Summary, trajectories: &Trajectories) -> Vec<Value> {
+    let value = |found: &ObjectTrajectory| {
+        json!({
+            "id": found.id,
+            "class": found.class,
+            "frames": found.poses.len(),
+            "visible": summary.vehicles.get(&found.id).map(|vehicle| vehicle.model.num_visible),
+            "first_frame": found.poses.first().map(|pose| pose.frame),
+            "last_frame": found.poses.last().map(|pose| pose.frame),
+            "path_length": path_length(found),
+            "scale": found.scale,
+        })
+    };
+    trajectories.objects.iter().map(value).collect()
+}
+
+/// The vehicles without, and why.
+pub(super) fn missing_as_json(summary: &Summary, trajectories: &Trajectories) -> Vec<Value> {
+    let is_placed = |id: &ObjectId| trajectories.objects.iter().any(|found| found.id == *id);
+    let missing = summary.vehicles.iter().filter(|(id, _)| !is_placed(id));
+    missing.map(|(id, vehicle)| json!({ "id": id, "class": vehicle.class, "reason": why_not(vehicle) })).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::Sim3;
+    use crate::pipeline::ModelReport;
+    use crate::scene::{FrameId, ScaleMethod};
+
+    fn pose(frame: u32) -> ObjectPose {
+        ObjectPose {
+            frame: FrameId(frame),
+            name: String::new(),
+            time_s: f64::from(frame) * 0.1,
+            position: [f64::from(frame) * 0.05, 0.0, 0.0],
+            world_from_object: Sim3::identity(),
+            speed: None,
+        }
+    }
+
+    fn trajectory(id: u32) -> ObjectTrajectory {
+        let scale = ScaleEstimate {
+            ratio: 2.0,
+            std: Some(0.02),
+            method: ScaleMethod::Joint,
+            degenerate: false,
+            reason: None,
+            alternatives: [].into(),
+            as_reconstructed: None,
+        };
+        let poses = (3..=12).map(pose).collect();
+        ObjectTrajectory { id: ObjectId(id), class: "car".into(), confidence: 1.0, scale, poses }
+    }
+
+    fn summary(vehicles: impl IntoIterator<Item = (u32, Vehicle)>, time_base: TimeBase) -> Summary {
+        Summary {
+            output: "out".into(),
+            stages: Vec::new(),
+            num_frames: 20,
+            time_base,
+            background: None,
+            vehicles: vehicles.into_iter().map(|(id, vehicle)| (ObjectId(id), vehicle)).collect(),
+            warnings: Vec::new(),
+        }
+    }
+
+    fn vehicle(class: &str, num_visible: usize, failure: Option<&str>) -> Vehicle {
+        let model = ModelReport { num_visible, failure: failure.map(str::to_owned), ..ModelReport::default() };
+        Vehicle { class: class.to_owned(), model, not_placed: None }
+    }
+
+    #[test]
+    fn every_vehicle_is_told_in_words() {
+        let vehicles = [(1, vehicle("car", 10, None)), (4, vehicle("truck", 2, Some("it is too small")))];
+        let found = Trajectories { unit: Unit::Background, objects: vec![trajectory(1)] };
+        assert_eq!(
+            as_text(&summary(vehicles.clone(), TimeBase::Seconds), &found),
+            "2 vehicles, 1 of them with a trajectory\n  \
+               1: car, placed in 10 of 10 frames, from 0.3 s to 1.2 s\n     \
+                  path: 0.450 units of the background\n     \
+                  size and distance are right to about 1.0 % (one standard deviation)\n  \
+               4: truck, no trajectory: it is too small\n"
+        );
+        let without_times = as_text(&summary(vehicles, TimeBase::Frames), &found);
+        assert!(
+            without_times.contains("from frame 3 to frame 12\n") && !without_times.contains(" s "),
+            "{without_times}"
+        );
+    }
+
+    #[test]
+    fn metres_have_a_speed_and_one_vehicle_is_one() {
+        let found = Trajectories { unit: Unit::Metre, objects: vec![trajectory(1)] };
+        let text = as_text(&summary([(1, vehicle("", 10, None))], TimeBase::Seconds), &found);
+        assert!(text.starts_with("1 vehicle with a trajectory\n  1: vehicle, "), "{text}");
+        assert!(text.contains("path: 0.5 m, on average 0.5 m/s (2 km/h)"), "{text}");
+    }
+
+    #[test]
+    fn what_is_not_sure_is_said() {
+        let scale = |std, degenerate| ScaleEstimate { std, degenerate, ..trajectory(1).scale };
+        assert!(sureness(&scale(Some(0.5), false)).contains("may well be wrong by 25 %"));
+        assert!(sureness(&scale(None, false)).contains("not known"));
+        assert!(sureness(&scale(Some(0.02), true)).contains("do not measure"));
+        assert!(sureness(&scale(Some(f64::NAN), false)).contains("not known"));
+        assert_eq!(headline(0, 0), "no vehicle");
+        assert_eq!(
+            (headline(2, 2).as_str(), headline(3, 0).as_str()),
+            ("2 vehicles with trajectories", "3 vehicles, none with a trajectory")
+        );
+    }
+}

@@ -1,0 +1,31 @@
+//! The one way through the pictures: every stage that looks at frames takes them here.
+
+use ::image::RgbImage;
+
+use super::PipelineError;
+use super::run::{Outcome, Run};
+use crate::scene::Frame;
+use crate::video::Frames;
+
+/// Hands every picture to `work`, each a step of the stage's progress. A frame that cannot be decoded is left out, and the
+/// first stage that meets it says so.
+pub(super) fn for_each(
+    run: &Run,
+    frames: Frames,
+    outcome: &mut Outcome,
+    mut work: impl FnMut(Frame, RgbImage) -> Result<(), PipelineError>,
+) -> Result<(), PipelineError> {
+    for item in frames {
+        match item {
+            Ok((frame, picture)) => work(frame, picture)?,
+            Err(error) => {
+                let text = error.to_string();
+                if !run.has_warned(&text) {
+                    outcome.warn(text);
+                }
+            }
+        }
+        run.progress.step();
+    }
+    Ok(())
+}
