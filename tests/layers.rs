@@ -1,8 +1,13 @@
 //! The rooms of `src/` call one another as the table in `docs/architecture.md` says, and in no other way.
 
+#[path = "common/rust_source.rs"]
+mod rust_source;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+
+use rust_source::{SourceFile, declared_modules, named_rooms, production, production_files, tokens};
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -20,88 +25,36 @@ fn table() -> BTreeMap<String, BTreeSet<String>> {
     .collect()
 }
 
-fn rust_files(folder: &Path, found: &mut Vec<PathBuf>) {
-    for entry in fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            rust_files(&path, found);
-        } else if path.extension().is_some_and(|e| e == "rs") {
-            found.push(path);
-        }
-    }
+fn sources() -> Vec<SourceFile> {
+    production_files(&root().join("src/lib.rs"))
 }
 
-/// The code without comments and without what stands under `#[cfg(test)] mod tests`.
-fn code(path: &Path) -> String {
-    let text = fs::read_to_string(path).unwrap();
-    let production = text.split("#[cfg(test)]\nmod tests").next().unwrap_or_default();
-    production.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n")
-}
-
-/// Rooms named by `crate::room` or `use crate::{room, other::thing}`.
-fn called(code: &str) -> BTreeSet<String> {
-    let mut rooms = BTreeSet::new();
-    for (at, _) in code.match_indices("crate::") {
-        let rest = &code[at + "crate::".len()..];
-        match rest.strip_prefix('{') {
-            Some(list) => rooms.extend(first_level(list)),
-            None => rooms.extend(first_name(rest)),
-        }
-    }
-    rooms
-}
-
-fn first_name(text: &str) -> Option<String> {
-    let name: String = text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
-    (!name.is_empty()).then_some(name)
-}
-
-/// The first name of every entry of a `{...}` list, whatever is nested in it.
-fn first_level(list: &str) -> Vec<String> {
-    let (mut depth, mut entry, mut names) = (0, String::new(), Vec::new());
-    for c in list.chars() {
-        match c {
-            '{' => depth += 1,
-            '}' if depth == 0 => break,
-            '}' => depth -= 1,
-            ',' if depth == 0 => names.extend(first_name(std::mem::take(&mut entry).trim())),
-            _ if depth == 0 => entry.push(c),
-            _ => {}
-        }
-    }
-    names.extend(first_name(entry.trim()));
-    names
-}
-
-/// Files that are only compiled for tests although they are files of their own.
-fn is_test_file(path: &Path) -> bool {
-    matches!(path.file_stem().and_then(|s| s.to_str()), Some("tests" | "testing"))
+/// What one file does against the table.
+fn faults(file: &SourceFile, table: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
+    let Some(room) = file.module.first() else { return Vec::new() };
+    let Some(allowed) = table.get(room) else { return vec![format!("src/{room} is not in the table")] };
+    let named = named_rooms(&file.tokens, &file.module);
+    let foreign = named.iter().filter(|named| *named != room && (table.contains_key(*named) || *named == "*"));
+    let wrong = foreign.filter(|named| !allowed.contains(*named));
+    wrong.map(|named| format!("{}: `{room}` may not call `{named}`", file.path.display())).collect()
 }
 
 #[test]
 fn rooms_call_only_what_the_table_allows() {
     let table = table();
     assert!(table.len() >= 15, "the table in docs/architecture.md was not found: {table:?}");
-    let mut wrong = Vec::new();
-    for room in
-        fs::read_dir(root().join("src")).unwrap().map(|entry| entry.unwrap().path()).filter(|path| path.is_dir())
-    {
-        let name = room.file_name().unwrap().to_str().unwrap().to_owned();
-        let Some(allowed) = table.get(&name) else {
-            wrong.push(format!("src/{name} is not in the table"));
-            continue;
-        };
-        let mut files = Vec::new();
-        rust_files(&room, &mut files);
-        for file in files.iter().filter(|file| !is_test_file(file)) {
-            for called in called(&code(file)) {
-                if called != name && table.contains_key(&called) && !allowed.contains(&called) {
-                    wrong.push(format!("{}: `{name}` may not call `{called}`", file.display()));
-                }
-            }
-        }
-    }
+    let wrong: Vec<String> = sources().iter().flat_map(|file| faults(file, &table)).collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_room_is_looked_into() {
+    let modules: BTreeSet<String> = sources().iter().map(|file| file.module.join("::")).collect();
+    let rooms = table().into_keys();
+    let unseen: Vec<String> = rooms.filter(|room| !modules.contains(room)).collect();
+    assert!(unseen.is_empty(), "{unseen:?}");
+    assert!(modules.contains("sfm::mapper") && modules.contains("bundle::solver::sparse"), "{modules:?}");
+    assert!(!modules.contains("sfm::mapper::tests"), "test code is held to no table");
 }
 
 #[test]
@@ -125,16 +78,46 @@ fn rooms_in_the_table_exist_and_it_has_no_cycles() {
 
 #[test]
 fn unsafe_code_stands_in_ffi_alone() {
-    let mut files = Vec::new();
-    rust_files(&root().join("src"), &mut files);
-    let outside = files.iter().filter(|file| !file.starts_with(root().join("src/ffi")));
-    let wrong: Vec<_> = outside.filter(|file| code(file).contains("allow(unsafe_code)")).collect();
+    let allows = |file: &SourceFile| file.tokens.windows(3).any(|w| w == ["allow", "(", "unsafe_code"]);
+    let files = sources();
+    let outside = files.iter().filter(|file| file.module.first().is_none_or(|room| room != "ffi"));
+    let wrong: Vec<_> = outside.filter(|file| allows(file)).map(|file| &file.path).collect();
     assert!(wrong.is_empty(), "{wrong:?}");
 }
 
+/// What a module `sfm::mapper` with this text names.
+fn named(text: &str) -> Vec<String> {
+    let module = ["sfm", "mapper"].map(str::to_owned);
+    named_rooms(&production(&tokens(text)), &module).into_iter().collect()
+}
+
 #[test]
-fn lists_of_imports_are_understood() {
-    let code = "use crate::{ground, sfm::{self, mapper::Options}, video};\nlet x = crate::io::colmap::read(p);";
-    let expected = ["ground", "io", "sfm", "video"].map(str::to_owned);
-    assert_eq!(called(code), BTreeSet::from(expected));
+fn paths_are_understood_in_every_form() {
+    assert_eq!(named("use crate::{ground, sfm::{self, mapper::Options}, video};"), ["ground", "sfm", "video"]);
+    assert_eq!(named("use {crate::ground::Plane, std::{fs, io}};"), ["ground"]);
+    assert_eq!(named("let x = crate::io::colmap::read::<Model>(p)?; pub(crate) fn f() {}"), ["io"]);
+    assert_eq!(named("use super::tracks::Track; use super::super::video::Source;"), ["sfm", "video"]);
+    assert_eq!(named("use super::{Options, super::{video, cli::{run, args::Args}}};"), ["cli", "sfm", "video"]);
+    assert_eq!(named("mod inner { use super::super::super::report; } use super::super::eval;"), ["eval", "report"]);
+    assert_eq!(named("use crate as all; use crate::io as disk;"), ["*", "io"]);
+    assert_eq!(named("use crate::*;"), ["*"]);
+}
+
+#[test]
+fn comments_and_literals_name_nothing() {
+    assert_eq!(named("// use crate::video;\n/// [`crate::cli`]\n/* crate::io /* crate::eval */ crate::io */"), [""; 0]);
+    assert_eq!(named(r##"let a = "crate::video \" crate::io"; let b = r#"crate::"cli"#;"##), [""; 0]);
+    assert_eq!(named("fn f<'a>(c: char) -> &'a str { if c == '\"' || c == '\\'' { crate::video::x() } }"), ["video"]);
+}
+
+#[test]
+fn items_for_tests_alone_are_left_out_and_nothing_else() {
+    let planted = "#[cfg(test)]\nmod tests;\n\nuse crate::video::Source;\n";
+    assert_eq!(named(planted), ["video"]);
+    let around = "use crate::io;\n#[cfg(test)]\n#[allow(dead_code)]\nmod tests {\n use crate::cli; fn f() { g() } }\n\
+        fn after() { crate::eval::evaluate() }";
+    assert_eq!(named(around), ["eval", "io"]);
+    let function = "#[cfg(test)]\nfn f(a: [u8; 3]) -> u8 { crate::cli::g(a) }\nuse crate::ground;";
+    assert_eq!(named(function), ["ground"]);
+    assert_eq!(declared_modules(&production(&tokens("#[cfg(test)]\nmod tests;\npub mod map; mod inner {}"))), ["map"]);
 }
