@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""A problem of "Bundle Adjustment in the Large" as a long video makes it: every camera shares points with its neighbours only.
+"""A problem of "Bundle Adjustment in the Large" as a long video makes it: cameras share points with neighbours only.
 
     scripts/bal/video_problem.py NUM_CAMERAS NUM_POINTS OUT.txt       (needs numpy)
 
-A camera flies past a wall of points, 0.3 units from frame to frame, swaying a little. Pixels have half a pixel of noise; poses,
-focal lengths and points start beside the truth. The seed is fixed: the same arguments give the same file.
+A camera flies past a wall of points, 0.3 units from frame to frame, swaying a little. Pixels have half a pixel of
+noise; poses, focal lengths and points start beside the truth. The seed is fixed: the same arguments give the same file.
 """
 
 import sys
@@ -14,7 +14,9 @@ import numpy as np
 FOCAL, HALF_WIDTH, HALF_HEIGHT, STEP = 800.0, 400.0, 270.0, 0.3
 
 
-def observe(rotation, center, points, rng):
+def observe(
+    rotation: np.ndarray, center: np.ndarray, points: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """Indices and pixels of the points in view; the camera looks along its negative z, as in this format."""
     in_cam = (points - center) @ rotation.T
     pixels = -FOCAL * in_cam[:, :2] / in_cam[:, 2:]
@@ -23,7 +25,7 @@ def observe(rotation, center, points, rng):
     return index, pixels[index] + rng.normal(scale=0.5, size=(len(index), 2))
 
 
-def main():
+def main() -> None:
     num_cameras, num_points, out = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
     rng = np.random.default_rng(1)
     x = STEP * np.arange(num_cameras)
@@ -37,7 +39,9 @@ def main():
         index, pixels = observe(rotation, center, points, rng)
         observations += [(j, k, u, v) for j, (u, v) in zip(index, pixels)]
         translation = -rotation @ center + rng.normal(scale=0.02, size=3)
-        cameras.append([0, angle + rng.normal(scale=0.002), 0, *translation, FOCAL * (1 + rng.normal(scale=0.01)), 0, 0])
+        cameras.append(
+            [0, angle + rng.normal(scale=0.002), 0, *translation, FOCAL * (1 + rng.normal(scale=0.01)), 0, 0]
+        )
     count = np.bincount([o[0] for o in observations], minlength=num_points)
     place = np.cumsum(count >= 2) - 1
     kept = sorted(o for o in observations if count[o[0]] >= 2)

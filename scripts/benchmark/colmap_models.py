@@ -2,7 +2,8 @@
 """COLMAP's reconstructions of ground-truth sequences: background and target, with the given masks and the true K.
 
     python3 -m venv VENV && VENV/bin/pip install pycolmap==4.2.1
-    VENV/bin/python scripts/benchmark/colmap_models.py SEQUENCE... --output DIR [--first-octave 0] [--growth 0] [--matching exhaustive] [--threads 1]
+    VENV/bin/python scripts/benchmark/colmap_models.py SEQUENCE... --output DIR [--first-octave 0] [--growth 0]
+                                                       [--matching exhaustive] [--threads 1]
 
 Needs pycolmap and the program ffmpeg. For every sequence DIR/<sequence>/ holds `background/` and `object/` (COLMAP
 binary models, absent where COLMAP made none) and `colmap.json`: settings, registered frames, points, CPU seconds per
@@ -203,7 +204,10 @@ def main() -> None:
         "default is that of `tractrix run`",
     )
     parser.add_argument(
-        "--matching", choices=("sequential", "exhaustive"), default="sequential", help="pairs of frames that are compared"
+        "--matching",
+        choices=("sequential", "exhaustive"),
+        default="sequential",
+        help="pairs of frames that are compared",
     )
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()

@@ -3,13 +3,14 @@
 
     scripts/benchmark/sfm_peers.py SET... [--tractrix target/release/tractrix] [--only tractrix|colmap] [--repeat N]
 
-A SET is a folder with images/ and meta.json: per image the camera's centre in metres ("gt": {name: {"C": [x, y, z]}}), or
-its GPS position ("gps": {name: [latitude, longitude, altitude]}); "K_full" and "scale" give the intrinsics (K_full / scale,
-centre of the first pixel at (0.5, 0.5)) where they are known.
+A SET is a folder with images/ and meta.json: per image the camera's centre in metres ("gt": {name: {"C": [x, y, z]}}),
+or its GPS position ("gps": {name: [latitude, longitude, altitude]}); "K_full" and "scale" give the intrinsics
+(K_full / scale, centre of the first pixel at (0.5, 0.5)) where they are known.
 
-Needs numpy and pycolmap (pip install numpy pycolmap). Case A: nothing is said of the camera. Case B: the true intrinsics,
-held. "pp" is COLMAP's result after one more bundle adjustment with the principal point free. RMSE is that of the camera
-centres after the best similarity; CPU is user and system time of the whole process, reading the images included.
+Needs numpy and pycolmap (pip install numpy pycolmap). Case A: nothing is said of the camera. Case B: the true
+intrinsics, held. "pp" is COLMAP's result after one more bundle adjustment with the principal point free. RMSE is that
+of the camera centres after the best similarity; CPU is user and system time of the whole process, reading the images
+included.
 """
 
 import argparse
@@ -20,12 +21,17 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+Meta = dict[str, Any]
+Figures = dict[str, Any]
 
-def positions(meta):
+
+def positions(meta: Meta) -> dict[str, np.ndarray]:
     """Camera centres by lower-case file name, metres."""
     if meta.get("gt"):
         return {name.lower(): np.array(entry["C"]) for name, entry in meta["gt"].items()}
@@ -39,17 +45,20 @@ def positions(meta):
     return {name.lower(): center for name, center in zip(names, local)}
 
 
-def earth_from_gps(latitude, longitude, altitude):
+def earth_from_gps(latitude: float, longitude: float, altitude: float) -> list[float]:
     """Earth-centred coordinates on the WGS 84 ellipsoid."""
     a, f = 6378137.0, 1 / 298.257223563
     e2 = f * (2 - f)
     lat, lon = np.radians([latitude, longitude])
     n = a / np.sqrt(1 - e2 * np.sin(lat) ** 2)
-    return [(n + altitude) * np.cos(lat) * np.cos(lon), (n + altitude) * np.cos(lat) * np.sin(lon),
-            (n * (1 - e2) + altitude) * np.sin(lat)]
+    return [
+        (n + altitude) * np.cos(lat) * np.cos(lon),
+        (n + altitude) * np.cos(lat) * np.sin(lon),
+        (n * (1 - e2) + altitude) * np.sin(lat),
+    ]
 
 
-def rmse(found, truth):
+def rmse(found: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
     """Root mean square and largest distance after the best similarity (Umeyama 1991)."""
     mean_f, mean_t = found.mean(0), truth.mean(0)
     f, t = found - mean_f, truth - mean_t
@@ -61,22 +70,29 @@ def rmse(found, truth):
     return np.sqrt((error**2).mean()), error.max()
 
 
-def judged(model, truth):
+def judged(model: Path, truth: dict[str, np.ndarray]) -> Figures:
     """Registered images, RMSE and largest error of a COLMAP model."""
     import pycolmap
 
     reconstruction = pycolmap.Reconstruction(str(model))
-    pairs = [(image.projection_center(), truth[image.name.lower()])
-             for image in reconstruction.images.values() if image.has_pose and image.name.lower() in truth]
+    pairs = [
+        (image.projection_center(), truth[image.name.lower()])
+        for image in reconstruction.images.values()
+        if image.has_pose and image.name.lower() in truth
+    ]
     camera = next(iter(reconstruction.cameras.values()))
-    figures = {"registered": len(pairs), "points": len(reconstruction.points3D), "camera": list(map(float, camera.params))}
+    figures = {
+        "registered": len(pairs),
+        "points": len(reconstruction.points3D),
+        "camera": list(map(float, camera.params)),
+    }
     if len(pairs) >= 3:
         found, true = map(np.array, zip(*pairs))
         figures["rmse_m"], figures["worst_m"] = rmse(found, true)
     return figures
 
 
-def measured(command, log):
+def measured(command: list[str | Path], log: Path) -> Figures:
     """CPU seconds, wall seconds and peak memory (MiB) of a command."""
     start = time.monotonic()
     with open(log, "wb") as out:
@@ -85,38 +101,47 @@ def measured(command, log):
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         sys.exit(f"{command[0]} failed; see {log}:\n{Path(log).read_text(errors='replace')[-2000:]}")
-    return {"cpu_s": usage.ru_utime + usage.ru_stime, "wall_s": time.monotonic() - start, "peak_mib": usage.ru_maxrss / 1024}
+    return {
+        "cpu_s": usage.ru_utime + usage.ru_stime,
+        "wall_s": time.monotonic() - start,
+        "peak_mib": usage.ru_maxrss / 1024,
+    }
 
 
-def intrinsics(meta):
+def intrinsics(meta: Meta) -> list[float] | None:
+    """fx, fy, cx, cy in pixels, where they are known."""
     if not isinstance(meta.get("K_full"), list):
         return None
     k, scale = meta["K_full"], meta["scale"]
     return [k[0][0] / scale, k[1][1] / scale, k[0][2] / scale, k[1][2] / scale]
 
 
-def run_colmap(images, work, given):
+def cpu_s() -> float:
+    """CPU seconds of this process so far."""
+    return sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+
+
+def run_colmap(images: Path, work: Path, given: list[float] | None) -> None:
     """The part that is measured: features, exhaustive matching, incremental mapping, default options."""
     import pycolmap
 
     database, model = work / "database.db", work / "model"
-    cpu = lambda: sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
-    marks = [cpu()]
+    marks = [cpu_s()]
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = "PINHOLE" if given else "SIMPLE_RADIAL"
     if given:
         reader.camera_params = ",".join(map(str, given))
     pycolmap.extract_features(database, images, camera_mode=pycolmap.CameraMode.SINGLE, reader_options=reader)
-    marks.append(cpu())
+    marks.append(cpu_s())
     pycolmap.match_exhaustive(database)
-    marks.append(cpu())
+    marks.append(cpu_s())
     options = pycolmap.IncrementalPipelineOptions()
     if given:
         options.ba_refine_focal_length = options.ba_refine_extra_params = options.ba_refine_principal_point = False
     model.mkdir()
     found = pycolmap.incremental_mapping(database, images, model, options)
     best = max(found.values(), key=lambda r: r.num_reg_images())
-    marks.append(cpu())
+    marks.append(cpu_s())
     (work / "best").mkdir()
     best.write_text(str(work / "best"))
     if not given:
@@ -126,10 +151,11 @@ def run_colmap(images, work, given):
         (work / "pp").mkdir()
         best.write_text(str(work / "pp"))
     stages = dict(zip(["features", "matching", "mapping"], np.diff(marks)))
-    (work / "stages.json").write_text(json.dumps(stages | {"pp": cpu() - marks[-1]}))
+    (work / "stages.json").write_text(json.dumps(stages | {"pp": cpu_s() - marks[-1]}))
 
 
-def rows_of(folder, case, arguments, work):
+def rows_of(folder: Path, case: str, arguments: argparse.Namespace, work: Path) -> Iterator[tuple[str, Figures]]:
+    """Each program's name and figures."""
     meta = json.loads((folder / "meta.json").read_text())
     truth, given = positions(meta), intrinsics(meta) if case == "B" else None
     images = folder / "images"
@@ -154,10 +180,11 @@ def rows_of(folder, case, arguments, work):
             yield "COLMAP + pp", cost | {"stages": stages} | judged(colmap / "pp", truth)
 
 
-def main():
+def main() -> None:
     if sys.argv[1:2] == ["--colmap"]:
         images, work, *given = sys.argv[2:]
-        return run_colmap(Path(images), Path(work), json.loads(given[0]) if given else None)
+        run_colmap(Path(images), Path(work), json.loads(given[0]) if given else None)
+        return
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", nargs="+", type=Path, metavar="SET")
     parser.add_argument("--tractrix", default="target/release/tractrix")
@@ -165,12 +192,13 @@ def main():
     parser.add_argument("--repeat", type=int, default=1, help="runs of each; the best CPU time counts")
     parser.add_argument("--json", action="store_true", help="print every figure")
     arguments = parser.parse_args()
-    print("| set | case | program | images | RMSE mm | worst mm | CPU s | of it features / matching / mapping | peak MiB |")
+    parts = "features / matching / mapping"
+    print(f"| set | case | program | images | RMSE mm | worst mm | CPU s | of it {parts} | peak MiB |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |", flush=True)
     for folder in arguments.sets:
         meta = json.loads((folder / "meta.json").read_text())
         for case in "AB" if intrinsics(meta) else "A":
-            best = {}
+            best: dict[str, Figures] = {}
             for _ in range(arguments.repeat):
                 with tempfile.TemporaryDirectory() as work:
                     for program, row in rows_of(folder, case, arguments, Path(work)):
@@ -179,8 +207,11 @@ def main():
             for program, row in best.items():
                 stages = " / ".join(f"{s:.1f}" for s in row["stages"].values())
                 error = f"{row['rmse_m'] * 1000:.2f} | {row['worst_m'] * 1000:.2f}" if "rmse_m" in row else "– | –"
-                print(f"| {folder.name} | {case} | {program} | {row['registered']} of {len(positions(meta))} | {error} |"
-                      f" {row['cpu_s']:.1f} | {stages} | {row['peak_mib']:.0f} |", flush=True)
+                print(
+                    f"| {folder.name} | {case} | {program} | {row['registered']} of {len(positions(meta))} | {error} |"
+                    f" {row['cpu_s']:.1f} | {stages} | {row['peak_mib']:.0f} |",
+                    flush=True,
+                )
                 if arguments.json:
                     print(json.dumps(row), file=sys.stderr)
 
