@@ -12,19 +12,29 @@
 
 pub mod bundle;
 pub mod camera;
+#[cfg(feature = "cli")]
 pub mod cli;
+#[cfg(feature = "eval")]
 pub mod eval;
+#[cfg(any(feature = "video", feature = "perception"))]
 pub mod ffi;
 pub mod ground;
+#[cfg(feature = "opencv")]
 pub mod image;
 pub mod io;
 pub mod math;
+#[cfg(feature = "perception")]
 pub mod perception;
+#[cfg(feature = "pipeline")]
 pub mod pipeline;
+#[cfg(feature = "report")]
 pub mod report;
 pub mod robust;
 pub mod scene;
+#[cfg(feature = "sfm")]
 pub mod sfm;
+#[cfg(any(test, feature = "synthetic"))]
 pub mod synthetic;
 pub mod trajectory;
+#[cfg(feature = "video")]
 pub mod video;

@@ -1,4 +1,5 @@
 //! Bindings to foreign libraries behind safe types; the only room where `unsafe` may stand.
 
 pub mod environment;
+#[cfg(feature = "perception")]
 pub mod onnx;
