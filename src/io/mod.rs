@@ -18,6 +18,8 @@ mod owned_folder;
 pub mod ply;
 mod run_folder;
 mod sequence;
+#[cfg(test)]
+pub(crate) mod testing;
 pub mod trajectories;
 
 pub use error::IoError;

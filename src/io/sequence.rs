@@ -315,12 +315,8 @@ mod tests {
     }
 
     #[test]
-    fn a_real_sequence_is_read() {
-        let Some(data) = std::env::var_os("TRACTRIX_DATA").map(PathBuf::from) else {
-            eprintln!("skipped: TRACTRIX_DATA is not set");
-            return;
-        };
-        let sequence = Sequence::open(&data.join("sequences/right_curve")).unwrap();
+    fn the_bundled_sequence_is_read() {
+        let sequence = Sequence::open(&crate::io::testing::in_repository("dataset/demo")).unwrap();
         assert_eq!((sequence.frames.len(), sequence.frame_size()), (60, (960, 540)));
         assert!(sequence.video().is_some());
         // The mesh, posed and projected, covers the target's mask.

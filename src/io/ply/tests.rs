@@ -1,5 +1,3 @@
-use std::path::PathBuf;
-
 use super::*;
 
 fn tetrahedron() -> TriangleMesh {
@@ -115,12 +113,8 @@ fn points_are_written_for_other_programs() {
 }
 
 #[test]
-fn the_mesh_of_a_real_sequence_is_read() {
-    let Some(data) = std::env::var_os("TRACTRIX_DATA").map(PathBuf::from) else {
-        eprintln!("skipped: TRACTRIX_DATA is not set");
-        return;
-    };
-    let mesh = read_mesh(&data.join("sequences/right_curve/object_mesh.ply")).unwrap();
-    assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (410, 788));
-    assert_eq!(mesh.vertices[0], Point3::new(-1.93967, -0.00348, 0.56148));
+fn the_mesh_of_the_bundled_sequence_is_read() {
+    let mesh = read_mesh(&crate::io::testing::in_repository("dataset/demo/object_mesh.ply")).unwrap();
+    assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (5983, 10796));
+    assert_eq!(mesh.vertices[0], Point3::new(-2.0330, -0.0228, 0.6426));
 }

@@ -1,18 +1,11 @@
-use std::path::PathBuf;
+use nalgebra::Point3;
 
 use super::*;
 use crate::eval::trajectory;
+use crate::io::testing::{in_data, in_repository};
 use crate::io::{colmap, openmvg, trajectories};
-use crate::scene::{ObjectPose, ScaleEstimate, ScaleMethod, Unit};
-
-/// The folder of the shared inputs, or a note that the test is skipped.
-fn data() -> Option<PathBuf> {
-    let data = std::env::var_os("TRACTRIX_DATA").map(PathBuf::from);
-    if data.is_none() {
-        eprintln!("skipped: TRACTRIX_DATA is not set");
-    }
-    data
-}
+use crate::math::Rigid3;
+use crate::scene::{CameraId, Image, ImageId, ObjectPose, Point3d, Point3dId, ScaleEstimate, ScaleMethod, Unit};
 
 /// Without the points seen only twice: 68 of 2128, some of them metres off, that COLMAP itself does not build on.
 fn with_long_tracks(mut model: Reconstruction) -> Reconstruction {
@@ -24,21 +17,55 @@ fn with_long_tracks(mut model: Reconstruction) -> Reconstruction {
     model
 }
 
-/// An output folder such as a run leaves, from other programs' models of the sequence: OpenMVG's background, COLMAP's
-/// object, the target's own masks, and a trajectory with the given ratio.
-fn output_from_others(data: &Path, sequence: &Sequence, ratio: f64) -> tempfile::TempDir {
+/// Background and object.
+struct Models {
+    background: Reconstruction,
+    object: Reconstruction,
+}
+
+/// What other programs made of the sequence: OpenMVG's background, COLMAP's object.
+fn models_from_others() -> Models {
+    let object = colmap::read(&in_data("interchange/right_curve/colmap_object_bin")).unwrap();
+    Models {
+        background: openmvg::read(&in_data("interchange/right_curve/openmvg_background_sfm_data.json")).unwrap(),
+        object: with_long_tracks(object),
+    }
+}
+
+/// The truth itself as models: its cameras, and corners of the mesh for the object's points.
+fn models_of_the_truth(sequence: &Sequence) -> Models {
+    let image = |frame: &SequenceFrame, cam_from_world: Rigid3| Image {
+        name: frame.name.clone(),
+        camera: CameraId(1),
+        cam_from_world,
+        observations: Vec::new(),
+    };
+    let point = |position| Point3d { position, rgb: [0; 3], error_px: 0.0, track: Vec::new() };
+    let model = |pose: fn(&SequenceFrame) -> Rigid3, points: &[Point3<f64>]| Reconstruction {
+        cameras: [(CameraId(1), sequence.camera)].into(),
+        images: sequence.frames.iter().map(|frame| (ImageId(frame.id.0 + 1), image(frame, pose(frame)))).collect(),
+        points: (1..).map(Point3dId).zip(points.iter().map(|p| point(*p))).collect(),
+    };
+    let vertices = sequence.mesh().unwrap().vertices;
+    let corners: Vec<_> = vertices.into_iter().step_by(20).collect();
+    Models {
+        background: model(|frame| frame.cam_from_world, &[]),
+        object: model(|frame| frame.cam_from_world * frame.world_from_object, &corners),
+    }
+}
+
+/// An output folder such as a run leaves, with these models, the target's own masks, and a trajectory with the given
+/// ratio.
+fn output_with(models: &Models, sequence: &Sequence, ratio: f64) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path();
-    let background = openmvg::read(&data.join("interchange/right_curve/openmvg_background_sfm_data.json")).unwrap();
-    let object = colmap::read(&data.join("interchange/right_curve/colmap_object_bin")).unwrap();
-    let object = with_long_tracks(object);
-    colmap::write_text(&out.join("background"), &background).unwrap();
-    colmap::write_binary(&out.join("objects/1"), &object).unwrap();
-    let cameras = |model: &Reconstruction| -> BTreeMap<FrameId, crate::math::Rigid3> {
-        let frame = |image: &crate::scene::Image| sequence.frame_named(&image.name).unwrap().id;
+    colmap::write_text(&out.join("background"), &models.background).unwrap();
+    colmap::write_binary(&out.join("objects/1"), &models.object).unwrap();
+    let cameras = |model: &Reconstruction| -> BTreeMap<FrameId, Rigid3> {
+        let frame = |image: &Image| sequence.frame_named(&image.name).unwrap().id;
         model.images.values().map(|image| (frame(image), image.cam_from_world)).collect()
     };
-    let placements = trajectory::family(&cameras(&background), &cameras(&object), ratio);
+    let placements = trajectory::family(&cameras(&models.background), &cameras(&models.object), ratio);
     let pose = |(frame, world_from_object): (&FrameId, &crate::math::Sim3)| ObjectPose {
         frame: *frame,
         name: format!("{:05}.jpg", frame.0),
@@ -68,15 +95,16 @@ fn output_from_others(data: &Path, sequence: &Sequence, ratio: f64) -> tempfile:
 }
 
 #[test]
+#[ignore = "needs TRACTRIX_DATA"]
 fn the_papers_combination_of_programs_is_measured() {
-    let Some(data) = data() else { return };
-    let truth = data.join("sequences/right_curve");
+    let truth = in_data("sequences/right_curve");
     let sequence = Sequence::open(&truth).unwrap();
+    let models = models_from_others();
     let reference = {
-        let out = output_from_others(&data, &sequence, 1.0);
+        let out = output_with(&models, &sequence, 1.0);
         evaluate(out.path(), &truth).unwrap().reference_scale.as_ref().unwrap().ratio
     };
-    let out = output_from_others(&data, &sequence, 1.01 * reference);
+    let out = output_with(&models, &sequence, 1.01 * reference);
     let evaluation = evaluate(out.path(), &truth).unwrap();
     eprintln!("{evaluation}");
     let registered = &evaluation.registered;
@@ -96,8 +124,7 @@ fn the_papers_combination_of_programs_is_measured() {
 
 #[test]
 fn an_output_without_anything_is_evaluated_as_such() {
-    let Some(data) = data() else { return };
-    let truth = data.join("sequences/right_curve");
+    let truth = in_repository("dataset/demo");
     let out = tempfile::tempdir().unwrap();
     let evaluation = evaluate(out.path(), &truth).unwrap();
     // A folder that no run made is read and not written into.
@@ -114,11 +141,14 @@ fn an_output_without_anything_is_evaluated_as_such() {
 
 #[test]
 fn names_of_videos_and_folders_mean_the_same_frames() {
-    let Some(data) = data() else { return };
-    let truth = data.join("sequences/right_curve");
+    let truth = in_repository("dataset/demo");
     let sequence = Sequence::open(&truth).unwrap();
-    let out = output_from_others(&data, &sequence, 1.0);
+    let out = output_with(&models_of_the_truth(&sequence), &sequence, 1.0);
     let by_folder = evaluate(out.path(), &truth).unwrap();
+    // The truth beside itself is exact.
+    assert_eq!(by_folder.registered.num_both, 60);
+    assert!(by_folder.cameras.as_ref().unwrap().center_rmse_m < 1e-6, "{by_folder}");
+    assert!(by_folder.trajectory.as_ref().unwrap().mean_m < 1e-6, "{by_folder}");
     for part in ["background", "objects/1"] {
         let folder = out.path().join(part);
         let mut model = colmap::read(&folder).unwrap();
