@@ -10,6 +10,32 @@
 //! Conventions, everywhere: transforms are named `target_from_source`; camera axes are x right, y down, z forward; the
 //! centre of the upper left pixel is (0.5, 0.5); angles are radians.
 
+//!
+//! The whole way in one call, for a video whose masks are given; `examples/` holds more, and shorter ways:
+//!
+//! ```no_run
+//! use std::path::Path;
+//! use tractrix::pipeline::{self, Instances, Job, Options, Overwrite, Silent, Stage};
+//!
+//! let options = Options { instances: Instances::Masks("masks".into()), ..Options::default() };
+//! let summary = pipeline::run(
+//!     &Job {
+//!         input: Path::new("video.mp4"),
+//!         output: Path::new("out"),
+//!         options: &options,
+//!         goal: Stage::Report,
+//!         also_read: Vec::new(),
+//!         overwrite: Overwrite::default(),
+//!         arguments: &[],
+//!     },
+//!     &Silent,
+//! )?;
+//! println!("{} vehicles, {} warnings", summary.objects.len(), summary.warnings.len());
+//! # Ok::<(), pipeline::PipelineError>(())
+//! ```
+//!
+//! Rooms can be used one by one; which feature brings which, and what it needs, is in `docs/architecture.md`.
+
 pub mod bundle;
 pub mod camera;
 #[cfg(feature = "cli")]

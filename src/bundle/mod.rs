@@ -13,6 +13,18 @@
 //! taken in a fixed order.
 //!
 //! Entry points: [`adjust`], [`covariances`], [`center_deviations`].
+//!
+//! ```
+//! use tractrix::bundle::{CameraBlock, Options, Problem, adjust};
+//! use tractrix::io::colmap;
+//!
+//! let mut model = colmap::read("tests/golden/models/colmap_text".as_ref())?;
+//! let mut problem = Problem::from_reconstruction(&model, |_, camera| CameraBlock::fixed(*camera));
+//! let summary = adjust(&mut problem, &Options::default())?;
+//! assert!(summary.converged() && summary.final_cost < summary.initial_cost);
+//! problem.store(&mut model);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod accumulate;
 mod camera_sums;

@@ -3,6 +3,16 @@
 //! Every reader takes hostile input: what is wrong is an [`IoError`] that names file, place and field, never a panic,
 //! and no count in a file is believed before the bytes behind it are there. Everything is written through [`atomic`].
 //! `docs/formats.md` describes the formats.
+//!
+//! ```
+//! use tractrix::io::{colmap, model};
+//!
+//! // Recognised by what is there: a COLMAP folder, text or binary, an output folder, or OpenMVG's sfm_data.json.
+//! let (from_openmvg, _) = model::read("tests/golden/models/openmvg/sfm_data.json".as_ref())?;
+//! let from_colmap = colmap::read("tests/golden/models/colmap_binary".as_ref())?;
+//! assert_eq!(from_openmvg.cameras, from_colmap.cameras);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod atomic;
 pub mod bal;

@@ -41,6 +41,11 @@ impl Mask {
         Self { width, height, pixels: vec![false; width as usize * height as usize] }
     }
 
+    /// Every pixel set.
+    pub fn full(width: u32, height: u32) -> Self {
+        Self { width, height, pixels: vec![true; width as usize * height as usize] }
+    }
+
     /// The pixels at which `inside(x, y)` holds.
     pub fn from_fn(width: u32, height: u32, mut inside: impl FnMut(u32, u32) -> bool) -> Self {
         let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| inside(x, y)).collect();

@@ -12,6 +12,12 @@ pub enum SfmError {
     /// The mapper handed over an adjustment problem that contradicts itself.
     #[error("bundle adjustment: {0}")]
     Bundle(#[from] crate::bundle::BundleError),
+    /// The pictures do not give a start; nothing is wrong with how they were given.
+    #[error("nothing could be reconstructed: {reason}")]
+    Failed {
+        /// What was missing.
+        reason: String,
+    },
     /// A mask has another size than its image.
     #[error("the mask of {name} is {found:?} pixels, its image {expected:?}: give masks at the size of the frames")]
     MaskSize {

@@ -1,7 +1,21 @@
 //! Structure from motion: cameras and points of the background, and of each object, from what is seen of them.
 //!
 //! A [`FrontEnd`] turns frames and masks into a [`TrackTable`]; [`reconstruct`] turns that into a reconstruction. Both
-//! serve background and objects alike; only their [`Options`] differ.
+//! serve background and objects alike; only their [`Options`] differ. [`reconstruct_pictures`] does both in one call:
+//!
+//! ```no_run
+//! use tractrix::camera::Camera;
+//! use tractrix::sfm::{self, Intrinsics};
+//! use tractrix::video::{self, Source};
+//!
+//! let source = Source::open("photos".as_ref(), &video::Options::default())?;
+//! let camera = Camera::prior(source.info().width, source.info().height);
+//! let pictures = source.frames()?.filter_map(Result::ok).map(|(frame, picture)| (frame, picture, None));
+//! let options = sfm::Options::unordered();
+//! let (model, report) = sfm::reconstruct_pictures(pictures, camera, Intrinsics::Refined, &options, 0)?;
+//! println!("{} pictures, {} points", report.num_registered(), model.points.len());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod features;
 pub mod mapper;
@@ -22,12 +36,14 @@ pub mod video_front_end;
 mod error;
 mod front_end;
 mod lucas_kanade;
+mod pictures;
 
 use serde::{Deserialize, Serialize};
 
 pub use error::SfmError;
 pub use front_end::{FrontEnd, FrontEndOptions};
 pub use mapper::{Intrinsics, Report, cut_long_tracks, reconstruct, reconstruct_watched};
+pub use pictures::reconstruct_pictures;
 use sift_front_end::{Pairing, SiftOptions};
 pub use tracks::TrackTable;
 use video_front_end::VideoOptions;

@@ -12,6 +12,22 @@
 //! how well the motion determines r at all. [`joint`] goes further: it adjusts the object's reconstruction once more, together
 //! with the ground. [`estimate_scale`] runs the others and gives a verdict; [`assemble`] places the object. The derivations are in `docs/maths/scale.md`.
 
+//!
+//! The estimators look at [`Views`] alone; [`place`] goes the whole way from reconstructions, planes and outlines to a
+//! trajectory.
+//!
+//! ```
+//! use tractrix::synthetic::drive;
+//! use tractrix::trajectory::{LeastSquaresOptions, Views, least_squares};
+//!
+//! // A vehicle drives past a moving camera; background and object each have a unit of their own.
+//! let world = drive::drive(&drive::Options::default(), 1);
+//! let views = Views::new(&world.background, &world.object, &world.planes);
+//! let found = least_squares(&views, &LeastSquaresOptions::default())?;
+//! assert!((found.ratio / world.ratio - 1.0).abs() < 1e-9);
+//! # Ok::<(), tractrix::trajectory::ScaleError>(())
+//! ```
+
 mod assemble;
 mod constant_distance;
 mod contact;
