@@ -15,6 +15,7 @@ mod data;
 mod overlay;
 mod page;
 mod plan;
+mod scene;
 mod summary;
 mod view;
 

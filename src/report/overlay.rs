@@ -34,6 +34,11 @@ pub fn object_colour(id: ObjectId) -> [u8; 3] {
     PALETTE[(id.0.max(1) - 1) as usize % PALETTE.len()]
 }
 
+/// `#rrggbb`.
+pub(super) fn css_colour([r, g, b]: [u8; 3]) -> String {
+    format!("#{r:02x}{g:02x}{b:02x}")
+}
+
 /// A picture with masks in their objects' colours: a tint inside, a solid outline. A mask of another size than the
 /// picture is scaled to it. Later masks lie over earlier ones.
 pub fn overlay(picture: &RgbImage, masks: &[(ObjectId, &Mask)]) -> RgbImage {

@@ -3,8 +3,8 @@
 use serde::Serialize;
 
 use super::data::{Data, Object};
-use super::overlay::{object_colour, spread};
-use super::view::{View, css_colour, quantile};
+use super::overlay::{css_colour, object_colour, spread};
+use super::view::{View, quantile};
 use nalgebra::Point3;
 
 /// Points drawn in the plan of the whole scene.

@@ -1,31 +1,19 @@
-//! The scene as the 3D view gets it: turned upright, moved to the middle, brought to one size, thinned and packed.
+//! The frame of the 3D view: the scene turned upright, moved to the middle, brought to one size.
 //!
 //! The view's frame is y up, x along the main direction of the drive, z towards the viewer; its origin is the middle of
 //! what matters (camera path and trajectories) and their radius is [`RADIUS`]. All bounds are quantiles, so that a few
 //! points or one lost camera far away do not shrink the scene.
 
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
-use serde::Serialize;
 
 use super::data::{Data, Object};
-use super::overlay::{object_colour, spread};
 use crate::math::Sim3;
-use crate::scene::{Frame, FrameId, Image, Point3d, Point3dId, Reconstruction, Unit};
+use crate::scene::{Point3d, Reconstruction};
 
 /// Radius of camera path and trajectories in the view's frame.
-const RADIUS: f64 = 10.0;
-/// Background points shown: 12 characters each in the page.
-const MAX_POINTS: usize = 60_000;
-/// Points shown per object: 22 characters each.
-const MAX_OBJECT_POINTS: usize = 3_000;
-/// Points shown of all objects together.
-const MAX_ALL_OBJECT_POINTS: usize = 24_000;
-/// Frames the time slider can stop at.
-const MAX_FRAMES: usize = 1_500;
+pub(super) const RADIUS: f64 = 10.0;
 /// The shown volume reaches at most this many radii from the middle.
-const MAX_REACH: f64 = 40.0;
+pub(super) const MAX_REACH: f64 = 40.0;
 
 /// The transform into the view's frame, and what was measured on the way.
 #[derive(Clone, Debug)]
@@ -66,12 +54,12 @@ impl View {
         Some(Self { view_from_world, reach, ground, up_source })
     }
 
-    fn point(&self, world: Point3<f64>) -> [f64; 3] {
+    pub fn point(&self, world: Point3<f64>) -> [f64; 3] {
         (self.view_from_world * world).coords.map(rounded).into()
     }
 }
 
-fn finite(p: &Point3<f64>) -> bool {
+pub(super) fn finite(p: &Point3<f64>) -> bool {
     p.iter().all(|v| v.is_finite())
 }
 
@@ -192,226 +180,8 @@ fn ground_height(data: &Data, view_from_world: &Sim3) -> f64 {
     quantile(&mut all, 0.1)
 }
 
-/// What `view3d.js` reads.
-#[derive(Debug, Serialize)]
-pub(super) struct Scene {
-    /// Length of one unit of the background in the view.
-    scale: f64,
-    unit: &'static str,
-    ground: f64,
-    radius: f64,
-    /// Half width and height of the image plane at distance 1.
-    tangent: [f64; 2],
-    frames: Vec<SceneFrame>,
-    points: Cloud,
-    objects: Vec<SceneObject>,
-}
-
-/// A stop of the time slider.
-#[derive(Debug, Serialize)]
-struct SceneFrame {
-    frame: u32,
-    time: f64,
-    /// Camera centre and `view_from_cam` as w x y z; absent where the camera is unknown.
-    camera: Option<[f64; 7]>,
-}
-
-/// Packed points.
-#[derive(Debug, Serialize)]
-struct Cloud {
-    /// Points in the model, points in this cloud, points beyond its reach.
-    total: usize,
-    count: usize,
-    beyond: usize,
-    /// Coordinates from −reach to +reach as 16-bit fractions, little endian.
-    reach: f64,
-    positions: String,
-    /// Four bytes each: red, green, blue, and 255 for ground.
-    colours: String,
-}
-
-/// A vehicle in the 3D view.
-#[derive(Debug, Serialize)]
-struct SceneObject {
-    id: u32,
-    name: String,
-    colour: String,
-    degenerate: bool,
-    total: usize,
-    count: usize,
-    /// In the object's frame: 32-bit floats, little endian.
-    positions: String,
-    colours: String,
-    /// Index in `frames`; position; `view_from_object` as scale, w x y z, translation.
-    poses: Vec<(usize, [f64; 3], [f64; 8])>,
-}
-
-impl Scene {
-    pub fn new(data: &Data, view: &View, names: &[String]) -> Self {
-        let chosen = spread(data.frames.len(), MAX_FRAMES);
-        let images = data.background.images(data.frames);
-        let frames = chosen.iter().map(|&i| scene_frame(&data.frames[i], images[i], view)).collect();
-        let shown = data.objects.iter().filter(|o| o.trajectory.is_some()).count().max(1);
-        let budget = MAX_OBJECT_POINTS.min(MAX_ALL_OBJECT_POINTS / shown);
-        let objects = data.objects.iter().zip(names);
-        Self {
-            scale: view.view_from_world.scale,
-            unit: unit_symbol(data.unit),
-            ground: rounded(view.ground),
-            radius: RADIUS,
-            tangent: tangent(data.background.reconstruction),
-            frames,
-            points: cloud(data, view),
-            objects: objects.filter_map(|(o, n)| scene_object(data, view, o, n, &chosen, budget)).collect(),
-        }
-    }
-
-    /// What was left out, in sentences.
-    pub fn omissions(&self, num_frames: usize) -> Vec<String> {
-        let mut notes = Vec::new();
-        let Cloud { total, count, beyond, .. } = self.points;
-        if count + beyond < total {
-            notes.push(format!("{count} of {total} background points are shown, an even selection."));
-        }
-        if beyond > 0 {
-            notes.push(format!("{beyond} background points lie too far outside the scene to be shown."));
-        }
-        let (shown, all): (usize, usize) = self.objects.iter().fold((0, 0), |(s, a), o| (s + o.count, a + o.total));
-        if shown < all {
-            notes.push(format!("{shown} of {all} vehicle points are shown, an even selection."));
-        }
-        if self.frames.len() < num_frames {
-            notes.push(format!("The time slider stops at {} of {num_frames} frames.", self.frames.len()));
-        }
-        notes
-    }
-}
-
-/// The symbol of the unit of length.
-pub(super) fn unit_symbol(unit: Unit) -> &'static str {
-    match unit {
-        Unit::Metre => "m",
-        Unit::Background => "u",
-    }
-}
-
-fn tangent(background: &Reconstruction) -> [f64; 2] {
-    let camera = background.images.values().next().and_then(|i| background.cameras.get(&i.camera));
-    camera.map_or([0.5, 0.3], |c| {
-        [rounded(0.5 * f64::from(c.width) / c.focal[0]), rounded(0.5 * f64::from(c.height) / c.focal[1])]
-    })
-}
-
-fn scene_frame(frame: &Frame, image: Option<&Image>, view: &View) -> SceneFrame {
-    let pose = |image: &Image| {
-        let [x, y, z] = view.point(image.cam_from_world.center());
-        let q = view.view_from_world.rotation * image.cam_from_world.rotation.inverse();
-        [x, y, z, rounded(q.w), rounded(q.i), rounded(q.j), rounded(q.k)]
-    };
-    let camera = image.map(pose).filter(|c| c.iter().all(|v| v.is_finite()));
-    SceneFrame { frame: frame.id.0, time: rounded(frame.time_s), camera }
-}
-
-fn cloud(data: &Data, view: &View) -> Cloud {
-    let points = &data.background.reconstruction.points;
-    let near = |p: &Point3d| {
-        let distance = (view.view_from_world * p.position).coords.norm();
-        distance <= view.reach
-    };
-    let inside: Vec<(Point3dId, &Point3d)> = points.iter().filter(|(_, p)| near(p)).map(|(id, p)| (*id, p)).collect();
-    let beyond = points.len() - inside.len();
-    let chosen = sample(&inside, MAX_POINTS);
-    let ground = data.ground.map_or(&[][..], |g| &g.point_ids);
-    let mut positions = Vec::with_capacity(chosen.len() * 6);
-    let mut colours = Vec::with_capacity(chosen.len() * 4);
-    for (id, point) in &chosen {
-        for v in (view.view_from_world * point.position).coords.iter() {
-            let fraction = ((v / view.reach + 1.0) / 2.0).clamp(0.0, 1.0);
-            positions.extend(((fraction * 65535.0).round() as u16).to_le_bytes());
-        }
-        colours.extend(point.rgb);
-        colours.push(if ground.binary_search(id).is_ok() { 255 } else { 0 });
-    }
-    Cloud {
-        total: points.len(),
-        count: chosen.len(),
-        beyond,
-        reach: view.reach,
-        positions: STANDARD.encode(positions),
-        colours: STANDARD.encode(colours),
-    }
-}
-
-/// At most `limit` points, chosen by a hash of their ids: even over the scene, and the same in every run.
-fn sample<'a>(points: &[(Point3dId, &'a Point3d)], limit: usize) -> Vec<(Point3dId, &'a Point3d)> {
-    let mut all = points.to_vec();
-    if all.len() > limit {
-        // SplitMix64's finaliser.
-        let key = |id: Point3dId| {
-            let z = id.0.wrapping_mul(0x9e37_79b9_7f4a_7c15);
-            let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb)
-        };
-        all.sort_by_key(|(id, _)| (key(*id), *id));
-        all.truncate(limit);
-        all.sort_by_key(|(id, _)| *id);
-    }
-    all
-}
-
-fn scene_object(
-    data: &Data,
-    view: &View,
-    object: &Object,
-    name: &str,
-    chosen: &[usize],
-    budget: usize,
-) -> Option<SceneObject> {
-    let trajectory = object.trajectory?;
-    let index_of = |frame: FrameId| {
-        let index = data.frames.binary_search_by_key(&frame, |f| f.id).ok()?;
-        chosen.binary_search(&index).ok()
-    };
-    let poses = trajectory.poses.iter().filter_map(|pose| {
-        let index = index_of(pose.frame)?;
-        let s = view.view_from_world * pose.world_from_object;
-        let (q, t) = (s.rotation, s.translation);
-        let numbers = [s.scale, q.w, q.i, q.j, q.k, t.x, t.y, t.z];
-        let position = view.point(Point3::from(pose.position));
-        let usable = numbers.iter().chain(&position).all(|v| v.is_finite());
-        usable.then_some((index, position, numbers))
-    });
-    let all: Vec<_> = object
-        .model
-        .iter()
-        .flat_map(|m| &m.reconstruction.points)
-        .filter(|(_, p)| finite(&p.position))
-        .map(|(id, p)| (*id, p))
-        .collect();
-    let points = sample(&all, budget);
-    let floats = points
-        .iter()
-        .flat_map(|(_, p)| p.position.coords.iter().flat_map(|&v| (v as f32).to_le_bytes()).collect::<Vec<_>>());
-    Some(SceneObject {
-        id: object.id.0,
-        name: name.to_owned(),
-        colour: css_colour(object_colour(object.id)),
-        degenerate: trajectory.scale.degenerate,
-        total: all.len(),
-        count: points.len(),
-        positions: STANDARD.encode(floats.collect::<Vec<_>>()),
-        colours: STANDARD.encode(points.iter().flat_map(|(_, p)| p.rgb).collect::<Vec<_>>()),
-        poses: poses.collect(),
-    })
-}
-
-/// `#rrggbb`.
-pub(super) fn css_colour([r, g, b]: [u8; 3]) -> String {
-    format!("#{r:02x}{g:02x}{b:02x}")
-}
-
 /// To five decimals: a hundredth of a pixel on any screen.
-fn rounded(v: f64) -> f64 {
+pub(super) fn rounded(v: f64) -> f64 {
     (v * 1e5).round() / 1e5
 }
 
@@ -422,29 +192,6 @@ mod tests {
     use crate::scene::ImageId;
 
     #[test]
-    fn the_scene_stands_upright_and_far_points_do_not_shrink_it() {
-        let mut world = testing::world();
-        let before = View::new(&world.data()).unwrap();
-        let far_before = Scene::new(&world.data(), &before, &world.names()).points.beyond;
-        for k in 0..40 {
-            let far = world.background.points.values().next().unwrap().clone();
-            let position = Point3::new(1e7, -3e6 * f64::from(k), 2e7);
-            world.background.points.insert(Point3dId(1_000_000 + k as u64), Point3d { position, ..far });
-        }
-        let after = View::new(&world.data()).unwrap();
-        assert_eq!(before.view_from_world, after.view_from_world);
-        assert!(after.reach <= MAX_REACH * RADIUS);
-        let scene = Scene::new(&world.data(), &after, &world.names());
-        assert_eq!(scene.points.beyond, far_before + 40);
-        assert_eq!(scene.omissions(world.frames.len()).len(), 1);
-        let up = after.view_from_world.rotation * testing::UP;
-        assert!((up - Vector3::y()).norm() < 1e-9, "{up}");
-        let forward: Vector3<f64> =
-            world.background.images.values().map(|i| i.cam_from_world.rotation.inverse() * Vector3::z()).sum();
-        assert!((after.view_from_world.rotation * forward).z < 0.0, "cameras look away from the viewer");
-    }
-
-    #[test]
     fn one_lost_camera_does_not_move_the_view() {
         let mut world = testing::world();
         let before = View::new(&world.data()).unwrap();
@@ -452,30 +199,6 @@ mod tests {
         let after = View::new(&world.data()).unwrap();
         let ratio = after.view_from_world.scale / before.view_from_world.scale;
         assert!((0.5..2.0).contains(&ratio), "{ratio}");
-    }
-
-    #[test]
-    fn what_is_not_finite_is_left_out() {
-        let mut world = testing::world();
-        let far_before = cloud(&world.data(), &View::new(&world.data()).unwrap()).beyond;
-        let first = *world.background.points.keys().next().unwrap();
-        world.background.points.get_mut(&first).unwrap().position.x = f64::NAN;
-        world.trajectory.poses[3].position[1] = f64::INFINITY;
-        let data = world.data();
-        let scene = Scene::new(&data, &View::new(&data).unwrap(), &world.names());
-        assert_eq!(scene.points.beyond, far_before + 1);
-        assert_eq!(scene.objects[0].poses.len(), world.trajectory.poses.len() - 1);
-    }
-
-    #[test]
-    fn selections_keep_their_budget_and_repeat() {
-        let point = testing::world().background.points.values().next().unwrap().clone();
-        let points: Vec<_> = (0..1000).map(|k| (Point3dId(k), &point)).collect();
-        let chosen = sample(&points, 100);
-        assert_eq!(chosen.len(), 100);
-        assert_eq!(chosen, sample(&points, 100));
-        let low = chosen.iter().filter(|(id, _)| id.0 < 500).count();
-        assert!((30..70).contains(&low), "{low} of 100 from the first half");
     }
 
     #[test]
