@@ -14,16 +14,19 @@
 //! Limits: r comes out too large by clearance / height when the lowest reconstructed point floats over the ground, and
 //! too small when an outlier lies below the wheels. No spread over frames shows either, so there is no standard deviation.
 
+use nalgebra::Point3;
+
 use super::views::median;
-use super::{ScaleError, Views};
+use super::{ScaleError, View, Views};
+use crate::scene::FrameId;
 
 /// The answer of the baseline.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Intersection {
-    /// r > 0.
+    /// r > 0: the median of `per_frame`.
     pub ratio: f64,
-    /// Frames that took part.
-    pub num_views: usize,
+    /// What each frame alone says (eq. r_per_image), ascending by frame; without the frames in which no ray meets the plane.
+    pub per_frame: Vec<(FrameId, f64)>,
     /// Frames in which no ray meets the plane.
     pub num_invalid: usize,
 }
@@ -34,17 +37,18 @@ pub struct Intersection {
 /// [`ScaleError`] without views, without points, or when no view is valid.
 pub fn intersection(views: &Views) -> Result<Intersection, ScaleError> {
     views.require(1)?;
-    let smallest: Vec<f64> = views
-        .views
-        .iter()
-        .filter_map(|view| {
-            let parameters = views.points.iter().map(|point| -view.camera_height / view.offset(point));
-            parameters.filter(|r| r.is_finite() && *r > 0.0).min_by(f64::total_cmp)
-        })
-        .collect();
-    let num_views = smallest.len();
-    let ratio = median(smallest).ok_or(ScaleError::NoIntersection { num_views: views.views.len() })?;
-    Ok(Intersection { ratio, num_views, num_invalid: views.views.len() - num_views })
+    let per_frame: Vec<(FrameId, f64)> =
+        views.views.iter().filter_map(|view| Some((view.frame, smallest(view, &views.points)?))).collect();
+    let ratios = per_frame.iter().map(|(_, ratio)| *ratio).collect();
+    let ratio = median(ratios).ok_or(ScaleError::NoIntersection { num_views: views.views.len() })?;
+    let num_invalid = views.views.len() - per_frame.len();
+    Ok(Intersection { ratio, per_frame, num_invalid })
+}
+
+/// The ratio that sets the object down on the plane of one frame; `None` where no ray meets it.
+fn smallest(view: &View, points: &[Point3<f64>]) -> Option<f64> {
+    let parameters = points.iter().map(|point| -view.camera_height / view.offset(point));
+    parameters.filter(|r| r.is_finite() && *r > 0.0).min_by(f64::total_cmp)
 }
 
 #[cfg(test)]
@@ -67,7 +71,7 @@ mod tests {
             let world = drive(&Options { terrain, camera_climb_m, ..Options::default() }, 2);
             let found = solve(&world);
             assert!((found.ratio / world.ratio - 1.0).abs() < 1e-9, "{terrain:?}");
-            assert_eq!((found.num_views, found.num_invalid), (60, 0));
+            assert_eq!((found.per_frame.len(), found.num_invalid), (60, 0));
         }
     }
 
@@ -98,7 +102,8 @@ mod tests {
             view.camera_height = -view.camera_height;
         }
         let found = intersection(&views).unwrap();
-        assert_eq!((found.num_views, found.num_invalid), (50, 10));
+        assert_eq!((found.per_frame.len(), found.num_invalid), (50, 10));
+        assert_eq!(found.per_frame[0].0, views.views[10].frame, "the frames that are left keep their own ratios");
         for view in &mut views.views {
             view.camera_height = -1.0;
         }
