@@ -6,14 +6,20 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::LazyLock;
 
 use image::RgbImage;
-use tractrix::report::{self, Data, Fact, Missing, Model, Object, Stage, Thumbnail, object_colour, strip_frames};
-use tractrix::scene::{FrameId, Unit};
+use tractrix::eval::Evaluation;
+use tractrix::report::{self, Data, Fact, Missing, Model, Object, Part, Stage, Thumbnail, object_colour, strip_frames};
+use tractrix::scene::{FrameId, TimeBase};
 use tractrix::synthetic::showcase::{BICYCLE, CAR, Showcase, showcase};
 
 /// A name that would run a script if it were pasted into the page as it is.
 const HOSTILE: &str = "<script>console.error('injected')</script>.mp4";
+
+/// What `tractrix evaluate` wrote of the bundled clip.
+static EVALUATION: LazyLock<Evaluation> =
+    LazyLock::new(|| serde_json::from_str(include_str!("golden/evaluation.json")).expect("it is an evaluation"));
 
 /// Chromium, if there is one.
 fn browser() -> Option<PathBuf> {
@@ -128,7 +134,7 @@ fn data<'a>(result: &'a Showcase, strip: Vec<Thumbnail>) -> Data<'a> {
         ],
         version: "0.1.0".into(),
         arguments: ["tractrix", "run", HOSTILE, "--output", "out"].map(String::from).to_vec(),
-        unit: Unit::Background,
+        time_base: TimeBase::Seconds,
         frames: &result.frames,
         background: Model {
             reconstruction: &result.background,
@@ -149,9 +155,10 @@ fn data<'a>(result: &'a Showcase, strip: Vec<Thumbnail>) -> Data<'a> {
             stage("ground", 0.3, 0.4, 446.0, false),
             stage("trajectories", 0.1, 0.1, 446.0, false),
         ],
-        evaluation: vec![
-            Fact::new("Trajectory error", "0.063 m").with_note("mean distance of the points from the true mesh"),
-            Fact::new("Scale deviation", "1.1 %").with_note("from the reference ratio by ray casting"),
+        evaluation: Some(&EVALUATION),
+        parts: vec![
+            Part { object: None, path: "trajectories.json".into(), holds: "all trajectories".into() },
+            Part { object: Some(CAR), path: "objects/1/".into(), holds: "cameras and points".into() },
         ],
     }
 }
@@ -230,6 +237,136 @@ fn without_webgl_the_page_says_so_and_shows_the_top_view() {
     assert_eq!(attribute(&document, "data-renderer"), Some("plan"), "{log}");
     assert_eq!(attribute(&document, "data-errors"), None, "{log}");
     assert!(document.contains("This browser has no WebGL"));
+}
+
+/// What a script finds on a page that is ready, in a window of some width. The script gives a text.
+fn found_by(browser: &Path, page: &str, width: u32, script: &str) -> String {
+    let (folder, _guard) = folder();
+    let file = folder.join(format!("measured-{width}.html"));
+    // The page's own policy lets nothing run but its own scripts.
+    let (before, after) = page.split_once("<meta http-equiv=\"Content-Security-Policy\"").expect("there is a policy");
+    let after = after.split_once('>').expect("it ends").1;
+    let probe = format!(
+        "<script>const wait = setInterval(() => {{ if (!document.documentElement.dataset.ready) return; clearInterval(wait); \
+         document.documentElement.dataset.found = (() => {{ {script} }})(); }}, 50);</script></body>"
+    );
+    std::fs::write(&file, format!("{before}{after}").replace("</body>", &probe)).expect("the page is written");
+    let window = format!("--window-size={width},1000");
+    let arguments: Vec<&str> = WITHOUT_WEBGL.into_iter().chain([window.as_str(), "--dump-dom"]).collect();
+    let mut log = String::new();
+    for _ in 0..ATTEMPTS {
+        let (document, said) = run(browser, &arguments, &file, "");
+        if let Some(found) = attribute(&document, "data-found") {
+            return found.to_owned();
+        }
+        log = said;
+    }
+    panic!("the script did not run: {log}")
+}
+
+const WIDTHS: [u32; 2] = [1400, 420];
+
+#[test]
+fn labels_of_the_time_axes_stay_on_one_line() {
+    let Some(browser) = browser() else { return };
+    let result = showcase(60, 1);
+    let page = report::render(&data(&result, Vec::new())).expect("the report renders");
+    let script = "const ticks = [...document.querySelectorAll('.x-tick')]; \
+        const bad = ticks.filter((t) => t.offsetHeight > 1.7 * parseFloat(getComputedStyle(t).fontSize) \
+            || t.getBoundingClientRect().right > t.closest('.chart').getBoundingClientRect().right); \
+        return `${ticks.length > 10} ${bad.map((t) => t.textContent)}`;";
+    for width in WIDTHS {
+        assert_eq!(found_by(&browser, &page, width, script), "true ", "{width} pixels wide");
+    }
+}
+
+#[test]
+fn no_word_of_the_key_figures_is_broken() {
+    let Some(browser) = browser() else { return };
+    let result = showcase(60, 1);
+    let page = report::render(&data(&result, Vec::new())).expect("the report renders");
+    // The longest words that a key figure has had.
+    let page = page.replacen("<dd>given</dd>", "<dd>segmentation</dd>", 1);
+    let script = "const broken = []; let words = 0; \
+        for (const cell of document.querySelectorAll('.key dt, .key dd')) { \
+            const text = cell.firstChild; \
+            for (const match of text.data.matchAll(/[^ ]+/g)) { \
+                const range = document.createRange(); \
+                range.setStart(text, match.index); range.setEnd(text, match.index + match[0].length); \
+                words++; \
+                if (new Set([...range.getClientRects()].map((r) => r.top)).size > 1) broken.push(match[0]); \
+            } \
+        } \
+        return `${words > 20} ${broken} ${document.documentElement.scrollWidth > innerWidth}`;";
+    assert!(page.contains("segmentation"));
+    for width in WIDTHS {
+        assert_eq!(found_by(&browser, &page, width, script), "true  false", "{width} pixels wide");
+    }
+}
+
+#[test]
+fn a_small_path_has_its_dots_at_its_ends() {
+    let Some(browser) = browser() else { return };
+    let mut result = showcase(60, 1);
+    for vehicle in &mut result.vehicles {
+        let first = vehicle.trajectory.poses[0].position;
+        for pose in &mut vehicle.trajectory.poses {
+            pose.position = std::array::from_fn(|k| first[k] + 0.02 * (pose.position[k] - first[k]));
+        }
+    }
+    let page = report::render(&data(&result, Vec::new())).expect("the report renders");
+    let script = "const wrong = []; const plans = document.querySelectorAll('.card .plan-svg'); \
+        for (const svg of plans) { \
+            const box = svg.getBoundingClientRect(), path = svg.querySelector('.plan-path'); \
+            const at = (p) => p.matrixTransform(path.getScreenCTM()); \
+            for (const [dot, end] of [['.plan-start', 0], ['.plan-end', path.getTotalLength()]]) { \
+                const [place, line] = [svg.querySelector(dot).getPointAtLength(0), path.getPointAtLength(end)].map(at); \
+                const off = Math.hypot(place.x - line.x, place.y - line.y); \
+                const inside = Math.min(place.x - box.left, box.right - place.x, place.y - box.top, box.bottom - place.y); \
+                if (off > 1 || inside < 6) wrong.push(`${dot} ${off} ${inside}`); \
+            } \
+        } \
+        return `${plans.length > 0} ${wrong}`;";
+    for width in WIDTHS {
+        assert_eq!(found_by(&browser, &page, width, script), "true ", "{width} pixels wide");
+    }
+}
+
+#[test]
+fn charts_can_be_moved_through_by_keys() {
+    let Some(browser) = browser() else { return };
+    let result = showcase(60, 1);
+    let page = report::render(&data(&result, Vec::new())).expect("the report renders");
+    let script = "const sliders = [...document.querySelectorAll('.chart [role=slider]')]; \
+        const now = () => sliders.map((s) => Number(s.getAttribute('aria-valuenow'))); \
+        const before = now(); \
+        sliders[1].focus(); \
+        sliders[1].dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowRight', bubbles: true })); \
+        const steps = now().map((v, k) => v - before[k]); \
+        const said = sliders[1].getAttribute('aria-valuetext'); \
+        return `${sliders.length} ${document.activeElement === sliders[1]} ${new Set(steps).size} ${steps[0]} \
+            ${/seconds, frame .*Car 1/.test(said)}`.replace(/ +/g, ' ');";
+    assert_eq!(found_by(&browser, &page, 1400, script), "6 true 1 1 true");
+}
+
+#[test]
+fn without_a_rate_the_page_never_shows_a_second() {
+    let Some(browser) = browser() else { return };
+    let mut result = showcase(60, 1);
+    for frame in &mut result.frames {
+        frame.time_s = f64::from(frame.id.0);
+    }
+    let data =
+        Data { time_base: TimeBase::Frames, input: Vec::new(), warnings: Vec::new(), ..data(&result, Vec::new()) };
+    let page = report::render(&data).expect("the report renders");
+    let script = "document.querySelector('.stages').remove(); \
+        const spoken = [...document.querySelectorAll('[aria-valuetext], [aria-label]')].map((e) => \
+            `${e.getAttribute('aria-valuetext')} ${e.getAttribute('aria-label')}`); \
+        const titles = [...document.querySelectorAll('rect title')].map((e) => e.textContent); \
+        const all = [document.body.innerText, ...spoken, ...titles].join(' '); \
+        const seconds = all.match(/.{12}([0-9.]+ s(?![a-z])|second).{0,12}/g) ?? []; \
+        return `${/frame 36/.test(all)} ${seconds.filter((s) => !/ten frames per/.test(s)).join(',')}`;";
+    assert_eq!(found_by(&browser, &page, 1400, script), "true ");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Stage `report`: the page to look at, from what all stages left behind.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
@@ -10,9 +10,11 @@ use super::options::CameraOrigin;
 use super::run::{Outcome, Run};
 use super::track::{self, TrackedObject};
 use super::{Options, PipelineError, Silent, Workspace, ground, objects, scale};
+use crate::eval::Evaluation;
 use crate::io::json;
-use crate::report::{self, Data, Fact, Missing, Model, Object, Thumbnail};
-use crate::scene::{FrameId, ObjectId, Reconstruction, Trajectories, Unit};
+use crate::report::{self, Data, Fact, Missing, Model, Object, Part, Thumbnail};
+use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, Trajectories};
+use crate::trajectory::{Views, intersection};
 use crate::video::{Kind, Source};
 
 /// Makes the page of a finished run anew, with what was put into the folder since.
@@ -51,21 +53,25 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let trajectories = scale::trajectories(run)?;
     let ground = ground::ground(run)?;
     let failures = scale::failures(run)?;
+    let evaluation = evaluation(run)?;
     let data = Data {
         title: run.input().file_name().map_or_else(|| "input".into(), |name| name.to_string_lossy().into_owned()),
         input: input_facts(run, &background)?,
         version: env!("CARGO_PKG_VERSION").to_owned(),
         arguments: run.arguments.to_vec(),
-        unit: Unit::Background,
+        time_base: run.info().time_base(),
         frames,
         missing: missing(&background_report),
         background: Model { reconstruction: &background, unregistered: background_report.unregistered },
         ground: Some(&ground),
-        objects: objects(&tracked, &reports, &object_models, &trajectories, &failures),
+        objects: objects(&tracked, &reports, &object_models, &trajectories, &failures, |id, model| {
+            ratio_per_frame(&background, model, &ground, id)
+        }),
         strip: strip(run, &tracked)?,
         warnings: run.warnings(),
         stages: stages(run),
-        evaluation: Vec::new(),
+        evaluation: evaluation.as_ref(),
+        parts: parts(run, &reports, &trajectories),
     };
     let path = run.workspace.report();
     run.workspace.put_file(&path, |fresh| report::write(fresh, &data))?;
@@ -91,6 +97,7 @@ fn objects<'a>(
     models: &'a BTreeMap<ObjectId, Reconstruction>,
     trajectories: &'a Trajectories,
     failures: &BTreeMap<String, String>,
+    ratios: impl Fn(ObjectId, &Reconstruction) -> Vec<(FrameId, f64)>,
 ) -> Vec<Object<'a>> {
     let object = |tracked: &TrackedObject| {
         let report = reports.get(&tracked.id);
@@ -103,11 +110,62 @@ fn objects<'a>(
             visible: tracked.frames.clone(),
             model: models.get(&tracked.id).map(|reconstruction| Model { reconstruction, unregistered }),
             trajectory: trajectories.objects.iter().find(|trajectory| trajectory.id == tracked.id),
-            ratio_per_frame: Vec::new(),
+            ratio_per_frame: models.get(&tracked.id).map(|model| ratios(tracked.id, model)).unwrap_or_default(),
             failure: failure.or_else(|| failures.get(&tracked.id.to_string()).cloned()),
         }
     };
     tracked.iter().map(object).collect()
+}
+
+/// What the contact with the ground says of an object's scale ratio in each frame alone; empty where it says nothing.
+fn ratio_per_frame(
+    background: &Reconstruction,
+    model: &Reconstruction,
+    ground: &Ground,
+    id: ObjectId,
+) -> Vec<(FrameId, f64)> {
+    let views = Views::new(background, model, &scale::planes(ground, id));
+    intersection(&views).map(|found| found.per_frame).unwrap_or_default()
+}
+
+/// How the result compares with the truth, if `evaluate` was asked since it was made.
+fn evaluation(run: &Run) -> Result<Option<Evaluation>, PipelineError> {
+    let path = run.workspace.evaluation();
+    Ok(if path.exists() { Some(json::read(&path)?) } else { None })
+}
+
+/// What lies beside the page.
+fn parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>, trajectories: &Trajectories) -> Vec<Part> {
+    let folder = &run.workspace;
+    let part = |object: Option<ObjectId>, path: PathBuf, holds: &str| Part {
+        object,
+        path: link(folder.root(), &path),
+        holds: holds.into(),
+    };
+    let whole = |path: PathBuf, holds: &str| part(None, path, holds);
+    let mut parts = vec![
+        whole(folder.trajectories(), "all trajectories, frame by frame"),
+        whole(folder.run_json(), "what was done with which options, what it cost, and its warnings"),
+        whole(folder.ground(), "the points of the ground, and its local plane for every vehicle and frame"),
+        whole(folder.tracks(), "the masks of the vehicles"),
+        whole(folder.background(), "cameras and points of the background, as COLMAP has them"),
+        whole(folder.background_points(), "points of the background, to look at"),
+    ];
+    for id in reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id) {
+        parts.push(part(Some(id), folder.object(id), "cameras and points, as COLMAP has them"));
+    }
+    for id in trajectories.objects.iter().map(|trajectory| trajectory.id) {
+        parts.push(part(Some(id), folder.object_points(id), "points along the whole path, to look at"));
+    }
+    parts
+}
+
+/// The link from the page to a file or folder beside it.
+fn link(root: &Path, path: &Path) -> String {
+    let relative = path.strip_prefix(root).unwrap_or(path);
+    let names: Vec<_> = relative.iter().map(|name| name.to_string_lossy()).collect();
+    let end = if relative.extension().is_some() { "" } else { "/" };
+    names.join("/") + end
 }
 
 fn missing(background: &ModelReport) -> Vec<Missing> {
@@ -163,7 +221,9 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
         CameraOrigin::Exif => "from EXIF, refined with the background",
         CameraOrigin::Guess => "unknown, found with the background",
     };
-    if let Some(camera) = background.cameras.values().next() {
+    // A background that was not reconstructed has only the camera to begin with.
+    let found = background.cameras.values().next().filter(|_| !background.images.is_empty());
+    if let Some(camera) = found {
         let focal = format!("{:.1} px", camera.mean_focal());
         facts.push(Fact::new("Focal length", focal).with_note(origin));
     }

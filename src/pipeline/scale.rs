@@ -79,7 +79,7 @@ fn description(tracked: &TrackedObject) -> ObjectDescription {
 }
 
 /// The local planes under one object.
-fn planes(ground: &Ground, id: ObjectId) -> BTreeMap<FrameId, GroundPlane> {
+pub(super) fn planes(ground: &Ground, id: ObjectId) -> BTreeMap<FrameId, GroundPlane> {
     let planes = ground.planes.iter().filter(|((of, _), _)| *of == id);
     planes.map(|(&(_, frame), &plane)| (frame, plane)).collect()
 }

@@ -5,7 +5,9 @@
 
 use serde::Serialize;
 
+use super::timeline::Timeline;
 use super::view::quantile;
+use super::words::count;
 
 /// Side of the plotting area in its own units.
 const SIDE: f64 = 1000.0;
@@ -20,7 +22,7 @@ pub(super) struct Line {
     pub label: String,
     /// A CSS colour.
     pub colour: String,
-    /// (time in seconds, value), ascending in time.
+    /// (time, value), ascending in time.
     pub points: Vec<(f64, f64)>,
     /// Dots instead of a line: for values that are no function of their neighbours.
     pub dots: bool,
@@ -77,7 +79,6 @@ struct DrawnLevel {
     y: f64,
     band: Option<[f64; 2]>,
     colour: String,
-    label: String,
 }
 
 /// A tick: its place in per cent and its label.
@@ -88,8 +89,9 @@ pub(super) struct Tick {
 }
 
 impl Chart {
-    /// The drawing over a span of time; `None` if no line has a point.
-    pub fn draw(&self, span: (f64, f64)) -> Option<Drawing> {
+    /// The drawing over the time of a run; `None` if no line has a point.
+    pub fn draw(&self, timeline: &Timeline) -> Option<Drawing> {
+        let span = timeline.span();
         let lines: Vec<Line> = self.lines.iter().map(thinned).filter(|l| !l.points.is_empty()).collect();
         if lines.is_empty() {
             return None;
@@ -103,8 +105,8 @@ impl Chart {
         };
         let level = |l: &Level| {
             let y = |v: f64| place(0.0, v).1;
-            let band = l.std.map(|s| [y(l.value + s), y(l.value - s)]);
-            DrawnLevel { y: y(l.value), band, colour: l.colour.clone(), label: number(l.value, decimals + 1) }
+            let band = l.std.filter(|s| s.is_finite()).map(|s| [y(l.value + s), y(l.value - s)]);
+            DrawnLevel { y: y(l.value), band, colour: l.colour.clone() }
         };
         let drawn: Vec<DrawnLine> = lines.iter().map(|l| drawn_line(l, place, decimals)).collect();
         let summary = drawn.iter().map(|l| format!("{}: {}", l.label, l.range)).collect::<Vec<_>>().join("; ");
@@ -115,7 +117,7 @@ impl Chart {
             summary,
             lines: drawn,
             levels: self.levels.iter().filter(|l| l.value >= range.0 && l.value <= range.1).map(level).collect(),
-            x_ticks: ticks(span).0,
+            x_ticks: timeline.ticks(),
             y_ticks,
             note: (clipped > 0)
                 .then(|| format!("{clipped} values lie outside the shown range; they stand at its edge.")),
@@ -181,12 +183,22 @@ fn drawn_line(line: &Line, place: impl Fn(f64, f64) -> (f64, f64), decimals: usi
 }
 
 /// About five ticks at round numbers, and how many decimals they need.
-pub(super) fn ticks((low, high): (f64, f64)) -> (Vec<Tick>, usize) {
+pub(super) fn ticks(range: (f64, f64)) -> (Vec<Tick>, usize) {
+    ticks_apart(range, 0.0)
+}
+
+/// About five ticks at whole numbers.
+pub(super) fn whole_ticks(range: (f64, f64)) -> Vec<Tick> {
+    ticks_apart(range, 1.0).0
+}
+
+/// Ticks at least so far apart.
+fn ticks_apart((low, high): (f64, f64), least: f64) -> (Vec<Tick>, usize) {
     let span = high - low;
     if !(span > 0.0) || !span.is_finite() {
         return (Vec::new(), 0);
     }
-    let rough = span / 5.0;
+    let rough = (span / 5.0).max(least);
     let power = 10f64.powf(rough.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|s| *s >= rough).unwrap_or(10.0 * power);
     let decimals = (-step.log10().floor()).clamp(0.0, 9.0) as usize;
@@ -248,16 +260,17 @@ struct Run {
 }
 
 impl Bars {
-    /// Of one state per frame; `times` are the frames' times and the end of the last, so one longer than `states`.
-    pub fn new(label: String, colour: String, states: &[FrameState], times: &[f64]) -> Self {
+    /// Of one state per frame of the timeline.
+    pub fn new(label: String, colour: String, states: &[FrameState], timeline: &Timeline) -> Self {
         let count = |state| states.iter().filter(|s| **s == state).count();
         let registered = count(FrameState::Registered);
         let visible = registered + count(FrameState::Missing);
-        Self { label, colour, registered, visible, runs: runs(states, times) }
+        Self { label, colour, registered, visible, runs: runs(states, timeline) }
     }
 }
 
-fn runs(states: &[FrameState], times: &[f64]) -> Vec<Run> {
+fn runs(states: &[FrameState], timeline: &Timeline) -> Vec<Run> {
+    let times = timeline.times();
     let span = (times[times.len() - 1] - times[0]).max(1e-9);
     let x = |i: usize| ((times[i] - times[0]) / span * SIDE * 10.0).round() / 10.0;
     let mut runs = Vec::new();
@@ -266,11 +279,11 @@ fn runs(states: &[FrameState], times: &[f64]) -> Vec<Run> {
         let end = start + chunk.len();
         let name = match chunk[0] {
             FrameState::Absent => None,
-            FrameState::Missing => Some("not registered"),
-            FrameState::Registered => Some("registered"),
+            FrameState::Missing => Some("no camera found"),
+            FrameState::Registered => Some("camera found"),
         };
         if let Some(name) = name {
-            let title = format!("{} frames {name}, {:.2} s to {:.2} s", chunk.len(), times[start], times[end]);
+            let title = format!("{name} in {}: {}", count(chunk.len(), "frame"), timeline.range_at(start, end - 1));
             let missing = chunk[0] == FrameState::Missing;
             runs.push(Run { x: x(start), width: x(end) - x(start), missing, title });
         }
@@ -287,6 +300,10 @@ mod tests {
         Line { label: "a".into(), colour: "red".into(), points, dots: false }
     }
 
+    fn timeline(end: u32) -> Timeline {
+        Timeline::of_frames(end)
+    }
+
     fn chart(lines: Vec<Line>) -> Chart {
         let (title, caption, unit) = ("t".into(), "c".into(), "m".into());
         Chart { title, caption, unit, lines, levels: Vec::new(), from_zero: false }
@@ -298,6 +315,8 @@ mod tests {
         assert_eq!(labels((0.0, 10.0)), ["0", "2", "4", "6", "8", "10"]);
         assert_eq!(labels((-0.31, 0.32)), ["−0.2", "0.0", "0.2"]);
         assert_eq!(labels((1234.0, 1235.0)), ["1234.0", "1234.2", "1234.4", "1234.6", "1234.8", "1235.0"]);
+        let whole: Vec<_> = whole_ticks((0.0, 2.0)).into_iter().map(|t| t.label).collect();
+        assert_eq!(whole, ["0", "1", "2"]);
         assert!(ticks((1.0, 1.0)).0.is_empty());
         assert!(ticks((f64::NAN, 1.0)).0.is_empty());
     }
@@ -307,17 +326,17 @@ mod tests {
         let mut points: Vec<_> =
             (0..30).filter(|i| !(10..14).contains(i)).map(|i| (f64::from(i), 5.0 + f64::from(i % 3))).collect();
         points[20].1 = 4000.0;
-        let drawing = chart(vec![line(points)]).draw((0.0, 29.0)).unwrap();
+        let drawing = chart(vec![line(points)]).draw(&timeline(29)).unwrap();
         assert_eq!(drawing.lines[0].path.matches('M').count(), 2);
         assert!(drawing.y_ticks.iter().all(|t| t.label.len() <= 3), "{:?}", drawing.y_ticks);
         assert!(drawing.note.unwrap().starts_with("1 values"));
-        assert!(chart(vec![line(vec![(0.0, f64::NAN)])]).draw((0.0, 1.0)).is_none());
+        assert!(chart(vec![line(vec![(0.0, f64::NAN)])]).draw(&timeline(1)).is_none());
     }
 
     #[test]
     fn long_lines_are_thinned() {
         let points = (0..10_000).map(|i| (f64::from(i), f64::from(i))).collect();
-        let drawing = chart(vec![line(points)]).draw((0.0, 1e4)).unwrap();
+        let drawing = chart(vec![line(points)]).draw(&timeline(10_000)).unwrap();
         assert_eq!(drawing.lines[0].samples.len(), 500);
     }
 
@@ -325,9 +344,10 @@ mod tests {
     fn bars_follow_the_frames() {
         use FrameState::{Absent, Missing, Registered};
         let states = [Registered, Registered, Missing, Absent, Registered];
-        let bars = Bars::new("b".into(), "red".into(), &states, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+        let bars = Bars::new("b".into(), "red".into(), &states, &timeline(5));
         assert_eq!((bars.registered, bars.visible), (3, 4));
         let spans: Vec<_> = bars.runs.iter().map(|r| (r.x, r.width, r.missing)).collect();
+        assert_eq!(bars.runs[0].title, "camera found in 2 frames: frames 0 to 1");
         assert_eq!(spans, [(0.0, 400.0, false), (400.0, 200.0, true), (800.0, 200.0, false)]);
     }
 

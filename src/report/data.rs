@@ -3,7 +3,8 @@
 use std::collections::{BTreeMap, HashMap};
 
 use super::Thumbnail;
-use crate::scene::{Frame, FrameId, Ground, Image, ObjectId, ObjectTrajectory, Reconstruction, Unit};
+use crate::eval::Evaluation;
+use crate::scene::{Frame, FrameId, Ground, Image, ObjectId, ObjectTrajectory, Reconstruction, TimeBase};
 
 /// Everything the page shows; the pipeline fills it from a finished output folder.
 #[derive(Clone, Debug)]
@@ -16,8 +17,8 @@ pub struct Data<'a> {
     pub version: String,
     /// The command line.
     pub arguments: Vec<String>,
-    /// Unit of the background's frame.
-    pub unit: Unit,
+    /// What the times of the frames count.
+    pub time_base: TimeBase,
     /// All frames that were used, ascending in time.
     pub frames: &'a [Frame],
     /// The background, and why frames are missing from it.
@@ -34,8 +35,10 @@ pub struct Data<'a> {
     pub warnings: Vec<String>,
     /// What the run cost.
     pub stages: Vec<Stage>,
-    /// How the result compares with the ground truth; empty if none was given.
-    pub evaluation: Vec<Fact>,
+    /// How the result compares with the ground truth, if that was given.
+    pub evaluation: Option<&'a Evaluation>,
+    /// The files and folders of the result.
+    pub parts: Vec<Part>,
 }
 
 /// A reconstruction and the frames it lacks.
@@ -107,6 +110,17 @@ impl Fact {
     pub fn with_note(self, note: impl Into<String>) -> Self {
         Self { note: Some(note.into()), ..self }
     }
+}
+
+/// A file or a folder of the result, to which the page links.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    /// The vehicle that it is of; `None` if of the whole run.
+    pub object: Option<ObjectId>,
+    /// Its path, relative to the page, with `/` between folders and at the end of one.
+    pub path: String,
+    /// What it holds.
+    pub holds: String,
 }
 
 /// What one stage of the run cost.

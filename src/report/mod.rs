@@ -12,17 +12,22 @@ mod bars;
 pub mod benchmark;
 mod chart;
 mod data;
+mod evaluation;
+mod measure;
 mod overlay;
 mod page;
 mod plan;
 mod scene;
 mod summary;
+mod timeline;
+mod verdict;
 mod view;
+mod words;
 
 #[cfg(test)]
 mod testing;
 
-pub use data::{Data, Fact, Missing, Model, Object, Stage};
+pub use data::{Data, Fact, Missing, Model, Object, Part, Stage};
 pub use overlay::{Label, Thumbnail, object_colour, overlay, strip_frames};
 
 use std::path::{Path, PathBuf};

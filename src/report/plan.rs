@@ -5,20 +5,25 @@ use serde::Serialize;
 use super::data::{Data, Object};
 use super::overlay::{css_colour, object_colour, spread};
 use super::view::{View, quantile};
+use super::words::round_length;
 use nalgebra::Point3;
 
+/// Units of a plan per unit of the view, where the plan shows the whole scene; `page.js` moves markers in them.
+const SCENE_ZOOM: f64 = 10.0;
+/// Longer side of a plan of one path, in its own units: coordinates have one decimal.
+const PATH_SIDE: f64 = 1000.0;
+/// Least longer side of a box; a vehicle that stands has none.
+const LEAST_SIDE: f64 = 1e-4;
 /// Points drawn in the plan of the whole scene.
 const MAX_POINTS: usize = 2_500;
 /// Vertices drawn of one path.
 const MAX_VERTICES: usize = 300;
 
-/// A top view: coordinates are view units × 10, x right, y down (towards the viewer).
+/// A top view: x right, y down (towards the viewer).
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Plan {
     /// x, y, width, height.
     view_box: [f64; 4],
-    /// Length of one view unit, for markers.
-    pub scale: f64,
     points: String,
     camera: String,
     paths: Vec<PlanPath>,
@@ -38,111 +43,162 @@ struct PlanPath {
 /// A bar of a round length.
 #[derive(Clone, Debug, Serialize)]
 struct ScaleBar {
-    length: f64,
+    path: String,
     label: String,
+}
+
+/// The view from above, as large as a plan shows it.
+#[derive(Clone, Copy, Debug)]
+struct Paper<'a> {
+    view: &'a View,
+    /// What lies at the plan's origin, in the view.
+    origin: [f64; 2],
+    zoom: f64,
 }
 
 impl Plan {
     /// The whole scene.
-    pub fn scene(data: &Data, view: &View, unit: &str) -> Self {
+    pub fn scene(data: &Data, view: &View) -> Self {
+        let paper = Paper { view, origin: [0.0; 2], zoom: SCENE_ZOOM };
         let background = data.background.reconstruction;
-        let camera: Vec<_> = background.images.values().map(|i| flat(view, i.cam_from_world.center())).collect();
-        let paths: Vec<_> = data.objects.iter().filter_map(|o| path(o, view)).collect();
-        let mut all: Vec<[f64; 2]> = camera.clone();
-        for object in &data.objects {
-            all.extend(positions(object, view));
-        }
+        let camera: Vec<_> = background.images.values().map(|i| paper.place(i.cam_from_world.center())).collect();
+        let mut all = camera.clone();
+        all.extend(data.objects.iter().flat_map(|o| paper.positions(o)));
         // A trajectory of undetermined scale may lie anywhere; the plan keeps to the scene.
-        all.retain(|p| p.iter().all(|v| v.abs() < 30.0 * 10.0));
-        let near: Vec<_> = background.points.values().map(|p| flat(view, p.position)).collect();
-        let view_box = frame(&all, 0.9, 0.45);
-        let inside = |p: &&[f64; 2]| {
-            p[0] > view_box[0]
-                && p[1] > view_box[1]
-                && p[0] < view_box[0] + view_box[2]
-                && p[1] < view_box[1] + view_box[3]
-        };
-        let near: Vec<_> = near.iter().filter(inside).collect();
-        let points =
-            spread(near.len(), MAX_POINTS).into_iter().map(|i| format!("M{:.0} {:.0}h0", near[i][0], near[i][1]));
+        all.retain(|p| p.iter().all(|v| v.abs() < 30.0 * SCENE_ZOOM));
+        let view_box = frame(&all, &[], 0.9, 0.45);
+        let near = background.points.values().map(|p| paper.place(p.position)).filter(|p| holds(view_box, p));
         Self {
             view_box,
-            scale: 10.0,
-            points: points.collect(),
+            points: dots(&near.collect::<Vec<_>>()),
             camera: polyline(&camera),
-            paths,
-            bar: scale_bar(view, view_box[2], unit),
+            paths: data.objects.iter().filter_map(|o| paper.path(o)).collect(),
+            bar: paper.scale_bar(view_box),
         }
     }
 
     /// One object's path alone; `None` without a trajectory.
-    pub fn object(object: &Object, view: &View, unit: &str) -> Option<Self> {
-        let path = path(object, view)?;
-        let view_box = frame(&positions(object, view), 0.25, 0.6);
-        let bar = scale_bar(view, view_box[2], unit);
-        Some(Self {
-            view_box,
-            scale: view_box[2] / 20.0,
-            points: String::new(),
-            camera: String::new(),
-            paths: vec![path],
-            bar,
-        })
+    pub fn object(object: &Object, view: &View) -> Option<Self> {
+        let positions = Paper { view, origin: [0.0; 2], zoom: 1.0 }.positions(object);
+        let [x, y, width, height] = frame(&positions, &[], 0.0, 0.0);
+        let origin = [x + width / 2.0, y + height / 2.0];
+        let paper = Paper { view, origin, zoom: PATH_SIDE / width.max(height).max(LEAST_SIDE) };
+        let path = paper.path(object)?;
+        let view_box = frame(&paper.positions(object), &[path.start, path.end], 0.25, 0.6);
+        let bar = paper.scale_bar(view_box);
+        Some(Self { view_box, points: String::new(), camera: String::new(), paths: vec![path], bar })
     }
 }
 
-fn flat(view: &View, world: Point3<f64>) -> [f64; 2] {
-    let p = view.view_from_world * world;
-    [p.x * 10.0, p.z * 10.0]
+impl Paper<'_> {
+    fn place(&self, world: Point3<f64>) -> [f64; 2] {
+        let p = self.view.view_from_world * world;
+        [(p.x - self.origin[0]) * self.zoom, (p.z - self.origin[1]) * self.zoom]
+    }
+
+    fn positions(&self, object: &Object) -> Vec<[f64; 2]> {
+        let poses = object.trajectory.iter().flat_map(|t| &t.poses);
+        poses.map(|p| self.place(Point3::from(p.position))).filter(drawable).collect()
+    }
+
+    fn path(&self, object: &Object) -> Option<PlanPath> {
+        let positions = self.positions(object);
+        let (start, end) = (*positions.first()?, *positions.last()?);
+        Some(PlanPath {
+            id: object.id.0,
+            colour: css_colour(object_colour(object.id)),
+            degenerate: object.trajectory.is_some_and(|t| t.scale.degenerate),
+            path: polyline(&positions),
+            start: start.map(tenth),
+            end: end.map(tenth),
+        })
+    }
+
+    /// A bar of about a quarter of the width, 1, 2 or 5 times a power of ten long, in the lower left corner.
+    fn scale_bar(&self, [x, y, width, height]: [f64; 4]) -> ScaleBar {
+        let per_unit = self.view.view_from_world.scale * self.zoom;
+        let rough = width / 4.0 / per_unit;
+        let power = 10f64.powf(rough.log10().floor());
+        let length = [5.0, 2.0, 1.0].map(|m| m * power).into_iter().find(|l| *l <= rough).unwrap_or(power);
+        let (left, bottom, tick) = (x + 0.02 * width, y + 0.98 * height, 0.025 * height);
+        let (right, top) = (left + length * per_unit, bottom - tick);
+        let path = format!("M{left:.1} {top:.1}V{bottom:.1}H{right:.1}V{top:.1}");
+        ScaleBar { path, label: round_length(length) }
+    }
 }
 
-fn positions(object: &Object, view: &View) -> Vec<[f64; 2]> {
-    let poses = object.trajectory.iter().flat_map(|t| &t.poses);
-    poses.map(|p| flat(view, Point3::from(p.position))).filter(|p| p.iter().all(|v| v.is_finite())).collect()
+/// Whether a place can be written down.
+fn drawable(place: &[f64; 2]) -> bool {
+    place.iter().all(|v| v.is_finite() && v.abs() < 1e6)
 }
 
-fn path(object: &Object, view: &View) -> Option<PlanPath> {
-    let positions = positions(object, view);
-    let (start, end) = (*positions.first()?, *positions.last()?);
-    Some(PlanPath {
-        id: object.id.0,
-        colour: css_colour(object_colour(object.id)),
-        degenerate: object.trajectory.is_some_and(|t| t.scale.degenerate),
-        path: polyline(&positions),
-        start: start.map(|v| v.round()),
-        end: end.map(|v| v.round()),
-    })
+fn holds([x, y, width, height]: [f64; 4], p: &[f64; 2]) -> bool {
+    p[0] > x && p[1] > y && p[0] < x + width && p[1] < y + height
+}
+
+fn dots(places: &[[f64; 2]]) -> String {
+    let chosen = spread(places.len(), MAX_POINTS).into_iter().map(|i| places[i]);
+    chosen.map(|[x, y]| format!("M{x:.0} {y:.0}h0")).collect()
 }
 
 fn polyline(points: &[[f64; 2]]) -> String {
     let chosen = spread(points.len(), MAX_VERTICES).into_iter().map(|i| points[i]);
-    let usable = chosen.filter(|p| p.iter().all(|v| v.is_finite() && v.abs() < 1e6));
+    let usable = chosen.filter(drawable);
     usable.enumerate().map(|(i, [x, y])| format!("{}{x:.1} {y:.1}", if i == 0 { "M" } else { "L" })).collect()
 }
 
-/// A box round nearly all points, padded by a share of its longer side, at least `aspect` times as high as wide and
-/// the other way round.
-fn frame(points: &[[f64; 2]], padding: f64, aspect: f64) -> [f64; 4] {
+/// A box round nearly all points and every one of `ends`, padded by a share of its longer side, at least `aspect` times
+/// as high as wide and the other way round.
+fn frame(points: &[[f64; 2]], ends: &[[f64; 2]], padding: f64, aspect: f64) -> [f64; 4] {
     let range = |k: usize| {
         let mut values: Vec<_> = points.iter().map(|p| p[k]).filter(|v| v.is_finite()).collect();
-        (quantile(&mut values, 0.01), quantile(&mut values, 0.99))
+        let (low, high) = (quantile(&mut values, 0.01), quantile(&mut values, 0.99));
+        ends.iter().fold((low, high), |(low, high), end| (low.min(end[k]), high.max(end[k])))
     };
     let ((x0, x1), (y0, y1)) = (range(0), range(1));
-    let longer = (x1 - x0).max(y1 - y0).max(1e-3);
+    let longer = (x1 - x0).max(y1 - y0).max(LEAST_SIDE);
     let mut width = x1 - x0 + longer * padding;
     let mut height = y1 - y0 + longer * padding;
     height = height.max(width * aspect);
     width = width.max(height * aspect);
-    let tenth = |v: f64| (v * 10.0).round() / 10.0;
-    [(x0 + x1 - width) / 2.0, (y0 + y1 - height) / 2.0, width, height].map(tenth)
+    [(x0 + x1 - width) / 2.0, (y0 + y1 - height) / 2.0, width, height]
 }
 
-/// A bar of about a fifth of the width, 1, 2 or 5 times a power of ten long.
-fn scale_bar(view: &View, width: f64, unit: &str) -> ScaleBar {
-    let per_unit = view.view_from_world.scale * 10.0;
-    let rough = width / 4.0 / per_unit;
-    let power = 10f64.powf(rough.log10().floor());
-    let length = [5.0, 2.0, 1.0].map(|m| m * power).into_iter().find(|l| *l <= rough).unwrap_or(power);
-    let decimals = (-length.log10().floor()).clamp(0.0, 9.0) as usize;
-    ScaleBar { length: length * per_unit, label: format!("{length:.decimals$} {unit}") }
+fn tenth(v: f64) -> f64 {
+    (v * 10.0).round() / 10.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::testing;
+
+    #[test]
+    fn a_small_path_is_drawn_as_finely_as_a_large_one() {
+        let mut world = testing::world();
+        let view = View::new(&world.data()).unwrap();
+        let first = world.trajectory.poses[0].position;
+        for pose in &mut world.trajectory.poses {
+            pose.position = std::array::from_fn(|k| first[k] + 1e-3 * (pose.position[k] - first[k]));
+        }
+        let plan = Plan::object(&world.data().objects[0], &view).unwrap();
+        let numbers: Vec<f64> = plan.paths[0].path.split(['M', 'L', ' ']).filter_map(|n| n.parse().ok()).collect();
+        let places: Vec<&[f64]> = numbers.chunks(2).collect();
+        assert_eq!(*places[0], plan.paths[0].start, "the dot lies where the line begins");
+        assert_eq!(*places[places.len() - 1], plan.paths[0].end, "and where it ends");
+        assert!(places.windows(2).all(|w| w[0] != w[1]), "no two places fall together");
+        assert!(plan.view_box[2] > PATH_SIDE && plan.view_box[2] < 3.0 * PATH_SIDE, "{:?}", plan.view_box);
+    }
+
+    #[test]
+    fn a_standing_vehicle_has_a_plan_too() {
+        let mut world = testing::world();
+        let view = View::new(&world.data()).unwrap();
+        let first = world.trajectory.poses[0].position;
+        world.trajectory.poses.iter_mut().for_each(|pose| pose.position = first);
+        let plan = Plan::object(&world.data().objects[0], &view).unwrap();
+        assert!(plan.view_box.iter().all(|v| v.is_finite()) && plan.view_box[2] > 0.0, "{:?}", plan.view_box);
+        world.trajectory.poses.clear();
+        assert!(Plan::object(&world.data().objects[0], &view).is_none());
+    }
 }

@@ -7,8 +7,9 @@ use serde::Serialize;
 
 use super::data::{Data, Object};
 use super::overlay::{css_colour, object_colour, spread};
+use super::timeline::Timeline;
 use super::view::{RADIUS, View, finite, rounded};
-use crate::scene::{Frame, FrameId, Image, Point3d, Point3dId, Reconstruction, Unit};
+use crate::scene::{Frame, FrameId, Image, Point3d, Point3dId, Reconstruction};
 
 /// Background points shown: 12 characters each in the page.
 const MAX_POINTS: usize = 60_000;
@@ -24,7 +25,6 @@ const MAX_FRAMES: usize = 1_500;
 pub(super) struct Scene {
     /// Length of one unit of the background in the view.
     scale: f64,
-    unit: &'static str,
     ground: f64,
     radius: f64,
     /// Half width and height of the image plane at distance 1.
@@ -74,16 +74,15 @@ struct SceneObject {
 }
 
 impl Scene {
-    pub fn new(data: &Data, view: &View, names: &[String]) -> Self {
+    pub fn new(data: &Data, view: &View, timeline: &Timeline, names: &[String]) -> Self {
         let chosen = spread(data.frames.len(), MAX_FRAMES);
         let images = data.background.images(data.frames);
-        let frames = chosen.iter().map(|&i| scene_frame(&data.frames[i], images[i], view)).collect();
+        let frames = chosen.iter().map(|&i| scene_frame(&data.frames[i], images[i], view, timeline)).collect();
         let shown = data.objects.iter().filter(|o| o.trajectory.is_some()).count().max(1);
         let budget = MAX_OBJECT_POINTS.min(MAX_ALL_OBJECT_POINTS / shown);
         let objects = data.objects.iter().zip(names);
         Self {
             scale: view.view_from_world.scale,
-            unit: unit_symbol(data.unit),
             ground: rounded(view.ground),
             radius: RADIUS,
             tangent: tangent(data.background.reconstruction),
@@ -114,14 +113,6 @@ impl Scene {
     }
 }
 
-/// The symbol of the unit of length.
-pub(super) fn unit_symbol(unit: Unit) -> &'static str {
-    match unit {
-        Unit::Metre => "m",
-        Unit::Background => "u",
-    }
-}
-
 fn tangent(background: &Reconstruction) -> [f64; 2] {
     let camera = background.images.values().next().and_then(|i| background.cameras.get(&i.camera));
     camera.map_or([0.5, 0.3], |c| {
@@ -129,14 +120,15 @@ fn tangent(background: &Reconstruction) -> [f64; 2] {
     })
 }
 
-fn scene_frame(frame: &Frame, image: Option<&Image>, view: &View) -> SceneFrame {
+fn scene_frame(frame: &Frame, image: Option<&Image>, view: &View, timeline: &Timeline) -> SceneFrame {
     let pose = |image: &Image| {
         let [x, y, z] = view.point(image.cam_from_world.center());
         let q = view.view_from_world.rotation * image.cam_from_world.rotation.inverse();
         [x, y, z, rounded(q.w), rounded(q.i), rounded(q.j), rounded(q.k)]
     };
     let camera = image.map(pose).filter(|c| c.iter().all(|v| v.is_finite()));
-    SceneFrame { frame: frame.id.0, time: rounded(frame.time_s), camera }
+    let time = timeline.of(frame.id).unwrap_or_default();
+    SceneFrame { frame: frame.id.0, time: rounded(time), camera }
 }
 
 fn cloud(data: &Data, view: &View) -> Cloud {
@@ -240,11 +232,16 @@ mod tests {
     use crate::report::testing;
     use crate::report::view::MAX_REACH;
 
+    fn scene(world: &testing::World, view: &View) -> Scene {
+        let data = world.data();
+        Scene::new(&data, view, &Timeline::new(&data), &world.names())
+    }
+
     #[test]
     fn the_scene_stands_upright_and_far_points_do_not_shrink_it() {
         let mut world = testing::world();
         let before = View::new(&world.data()).unwrap();
-        let far_before = Scene::new(&world.data(), &before, &world.names()).points.beyond;
+        let far_before = scene(&world, &before).points.beyond;
         for k in 0..40 {
             let far = world.background.points.values().next().unwrap().clone();
             let position = Point3::new(1e7, -3e6 * f64::from(k), 2e7);
@@ -253,7 +250,7 @@ mod tests {
         let after = View::new(&world.data()).unwrap();
         assert_eq!(before.view_from_world, after.view_from_world);
         assert!(after.reach <= MAX_REACH * RADIUS);
-        let scene = Scene::new(&world.data(), &after, &world.names());
+        let scene = scene(&world, &after);
         assert_eq!(scene.points.beyond, far_before + 40);
         assert_eq!(scene.omissions(world.frames.len()).len(), 1);
         let up = after.view_from_world.rotation * testing::UP;
@@ -271,7 +268,7 @@ mod tests {
         world.background.points.get_mut(&first).unwrap().position.x = f64::NAN;
         world.trajectory.poses[3].position[1] = f64::INFINITY;
         let data = world.data();
-        let scene = Scene::new(&data, &View::new(&data).unwrap(), &world.names());
+        let scene = scene(&world, &View::new(&data).unwrap());
         assert_eq!(scene.points.beyond, far_before + 1);
         assert_eq!(scene.objects[0].poses.len(), world.trajectory.poses.len() - 1);
     }

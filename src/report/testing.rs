@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use super::{Data, Model, Object, Stage, Thumbnail};
-use crate::scene::{Frame, FrameId, Ground, ObjectId, ObjectTrajectory, Reconstruction, Unit};
+use crate::eval::Evaluation;
+use crate::scene::{Frame, FrameId, Ground, ObjectId, ObjectTrajectory, Reconstruction, TimeBase};
 pub(super) use crate::synthetic::showcase::UP;
 use crate::synthetic::showcase::{CAR, showcase};
 
@@ -11,6 +12,7 @@ use crate::synthetic::showcase::{CAR, showcase};
 pub(super) struct World {
     pub title: String,
     pub class: String,
+    pub time_base: TimeBase,
     pub frames: Vec<Frame>,
     pub background: Reconstruction,
     pub ground: Ground,
@@ -27,6 +29,7 @@ pub(super) fn world() -> World {
     World {
         title: "clip.mp4".into(),
         class: "car".into(),
+        time_base: TimeBase::Seconds,
         frames: result.frames,
         background: result.background,
         ground: result.ground,
@@ -62,6 +65,7 @@ impl World {
         };
         Data {
             title: self.title.clone(),
+            time_base: self.time_base,
             objects: vec![object, lost],
             frames: &self.frames,
             ground: Some(&self.ground),
@@ -84,7 +88,7 @@ pub(super) fn nothing(background: &Reconstruction) -> Data<'_> {
         input: Vec::new(),
         version: "0".into(),
         arguments: Vec::new(),
-        unit: Unit::Background,
+        time_base: TimeBase::Seconds,
         frames: &[],
         background: Model { reconstruction: background, unregistered: BTreeMap::from([(FrameId(3), "dark".into())]) },
         ground: None,
@@ -93,6 +97,12 @@ pub(super) fn nothing(background: &Reconstruction) -> Data<'_> {
         strip: Vec::new(),
         warnings: Vec::new(),
         stages: vec![stage],
-        evaluation: Vec::new(),
+        evaluation: None,
+        parts: Vec::new(),
     }
+}
+
+/// What `tractrix evaluate` wrote of the bundled clip; the errors of two frames stand for those of all.
+pub(super) fn evaluation() -> Evaluation {
+    serde_json::from_str(include_str!("../../tests/golden/evaluation.json")).unwrap()
 }

@@ -2,13 +2,16 @@
 
 use serde::Serialize;
 
-use super::figures::thousands;
+use super::gaps::NO_REASON;
 use crate::report::data::{Data, Fact, Object};
+use crate::report::measure::{path_length, speeds};
 use crate::report::overlay::{css_colour, object_colour};
 use crate::report::plan::Plan;
-use crate::report::summary::{self, Verdict, figure, length, percent};
+use crate::report::timeline::Timeline;
+use crate::report::verdict::{Verdict, relative_std};
 use crate::report::view::{View, quantile};
-use crate::scene::{ScaleMethod, Unit};
+use crate::report::words::{UNKNOWN, figure, length, percent, plain, thousands, with_unit};
+use crate::scene::{ObjectTrajectory, ScaleEstimate, ScaleMethod, TimeBase};
 
 /// A vehicle's card.
 #[derive(Debug, Serialize)]
@@ -18,6 +21,8 @@ pub(super) struct Card {
     colour: String,
     verdict: Verdict,
     badge: &'static str,
+    /// What the verdict means for this vehicle.
+    meaning: String,
     /// Why the scale is degenerate, or why there is no trajectory.
     reason: Option<String>,
     facts: Vec<Fact>,
@@ -28,103 +33,160 @@ pub(super) struct Card {
 /// What another method says of the scale ratio.
 #[derive(Debug, Serialize)]
 struct Alternative {
-    method: String,
+    method: &'static str,
     ratio: String,
     deviation: String,
     chosen: bool,
 }
 
-pub(super) fn card(data: &Data, object: &Object, name: &str, view: Option<&View>, unit: &str) -> Card {
+/// One card per vehicle.
+pub(super) fn cards(data: &Data, timeline: &Timeline, names: &[String], view: Option<&View>) -> Vec<Card> {
+    data.objects.iter().zip(names).map(|(object, name)| card(object, timeline, name, view)).collect()
+}
+
+fn card(object: &Object, timeline: &Timeline, name: &str, view: Option<&View>) -> Card {
     let verdict = Verdict::of(object);
-    let scale = object.trajectory.map(|t| &t.scale);
-    let reason = match scale {
-        Some(scale) if scale.degenerate => scale.reason.clone().or(Some("no reason was recorded".to_owned())),
-        Some(_) => None,
-        None => object.failure.clone(),
-    };
     Card {
         id: object.id.0,
         name: name.to_owned(),
         colour: css_colour(object_colour(object.id)),
         verdict,
         badge: verdict.label(),
-        reason,
-        facts: facts(data, object),
-        alternatives: alternatives(object),
-        plan: view.and_then(|v| Plan::object(object, v, unit)),
+        meaning: verdict.sentence(object),
+        reason: reason(object).map(|reason| plain(&reason)),
+        facts: facts(object, timeline),
+        alternatives: object.trajectory.map(|t| alternatives(&t.scale)).unwrap_or_default(),
+        plan: view.and_then(|v| Plan::object(object, v)),
     }
 }
 
-fn facts(data: &Data, object: &Object) -> Vec<Fact> {
-    let registered = object.model.as_ref().map_or(0, |m| m.reconstruction.images.len());
-    let placed = object.trajectory.map_or(0, |t| t.poses.len());
-    let mut facts = vec![
-        Fact::new("detection confidence", percent_whole(object.confidence)),
-        Fact::new("frames placed / visible", format!("{placed} / {}", object.visible.len()))
-            .with_note(format!("{registered} registered on the vehicle")),
-    ];
-    if let Some(model) = &object.model {
-        let points = thousands(model.reconstruction.points.len());
-        let error = model.reconstruction.mean_reprojection_error_px();
-        let fact = Fact::new("points", points);
-        facts.push(match error {
-            Some(e) => fact.with_note(format!("{e:.2} px reprojection error")),
-            None => fact,
-        });
+fn reason(object: &Object) -> Option<String> {
+    match object.trajectory.map(|t| &t.scale) {
+        Some(scale) if scale.degenerate => scale.reason.clone().or(Some(NO_REASON.to_owned())),
+        Some(_) => None,
+        None => object.failure.clone(),
     }
-    let Some(trajectory) = object.trajectory else { return facts };
-    let scale = &trajectory.scale;
-    let ratio = match (scale.std, summary::relative_std(scale)) {
-        (Some(std), Some(relative)) => {
-            format!("{} ± {} ({})", figure(scale.ratio, 4), figure(std, 2), percent(relative))
-        }
-        _ => figure(scale.ratio, 4),
-    };
-    facts.push(Fact::new("scale ratio r", ratio).with_note(scale.method.name()));
-    facts.push(
-        Fact::new("path length", length(summary::path_length(trajectory), data.unit)).with_note(duration(object)),
-    );
-    let mut speeds: Vec<f64> = summary::speeds(trajectory).into_iter().map(|(_, v)| v).collect();
-    if data.unit == Unit::Metre && !speeds.is_empty() {
-        let median = quantile(&mut speeds, 0.5);
-        let top = quantile(&mut speeds, 0.95);
-        let kmh = |v: f64| format!("{} km/h", figure(v * 3.6, 3));
-        facts.push(
-            Fact::new("speed, median", format!("{} m/s = {}", figure(median, 3), kmh(median)))
-                .with_note(format!("95 % of the time below {}", kmh(top))),
-        );
+}
+
+fn facts(object: &Object, timeline: &Timeline) -> Vec<Fact> {
+    let mut facts = vec![frames(object)];
+    if let Some(trajectory) = object.trajectory {
+        facts.push(way(trajectory, timeline));
+        facts.extend(speed(trajectory, timeline));
+        facts.push(scale_ratio(&trajectory.scale));
     }
+    facts.extend(points(object));
+    facts.push(Fact::new("detection confidence", confidence(object.confidence)));
     facts
 }
 
-fn percent_whole(fraction: f64) -> String {
-    if fraction.is_finite() { format!("{:.0} %", fraction * 100.0) } else { "–".to_owned() }
+fn frames(object: &Object) -> Fact {
+    let placed = object.trajectory.map_or(0, |t| t.poses.len());
+    let found = object.model.as_ref().map_or(0, |m| m.reconstruction.images.len());
+    Fact::new("frames with a place", format!("{placed} of {} seen", object.visible.len()))
+        .with_note(format!("camera found on the vehicle in {found}"))
 }
 
-fn duration(object: &Object) -> String {
-    let poses = object.trajectory.map_or(&[][..], |t| &t.poses);
-    match (poses.first(), poses.last()) {
-        (Some(a), Some(b)) => format!("{:.2} s to {:.2} s", a.time_s, b.time_s),
-        _ => "no frame".to_owned(),
+fn way(trajectory: &ObjectTrajectory, timeline: &Timeline) -> Fact {
+    let poses = &trajectory.poses;
+    let when = match (poses.first(), poses.last()) {
+        (Some(first), Some(last)) => timeline.range(first.frame, last.frame),
+        _ => "in no frame".to_owned(),
+    };
+    Fact::new("path length", length(path_length(trajectory))).with_note(when)
+}
+
+/// Speeds, where they are known in time; per frame they would only repeat the path's length.
+fn speed(trajectory: &ObjectTrajectory, timeline: &Timeline) -> Option<Fact> {
+    let mut speeds: Vec<f64> = speeds(trajectory, timeline).into_iter().map(|(_, v)| v).collect();
+    if timeline.base != TimeBase::Seconds || speeds.is_empty() {
+        return None;
     }
+    let unit = timeline.speed_unit();
+    let said = |speeds: &mut [f64], q: f64| with_unit(quantile(speeds, q), 3, &unit);
+    let note = format!("95 % of the time below {}", said(&mut speeds, 0.95));
+    Some(Fact::new("speed, median", said(&mut speeds, 0.5)).with_note(note))
+}
+
+fn scale_ratio(scale: &ScaleEstimate) -> Fact {
+    let method = scale.method.name();
+    let note = match (scale.std, relative_std(scale)) {
+        (Some(std), Some(relative)) => {
+            format!("give or take {} ({}, one standard deviation), by {method}", figure(std, 2), percent(relative))
+        }
+        _ => format!("by {method}"),
+    };
+    Fact::new("scale ratio r", figure(scale.ratio, 4)).with_note(note)
+}
+
+fn points(object: &Object) -> Option<Fact> {
+    let model = object.model.as_ref()?.reconstruction;
+    let fact = Fact::new("points", thousands(model.points.len()));
+    Some(match model.mean_reprojection_error_px() {
+        Some(error) => fact.with_note(format!("reprojection error {}", with_unit(error, 2, "px"))),
+        None => fact,
+    })
+}
+
+fn confidence(score: f64) -> String {
+    if score.is_finite() { format!("{:.0} %", score * 100.0) } else { UNKNOWN.to_owned() }
 }
 
 /// What every method says, if more than one does.
-fn alternatives(object: &Object) -> Vec<Alternative> {
-    let Some(trajectory) = object.trajectory else { return Vec::new() };
-    let scale = &trajectory.scale;
+fn alternatives(scale: &ScaleEstimate) -> Vec<Alternative> {
     if scale.alternatives.keys().all(|method| *method == scale.method) {
         return Vec::new();
     }
-    let entry = |(method, ratio): (&ScaleMethod, &f64)| {
-        let difference = ratio / scale.ratio - 1.0;
-        let sign = if difference < 0.0 { "−" } else { "+" };
-        Alternative {
-            method: method.name().to_owned(),
-            ratio: figure(*ratio, 4),
-            deviation: format!("{sign}{}", percent(difference.abs())),
-            chosen: *method == scale.method,
-        }
+    let entry = |(method, ratio): (&ScaleMethod, &f64)| Alternative {
+        method: method.name(),
+        ratio: figure(*ratio, 4),
+        deviation: deviation(ratio / scale.ratio - 1.0),
+        chosen: *method == scale.method,
     };
     scale.alternatives.iter().map(entry).collect()
+}
+
+/// "+2.7 %".
+fn deviation(fraction: f64) -> String {
+    let sign = match fraction {
+        f if !f.is_finite() => "",
+        f if f < 0.0 => "−",
+        _ => "+",
+    };
+    format!("{sign}{}", percent(fraction.abs()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::testing;
+
+    fn first_card(world: &testing::World) -> Card {
+        let data = world.data();
+        card(&data.objects[0], &Timeline::new(&data), "Car 1", None)
+    }
+
+    #[test]
+    fn speeds_are_said_only_where_time_is_known() {
+        let mut world = testing::world();
+        let has_speed = |card: &Card| card.facts.iter().any(|f| f.label.starts_with("speed"));
+        assert!(has_speed(&first_card(&world)));
+        world.time_base = TimeBase::Frames;
+        let card = first_card(&world);
+        assert!(!has_speed(&card));
+        assert!(card.facts.iter().any(|f| f.note.as_deref().is_some_and(|n| n.starts_with("frames "))), "{card:?}");
+    }
+
+    #[test]
+    fn no_card_says_nan() {
+        let mut world = testing::world();
+        let scale = &mut world.trajectory.scale;
+        (scale.ratio, scale.std) = (f64::NAN, Some(f64::INFINITY));
+        scale.alternatives.insert(ScaleMethod::Intersection, f64::NAN);
+        (scale.degenerate, scale.reason) = (true, Some("the ratio is NaN ± inf".into()));
+        world.trajectory.poses.iter_mut().for_each(|pose| pose.position = [f64::NAN; 3]);
+        let card = serde_json::to_string(&first_card(&world)).unwrap();
+        assert!(!card.contains("NaN") && !card.contains("inf"), "{card}");
+        assert!(card.contains("the ratio is unknown ± unlimited"), "{card}");
+    }
 }

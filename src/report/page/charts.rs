@@ -1,29 +1,33 @@
 //! What the charts and the frame bars show.
 
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-use super::{times, unit_word};
-use crate::report::chart::{Bars, Chart, Drawing, FrameState, Level, Line, Tick, ticks};
+use crate::report::chart::{Bars, Chart, Drawing, FrameState, Level, Line};
 use crate::report::data::{Data, Model, Object};
+use crate::report::measure;
 use crate::report::overlay::{css_colour, object_colour};
-use crate::report::summary;
-use crate::report::view::quantile;
-use crate::scene::{Frame, FrameId, GroundPlane, Image, ObjectPose, Unit};
+use crate::report::timeline::Timeline;
+use crate::report::words::LENGTH_UNIT;
+use crate::scene::{Frame, FrameId, GroundPlane, Image, ObjectId, ObjectPose, TimeBase};
 
 /// Objects with a line of their own in the charts and a row of frame bars.
 const MAX_CHARTED: usize = 16;
+/// The colour of what concerns the camera.
+const CAMERA: &str = "var(--camera)";
 
 /// The objects that charts show: those with the most poses, in the order of their ids.
 fn charted<'d>(data: &'d Data, names: &'d [String]) -> Vec<(&'d Object<'d>, &'d String)> {
     let mut objects: Vec<_> = data.objects.iter().zip(names).collect();
     let weight = |o: &Object| (o.trajectory.map_or(0, |t| t.poses.len()), o.visible.len());
-    objects.sort_by_key(|(o, _)| (std::cmp::Reverse(weight(o)), o.id));
+    objects.sort_by_key(|(o, _)| (Reverse(weight(o)), o.id));
     objects.truncate(MAX_CHARTED);
     objects.sort_by_key(|(o, _)| o.id);
     objects
 }
 
-pub(super) fn bars(data: &Data, names: &[String], times: &[f64]) -> Vec<Bars> {
+/// In which frames the camera was found: for the background, and for every vehicle.
+pub(super) fn bars(data: &Data, timeline: &Timeline, names: &[String]) -> Vec<Bars> {
     if data.frames.is_empty() {
         return Vec::new();
     }
@@ -37,164 +41,186 @@ pub(super) fn bars(data: &Data, names: &[String], times: &[f64]) -> Vec<Bars> {
         data.frames.iter().zip(images).map(|(f, i)| state(f, i)).collect()
     };
     let background = states(&|_| true, Some(&data.background));
-    let mut rows = vec![Bars::new("Background".into(), "var(--camera)".into(), &background, times)];
+    let mut rows = vec![Bars::new("Background".into(), CAMERA.into(), &background, timeline)];
     for (object, name) in charted(data, names) {
         let states = states(&|f| object.visible.binary_search(&f).is_ok(), object.model.as_ref());
-        rows.push(Bars::new(name.clone(), css_colour(object_colour(object.id)), &states, times));
+        rows.push(Bars::new(name.clone(), css_colour(object_colour(object.id)), &states, timeline));
     }
     rows
 }
 
-pub(super) fn bar_ticks(times: &[f64]) -> Vec<Tick> {
-    ticks((times[0], times[times.len() - 1])).0
-}
-
-pub(super) fn charts(data: &Data, names: &[String], notes: &mut Vec<String>) -> Vec<Drawing> {
-    let times = times(data);
-    let span = (times[0], times[times.len() - 1]);
+/// All charts that have something to show.
+pub(super) fn charts(data: &Data, timeline: &Timeline, names: &[String], notes: &mut Vec<String>) -> Vec<Drawing> {
     let objects = charted(data, names);
     if objects.len() < data.objects.len() {
-        notes.push(format!(
-            "The charts show {} of {} vehicles: those seen longest.",
-            objects.len(),
-            data.objects.len()
-        ));
+        let (shown, all) = (objects.len(), data.objects.len());
+        notes.push(format!("The charts show {shown} of {all} vehicles: those seen longest."));
     }
-    let unit = unit_word(data.unit);
-    [
-        camera_height(data, unit),
-        object_heights(data, &objects, unit),
-        speeds(data, &objects),
-        ratios(&objects),
-        reprojection(data, &objects),
-    ]
-    .iter()
-    .filter_map(|chart| chart.draw(span))
-    .collect()
+    let charts = Charts { data, timeline, objects };
+    [charts.camera_height(), charts.object_heights(), charts.speeds(), charts.ratios(), charts.reprojection()]
+        .iter()
+        .filter_map(|chart| chart.draw(timeline))
+        .collect()
 }
 
-fn object_line(object: &Object, name: &str, points: Vec<(f64, f64)>, dots: bool) -> Line {
-    Line { label: name.to_owned(), colour: css_colour(object_colour(object.id)), points, dots }
+/// What all charts are made from.
+struct Charts<'d> {
+    data: &'d Data<'d>,
+    timeline: &'d Timeline,
+    objects: Vec<(&'d Object<'d>, &'d String)>,
 }
 
-/// Height of the camera over the local planes: their median, where several objects have one.
-fn camera_height(data: &Data, unit: &str) -> Chart {
-    let mut planes: BTreeMap<FrameId, Vec<&GroundPlane>> = BTreeMap::new();
-    for ((_, frame), plane) in data.ground.iter().flat_map(|g| &g.planes) {
-        planes.entry(*frame).or_default().push(plane);
-    }
-    let height = |(frame, image): (&Frame, Option<&Image>)| {
-        let center = image?.cam_from_world.center();
-        let mut heights: Vec<f64> = planes.get(&frame.id)?.iter().map(|p| p.signed_distance(center)).collect();
-        Some((frame.time_s, quantile(&mut heights, 0.5)))
-    };
-    let points = data.frames.iter().zip(data.background.images(data.frames)).filter_map(height).collect();
-    Chart {
-        title: "Height of the camera over the ground".into(),
-        caption:
-            "Distance from the camera to the local ground plane beside the vehicles. The method lives on its change: \
-                  at constant height the scale of a vehicle is hard to see."
-                .into(),
-        unit: unit.into(),
-        lines: vec![Line { label: "Camera".into(), colour: "var(--camera)".into(), points, dots: false }],
-        levels: Vec::new(),
-        from_zero: false,
-    }
-}
-
-fn object_heights(data: &Data, objects: &[(&Object, &String)], unit: &str) -> Chart {
-    let line = |(object, name): &(&Object, &String)| {
-        let height = |pose: &ObjectPose| {
-            let plane = data.ground?.planes.get(&(object.id, pose.frame))?;
-            Some((pose.time_s, plane.signed_distance(pose.position.into())))
+impl Charts<'_> {
+    /// A line per object.
+    fn lines(&self, points: impl Fn(&Object) -> Vec<(f64, f64)>) -> Vec<Line> {
+        let line = |(object, name): &(&Object, &String)| Line {
+            label: (*name).clone(),
+            colour: css_colour(object_colour(object.id)),
+            points: points(object),
+            dots: false,
         };
-        let points = object.trajectory.iter().flat_map(|t| &t.poses).filter_map(height).collect();
-        object_line(object, name, points, false)
-    };
-    Chart {
-        title: "Height of the vehicles over the ground".into(),
-        caption:
-            "From each vehicle's centre to its local ground plane. A vehicle keeps its height, so a level line speaks \
-                  for the scale ratio; a slope or a step speaks against it."
-                .into(),
-        unit: unit.into(),
-        lines: objects.iter().map(line).collect(),
-        levels: Vec::new(),
-        from_zero: false,
+        self.objects.iter().map(line).collect()
     }
-}
 
-fn speeds(data: &Data, objects: &[(&Object, &String)]) -> Chart {
-    let metric = data.unit == Unit::Metre;
-    let factor = if metric { 3.6 } else { 1.0 };
-    let line = |(object, name): &(&Object, &String)| {
-        let speeds = object.trajectory.map(summary::speeds).unwrap_or_default();
-        object_line(object, name, speeds.into_iter().map(|(t, v)| (t, v * factor)).collect(), false)
-    };
-    let relative =
-        "The scale of the scene is not known, so only the shape of the curve tells something, not its numbers.";
-    let caption = "Along the trajectory, from frame to frame, not smoothed.";
-    Chart {
-        title: "Speed".into(),
-        caption: if metric { caption.into() } else { format!("{caption} {relative}") },
-        unit: if metric { "km/h".into() } else { "units/s".into() },
-        lines: objects.iter().map(line).collect(),
-        levels: Vec::new(),
-        from_zero: true,
+    /// A value per pose of an object.
+    fn per_pose(&self, object: &Object, value: impl Fn(&ObjectPose) -> Option<f64>) -> Vec<(f64, f64)> {
+        let point = |pose: &ObjectPose| Some((self.timeline.of(pose.frame)?, value(pose)?));
+        object.trajectory.iter().flat_map(|t| &t.poses).filter_map(point).collect()
     }
-}
 
-fn ratios(objects: &[(&Object, &String)]) -> Chart {
-    let with_ratios: Vec<_> = objects.iter().filter(|(o, _)| !o.ratio_per_frame.is_empty()).collect();
-    let line = |(object, name): &&(&Object, &String)| {
-        let time = |frame: FrameId| {
-            let poses = &object.trajectory?.poses;
-            poses.iter().find(|p| p.frame == frame).map(|p| p.time_s)
+    fn plane(&self, object: ObjectId, frame: FrameId) -> Option<&GroundPlane> {
+        self.data.ground?.planes.get(&(object, frame))
+    }
+
+    /// One line per vehicle: planes beside different vehicles differ, so that a mean of them would jump whenever one of
+    /// the vehicles comes or goes.
+    fn camera_height(&self) -> Chart {
+        let images = self.data.background.images(self.data.frames);
+        let images: BTreeMap<FrameId, &Image> =
+            self.data.frames.iter().zip(images).filter_map(|(f, i)| Some((f.id, i?))).collect();
+        let height = |object: &Object, frame: FrameId, image: &Image| {
+            let plane = self.plane(object.id, frame)?;
+            Some((self.timeline.of(frame)?, plane.signed_distance(image.cam_from_world.center())))
         };
-        let points = object.ratio_per_frame.iter().filter_map(|&(f, r)| Some((time(f)?, r))).collect();
-        object_line(object, name, points, true)
-    };
-    let level = |(object, _): &&(&Object, &String)| {
-        let scale = &object.trajectory?.scale;
-        Some(Level { value: scale.ratio, std: scale.std, colour: css_colour(object_colour(object.id)) })
-    };
-    Chart {
-        title: "Scale ratio per frame".into(),
-        caption:
-            "Dots: what the contact of the vehicle with the ground says in each frame alone (intersection). Line: the \
-                  ratio in use, with a band of one standard deviation where it is known."
+        let points = |object: &Object| images.iter().filter_map(|(f, image)| height(object, *f, image)).collect();
+        Chart {
+            title: "Height of the camera over the ground".into(),
+            caption: "From the camera to the local ground plane beside each vehicle. The size of a vehicle's path is read off \
+                      the change of this height: where it stays the same, the size is hard to tell."
                 .into(),
-        unit: "r".into(),
-        lines: with_ratios.iter().map(line).collect(),
-        levels: with_ratios.iter().filter_map(level).collect(),
-        from_zero: false,
+            unit: LENGTH_UNIT.into(),
+            lines: self.lines(points),
+            levels: Vec::new(),
+            from_zero: false,
+        }
+    }
+
+    fn object_heights(&self) -> Chart {
+        let height =
+            |id: ObjectId, pose: &ObjectPose| Some(self.plane(id, pose.frame)?.signed_distance(pose.position.into()));
+        Chart {
+            title: "Height of the vehicles over the ground".into(),
+            caption: "From each vehicle's centre to its local ground plane. A vehicle keeps its height, so a level line speaks \
+                      for the scale ratio; a slope or a step speaks against it."
+                .into(),
+            unit: LENGTH_UNIT.into(),
+            lines: self.lines(|object| self.per_pose(object, |pose| height(object.id, pose))),
+            levels: Vec::new(),
+            from_zero: false,
+        }
+    }
+
+    fn speeds(&self) -> Chart {
+        let title = match self.timeline.base {
+            TimeBase::Seconds => "Speed",
+            TimeBase::Frames => "Way from frame to frame",
+        };
+        let points = |object: &Object| object.trajectory.map(|t| measure::speeds(t, self.timeline)).unwrap_or_default();
+        Chart {
+            title: title.into(),
+            caption:
+                "Along the trajectory, from frame to frame, not smoothed. The size of a unit is not known, so only the \
+                      shape of the curve tells something, not its numbers."
+                    .into(),
+            unit: self.timeline.speed_unit(),
+            lines: self.lines(points),
+            levels: Vec::new(),
+            from_zero: true,
+        }
+    }
+
+    fn ratios(&self) -> Chart {
+        let with_ratios = || self.objects.iter().filter(|(o, _)| !o.ratio_per_frame.is_empty());
+        let points = |object: &Object| {
+            object.ratio_per_frame.iter().filter_map(|&(f, r)| Some((self.timeline.of(f)?, r))).collect()
+        };
+        let level = |(object, _): &(&Object, &String)| {
+            let scale = &object.trajectory?.scale;
+            Some(Level { value: scale.ratio, std: scale.std, colour: css_colour(object_colour(object.id)) })
+        };
+        Chart {
+            title: "Scale ratio per frame".into(),
+            caption: "Dots: what the contact of the vehicle with the ground says in each frame alone (the method \
+                      intersection). Line: the ratio in use, with a band of one standard deviation where it is known."
+                .into(),
+            unit: "r".into(),
+            lines: self.lines(points).into_iter().map(|line| Line { dots: true, ..line }).collect(),
+            levels: with_ratios().filter_map(level).collect(),
+            from_zero: false,
+        }
+    }
+
+    fn reprojection(&self) -> Chart {
+        let errors = |model: &Model| -> Vec<(f64, f64)> {
+            let error = |(frame, image): (&Frame, Option<&Image>)| {
+                Some((self.timeline.of(frame.id)?, measure::reprojection_error(model.reconstruction, image?)?))
+            };
+            self.data.frames.iter().zip(model.images(self.data.frames)).filter_map(error).collect()
+        };
+        let background = Line {
+            label: "Background".into(),
+            colour: CAMERA.into(),
+            points: errors(&self.data.background),
+            dots: false,
+        };
+        let objects = self.lines(|object| object.model.as_ref().map(&errors).unwrap_or_default());
+        Chart {
+            title: "Reprojection error".into(),
+            caption: "Mean distance between where points are seen and where the reconstruction puts them, per frame."
+                .into(),
+            unit: "px".into(),
+            lines: std::iter::once(background).chain(objects).collect(),
+            levels: Vec::new(),
+            from_zero: true,
+        }
     }
 }
 
-fn reprojection(data: &Data, objects: &[(&Object, &String)]) -> Chart {
-    let errors = |model: &Model| -> Vec<(f64, f64)> {
-        let error = |(frame, image): (&Frame, Option<&Image>)| {
-            Some((frame.time_s, summary::reprojection_error(model.reconstruction, image?)?))
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::testing;
+
+    /// The planes of a false detection lie elsewhere; the height over the car's own planes does not hear of them.
+    #[test]
+    fn a_false_vehicle_does_not_move_the_height_over_another() {
+        let mut world = testing::world();
+        let height = |world: &testing::World| {
+            let data = world.data();
+            let timeline = Timeline::new(&data);
+            let names = world.names();
+            let charts = Charts { data: &data, timeline: &timeline, objects: charted(&data, &names) };
+            charts.camera_height().lines.into_iter().map(|l| l.points).collect::<Vec<_>>()
         };
-        data.frames.iter().zip(model.images(data.frames)).filter_map(error).collect()
-    };
-    let background = Line {
-        label: "Background".into(),
-        colour: "var(--camera)".into(),
-        points: errors(&data.background),
-        dots: false,
-    };
-    let line = |(object, name): &(&Object, &String)| {
-        let points = object.model.as_ref().map(&errors).unwrap_or_default();
-        object_line(object, name, points, false)
-    };
-    Chart {
-        title: "Reprojection error".into(),
-        caption: "Mean distance between where points are seen and where the reconstruction puts them, per frame."
-            .into(),
-        unit: "px".into(),
-        lines: std::iter::once(background).chain(objects.iter().map(line)).collect(),
-        levels: Vec::new(),
-        from_zero: true,
+        let before = height(&world);
+        assert!(!before[0].is_empty() && before[1].is_empty());
+        let car = world.trajectory.id;
+        for frame in [FrameId(20), FrameId(21)] {
+            let mut plane = world.ground.planes[&(car, frame)];
+            plane.point -= 100.0 * plane.normal;
+            world.ground.planes.insert((ObjectId(2), frame), plane);
+        }
+        let after = height(&world);
+        assert_eq!((&after[0], after[1].len()), (&before[0], 2));
     }
 }

@@ -1,15 +1,19 @@
-//! What is missing from the result, and why.
+//! What is missing from the result, and what is wrong with it.
 
 use std::collections::BTreeMap;
 
 use crate::report::data::{Data, Missing, Model};
-use crate::report::summary::count;
+use crate::report::words::{count, plain};
+use crate::scene::ObjectId;
+
+/// What stands where a stage left no reason.
+pub(super) const NO_REASON: &str = "no reason was recorded";
 
 /// Everything that is not there, with the reason.
 pub(super) fn missing(data: &Data, names: &[String]) -> Vec<Missing> {
     let mut list = data.missing.clone();
     for (object, name) in data.objects.iter().zip(names).filter(|(o, _)| o.trajectory.is_none()) {
-        let reason = object.failure.clone().unwrap_or_else(|| "no reason was recorded".to_owned());
+        let reason = object.failure.clone().unwrap_or_else(|| NO_REASON.to_owned());
         let what = format!("{name}, seen in {}: no trajectory", count(object.visible.len(), "frame"));
         list.push(Missing { what, reason });
     }
@@ -20,17 +24,42 @@ pub(super) fn missing(data: &Data, names: &[String]) -> Vec<Missing> {
     list
 }
 
-/// The unregistered frames of a model, gathered by reason.
+/// The frames of a model whose camera was not found, gathered by reason.
 fn unregistered(name: &str, model: &Model) -> Vec<Missing> {
     let mut by_reason: BTreeMap<&str, Vec<u32>> = BTreeMap::new();
     for (frame, reason) in &model.unregistered {
         by_reason.entry(reason).or_default().push(frame.0);
     }
     let entry = |(reason, frames): (&str, Vec<u32>)| {
-        let what = format!("{name}: {} not registered ({})", count(frames.len(), "frame"), ranges(&frames));
+        let what = format!("{name}: no camera found in {} ({})", count(frames.len(), "frame"), ranges(&frames));
         Missing { what, reason: reason.to_owned() }
     };
     by_reason.into_iter().map(entry).collect()
+}
+
+/// The warnings that say more than what is missing and the verdicts do, with the names that vehicles have on the page.
+pub(super) fn warnings(data: &Data, names: &[String], missing: &[Missing]) -> Vec<String> {
+    let doubts = data.objects.iter().filter_map(|o| o.trajectory?.scale.reason.as_deref());
+    let said: Vec<&str> = missing.iter().map(|m| m.reason.as_str()).chain(doubts).filter(|r| *r != NO_REASON).collect();
+    let is_new = |warning: &&String| !said.iter().any(|reason| !reason.is_empty() && warning.ends_with(reason));
+    let ids: Vec<(ObjectId, &String)> = data.objects.iter().map(|o| o.id).zip(names).collect();
+    data.warnings.iter().filter(is_new).map(|warning| plain(&named(warning, &ids))).collect()
+}
+
+/// A warning in which "object 2" is called what it is called everywhere on the page.
+fn named(warning: &str, names: &[(ObjectId, &String)]) -> String {
+    const OBJECT: &str = "object ";
+    let mut out = String::new();
+    let mut rest = warning;
+    while let Some((before, after)) = rest.split_once(OBJECT) {
+        let digits = after.len() - after.trim_start_matches(|c: char| c.is_ascii_digit()).len();
+        let id = after[..digits].parse().ok().map(ObjectId);
+        let name = names.iter().find(|(known, _)| Some(*known) == id).map(|(_, name)| name.as_str());
+        out += before;
+        out += &name.map_or_else(|| format!("{OBJECT}{}", &after[..digits]), str::to_owned);
+        rest = &after[digits..];
+    }
+    out + rest
 }
 
 /// "3–7, 9" of ascending numbers; the middle of a long list is left out.
@@ -52,6 +81,29 @@ fn ranges(numbers: &[u32]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::testing;
+
+    #[test]
+    fn what_is_said_elsewhere_is_no_warning_and_vehicles_have_one_name() {
+        let mut world = testing::world();
+        world.trajectory.scale.reason = Some("nothing moves".into());
+        world.warnings = [
+            "object 1: its scale ratio is not to be trusted: nothing moves",
+            "object 2 has no trajectory: too few features",
+            "background: 1 of 60 frames are not registered; the commonest reason: dark",
+            "object 1 stands before object 2 and object 12, deviation 1e-2",
+            "no reason was recorded",
+        ]
+        .map(String::from)
+        .to_vec();
+        let data = world.data();
+        let names: Vec<String> = data.objects.iter().map(crate::report::words::name).collect();
+        let missing = missing(&data, &names);
+        assert_eq!(missing[0].what, "Object 2, seen in 1 frame: no trajectory");
+        assert_eq!(missing[1].what, "Background: no camera found in 1 frame (3)");
+        let left = warnings(&data, &names, &missing);
+        assert_eq!(left, ["Car 1 stands before Object 2 and object 12, deviation 0.0100", NO_REASON]);
+    }
 
     #[test]
     fn frames_are_written_as_ranges() {

@@ -14,12 +14,16 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use crate::report::ReportError;
-use crate::report::data::Data;
+use crate::report::data::{Data, Part};
+use crate::report::evaluation::evaluation_facts;
 use crate::report::plan::Plan;
 use crate::report::scene::Scene;
 use crate::report::summary;
+use crate::report::timeline::Timeline;
+use crate::report::verdict::Verdict;
 use crate::report::view::View;
-use crate::scene::Unit;
+use crate::report::words::{self, LENGTH_UNIT};
+use crate::scene::{ObjectId, TimeBase};
 
 const TEMPLATE: &str = include_str!("report.html");
 const STYLE: &str = include_str!("style.css");
@@ -41,41 +45,82 @@ pub(super) fn render(data: &Data) -> Result<String, ReportError> {
 }
 
 fn page_context(data: &Data) -> Value {
-    let names: Vec<String> = data.objects.iter().map(summary::name).collect();
+    let names: Vec<String> = data.objects.iter().map(words::name).collect();
+    let timeline = Timeline::new(data);
     let view = View::new(data);
-    let unit = unit_word(data.unit);
-    let scene = view.as_ref().map(|v| Scene::new(data, v, &names));
+    let scene = view.as_ref().map(|v| Scene::new(data, v, &timeline, &names));
     let mut notes = scene.as_ref().map(|s| s.omissions(data.frames.len())).unwrap_or_default();
-    let strip = strip::strip(data, &mut notes);
-    let charts = charts::charts(data, &names, &mut notes);
-    let cards: Vec<_> =
-        data.objects.iter().zip(&names).map(|(o, n)| cards::card(data, o, n, view.as_ref(), unit)).collect();
-    let times = times(data);
+    let strip = strip::strip(data, &timeline, &mut notes);
+    let charts = charts::charts(data, &timeline, &names, &mut notes);
+    let missing = gaps::missing(data, &names);
     context! {
         title => &data.title,
         sentence => summary::sentence(data),
         version => &data.version,
         arguments => data.arguments.join(" "),
         input => &data.input,
-        figures => figures::key_figures(data),
-        warnings => &data.warnings,
-        missing => gaps::missing(data, &names),
-        cards,
-        plan => view.as_ref().map(|v| Plan::scene(data, v, unit)),
+        figures => figures::key_figures(data, &timeline),
+        warnings => gaps::warnings(data, &names, &missing),
+        missing,
+        cards => cards::cards(data, &timeline, &names, view.as_ref()),
+        plan => view.as_ref().map(|v| Plan::scene(data, v)),
         scene => scene.as_ref().map(json),
         up_source => view.as_ref().map(|v| v.up_source),
+        unit => LENGTH_UNIT,
         strip,
-        bars => charts::bars(data, &names, &times),
-        bar_ticks => charts::bar_ticks(&times),
-        span => [times.first(), times.last()],
+        bars => charts::bars(data, &timeline, &names),
+        ticks => timeline.ticks(),
+        clock => json(&Clock::new(&timeline)),
+        has_seconds => timeline.base == TimeBase::Seconds,
         readings => json(&charts),
         charts,
         stages => cost::stages(data),
-        evaluation => &data.evaluation,
+        evaluation => data.evaluation.map(|e| evaluation_facts(e, |id| name_of(data, id))),
+        verdicts => Verdict::glossary(),
+        parts => parts(data),
         notes,
         style => Value::from_safe_string(STYLE.to_owned()),
         scripts => SCRIPTS.map(|s| Value::from_safe_string(s.to_owned())).to_vec(),
         policy => policy(),
+    }
+}
+
+/// A link to a part of the result.
+#[derive(Debug, Serialize)]
+struct Link<'a> {
+    path: &'a str,
+    holds: String,
+}
+
+fn parts<'a>(data: &'a Data) -> Vec<Link<'a>> {
+    let link = |part: &'a Part| Link {
+        path: &part.path,
+        holds: match part.object {
+            Some(id) => format!("{}: {}", name_of(data, id), part.holds),
+            None => part.holds.clone(),
+        },
+    };
+    data.parts.iter().map(link).collect()
+}
+
+/// The name of an object, of which there may be nothing but a folder.
+fn name_of(data: &Data, id: ObjectId) -> String {
+    data.objects.iter().find(|o| o.id == id).map_or_else(|| format!("Object {id}"), words::name)
+}
+
+/// What `page.js` must know of the time.
+#[derive(Debug, Serialize)]
+struct Clock {
+    start: f64,
+    end: f64,
+    /// Whether times are seconds; else they are numbers of frames.
+    seconds: bool,
+}
+
+impl Clock {
+    fn new(timeline: &Timeline) -> Self {
+        let (start, end) = timeline.span();
+        Self { start, end, seconds: timeline.base == TimeBase::Seconds }
     }
 }
 
@@ -89,34 +134,6 @@ fn policy() -> String {
 fn json(value: &impl Serialize) -> Value {
     let text = serde_json::to_string(value).expect("numbers, strings and lists always serialise");
     Value::from_safe_string(text.replace('<', "\\u003c"))
-}
-
-fn unit_word(unit: Unit) -> &'static str {
-    match unit {
-        Unit::Metre => "m",
-        Unit::Background => "units",
-    }
-}
-
-/// Times of the frames and the end of the last one, each above the one before.
-fn times(data: &Data) -> Vec<f64> {
-    let mut times: Vec<f64> = Vec::with_capacity(data.frames.len() + 1);
-    for frame in data.frames {
-        let last = times.last().copied().unwrap_or(f64::NEG_INFINITY);
-        let usable = frame.time_s.is_finite() && frame.time_s > last;
-        times.push(if usable {
-            frame.time_s
-        } else if last.is_finite() {
-            last + 1e-3
-        } else {
-            0.0
-        });
-    }
-    let first = times.first().copied().unwrap_or(0.0);
-    let last = times.last().copied().unwrap_or(0.0);
-    let step = if times.len() > 1 { (last - first) / (times.len() - 1) as f64 } else { 1.0 };
-    times.push(last + step);
-    times
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 	const find = (id) => document.getElementById(id);
 	const read = (id) => (find(id) ? JSON.parse(find(id).textContent) : null);
 	const root = document.documentElement;
-	const data = read("scene-data"), charts = read("chart-data") ?? [], [start, end] = read("span-data");
+	const data = read("scene-data"), charts = read("chart-data") ?? [], { start, end, seconds } = read("clock-data");
 	const shots = [...document.querySelectorAll(".shot")].map((element) => ({
 		element, time: Number(element.dataset.time), image: element.querySelector("img"), labels: element.querySelectorAll("b"),
 	}));
@@ -18,17 +18,23 @@
 		const shot = shots[shotOf[index]];
 		return shot && Math.abs(shot.time - times[index]) <= shotReach ? shot.image : null;
 	};
+	// Without a rate nobody knows how fast it was: ten frames per second can be followed.
+	const pace = seconds ? 1 : 10;
 	const settings = new URLSearchParams(location.hash.slice(1));
 	let index = 0, playing = null, view = null;
 
 	// ---- the moment
 
 	const cursors = document.querySelectorAll(".cursor");
+	const handles = [...document.querySelectorAll(".cursor[data-label]")];
 	const format = (v) => (Math.abs(v) >= 1000 ? v.toFixed(0) : Number(v.toPrecision(4)).toString()).replace("-", "−");
 	const outputs = charts.map((chart, c) => chart.lines.map((line, l) => ({
 		times: line.samples.map((s) => s[0]), values: line.samples.map((s) => s[1]),
 		element: document.querySelector(`[data-chart="${c}"] [data-line="${l}"]`),
 	}))).flat();
+	/** A frame's moment, as it is shown and as it is read aloud. */
+	const stamp = (k) => (seconds ? `${times[k].toFixed(2)} s · frame ${frames[k].frame}` : `frame ${frames[k].frame}`);
+	const spoken = (k) => (seconds ? `${times[k].toFixed(2)} seconds, frame ${frames[k].frame}` : `frame ${frames[k].frame}`);
 	const step = times.length > 1 ? (times.at(-1) - times[0]) / (times.length - 1) : 1;
 
 	const readCharts = (time) => {
@@ -38,6 +44,14 @@
 			element.textContent = at.length && Math.abs(at[k] - time) <= reach ? format(values[k]) : "–";
 		}
 	};
+
+	/** What the sliders in the charts say: the moment, and what the legend beside them reads. */
+	const sayMoment = () => handles.forEach((handle) => {
+		const readings = [...(handle.closest(".chart")?.querySelectorAll("[data-line]") ?? [])];
+		const values = readings.map((output) => `${output.parentElement.firstChild.nextSibling.textContent.trim()} ${output.textContent}`);
+		handle.setAttribute("aria-valuenow", index);
+		handle.setAttribute("aria-valuetext", [spoken(index), ...values].join(", "));
+	});
 
 	const describe = () => {
 		const text = find("now-text");
@@ -88,10 +102,11 @@
 		cursors.forEach((cursor) => (cursor.style.left = `${Math.min(100, percent)}%`));
 		if (find("time")) {
 			find("time").value = index;
-			find("time").setAttribute("aria-valuetext", `${time.toFixed(2)} seconds, frame ${frames[index].frame}`);
-			find("clock").textContent = `${time.toFixed(2)} s · frame ${frames[index].frame}`;
+			find("time").setAttribute("aria-valuetext", spoken(index));
+			find("clock").textContent = stamp(index);
 		}
 		readCharts(time);
+		sayMoment();
 		markShot(scroll);
 		if (data) {
 			describe();
@@ -120,13 +135,14 @@
 		find("play").setAttribute("aria-label", "Play");
 	};
 	const play = () => {
+		if (!find("play")) return;
 		if (index >= frames.length - 1) show(0);
 		const run = (playing = { clock: performance.now(), time: times[index] });
 		find("play").textContent = "❚❚";
 		find("play").setAttribute("aria-label", "Pause");
 		const tick = (now) => {
 			if (playing !== run) return;
-			run.time += Math.max(0, now - run.clock) / 1000 * Number(find("speed").value);
+			run.time += Math.max(0, now - run.clock) / 1000 * pace * Number(find("speed").value);
 			run.clock = now;
 			let next = index;
 			while (next < times.length - 1 && times[next + 1] <= run.time) next++;
@@ -164,17 +180,26 @@
 		Home: () => { stop(); show(0); }, End: () => { stop(); show(frames.length - 1); },
 	};
 
+	const listen = (element) => element.addEventListener("keydown", (event) => {
+		if (!keys[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
+		event.preventDefault();
+		keys[event.key]();
+	});
+
+	/** Charts are sliders over time, for those who have no pointer too. */
+	const makeSlider = (handle) => {
+		const settings = { tabindex: 0, role: "slider", "aria-label": handle.dataset.label, "aria-valuemin": 0, "aria-valuemax": frames.length - 1 };
+		Object.entries(settings).forEach(([name, value]) => handle.setAttribute(name, value));
+		listen(handle);
+	};
+
 	const connect = () => {
 		const stage = find("stage"), viewport = find("viewport");
 		find("time").max = frames.length - 1;
 		find("time").addEventListener("input", (event) => { stop(); show(Number(event.target.value)); });
 		find("play").addEventListener("click", toggle);
 		find("full").addEventListener("click", () => fill(!stage.classList.contains("full")));
-		viewport.addEventListener("keydown", (event) => {
-			if (!keys[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
-			event.preventDefault();
-			keys[event.key]();
-		});
+		listen(viewport);
 		addEventListener("keydown", (event) => event.key === "Escape" && stage.classList.contains("full") && fill(false));
 		if (!view) return;
 		viewport.addEventListener("pointerdown", () => viewport.focus({ preventScroll: true }));
@@ -185,7 +210,7 @@
 		document.querySelectorAll("[data-layer]").forEach((box) => box.addEventListener("change", () => view.setLayer(box.dataset.layer, box.checked)));
 		document.querySelectorAll("input[data-object]").forEach((box) => box.addEventListener("change", () => view.setObject(Number(box.dataset.object), box.checked)));
 		find("size").addEventListener("input", (event) => view.setPointSize(Number(event.target.value)));
-		find("grid-size").textContent = `${view.gridLength} ${data.unit === "m" ? "m" : "units"}`;
+		find("grid-size").textContent = `${view.gridLength} ${find("grid-size").dataset.unit}`;
 		if (matchMedia("(max-width: 640px)").matches) find("layers").open = false;
 		listenToWheel();
 	};
@@ -240,6 +265,7 @@
 		}
 		shots.forEach(({ element, time }) => element.addEventListener("click", () => jump(time, { scroll: false })));
 		document.querySelectorAll(".area, .row:not(.axis) .track").forEach(scrub);
+		handles.forEach(makeSlider);
 		show(opening());
 		root.dataset.renderer = view ? "webgl" : data ? "plan" : "none";
 		// Two frames later everything is on the screen.

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use crate::report::data::Data;
 use crate::report::overlay::{Label, css_colour, object_colour, spread};
+use crate::report::timeline::Timeline;
 
 /// Bytes of JPEG in the strip; pictures are left out to keep to it.
 const MAX_STRIP_BYTES: usize = 5 << 19;
@@ -15,7 +16,8 @@ const MAX_STRIP_BYTES: usize = 5 << 19;
 pub(super) struct Picture {
     frame: u32,
     time: f64,
-    clock: String,
+    /// Its moment, as it is said.
+    stamp: String,
     name: String,
     width: u32,
     height: u32,
@@ -31,7 +33,8 @@ struct PictureLabel {
     top: f64,
 }
 
-pub(super) fn strip(data: &Data, notes: &mut Vec<String>) -> Vec<Picture> {
+/// The pictures that fit; `notes` says what was left out.
+pub(super) fn strip(data: &Data, timeline: &Timeline, notes: &mut Vec<String>) -> Vec<Picture> {
     let total: usize = data.strip.iter().map(|t| t.jpeg.len()).sum();
     let limit = if total > MAX_STRIP_BYTES { data.strip.len() * MAX_STRIP_BYTES / total } else { data.strip.len() };
     let chosen = spread(data.strip.len(), limit.max(1));
@@ -41,7 +44,6 @@ pub(super) fn strip(data: &Data, notes: &mut Vec<String>) -> Vec<Picture> {
     let picture = |i: usize| {
         let thumbnail = &data.strip[i];
         let frame = data.frames.iter().find(|f| f.id == thumbnail.frame);
-        let time = frame.map_or(0.0, |f| f.time_s);
         let label = |l: &Label| PictureLabel {
             id: l.object.0,
             colour: css_colour(object_colour(l.object)),
@@ -50,8 +52,8 @@ pub(super) fn strip(data: &Data, notes: &mut Vec<String>) -> Vec<Picture> {
         };
         Picture {
             frame: thumbnail.frame.0,
-            time,
-            clock: format!("{time:.2} s"),
+            time: timeline.of(thumbnail.frame).unwrap_or_default(),
+            stamp: timeline.stamp(thumbnail.frame),
             name: frame.map_or_else(String::new, |f| f.name.clone()),
             width: thumbnail.width,
             height: thumbnail.height,
@@ -74,7 +76,8 @@ mod tests {
         let heavy = Thumbnail { frame: FrameId(0), width: 4, height: 3, jpeg: vec![7; 1 << 20], labels: Vec::new() };
         world.strip = vec![heavy; 20];
         let mut notes = Vec::new();
-        assert_eq!(strip(&world.data(), &mut notes).len(), 2);
+        let data = world.data();
+        assert_eq!(strip(&data, &Timeline::new(&data), &mut notes).len(), 2);
         assert_eq!(notes.len(), 1);
     }
 }
