@@ -1,4 +1,5 @@
-//! The bundle adjuster alone: a COLMAP model, text or binary, adjusted and written as text. Needs no feature of the library.
+//! The bundle adjuster alone: a COLMAP model, text or binary, adjusted and written as text. Needs no feature of the
+//! library.
 //!
 //! ```text
 //! cargo run --release --no-default-features --example bundle_adjustment -- tests/golden/models/colmap_text OUTPUT

@@ -94,8 +94,8 @@ fn a_broken_sequence_counts_as_failed_and_the_rest_is_done_once() {
         assert_eq!(sequence(&again, CLIP)[key], done[key], "{key}");
     }
 
-    // With another scale method only that stage is done again, reconstructions stay as they are, and the result is the one
-    // that stood beside the first.
+    // With another scale method only that stage is done again, reconstructions stay as they are, and the result is the
+    // one that stood beside the first.
     let (code, _, stderr) = benchmark(&set, &out, &["--only", CLIP, "--scale-method", "least-squares"]);
     assert_eq!(code, 0, "{stderr}");
     let other = json(&out.join("benchmark.json"));

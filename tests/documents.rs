@@ -81,6 +81,7 @@ fn documents_that_are_named_exist() {
     let mut files = texts_of(&[
         "src",
         "tests",
+        "examples",
         "scripts",
         "docs",
         "dataset",

@@ -1,5 +1,5 @@
-//! Stop and go on: a run that was killed ends where an undisturbed one ends, and changed options do again what they touch
-//! and nothing else.
+//! Stop and go on: a run that was killed ends where an undisturbed one ends, and changed options do again what they
+//! touch and nothing else.
 
 mod common;
 

@@ -25,7 +25,8 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
         Kept::Everywhere => {}
         Kept::WithoutPage(reason) => tracing::warn!("{output}/report.html does not show the evaluation: {reason}"),
         Kept::Nowhere => tracing::warn!(
-            "{output}: was not made by tractrix run, so evaluation.json is not written into it; --json prints its content"
+            "{output}: was not made by tractrix run, so evaluation.json is not written into it; --json prints its \
+             content"
         ),
     }
     Ok(())

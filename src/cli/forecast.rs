@@ -1,9 +1,9 @@
 //! How long a run has still to go.
 //!
-//! Every stage has an expected time. How much longer or shorter than that the finished stages took sets the pace, and the
-//! stage under way is judged by its own steps as well: of `T` elapsed seconds at the share `f` of its steps, with the
-//! expectation `P`, its whole time is `(C P + T) / (C + f)`. At the beginning that is the expectation, at the end what it
-//! took, and in between one slow step cannot make it explode, as the plain `T / f` does.
+//! Every stage has an expected time. How much longer or shorter than that the finished stages took sets the pace, and
+//! the stage under way is judged by its own steps as well: of `T` elapsed seconds at the share `f` of its steps, with
+//! the expectation `P`, its whole time is `(C P + T) / (C + f)`. At the beginning that is the expectation, at the end
+//! what it took, and in between one slow step cannot make it explode, as the plain `T / f` does.
 
 use crate::pipeline::{Plan, Stage};
 

@@ -10,8 +10,8 @@ use crate::math::{Rigid3, Sim3, umeyama};
 /// How far the estimated cameras are from the true ones.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CameraErrors {
-    /// Root mean square distance of centres, metres, after the similarity that is best for centres alone: the usual figure
-    /// of other programs.
+    /// Root mean square distance of centres, metres, after the similarity that is best for centres alone: the usual
+    /// figure of other programs.
     pub center_rmse_m: f64,
     /// The same after the registration that the trajectory is measured with.
     pub registered_center_rmse_m: f64,

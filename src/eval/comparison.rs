@@ -56,8 +56,8 @@ impl ModelFigures {
     }
 }
 
-/// Compares two reconstructions by the images that both have, paired by name; the similarity is found as for an evaluation
-/// ([`registration`]), with the up and forward vectors as long as A's centres are spread.
+/// Compares two reconstructions by the images that both have, paired by name; the similarity is found as for an
+/// evaluation ([`registration`]), with the up and forward vectors as long as A's centres are spread.
 pub fn compare(a: &Reconstruction, b: &Reconstruction) -> Comparison {
     let names: std::collections::BTreeMap<_, _> =
         a.images.values().map(|image| (image.name.as_str(), image.cam_from_world)).collect();

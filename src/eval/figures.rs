@@ -71,8 +71,8 @@ pub struct Evaluation {
     pub trajectory_at_reference: Outcome<TrajectoryError>,
     /// What every estimator of the run would have given on the models that the trajectory refers to (`objects/<id>`).
     pub alternatives: BTreeMap<ScaleMethod, Alternative>,
-    /// The same on the target as structure from motion left it (`as-reconstructed/<id>`); `None` where nothing was adjusted
-    /// after that.
+    /// The same on the target as structure from motion left it (`as-reconstructed/<id>`); `None` where nothing was
+    /// adjusted after that.
     pub as_reconstructed: Option<Outcome<AsReconstructedFigures>>,
 }
 

@@ -39,8 +39,8 @@ pub struct TruthFrame {
 pub struct ObjectInput {
     /// Its id.
     pub id: ObjectId,
-    /// Overlap of its masks with the target's: pixels in both over pixels in either, over all frames. `None` if it has no
-    /// masks.
+    /// Overlap of its masks with the target's: pixels in both over pixels in either, over all frames. `None` if it has
+    /// no masks.
     pub iou: Option<f64>,
     /// Its reconstruction.
     pub model: Result<Model, String>,

@@ -1,16 +1,16 @@
 //! Comparison with ground truth: the paper's protocol.
 //!
-//! 1. **Registration.** A similarity from the background reconstruction to the true world, by Umeyama's method on camera
-//!    centres with up and forward vectors ([`registration`]).
-//! 2. **Trajectory error.** Every object point, placed in every frame, and its distance to the true mesh in that frame's
-//!    pose; the mean over frames and points is the error of the sequence ([`trajectory`]).
-//! 3. **Reference scale ratio.** Rays from the object's cameras through its points meet the true mesh; medians of medians
-//!    give the ratio that a perfect estimator would find (eqs. scale_ratios_ov, scale_ratios_ov_gt, scale_ratios_ob_ref;
-//!    [`mod@reference`]). The deviation of an estimated ratio r is |r − r_ref| / r_ref.
+//! 1. **Registration.** A similarity from the background reconstruction to the true world, by Umeyama's method on
+//!    camera centres with up and forward vectors ([`registration`]).
+//! 2. **Trajectory error.** Every object point, placed in every frame, and its distance to the true mesh in that
+//!    frame's pose; the mean over frames and points is the error of the sequence ([`trajectory`]).
+//! 3. **Reference scale ratio.** Rays from the object's cameras through its points meet the true mesh; medians of
+//!    medians give the ratio that a perfect estimator would find (eqs. scale_ratios_ov, scale_ratios_ov_gt,
+//!    scale_ratios_ob_ref; [`mod@reference`]). The deviation of an estimated ratio r is |r − r_ref| / r_ref.
 //!
 //! The rest says how far a reconstruction came: registered fractions, camera errors, and which of the reconstructed
-//! objects is the target at all. What cannot be computed is an [`Outcome::Unavailable`] with its reason; no number here is
-//! ever NaN. `docs/evaluation.md` has the whole protocol.
+//! objects is the target at all. What cannot be computed is an [`Outcome::Unavailable`] with its reason; no number here
+//! is ever NaN. `docs/evaluation.md` has the whole protocol.
 //!
 //! Entry point: [`evaluate`].
 

@@ -1,10 +1,11 @@
 //! Registration of a background reconstruction with the true world.
 //!
-//! The paper's section *Registration of Background Reconstruction and Virtual Environment*: Umeyama's similarity between
-//! camera centres gives an initial scale; then the points c + m u and c + m f are added for each camera, where
-//! u = Rᵀ (0, 1, 0) and f = Rᵀ (0, 0, 1) are its up and forward vectors, and the similarity is computed again over all of
-//! them. The magnitude m is one metre for the true cameras and one metre by the initial scale for the estimated ones. The
-//! vectors settle what centres alone leave open: a straight flight says nothing about the roll round its line.
+//! The paper's section *Registration of Background Reconstruction and Virtual Environment*: Umeyama's similarity
+//! between camera centres gives an initial scale; then the points c + m u and c + m f are added for each camera, where
+//! u = Rᵀ (0, 1, 0) and f = Rᵀ (0, 0, 1) are its up and forward vectors, and the similarity is computed again over all
+//! of them. The magnitude m is one metre for the true cameras and one metre by the initial scale for the estimated
+//! ones. The vectors settle what centres alone leave open: a straight flight says nothing about the roll round its
+//! line.
 //!
 //! Where the centres lie exactly on a line, Umeyama's method has no initial answer; the scale is then the ratio of the
 //! centres' spreads.

@@ -144,7 +144,8 @@ fn a_straight_flight_is_registered_by_its_directions() {
     let input = world(40, straight_flight);
     let evaluation = evaluate(&input);
     assert_exact(&evaluation);
-    // Noise in the centres makes Umeyama succeed there, with a rotation worth nothing; the result must not depend on it.
+    // Noise in the centres makes Umeyama succeed there, with a rotation worth nothing; the result must not depend on
+    // it.
     let mut rng = seeded_rng(5, 0);
     let mut noisy = input;
     for cam in noisy.background.as_mut().unwrap().cam_from_world.values_mut() {

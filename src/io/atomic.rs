@@ -2,8 +2,8 @@
 //!
 //! A file is written under a temporary name in the folder where it belongs (a rename is atomic only within one file
 //! system), flushed, synchronised, renamed, and then the folder is synchronised, since power can fail at any moment. A
-//! process that is killed can leave a temporary file behind, never half of a real one; [`remove_leftovers`] clears them. Whole
-//! folders, and files among those of others, are [`OwnedFolder`](super::OwnedFolder)'s matter.
+//! process that is killed can leave a temporary file behind, never half of a real one; [`remove_leftovers`] clears
+//! them. Whole folders, and files among those of others, are [`OwnedFolder`](super::OwnedFolder)'s matter.
 
 use std::fs::{self, File, Permissions};
 use std::io::{BufWriter, Write};

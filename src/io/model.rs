@@ -30,8 +30,8 @@ impl fmt::Display for Format {
     }
 }
 
-/// The format of what is at `path`; `None` if it is none that this program reads. An output folder of `tractrix run` counts
-/// as its background.
+/// The format of what is at `path`; `None` if it is none that this program reads. An output folder of `tractrix run`
+/// counts as its background.
 pub fn detect(path: &Path) -> Option<Format> {
     if path.join("cameras.bin").exists() {
         Some(Format::ColmapBinary)
@@ -83,8 +83,8 @@ pub fn write(path: &Path, model: &Reconstruction, format: Format) -> Result<(), 
     }
 }
 
-/// Looks whether a reconstruction may be written: no file is written through a link or over the one that is read, and over
-/// others only if `overwrite` is set.
+/// Looks whether a reconstruction may be written: no file is written through a link or over the one that is read, and
+/// over others only if `overwrite` is set.
 ///
 /// # Errors
 /// [`FolderError`] says what is in the way.

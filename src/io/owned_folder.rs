@@ -1,9 +1,9 @@
 //! A folder that the program writes into without touching anything that is not its own.
 //!
-//! The program knows its own files by a manifest, `.tractrix/manifest.json`. It takes a folder only if that is new, empty or
-//! has such a manifest; it replaces and removes only files that the manifest lists; files that others put beside them stay.
-//! It never follows a link inside the folder. A file is listed before it is put in its place, so that a process that is
-//! killed leaves nothing that the next one does not know.
+//! The program knows its own files by a manifest, `.tractrix/manifest.json`. It takes a folder only if that is new,
+//! empty or has such a manifest; it replaces and removes only files that the manifest lists; files that others put
+//! beside them stay. It never follows a link inside the folder. A file is listed before it is put in its place, so that
+//! a process that is killed leaves nothing that the next one does not know.
 //!
 //! What is written is prepared in `.tractrix/tmp` and moved to its place whole. A folder of results is exchanged as one
 //! where all in it is the program's own, else file by file.
@@ -70,7 +70,11 @@ pub enum FolderError {
         examples: String,
     },
     /// Files of others where results belong.
-    #[error("{}: {examples} stands where results are to be written; nothing was changed; move it away or give another --output", path.display())]
+    #[error(
+        "{}: {examples} stands where results are to be written; nothing was changed; move it away or give another \
+         --output",
+        path.display()
+    )]
     InTheWay {
         /// The folder.
         path: PathBuf,
@@ -102,7 +106,11 @@ pub enum FolderError {
         input: PathBuf,
     },
     /// Something that is to be read lies where results are written.
-    #[error("{flag} {}: lies in the output folder, where results are written; copy it elsewhere first, or give another --output", input.display())]
+    #[error(
+        "{flag} {}: lies in the output folder, where results are written; copy it elsewhere first, or give another \
+         --output",
+        input.display()
+    )]
     OwnInput {
         /// How the input was named.
         flag: String,
@@ -110,7 +118,10 @@ pub enum FolderError {
         input: PathBuf,
     },
     /// A single file that is there.
-    #[error("{}: is there already; nothing was changed; give another name, or --overwrite to replace it", path.display())]
+    #[error(
+        "{}: is there already; nothing was changed; give another name, or --overwrite to replace it",
+        path.display()
+    )]
     Exists {
         /// The file.
         path: PathBuf,
@@ -223,8 +234,8 @@ impl OwnedFolder {
         read_manifest(path).is_ok_and(|found| found.is_some_and(|manifest| manifest.made_by == made_by))
     }
 
-    /// Forgets files that are no more, so that a later file of that name counts as somebody else's; clears what a killed
-    /// process left unfinished.
+    /// Forgets files that are no more, so that a later file of that name counts as somebody else's; clears what a
+    /// killed process left unfinished.
     fn tidy(&self, made_by: &str) -> Result<(), FolderError> {
         let scratch = self.root.join(STATE).join(SCRATCH);
         if scratch.exists() {
@@ -303,8 +314,8 @@ impl OwnedFolder {
         Ok(())
     }
 
-    /// Puts a folder in its place, whole: `fill` gets an empty one. The program's own files that were there go; those of
-    /// others stay.
+    /// Puts a folder in its place, whole: `fill` gets an empty one. The program's own files that were there go; those
+    /// of others stay.
     ///
     /// # Errors
     /// As [`Self::put_file`].

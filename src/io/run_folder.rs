@@ -1,8 +1,8 @@
 //! What lies where in the output folder of a run.
 //!
 //! This is the only place that knows: the pipeline writes, and `evaluate`, the report, the benchmark and a user of the
-//! library read through it. Everything named here but [`RunFolder::STATE`] is public and described in `docs/formats.md`;
-//! nothing public hangs on what lies in that folder.
+//! library read through it. Everything named here but [`RunFolder::STATE`] is public and described in
+//! `docs/formats.md`; nothing public hangs on what lies in that folder.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

@@ -70,8 +70,8 @@ struct Placement {
 /// Writes the trajectories of a run.
 ///
 /// # Errors
-/// A system error; or a value that breaks the contract: a number that is not finite, a ratio that is not positive, a pose
-/// whose scale is not its object's ratio, frames out of order, a degenerate ratio without a reason.
+/// A system error; or a value that breaks the contract: a number that is not finite, a ratio that is not positive, a
+/// pose whose scale is not its object's ratio, frames out of order, a degenerate ratio without a reason.
 pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
     let document = Document {
         version: VERSION,

@@ -11,8 +11,8 @@ use crate::scene::{FrameId, Mask, ObjectId, ObjectTrajectory, Reconstruction, Tr
 /// Evaluates the run in `output` against the sequence in `truth`.
 ///
 /// # Errors
-/// A sequence that cannot be read, or an output folder that is not there. What is missing *in* the output is part of the
-/// evaluation.
+/// A sequence that cannot be read, or an output folder that is not there. What is missing *in* the output is part of
+/// the evaluation.
 pub fn evaluate(output: &Path, truth: &Path) -> Result<Evaluation, PipelineError> {
     let sequence = Sequence::open(truth)?;
     if !output.is_dir() {

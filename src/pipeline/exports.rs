@@ -15,7 +15,8 @@ pub(super) fn background(run: &Run, model: &Reconstruction) -> Result<PathBuf, P
     write(run, run.workspace.background_points(), &points)
 }
 
-/// Writes an object's points where they are in every frame of its trajectory, in the background's frame; gives the file.
+/// Writes an object's points where they are in every frame of its trajectory, in the background's frame; gives the
+/// file.
 pub(super) fn object(
     run: &Run,
     trajectory: &ObjectTrajectory,

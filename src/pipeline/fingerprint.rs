@@ -17,8 +17,8 @@ fn of(value: &impl Serialize) -> String {
     hex(&Sha256::digest(&text))
 }
 
-/// Hash of everything that a stage's result is made from: what it depends on by itself, and the fingerprints of the stages
-/// that it builds on.
+/// Hash of everything that a stage's result is made from: what it depends on by itself, and the fingerprints of the
+/// stages that it builds on.
 pub(super) fn of_stage(stage: Stage, depends_on: &Value, upstream: &[&str]) -> String {
     of(&json!([stage, stage.revision(), depends_on, upstream]))
 }

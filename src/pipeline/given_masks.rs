@@ -56,8 +56,8 @@ impl MaskFolder {
         })
     }
 
-    /// The labels of a frame at the frame's size; `None` if it has no mask. A mask at the size that the source had before
-    /// `--max-dimension` is made smaller like the frame.
+    /// The labels of a frame at the frame's size; `None` if it has no mask. A mask at the size that the source had
+    /// before `--max-dimension` is made smaller like the frame.
     ///
     /// # Errors
     /// [`PipelineError::MaskSize`] for any other size, [`PipelineError::Io`] for what is no grey PNG.

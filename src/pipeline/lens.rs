@@ -12,7 +12,8 @@ const NARROW_FIELD_DEG: f64 = 10.0;
 const MAX_ASPECT: f64 = 2.5;
 /// Ratio of fx and fy from which on a lens is anamorphic.
 const ODD_ASPECT: f64 = 1.1;
-/// Distance of the centre from the picture's middle, as a share of the side, from which on the picture was cut out of another.
+/// Distance of the centre from the picture's middle, as a share of the side, from which on the picture was cut out of
+/// another.
 const ODD_CENTRE: f64 = 0.25;
 
 /// Why a camera cannot be meant, with what to do; `None` for one that can.
@@ -28,8 +29,8 @@ pub(super) fn impossible(camera: &Camera) -> Option<String> {
     let [cx, cy] = camera.principal;
     if !(0.0..=f64::from(camera.width)).contains(&cx) || !(0.0..=f64::from(camera.height)).contains(&cy) {
         return Some(format!(
-            "--intrinsics: the centre ({cx:.1}, {cy:.1}) lies outside the picture of {picture}; give cx and cy in pixels of \
-             the source, as fx,fy,cx,cy"
+            "--intrinsics: the centre ({cx:.1}, {cy:.1}) lies outside the picture of {picture}; give cx and cy in \
+             pixels of the source, as fx,fy,cx,cy"
         ));
     }
     let aspect = aspect(camera);
@@ -45,8 +46,8 @@ pub(super) fn doubts(camera: &Camera) -> Vec<String> {
     let (field_deg, aspect) = (field_deg(camera), aspect(camera));
     if field_deg < NARROW_FIELD_DEG {
         doubts.push(format!(
-            "--intrinsics: the field of view is {field_deg:.1} degrees, that of a strong telephoto lens; if it is none, the \
-             focal length is wrong (it is in pixels of the source)"
+            "--intrinsics: the field of view is {field_deg:.1} degrees, that of a strong telephoto lens; if it is \
+             none, the focal length is wrong (it is in pixels of the source)"
         ));
     }
     if aspect > ODD_ASPECT {
@@ -59,8 +60,8 @@ pub(super) fn doubts(camera: &Camera) -> Vec<String> {
     let [cx, cy] = camera.principal;
     if off(cx, camera.width).max(off(cy, camera.height)) > ODD_CENTRE {
         doubts.push(format!(
-            "--intrinsics: the centre ({cx:.1}, {cy:.1}) is far from the middle of the picture of {}: right for a picture \
-             that was cut out of a larger one only",
+            "--intrinsics: the centre ({cx:.1}, {cy:.1}) is far from the middle of the picture of {}: right for a \
+             picture that was cut out of a larger one only",
             picture(camera)
         ));
     }

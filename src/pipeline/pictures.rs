@@ -7,8 +7,8 @@ use super::run::{Outcome, Run};
 use crate::scene::Frame;
 use crate::video::Frames;
 
-/// Hands every picture to `work`, each a step of the stage's progress. A frame that cannot be decoded is left out, and the
-/// first stage that meets it says so.
+/// Hands every picture to `work`, each a step of the stage's progress. A frame that cannot be decoded is left out, and
+/// the first stage that meets it says so.
 pub(super) fn for_each(
     run: &Run,
     frames: Frames,

@@ -1,7 +1,7 @@
 //! What can be known to be wrong before the first long stage.
 //!
-//! A model that cannot be used, a mask that does not fit: an hour of work must not come before an error in a file that is
-//! needed last. What an earlier run has done already is not looked at again.
+//! A model that cannot be used, a mask that does not fit: an hour of work must not come before an error in a file that
+//! is needed last. What an earlier run has done already is not looked at again.
 
 use super::given_masks::MaskFolder;
 use super::run::Run;

@@ -67,8 +67,8 @@ impl Plan {
 /// Frames that a video has whose container does not say it.
 const UNSTATED_FRAMES: u32 = 300;
 
-/// Seconds that a stage usually takes, on two cores of 2020. Only the shares matter much: the terminal corrects the pace
-/// while it watches.
+/// Seconds that a stage usually takes, on two cores of 2020. Only the shares matter much: the terminal corrects the
+/// pace while it watches.
 fn usual_s(stage: Stage, options: &Options, info: &Info) -> f64 {
     let frames = num_frames(&options.video, info);
     let megapixels = f64::from(info.width) * f64::from(info.height) * 1e-6;

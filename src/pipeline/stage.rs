@@ -84,8 +84,8 @@ impl Stage {
         found
     }
 
-    /// To be raised when a stage's results change although its options do not, so that results of older programs are not
-    /// taken over.
+    /// To be raised when a stage's results change although its options do not, so that results of older programs are
+    /// not taken over.
     pub(super) fn revision(self) -> u32 {
         match self {
             // Results are in a place of their own.

@@ -192,8 +192,8 @@ impl Workspace {
         Ok(atomic::write_json(&self.state(name), value)?)
     }
 
-    /// Makes sure that of the folders in `.tractrix` that are named `prefix` and a fingerprint only `keep` is there: the others
-    /// belong to other options.
+    /// Makes sure that of the folders in `.tractrix` that are named `prefix` and a fingerprint only `keep` is there:
+    /// the others belong to other options.
     pub fn keep_only(&self, prefix: &str, keep: &str) -> Result<PathBuf, PipelineError> {
         let state = self.root().join(RunFolder::STATE);
         for entry in fs::read_dir(&state).map_err(IoError::system("read", &state))? {

@@ -1,8 +1,9 @@
-//! Grouped bar charts as SVG files, drawn like the paper's two: a group per trajectory, a colour per vehicle, a filling per
-//! estimator.
+//! Grouped bar charts as SVG files, drawn like the paper's two: a group per trajectory, a colour per vehicle, a filling
+//! per estimator.
 //!
-//! A bar that failed is a cross on the axis, one that is higher than the chart is cut and carries its value. Beside a bar may
-//! stand a published value (a ring) and the value that a perfect estimator would have reached (a line across it).
+//! A bar that failed is a cross on the axis, one that is higher than the chart is cut and carries its value. Beside a
+//! bar may stand a published value (a ring) and the value that a perfect estimator would have reached (a line across
+//! it).
 
 use std::fmt::Write;
 
@@ -213,8 +214,8 @@ fn draw(out: &mut String, bar: &Bar, fill: String, colour: &str, x: f64, width: 
             let (width, height) = (width - 0.8, base - y);
             let _ = writeln!(
                 out,
-                "<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{width:.2}\" height=\"{height:.2}\" {fill} stroke=\"{colour}\" \
-                 stroke-width=\"0.8\"/>"
+                "<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{width:.2}\" height=\"{height:.2}\" {fill} \
+                 stroke=\"{colour}\" stroke-width=\"0.8\"/>"
             );
             if value > top {
                 let _ = writeln!(
@@ -264,7 +265,8 @@ fn cross(out: &mut String, x: f64, y: f64) {
 fn line(out: &mut String, [x1, y1, x2, y2]: [f64; 4], colour: &str, width: f64) {
     let _ = writeln!(
         out,
-        "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" stroke=\"{colour}\" stroke-width=\"{width}\"/>"
+        "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" stroke=\"{colour}\" \
+         stroke-width=\"{width}\"/>"
     );
 }
 

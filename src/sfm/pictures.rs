@@ -8,12 +8,12 @@ use crate::scene::{Frame, Mask, Reconstruction};
 
 /// Reconstructs what one camera took: tracks of image points, then cameras and points that explain them.
 ///
-/// * `pictures` – frames in order of time, or photographs in any order ([`Options::unordered`]), each with a mask of its
-///   size outside of which nothing is looked at; `None` is the whole picture.
+/// * `pictures` – frames in order of time, or photographs in any order ([`Options::unordered`]), each with a mask of
+///   its size outside of which nothing is looked at; `None` is the whole picture.
 /// * `camera` – intrinsics of all pictures; [`Camera::prior`] where they are not known.
 ///
-/// Returns the model in a unit of its own, frame k as image k + 1, and what became of every picture. Pictures that do not
-/// fit are left out of the model, and the report says why.
+/// Returns the model in a unit of its own, frame k as image k + 1, and what became of every picture. Pictures that do
+/// not fit are left out of the model, and the report says why.
 ///
 /// # Errors
 /// [`SfmError::Failed`] where nothing could be reconstructed, [`SfmError::MaskSize`], [`SfmError::OpenCv`].

@@ -23,9 +23,9 @@ pub struct ObjectDescription {
 
 /// The trajectory of an object whose scale ratio is known.
 ///
-/// Every frame of `frames` whose image is registered in both models gets a pose, also one without a ground plane and one
-/// whose pose looks like an outlier; frames that are not in both models are absent. The pose is
-/// eq. object_to_background_coordinates as a similarity: x_world = c(b) + r R(b)ᵀ R(o) (x_object − c(o)). `position` is
+/// Every frame of `frames` whose image is registered in both models gets a pose, also one without a ground plane and
+/// one whose pose looks like an outlier; frames that are not in both models are absent. The pose is eq.
+/// object_to_background_coordinates as a similarity: x_world = c(b) + r R(b)ᵀ R(o) (x_object − c(o)). `position` is
 /// [`object_center`] placed by it. Speeds are set where `unit` is metric, by [`set_speeds`].
 pub fn assemble(
     description: ObjectDescription,
@@ -45,8 +45,8 @@ pub fn assemble(
     trajectory
 }
 
-/// The object's pose in every frame whose image is registered in both models, in the order of `frames`, at the scale ratio `ratio`
-/// (eq. object_to_background_coordinates); without speeds.
+/// The object's pose in every frame whose image is registered in both models, in the order of `frames`, at the scale
+/// ratio `ratio` (eq. object_to_background_coordinates); without speeds.
 pub(super) fn poses(
     background: &Reconstruction,
     object: &Reconstruction,
@@ -83,8 +83,9 @@ fn place(cam_from_world: &Rigid3, cam_from_object: &Rigid3, ratio: f64) -> Sim3 
     Sim3::new(ratio, rotation, translation)
 }
 
-/// The middle of the object's points, in its own frame: the mean of those within three robust standard deviations of the
-/// median along every axis, so that a handful of stray points does not move it. The origin for a model without points.
+/// The middle of the object's points, in its own frame: the mean of those within three robust standard deviations of
+/// the median along every axis, so that a handful of stray points does not move it. The origin for a model without
+/// points.
 pub fn object_center(object: &Reconstruction) -> Point3<f64> {
     let finite = |p: &Point3<f64>| p.coords.iter().all(|x| x.is_finite());
     let points: Vec<Point3<f64>> = object.points.values().map(|point| point.position).filter(finite).collect();
@@ -109,8 +110,8 @@ pub fn object_center(object: &Reconstruction) -> Point3<f64> {
 /// noise of its position, short enough for it not to change its mind.
 const HALF_WINDOW_S: f64 = 0.5;
 
-/// Sets the speed of every pose from the straight line, by least squares, through the positions within half a second of it
-/// (and at least its neighbours); none for a trajectory of one pose. Only call this when the unit is the metre.
+/// Sets the speed of every pose from the straight line, by least squares, through the positions within half a second of
+/// it (and at least its neighbours); none for a trajectory of one pose. Only call this when the unit is the metre.
 pub fn set_speeds(trajectory: &mut ObjectTrajectory) {
     let speeds: Vec<_> = (0..trajectory.poses.len()).map(|k| velocity(&trajectory.poses, k)).collect();
     for (pose, velocity) in trajectory.poses.iter_mut().zip(speeds) {
@@ -118,7 +119,8 @@ pub fn set_speeds(trajectory: &mut ObjectTrajectory) {
     }
 }
 
-/// Velocity at one pose, units of the world per second; `None` when its neighbours have the same time or there are none.
+/// Velocity at one pose, units of the world per second; `None` when its neighbours have the same time or there are
+/// none.
 pub(super) fn velocity(poses: &[ObjectPose], k: usize) -> Option<Vector3<f64>> {
     let now = poses[k].time_s;
     let near = |i: &usize| i.abs_diff(k) <= 1 || (poses[*i].time_s - now).abs() <= HALF_WINDOW_S;

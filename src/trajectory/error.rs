@@ -27,8 +27,8 @@ pub enum ScaleError {
     NoPoints,
     /// The model has points, and too few of them are seen often enough to show where the vehicle touches the ground.
     #[error(
-        "the object's model has {num_points} points, none of them seen in {min_track} frames or more and near the others: \
-         nothing shows where the object touches the ground"
+        "the object's model has {num_points} points, none of them seen in {min_track} frames or more and near the \
+         others: nothing shows where the object touches the ground"
     )]
     NoSolidPoints {
         /// Points of the model.
@@ -74,7 +74,8 @@ pub enum ScaleError {
     },
     /// The least squares solution over all frames is not positive.
     #[error(
-        "{}: the camera's height over the ground does not change beyond its noise", least_squares_words(*num_views, *ratio)
+        "{}: the camera's height over the ground does not change beyond its noise",
+        least_squares_words(*num_views, *ratio)
     )]
     NotPositive {
         /// Frames used.

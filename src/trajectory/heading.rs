@@ -11,9 +11,9 @@ use crate::scene::{ObjectPose, ObjectTrajectory};
 /// The vehicle's forward direction in the object's own frame: the mean, weighted by speed, of its direction of motion
 /// turned into that frame.
 ///
-/// A vehicle that backs up part of the way counts as pointing the way that it goes further. `None` for a trajectory that
-/// goes nowhere, or whose directions cancel (mean length below half of what agreement would give): then positions are
-/// noise, or the object's poses do not turn with it.
+/// A vehicle that backs up part of the way counts as pointing the way that it goes further. `None` for a trajectory
+/// that goes nowhere, or whose directions cancel (mean length below half of what agreement would give): then positions
+/// are noise, or the object's poses do not turn with it.
 pub fn forward_axis(poses: &[ObjectPose]) -> Option<Unit<Vector3<f64>>> {
     let (mut sum, mut length) = (Vector3::zeros(), 0.0);
     for (k, pose) in poses.iter().enumerate() {

@@ -9,8 +9,9 @@
 //!
 //! for one unknown ratio r. Vehicles stand on the ground, and that determines r: [`constant_distance`] and
 //! [`intersection`] are the paper's two estimators, to the letter; [`least_squares`] uses all frames at once and says
-//! how well the motion determines r at all. [`joint`] goes further: it adjusts the object's reconstruction once more, together
-//! with the ground. [`estimate_scale`] runs the others and gives a verdict; [`assemble`] places the object. The derivations are in `docs/maths/scale.md`.
+//! how well the motion determines r at all. [`joint`] goes further: it adjusts the object's reconstruction once more,
+//! together with the ground. [`estimate_scale`] runs the others and gives a verdict; [`assemble`] places the object.
+//! The derivations are in `docs/maths/scale.md`.
 
 //!
 //! The estimators look at [`Views`] alone; [`place`] goes the whole way from reconstructions, planes and outlines to a

@@ -36,8 +36,8 @@ fn index(path: &Path) -> Option<Vec<u8>> {
     movie_box(&mut File::open(path).ok()?)
 }
 
-/// Whether there is a track of pictures. An index in pieces has no tracks that are easily found; it is given the benefit
-/// of the doubt.
+/// Whether there is a track of pictures. An index in pieces has no tracks that are easily found; it is given the
+/// benefit of the doubt.
 fn has_pictures(index: &[u8]) -> bool {
     let mut tracks = children(index).filter(|(name, _)| *name == b"trak").peekable();
     tracks.peek().is_none() || tracks.any(|(_, track)| is_video(track))

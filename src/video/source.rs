@@ -173,7 +173,10 @@ impl Source {
     fn time_warning(&self, num_guessed: u32) -> Option<String> {
         (num_guessed > 0).then(|| {
             let path = self.path.display();
-            format!("{path}: {num_guessed} time stamps are missing or do not rise; they follow the pace of the frames before")
+            format!(
+                "{path}: {num_guessed} time stamps are missing or do not rise; they follow the pace of the frames \
+                before"
+            )
         })
     }
 

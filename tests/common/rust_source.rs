@@ -1,5 +1,5 @@
-//! Just enough of Rust's grammar to ask what production code names: words and signs without comments and literals, items
-//! that are compiled for tests alone, modules, and paths that begin with `crate` or `super`.
+//! Just enough of Rust's grammar to ask what production code names: words and signs without comments and literals,
+//! items that are compiled for tests alone, modules, and paths that begin with `crate` or `super`.
 
 use std::collections::BTreeSet;
 use std::fs;

@@ -1,7 +1,8 @@
 //! `tractrix benchmark DIR`: every sequence of a data set, one table.
 //!
-//! Each sequence is a run of its own in `OUT/<folder>`, evaluated against its truth; what an earlier benchmark finished is
-//! taken over. The tables are written anew after every sequence, so that a stopped benchmark has those of what is done.
+//! Each sequence is a run of its own in `OUT/<folder>`, evaluated against its truth; what an earlier benchmark finished
+//! is taken over. The tables are written anew after every sequence, so that a stopped benchmark has those of what is
+//! done.
 
 mod sequences;
 mod single;
@@ -56,7 +57,12 @@ pub(super) struct Args {
     pub(super) compare: Vec<PathBuf>,
 
     /// COLMAP models of all sequences, taken as they are: DIR/<sequence>/background and DIR/<sequence>/object
-    #[arg(long, value_name = "DIR", help_heading = "Geometry", conflicts_with_all = ["background_models", "object_models"])]
+    #[arg(
+        long,
+        value_name = "DIR",
+        help_heading = "Geometry",
+        conflicts_with_all = ["background_models", "object_models"]
+    )]
     pub(super) models: Option<PathBuf>,
     /// COLMAP models of the backgrounds: DIR/<sequence>
     #[arg(long, value_name = "DIR", help_heading = "Geometry")]

@@ -16,8 +16,8 @@ pub(super) struct Found {
     pub(super) left_out: Vec<String>,
 }
 
-/// The sequences in a folder, those alone whose name has one of `only` in it, if any are given. The results' own folder and
-/// hidden ones are no sequences.
+/// The sequences in a folder, those alone whose name has one of `only` in it, if any are given. The results' own folder
+/// and hidden ones are no sequences.
 ///
 /// # Errors
 /// A folder that cannot be read, or in which nothing is left.
@@ -55,8 +55,8 @@ pub(super) fn find(folder: &Path, only: &[String], output: &Path) -> Result<Foun
     }
 }
 
-/// Vehicle and trajectory of a sequence: as its `scene.json` says, else from `<trajectory>_<vehicle>`, which folders are
-/// called, else the folder's name.
+/// Vehicle and trajectory of a sequence: as its `scene.json` says, else from `<trajectory>_<vehicle>`, which folders
+/// are called, else the folder's name.
 pub(super) fn names(folder: &str, sequence: Option<&Sequence>) -> (String, String) {
     let vehicle = sequence.and_then(|s| s.vehicle.clone());
     let trajectory = sequence.and_then(|s| s.trajectory.clone());

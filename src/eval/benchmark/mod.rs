@@ -1,8 +1,8 @@
 //! Many evaluations as one: the paper's summary over a data set of sequences.
 //!
-//! A sequence has an error for every scale estimator, or it failed for that estimator, with a reason; it never disappears.
-//! Every mean says over how many sequences it goes and how many failed, and a second median ranks the failed ones behind
-//! all others, which needs no invented penalty ([`Statistics`]).
+//! A sequence has an error for every scale estimator, or it failed for that estimator, with a reason; it never
+//! disappears. Every mean says over how many sequences it goes and how many failed, and a second median ranks the
+//! failed ones behind all others, which needs no invented penalty ([`Statistics`]).
 //!
 //! The paper's own 35 sequences are such a set, too ([`paper::published`]), so that its table is made by the same code.
 
@@ -64,7 +64,8 @@ pub struct Entry {
     pub reference_ratio: Option<f64>,
     /// Trajectory error at the reference ratio: what the two reconstructions alone cost.
     pub floor_m: Option<f64>,
-    /// The same on the target as structure from motion left it; `None` where the target was not adjusted with the ground.
+    /// The same on the target as structure from motion left it; `None` where the target was not adjusted with the
+    /// ground.
     pub floor_as_reconstructed_m: Option<f64>,
     /// What every estimator gave, by its name: `joint` on the target that it has adjusted, the others on the target as
     /// structure from motion left it, which is what `--scale-method` with their name gives.
@@ -139,8 +140,8 @@ impl Entry {
         let is_lost = matches!(before, Some(Err(_)));
         let before = before.and_then(Result::ok);
         let chosen = evaluation.scale.as_ref().ok().map(|scale| scale.method);
-        // An estimator's own answer is the one on the target as it was reconstructed, which replaces the one on the adjusted
-        // target. Where the former is lost, the latter does not stand in for it, but for the run's own choice.
+        // An estimator's own answer is the one on the target as it was reconstructed, which replaces the one on the
+        // adjusted target. Where the former is lost, the latter does not stand in for it, but for the run's own choice.
         let final_ones = evaluation.alternatives.iter().filter(|(method, _)| !is_lost || Some(**method) == chosen);
         let final_ones = final_ones.map(|(method, found)| (*method, Answer::on(evaluation.model(), found)));
         let first_ones = before.iter().flat_map(|before| &before.alternatives);
@@ -211,8 +212,8 @@ impl Benchmark {
         self.sequences.iter().any(|entry| entry.floor_as_reconstructed_m.is_some())
     }
 
-    /// Every estimator that gave an answer anywhere: the paper's baseline and method first, the run's own choice last, which
-    /// stands for an estimator that was always the choice.
+    /// Every estimator that gave an answer anywhere: the paper's baseline and method first, the run's own choice last,
+    /// which stands for an estimator that was always the choice.
     pub fn estimators(&self) -> Vec<Estimator> {
         let methods: BTreeSet<ScaleMethod> =
             self.sequences.iter().flat_map(|entry| entry.estimators.keys().copied()).collect();

@@ -1,9 +1,9 @@
-//! The values that the paper published, read from the coordinates of its two bar charts (figures *Quantitative evaluation of
-//! the trajectory error in meter* and *of the scale ratio*), five digits of each.
+//! The values that the paper published, read from the coordinates of its two bar charts (figures *Quantitative
+//! evaluation of the trajectory error in meter* and *of the scale ratio*), five digits of each.
 //!
-//! Its vehicles stand under the names of the types here that come nearest: Lancer `saloon`, Lincoln Navigator `suv`, Smart
-//! `smart`, Golf `hatchback`, Van `van`. Other vehicles, another world, other flights: the values say what kind of error the
-//! paper's pipeline had on what kind of sequence, no more.
+//! Its vehicles stand under the names of the types here that come nearest: Lancer `saloon`, Lincoln Navigator `suv`,
+//! Smart `smart`, Golf `hatchback`, Van `van`. Other vehicles, another world, other flights: the values say what kind
+//! of error the paper's pipeline had on what kind of sequence, no more.
 
 use super::{Answer, Benchmark, Entry};
 use crate::scene::{ModelState, ScaleMethod};

@@ -126,8 +126,8 @@ fn start(library: PathBuf) -> Result<Runtime, OnnxError> {
     Ok(Runtime { info: RuntimeInfo { library, version }, environment })
 }
 
-/// The version in the build information, which reads `ORT Build Info: git-branch=rel-1.31.1, git-commit-id=..., ...` if it
-/// was built from a branch of that name.
+/// The version in the build information, which reads `ORT Build Info: git-branch=rel-1.31.1, git-commit-id=..., ...` if
+/// it was built from a branch of that name.
 fn named_version(build_info: &str) -> Option<String> {
     let branch = build_info.split("git-branch=").nth(1)?.split(',').next()?;
     leading_version(branch.trim_start_matches(|c: char| !c.is_ascii_digit()))

@@ -13,7 +13,8 @@ fn binary(big_endian: bool) -> Vec<u8> {
     let mut out = format!(
         "ply\r\nformat binary_{}_endian 1.0\ncomment made here\nelement vertex 4\nproperty uchar red\n\
          property double z\nproperty double x\nproperty double y\nelement edge 2\n\
-         property list ushort float weights\nelement face 4\nproperty list uchar uint vertex_index\nproperty short flag\nend_header\n",
+         property list ushort float weights\nelement face 4\nproperty list uchar uint vertex_index\nproperty short \
+         flag\nend_header\n",
         if big_endian { "big" } else { "little" }
     )
     .into_bytes();

@@ -24,7 +24,8 @@ pub(super) struct Adjustment<'a> {
     pub(super) object: Reconstruction,
     /// Standard deviation of an image position before it is made to count less.
     noise_px: f64,
-    /// By how much the object's distance to the ground wanders, as a share of the camera's height over it; within bounds.
+    /// By how much the object's distance to the ground wanders, as a share of the camera's height over it; within
+    /// bounds.
     wander: f64,
     /// The median of that height, units of the background.
     camera_height: f64,
@@ -148,8 +149,8 @@ impl<'a> Adjustment<'a> {
         self.options.loss_scale * typical.max(1.0)
     }
 
-    /// The outlines' word on where the ground is, spread over all points: each is near where it is, but lower by the height
-    /// at which the outlines see the ground. Together they weigh as much as the contact is known.
+    /// The outlines' word on where the ground is, spread over all points: each is near where it is, but lower by the
+    /// height at which the outlines see the ground. Together they weigh as much as the contact is known.
     fn anchors(&self, contact: &Contact) -> Vec<PointPrior> {
         let sigma = (contact.std * (self.object.points.len() as f64).sqrt()).max(f64::MIN_POSITIVE);
         let lowered = self.object.points.values().map(|point| point.position - Vector3::z() * contact.z);
@@ -157,8 +158,8 @@ impl<'a> Adjustment<'a> {
         lowered.enumerate().map(anchor).filter(|anchor| anchor.position.coords.iter().all(|x| x.is_finite())).collect()
     }
 
-    /// Standard deviation of the object's size, relative to it: that of its distance from the camera, since its size in the
-    /// picture is known exactly. The median of a few frames.
+    /// Standard deviation of the object's size, relative to it: that of its distance from the camera, since its size in
+    /// the picture is known exactly. The median of a few frames.
     pub(super) fn relative_std(&self, contact: &Contact) -> Result<f64, ScaleError> {
         const FRAMES: usize = 5;
         let problem = self.problem(contact);

@@ -44,9 +44,9 @@ pub(super) fn set_errors(model: &mut Reconstruction) {
 
 /// The points whose place is too uncertain, the poses taken as known, though never more than `1 - least_share` of all.
 ///
-/// A point's variance is the largest one of (Σ JᵀJ)⁻¹ times the variance of its own residuals, to which the typical one of
-/// all points is added as if it came from three more observations. `max_deviation` is a share of the median distance of
-/// the points from their middle.
+/// A point's variance is the largest one of (Σ JᵀJ)⁻¹ times the variance of its own residuals, to which the typical one
+/// of all points is added as if it came from three more observations. `max_deviation` is a share of the median distance
+/// of the points from their middle.
 pub(super) fn uncertain_points(model: &Reconstruction, max_deviation: f64, least_share: f64) -> Vec<Point3dId> {
     const MORE_OBSERVATIONS: f64 = 3.0;
     let Some(typical_px) = median_error_px(model) else { return Vec::new() };
