@@ -31,10 +31,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     for object in RunFolder::at(output).read_trajectories()?.objects {
         println!("{} {}: {} poses, scale ratio {:.4}", object.id, object.class, object.poses.len(), object.scale.ratio);
         for pose in object.poses.iter().step_by(10) {
-            println!(
-                "  {:6.2} s  {:9.3} {:9.3} {:9.3}",
-                pose.time_s, pose.position.x, pose.position.y, pose.position.z
-            );
+            let [x, y, z] = pose.position;
+            println!("  {:6.2} s  {x:9.3} {y:9.3} {z:9.3}", pose.time_s);
         }
     }
     println!("units are those of the background; everything else: {}", output.display());
