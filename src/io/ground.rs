@@ -64,13 +64,7 @@ pub fn write(path: &Path, ground: &Ground) -> Result<(), IoError> {
 /// A missing file, JSON of another shape or version, a normal that is not of unit length, or the same plane twice.
 pub fn read(path: &Path) -> Result<Ground, IoError> {
     let document: Document = json::read(path)?;
-    if document.version != VERSION {
-        return Err(IoError::Unsupported {
-            path: path.into(),
-            what: format!("version {}", document.version),
-            cure: format!("write it again as version {VERSION}"),
-        });
-    }
+    json::check_version(path, document.version, VERSION)?;
     check(path, &document)?;
     let num_planes = document.planes.len();
     let plane_from_file = |p: Plane| {

@@ -20,6 +20,21 @@ pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, IoError> {
     })
 }
 
+/// Refuses a file of a version that is not known.
+///
+/// # Errors
+/// [`IoError::Unsupported`].
+pub fn check_version(path: &Path, found: u32, known: u32) -> Result<(), IoError> {
+    if found == known {
+        return Ok(());
+    }
+    Err(IoError::Unsupported {
+        path: path.to_path_buf(),
+        what: format!("version {found}"),
+        cure: format!("write it again as version {known}"),
+    })
+}
+
 /// serde_json ends its messages with the place, which the error says already.
 fn without_place(message: &str) -> String {
     message.rsplit_once(" at line ").map_or(message, |(text, _)| text).to_string()

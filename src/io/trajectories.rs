@@ -88,13 +88,7 @@ pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
 /// A missing file, JSON of another shape or version, or values that break the contract (see [`write()`]).
 pub fn read(path: &Path) -> Result<Trajectories, IoError> {
     let document: Document = json::read(path)?;
-    if document.version != VERSION {
-        return Err(IoError::Unsupported {
-            path: path.into(),
-            what: format!("version {}", document.version),
-            cure: format!("write it again as version {VERSION}"),
-        });
-    }
+    json::check_version(path, document.version, VERSION)?;
     check(path, &document)?;
     Ok(Trajectories { unit: document.unit, objects: document.objects.into_iter().map(object_from_file).collect() })
 }

@@ -144,10 +144,7 @@ fn options(args: &Args) -> Result<Options, Failure> {
 fn read(path: &Path) -> Result<Benchmark, Failure> {
     let benchmark: Benchmark =
         io::json::read(path).with_context(|| format!("{}: is no benchmark.json; check --compare", path.display()))?;
-    if benchmark.version != VERSION {
-        let text = format!("{}: version {} is not known; make it again", path.display(), benchmark.version);
-        return Err(Failure::Input(anyhow::anyhow!(text)));
-    }
+    io::json::check_version(path, benchmark.version, VERSION)?;
     Ok(benchmark)
 }
 
