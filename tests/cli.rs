@@ -3,7 +3,9 @@
 mod common;
 
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
 use common::{drive, json, outcome, tractrix};
 use opencv::core::{CV_8UC3, Mat, Scalar, Size};
@@ -234,10 +236,250 @@ fn doctor_says_what_is_there() {
     let (code, text, stderr) = outcome(tractrix().arg("doctor"));
     assert_eq!(code, 0, "{stderr}");
     assert!(text.contains("OpenCV") && text.contains("ONNX Runtime") && text.contains("FFmpeg"), "{text}");
+    assert!(text.contains("--masks") && text.contains("--segmentation-model"), "how vehicles are found: {text}");
+    assert!(!text.contains("Build Info"), "{text}");
     let (_, text, _) = outcome(tractrix().args(["doctor", "--json"]));
-    let findings: serde_json::Value = serde_json::from_str(&text).unwrap();
-    assert!(findings.as_array().unwrap().iter().any(|f| f["name"] == "OpenCV" && f["ok"] == true), "{text}");
+    let found: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert!(found["findings"].as_array().unwrap().iter().any(|f| f["name"] == "OpenCV" && f["ok"] == true), "{text}");
     let (code, text, _) = outcome(tractrix().args(["doctor", "--segmentation-model", "none.onnx"]));
     assert_eq!(code, 1);
     assert!(text.contains("none.onnx") || text.contains("not found"), "{text}");
+}
+
+/// What stands under "error" in the one JSON object on stdout.
+fn error_of(arguments: &[&str], expected_code: i32) -> serde_json::Value {
+    let (code, stdout, stderr) = outcome(tractrix().args(arguments).arg("--json"));
+    assert_eq!(code, expected_code, "{arguments:?}: {stderr}");
+    let value: serde_json::Value =
+        serde_json::from_str(&stdout).unwrap_or_else(|e| panic!("{arguments:?}: {e}: {stdout}"));
+    value["error"].clone()
+}
+
+#[test]
+fn errors_are_json_where_json_is_asked_for() {
+    let cases: [(&[&str], i32, &str); 9] = [
+        (&["run", "none.mp4", "--masks", "none", "--output", "out"], 1, "input"),
+        (&["run", "none.mp4", "--output", "out"], 2, "usage"),
+        (&["run", "none.mp4", "--output", "out", "--fly"], 2, "usage"),
+        (&["evaluate", "none", "--truth", "none"], 1, "input"),
+        (&["benchmark", "none"], 1, "input"),
+        (&["compare", "none", "none"], 1, "input"),
+        (&["convert", "none", "out"], 1, "input"),
+        (&["bal", "none"], 1, "input"),
+        (&["doctor", "--segmentation-model", "none.onnx"], 1, "input"),
+    ];
+    for (arguments, code, kind) in cases {
+        let error = error_of(arguments, code);
+        assert_eq!(error["kind"], kind, "{arguments:?}: {error}");
+        assert!(!error["message"].as_str().unwrap().is_empty(), "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_run_without_a_background_is_one_json_object_with_its_error() {
+    let folder = TempDir::new().unwrap();
+    let (input, masks, out) = (clip(folder.path(), 1), masks(folder.path(), 1, 64, 48), folder.path().join("out"));
+    let mut command = tractrix();
+    command.arg("run").arg(&input).arg("--masks").arg(masks).arg("--output").arg(&out).args(["--json", "--quiet"]);
+    let (code, stdout, stderr) = outcome(&mut command);
+    assert_eq!(code, 1, "{stderr}");
+    let value: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+    assert!(value["error"]["message"].as_str().unwrap().contains("background"), "{value}");
+    assert!(value["stages"]["frames"].is_object() && value["missing"][0]["id"] == 1, "{value}");
+}
+
+#[test]
+fn a_failed_background_is_said_once_and_nothing_is_said_after_it() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("out");
+    let (stderr, _) = partial(&clip(folder.path(), 1), &masks(folder.path(), 1, 64, 48), &out);
+    assert_eq!(stderr.matches("cannot be reconstructed").count(), 1, "{stderr}");
+    assert!(stderr.contains("background stage 5 of 9") && !stderr.contains("stage 6 of 9"), "{stderr}");
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_failure() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("out");
+    partial(&clip(folder.path(), 1), &masks(folder.path(), 1, 64, 48), &out);
+    let model = out.join("background");
+    let (model, points) = (model.to_str().unwrap(), folder.path().join("points.ply"));
+    let cases = [vec!["doctor"], vec!["compare", model, model], vec!["convert", model, points.to_str().unwrap()]];
+    for arguments in cases {
+        let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin("tractrix"));
+        let mut child = command.args(&arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop(child.stdout.take());
+        drop(child.stderr.take());
+        assert_eq!(child.wait().unwrap().code(), Some(0), "{arguments:?}");
+    }
+}
+
+#[test]
+fn convert_says_what_it_wrote() {
+    let folder = TempDir::new().unwrap();
+    let out = folder.path().join("out");
+    partial(&clip(folder.path(), 1), &masks(folder.path(), 1, 64, 48), &out);
+    let binary = folder.path().join("binary");
+    let (code, text, stderr) = outcome(tractrix().arg("convert").arg(&out).arg(&binary));
+    assert_eq!(code, 0, "{stderr}");
+    assert!(text.contains("COLMAP (text) to COLMAP (binary)") && text.contains("binary\n"), "{text}");
+    let ply = folder.path().join("points.ply");
+    let (_, text, _) = outcome(tractrix().arg("convert").arg(&binary).arg(&ply).arg("--json"));
+    let said: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert!(said["to"] == "PLY" && said["num_points"] == 0 && said["output"] == ply.to_str().unwrap(), "{said}");
+}
+
+#[test]
+fn what_a_late_stage_cannot_use_is_said_before_the_first_long_one() {
+    let folder = TempDir::new().unwrap();
+    let (input, masks) = (clip(folder.path(), 3), masks(folder.path(), 3, 64, 48));
+    let noise = folder.path().join("noise.onnx");
+    fs::write(&noise, b"not a network").unwrap();
+    let ground = folder.path().join("ground");
+    fs::create_dir(&ground).unwrap();
+    image::GrayImage::new(64, 48).save(ground.join("000000.png")).unwrap();
+    image::GrayImage::new(64, 47).save(ground.join("000001.png")).unwrap();
+    let cases = [
+        ("--ground-model", &noise, "noise.onnx"),
+        ("--ground-masks", &ground, "000001.png"),
+        ("--background-model", &ground, "ground"),
+    ];
+    for (k, (flag, path, expected)) in cases.into_iter().enumerate() {
+        let out = folder.path().join(k.to_string());
+        let mut command = tractrix();
+        command.arg("run").arg(&input).arg("--masks").arg(&masks).arg("--output").arg(&out).arg(flag).arg(path);
+        let (code, _, stderr) = outcome(&mut command);
+        assert_eq!(code, 1, "{stderr}");
+        assert!(stderr.contains(expected) || stderr.contains("fetch-onnxruntime"), "{stderr}");
+        let stages = json(&out.join("run.json"))["stages"].clone();
+        assert_eq!(stages.as_object().unwrap().keys().collect::<Vec<_>>(), ["frames"], "{flag}");
+    }
+}
+
+#[test]
+fn intrinsics_that_no_lens_has_are_refused_by_name() {
+    let folder = TempDir::new().unwrap();
+    let (input, masks) = (clip(folder.path(), 1), masks(folder.path(), 1, 64, 48));
+    for (numbers, expected) in [("1,1,32,24", "field of view"), ("60,60,320,24", "outside the picture of 64x48")] {
+        let mut command = tractrix();
+        command.arg("run").arg(&input).arg("--masks").arg(&masks).arg("--intrinsics").arg(numbers);
+        let (code, _, stderr) = outcome(command.arg("--output").arg(folder.path().join("out")));
+        assert_eq!(code, 1, "{stderr}");
+        assert!(stderr.contains("--intrinsics") && stderr.contains(expected), "{stderr}");
+    }
+}
+
+#[test]
+fn what_was_given_and_is_of_no_use_is_warned_of() {
+    let folder = TempDir::new().unwrap();
+    let (input, masks) = (clip(folder.path(), 1), masks(folder.path(), 1, 64, 48));
+    let mut command = tractrix();
+    command.arg("run").arg(&input).arg("--masks").arg(&masks).args(["--fps", "3", "--only-object", "99"]);
+    let (_, _, stderr) = outcome(command.arg("--output").arg(folder.path().join("out")));
+    assert!(stderr.contains("--fps is for folders"), "{stderr}");
+    assert!(stderr.contains("--only-object 99") && stderr.contains("tracked are: 1"), "{stderr}");
+}
+
+#[test]
+fn a_folder_without_a_rate_has_frame_numbers_for_times() {
+    let folder = TempDir::new().unwrap();
+    drive::write(folder.path(), 1);
+    for k in 1..4 {
+        for name in ["images", "masks"] {
+            let of = |k: u32| folder.path().join(name).join(format!("{k:04}.png"));
+            fs::copy(of(0), of(k)).unwrap();
+        }
+    }
+    let (images, masks) = (folder.path().join("images"), folder.path().join("masks"));
+    let (stderr, run) = partial(&images, &masks, &folder.path().join("out"));
+    assert!(stderr.contains("--fps") && run["input"]["times"] == "frames", "{stderr}");
+    let mut command = tractrix();
+    command.arg("run").arg(&images).arg("--masks").arg(&masks).args(["--start", "100f"]);
+    let (_, _, stderr) = outcome(command.arg("--output").arg(folder.path().join("late")));
+    assert!(stderr.contains("from frame 0 to frame 3"), "{stderr}");
+}
+
+#[test]
+fn an_input_of_another_kind_says_what_it_is() {
+    let folder = TempDir::new().unwrap();
+    let masks = masks(folder.path(), 1, 8, 8);
+    let refuse = |name: &str| refused(&folder.path().join(name), &masks, &folder.path().join("out"));
+    let unfinished =
+        [&20u32.to_be_bytes()[..], b"ftypisom\0\0\0\0isom", &16u32.to_be_bytes(), b"mdat12345678"].concat();
+    fs::write(folder.path().join("unfinished.mp4"), unfinished).unwrap();
+    let said = refuse("unfinished.mp4");
+    assert!(said.contains("index") && !said.contains("ffmpeg"), "{said}");
+    fs::write(folder.path().join("sound.wav"), b"RIFF\x24\0\0\0WAVEfmt \x10\0\0\0").unwrap();
+    assert!(refuse("sound.wav").contains("no picture track"));
+    for (name, file, expected) in
+        [("films", "a.MP4", "1 .mp4 file"), ("scans", "a.tiff", "convert"), ("bare", ".hidden", "empty")]
+    {
+        fs::create_dir(folder.path().join(name)).unwrap();
+        fs::write(folder.path().join(name).join(file), b"x").unwrap();
+        let said = refuse(name);
+        assert!(said.contains(expected), "{said}");
+    }
+}
+
+/// A run on one frame, with the given flags; gives stdout and stderr.
+fn with_flags(flags: &[&str]) -> (String, String) {
+    let folder = TempDir::new().unwrap();
+    let mut command = tractrix();
+    command.arg("run").arg(clip(folder.path(), 1)).arg("--masks").arg(masks(folder.path(), 1, 64, 48));
+    let (_, stdout, stderr) = outcome(command.arg("--output").arg(folder.path().join("out")).args(flags));
+    (stdout, stderr)
+}
+
+#[test]
+fn progress_is_shown_as_it_is_asked_for() {
+    let (_, stderr) = with_flags(&[]);
+    assert!(stderr.contains("features   stage 4 of 9\n"), "lines where there is no terminal: {stderr}");
+    let (_, stderr) = with_flags(&["--progress", "none"]);
+    assert!(!stderr.contains("stage 4 of 9") && stderr.contains("error"), "{stderr}");
+    let (stdout, stderr) = with_flags(&["--quiet"]);
+    assert_eq!((stdout.as_str(), stderr.lines().count()), ("", 1), "{stderr}");
+    let (_, stderr) = with_flags(&["--progress", "json"]);
+    let lines: Vec<serde_json::Value> = stderr.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let features: Vec<_> = lines.iter().filter(|line| line["stage"] == "features").collect();
+    assert_eq!(
+        (&features[0]["index"], &features[0]["of"], &features[0]["event"]),
+        (&4.into(), &9.into(), &"begins".into())
+    );
+    assert!(
+        lines.iter().any(|line| line["error"].as_str().is_some_and(|text| text.contains("background"))),
+        "{stderr}"
+    );
+}
+
+#[test]
+fn a_run_that_is_stopped_says_how_it_goes_on() {
+    let folder = TempDir::new().unwrap();
+    drive::write(folder.path(), 24);
+    let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin("tractrix"));
+    command.arg("run").arg(folder.path().join("images")).arg("--masks").arg(folder.path().join("masks"));
+    command.arg("--output").arg(folder.path().join("out")).args(["--progress", "plain"]);
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.any(|line| line.starts_with("features   stage")), "the stage begins");
+    rustix::process::kill_process(rustix::process::Pid::from_child(&child), rustix::process::Signal::INT).unwrap();
+    let rest: Vec<String> = lines.collect();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{rest:?}");
+    assert!(rest.iter().any(|line| line.contains("the same command goes on")), "{rest:?}");
+}
+
+#[test]
+fn the_last_lines_say_of_the_vehicle_what_a_person_wants_to_know() {
+    let folder = TempDir::new().unwrap();
+    drive::write(folder.path(), 24);
+    let of = |name: &str| folder.path().join(name);
+    let mut command = tractrix();
+    command.arg("run").arg(of("images")).arg("--masks").arg(of("masks")).arg("--ground-masks").arg(of("ground"));
+    command.arg("--intrinsics").arg(drive::intrinsics()).args(["--fps", "10"]).arg("--output").arg(of("out"));
+    let (code, text, stderr) = outcome(&mut command);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(text.starts_with("1 vehicle with a trajectory\n  1: vehicle, placed in "), "{text}");
+    for expected in [" of 24 frames, from 0.", "path: ", " units of the background", "size and distance"] {
+        assert!(text.contains(expected), "{expected}: {text}");
+    }
+    assert!(text.trim_end().ends_with("report.html"), "{text}");
 }

@@ -75,7 +75,7 @@ pub(super) fn background_depends_on(run: &Run) -> Result<Value, PipelineError> {
 pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     run.progress.begin("background", None);
     let mut outcome = Outcome::default();
-    let (model, report) = match &run.options.background_model {
+    let (model, mut report) = match &run.options.background_model {
         Some(folder) => given(folder, run)?,
         None => {
             let (camera, origin) = initial_camera(run)?;
@@ -90,7 +90,8 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
             reconstruct(run, table, camera, intrinsics, &order::sfm_options(run)?.0.mapper, &mut watch)?
         }
     };
-    if let Some(failure) = &report.failure {
+    if let Some(failure) = &mut report.failure {
+        failure.push_str(&cure_of_large_frames(run.info().width, run.info().height));
         outcome.note(format!("the background cannot be reconstructed: {failure}"));
     } else {
         report.remarks.iter().for_each(|remark| outcome.warn(format!("background: {remark}")));
@@ -109,6 +110,17 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     }
     outcome.outputs.extend([run.workspace.background(), run.workspace.state(BACKGROUND_REPORT)]);
     Ok(outcome)
+}
+
+/// What to try where nothing came out of large frames; nothing for others. Points are followed within a fixed number of
+/// pixels: in larger frames those near the camera move too far from one to the next, and those that are left are far away
+/// and show hardly any angle.
+fn cure_of_large_frames(width: u32, height: u32) -> String {
+    const LARGE_PX: u32 = 1280;
+    match width.max(height) > LARGE_PX {
+        true => format!(" (or the frames of {width}x{height} pixels are too large for it: try --max-dimension {LARGE_PX})"),
+        false => String::new(),
+    }
 }
 
 /// How sure the camera positions are, in units of the background; nothing where there is too little to tell.
@@ -300,6 +312,12 @@ mod tests {
 
     fn frames() -> Vec<Frame> {
         (0..4).map(|k| Frame { id: FrameId(k), name: format!("{k:06}.jpg"), time_s: 0.0 }).collect()
+    }
+
+    #[test]
+    fn large_frames_have_a_cure() {
+        assert!(cure_of_large_frames(1920, 1080).contains("--max-dimension 1280"));
+        assert_eq!(cure_of_large_frames(720, 1280), "");
     }
 
     #[test]
