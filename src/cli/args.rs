@@ -13,7 +13,7 @@ pub(super) struct Args {
     /// What to do
     #[command(subcommand)]
     pub(super) command: Command,
-    /// Say nothing but errors: no progress, no warnings, no summary
+    /// Say nothing but errors: no progress, no warnings, and no results but those of --json
     #[arg(long, global = true)]
     pub(super) quiet: bool,
     /// Say more about what is going on

@@ -68,9 +68,9 @@ fn sureness(scale: &ScaleEstimate) -> String {
             format!("size and distance are undetermined, do not measure with them{reason}")
         }
         Some(std) if std > WEAK => {
-            format!("size and distance may well be wrong by {} (one standard deviation)", percent(std))
+            format!("size and distance may well be wrong by {}, by the run's own estimate", percent(std))
         }
-        Some(std) => format!("size and distance are right to about {} (one standard deviation)", percent(std)),
+        Some(std) => format!("size and distance are right to about {}, by the run's own estimate", percent(std)),
         None => "how exact size and distance are is not known".to_owned(),
     }
 }
@@ -214,7 +214,7 @@ mod tests {
             "2 vehicles, 1 of them with a trajectory\n  \
                1: car, placed in 10 of 10 frames, from 0.3 s to 1.2 s\n     \
                   path: 0.450 units of the background\n     \
-                  size and distance are right to about 1.0 % (one standard deviation)\n  \
+                  size and distance are right to about 1.0 %, by the run's own estimate\n  \
                4: truck, no trajectory: it is too small\n"
         );
         let without_times = as_text(&summary(vehicles, TimeBase::Frames), &found);
