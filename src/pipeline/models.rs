@@ -118,7 +118,9 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
 fn cure_of_large_frames(width: u32, height: u32) -> String {
     const LARGE_PX: u32 = 1280;
     match width.max(height) > LARGE_PX {
-        true => format!(" (or the frames of {width}x{height} pixels are too large for it: try --max-dimension {LARGE_PX})"),
+        true => {
+            format!(" (or the frames of {width}x{height} pixels are too large for it: try --max-dimension {LARGE_PX})")
+        }
         false => String::new(),
     }
 }
