@@ -41,7 +41,8 @@ fn run(browser: &Path, arguments: &[&str], page: &Path, fragment: &str) -> (Stri
         .args(["--headless=new", "--no-sandbox", "--no-first-run", "--disable-extensions", "--hide-scrollbars"])
         .args(["--disable-background-networking", "--disable-dev-shm-usage", "--enable-logging=stderr"])
         .arg(format!("--user-data-dir={}", profile.path().display()))
-        // Virtual time runs on while a busy machine decodes pictures and draws the first frames: there must be plenty of it.
+        // Virtual time runs on while a busy machine decodes pictures and draws the first frames: there must be plenty
+        // of it.
         .args(["--virtual-time-budget=60000", "--timeout=120000"])
         .args(arguments)
         .arg(format!("file://{}{fragment}", page.display()))
@@ -247,8 +248,9 @@ fn found_by(browser: &Path, page: &str, width: u32, script: &str) -> String {
     let (before, after) = page.split_once("<meta http-equiv=\"Content-Security-Policy\"").expect("there is a policy");
     let after = after.split_once('>').expect("it ends").1;
     let probe = format!(
-        "<script>const wait = setInterval(() => {{ if (!document.documentElement.dataset.ready) return; clearInterval(wait); \
-         document.documentElement.dataset.found = (() => {{ {script} }})(); }}, 50);</script></body>"
+        "<script>const wait = setInterval(() => {{ if (!document.documentElement.dataset.ready) return; \
+         clearInterval(wait); document.documentElement.dataset.found = (() => {{ {script} }})(); }}, \
+         50);</script></body>"
     );
     std::fs::write(&file, format!("{before}{after}").replace("</body>", &probe)).expect("the page is written");
     let window = format!("--window-size={width},1000");
@@ -320,10 +322,10 @@ fn a_small_path_has_its_dots_at_its_ends() {
             const box = svg.getBoundingClientRect(), path = svg.querySelector('.plan-path'); \
             const at = (p) => p.matrixTransform(path.getScreenCTM()); \
             for (const [dot, end] of [['.plan-start', 0], ['.plan-end', path.getTotalLength()]]) { \
-                const [place, line] = [svg.querySelector(dot).getPointAtLength(0), path.getPointAtLength(end)].map(at); \
-                const off = Math.hypot(place.x - line.x, place.y - line.y); \
-                const inside = Math.min(place.x - box.left, box.right - place.x, place.y - box.top, box.bottom - place.y); \
-                if (off > 1 || inside < 6) wrong.push(`${dot} ${off} ${inside}`); \
+                const [place, line] = [svg.querySelector(dot).getPointAtLength(0), \
+                path.getPointAtLength(end)].map(at); const off = Math.hypot(place.x - line.x, place.y - line.y); \
+                const inside = Math.min(place.x - box.left, box.right - place.x, place.y - box.top, box.bottom - \
+                place.y); if (off > 1 || inside < 6) wrong.push(`${dot} ${off} ${inside}`); \
             } \
         } \
         return `${plans.length > 0} ${wrong}`;";

@@ -8,11 +8,12 @@
 //! ```
 //!
 //! The smallest of a frame (eq. r_per_image) sets the object down on the plane; the median over frames (eq. r_median)
-//! is the ratio. A ray that is parallel to the plane, or meets it behind the camera (r_ji ≤ 0), does not intersect it; a
-//! frame in which no ray does is invalid and left out.
+//! is the ratio. A ray that is parallel to the plane, or meets it behind the camera (r_ji ≤ 0), does not intersect it;
+//! a frame in which no ray does is invalid and left out.
 //!
 //! Limits: r comes out too large by clearance / height when the lowest reconstructed point floats over the ground, and
-//! too small when an outlier lies below the wheels. No spread over frames shows either, so there is no standard deviation.
+//! too small when an outlier lies below the wheels. No spread over frames shows either, so there is no standard
+//! deviation.
 
 use nalgebra::Point3;
 
@@ -25,7 +26,8 @@ use crate::scene::FrameId;
 pub struct Intersection {
     /// r > 0: the median of `per_frame`.
     pub ratio: f64,
-    /// What each frame alone says (eq. r_per_image), ascending by frame; without the frames in which no ray meets the plane.
+    /// What each frame alone says (eq. r_per_image), ascending by frame; without the frames in which no ray meets the
+    /// plane.
     pub per_frame: Vec<(FrameId, f64)>,
     /// Frames in which no ray meets the plane.
     pub num_invalid: usize,
