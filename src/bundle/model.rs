@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::problem::{CameraBlock, Observation, PointBlock, PoseBlock, Problem};
 use crate::camera::Camera;
-use crate::scene::{CameraId, ImageId, Point3dId, Reconstruction};
+use crate::scene::{CameraId, Reconstruction};
 
 impl Problem {
     /// Everything in a reconstruction: all poses and points free, intrinsics as `camera_block` says. Blocks are in the
@@ -38,16 +38,6 @@ impl Problem {
         for (point, block) in model.points.values_mut().zip(&self.points) {
             point.position = block.position;
         }
-    }
-
-    /// Index in [`Problem::poses`] of every image of the reconstruction that the problem was made from.
-    pub fn pose_indices(model: &Reconstruction) -> BTreeMap<ImageId, u32> {
-        places(model.images.keys())
-    }
-
-    /// Index in [`Problem::points`] of every point of the reconstruction that the problem was made from.
-    pub fn point_indices(model: &Reconstruction) -> BTreeMap<Point3dId, u32> {
-        places(model.points.keys())
     }
 }
 

@@ -60,9 +60,4 @@ impl Summary {
     pub fn converged(&self) -> bool {
         !matches!(self.termination, Termination::MaxIterations | Termination::NoProgress)
     }
-
-    /// Root mean square of the residuals' length, in standard deviations, for a squared loss without priors.
-    pub fn final_rms(&self) -> f64 {
-        (2.0 * self.final_cost / self.num_residuals.max(1) as f64).sqrt()
-    }
 }

@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 
 use super::input::{Model, TruthFrame};
 use super::mesh::MeshIndex;
-use crate::math::Rigid3;
+use crate::math::{Rigid3, median};
 use crate::scene::FrameId;
 
 /// The reference scale ratio and what it rests on.
@@ -84,8 +84,9 @@ fn median_of_medians(
     per_frame: &[(FrameId, Vec<Option<f64>>)],
     choose: impl Fn(FrameId, &[Option<f64>]) -> Vec<f64>,
 ) -> (Option<f64>, usize) {
-    let mut medians: Vec<_> = per_frame.iter().filter_map(|(id, ratios)| median(&mut choose(*id, ratios))).collect();
-    (median(&mut medians), medians.len())
+    let medians: Vec<_> = per_frame.iter().filter_map(|(id, ratios)| median(choose(*id, ratios))).collect();
+    let num_frames = medians.len();
+    (median(medians), num_frames)
 }
 
 /// ‖m_j‖ / ‖o_j‖ of every point in one frame; `None` where the ray misses.
@@ -108,15 +109,4 @@ fn frame_ratios(
         mesh.first_hit(origin, mesh_from_cam.rotation * (point_in_cam / length)).map(|distance| distance / length)
     };
     points.iter().map(ratio).collect()
-}
-
-/// The median, the mean of the middle two for an even count; `None` of nothing. Values must be finite.
-pub(super) fn median(values: &mut [f64]) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let n = values.len();
-    match n {
-        0 => None,
-        n if n % 2 == 1 => Some(values[n / 2]),
-        n => Some((values[n / 2 - 1] + values[n / 2]) / 2.0),
-    }
 }

@@ -8,8 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::input::TruthFrame;
 use super::mesh::MeshIndex;
-use super::reference::median;
-use crate::math::{Rigid3, Sim3};
+use crate::math::{Rigid3, Sim3, median};
 use crate::scene::FrameId;
 
 /// Distances of the points of a trajectory to the true mesh, metres.
@@ -80,7 +79,7 @@ pub fn error(
     let errors: Vec<_> =
         placed.iter().zip(&per_frame).map(|((id, ..), d)| FrameError { frame: *id, mean_m: mean(d) }).collect();
     let mean_m = errors.iter().map(|e| e.mean_m).sum::<f64>() / errors.len() as f64;
-    let median_m = median(&mut per_frame.concat()).filter(|_| mean_m.is_finite());
+    let median_m = median(per_frame.concat()).filter(|_| mean_m.is_finite());
     let median_m = median_m.ok_or("the distances are not finite")?;
     Ok(TrajectoryError { mean_m, median_m, num_points: points.len(), num_frames: errors.len(), frames: errors })
 }

@@ -17,7 +17,7 @@ use thiserror::Error;
 
 use super::Options;
 use super::plane::{Candidate, Plane, PlaneFailure, fit_plane, least_squares_plane};
-use crate::math::{Neighbors, seeded_rng};
+use crate::math::{Neighbors, seeded_rng, upper_median};
 use crate::scene::{Point3dId, Reconstruction};
 
 /// Why no ground was found.
@@ -101,15 +101,14 @@ fn stable_points(background: &Reconstruction, options: &Options) -> (Vec<Point3d
         .iter()
         .filter(|(_, point)| point.track.len() >= options.min_observations && usable(&point.position))
         .filter_map(|(id, point)| {
-            let mut widths: Vec<f64> = point
+            let widths = point
                 .track
                 .iter()
                 .filter_map(|element| background.images.get(&element.image))
                 .map(|image| (image.cam_from_world * point.position).z / background.camera_of(image).mean_focal())
                 .filter(|width| *width > 0.0)
                 .collect();
-            widths.sort_by(f64::total_cmp);
-            let tolerance = options.max_error_px * widths.get(widths.len() / 2)?;
+            let tolerance = options.max_error_px * upper_median(widths)?;
             Some((*id, Candidate { position: point.position, tolerance }))
         })
         .unzip()

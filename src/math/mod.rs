@@ -7,6 +7,7 @@ mod random;
 mod rigid3;
 mod robust_loss;
 mod sim3;
+mod statistics;
 mod wxyz;
 
 pub use align::umeyama;
@@ -15,3 +16,4 @@ pub use random::{Rng, seeded_rng};
 pub use rigid3::Rigid3;
 pub use robust_loss::RobustLoss;
 pub use sim3::Sim3;
+pub use statistics::{median, upper_median};

@@ -111,11 +111,6 @@ impl Reconstruction {
         &self.cameras[&image.camera]
     }
 
-    /// Registered image by name.
-    pub fn image_named(&self, name: &str) -> Option<(ImageId, &Image)> {
-        self.images.iter().find(|(_, image)| image.name == name).map(|(id, image)| (*id, image))
-    }
-
     /// The images that this (background) and an object's reconstruction have in common, matched by name and in the
     /// order of this one's ids, with the frame that this one's id stands for.
     pub fn paired_images<'a>(&'a self, object: &'a Self) -> Vec<(FrameId, &'a Image, &'a Image)> {

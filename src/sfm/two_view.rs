@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Point3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
 use super::solvers::{essential_five_point, homography_from_points};
-use crate::math::{Rigid3, Rng};
+use crate::math::{Rigid3, Rng, upper_median};
 use crate::robust::{self, Consensus, Estimator};
 
 /// Relative pose of two calibrated views that see the same points.
@@ -47,7 +47,7 @@ pub fn estimate(pairs: &Correspondences<'_>, max_error: f64, rng: &mut Rng) -> O
     let homography = robust::ransac(&HomographyEstimator(pairs), &few, rng);
     let homography_inliers = homography.as_ref().map_or(0, |h| h.inliers.len());
     Some(TwoViewGeometry {
-        median_angle: median(angles)?,
+        median_angle: upper_median(angles)?,
         homography_ratio: homography_inliers as f64 / essential.inliers.len() as f64,
         homography: homography.map(|h| h.model),
         homography_share: homography_inliers as f64 / pairs.first.len() as f64,
@@ -81,11 +81,6 @@ fn midpoint(pairs: &Correspondences<'_>, cam2_from_cam1: &Rigid3, i: usize) -> O
 fn ray_angle(pairs: &Correspondences<'_>, cam2_from_cam1: &Rigid3, i: usize) -> Option<f64> {
     let point = midpoint(pairs, cam2_from_cam1, i)?;
     Some(point.coords.angle(&(point - cam2_from_cam1.center())))
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 /// Of the four poses of an essential matrix, the one that puts most inliers in front of both cameras.

@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-use crate::eval::reference::median;
+use crate::math::median;
 
 /// Statistics of one quantity over sequences of which some may have failed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -36,9 +36,9 @@ impl Statistics {
             num,
             num_failed,
             mean: (num > 0).then(|| found.iter().sum::<f64>() / num as f64),
-            median: median(&mut found),
-            median_failed_last: median(&mut ranked).filter(|m| m.is_finite()),
-            max: found.last().copied(),
+            max: found.iter().copied().max_by(f64::total_cmp),
+            median: median(found),
+            median_failed_last: median(ranked).filter(|m| m.is_finite()),
         }
     }
 

@@ -1,6 +1,7 @@
 //! Carrying a mask to the next frame by optical flow.
 
 use super::region::Region;
+use crate::math::upper_median;
 use crate::scene::{BoundingBox, Flow, Mask};
 
 /// A region carried to the next frame.
@@ -23,12 +24,12 @@ const MAX_DEVIATION_SPREADS: f64 = 4.0;
 pub(super) fn carry(region: &Region, flow: &Flow) -> Option<Carried> {
     let consistent: Vec<(u32, u32)> = region.iter().filter(|&(x, y)| flow.is_consistent(x, y)).collect();
     let component = |c: usize| consistent.iter().map(|&(x, y)| f64::from(flow.at(x, y)[c])).collect::<Vec<f64>>();
-    let displacement = [median(component(0))?, median(component(1))?];
+    let displacement = [upper_median(component(0))?, upper_median(component(1))?];
     let deviation = |x: u32, y: u32| {
         let d = flow.at(x, y);
         (f64::from(d[0]) - displacement[0]).hypot(f64::from(d[1]) - displacement[1])
     };
-    let spread = median(consistent.iter().map(|&(x, y)| deviation(x, y)).collect())?;
+    let spread = upper_median(consistent.iter().map(|&(x, y)| deviation(x, y)).collect())?;
     let limit = MAX_DEVIATION_PX.max(MAX_DEVIATION_SPREADS * spread);
     let used: Vec<(u32, u32)> = consistent.into_iter().filter(|&(x, y)| deviation(x, y) <= limit).collect();
     let share = used.len() as f64 / region.area() as f64;
@@ -111,16 +112,7 @@ pub(super) fn background_displacement(flow: &Flow, bounds: BoundingBox, occupied
         return None;
     }
     let component = |c: usize| samples.iter().map(|d| f64::from(d[c])).collect::<Vec<f64>>();
-    Some([median(component(0))?, median(component(1))?])
-}
-
-/// The upper median; `None` of nothing.
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return None;
-    }
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+    Some([upper_median(component(0))?, upper_median(component(1))?])
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use nalgebra::Vector2;
 use super::motion::{self, PairMotion, Survey};
 use super::{Intrinsics, Options};
 use crate::camera::Camera;
-use crate::math::{Rigid3, seeded_rng};
+use crate::math::{Rigid3, seeded_rng, upper_median};
 use crate::sfm::tracks::TrackTable;
 use crate::sfm::two_view::{self, Correspondences, TwoViewGeometry};
 
@@ -120,9 +120,7 @@ pub fn is_still(table: &TrackTable, tracks: &[usize], views: [usize; 2]) -> bool
 }
 
 fn median_displacement(table: &TrackTable, tracks: &[usize], views: [usize; 2]) -> Option<f64> {
-    let mut moved: Vec<f64> = tracks.iter().filter_map(|&t| displacement(table, t, views)).collect();
-    let middle = moved.len() / 2;
-    (!moved.is_empty()).then(|| *moved.select_nth_unstable_by(middle, f64::total_cmp).1)
+    upper_median(tracks.iter().filter_map(|&t| displacement(table, t, views)).collect())
 }
 
 fn displacement(table: &TrackTable, track: usize, views: [usize; 2]) -> Option<f64> {

@@ -7,7 +7,7 @@ use nalgebra::{Point2, Point3};
 use super::Noise;
 use crate::bundle::Whitening;
 use crate::camera::Camera;
-use crate::math::Rigid3;
+use crate::math::{Rigid3, upper_median};
 use crate::scene::{CameraId, Image, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 use crate::sfm::resection::PixelsAndPoints;
 use crate::sfm::tracks::TrackTable;
@@ -268,19 +268,14 @@ impl<'a> Map<'a> {
     /// coordinate under Gaussian noise (a Rayleigh median is 1.177 σ).
     pub fn noise(&self) -> Noise {
         const RAYLEIGH_MEDIAN: f64 = 1.177_41;
-        let mut errors: Vec<f64> = (0..self.points.len())
+        let errors: Vec<f64> = (0..self.points.len())
             .filter_map(|track| Some((track, self.points[track].as_ref()?.position)))
             .flat_map(|(track, position)| {
                 self.observations(track)
                     .filter_map(move |(slot, _, _)| Some(self.view_at(track, slot)?.error_sq(position).sqrt()))
             })
             .collect();
-        if errors.is_empty() {
-            return Noise::Unknown;
-        }
-        let middle = errors.len() / 2;
-        let median = *errors.select_nth_unstable_by(middle, f64::total_cmp).1;
-        Noise::Measured { sigma_px: median / RAYLEIGH_MEDIAN }
+        upper_median(errors).map_or(Noise::Unknown, |median| Noise::Measured { sigma_px: median / RAYLEIGH_MEDIAN })
     }
 
     /// The result, in COLMAP's terms: registered views with all their features, points with their observations.

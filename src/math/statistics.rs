@@ -1,0 +1,29 @@
+//! Medians. Which of the two a place uses decides its last digits: they are not to be exchanged.
+
+/// The median; of an even count the mean of the middle two. `None` of nothing. Values must be finite.
+pub fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let upper = *values.get(values.len() / 2)?;
+    Some(if values.len() % 2 == 1 { upper } else { 0.5 * (values[values.len() / 2 - 1] + upper) })
+}
+
+/// The upper median: always one of the values, of an even count the larger of the middle two. `None` of nothing.
+pub fn upper_median(mut values: Vec<f64>) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_agree_on_odd_counts_and_differ_on_even_ones() {
+        assert_eq!(median(vec![3.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!(upper_median(vec![3.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!(median(vec![4.0, 1.0, 2.0, 3.0]), Some(2.5));
+        assert_eq!(upper_median(vec![4.0, 1.0, 2.0, 3.0]), Some(3.0));
+        assert_eq!((median(vec![7.0]), upper_median(vec![7.0])), (Some(7.0), Some(7.0)));
+        assert_eq!((median(Vec::new()), upper_median(Vec::new())), (None, None));
+    }
+}
