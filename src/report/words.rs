@@ -58,7 +58,8 @@ pub(super) fn length(v: f64) -> String {
 /// A length that is a round number, as it stands beside a bar.
 pub(super) fn round_length(v: f64) -> String {
     let decimals = (-v.log10().floor()).clamp(0.0, 9.0) as usize;
-    format!("{v:.decimals$} {LENGTH_UNIT}")
+    let unit = if v == 1.0 { LENGTH_UNIT.trim_end_matches('s') } else { LENGTH_UNIT };
+    format!("{v:.decimals$} {unit}")
 }
 
 /// A number with so many significant digits and its unit.
@@ -120,6 +121,7 @@ mod tests {
         assert_eq!(count(1, "frame"), "1 frame");
         assert_eq!(thousands(1_234_567), "1\u{202f}234\u{202f}567");
         assert_eq!(thousands(12), "12");
+        assert_eq!([round_length(1.0), round_length(0.05)], ["1 unit", "0.05 units"]);
         assert_eq!([share(999, 1000), share(1, 1000), share(3, 3), share(0, 0)], ["99 %", "1 %", "100 %", "unknown"]);
     }
 

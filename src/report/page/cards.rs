@@ -84,7 +84,7 @@ fn frames(object: &Object) -> Fact {
     let placed = object.trajectory.map_or(0, |t| t.poses.len());
     let found = object.model.as_ref().map_or(0, |m| m.reconstruction.images.len());
     Fact::new("frames with a place", format!("{placed} of {} seen", object.visible.len()))
-        .with_note(format!("camera found on the vehicle in {found}"))
+        .with_note(format!("camera found in {found}"))
 }
 
 fn way(trajectory: &ObjectTrajectory, timeline: &Timeline) -> Fact {
