@@ -1,7 +1,7 @@
 //! Line charts and frame bars as numbers for the template, which draws them as SVG.
 //!
-//! The plotting area is a box of 1000 × 1000 stretched to the page; tick labels are text of the page, placed in per cent,
-//! so that they keep their size on a phone.
+//! The plotting area is a box of 1000 × 1000 stretched to the page; tick labels are text of the page, placed in per
+//! cent, so that they keep their size on a phone.
 
 use serde::Serialize;
 

@@ -33,8 +33,8 @@ pub(super) fn evaluation_facts(evaluation: &Evaluation, name: impl Fn(ObjectId) 
 fn camera_path(evaluation: &Evaluation) -> Fact {
     outcome("camera path, off by", &evaluation.cameras, |c| {
         let note = format!(
-            "typical distance (root mean square) of the camera's places from the true ones, once the result is laid over the \
-             truth; its directions are off by {}° on average, {}° at most",
+            "typical distance (root mean square) of the camera's places from the true ones, once the result is laid \
+             over the truth; its directions are off by {}° on average, {}° at most",
             figure(c.rotation_mean_deg, 2),
             figure(c.rotation_max_deg, 2)
         );

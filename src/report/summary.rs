@@ -83,8 +83,8 @@ mod tests {
         let mut world = testing::world();
         world.trajectory.scale.std = Some(0.02 * world.trajectory.scale.ratio);
         assert!(sentence(&world.data()).ends_with(
-            "3D trajectories of 1 of 2 vehicles. By the run's own estimate, size and distance of the path of Car 1 are right \
-             to about 2.0 %."
+            "3D trajectories of 1 of 2 vehicles. By the run's own estimate, size and distance of the path of Car 1 are \
+             right to about 2.0 %."
         ));
         world.trajectory.scale.degenerate = true;
         assert!(sentence(&world.data()).ends_with("the path of Car 1 are undetermined: do not measure with them."));

@@ -11,6 +11,9 @@ const GOOD_STD: f64 = 0.03;
 /// A relative standard deviation, or disagreement between methods, beyond which the scale is called weak.
 const WEAK_STD: f64 = 0.10;
 
+/// Whose figure it is that stands before.
+const OWN_ESTIMATE: &str = "by the run's own estimate (one standard deviation)";
+
 /// How far a trajectory can be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -65,20 +68,19 @@ impl Verdict {
         let scale = object.trajectory.map(|t| &t.scale);
         let (std, contradiction) = (scale.and_then(relative_std), scale.and_then(disagreement));
         match (self, std, contradiction) {
-            (Self::Good | Self::Fair, Some(std), _) => format!(
-                "Size and distance of this path are right to about {}, by the run's own estimate (one standard deviation).",
-                percent(std)
-            ),
-            (Self::Weak, Some(std), _) => format!(
-                "Size and distance of this path may well be wrong by {}, by the run's own estimate (one standard deviation).",
-                percent(std)
-            ),
+            (Self::Good | Self::Fair, Some(std), _) => {
+                format!("Size and distance of this path are right to about {}, {OWN_ESTIMATE}.", percent(std))
+            }
+            (Self::Weak, Some(std), _) => {
+                format!("Size and distance of this path may well be wrong by {}, {OWN_ESTIMATE}.", percent(std))
+            }
             (Self::Weak, None, Some(contradiction)) => {
-                format!("The methods differ by up to {}: size and distance of this path may be wrong by as much.", percent(contradiction))
+                let most = percent(contradiction);
+                format!("The methods differ by up to {most}: size and distance of this path may be wrong by as much.")
             }
-            (Self::Degenerate, ..) => {
-                "The motion does not tell how large and how far away this path is. Look at its shape; do not measure with it.".into()
-            }
+            (Self::Degenerate, ..) => "The motion does not tell how large and how far away this path is. Look at its \
+                                       shape; do not measure with it."
+                .into(),
             (Self::Missing, ..) => "Where this vehicle drove is not known.".into(),
             _ => "How exact size and distance of this path are is not known; no other method contradicts.".into(),
         }
@@ -86,12 +88,12 @@ impl Verdict {
 
     /// What it means in general.
     fn meaning(self) -> String {
+        let [good, weak] = [GOOD_STD, WEAK_STD].map(|limit| format!("{:.0} %", 100.0 * limit));
         match self {
-            Self::Good => format!("The run puts the standard deviation of r at {} or less.", percent(GOOD_STD)),
-            Self::Fair => format!("At more than that, and at {} or less.", percent(WEAK_STD)),
+            Self::Good => format!("The run puts the standard deviation of r at {good} or less."),
+            Self::Fair => format!("It puts it at more than {good}, but not at more than {weak}."),
             Self::Weak => {
-                let limit = percent(WEAK_STD);
-                format!("At more than {limit}; or it is not known, and another method differs by more than {limit}.")
+                format!("At more than {weak}; or it is not known, and another method differs by more than {weak}.")
             }
             Self::Unrated => {
                 "The method in use gives no standard deviation, and no other method contradicts it.".into()

@@ -21,8 +21,8 @@ pub fn markdown(own: &Benchmark, others: &[Benchmark]) -> String {
     page += "\n\n";
     page += &summary(own, others);
     page += "\n![Trajectory error](trajectory-error.svg)\n\n![Scale deviation](scale-deviation.svg)\n";
-    page += "\n## Every sequence\n\nLengths in metres, camera centres in millimetres, deviations in per cent; ± is the standard \
-             deviation that the run gives for its ratio.\n\n";
+    page += "\n## Every sequence\n\nLengths in metres, camera centres in millimetres, deviations in per cent; ± is the \
+             standard deviation that the run gives for its ratio.\n\n";
     page += &sequences(own);
     let beside = beside(own, others);
     if !beside.is_empty() {
@@ -32,7 +32,8 @@ pub fn markdown(own: &Benchmark, others: &[Benchmark]) -> String {
     page + &attention(own)
 }
 
-/// The paper's table, twice: trajectory error and scale deviation per vehicle and estimator, the paper's own values below.
+/// The paper's table, twice: trajectory error and scale deviation per vehicle and estimator, the paper's own values
+/// below.
 pub fn summary(own: &Benchmark, others: &[Benchmark]) -> String {
     let published = paper::published();
     let same = published.restricted_to(own);
@@ -58,8 +59,8 @@ pub fn summary(own: &Benchmark, others: &[Benchmark]) -> String {
         }
         format!("## {title}\n\n{note}\n\n{}\n", table.render(1))
     };
-    let note = "Mean over the sequences of each vehicle and over all; in brackets how many of how many sequences gave a value, \
-                where some failed.";
+    let note = "Mean over the sequences of each vehicle and over all; in brackets how many of how many sequences gave \
+                a value, where some failed.";
     let error = part("Trajectory error, metres", note, 3, |row| &row.trajectory_error_m);
     let deviation = part("Scale ratio, deviation from the reference", note, 4, |row| &row.scale_deviation);
     heading(own) + &error + &deviation + &costs(own)
@@ -97,8 +98,8 @@ fn heading(own: &Benchmark) -> String {
     }
     text += &calibration(own).unwrap_or_default();
     if own.has_adjusted() {
-        text += " `joint` adjusts each target's reconstruction together with the ground; the other estimators take it as structure \
-                 from motion left it.";
+        text += " `joint` adjusts each target's reconstruction together with the ground; the other estimators take it \
+                 as structure from motion left it.";
     }
     if !own.left_out.is_empty() {
         text += &format!(" No sequences (no scene.json), left out: {}.", own.left_out.join(", "));
@@ -116,7 +117,8 @@ fn calibration(own: &Benchmark) -> Option<String> {
     let largest = errors.iter().copied().reduce(f64::max)?;
     let mean_square = errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64;
     Some(format!(
-        " The ratios of {} runs are off by {:.2} times their stated standard deviations (root mean square), {largest:.2} times at most.",
+        " The ratios of {} runs are off by {:.2} times their stated standard deviations (root mean square), \
+         {largest:.2} times at most.",
         errors.len(),
         mean_square.sqrt(),
     ))
@@ -129,8 +131,8 @@ fn costs(own: &Benchmark) -> String {
         return String::new();
     }
     format!(
-        "Cost of {} runs: {:.0} CPU s ({:.1} per sequence, {:.1} of them for structure from motion), {:.0} s wall, peak memory \
-         {:.0} MiB.\n",
+        "Cost of {} runs: {:.0} CPU s ({:.1} per sequence, {:.1} of them for structure from motion), {:.0} s wall, \
+         peak memory {:.0} MiB.\n",
         costs.len(),
         sum(|cost| cost.cpu_s),
         sum(|cost| cost.cpu_s) / costs.len() as f64,

@@ -105,8 +105,8 @@ impl Charts<'_> {
         let points = |object: &Object| images.iter().filter_map(|(f, image)| height(object, *f, image)).collect();
         Chart {
             title: "Height of the camera over the ground".into(),
-            caption: "From the camera to the local ground plane beside each vehicle. The size of a vehicle's path is read off \
-                      the change of this height: where it stays the same, the size is hard to tell."
+            caption: "From the camera to the local ground plane beside each vehicle. The size of a vehicle's path is \
+                      read off the change of this height: where it stays the same, the size is hard to tell."
                 .into(),
             unit: LENGTH_UNIT.into(),
             lines: self.lines(points),
@@ -120,9 +120,10 @@ impl Charts<'_> {
             |id: ObjectId, pose: &ObjectPose| Some(self.plane(id, pose.frame)?.signed_distance(pose.position.into()));
         Chart {
             title: "Height of the vehicles over the ground".into(),
-            caption: "From each vehicle's centre to its local ground plane. A vehicle keeps its height, so a level line speaks \
-                      for the scale ratio; a slope or a step speaks against it."
-                .into(),
+            caption:
+                "From each vehicle's centre to its local ground plane. A vehicle keeps its height, so a level line \
+                      speaks for the scale ratio; a slope or a step speaks against it."
+                    .into(),
             unit: LENGTH_UNIT.into(),
             lines: self.lines(|object| self.per_pose(object, |pose| height(object.id, pose))),
             levels: Vec::new(),
