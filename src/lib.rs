@@ -30,7 +30,7 @@
 //!     },
 //!     &Silent,
 //! )?;
-//! println!("{} vehicles, {} warnings", summary.objects.len(), summary.warnings.len());
+//! println!("{} frames, {} warnings", summary.num_frames, summary.warnings.len());
 //! # Ok::<(), pipeline::PipelineError>(())
 //! ```
 //!
