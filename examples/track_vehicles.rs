@@ -47,8 +47,8 @@ fn follow(
     limit: usize,
     pictures: Option<&Path>,
 ) -> Result<(Vec<TrackSummary>, Times), Box<dyn Error>> {
-    let mut segmenter = load_segmenter(model, &SegmentationOptions::default())?;
-    let mut estimator = load_flow(None, &FlowOptions::default())?;
+    let mut segmenter = load_segmenter(model, &SegmentationOptions::default(), 0)?;
+    let mut estimator = load_flow(None, &FlowOptions::default(), 0)?;
     let mut tracker = Tracker::new(TrackerOptions::default());
     let (mut times, mut previous) = (Times::default(), None::<RgbImage>);
     let source = Source::open(video, &tractrix::video::Options::default())?;

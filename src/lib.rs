@@ -48,6 +48,7 @@ pub mod ground;
 #[cfg(feature = "opencv")]
 pub mod image;
 pub mod io;
+pub mod limits;
 pub mod math;
 #[cfg(feature = "perception")]
 pub mod perception;

@@ -108,6 +108,47 @@ fn a_model_that_is_none_is_refused() {
 }
 
 #[test]
+fn options_are_printed_and_read_back() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("options.json");
+    let (code, printed, _) = outcome(tractrix().args(["options", "--json", "--seed", "3", "--set", "video.start=2.5"]));
+    assert_eq!(code, 0);
+    fs::write(&file, &printed).unwrap();
+    let (_, again, _) = outcome(tractrix().args(["options", "--json", "--options"]).arg(&file));
+    assert_eq!(printed, again);
+    fs::write(&file, format!("{{\"version\": \"1\", \"stages\": {{}}, \"options\": {printed}}}")).unwrap();
+    let (_, again, stderr) = outcome(tractrix().args(["options", "--json", "--options"]).arg(&file));
+    assert_eq!(printed, again, "{stderr}");
+    // Flags go before --set, and --set before the file.
+    let set = ["--set", "seed=4", "--set", "ground.min_points=12", "--set", "scale.method=joint"];
+    let flags = ["--scale-method", "intersection"];
+    let (_, text, _) = outcome(tractrix().args(["options", "--options"]).arg(&file).args(set).args(flags));
+    for line in ["seed = 4 ", "ground.min_points = 12 ", "scale.method = \"intersection\" ", "video.start = \"2.5\" "] {
+        assert!(text.contains(line), "{line}: {text}");
+    }
+}
+
+#[test]
+fn options_that_do_not_exist_are_refused() {
+    let folder = TempDir::new().unwrap();
+    let file = folder.path().join("options.json");
+    fs::write(&file, r#"{"scale": {"joint": {"independent_point": 5}}}"#).unwrap();
+    let run = || {
+        let mut command = tractrix();
+        command.arg("run").arg(clip(folder.path(), 2)).arg("--output").arg(folder.path().join("out"));
+        command
+    };
+    let (code, _, stderr) = outcome(run().arg("--options").arg(&file));
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stderr.contains("options.json") && stderr.contains("scale.joint.independent_points"), "{stderr}");
+    for set in ["objects.mapper.max_star=5", "objects.mapper.max_starts=0", "objects.mapper.max_starts=many", "seed"] {
+        let (code, _, stderr) = outcome(run().args(["--masks", "masks", "--set", set]));
+        assert_eq!(code, 2, "{set}: {stderr}");
+        assert!(stderr.contains(set.split('=').next().unwrap()), "{set}: {stderr}");
+    }
+}
+
+#[test]
 fn without_masks_or_model_the_use_is_wrong() {
     let folder = TempDir::new().unwrap();
     let mut command = tractrix();

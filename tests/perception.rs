@@ -36,8 +36,8 @@ struct Outcome {
 
 /// Segments and tracks the first frames of a clip.
 fn follow(clip: &Path, limit: usize) -> Outcome {
-    let mut segmenter = load_segmenter(&in_data(MODEL), &SegmentationOptions::default()).unwrap();
-    let mut estimator = load_flow(None, &FlowOptions::default()).unwrap();
+    let mut segmenter = load_segmenter(&in_data(MODEL), &SegmentationOptions::default(), 0).unwrap();
+    let mut estimator = load_flow(None, &FlowOptions::default(), 0).unwrap();
     let mut tracker = Tracker::new(TrackerOptions::default());
     let mut outcome = Outcome::default();
     let mut previous: Option<RgbImage> = None;
@@ -114,7 +114,7 @@ fn a_dashcam_shows_vehicles_and_road() {
     let (_, image) = frames(&clip).next().unwrap();
     for model in ["espnet_cityscapes_1024x512.onnx", "twinlitenet_bdd100k_640x360.onnx"] {
         let path = in_data("models").join(model);
-        let mask = load_ground_segmenter(&path, &GroundOptions::default()).unwrap().ground_mask(&image).unwrap();
+        let mask = load_ground_segmenter(&path, &GroundOptions::default(), 0).unwrap().ground_mask(&image).unwrap();
         assert_eq!((mask.width(), mask.height()), image.dimensions());
         let (sky, road) = (share(&mask, 0.0, 0.4), share(&mask, 0.7, 0.9));
         assert!(sky < 0.02 && road > 0.5, "{model}: sky {sky}, road {road}");
@@ -125,14 +125,14 @@ fn a_dashcam_shows_vehicles_and_road() {
 #[ignore = "needs TRACTRIX_DATA"]
 fn a_network_of_another_kind_is_refused_with_what_it_has() {
     let semantic = in_data("models/espnet_cityscapes_1024x512.onnx");
-    let error = load_segmenter(&semantic, &SegmentationOptions::default()).err().unwrap().to_string();
+    let error = load_segmenter(&semantic, &SegmentationOptions::default(), 0).err().unwrap().to_string();
     assert!(error.contains("logits") && error.contains("YOLO-seg"), "{error}");
-    let error = load_ground_segmenter(&in_data(MODEL), &GroundOptions::default()).err().unwrap().to_string();
+    let error = load_ground_segmenter(&in_data(MODEL), &GroundOptions::default(), 0).err().unwrap().to_string();
     assert!(error.contains("output0") && error.contains("semantic"), "{error}");
-    let error = load_flow(Some(&semantic), &FlowOptions::default()).err().unwrap().to_string();
+    let error = load_flow(Some(&semantic), &FlowOptions::default(), 0).err().unwrap().to_string();
     assert!(error.contains("logits") && error.contains("RAFT"), "{error}");
     let not_a_network = in_data("videos/truth/uav123_car10_a.target_2d.txt");
-    let error = load_segmenter(&not_a_network, &SegmentationOptions::default()).err().unwrap().to_string();
+    let error = load_segmenter(&not_a_network, &SegmentationOptions::default(), 0).err().unwrap().to_string();
     assert!(error.contains("uav123_car10_a"), "{error}");
 }
 

@@ -61,6 +61,8 @@ pub(super) enum Command {
     Convert(super::convert::Args),
     /// Solve a problem of "Bundle Adjustment in the Large"
     Bal(super::bal::Args),
+    /// Say what options there are, and which values they have with these flags
+    Options(Box<super::options::Args>),
     /// Say what is installed, what is missing, and how to get it
     Doctor(super::doctor::Args),
 }

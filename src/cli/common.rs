@@ -21,18 +21,26 @@ pub(super) struct CommonArgs {
     /// Seed of every random choice [default: 0]
     #[arg(long, value_name = "N", help_heading = "General")]
     pub(super) seed: Option<u64>,
-    /// JSON file with options, as under "options" in a run.json; flags go before it
+    /// JSON file with options, or a run.json, whose options are taken; what it leaves out keeps its default
     #[arg(long, value_name = "FILE", help_heading = "General")]
     pub(super) options: Option<PathBuf>,
+    /// One option by its path, for example scale.joint.max_rounds=9; may be repeated (`tractrix options` lists all)
+    ///
+    /// The value is JSON or a word. Goes before the file of --options; flags of their own go before both.
+    #[arg(long, value_name = "KEY=VALUE", value_parser = assignment, help_heading = "General")]
+    pub(super) set: Vec<(String, String)>,
 }
 
 impl CommonArgs {
-    /// The options of the file, or the defaults, with these flags.
+    /// The defaults, over them the file, over that --set, and over all these flags.
     pub(super) fn options(&self) -> Result<Options, Failure> {
         let mut options = match &self.options {
             Some(path) => read_options(path)?,
             None => Options::default(),
         };
+        for (key, value) in &self.set {
+            options = options.with_value(key, value).map_err(|error| Failure::Usage(error.to_string()))?;
+        }
         options.threads = self.threads.or(options.threads);
         options.seed = self.seed.unwrap_or(options.seed);
         options.scale.method = self.scale_method.unwrap_or(options.scale.method);
@@ -43,7 +51,16 @@ impl CommonArgs {
 fn read_options(path: &Path) -> Result<Options, Failure> {
     let shown = path.display().to_string();
     let text = fs::read_to_string(path).with_context(|| format!("{shown}: cannot be read; check --options"))?;
-    Ok(serde_json::from_str(&text).with_context(|| format!("{shown}: not a tree of options; check --options"))?)
+    let given: serde_json::Value =
+        serde_json::from_str(&text).with_context(|| format!("{shown}: not a tree of options; check --options"))?;
+    // A run.json has more than options.
+    let options = given.get("options").filter(|_| given.get("stages").is_some()).unwrap_or(&given);
+    Ok(Options::default().with_tree(options).map_err(|error| anyhow::anyhow!("{shown}: {error}"))?)
+}
+
+fn assignment(text: &str) -> Result<(String, String), String> {
+    let (key, value) = text.split_once('=').ok_or_else(|| format!("'{text}' is not KEY=VALUE"))?;
+    Ok((key.trim().to_owned(), value.trim().to_owned()))
 }
 
 fn scale_method(text: &str) -> Result<ScaleMethod, String> {

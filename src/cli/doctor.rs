@@ -157,7 +157,7 @@ fn onnx_runtime() -> Finding {
 fn models(args: &Args) -> [Finding; 3] {
     [
         match &args.segmentation_model {
-            Some(path) => model(SEGMENTATION, path, load_segmenter(path, &SegmentationOptions::default()).map(drop)),
+            Some(path) => model(SEGMENTATION, path, load_segmenter(path, &SegmentationOptions::default(), 0).map(drop)),
             None => Finding::not_given(
                 SEGMENTATION,
                 "none named: nothing is bundled that finds vehicles",
@@ -167,7 +167,7 @@ fn models(args: &Args) -> [Finding; 3] {
             ),
         },
         match &args.ground_model {
-            Some(path) => model(GROUND, path, load_ground_segmenter(path, &GroundOptions::default()).map(drop)),
+            Some(path) => model(GROUND, path, load_ground_segmenter(path, &GroundOptions::default(), 0).map(drop)),
             None => Finding::not_given(
                 GROUND,
                 "none named: the dominant plane below the camera serves",
@@ -176,7 +176,7 @@ fn models(args: &Args) -> [Finding; 3] {
             ),
         },
         match &args.flow_model {
-            Some(path) => model(FLOW, path, load_flow(Some(path), &FlowOptions::default()).map(drop)),
+            Some(path) => model(FLOW, path, load_flow(Some(path), &FlowOptions::default(), 0).map(drop)),
             None => Finding::good(FLOW, "none named: OpenCV's DIS serves"),
         },
     ]

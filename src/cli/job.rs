@@ -8,7 +8,7 @@ use anyhow::Context;
 use super::common::CommonArgs;
 use super::output::Failure;
 use crate::io::{IoError, Sequence};
-use crate::pipeline::{FeatureKind, FrameOrder, GroundLabels, Instances, Intrinsics, Options, Stage};
+use crate::pipeline::{FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, Options, Stage};
 use crate::scene::ObjectId;
 use crate::video::Position;
 
@@ -49,7 +49,7 @@ pub(super) struct JobArgs {
     ///
     /// The centre of the upper left pixel is (0.5, 0.5).
     #[arg(long, value_name = "NUMBERS|FILE", help_heading = "Geometry")]
-    pub(super) intrinsics: Option<Intrinsics>,
+    pub(super) intrinsics: Option<IntrinsicsSource>,
     /// How image points are found: `video` follows them from frame to frame, `sift` matches them between frames
     ///
     /// Without it: `video` for frames in order of time, `sift` for others.
@@ -169,7 +169,7 @@ pub(super) fn apply_sequence(sequence: &Sequence, options: &mut Options) -> Resu
         options.ground_labels = GroundLabels::Masks { folder: folder_of(semantic), label };
     }
     if options.intrinsics.is_none() {
-        options.intrinsics = Some(Intrinsics::Given(sequence.camera.intrinsics()));
+        options.intrinsics = Some(IntrinsicsSource::Given(sequence.camera.intrinsics()));
     }
     if input.is_dir() {
         options.video.fps = options.video.fps.or(Some(sequence.fps));

@@ -16,6 +16,7 @@ pub mod evaluate;
 mod forecast;
 mod job;
 mod models;
+mod options;
 mod output;
 mod run;
 mod summary;
@@ -94,6 +95,7 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &Talk) -> Result<(), Fail
         Command::Compare(own) => compare::run(own, form),
         Command::Convert(own) => convert::run(own, form),
         Command::Bal(own) => bal::run(own, form),
+        Command::Options(own) => options::run(own, form),
         Command::Doctor(own) => doctor::run(own, form),
     }
 }

@@ -10,32 +10,38 @@ mod labels;
 mod local;
 mod plane;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::limits::{Checked, ordered, within};
 pub use dominant::{DominantPlane, GroundError, dominant_plane_points};
 pub use labels::label_points;
 pub use local::{LocalPlanes, SkipReason, SkippedFrame, local_planes};
 pub use plane::PlaneFailure;
 
 /// How the ground is found.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct Options {
     /// Observations that make a background point stable enough to be ground (the paper's four).
+    #[schemars(extend("unit" = "observations"))]
     pub min_observations: usize,
     /// Ground points gathered round the object in each frame (the paper's num_b, 50).
+    #[schemars(extend("unit" = "points"))]
     pub num_neighbors: usize,
     /// Fewest points that a local plane is fitted to: with less than ten, RANSAC cannot tell a plane from chance.
+    #[schemars(extend("unit" = "points"))]
     pub min_points: usize,
-    /// Tolerance of the plane, pixels: a point belongs to it if it lies no further away than this many pixels are at
+    /// Tolerance of the plane: a point belongs to it if it lies no further away than this many pixels are at
     /// its depth (`max_error_px · depth / focal length`, eq. 1). Four pixels is what reconstructions let an observation
     /// be off, so that any point they kept may be off by as much.
     pub max_error_px: f64,
     /// Most RANSAC samples; it stops as soon as a better plane is unlikely (1 in 10,000).
+    #[schemars(extend("unit" = "samples"))]
     pub max_samples: usize,
-    /// For the dominant plane: how far the camera may be rolled against the ground on average, degrees.
+    /// For the dominant plane: how far the camera may be rolled against the ground on average.
     pub max_roll_deg: f64,
-    /// For the dominant plane: how steep the ground may rise against it where it is grown over hills, degrees.
+    /// For the dominant plane: how steep the ground may rise against it where it is grown over hills.
     pub max_slope_deg: f64,
 }
 
@@ -50,5 +56,48 @@ impl Default for Options {
             max_roll_deg: 30.0,
             max_slope_deg: 25.0,
         }
+    }
+}
+
+impl Options {
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("min_observations", self.min_observations, 2..=1_000_000)?;
+        within("num_neighbors", self.num_neighbors, 3..=100_000)?;
+        within("min_points", self.min_points, 3..=100_000)?;
+        ordered(("min_points", self.min_points), ("num_neighbors", self.num_neighbors))?;
+        within("max_error_px", self.max_error_px, 0.01..=1000.0)?;
+        within("max_samples", self.max_samples, 1..=1_000_000)?;
+        within("max_roll_deg", self.max_roll_deg, 0.0..=90.0)?;
+        within("max_slope_deg", self.max_slope_deg, 0.0..=89.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::limits::testing::variations;
+    use crate::scene::ObjectId;
+    use crate::synthetic::drive::{self, drive};
+
+    #[test]
+    fn options_that_pass_the_check_do_no_harm() {
+        let small =
+            drive::Options { num_frames: 4, num_ground_points: 200, num_other_points: 100, ..Default::default() };
+        let world = drive(&small, 1);
+        let mut num_passed = 0;
+        for (changed, options) in variations(&Options::default()) {
+            if options.check().is_err() {
+                continue;
+            }
+            num_passed += 1;
+            let _ = dominant_plane_points(&world.background, &options, 1);
+            let found = local_planes(&world.background, &world.ground_points, ObjectId(1), &world.object, &options, 1);
+            assert_eq!(found.planes.len() + found.skipped.len(), 4, "{changed}");
+        }
+        assert!(num_passed > 20, "{num_passed}");
     }
 }

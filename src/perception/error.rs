@@ -74,14 +74,9 @@ pub enum PerceptionError {
         /// What is wrong, with the line.
         reason: String,
     },
-    /// An option contradicts itself or another.
-    #[error("option {option}: {reason}")]
-    Option {
-        /// The option.
-        option: &'static str,
-        /// What is wrong with it.
-        reason: String,
-    },
+    /// An option contradicts another, or cannot be worked with.
+    #[error(transparent)]
+    Option(#[from] crate::limits::OptionError),
     /// Things that belong to one frame differ in size.
     #[error("{what} is {found:?} pixels large, but the frame is {expected:?}; both must agree")]
     SizeMismatch {

@@ -7,13 +7,15 @@
 use std::path::Path;
 
 use ::image::RgbImage;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::PerceptionError;
 use super::description::{ModelDescription, Preprocessing, find_known, read_sidecar};
 use super::tensor::{Plane, tensor_from_image};
+use super::{INPUT_SIZES, PerceptionError};
 use crate::ffi::onnx::{Model, Tensor};
 use crate::image::resize_rgb;
+use crate::limits::{Checked, some_of, within};
 use crate::scene::Mask;
 
 /// Finds the ground in a frame.
@@ -26,36 +28,49 @@ pub trait GroundSegmenter {
 }
 
 /// Options of ground segmentation.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GroundOptions {
     /// Names of the classes that count as ground.
     pub classes: Vec<String>,
-    /// Longer side of the input, pixels, for networks that leave it open.
+    /// Longer side of the input, for networks that leave it open.
+    #[schemars(extend("unit" = "pixels"))]
     pub input_size: u32,
-    /// Threads that the network runs on; 0 is one per core.
-    pub num_threads: usize,
 }
 
 impl Default for GroundOptions {
     fn default() -> Self {
         let classes =
             ["road", "sidewalk", "parking", "terrain", "ground", "street", "drivable", "lane", "grass", "pavement"];
-        Self { classes: classes.map(str::to_owned).to_vec(), input_size: 1024, num_threads: 0 }
+        Self { classes: classes.map(str::to_owned).to_vec(), input_size: 1024 }
+    }
+}
+
+impl GroundOptions {
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        some_of("classes", &self.classes)?;
+        within("input_size", self.input_size, INPUT_SIZES)
     }
 }
 
 /// Loads a semantic network; what it expects comes from the description beside it, else from the descriptions shipped
-/// with the program.
+/// with the program. `num_threads` is the number of threads that it runs on; 0 is one per core.
 ///
 /// # Errors
+/// [`PerceptionError::Option`] for options that make no sense;
 /// [`PerceptionError::UnknownLayout`] for a network without description; [`PerceptionError::NoWantedClass`] if it knows no
 /// ground.
 pub fn load_ground_segmenter(
     path: &Path,
     options: &GroundOptions,
+    num_threads: usize,
 ) -> Result<Box<dyn GroundSegmenter>, PerceptionError> {
-    let model = Model::load(path, options.num_threads)?;
+    options.check()?;
+    let model = Model::load(path, num_threads)?;
     let description = match read_sidecar(path)? {
         Some(description) => Some(description),
         None => find_known(&model, "ground")?,

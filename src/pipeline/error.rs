@@ -2,6 +2,7 @@ use std::io;
 use std::path::PathBuf;
 
 use crate::io::{FolderError, IoError};
+use crate::limits::OptionError;
 use crate::perception::PerceptionError;
 use crate::report::ReportError;
 use crate::sfm::SfmError;
@@ -44,7 +45,10 @@ pub enum PipelineError {
         /// What the system says.
         source: io::Error,
     },
-    /// The options do not fit together, or not to the input.
+    /// An option that cannot be worked with.
+    #[error(transparent)]
+    Option(#[from] OptionError),
+    /// The options do not fit to the input.
     #[error("{0}")]
     Options(String),
     /// A folder of masks of which none belongs to a frame.
@@ -84,6 +88,6 @@ pub enum PipelineError {
 impl PipelineError {
     /// Whether the command line asks for what must not be, so that nothing was begun.
     pub fn is_wrong_use(&self) -> bool {
-        matches!(self, Self::Folder(error) if error.is_wrong_use())
+        matches!(self, Self::Option(_)) || matches!(self, Self::Folder(error) if error.is_wrong_use())
     }
 }

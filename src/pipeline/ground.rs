@@ -10,7 +10,7 @@ use super::run::{Outcome, Run};
 use super::{GroundLabels, PipelineError, fingerprint, models, objects, pictures};
 use crate::ground::{dominant_plane_points, label_points, local_planes};
 use crate::io::{RunFolder, masks};
-use crate::perception::{GroundOptions, GroundSegmenter, load_ground_segmenter};
+use crate::perception::{GroundSegmenter, load_ground_segmenter};
 use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Reconstruction};
 
 /// The name of the list of frames that have no plane, and why.
@@ -22,7 +22,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
         GroundLabels::Masks { folder, label } => json!({ "masks": fingerprint::of_content(folder)?, "label": label }),
         GroundLabels::Model(path) => json!({
             "model": fingerprint::of_content(path)?,
-            "options": GroundOptions { num_threads: 0, ..run.options.ground_segmentation.clone() },
+            "options": run.options.ground_segmentation,
         }),
     };
     Ok(json!({ "labels": labels, "options": run.options.ground, "seed": run.options.seed }))
@@ -144,7 +144,7 @@ fn value_at(labels: &LabelMap, x: f64, y: f64) -> Option<u8> {
 /// Loads the semantic model with the options of the run.
 pub(super) fn load(run: &Run, model: &Path) -> Result<Box<dyn GroundSegmenter>, PipelineError> {
     let num_threads = run.options.threads.unwrap_or(0);
-    Ok(load_ground_segmenter(model, &GroundOptions { num_threads, ..run.options.ground_segmentation.clone() })?)
+    Ok(load_ground_segmenter(model, &run.options.ground_segmentation, num_threads)?)
 }
 
 /// Asks the semantic model for every registered frame that it was not asked for before; gives the folder of the answers.

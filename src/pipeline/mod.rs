@@ -32,6 +32,7 @@ mod run_json;
 mod scale;
 mod segment;
 mod stage;
+mod threads;
 mod track;
 mod workspace;
 
@@ -44,7 +45,10 @@ pub use error::PipelineError;
 pub use evaluate::{Kept, evaluate, keep_evaluation};
 pub use meter::{Cost, process_cpu_s};
 pub use models::ModelReport;
-pub use options::{FeatureKind, FrameOrder, GroundLabels, Instances, Intrinsics, MaskingOptions, Options};
+pub use options::{
+    FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskingOptions, OptionRow, OptionSection,
+    Options,
+};
 pub use progress::{Plan, Planned, Progress, Silent};
 pub use run::StageRecord;
 pub use stage::Stage;

@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 
 use super::options::{CameraOrigin, camera};
 use super::run::{Outcome, Run};
+use super::threads::on_threads;
 use super::{PipelineError, features, fingerprint, order};
 use crate::bundle;
 use crate::camera::Camera;
@@ -67,7 +68,7 @@ pub(super) fn background_depends_on(run: &Run) -> Result<Value, PipelineError> {
     Ok(json!({
         "model": given,
         "camera_origin": origin,
-        "options": mapper::Options { threads: 1, ..background.mapper },
+        "options": background.mapper,
         "seed": run.options.seed,
     }))
 }
@@ -152,13 +153,13 @@ pub(super) fn reconstruct(
     camera: Camera,
     intrinsics: sfm::Intrinsics,
     options: &mapper::Options,
-    watch: &mut dyn FnMut(f64),
+    watch: &mut (dyn FnMut(f64) + Send),
 ) -> Result<(Reconstruction, ModelReport), PipelineError> {
-    let threads = run.options.threads.unwrap_or_else(rayon::current_num_threads);
-    let options = mapper::Options { threads, ..options.clone() };
-    sfm::cut_long_tracks(&mut table, &[camera], intrinsics, &options, run.options.seed);
-    let (mut model, report) =
-        sfm::reconstruct_watched(&table, &[camera], intrinsics, &options, run.options.seed, watch)?;
+    let (threads, seed) = (run.options.threads, run.options.seed);
+    let (mut model, report) = on_threads(threads, || {
+        sfm::cut_long_tracks(&mut table, &[camera], intrinsics, options, seed);
+        sfm::reconstruct_watched(&table, &[camera], intrinsics, options, seed, watch)
+    })??;
     if model.is_empty() {
         // Even an empty model says which camera it would have had.
         model.cameras.insert(crate::scene::CameraId(1), camera);

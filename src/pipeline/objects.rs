@@ -16,8 +16,8 @@ use super::{PipelineError, features, fingerprint, order};
 use crate::camera::Camera;
 use crate::io::colmap;
 use crate::scene::{ImageId, ObjectId, Reconstruction};
+use crate::sfm;
 use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes};
-use crate::sfm::{self, mapper};
 
 const REPORTS: &str = "objects-report.json";
 /// Why there is no model where it is not the object's fault.
@@ -33,7 +33,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     Ok(json!({
         "models": given?,
         "only": run.options.only_objects,
-        "options": mapper::Options { threads: 1, ..objects.mapper },
+        "options": objects.mapper,
         "seed": run.options.seed,
     }))
 }
@@ -144,7 +144,7 @@ fn one_object(
     object: &TrackedObject,
     camera: Option<Camera>,
     fingerprint: &str,
-    watch: &mut dyn FnMut(f64),
+    watch: &mut (dyn FnMut(f64) + Send),
 ) -> Result<ObjectMarker, PipelineError> {
     let id = object.id;
     let before: Option<ObjectMarker> = run.workspace.read_state(&marker_name(id)).ok();

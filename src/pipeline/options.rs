@@ -1,18 +1,28 @@
+//! The tree of options: everything that decides a result.
+
+mod reference;
+mod schema;
+mod tree;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+pub use reference::{OptionRow, OptionSection};
 
 use super::PipelineError;
 use crate::camera::Camera;
+use crate::limits::{Checked, OptionError, under, within};
 use crate::perception::{FlowOptions, GroundOptions, SegmentationOptions, TrackerOptions};
 use crate::scene::ObjectId;
 use crate::{ground, sfm, trajectory, video};
 
 /// Where the vehicles' masks come from.
-#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Instances {
     /// No vehicles are looked for: the whole picture is background.
     #[default]
@@ -24,8 +34,8 @@ pub enum Instances {
 }
 
 /// Where the ground labels come from.
-#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum GroundLabels {
     /// From geometry alone: the dominant plane below the camera.
     #[default]
@@ -41,17 +51,17 @@ pub enum GroundLabels {
     Model(PathBuf),
 }
 
-/// What is known of the camera.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// Where the camera's intrinsics are known from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-pub enum Intrinsics {
+pub enum IntrinsicsSource {
     /// fx, fy, cx, cy, k1, k2 in pixels of the source, first pixel centre at (0.5, 0.5).
     Given([f64; 6]),
     /// A COLMAP `cameras.txt` or `cameras.bin` with one camera.
     File(PathBuf),
 }
 
-impl FromStr for Intrinsics {
+impl FromStr for IntrinsicsSource {
     type Err = String;
 
     /// `fx,fy,cx,cy[,k1,k2]`, or the path of a COLMAP cameras file.
@@ -77,10 +87,10 @@ impl FromStr for Intrinsics {
 }
 
 /// How image points are found and told again in other frames.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum FeatureKind {
-    /// As the order of the frames wants it: `Video` in time, `Sift` without order.
+    /// As the `front_end` of each target says (`video` unless set otherwise); `sift` for frames in no order.
     #[default]
     Auto,
     /// Points followed from frame to frame.
@@ -90,7 +100,7 @@ pub enum FeatureKind {
 }
 
 /// Whether frames follow one another in time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum FrameOrder {
     /// A video file does, and a folder whose rate is given; of other folders a few pictures and their successors are
@@ -104,7 +114,7 @@ pub enum FrameOrder {
 }
 
 /// Everything that decides a result. Stages nest the options of what they use.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
     /// Which frames are taken, and how large.
@@ -115,12 +125,13 @@ pub struct Options {
     pub flow_model: Option<PathBuf>,
     /// Where the ground labels come from.
     pub ground_labels: GroundLabels,
-    /// How image points are found.
+    /// How image points are found, for the background and the objects alike. Where it is not `auto`, it goes before
+    /// `background.front_end.kind` and `objects.front_end.kind`; options of that kind that are set there stay.
     pub features: FeatureKind,
     /// Whether frames follow one another in time.
     pub order: FrameOrder,
     /// The camera; `None` is EXIF where a photograph has it, else a guess that is refined.
-    pub intrinsics: Option<Intrinsics>,
+    pub intrinsics: Option<IntrinsicsSource>,
     /// A COLMAP model of the background, taken as it is instead of reconstructing one.
     pub background_model: Option<PathBuf>,
     /// COLMAP models of objects, taken as they are.
@@ -146,17 +157,30 @@ pub struct Options {
     /// The scale ratio.
     pub scale: trajectory::Options,
     /// Seed of every random choice.
+    #[schemars(extend("unit" = "any whole number"))]
     pub seed: u64,
     /// Threads; `None` is one per core. Results agree whatever the number.
+    #[schemars(extend("unit" = "threads"))]
     pub threads: Option<usize>,
 }
 
 /// How the background keeps away from what moves.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MaskingOptions {
-    /// Growth of the masks, as a share of the frame's longer side.
+    /// Growth of the masks of all that moves, before the rest counts as background.
+    #[schemars(extend("unit" = "share of the longer side"))]
     pub dilation: f64,
+}
+
+impl MaskingOptions {
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`] names the option.
+    pub fn check(&self) -> Checked {
+        within("dilation", self.dilation, 0.0..=0.5)
+    }
 }
 
 impl Default for MaskingOptions {
@@ -213,7 +237,7 @@ impl Options {
             GroundLabels::Masks { folder, .. } => named.push(("--ground-masks", folder)),
             GroundLabels::Model(model) => named.push(("--ground-model", model)),
         }
-        if let Some(Intrinsics::File(path)) = &self.intrinsics {
+        if let Some(IntrinsicsSource::File(path)) = &self.intrinsics {
             named.push(("--intrinsics", path));
         }
         named.extend(self.flow_model.iter().map(|path| ("--flow-model", path.as_path())));
@@ -222,34 +246,64 @@ impl Options {
         named
     }
 
-    /// Rejects contradictions before work starts.
+    /// Rejects what contradicts itself or cannot be worked with, at every level of the tree, before work starts.
     ///
     /// # Errors
-    /// [`PipelineError`] says which option to change.
+    /// [`PipelineError::Option`] names the option by its path in the tree.
     pub fn check(&self) -> Result<(), PipelineError> {
-        self.video.check()?;
-        if self.threads == Some(0) {
-            return Err(PipelineError::Options("--threads must be at least 1".to_owned()));
+        self.check_input()?;
+        under("video", self.video.check())?;
+        under("segmentation", self.segmentation.check())?;
+        under("flow", self.flow.check())?;
+        under("tracker", self.tracker.check())?;
+        under("masking", self.masking.check())?;
+        under("background", self.background.check())?;
+        under("objects", self.objects.check())?;
+        under("ground_segmentation", self.ground_segmentation.check())?;
+        under("ground", self.ground.check())?;
+        Ok(under("scale", self.scale.check())?)
+    }
+
+    /// What stands at the tree's root.
+    fn check_input(&self) -> Checked {
+        if let Some(threads) = self.threads {
+            within("threads", threads, 1..=MOST_THREADS)?;
         }
         if (self.features, self.order) == (FeatureKind::Video, FrameOrder::None) {
-            let text =
+            let reason =
                 "--features video needs frames in order of time; leave out --order none, or take --features sift";
-            return Err(PipelineError::Options(text.to_owned()));
-        }
-        if !(0.0..=0.5).contains(&self.masking.dilation) {
-            return Err(PipelineError::Options("masking.dilation must lie between 0 and 0.5".to_owned()));
+            return Err(OptionError::new("features", reason));
         }
         if self.object_models.keys().any(|id| id.0 == 0) {
-            return Err(PipelineError::Options("--object-model: object ids start at 1".to_owned()));
+            return Err(OptionError::new("object_models", "ids of objects start at 1"));
         }
-        Ok(())
+        if self.only_objects.contains(&ObjectId(0)) {
+            return Err(OptionError::new("only_objects", "ids of objects start at 1"));
+        }
+        match self.intrinsics {
+            Some(IntrinsicsSource::Given(values)) => check_intrinsics(values),
+            _ => Ok(()),
+        }
     }
+}
+
+/// More are no help to anybody, and to start them would take the memory that the work needs.
+const MOST_THREADS: usize = 1024;
+
+/// Pictures have some ten thousand pixels a side at the most; whatever camera took them, intrinsics are of that order.
+fn check_intrinsics(values: [f64; 6]) -> Checked {
+    let [fx, fy, cx, cy, k1, k2] = values;
+    let checks = [fx, fy].map(|focal| within("focal length", focal, 1.0..=1e6));
+    let centers = [cx, cy].map(|center| within("principal point", center, -1e6..=1e6));
+    let radial = [k1, k2].map(|k| within("distortion", k, -100.0..=100.0));
+    let all = checks.into_iter().chain(centers).chain(radial).collect::<Checked>();
+    all.map_err(|e| OptionError::new("intrinsics", format!("{}: {}", e.key, e.reason)))
 }
 
 /// The camera that the options and the input give, at the size of the frames, and whether it is known well enough to be
 /// kept as it is.
 pub(super) fn camera(
-    intrinsics: Option<&Intrinsics>,
+    intrinsics: Option<&IntrinsicsSource>,
     info: &video::Info,
 ) -> Result<(Camera, CameraOrigin), PipelineError> {
     let at_source = |values: [f64; 6]| {
@@ -257,8 +311,8 @@ pub(super) fn camera(
         source.resized(info.width, info.height)
     };
     match intrinsics {
-        Some(Intrinsics::Given(values)) => Ok((at_source(*values), CameraOrigin::Given)),
-        Some(Intrinsics::File(path)) => {
+        Some(IntrinsicsSource::Given(values)) => Ok((at_source(*values), CameraOrigin::Given)),
+        Some(IntrinsicsSource::File(path)) => {
             let cameras = crate::io::colmap::read_cameras(path)?;
             let mut cameras = cameras.into_values();
             match (cameras.next(), cameras.next()) {
@@ -291,11 +345,85 @@ mod tests {
 
     #[test]
     fn intrinsics_are_numbers_or_a_file() {
-        assert_eq!("880,880,480,270".parse(), Ok(Intrinsics::Given([880.0, 880.0, 480.0, 270.0, 0.0, 0.0])));
-        assert_eq!("1,2,3,4,.5,-6".parse(), Ok(Intrinsics::Given([1.0, 2.0, 3.0, 4.0, 0.5, -6.0])));
-        assert_eq!("a/cameras.txt".parse(), Ok(Intrinsics::File("a/cameras.txt".into())));
+        assert_eq!("880,880,480,270".parse(), Ok(IntrinsicsSource::Given([880.0, 880.0, 480.0, 270.0, 0.0, 0.0])));
+        assert_eq!("1,2,3,4,.5,-6".parse(), Ok(IntrinsicsSource::Given([1.0, 2.0, 3.0, 4.0, 0.5, -6.0])));
+        assert_eq!("a/cameras.txt".parse(), Ok(IntrinsicsSource::File("a/cameras.txt".into())));
         for wrong in ["", "1,2,3", "0,1,2,3", "1,2,3,4,5,6,7", "nan,1,2,3", "model"] {
-            assert!(wrong.parse::<Intrinsics>().is_err(), "{wrong}");
+            assert!(wrong.parse::<IntrinsicsSource>().is_err(), "{wrong}");
+        }
+    }
+
+    /// Options with everything given that is left out by default, and the other front ends.
+    fn full() -> Options {
+        let options = Options::default();
+        Options {
+            video: video::Options { max_dimension: Some(640), fps: Some(25.0), ..options.video.clone() },
+            ground_labels: GroundLabels::Masks { folder: "masks".into(), label: Some(3) },
+            intrinsics: Some(IntrinsicsSource::Given([800.0, 800.0, 480.0, 270.0, 0.0, 0.0])),
+            only_objects: [ObjectId(1)].into(),
+            background: options.background.clone().with_sift(sfm::Target::Background),
+            objects: options.objects.clone().with_sift(sfm::Target::Object),
+            threads: Some(2),
+            ..options
+        }
+    }
+
+    #[test]
+    fn no_number_can_do_harm() {
+        use serde_json::json;
+        let wrong =
+            [json!(0), json!(-1), json!(null), json!(1e300), json!(-1e300), json!(1e-300), json!(u64::MAX), json!(0.5)];
+        let (mut tried, mut refused) = (0, 0);
+        for options in [Options::default(), full()] {
+            assert!(options.check().is_ok());
+            let tree = json!(options);
+            let paths = crate::limits::testing::numbers(&tree, "");
+            assert!(paths.len() > 90, "{}", paths.len());
+            for (path, value) in paths.iter().flat_map(|path| wrong.iter().map(move |value| (path, value))) {
+                let mut given = tree.clone();
+                *given.pointer_mut(path).unwrap() = value.clone();
+                tried += 1;
+                let name = path.rsplit('/').find(|name| name.parse::<usize>().is_err()).unwrap();
+                let checked = options.with_tree(&given).map_err(PipelineError::from).and_then(|found| found.check());
+                let Err(error) = checked else { continue };
+                refused += 1;
+                let PipelineError::Option(error) = error else { panic!("{path}: {error}") };
+                let is_named = format!("{path}/").starts_with(&format!("/{}/", error.key.replace('.', "/")));
+                assert!(is_named || error.to_string().contains(name), "{path}: {error}");
+            }
+        }
+        assert!(2 * refused > tried, "{refused} of {tried}");
+    }
+
+    #[test]
+    fn the_number_of_threads_stands_at_the_root_alone() {
+        // All below the root may go into fingerprints, of which the number of threads is no part.
+        for options in [Options::default(), full()] {
+            let mut tree = serde_json::json!(options);
+            tree.as_object_mut().unwrap().remove("threads");
+            assert!(!tree.to_string().contains("threads"), "{tree}");
+        }
+    }
+
+    #[test]
+    fn limits_that_contradict_one_another_are_refused() {
+        let wrong = [
+            ("background.mapper.min_error_px", "5"),
+            ("background.mapper.loss_scale_px", "0.01"),
+            ("objects.mapper.min_starts", "9"),
+            ("objects.front_end.patch_radius_px", "-1"),
+            ("ground.min_points", "60"),
+            ("tracker.confirm_window", "2"),
+            ("scale.joint.sigma_distance", "[0.2, 0.1]"),
+            ("scale.joint.contact.side", "[0.1, 0]"),
+            ("intrinsics.given", "[0, 800, 480, 270, 0, 0]"),
+            ("threads", "0"),
+            ("only_objects", "[0]"),
+        ];
+        for (key, value) in wrong {
+            let options = Options::default().with_value(key, value).unwrap();
+            let said = options.check().unwrap_err().to_string();
+            assert!(said.contains(key.rsplit('.').next().unwrap()) || said.contains("intrinsics"), "{key}: {said}");
         }
     }
 
@@ -319,7 +447,7 @@ mod tests {
             rotation_deg: 0,
             exif_focal_px: None,
         };
-        let given = Intrinsics::Given([880.0, 880.0, 480.0, 270.0, 0.0, 0.0]);
+        let given = IntrinsicsSource::Given([880.0, 880.0, 480.0, 270.0, 0.0, 0.0]);
         let (camera, origin) = camera(Some(&given), &info).unwrap();
         assert_eq!((camera.focal, camera.principal, origin), ([440.0; 2], [240.0, 135.0], CameraOrigin::Given));
         let (camera, origin) = super::camera(None, &info).unwrap();

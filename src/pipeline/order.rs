@@ -9,7 +9,7 @@ use super::run::Run;
 use super::{Options, PipelineError};
 use crate::image::gray_from_rgb;
 use crate::scene::{Frame, FrameId};
-use crate::sfm;
+use crate::sfm::{self, Target};
 use crate::video::Kind;
 
 /// Where the order is written down.
@@ -79,12 +79,12 @@ pub(super) fn sfm_options(run: &Run) -> Result<(sfm::Options, sfm::Options), Pip
 fn resolved(options: &Options, in_time: bool) -> (sfm::Options, sfm::Options) {
     let (background, objects) = (options.background.clone(), options.objects.clone());
     if !in_time {
-        return (background.without_order(false), objects.without_order(true));
+        return (background.without_order(Target::Background), objects.without_order(Target::Object));
     }
     match options.features {
         FeatureKind::Auto => (background, objects),
-        FeatureKind::Video => (background.with_video(false), objects.with_video(true)),
-        FeatureKind::Sift => (background.with_sift(false), objects.with_sift(true)),
+        FeatureKind::Video => (background.with_video(Target::Background), objects.with_video(Target::Object)),
+        FeatureKind::Sift => (background.with_sift(Target::Background), objects.with_sift(Target::Object)),
     }
 }
 

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use super::detections::DetectionFolder;
 use super::run::{Outcome, Run};
 use super::{Instances, PipelineError, Stage, fingerprint, pictures};
-use crate::perception::{SegmentationOptions, Segmenter, load_segmenter};
+use crate::perception::{Segmenter, load_segmenter};
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     Ok(match &run.options.instances {
@@ -17,8 +17,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
         Instances::Masks(_) => json!("masks"),
         Instances::Model(path) => json!({
             "model": fingerprint::of_content(path)?,
-            // The number of threads is no part of the result.
-            "options": SegmentationOptions { num_threads: 0, ..run.options.segmentation.clone() },
+            "options": run.options.segmentation,
         }),
     })
 }
@@ -49,7 +48,7 @@ fn folder_name(fingerprint: &str) -> String {
 /// Loads the model with the options of the run.
 pub(super) fn load(run: &Run, model: &Path) -> Result<Box<dyn Segmenter>, PipelineError> {
     let num_threads = run.options.threads.unwrap_or(0);
-    Ok(load_segmenter(model, &SegmentationOptions { num_threads, ..run.options.segmentation.clone() })?)
+    Ok(load_segmenter(model, &run.options.segmentation, num_threads)?)
 }
 
 fn detect(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, PipelineError> {

@@ -11,7 +11,7 @@ use super::given_masks::MaskFolder;
 use super::run::{Outcome, Run};
 use super::{Instances, PipelineError, fingerprint, pictures, segment};
 use crate::io::{IoError, RunFolder, masks};
-use crate::perception::{FlowEstimator, FlowOptions, TrackSummary, TrackedMask, Tracker, load_flow};
+use crate::perception::{FlowEstimator, TrackSummary, TrackedMask, Tracker, load_flow};
 use crate::scene::{Frame, FrameId, Mask, ObjectId};
 
 /// A vehicle that was followed through the frames.
@@ -107,8 +107,8 @@ fn split_given(
 
 /// The optical flow of the run's options.
 pub(super) fn load_flow_estimator(run: &Run) -> Result<Box<dyn FlowEstimator>, PipelineError> {
-    let options = FlowOptions { num_threads: run.options.threads.unwrap_or(0), ..run.options.flow.clone() };
-    Ok(load_flow(run.options.flow_model.as_deref(), &options)?)
+    let options = run.options;
+    Ok(load_flow(options.flow_model.as_deref(), &options.flow, options.threads.unwrap_or(0))?)
 }
 
 /// Holds what was asked for by id against what was tracked.

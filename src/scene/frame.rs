@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Index of a frame in its source, from 0: for a video the index of the decoded frame, for a folder the index in the
@@ -11,7 +12,7 @@ use serde::{Deserialize, Serialize};
 pub struct FrameId(pub u32);
 
 /// One tracked vehicle; ids start at 1, since 0 means background in a label map.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct ObjectId(pub u32);
 

@@ -3,6 +3,9 @@
 /// An error of this room.
 #[derive(Debug, thiserror::Error)]
 pub enum SfmError {
+    /// An option that cannot be worked with.
+    #[error(transparent)]
+    Option(#[from] crate::limits::OptionError),
     /// OpenCV refused; its message says which check failed.
     #[error("OpenCV: {0}")]
     OpenCv(#[from] opencv::Error),

@@ -5,12 +5,14 @@
 //! is never painted over, which would make edges.
 
 use nalgebra::Point2;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::SfmError;
 use super::refinement::Shape;
 use super::sift::{self, Plane};
 use crate::image::{GrayImage, RgbImage, gray_from_rgb, resize_gray};
+use crate::limits::{Checked, within};
 use crate::scene::{BoundingBox, Mask};
 
 pub use super::sift::DESCRIPTOR_LEN;
@@ -20,22 +22,39 @@ pub use super::sift::DESCRIPTOR_LEN;
 pub const DESCRIPTOR_NORM: f32 = 175.0;
 
 /// How features are found.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct FeatureOptions {
-    /// Features kept per image at the most, the strongest first.
+    /// Features kept per image at the most, the strongest first; no more than 60,000.
+    #[schemars(extend("unit" = "features"))]
     pub max_features: usize,
     /// Lowe's contrast threshold over the three layers of an octave; lower finds more on plain surfaces.
+    #[schemars(extend("unit" = "share of the range of grey"))]
     pub contrast_threshold: f64,
     /// Whether the search begins at twice the image's size: more and smaller features, at several times the cost.
     pub doubled: bool,
-    /// Masks whose box is shorter than this on its longer side are enlarged before detection, pixels: small objects have
-    /// too few features at their own size.
+    /// Masks whose box is shorter than this on its longer side are enlarged before detection, up to four times: small
+    /// objects have too few features at their own size.
     pub enlarge_below_px: u32,
-    /// Distance that a feature keeps from the mask's border, pixels: what lies on an outline belongs to no surface.
+    /// Distance that a feature keeps from the mask's border: what lies on an outline belongs to no surface.
     pub border_px: u32,
 }
 
+/// Indices of features are sixteen bits wide in matching.
+const MOST: usize = 60_000;
+
 impl FeatureOptions {
+    /// Rejects what cannot be worked with. The limit of enlargement keeps the enlarged picture within memory.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("max_features", self.max_features, 1..=MOST)?;
+        within("contrast_threshold", self.contrast_threshold, 1e-6..=1.0)?;
+        within("enlarge_below_px", self.enlarge_below_px, 0..=4000)?;
+        within("border_px", self.border_px, 0..=1000)
+    }
+
     /// For whole frames.
     pub fn background() -> Self {
         Self { max_features: 4000, contrast_threshold: 0.03, doubled: false, enlarge_below_px: 0, border_px: 0 }
@@ -88,8 +107,6 @@ pub fn extract(image: &RgbImage, mask: &Mask, options: &FeatureOptions) -> Resul
     let crop_mask = Mask::from_fn(width, height, |x, y| crop_mask.get((x / scale).into(), (y / scale).into()));
     let values = crop.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect();
     let picture = Plane { width: width as usize, height: height as usize, values };
-    // Indices of features are sixteen bits wide in matching.
-    const MOST: usize = 60_000;
     let wanted = sift::Options {
         max_keypoints: options.max_features.min(MOST),
         min_contrast: (options.contrast_threshold / 3.0) as f32,

@@ -1,5 +1,6 @@
 //! From the frames of a source to tracks, by one of two ways.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::sift_front_end::{Pairing, SiftFrontEnd, SiftOptions};
@@ -8,10 +9,12 @@ use super::video_front_end::{VideoFrontEnd, VideoOptions};
 use super::{SfmError, features::FeatureOptions};
 use crate::camera::Camera;
 use crate::image::RgbImage;
+use crate::limits::Checked;
 use crate::scene::{Frame, Mask};
 
-/// How tracks are made.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// How tracks are made. `features` of the pipeline, where it is not `auto`, goes before the kind that is set here, and
+/// frames in no order are always worked on by SIFT; options of the kind that is taken stay as they are set here.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum FrontEndOptions {
     /// Points followed from frame to frame: for videos, whose frames change little from one to the next.
@@ -21,6 +24,17 @@ pub enum FrontEndOptions {
 }
 
 impl FrontEndOptions {
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        match self {
+            Self::Video(video) => video.check(),
+            Self::Sift(sift) => sift.check(),
+        }
+    }
+
     /// For photographs in no order.
     pub fn unordered() -> Self {
         let features = FeatureOptions { max_features: 5000, contrast_threshold: 0.02, ..FeatureOptions::background() };
@@ -43,7 +57,8 @@ pub enum FrontEnd {
 }
 
 impl FrontEnd {
-    /// Nothing seen yet. `camera` serves to verify matches; a guess will do.
+    /// Nothing seen yet. `camera` serves to verify matches; a guess will do. Options that [`FrontEndOptions::check`] refuses
+    /// may end in a panic.
     pub fn new(options: &FrontEndOptions, camera: Camera) -> Self {
         match options {
             FrontEndOptions::Video(o) => Self::Video(VideoFrontEnd::new(o.clone())),
@@ -75,5 +90,49 @@ impl FrontEnd {
             Self::Video(f) => Ok(f.finish()),
             Self::Sift(f) => f.finish(seed),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::limits::testing::variations;
+    use crate::math::seeded_rng;
+    use crate::scene::FrameId;
+    use crate::sfm::Target;
+    use rand::Rng as _;
+
+    /// A smooth random texture that moves to the left.
+    fn frames() -> Vec<(Frame, RgbImage)> {
+        let mut rng = seeded_rng(1, 0);
+        let coarse = RgbImage::from_fn(30, 20, |_, _| ::image::Rgb([rng.random(); 3]));
+        let whole = ::image::imageops::resize(&coarse, 150, 100, ::image::imageops::FilterType::Triangle);
+        let frame = |k: u32| {
+            let frame = Frame { id: FrameId(k), name: format!("{k}.png"), time_s: f64::from(k) };
+            (frame, ::image::imageops::crop_imm(&whole, 10 + 2 * k, 10, 120, 80).to_image())
+        };
+        (0..3).map(frame).collect()
+    }
+
+    #[test]
+    fn options_that_pass_the_check_do_no_harm() {
+        let (frames, mask) = (frames(), Mask::from_fn(120, 80, |x, _| x > 20));
+        let mut num_passed = 0;
+        for target in [Target::Background, Target::Object] {
+            let options = crate::sfm::Options::of(target);
+            for options in [options.clone(), options.with_sift(target)] {
+                for (changed, options) in variations(&options.front_end) {
+                    if options.check().is_err() {
+                        continue;
+                    }
+                    num_passed += 1;
+                    let mut front_end = FrontEnd::new(&options, Camera::prior(120, 80));
+                    let pushed = frames.iter().try_for_each(|(frame, image)| front_end.push(frame, image, &mask));
+                    let found = pushed.and_then(|()| front_end.finish(1));
+                    assert!(found.is_ok(), "{changed}: {:?}", found.err());
+                }
+            }
+        }
+        assert!(num_passed > 100, "{num_passed}");
     }
 }

@@ -38,8 +38,10 @@ mod front_end;
 mod lucas_kanade;
 mod pictures;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::limits::{Checked, under};
 pub use error::SfmError;
 pub use front_end::{FrontEnd, FrontEndOptions};
 pub use mapper::{Intrinsics, Report, cut_long_tracks, reconstruct, reconstruct_watched};
@@ -48,16 +50,36 @@ use sift_front_end::{Pairing, SiftOptions};
 pub use tracks::TrackTable;
 use video_front_end::VideoOptions;
 
+/// What is reconstructed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// What does not move: most of the picture, with many points.
+    Background,
+    /// One vehicle: a small part of the picture, with few points.
+    Object,
+}
+
 /// How one target is reconstructed.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct Options {
-    /// From frames to tracks.
+    /// From frames to tracks. `features`, where it is not `auto`, goes before the kind, and frames in no order are worked on
+    /// by `sift` with all pairs: with the options that are set here if that is the kind, else with the defaults of an
+    /// object, and for the background with 5000 features of a contrast from 0.02 on and tracks from two views.
     pub front_end: FrontEndOptions,
     /// From tracks to a map.
     pub mapper: mapper::Options,
 }
 
 impl Options {
+    /// For a target in a video.
+    pub fn of(target: Target) -> Self {
+        match target {
+            Target::Background => Self::background(),
+            Target::Object => Self::object(),
+        }
+    }
+
     /// For the background of a video.
     pub fn background() -> Self {
         let front_end = FrontEndOptions::Video(VideoOptions::background());
@@ -71,38 +93,44 @@ impl Options {
 
     /// For photographs in no order.
     pub fn unordered() -> Self {
-        Self::background().without_order(false)
+        Self::background().without_order(Target::Background)
     }
 
     /// The same by SIFT in every frame, matched between frames; SIFT options that are there already stay.
-    pub fn with_sift(self, object: bool) -> Self {
-        let default = || if object { SiftOptions::object() } else { SiftOptions::background() };
+    pub fn with_sift(self, target: Target) -> Self {
         let sift = match self.front_end {
             FrontEndOptions::Sift(sift) => sift,
-            FrontEndOptions::Video(_) => default(),
+            FrontEndOptions::Video(_) => SiftOptions::of(target),
         };
         Self { front_end: FrontEndOptions::Sift(sift), ..self }
     }
 
     /// The same by points followed from frame to frame; such options that are there already stay.
-    pub fn with_video(self, object: bool) -> Self {
-        let default = || if object { VideoOptions::object() } else { VideoOptions::background() };
+    pub fn with_video(self, target: Target) -> Self {
         let video = match self.front_end {
             FrontEndOptions::Video(video) => video,
-            FrontEndOptions::Sift(_) => default(),
+            FrontEndOptions::Sift(_) => VideoOptions::of(target),
         };
         Self { front_end: FrontEndOptions::Video(video), ..self }
     }
 
     /// The same for pictures in no order: SIFT, all pairs, and no neighbours in time.
-    pub fn without_order(self, object: bool) -> Self {
-        let front_end = match self.front_end {
-            FrontEndOptions::Sift(sift) => FrontEndOptions::Sift(SiftOptions { pairing: Pairing::Exhaustive, ..sift }),
-            FrontEndOptions::Video(_) if object => {
-                FrontEndOptions::Sift(SiftOptions { pairing: Pairing::Exhaustive, ..SiftOptions::object() })
-            }
-            FrontEndOptions::Video(_) => FrontEndOptions::unordered(),
+    pub fn without_order(self, target: Target) -> Self {
+        let all_pairs = |sift| FrontEndOptions::Sift(SiftOptions { pairing: Pairing::Exhaustive, ..sift });
+        let front_end = match (self.front_end, target) {
+            (FrontEndOptions::Sift(sift), _) => all_pairs(sift),
+            (FrontEndOptions::Video(_), Target::Object) => all_pairs(SiftOptions::object()),
+            (FrontEndOptions::Video(_), Target::Background) => FrontEndOptions::unordered(),
         };
         Self { front_end, mapper: mapper::Options { ordered: false, ..self.mapper } }
+    }
+
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        under("front_end", self.front_end.check())?;
+        under("mapper", self.mapper.check())
     }
 }

@@ -4,26 +4,29 @@ use std::collections::BTreeSet;
 
 use nalgebra::Vector2;
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::SfmError;
 use super::features::{FeatureOptions, Features, extract};
 use super::matching::{MatchOptions, match_features};
 use super::refinement::{self, Pyramid};
 use super::tracks::{PairMatches, TrackTable, View, tracks_from_matches};
 use super::two_view::{self, Correspondences};
+use super::{SfmError, Target};
 use crate::camera::Camera;
 use crate::image::{GrayImage, RgbImage, gray_from_rgb};
+use crate::limits::{Checked, under, within};
 use crate::math::seeded_rng;
 use crate::scene::{Frame, Mask};
 
 /// Which pairs of views are matched.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Pairing {
     /// Each with the next ones, and with those 2, 4, 8, … beyond: for frames of a video.
     Sequential {
         /// How many next ones.
+        #[schemars(extend("unit" = "views"))]
         window: usize,
     },
     /// All with all: for photographs in no order. The cost grows with the square of their number.
@@ -31,7 +34,8 @@ pub enum Pairing {
 }
 
 /// How tracks are made.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct SiftOptions {
     /// Features of a frame.
     pub features: FeatureOptions,
@@ -39,18 +43,45 @@ pub struct SiftOptions {
     pub matching: MatchOptions,
     /// Which views are matched.
     pub pairing: Pairing,
-    /// Epipolar threshold of verification, pixels.
+    /// Distance from the epipolar line up to which a match counts as verified.
     pub max_epipolar_error_px: f64,
-    /// Fewest verified matches of a pair that counts.
+    /// Fewest verified matches of a pair that counts: fewer agree by chance.
+    #[schemars(extend("unit" = "matches"))]
     pub min_pair_matches: usize,
-    /// Largest number of pixels of all images together up to which positions are refined by comparing pictures, millions;
+    /// Largest number of pixels of all images together up to which positions are refined by comparing pictures;
     /// the pictures are kept for that. 0 leaves the positions as they were found.
+    #[schemars(extend("unit" = "million pixels"))]
     pub max_refined_mpx: f64,
     /// Shortest track that is kept, where there are as many views.
+    #[schemars(extend("unit" = "views"))]
     pub min_track_length: usize,
 }
 
 impl SiftOptions {
+    /// For a target.
+    pub fn of(target: Target) -> Self {
+        match target {
+            Target::Background => Self::background(),
+            Target::Object => Self::object(),
+        }
+    }
+
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        under("features", self.features.check())?;
+        under("matching", self.matching.check())?;
+        if let Pairing::Sequential { window } = self.pairing {
+            within("pairing.sequential.window", window, 1..=10_000)?;
+        }
+        within("max_epipolar_error_px", self.max_epipolar_error_px, 0.01..=1000.0)?;
+        within("min_pair_matches", self.min_pair_matches, 5..=60_000)?;
+        within("max_refined_mpx", self.max_refined_mpx, 0.0..=100_000.0)?;
+        within("min_track_length", self.min_track_length, 2..=1_000_000)
+    }
+
     /// For the background of a video.
     pub fn background() -> Self {
         Self {

@@ -9,45 +9,80 @@
 
 use nalgebra::{Matrix2, Point2, Vector2};
 use opencv::core::{Mat, Point2f, Size, Vector};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::SfmError;
 use super::lucas_kanade::LucasKanade;
 use super::patch::{Patch, Warp};
 use super::tracks::{Feature, Track, TrackTable, View};
+use super::{SfmError, Target};
 use crate::bundle::Whitening;
 use crate::image::{GrayImage, RgbImage, gray_from_rgb, mat_from_bytes, mat_from_gray};
+use crate::limits::{Checked, within};
 use crate::math::Neighbors;
 use crate::scene::{Frame, Mask};
 
 /// How points are found and followed.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct VideoOptions {
-    /// Points followed at a time, at the most.
+    /// Points followed at a time, at the most: more make poses surer and everything slower.
+    #[schemars(extend("unit" = "points"))]
     pub max_points: usize,
-    /// Smallest distance of a new point to any other, pixels.
+    /// Smallest distance of a new point to any other: spreads the points over the picture.
     pub min_distance_px: f64,
     /// Smallest corner strength relative to the strongest in the frame.
+    #[schemars(extend("unit" = "share"))]
     pub quality: f64,
-    /// Half the side of the prediction window, pixels.
+    /// Half the side of the prediction window.
     pub window_radius_px: i32,
-    /// Half the side of the patch, pixels.
+    /// Half the side of the patch that is compared with a point's first sight.
     pub patch_radius_px: i32,
-    /// Levels of the pyramid above the image.
+    /// Levels of the pyramid above the image: each doubles the motion from frame to frame that can be followed.
+    #[schemars(extend("unit" = "levels"))]
     pub pyramid_levels: i32,
-    /// Largest distance between a point and where tracking back from its successor leads, pixels.
+    /// Largest distance between a point and where tracking back from its successor leads.
     pub max_round_trip_px: f32,
     /// Smallest correlation with the first patch.
+    #[schemars(extend("unit" = "correlation"))]
     pub min_correlation: f32,
     /// Smallest correlation with the first patch of a point that is found again where its neighbours' motion leads.
+    #[schemars(extend("unit" = "correlation"))]
     pub min_found_again: f32,
-    /// Distance that points keep from the mask's border, pixels.
+    /// Distance that points keep from the mask's border: what lies on an outline belongs to no surface.
     pub border_px: u32,
     /// Shortest track that is kept.
+    #[schemars(extend("unit" = "views"))]
     pub min_track_length: usize,
 }
 
 impl VideoOptions {
+    /// For a target.
+    pub fn of(target: Target) -> Self {
+        match target {
+            Target::Background => Self::background(),
+            Target::Object => Self::object(),
+        }
+    }
+
+    /// Rejects what cannot be worked with. Upper limits keep a picture's points and patches within memory.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("max_points", self.max_points, 1..=100_000)?;
+        within("min_distance_px", self.min_distance_px, 0.0..=1000.0)?;
+        within("quality", self.quality, 1e-9..=1.0)?;
+        within("window_radius_px", self.window_radius_px, 1..=100)?;
+        within("patch_radius_px", self.patch_radius_px, 1..=100)?;
+        within("pyramid_levels", self.pyramid_levels, 0..=10)?;
+        within("max_round_trip_px", self.max_round_trip_px, 0.0..=1000.0)?;
+        within("min_correlation", self.min_correlation, -1.0..=1.0)?;
+        within("min_found_again", self.min_found_again, -1.0..=1.0)?;
+        within("border_px", self.border_px, 0..=1000)?;
+        within("min_track_length", self.min_track_length, 2..=1_000_000)
+    }
+
     /// For the background.
     pub fn background() -> Self {
         Self {

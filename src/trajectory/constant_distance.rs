@@ -21,18 +21,22 @@
 //!   [`ConstantDistanceOptions::max_ratios`] the spread is taken over every k-th point only. The final least squares
 //!   uses all points. Both limits lie far above a clip of 60 frames.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{ScaleError, View, Views};
+use crate::limits::{Checked, within};
 use crate::scene::FrameId;
 
 /// Limits of the search; its result is the paper's as long as they are not reached.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct ConstantDistanceOptions {
     /// Most view pairs that are ranked.
+    #[schemars(extend("unit" = "pairs"))]
     pub max_pairs: usize,
     /// Most single ratios r_j that are computed for the second ranking.
+    #[schemars(extend("unit" = "ratios"))]
     pub max_ratios: usize,
 }
 
@@ -40,6 +44,17 @@ impl Default for ConstantDistanceOptions {
     /// All pairs of 600 frames; a quarter of a second.
     fn default() -> Self {
         Self { max_pairs: 200_000, max_ratios: 50_000_000 }
+    }
+}
+
+impl ConstantDistanceOptions {
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("max_pairs", self.max_pairs, 1..=100_000_000)?;
+        within("max_ratios", self.max_ratios, 1..=1_000_000_000_000)
     }
 }
 

@@ -8,30 +8,40 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Point2, Point3, Unit, Vector2, Vector3};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::views::median;
+use crate::limits::{Checked, OptionError, within};
 use crate::scene::{FrameId, Image, Mask, Reconstruction};
 
 /// What a vehicle looks like; lengths are shares of the height over which its points spread.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct ContactOptions {
     /// Observations that a point needs to count.
+    #[schemars(extend("unit" = "observations"))]
     pub min_track: usize,
     /// Median absolute deviations from the median beyond which a point does not count, along any axis.
+    #[schemars(extend("unit" = "median absolute deviations"))]
     pub max_deviation: f64,
     /// The lowest part of the points, which stands for the outline on the ground.
+    #[schemars(extend("unit" = "share of the height"))]
     pub lowest_part: f64,
     /// Of these, the share that has to lie within the outline: a mirror or a stray point does not.
+    #[schemars(extend("unit" = "share"))]
     pub within: f64,
     /// Sine of the least angle between the line of sight, seen from above, and the vehicle's axis.
+    #[schemars(extend("unit" = "sine"))]
     pub least_side_view: f64,
     /// Fewest frames that show a side.
+    #[schemars(extend("unit" = "frames"))]
     pub min_frames: usize,
     /// By how much outlines put the ground too high, as tyres do not quite stand flush, and how much that varies.
+    #[schemars(extend("unit" = "shares of the height: mean, standard deviation"))]
     pub side: [f64; 2],
     /// By how much the lowest points lie over the ground where no outline shows it, and how much that varies.
+    #[schemars(extend("unit" = "shares of the height: mean, standard deviation"))]
     pub lowest: [f64; 2],
 }
 
@@ -50,6 +60,30 @@ impl Default for ContactOptions {
             lowest: [0.1, 0.07],
         }
     }
+}
+
+impl ContactOptions {
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("min_track", self.min_track, 2..=1_000_000)?;
+        within("max_deviation", self.max_deviation, 0.1..=1000.0)?;
+        within("lowest_part", self.lowest_part, 0.01..=1.0)?;
+        within("within", self.within, 0.0..=1.0)?;
+        within("least_side_view", self.least_side_view, 0.0..=1.0)?;
+        within("min_frames", self.min_frames, 1..=1_000_000)?;
+        check_height("side", self.side)?;
+        check_height("lowest", self.lowest)
+    }
+}
+
+/// A height and its standard deviation, both as shares of the vehicle's own height; known exactly it would outweigh all.
+fn check_height(key: &str, [mean, std]: [f64; 2]) -> Checked {
+    let inside = |checked: Checked, which| checked.map_err(|e| OptionError::new(key, format!("{which}: {}", e.reason)));
+    inside(within(key, mean, -1.0..=1.0), "the mean")?;
+    inside(within(key, std, 1e-6..=10.0), "the standard deviation")
 }
 
 /// The outline of an object in one frame.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::error::significant;
@@ -9,11 +10,12 @@ use super::{
     ConstantDistance, ConstantDistanceOptions, Joint, JointOptions, LeastSquares, LeastSquaresOptions, ScaleError,
     Views, constant_distance, intersection, least_squares,
 };
+use crate::limits::{Checked, under, within};
 use crate::scene::{Ratios, ScaleEstimate, ScaleMethod};
 
 /// How the scale ratio is found.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct Options {
     /// The method whose answer becomes the ratio; the others are reported beside it.
     pub method: ScaleMethod,
@@ -23,8 +25,9 @@ pub struct Options {
     pub least_squares: LeastSquaresOptions,
     /// The adjustment with the ground.
     pub joint: JointOptions,
-    /// Standard deviation of the all-frames solution, relative to it, beyond which the motion counts as degenerate. A
+    /// Standard deviation of the all-frames solution beyond which the motion counts as degenerate. A
     /// tenth misplaces an object 25 m away by 2.5 m: further than a lane.
+    #[schemars(extend("unit" = "share of the ratio"))]
     pub max_relative_std: f64,
 }
 
@@ -37,6 +40,19 @@ impl Default for Options {
             joint: JointOptions::default(),
             max_relative_std: 0.1,
         }
+    }
+}
+
+impl Options {
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        under("constant_distance", self.constant_distance.check())?;
+        under("least_squares", self.least_squares.check())?;
+        under("joint", self.joint.check())?;
+        within("max_relative_std", self.max_relative_std, 0.0..=1000.0)
     }
 }
 

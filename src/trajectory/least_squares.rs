@@ -25,27 +25,44 @@
 //!
 //! Derivation: docs/maths/scale.md.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::views::median;
 use super::{ScaleError, Views};
+use crate::limits::{Checked, within};
 
 /// How robust the fit is.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct LeastSquaresOptions {
-    /// Distance, in robust standard deviations, at which a frame loses all weight (Tukey's biweight). 4.685 would keep 95 %
+    /// Distance at which a frame loses all weight (Tukey's biweight). 4.685 would keep 95 %
     /// of the efficiency on Gaussian noise, and some planes that are wrong by half a metre.
+    #[schemars(extend("unit" = "robust standard deviations"))]
     pub tukey_scale: f64,
     /// Frames before and after one with whose median it is compared.
+    #[schemars(extend("unit" = "frames"))]
     pub neighbours: usize,
     /// Rounds of reweighting; it stops earlier when r no longer changes.
+    #[schemars(extend("unit" = "rounds"))]
     pub max_rounds: usize,
 }
 
 impl Default for LeastSquaresOptions {
     fn default() -> Self {
         Self { tukey_scale: 3.0, neighbours: 5, max_rounds: 50 }
+    }
+}
+
+impl LeastSquaresOptions {
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("tukey_scale", self.tukey_scale, 0.1..=1000.0)?;
+        within("neighbours", self.neighbours, 1..=1000)?;
+        within("max_rounds", self.max_rounds, 0..=10_000)
     }
 }
 

@@ -79,9 +79,9 @@ pub enum VideoError {
         /// The last frame.
         last: String,
     },
-    /// The options contradict one another.
-    #[error("{0}")]
-    Options(String),
+    /// The options contradict one another, or one cannot be worked with.
+    #[error(transparent)]
+    Option(#[from] crate::limits::OptionError),
     /// One frame cannot be decoded.
     #[error("{path}: frame {frame} cannot be decoded: {reason}", path = path.display())]
     Frame {

@@ -1,9 +1,10 @@
 use std::fmt;
 use std::str::FromStr;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::VideoError;
+use crate::limits::{Checked, OptionError, within};
 use crate::scene::{Frame, FrameId};
 
 /// A place in the source: a time or a frame.
@@ -65,20 +66,25 @@ impl TryFrom<String> for Position {
 }
 
 /// Which frames are taken, and how large.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
     /// The first frame is the first one at or after this place; `None` is the beginning.
+    #[schemars(with = "Option<String>", extend("unit" = "seconds (\"12.5\") or a frame (\"120f\")"))]
     pub start: Option<Position>,
     /// Frames at or after this place are left out; `None` is the end.
+    #[schemars(with = "Option<String>", extend("unit" = "seconds (\"12.5\") or a frame (\"120f\")"))]
     pub end: Option<Position>,
     /// Every n-th frame, counted from the first one taken.
+    #[schemars(extend("unit" = "frames"))]
     pub every: u32,
     /// Pictures whose longer side is larger are made smaller to this many pixels, and the whole result is at that
     /// resolution; `None` keeps them.
+    #[schemars(extend("unit" = "pixels"))]
     pub max_dimension: Option<u32>,
     /// Frames per second of a folder of images, which has no time stamps; without it the index is the time. A video has
     /// its own.
+    #[schemars(extend("unit" = "frames per second"))]
     pub fps: Option<f64>,
 }
 
@@ -95,27 +101,24 @@ impl Options {
     /// Rejects contradictions.
     ///
     /// # Errors
-    /// [`VideoError::Options`] says which option to change.
-    pub fn check(&self) -> Result<(), VideoError> {
+    /// [`OptionError`] names the option.
+    pub fn check(&self) -> Checked {
         let contradiction = match (self.start, self.end) {
             (Some(Position::Seconds(start)), Some(Position::Seconds(end))) => start >= end,
             (Some(Position::Frame(start)), Some(Position::Frame(end))) => start >= end,
             _ => false,
         };
-        let wrong = |text: &str| Err(VideoError::Options(text.to_owned()));
         if contradiction {
-            return wrong("--start must lie before --end");
+            return Err(OptionError::new("start", "--start must lie before --end"));
         }
         if self.every == 0 {
-            return wrong("--every must be at least 1");
+            return Err(OptionError::new("every", "--every must be at least 1"));
         }
         if self.max_dimension.is_some_and(|side| side < MIN_DIMENSION) {
-            return wrong("--max-dimension must be at least 16 pixels");
+            return Err(OptionError::new("max_dimension", "--max-dimension must be at least 16 pixels"));
         }
-        if self.fps.is_some_and(|fps| !(fps.is_finite() && fps > 0.0)) {
-            return wrong("--fps must be a positive number of frames per second");
-        }
-        Ok(())
+        // From one picture in eleven days to a million in a second: beyond, times would no longer tell frames apart.
+        self.fps.map_or(Ok(()), |fps| within("fps", fps, 1e-6..=1e6))
     }
 }
 

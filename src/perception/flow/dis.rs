@@ -6,6 +6,7 @@ use opencv::prelude::*;
 use opencv::video::{
     DISOpticalFlow, DISOpticalFlow_PRESET_FAST, DISOpticalFlow_PRESET_MEDIUM, DISOpticalFlow_PRESET_ULTRAFAST,
 };
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Field, FlowEstimator, FlowOptions, at_frame_size, check_sizes, consistent};
@@ -17,7 +18,7 @@ use crate::scene::Flow;
 const MIN_SIDE: u32 = 32;
 
 /// How carefully DIS works; each step costs about five times the one before.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum DisPreset {
     /// Few patches, no refinement.

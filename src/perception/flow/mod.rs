@@ -11,12 +11,14 @@ mod network;
 use std::path::Path;
 
 use ::image::RgbImage;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use self::dis::{DisFlow, DisPreset};
 pub use self::network::OnnxFlow;
-use super::PerceptionError;
 use super::tensor::Plane;
+use super::{INPUT_SIZES, PerceptionError};
+use crate::limits::{Checked, within};
 use crate::scene::Flow;
 
 /// Estimates where the pixels of one frame lie in another.
@@ -29,44 +31,54 @@ pub trait FlowEstimator {
 }
 
 /// Options of optical flow.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct FlowOptions {
     /// How carefully DIS works.
     pub preset: DisPreset,
     /// Frames with a longer side are shrunk to this many pixels for the estimate; the flow is given at full size.
+    #[schemars(extend("unit" = "pixels"))]
     pub max_dimension: u32,
     /// Share α of the squared lengths of both flows that the way there and back may miss by.
+    #[schemars(extend("unit" = "share"))]
     pub consistency_relative: f32,
     /// Squared pixels β, at the size of the estimate, that the way there and back may miss by in any case.
     pub consistency_absolute_px2: f32,
-    /// Threads that a network runs on; 0 is one per core.
-    pub num_threads: usize,
 }
 
 impl Default for FlowOptions {
     fn default() -> Self {
-        Self {
-            preset: DisPreset::Fast,
-            max_dimension: 960,
-            consistency_relative: 0.01,
-            consistency_absolute_px2: 0.5,
-            num_threads: 0,
-        }
+        Self { preset: DisPreset::Fast, max_dimension: 960, consistency_relative: 0.01, consistency_absolute_px2: 0.5 }
     }
 }
 
-/// The flow estimator: a network if one is given, otherwise OpenCV's DIS.
+impl FlowOptions {
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("max_dimension", self.max_dimension, INPUT_SIZES)?;
+        // |f + b|² is never more than twice |f|² + |b|².
+        within("consistency_relative", self.consistency_relative, 0.0..=2.0)?;
+        within("consistency_absolute_px2", self.consistency_absolute_px2, 0.0..=1e6)
+    }
+}
+
+/// The flow estimator: a network if one is given, otherwise OpenCV's DIS. `num_threads` is the number of threads that a
+/// network runs on; 0 is one per core.
 ///
 /// # Errors
-/// [`PerceptionError::UnknownLayout`] if the network does not take two images and give a flow field.
-pub fn load_flow(network: Option<&Path>, options: &FlowOptions) -> Result<Box<dyn FlowEstimator>, PerceptionError> {
-    if options.max_dimension < 32 {
-        let reason = format!("{} is less than 32 pixels", options.max_dimension);
-        return Err(PerceptionError::Option { option: "max_dimension", reason });
-    }
+/// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] if the network does not
+/// take two images and give a flow field.
+pub fn load_flow(
+    network: Option<&Path>,
+    options: &FlowOptions,
+    num_threads: usize,
+) -> Result<Box<dyn FlowEstimator>, PerceptionError> {
+    options.check()?;
     match network {
-        Some(path) => Ok(Box::new(OnnxFlow::load(path, options)?)),
+        Some(path) => Ok(Box::new(OnnxFlow::load(path, options, num_threads)?)),
         None => Ok(Box::new(DisFlow::new(options)?)),
     }
 }

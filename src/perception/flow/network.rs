@@ -37,11 +37,12 @@ fn is_flow(tensor: &TensorInfo) -> bool {
 impl OnnxFlow {
     /// Loads a network with two inputs [1, 3, h, w] and an output [1, 2, h, w] of displacements in x and y, in pixels of
     /// the input. Pixels become RGB between -1 and 1 (torchvision's RAFT) unless a description beside it says otherwise.
+    /// `num_threads` is the number of threads that it runs on; 0 is one per core.
     ///
     /// # Errors
     /// [`PerceptionError::UnknownLayout`] if inputs and outputs are others.
-    pub fn load(path: &Path, options: &FlowOptions) -> Result<Self, PerceptionError> {
-        let model = Model::load(path, options.num_threads)?;
+    pub fn load(path: &Path, options: &FlowOptions, num_threads: usize) -> Result<Self, PerceptionError> {
+        let model = Model::load(path, num_threads)?;
         let output_idx = model.outputs().iter().rposition(is_flow);
         let (2, true, Some(output_idx)) = (model.inputs().len(), model.inputs().iter().all(is_image), output_idx)
         else {

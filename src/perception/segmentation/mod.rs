@@ -9,11 +9,13 @@ mod yolo;
 use std::path::Path;
 
 use ::image::RgbImage;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use self::yolo::YoloSeg;
-use super::PerceptionError;
+use super::{INPUT_SIZES, PerceptionError};
 use crate::ffi::onnx::Model;
+use crate::limits::{Checked, some_of, within};
 use crate::scene::Detection;
 
 /// Finds the movable objects of a frame.
@@ -26,7 +28,7 @@ pub trait Segmenter {
 }
 
 /// Whether a frame that is larger than the network's input is also looked at piece by piece.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tiling {
     /// The whole frame only, shrunk to the network's input.
@@ -38,25 +40,27 @@ pub enum Tiling {
 }
 
 /// Options of instance segmentation.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SegmentationOptions {
-    /// Objects with a lower score are not reported (0 to 1). The tracker starts tracks only from higher scores of its own
+    /// Objects with a lower score are not reported. The tracker starts tracks only from higher scores of its own
     /// choice, but follows them with everything that is reported.
+    #[schemars(extend("unit" = "score, 0 to 1"))]
     pub confidence: f64,
     /// Of two objects of one class whose boxes overlap by more than this (intersection over union), only the one with the
     /// higher score is kept.
+    #[schemars(extend("unit" = "share"))]
     pub nms_iou: f64,
     /// Names of the classes that are reported: everything that may move by itself, for nothing of it may serve as background.
     pub classes: Vec<String>,
     /// Whether large frames are also looked at in tiles.
     pub tiling: Tiling,
-    /// Overlap of neighbouring tiles, as a fraction of a tile's side: larger than the objects that the tiles are to find.
+    /// Overlap of neighbouring tiles: larger than the objects that the tiles are to find.
+    #[schemars(extend("unit" = "share of a tile's side"))]
     pub tile_overlap: f64,
-    /// Longer side of the input, pixels, for networks that leave it open.
+    /// Longer side of the input, for networks that leave it open.
+    #[schemars(extend("unit" = "pixels"))]
     pub input_size: u32,
-    /// Threads that the network runs on; 0 is one per core.
-    pub num_threads: usize,
 }
 
 /// What moves by itself, in the words of COCO, Cityscapes and the common drone data sets.
@@ -97,7 +101,6 @@ impl Default for SegmentationOptions {
             tiling: Tiling::Off,
             tile_overlap: 0.2,
             input_size: 640,
-            num_threads: 0,
         }
     }
 }
@@ -106,36 +109,29 @@ impl SegmentationOptions {
     /// Refuses values that make no sense.
     ///
     /// # Errors
-    /// [`PerceptionError::Option`] names the option.
-    pub fn check(&self) -> Result<(), PerceptionError> {
-        let fraction = |option: &'static str, value: f64, top: f64| {
-            if (0.0..=top).contains(&value) {
-                return Ok(());
-            }
-            Err(PerceptionError::Option { option, reason: format!("{value} is not between 0 and {top}") })
-        };
-        fraction("confidence", self.confidence, 1.0)?;
-        fraction("nms_iou", self.nms_iou, 1.0)?;
-        fraction("tile_overlap", self.tile_overlap, 0.8)?;
-        if self.classes.is_empty() {
-            return Err(PerceptionError::Option { option: "classes", reason: "no class is asked for".into() });
-        }
-        if !(32..=8192).contains(&self.input_size) {
-            let reason = format!("{} is not between 32 and 8192 pixels", self.input_size);
-            return Err(PerceptionError::Option { option: "input_size", reason });
-        }
-        Ok(())
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("confidence", self.confidence, 0.0..=1.0)?;
+        within("nms_iou", self.nms_iou, 0.0..=1.0)?;
+        some_of("classes", &self.classes)?;
+        within("tile_overlap", self.tile_overlap, 0.0..=0.8)?;
+        within("input_size", self.input_size, INPUT_SIZES)
     }
 }
 
-/// Loads a network for instance segmentation; its family is recognised from its inputs and outputs.
+/// Loads a network for instance segmentation; its family is recognised from its inputs and outputs. `num_threads` is the
+/// number of threads that it runs on; 0 is one per core.
 ///
 /// # Errors
 /// [`PerceptionError::UnknownLayout`] lists what was found and what is supported; [`PerceptionError::NoClassNames`] and
 /// [`PerceptionError::NoWantedClass`] say what is wrong with its classes; errors of the runtime say how to get it.
-pub fn load_segmenter(path: &Path, options: &SegmentationOptions) -> Result<Box<dyn Segmenter>, PerceptionError> {
+pub fn load_segmenter(
+    path: &Path,
+    options: &SegmentationOptions,
+    num_threads: usize,
+) -> Result<Box<dyn Segmenter>, PerceptionError> {
     options.check()?;
-    let model = Model::load(path, options.num_threads)?;
+    let model = Model::load(path, num_threads)?;
     if yolo::recognise(&model) {
         return Ok(Box::new(YoloSeg::new(model, options)?));
     }

@@ -26,10 +26,11 @@ mod tracker;
 #[cfg(test)]
 mod world;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use self::tracker::Tracker;
-use super::PerceptionError;
+use crate::limits::{Checked, ordered, some_of, within};
 use crate::scene::{FrameId, Mask, ObjectId};
 
 /// What a mask rests on.
@@ -80,30 +81,38 @@ pub struct TrackSummary {
 }
 
 /// Options of the tracker.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrackerOptions {
     /// Names of the classes that are tracked; detections of others are passed over.
     pub track_classes: Vec<String>,
     /// A track starts with a detection of at least this confidence; weaker ones only continue tracks.
+    #[schemars(extend("unit" = "score, 0 to 1"))]
     pub start_confidence: f64,
     /// Detections with fewer pixels are passed over.
     pub min_area_px2: usize,
     /// Overlap (intersection over union) that a detection must have with the carried mask of its object.
+    #[schemars(extend("unit" = "share"))]
     pub min_overlap: f64,
     /// Of two detections of which one lies in the other by more than this share, only the surer one counts.
+    #[schemars(extend("unit" = "share"))]
     pub duplicate_overlap: f64,
-    /// Detections that give an object its lasting id ...
+    /// Detections that give an object its lasting id, if they lie within `confirm_window` frames.
+    #[schemars(extend("unit" = "detections"))]
     pub min_detections: usize,
-    /// ... if they lie within so many frames.
+    /// Frames within which `min_detections` detections must lie.
+    #[schemars(extend("unit" = "frames"))]
     pub confirm_window: usize,
     /// Frames for which a mask is carried without a detection.
+    #[schemars(extend("unit" = "frames"))]
     pub max_carried: usize,
     /// Share of a mask's pixels that must be carried by consistent flow for the carried mask to count.
+    #[schemars(extend("unit" = "share"))]
     pub min_carried_share: f64,
     /// Seconds for which a lost object may be found again.
     pub max_lost_secs: f64,
-    /// Similarity of colours (Bhattacharyya coefficient, 0 to 1) that a lost object must have to be found again.
+    /// Similarity of colours (Bhattacharyya coefficient) that a lost object must have to be found again.
+    #[schemars(extend("unit" = "0 to 1"))]
     pub min_similarity: f64,
 }
 
@@ -145,28 +154,16 @@ impl TrackerOptions {
     /// Refuses values that make no sense.
     ///
     /// # Errors
-    /// [`PerceptionError::Option`] names the option.
-    pub fn check(&self) -> Result<(), PerceptionError> {
-        let fractions = [
-            ("start_confidence", self.start_confidence),
-            ("min_overlap", self.min_overlap),
-            ("duplicate_overlap", self.duplicate_overlap),
-            ("min_carried_share", self.min_carried_share),
-            ("min_similarity", self.min_similarity),
-        ];
-        for (option, value) in fractions {
-            if !(0.0..=1.0).contains(&value) {
-                return Err(PerceptionError::Option { option, reason: format!("{value} is not between 0 and 1") });
-            }
-        }
-        if self.min_detections == 0 || self.confirm_window < self.min_detections {
-            let reason = format!("{} detections do not fit into {} frames", self.min_detections, self.confirm_window);
-            return Err(PerceptionError::Option { option: "min_detections", reason });
-        }
-        if self.max_lost_secs.is_nan() || self.max_lost_secs < 0.0 {
-            let reason = format!("{} is not a time", self.max_lost_secs);
-            return Err(PerceptionError::Option { option: "max_lost_secs", reason });
-        }
-        Ok(())
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        some_of("track_classes", &self.track_classes)?;
+        within("start_confidence", self.start_confidence, 0.0..=1.0)?;
+        within("min_overlap", self.min_overlap, 0.0..=1.0)?;
+        within("duplicate_overlap", self.duplicate_overlap, 0.0..=1.0)?;
+        within("min_detections", self.min_detections, 1..=1_000_000)?;
+        ordered(("min_detections", self.min_detections), ("confirm_window", self.confirm_window))?;
+        within("min_carried_share", self.min_carried_share, 0.0..=1.0)?;
+        within("max_lost_secs", self.max_lost_secs, 0.0..=1e9)?;
+        within("min_similarity", self.min_similarity, 0.0..=1.0)
     }
 }

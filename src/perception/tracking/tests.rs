@@ -2,6 +2,7 @@
 
 use super::world::{HEIGHT, Thing, WIDTH, World};
 use super::*;
+use crate::perception::PerceptionError;
 use crate::scene::Detection;
 
 const RED: [u8; 3] = [200, 30, 30];

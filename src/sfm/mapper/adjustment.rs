@@ -60,7 +60,6 @@ pub fn adjust(
         loss: options.loss(noise),
         max_iterations: if local { 10 } else { 30 },
         function_tolerance: if local { 1e-4 } else { 1e-6 },
-        threads: options.threads,
         ..bundle::Options::default()
     };
     let mut summary = bundle::adjust(&mut problem, &bundle_options)?;
@@ -154,7 +153,6 @@ impl<'a> Probe<'a> {
             loss: self.options.loss(self.noise),
             max_iterations: 20,
             function_tolerance: 1e-5,
-            threads: self.options.threads,
             ..bundle::Options::default()
         };
         let cost = bundle::adjust(&mut problem, &bundle_options)?.final_cost;

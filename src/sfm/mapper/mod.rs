@@ -20,6 +20,7 @@ mod report;
 mod tests;
 mod view_graph;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use long_tracks::cut_long_tracks;
@@ -30,6 +31,7 @@ use super::SfmError;
 use super::tracks::TrackTable;
 use super::triangulation::Limits;
 use crate::camera::Camera;
+use crate::limits::{Checked, ordered, within};
 use crate::math::RobustLoss;
 use crate::scene::Reconstruction;
 use growth::Growth;
@@ -46,47 +48,77 @@ pub enum Intrinsics {
 }
 
 /// How a map is built.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct Options {
-    /// Fewest inliers of the pair that starts the map.
+    /// Fewest inliers of the pair that starts the map. Everything is measured against this pair, so it must have several
+    /// times the five points that any five-point solution explains; small objects do not offer more than the default.
+    #[schemars(extend("unit" = "points"))]
     pub min_initial_inliers: usize,
-    /// Median angle at which a starting pair is wide enough, degrees; narrower ones are taken when there is none.
+    /// Median angle at which a starting pair is wide enough; narrower ones are taken when there is none. Depth is uncertain
+    /// with one over the angle, and much wider pairs share few points.
     pub initial_angle_deg: f64,
-    /// Fewest inliers with which a view is registered.
+    /// Fewest inliers with which a view is registered. Three points make a pose, and a few more fit it by chance where many
+    /// are wrong; seven is what small objects offer.
+    #[schemars(extend("unit" = "points"))]
     pub min_resection_inliers: usize,
-    /// Fewest inliers of a resection as a share of the known points that the view sees.
+    /// Fewest inliers of a resection as a share of the known points that the view sees: a pose that most of what is seen
+    /// contradicts is that of another copy of the same texture.
+    #[schemars(extend("unit" = "share"))]
     pub min_inlier_ratio: f64,
-    /// Epipolar and resection threshold, pixels.
+    /// Epipolar and resection threshold. Wide, since poses are still rough when it is asked; points are judged by the
+    /// narrower `max_error_px` afterwards.
     pub max_pose_error_px: f64,
-    /// Reprojection error above which an observation is taken out while the noise is not known, pixels.
+    /// Reprojection error above which an observation is taken out while the noise is not known, and in any case: a corner
+    /// that is so far off is another one.
     pub max_error_px: f64,
-    /// The same as a multiple of the noise, once that was measured from the map itself; never below [`Options::min_error_px`].
+    /// The same as a multiple of the noise, once that was measured from the map itself; never below `min_error_px`. Errors
+    /// of tracks have long tails, of which eight standard deviations leave what bundle adjustment's loss can bear.
+    #[schemars(extend("unit" = "standard deviations"))]
     pub max_error_sigmas: f64,
-    /// Reprojection error that is always let through, pixels.
+    /// Reprojection error that is always let through, so that hardly any noise does not make outliers of observations that
+    /// are off by what models of lenses leave out.
     pub min_error_px: f64,
-    /// Smallest angle between two rays of a point, degrees.
+    /// Smallest angle between two rays of a point. Below a degree, an error of a tenth of a pixel moves a point by a
+    /// percent of its distance and more, and bundle adjustment would follow it.
     pub min_angle_deg: f64,
-    /// Scale of the robust loss of bundle adjustment while the noise is not known, pixels.
+    /// Scale of the robust loss of bundle adjustment while the noise is not known: about the error of a rough map, so that
+    /// good observations still count by their squares.
     pub loss_scale_px: f64,
-    /// The same as a multiple of the noise.
+    /// The same as a multiple of the noise: at two standard deviations nineteen of twenty good observations count by their
+    /// squares, and systematic errors beyond pull no more than linearly.
+    #[schemars(extend("unit" = "standard deviations"))]
     pub loss_sigmas: f64,
-    /// Free poses of a local bundle adjustment.
+    /// Free poses of a local bundle adjustment: a new view changes those with which it shares points, and the cost grows
+    /// with the square of their number.
+    #[schemars(extend("unit" = "views"))]
     pub local_views: usize,
-    /// Growth of the number of views after which everything is adjusted.
+    /// Growth of the number of views after which everything is adjusted. A fixed share, so that all global adjustments
+    /// together cost no more than a few times the last one.
+    #[schemars(extend("unit" = "factor"))]
     pub global_growth: f64,
-    /// Points per view in the global adjustments while the map grows; the last ones take all.
+    /// Points per view in the global adjustments while the map grows, about five for each of the 48 parts of a picture: to
+    /// keep the shape of the map needs no more. The last adjustments take all.
+    #[schemars(extend("unit" = "points"))]
     pub growth_points_per_view: usize,
-    /// Starts that are made in any case, far from one another, to keep the map that explains the tracks best.
+    /// Starts that are made in any case, far from one another, to keep the map that explains the tracks best. Objects need
+    /// several, since on one plane (a car's tail) a map may bend at residuals hardly larger than those of the right one.
+    #[schemars(extend("unit" = "starts"))]
     pub min_starts: usize,
-    /// Starts that are tried at most while none registers nearly all views.
+    /// Starts that are tried at most while none registers nearly all views: each costs a whole reconstruction.
+    #[schemars(extend("unit" = "starts"))]
     pub max_starts: usize,
-    /// Whether views are in time order, so that a failed one can be tried from its neighbours.
+    /// Whether views are in time order, so that a failed one can be tried from its neighbours. Frames in no order
+    /// (`order`) set it to false.
     pub ordered: bool,
-    /// Views in time order after which [`cut_long_tracks`] cuts a track.
+    /// Views in time order after which a track is cut in two: three seconds of most videos. Longer ones fill the system of
+    /// bundle adjustment, so that a view would cost the more the longer the video is.
+    #[schemars(extend("unit" = "views"))]
     pub max_track_views: usize,
-    /// Threads.
-    pub threads: usize,
 }
+
+/// Scale of the loss below which a residual is rounding; a smaller one would only slow the solver down.
+const MIN_LOSS_SCALE_PX: f64 = 0.02;
 
 impl Options {
     /// For the background.
@@ -110,7 +142,6 @@ impl Options {
             max_starts: 3,
             ordered: true,
             max_track_views: 96,
-            threads: 1,
         }
     }
 
@@ -130,6 +161,32 @@ impl Options {
         }
     }
 
+    /// Rejects limits that cannot be kept, contradict one another or would never end.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("min_initial_inliers", self.min_initial_inliers, 6..=1_000_000)?;
+        within("initial_angle_deg", self.initial_angle_deg, 0.0..=90.0)?;
+        within("min_resection_inliers", self.min_resection_inliers, 4..=1_000_000)?;
+        within("min_inlier_ratio", self.min_inlier_ratio, 0.0..=1.0)?;
+        within("max_pose_error_px", self.max_pose_error_px, 0.01..=1000.0)?;
+        within("max_error_px", self.max_error_px, 0.01..=1000.0)?;
+        within("max_error_sigmas", self.max_error_sigmas, 0.1..=1000.0)?;
+        within("min_error_px", self.min_error_px, 0.001..=1000.0)?;
+        ordered(("min_error_px", self.min_error_px), ("max_error_px", self.max_error_px))?;
+        within("min_angle_deg", self.min_angle_deg, 0.0..=90.0)?;
+        within("loss_scale_px", self.loss_scale_px, MIN_LOSS_SCALE_PX..=1000.0)?;
+        within("loss_sigmas", self.loss_sigmas, 0.01..=1000.0)?;
+        within("local_views", self.local_views, 1..=10_000)?;
+        within("global_growth", self.global_growth, 1.01..=1000.0)?;
+        within("growth_points_per_view", self.growth_points_per_view, 1..=1_000_000)?;
+        within("min_starts", self.min_starts, 1..=1000)?;
+        within("max_starts", self.max_starts, 1..=1000)?;
+        ordered(("min_starts", self.min_starts), ("max_starts", self.max_starts))?;
+        within("max_track_views", self.max_track_views, 4..=1_000_000_000)
+    }
+
     /// What counts as an observation at a noise.
     fn limits(&self, noise: Noise) -> Limits {
         let max_error_px = match noise {
@@ -143,11 +200,9 @@ impl Options {
 
     /// The loss of bundle adjustment at a noise.
     fn loss(&self, noise: Noise) -> RobustLoss {
-        // Below this a residual is rounding, and the loss would only slow the solver down.
-        const MIN_SCALE_PX: f64 = 0.02;
         let scale = match noise {
             Noise::Unknown => self.loss_scale_px,
-            Noise::Measured { sigma_px } => (self.loss_sigmas * sigma_px).clamp(MIN_SCALE_PX, self.loss_scale_px),
+            Noise::Measured { sigma_px } => (self.loss_sigmas * sigma_px).clamp(MIN_LOSS_SCALE_PX, self.loss_scale_px),
         };
         RobustLoss::SoftL1 { scale }
     }
@@ -180,8 +235,11 @@ enum Noise {
 ///
 /// The reconstruction is empty when no pair of views can start one; the report then says why.
 ///
+/// Adjustments run on the threads of the caller's rayon pool.
+///
 /// # Errors
-/// [`SfmError::Bundle`] only on an invalid bundle adjustment problem, which would be a bug.
+/// [`SfmError::Option`] for options that [`Options::check`] refuses; [`SfmError::Bundle`] only on an invalid bundle
+/// adjustment problem, which would be a bug.
 pub fn reconstruct(
     table: &TrackTable,
     cameras: &[Camera],
@@ -205,6 +263,7 @@ pub fn reconstruct_watched(
     seed: u64,
     watch: &mut dyn FnMut(f64),
 ) -> Result<(Reconstruction, Report), SfmError> {
+    options.check()?;
     // Of a start, growing takes about so much, the last adjustments the rest.
     const GROWTH_SHARE: f64 = 0.7;
     let (pairs, survey) = initial_pair::ranked(table, cameras, intrinsics, options, seed);

@@ -116,8 +116,9 @@ fn two_threads_agree_with_one() {
     let world = world(180, 400);
     let table = tracks_over(150, &world, 0.3, 20, &mut seeded_rng(6, 0));
     let on = |threads| {
-        let options = Options { threads, ..Options::background() };
-        reconstruct(&table, &[world.camera], Intrinsics::Fixed, &options, 1).unwrap().0
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let work = || reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 1);
+        pool.install(work).unwrap().0
     };
     let (one, two) = (on(1), on(2));
     assert!(one.images.len() == 180 && one.images.keys().eq(two.images.keys()));
@@ -186,4 +187,29 @@ fn what_cannot_be_reconstructed_has_a_reason() {
     table.views[12].rgb.clear();
     let (_, report) = reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 0).unwrap();
     assert_eq!(report.failures().collect::<Vec<_>>(), [("000012.jpg", &Reason::NoFeatures)]);
+}
+
+#[test]
+fn options_that_pass_the_check_do_no_harm() {
+    let world = world(8, 60);
+    let tracks = tracks(&world, 0.3, 6, &mut seeded_rng(7, 0));
+    let mut num_passed = 0;
+    for (changed, options) in crate::limits::testing::variations(&Options::object()) {
+        let mut table = tracks.clone();
+        if options.check().is_err() {
+            continue;
+        }
+        num_passed += 1;
+        cut_long_tracks(&mut table, &[world.camera], Intrinsics::Refined, &options, 1);
+        let found = reconstruct(&table, &[world.camera], Intrinsics::Refined, &options, 1);
+        assert!(found.is_ok(), "{changed}: {:?}", found.err());
+    }
+    assert!(num_passed > 50, "{num_passed}");
+}
+
+#[test]
+fn options_that_do_not_pass_the_check_are_refused() {
+    let options = Options { min_error_px: 5.0, ..Options::object() };
+    let refused = reconstruct(&TrackTable::default(), &[], Intrinsics::Fixed, &options, 0);
+    assert!(matches!(refused, Err(SfmError::Option(error)) if error.key == "min_error_px"));
 }

@@ -5,23 +5,39 @@
 
 mod products;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::features::{DESCRIPTOR_LEN, DESCRIPTOR_NORM, Features};
+use crate::limits::{Checked, within};
 use products::Best;
 
 /// When two features match.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct MatchOptions {
     /// Largest ratio of the distances to the best and the second best candidate.
+    #[schemars(extend("unit" = "ratio"))]
     pub max_ratio: f32,
-    /// Largest distance of two unit descriptors.
+    /// Largest distance of two descriptors of length 1: 0 for equal ones, 1.41 for those that have nothing in common.
+    #[schemars(extend("unit" = "distance"))]
     pub max_distance: f32,
 }
 
 impl Default for MatchOptions {
     fn default() -> Self {
         Self { max_ratio: 0.75, max_distance: 0.7 }
+    }
+}
+
+impl MatchOptions {
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("max_ratio", self.max_ratio, 0.0..=1.0)?;
+        within("max_distance", self.max_distance, 0.0..=2.0)
     }
 }
 

@@ -16,41 +16,53 @@ mod tests;
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use self::adjustment::Adjustment;
 use self::precision::{median_error_px, set_errors, uncertain_points};
 use super::mirror::{mean_normal, mirrored};
 use super::{Contact, ContactOptions, Options, ScaleError, Silhouette, Views};
+use crate::limits::{Checked, OptionError, under, within};
 use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction};
 
 /// How much each kind of knowledge counts.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct JointOptions {
     /// Standard deviation of a local plane's distance to the vehicle, as a share of the camera's height over it: what the
     /// distance wanders by before the adjustment, but no less than the first of these and no more than the second. The less it
     /// wanders, the better are planes and reconstruction.
+    #[schemars(extend("unit" = "shares of the camera's height: least, most"))]
     pub sigma_distance: [f64; 2],
     /// Points as many as which those of one frame count, where the distance wanders by the most. Errors on glossy paint
     /// and of tracks that wander are common to many points and many frames; taken for independent they would leave nothing to the ground.
+    #[schemars(extend("unit" = "points"))]
     pub independent_points: f64,
-    /// Standard deviation of a vehicle's inclination against its plane, radians: springs, and planes that are not quite plane.
+    /// Standard deviation of a vehicle's inclination against its plane: springs, and planes that are not quite plane.
+    #[schemars(extend("unit" = "radians"))]
     pub sigma_tilt: f64,
     /// Standard deviations beyond which a plane loses weight (Cauchy).
+    #[schemars(extend("unit" = "standard deviations"))]
     pub loss_scale: f64,
     /// Standard deviations beyond which an image position loses weight (Cauchy).
+    #[schemars(extend("unit" = "standard deviations"))]
     pub pixel_loss_scale: f64,
-    /// Median angle between planes and object, radians, from which on the mirror image is looked at, too.
+    /// Median angle between planes and object from which on the mirror image is looked at, too.
+    #[schemars(extend("unit" = "radians"))]
     pub suspicious_tilt: f64,
     /// Most rounds of adjustment and new contact.
+    #[schemars(extend("unit" = "rounds"))]
     pub max_rounds: usize,
     /// By how much the image positions may fit worse afterwards, as a factor of their median error.
+    #[schemars(extend("unit" = "factor"))]
     pub max_error_growth: f64,
     /// Standard deviation of a point's place, as a share of the object's radius (the median distance of its points from the
     /// middle), beyond which it is left out. On glossy paint most of what is seen in a few frames only is so uncertain.
+    #[schemars(extend("unit" = "share of the object's radius"))]
     pub max_deviation: f64,
     /// Share of the points that stays in any case: the surest.
+    #[schemars(extend("unit" = "share"))]
     pub least_share: f64,
     /// Where the vehicle touches the ground.
     pub contact: ContactOptions,
@@ -71,6 +83,30 @@ impl Default for JointOptions {
             least_share: 0.5,
             contact: ContactOptions::default(),
         }
+    }
+}
+
+impl JointOptions {
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        let [least, most] = self.sigma_distance;
+        if !(least > 0.0 && least <= most && most <= 1.0) {
+            let reason = format!("[{least:?}, {most:?}] are not two ascending shares between 0 and 1");
+            return Err(OptionError::new("sigma_distance", reason));
+        }
+        within("independent_points", self.independent_points, 0.01..=1e6)?;
+        within("sigma_tilt", self.sigma_tilt, 1e-6..=10.0)?;
+        within("loss_scale", self.loss_scale, 0.01..=1000.0)?;
+        within("pixel_loss_scale", self.pixel_loss_scale, 0.01..=1000.0)?;
+        within("suspicious_tilt", self.suspicious_tilt, 0.0..=std::f64::consts::PI)?;
+        within("max_rounds", self.max_rounds, 1..=1000)?;
+        within("max_error_growth", self.max_error_growth, 0.1..=1000.0)?;
+        within("max_deviation", self.max_deviation, 1e-6..=1000.0)?;
+        within("least_share", self.least_share, 0.0..=1.0)?;
+        under("contact", self.contact.check())
     }
 }
 

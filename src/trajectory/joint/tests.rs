@@ -2,8 +2,10 @@ use nalgebra::{Point2, Vector3};
 
 use super::*;
 use crate::math::Rigid3;
+use crate::scene::ObjectId;
 use crate::synthetic::drive::{Drive, Noise, Options, drive};
 use crate::trajectory::contact::Silhouette;
+use crate::trajectory::{Evidence, ModelOrigin, ObjectDescription, place};
 
 const NOISE: Noise = Noise { pixel_px: 0.3, plane_height_m: 0.03, plane_tilt_deg: 0.5, bad_planes: 0.0 };
 
@@ -136,4 +138,33 @@ fn uncertain_points_are_left_out_but_never_most() {
     let count = object.points.len();
     assert_eq!(uncertain_points(&object, 0.0, 0.5).len(), count / 2);
     assert!(uncertain_points(&object, f64::INFINITY, 0.5).is_empty());
+}
+
+#[test]
+fn options_that_pass_the_check_do_no_harm() {
+    let small =
+        Options { noise: NOISE, num_frames: 8, num_object_points: 60, num_ground_points: 100, ..Options::default() };
+    let world = drive(&small, 1);
+    let silhouettes = silhouettes(&world);
+    let description = ObjectDescription { id: ObjectId(1), class: "car".to_owned(), confidence: 1.0 };
+    let mut num_passed = 0;
+    for (changed, options) in crate::limits::testing::variations(&crate::trajectory::Options::default()) {
+        if options.check().is_err() {
+            continue;
+        }
+        num_passed += 1;
+        let evidence = Evidence {
+            description: description.clone(),
+            origin: ModelOrigin::Reconstructed,
+            background: &world.background,
+            object: &world.object,
+            planes: &world.planes,
+            silhouettes: &silhouettes,
+            frames: &world.frames,
+        };
+        if let Ok(trajectory) = place(&evidence, &options).trajectory {
+            assert!(trajectory.scale.ratio > 0.0 && trajectory.scale.ratio.is_finite(), "{changed}");
+        }
+    }
+    assert!(num_passed > 80, "{num_passed}");
 }

@@ -1,0 +1,132 @@
+//! Every option with its default, its unit and its effect: for `tractrix options` and for docs/options.md.
+
+use serde_json::{Value, json};
+
+use super::Options;
+use super::schema::{self, Node, join};
+use crate::sfm::{self, FrontEndOptions, Target};
+
+/// An option.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OptionRow {
+    /// Its path, separated by dots.
+    pub key: String,
+    /// Its value in each of the trees that were asked for, as JSON.
+    pub values: Vec<String>,
+    /// The unit of its value, where that has one.
+    pub unit: Option<String>,
+    /// What it does.
+    pub effect: String,
+}
+
+/// Options that belong together.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OptionSection {
+    /// What they stand under.
+    pub title: String,
+    /// What they are for.
+    pub about: String,
+    /// Whose defaults the rows hold.
+    pub columns: Vec<String>,
+    /// The options.
+    pub rows: Vec<OptionRow>,
+}
+
+impl Options {
+    /// Every option with its value here and its default. Options of a front end are compared with those of its kind.
+    pub fn rows(&self) -> Vec<OptionRow> {
+        let mut like = json!(defaults_for(self));
+        let default = json!(Self::default());
+        for target in ["background", "objects"] {
+            like[target]["front_end"]["kind"] = default[target]["front_end"]["kind"].clone();
+        }
+        rows(schema::root(), "", &[json!(self), like])
+    }
+
+    /// All options with their defaults.
+    pub fn reference() -> Vec<OptionSection> {
+        let (tree, schema) = (json!(Self::default()), schema::root());
+        let Node::Group(known) = Node::of(schema) else { return Vec::new() };
+        let (groups, values): (Vec<_>, Vec<_>) =
+            known.iter().partition(|(_, schema)| matches!(Node::of(schema), Node::Group(_)));
+        let values = values.into_iter().flat_map(|(name, schema)| rows(schema, name, &[tree[name].clone()])).collect();
+        let mut sections = vec![section("The root".to_owned(), schema::described(schema), values)];
+        for (name, schema) in groups {
+            match name.as_str() {
+                "background" => sections.extend(targets(schema)),
+                "objects" => {}
+                _ => {
+                    let rows = rows(schema, name, &[tree[name].clone()]);
+                    sections.push(section(format!("`{name}`"), schema::described(schema), rows));
+                }
+            }
+        }
+        sections
+    }
+}
+
+fn section(title: String, about: String, rows: Vec<OptionRow>) -> OptionSection {
+    OptionSection { title, about, columns: vec!["default".to_owned()], rows }
+}
+
+/// The sections of structure from motion, which background and objects have in common.
+fn targets(schema: &Value) -> Vec<OptionSection> {
+    let both = [Target::Background, Target::Object].map(|target| (target, sfm::Options::of(target)));
+    let video = both.clone().map(|(target, options)| json!(options.with_video(target)));
+    let sift = both.map(|(target, options)| json!(options.with_sift(target)));
+    let part = |name: &str, about: &str, trees: &[Value]| {
+        let schema = &schema["properties"][name];
+        let values: Vec<Value> = trees.iter().map(|tree| tree[name].clone()).collect();
+        OptionSection {
+            title: format!("`background.{name}` and `objects.{name}`{about}"),
+            about: schema::described(schema),
+            columns: ["background", "objects"].map(str::to_owned).to_vec(),
+            rows: rows(schema, name, &values),
+        }
+    };
+    vec![
+        part("front_end", " of kind `video`", &video),
+        part("front_end", " of kind `sift`", &sift),
+        part("mapper", "", &video),
+    ]
+}
+
+/// The options at and below a place of the tree.
+fn rows(schema: &Value, path: &str, trees: &[Value]) -> Vec<OptionRow> {
+    let group = |known: &serde_json::Map<String, Value>| {
+        let below = |(name, schema): (&String, &Value)| {
+            let trees: Vec<Value> = trees.iter().map(|tree| tree[name].clone()).collect();
+            rows(schema, &join(path, name), &trees)
+        };
+        known.iter().flat_map(below).collect()
+    };
+    match Node::of(schema) {
+        Node::Group(known) => group(known),
+        Node::Kinds(kinds) => {
+            let known = trees.first().and_then(|tree| schema::of_kind(kinds, &tree["kind"]));
+            let mut found = known.map_or_else(Vec::new, group);
+            let kind = join(path, "kind");
+            found.iter_mut().filter(|row| row.key == kind).for_each(|row| row.effect = schema::effect(schema));
+            found
+        }
+        Node::ById | Node::Leaf => vec![OptionRow {
+            key: path.to_owned(),
+            values: trees.iter().map(|value| schema::written(schema, value)).collect(),
+            unit: schema::unit(path, schema),
+            effect: schema::effect(schema),
+        }],
+    }
+}
+
+/// The defaults, with the kinds of front end that some options have.
+fn defaults_for(options: &Options) -> Options {
+    let like = |target, wanted: &sfm::Options| match wanted.front_end {
+        FrontEndOptions::Video(_) => sfm::Options::of(target).with_video(target),
+        FrontEndOptions::Sift(_) => sfm::Options::of(target).with_sift(target),
+    };
+    Options {
+        background: like(Target::Background, &options.background),
+        objects: like(Target::Object, &options.objects),
+        ..Options::default()
+    }
+}

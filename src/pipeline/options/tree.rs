@@ -1,0 +1,310 @@
+//! Given options, laid over others key by key.
+//!
+//! What a file or a flag gives is a tree of JSON of which most is missing. It lies over the options that are there: what it
+//! does not name keeps its value, below `objects` that of an object. Values are taken over one by one, so that whatever
+//! does not fit is refused by its path.
+
+use serde_json::{Map, Value, json};
+
+use super::Options;
+use super::schema::{self, Node, join};
+use crate::limits::{Checked, OptionError};
+use crate::sfm::{self, Target};
+
+impl Options {
+    /// These options with those that a tree of JSON gives instead.
+    ///
+    /// Where it names another `kind` of front end, the other options of that kind begin with their defaults.
+    ///
+    /// # Errors
+    /// [`OptionError`] for a key that is not in the tree of options, which says the one that may be meant, and for a value
+    /// that is none of its option.
+    pub fn with_tree(&self, given: &Value) -> Result<Self, OptionError> {
+        let mut options = self.clone();
+        lay(&mut options, "", schema::root(), given)?;
+        Ok(options)
+    }
+
+    /// These options with one value instead, as a flag gives it: JSON, or a word.
+    ///
+    /// * `key` – the option's path, separated by dots.
+    ///
+    /// # Errors
+    /// As [`Options::with_tree`].
+    pub fn with_value(&self, key: &str, text: &str) -> Result<Self, OptionError> {
+        let with = |value: Value| self.with_tree(&key.rsplit('.').fold(value, |inner, name| json!({ name: inner })));
+        let word = || with(Value::String(text.to_owned()));
+        match serde_json::from_str(text) {
+            // A time of 12.5 is a number to JSON and a text to its option.
+            Ok(value) => with(value).or_else(|error| word().map_err(|_| error)),
+            Err(_) => word(),
+        }
+    }
+}
+
+fn lay(options: &mut Options, path: &str, schema: &Value, given: &Value) -> Checked {
+    match Node::of(schema) {
+        Node::Group(known) => lay_group(options, path, known, given),
+        Node::Kinds(kinds) => {
+            let known = choose_kind(options, path, kinds, given)?;
+            check_kind(path, kinds, known, given)?;
+            lay_group(options, path, known, given)
+        }
+        Node::ById => named(path, &[], given)?.iter().try_for_each(|(id, value)| put(options, &join(path, id), value)),
+        Node::Leaf => put(options, path, given),
+    }
+}
+
+fn lay_group(options: &mut Options, path: &str, known: &Map<String, Value>, given: &Value) -> Checked {
+    let names: Vec<&str> = known.keys().map(String::as_str).collect();
+    for (name, value) in named(path, &names, given)? {
+        let schema = known.get(name).ok_or_else(|| unknown(path, name, &names))?;
+        lay(options, &join(path, name), schema, value)?;
+    }
+    Ok(())
+}
+
+/// The entries of what must be an object of JSON.
+fn named<'a>(path: &str, names: &[&str], given: &'a Value) -> Result<&'a Map<String, Value>, OptionError> {
+    let wrong = || match names {
+        [] => OptionError::new(path, format!("{given} gives no values by the ids of objects")),
+        _ => OptionError::new(path, format!("{given} is no group of options; it has {}", names.join(", "))),
+    };
+    given.as_object().ok_or_else(wrong)
+}
+
+/// The options of the kind that is given, else of the one that is there. Another one comes with its defaults.
+fn choose_kind<'a>(
+    options: &mut Options,
+    path: &str,
+    kinds: &'a [Value],
+    given: &Value,
+) -> Result<&'a Map<String, Value>, OptionError> {
+    let before = tree(options).pointer(&pointer(path)).map_or(Value::Null, |group| group["kind"].clone());
+    let kind = given.get("kind").unwrap_or(&before);
+    let wrong =
+        || OptionError::new(join(path, "kind"), format!("{kind} is none of {}", schema::kinds(kinds).join(", ")));
+    let known = schema::of_kind(kinds, kind).ok_or_else(wrong)?;
+    if *kind != before {
+        let target = if path.starts_with("objects") { Target::Object } else { Target::Background };
+        put(options, path, &front_end(target, kind).ok_or_else(wrong)?)?;
+    }
+    Ok(known)
+}
+
+/// Refuses options of other kinds than the one that is chosen.
+fn check_kind(path: &str, kinds: &[Value], known: &Map<String, Value>, given: &Value) -> Checked {
+    let names = given.as_object().into_iter().flat_map(Map::keys).filter(|name| !known.contains_key(*name));
+    for name in names {
+        if let Some(kind) = schema::kind_with(kinds, name) {
+            let reason = format!("it belongs to the kind {kind}; set {} to that first", join(path, "kind"));
+            return Err(OptionError::new(join(path, name), reason));
+        }
+    }
+    Ok(())
+}
+
+/// A front end of some kind, as it is unless set otherwise.
+fn front_end(target: Target, kind: &Value) -> Option<Value> {
+    let options = sfm::Options::of(target);
+    let both = [options.clone().with_video(target), options.with_sift(target)];
+    both.iter().map(|options| json!(options.front_end)).find(|front_end| front_end["kind"] == *kind)
+}
+
+/// Takes a single value over.
+fn put(options: &mut Options, path: &str, value: &Value) -> Checked {
+    let mut changed = tree(options);
+    let (group, name) = path.rsplit_once('.').unwrap_or(("", path));
+    if let Some(group) = changed.pointer_mut(&pointer(group)).and_then(Value::as_object_mut) {
+        group.insert(name.to_owned(), value.clone());
+    }
+    let wrong = |reason: String| OptionError::new(path, reason);
+    let changed: Options = serde_json::from_value(changed).map_err(|error| wrong(error.to_string()))?;
+    // Single precision takes 1e300 for infinite, which JSON cannot say.
+    if !value.is_null() && tree(&changed).pointer(&pointer(path)).is_some_and(Value::is_null) {
+        return Err(wrong(format!("{value} is no number that it can have")));
+    }
+    *options = changed;
+    Ok(())
+}
+
+fn tree(options: &Options) -> Value {
+    json!(options)
+}
+
+/// A path as `serde_json` wants it.
+fn pointer(path: &str) -> String {
+    path.split('.').filter(|name| !name.is_empty()).map(|name| format!("/{name}")).collect()
+}
+
+fn unknown(path: &str, name: &str, names: &[&str]) -> OptionError {
+    let place = if path.is_empty() { "the tree" } else { path };
+    let meant = meant(path, name, names).map_or_else(|| ".".to_owned(), |meant| format!("; did you mean {meant}?"));
+    OptionError::new(join(path, name), format!("there is no such option{meant} In {place} stand {}", names.join(", ")))
+}
+
+/// What a key may have been meant for: its nearest neighbour in the group, or else its namesakes elsewhere.
+fn meant(path: &str, name: &str, names: &[&str]) -> Option<String> {
+    /// Similarity from which on a key counts as misspelt (Jaro and Winkler, 0 to 1).
+    const NEAR: f64 = 0.85;
+    let near = names.iter().map(|other| (strsim::jaro_winkler(name, other), other)).filter(|(near, _)| *near >= NEAR);
+    if let Some((_, nearest)) = near.max_by(|a, b| a.0.total_cmp(&b.0)) {
+        return Some(join(path, nearest));
+    }
+    let all = schema::paths(schema::root(), "");
+    let mut namesakes: Vec<String> = all.into_iter().filter(|path| path.rsplit('.').next() == Some(name)).collect();
+    namesakes.dedup();
+    (!namesakes.is_empty()).then(|| namesakes.join(" or "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sfm::FrontEndOptions;
+    use crate::sfm::sift_front_end::SiftOptions;
+
+    fn laid(given: Value) -> Result<Options, OptionError> {
+        Options::default().with_tree(&given)
+    }
+
+    fn refused(given: Value) -> String {
+        laid(given).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn what_run_json_holds_is_taken_as_it_is() {
+        let mut options = Options { seed: 7, only_objects: [crate::scene::ObjectId(3)].into(), ..Options::default() };
+        options.objects = options.objects.with_sift(Target::Object);
+        for options in [Options::default(), options] {
+            let text = serde_json::to_string(&json!({ "options": options })).unwrap();
+            let read: Value = serde_json::from_str(&text).unwrap();
+            assert_eq!(laid(read["options"].clone()), Ok(options));
+        }
+    }
+
+    #[test]
+    fn what_is_not_given_keeps_the_default_of_its_target() {
+        let given = json!({ "objects": { "mapper": { "min_starts": 2 }, "front_end": { "quality": 0.5 } } });
+        let found = laid(given).unwrap();
+        let mut expected = Options::default();
+        expected.objects.mapper.min_starts = 2;
+        let FrontEndOptions::Video(video) = &mut expected.objects.front_end else { panic!("video is the default") };
+        video.quality = 0.5;
+        assert_eq!(found, expected);
+        assert_ne!(found.objects.mapper, found.background.mapper);
+    }
+
+    #[test]
+    fn another_kind_of_front_end_begins_with_its_defaults() {
+        let given = json!({ "objects": { "front_end": { "min_pair_matches": 9, "kind": "sift" } } });
+        let found = laid(given).unwrap();
+        let expected = SiftOptions { min_pair_matches: 9, ..SiftOptions::object() };
+        assert_eq!(found.objects.front_end, FrontEndOptions::Sift(expected));
+        let back = found.with_value("objects.front_end.kind", "video").unwrap();
+        assert_eq!(back, Options::default());
+        let said = refused(json!({ "background": { "front_end": { "kind": "orb" } } }));
+        assert!(said.contains("background.front_end.kind") && said.contains("video, sift"), "{said}");
+        let said = refused(json!({ "background": { "front_end": { "pairing": "exhaustive" } } }));
+        assert!(said.contains("background.front_end.pairing: it belongs to the kind \"sift\""), "{said}");
+    }
+
+    #[test]
+    fn enums_are_replaced_as_a_whole_and_entries_join() {
+        let options = laid(json!({ "instances": { "masks": "m" }, "object_models": { "1": "a" } })).unwrap();
+        let options =
+            options.with_tree(&json!({ "instances": { "model": "x" }, "object_models": { "2": "b" } })).unwrap();
+        assert_eq!(options.instances, super::super::Instances::Model("x".into()));
+        assert_eq!(options.object_models.len(), 2);
+    }
+
+    /// Paths of all groups, those of every kind among them.
+    fn groups(schema: &Value, path: &str) -> Vec<(String, Option<Value>)> {
+        let below = |options: &Map<String, Value>| -> Vec<_> {
+            options.iter().flat_map(|(name, schema)| groups(schema, &join(path, name))).collect()
+        };
+        match Node::of(schema) {
+            Node::Group(options) => [vec![(path.to_owned(), None)], below(options)].concat(),
+            Node::Kinds(kinds) => {
+                let one = |kind: &Value| {
+                    let options = kind["properties"].as_object().unwrap();
+                    [vec![(path.to_owned(), Some(options["kind"]["const"].clone()))], below(options)].concat()
+                };
+                kinds.iter().flat_map(one).collect()
+            }
+            Node::ById | Node::Leaf => Vec::new(),
+        }
+    }
+
+    #[test]
+    fn unknown_keys_are_refused_at_every_level() {
+        let groups = groups(schema::root(), "");
+        assert!(groups.len() > 20, "{groups:?}");
+        let base = |path: &str| match path.contains("front_end.") {
+            true => {
+                let sift = |target, options: sfm::Options| options.with_sift(target);
+                let options = Options::default();
+                Options {
+                    background: sift(Target::Background, options.background.clone()),
+                    objects: sift(Target::Object, options.objects.clone()),
+                    ..options
+                }
+            }
+            false => Options::default(),
+        };
+        for (path, kind) in groups {
+            let inner = kind.map_or(json!({}), |kind| json!({ "kind": kind }));
+            let given = |name: &str| {
+                let mut group = inner.clone();
+                group[name] = json!(1);
+                let around = path.rsplit('.').filter(|name| !name.is_empty());
+                around.fold(group, |inner, name| json!({ name: inner }))
+            };
+            let error = base(&path).with_tree(&given("no_such_option")).unwrap_err();
+            assert_eq!(error.key, join(&path, "no_such_option"));
+        }
+    }
+
+    #[test]
+    fn misspelt_and_misplaced_keys_are_told_what_is_meant() {
+        let said = refused(json!({ "scale": { "joint": { "independent_point": 5 } } }));
+        assert!(said.contains("did you mean scale.joint.independent_points?"), "{said}");
+        let said = refused(json!({ "max_pair_matches": 5 }));
+        assert!(said.contains("option max_pair_matches: there is no such option"), "{said}");
+        let said = refused(json!({ "min_pair_matches": 5 }));
+        assert!(said.contains("background.front_end.min_pair_matches or objects.front_end.min_pair_matches"), "{said}");
+    }
+
+    #[test]
+    fn values_that_are_none_are_refused_by_their_path() {
+        let cases = [
+            (json!({ "ground": { "min_points": -1 } }), "ground.min_points"),
+            (json!({ "ground": { "max_error_px": null } }), "ground.max_error_px"),
+            (json!({ "ground": 7 }), "ground"),
+            (
+                json!({ "background": { "front_end": { "min_correlation": 1e300 } } }),
+                "background.front_end.min_correlation",
+            ),
+            (json!({ "features": "orb" }), "features"),
+            (json!({ "object_models": { "one": "a" } }), "object_models.one"),
+            (json!([1]), ""),
+        ];
+        for (given, key) in cases {
+            assert_eq!(laid(given).unwrap_err().key, key);
+        }
+    }
+
+    #[test]
+    fn flags_give_json_or_words() {
+        let with = |key: &str, text: &str| Options::default().with_value(key, text);
+        assert_eq!(with("features", "sift").unwrap().features, super::super::FeatureKind::Sift);
+        assert_eq!(with("video.start", "12.5").unwrap().video.start, "12.5".parse().ok());
+        assert_eq!(with("video.max_dimension", "640").unwrap().video.max_dimension, Some(640));
+        assert_eq!(
+            with("scale.joint.sigma_distance", "[0.001, 0.002]").unwrap().scale.joint.sigma_distance,
+            [0.001, 0.002]
+        );
+        assert_eq!(with("instances.masks", "dir").unwrap().instances, super::super::Instances::Masks("dir".into()));
+        assert!(with("ground.min_points", "many").unwrap_err().to_string().contains("ground.min_points"));
+        assert!(with("ground", "many").unwrap_err().to_string().contains("num_neighbors"));
+    }
+}

@@ -1,0 +1,12 @@
+//! Work on as many threads as the options ask for.
+
+use super::PipelineError;
+use crate::limits::OptionError;
+
+/// Does `work` on so many threads: on those of the caller's pool, unless another number is asked for.
+pub(super) fn on_threads<T: Send>(threads: Option<usize>, work: impl FnOnce() -> T + Send) -> Result<T, PipelineError> {
+    let Some(threads) = threads.filter(|&threads| threads != rayon::current_num_threads()) else { return Ok(work()) };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    let pool = pool.map_err(|error| OptionError::new("threads", format!("they cannot be started: {error}")))?;
+    Ok(pool.install(work))
+}
