@@ -213,9 +213,10 @@ mod tests {
             let charts = Charts { data: &data, timeline: &timeline, objects: charted(&data, &names) };
             charts.camera_height().lines.into_iter().map(|l| l.points).collect::<Vec<_>>()
         };
+        let car = world.trajectory.id;
+        world.ground.planes.retain(|(id, _), _| *id == car);
         let before = height(&world);
         assert!(!before[0].is_empty() && before[1].is_empty());
-        let car = world.trajectory.id;
         for frame in [FrameId(20), FrameId(21)] {
             let mut plane = world.ground.planes[&(car, frame)];
             plane.point -= 100.0 * plane.normal;
