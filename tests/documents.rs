@@ -1,8 +1,25 @@
 //! What the documents promise of files is true: those that are named exist, links lead somewhere, and every dependency
-//! has its reason.
+//! has its reason. And no line of these rooms is wider than the code, comments and strings included.
 
 use std::fs;
 use std::path::{Path, PathBuf};
+
+/// `max_width` of `rustfmt.toml`, which wraps neither comments nor strings.
+const MAX_COLUMNS: usize = 120;
+/// Where that is held.
+const WRAPPED: [&str; 11] = [
+    "src/bundle",
+    "src/camera",
+    "src/ffi",
+    "src/ground",
+    "src/image",
+    "src/io",
+    "src/math",
+    "src/robust",
+    "src/sfm/solvers",
+    "src/synthetic",
+    "examples",
+];
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -129,4 +146,17 @@ fn every_dependency_says_why_it_is_there() {
     let names = ["dependencies", "dev-dependencies"].map(|table| manifest[table].as_table().unwrap().keys());
     let silent = names.into_iter().flatten().filter(|name| !reasons.contains(&format!("`{name}`")));
     report(&silent.map(|name| format!("docs/dependencies.md has no line for {name}")).collect::<Vec<_>>());
+}
+
+#[test]
+fn no_line_is_wider_than_the_code() {
+    let mut files = texts_of(&WRAPPED);
+    files.retain(|file| file.extension().is_some_and(|e| e == "rs"));
+    assert!(files.len() > 50, "only {} files were found", files.len());
+    let wide = |file: &PathBuf| {
+        let text = read(file);
+        let lines = text.lines().enumerate().filter(|(_, line)| line.chars().count() > MAX_COLUMNS);
+        lines.map(|(k, _)| format!("{}:{}", shown(file), k + 1)).collect::<Vec<_>>()
+    };
+    report(&files.iter().flat_map(wide).collect::<Vec<_>>());
 }

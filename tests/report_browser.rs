@@ -249,8 +249,8 @@ fn found_by(browser: &Path, page: &str, width: u32, script: &str) -> String {
     let after = after.split_once('>').expect("it ends").1;
     let probe = format!(
         "<script>const wait = setInterval(() => {{ if (!document.documentElement.dataset.ready) return; \
-         clearInterval(wait); document.documentElement.dataset.found = (() => {{ {script} }})(); }}, \
-         50);</script></body>"
+         clearInterval(wait); \
+         document.documentElement.dataset.found = (() => {{ {script} }})(); }}, 50);</script></body>"
     );
     std::fs::write(&file, format!("{before}{after}").replace("</body>", &probe)).expect("the page is written");
     let window = format!("--window-size={width},1000");
@@ -322,10 +322,12 @@ fn a_small_path_has_its_dots_at_its_ends() {
             const box = svg.getBoundingClientRect(), path = svg.querySelector('.plan-path'); \
             const at = (p) => p.matrixTransform(path.getScreenCTM()); \
             for (const [dot, end] of [['.plan-start', 0], ['.plan-end', path.getTotalLength()]]) { \
-                const [place, line] = [svg.querySelector(dot).getPointAtLength(0), \
-                path.getPointAtLength(end)].map(at); const off = Math.hypot(place.x - line.x, place.y - line.y); \
-                const inside = Math.min(place.x - box.left, box.right - place.x, place.y - box.top, box.bottom - \
-                place.y); if (off > 1 || inside < 6) wrong.push(`${dot} ${off} ${inside}`); \
+                const ends = [svg.querySelector(dot).getPointAtLength(0), path.getPointAtLength(end)]; \
+                const [place, line] = ends.map(at); \
+                const off = Math.hypot(place.x - line.x, place.y - line.y); \
+                const across = Math.min(place.x - box.left, box.right - place.x); \
+                const inside = Math.min(across, place.y - box.top, box.bottom - place.y); \
+                if (off > 1 || inside < 6) wrong.push(`${dot} ${off} ${inside}`); \
             } \
         } \
         return `${plans.length > 0} ${wrong}`;";
