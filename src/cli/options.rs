@@ -52,10 +52,10 @@ Everything that decides a result, with defaults. This page is made from the code
     tractrix options --options mine.json            # every option with its value, unit, and default if it is another
     tractrix options --json > mine.json             # the whole tree, to be changed
 
-A file given with `--options` holds such a tree, or a part of it: what it leaves out keeps its default. A `run.json` will
-do, too: its options are taken. `--set KEY=VALUE` goes before the file and takes JSON or a word; flags of their own
-(`--seed`, `--every`, ...) go before both. A key that does not exist, and a value that makes no sense, are refused by their
-path.
+A file given with `--options` holds such a tree, or a part of it: what it leaves out keeps its default. A `run.json`
+will do, too: its options are taken. `--set KEY=VALUE` goes before the file and takes JSON or a word; flags of their own
+(`--seed`, `--every`, ...) go before both. A key that does not exist, and a value that makes no sense, are refused by
+their path.
 
 Where a value is one of several words or forms, the effect names them. `null` stands for what is not given.
 ";

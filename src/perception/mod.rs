@@ -23,5 +23,6 @@ pub use self::ground::{GroundOptions, GroundSegmenter, load_ground_segmenter};
 pub use self::segmentation::{SegmentationOptions, Segmenter, Tiling, load_segmenter};
 pub use self::tracking::{Evidence, TrackSummary, TrackedMask, Tracker, TrackerOptions};
 
-/// Longer sides of pictures, pixels, that networks are asked about: below, there is nothing to see; beyond, memory ends.
+/// Longer sides of pictures, pixels, that networks are asked about: below, there is nothing to see; beyond, memory
+/// ends.
 const INPUT_SIZES: std::ops::RangeInclusive<u32> = 32..=8192;

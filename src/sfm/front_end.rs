@@ -57,8 +57,8 @@ pub enum FrontEnd {
 }
 
 impl FrontEnd {
-    /// Nothing seen yet. `camera` serves to verify matches; a guess will do. Options that [`FrontEndOptions::check`] refuses
-    /// may end in a panic.
+    /// Nothing seen yet. `camera` serves to verify matches; a guess will do. Options that [`FrontEndOptions::check`]
+    /// refuses may end in a panic.
     pub fn new(options: &FrontEndOptions, camera: Camera) -> Self {
         match options {
             FrontEndOptions::Video(o) => Self::Video(VideoFrontEnd::new(o.clone())),
@@ -118,21 +118,19 @@ mod tests {
     fn options_that_pass_the_check_do_no_harm() {
         let (frames, mask) = (frames(), Mask::from_fn(120, 80, |x, _| x > 20));
         let mut num_passed = 0;
-        for target in [Target::Background, Target::Object] {
-            let options = crate::sfm::Options::of(target);
-            for options in [options.clone(), options.with_sift(target)] {
-                for (changed, options) in variations(&options.front_end) {
-                    if options.check().is_err() {
-                        continue;
-                    }
-                    num_passed += 1;
-                    let mut front_end = FrontEnd::new(&options, Camera::prior(120, 80));
-                    let pushed = frames.iter().try_for_each(|(frame, image)| front_end.push(frame, image, &mask));
-                    let found = pushed.and_then(|()| front_end.finish(1));
-                    assert!(found.is_ok(), "{changed}: {:?}", found.err());
+        let options = crate::sfm::Options::object();
+        for options in [options.clone(), options.with_sift(Target::Object)] {
+            for (changed, options) in variations(&options.front_end) {
+                if options.check().is_err() {
+                    continue;
                 }
+                num_passed += 1;
+                let mut front_end = FrontEnd::new(&options, Camera::prior(120, 80));
+                let pushed = frames.iter().try_for_each(|(frame, image)| front_end.push(frame, image, &mask));
+                let found = pushed.and_then(|()| front_end.finish(1));
+                assert!(found.is_ok(), "{changed}: {:?}", found.err());
             }
         }
-        assert!(num_passed > 100, "{num_passed}");
+        assert!(num_passed > 50, "{num_passed}");
     }
 }

@@ -79,7 +79,8 @@ impl ContactOptions {
     }
 }
 
-/// A height and its standard deviation, both as shares of the vehicle's own height; known exactly it would outweigh all.
+/// A height and its standard deviation, both as shares of the vehicle's own height; known exactly it would outweigh
+/// all.
 fn check_height(key: &str, [mean, std]: [f64; 2]) -> Checked {
     let inside = |checked: Checked, which| checked.map_err(|e| OptionError::new(key, format!("{which}: {}", e.reason)));
     inside(within(key, mean, -1.0..=1.0), "the mean")?;

@@ -119,8 +119,8 @@ impl SegmentationOptions {
     }
 }
 
-/// Loads a network for instance segmentation; its family is recognised from its inputs and outputs. `num_threads` is the
-/// number of threads that it runs on; 0 is one per core.
+/// Loads a network for instance segmentation; its family is recognised from its inputs and outputs. `num_threads` is
+/// the number of threads that it runs on; 0 is one per core.
 ///
 /// # Errors
 /// [`PerceptionError::UnknownLayout`] lists what was found and what is supported; [`PerceptionError::NoClassNames`] and
