@@ -57,8 +57,8 @@ pub enum FrontEnd {
 }
 
 impl FrontEnd {
-    /// Nothing seen yet. `camera` serves to verify matches; a guess will do. Options that [`FrontEndOptions::check`] refuses
-    /// may end in a panic.
+    /// Nothing seen yet. `camera` serves to verify matches; a guess will do. Options that [`FrontEndOptions::check`]
+    /// refuses may end in a panic.
     pub fn new(options: &FrontEndOptions, camera: Camera) -> Self {
         match options {
             FrontEndOptions::Video(o) => Self::Video(VideoFrontEnd::new(o.clone())),

@@ -63,9 +63,10 @@ pub enum Target {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Options {
-    /// From frames to tracks. `features`, where it is not `auto`, goes before the kind, and frames in no order are worked on
-    /// by `sift` with all pairs: with the options that are set here if that is the kind, else with the defaults of an
-    /// object, and for the background with 5000 features of a contrast from 0.02 on and tracks from two views.
+    /// From frames to tracks. `features`, where it is not `auto`, goes before the kind, and frames in no order are
+    /// worked on by `sift` with all pairs: with the options that are set here if that is the kind, else with the
+    /// defaults of an object, and for the background with 5000 features of a contrast from 0.02 on and tracks from two
+    /// views.
     pub front_end: FrontEndOptions,
     /// From tracks to a map.
     pub mapper: mapper::Options,

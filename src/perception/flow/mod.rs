@@ -69,8 +69,8 @@ impl FlowOptions {
 /// network runs on; 0 is one per core.
 ///
 /// # Errors
-/// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] if the network does not
-/// take two images and give a flow field.
+/// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] if the network does
+/// not take two images and give a flow field.
 pub fn load_flow(
     network: Option<&Path>,
     options: &FlowOptions,

@@ -47,11 +47,12 @@ pub struct SegmentationOptions {
     /// choice, but follows them with everything that is reported.
     #[schemars(extend("unit" = "score, 0 to 1"))]
     pub confidence: f64,
-    /// Of two objects of one class whose boxes overlap by more than this (intersection over union), only the one with the
-    /// higher score is kept.
+    /// Of two objects of one class whose boxes overlap by more than this (intersection over union), only the one with
+    /// the higher score is kept.
     #[schemars(extend("unit" = "share"))]
     pub nms_iou: f64,
-    /// Names of the classes that are reported: everything that may move by itself, for nothing of it may serve as background.
+    /// Names of the classes that are reported: everything that may move by itself, for nothing of it may serve as
+    /// background.
     pub classes: Vec<String>,
     /// Whether large frames are also looked at in tiles.
     pub tiling: Tiling,
@@ -119,8 +120,8 @@ impl SegmentationOptions {
     }
 }
 
-/// Loads a network for instance segmentation; its family is recognised from its inputs and outputs. `num_threads` is the
-/// number of threads that it runs on; 0 is one per core.
+/// Loads a network for instance segmentation; its family is recognised from its inputs and outputs. `num_threads` is
+/// the number of threads that it runs on; 0 is one per core.
 ///
 /// # Errors
 /// [`PerceptionError::UnknownLayout`] lists what was found and what is supported; [`PerceptionError::NoClassNames`] and

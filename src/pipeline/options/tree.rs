@@ -1,8 +1,8 @@
 //! Given options, laid over others key by key.
 //!
-//! What a file or a flag gives is a tree of JSON of which most is missing. It lies over the options that are there: what it
-//! does not name keeps its value, below `objects` that of an object. Values are taken over one by one, so that whatever
-//! does not fit is refused by its path.
+//! What a file or a flag gives is a tree of JSON of which most is missing. It lies over the options that are there:
+//! what it does not name keeps its value, below `objects` that of an object. Values are taken over one by one, so that
+//! whatever does not fit is refused by its path.
 
 use serde_json::{Map, Value, json};
 
@@ -17,8 +17,8 @@ impl Options {
     /// Where it names another `kind` of front end, the other options of that kind begin with their defaults.
     ///
     /// # Errors
-    /// [`OptionError`] for a key that is not in the tree of options, which says the one that may be meant, and for a value
-    /// that is none of its option.
+    /// [`OptionError`] for a key that is not in the tree of options, which says the one that may be meant, and for a
+    /// value that is none of its option.
     pub fn with_tree(&self, given: &Value) -> Result<Self, OptionError> {
         let mut options = self.clone();
         lay(&mut options, "", schema::root(), given)?;

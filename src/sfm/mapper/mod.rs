@@ -1,10 +1,10 @@
 //! Incremental reconstruction of one target (the background, or one object) from its tracks.
 //!
-//! A pair of views with many common points and a wide angle starts the map. Views are added one by one, the one that sees
-//! most known points first: its pose by P3P ([`super::resection`]), new points by triangulation
-//! ([`super::triangulation`]), then a local bundle adjustment round it, and a global one whenever the map has grown by a
-//! fixed share. Views that fail are tried again when they see more points, and at the end, for a video, from the poses of
-//! their neighbours. Views that contradict what pairs of views say by themselves are taken out and tried again
+//! A pair of views with many common points and a wide angle starts the map. Views are added one by one, the one that
+//! sees most known points first: its pose by P3P ([`super::resection`]), new points by triangulation
+//! ([`super::triangulation`]), then a local bundle adjustment round it, and a global one whenever the map has grown by
+//! a fixed share. Views that fail are tried again when they see more points, and at the end, for a video, from the
+//! poses of their neighbours. Views that contradict what pairs of views say by themselves are taken out and tried again
 //! (`view_graph`). When a start does not carry far, the next pair is tried, and the largest map is kept.
 //!
 //! Every view that is not part of the result has a [`Reason`] in the [`Report`].
@@ -51,58 +51,61 @@ pub enum Intrinsics {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Options {
-    /// Fewest inliers of the pair that starts the map. Everything is measured against this pair, so it must have several
-    /// times the five points that any five-point solution explains; small objects do not offer more than the default.
+    /// Fewest inliers of the pair that starts the map. Everything is measured against this pair, so it must have
+    /// several times the five points that any five-point solution explains; small objects do not offer more than the
+    /// default.
     #[schemars(extend("unit" = "points"))]
     pub min_initial_inliers: usize,
-    /// Median angle at which a starting pair is wide enough; narrower ones are taken when there is none. Depth is uncertain
-    /// with one over the angle, and much wider pairs share few points.
+    /// Median angle at which a starting pair is wide enough; narrower ones are taken when there is none. Depth is
+    /// uncertain with one over the angle, and much wider pairs share few points.
     pub initial_angle_deg: f64,
-    /// Fewest inliers with which a view is registered. Three points make a pose, and a few more fit it by chance where many
-    /// are wrong; seven is what small objects offer.
+    /// Fewest inliers with which a view is registered. Three points make a pose, and a few more fit it by chance where
+    /// many are wrong; seven is what small objects offer.
     #[schemars(extend("unit" = "points"))]
     pub min_resection_inliers: usize,
-    /// Fewest inliers of a resection as a share of the known points that the view sees: a pose that most of what is seen
-    /// contradicts is that of another copy of the same texture.
+    /// Fewest inliers of a resection as a share of the known points that the view sees: a pose that most of what is
+    /// seen contradicts is that of another copy of the same texture.
     #[schemars(extend("unit" = "share"))]
     pub min_inlier_ratio: f64,
     /// Epipolar and resection threshold. Wide, since poses are still rough when it is asked; points are judged by the
     /// narrower `max_error_px` afterwards.
     pub max_pose_error_px: f64,
-    /// Reprojection error above which an observation is taken out while the noise is not known, and in any case: a corner
-    /// that is so far off is another one.
+    /// Reprojection error above which an observation is taken out while the noise is not known, and in any case: a
+    /// corner that is so far off is another one.
     pub max_error_px: f64,
-    /// The same as a multiple of the noise, once that was measured from the map itself; never below `min_error_px`. Errors
-    /// of tracks have long tails, of which eight standard deviations leave what bundle adjustment's loss can bear.
+    /// The same as a multiple of the noise, once that was measured from the map itself; never below `min_error_px`.
+    /// Errors of tracks have long tails, of which eight standard deviations leave what bundle adjustment's loss can
+    /// bear.
     #[schemars(extend("unit" = "standard deviations"))]
     pub max_error_sigmas: f64,
-    /// Reprojection error that is always let through, so that hardly any noise does not make outliers of observations that
-    /// are off by what models of lenses leave out.
+    /// Reprojection error that is always let through, so that hardly any noise does not make outliers of observations
+    /// that are off by what models of lenses leave out.
     pub min_error_px: f64,
     /// Smallest angle between two rays of a point. Below a degree, an error of a tenth of a pixel moves a point by a
     /// percent of its distance and more, and bundle adjustment would follow it.
     pub min_angle_deg: f64,
-    /// Scale of the robust loss of bundle adjustment while the noise is not known: about the error of a rough map, so that
-    /// good observations still count by their squares.
+    /// Scale of the robust loss of bundle adjustment while the noise is not known: about the error of a rough map, so
+    /// that good observations still count by their squares.
     pub loss_scale_px: f64,
-    /// The same as a multiple of the noise: at two standard deviations nineteen of twenty good observations count by their
-    /// squares, and systematic errors beyond pull no more than linearly.
+    /// The same as a multiple of the noise: at two standard deviations nineteen of twenty good observations count by
+    /// their squares, and systematic errors beyond pull no more than linearly.
     #[schemars(extend("unit" = "standard deviations"))]
     pub loss_sigmas: f64,
-    /// Free poses of a local bundle adjustment: a new view changes those with which it shares points, and the cost grows
-    /// with the square of their number.
+    /// Free poses of a local bundle adjustment: a new view changes those with which it shares points, and the cost
+    /// grows with the square of their number.
     #[schemars(extend("unit" = "views"))]
     pub local_views: usize,
     /// Growth of the number of views after which everything is adjusted. A fixed share, so that all global adjustments
     /// together cost no more than a few times the last one.
     #[schemars(extend("unit" = "factor"))]
     pub global_growth: f64,
-    /// Points per view in the global adjustments while the map grows, about five for each of the 48 parts of a picture: to
-    /// keep the shape of the map needs no more. The last adjustments take all.
+    /// Points per view in the global adjustments while the map grows, about five for each of the 48 parts of a picture:
+    /// to keep the shape of the map needs no more. The last adjustments take all.
     #[schemars(extend("unit" = "points"))]
     pub growth_points_per_view: usize,
-    /// Starts that are made in any case, far from one another, to keep the map that explains the tracks best. Objects need
-    /// several, since on one plane (a car's tail) a map may bend at residuals hardly larger than those of the right one.
+    /// Starts that are made in any case, far from one another, to keep the map that explains the tracks best. Objects
+    /// need several, since on one plane (a car's tail) a map may bend at residuals hardly larger than those of the
+    /// right one.
     #[schemars(extend("unit" = "starts"))]
     pub min_starts: usize,
     /// Starts that are tried at most while none registers nearly all views: each costs a whole reconstruction.
@@ -111,8 +114,8 @@ pub struct Options {
     /// Whether views are in time order, so that a failed one can be tried from its neighbours. Frames in no order
     /// (`order`) set it to false.
     pub ordered: bool,
-    /// Views in time order after which a track is cut in two: three seconds of most videos. Longer ones fill the system of
-    /// bundle adjustment, so that a view would cost the more the longer the video is.
+    /// Views in time order after which a track is cut in two: three seconds of most videos. Longer ones fill the system
+    /// of bundle adjustment, so that a view would cost the more the longer the video is.
     #[schemars(extend("unit" = "views"))]
     pub max_track_views: usize,
 }
@@ -210,8 +213,8 @@ impl Options {
 
 /// How far observations lie from their points' projections.
 ///
-/// Features of different front ends, videos and objects differ tenfold in it, and a loss or a threshold that is wide for
-/// the data lets systematic errors in: on the shared rendered sequence measured limits took the camera error of the
+/// Features of different front ends, videos and objects differ tenfold in it, and a loss or a threshold that is wide
+/// for the data lets systematic errors in: on the shared rendered sequence measured limits took the camera error of the
 /// background from 2.8 to 0.5 mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Noise {
@@ -226,8 +229,8 @@ enum Noise {
 
 /// Builds the map that explains the tracks best.
 ///
-/// A start on few points or on one plane (a car's tail) may grow into a map that is bent at one frame, whose residuals are
-/// hardly larger than those of the right one, so that objects are built from several starts.
+/// A start on few points or on one plane (a car's tail) may grow into a map that is bent at one frame, whose residuals
+/// are hardly larger than those of the right one, so that objects are built from several starts.
 ///
 /// Long videos cost the least after [`cut_long_tracks`].
 ///
