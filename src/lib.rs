@@ -3,8 +3,8 @@
 //! The method is that of Bullinger et al., *3D Trajectory Reconstruction of Dynamic Objects Using Planarity
 //! Constraints*; equation labels in the documentation (`eq. determine_s3`) are the paper's.
 //!
-//! Data goes one way: [`video`] → [`perception`] → [`sfm`] → [`ground`] → [`trajectory`] → outputs. The stage rooms never
-//! call one another; [`pipeline`] passes the nouns of [`scene`] along. `docs/architecture.md` is the map, and
+//! Data goes one way: [`video`] → [`perception`] → [`sfm`] → [`ground`] → [`trajectory`] → outputs. The stage rooms
+//! never call one another; [`pipeline`] passes the nouns of [`scene`] along. `docs/architecture.md` is the map, and
 //! `tests/layers.rs` holds the code against it.
 //!
 //! Conventions, everywhere: transforms are named `target_from_source`; camera axes are x right, y down, z forward; the

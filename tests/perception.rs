@@ -1,5 +1,6 @@
 //! Segmentation, flow and tracking on real clips: `models/` and `videos/` of the folder that TRACTRIX_DATA names. Needs
-//! ONNX Runtime (`scripts/fetch-onnxruntime`). `examples/track_vehicles.rs` measures and draws what these tests only judge.
+//! ONNX Runtime (`scripts/fetch-onnxruntime`). `examples/track_vehicles.rs` measures and draws what these tests only
+//! judge.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -78,8 +79,8 @@ fn iou([x, y, w, h]: [f64; 4], b: BoundingBox) -> f64 {
     both / (w * h + f64::from(b.width() * b.height()) - both)
 }
 
-/// How well the annotated object was followed: frames in which it is there, frames in which a tracked box overlaps it by
-/// more than 0.3, and how often the id that overlaps it changes.
+/// How well the annotated object was followed: frames in which it is there, frames in which a tracked box overlaps it
+/// by more than 0.3, and how often the id that overlaps it changes.
 fn against_truth(outcome: &Outcome, truth: &[Option<[f64; 4]>]) -> (usize, usize, usize) {
     let lasting: BTreeSet<ObjectId> = outcome.tracks.iter().map(|t| t.provisional).collect();
     let (mut there, mut found, mut switches, mut last) = (0, 0, 0, None);

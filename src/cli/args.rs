@@ -53,7 +53,8 @@ pub(super) enum Command {
     Evaluate(super::evaluate::Args),
     /// Run all sequences of a data set, and sum up how far they are from the truth
     ///
-    /// Can be stopped and started again like `run`. Exit code 1 if a sequence failed; the tables are written all the same.
+    /// Can be stopped and started again like `run`. Exit code 1 if a sequence failed; the tables are written all the
+    /// same.
     Benchmark(Box<super::benchmark::Args>),
     /// Compare two reconstructions of the same images
     Compare(super::compare::Args),

@@ -1,4 +1,5 @@
-//! What a run is asked to do: its flags, and what they come to together with the options file and the input's own folder.
+//! What a run is asked to do: its flags, and what they come to together with the options file and the input's own
+//! folder.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -57,9 +58,9 @@ pub(super) struct JobArgs {
     pub(super) features: Option<FeatureKind>,
     /// Whether frames follow one another in time: `time` or `none` (photographs: all pairs are matched)
     ///
-    /// Without it: a video does, and so does a folder with --fps, --features video, or a scene.json. Of any other folder
-    /// a few pictures are compared with their successors: where less than 60 % of the corners can be followed, they are
-    /// taken for photographs.
+    /// Without it: a video does, and so does a folder with --fps, --features video, or a scene.json. Of any other
+    /// folder a few pictures are compared with their successors: where less than 60 % of the corners can be followed,
+    /// they are taken for photographs.
     #[arg(long, value_name = "ORDER", value_parser = frame_order, help_heading = "Frames")]
     pub(super) order: Option<FrameOrder>,
     /// COLMAP model of the background, taken as it is

@@ -1,8 +1,8 @@
 //! The command line: raw flags, then options, then the pipeline; what comes back goes to the terminal.
 //!
 //! Results go to stdout, everything else to stderr. An error is printed once, with all its causes and what to do about
-//! it; with `--json` it stands on stdout as well, as `{"error": {"kind": "input" or "usage", "message": ...}}`. Exit codes:
-//! 0 done, 1 failed on the input, 2 wrong use, 130 stopped by Ctrl-C.
+//! it; with `--json` it stands on stdout as well, as `{"error": {"kind": "input" or "usage", "message": ...}}`. Exit
+//! codes: 0 done, 1 failed on the input, 2 wrong use, 130 stopped by Ctrl-C.
 
 mod args;
 mod bal;

@@ -1,7 +1,8 @@
 //! The reference scale ratio, by ray casting.
 //!
 //! For frame i, the points o_j of the object's model are taken into its camera's coordinates, and the true mesh, in the
-//! pose of that frame, into those of the true camera. The ray from the camera through o_j meets the mesh first at m_j, and
+//! pose of that frame, into those of the true camera. The ray from the camera through o_j meets the mesh first at m_j,
+//! and
 //!
 //! ```text
 //! r_(ov) = med_i med_j ‖m_j‖ / ‖o_j‖                (eq. scale_ratios_ov_gt)
@@ -10,8 +11,8 @@
 //!
 //! with r_(bv), metres per unit of the background, from the registration. Rays that miss the mesh take no part.
 //!
-//! The paper casts a ray to *every* point. One on the far side of the vehicle is compared with the near side, which pulls
-//! the ratio down a little; `ratio_from_seen` uses only the points observed in each frame and shows by how much.
+//! The paper casts a ray to *every* point. One on the far side of the vehicle is compared with the near side, which
+//! pulls the ratio down a little; `ratio_from_seen` uses only the points observed in each frame and shows by how much.
 
 use std::collections::BTreeMap;
 

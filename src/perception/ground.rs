@@ -1,8 +1,9 @@
 //! The ground of one frame, by a semantic network.
 //!
 //! A network gives one score per class and cell; the ground is where the best ground class beats the best other class,
-//! after linear interpolation of their difference at the frame's pixels. Networks trained from a car's point of view are
-//! right on dashcams and low drones and wrong from high up: there the geometric fallback of the ground stage serves better.
+//! after linear interpolation of their difference at the frame's pixels. Networks trained from a car's point of view
+//! are right on dashcams and low drones and wrong from high up: there the geometric fallback of the ground stage serves
+//! better.
 
 use std::path::Path;
 
@@ -62,8 +63,8 @@ impl GroundOptions {
 ///
 /// # Errors
 /// [`PerceptionError::Option`] for options that make no sense;
-/// [`PerceptionError::UnknownLayout`] for a network without description; [`PerceptionError::NoWantedClass`] if it knows no
-/// ground.
+/// [`PerceptionError::UnknownLayout`] for a network without description; [`PerceptionError::NoWantedClass`] if it knows
+/// no ground.
 pub fn load_ground_segmenter(
     path: &Path,
     options: &GroundOptions,

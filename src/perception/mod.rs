@@ -1,12 +1,12 @@
 //! Segmentation, optical flow and mask tracking.
 //!
 //! Three models stand behind three traits, so that the networks can be exchanged: a [`Segmenter`] finds objects in one
-//! frame, a [`GroundSegmenter`] finds the ground in one frame, a [`FlowEstimator`] says where each pixel of one frame lies
-//! in another. The [`Tracker`] joins detections of successive frames into tracks.
+//! frame, a [`GroundSegmenter`] finds the ground in one frame, a [`FlowEstimator`] says where each pixel of one frame
+//! lies in another. The [`Tracker`] joins detections of successive frames into tracks.
 //!
-//! Networks are ONNX files; their family is recognised from the names and shapes of inputs and outputs, and what cannot be
-//! seen from these (the preprocessing of a semantic network) stands in `models/models.toml` or in a file of the same form
-//! beside the network, `network.toml` for `network.onnx`. See `docs/perception.md`.
+//! Networks are ONNX files; their family is recognised from the names and shapes of inputs and outputs, and what cannot
+//! be seen from these (the preprocessing of a semantic network) stands in `models/models.toml` or in a file of the same
+//! form beside the network, `network.toml` for `network.onnx`. See `docs/perception.md`.
 
 mod description;
 mod error;

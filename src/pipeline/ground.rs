@@ -147,7 +147,8 @@ pub(super) fn load(run: &Run, model: &Path) -> Result<Box<dyn GroundSegmenter>, 
     Ok(load_ground_segmenter(model, &run.options.ground_segmentation, num_threads)?)
 }
 
-/// Asks the semantic model for every registered frame that it was not asked for before; gives the folder of the answers.
+/// Asks the semantic model for every registered frame that it was not asked for before; gives the folder of the
+/// answers.
 fn ground_masks(
     run: &Run,
     background: &Reconstruction,

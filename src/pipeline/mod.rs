@@ -1,9 +1,9 @@
 //! Stage order, options tree, progress; what is done is not done twice.
 //!
 //! Every stage reads what earlier stages left in the output folder and leaves its own files there, whole or not at all,
-//! and last of all a marker in `.tractrix/` with a fingerprint of everything that the result was made from. A stage whose
-//! marker has the fingerprint of the moment is skipped: a run that was killed goes on where it was, a changed option does
-//! the stages anew that it touches and those after them, a changed input all of them.
+//! and last of all a marker in `.tractrix/` with a fingerprint of everything that the result was made from. A stage
+//! whose marker has the fingerprint of the moment is skipped: a run that was killed goes on where it was, a changed
+//! option does the stages anew that it touches and those after them, a changed input all of them.
 //!
 //! Entry point: [`run`].
 
@@ -90,8 +90,8 @@ pub struct Vehicle {
 }
 
 impl Summary {
-    /// Why there is no background to speak of, where there is none: the input did not give what was asked for, although all
-    /// that could be found stands in the output folder.
+    /// Why there is no background to speak of, where there is none: the input did not give what was asked for, although
+    /// all that could be found stands in the output folder.
     pub fn failure(&self) -> Option<String> {
         let failure = self.background.as_ref()?.failure.as_ref()?;
         Some(format!("the background cannot be reconstructed: {failure}"))
@@ -109,7 +109,8 @@ pub struct Job<'a> {
     pub options: &'a Options,
     /// The last stage that is done.
     pub goal: Stage,
-    /// Other files that were read to come here, after the flags that named them: they must not lie where the run writes.
+    /// Other files that were read to come here, after the flags that named them: they must not lie where the run
+    /// writes.
     pub also_read: Vec<(&'a str, &'a Path)>,
     /// What may be replaced.
     pub overwrite: Overwrite,
@@ -122,7 +123,8 @@ pub struct Job<'a> {
 /// Nothing is written before it is sure that the output folder is the run's own, or new, and that no input lies in it.
 ///
 /// # Errors
-/// [`PipelineError`] when there can be no result; what concerns single frames or objects is counted and reported instead.
+/// [`PipelineError`] when there can be no result; what concerns single frames or objects is counted and reported
+/// instead.
 pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError> {
     let Job { options, goal, .. } = *job;
     options.check()?;
@@ -228,7 +230,8 @@ fn work(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, PipelineE
     }
 }
 
-/// The stages up to the goal that no earlier run has done with the options and the input of this one; `frames` must be done.
+/// The stages up to the goal that no earlier run has done with the options and the input of this one; `frames` must be
+/// done.
 fn open_stages(run: &Run, goal: Stage, input: &str) -> Result<Vec<Stage>, PipelineError> {
     let stages: Vec<Stage> = Stage::ALL.into_iter().filter(|stage| *stage <= goal).collect();
     if stages.iter().skip(1).all(|&stage| run.workspace.marker(stage).is_none()) {

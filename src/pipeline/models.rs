@@ -114,8 +114,8 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
 }
 
 /// What to try where nothing came out of large frames; nothing for others. Points are followed within a fixed number of
-/// pixels: in larger frames those near the camera move too far from one to the next, and those that are left are far away
-/// and show hardly any angle.
+/// pixels: in larger frames those near the camera move too far from one to the next, and those that are left are far
+/// away and show hardly any angle.
 fn cure_of_large_frames(width: u32, height: u32) -> String {
     const LARGE_PX: u32 = 1280;
     match width.max(height) > LARGE_PX {
@@ -225,8 +225,8 @@ pub(super) fn given(folder: &Path, run: &Run) -> Result<(Reconstruction, ModelRe
     Ok((model, report))
 }
 
-/// The model with the images that are frames, under the frames' ids and names. An image belongs to the frame of its name,
-/// else of its stem, else to the one whose index its stem is.
+/// The model with the images that are frames, under the frames' ids and names. An image belongs to the frame of its
+/// name, else of its stem, else to the one whose index its stem is.
 fn with_frame_ids(mut model: Reconstruction, frames: &[Frame]) -> Reconstruction {
     let stem = |name: &str| name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned();
     let keys: [&dyn Fn(&Frame) -> String; 3] = [&|f| f.name.clone(), &|f| f.stem().to_owned(), &|f| f.id.0.to_string()];

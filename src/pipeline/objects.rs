@@ -1,8 +1,9 @@
 //! Stage `objects`: a COLMAP model of every object, reconstructed or given.
 //!
-//! First every object is reconstructed, and what is finished is kept one by one. Then one pass through the frames compares
-//! all of them with the masks, and the points that lie beside those are taken out. An object's marker says which of the two
-//! is done: a run that is killed in the pass does it again for the objects that have not been through it.
+//! First every object is reconstructed, and what is finished is kept one by one. Then one pass through the frames
+//! compares all of them with the masks, and the points that lie beside those are taken out. An object's marker says
+//! which of the two is done: a run that is killed in the pass does it again for the objects that have not been through
+//! it.
 
 use std::collections::BTreeMap;
 

@@ -69,8 +69,8 @@ fn measured(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> {
     Ok(Order { in_time: share.is_some_and(|share| share >= FOLLOWED_SHARE), followed_share: share })
 }
 
-/// Structure from motion of the background and of objects as options, input and order want it. The stage `frames` must be
-/// done.
+/// Structure from motion of the background and of objects as options, input and order want it. The stage `frames` must
+/// be done.
 pub(super) fn sfm_options(run: &Run) -> Result<(sfm::Options, sfm::Options), PipelineError> {
     let order: Order = run.workspace.read_state(STATE)?;
     Ok(resolved(run.options, order.in_time))

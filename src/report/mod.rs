@@ -1,9 +1,10 @@
 //! The page that a person looks at: `report.html`, one file that needs no network.
 //!
 //! [`Data`] holds what a run found, in the nouns of [`crate::scene`]; [`write()`] turns it into the page. The page is
-//! made of `page/report.html` (a template that escapes everything it is given: file names are hostile), `page/style.css`,
-//! `page/page.js` (time, strip, charts) and `page/view3d.js` (the 3D view, on three.js from `third_party/three`). A
-//! content security policy inside the page lets run no script but these and load nothing from outside.
+//! made of `page/report.html` (a template that escapes everything it is given: file names are hostile),
+//! `page/style.css`, `page/page.js` (time, strip, charts) and `page/view3d.js` (the 3D view, on three.js from
+//! `third_party/three`). A content security policy inside the page lets run no script but these and load nothing from
+//! outside.
 //!
 //! Everything that grows with the video is thinned to a budget: pictures of the strip ([`strip_frames`]), points and
 //! frames of the 3D view, points of the charts. Where something was left out, the page says so.

@@ -39,7 +39,8 @@ pub struct Frame {
     pub id: FrameId,
     /// Image name in every output: `000042.jpg` for frame 42 of a video, the file's own name for a folder.
     pub name: String,
-    /// Presentation time, seconds, from the container; for a folder `index / fps` where a rate is known, else the index.
+    /// Presentation time, seconds, from the container; for a folder `index / fps` where a rate is known, else the
+    /// index.
     pub time_s: f64,
 }
 

@@ -53,8 +53,8 @@ pub struct ScaleEstimate {
     pub reason: Option<String>,
     /// What every method that gave an answer says of the model that the trajectory refers to.
     pub alternatives: Ratios,
-    /// What the methods say of the object as it was reconstructed; `None` where that is the same model, because nothing was
-    /// adjusted after structure from motion.
+    /// What the methods say of the object as it was reconstructed; `None` where that is the same model, because nothing
+    /// was adjusted after structure from motion.
     pub as_reconstructed: Option<Ratios>,
 }
 

@@ -1,8 +1,8 @@
 //! SIFT features inside a mask, as RootSIFT descriptors.
 //!
-//! [`super::sift`] finds and describes keypoints; R. Arandjelović, A. Zisserman, *Three Things Everyone Should Know to Improve
-//! Object Retrieval*, CVPR 2012 for the square root. Pixels outside the mask take no part as keypoints; the picture itself
-//! is never painted over, which would make edges.
+//! [`super::sift`] finds and describes keypoints; R. Arandjelović, A. Zisserman, *Three Things Everyone Should Know to
+//! Improve Object Retrieval*, CVPR 2012 for the square root. Pixels outside the mask take no part as keypoints; the
+//! picture itself is never painted over, which would make edges.
 
 use nalgebra::Point2;
 use schemars::JsonSchema;

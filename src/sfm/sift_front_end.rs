@@ -136,8 +136,8 @@ impl SiftFrontEnd {
     /// Adds a frame, looking only where the mask is set.
     ///
     /// # Errors
-    /// [`SfmError::OpenCv`] if OpenCV fails, on this frame or on one before it: as many frames are worked on at a time as
-    /// there are threads.
+    /// [`SfmError::OpenCv`] if OpenCV fails, on this frame or on one before it: as many frames are worked on at a time
+    /// as there are threads.
     pub fn push(&mut self, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), SfmError> {
         self.waiting.push((frame.clone(), image.clone(), mask.clone()));
         if self.waiting.len() < rayon::current_num_threads() { Ok(()) } else { self.work_off() }

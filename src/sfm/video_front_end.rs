@@ -1,11 +1,11 @@
-//! From the frames of a video to tracks: points are followed from frame to frame, and each is measured against its first
-//! sight.
+//! From the frames of a video to tracks: points are followed from frame to frame, and each is measured against its
+//! first sight.
 //!
 //! A point is found where both eigenvalues of the structure tensor are large (J. Shi, C. Tomasi, *Good Features to
-//! Track*, CVPR 1994), predicted in the next frame by pyramidal Lucas-Kanade with a forward-backward check (OpenCV), and
-//! then aligned with the patch that was cut when it was found ([`super::patch`]), which keeps long tracks from drifting. A
-//! point that Lucas-Kanade loses is looked for once more where its neighbours' motion leads. Every position comes with how
-//! exactly the patch fixes it ([`Whitening`]).
+//! Track*, CVPR 1994), predicted in the next frame by pyramidal Lucas-Kanade with a forward-backward check (OpenCV),
+//! and then aligned with the patch that was cut when it was found ([`super::patch`]), which keeps long tracks from
+//! drifting. A point that Lucas-Kanade loses is looked for once more where its neighbours' motion leads. Every position
+//! comes with how exactly the patch fixes it ([`Whitening`]).
 
 use nalgebra::{Matrix2, Point2, Vector2};
 use opencv::core::{Mat, Point2f, Size, Vector};
@@ -310,8 +310,8 @@ impl Motion {
     }
 }
 
-/// How exactly a position with this covariance (see [`Patch::covariance`]) is known, relative to that of a good corner: on
-/// rendered video the errors against the truth are 0.05 px times these relative deviations, from 0.5 to 20.
+/// How exactly a position with this covariance (see [`Patch::covariance`]) is known, relative to that of a good corner:
+/// on rendered video the errors against the truth are 0.05 px times these relative deviations, from 0.5 to 20.
 fn whitening(covariance: Matrix2<f32>) -> Whitening {
     const TYPICAL_PX: f64 = 0.05;
     Whitening::from_covariance(covariance.cast::<f64>() / (TYPICAL_PX * TYPICAL_PX), 0.5, 20.0)

@@ -8,10 +8,10 @@
 //! ```
 //!
 //! Pairs are ranked twice: by the size of the numerator, which all points share, largest first; and by the spread of
-//! the r_j over the points, smallest first. The paper speaks of "the variance of the corresponding scale ratios" and of "the scale
-//! ratio difference"; both order pairs by how far their r_j lie apart, and the standard deviation is what is taken
-//! here. The pair with the smallest sum of both ranks wins, and r is the least squares solution of its
-//! equations (a_ji − a_ji′) r = h_i′ − h_i over all points.
+//! the r_j over the points, smallest first. The paper speaks of "the variance of the corresponding scale ratios" and of
+//! "the scale ratio difference"; both order pairs by how far their r_j lie apart, and the standard deviation is what is
+//! taken here. The pair with the smallest sum of both ranks wins, and r is the least squares solution of its equations
+//! (a_ji − a_ji′) r = h_i′ − h_i over all points.
 //!
 //! What the paper leaves open, and how it is settled here:
 //! * Equal sums: the larger numerator wins.
@@ -69,7 +69,8 @@ pub struct ConstantDistance {
     pub numerator: f64,
     /// Standard deviation of the pair's r_j over the points.
     pub spread: f64,
-    /// Mean over the points of (a_ji − a_ji′)², in squared units of the object: what the pair's uncertainty follows from.
+    /// Mean over the points of (a_ji − a_ji′)², in squared units of the object: what the pair's uncertainty follows
+    /// from.
     pub mean_denominator_sq: f64,
     /// Pairs ranked.
     pub num_pairs: usize,

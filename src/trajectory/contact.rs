@@ -1,9 +1,9 @@
 //! At which height of its own a vehicle stands on the ground.
 //!
-//! The points of a reconstruction do not reach down to the ground: tyres are black and turn. But the outline of the vehicle
-//! does. Seen from the side, the lower edge of a mask is the line through the two tyres nearest to the camera, and the tyres
-//! stand flush with the body's lower parts, whose points are there. So the ground lies where those points, moved straight
-//! down, touch that line.
+//! The points of a reconstruction do not reach down to the ground: tyres are black and turn. But the outline of the
+//! vehicle does. Seen from the side, the lower edge of a mask is the line through the two tyres nearest to the camera,
+//! and the tyres stand flush with the body's lower parts, whose points are there. So the ground lies where those
+//! points, moved straight down, touch that line.
 
 use std::collections::BTreeMap;
 
@@ -46,8 +46,8 @@ pub struct ContactOptions {
 }
 
 impl Default for ContactOptions {
-    /// Of nine rendered sequences with five vehicles, outlines were too high by 0.04 to 0.07 (one by 0.13), and the lowest
-    /// points lay at -0.02 to 0.17.
+    /// Of nine rendered sequences with five vehicles, outlines were too high by 0.04 to 0.07 (one by 0.13), and the
+    /// lowest points lay at -0.02 to 0.17.
     fn default() -> Self {
         Self {
             min_track: 6,

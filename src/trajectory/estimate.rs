@@ -68,8 +68,9 @@ const ROUNDING: f64 = 1e-6;
 /// sqrt(2 σ² / mean_j D_j²), with σ from the residuals of the all-frames fit; `intersection` has none.
 ///
 /// For the two methods that live on the camera's change of height, `degenerate` says that the motion does not determine
-/// r: the camera's height over the ground does not change, or by too little for its noise. Where the chosen method has no
-/// positive answer, `intersection` stands in, or else the first other that has one, and `method` and `reason` say so.
+/// r: the camera's height over the ground does not change, or by too little for its noise. Where the chosen method has
+/// no positive answer, `intersection` stands in, or else the first other that has one, and `method` and `reason` say
+/// so.
 ///
 /// # Errors
 /// The chosen method's [`ScaleError`], if no method has an answer.

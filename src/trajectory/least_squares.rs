@@ -1,27 +1,28 @@
 //! The scale ratio from all frames at once, and how well the motion determines it.
 //!
-//! With h_i and a_ij as in [`View`](super::View), constant distance reads h_i + r a_i = d for the mean a_i of the a_ij over the
-//! object's points. The residuals e_i = h_i + r a_i − d have two sources: ground planes are off by something new in every
-//! frame (white noise), and an object's reconstruction drifts, as every chain of frames does: its depth wanders by a percent
-//! over a drive, slowly (a random walk). Plain least squares takes the drift for information, and r is wrong by up to fourteen
-//! of its standard deviations. Here
+//! With h_i and a_ij as in [`View`](super::View), constant distance reads h_i + r a_i = d for the mean a_i of the a_ij
+//! over the object's points. The residuals e_i = h_i + r a_i − d have two sources: ground planes are off by something
+//! new in every frame (white noise), and an object's reconstruction drifts, as every chain of frames does: its depth
+//! wanders by a percent over a drive, slowly (a random walk). Plain least squares takes the drift for information, and
+//! r is wrong by up to fourteen of its standard deviations. Here
 //!
 //! ```text
 //! e_i = white_i + walk_i,   var(white_i) = σ² / w_i,   var(walk_i − walk_(i−1)) = q σ² (t_i − t_(i−1))
 //! ```
 //!
-//! with t the frame index. A Kalman filter whose state is d + walk, started without knowledge, turns the h_i and the a_i into
-//! independent innovations y_i and x_i of variance σ² F_i, and generalised least squares is
+//! with t the frame index. A Kalman filter whose state is d + walk, started without knowledge, turns the h_i and the
+//! a_i into independent innovations y_i and x_i of variance σ² F_i, and generalised least squares is
 //!
 //! ```text
 //! r = − Σ x_i y_i / F_i / Σ x_i² / F_i,      σ_r² = σ² / Σ x_i² / F_i.
 //! ```
 //!
-//! q is the one of greatest restricted likelihood. The weights w_i are Tukey's, of the distance of e_i from the median of its
-//! neighbours in time: wrong planes stand out from their neighbours and lose all weight, drift does not.
+//! q is the one of greatest restricted likelihood. The weights w_i are Tukey's, of the distance of e_i from the median
+//! of its neighbours in time: wrong planes stand out from their neighbours and lose all weight, drift does not.
 //!
-//! What r hangs on is the *excitation*, the spread of a_i: the camera's height over the ground in the object's own units. When
-//! camera and object move parallel to the ground there is none, and nothing in these equations determines r.
+//! What r hangs on is the *excitation*, the spread of a_i: the camera's height over the ground in the object's own
+//! units. When camera and object move parallel to the ground there is none, and nothing in these equations determines
+//! r.
 //!
 //! Derivation: docs/maths/scale.md.
 
@@ -79,7 +80,8 @@ pub struct LeastSquares {
     pub drift: f64,
     /// Weighted spread (standard deviation) of the camera's height over the ground in units of the object.
     pub excitation: f64,
-    /// Weighted mean over frames of the camera's height over the object, in units of the object: what `excitation` is compared with.
+    /// Weighted mean over frames of the camera's height over the object, in units of the object: what `excitation` is
+    /// compared with.
     pub mean_height: f64,
     /// Weight of each view, 0 to 1, in the order of [`Views::views`].
     pub weights: Vec<f64>,
@@ -258,8 +260,8 @@ mod tests {
         }
     }
 
-    /// An object whose depth wanders: the ratio is off by what its standard deviation says, which plain least squares puts
-    /// far too low.
+    /// An object whose depth wanders: the ratio is off by what its standard deviation says, which plain least squares
+    /// puts far too low.
     #[test]
     fn drift_is_no_information() {
         use rand::Rng as _;

@@ -1,4 +1,5 @@
-//! Dense inverse search: OpenCV's implementation of Kroeger et al., *Fast Optical Flow using Dense Inverse Search*, 2016.
+//! Dense inverse search: OpenCV's implementation of Kroeger et al., *Fast Optical Flow using Dense Inverse Search*,
+//! 2016.
 
 use ::image::{GrayImage, RgbImage};
 use opencv::core::{Mat, MatTraitConst, MatTraitConstManual, Point2f, Ptr};

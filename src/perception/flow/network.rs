@@ -35,9 +35,9 @@ fn is_flow(tensor: &TensorInfo) -> bool {
 }
 
 impl OnnxFlow {
-    /// Loads a network with two inputs [1, 3, h, w] and an output [1, 2, h, w] of displacements in x and y, in pixels of
-    /// the input. Pixels become RGB between -1 and 1 (torchvision's RAFT) unless a description beside it says otherwise.
-    /// `num_threads` is the number of threads that it runs on; 0 is one per core.
+    /// Loads a network with two inputs [1, 3, h, w] and an output [1, 2, h, w] of displacements in x and y, in pixels
+    /// of the input. Pixels become RGB between -1 and 1 (torchvision's RAFT) unless a description beside it says
+    /// otherwise. `num_threads` is the number of threads that it runs on; 0 is one per core.
     ///
     /// # Errors
     /// [`PerceptionError::UnknownLayout`] if inputs and outputs are others.

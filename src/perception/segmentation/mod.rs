@@ -47,11 +47,12 @@ pub struct SegmentationOptions {
     /// choice, but follows them with everything that is reported.
     #[schemars(extend("unit" = "score, 0 to 1"))]
     pub confidence: f64,
-    /// Of two objects of one class whose boxes overlap by more than this (intersection over union), only the one with the
-    /// higher score is kept.
+    /// Of two objects of one class whose boxes overlap by more than this (intersection over union), only the one with
+    /// the higher score is kept.
     #[schemars(extend("unit" = "share"))]
     pub nms_iou: f64,
-    /// Names of the classes that are reported: everything that may move by itself, for nothing of it may serve as background.
+    /// Names of the classes that are reported: everything that may move by itself, for nothing of it may serve as
+    /// background.
     pub classes: Vec<String>,
     /// Whether large frames are also looked at in tiles.
     pub tiling: Tiling,

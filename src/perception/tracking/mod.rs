@@ -1,15 +1,15 @@
 //! Mask tracking: which detection is which object.
 //!
-//! After Bullinger et al., *Instance Flow Based Online Multiple Object Tracking*, 2017: the mask of an object in frame t is
-//! carried to t + 1 by optical flow, and the carried masks are assigned to the new detections by mask overlap with the
-//! Hungarian algorithm. Beyond that:
+//! After Bullinger et al., *Instance Flow Based Online Multiple Object Tracking*, 2017: the mask of an object in frame
+//! t is carried to t + 1 by optical flow, and the carried masks are assigned to the new detections by mask overlap with
+//! the Hungarian algorithm. Beyond that:
 //!
 //! - An object without a detection keeps its carried mask for some frames ([`Evidence::Carried`]), as long as enough of
 //!   its pixels have a consistent flow and keep their colours: this bridges missed detections.
-//! - After that it is lost: nothing is reported, its place moves on with the background's flow plus its own velocity, and
-//!   it is found again by place and appearance.
-//! - Lasting ids are given when an object was detected several times within a few frames, so that a false alarm gets none.
-//!   Its masks from before are not lost: every mask is reported at once under a provisional id, and
+//! - After that it is lost: nothing is reported, its place moves on with the background's flow plus its own velocity,
+//!   and it is found again by place and appearance.
+//! - Lasting ids are given when an object was detected several times within a few frames, so that a false alarm gets
+//!   none. Its masks from before are not lost: every mask is reported at once under a provisional id, and
 //!   [`Tracker::finish`] says which provisional ids became which objects.
 //!
 //! The tracker is a plain function of its inputs: fed again with the detections that a killed run left behind, it gives

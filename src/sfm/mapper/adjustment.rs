@@ -119,7 +119,8 @@ pub fn focal_deviation(map: &Map<'_>, sigma_px: f64, options: &Options) -> Resul
     Ok(if rise > 0.0 { CHANGE / rise.sqrt() } else { f64::INFINITY })
 }
 
-/// How much the first coefficient of distortion explains, in units of the common errors squared, where it is the only one.
+/// How much the first coefficient of distortion explains, in units of the common errors squared, where it is the only
+/// one.
 pub fn first_radial_gain(map: &Map<'_>, sigma_px: f64, options: &Options) -> Result<f64, SfmError> {
     let probe = Probe::new(map, sigma_px, options);
     let straight = |block: &mut CameraBlock| block.camera.radial = [0.0; 2];
@@ -160,8 +161,8 @@ impl<'a> Probe<'a> {
     }
 }
 
-/// Whether a lens like this is built: a field of view between 9 and 157 degrees over the longer side, and distortion that
-/// keeps the picture's order from the middle to the corner.
+/// Whether a lens like this is built: a field of view between 9 and 157 degrees over the longer side, and distortion
+/// that keeps the picture's order from the middle to the corner.
 fn is_plausible(camera: &Camera) -> bool {
     let side = f64::from(camera.width.max(camera.height));
     let focal_ok = (0.1 * side..=6.0 * side).contains(&camera.mean_focal());
@@ -172,17 +173,17 @@ fn is_plausible(camera: &Camera) -> bool {
     focal_ok && monotonic
 }
 
-/// How much worse than their residuals say observations are believed to be, where something may be wrong with all of them
-/// together: what the model of the lens or of the shutter leaves out, points that slide with the view. Such errors do not
-/// average out.
+/// How much worse than their residuals say observations are believed to be, where something may be wrong with all of
+/// them together: what the model of the lens or of the shutter leaves out, points that slide with the view. Such errors
+/// do not average out.
 const COMMON_ERROR_FACTOR: f64 = 5.0;
 
-/// A weak pull towards the guess, for motion that leaves a parameter open: within the spread of real lenses it weighs as
-/// much as one observation.
+/// A weak pull towards the guess, for motion that leaves a parameter open: within the spread of real lenses it weighs
+/// as much as one observation.
 ///
-/// The principal point is held to the middle as lenses are built, within a hundredth of the picture, against observations
-/// with common errors ([`COMMON_ERROR_FACTOR`]). Where views turn and spread it moves freely; on a single flight looking
-/// straight down, where it could take up such errors, it stays.
+/// The principal point is held to the middle as lenses are built, within a hundredth of the picture, against
+/// observations with common errors ([`COMMON_ERROR_FACTOR`]). Where views turn and spread it moves freely; on a single
+/// flight looking straight down, where it could take up such errors, it stays.
 fn intrinsics_prior(camera_idx: usize, camera: &Camera, noise: Noise) -> IntrinsicsPrior {
     const SIGMA_PRINCIPAL: f64 = 0.01;
     let side = f64::from(camera.width.max(camera.height));

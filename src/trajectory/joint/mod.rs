@@ -1,11 +1,12 @@
 //! One adjustment of an object's reconstruction with the ground under it.
 //!
-//! Structure from motion leaves an object's depth and inclination to a chain of weak links: along sixty frames of plain,
-//! glossy paint its size wanders by a few percent, which nothing in its own pictures contradicts. The ground does. The
-//! object stands on it in every frame, so that its frame can be chosen with the ground at z = 0 and in the background's unit
-//! of length. Then no unknown is left besides poses and points: in the frame of camera i the plane n_i · x + h_i = 0 passes through the
-//! point below the vehicle's middle, is level there, and the vehicle's outline touches it ([`contact`]). All of that goes
-//! into one bundle adjustment with the image positions, and the scale ratio is the size with which the object comes out.
+//! Structure from motion leaves an object's depth and inclination to a chain of weak links: along sixty frames of
+//! plain, glossy paint its size wanders by a few percent, which nothing in its own pictures contradicts. The ground
+//! does. The object stands on it in every frame, so that its frame can be chosen with the ground at z = 0 and in the
+//! background's unit of length. Then no unknown is left besides poses and points: in the frame of camera i the plane
+//! n_i · x + h_i = 0 passes through the point below the vehicle's middle, is level there, and the vehicle's outline
+//! touches it ([`contact`]). All of that goes into one bundle adjustment with the image positions, and the scale ratio
+//! is the size with which the object comes out.
 //!
 //! Derivation, weights and figures: docs/maths/scale.md.
 
@@ -30,13 +31,14 @@ use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct JointOptions {
-    /// Standard deviation of a local plane's distance to the vehicle, as a share of the camera's height over it: what the
-    /// distance wanders by before the adjustment, but no less than the first of these and no more than the second. The less it
-    /// wanders, the better are planes and reconstruction.
+    /// Standard deviation of a local plane's distance to the vehicle, as a share of the camera's height over it: what
+    /// the distance wanders by before the adjustment, but no less than the first of these and no more than the second.
+    /// The less it wanders, the better are planes and reconstruction.
     #[schemars(extend("unit" = "shares of the camera's height: least, most"))]
     pub sigma_distance: [f64; 2],
     /// Points as many as which those of one frame count, where the distance wanders by the most. Errors on glossy paint
-    /// and of tracks that wander are common to many points and many frames; taken for independent they would leave nothing to the ground.
+    /// and of tracks that wander are common to many points and many frames; taken for independent they would leave
+    /// nothing to the ground.
     #[schemars(extend("unit" = "points"))]
     pub independent_points: f64,
     /// Standard deviation of a vehicle's inclination against its plane: springs, and planes that are not quite plane.
@@ -57,8 +59,9 @@ pub struct JointOptions {
     /// By how much the image positions may fit worse afterwards, as a factor of their median error.
     #[schemars(extend("unit" = "factor"))]
     pub max_error_growth: f64,
-    /// Standard deviation of a point's place, as a share of the object's radius (the median distance of its points from the
-    /// middle), beyond which it is left out. On glossy paint most of what is seen in a few frames only is so uncertain.
+    /// Standard deviation of a point's place, as a share of the object's radius (the median distance of its points from
+    /// the middle), beyond which it is left out. On glossy paint most of what is seen in a few frames only is so
+    /// uncertain.
     #[schemars(extend("unit" = "share of the object's radius"))]
     pub max_deviation: f64,
     /// Share of the points that stays in any case: the surest.
@@ -134,8 +137,8 @@ pub struct Joint {
     pub ratio: f64,
     /// Its standard deviation.
     pub std: f64,
-    /// Where the vehicle touches the ground, relative to it and in units of the background: what is left of the outlines'
-    /// contradiction to the planes.
+    /// Where the vehicle touches the ground, relative to it and in units of the background: what is left of the
+    /// outlines' contradiction to the planes.
     pub contact: Contact,
     /// Whether it is the mirror image of the one that it was made from.
     pub mirrored: bool,
@@ -151,8 +154,8 @@ pub struct Joint {
 /// * `options` – besides those of `joint` itself those of `least_squares`, from which the adjustment starts.
 ///
 /// # Errors
-/// [`ScaleError`] where there are fewer than three frames with a plane, no points, nothing to begin with, or where image
-/// positions and ground contradict one another.
+/// [`ScaleError`] where there are fewer than three frames with a plane, no points, nothing to begin with, or where
+/// image positions and ground contradict one another.
 pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Joint, ScaleError> {
     views.require(3)?;
     let tilt = |views: &Views| mean_normal(views).map_or(0.0, |(_, angle)| angle);

@@ -40,8 +40,8 @@ fn error(world: &Drive, found: &Joint) -> f64 {
     found.ratio * size(&found.object) / (world.ratio * size(&world.object)) - 1.0
 }
 
-/// As a chain of frames wanders: the object comes nearer and nearer, by 3 % from the first frame to the last, and the points that
-/// are seen late are smaller accordingly.
+/// As a chain of frames wanders: the object comes nearer and nearer, by 3 % from the first frame to the last, and the
+/// points that are seen late are smaller accordingly.
 fn drifted(world: &Drive) -> Reconstruction {
     let mut object = world.object.clone();
     let center = crate::trajectory::object_center(&object);
