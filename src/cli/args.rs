@@ -96,8 +96,9 @@ mod tests {
 
     #[test]
     fn names_that_other_programs_use_are_kept() {
-        let line = "tractrix run in.mp4 --output out --masks m --ground-masks g --intrinsics 1,1,2,3 --flow-model f.onnx \
-                    --background-model b --object-model 1=o --object-model 2=p --threads 2 --seed 7 --quiet --json";
+        let line = "tractrix run in.mp4 --output out --masks m --ground-masks g --intrinsics 1,1,2,3 --flow-model \
+                    f.onnx --background-model b --object-model 1=o --object-model 2=p --threads 2 --seed 7 --quiet \
+                    --json";
         let args = Args::try_parse_from(line.split_whitespace()).unwrap();
         let Command::Run(job) = args.command else { panic!("run is run") };
         assert_eq!(job.object_model, [(ObjectId(1), "o".into()), (ObjectId(2), "p".into())]);

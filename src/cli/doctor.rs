@@ -132,7 +132,8 @@ fn video_decoder() -> Finding {
             "video decoding",
             State::Missing,
             "OpenCV was built without FFmpeg",
-            "only folders of images can be read; install an OpenCV with FFmpeg (Debian and Ubuntu: libopencv-videoio-dev)",
+            "only folders of images can be read; install an OpenCV with FFmpeg (Debian and Ubuntu: \
+             libopencv-videoio-dev)",
         ),
     }
 }
@@ -145,7 +146,8 @@ fn onnx_runtime() -> Finding {
                 ONNX,
                 State::Missing,
                 error.to_string(),
-                "needed for --segmentation-model, --ground-model and --flow-model only; scripts/fetch-onnxruntime gets it",
+                "needed for --segmentation-model, --ground-model and --flow-model only; scripts/fetch-onnxruntime gets \
+                 it",
             );
         }
     };
@@ -171,8 +173,8 @@ fn models(args: &Args) -> [Finding; 3] {
             None => Finding::not_given(
                 GROUND,
                 "none named: the dominant plane below the camera serves",
-                "give --ground-model FILE for roads that are not flat, or run with --ground-masks DIR: one 8-bit PNG per \
-                 frame, 0 = no ground",
+                "give --ground-model FILE for roads that are not flat, or run with --ground-masks DIR: one 8-bit PNG \
+                 per frame, 0 = no ground",
             ),
         },
         match &args.flow_model {

@@ -117,8 +117,8 @@ pub(super) fn resolve(job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), 
     let looks_for_vehicles = !matches!(goal, Stage::Frames | Stage::Objects);
     if looks_for_vehicles && options.instances == Instances::None {
         return Err(Failure::Usage(
-            "nothing says where the vehicles are; give --segmentation-model FILE (an ONNX model of the YOLO-seg family) \
-             or --masks DIR (`tractrix doctor` says more)"
+            "nothing says where the vehicles are; give --segmentation-model FILE (an ONNX model of the YOLO-seg \
+             family) or --masks DIR (`tractrix doctor` says more)"
                 .to_owned(),
         ));
     }

@@ -19,8 +19,11 @@ pub enum PerceptionError {
     #[error("OpenCV: {0}")]
     OpenCv(#[from] opencv::Error),
     /// The network belongs to no family that is known.
-    #[error("{}: no known {task} network has these inputs and outputs.\n  inputs: {}\n  outputs: {}\nSupported: {supported}",
-        path.display(), list(inputs), list(outputs))]
+    #[error(
+        "{}: no known {task} network has these inputs and outputs.\n  inputs: {}\n  outputs: {}\n\
+         Supported: {supported}",
+        path.display(), list(inputs), list(outputs)
+    )]
     UnknownLayout {
         /// The model file.
         path: PathBuf,
@@ -35,8 +38,8 @@ pub enum PerceptionError {
     },
     /// The names of a network's classes are unknown.
     #[error(
-        "{}: the network has {num_classes} classes, but its metadata has no `names` for them; put a list `classes = [...]` \
-         into {}", path.display(), sidecar.display())]
+        "{}: the network has {num_classes} classes, but its metadata has no `names` for them; put a list \
+         `classes = [...]` into {}", path.display(), sidecar.display())]
     NoClassNames {
         /// The model file.
         path: PathBuf,
@@ -57,7 +60,10 @@ pub enum PerceptionError {
         found: Vec<String>,
     },
     /// A network gave a result of another shape than its family promises.
-    #[error("{}: the network's output has the shape {found:?}, which its family does not allow: {expected}", path.display())]
+    #[error(
+        "{}: the network's output has the shape {found:?}, which its family does not allow: {expected}",
+        path.display()
+    )]
     Output {
         /// The model file.
         path: PathBuf,

@@ -1,3 +1,5 @@
+//! Why a run cannot start or go on.
+
 use std::io;
 use std::path::PathBuf;
 
@@ -53,8 +55,8 @@ pub enum PipelineError {
     Options(String),
     /// A folder of masks of which none belongs to a frame.
     #[error(
-        "{path}: no mask belongs to any frame; expected PNG files named like the frames, for example '{example}.png', or \
-         by frame index",
+        "{path}: no mask belongs to any frame; expected PNG files named like the frames, for example '{example}.png', \
+         or by frame index",
         path = path.display()
     )]
     NoMasks {
@@ -65,8 +67,8 @@ pub enum PipelineError {
     },
     /// A mask that does not fit its frame.
     #[error(
-        "{path}: the mask has {found_width}x{found_height} pixels, the frames {width}x{height}{or_source}; masks are at \
-         the resolution of the frames, upright",
+        "{path}: the mask has {found_width}x{found_height} pixels, the frames {width}x{height}{or_source}; masks are \
+         at the resolution of the frames, upright",
         path = path.display()
     )]
     MaskSize {

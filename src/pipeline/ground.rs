@@ -84,11 +84,12 @@ fn ground_points(
     match labelled {
         Some(points) if !points.is_empty() => return Ok((source, points)),
         Some(_) => outcome.warn(
-            "no background point is ground according to the labels; the dominant plane below the camera stands in for them",
+            "no background point is ground according to the labels; the dominant plane below the camera stands in for \
+             them",
         ),
         None => outcome.warn(
-            "there are no ground labels: the dominant plane below the camera stands in for them (give --ground-model or \
-             --ground-masks for better ones)",
+            "there are no ground labels: the dominant plane below the camera stands in for them (give --ground-model \
+             or --ground-masks for better ones)",
         ),
     }
     Ok(match dominant_plane_points(background, &run.options.ground, run.options.seed) {

@@ -203,7 +203,8 @@ pub(super) fn given(folder: &Path, run: &Run) -> Result<(Reconstruction, ModelRe
     if model.images.is_empty() {
         let example = frames.first().map_or("", |frame| frame.name.as_str());
         return Err(PipelineError::Options(format!(
-            "{}: none of its {num_images} images is a frame of the input; they must be named like the frames ({example})",
+            "{}: none of its {num_images} images is a frame of the input; they must be named like the frames \
+             ({example})",
             folder.display()
         )));
     }

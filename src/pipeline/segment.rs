@@ -70,8 +70,8 @@ fn detect(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, Pipelin
     outcome.figure("num_detections", found);
     if found == 0 {
         outcome.warn(format!(
-            "{}: the model finds no vehicle in any frame; it may not know such views, or the vehicles are too small for it \
-             (options segmentation.tiling and segmentation.confidence)",
+            "{}: the model finds no vehicle in any frame; it may not know such views, or the vehicles are too small \
+             for it (options segmentation.tiling and segmentation.confidence)",
             model.display()
         ));
     }

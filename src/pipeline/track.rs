@@ -37,10 +37,10 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     Ok(match &options.instances {
         Instances::None => json!("none"),
         Instances::Masks(folder) => json!({ "masks": fingerprint::of_content(folder)? }),
-        Instances::Model(_) => json!({
-            "tracker": options.tracker,
-            "flow": { "options": options.flow, "model": options.flow_model.as_deref().map(fingerprint::of_content).transpose()? },
-        }),
+        Instances::Model(_) => {
+            let flow_model = options.flow_model.as_deref().map(fingerprint::of_content).transpose()?;
+            json!({ "tracker": options.tracker, "flow": { "options": options.flow, "model": flow_model } })
+        }
     })
 }
 

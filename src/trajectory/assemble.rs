@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
 
-use super::views::median;
-use crate::math::{Rigid3, Sim3};
+use crate::math::{Rigid3, Sim3, median};
 use crate::scene::{
     Frame, FrameId, Image, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, ScaleEstimate, Unit,
 };

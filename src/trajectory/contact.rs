@@ -11,8 +11,8 @@ use nalgebra::{Point2, Point3, Unit, Vector2, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::views::median;
 use crate::limits::{Checked, OptionError, within};
+use crate::math::median;
 use crate::scene::{FrameId, Image, Mask, Reconstruction};
 
 /// What a vehicle looks like; lengths are shares of the height over which its points spread.

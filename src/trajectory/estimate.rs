@@ -108,8 +108,8 @@ pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options) ->
     let relative_std = found.std / found.ratio;
     let is_sure = relative_std <= options.max_relative_std;
     let reason = format!(
-        "neither the camera's height over the ground, which changes too little, nor the outlines of the object determine the \
-         ratio to better than ± {:.0} %, where at most ± {:.0} % is accepted",
+        "neither the camera's height over the ground, which changes too little, nor the outlines of the object \
+         determine the ratio to better than ± {:.0} %, where at most ± {:.0} % is accepted",
         100.0 * relative_std,
         100.0 * options.max_relative_std
     );
@@ -212,8 +212,8 @@ fn degeneracy(all_frames: &Result<LeastSquares, ScaleError>, max_relative_std: f
         return Some(format!("{motion}, and all frames together have no solution"));
     }
     Some(format!(
-        "{motion}, and the object's distance to the ground is only constant to {} background units: all frames together \
-         give a ratio of {:.4} ± {:.4}, where at most ± {:.0} % is accepted",
+        "{motion}, and the object's distance to the ground is only constant to {} background units: all frames \
+         together give a ratio of {:.4} ± {:.4}, where at most ± {:.0} % is accepted",
         significant(fit.residual_std),
         fit.ratio,
         fit.std,

@@ -17,8 +17,8 @@
 
 use nalgebra::Point3;
 
-use super::views::median;
 use super::{ScaleError, View, Views};
+use crate::math::median;
 use crate::scene::FrameId;
 
 /// The answer of the baseline.

@@ -29,9 +29,9 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::views::median;
 use super::{ScaleError, Views};
 use crate::limits::{Checked, within};
+use crate::math::median;
 
 /// How robust the fit is.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

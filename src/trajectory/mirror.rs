@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::Views;
 use super::assemble::object_center;
-use crate::math::Rigid3;
+use crate::math::{Rigid3, median};
 use crate::scene::Reconstruction;
 
 /// The reversed reconstruction: every point is mirrored in depth about the object's centre, in every camera's frame.
@@ -34,7 +34,7 @@ pub(super) fn mirrored(object: &Reconstruction) -> Reconstruction {
 pub(super) fn mean_normal(views: &Views) -> Option<(Vector3<f64>, f64)> {
     let normals = || views.views.iter().map(|view| view.normal_in_object);
     let mean = normals().sum::<Vector3<f64>>().try_normalize(f64::EPSILON)?;
-    let angle = super::views::median(normals().map(|normal| normal.angle(&mean)).collect())?;
+    let angle = median(normals().map(|normal| normal.angle(&mean)).collect())?;
     Some((mean, angle))
 }
 

@@ -83,13 +83,3 @@ impl Views {
         Ok(())
     }
 }
-
-/// Median of finite numbers; `None` of none. The mean of the two middle ones for an even count.
-pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    values.sort_by(f64::total_cmp);
-    let middle = values.len() / 2;
-    Some(if values.len() % 2 == 1 { values[middle] } else { 0.5 * (values[middle - 1] + values[middle]) })
-}

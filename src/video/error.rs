@@ -1,3 +1,5 @@
+//! What can be wrong with an input. Every message names the file, and what to do where something can be done.
+
 use std::io;
 use std::path::PathBuf;
 
@@ -28,8 +30,8 @@ pub enum VideoError {
     },
     /// No decoder takes the file.
     #[error(
-        "{path}: not a video that FFmpeg can read; if players show it, `ffmpeg -i FILE converted.mp4` makes one, or give a \
-         folder of JPEG or PNG images",
+        "{path}: not a video that FFmpeg can read; if players show it, `ffmpeg -i FILE converted.mp4` makes one, or \
+         give a folder of JPEG or PNG images",
         path = path.display()
     )]
     NotAVideo {
@@ -38,8 +40,9 @@ pub enum VideoError {
     },
     /// An MP4 or MOV file whose index was never written, or is cut off.
     #[error(
-        "{path}: the recording was not finished or not copied whole: its index (the moov box) is missing; copy it again, \
-         or have it repaired by a tool that takes a whole video of the same camera for a pattern, such as untrunc",
+        "{path}: the recording was not finished or not copied whole: its index (the moov box) is missing; copy it \
+         again, or have it repaired by a tool that takes a whole video of the same camera for a pattern, such as \
+         untrunc",
         path = path.display()
     )]
     NoIndex {
@@ -53,7 +56,10 @@ pub enum VideoError {
         path: PathBuf,
     },
     /// The container is readable, but no picture comes out of it.
-    #[error("{path}: not a single frame could be decoded; the file is damaged or holds no pictures", path = path.display())]
+    #[error(
+        "{path}: not a single frame could be decoded; the file is damaged or holds no pictures",
+        path = path.display()
+    )]
     NoFrames {
         /// The input.
         path: PathBuf,
@@ -94,8 +100,8 @@ pub enum VideoError {
     },
     /// A frame of another size than the first.
     #[error(
-        "{path}: frame {frame} has {found_width}x{found_height} pixels, the first frame {width}x{height}; cut the input \
-         where its size changes (--end {frame}f)",
+        "{path}: frame {frame} has {found_width}x{found_height} pixels, the first frame {width}x{height}; cut the \
+         input where its size changes (--end {frame}f)",
         path = path.display()
     )]
     SizeChanges {

@@ -1,3 +1,5 @@
+//! Which frames of an input are chosen, and how large they are given out.
+
 use std::fmt;
 use std::str::FromStr;
 

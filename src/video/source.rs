@@ -1,3 +1,6 @@
+//! An input that frames come from: what is known of it before decoding, which frames the options choose, and their
+//! pictures.
+
 use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io;

@@ -1,3 +1,5 @@
+//! Mean, median and largest value of a quantity over sequences of which some may have failed.
+
 use serde::{Deserialize, Serialize};
 
 use crate::math::median;

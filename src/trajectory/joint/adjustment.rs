@@ -8,11 +8,10 @@ use super::precision::for_each_residual;
 use super::{Grounded, JointOptions};
 use crate::bundle::Whitening;
 use crate::bundle::{self, CameraBlock, PlanePrior, PointPrior, Problem, Wanted};
-use crate::math::{RobustLoss, Sim3, umeyama};
+use crate::math::{RobustLoss, Sim3, median, umeyama};
 use crate::scene::{FrameId, Image, Reconstruction};
 use crate::trajectory::assemble::poses;
 use crate::trajectory::mirror::mean_normal;
-use crate::trajectory::views::median;
 use crate::trajectory::{
     Contact, Options, ScaleError, Views, contact, forward_axis, intersection, least_squares, object_center,
 };

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Vector2};
 
+use crate::math::median;
 use crate::scene::{Image, Observation, Point3dId, Reconstruction};
 use crate::trajectory::object_center;
-use crate::trajectory::views::median;
 
 /// Every residual of image positions, pixels, with the point that it belongs to.
 pub(super) fn for_each_residual(model: &Reconstruction, mut visit: impl FnMut(Point3dId, Vector2<f64>)) {
