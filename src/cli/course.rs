@@ -184,7 +184,7 @@ mod tests {
     use crate::pipeline::Planned;
 
     fn course() -> Course {
-        let planned = |stage| Planned { stage, expected_s: 100.0 };
+        let planned = |stage| Planned { stage, expected_s: 1000.0 };
         let mut course = Course::new();
         course.plan(&Plan { stages: [Stage::Frames, Stage::Segment].map(planned).to_vec() });
         course
@@ -199,7 +199,7 @@ mod tests {
         assert_eq!(course.begin("segment", Some(40)).unwrap().line(), "segment    stage 2 of 2");
         assert_eq!((course.step(), course.reach(10), course.reach(4)), (1, 10, 10));
         let moment = course.moment(Event::GoesOn).unwrap();
-        assert_eq!(moment.line(), "segment    10 of 40, about 2 min left");
+        assert_eq!(moment.line(), "segment    10 of 40, about 9 min left");
         let json = moment.json();
         assert_eq!(
             (&json["index"], &json["of"], &json["done"], &json["total"]),
