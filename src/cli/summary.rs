@@ -5,10 +5,8 @@ use std::fmt::Write;
 use serde_json::{Value, json};
 
 use crate::pipeline::{Summary, Vehicle};
-use crate::scene::{ObjectId, ObjectPose, ObjectTrajectory, ScaleEstimate, TimeBase, Trajectories, Unit};
-
-/// A relative standard deviation beyond which a length is no measurement.
-const WEAK: f64 = 0.1;
+use crate::report::Verdict;
+use crate::scene::{ObjectId, ObjectTrajectory, ScaleEstimate, TimeBase, Trajectories, Unit};
 
 /// One paragraph per vehicle; where a run ends before the trajectories, nothing.
 pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String {
@@ -42,7 +40,7 @@ fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, unit: Unit, times: TimeBa
     let mut text =
         format!("  {id}: {class}, placed in {placed} of {}{}\n", count(visible, "frame"), span(found, times));
     // Writing to a string cannot fail.
-    let _ = writeln!(text, "     path: {}{}", length(path_length(found), unit), speed(found, unit, times));
+    let _ = writeln!(text, "     path: {}{}", length(found.path_length(), unit), speed(found, unit, times));
     let _ = writeln!(text, "     {}", sureness(&found.scale));
     if let Some(reason) = vehicle.model.unregistered.values().next().filter(|_| placed < visible) {
         let _ = writeln!(text, "     not in {}: {reason}", count(visible.saturating_sub(placed), "frame"));
@@ -61,24 +59,9 @@ fn span(found: &ObjectTrajectory, times: TimeBase) -> String {
 
 /// How far size and distance can be trusted: both hang on the scale ratio alone.
 fn sureness(scale: &ScaleEstimate) -> String {
-    let std = scale.std.map(|std| std / scale.ratio).filter(|std| std.is_finite());
-    match std {
-        _ if scale.degenerate => {
-            let reason = scale.reason.as_deref().map_or_else(String::new, |reason| format!(": {reason}"));
-            format!("size and distance are undetermined, do not measure with them{reason}")
-        }
-        Some(std) if std > WEAK => {
-            format!("size and distance may well be wrong by {}, by the run's own estimate", percent(std))
-        }
-        Some(std) => format!("size and distance are right to about {}, by the run's own estimate", percent(std)),
-        None => "how exact size and distance are is not known".to_owned(),
-    }
-}
-
-fn percent(share: f64) -> String {
-    let percent = 100.0 * share;
-    let decimals = if percent < 9.95 { 1 } else { 0 };
-    format!("{percent:.decimals$} %")
+    let verdict = Verdict::of(Some(scale));
+    let reason = scale.reason.as_deref().map_or_else(String::new, |reason| format!(" ({reason})"));
+    format!("{}. {}{reason}", verdict.label(), verdict.sentence(Some(scale)))
 }
 
 fn why_not(vehicle: &Vehicle) -> &str {
@@ -94,15 +77,6 @@ fn class(vehicle: &Vehicle) -> &str {
 fn count(number: usize, noun: &str) -> String {
     let plural = if number == 1 { "" } else { "s" };
     format!("{number} {noun}{plural}")
-}
-
-/// Length of the way between the first and the last pose, gaps bridged by straight lines.
-fn path_length(found: &ObjectTrajectory) -> f64 {
-    found.poses.windows(2).map(|pair| distance(&pair[0], &pair[1])).sum()
-}
-
-fn distance(a: &ObjectPose, b: &ObjectPose) -> f64 {
-    a.position.iter().zip(&b.position).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
 fn length(length: f64, unit: Unit) -> String {
@@ -125,7 +99,7 @@ fn speed(found: &ObjectTrajectory, unit: Unit, times: TimeBase) -> String {
     let seconds = last.time_s - first.time_s;
     match (unit, times) {
         (Unit::Metre, TimeBase::Seconds) if seconds > 0.0 => {
-            let speed = path_length(found) / seconds;
+            let speed = found.path_length() / seconds;
             format!(", on average {speed:.1} m/s ({:.0} km/h)", 3.6 * speed)
         }
         _ => String::new(),
@@ -142,7 +116,8 @@ pub(super) fn placed_as_json(summary: &Summary, trajectories: &Trajectories) -> 
             "visible": summary.vehicles.get(&found.id).map(|vehicle| vehicle.model.num_visible),
             "first_frame": found.poses.first().map(|pose| pose.frame),
             "last_frame": found.poses.last().map(|pose| pose.frame),
-            "path_length": path_length(found),
+            "path_length": found.path_length(),
+            "verdict": Verdict::of(Some(&found.scale)),
             "scale": found.scale,
         })
     };
@@ -161,7 +136,7 @@ mod tests {
     use super::*;
     use crate::math::Sim3;
     use crate::pipeline::ModelReport;
-    use crate::scene::{FrameId, ScaleMethod};
+    use crate::scene::{FrameId, ObjectPose, ScaleMethod};
 
     fn pose(frame: u32) -> ObjectPose {
         ObjectPose {
@@ -214,7 +189,8 @@ mod tests {
             "2 vehicles, 1 of them with a trajectory\n  \
                1: car, placed in 10 of 10 frames, from 0.3 s to 1.2 s\n     \
                   path: 0.450 units of the background\n     \
-                  size and distance are right to about 1.0 %, by the run's own estimate\n  \
+                  scale well determined. Size and distance of this path are right to about 1.0 %, by the run's own estimate \
+                  (one standard deviation).\n  \
                4: truck, no trajectory: it is too small\n"
         );
         let without_times = as_text(&summary(vehicles, TimeBase::Frames), &found);

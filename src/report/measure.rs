@@ -3,24 +3,15 @@
 use super::timeline::Timeline;
 use crate::scene::{Image, ObjectPose, ObjectTrajectory, Observation, Reconstruction};
 
-/// Length of the way between the first and the last pose, gaps bridged by straight lines.
-pub(super) fn path_length(trajectory: &ObjectTrajectory) -> f64 {
-    trajectory.poses.windows(2).map(|w| distance(&w[0], &w[1])).filter(|d| d.is_finite()).sum()
-}
-
 /// Speed over time, in units of length per unit of time: the distance between the neighbours of a pose over the time
 /// between them.
 pub(super) fn speeds(trajectory: &ObjectTrajectory, timeline: &Timeline) -> Vec<(f64, f64)> {
     let between = |w: &[ObjectPose]| {
         let (before, after) = (timeline.of(w[0].frame)?, timeline.of(w[2].frame)?);
-        let speed = distance(&w[0], &w[2]) / (after - before);
+        let speed = w[0].distance_to(&w[2]) / (after - before);
         speed.is_finite().then_some((timeline.of(w[1].frame)?, speed))
     };
     trajectory.poses.windows(3).filter_map(between).collect()
-}
-
-fn distance(a: &ObjectPose, b: &ObjectPose) -> f64 {
-    a.position.iter().zip(&b.position).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
 /// Mean reprojection error of a model's image, pixels; `None` where nothing is observed.
@@ -45,7 +36,7 @@ mod tests {
         let mut world = testing::world();
         let all = speeds(&world.trajectory, &Timeline::new(&world.data()));
         assert_eq!(all.len(), world.trajectory.poses.len() - 2);
-        let way = path_length(&world.trajectory);
+        let way = world.trajectory.path_length();
         let poses = &world.trajectory.poses;
         let mean = way / (poses[poses.len() - 1].time_s - poses[0].time_s);
         assert!((all[all.len() / 2].1 / mean - 1.0).abs() < 0.5, "{} beside a mean of {mean}", all[all.len() / 2].1);

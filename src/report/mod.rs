@@ -30,6 +30,7 @@ mod testing;
 
 pub use data::{Data, Fact, Missing, Model, Object, Part, Stage};
 pub use overlay::{Label, Thumbnail, object_colour, overlay, strip_frames};
+pub use verdict::Verdict;
 
 use std::path::{Path, PathBuf};
 

@@ -38,7 +38,7 @@ pub(super) fn sentence(data: &Data) -> String {
 /// How sure the scales of the trajectories are, in one sentence.
 fn sureness(data: &Data) -> String {
     let of = |wanted: &[Verdict]| -> Vec<&Object> {
-        data.objects.iter().filter(|o| wanted.contains(&Verdict::of(o))).collect()
+        data.objects.iter().filter(|o| wanted.contains(&Verdict::of(o.scale()))).collect()
     };
     let known = of(&[Verdict::Good, Verdict::Fair]);
     let worst = known.iter().filter_map(|o| relative_std(&o.trajectory?.scale)).reduce(f64::max);

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::data::{Fact, Object};
+use super::data::Fact;
 use super::words::percent;
 use crate::scene::ScaleEstimate;
 
@@ -17,7 +17,7 @@ const OWN_ESTIMATE: &str = "by the run's own estimate (one standard deviation)";
 /// How far a trajectory can be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Verdict {
+pub enum Verdict {
     /// The scale is known to better than [`GOOD_STD`].
     Good,
     /// Between the two bounds.
@@ -36,10 +36,9 @@ impl Verdict {
     /// All of them, the best first.
     pub const ALL: [Self; 6] = [Self::Good, Self::Fair, Self::Weak, Self::Unrated, Self::Degenerate, Self::Missing];
 
-    /// Of an object's result.
-    pub fn of(object: &Object) -> Self {
-        let Some(trajectory) = object.trajectory else { return Self::Missing };
-        let scale = &trajectory.scale;
+    /// Of an object's scale ratio; `None` where it has no trajectory.
+    pub fn of(scale: Option<&ScaleEstimate>) -> Self {
+        let Some(scale) = scale else { return Self::Missing };
         let contradicted = disagreement(scale).is_some_and(|d| d > WEAK_STD);
         match relative_std(scale) {
             _ if scale.degenerate => Self::Degenerate,
@@ -63,9 +62,8 @@ impl Verdict {
         }
     }
 
-    /// What it means for one object, in a sentence.
-    pub fn sentence(self, object: &Object) -> String {
-        let scale = object.trajectory.map(|t| &t.scale);
+    /// What it means for the object of which it is, in a sentence.
+    pub fn sentence(self, scale: Option<&ScaleEstimate>) -> String {
         let (std, contradiction) = (scale.and_then(relative_std), scale.and_then(disagreement));
         match (self, std, contradiction) {
             (Self::Good | Self::Fair, Some(std), _) => {
@@ -104,7 +102,7 @@ impl Verdict {
     }
 
     /// All badges and their meanings, for the glossary.
-    pub fn glossary() -> Vec<Fact> {
+    pub(super) fn glossary() -> Vec<Fact> {
         Self::ALL.iter().map(|verdict| Fact::new(verdict.label(), verdict.meaning())).collect()
     }
 }
@@ -155,10 +153,11 @@ mod tests {
         ] {
             world.trajectory.scale = scale;
             let data = world.data();
-            assert_eq!(Verdict::of(&data.objects[0]), verdict);
-            let sentence = verdict.sentence(&data.objects[0]);
+            let scale = data.objects[0].scale();
+            assert_eq!(Verdict::of(scale), verdict);
+            let sentence = verdict.sentence(scale);
             assert!(sentence.contains(word), "{verdict:?}: {sentence}");
         }
-        assert_eq!(Verdict::of(&world.data().objects[1]), Verdict::Missing);
+        assert_eq!(Verdict::of(world.data().objects[1].scale()), Verdict::Missing);
     }
 }

@@ -114,6 +114,20 @@ pub struct ObjectTrajectory {
     pub poses: Vec<ObjectPose>,
 }
 
+impl ObjectTrajectory {
+    /// Length of the way between the first and the last pose, gaps bridged by straight lines, in the unit of the positions.
+    pub fn path_length(&self) -> f64 {
+        self.poses.windows(2).map(|pair| pair[0].distance_to(&pair[1])).filter(|step| step.is_finite()).sum()
+    }
+}
+
+impl ObjectPose {
+    /// How far the object's centre is from where it is in another frame.
+    pub fn distance_to(&self, other: &Self) -> f64 {
+        self.position.iter().zip(&other.position).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
+    }
+}
+
 /// All trajectories of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectories {

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::gaps::NO_REASON;
 use crate::report::data::{Data, Fact, Object};
-use crate::report::measure::{path_length, speeds};
+use crate::report::measure::speeds;
 use crate::report::overlay::{css_colour, object_colour};
 use crate::report::plan::Plan;
 use crate::report::timeline::Timeline;
@@ -45,14 +45,14 @@ pub(super) fn cards(data: &Data, timeline: &Timeline, names: &[String], view: Op
 }
 
 fn card(object: &Object, timeline: &Timeline, name: &str, view: Option<&View>) -> Card {
-    let verdict = Verdict::of(object);
+    let verdict = Verdict::of(object.scale());
     Card {
         id: object.id.0,
         name: name.to_owned(),
         colour: css_colour(object_colour(object.id)),
         verdict,
         badge: verdict.label(),
-        meaning: verdict.sentence(object),
+        meaning: verdict.sentence(object.scale()),
         reason: reason(object).map(|reason| plain(&reason)),
         facts: facts(object, timeline),
         alternatives: object.trajectory.map(|t| alternatives(&t.scale)).unwrap_or_default(),
@@ -93,7 +93,7 @@ fn way(trajectory: &ObjectTrajectory, timeline: &Timeline) -> Fact {
         (Some(first), Some(last)) => timeline.range(first.frame, last.frame),
         _ => "in no frame".to_owned(),
     };
-    Fact::new("path length", length(path_length(trajectory))).with_note(when)
+    Fact::new("path length", length(trajectory.path_length())).with_note(when)
 }
 
 /// Speeds, where they are known in time; per frame they would only repeat the path's length.
