@@ -189,8 +189,8 @@ mod tests {
             "2 vehicles, 1 of them with a trajectory\n  \
                1: car, placed in 10 of 10 frames, from 0.3 s to 1.2 s\n     \
                   path: 0.450 units of the background\n     \
-                  scale well determined. Size and distance of this path are right to about 1.0 %, by the run's own estimate \
-                  (one standard deviation).\n  \
+                  scale well determined. Size and distance of this path are right to about 1.0 %, by the run's own \
+                  estimate (one standard deviation).\n  \
                4: truck, no trajectory: it is too small\n"
         );
         let without_times = as_text(&summary(vehicles, TimeBase::Frames), &found);

@@ -151,8 +151,12 @@ fn parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>, trajectories: &Tr
         whole(folder.background(), "cameras and points of the background, as COLMAP has them"),
         whole(folder.background_points(), "points of the background, to look at"),
     ];
+    if folder.evaluation().exists() {
+        parts.push(whole(folder.evaluation(), "how the result compares with the truth"));
+    }
     for id in reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id) {
         parts.push(part(Some(id), folder.object(id), "cameras and points, as COLMAP has them"));
+        parts.push(part(Some(id), folder.as_reconstructed(id), "the same before it was adjusted with the ground"));
     }
     for id in trajectories.objects.iter().map(|trajectory| trajectory.id) {
         parts.push(part(Some(id), folder.object_points(id), "points along the whole path, to look at"));

@@ -115,7 +115,8 @@ pub struct ObjectTrajectory {
 }
 
 impl ObjectTrajectory {
-    /// Length of the way between the first and the last pose, gaps bridged by straight lines, in the unit of the positions.
+    /// Length of the way between the first and the last pose, gaps bridged by straight lines, in the unit of the
+    /// positions.
     pub fn path_length(&self) -> f64 {
         self.poses.windows(2).map(|pair| pair[0].distance_to(&pair[1])).filter(|step| step.is_finite()).sum()
     }

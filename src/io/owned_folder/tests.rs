@@ -171,6 +171,10 @@ fn links_are_never_followed() {
     }
     // Planted while the program is at work.
     let owned = open(folder.path()).unwrap();
+    plant("sequence", elsewhere.path());
+    assert!(matches!(owned.subfolder("sequence"), Err(FolderError::Link { .. })));
+    assert!(owned.subfolder("../sequence").is_err());
+    assert_eq!(owned.subfolder("other").unwrap(), owned.root().join("other"));
     results(&owned, &["a"]).unwrap();
     plant("results", elsewhere.path());
     assert!(matches!(results(&owned, &["b"]), Err(FolderError::Link { .. })));
