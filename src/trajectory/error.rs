@@ -46,7 +46,9 @@ pub enum ScaleError {
     #[error("no image position of the object's model can be compared with its point")]
     NoObservations,
     /// The adjustment left something undetermined.
-    #[error("the adjustment of the object with the ground does not say how sure it is")]
+    #[error(
+        "the adjustment of the object with the ground leaves its size open: in some frames too little of it is seen"
+    )]
     NoCovariance,
     /// The adjusted points cannot be brought back.
     #[error("the adjusted points cannot be brought back to where the object was reconstructed")]

@@ -6,8 +6,7 @@ use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 
 use super::precision::for_each_residual;
 use super::{Grounded, JointOptions};
-use crate::bundle::Whitening;
-use crate::bundle::{self, CameraBlock, PlanePrior, PointPrior, Problem, Wanted};
+use crate::bundle::{self, BundleError, CameraBlock, PlanePrior, PointPrior, Problem, Wanted, Whitening};
 use crate::math::{RobustLoss, Sim3, median, umeyama};
 use crate::scene::{FrameId, Image, Reconstruction};
 use crate::trajectory::assemble::poses;
@@ -166,7 +165,10 @@ impl<'a> Adjustment<'a> {
         let poses: BTreeSet<usize> = (0..FRAMES).map(|k| k * count.saturating_sub(1) / (FRAMES - 1)).collect();
         let wanted = Wanted { poses: poses.iter().copied().collect(), ..Wanted::default() };
         let options = self.bundle_options(&problem);
-        let failed = |error: bundle::BundleError| ScaleError::Adjustment(error.to_string());
+        let failed = |error: BundleError| match error {
+            BundleError::Singular { .. } | BundleError::NoCovariance { .. } => ScaleError::NoCovariance,
+            other => ScaleError::Adjustment(other.to_string()),
+        };
         let found = bundle::covariances(&problem, &options, &wanted).map_err(failed)?;
         let middle = object_center(&self.object);
         let deviations = poses.iter().zip(&found.poses).map(|(pose, covariance)| {
