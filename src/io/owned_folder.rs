@@ -8,6 +8,13 @@
 //! What is written is prepared in `.tractrix/tmp` and moved to its place whole. A folder of results is exchanged as one
 //! where all in it is the program's own, else file by file.
 
+mod error;
+mod manifest;
+mod survey;
+#[cfg(test)]
+mod tests;
+mod tree;
+
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
@@ -18,14 +25,18 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use serde::{Deserialize, Serialize};
 use tempfile::{Builder, TempDir};
 
+pub use error::FolderError;
+pub use survey::refuse_own_input;
+
+use self::manifest::{MANIFEST, Manifest, VERSION, read_manifest};
+use self::survey::{Survey, is_as_good_as_empty};
+use self::tree::{files_below, files_below_if_any, folders_below, is_real_folder};
 use super::atomic::{sync_folder, sync_tree};
 use super::{IoError, RunFolder, atomic};
 
 const STATE: &str = RunFolder::STATE;
-const MANIFEST: &str = "manifest.json";
 const LOCK: &str = "lock";
 const SCRATCH: &str = "tmp";
-const VERSION: u32 = 1;
 
 /// What the program may put at a path of its folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,129 +61,6 @@ pub struct InputIdentity {
     pub path: PathBuf,
     /// Hash of its content.
     pub content: String,
-}
-
-/// Why the program does not write into a folder.
-#[derive(Debug, thiserror::Error)]
-pub enum FolderError {
-    /// Somebody else's.
-    #[error(
-        "{}: this folder is not empty and was not made by {program} (it holds {examples}); nothing was changed; give a \
-         new or empty folder with --output",
-        path.display()
-    )]
-    NotOwn {
-        /// The folder.
-        path: PathBuf,
-        /// Which command makes such folders.
-        program: &'static str,
-        /// Some of what it holds.
-        examples: String,
-    },
-    /// Files of others where results belong.
-    #[error(
-        "{}: {examples} stands where results are to be written; nothing was changed; move it away or give another \
-         --output",
-        path.display()
-    )]
-    InTheWay {
-        /// The folder.
-        path: PathBuf,
-        /// Some of these files.
-        examples: String,
-    },
-    /// A link inside the folder.
-    #[error(
-        "{}: {link} is a link, and results are never written through one; nothing was changed; remove the link or give \
-         another --output",
-        path.display()
-    )]
-    Link {
-        /// The folder.
-        path: PathBuf,
-        /// The link, relative to it.
-        link: String,
-    },
-    /// Results of another input.
-    #[error(
-        "{}: holds the results of another input ({}); nothing was changed; give another --output, or --overwrite to \
-         replace them",
-        path.display(), input.display()
-    )]
-    OtherInput {
-        /// The folder.
-        path: PathBuf,
-        /// The input whose results are there.
-        input: PathBuf,
-    },
-    /// Something that is to be read lies where results are written.
-    #[error(
-        "{flag} {}: lies in the output folder, where results are written; copy it elsewhere first, or give another \
-         --output",
-        input.display()
-    )]
-    OwnInput {
-        /// How the input was named.
-        flag: String,
-        /// The input.
-        input: PathBuf,
-    },
-    /// A single file that is there.
-    #[error(
-        "{}: is there already; nothing was changed; give another name, or --overwrite to replace it",
-        path.display()
-    )]
-    Exists {
-        /// The file.
-        path: PathBuf,
-    },
-    /// Another process has the folder.
-    #[error("{}: another tractrix is at work on this folder; wait for it or give another --output", path.display())]
-    Busy {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// The system refuses.
-    #[error("{}: cannot be written to: {source}; {}", path.display(), cure(source))]
-    System {
-        /// The folder or file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// A file cannot be written.
-    #[error(transparent)]
-    Io(#[from] IoError),
-}
-
-fn cure(error: &io::Error) -> &'static str {
-    match error.kind() {
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "make room, or give a folder on another disk with --output"
-        }
-        _ => "give another folder with --output or change its permissions",
-    }
-}
-
-impl FolderError {
-    /// Whether the command line asks for what must not be, so that nothing was begun.
-    pub fn is_wrong_use(&self) -> bool {
-        use FolderError::{Exists, InTheWay, Link, NotOwn, OtherInput, OwnInput};
-        matches!(
-            self,
-            NotOwn { .. } | InTheWay { .. } | Link { .. } | OtherInput { .. } | OwnInput { .. } | Exists { .. }
-        )
-    }
-}
-
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Manifest {
-    version: u32,
-    /// Which command writes into the folder.
-    made_by: String,
-    input: Option<InputIdentity>,
-    /// Relative to the folder, without what lies in the state folder.
-    files: BTreeSet<PathBuf>,
 }
 
 /// A folder that this process has for itself.
@@ -497,109 +385,6 @@ impl OwnedFolder {
     }
 }
 
-/// Refuses an input that lies where the program writes in the folder `output`, whatever links and `..` say.
-///
-/// * `flag` – how the input was named on the command line.
-///
-/// # Errors
-/// [`FolderError::OwnInput`].
-pub fn refuse_own_input(output: &Path, places: Places, flag: &str, input: &Path) -> Result<(), FolderError> {
-    // What is not there cannot be written over; who reads it says that it is missing.
-    let (Ok(output), Ok(real)) = (fs::canonicalize(output), fs::canonicalize(input)) else { return Ok(()) };
-    let is_own = |real: &Path| real.strip_prefix(&output).is_ok_and(|inside| places(inside) != Place::Elsewhere);
-    let entries = fs::read_dir(&real).into_iter().flatten().flatten();
-    let mut linked = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_symlink()));
-    match is_own(&real) || linked.any(|entry| fs::canonicalize(entry.path()).is_ok_and(|real| is_own(&real))) {
-        true => Err(FolderError::OwnInput { flag: flag.to_owned(), input: input.to_owned() }),
-        false => Ok(()),
-    }
-}
-
-/// Looks through an own folder for what is not its own and stands where it writes.
-struct Survey<'a> {
-    root: &'a Path,
-    manifest: &'a Manifest,
-    places: Places,
-}
-
-impl Survey<'_> {
-    fn run(&self) -> Result<(), FolderError> {
-        let mut foreign = Vec::new();
-        self.look(Path::new(""), &mut foreign)?;
-        match foreign.is_empty() {
-            true => Ok(()),
-            false => Err(FolderError::InTheWay { path: self.root.to_owned(), examples: some_of(&foreign) }),
-        }
-    }
-
-    fn look(&self, below: &Path, foreign: &mut Vec<String>) -> Result<(), FolderError> {
-        let folder = self.root.join(below);
-        let system = |source| FolderError::System { path: folder.clone(), source };
-        for entry in fs::read_dir(&folder).map_err(system)? {
-            let entry = entry.map_err(system)?;
-            let (relative, kind) = (below.join(entry.file_name()), entry.file_type().map_err(system)?);
-            let place = (self.places)(&relative);
-            if place != Place::Elsewhere && kind.is_symlink() {
-                return Err(FolderError::Link { path: self.root.to_owned(), link: relative.display().to_string() });
-            }
-            match place {
-                Place::File if !kind.is_file() || !self.manifest.files.contains(&relative) => {
-                    foreign.push(relative.display().to_string());
-                }
-                Place::Folder if !kind.is_dir() => foreign.push(relative.display().to_string()),
-                Place::Folder | Place::State if kind.is_dir() => self.look(&relative, foreign)?,
-                _ => {}
-            }
-        }
-        Ok(())
-    }
-}
-
-fn read_manifest(root: &Path) -> Result<Option<Manifest>, FolderError> {
-    let state = root.join(STATE);
-    for (path, name) in [(state.clone(), STATE.to_owned()), (state.join(MANIFEST), format!("{STATE}/{MANIFEST}"))] {
-        if fs::symlink_metadata(&path).is_ok_and(|found| found.file_type().is_symlink()) {
-            return Err(FolderError::Link { path: root.to_owned(), link: name });
-        }
-    }
-    let Ok(bytes) = fs::read(state.join(MANIFEST)) else { return Ok(None) };
-    // One that cannot be read says nothing: the folder is then nobody's, and left alone.
-    Ok(serde_json::from_slice::<Manifest>(&bytes).ok().filter(|manifest| manifest.version == VERSION))
-}
-
-/// A folder without a manifest has to be empty, but for what a process leaves that is killed as it begins.
-fn is_as_good_as_empty(path: &Path, made_by: &'static str) -> Result<(), FolderError> {
-    let system = |source| FolderError::System { path: path.to_owned(), source };
-    let names = |folder: &Path| -> io::Result<Vec<String>> {
-        fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect()
-    };
-    let mut found = names(path).map_err(system)?;
-    if found == [STATE] && is_real_folder(&path.join(STATE)) {
-        let state = path.join(STATE);
-        let is_first = |name: &String| {
-            let is_link = fs::symlink_metadata(state.join(name)).is_ok_and(|found| found.file_type().is_symlink());
-            (name == LOCK || atomic::is_temporary(name)) && !is_link
-        };
-        if names(&state).map_err(system)?.iter().all(is_first) {
-            return Ok(());
-        }
-    }
-    if found.is_empty() {
-        return Ok(());
-    }
-    found.sort();
-    Err(FolderError::NotOwn { path: path.to_owned(), program: made_by, examples: some_of(&found) })
-}
-
-fn some_of(names: &[String]) -> String {
-    const SHOWN: usize = 3;
-    let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
-    match names.len().saturating_sub(SHOWN) {
-        0 => shown,
-        more => format!("{shown} and {more} more"),
-    }
-}
-
 fn lock(root: &Path, shown: &Path) -> Result<File, FolderError> {
     let path = root.join(STATE).join(LOCK);
     let no_link = i32::try_from(rustix::fs::OFlags::NOFOLLOW.bits()).unwrap_or(0);
@@ -612,49 +397,6 @@ fn lock(root: &Path, shown: &Path) -> Result<File, FolderError> {
     }
 }
 
-/// Files, links and the like below a folder, relative to it, ascending; links are not followed.
-fn files_below(folder: &Path) -> Result<Vec<PathBuf>, FolderError> {
-    let mut found = Vec::new();
-    for inside in std::iter::once(folder.to_owned()).chain(folders_below(folder)?) {
-        for entry in fs::read_dir(&inside).map_err(IoError::system("read", &inside))? {
-            let entry = entry.map_err(IoError::system("read", &inside))?;
-            if !entry.file_type().map_err(IoError::system("read", &inside))?.is_dir() {
-                let path = entry.path();
-                found.push(path.strip_prefix(folder).unwrap_or(&path).to_owned());
-            }
-        }
-    }
-    found.sort();
-    Ok(found)
-}
-
-fn files_below_if_any(folder: &Path) -> Result<Vec<PathBuf>, FolderError> {
-    if is_real_folder(folder) { files_below(folder) } else { Ok(Vec::new()) }
-}
-
-/// Folders below a folder, those above before those below.
-fn folders_below(folder: &Path) -> Result<Vec<PathBuf>, FolderError> {
-    let mut found = Vec::new();
-    let mut open = vec![folder.to_owned()];
-    while let Some(inside) = open.pop() {
-        for entry in fs::read_dir(&inside).map_err(IoError::system("read", &inside))? {
-            let entry = entry.map_err(IoError::system("read", &inside))?;
-            if entry.file_type().map_err(IoError::system("read", &inside))?.is_dir() {
-                found.push(entry.path());
-                open.push(entry.path());
-            }
-        }
-    }
-    Ok(found)
-}
-
-fn is_real_folder(path: &Path) -> bool {
-    fs::symlink_metadata(path).is_ok_and(|found| found.is_dir())
-}
-
 fn is_absent(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
-
-#[cfg(test)]
-mod tests;

@@ -1,0 +1,119 @@
+//! Why the program does not write into a folder.
+
+use std::io;
+use std::path::PathBuf;
+
+use crate::io::IoError;
+
+/// Why the program does not write into a folder.
+#[derive(Debug, thiserror::Error)]
+pub enum FolderError {
+    /// Somebody else's.
+    #[error(
+        "{}: this folder is not empty and was not made by {program} (it holds {examples}); nothing was changed; give a \
+         new or empty folder with --output",
+        path.display()
+    )]
+    NotOwn {
+        /// The folder.
+        path: PathBuf,
+        /// Which command makes such folders.
+        program: &'static str,
+        /// Some of what it holds.
+        examples: String,
+    },
+    /// Files of others where results belong.
+    #[error(
+        "{}: {examples} stands where results are to be written; nothing was changed; move it away or give another \
+         --output",
+        path.display()
+    )]
+    InTheWay {
+        /// The folder.
+        path: PathBuf,
+        /// Some of these files.
+        examples: String,
+    },
+    /// A link inside the folder.
+    #[error(
+        "{}: {link} is a link, and results are never written through one; nothing was changed; remove the link or give \
+         another --output",
+        path.display()
+    )]
+    Link {
+        /// The folder.
+        path: PathBuf,
+        /// The link, relative to it.
+        link: String,
+    },
+    /// Results of another input.
+    #[error(
+        "{}: holds the results of another input ({}); nothing was changed; give another --output, or --overwrite to \
+         replace them",
+        path.display(), input.display()
+    )]
+    OtherInput {
+        /// The folder.
+        path: PathBuf,
+        /// The input whose results are there.
+        input: PathBuf,
+    },
+    /// Something that is to be read lies where results are written.
+    #[error(
+        "{flag} {}: lies in the output folder, where results are written; copy it elsewhere first, or give another \
+         --output",
+        input.display()
+    )]
+    OwnInput {
+        /// How the input was named.
+        flag: String,
+        /// The input.
+        input: PathBuf,
+    },
+    /// A single file that is there.
+    #[error(
+        "{}: is there already; nothing was changed; give another name, or --overwrite to replace it",
+        path.display()
+    )]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Another process has the folder.
+    #[error("{}: another tractrix is at work on this folder; wait for it or give another --output", path.display())]
+    Busy {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The system refuses.
+    #[error("{}: cannot be written to: {source}; {}", path.display(), cure(source))]
+    System {
+        /// The folder or file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// A file cannot be written.
+    #[error(transparent)]
+    Io(#[from] IoError),
+}
+
+fn cure(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "make room, or give a folder on another disk with --output"
+        }
+        _ => "give another folder with --output or change its permissions",
+    }
+}
+
+impl FolderError {
+    /// Whether the command line asks for what must not be, so that nothing was begun.
+    pub fn is_wrong_use(&self) -> bool {
+        use FolderError::{Exists, InTheWay, Link, NotOwn, OtherInput, OwnInput};
+        matches!(
+            self,
+            NotOwn { .. } | InTheWay { .. } | Link { .. } | OtherInput { .. } | OwnInput { .. } | Exists { .. }
+        )
+    }
+}

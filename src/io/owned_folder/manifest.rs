@@ -1,0 +1,36 @@
+//! What the program wrote into a folder, and from which input.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::{FolderError, InputIdentity, STATE};
+
+/// Its name in the state folder.
+pub(super) const MANIFEST: &str = "manifest.json";
+/// The only version there is.
+pub(super) const VERSION: u32 = 1;
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Manifest {
+    pub(super) version: u32,
+    /// Which command writes into the folder.
+    pub(super) made_by: String,
+    pub(super) input: Option<InputIdentity>,
+    /// Relative to the folder, without what lies in the state folder.
+    pub(super) files: BTreeSet<PathBuf>,
+}
+
+pub(super) fn read_manifest(root: &Path) -> Result<Option<Manifest>, FolderError> {
+    let state = root.join(STATE);
+    for (path, name) in [(state.clone(), STATE.to_owned()), (state.join(MANIFEST), format!("{STATE}/{MANIFEST}"))] {
+        if fs::symlink_metadata(&path).is_ok_and(|found| found.file_type().is_symlink()) {
+            return Err(FolderError::Link { path: root.to_owned(), link: name });
+        }
+    }
+    let Ok(bytes) = fs::read(state.join(MANIFEST)) else { return Ok(None) };
+    // One that cannot be read says nothing: the folder is then nobody's, and left alone.
+    Ok(serde_json::from_slice::<Manifest>(&bytes).ok().filter(|manifest| manifest.version == VERSION))
+}

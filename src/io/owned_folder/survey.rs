@@ -1,0 +1,101 @@
+//! Whether a folder may be taken, and whether an input lies in it; nothing is changed here.
+
+use std::fs;
+use std::io;
+use std::path::Path;
+
+use super::manifest::Manifest;
+use super::tree::is_real_folder;
+use super::{FolderError, LOCK, Place, Places, STATE};
+use crate::io::atomic;
+
+/// Refuses an input that lies where the program writes in the folder `output`, whatever links and `..` say.
+///
+/// * `flag` – how the input was named on the command line.
+///
+/// # Errors
+/// [`FolderError::OwnInput`].
+pub fn refuse_own_input(output: &Path, places: Places, flag: &str, input: &Path) -> Result<(), FolderError> {
+    // What is not there cannot be written over; who reads it says that it is missing.
+    let (Ok(output), Ok(real)) = (fs::canonicalize(output), fs::canonicalize(input)) else { return Ok(()) };
+    let is_own = |real: &Path| real.strip_prefix(&output).is_ok_and(|inside| places(inside) != Place::Elsewhere);
+    let entries = fs::read_dir(&real).into_iter().flatten().flatten();
+    let mut linked = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_symlink()));
+    match is_own(&real) || linked.any(|entry| fs::canonicalize(entry.path()).is_ok_and(|real| is_own(&real))) {
+        true => Err(FolderError::OwnInput { flag: flag.to_owned(), input: input.to_owned() }),
+        false => Ok(()),
+    }
+}
+
+/// Looks through an own folder for what is not its own and stands where it writes.
+pub(super) struct Survey<'a> {
+    pub(super) root: &'a Path,
+    pub(super) manifest: &'a Manifest,
+    pub(super) places: Places,
+}
+
+impl Survey<'_> {
+    pub(super) fn run(&self) -> Result<(), FolderError> {
+        let mut foreign = Vec::new();
+        self.look(Path::new(""), &mut foreign)?;
+        match foreign.is_empty() {
+            true => Ok(()),
+            false => Err(FolderError::InTheWay { path: self.root.to_owned(), examples: some_of(&foreign) }),
+        }
+    }
+
+    fn look(&self, below: &Path, foreign: &mut Vec<String>) -> Result<(), FolderError> {
+        let folder = self.root.join(below);
+        let system = |source| FolderError::System { path: folder.clone(), source };
+        for entry in fs::read_dir(&folder).map_err(system)? {
+            let entry = entry.map_err(system)?;
+            let (relative, kind) = (below.join(entry.file_name()), entry.file_type().map_err(system)?);
+            let place = (self.places)(&relative);
+            if place != Place::Elsewhere && kind.is_symlink() {
+                return Err(FolderError::Link { path: self.root.to_owned(), link: relative.display().to_string() });
+            }
+            match place {
+                Place::File if !kind.is_file() || !self.manifest.files.contains(&relative) => {
+                    foreign.push(relative.display().to_string());
+                }
+                Place::Folder if !kind.is_dir() => foreign.push(relative.display().to_string()),
+                Place::Folder | Place::State if kind.is_dir() => self.look(&relative, foreign)?,
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A folder without a manifest has to be empty, but for what a process leaves that is killed as it begins.
+pub(super) fn is_as_good_as_empty(path: &Path, made_by: &'static str) -> Result<(), FolderError> {
+    let system = |source| FolderError::System { path: path.to_owned(), source };
+    let names = |folder: &Path| -> io::Result<Vec<String>> {
+        fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect()
+    };
+    let mut found = names(path).map_err(system)?;
+    if found == [STATE] && is_real_folder(&path.join(STATE)) {
+        let state = path.join(STATE);
+        let is_first = |name: &String| {
+            let is_link = fs::symlink_metadata(state.join(name)).is_ok_and(|found| found.file_type().is_symlink());
+            (name == LOCK || atomic::is_temporary(name)) && !is_link
+        };
+        if names(&state).map_err(system)?.iter().all(is_first) {
+            return Ok(());
+        }
+    }
+    if found.is_empty() {
+        return Ok(());
+    }
+    found.sort();
+    Err(FolderError::NotOwn { path: path.to_owned(), program: made_by, examples: some_of(&found) })
+}
+
+fn some_of(names: &[String]) -> String {
+    const SHOWN: usize = 3;
+    let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
+    match names.len().saturating_sub(SHOWN) {
+        0 => shown,
+        more => format!("{shown} and {more} more"),
+    }
+}
