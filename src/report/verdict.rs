@@ -18,11 +18,11 @@ const OWN_ESTIMATE: &str = "by the run's own estimate (one standard deviation)";
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// The scale is known to better than [`GOOD_STD`].
+    /// The scale is known to 3 % or better (one standard deviation).
     Good,
     /// Between the two bounds.
     Fair,
-    /// Worse than [`WEAK_STD`], or the methods contradict each other.
+    /// Worse than 10 %, or the methods contradict each other by more than that.
     Weak,
     /// No standard deviation is known, and nothing contradicts the scale.
     Unrated,
