@@ -19,7 +19,7 @@ use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
 use std::os::unix::fs::OpenOptionsExt;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::{Deserialize, Serialize};
@@ -276,6 +276,8 @@ impl OwnedFolder {
     fn remove_files<'a>(&self, files: impl Iterator<Item = &'a PathBuf>) -> Result<(), FolderError> {
         let mut gone = BTreeSet::new();
         for file in files {
+            // A link above the file would lead to somebody else's file of that name.
+            self.check_way(file.parent().unwrap_or(Path::new("")))?;
             let path = self.root.join(file);
             match fs::remove_file(&path) {
                 Err(error) if !is_absent(&error) => return Err(IoError::system("remove", &path)(error).into()),
@@ -370,8 +372,7 @@ impl OwnedFolder {
 
     fn relative(&self, path: &Path) -> Result<PathBuf, FolderError> {
         let relative = if path.is_absolute() { path.strip_prefix(&self.root).ok() } else { Some(path) };
-        let plain = |path: &&Path| path.components().all(|part| matches!(part, std::path::Component::Normal(_)));
-        relative.filter(plain).map(Path::to_owned).ok_or_else(|| {
+        relative.filter(|path| is_inside(path)).map(Path::to_owned).ok_or_else(|| {
             IoError::content(path, format!("lies outside the output folder {}", self.root.display())).into()
         })
     }
@@ -395,6 +396,11 @@ fn lock(root: &Path, shown: &Path) -> Result<File, FolderError> {
         Err(TryLockError::WouldBlock) => Err(FolderError::Busy { path: shown.to_owned() }),
         Err(TryLockError::Error(source)) => Err(FolderError::System { path, source }),
     }
+}
+
+/// Whether a relative path stays below the folder that it starts from, as far as its words tell.
+fn is_inside(path: &Path) -> bool {
+    path.components().all(|part| matches!(part, Component::Normal(_)))
 }
 
 fn is_absent(error: &io::Error) -> bool {

@@ -1,7 +1,8 @@
 //! Stage `scale`: the scale ratio of every object, and its trajectory.
 
-use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
+
+use serde_json::{Value, json};
 
 use super::run::{Outcome, Run};
 use super::track::{self, TrackedObject};

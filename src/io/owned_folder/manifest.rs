@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::{FolderError, InputIdentity, STATE};
+use super::{FolderError, InputIdentity, STATE, is_inside};
 
 /// Its name in the state folder.
 pub(super) const MANIFEST: &str = "manifest.json";
@@ -23,6 +23,13 @@ pub(super) struct Manifest {
     pub(super) files: BTreeSet<PathBuf>,
 }
 
+impl Manifest {
+    /// Whether it is of a known version, and names nothing outside the folder: other hands may have written in it.
+    fn is_sound(&self) -> bool {
+        self.version == VERSION && self.files.iter().all(|file| is_inside(file))
+    }
+}
+
 pub(super) fn read_manifest(root: &Path) -> Result<Option<Manifest>, FolderError> {
     let state = root.join(STATE);
     for (path, name) in [(state.clone(), STATE.to_owned()), (state.join(MANIFEST), format!("{STATE}/{MANIFEST}"))] {
@@ -32,5 +39,5 @@ pub(super) fn read_manifest(root: &Path) -> Result<Option<Manifest>, FolderError
     }
     let Ok(bytes) = fs::read(state.join(MANIFEST)) else { return Ok(None) };
     // One that cannot be read says nothing: the folder is then nobody's, and left alone.
-    Ok(serde_json::from_slice::<Manifest>(&bytes).ok().filter(|manifest| manifest.version == VERSION))
+    Ok(serde_json::from_slice::<Manifest>(&bytes).ok().filter(Manifest::is_sound))
 }

@@ -179,9 +179,30 @@ fn links_are_never_followed() {
     plant("results", elsewhere.path());
     assert!(matches!(results(&owned, &["b"]), Err(FolderError::Link { .. })));
     assert!(matches!(owned.remove(Path::new("results")), Err(FolderError::Link { .. })));
+    // Its own file by name, somebody else's behind the link.
+    atomic::write(&elsewhere.path().join("a"), b"precious").unwrap();
+    let untouched = snapshot(elsewhere.path());
+    let another = InputIdentity { path: "two.mp4".into(), content: "two".into() };
+    owned.claim(InputIdentity { path: "one.mp4".into(), content: "one".into() }, false).unwrap();
+    assert!(matches!(owned.claim(another, true), Err(FolderError::Link { .. })));
     plant("page.html", &precious);
     assert!(matches!(page(&owned, "ours"), Err(FolderError::Link { .. })));
     assert_eq!(snapshot(elsewhere.path()), untouched);
+}
+
+#[test]
+fn a_manifest_that_names_files_outside_is_not_believed() {
+    let place = tempfile::tempdir().unwrap();
+    let (folder, precious) = (place.path().join("out"), place.path().join("precious"));
+    atomic::write(&precious, b"precious").unwrap();
+    page(&open(&folder).unwrap(), "ours").unwrap();
+    let manifest = folder.join(STATE).join(MANIFEST);
+    let text = fs::read_to_string(&manifest).unwrap();
+    for planted in ["../precious", precious.to_str().unwrap()] {
+        fs::write(&manifest, text.replace("page.html", planted)).unwrap();
+        assert!(matches!(open(&folder), Err(FolderError::NotOwn { .. })), "{planted}");
+        assert_eq!(fs::read(&precious).unwrap(), b"precious");
+    }
 }
 
 #[test]
