@@ -12,6 +12,7 @@ mod description;
 mod error;
 mod flow;
 mod ground;
+mod prompt;
 mod segmentation;
 mod tensor;
 mod tracking;
@@ -20,7 +21,8 @@ pub use self::description::{ModelDescription, Preprocessing};
 pub use self::error::PerceptionError;
 pub use self::flow::{DisFlow, DisPreset, FlowEstimator, FlowOptions, OnnxFlow, load_flow};
 pub use self::ground::{GroundOptions, GroundSegmenter, load_ground_segmenter};
-pub use self::segmentation::{SegmentationOptions, Segmenter, Tiling, load_segmenter};
+pub use self::prompt::{Prompted, Prompter};
+pub use self::segmentation::{Detector, SegmentationOptions, Segmenter, Tiling, load_segmenter};
 pub use self::tracking::{Evidence, TrackSummary, TrackedMask, Tracker, TrackerOptions};
 
 /// Longer sides of pictures, pixels, that networks are asked about: below, there is nothing to see; beyond, memory

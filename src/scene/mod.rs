@@ -2,6 +2,7 @@
 //!
 //! Values only: nothing here reads a disk or runs an algorithm of its own.
 
+mod boxes;
 mod flow;
 mod frame;
 mod ground;
@@ -10,6 +11,7 @@ mod mesh;
 mod reconstruction;
 mod trajectory;
 
+pub use boxes::{BoxDetection, Finder, Rect};
 pub use flow::Flow;
 pub use frame::{Frame, FrameId, ObjectId, TimeBase};
 pub use ground::{Ground, GroundPlane, GroundSource};

@@ -16,7 +16,7 @@ use self::yolo::YoloSeg;
 use super::{INPUT_SIZES, PerceptionError};
 use crate::ffi::onnx::Model;
 use crate::limits::{Checked, some_of, within};
-use crate::scene::Detection;
+use crate::scene::{BoxDetection, Detection};
 
 /// Finds the movable objects of a frame.
 pub trait Segmenter {
@@ -25,6 +25,15 @@ pub trait Segmenter {
     /// # Errors
     /// When the network cannot be run or answers in a shape that its family does not allow.
     fn segment(&mut self, image: &RgbImage) -> Result<Vec<Detection>, PerceptionError>;
+}
+
+/// Finds the movable objects of a frame as boxes.
+pub trait Detector {
+    /// The objects found in `image`; highest confidence first.
+    ///
+    /// # Errors
+    /// When the network cannot be run or answers in a shape that its family does not allow.
+    fn detect(&mut self, image: &RgbImage) -> Result<Vec<BoxDetection>, PerceptionError>;
 }
 
 /// Whether a frame that is larger than the network's input is also looked at piece by piece.
