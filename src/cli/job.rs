@@ -9,9 +9,15 @@ use anyhow::Context;
 use super::common::CommonArgs;
 use super::output::Failure;
 use crate::io::{IoError, Sequence};
-use crate::pipeline::{FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, Options, Stage};
+use crate::pipeline::{
+    DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskChoice, MotionChoice,
+    Options, Stage,
+};
 use crate::scene::ObjectId;
 use crate::video::Position;
+
+/// What the flags of the program's own perception do not go with.
+const OWN_MASKS: [&str; 2] = ["masks", "segmentation_model"];
 
 #[derive(Debug, clap::Args)]
 pub(super) struct JobArgs {
@@ -29,9 +35,21 @@ pub(super) struct JobArgs {
     /// Given vehicle masks: one 8-bit PNG per frame with the frame's stem, 0 background, k = vehicle k
     #[arg(long, value_name = "DIR", conflicts_with = "segmentation_model", help_heading = "Vehicles")]
     pub(super) masks: Option<PathBuf>,
-    /// ONNX model for instance segmentation (YOLO-seg family)
+    /// ONNX model for instance segmentation (YOLO-seg or Mask R-CNN family) instead of what comes with the program
     #[arg(long, value_name = "FILE", help_heading = "Vehicles")]
     pub(super) segmentation_model: Option<PathBuf>,
+    /// What knows vehicles by their looks: `default` (comes with the program), `none`, or an ONNX file (YOLOX family)
+    #[arg(long, value_name = "default|none|FILE", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
+    pub(super) detector: Option<DetectorChoice>,
+    /// Whether vehicles are also found by their motion: `on` (the default) or `off`
+    #[arg(long, value_name = "on|off", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
+    pub(super) motion: Option<MotionChoice>,
+    /// What finds the pixels of a vehicle: `default` (comes with the program), or `none` (coarse, by colours)
+    #[arg(long, value_name = "default|none", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
+    pub(super) mask_network: Option<MaskChoice>,
+    /// Ask the mask network every N-th frame; optical flow carries the masks between
+    #[arg(long, value_name = "N", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
+    pub(super) segment_every: Option<u32>,
     /// ONNX model for optical flow [default: OpenCV's DIS]
     #[arg(long, value_name = "FILE", help_heading = "Vehicles")]
     pub(super) flow_model: Option<PathBuf>,
@@ -93,12 +111,20 @@ pub(super) struct JobArgs {
     pub(super) common: CommonArgs,
 }
 
+impl JobArgs {
+    /// Whether a flag says how the program itself is to find vehicles.
+    fn asks_for_vehicles(&self) -> bool {
+        self.detector.is_some() || self.motion.is_some() || self.mask_network.is_some() || self.segment_every.is_some()
+    }
+}
+
 /// The flag as the help of a part of a run shows it: not at all if it is used by later parts alone. It is taken
 /// nevertheless, so that the same flags serve every part.
 pub(super) fn shown_up_to(goal: Stage, flag: clap::Arg) -> clap::Arg {
     let first_use = match flag.get_id().as_str() {
-        "flow_model" => Stage::Track,
-        "intrinsics" | "features" | "background_model" | "object_model" | "only_object" => Stage::Features,
+        "intrinsics" | "features" | "background_model" => Stage::Features,
+        "flow_model" | "mask_network" | "motion" | "segment_every" => Stage::Track,
+        "object_model" | "only_object" => Stage::Follow,
         "ground_masks" | "ground_label" | "ground_model" => Stage::Ground,
         "scale_method" => Stage::Scale,
         _ => Stage::Frames,
@@ -116,11 +142,7 @@ pub(super) fn resolve(job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), 
     }
     let looks_for_vehicles = !matches!(goal, Stage::Frames | Stage::Objects);
     if looks_for_vehicles && options.instances == Instances::None {
-        return Err(Failure::Usage(
-            "nothing says where the vehicles are; give --segmentation-model FILE (an ONNX model of the YOLO-seg \
-             family) or --masks DIR (`tractrix doctor` says more)"
-                .to_owned(),
-        ));
+        options.instances = Instances::Vehicles;
     }
     options.check().map_err(|error| Failure::Usage(error.to_string()))?;
     check_paths(&options)?;
@@ -132,7 +154,14 @@ fn apply_flags(job: &JobArgs, options: &mut Options) {
         options.instances = Instances::Masks(folder.clone());
     } else if let Some(model) = &job.segmentation_model {
         options.instances = Instances::Model(model.clone());
+    } else if job.asks_for_vehicles() {
+        options.instances = Instances::Vehicles;
     }
+    let vehicles = &mut options.vehicles;
+    vehicles.detector = job.detector.clone().unwrap_or(vehicles.detector.clone());
+    vehicles.motion = job.motion.unwrap_or(vehicles.motion);
+    vehicles.mask_network = job.mask_network.unwrap_or(vehicles.mask_network);
+    vehicles.segment_every = job.segment_every.unwrap_or(vehicles.segment_every);
     if let Some(folder) = &job.ground_masks {
         options.ground_labels = GroundLabels::Masks { folder: folder.clone(), label: job.ground_label };
     } else if let Some(model) = &job.ground_model {

@@ -1,31 +1,26 @@
-//! Detections on disk, one small file per frame, so that a run that was killed need not ask the network again.
+//! What was found in frames, on disk: one small file per frame, so that a run that was killed need not ask the network
+//! again.
 
+use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::PipelineError;
 use crate::io::{IoError, atomic};
 use crate::scene::{Detection, Frame, FrameId, Mask};
 
-/// A detection with its mask as run lengths, clear pixels first.
-#[derive(Serialize, Deserialize)]
-struct Stored {
-    class: String,
-    confidence: f64,
-    runs: Vec<u32>,
-}
-
-/// The detections of a run, by frame.
+/// A folder with a list of things per frame.
 #[derive(Clone, Debug)]
-pub(super) struct DetectionFolder {
+pub(super) struct FrameFolder<T> {
     folder: PathBuf,
-    size: (u32, u32),
+    things: PhantomData<T>,
 }
 
-impl DetectionFolder {
-    pub(super) fn new(folder: PathBuf, size: (u32, u32)) -> Self {
-        Self { folder, size }
+impl<T: Serialize + DeserializeOwned> FrameFolder<T> {
+    pub(super) fn new(folder: PathBuf) -> Self {
+        Self { folder, things: PhantomData }
     }
 
     fn path(&self, frame: FrameId) -> PathBuf {
@@ -36,17 +31,13 @@ impl DetectionFolder {
         self.path(frame.id).is_file()
     }
 
-    pub(super) fn write(&self, frame: &Frame, detections: &[Detection]) -> Result<(), PipelineError> {
-        let stored: Vec<Stored> = detections
-            .iter()
-            .map(|d| Stored { class: d.class.clone(), confidence: d.confidence, runs: runs(&d.mask) })
-            .collect();
+    pub(super) fn write(&self, frame: &Frame, found: &[T]) -> Result<(), PipelineError> {
         let path = self.path(frame.id);
-        let bytes = postcard::to_stdvec(&stored).map_err(|e| damaged(&path, e))?;
+        let bytes = postcard::to_stdvec(found).map_err(|e| damaged(&path, e))?;
         Ok(atomic::write(&path, &bytes)?)
     }
 
-    /// How many detections a frame has; none for one that could not be decoded.
+    /// How many things a frame has; none for one that could not be decoded.
     pub(super) fn count(&self, frame: FrameId) -> Result<u64, PipelineError> {
         let path = self.path(frame);
         let Some(bytes) = bytes_of(&path)? else { return Ok(0) };
@@ -55,17 +46,56 @@ impl DetectionFolder {
         Ok(count)
     }
 
-    /// The detections of a frame; none for one that could not be decoded.
-    pub(super) fn read(&self, frame: FrameId) -> Result<Vec<Detection>, PipelineError> {
+    /// The things of a frame; none for one that could not be decoded.
+    pub(super) fn read(&self, frame: FrameId) -> Result<Vec<T>, PipelineError> {
         let path = self.path(frame);
         let Some(bytes) = bytes_of(&path)? else { return Ok(Vec::new()) };
-        let stored: Vec<Stored> = postcard::from_bytes(&bytes).map_err(|e| damaged(&path, e))?;
+        postcard::from_bytes(&bytes).map_err(|e| damaged(&path, e))
+    }
+}
+
+/// A detection with its mask as run lengths, clear pixels first.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Stored {
+    class: String,
+    confidence: f64,
+    runs: Vec<u32>,
+}
+
+/// The detections of a run, by frame.
+#[derive(Clone, Debug)]
+pub(super) struct DetectionFolder {
+    files: FrameFolder<Stored>,
+    size: (u32, u32),
+}
+
+impl DetectionFolder {
+    pub(super) fn new(folder: PathBuf, size: (u32, u32)) -> Self {
+        Self { files: FrameFolder::new(folder), size }
+    }
+
+    pub(super) fn has(&self, frame: &Frame) -> bool {
+        self.files.has(frame)
+    }
+
+    pub(super) fn write(&self, frame: &Frame, detections: &[Detection]) -> Result<(), PipelineError> {
+        let stored = |d: &Detection| Stored { class: d.class.clone(), confidence: d.confidence, runs: runs(&d.mask) };
+        self.files.write(frame, &detections.iter().map(stored).collect::<Vec<_>>())
+    }
+
+    /// As [`FrameFolder::count`].
+    pub(super) fn count(&self, frame: FrameId) -> Result<u64, PipelineError> {
+        self.files.count(frame)
+    }
+
+    /// The detections of a frame; none for one that could not be decoded.
+    pub(super) fn read(&self, frame: FrameId) -> Result<Vec<Detection>, PipelineError> {
         let detection = |s: Stored| {
-            let mask =
-                mask(&s.runs, self.size).ok_or_else(|| damaged(&path, "a mask has another size than the frame"))?;
+            let wrong = || damaged(&self.files.path(frame), "a mask has another size than the frame");
+            let mask = mask(&s.runs, self.size).ok_or_else(wrong)?;
             Ok(Detection { class: s.class, confidence: s.confidence, mask })
         };
-        stored.into_iter().map(detection).collect()
+        self.files.read(frame)?.into_iter().map(detection).collect()
     }
 }
 
@@ -138,12 +168,12 @@ mod tests {
         let store = DetectionFolder::new(folder.path().to_owned(), (7, 5));
         let frame = Frame { id: FrameId(3), name: "000003.jpg".into(), time_s: 0.0 };
         store.write(&frame, &[Detection { class: "car".into(), confidence: 0.5, mask: Mask::empty(7, 5) }]).unwrap();
-        let bytes = std::fs::read(store.path(frame.id)).unwrap();
+        let bytes = std::fs::read(store.files.path(frame.id)).unwrap();
         for length in 0..bytes.len() {
-            std::fs::write(store.path(frame.id), &bytes[..length]).unwrap();
+            std::fs::write(store.files.path(frame.id), &bytes[..length]).unwrap();
             assert!(store.read(frame.id).is_err(), "cut at {length}");
         }
-        std::fs::write(store.path(frame.id), &bytes).unwrap();
+        std::fs::write(store.files.path(frame.id), &bytes).unwrap();
         let other = DetectionFolder::new(folder.path().to_owned(), (7, 6));
         assert!(other.read(frame.id).is_err());
     }

@@ -1,6 +1,5 @@
-//! Stage `features`: tracks of image points, on the background and on every object, in one pass through the frames.
+//! Stage `features`: tracks of image points on the background. Besides, how such tracks lie on disk.
 
-use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -8,70 +7,96 @@ use serde_json::{Value, json};
 
 use super::masking::Masking;
 use super::run::{Outcome, Run};
-use super::{PipelineError, Stage, models, order, pictures, track};
+use super::{Instances, PipelineError, Stage, fingerprint, models, order, pictures};
 use crate::io::{IoError, atomic};
-use crate::scene::ObjectId;
 use crate::sfm::{FrontEnd, TrackTable};
+
+const PREFIX: &str = "features-";
+const BACKGROUND: &str = "background";
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     let (camera, _) = models::initial_camera(run)?;
-    let (background, objects) = order::sfm_options(run)?;
+    let (background, _) = order::sfm_options(run)?;
     Ok(json!({
         "camera": camera,
         "masking": run.options.masking,
         "background": background.front_end,
-        "objects": objects.front_end,
         "given_background": run.options.background_model.is_some(),
-        "given_objects": run.options.object_models.keys().collect::<Vec<_>>(),
-        "only_objects": run.options.only_objects,
+        "masks": given_masks(run)?,
         "seed": run.options.seed,
     }))
 }
 
+/// The masks that are given, which no stage before this one reads.
+fn given_masks(run: &Run) -> Result<Option<String>, PipelineError> {
+    match &run.options.instances {
+        Instances::Masks(folder) => Ok(Some(fingerprint::of_content(folder)?)),
+        Instances::None | Instances::Model(_) | Instances::Vehicles => Ok(None),
+    }
+}
+
 pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let objects = track::objects(run)?;
-    track::check_ids(run, &objects, &mut outcome)?;
-    let (camera, _) = models::initial_camera(run)?;
-    let (background_options, object_options) = order::sfm_options(run)?;
-    let masking = Masking::new(run, &objects);
-    let mut background =
-        run.options.background_model.is_none().then(|| FrontEnd::new(&background_options.front_end, camera));
-    let options = run.options;
-    let wanted = objects.iter().map(|object| object.id);
-    let wanted = wanted.filter(|id| options.wants(*id) && !options.object_models.contains_key(id));
-    let mut on_objects: BTreeMap<ObjectId, FrontEnd> =
-        wanted.map(|id| (id, FrontEnd::new(&object_options.front_end, camera))).collect();
-
-    run.progress.begin("features", Some(run.frames()?.len() as u64));
-    pictures::for_each(run, run.source.frames()?, &mut outcome, |frame, picture| {
-        let masks = masking.of(&frame)?;
-        if let Some(background) = &mut background {
-            background.push(&frame, &picture, &masks.background)?;
-        }
-        for (id, mask) in &masks.objects {
-            if let Some(object) = on_objects.get_mut(id) {
-                object.push(&frame, &picture, mask)?;
-            }
-        }
-        Ok(())
-    })?;
-
-    let folder = run.workspace.keep_only("features-", &folder_name(fingerprint))?;
-    if let Some(background) = background {
-        let table = background.finish(run.options.seed)?;
+    let store = TrackStore::fresh(run, PREFIX, fingerprint)?;
+    if run.options.background_model.is_none() {
+        let table = follow_background(run, &mut outcome)?;
         outcome.figure("background_tracks", table.tracks.len());
-        write(&folder.join("background.bin"), &table)?;
+        store.write(BACKGROUND, &table)?;
     }
-    for (id, front_end) in on_objects {
-        write(&folder.join(format!("{id}.bin")), &front_end.finish(run.options.seed)?)?;
-    }
-    outcome.outputs.push(folder);
+    outcome.outputs.push(store.folder);
     Ok(outcome)
 }
 
-fn folder_name(fingerprint: &str) -> String {
-    format!("features-{}", fingerprint.get(..16).unwrap_or_default())
+fn follow_background(run: &Run, outcome: &mut Outcome) -> Result<TrackTable, PipelineError> {
+    let (camera, _) = models::initial_camera(run)?;
+    let (options, _) = order::sfm_options(run)?;
+    let masking = Masking::new(run)?;
+    let mut background = FrontEnd::new(&options.front_end, camera);
+    run.progress.begin("features", Some(run.frames()?.len() as u64));
+    pictures::for_each(run, run.source.frames()?, outcome, |frame, picture| {
+        Ok(background.push(&frame, &picture, &masking.background(&frame)?)?)
+    })?;
+    Ok(background.finish(run.options.seed)?)
+}
+
+/// The tracks of the background; the stage must be done.
+pub(super) fn of_background(run: &Run) -> Result<TrackTable, PipelineError> {
+    TrackStore::done(run, PREFIX, Stage::Features).read(BACKGROUND)
+}
+
+/// A stage's folder of tracks, one file per target.
+pub(super) struct TrackStore {
+    pub(super) folder: PathBuf,
+}
+
+impl TrackStore {
+    /// For a stage at work; takes away what it left before for other options.
+    pub(super) fn fresh(run: &Run, prefix: &str, fingerprint: &str) -> Result<Self, PipelineError> {
+        Ok(Self { folder: run.workspace.keep_only(prefix, &folder_name(prefix, fingerprint))? })
+    }
+
+    /// Of a stage that is done.
+    pub(super) fn done(run: &Run, prefix: &str, stage: Stage) -> Self {
+        Self { folder: run.workspace.state(&folder_name(prefix, run.fingerprint(stage))) }
+    }
+
+    pub(super) fn write(&self, target: &str, table: &TrackTable) -> Result<(), PipelineError> {
+        write(&self.path(target), table)
+    }
+
+    pub(super) fn read(&self, target: &str) -> Result<TrackTable, PipelineError> {
+        let path = self.path(target);
+        let bytes = std::fs::read(&path).map_err(IoError::system("read", &path))?;
+        postcard::from_bytes(&bytes).map_err(|e| PipelineError::State { path, reason: e.to_string() })
+    }
+
+    fn path(&self, target: &str) -> PathBuf {
+        self.folder.join(format!("{target}.bin"))
+    }
+}
+
+fn folder_name(prefix: &str, fingerprint: &str) -> String {
+    format!("{prefix}{}", fingerprint.get(..16).unwrap_or_default())
 }
 
 /// Piece by piece: the tracks of a long video are not to lie in memory twice.
@@ -107,25 +132,4 @@ impl Write for KeepsError<'_> {
     fn flush(&mut self) -> std::io::Result<()> {
         self.out.flush()
     }
-}
-
-/// The tracks of the background.
-pub(super) fn of_background(run: &Run) -> Result<TrackTable, PipelineError> {
-    read(run, "background")
-}
-
-/// The tracks of one object.
-pub(super) fn of_object(run: &Run, id: ObjectId) -> Result<TrackTable, PipelineError> {
-    read(run, &id.to_string())
-}
-
-fn read(run: &Run, target: &str) -> Result<TrackTable, PipelineError> {
-    let folder = run.workspace.state(&folder_name(run.fingerprint(Stage::Features)));
-    let path = folder.join(format!("{target}.bin"));
-    let bytes = std::fs::read(&path).map_err(IoError::system("read", &path))?;
-    postcard::from_bytes(&bytes).map_err(|e| damaged(path, e))
-}
-
-fn damaged(path: PathBuf, reason: postcard::Error) -> PipelineError {
-    PipelineError::State { path, reason: reason.to_string() }
 }

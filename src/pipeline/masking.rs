@@ -1,47 +1,82 @@
-//! Which pixels belong to which target: the background keeps away from all that moves, an object to its own mask.
+//! Which pixels are background: it keeps away from all that moves or may move.
 
-use super::PipelineError;
 use super::detections::DetectionFolder;
+use super::given_masks::MaskFolder;
 use super::run::Run;
-use super::segment;
-use super::track::{self, TrackedObject};
-use crate::scene::{Frame, Mask, ObjectId};
+use super::{Instances, PipelineError, segment};
+use crate::scene::{BoxDetection, Frame, Mask};
 
-/// The masks of one frame.
-pub(super) struct FrameMasks {
-    /// Where nothing moves.
-    pub(super) background: Mask,
-    /// Where the tracked objects are.
-    pub(super) objects: Vec<(ObjectId, Mask)>,
+/// Where something is that may move by itself.
+enum Movable {
+    /// Nobody looked.
+    Nothing,
+    /// Masks that the user gives.
+    Given(MaskFolder),
+    /// What a network found; also what is not tracked: a parked car may leave, and a person walks.
+    Masks(DetectionFolder),
+    /// The same as boxes.
+    Boxes(segment::BoxFolder),
 }
 
-/// Gives the masks of frames.
+/// Gives the background's masks of frames.
 pub(super) struct Masking<'a> {
     run: &'a Run<'a>,
-    objects: &'a [TrackedObject],
-    detections: Option<DetectionFolder>,
+    movable: Movable,
     dilation_px: u32,
 }
 
 impl<'a> Masking<'a> {
-    pub(super) fn new(run: &'a Run<'a>, objects: &'a [TrackedObject]) -> Self {
+    /// The stage `segment` must be done.
+    pub(super) fn new(run: &'a Run<'a>) -> Result<Self, PipelineError> {
         let longer_px = run.info().width.max(run.info().height);
         let dilation_px = (run.options.masking.dilation * f64::from(longer_px)).round() as u32;
-        Self { run, objects, detections: segment::finished(run), dilation_px }
+        let movable = match &run.options.instances {
+            Instances::None => Movable::Nothing,
+            Instances::Masks(folder) => Movable::Given(MaskFolder::open(folder, run.frames()?, run.info())?),
+            Instances::Model(_) => Movable::Masks(segment::finished(run)),
+            Instances::Vehicles => Movable::Boxes(segment::finished_boxes(run)),
+        };
+        Ok(Self { run, movable, dilation_px })
     }
 
-    /// Everything that was detected counts as moving, tracked or not: a parked car may leave, and a person walks.
-    pub(super) fn of(&self, frame: &Frame) -> Result<FrameMasks, PipelineError> {
-        let objects = track::masks_of(self.run, self.objects, frame)?;
-        let mut movable = Mask::empty(self.run.info().width, self.run.info().height);
-        for (_, mask) in &objects {
-            movable.union_with(mask);
+    /// Where nothing moves in a frame.
+    pub(super) fn background(&self, frame: &Frame) -> Result<Mask, PipelineError> {
+        Ok(self.movable(frame)?.dilated(self.dilation_px).complement())
+    }
+
+    fn movable(&self, frame: &Frame) -> Result<Mask, PipelineError> {
+        let (width, height) = (self.run.info().width, self.run.info().height);
+        let mut movable = Mask::empty(width, height);
+        match &self.movable {
+            Movable::Nothing => {}
+            Movable::Given(folder) => return Ok(folder.labels(frame.id)?.map_or(movable, |labels| labels.any())),
+            Movable::Masks(folder) => folder.read(frame.id)?.iter().for_each(|found| movable.union_with(&found.mask)),
+            Movable::Boxes(folder) => folder.read(frame.id)?.iter().for_each(|found| fill(&mut movable, found)),
         }
-        if let Some(detections) = &self.detections {
-            for detection in detections.read(frame.id)? {
-                movable.union_with(&detection.mask);
-            }
-        }
-        Ok(FrameMasks { background: movable.dilated(self.dilation_px).complement(), objects })
+        Ok(movable)
+    }
+}
+
+/// Sets the pixels of a box.
+fn fill(mask: &mut Mask, found: &BoxDetection) {
+    let rect = found.rect.clipped(mask.width(), mask.height());
+    let (columns, rows) =
+        (rect.x0.floor() as u32..rect.x1.ceil() as u32, rect.y0.floor() as u32..rect.y1.ceil() as u32);
+    for y in rows {
+        columns.clone().for_each(|x| mask.set(x, y, true));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Finder, Rect};
+
+    #[test]
+    fn boxes_are_filled_as_far_as_the_picture_goes() {
+        let mut mask = Mask::empty(6, 4);
+        let rect = Rect { x0: 3.5, y0: -2.0, x1: 9.0, y1: 1.2 };
+        fill(&mut mask, &BoxDetection { class: "car".into(), confidence: 0.5, rect, finder: Finder::Detector });
+        assert_eq!(mask, Mask::from_fn(6, 4, |x, y| x >= 3 && y < 2));
     }
 }

@@ -13,6 +13,7 @@ mod evaluate;
 mod exports;
 mod features;
 mod fingerprint;
+mod follow;
 mod frames;
 mod given_masks;
 mod ground;
@@ -20,6 +21,8 @@ mod lens;
 mod masking;
 mod meter;
 mod models;
+mod motion;
+mod networks;
 mod objects;
 mod options;
 mod order;
@@ -46,8 +49,8 @@ pub use evaluate::{Kept, evaluate, keep_evaluation};
 pub use meter::{Cost, process_cpu_s};
 pub use models::ModelReport;
 pub use options::{
-    FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskingOptions, OptionRow, OptionSection,
-    Options,
+    DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskChoice, MaskingOptions,
+    MotionChoice, OptionRow, OptionSection, Options, VehicleOptions,
 };
 pub use progress::{Plan, Planned, Progress, Silent};
 pub use run::StageRecord;
@@ -206,9 +209,11 @@ fn depends_on(run: &Run, stage: Stage, input: &str) -> Result<Value, PipelineErr
     Ok(match stage {
         Stage::Frames => frames::depends_on(run, input),
         Stage::Segment => segment::depends_on(run)?,
-        Stage::Track => track::depends_on(run)?,
         Stage::Features => features::depends_on(run)?,
         Stage::Background => models::background_depends_on(run)?,
+        Stage::Motion => motion::depends_on(run)?,
+        Stage::Track => track::depends_on(run)?,
+        Stage::Follow => follow::depends_on(run)?,
         Stage::Objects => objects::depends_on(run)?,
         Stage::Ground => ground::depends_on(run)?,
         Stage::Scale => scale::depends_on(run),
@@ -220,9 +225,11 @@ fn work(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, PipelineE
     match stage {
         Stage::Frames => frames::work(run),
         Stage::Segment => segment::work(run, fingerprint),
-        Stage::Track => track::work(run),
         Stage::Features => features::work(run, fingerprint),
         Stage::Background => models::background_work(run),
+        Stage::Motion => motion::work(run, fingerprint),
+        Stage::Track => track::work(run),
+        Stage::Follow => follow::work(run, fingerprint),
         Stage::Objects => objects::work(run, fingerprint),
         Stage::Ground => ground::work(run, fingerprint),
         Stage::Scale => scale::work(run),

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use super::models::{self, ModelReport};
 use super::run::{Outcome, Run};
 use super::track::{self, TrackedObject};
-use super::{PipelineError, features, fingerprint, order};
+use super::{PipelineError, fingerprint, follow, order};
 use crate::camera::Camera;
 use crate::io::colmap;
 use crate::scene::{ImageId, ObjectId, Reconstruction};
@@ -156,7 +156,7 @@ fn one_object(
     let (model, mut report) = match (given, camera) {
         (Some(folder), _) => models::given(folder, run)?,
         (None, Some(camera)) => {
-            let table = features::of_object(run, id)?;
+            let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
             models::reconstruct(run, table, camera, sfm::Intrinsics::Fixed, &options, watch)?
         }

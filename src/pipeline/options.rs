@@ -3,6 +3,7 @@
 mod reference;
 mod schema;
 mod tree;
+mod vehicles;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -12,6 +13,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use reference::{OptionRow, OptionSection};
+pub use vehicles::{DetectorChoice, MaskChoice, MotionChoice, VehicleOptions};
 
 use super::PipelineError;
 use crate::camera::Camera;
@@ -31,6 +33,9 @@ pub enum Instances {
     Masks(PathBuf),
     /// An ONNX model for instance segmentation, and tracking by optical flow.
     Model(PathBuf),
+    /// By what comes with the program: a detector and motion find boxes, a mask network their pixels, as `vehicles`
+    /// says.
+    Vehicles,
 }
 
 /// Where the ground labels come from.
@@ -138,7 +143,9 @@ pub struct Options {
     pub object_models: BTreeMap<ObjectId, PathBuf>,
     /// Objects that are reconstructed; empty is all. The others are still kept out of the background.
     pub only_objects: BTreeSet<ObjectId>,
-    /// How instances are found in a frame.
+    /// How vehicles are found by what comes with the program.
+    pub vehicles: VehicleOptions,
+    /// How a network of the user's finds instances in a frame.
     pub segmentation: SegmentationOptions,
     /// Optical flow.
     pub flow: FlowOptions,
@@ -203,6 +210,7 @@ impl Default for Options {
             background_model: None,
             object_models: BTreeMap::new(),
             only_objects: BTreeSet::new(),
+            vehicles: VehicleOptions::default(),
             segmentation: SegmentationOptions::default(),
             flow: FlowOptions::default(),
             tracker: TrackerOptions::default(),
@@ -228,9 +236,12 @@ impl Options {
     pub fn named_paths(&self) -> Vec<(&'static str, &Path)> {
         let mut named: Vec<(&'static str, &Path)> = Vec::new();
         match &self.instances {
-            Instances::None => {}
+            Instances::None | Instances::Vehicles => {}
             Instances::Masks(folder) => named.push(("--masks", folder)),
             Instances::Model(model) => named.push(("--segmentation-model", model)),
+        }
+        if let (Instances::Vehicles, DetectorChoice::File(model)) = (&self.instances, &self.vehicles.detector) {
+            named.push(("--detector", model));
         }
         match &self.ground_labels {
             GroundLabels::Geometric => {}
@@ -253,6 +264,7 @@ impl Options {
     pub fn check(&self) -> Result<(), PipelineError> {
         self.check_input()?;
         under("video", self.video.check())?;
+        under("vehicles", self.vehicles.check())?;
         under("segmentation", self.segmentation.check())?;
         under("flow", self.flow.check())?;
         under("tracker", self.tracker.check())?;

@@ -3,9 +3,13 @@
 //! A model that cannot be used, a mask that does not fit: an hour of work must not come before an error in a file that
 //! is needed last. What an earlier run has done already is not looked at again.
 
+use std::collections::BTreeSet;
+
 use super::given_masks::MaskFolder;
+use super::networks::Networks;
 use super::run::Run;
 use super::{GroundLabels, Instances, PipelineError, Stage, ground, lens, models, segment, track};
+use crate::scene::{LabelMap, ObjectId};
 
 /// Looks at the camera that was given; needs nothing but the input's size.
 ///
@@ -30,27 +34,56 @@ pub(super) fn check_camera(run: &mut Run) -> Result<(), PipelineError> {
 pub(super) fn check_files(run: &Run, open: &[Stage]) -> Result<(), PipelineError> {
     open.iter().try_for_each(|stage| match stage {
         Stage::Segment => segmentation_model(run),
-        Stage::Track => masks_and_flow_model(run),
+        Stage::Features => given_masks(run),
+        Stage::Track => networks_of_tracking(run),
+        Stage::Follow => object_ids(run),
         Stage::Background => background_model(run),
         Stage::Objects => object_models(run),
         Stage::Ground => ground_labels(run),
-        Stage::Frames | Stage::Features | Stage::Scale | Stage::Report => Ok(()),
+        Stage::Frames | Stage::Motion | Stage::Scale | Stage::Report => Ok(()),
     })
 }
 
 fn segmentation_model(run: &Run) -> Result<(), PipelineError> {
     match &run.options.instances {
         Instances::Model(path) => segment::load(run, path).map(drop),
+        Instances::Vehicles => Networks::of(run).load_detector(run).map(drop),
         Instances::None | Instances::Masks(_) => Ok(()),
     }
 }
 
-fn masks_and_flow_model(run: &Run) -> Result<(), PipelineError> {
+fn given_masks(run: &Run) -> Result<(), PipelineError> {
     match &run.options.instances {
-        Instances::None => Ok(()),
         Instances::Masks(folder) => MaskFolder::open(folder, run.frames()?, run.info())?.check(),
-        Instances::Model(_) => track::load_flow_estimator(run).map(drop),
+        Instances::None | Instances::Model(_) | Instances::Vehicles => Ok(()),
     }
+}
+
+fn networks_of_tracking(run: &Run) -> Result<(), PipelineError> {
+    match &run.options.instances {
+        Instances::None | Instances::Masks(_) => Ok(()),
+        Instances::Model(_) => track::load_flow_estimator(run).map(drop),
+        Instances::Vehicles => {
+            track::load_flow_estimator(run)?;
+            Networks::of(run).load_prompter(run).map(drop)
+        }
+    }
+}
+
+/// Given masks say which objects there are before anything is tracked.
+fn object_ids(run: &Run) -> Result<(), PipelineError> {
+    let Instances::Masks(folder) = &run.options.instances else { return Ok(()) };
+    if run.options.object_models.is_empty() {
+        return Ok(());
+    }
+    let frames = run.frames()?;
+    let files = MaskFolder::open(folder, frames, run.info())?;
+    let mut ids = BTreeSet::new();
+    for frame in frames {
+        let labels = files.labels(frame.id)?;
+        ids.extend(labels.iter().flat_map(LabelMap::present).map(|label| ObjectId(label.into())));
+    }
+    track::check_models(run, &ids)
 }
 
 fn background_model(run: &Run) -> Result<(), PipelineError> {

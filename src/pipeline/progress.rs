@@ -73,14 +73,20 @@ fn usual_s(stage: Stage, options: &Options, info: &Info) -> f64 {
     let frames = num_frames(&options.video, info);
     let megapixels = f64::from(info.width) * f64::from(info.height) * 1e-6;
     let with_model = matches!(options.instances, Instances::Model(_));
+    let found_by_default = options.instances == Instances::Vehicles;
+    let is_looked_for = options.instances != Instances::None;
     let with_ground_model = matches!(options.ground_labels, super::GroundLabels::Model(_));
     let (per_frame, per_megapixel) = match stage {
         Stage::Frames => (0.0, 0.01),
-        Stage::Segment if with_model => (0.1, 0.02),
+        Stage::Segment if found_by_default || with_model => (0.1, 0.02),
         Stage::Segment => (0.0, 0.0),
+        Stage::Features => (0.0, 0.15),
+        Stage::Motion if is_looked_for => (0.0, 0.08),
+        Stage::Motion => (0.0, 0.0),
+        Stage::Track if found_by_default => (0.2, 0.1),
         Stage::Track if with_model => (0.0, 0.08),
         Stage::Track => (0.0, 0.02),
-        Stage::Features => (0.0, 0.2),
+        Stage::Follow => (0.0, 0.05),
         Stage::Background => (0.03, 0.0),
         Stage::Objects => (0.03, 0.0),
         Stage::Ground if with_ground_model => (0.3, 0.0),
@@ -132,7 +138,7 @@ mod tests {
         let plan = |goal| Plan::new(&workspace, &Options::default(), &info(), goal);
         let fresh = plan(Stage::Report);
         assert_eq!(fresh.stages.iter().map(|planned| planned.stage).collect::<Vec<_>>(), Stage::ALL);
-        assert_eq!(plan(Stage::Track).stages.len(), 3);
+        assert_eq!(plan(Stage::Track).stages.len(), 6);
         let expected = |plan: &Plan, stage| plan.stages.iter().find(|p| p.stage == stage).unwrap().expected_s;
         let wall_s = 4.0 * expected(&fresh, Stage::Features);
         let marker = Marker {

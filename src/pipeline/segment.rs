@@ -1,67 +1,78 @@
-//! Stage `segment`: the instances in every frame.
+//! Stage `segment`: what may move, in every frame: masks by a network of the user's, or boxes by the detector.
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use super::detections::DetectionFolder;
+use super::detections::{DetectionFolder, FrameFolder};
+use super::networks::Networks;
 use super::run::{Outcome, Run};
 use super::{Instances, PipelineError, Stage, fingerprint, pictures};
 use crate::perception::{Segmenter, load_segmenter};
+use crate::scene::{BoxDetection, Frame, FrameId};
+
+/// The boxes of a run, by frame.
+pub(super) type BoxFolder = FrameFolder<BoxDetection>;
+
+const MASKS: &str = "detections-";
+const BOXES: &str = "boxes-";
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     Ok(match &run.options.instances {
         Instances::None => json!("none"),
-        // Given masks are read by the next stage; this one has nothing to do.
+        // Given masks are read by later stages; this one has nothing to do.
         Instances::Masks(_) => json!("masks"),
         Instances::Model(path) => json!({
             "model": fingerprint::of_content(path)?,
             "options": run.options.segmentation,
         }),
+        Instances::Vehicles => {
+            let detector = Networks::of(run).detector.as_deref().map(fingerprint::of_content).transpose()?;
+            json!({ "detector": detector, "options": run.options.vehicles })
+        }
     })
 }
 
 pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     match &run.options.instances {
         Instances::None | Instances::Masks(_) => Ok(Outcome::default()),
-        Instances::Model(path) => detect(run, path, fingerprint),
+        Instances::Model(path) => find_masks(run, path, fingerprint),
+        Instances::Vehicles => find_boxes(run, fingerprint),
     }
 }
 
-/// Where the detections of a run lie; `None` where there are none.
-pub(super) fn folder(run: &Run, fingerprint: &str) -> Option<DetectionFolder> {
-    let size = (run.info().width, run.info().height);
-    let is_model = matches!(run.options.instances, Instances::Model(_));
-    is_model.then(|| DetectionFolder::new(run.workspace.state(&folder_name(fingerprint)), size))
+/// The masks that the user's network found; the stage must be done.
+pub(super) fn finished(run: &Run) -> DetectionFolder {
+    masks_in(run, run.workspace.state(&folder_name(MASKS, run.fingerprint(Stage::Segment))))
 }
 
-/// As [`folder`], of the stage that this run has been through.
-pub(super) fn finished(run: &Run) -> Option<DetectionFolder> {
-    folder(run, run.fingerprint(Stage::Segment))
+/// The boxes that the detector found; the stage must be done.
+pub(super) fn finished_boxes(run: &Run) -> BoxFolder {
+    FrameFolder::new(run.workspace.state(&folder_name(BOXES, run.fingerprint(Stage::Segment))))
 }
 
-fn folder_name(fingerprint: &str) -> String {
-    format!("detections-{}", fingerprint.get(..16).unwrap_or_default())
+fn masks_in(run: &Run, folder: PathBuf) -> DetectionFolder {
+    DetectionFolder::new(folder, (run.info().width, run.info().height))
 }
 
-/// Loads the model with the options of the run.
+fn folder_name(prefix: &str, fingerprint: &str) -> String {
+    format!("{prefix}{}", fingerprint.get(..16).unwrap_or_default())
+}
+
+/// Loads the user's network with the options of the run.
 pub(super) fn load(run: &Run, model: &Path) -> Result<Box<dyn Segmenter>, PipelineError> {
     let num_threads = run.options.threads.unwrap_or(0);
     Ok(load_segmenter(model, &run.options.segmentation, num_threads)?)
 }
 
-fn detect(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, PipelineError> {
-    let path = run.workspace.keep_only("detections-", &folder_name(fingerprint))?;
-    let store = DetectionFolder::new(path.clone(), (run.info().width, run.info().height));
-    let mut segmenter = load(run, model)?;
-    let frames = run.frames()?;
-    let open: BTreeSet<_> = frames.iter().filter(|frame| !store.has(frame)).map(|frame| frame.id).collect();
-    run.progress.begin("segment", Some(open.len() as u64));
+fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    tracing::debug!("{} of {} frames were segmented before", frames.len() - open.len(), frames.len());
-    let before = frames.iter().filter(|frame| !open.contains(&frame.id));
-    let mut found = before.map(|frame| store.count(frame.id)).sum::<Result<u64, _>>()?;
+    let path = run.workspace.keep_only(MASKS, &folder_name(MASKS, fingerprint))?;
+    let store = masks_in(run, path.clone());
+    let mut segmenter = load(run, model)?;
+    let Split { open, done } = split(run, |frame| store.has(frame))?;
+    let mut found = done.iter().map(|frame| store.count(*frame)).sum::<Result<u64, _>>()?;
     pictures::for_each(run, run.source.frames_at(open)?, &mut outcome, |frame, picture| {
         let detections = segmenter.segment(&picture)?;
         found += detections.len() as u64;
@@ -77,4 +88,37 @@ fn detect(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, Pipelin
     }
     outcome.outputs.push(path);
     Ok(outcome)
+}
+
+fn find_boxes(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    let path = run.workspace.keep_only(BOXES, &folder_name(BOXES, fingerprint))?;
+    outcome.outputs.push(path.clone());
+    let networks = Networks::of(run);
+    networks.doubts.iter().for_each(|doubt| outcome.warn(doubt.clone()));
+    let Some(mut detector) = networks.load_detector(run)? else { return Ok(outcome) };
+    let store = BoxFolder::new(path);
+    let Split { open, done } = split(run, |frame| store.has(frame))?;
+    let mut found = done.iter().map(|frame| store.count(*frame)).sum::<Result<u64, _>>()?;
+    pictures::for_each(run, run.source.frames_at(open)?, &mut outcome, |frame, picture| {
+        let boxes = detector.detect(&picture)?;
+        found += boxes.len() as u64;
+        store.write(&frame, &boxes)
+    })?;
+    outcome.figure("num_detections", found);
+    Ok(outcome)
+}
+
+/// The frames of a run: those that a run that was stopped did, and the others.
+struct Split {
+    open: BTreeSet<FrameId>,
+    done: Vec<FrameId>,
+}
+
+fn split(run: &Run, is_done: impl Fn(&Frame) -> bool) -> Result<Split, PipelineError> {
+    let (done, open): (Vec<&Frame>, Vec<&Frame>) = run.frames()?.iter().partition(|frame| is_done(frame));
+    run.progress.begin("segment", Some(open.len() as u64));
+    tracing::debug!("{} of {} frames were looked at before", done.len(), done.len() + open.len());
+    let ids = |frames: Vec<&Frame>| frames.into_iter().map(|frame| frame.id).collect::<Vec<_>>();
+    Ok(Split { open: ids(open).into_iter().collect(), done: ids(done) })
 }

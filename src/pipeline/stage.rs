@@ -12,12 +12,16 @@ pub enum Stage {
     Frames,
     /// Instances in every frame.
     Segment,
-    /// One mask per object and frame.
-    Track,
-    /// Features inside the masks.
+    /// Tracks of image points on the background.
     Features,
     /// Structure from motion of the background.
     Background,
+    /// What moves against the background.
+    Motion,
+    /// One mask per object and frame.
+    Track,
+    /// Tracks of image points on every object.
+    Follow,
     /// Structure from motion of every object.
     Objects,
     /// Ground points and local planes.
@@ -30,12 +34,14 @@ pub enum Stage {
 
 impl Stage {
     /// All of them, in order.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 11] = [
         Self::Frames,
         Self::Segment,
-        Self::Track,
         Self::Features,
         Self::Background,
+        Self::Motion,
+        Self::Track,
+        Self::Follow,
         Self::Objects,
         Self::Ground,
         Self::Scale,
@@ -47,9 +53,11 @@ impl Stage {
         match self {
             Self::Frames => "frames",
             Self::Segment => "segment",
-            Self::Track => "track",
             Self::Features => "features",
             Self::Background => "background",
+            Self::Motion => "motion",
+            Self::Track => "track",
+            Self::Follow => "follow",
             Self::Objects => "objects",
             Self::Ground => "ground",
             Self::Scale => "scale",
@@ -59,14 +67,16 @@ impl Stage {
 
     /// The stages whose results this one reads.
     pub fn after(self) -> &'static [Self] {
-        use Stage::{Background, Features, Frames, Ground, Objects, Scale, Segment, Track};
+        use Stage::{Background, Features, Follow, Frames, Ground, Motion, Objects, Scale, Segment, Track};
         match self {
             Frames => &[],
             Segment => &[Frames],
-            Track => &[Frames, Segment],
-            Features => &[Frames, Segment, Track],
+            Features => &[Frames, Segment],
             Background => &[Features],
-            Objects => &[Features, Background],
+            Motion => &[Segment, Background],
+            Track => &[Segment, Motion],
+            Follow => &[Track],
+            Objects => &[Follow, Background],
             Ground => &[Background, Objects],
             Scale => &[Ground],
             Self::Report => &[Scale],
@@ -88,8 +98,8 @@ impl Stage {
     /// not taken over.
     pub(super) fn revision(self) -> u32 {
         match self {
-            // Results are in a place of their own.
-            Self::Objects | Self::Scale => 2,
+            // Results are in a place of their own; tracks of image points come in two stages.
+            Self::Objects | Self::Scale | Self::Features => 2,
             _ => 1,
         }
     }

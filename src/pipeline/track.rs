@@ -41,6 +41,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
             let flow_model = options.flow_model.as_deref().map(fingerprint::of_content).transpose()?;
             json!({ "tracker": options.tracker, "flow": { "options": options.flow, "model": flow_model } })
         }
+        Instances::Vehicles => json!("vehicles"),
     })
 }
 
@@ -49,7 +50,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let objects = run.workspace.put_folder(&run.workspace.tracks(), |folder| match &run.options.instances {
         Instances::None => Ok(Vec::new()),
         Instances::Masks(given) => split_given(run, given, folder, &mut outcome),
-        Instances::Model(_) => follow(run, folder, &mut outcome),
+        Instances::Model(_) | Instances::Vehicles => follow(run, folder, &mut outcome),
     })?;
     if objects.is_empty() && run.options.instances != Instances::None {
         outcome.warn("no vehicle is tracked: there are no object trajectories in the result");
@@ -111,22 +112,33 @@ pub(super) fn load_flow_estimator(run: &Run) -> Result<Box<dyn FlowEstimator>, P
     Ok(load_flow(options.flow_model.as_deref(), &options.flow, options.threads.unwrap_or(0))?)
 }
 
+/// Refuses models of objects that there are not.
+///
+/// # Errors
+/// [`PipelineError::Options`] says which there are.
+pub(super) fn check_models(run: &Run, ids: &BTreeSet<ObjectId>) -> Result<(), PipelineError> {
+    let unknown = run.options.object_models.keys().find(|id| !ids.contains(id));
+    let Some(id) = unknown else { return Ok(()) };
+    let text = format!("--object-model {id}=...: there is no object {id}; tracked are: {}", list(ids));
+    Err(PipelineError::Options(text))
+}
+
 /// Holds what was asked for by id against what was tracked.
 ///
 /// # Errors
-/// [`PipelineError::Options`] if a model was given of an object that is not tracked.
+/// As [`check_models`].
 pub(super) fn check_ids(run: &Run, tracked: &[TrackedObject], outcome: &mut Outcome) -> Result<(), PipelineError> {
-    let is_unknown = |id: &&ObjectId| tracked.iter().all(|object| object.id != **id);
-    let ids: Vec<String> = tracked.iter().map(|object| object.id.to_string()).collect();
-    let ids = if ids.is_empty() { "none".to_owned() } else { ids.join(", ") };
-    if let Some(id) = run.options.object_models.keys().find(is_unknown) {
-        let text = format!("--object-model {id}=...: there is no object {id}; tracked are: {ids}");
-        return Err(PipelineError::Options(text));
-    }
-    for id in run.options.only_objects.iter().filter(is_unknown) {
-        outcome.warn(format!("--only-object {id}: there is no object {id}; tracked are: {ids}"));
+    let ids: BTreeSet<ObjectId> = tracked.iter().map(|object| object.id).collect();
+    check_models(run, &ids)?;
+    for id in run.options.only_objects.difference(&ids) {
+        outcome.warn(format!("--only-object {id}: there is no object {id}; tracked are: {}", list(&ids)));
     }
     Ok(())
+}
+
+fn list(ids: &BTreeSet<ObjectId>) -> String {
+    let ids: Vec<String> = ids.iter().map(ToString::to_string).collect();
+    if ids.is_empty() { "none".to_owned() } else { ids.join(", ") }
 }
 
 /// Joins detections to tracks by optical flow.
@@ -139,7 +151,7 @@ fn follow(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<Vec<Tracked
     let mut seen: BTreeMap<ObjectId, BTreeSet<FrameId>> = BTreeMap::new();
     run.progress.begin("track", Some(frames.len() as u64));
     pictures::for_each(run, run.source.frames()?, outcome, |frame, picture| {
-        let found = detections.as_ref().map_or(Ok(Vec::new()), |store| store.read(frame.id))?;
+        let found = detections.read(frame.id)?;
         let carried = previous.as_ref().map(|previous| flow.flow(previous, &picture)).transpose()?;
         for TrackedMask { object, mask, .. } in tracker.advance(&frame, &picture, found, carried.as_ref())? {
             masks::write_mask(&provisional(folder, object).join(RunFolder::mask_name(&frame)), &mask)?;

@@ -112,7 +112,7 @@ fn entry(evaluation: &Evaluation, summary: &Summary) -> Entry {
     if entry.failure.is_some() && summary.failure().is_some() {
         entry.failure = summary.failure();
     }
-    let is_sfm = |stage: Stage| matches!(stage, Stage::Features | Stage::Background | Stage::Objects);
+    let is_sfm = |stage: Stage| matches!(stage, Stage::Features | Stage::Background | Stage::Follow | Stage::Objects);
     let mut cost = Cost::default();
     for record in &summary.stages {
         let of_stage = record.marker.cost;

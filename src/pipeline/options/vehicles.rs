@@ -1,0 +1,119 @@
+//! How vehicles are found where nobody gives masks or a segmentation network.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::limits::{Checked, within};
+
+/// The detector.
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum DetectorChoice {
+    /// The one that comes with the program.
+    #[default]
+    Default,
+    /// None: vehicles are found by their motion alone.
+    None,
+    /// An ONNX file of the same family.
+    File(PathBuf),
+}
+
+impl FromStr for DetectorChoice {
+    type Err = std::convert::Infallible;
+
+    /// `default`, `none`, or the path of a file.
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        Ok(match text {
+            "default" => Self::Default,
+            "none" => Self::None,
+            path => Self::File(path.into()),
+        })
+    }
+}
+
+/// What finds the pixels of a box.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum MaskChoice {
+    /// The mask network that comes with the program.
+    #[default]
+    Default,
+    /// Colours alone (`GrabCut`): coarse masks.
+    None,
+}
+
+/// Whether vehicles are also found by their motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum MotionChoice {
+    /// What moves against the background is a vehicle, whatever it looks like.
+    #[default]
+    On,
+    /// Motion finds nothing; it still says whether what the detector finds moves.
+    Off,
+}
+
+impl FromStr for MaskChoice {
+    type Err = String;
+
+    /// `default` or `none`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "default" => Ok(Self::Default),
+            "none" => Ok(Self::None),
+            _ => Err(format!("'{text}' is neither default nor none")),
+        }
+    }
+}
+
+impl FromStr for MotionChoice {
+    type Err = String;
+
+    /// `on` or `off`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "on" => Ok(Self::On),
+            "off" => Ok(Self::Off),
+            _ => Err(format!("'{text}' is neither on nor off")),
+        }
+    }
+}
+
+/// How vehicles are found where `instances` is `vehicles`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct VehicleOptions {
+    /// What knows them by their looks.
+    pub detector: DetectorChoice,
+    /// Whether their motion finds them, too.
+    pub motion: MotionChoice,
+    /// What finds the pixels of their boxes.
+    pub mask_network: MaskChoice,
+    /// Every so many frames the mask network is asked anew; between, masks are carried by optical flow.
+    #[schemars(extend("unit" = "frames"))]
+    pub segment_every: u32,
+}
+
+impl Default for VehicleOptions {
+    fn default() -> Self {
+        Self {
+            detector: DetectorChoice::Default,
+            motion: MotionChoice::On,
+            mask_network: MaskChoice::Default,
+            segment_every: 5,
+        }
+    }
+}
+
+impl VehicleOptions {
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("segment_every", self.segment_every, 1..=1000)
+    }
+}
