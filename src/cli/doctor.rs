@@ -7,11 +7,13 @@ use std::path::{Path, PathBuf};
 use opencv::videoio;
 use serde::Serialize;
 use serde_json::json;
+use sha2::{Digest, Sha256};
 
 use super::output::{Failure, Form, show};
 use crate::ffi::onnx;
 use crate::perception::{
-    FlowOptions, GroundOptions, PerceptionError, SegmentationOptions, load_flow, load_ground_segmenter, load_segmenter,
+    FlowOptions, GroundOptions, ModelDescription, PerceptionError, SegmentationOptions, default_descriptions,
+    default_models, load_flow, load_ground_segmenter, load_segmenter,
 };
 
 /// Models to look at.
@@ -77,6 +79,7 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
         video_decoder(),
         onnx_runtime(),
     ];
+    findings.extend(own_networks());
     findings.extend(models(args));
     let failure = failure(&findings);
     let error = failure.as_ref().map(Failure::as_json);
@@ -146,8 +149,8 @@ fn onnx_runtime() -> Finding {
                 ONNX,
                 State::Missing,
                 error.to_string(),
-                "needed for --segmentation-model, --ground-model and --flow-model only; scripts/fetch-onnxruntime gets \
-                 it",
+                "needed for the program's own networks and for those that are named, without it give --masks; \
+                 scripts/fetch-onnxruntime gets it",
             );
         }
     };
@@ -155,17 +158,51 @@ fn onnx_runtime() -> Finding {
     Finding::good(ONNX, format!("{version} at {}", runtime.library.display()))
 }
 
+/// The networks that come with the program: where they lie, their licences, and whether they are whole.
+fn own_networks() -> Vec<Finding> {
+    let cure = "install the program anew with its folder `models`; models/make has the scripts that make each file";
+    let found = default_models().and_then(|models| Ok((models, default_descriptions()?)));
+    let (models, descriptions) = match found {
+        Ok(found) => found,
+        Err(error) => return vec![Finding::bad(OWN, State::Missing, error.to_string(), cure)],
+    };
+    let of_file = |path: &Path| {
+        let description = descriptions.iter().find(|d| path.ends_with(&d.file));
+        description.map(|description| own_network(path, description, cure))
+    };
+    models.files().into_iter().filter_map(of_file).collect()
+}
+
+fn own_network(path: &Path, description: &ModelDescription, cure: &str) -> Finding {
+    let ModelDescription { name, licence, sha256, .. } = description;
+    match hash(path) {
+        Ok(found) if found == *sha256 => Finding::good(OWN, format!("{name} at {}; {licence}", path.display())),
+        Ok(found) => {
+            let said = format!("{name} at {} has the sha256 {found}, expected {sha256}", path.display());
+            Finding::bad(OWN, State::Wrong, said, cure)
+        }
+        Err(error) => {
+            Finding::bad(OWN, State::Wrong, format!("{name} at {} cannot be read: {error}", path.display()), cure)
+        }
+    }
+}
+
+/// SHA-256 of a file in hexadecimal digits.
+fn hash(path: &Path) -> std::io::Result<String> {
+    let mut hasher = Sha256::new();
+    std::io::copy(&mut fs::File::open(path)?, &mut hasher)?;
+    Ok(format!("{:x}", hasher.finalize()))
+}
+
 /// The models that were named, and what to do without.
 fn models(args: &Args) -> [Finding; 3] {
     [
         match &args.segmentation_model {
             Some(path) => model(SEGMENTATION, path, load_segmenter(path, &SegmentationOptions::default(), 0).map(drop)),
-            None => Finding::not_given(
+            None => Finding::good(
                 SEGMENTATION,
-                "none named: nothing is bundled that finds vehicles",
-                "give --segmentation-model FILE, an ONNX model of the YOLO-seg family (`pip install ultralytics`, then \
-                 `yolo export model=yolov8n-seg.pt format=onnx`; mind its licence), or run with --masks DIR: one 8-bit \
-                 PNG per frame with the frame's name, 0 background, k = vehicle k; see docs/perception.md",
+                "none named: the program's own networks serve; --segmentation-model FILE names another one, --masks \
+                 DIR gives masks (docs/perception.md)",
             ),
         },
         match &args.ground_model {
@@ -184,6 +221,7 @@ fn models(args: &Args) -> [Finding; 3] {
     ]
 }
 
+const OWN: &str = "own network";
 const SEGMENTATION: &str = "segmentation model";
 const GROUND: &str = "ground model";
 const FLOW: &str = "flow model";

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::PerceptionError;
 use crate::ffi::onnx::{Model, TensorInfo};
 
-/// The networks known by name, shipped with the program.
+/// The networks known by name.
 const KNOWN: &str = include_str!("../../models/models.toml");
 
 /// The order of an input's three channels.
@@ -68,14 +68,18 @@ impl TensorPattern {
 pub struct ModelDescription {
     /// A name for people.
     pub name: String,
-    /// What it is for: `instances`, `ground` or `flow`.
+    /// What it is for: `instances`, `boxes`, `box-masks`, `ground` or `flow`.
     pub task: String,
+    /// Its file in the folder `models`, if it comes with the program.
+    pub file: String,
     /// Where it comes from.
     pub origin: String,
     /// Its licence.
     pub licence: String,
-    /// SHA-256 of the file that was looked at.
+    /// SHA-256 of the file that was looked at; of the program's own file if it comes with it.
     pub sha256: String,
+    /// What was changed between the origin and the file that comes with the program.
+    pub changes: String,
     /// Anything that a user should know.
     pub note: String,
     /// Its inputs, for recognition.
@@ -107,8 +111,8 @@ struct Table {
     model: Vec<ModelDescription>,
 }
 
-/// The descriptions shipped with the program.
-fn known() -> Result<Vec<ModelDescription>, PerceptionError> {
+/// The descriptions compiled in.
+pub(super) fn known() -> Result<Vec<ModelDescription>, PerceptionError> {
     let table: Table = toml::from_str(KNOWN).map_err(|e| PerceptionError::Description {
         path: PathBuf::from("models/models.toml"),
         reason: e.to_string(),
@@ -116,7 +120,7 @@ fn known() -> Result<Vec<ModelDescription>, PerceptionError> {
     Ok(table.model)
 }
 
-/// The shipped description whose task, inputs and outputs are those of a network.
+/// The description compiled in whose task, inputs and outputs are those of a network.
 pub(super) fn find_known(model: &Model, task: &str) -> Result<Option<ModelDescription>, PerceptionError> {
     Ok(known()?.into_iter().find(|d| d.task == task && d.fits(model)))
 }
@@ -149,7 +153,11 @@ mod tests {
         let all = known().unwrap();
         assert!(!all.is_empty());
         for model in all {
-            assert!(["instances", "ground", "flow"].contains(&model.task.as_str()), "{}", model.name);
+            assert!(
+                ["instances", "boxes", "box-masks", "ground", "flow"].contains(&model.task.as_str()),
+                "{}",
+                model.name
+            );
             assert!(!model.licence.is_empty() && !model.origin.is_empty(), "{}", model.name);
             assert!(model.sha256.is_empty() || model.sha256.len() == 64, "{}", model.name);
             assert!(model.task != "ground" || (model.preprocessing.is_some() && !model.classes.is_empty()));

@@ -72,6 +72,16 @@ pub enum PerceptionError {
         /// The shape that was expected, in words.
         expected: String,
     },
+    /// The networks that come with the program are nowhere.
+    #[error(
+        "the networks that come with the program were not found; put its folder `models` beside the executable, or \
+         name the folder in the environment variable TRACTRIX_MODELS\n  tried: {}",
+        tried.join("\n  tried: ")
+    )]
+    NoModels {
+        /// Each place that was tried, with what it lacks.
+        tried: Vec<String>,
+    },
     /// A model description cannot be read.
     #[error("the model description {} is not valid: {reason}", path.display())]
     Description {

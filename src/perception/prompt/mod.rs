@@ -1,7 +1,16 @@
 //! Masks of boxes: which pixels of a box are the object.
 
+mod grabcut;
+mod mobile_sam;
+mod options;
+mod outline;
+mod window;
+
 use ::image::RgbImage;
 
+pub use self::grabcut::GrabCut;
+pub use self::mobile_sam::load_prompter;
+pub use self::options::PromptOptions;
 use super::PerceptionError;
 use crate::scene::{Mask, Rect};
 
@@ -25,4 +34,18 @@ pub trait Prompter {
 
     /// Whether the masks are coarse: good for finding the object, not for its outline.
     fn is_coarse(&self) -> bool;
+}
+
+/// Boxes that overlap so much agree: those of detectors are off by a tenth of their sides.
+const AGREEMENT: f64 = 0.75;
+
+/// How well the box round a mask and the box asked for agree, 0 to 1.
+fn agreement(found: &Rect, asked: &Rect) -> f64 {
+    (found.iou(asked) / AGREEMENT).min(1.0)
+}
+
+/// The part of a box that lies in a frame; of no area for one that is not finite.
+fn visible(rect: &Rect, frame: (u32, u32)) -> Rect {
+    let finite = [rect.x0, rect.y0, rect.x1, rect.y1].iter().all(|side| side.is_finite());
+    if finite { rect.clipped(frame.0, frame.1) } else { Rect { x0: 0.0, y0: 0.0, x1: 0.0, y1: 0.0 } }
 }

@@ -8,6 +8,15 @@ use crate::image::{ImageError, resize_rgb};
 /// The grey that fills what the view leaves free, as YOLO networks are trained with.
 const PAD: u8 = 114;
 
+/// Where the view is put in an input that it does not fill.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Anchor {
+    /// As much grey on one side as on the other.
+    Centre,
+    /// All grey to the right and below.
+    TopLeft,
+}
+
 /// Where a view lies in the network's input: `input = (frame - origin) * scale + pad`, per axis.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Letterbox {
@@ -17,8 +26,19 @@ pub(super) struct Letterbox {
 }
 
 impl Letterbox {
-    /// Cuts `view` out of the frame and fits it into `input` (width, height); gives the input's pixels as well.
+    /// Cuts `view` out of the frame and fits it into the middle of `input` (width, height); gives the input's pixels as
+    /// well.
     pub(super) fn place(frame: &RgbImage, view: View, input: (u32, u32)) -> Result<(Self, RgbImage), ImageError> {
+        Self::place_at(frame, view, input, Anchor::Centre)
+    }
+
+    /// As [`Self::place`], at any place of the input.
+    pub(super) fn place_at(
+        frame: &RgbImage,
+        view: View,
+        input: (u32, u32),
+        anchor: Anchor,
+    ) -> Result<(Self, RgbImage), ImageError> {
         let crop = ::image::imageops::crop_imm(frame, view.x0, view.y0, view.width, view.height);
         let crop = if view == View::whole(frame.width(), frame.height()) { frame.clone() } else { crop.to_image() };
         let ratio = f64::min(
@@ -28,7 +48,10 @@ impl Letterbox {
         let fit = |side: u32, limit: u32| ((f64::from(side) * ratio).round() as u32).clamp(1, limit.max(1));
         let (width, height) = (fit(view.width, input.0), fit(view.height, input.1));
         let resized = resize_rgb(&crop, width, height)?;
-        let (left, top) = ((input.0 - width) / 2, (input.1 - height) / 2);
+        let (left, top) = match anchor {
+            Anchor::Centre => ((input.0 - width) / 2, (input.1 - height) / 2),
+            Anchor::TopLeft => (0, 0),
+        };
         let mut image = RgbImage::from_pixel(input.0, input.1, ::image::Rgb([PAD; 3]));
         ::image::imageops::replace(&mut image, &resized, i64::from(left), i64::from(top));
         let boxed = Self {
@@ -62,6 +85,19 @@ mod tests {
         assert_eq!(input.get_pixel(320, 140).0, [200, 0, 0]);
         assert_eq!(boxed.input_from_frame(0.0, 0.0), [0.0, 140.0]);
         assert_eq!(boxed.frame_from_input(640.0, 500.0), [1280.0, 720.0]);
+    }
+
+    #[test]
+    fn positions_are_exact_to_a_part_of_a_pixel_at_either_place() {
+        let frame = RgbImage::from_pixel(1279, 717, ::image::Rgb([9, 9, 9]));
+        let (boxed, input) = Letterbox::place_at(&frame, View::whole(1279, 717), (960, 544), Anchor::TopLeft).unwrap();
+        assert_eq!((input.get_pixel(0, 537).0, input.get_pixel(0, 538).0), ([9; 3], [114; 3]));
+        assert_eq!(boxed.input_from_frame(1279.0, 717.0), [960.0, 538.0]);
+        for (x, y) in [(0.5, 0.5), (640.25, 300.75), (1278.5, 716.5)] {
+            let [u, v] = boxed.input_from_frame(x, y);
+            let [back_x, back_y] = boxed.frame_from_input(u, v);
+            assert!((back_x - x).abs() < 1e-3 && (back_y - y).abs() < 1e-3, "{x}, {y}: {back_x}, {back_y}");
+        }
     }
 
     #[test]

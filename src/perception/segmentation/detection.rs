@@ -1,0 +1,104 @@
+//! Loading what finds objects as boxes.
+
+use std::path::Path;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::yolox::{self, Yolox};
+use super::{Detector, movable};
+use crate::ffi::onnx::Model;
+use crate::limits::{Checked, some_of, within};
+use crate::perception::{INPUT_SIZES, PerceptionError};
+
+/// At most so many looks at one frame.
+const MAX_SCALES: usize = 8;
+
+/// Options of the detector.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct DetectorOptions {
+    /// Objects with a lower score are not reported.
+    #[schemars(extend("unit" = "score, 0 to 1"))]
+    pub confidence: f64,
+    /// Of boxes that overlap by more than this (intersection over union), of whatever class, only the one with the
+    /// highest score is kept.
+    #[schemars(extend("unit" = "share"))]
+    pub nms_iou: f64,
+    /// Names of the classes that are reported: everything that may move by itself, for nothing of it may serve as
+    /// background.
+    pub classes: Vec<String>,
+    /// Longer side of the input, for networks that leave it open; smaller frames are enlarged. More of it finds
+    /// smaller objects, and more that is none; the cost grows with its square.
+    #[schemars(extend("unit" = "pixels"))]
+    pub input_size: u32,
+    /// The frame is looked at once at each of these shares of `input_size`: a network with a small view of the whole
+    /// does not see in a large input that a large vehicle is one.
+    #[schemars(extend("unit" = "share of input_size"))]
+    pub scales: Vec<f64>,
+}
+
+impl Default for DetectorOptions {
+    fn default() -> Self {
+        Self { confidence: 0.25, nms_iou: 0.5, classes: movable(), input_size: 960, scales: vec![1.0, 0.5] }
+    }
+}
+
+impl DetectorOptions {
+    /// Refuses values that make no sense.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::limits::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("confidence", self.confidence, 0.0..=1.0)?;
+        within("nms_iou", self.nms_iou, 0.0..=1.0)?;
+        some_of("classes", &self.classes)?;
+        within("input_size", self.input_size, INPUT_SIZES)?;
+        some_of("scales", &self.scales)?;
+        within("scales", self.scales.len(), 1..=MAX_SCALES)?;
+        self.scales.iter().try_for_each(|&scale| within("scales", scale, 0.1..=1.0))
+    }
+}
+
+/// Loads a network that finds boxes; its family is recognised from its inputs and outputs. `num_threads` is the number
+/// of threads that it runs on; 0 is one per core.
+///
+/// # Errors
+/// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] lists what was found
+/// and what is supported; [`PerceptionError::NoClassNames`] and [`PerceptionError::NoWantedClass`] say what is wrong
+/// with its classes; errors of the runtime say how to get it.
+pub fn load_detector(
+    path: &Path,
+    options: &DetectorOptions,
+    num_threads: usize,
+) -> Result<Box<dyn Detector>, PerceptionError> {
+    options.check()?;
+    let model = Model::load(path, num_threads)?;
+    if yolox::recognise(&model) {
+        return Ok(Box::new(Yolox::new(model, options)?));
+    }
+    Err(PerceptionError::UnknownLayout {
+        path: path.to_path_buf(),
+        task: "detection",
+        inputs: model.inputs().to_vec(),
+        outputs: model.outputs().to_vec(),
+        supported: "the YOLOX family: one image [1, 3, h, w] in; [1, n, 5 + classes] out, one row per cell of the \
+                    strides 8, 16 and 32, not decoded",
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_out_of_range_are_refused_by_name() {
+        assert!(DetectorOptions::default().check().is_ok());
+        let bad = DetectorOptions { input_size: 0, ..DetectorOptions::default() };
+        assert!(bad.check().unwrap_err().to_string().contains("input_size"));
+        let none = DetectorOptions { classes: Vec::new(), ..DetectorOptions::default() };
+        assert!(none.check().is_err());
+        let small = DetectorOptions { scales: vec![1.0, 0.01], ..DetectorOptions::default() };
+        assert!(small.check().unwrap_err().to_string().contains("scales"));
+    }
+}
