@@ -88,6 +88,47 @@ const COCO: [&str; 80] = [
     "toothbrush",
 ];
 
+/// Numbers that COCO's own annotations leave out; torchvision counts by these.
+const NOT_IN_COCO: [usize; 10] = [12, 26, 29, 30, 45, 66, 68, 69, 71, 83];
+
+/// Class names by number, and which of them are reported.
+pub(super) struct Classes {
+    pub(super) names: Vec<String>,
+    pub(super) wanted: Vec<bool>,
+}
+
+impl Classes {
+    /// # Errors
+    /// [`PerceptionError::NoWantedClass`] if none of the names is wanted.
+    pub(super) fn new(model: &Model, names: Vec<String>, wanted: &[String]) -> Result<Self, PerceptionError> {
+        let is_wanted: Vec<bool> = names.iter().map(|name| wanted.contains(name)).collect();
+        if is_wanted.contains(&true) {
+            return Ok(Self { names, wanted: is_wanted });
+        }
+        let path = model.path().to_path_buf();
+        Err(PerceptionError::NoWantedClass { path, wanted: wanted.to_vec(), found: names })
+    }
+}
+
+/// The names of a network whose file does not say how many there are, number 0 being the background: from the file
+/// beside it, else from its metadata, else COCO's as torchvision numbers them.
+pub(super) fn class_names_after_background(model: &Model) -> Result<Vec<String>, PerceptionError> {
+    let beside = read_sidecar(model.path())?.map(|d| d.classes).filter(|names| !names.is_empty());
+    let inside = || model.metadata("names").and_then(|text| parse_names(&text)).filter(|names| !names.is_empty());
+    Ok(beside.or_else(inside).unwrap_or_else(coco_after_background))
+}
+
+fn coco_after_background() -> Vec<String> {
+    let mut names = vec!["background".to_owned()];
+    for name in COCO {
+        while NOT_IN_COCO.contains(&names.len()) {
+            names.push("N/A".to_owned());
+        }
+        names.push(name.to_owned());
+    }
+    names
+}
+
 /// The names of a network's `num_classes` classes: from the file beside it, else from its metadata, else those of COCO
 /// if their number is 80.
 ///
@@ -164,5 +205,11 @@ mod tests {
     #[test]
     fn coco_has_its_vehicles_where_they_belong() {
         assert_eq!([COCO[2], COCO[3], COCO[5], COCO[7]], ["car", "motorcycle", "bus", "truck"]);
+        let counted = coco_after_background();
+        assert_eq!(counted.len(), 91);
+        assert_eq!(
+            [0, 1, 3, 8, 21, 90].map(|k: usize| counted[k].as_str()),
+            ["background", "person", "car", "truck", "cow", "toothbrush"]
+        );
     }
 }

@@ -1,10 +1,13 @@
 //! Instance segmentation: the objects of one frame, each with its own mask.
 
 mod classes;
+mod detection;
 mod letterbox;
+mod mask_rcnn;
 mod suppression;
 mod views;
 mod yolo;
+mod yolox;
 
 use std::path::Path;
 
@@ -12,11 +15,16 @@ use ::image::RgbImage;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use self::detection::{DetectorOptions, load_detector};
+use self::mask_rcnn::MaskRcnn;
 use self::yolo::YoloSeg;
 use super::{INPUT_SIZES, PerceptionError};
 use crate::ffi::onnx::Model;
 use crate::limits::{Checked, some_of, within};
 use crate::scene::{BoxDetection, Detection};
+
+/// At most this many objects per frame, the best ones: a bound on memory for networks that fire everywhere.
+const MAX_OBJECTS: usize = 300;
 
 /// Finds the movable objects of a frame.
 pub trait Segmenter {
@@ -68,7 +76,8 @@ pub struct SegmentationOptions {
     /// Overlap of neighbouring tiles: larger than the objects that the tiles are to find.
     #[schemars(extend("unit" = "share of a tile's side"))]
     pub tile_overlap: f64,
-    /// Longer side of the input, for networks that leave it open.
+    /// Longer side of the input, for networks that leave it open; those that scale by themselves (Mask R-CNN) take the
+    /// frame as it is.
     #[schemars(extend("unit" = "pixels"))]
     pub input_size: u32,
 }
@@ -102,12 +111,17 @@ const MOVABLE: [&str; 25] = [
     "sheep",
 ];
 
+/// Names of everything that moves by itself.
+fn movable() -> Vec<String> {
+    MOVABLE.map(str::to_owned).to_vec()
+}
+
 impl Default for SegmentationOptions {
     fn default() -> Self {
         Self {
             confidence: 0.25,
             nms_iou: 0.6,
-            classes: MOVABLE.map(str::to_owned).to_vec(),
+            classes: movable(),
             tiling: Tiling::Off,
             tile_overlap: 0.2,
             input_size: 640,
@@ -145,13 +159,17 @@ pub fn load_segmenter(
     if yolo::recognise(&model) {
         return Ok(Box::new(YoloSeg::new(model, options)?));
     }
+    if mask_rcnn::recognise(&model) {
+        return Ok(Box::new(MaskRcnn::new(model, options)?));
+    }
     Err(PerceptionError::UnknownLayout {
         path: path.to_path_buf(),
         task: "instance segmentation",
         inputs: model.inputs().to_vec(),
         outputs: model.outputs().to_vec(),
         supported: "the YOLO-seg family (YOLOv8-seg, YOLO11-seg): one image [1, 3, h, w] in; \
-                    [1, 4 + classes + k, n] and prototypes [1, k, h, w] out",
+                    [1, 4 + classes + k, n] and prototypes [1, k, h, w] out; torchvision's Mask R-CNN: one image \
+                    [3, h, w] in; boxes [n, 4], labels [n], scores [n], masks [n, 1, h, w] out; see docs/perception.md",
     })
 }
 

@@ -1,8 +1,11 @@
 //! Non-maximum suppression over all views of a frame.
 
-/// A box found in one view, in frame pixels.
+use super::letterbox::Letterbox;
+use super::views::View;
+
+/// A box found in one view, in frame pixels; `M` is what its family makes the mask of.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Candidate {
+pub(super) struct Candidate<M> {
     /// x0, y0, x1, y1.
     pub(super) corners: [f32; 4],
     pub(super) class_idx: usize,
@@ -11,8 +14,22 @@ pub(super) struct Candidate {
     pub(super) cut: bool,
     /// Index of the view that it was found in.
     pub(super) view_idx: usize,
-    /// Mask coefficients.
-    pub(super) coefficients: Vec<f32>,
+    /// What its mask is made of.
+    pub(super) mask: M,
+}
+
+impl<M> Candidate<M> {
+    /// Moves the corners from input pixels to frame pixels, clipped to the view.
+    pub(super) fn in_frame(mut self, boxed: &Letterbox, view: View, view_idx: usize, frame: (u32, u32)) -> Self {
+        let [x0, y0] = boxed.frame_from_input(self.corners[0], self.corners[1]);
+        let [x1, y1] = boxed.frame_from_input(self.corners[2], self.corners[3]);
+        let (left, top) = (view.x0 as f32, view.y0 as f32);
+        let (right, bottom) = (left + view.width as f32, top + view.height as f32);
+        self.corners = [x0.clamp(left, right), y0.clamp(top, bottom), x1.clamp(left, right), y1.clamp(top, bottom)];
+        self.cut = view.cuts(self.corners, frame);
+        self.view_idx = view_idx;
+        self
+    }
 }
 
 /// A piece that a tile's border cut off is dropped when this much of it lies in another box of its class.
@@ -21,11 +38,11 @@ const MAX_PIECE_COVERED: f32 = 0.6;
 /// Keeps the best of overlapping boxes of one class: boxes that no tile cuts go before cut ones, then the higher score.
 ///
 /// Returns them with the highest score first.
-pub(super) fn suppress(mut candidates: Vec<Candidate>, max_iou: f32) -> Vec<Candidate> {
+pub(super) fn suppress<M>(mut candidates: Vec<Candidate<M>>, max_iou: f32) -> Vec<Candidate<M>> {
     candidates.sort_by(|a, b| a.cut.cmp(&b.cut).then(b.confidence.total_cmp(&a.confidence)));
-    let mut kept: Vec<Candidate> = Vec::new();
+    let mut kept: Vec<Candidate<M>> = Vec::new();
     for candidate in candidates {
-        let covered = |by: &Candidate| by.class_idx == candidate.class_idx && repeats(&candidate, by, max_iou);
+        let covered = |by: &Candidate<M>| by.class_idx == candidate.class_idx && repeats(&candidate, by, max_iou);
         if !kept.iter().any(covered) {
             kept.push(candidate);
         }
@@ -35,7 +52,7 @@ pub(super) fn suppress(mut candidates: Vec<Candidate>, max_iou: f32) -> Vec<Cand
 }
 
 /// Whether a candidate shows the same object as one that is kept already.
-fn repeats(candidate: &Candidate, kept: &Candidate, max_iou: f32) -> bool {
+fn repeats<M>(candidate: &Candidate<M>, kept: &Candidate<M>, max_iou: f32) -> bool {
     let both = intersection(candidate.corners, kept.corners);
     let (a, b) = (area(candidate.corners), area(kept.corners));
     both > max_iou * (a + b - both) || (candidate.cut && both > MAX_PIECE_COVERED * a)
@@ -53,8 +70,8 @@ fn intersection(a: [f32; 4], b: [f32; 4]) -> f32 {
 mod tests {
     use super::*;
 
-    fn candidate(corners: [f32; 4], class_idx: usize, confidence: f32, cut: bool) -> Candidate {
-        Candidate { corners, class_idx, confidence, cut, view_idx: 0, coefficients: Vec::new() }
+    fn candidate(corners: [f32; 4], class_idx: usize, confidence: f32, cut: bool) -> Candidate<()> {
+        Candidate { corners, class_idx, confidence, cut, view_idx: 0, mask: () }
     }
 
     #[test]

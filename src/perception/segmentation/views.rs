@@ -1,5 +1,8 @@
 //! The parts of a frame that a network looks at one after the other.
 
+use super::{SegmentationOptions, Tiling};
+use crate::scene::Mask;
+
 /// A rectangle of the frame, whole pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct View {
@@ -28,9 +31,18 @@ impl View {
     }
 }
 
+/// The whole frame, and the tiles besides that the options ask for.
+pub(super) fn views(frame: (u32, u32), tile: (u32, u32), options: &SegmentationOptions) -> Vec<View> {
+    let mut views = vec![View::whole(frame.0, frame.1)];
+    if options.tiling == Tiling::On {
+        views.extend(tiles(frame, tile, options.tile_overlap));
+    }
+    views
+}
+
 /// Tiles of at most `tile` pixels that cover the frame with at least the given overlap, evenly spread; empty if one
 /// tile holds the frame, since the whole frame is looked at anyway.
-pub(super) fn tiles(frame: (u32, u32), tile: (u32, u32), overlap: f64) -> Vec<View> {
+fn tiles(frame: (u32, u32), tile: (u32, u32), overlap: f64) -> Vec<View> {
     let columns = starts(frame.0, tile.0, overlap);
     let rows = starts(frame.1, tile.1, overlap);
     if columns.len() * rows.len() <= 1 {
@@ -48,6 +60,24 @@ fn starts(side: u32, tile: u32, overlap: f64) -> Vec<u32> {
     let step = (f64::from(tile) * (1.0 - overlap)).max(1.0);
     let gaps = (f64::from(side - tile) / step).ceil().max(1.0);
     (0..=gaps as u32).map(|k| (f64::from(side - tile) * f64::from(k) / gaps).round() as u32).collect()
+}
+
+/// The pixels in a box (x0, y0, x1, y1) of a frame whose centres are the object's.
+pub(super) fn mask_in(corners: [f32; 4], frame: (u32, u32), is_object: impl Fn(f32, f32) -> bool) -> Mask {
+    let [x0, y0, x1, y1] = corners;
+    let inside = |first: f32, last: f32, side: u32| {
+        let first = (first - 0.5).ceil().max(0.0) as u32;
+        first..((last - 0.5).ceil().max(0.0) as u32).min(side)
+    };
+    let mut mask = Mask::empty(frame.0, frame.1);
+    for y in inside(y0, y1, frame.1) {
+        for x in inside(x0, x1, frame.0) {
+            if is_object(x as f32 + 0.5, y as f32 + 0.5) {
+                mask.set(x, y, true);
+            }
+        }
+    }
+    mask
 }
 
 #[cfg(test)]

@@ -7,11 +7,11 @@
 
 use ::image::RgbImage;
 
-use super::classes::class_names;
+use super::classes::{Classes, class_names};
 use super::letterbox::Letterbox;
 use super::suppression::{Candidate, suppress};
-use super::views::{View, tiles};
-use super::{SegmentationOptions, Segmenter, Tiling};
+use super::views::{mask_in, views};
+use super::{MAX_OBJECTS, SegmentationOptions, Segmenter};
 use crate::ffi::onnx::{Model, Tensor};
 use crate::perception::PerceptionError;
 use crate::perception::description::Preprocessing;
@@ -20,8 +20,6 @@ use crate::scene::{Detection, Mask};
 
 /// Sides of an input that the network leaves open are multiples of this (its coarsest stride).
 const STRIDE: u32 = 32;
-/// At most this many objects per frame, the best ones: a bound on memory for networks that fire everywhere.
-const MAX_OBJECTS: usize = 300;
 
 /// Whether a network's inputs and outputs are those of the family.
 pub(super) fn recognise(model: &Model) -> bool {
@@ -48,11 +46,6 @@ pub(super) struct YoloSeg {
     classes: Option<Classes>,
 }
 
-struct Classes {
-    names: Vec<String>,
-    wanted: Vec<bool>,
-}
-
 impl YoloSeg {
     /// Takes a network that [`recognise`] accepted.
     pub(super) fn new(model: Model, options: &SegmentationOptions) -> Result<Self, PerceptionError> {
@@ -65,13 +58,7 @@ impl YoloSeg {
     }
 
     fn find_classes(&self, num_classes: usize) -> Result<Classes, PerceptionError> {
-        let names = class_names(&self.model, num_classes)?;
-        let wanted: Vec<bool> = names.iter().map(|name| self.options.classes.contains(name)).collect();
-        if wanted.contains(&true) {
-            return Ok(Classes { names, wanted });
-        }
-        let path = self.model.path().to_path_buf();
-        Err(PerceptionError::NoWantedClass { path, wanted: self.options.classes.clone(), found: names })
+        Classes::new(&self.model, class_names(&self.model, num_classes)?, &self.options.classes)
     }
 
     /// Width and height of the input for a frame: the network's own, or the smallest that holds the frame scaled to the
@@ -81,14 +68,6 @@ impl YoloSeg {
         let (width, height) = crate::image::scale_to_fit(frame.0, frame.1, self.options.input_size);
         let open = |length: u32| length.div_ceil(STRIDE) * STRIDE;
         (side(3).unwrap_or_else(|| open(width)), side(2).unwrap_or_else(|| open(height)))
-    }
-
-    fn views(&self, frame: (u32, u32), input: (u32, u32)) -> Vec<View> {
-        let mut views = vec![View::whole(frame.0, frame.1)];
-        if self.options.tiling == Tiling::On {
-            views.extend(tiles(frame, input, self.options.tile_overlap));
-        }
-        views
     }
 
     /// Runs the network on one view; gives the raw outputs in the family's order.
@@ -117,7 +96,7 @@ impl Segmenter for YoloSeg {
         let input = self.input_size(frame);
         let mut candidates = Vec::new();
         let mut seen = Vec::new();
-        for (view_idx, view) in self.views(frame, input).into_iter().enumerate() {
+        for (view_idx, view) in views(frame, input, &self.options).into_iter().enumerate() {
             let (boxed, pixels) = Letterbox::place(image, view, input)?;
             let raw = self.look(&pixels)?;
             if let Some(classes) = &self.classes {
@@ -174,7 +153,7 @@ impl Raw {
     }
 
     /// The columns whose best class is wanted and sure enough; corners in input pixels.
-    fn candidates(&self, wanted: &[bool], min_confidence: f32) -> Vec<Candidate> {
+    fn candidates(&self, wanted: &[bool], min_confidence: f32) -> Vec<Candidate<Vec<f32>>> {
         let (n, num_classes) = (self.boxes.shape[2], self.num_classes());
         let row = |r: usize| &self.boxes.values[r * n..(r + 1) * n];
         let mut best: Vec<(f32, usize)> = vec![(0.0, 0); n];
@@ -189,8 +168,8 @@ impl Raw {
         let column = |i: usize, (confidence, class_idx): (f32, usize)| {
             let (x, y, w, h) = (row(0)[i], row(1)[i], row(2)[i], row(3)[i]);
             let corners = [x - w / 2.0, y - h / 2.0, x + w / 2.0, y + h / 2.0];
-            let coefficients = (4 + num_classes..rows).map(|r| row(r)[i]).collect();
-            Candidate { corners, class_idx, confidence, cut: false, view_idx: 0, coefficients }
+            let mask = (4 + num_classes..rows).map(|r| row(r)[i]).collect();
+            Candidate { corners, class_idx, confidence, cut: false, view_idx: 0, mask }
         };
         let sure = |&(_, (score, class)): &(usize, (f32, usize))| {
             score >= min_confidence && wanted.get(class).copied().unwrap_or(false)
@@ -200,23 +179,9 @@ impl Raw {
     }
 }
 
-impl Candidate {
-    /// Moves the corners from input pixels to frame pixels, clipped to the view.
-    fn in_frame(mut self, boxed: &Letterbox, view: View, view_idx: usize, frame: (u32, u32)) -> Self {
-        let [x0, y0] = boxed.frame_from_input(self.corners[0], self.corners[1]);
-        let [x1, y1] = boxed.frame_from_input(self.corners[2], self.corners[3]);
-        let (left, top) = (view.x0 as f32, view.y0 as f32);
-        let (right, bottom) = (left + view.width as f32, top + view.height as f32);
-        self.corners = [x0.clamp(left, right), y0.clamp(top, bottom), x1.clamp(left, right), y1.clamp(top, bottom)];
-        self.cut = view.cuts(self.corners, frame);
-        self.view_idx = view_idx;
-        self
-    }
-}
-
 /// The pixels of an object: those of its box whose centre has a mask value above one half.
 fn mask_of(
-    candidate: &Candidate,
+    candidate: &Candidate<Vec<f32>>,
     boxed: &Letterbox,
     input: (u32, u32),
     prototypes: &Tensor,
@@ -234,20 +199,10 @@ fn mask_of(
     let rows = around(v0, v1, height);
     let values = combine(candidate, prototypes, columns.clone(), rows.clone());
     let plane = Plane { width: columns.len(), height: rows.len(), values: &values };
-    let inside = |first: f32, last: f32, side: u32| {
-        let first = (first - 0.5).ceil().max(0.0) as u32;
-        first..((last - 0.5).ceil().max(0.0) as u32).min(side)
-    };
-    let mut mask = Mask::empty(frame.0, frame.1);
-    for y in inside(y0, y1, frame.1) {
-        for x in inside(x0, x1, frame.0) {
-            let [u, v] = cell(x as f32 + 0.5, y as f32 + 0.5);
-            if plane.sample(u - columns.start as f32, v - rows.start as f32) > 0.5 {
-                mask.set(x, y, true);
-            }
-        }
-    }
-    mask
+    mask_in(candidate.corners, frame, |x, y| {
+        let [u, v] = cell(x, y);
+        plane.sample(u - columns.start as f32, v - rows.start as f32) > 0.5
+    })
 }
 
 /// The cells that positions between `first` and `last` are interpolated from; never empty.
@@ -258,7 +213,7 @@ fn around(first: f32, last: f32, len: usize) -> std::ops::Range<usize> {
 
 /// sigmoid(coefficients · prototypes) over a block of cells.
 fn combine(
-    candidate: &Candidate,
+    candidate: &Candidate<Vec<f32>>,
     prototypes: &Tensor,
     columns: std::ops::Range<usize>,
     rows: std::ops::Range<usize>,
@@ -266,7 +221,7 @@ fn combine(
     let (height, width) = (prototypes.shape[2], prototypes.shape[3]);
     let mut values = vec![0.0; columns.len() * rows.len()];
     let planes = prototypes.values.chunks_exact(height * width);
-    for (&coefficient, plane) in candidate.coefficients.iter().zip(planes) {
+    for (&coefficient, plane) in candidate.mask.iter().zip(planes) {
         for (out, y) in values.chunks_exact_mut(columns.len()).zip(rows.clone()) {
             let source = &plane[y * width + columns.start..y * width + columns.end];
             for (value, &prototype) in out.iter_mut().zip(source) {
