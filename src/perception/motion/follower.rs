@@ -1,0 +1,313 @@
+//! Points followed through all frames, all over the picture.
+//!
+//! Pyramidal Lucas-Kanade (J.-Y. Bouguet, 2000; OpenCV) there and back. A point that has been followed before starts at
+//! where its last step leads, and needs no coarse pictures, in which a small vehicle is one with the road; what is lost
+//! so, and what is new, is looked for through the whole pyramid. New points are the strongest corners (J. Shi, C.
+//! Tomasi,
+//! *Good Features to Track*, 1994) of the cells of a grid in which no point is.
+
+use opencv::core::{Mat, MatTraitConst, Point2f, Size, TermCriteria, Vector};
+use opencv::prelude::*;
+use opencv::video::OPTFLOW_USE_INITIAL_FLOW;
+use serde::{Deserialize, Serialize};
+
+use super::FollowerOptions;
+use crate::image::{GrayImage, borrowed_gray, resize_gray, scale_to_fit};
+use crate::perception::PerceptionError;
+
+/// Where one point was seen, in frames that follow one another without a gap.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PointTrack {
+    /// Index of the first frame, counted from the first one that the follower was given.
+    pub first: u32,
+    /// Pixels of the whole frame, the first pixel's centre at (0.5, 0.5); one entry per frame.
+    pub pixels: Vec<[f32; 2]>,
+}
+
+impl PointTrack {
+    /// Index after the last frame.
+    pub fn end(&self) -> u32 {
+        self.first + self.pixels.len() as u32
+    }
+
+    /// Where the point is in a frame; `None` if it is not seen there.
+    pub fn at(&self, frame: u32) -> Option<[f64; 2]> {
+        let k = frame.checked_sub(self.first)? as usize;
+        self.pixels.get(k).map(|pixel| pixel.map(f64::from))
+    }
+}
+
+/// Follows points frame by frame. The same frames give the same tracks, whatever the number of threads.
+pub struct PointFollower {
+    options: FollowerOptions,
+    size: (u32, u32),
+    work: (u32, u32),
+    previous: Option<Vector<Mat>>,
+    live: Vec<Live>,
+    done: Vec<PointTrack>,
+    num_frames: u32,
+}
+
+/// A point that is being followed; positions in pixels of the working size, first pixel centre at (0, 0) as in OpenCV.
+struct Live {
+    first: u32,
+    positions: Vec<Point2f>,
+}
+
+impl Live {
+    fn last(&self) -> Point2f {
+        self.positions.last().copied().unwrap_or_default()
+    }
+
+    /// Where the last step leads; `None` for a point that has made none.
+    fn predicted(&self) -> Option<Point2f> {
+        let [.., before, last] = self.positions.as_slice() else { return None };
+        Some(*last + (*last - *before))
+    }
+}
+
+/// How a step is begun.
+#[derive(Clone, Copy, PartialEq)]
+enum Start {
+    /// Where the point's last step leads, on the finest pictures alone.
+    Predicted,
+    /// Where the point was, through the whole pyramid.
+    Anywhere,
+}
+
+impl PointFollower {
+    /// Nothing seen yet; frames will have `size` (width, height).
+    pub fn new(options: &FollowerOptions, size: (u32, u32)) -> Self {
+        let work = scale_to_fit(size.0, size.1, options.max_side_px);
+        let options = options.clone();
+        Self { options, size, work, previous: None, live: Vec::new(), done: Vec::new(), num_frames: 0 }
+    }
+
+    /// Takes the next frame. Frames must follow one another as in the source.
+    ///
+    /// # Errors
+    /// [`PerceptionError::SizeMismatch`] for a frame of another size, [`PerceptionError::OpenCv`] if OpenCV fails.
+    pub fn push(&mut self, picture: &GrayImage) -> Result<(), PerceptionError> {
+        if picture.dimensions() != self.size {
+            let what = format!("frame {}", self.num_frames);
+            return Err(PerceptionError::SizeMismatch { what, expected: self.size, found: picture.dimensions() });
+        }
+        let picture = resize_gray(picture, self.work.0, self.work.1)?;
+        let pyramid = self.pyramid(&picture)?;
+        if let Some(previous) = self.previous.take() {
+            self.follow(&previous, &pyramid)?;
+        }
+        self.drop_crowded();
+        self.find_new(&picture)?;
+        self.previous = Some(pyramid);
+        self.num_frames += 1;
+        Ok(())
+    }
+
+    /// All tracks of some length, in the order of their first frames.
+    pub fn finish(mut self) -> Vec<PointTrack> {
+        for live in std::mem::take(&mut self.live) {
+            self.end(live);
+        }
+        self.done.sort_by_key(|track| track.first);
+        self.done
+    }
+
+    fn pyramid(&self, picture: &GrayImage) -> Result<Vector<Mat>, PerceptionError> {
+        let mut pyramid = Vector::new();
+        let levels = self.options.pyramid_levels;
+        let picture = borrowed_gray(picture)?.try_clone()?;
+        opencv::video::build_optical_flow_pyramid_def(&picture, &mut pyramid, self.window(), levels)?;
+        Ok(pyramid)
+    }
+
+    fn window(&self) -> Size {
+        let side = 2 * self.options.window_radius_px + 1;
+        Size::new(side, side)
+    }
+
+    fn follow(&mut self, previous: &Vector<Mat>, next: &Vector<Mat>) -> Result<(), PerceptionError> {
+        let live = std::mem::take(&mut self.live);
+        let mut found = vec![None; live.len()];
+        let known: Vec<usize> = (0..live.len()).filter(|&k| live[k].predicted().is_some()).collect();
+        self.step(previous, next, &live, &known, Start::Predicted, &mut found)?;
+        let open: Vec<usize> = (0..live.len()).filter(|&k| found[k].is_none()).collect();
+        self.step(previous, next, &live, &open, Start::Anywhere, &mut found)?;
+        for (mut point, found) in live.into_iter().zip(found) {
+            match found {
+                Some(position) => {
+                    point.positions.push(position);
+                    self.live.push(point);
+                }
+                None => self.end(point),
+            }
+        }
+        Ok(())
+    }
+
+    /// Follows some of the points there and back, and notes where those went that came back.
+    fn step(
+        &self,
+        previous: &Vector<Mat>,
+        next: &Vector<Mat>,
+        live: &[Live],
+        chosen: &[usize],
+        start: Start,
+        found: &mut [Option<Point2f>],
+    ) -> Result<(), PerceptionError> {
+        if chosen.is_empty() {
+            return Ok(());
+        }
+        let from: Vector<Point2f> = chosen.iter().map(|&k| live[k].last()).collect();
+        let guess = |k: usize| if start == Start::Predicted { live[k].predicted() } else { None };
+        let guesses = chosen.iter().map(|&k| guess(k).unwrap_or_else(|| live[k].last())).collect();
+        let there = self.lucas_kanade(previous, next, &from, guesses, start)?;
+        let moved: Vector<Point2f> = there.iter().map(|(p, _)| *p).collect();
+        let steps = there.iter().zip(chosen).zip(&from);
+        let guesses_back = steps.map(|(((p, _), &k), from)| *p + from - guess(k).unwrap_or(from)).collect();
+        let back = self.lucas_kanade(next, previous, &moved, guesses_back, start)?;
+        for ((((position, ok), (returned, ok_back)), from), &k) in there.iter().zip(&back).zip(&from).zip(chosen) {
+            let error = (*returned - from).norm();
+            let is_back = *ok && *ok_back && error <= f64::from(self.options.max_round_trip_px);
+            if is_back && self.is_inside(*position) {
+                found[k] = Some(*position);
+            }
+        }
+        Ok(())
+    }
+
+    /// Where the points of one picture are in another, and whether they were found.
+    fn lucas_kanade(
+        &self,
+        from: &Vector<Mat>,
+        to: &Vector<Mat>,
+        points: &Vector<Point2f>,
+        mut moved: Vector<Point2f>,
+        start: Start,
+    ) -> Result<Vec<(Point2f, bool)>, PerceptionError> {
+        let (levels, flags) = match start {
+            Start::Predicted => (1.min(self.options.pyramid_levels), OPTFLOW_USE_INITIAL_FLOW),
+            Start::Anywhere => (self.options.pyramid_levels, OPTFLOW_USE_INITIAL_FLOW),
+        };
+        let (mut status, mut error) = (Vector::<u8>::new(), Vector::<f32>::new());
+        let stop = TermCriteria::new(3, 12, 0.03)?;
+        opencv::video::calc_optical_flow_pyr_lk(
+            from,
+            to,
+            points,
+            &mut moved,
+            &mut status,
+            &mut error,
+            self.window(),
+            levels,
+            stop,
+            flags,
+            1e-4,
+        )?;
+        let max_difference = self.options.max_difference;
+        let seen = moved.iter().zip(status.iter().zip(&error));
+        Ok(seen.map(|(p, (status, error))| (p, status != 0 && error <= max_difference)).collect())
+    }
+
+    fn is_inside(&self, position: Point2f) -> bool {
+        let inside = |x: f32, side: u32| x >= 1.0 && x <= side as f32 - 2.0;
+        inside(position.x, self.work.0) && inside(position.y, self.work.1)
+    }
+
+    /// Of points that have come together, the one that was found first stays: others slid along an edge.
+    fn drop_crowded(&mut self) {
+        let bin_px = 0.3 * self.options.spacing_px as f32;
+        let cols = (self.work.0 as f32 / bin_px) as usize + 1;
+        let rows = (self.work.1 as f32 / bin_px) as usize + 1;
+        let mut taken = vec![false; rows * cols];
+        for point in std::mem::take(&mut self.live) {
+            let last = point.last();
+            let bin = (last.y / bin_px) as usize * cols + (last.x / bin_px) as usize;
+            if std::mem::replace(&mut taken[bin.min(rows * cols - 1)], true) {
+                self.end(point);
+            } else {
+                self.live.push(point);
+            }
+        }
+    }
+
+    /// Starts a point at the strongest corner of every cell that has none.
+    fn find_new(&mut self, picture: &GrayImage) -> Result<(), PerceptionError> {
+        let mut strength = Mat::default();
+        opencv::imgproc::corner_min_eigen_val(
+            &borrowed_gray(picture)?,
+            &mut strength,
+            3,
+            3,
+            opencv::core::BORDER_DEFAULT,
+        )?;
+        let corners = self.corners(&strength)?;
+        let least = self.options.quality * quantile(corners.iter().map(|c| c.1).collect(), 0.9);
+        let taken = self.taken_cells();
+        let mut new: Vec<(Point2f, f32)> =
+            corners.into_iter().filter(|(p, s)| *s > least && *s > 1e-6 && !taken[self.cell(*p)]).collect();
+        new.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let room = self.options.max_points.saturating_sub(self.live.len());
+        let first = self.num_frames;
+        self.live.extend(new.into_iter().take(room).map(|(p, _)| Live { first, positions: vec![p] }));
+        Ok(())
+    }
+
+    /// The strongest place of every cell with its strength, row by row.
+    fn corners(&self, strength: &Mat) -> Result<Vec<(Point2f, f32)>, PerceptionError> {
+        let (cols, rows) = self.grid();
+        let mut best = vec![(Point2f::default(), 0.0f32); cols * rows];
+        let border = self.options.window_radius_px.max(2);
+        for y in border..strength.rows() - border {
+            let row = strength.at_row::<f32>(y)?;
+            for x in border..strength.cols() - border {
+                let (value, place) = (row[x as usize], Point2f::new(x as f32, y as f32));
+                let cell = &mut best[self.cell(place)];
+                if value > cell.1 {
+                    *cell = (place, value);
+                }
+            }
+        }
+        Ok(best)
+    }
+
+    fn taken_cells(&self) -> Vec<bool> {
+        let (cols, rows) = self.grid();
+        let mut taken = vec![false; cols * rows];
+        for point in &self.live {
+            taken[self.cell(point.last())] = true;
+        }
+        taken
+    }
+
+    fn grid(&self) -> (usize, usize) {
+        let cells = |side: u32| side.div_ceil(self.options.spacing_px) as usize;
+        (cells(self.work.0), cells(self.work.1))
+    }
+
+    fn cell(&self, p: Point2f) -> usize {
+        let (cols, rows) = self.grid();
+        let spacing = self.options.spacing_px as f32;
+        let at = |x: f32, cells: usize| ((x.max(0.0) / spacing) as usize).min(cells - 1);
+        at(p.y, rows) * cols + at(p.x, cols)
+    }
+
+    /// Keeps what was seen often enough, in pixels of the whole frame.
+    fn end(&mut self, point: Live) {
+        if point.positions.len() < self.options.min_track_length {
+            return;
+        }
+        let scale = [self.size.0 as f32 / self.work.0 as f32, self.size.1 as f32 / self.work.1 as f32];
+        let pixels = point.positions.iter().map(|p| [(p.x + 0.5) * scale[0], (p.y + 0.5) * scale[1]]).collect();
+        self.done.push(PointTrack { first: point.first, pixels });
+    }
+}
+
+/// The value below which a share of all values lies; 0 of nothing.
+fn quantile(mut values: Vec<f32>, share: f64) -> f32 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let k = ((values.len() - 1) as f64 * share) as usize;
+    *values.select_nth_unstable_by(k, f32::total_cmp).1
+}

@@ -1,0 +1,74 @@
+//! Where rays meet the ground.
+
+use nalgebra::{Point3, Vector3};
+
+use crate::math::{Neighbors, Rigid3, upper_median};
+
+/// The ground of a background: a plane through all of it, and points that say how far the ground is off it near them.
+pub struct GroundModel {
+    normal: Vector3<f64>,
+    point: Point3<f64>,
+    /// Two unit directions along the plane.
+    axes: [Vector3<f64>; 2],
+    heights: Vec<f64>,
+    places: Vec<[f64; 2]>,
+    tree: Option<Neighbors<2>>,
+}
+
+/// Ground points whose heights say where the ground is.
+const NUM_NEAR: usize = 8;
+
+impl GroundModel {
+    /// From a plane in the background's frame, `normal` towards the cameras, and the background's points that are
+    /// ground (as `ground::dominant_plane_points` finds them, or labels). Without points the plane serves alone. `None`
+    /// if the normal has no length.
+    pub fn new(normal: Vector3<f64>, point: Point3<f64>, ground_points: &[Point3<f64>]) -> Option<Self> {
+        let normal = normal.try_normalize(1e-12).filter(|n| n.iter().all(|x| x.is_finite()))?;
+        let side = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
+        let first = normal.cross(&side).normalize();
+        let axes = [first, normal.cross(&first)];
+        let finite = ground_points.iter().filter(|p| p.coords.iter().all(|x| x.is_finite()));
+        let offsets: Vec<Vector3<f64>> = finite.map(|p| p - point).collect();
+        let places: Vec<[f64; 2]> = offsets.iter().map(|o| axes.map(|axis| axis.dot(o))).collect();
+        let tree = if places.is_empty() { None } else { Neighbors::new(&places) };
+        Some(Self { normal, point, axes, heights: offsets.iter().map(|o| normal.dot(o)).collect(), places, tree })
+    }
+
+    /// Height of a camera over the plane, in units of the background; `None` below it.
+    pub(super) fn camera_height(&self, cam_from_world: &Rigid3) -> Option<f64> {
+        let height = self.normal.dot(&(cam_from_world.center() - self.point));
+        (height > 0.0).then_some(height)
+    }
+
+    /// Inverse of the depth at which the ray through (x, y, 1), in camera coordinates, meets the ground; zero or
+    /// negative for a ray to the sky. `None` from below.
+    pub(super) fn inverse_depth(&self, cam_from_world: &Rigid3, ray: Vector3<f64>) -> Option<f64> {
+        let center = cam_from_world.center();
+        let height = self.camera_height(cam_from_world)?;
+        let direction = cam_from_world.rotation.inverse() * ray;
+        let descent = -self.normal.dot(&direction);
+        let mut inverse_depth = descent / height;
+        // Two rounds: from the place on the plane to the height there, and once more.
+        for _ in 0..2 {
+            if inverse_depth <= 0.0 {
+                break;
+            }
+            let place = center + direction / inverse_depth;
+            let local = height - self.height_near(&place, height).unwrap_or(0.0);
+            if local <= 0.1 * height {
+                break;
+            }
+            inverse_depth = descent / local;
+        }
+        Some(inverse_depth)
+    }
+
+    /// Median height over the plane of the ground points nearest to a place; `None` where all are farther away than
+    /// `reach`.
+    fn height_near(&self, place: &Point3<f64>, reach: f64) -> Option<f64> {
+        let at = self.axes.map(|axis| axis.dot(&(place - self.point)));
+        let near = self.tree.as_ref()?.nearest(&at, NUM_NEAR);
+        let distance = |k: usize| (self.places[k][0] - at[0]).hypot(self.places[k][1] - at[1]);
+        upper_median(near.into_iter().filter(|&k| distance(k) <= reach).map(|k| self.heights[k]).collect())
+    }
+}

@@ -1,0 +1,202 @@
+//! Which tracks belong together: neighbours that keep their offsets (eq. 10 of `docs/maths/motion.md`).
+
+use std::collections::BTreeMap;
+
+use super::{MoverOptions, PointTrack, Surroundings, TrackLabel, Verdict};
+
+/// Lengths and times in the units of the frames at hand.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Scales {
+    /// Largest distance of neighbours, pixels.
+    pub reach_px: f64,
+    /// A pixel of the working size, in pixels of the frame.
+    pub pixel: f64,
+    /// Frames between two looks at which points are neighbours.
+    pub stride: u32,
+    /// Frames that make a second.
+    pub second: u32,
+    /// Frames that a mover lives at least.
+    pub life: u32,
+}
+
+impl Scales {
+    pub fn new(surroundings: &Surroundings, spacing_px: f64, max_side_px: u32, options: &MoverOptions) -> Self {
+        let longer = f64::from(surroundings.size.0.max(surroundings.size.1));
+        let pixel = (longer / f64::from(max_side_px.max(1))).max(1.0);
+        let times = surroundings.times_s;
+        let length_s = times.last().zip(times.first()).map_or(0.0, |(last, first)| last - first).max(1e-9);
+        let per_second = times.len().saturating_sub(1) as f64 / length_s;
+        let frames = |seconds: f64| (seconds * per_second).round().clamp(1.0, 1e6) as u32;
+        let life = frames(options.min_life_s).min((2 * times.len() as u32) / 3);
+        Self {
+            reach_px: options.reach * spacing_px * pixel,
+            pixel,
+            stride: frames(0.15),
+            second: frames(1.0).max(2),
+            life: life.max(4),
+        }
+    }
+}
+
+/// Which tracks are seen in each of the frames that are looked at.
+pub(super) fn looks(
+    tracks: &[PointTrack],
+    chosen: impl Iterator<Item = usize>,
+    stride: u32,
+) -> BTreeMap<u32, Vec<usize>> {
+    let mut looks: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    for k in chosen {
+        let first = tracks[k].first.next_multiple_of(stride);
+        for frame in (first..tracks[k].end()).step_by(stride as usize) {
+            looks.entry(frame).or_default().push(k);
+        }
+    }
+    looks
+}
+
+/// Points by the cell that they lie in: their tracks and places.
+type Cells = BTreeMap<(i64, i64), Vec<(usize, [f64; 2])>>;
+
+/// Points of one frame in cells, so that those near one another are found.
+pub(super) struct Crowd {
+    reach_px: f64,
+    cells: Cells,
+}
+
+impl Crowd {
+    /// The chosen tracks' points in a frame.
+    pub fn new(tracks: &[PointTrack], chosen: &[usize], frame: u32, reach_px: f64) -> Self {
+        let mut cells = Cells::new();
+        for &k in chosen {
+            if let Some(p) = tracks[k].at(frame) {
+                cells.entry(p.map(|x| (x / reach_px).floor() as i64).into()).or_default().push((k, p));
+            }
+        }
+        Self { reach_px, cells }
+    }
+
+    /// Pairs within reach, the lower index first, each once.
+    pub fn pairs(&self) -> Vec<(usize, usize)> {
+        let mut pairs = Vec::new();
+        for (&(x, y), own) in &self.cells {
+            // Half of the neighbouring cells, so that no pair comes twice.
+            for other in [(x, y), (x + 1, y), (x - 1, y + 1), (x, y + 1), (x + 1, y + 1)] {
+                let Some(others) = self.cells.get(&other) else { continue };
+                for (i, p) in own {
+                    let near = others.iter().filter(|(j, q)| (other != (x, y) || i < j) && self.is_near(p, q));
+                    pairs.extend(near.map(|(j, _)| (*i.min(j), *i.max(j))));
+                }
+            }
+        }
+        pairs
+    }
+
+    fn is_near(&self, p: &[f64; 2], q: &[f64; 2]) -> bool {
+        (p[0] - q[0]).hypot(p[1] - q[1]) <= self.reach_px
+    }
+}
+
+/// Part of the points near each track that move, over its life; the point itself
+/// counts, too. Where most stands, a single one that moves was followed wrongly.
+pub(super) fn moving_company(tracks: &[PointTrack], labels: &[TrackLabel], scales: &Scales, reach_px: f64) -> Vec<f64> {
+    let mut counts = vec![[0.0; 2]; tracks.len()];
+    for (frame, seen) in looks(tracks, 0..tracks.len(), scales.stride) {
+        for (i, j) in Crowd::new(tracks, &seen, frame, reach_px).pairs() {
+            add(&mut counts[i], &labels[j]);
+            add(&mut counts[j], &labels[i]);
+        }
+    }
+    counts.into_iter().map(|[moving, standing]| (moving + 1.0) / (moving + standing + 1.0)).collect()
+}
+
+fn add([moving, standing]: &mut [f64; 2], label: &TrackLabel) {
+    match label.verdict {
+        Verdict::Moving(_) => *moving += 1.0,
+        Verdict::Standing => *standing += 1.0,
+        // It may be a part of a vehicle that comes nearer.
+        Verdict::Floating => *standing += 0.5,
+        Verdict::Fixed | Verdict::Undetermined => {}
+    }
+}
+
+/// Tracks and what joins them.
+pub(super) struct Neighbourhood<'a> {
+    pub tracks: &'a [PointTrack],
+    pub scales: Scales,
+    pub max_change: f64,
+}
+
+impl Neighbourhood<'_> {
+    /// Pairs of the chosen tracks that are neighbours in several frames and keep their offsets, ascending.
+    pub fn pairs(&self, chosen: &[usize]) -> Vec<(usize, usize)> {
+        let mut met: BTreeMap<(usize, usize), u32> = BTreeMap::new();
+        for (frame, seen) in looks(self.tracks, chosen.iter().copied(), self.scales.stride) {
+            for pair in Crowd::new(self.tracks, &seen, frame, self.scales.reach_px).pairs() {
+                *met.entry(pair).or_default() += 1;
+            }
+        }
+        met.into_iter().filter(|&(pair, count)| count >= 2 && self.move_alike(pair)).map(|(pair, _)| pair).collect()
+    }
+
+    /// Whether the offset of two tracks changes little within any second.
+    fn move_alike(&self, (i, j): (usize, usize)) -> bool {
+        let (a, b) = (&self.tracks[i], &self.tracks[j]);
+        let (first, end) = (a.first.max(b.first), a.end().min(b.end()));
+        let common = end.saturating_sub(first);
+        if common < 4 {
+            return false;
+        }
+        let lag = self.scales.second.min(common - 1);
+        let offset = |frame: u32| {
+            let (p, q) = (a.at(frame).unwrap_or_default(), b.at(frame).unwrap_or_default());
+            [p[0] - q[0], p[1] - q[1]]
+        };
+        (first..end - lag).step_by(self.scales.stride as usize).all(|frame| {
+            let (before, after) = (offset(frame), offset(frame + lag));
+            let change = (after[0] - before[0]).hypot(after[1] - before[1]);
+            change <= 1.5 * self.scales.pixel + self.max_change * before[0].hypot(before[1])
+        })
+    }
+}
+
+/// Groups of nodes that hang together by edges of triangles, each node with at least two; each ascending, in the order
+/// of their first nodes.
+pub(super) fn connected(pairs: &[(usize, usize)]) -> Vec<Vec<usize>> {
+    let firm = in_triangles(pairs);
+    let mut root: BTreeMap<usize, usize> = BTreeMap::new();
+    for &(i, j) in &firm {
+        let (a, b) = (find(&mut root, i), find(&mut root, j));
+        root.insert(a.max(b), a.min(b));
+    }
+    let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    let nodes: Vec<usize> = root.keys().copied().collect();
+    for node in nodes {
+        let top = find(&mut root, node);
+        groups.entry(top).or_default().push(node);
+    }
+    groups.into_values().collect()
+}
+
+/// The top of a node's tree; a new node is its own.
+fn find(root: &mut BTreeMap<usize, usize>, node: usize) -> usize {
+    let mut at = node;
+    while let Some(&above) = root.get(&at).filter(|&&above| above != at) {
+        at = above;
+    }
+    root.insert(node, at);
+    at
+}
+
+/// The pairs whose two sides have a common neighbour: a single chance link joins nothing.
+fn in_triangles(pairs: &[(usize, usize)]) -> Vec<(usize, usize)> {
+    let mut neighbours: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for &(i, j) in pairs {
+        neighbours.entry(i).or_default().push(j);
+        neighbours.entry(j).or_default().push(i);
+    }
+    for list in neighbours.values_mut() {
+        list.sort_unstable();
+    }
+    let shares = |(i, j): &(usize, usize)| neighbours[i].iter().any(|k| neighbours[j].binary_search(k).is_ok());
+    pairs.iter().copied().filter(shares).collect()
+}

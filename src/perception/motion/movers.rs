@@ -1,0 +1,453 @@
+//! Points that move together become boxes (eq. 10 to 12 of `docs/maths/motion.md`).
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::{Deserialize, Serialize};
+
+use super::groups::{Neighbourhood, Scales, connected, looks, moving_company};
+use super::{Evidence, MotionOptions, PointTrack, Surroundings, TrackLabel, Verdict};
+use crate::math::upper_median;
+use crate::scene::Rect;
+
+/// Something that moves, in all frames in which its points were followed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Mover {
+    /// Its box in each frame, pixels.
+    pub boxes: BTreeMap<u32, Rect>,
+    /// What most of its points show.
+    pub evidence: Evidence,
+    /// How sure it is, 0 to 1: grows with its points, its life and their strength.
+    pub confidence: f64,
+    /// How far its points depart from a motion that keeps its shape, pixels within a second.
+    pub looseness_px: f64,
+    /// Part of the points in the middle of its boxes that are its own, 0 to 1.
+    pub purity: f64,
+    /// Tracks of its points, ascending.
+    pub tracks: Vec<usize>,
+}
+
+impl Mover {
+    /// Number of frames in which it has a box.
+    pub fn life(&self) -> usize {
+        self.boxes.len()
+    }
+}
+
+/// Joins tracks that move to movers, surest first.
+///
+/// `labels` are those of `tracks`. Points that do not move by themselves alone join a mover if they go with its points
+/// and do not stand on the ground.
+pub fn movers(
+    tracks: &[PointTrack],
+    labels: &[TrackLabel],
+    surroundings: &Surroundings,
+    options: &MotionOptions,
+) -> Vec<Mover> {
+    let spacing = f64::from(options.follower.spacing_px);
+    let scales = Scales::new(surroundings, spacing, options.follower.max_side_px, &options.movers);
+    let company = moving_company(tracks, labels, &scales, options.movers.company_cells * spacing * scales.pixel);
+    let looks = looks(tracks, 0..tracks.len(), scales.stride);
+    let maker = Maker { tracks, labels, company, looks, scales, options };
+    let mut found: Vec<Mover> = maker.groups().iter().flat_map(|group| maker.movers_of(group, surroundings)).collect();
+    found = maker.merged(found, surroundings);
+    found.retain(|mover| mover.confidence >= options.movers.min_confidence);
+    found.sort_by(|a, b| b.confidence.total_cmp(&a.confidence).then(a.tracks.cmp(&b.tracks)));
+    found
+}
+
+struct Maker<'a> {
+    tracks: &'a [PointTrack],
+    labels: &'a [TrackLabel],
+    /// Part of the points near each track that move.
+    company: Vec<f64>,
+    /// Tracks that are seen in the frames that are looked at.
+    looks: BTreeMap<u32, Vec<usize>>,
+    scales: Scales,
+    options: &'a MotionOptions,
+}
+
+impl Maker<'_> {
+    /// Tracks that belong together.
+    fn groups(&self) -> Vec<Vec<usize>> {
+        let chosen: Vec<usize> = (0..self.tracks.len()).filter(|&k| self.may_belong(k)).collect();
+        let max_change = self.options.movers.max_change;
+        let neighbourhood = Neighbourhood { tracks: self.tracks, scales: self.scales, max_change };
+        let pairs = neighbourhood.pairs(&chosen);
+        let moving = |k: &usize| self.labels[*k].is_moving() && self.company[*k] >= self.options.movers.min_company;
+        let between_moving: Vec<_> = pairs.iter().copied().filter(|(i, j)| moving(i) && moving(j)).collect();
+        let mut groups = connected(&between_moving);
+        self.absorb(&mut groups, &pairs);
+        groups
+    }
+
+    /// Whether a track can be one of a mover's: it moves, or it is plainly no point of the ground.
+    fn may_belong(&self, k: usize) -> bool {
+        let label = &self.labels[k];
+        let is_off_ground = label.deviation_px >= 2.0 * self.options.evidence.min_deviation_px * self.scales.pixel;
+        label.is_moving() || (is_off_ground && label.verdict != Verdict::Fixed)
+    }
+
+    /// The mover of a group; of one that is none, those of its closer parts: vehicles that a line on the road has
+    /// joined.
+    fn movers_of(&self, group: &[usize], surroundings: &Surroundings) -> Vec<Mover> {
+        match self.mover(group, surroundings) {
+            Some(mover) => vec![mover],
+            None => self.parts(group).iter().filter_map(|part| self.mover(part, surroundings)).collect(),
+        }
+    }
+
+    /// Parts of a group whose points are nearer to one another, keep their offsets better and are more among
+    /// themselves.
+    fn parts(&self, group: &[usize]) -> Vec<Vec<usize>> {
+        const CLOSER: f64 = 0.6;
+        let options = &self.options.movers;
+        let least_company = 1.0 - CLOSER * (1.0 - options.min_company);
+        let is_core = |k: &usize| self.labels[*k].is_moving() && self.company[*k] >= least_company;
+        let core: Vec<usize> = group.iter().copied().filter(is_core).collect();
+        let scales = Scales { reach_px: CLOSER * self.scales.reach_px, ..self.scales };
+        let neighbourhood = Neighbourhood { tracks: self.tracks, scales, max_change: CLOSER * options.max_change };
+        connected(&neighbourhood.pairs(&core))
+    }
+
+    /// Adds tracks that are no movers of their own but go with three or more of one group.
+    fn absorb(&self, groups: &mut [Vec<usize>], pairs: &[(usize, usize)]) {
+        let of: BTreeMap<usize, usize> =
+            groups.iter().enumerate().flat_map(|(g, members)| members.iter().map(move |&k| (k, g))).collect();
+        let mut links: BTreeMap<usize, BTreeMap<usize, u32>> = BTreeMap::new();
+        for &(i, j) in pairs {
+            for (free, member) in [(i, j), (j, i)] {
+                if let (None, Some(&group)) = (of.get(&free), of.get(&member)) {
+                    *links.entry(free).or_default().entry(group).or_default() += 1;
+                }
+            }
+        }
+        for (free, counts) in links {
+            let best = counts.into_iter().max_by_key(|&(group, count)| (count, std::cmp::Reverse(group)));
+            if let Some((group, _)) = best.filter(|&(_, count)| count >= 3) {
+                groups[group].push(free);
+            }
+        }
+        groups.iter_mut().for_each(|group| group.sort_unstable());
+    }
+
+    /// The mover of a group; `None` if it is too small, too short, or hardly moves.
+    fn mover(&self, group: &[usize], surroundings: &Surroundings) -> Option<Mover> {
+        let group = &self.without_strays(group, &mut self.boxes(group, surroundings.size));
+        let moving: Vec<&TrackLabel> = group.iter().map(|&k| &self.labels[k]).filter(|l| l.is_moving()).collect();
+        let boxes = self.boxes(group, surroundings.size);
+        if moving.len() < self.options.movers.min_points || boxes.len() < self.scales.life as usize {
+            return None;
+        }
+        let deviation_px = upper_quartile(moving.iter().map(|label| label.deviation_px).collect())?;
+        let side_px = upper_median(boxes.values().map(|b| b.area_px2().sqrt()).collect())?;
+        if side_px < self.options.movers.min_side_px || deviation_px < self.least_deviation(side_px) {
+            return None;
+        }
+        let purity = self.purity(group, &boxes);
+        if purity < self.options.movers.min_purity {
+            return None;
+        }
+        if self.is_fixed(&Path::new(self.tracks, group)) {
+            return None;
+        }
+        let looseness_px = self.looseness_px(group, &boxes)?;
+        let strength = upper_median(moving.iter().map(|label| label.strength).collect())?;
+        let off_line = moving.iter().filter(|l| l.verdict == Verdict::Moving(Evidence::OffItsLine)).count();
+        Some(Mover {
+            evidence: if 2 * off_line >= moving.len() { Evidence::OffItsLine } else { Evidence::BehindGround },
+            confidence: purity * self.confidence(group, boxes.len(), strength),
+            looseness_px,
+            purity,
+            tracks: group.to_vec(),
+            boxes,
+        })
+    }
+
+    /// A group without those of its points that never lie in its boxes, once what stands has been cut off them.
+    fn without_strays(&self, group: &[usize], boxes: &mut BTreeMap<u32, Rect>) -> Vec<usize> {
+        let mut inside: BTreeSet<usize> = BTreeSet::new();
+        for (&frame, seen) in self.looks.range(range_of(boxes)) {
+            let Some(rect) = boxes.get_mut(&frame) else { continue };
+            let points = self.points_in(rect, frame, seen, group);
+            *rect = trimmed(*rect, &points);
+            inside.extend(points.iter().filter(|p| p.is_own && rect.contains(p.place[0], p.place[1])).map(|p| p.track));
+        }
+        let is_looked_at =
+            |k: &usize| (self.tracks[*k].first.next_multiple_of(self.scales.stride)) < self.tracks[*k].end();
+        group.iter().copied().filter(|k| inside.contains(k) || !is_looked_at(k)).collect()
+    }
+
+    /// Points of a frame in a box: the group's, and those that stand.
+    fn points_in(&self, rect: &Rect, frame: u32, seen: &[usize], group: &[usize]) -> Vec<Inside> {
+        let point = |&track: &usize| {
+            let place = self.tracks[track].at(frame).filter(|p| rect.contains(p[0], p[1]))?;
+            let is_own = group.binary_search(&track).is_ok();
+            let stands = matches!(self.labels[track].verdict, Verdict::Standing | Verdict::Floating);
+            (is_own || stands).then_some(Inside { track, place, is_own })
+        };
+        seen.iter().filter_map(point).collect()
+    }
+
+    /// Of the points in the middle of the boxes, the part that belongs to the group; those of which nothing is known do
+    /// not count.
+    fn purity(&self, group: &[usize], boxes: &BTreeMap<u32, Rect>) -> f64 {
+        let (mut own, mut all) = (0usize, 0usize);
+        for (frame, seen) in self.looks.range(range_of(boxes)) {
+            let Some(middle) = boxes.get(frame).map(|rect| rect.grown(-0.12)) else { continue };
+            let points = self.points_in(&middle, *frame, seen, group);
+            own += points.iter().filter(|p| p.is_own).count();
+            all += points.len();
+        }
+        own as f64 / all.max(1) as f64
+    }
+
+    /// Whether a group keeps its place in the picture, but for a slow drift, for three seconds or more: a reflection in
+    /// the windscreen, a bonnet.
+    fn is_fixed(&self, path: &Path) -> bool {
+        const LEAST_TIME_S: f64 = 3.0;
+        const MOST_PX_PER_S: f64 = 1.0;
+        let time_s = path.places.len() as f64 / f64::from(self.scales.second);
+        time_s >= LEAST_TIME_S && path.excursion() <= MOST_PX_PER_S * self.scales.pixel * time_s
+    }
+
+    /// What waves in the wind leaves its place by less than this; pixels.
+    fn least_deviation(&self, side_px: f64) -> f64 {
+        (3.0 * self.scales.pixel).max(self.options.movers.min_deviation * side_px)
+    }
+
+    /// How far the group's points depart, within a second, from a motion of the whole that keeps its shape: median
+    /// distance, pixels (eq. 11); `None` if never four of them are seen for so long.
+    fn looseness_px(&self, group: &[usize], boxes: &BTreeMap<u32, Rect>) -> Option<f64> {
+        let (first, last) = (boxes.keys().next()?, boxes.keys().next_back()?);
+        let mut residuals = Vec::new();
+        for from in (*first..=*last).step_by((self.scales.second / 2).max(1) as usize) {
+            let to = from + self.scales.second.min(self.scales.life) - 1;
+            let both = group.iter().filter_map(|&k| Some((self.tracks[k].at(from)?, self.tracks[k].at(to)?)));
+            let both: Vec<_> = both.collect();
+            if both.len() >= self.options.movers.min_points {
+                residuals.extend(similarity_residuals(&both));
+            }
+        }
+        upper_median(residuals)
+    }
+
+    /// Grows with the number of points at a time, the life, and the strength of the evidence.
+    fn confidence(&self, group: &[usize], life: usize, strength: f64) -> f64 {
+        let seen: usize = group.iter().map(|&k| self.tracks[k].pixels.len()).sum();
+        let at_a_time = seen as f64 / life.max(1) as f64;
+        let grown = |value: f64, typical: f64| 1.0 - (-value / typical).exp();
+        let seconds = life as f64 / f64::from(self.scales.second);
+        grown(at_a_time, 6.0) * grown(seconds, 1.0) * grown(strength, 5.0)
+    }
+
+    /// A box round the points of each frame that sees three or more of them. Points that are not seen just then, but a
+    /// little before or after, are carried along with the others.
+    fn boxes(&self, group: &[usize], size: (u32, u32)) -> BTreeMap<u32, Rect> {
+        let path = Path::new(self.tracks, group);
+        let window = (self.scales.second / 3).max(1);
+        let frames = path.frames().filter(|&frame| path.num_seen(frame) >= 3);
+        frames
+            .filter_map(|frame| Some((frame, self.box_at(group, &path, frame, window)?.clipped(size.0, size.1))))
+            .collect()
+    }
+
+    fn box_at(&self, group: &[usize], path: &Path, frame: u32, window: u32) -> Option<Rect> {
+        let places: Vec<[f64; 2]> = group
+            .iter()
+            .filter_map(|&k| {
+                let track = &self.tracks[k];
+                let nearest = frame.clamp(track.first, track.end() - 1);
+                (nearest.abs_diff(frame) <= window).then(|| path.carried(track.at(nearest)?, nearest, frame)).flatten()
+            })
+            .collect();
+        let side = |k: usize| {
+            let mut values: Vec<f64> = places.iter().map(|p| p[k]).collect();
+            values.sort_by(f64::total_cmp);
+            let cut = values.len() / 50;
+            Some((*values.get(cut)?, *values.get(values.len() - 1 - cut)?))
+        };
+        let margin = 0.5 * f64::from(self.options.follower.spacing_px) * self.scales.pixel;
+        let ((x0, x1), (y0, y1)) = (side(0)?, side(1)?);
+        Some(Rect { x0: x0 - margin, y0: y0 - margin, x1: x1 + margin, y1: y1 + margin })
+    }
+
+    /// Joins movers that are pieces of one: where both are seen they touch and go together.
+    fn merged(&self, mut movers: Vec<Mover>, surroundings: &Surroundings) -> Vec<Mover> {
+        let mut i = 0;
+        while i < movers.len() {
+            match (i + 1..movers.len()).find_map(|j| Some((j, self.joined(&movers[i], &movers[j], surroundings)?))) {
+                Some((j, joined)) => {
+                    movers[i] = joined;
+                    movers.remove(j);
+                    i = 0;
+                }
+                None => i += 1,
+            }
+        }
+        movers
+    }
+
+    /// One mover of two that are pieces of one.
+    fn joined(&self, a: &Mover, b: &Mover, surroundings: &Surroundings) -> Option<Mover> {
+        if !self.are_one(a, b) {
+            return None;
+        }
+        let tracks: BTreeSet<usize> = a.tracks.iter().chain(&b.tracks).copied().collect();
+        let joined = self.mover(&tracks.into_iter().collect::<Vec<_>>(), surroundings);
+        joined.filter(|one| one.purity >= a.purity.max(b.purity) - 0.03)
+    }
+
+    /// Whether two movers touch where both are seen, and their middles keep their offset.
+    fn are_one(&self, a: &Mover, b: &Mover) -> bool {
+        let common: Vec<(Rect, Rect)> =
+            a.boxes.iter().filter_map(|(frame, own)| Some((*own, *b.boxes.get(frame)?))).collect();
+        if (common.len() as u32) < self.scales.second.min(self.scales.life) / 2 {
+            return false;
+        }
+        let touch = common.iter().filter(|(p, q)| touches(p, q)).count();
+        10 * touch >= 8 * common.len() && self.keep_offset(&common)
+    }
+
+    /// Whether the middles of two boxes keep their offset, relative to the size of the larger one.
+    fn keep_offset(&self, common: &[(Rect, Rect)]) -> bool {
+        const MOST_CHANGE: f64 = 0.3;
+        let offset = |(p, q): &(Rect, Rect)| [middle(p)[0] - middle(q)[0], middle(p)[1] - middle(q)[1]];
+        let side = |(p, q): &(Rect, Rect)| p.area_px2().max(q.area_px2()).sqrt();
+        common.first().is_some_and(|first| {
+            common.iter().all(|pair| {
+                let (before, after) = (offset(first), offset(pair));
+                let change = (after[0] - before[0]).hypot(after[1] - before[1]);
+                change <= 2.0 * self.scales.pixel + MOST_CHANGE * side(first).min(side(pair))
+            })
+        })
+    }
+}
+
+/// A point in a box.
+struct Inside {
+    track: usize,
+    place: [f64; 2],
+    is_own: bool,
+}
+
+/// Frames from the first box to the last.
+fn range_of(boxes: &BTreeMap<u32, Rect>) -> std::ops::RangeInclusive<u32> {
+    match (boxes.keys().next(), boxes.keys().next_back()) {
+        (Some(first), Some(last)) => *first..=*last,
+        _ => 0..=0,
+    }
+}
+
+/// A box without strips along its sides in which hardly anything is its own.
+fn trimmed(mut rect: Rect, points: &[Inside]) -> Rect {
+    const STRIP: f64 = 0.15;
+    const LEAST_OWN: f64 = 0.25;
+    for _ in 0..12 {
+        let (dx, dy) = (STRIP * rect.width(), STRIP * rect.height());
+        let inner = [
+            Rect { x0: rect.x0 + dx, ..rect },
+            Rect { y0: rect.y0 + dy, ..rect },
+            Rect { x1: rect.x1 - dx, ..rect },
+            Rect { y1: rect.y1 - dy, ..rect },
+        ];
+        let in_strip = |rest: &Rect, p: &[f64; 2]| rect.contains(p[0], p[1]) && !rest.contains(p[0], p[1]);
+        let is_foreign = |rest: &&Rect| {
+            let strip = points.iter().filter(|p| in_strip(rest, &p.place));
+            let (own, all) = strip.fold((0, 0), |(own, all), p| (own + u32::from(p.is_own), all + 1));
+            all > 0 && f64::from(own) < LEAST_OWN * f64::from(all)
+        };
+        match inner.iter().find(is_foreign) {
+            Some(rest) => rect = *rest,
+            None => break,
+        }
+    }
+    rect
+}
+
+/// The value that a quarter of all exceeds.
+fn upper_quartile(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() * 3 / 4).copied()
+}
+
+/// Distances that remain when a similarity of the plane takes each first point to its second, by least squares.
+fn similarity_residuals(pairs: &[([f64; 2], [f64; 2])]) -> Vec<f64> {
+    let n = pairs.len() as f64;
+    let add = |s: [f64; 2], p: [f64; 2]| [s[0] + p[0], s[1] + p[1]];
+    let a = pairs.iter().fold([0.0; 2], |sum, pair| add(sum, pair.0)).map(|x| x / n);
+    let b = pairs.iter().fold([0.0; 2], |sum, pair| add(sum, pair.1)).map(|x| x / n);
+    let centred = |(p, q): &([f64; 2], [f64; 2])| ([p[0] - a[0], p[1] - a[1]], [q[0] - b[0], q[1] - b[1]]);
+    let (mut along, mut across, mut square) = (0.0, 0.0, 0.0);
+    for (p, q) in pairs.iter().map(centred) {
+        along += p[0] * q[0] + p[1] * q[1];
+        across += p[0] * q[1] - p[1] * q[0];
+        square += p[0] * p[0] + p[1] * p[1];
+    }
+    let (c, s) = (along / square.max(1e-12), across / square.max(1e-12));
+    let rest = |(p, q): ([f64; 2], [f64; 2])| (q[0] - c * p[0] + s * p[1]).hypot(q[1] - s * p[0] - c * p[1]);
+    pairs.iter().map(centred).map(rest).collect()
+}
+
+/// Whether the smaller of two boxes lies in or at the larger one.
+fn touches(a: &Rect, b: &Rect) -> bool {
+    let smaller = a.area_px2().min(b.area_px2());
+    a.grown(0.08).intersection(&b.grown(0.08)).area_px2() > 0.15 * smaller
+}
+
+fn middle(b: &Rect) -> [f64; 2] {
+    [0.5 * (b.x0 + b.x1), 0.5 * (b.y0 + b.y1)]
+}
+
+/// Where a group goes as a whole: the sum of the median steps of its points.
+struct Path {
+    first: u32,
+    places: Vec<[f64; 2]>,
+    seen: Vec<u32>,
+}
+
+impl Path {
+    fn new(tracks: &[PointTrack], group: &[usize]) -> Self {
+        let first = group.iter().map(|&k| tracks[k].first).min().unwrap_or(0);
+        let end = group.iter().map(|&k| tracks[k].end()).max().unwrap_or(first);
+        let (mut places, mut seen) = (Vec::new(), Vec::new());
+        let mut at = [0.0; 2];
+        for frame in first..end {
+            let steps: Vec<[f64; 2]> = group.iter().filter_map(|&k| step(&tracks[k], frame)).collect();
+            let median = |k: usize| upper_median(steps.iter().map(|s| s[k]).collect()).unwrap_or(0.0);
+            at = [at[0] + median(0), at[1] + median(1)];
+            places.push(at);
+            seen.push(group.iter().filter(|&&k| tracks[k].at(frame).is_some()).count() as u32);
+        }
+        Self { first, places, seen }
+    }
+
+    /// How far it gets from where it was, the larger of both directions, pixels.
+    fn excursion(&self) -> f64 {
+        let spread = |k: usize| {
+            let values = || self.places.iter().map(|p| p[k]);
+            values().fold(f64::MIN, f64::max) - values().fold(f64::MAX, f64::min)
+        };
+        spread(0).max(spread(1))
+    }
+
+    fn frames(&self) -> std::ops::Range<u32> {
+        self.first..self.first + self.places.len() as u32
+    }
+
+    fn num_seen(&self, frame: u32) -> u32 {
+        frame.checked_sub(self.first).and_then(|k| self.seen.get(k as usize)).copied().unwrap_or(0)
+    }
+
+    /// Where a point of one frame is in another if it goes with the group.
+    fn carried(&self, place: [f64; 2], from: u32, to: u32) -> Option<[f64; 2]> {
+        let at = |frame: u32| self.places.get(frame.checked_sub(self.first)? as usize);
+        let (a, b) = (at(from)?, at(to)?);
+        Some([place[0] + b[0] - a[0], place[1] + b[1] - a[1]])
+    }
+}
+
+/// A track's step into a frame.
+fn step(track: &PointTrack, frame: u32) -> Option<[f64; 2]> {
+    let (before, now) = (track.at(frame.checked_sub(1)?)?, track.at(frame)?);
+    Some([now[0] - before[0], now[1] - before[1]])
+}

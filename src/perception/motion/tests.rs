@@ -1,0 +1,166 @@
+//! Made-up worlds in which it is known what moves.
+
+use super::world::{Flight, Plan, World, world};
+use super::{
+    MotionOptions, Movement, MovementReason, Mover, PointTrack, Surroundings, TrackLabel, Verdict, classify, judge,
+    movers,
+};
+use crate::scene::Rect;
+
+fn look(world: &World) -> (Vec<TrackLabel>, Vec<Mover>) {
+    look_with(world, &world.surroundings())
+}
+
+fn look_with(world: &World, surroundings: &Surroundings) -> (Vec<TrackLabel>, Vec<Mover>) {
+    let options = MotionOptions::default();
+    let labels = classify(&world.tracks, surroundings, &options.evidence);
+    let found = movers(&world.tracks, &labels, surroundings, &options);
+    (labels, found)
+}
+
+/// Parts of the vehicle's tracks, and of all others, that are said to move.
+fn rates(world: &World, labels: &[TrackLabel]) -> (f64, f64) {
+    let share = |vehicle: bool| {
+        let of = || world.is_vehicle.iter().zip(labels).filter(move |(is, _)| **is == vehicle);
+        of().filter(|(_, label)| label.is_moving()).count() as f64 / of().count().max(1) as f64
+    };
+    (share(true), share(false))
+}
+
+/// The box of the vehicle's points in a frame.
+fn truth(world: &World, frame: u32) -> Option<Rect> {
+    let own = world.tracks.iter().zip(&world.is_vehicle).filter(|(_, is)| **is);
+    let points = own.filter_map(|(track, _)| track.at(frame));
+    points.map(|[x, y]| Rect { x0: x, y0: y, x1: x, y1: y }).reduce(|a, b| a.union(&b))
+}
+
+/// Part of the frames with the vehicle in which a box fits it.
+fn found_share(world: &World, found: &[Mover]) -> f64 {
+    let frames: Vec<(u32, Rect)> = (0..30).filter_map(|frame| Some((frame, truth(world, frame)?))).collect();
+    let fits = |(frame, rect): &&(u32, Rect)| {
+        found.iter().filter_map(|mover| mover.boxes.get(frame)).any(|found| found.iou(rect) >= 0.5)
+    };
+    frames.iter().filter(fits).count() as f64 / frames.len().max(1) as f64
+}
+
+fn plan(flight: Flight, start: [f64; 2], velocity: [f64; 2]) -> Plan {
+    Plan { flight, vehicle: Some((start, velocity)), ..Plan::default() }
+}
+
+const LOW: Flight = Flight::Forward { height_m: 1.5 };
+const HIGH: Flight = Flight::Forward { height_m: 12.0 };
+
+#[test]
+fn a_crossing_vehicle_is_found_however_the_camera_moves() {
+    for flight in [Flight::Hovering, Flight::Turning, HIGH, Flight::Sideways] {
+        for noise_px in [0.0, 0.3] {
+            let world = world(&Plan { noise_px, ..plan(flight, [40.0, -8.0], [2.0, 5.0]) });
+            let (labels, found) = look(&world);
+            let (moving, others) = rates(&world, &labels);
+            assert!(moving > 0.95 && others < 0.03, "{flight:?} {noise_px}: {moving} {others}");
+            assert_eq!(found.len(), 1, "{flight:?} {noise_px}");
+            assert!(found_share(&world, &found) > 0.95, "{flight:?} {noise_px}: {}", found_share(&world, &found));
+        }
+    }
+}
+
+#[test]
+fn a_vehicle_ahead_at_the_same_speed_would_lie_behind_the_ground() {
+    for flight in [LOW, HIGH] {
+        let start = if flight == LOW { [14.0, 0.5] } else { [40.0, 0.5] };
+        let world = world(&Plan { has_trees: false, ..plan(flight, start, [8.8, 0.2]) });
+        let (labels, found) = look(&world);
+        let (moving, others) = rates(&world, &labels);
+        // The upper half of a car is at the height of a dash camera's horizon: nothing tells it from the far distance.
+        assert!(moving > if flight == LOW { 0.3 } else { 0.9 }, "{flight:?}: {moving}");
+        assert!(others < 0.01, "{flight:?}: {others}");
+        assert_eq!(found.len(), 1, "{flight:?}");
+        let blind = Surroundings { ground: None, ..world.surroundings() };
+        assert!(look_with(&world, &blind).1.is_empty(), "without the ground it is at infinity");
+    }
+}
+
+#[test]
+fn an_oncoming_vehicle_floats() {
+    let world = world(&Plan { has_trees: false, ..plan(HIGH, [75.0, 3.0], [-8.0, 0.0]) });
+    let (labels, _) = look(&world);
+    let own: Vec<_> = (0..labels.len()).filter(|&k| world.is_vehicle[k]).collect();
+    let floating = own.iter().filter(|&&k| labels[k].verdict == Verdict::Floating).count();
+    assert!(2 * floating > own.len(), "{floating} of {}", own.len());
+    let points: Vec<_> = own.iter().map(|&k| (&world.tracks[k], &labels[k], 1.0)).collect();
+    let judged = judge(&points);
+    assert_eq!((judged.movement, judged.reason), (Movement::Moving, MovementReason::FootFloats), "{judged:?}");
+}
+
+#[test]
+fn a_parked_vehicle_stands() {
+    for flight in [HIGH, Flight::Sideways] {
+        let world = world(&plan(flight, [40.0, 2.0], [0.0, 0.0]));
+        let (labels, found) = look(&world);
+        assert!(found.is_empty(), "{flight:?}: {}", found.len());
+        let own = (0..labels.len()).filter(|&k| world.is_vehicle[k]);
+        let judged = judge(&own.map(|k| (&world.tracks[k], &labels[k], 1.0)).collect::<Vec<_>>());
+        assert_eq!(judged.movement, Movement::Standing, "{flight:?}: {judged}");
+    }
+}
+
+#[test]
+fn a_vehicle_that_stops_keeps_its_label_and_its_boxes() {
+    let world = world(&Plan { stops_at: Some(12), ..plan(Flight::Sideways, [35.0, -6.0], [0.0, 5.0]) });
+    let (labels, found) = look(&world);
+    assert!(rates(&world, &labels).0 > 0.9);
+    assert!(
+        found.len() == 1 && found[0].boxes.contains_key(&29),
+        "{:?}",
+        found.iter().map(Mover::life).collect::<Vec<_>>()
+    );
+}
+
+#[test]
+fn nothing_that_stands_or_waves_becomes_a_mover() {
+    let mut num_movers = 0;
+    for seed in 0..25 {
+        for flight in [Flight::Hovering, Flight::Turning, LOW, HIGH, Flight::Sideways] {
+            let world = world(&Plan { flight, seed, noise_px: 0.3, ..Plan::default() });
+            let (labels, found) = look(&world);
+            let trees = 12.0 * 25.0 / world.tracks.len() as f64;
+            let (_, moving) = rates(&world, &labels);
+            assert!(moving < trees + 0.02, "{flight:?} {seed}: {moving}");
+            num_movers += found.len();
+        }
+    }
+    assert!(num_movers <= 2, "{num_movers} in 125 worlds");
+}
+
+#[test]
+fn without_cameras_nothing_is_said_and_nothing_fails() {
+    let world = world(&plan(HIGH, [40.0, 0.0], [8.0, 0.0]));
+    let none = vec![None; world.views.len()];
+    for views in [&none[..], &[]] {
+        let (labels, found) = look_with(&world, &Surroundings { views, ..world.surroundings() });
+        assert!(found.is_empty() && labels.iter().all(|label| label.verdict == Verdict::Undetermined));
+    }
+    let (labels, found) = look_with(&world, &Surroundings { times_s: &[], views: &[], ..world.surroundings() });
+    assert!(found.is_empty() && labels.len() == world.tracks.len());
+    assert_eq!(judge(&[]).movement, Movement::Undetermined);
+}
+
+#[test]
+fn what_is_fixed_to_the_camera_is_no_mover() {
+    let mut world = world(&Plan { flight: LOW, num_frames: 45, ..Plan::default() });
+    for k in 0..40u8 {
+        let place = [400.0 + 8.0 * f32::from(k % 10), 480.0 + 8.0 * f32::from(k / 10)];
+        // It drifts by a pixel or two, as points on a reflection do.
+        let pixels = (0u8..45).map(|frame| [place[0] + 0.04 * f32::from(frame), place[1]]).collect();
+        world.tracks.push(PointTrack { first: 0, pixels });
+        world.is_vehicle.push(true);
+    }
+    let (_, found) = look(&world);
+    assert!(found.is_empty(), "{:?}", found.iter().map(Mover::life).collect::<Vec<_>>());
+}
+
+#[test]
+fn the_same_input_gives_the_same_movers() {
+    let world = world(&plan(Flight::Sideways, [40.0, -8.0], [2.0, 5.0]));
+    assert_eq!(look(&world), look(&world));
+}

@@ -1,0 +1,198 @@
+//! A made-up world: ground, things that stand on it, and a vehicle, seen by a camera that moves in different ways.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector3};
+use rand::Rng as _;
+use rand_distr::StandardNormal;
+
+use super::{GroundModel, PointTrack, Surroundings, View};
+use crate::camera::Camera;
+use crate::math::{Rigid3, Rng, seeded_rng};
+use crate::scene::Rect;
+
+/// Frames per second.
+const FPS: f64 = 10.0;
+
+/// How the camera moves. The world is metric, z up; the camera looks along x, a little down.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Flight {
+    /// Not at all.
+    Hovering,
+    /// Turning about its own centre.
+    Turning,
+    /// Along x at 8 m/s, `height_m` over the ground.
+    Forward { height_m: f64 },
+    /// Along y at 5 m/s, 15 m over the ground.
+    Sideways,
+}
+
+/// What else there is.
+#[derive(Clone, Copy, Debug)]
+pub struct Plan {
+    pub flight: Flight,
+    /// Place of the vehicle's middle at the start, and its velocity, metres per second.
+    pub vehicle: Option<([f64; 2], [f64; 2])>,
+    /// The vehicle stands from this frame on.
+    pub stops_at: Option<u32>,
+    /// Posts, and crowns that wave.
+    pub has_trees: bool,
+    /// Standard deviation of the positions, pixels.
+    pub noise_px: f64,
+    pub num_frames: u32,
+    pub seed: u64,
+}
+
+impl Default for Plan {
+    fn default() -> Self {
+        Self {
+            flight: Flight::Sideways,
+            vehicle: None,
+            stops_at: None,
+            has_trees: true,
+            noise_px: 0.2,
+            num_frames: 30,
+            seed: 1,
+        }
+    }
+}
+
+/// What a follower would give, and what is true.
+pub struct World {
+    pub tracks: Vec<PointTrack>,
+    /// Whether each track lies on the vehicle.
+    pub is_vehicle: Vec<bool>,
+    pub views: Vec<Option<View>>,
+    pub times_s: Vec<f64>,
+    pub ground: GroundModel,
+}
+
+impl World {
+    pub fn surroundings(&self) -> Surroundings<'_> {
+        Surroundings { size: (960, 540), times_s: &self.times_s, views: &self.views, ground: Some(&self.ground) }
+    }
+}
+
+/// Where a point is in each frame.
+type Way = Box<dyn Fn(u32) -> Point3<f64>>;
+
+pub fn world(plan: &Plan) -> World {
+    let rng = &mut seeded_rng(plan.seed, 0x6d6f_7669);
+    let views: Vec<Option<View>> = (0..plan.num_frames).map(|frame| Some(view(plan.flight, frame))).collect();
+    let mut ways: Vec<(Way, bool)> = Vec::new();
+    for _ in 0..2500 {
+        let place = Point3::new(rng.random_range(3.0..90.0), rng.random_range(-35.0..35.0), 0.0);
+        ways.push((Box::new(move |_| place), false));
+    }
+    if plan.has_trees {
+        ways.extend(trees(rng).into_iter().map(|way| (way, false)));
+    }
+    if let Some((start, velocity)) = plan.vehicle {
+        ways.extend(vehicle(start, velocity, plan.stops_at, rng).into_iter().map(|way| (way, true)));
+    }
+    let hidden = hidden(&ways, &views);
+    let nothing = vec![None; views.len()];
+    let seen = ways.iter().filter_map(|(way, is_vehicle)| {
+        let hidden = if *is_vehicle { &nothing } else { &hidden };
+        Some((track(way, &views, hidden, plan.noise_px, rng)?, *is_vehicle))
+    });
+    let (tracks, is_vehicle) = seen.unzip();
+    let ground = GroundModel::new(Vector3::z(), Point3::origin(), &[]).unwrap();
+    World { tracks, is_vehicle, views, times_s: (0..plan.num_frames).map(|k| f64::from(k) / FPS).collect(), ground }
+}
+
+/// What the vehicle hides in each frame.
+fn hidden(ways: &[(Way, bool)], views: &[Option<View>]) -> Vec<Option<Rect>> {
+    let in_frame = |(frame, view): (u32, &Option<View>)| {
+        let points = ways.iter().filter(|(_, is_vehicle)| *is_vehicle);
+        let pixels = points.filter_map(|(way, _)| pixel(view.as_ref()?, way(frame)));
+        let all = pixels.map(|p| Rect { x0: p.x, y0: p.y, x1: p.x, y1: p.y }).reduce(|a, b| a.union(&b));
+        all.map(|rect| rect.grown(-0.03))
+    };
+    (0u32..).zip(views).map(in_frame).collect()
+}
+
+fn view(flight: Flight, frame: u32) -> View {
+    let t = f64::from(frame) / FPS;
+    let (center, yaw, pitch) = match flight {
+        Flight::Hovering => (Point3::new(0.0, 0.0, 12.0), 0.0, 0.45),
+        Flight::Turning => (Point3::new(0.0, 0.0, 12.0), 0.08 * t, 0.45),
+        Flight::Forward { height_m } => (Point3::new(8.0 * t, 0.0, height_m), 0.0, 0.02 * height_m),
+        Flight::Sideways => (Point3::new(0.0, -6.0 + 5.0 * t, 15.0), 0.0, 0.5),
+    };
+    let forward = Vector3::new(pitch.cos() * yaw.cos(), pitch.cos() * yaw.sin(), -pitch.sin());
+    let right = forward.cross(&Vector3::z()).normalize();
+    let rows = Matrix3::from_columns(&[right, forward.cross(&right), forward]).transpose();
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rows));
+    let camera = Camera::with_focal(960, 540, 800.0);
+    View { camera, cam_from_world: Rigid3::from_rotation_and_center(rotation, center) }
+}
+
+/// Posts of 6 m, and crowns that wave by 3 cm.
+fn trees(rng: &mut Rng) -> Vec<Way> {
+    let mut ways: Vec<Way> = Vec::new();
+    for tree in 0..12 {
+        let (x, y) =
+            (rng.random_range(12.0..70.0), rng.random_range(4.0..14.0) * if tree % 2 == 0 { 1.0 } else { -1.0 });
+        for k in 0..12 {
+            let place = Point3::new(x, y, 0.5 * f64::from(k));
+            ways.push(Box::new(move |_| place));
+        }
+        for _ in 0..25 {
+            let mut offset = || rng.random_range(-1.2..1.2);
+            let place = Point3::new(x + offset(), y + offset(), 6.0 + offset());
+            let phase = offset();
+            ways.push(Box::new(move |frame| {
+                place + Vector3::new(0.0, 0.03, 0.01) * (TAU * f64::from(frame) / FPS * 0.7 + phase).sin()
+            }));
+        }
+    }
+    ways
+}
+
+/// Points on the sides and the top of a box of 4.4 × 1.8 × 1.5 m.
+fn vehicle(start: [f64; 2], velocity: [f64; 2], stops_at: Option<u32>, rng: &mut Rng) -> Vec<Way> {
+    let heading = if velocity == [0.0; 2] { 0.0 } else { velocity[1].atan2(velocity[0]) };
+    let way = |_| -> Way {
+        let mut at = [0; 3].map(|_| rng.random_range(-1.0..1.0));
+        at[rng.random_range(0..3)] = if rng.random() { 1.0 } else { -1.0 };
+        let (along, across, up) = (2.2 * at[0], 0.9 * at[1], 0.75 + 0.75 * at[2]);
+        let (sin, cos) = f64::sin_cos(heading);
+        let place = Point3::new(start[0] + along * cos - across * sin, start[1] + along * sin + across * cos, up);
+        Box::new(move |frame| {
+            let t = f64::from(stops_at.map_or(frame, |stop| frame.min(stop))) / FPS;
+            place + Vector3::new(velocity[0], velocity[1], 0.0) * t
+        })
+    };
+    (0..70).map(way).collect()
+}
+
+/// The longest run of frames in which a point is in the picture.
+fn track(
+    way: &Way,
+    views: &[Option<View>],
+    hidden: &[Option<Rect>],
+    noise_px: f64,
+    rng: &mut Rng,
+) -> Option<PointTrack> {
+    let mut best = PointTrack { first: 0, pixels: Vec::new() };
+    let mut run = best.clone();
+    for (frame, (view, hidden)) in (0u32..).zip(views.iter().zip(hidden)) {
+        let is_free = |p: &Point2<f64>| hidden.is_none_or(|rect| !rect.contains(p.x, p.y));
+        match view.as_ref().and_then(|view| pixel(view, way(frame))).filter(is_free) {
+            Some(p) => {
+                let mut noisy = |x: f64| (x + noise_px * rng.sample::<f64, _>(StandardNormal)) as f32;
+                run.pixels.push([noisy(p.x), noisy(p.y)]);
+            }
+            None => run = PointTrack { first: frame + 1, pixels: Vec::new() },
+        }
+        if run.pixels.len() > best.pixels.len() {
+            best.clone_from(&run);
+        }
+    }
+    (best.pixels.len() >= 4).then_some(best)
+}
+
+fn pixel(view: &View, place: Point3<f64>) -> Option<Point2<f64>> {
+    view.camera.pixel_from_cam(view.cam_from_world * place).filter(|p| view.camera.contains(*p))
+}
