@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use image::{Rgb, RgbImage};
 use tractrix::perception::{
-    Evidence, FlowOptions, SegmentationOptions, TrackSummary, TrackedMask, Tracker, TrackerOptions, load_flow,
+    Evidence, FlowOptions, Look, SegmentationOptions, TrackSummary, TrackedMask, Tracker, TrackerOptions, load_flow,
     load_segmenter,
 };
 use tractrix::scene::{Frame, Mask, ObjectId};
@@ -56,7 +56,8 @@ fn follow(
         let (frame, image) = item?;
         let detections = timed(&mut times.segmentation, || segmenter.segment(&image))?;
         let flow = previous.map(|previous| timed(&mut times.flow, || estimator.flow(&previous, &image))).transpose()?;
-        let masks = timed(&mut times.tracking, || tracker.advance(&frame, &image, detections, flow.as_ref()))?;
+        let masks =
+            timed(&mut times.tracking, || tracker.advance(&frame, &image, Look::Masks(detections), flow.as_ref()))?;
         if let Some(folder) = pictures {
             write_picture(folder, &frame, &image, &masks)?;
         }

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use tractrix::perception::{
-    FlowOptions, GroundOptions, SegmentationOptions, TrackSummary, TrackedMask, Tracker, TrackerOptions, load_flow,
-    load_ground_segmenter, load_segmenter,
+    FlowOptions, GroundOptions, Look, SegmentationOptions, TrackSummary, TrackedMask, Tracker, TrackerOptions,
+    load_flow, load_ground_segmenter, load_segmenter,
 };
 use tractrix::scene::{BoundingBox, Frame, Mask, ObjectId};
 use tractrix::video::Source;
@@ -45,7 +45,7 @@ fn follow(clip: &Path, limit: usize) -> Outcome {
     for (frame, image) in frames(clip).take(limit) {
         let detections = segmenter.segment(&image).unwrap();
         let flow = previous.map(|p| estimator.flow(&p, &image).unwrap());
-        let masks = tracker.advance(&frame, &image, detections, flow.as_ref()).unwrap();
+        let masks = tracker.advance(&frame, &image, Look::Masks(detections), flow.as_ref()).unwrap();
         assert_disjoint(&masks);
         outcome.boxes.push(masks.iter().filter_map(|m| Some((m.object, m.mask.bounding_box()?))).collect());
         previous = Some(image);

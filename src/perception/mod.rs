@@ -1,8 +1,10 @@
 //! Segmentation, optical flow and mask tracking.
 //!
-//! Three models stand behind three traits, so that the networks can be exchanged: a [`Segmenter`] finds objects in one
-//! frame, a [`GroundSegmenter`] finds the ground in one frame, a [`FlowEstimator`] says where each pixel of one frame
-//! lies in another. The [`Tracker`] joins detections of successive frames into tracks.
+//! Models stand behind traits, so that the networks can be exchanged: a [`Segmenter`] finds objects in one frame with
+//! their masks, a [`Detector`] finds them as boxes, a [`Prompter`] finds the masks of boxes, a [`GroundSegmenter`]
+//! finds the ground in one frame, a [`FlowEstimator`] says where each pixel of one frame lies in another. The
+//! [`Tracker`] joins detections of successive frames into tracks. A detector and a prompter come with the program
+//! ([`default_models`]).
 //!
 //! Networks are ONNX files; their family is recognised from the names and shapes of inputs and outputs, and what cannot
 //! be seen from these (the preprocessing of a semantic network) stands in `models/models.toml` or in a file of the same
@@ -12,8 +14,10 @@ mod description;
 mod error;
 mod flow;
 mod ground;
+pub mod motion;
 mod prompt;
 mod segmentation;
+mod shipped;
 mod tensor;
 mod tracking;
 
@@ -21,9 +25,15 @@ pub use self::description::{ModelDescription, Preprocessing};
 pub use self::error::PerceptionError;
 pub use self::flow::{DisFlow, DisPreset, FlowEstimator, FlowOptions, OnnxFlow, load_flow};
 pub use self::ground::{GroundOptions, GroundSegmenter, load_ground_segmenter};
-pub use self::prompt::{Prompted, Prompter};
-pub use self::segmentation::{Detector, SegmentationOptions, Segmenter, Tiling, load_segmenter};
-pub use self::tracking::{Evidence, TrackSummary, TrackedMask, Tracker, TrackerOptions};
+pub use self::prompt::{GrabCut, PromptOptions, Prompted, Prompter, load_prompter};
+pub use self::segmentation::{
+    Detector, DetectorOptions, SegmentationOptions, Segmenter, Tiling, load_detector, load_segmenter,
+};
+pub use self::shipped::{DefaultModels, default_descriptions, default_models};
+pub use self::tracking::{
+    BackwardTracker, End, Evidence, Extension, FoundIn, Look, Outline, TrackSummary, TrackedMask, Tracker,
+    TrackerOptions, Unsupported, support,
+};
 
 /// Longer sides of pictures, pixels, that networks are asked about: below, there is nothing to see; beyond, memory
 /// ends.

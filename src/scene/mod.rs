@@ -9,6 +9,7 @@ mod ground;
 mod mask;
 mod mesh;
 mod reconstruction;
+mod tracked;
 mod trajectory;
 
 pub use boxes::{BoxDetection, Finder, Rect};
@@ -18,6 +19,7 @@ pub use ground::{Ground, GroundPlane, GroundSource};
 pub use mask::{BoundingBox, Detection, LabelMap, Mask};
 pub use mesh::TriangleMesh;
 pub use reconstruction::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
+pub use tracked::{FoundIn, Movement, MovementFinding, Outline, TrackedObject};
 pub use trajectory::{
     ModelState, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, Trajectories, Unit,
 };

@@ -12,13 +12,35 @@
 //!   none. Its masks from before are not lost: every mask is reported at once under a provisional id, and
 //!   [`Tracker::finish`] says which provisional ids became which objects.
 //!
+//! Where only boxes are known ([`Look::Boxes`]), masks are asked for in some frames and carried in the others:
+//!
+//! - Boxes of one frame that mean one object are joined. A box of motion that covers several objects speaks for each.
+//!   Boxes that show nothing that is followed wait, moved by flow, until masks are asked for.
+//! - Then every box is asked about, and every carried mask that no box repeats: so a track lives on where the detector
+//!   is blind. Masks and boxes meet the tracks by overlap (Hungarian again), lost ones by place and appearance.
+//! - Of the new masks and the carried one an object gets the one that fits its size, colours, place and box best
+//!   (`choice.rs`). No two objects get the same. A mask may fail twice in a row; then the object counts as lost once
+//!   its mask is older than [`TrackerOptions::max_carried`] frames.
+//! - Carrying between such frames is no miss, and confirmation counts boxes, not frames: an id is given with the third
+//!   box, whenever it comes, as long as the object was never lost.
+//! - Objects that were found late are followed back in time when all frames are through ([`BackwardTracker`]).
+//! - [`support`] says which objects are vehicles enough for a trajectory.
+//!
 //! The tracker is a plain function of its inputs: fed again with the detections that a killed run left behind, it gives
 //! the same ids.
 
 mod appearance;
 mod assignment;
+mod backward;
+#[cfg(test)]
+mod box_tests;
+mod boxes;
 mod carry;
+mod choice;
+mod ledger;
 mod region;
+mod sights;
+mod support;
 #[cfg(test)]
 mod tests;
 mod track;
@@ -29,18 +51,41 @@ mod world;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use self::backward::{BackwardTracker, End, Extension};
+pub use self::support::{Unsupported, support};
 pub use self::tracker::Tracker;
 use crate::limits::{Checked, ordered, some_of, within};
-use crate::scene::{FrameId, Mask, ObjectId};
+use crate::perception::Prompter;
+use crate::scene::{BoxDetection, Detection, FrameId, Mask, ObjectId};
+
+/// What is known of a frame before the tracker sees it.
+pub enum Look<'a> {
+    /// An instance segmentation network looked at it.
+    Masks(Vec<Detection>),
+    /// Boxes of a detector, of motion, or of both.
+    Boxes {
+        /// What was found; may be empty.
+        found: Vec<BoxDetection>,
+        /// Whom to ask for the masks of boxes; `None` where masks are carried from earlier frames.
+        prompter: Option<&'a mut dyn Prompter>,
+    },
+    /// Nobody looked.
+    NotLooked,
+}
 
 /// What a mask rests on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Evidence {
-    /// A detection of this frame.
+    /// A detection of this frame. Where only boxes are known, the mask may be carried, and a box agrees with it.
     Detected {
         /// The model's score, 0 to 1.
         confidence: f64,
+    },
+    /// A mask asked for in the place to which that of an earlier frame was carried; no box of this frame shows it.
+    Prompted {
+        /// How good the mask is, in the words of what made it, 0 to 1.
+        quality: f64,
     },
     /// The mask of an earlier frame, carried by optical flow.
     Carried,
@@ -57,6 +102,44 @@ pub struct TrackedMask {
     pub evidence: Evidence,
 }
 
+/// In how many frames what found an object. The first three count frames with a box, the last two frames without one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FoundIn {
+    /// The detector alone, or a segmentation network.
+    pub detector: usize,
+    /// Motion alone.
+    pub motion: usize,
+    /// Detector and motion.
+    pub both: usize,
+    /// Only a mask asked for in the place where the object had to be.
+    pub prompted: usize,
+    /// Only a mask carried by flow.
+    pub carried: usize,
+}
+
+impl FoundIn {
+    /// Frames with a box of the detector.
+    pub fn by_detector(&self) -> usize {
+        self.detector + self.both
+    }
+
+    /// Frames with a box of motion.
+    pub fn by_motion(&self) -> usize {
+        self.motion + self.both
+    }
+}
+
+/// How well masks follow an outline.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Outline {
+    /// As well as a network that was made for it.
+    #[default]
+    Fine,
+    /// Only so that the object is found.
+    Coarse,
+}
+
 /// What is known of an object when all frames are through.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrackSummary {
@@ -70,14 +153,25 @@ pub struct TrackSummary {
     pub confidence: f64,
     /// The first frame in which it was detected.
     pub first: FrameId,
-    /// The last frame in which it was detected. Masks carried beyond it are guesses without confirmation: drop them.
+    /// The last frame in which it was detected, or in which its mask was renewed or not yet due. Masks carried beyond
+    /// it are guesses without confirmation: drop them.
     pub last: FrameId,
-    /// Frames with a detection.
+    /// Frames with a detection, by whatever.
     pub num_detected: usize,
     /// Frames between `first` and `last` with a carried mask.
     pub num_carried: usize,
     /// Mean number of pixels of its detected masks.
     pub mean_area_px2: f64,
+    /// What found it.
+    pub found: FoundIn,
+    /// Frames of its life that somebody looked at.
+    pub num_looks: usize,
+    /// Mean confidence of the detector's boxes, 0 to 1; 0 if there is none.
+    pub class_confidence: f64,
+    /// Mean quality of the masks that were asked for, 0 to 1; `None` if the masks are a segmentation network's own.
+    pub mask_quality: Option<f64>,
+    /// How well its masks follow its outline.
+    pub outline: Outline,
 }
 
 /// Options of the tracker.
@@ -89,6 +183,9 @@ pub struct TrackerOptions {
     /// A track starts with a detection of at least this confidence; weaker ones only continue tracks.
     #[schemars(extend("unit" = "score, 0 to 1"))]
     pub start_confidence: f64,
+    /// A track starts with what only moves if motion is at least so sure of it: trees, poles and reflections move, too.
+    #[schemars(extend("unit" = "0 to 1"))]
+    pub start_motion: f64,
     /// Detections with fewer pixels are passed over.
     pub min_area_px2: usize,
     /// Overlap (intersection over union) that a detection must have with the carried mask of its object.
@@ -97,13 +194,14 @@ pub struct TrackerOptions {
     /// Of two detections of which one lies in the other by more than this share, only the surer one counts.
     #[schemars(extend("unit" = "share"))]
     pub duplicate_overlap: f64,
-    /// Detections that give an object its lasting id, if they lie within `confirm_window` frames.
+    /// Detections that give an object its lasting id, if they lie within `confirm_window` looks. Boxes need not lie
+    /// close together.
     #[schemars(extend("unit" = "detections"))]
     pub min_detections: usize,
-    /// Frames within which `min_detections` detections must lie.
+    /// Looks (frames that somebody looked at) within which `min_detections` detections must lie.
     #[schemars(extend("unit" = "frames"))]
     pub confirm_window: usize,
-    /// Frames for which a mask is carried without a detection.
+    /// Frames for which a mask is carried without a detection. Frames in which nobody asks for a mask do not count.
     #[schemars(extend("unit" = "frames"))]
     pub max_carried: usize,
     /// Share of a mask's pixels that must be carried by consistent flow for the carried mask to count.
@@ -137,6 +235,7 @@ impl Default for TrackerOptions {
         Self {
             track_classes: VEHICLES.map(str::to_owned).to_vec(),
             start_confidence: 0.35,
+            start_motion: 0.85,
             min_area_px2: 40,
             min_overlap: 0.2,
             duplicate_overlap: 0.7,
@@ -158,6 +257,7 @@ impl TrackerOptions {
     pub fn check(&self) -> Checked {
         some_of("track_classes", &self.track_classes)?;
         within("start_confidence", self.start_confidence, 0.0..=1.0)?;
+        within("start_motion", self.start_motion, 0.0..=1.0)?;
         within("min_overlap", self.min_overlap, 0.0..=1.0)?;
         within("duplicate_overlap", self.duplicate_overlap, 0.0..=1.0)?;
         within("min_detections", self.min_detections, 1..=1_000_000)?;

@@ -1,6 +1,6 @@
 //! A mask that stores only its bounding box: a frame has many small objects, and they are compared in pairs.
 
-use crate::scene::{BoundingBox, Mask};
+use crate::scene::{BoundingBox, Mask, Rect};
 
 /// The set pixels of one object; never empty.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,6 +49,11 @@ impl Region {
 
     pub(super) fn bounds(&self) -> BoundingBox {
         self.bounds
+    }
+
+    /// The bounding box as a box of real numbers.
+    pub(super) fn rect(&self) -> Rect {
+        self.bounds.into()
     }
 
     /// Number of pixels.

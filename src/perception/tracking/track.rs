@@ -4,14 +4,22 @@ use std::collections::BTreeMap;
 
 use super::appearance::Appearance;
 use super::carry::Carried;
+use super::choice::Fresh;
+use super::ledger::Ledger;
 use super::region::Region;
-use super::{TrackSummary, TrackerOptions};
+use super::sights::{Finding, Sight};
+use super::{Outline, TrackSummary, TrackerOptions};
 use crate::scene::{BoundingBox, FrameId, ObjectId};
 
 /// Share of the way that velocity and looks move towards each new measurement.
 const LEARNING_RATE: f64 = 0.4;
-/// A tentative track ends after so many frames without a detection.
+/// A tentative track ends after so many looks without a detection.
 const MAX_TENTATIVE_GAP: usize = 2;
+/// A tentative track whose mask a network renews again and again ends after so many looks without a box: a detector
+/// that knows the object badly finds it in one frame of ten.
+const MAX_UNBOXED_LOOKS: usize = 30;
+/// Frames with masks asked for in which all may fail before a track that is carried counts as lost.
+const MAX_FAILED_PROMPTS: usize = 2;
 /// Share by which the size of an object shrinks per detection when less of it is seen: it went further away, or is
 /// partly hidden.
 const SHRINK_RATE: f64 = 0.03;
@@ -36,7 +44,16 @@ pub(super) struct Candidate {
     pub(super) appearance: Option<Appearance>,
 }
 
-/// Frame number (how many frames the tracker has seen), id and time of a frame.
+/// What a track is made from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Origin {
+    /// Masks of a segmentation network, which looks at every frame.
+    Masks,
+    /// Boxes whose masks are asked for.
+    Boxes,
+}
+
+/// Number of looks before a frame (how many of the tracker's frames somebody looked at), its id and time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moment {
     pub(super) count: usize,
@@ -89,18 +106,75 @@ pub(super) struct Track {
     num_carried: usize,
     /// Carried frames since the last detection, which count once there is another detection.
     carried_since: usize,
+    origin: Origin,
+    /// Masks asked for in vain since the last one that fitted.
+    num_failed: usize,
+    /// The last look at which a box showed the object.
+    last_boxed: usize,
+    /// Pixels of the object while all of it was seen.
+    area: f64,
+    /// What its latest mask was worth when it was new, 0 to 1.
+    quality: f64,
+    ledger: Ledger,
 }
 
 impl Track {
     /// A new track from its first detection.
     pub(super) fn start(provisional: ObjectId, candidate: &Candidate, now: Moment) -> Self {
-        let mut track = Self {
+        let region = candidate.region.clone();
+        let mut track = Self::bare(provisional, Origin::Masks, region, candidate.appearance.clone(), now);
+        track.ledger.look();
+        track.count(candidate, now);
+        track
+    }
+
+    /// A new track from its first box and the mask in it.
+    pub(super) fn start_from_box(
+        provisional: ObjectId,
+        sight: &Sight,
+        fresh: &Fresh,
+        outline: Outline,
+        now: Moment,
+    ) -> Self {
+        let region = fresh.region.clone();
+        let mut track = Self::bare(provisional, Origin::Boxes, region, fresh.appearance.clone(), now);
+        track.ledger.look();
+        track.note(sight, now);
+        track.confirm_mask(fresh, outline, now);
+        track
+    }
+
+    /// A track of an object whose mask is known from elsewhere.
+    pub(super) fn resume(
+        provisional: ObjectId,
+        region: Region,
+        appearance: Option<Appearance>,
+        quality: f64,
+        now: Moment,
+    ) -> Self {
+        Self { quality, ..Self::bare(provisional, Origin::Boxes, region, appearance, now) }
+    }
+
+    /// Frames with a mask since the track was resumed, until the last one that can be trusted.
+    pub(super) fn num_frames_resumed(&self) -> usize {
+        self.ledger.found.prompted + self.ledger.found.carried
+    }
+
+    fn bare(
+        provisional: ObjectId,
+        origin: Origin,
+        region: Region,
+        appearance: Option<Appearance>,
+        now: Moment,
+    ) -> Self {
+        let (size, area) = (region.size(), region.area() as f64);
+        Self {
             provisional,
             id: None,
             presence: Presence::Detected,
-            region: candidate.region.clone(),
-            appearance: candidate.appearance.clone(),
-            size: candidate.region.size(),
+            region,
+            appearance,
+            size,
             velocity: [0.0; 2],
             last_detected: now,
             first: now.frame,
@@ -111,9 +185,13 @@ impl Track {
             num_detected: 0,
             num_carried: 0,
             carried_since: 0,
-        };
-        track.count(candidate, now);
-        track
+            origin,
+            num_failed: 0,
+            last_boxed: now.count,
+            area,
+            quality: 0.0,
+            ledger: Ledger::default(),
+        }
     }
 
     fn count(&mut self, candidate: &Candidate, now: Moment) {
@@ -122,9 +200,95 @@ impl Track {
         self.sum_confidence += candidate.confidence;
         self.sum_area += candidate.region.area() as f64;
         self.num_detected += 1;
+        self.ledger.note(&Finding { class: String::new(), detector: Some(candidate.confidence), motion: None });
+        self.trust(now);
+    }
+
+    /// What was carried since the last mask that can be trusted belongs to the object too.
+    fn trust(&mut self, now: Moment) {
         self.num_carried += self.carried_since;
         self.carried_since = 0;
         self.last_detected = now;
+        self.ledger.trust();
+    }
+
+    /// Counts the boxes that show the object; a class of the detector beats motion, which knows none.
+    pub(super) fn note(&mut self, sight: &Sight, now: Moment) {
+        for finding in sight.findings() {
+            *self.class_votes.entry(finding.class.clone()).or_default() += finding.detector.unwrap_or(0.0);
+            self.sum_confidence += finding.confidence();
+            self.num_detected += 1;
+            self.ledger.note(finding);
+        }
+        self.last_boxed = now.count;
+    }
+
+    /// Counts a look at the frame, whatever it showed.
+    pub(super) fn look(&mut self) {
+        self.ledger.look();
+    }
+
+    /// Counts a frame with a mask that no box of the frame shows.
+    pub(super) fn count_unboxed(&mut self, is_new: bool) {
+        self.ledger.count_unboxed(is_new);
+    }
+
+    /// Continues the track with a new mask.
+    pub(super) fn renew(
+        &mut self,
+        fresh: &Fresh,
+        outline: Outline,
+        prediction: &Prediction,
+        now: Moment,
+        elapsed_s: f64,
+    ) {
+        if let Some(carried) = prediction.carried.as_ref().filter(|_| !self.is_lost()) {
+            self.learn_velocity(carried.displacement, prediction.background, elapsed_s);
+        }
+        self.size = fresh.region.size().max(self.size * (1.0 - SHRINK_RATE));
+        self.region = fresh.region.clone();
+        self.learn_look(fresh.appearance.as_ref());
+        self.presence = Presence::Detected;
+        self.confirm_mask(fresh, outline, now);
+    }
+
+    fn confirm_mask(&mut self, fresh: &Fresh, outline: Outline, now: Moment) {
+        self.area = (fresh.region.area() as f64).max(self.area * (1.0 - SHRINK_RATE));
+        self.quality = fresh.quality;
+        self.num_failed = 0;
+        self.ledger.add_mask(fresh, outline);
+        self.trust(now);
+    }
+
+    /// Continues the track with its carried mask, in a frame in which no new one fits (`Some`: it was asked for in
+    /// vain) or none was asked for.
+    pub(super) fn carry_between(&mut self, prediction: &Prediction, asked: Asked, now: Moment, elapsed_s: f64) {
+        let Some(carried) = &prediction.carried else { return };
+        self.carry(carried, prediction.background, elapsed_s);
+        self.num_failed += usize::from(asked == Asked::InVain);
+        if self.num_failed == 0 {
+            self.trust(now);
+        }
+    }
+
+    /// Whether so many masks failed that the carried one is worth nothing.
+    pub(super) fn is_worn_out(&self, options: &TrackerOptions) -> bool {
+        let frames = self.frames_carried();
+        self.num_failed > MAX_FAILED_PROMPTS && frames >= options.max_carried
+    }
+
+    /// Frames since the mask was new.
+    pub(super) fn frames_carried(&self) -> usize {
+        if let Presence::Carried(frames) = self.presence { frames } else { 0 }
+    }
+
+    /// What it is made from.
+    pub(super) fn origin(&self) -> Origin {
+        self.origin
+    }
+
+    pub(super) fn is_lost(&self) -> bool {
+        matches!(self.presence, Presence::Lost(_))
     }
 
     /// Continues the track with a detection.
@@ -137,13 +301,17 @@ impl Track {
         }
         self.size = candidate.region.size().max(self.size * (1.0 - SHRINK_RATE));
         self.region = candidate.region.clone();
-        match (&mut self.appearance, &candidate.appearance) {
-            (Some(look), Some(newer)) => look.blend(newer, LEARNING_RATE as f32),
-            (look @ None, newer) => look.clone_from(newer),
-            (Some(_), None) => {}
-        }
+        self.learn_look(candidate.appearance.as_ref());
         self.presence = Presence::Detected;
         self.count(candidate, now);
+    }
+
+    fn learn_look(&mut self, newer: Option<&Appearance>) {
+        match (&mut self.appearance, newer) {
+            (Some(look), Some(newer)) => look.blend(newer, LEARNING_RATE as f32),
+            (look @ None, newer) => *look = newer.cloned(),
+            (Some(_), None) => {}
+        }
     }
 
     /// Continues the track with its carried mask.
@@ -181,8 +349,12 @@ impl Track {
         [background[0] + self.velocity[0] * elapsed_s, background[1] + self.velocity[1] * elapsed_s]
     }
 
-    /// Whether enough detections lie close together for a lasting id.
+    /// Whether enough detections lie close together for a lasting id. Boxes need not lie close together: the masks
+    /// between them, each renewed from the one before, say that they show one object.
     pub(super) fn earns_id(&self, options: &TrackerOptions) -> bool {
+        if self.origin == Origin::Boxes {
+            return self.id.is_none() && self.num_detected >= options.min_detections;
+        }
         let latest = self.recent.len().checked_sub(options.min_detections).map(|start| &self.recent[start..]);
         let close =
             |counts: &[usize]| counts.last().zip(counts.first()).is_some_and(|(l, f)| l - f < options.confirm_window);
@@ -193,6 +365,9 @@ impl Track {
     pub(super) fn is_over(&self, now: Moment, options: &TrackerOptions) -> bool {
         let gap = now.count - self.last_detected.count;
         match self.presence {
+            _ if self.id.is_none() && self.origin == Origin::Boxes => {
+                self.is_lost() || now.count - self.last_boxed > MAX_UNBOXED_LOOKS
+            }
             _ if self.id.is_none() => gap > MAX_TENTATIVE_GAP,
             Presence::Lost(since) => now.time_s - since > options.max_lost_secs,
             _ => false,
@@ -200,17 +375,50 @@ impl Track {
     }
 
     /// Whether a detection may be this lost object by its place, size and looks; the score if so, 0 to 1.
-    pub(super) fn recognise(&self, candidate: &Candidate, now: Moment, min_similarity: f64) -> Option<f64> {
-        let (Some(mine), Some(theirs)) = (&self.appearance, &candidate.appearance) else { return None };
-        let similarity = mine.similarity(theirs);
+    pub(super) fn recognise(
+        &self,
+        region: &Region,
+        appearance: Option<&Appearance>,
+        now: Moment,
+        min_similarity: f64,
+    ) -> Option<f64> {
+        let similarity = self.appearance.as_ref()?.similarity(appearance?);
         let lost_s = (now.time_s - self.last_detected.time_s).max(0.0);
         // Uncertain by one length at once and one more for every second.
-        let reach = self.size.max(candidate.region.size()) * (1.0 + lost_s);
-        let [dx, dy] = difference(candidate.region.centre(), self.region.centre());
+        let reach = self.size.max(region.size()) * (1.0 + lost_s);
+        let [dx, dy] = difference(region.centre(), self.region.centre());
         let nearness = 1.0 - dx.hypot(dy) / reach;
-        let ratio = candidate.region.area() as f64 / (self.sum_area / self.num_detected as f64).max(1.0);
+        let ratio = region.area() as f64 / self.mean_area().max(1.0);
         let fits = similarity >= min_similarity && nearness > 0.0 && (0.25..=4.0).contains(&ratio);
         fits.then_some(0.5 * similarity + 0.5 * nearness)
+    }
+
+    fn mean_area(&self) -> f64 {
+        match self.origin {
+            Origin::Masks => self.sum_area / self.num_detected as f64,
+            Origin::Boxes => self.ledger.mean_area(),
+        }
+    }
+
+    /// Pixels of the object while all of it was seen.
+    pub(super) fn full_area(&self) -> f64 {
+        self.area
+    }
+
+    /// What its latest mask was worth when it was new, 0 to 1.
+    pub(super) fn quality(&self) -> f64 {
+        self.quality
+    }
+
+    /// How much speaks for the track: confirmed ones before others, then by boxes.
+    pub(super) fn rank(&self) -> (bool, usize) {
+        (self.id.is_some(), self.num_detected)
+    }
+
+    /// Whether a box may show this object by its class. Motion knows no class.
+    pub(super) fn may_be(&self, class: Option<&str>) -> bool {
+        let is_named = self.class_votes.values().any(|votes| *votes > 0.0);
+        class.is_none_or(|class| !is_named || compatible(self.class(), class))
     }
 
     /// The class that detections name most; the alphabet breaks ties.
@@ -230,9 +438,32 @@ impl Track {
             last: self.last_detected.frame,
             num_detected: self.num_detected,
             num_carried: self.num_carried,
-            mean_area_px2: self.sum_area / self.num_detected as f64,
+            mean_area_px2: self.mean_area(),
+            found: self.ledger.found,
+            num_looks: self.ledger.num_looks(),
+            class_confidence: self.ledger.class_confidence(),
+            mask_quality: self.ledger.mask_quality(),
+            outline: self.ledger.outline,
         })
     }
+}
+
+/// Whether a mask was asked for in a frame to which one was carried.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Asked {
+    /// Nobody asked.
+    Not,
+    /// No answer was better than the carried mask.
+    InVain,
+}
+
+/// Classes that a network may confuse for one object; only one of a group is tracked per place.
+const TWO_WHEELERS: [&str; 6] = ["motorcycle", "motor", "motorbike", "bicycle", "rider", "person"];
+
+/// Whether two class names may belong to one object: networks confuse cars, vans, trucks and buses with one another,
+/// and motorcycles with bicycles, but not one group with the other.
+pub(super) fn compatible(a: &str, b: &str) -> bool {
+    TWO_WHEELERS.contains(&a) == TWO_WHEELERS.contains(&b)
 }
 
 fn difference(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {

@@ -4,38 +4,39 @@ use ::image::RgbImage;
 
 use super::appearance::Appearance;
 use super::assignment::assign;
-use super::carry::{background_displacement, carry};
+use super::boxes::View;
+use super::carry::{background_displacement, carry, carry_whole};
 use super::region::Region;
-use super::track::{Candidate, Moment, Prediction, Presence, Track, leaves};
-use super::{Evidence, TrackSummary, TrackedMask, TrackerOptions};
+use super::sights::Sight;
+use super::track::{Candidate, Moment, Origin, Prediction, Presence, Track, compatible, leaves};
+use super::{Evidence, Look, TrackSummary, TrackedMask, TrackerOptions};
 use crate::perception::PerceptionError;
 use crate::scene::{Detection, Flow, Frame, FrameId, Mask, ObjectId};
 
 /// A carried mask must keep at least this share of its pixels after nearer objects took theirs.
 const MIN_VISIBLE: f64 = 0.3;
 /// A detection of which more than this share lies in an object that is already followed starts no track of its own.
-const MAX_COVERED: f64 = 0.6;
-
-/// Classes that a network may confuse for one object; only one of a group is tracked per place.
-const TWO_WHEELERS: [&str; 6] = ["motorcycle", "motor", "motorbike", "bicycle", "rider", "person"];
+pub(super) const MAX_COVERED: f64 = 0.6;
 
 /// Follows objects from frame to frame; see the module.
 #[derive(Clone, Debug)]
 pub struct Tracker {
-    options: TrackerOptions,
-    tracks: Vec<Track>,
+    pub(super) options: TrackerOptions,
+    pub(super) tracks: Vec<Track>,
+    /// Boxes that show nothing that is followed and whose masks nobody asked for yet.
+    pub(super) waiting: Vec<Sight>,
+    pub(super) num_started: u32,
     finished: Vec<TrackSummary>,
-    num_started: u32,
     num_confirmed: u32,
-    num_frames: usize,
-    last_frame: Option<(FrameId, f64, (u32, u32))>,
+    num_looks: usize,
+    pub(super) last_frame: Option<(FrameId, f64, (u32, u32))>,
 }
 
 /// What became of a track in the current frame.
-struct Sighting {
-    track_idx: usize,
-    evidence: Evidence,
-    region: Region,
+pub(super) struct Sighting {
+    pub(super) track_idx: usize,
+    pub(super) evidence: Evidence,
+    pub(super) region: Region,
 }
 
 impl Tracker {
@@ -44,10 +45,11 @@ impl Tracker {
         Self {
             options,
             tracks: Vec::new(),
-            finished: Vec::new(),
+            waiting: Vec::new(),
             num_started: 0,
+            finished: Vec::new(),
             num_confirmed: 0,
-            num_frames: 0,
+            num_looks: 0,
             last_frame: None,
         }
     }
@@ -55,23 +57,42 @@ impl Tracker {
     /// Takes the next frame.
     ///
     /// * `image` – the frame's pixels, for appearance.
-    /// * `detections` – what was found in it; may be empty, also because it was not looked at.
+    /// * `look` – what was found in it.
     /// * `flow` – from the frame given before to this one; without it objects are followed by their velocity alone.
     ///
     /// Returns the masks of this frame, ascending by provisional id; they do not overlap.
     ///
     /// # Errors
     /// [`PerceptionError::SizeMismatch`] if image, masks and flow differ in size, [`PerceptionError::FrameOrder`] if
-    /// the frame is not later than the last one.
+    /// the frame is not later than the last one; whatever the prompter runs into.
     pub fn advance(
         &mut self,
         frame: &Frame,
         image: &RgbImage,
-        detections: Vec<Detection>,
+        look: Look<'_>,
         flow: Option<&Flow>,
     ) -> Result<Vec<TrackedMask>, PerceptionError> {
-        let elapsed_s = self.check(frame, image, &detections, flow)?;
-        let now = Moment { count: self.num_frames, frame: frame.id, time_s: frame.time_s };
+        let elapsed_s = self.check(frame, image, &look, flow)?;
+        let now = Moment { count: self.num_looks, frame: frame.id, time_s: frame.time_s };
+        let view = View { image, flow, now, elapsed_s };
+        if !matches!(look, Look::NotLooked) {
+            self.num_looks += 1;
+            self.tracks.iter_mut().for_each(Track::look);
+        }
+        let sightings = match look {
+            Look::Masks(detections) => self.follow_masks(&view, detections),
+            Look::Boxes { found, prompter } => self.follow_boxes(&view, found, prompter)?,
+            Look::NotLooked => self.follow_boxes(&view, Vec::new(), None)?,
+        };
+        let masks = self.report(sightings, image.dimensions());
+        self.settle(now, image.dimensions());
+        self.last_frame = Some((frame.id, frame.time_s, image.dimensions()));
+        Ok(masks)
+    }
+
+    /// Follows all tracks into a frame of which masks are known.
+    fn follow_masks(&mut self, view: &View, detections: Vec<Detection>) -> Vec<Sighting> {
+        let View { image, flow, now, elapsed_s } = *view;
         let candidates = self.candidates(image, detections);
         let predictions = self.predict(&candidates, flow, image.dimensions(), elapsed_s);
         let (pairs, left) = self.associate(&candidates, &predictions, now);
@@ -87,12 +108,7 @@ impl Tracker {
         let unseen: Vec<usize> = (0..predictions.len()).filter(|t| !pairs.iter().any(|p| p.0 == *t)).collect();
         let carried = self.carry_on(&unseen, &predictions, &sightings, image, now, elapsed_s);
         sightings.extend(carried);
-
-        let masks = self.report(sightings, image.dimensions());
-        self.settle(now, image.dimensions());
-        self.num_frames += 1;
-        self.last_frame = Some((frame.id, frame.time_s, image.dimensions()));
-        Ok(masks)
+        sightings
     }
 
     /// Ends all tracks. Returns the confirmed ones, ascending by lasting id.
@@ -107,24 +123,10 @@ impl Tracker {
         &self,
         frame: &Frame,
         image: &RgbImage,
-        detections: &[Detection],
+        look: &Look<'_>,
         flow: Option<&Flow>,
     ) -> Result<f64, PerceptionError> {
-        self.options.check()?;
-        let expected = self.last_frame.map_or(image.dimensions(), |(_, _, size)| size);
-        let same_size = |what: &str, found: (u32, u32)| {
-            if found == expected {
-                return Ok(());
-            }
-            Err(PerceptionError::SizeMismatch { what: format!("{what} of {}", frame.name), expected, found })
-        };
-        same_size("the image", image.dimensions())?;
-        for detection in detections {
-            same_size("a detected mask", (detection.mask.width(), detection.mask.height()))?;
-        }
-        if let Some(flow) = flow {
-            same_size("the flow", (flow.width, flow.height))?;
-        }
+        self.check_sizes(frame, image, look, flow)?;
         match self.last_frame {
             Some((previous, ..)) if frame.id <= previous => {
                 Err(PerceptionError::FrameOrder { previous, found: frame.id })
@@ -132,6 +134,37 @@ impl Tracker {
             Some((_, time_s, _)) => Ok((frame.time_s - time_s).max(0.0)),
             None => Ok(0.0),
         }
+    }
+
+    pub(super) fn check_sizes(
+        &self,
+        frame: &Frame,
+        image: &RgbImage,
+        look: &Look<'_>,
+        flow: Option<&Flow>,
+    ) -> Result<(), PerceptionError> {
+        self.options.check()?;
+        self.same_size("the image", frame, image, image.dimensions())?;
+        let detections = if let Look::Masks(detections) = look { detections.as_slice() } else { &[] };
+        for detection in detections {
+            self.same_size("a detected mask", frame, image, (detection.mask.width(), detection.mask.height()))?;
+        }
+        flow.map_or(Ok(()), |flow| self.same_size("the flow", frame, image, (flow.width, flow.height)))
+    }
+
+    /// Refuses what has not the size of the frames, which is that of the first one.
+    pub(super) fn same_size(
+        &self,
+        what: &str,
+        frame: &Frame,
+        image: &RgbImage,
+        found: (u32, u32),
+    ) -> Result<(), PerceptionError> {
+        let expected = self.last_frame.map_or(image.dimensions(), |(_, _, size)| size);
+        if found == expected {
+            return Ok(());
+        }
+        Err(PerceptionError::SizeMismatch { what: format!("{what} of {}", frame.name), expected, found })
     }
 
     /// The detections that count: of a tracked class, large enough, each object once.
@@ -154,7 +187,7 @@ impl Tracker {
     }
 
     /// Where each track should be now.
-    fn predict(
+    pub(super) fn predict(
         &self,
         candidates: &[Candidate],
         flow: Option<&Flow>,
@@ -170,7 +203,10 @@ impl Tracker {
             let background = flow.and_then(|f| background_displacement(f, track.region.bounds(), &occupied));
             let background = background.unwrap_or_default();
             let is_seen = !matches!(track.presence, Presence::Lost(_));
-            let carried = flow.filter(|_| is_seen).and_then(|f| carry(&track.region, f));
+            let carried = flow.filter(|_| is_seen).and_then(|f| match track.origin() {
+                Origin::Masks => carry(&track.region, f),
+                Origin::Boxes => carry_whole(&track.region, f),
+            });
             let moved = track.region.moved(track.expected(background, elapsed_s), size.0, size.1);
             Prediction { carried, moved, background }
         };
@@ -202,7 +238,8 @@ impl Tracker {
         let rows: Vec<usize> = (0..self.tracks.len()).filter(|t| !pairs.iter().any(|p| p.0 == *t)).collect();
         let found_again = assign(rows.len(), columns.len(), |row, column| {
             let (track, candidate) = (&self.tracks[rows[row]], &candidates[columns[column]]);
-            let score = track.recognise(candidate, now, self.options.min_similarity)?;
+            let (region, appearance) = (&candidate.region, candidate.appearance.as_ref());
+            let score = track.recognise(region, appearance, now, self.options.min_similarity)?;
             fits(rows[row], columns[column]).then_some(score)
         });
         pairs.extend(found_again.into_iter().map(|(row, column)| (rows[row], columns[column])));
@@ -257,6 +294,7 @@ impl Tracker {
                 !worn_out && c.share >= self.options.min_carried_share && hidden < 1.0 - MIN_VISIBLE && looks_right
             });
             if let Some(carried) = trusted {
+                track.count_unboxed(false);
                 track.carry(carried, prediction.background, elapsed_s);
                 carried_on.push(Sighting { track_idx, evidence: Evidence::Carried, region: carried.region.clone() });
             } else {
@@ -267,11 +305,12 @@ impl Tracker {
         carried_on
     }
 
-    /// The masks of the frame: each pixel goes to one object, to a detected one before a carried one and to the surer
-    /// detection first.
-    fn report(&self, mut sightings: Vec<Sighting>, (width, height): (u32, u32)) -> Vec<TrackedMask> {
+    /// The masks of the frame: each pixel goes to one object, to a detected one before a prompted one before a carried
+    /// one, and to the surer first.
+    pub(super) fn report(&self, mut sightings: Vec<Sighting>, (width, height): (u32, u32)) -> Vec<TrackedMask> {
         let rank = |s: &Sighting| match s.evidence {
             Evidence::Detected { confidence } => confidence,
+            Evidence::Prompted { quality } => quality - 1.0,
             Evidence::Carried => -1.0,
         };
         sightings.sort_by(|a, b| rank(b).total_cmp(&rank(a)).then(a.track_idx.cmp(&b.track_idx)));
@@ -308,10 +347,4 @@ impl Tracker {
             !over
         });
     }
-}
-
-/// Whether two class names may belong to one object: networks confuse cars, vans, trucks and buses with one another,
-/// and motorcycles with bicycles, but not one group with the other.
-fn compatible(a: &str, b: &str) -> bool {
-    TWO_WHEELERS.contains(&a) == TWO_WHEELERS.contains(&b)
 }

@@ -2,8 +2,9 @@
 
 use ::image::{Rgb, RgbImage};
 
-use super::{TrackSummary, TrackedMask, Tracker, TrackerOptions};
-use crate::scene::{Detection, Flow, Frame, FrameId, Mask};
+use super::{BackwardTracker, Extension, Look, TrackSummary, TrackedMask, Tracker, TrackerOptions};
+use crate::perception::{PerceptionError, Prompted, Prompter};
+use crate::scene::{BoxDetection, Detection, Finder, Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
 pub(super) const WIDTH: u32 = 200;
 pub(super) const HEIGHT: u32 = 80;
@@ -79,21 +80,27 @@ impl World {
 
     /// Exact flow from frame t - 1 to t; what is hidden or out of the frame at t is inconsistent.
     pub(super) fn flow(&self, t: usize) -> Flow {
+        self.flow_between(t - 1, t)
+    }
+
+    /// Exact flow between neighbouring frames.
+    pub(super) fn flow_between(&self, from: usize, to: usize) -> Flow {
         let shift = |i: Option<usize>| match i {
             Some(i) => {
-                let (a, b) = ((self.things[i].at)(t - 1), (self.things[i].at)(t));
+                let (a, b) = ((self.things[i].at)(from), (self.things[i].at)(to));
                 (b.0 - a.0, b.1 - a.1)
             }
-            None => self.pan,
+            None if to > from => self.pan,
+            None => (-self.pan.0, -self.pan.1),
         };
         let mut flow = Flow { width: WIDTH, height: HEIGHT, displacement: Vec::new(), consistent: Vec::new() };
         for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y))) {
-            let front = self.front(t - 1, x, y);
+            let front = self.front(from, x, y);
             let (dx, dy) = shift(front);
             let (u, v) = (i64::from(x) + dx, i64::from(y) + dy);
             let inside = (0..i64::from(WIDTH)).contains(&u) && (0..i64::from(HEIGHT)).contains(&v);
             flow.displacement.push([dx as f32, dy as f32]);
-            flow.consistent.push(inside && self.front(t, u as u32, v as u32) == front);
+            flow.consistent.push(inside && self.front(to, u as u32, v as u32) == front);
         }
         flow
     }
@@ -108,9 +115,104 @@ impl World {
         let mut frames = Vec::new();
         for t in 0..num_frames {
             let flow = (t > 0).then(|| self.flow(t));
-            let detections = seen(t, self.detections(t));
-            frames.push(tracker.advance(&Self::frame(t), &self.image(t), detections, flow.as_ref()).unwrap());
+            let look = Look::Masks(seen(t, self.detections(t)));
+            frames.push(tracker.advance(&Self::frame(t), &self.image(t), look, flow.as_ref()).unwrap());
         }
         (frames, tracker.finish())
+    }
+}
+
+/// Gives the mask of the thing that fills a box best; in a box with nothing in it, the box itself as a poor mask.
+pub(super) struct WorldPrompter<'a> {
+    pub(super) world: &'a World,
+    pub(super) t: usize,
+    /// How many boxes it was asked about.
+    pub(super) num_asked: usize,
+    /// Changes an answer.
+    pub(super) spoil: &'a dyn Fn(usize, Prompted) -> Option<Prompted>,
+}
+
+impl Prompter for WorldPrompter<'_> {
+    fn masks(&mut self, _: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<Prompted>>, PerceptionError> {
+        self.num_asked += boxes.len();
+        Ok(boxes.iter().map(|rect| (self.spoil)(self.t, self.answer(rect))).collect())
+    }
+
+    fn is_coarse(&self) -> bool {
+        false
+    }
+}
+
+impl WorldPrompter<'_> {
+    fn answer(&self, rect: &Rect) -> Prompted {
+        let masks = (0..self.world.things.len()).map(|thing| self.world.mask(self.t, thing));
+        let overlap = |mask: &Mask| mask.bounding_box().map_or(0.0, |b| Rect::from(b).iou(rect));
+        let best = masks.max_by(|a, b| overlap(a).total_cmp(&overlap(b))).filter(|mask| overlap(mask) > 0.4);
+        let filled = || Mask::from_fn(WIDTH, HEIGHT, |x, y| rect.contains(f64::from(x) + 0.5, f64::from(y) + 0.5));
+        best.map_or_else(|| Prompted { mask: filled(), quality: 0.5 }, |mask| Prompted { mask, quality: 0.9 })
+    }
+}
+
+/// The box of a thing as a detector or motion gives it.
+pub(super) fn box_of(detection: &Detection, finder: Finder) -> Option<BoxDetection> {
+    let rect = Rect::from(detection.mask.bounding_box()?);
+    let class = if finder == Finder::Motion { "vehicle".to_owned() } else { detection.class.clone() };
+    Some(BoxDetection { class, confidence: detection.confidence, rect, finder })
+}
+
+impl World {
+    /// The boxes of all detectable things.
+    pub(super) fn boxes(&self, t: usize, finder: Finder) -> Vec<BoxDetection> {
+        self.detections(t).iter().filter_map(|detection| box_of(detection, finder)).collect()
+    }
+
+    /// Tracks frames 0 to `num_frames` by boxes, with masks asked for in every `every`-th frame.
+    pub(super) fn track_boxes(
+        &self,
+        num_frames: usize,
+        every: usize,
+        boxes: impl Fn(usize) -> Vec<BoxDetection>,
+        spoil: &dyn Fn(usize, Prompted) -> Option<Prompted>,
+    ) -> (Vec<Vec<TrackedMask>>, Vec<TrackSummary>) {
+        let mut tracker = Tracker::new(TrackerOptions::default());
+        let mut frames = Vec::new();
+        for t in 0..num_frames {
+            let flow = (t > 0).then(|| self.flow(t));
+            let mut prompter = WorldPrompter { world: self, t, num_asked: 0, spoil };
+            let prompter = t.is_multiple_of(every).then_some(&mut prompter as &mut dyn Prompter);
+            let look = Look::Boxes { found: boxes(t), prompter };
+            frames.push(tracker.advance(&Self::frame(t), &self.image(t), look, flow.as_ref()).unwrap());
+        }
+        (frames, tracker.finish())
+    }
+
+    /// Follows tracked objects back from the last frame to the first. Adds what can be trusted to their masks, which
+    /// get lasting ids.
+    pub(super) fn extend_back(
+        &self,
+        frames: &mut [Vec<TrackedMask>],
+        tracks: &[TrackSummary],
+        every: usize,
+        spoil: &dyn Fn(usize, Prompted) -> Option<Prompted>,
+    ) -> Vec<Extension> {
+        let lasting = |m: TrackedMask, t: usize| {
+            let track = tracks.iter().find(|track| track.provisional == m.object)?;
+            (track.first.0..=track.last.0).contains(&(t as u32)).then_some(TrackedMask { object: track.id, ..m })
+        };
+        let mut tracker = BackwardTracker::new(TrackerOptions::default(), tracks);
+        for t in (0..frames.len()).rev() {
+            frames[t] = std::mem::take(&mut frames[t]).into_iter().filter_map(|m| lasting(m, t)).collect();
+            let known: Vec<(ObjectId, Mask)> = frames[t].iter().map(|m| (m.object, m.mask.clone())).collect();
+            let flow = (t + 1 < frames.len()).then(|| self.flow_between(t + 1, t));
+            let mut prompter = WorldPrompter { world: self, t, num_asked: 0, spoil };
+            let prompter = t.is_multiple_of(every).then_some(&mut prompter as &mut dyn Prompter);
+            let earlier = tracker.advance(&Self::frame(t), &self.image(t), &known, prompter, flow.as_ref()).unwrap();
+            frames[t].extend(earlier);
+        }
+        let extensions = tracker.finish();
+        for (t, masks) in frames.iter_mut().enumerate() {
+            masks.retain(|m| extensions.iter().all(|e| e.object != m.object || e.first.0 as usize <= t));
+        }
+        extensions
     }
 }

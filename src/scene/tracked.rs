@@ -1,0 +1,133 @@
+//! Objects that were followed through the frames, and what is known of them before any geometry.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::{FrameId, ObjectId};
+
+/// In how many frames what found an object.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FoundIn {
+    /// Frames in which its mask was given.
+    pub given: usize,
+    /// Frames in which the detector alone found it, or a segmentation network.
+    pub detector: usize,
+    /// Frames in which its motion alone found it.
+    pub motion: usize,
+    /// Frames in which both did.
+    pub both: usize,
+    /// Frames in which nothing found it anew, and the mask network was asked for it where it should be.
+    pub prompted: usize,
+    /// Frames in which its mask was carried by optical flow.
+    pub carried: usize,
+}
+
+impl FoundIn {
+    /// Frames in which the detector found it, or a segmentation network.
+    pub fn by_detector(&self) -> usize {
+        self.detector + self.both
+    }
+
+    /// Frames in which its motion found it.
+    pub fn by_motion(&self) -> usize {
+        self.motion + self.both
+    }
+}
+
+impl fmt::Display for FoundIn {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let parts = [
+            ("given", self.given),
+            ("detector and motion", self.both),
+            ("detector alone", self.detector),
+            ("motion alone", self.motion),
+            ("asked for where it should be", self.prompted),
+            ("carried by flow", self.carried),
+        ];
+        let said = parts.iter().filter(|(_, frames)| *frames > 0);
+        let said: Vec<String> = said.map(|(what, frames)| format!("{what} {frames}")).collect();
+        if said.is_empty() { f.write_str("nothing") } else { f.write_str(&said.join(", ")) }
+    }
+}
+
+/// How the outlines of an object's masks were found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Outline {
+    /// They were given.
+    Given,
+    /// By a network.
+    Network,
+    /// By colours inside a box: good for finding the object, not for its outline.
+    Coarse,
+}
+
+/// Whether an object moved against the background while it was seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Movement {
+    /// It moved, at least for a while.
+    Moving,
+    /// It stood still all the time.
+    Standing,
+    /// What was seen does not tell.
+    Undetermined,
+}
+
+impl Movement {
+    /// In one word or two, for people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Moving => "moving",
+            Self::Standing => "standing",
+            Self::Undetermined => "moving or standing",
+        }
+    }
+}
+
+/// Whether an object moved, and why that is said.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MovementFinding {
+    /// Whether it moved.
+    pub state: Movement,
+    /// What says so, in words.
+    pub reason: String,
+}
+
+/// An object that was followed through the frames.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrackedObject {
+    /// Its id, from 1.
+    pub id: ObjectId,
+    /// Its class name; `vehicle` where nothing says more.
+    pub class: String,
+    /// Mean score of what found it, 0 to 1; 1 for given masks.
+    pub confidence: f64,
+    /// What found it.
+    pub found_in: FoundIn,
+    /// How its outline was found.
+    pub outline: Outline,
+    /// How good its masks are by the mask network's own figure: the expected intersection over union with the truth, 0
+    /// to 1. `None` where nothing says.
+    pub mask_quality: Option<f64>,
+    /// Whether it moved.
+    pub movement: MovementFinding,
+    /// Why it is not reconstructed, where that is decided already: neither class nor motion supports it.
+    pub left_out: Option<String>,
+    /// Frames in which it has a mask, ascending.
+    pub frames: Vec<FrameId>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_found_an_object_is_said_in_words() {
+        let found = FoundIn { both: 12, motion: 3, carried: 40, ..FoundIn::default() };
+        assert_eq!(found.to_string(), "detector and motion 12, motion alone 3, carried by flow 40");
+        assert_eq!((found.by_detector(), found.by_motion()), (12, 15));
+        assert_eq!(FoundIn::default().to_string(), "nothing");
+    }
+}
