@@ -149,12 +149,29 @@ fn options_that_do_not_exist_are_refused() {
 }
 
 #[test]
-fn without_masks_or_model_the_use_is_wrong() {
+fn without_masks_or_model_vehicles_are_looked_for() {
     let folder = TempDir::new().unwrap();
+    let out = folder.path().join("out");
     let mut command = tractrix();
-    let (code, _, stderr) = outcome(command.arg("run").arg(clip(folder.path(), 2)).arg("--output").arg("out"));
-    assert_eq!(code, 2, "{stderr}");
-    assert!(stderr.contains("--segmentation-model") && stderr.contains("--masks"), "{stderr}");
+    let (code, _, stderr) = outcome(command.arg("run").arg(clip(folder.path(), 4)).arg("--output").arg(&out));
+    // Nothing is in the pictures; what is told is that, and not that something has to be given.
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stderr.contains("background") && !stderr.contains("--masks"), "{stderr}");
+    let run: serde_json::Value = serde_json::from_slice(&fs::read(out.join("run.json")).unwrap()).unwrap();
+    assert_eq!(run["options"]["instances"], "vehicles");
+    let tracks: serde_json::Value = serde_json::from_slice(&fs::read(out.join("tracks.json")).unwrap()).unwrap();
+    assert!(tracks["objects"].as_array().unwrap().is_empty(), "{tracks}");
+}
+
+#[test]
+fn flags_of_the_programs_own_eyes_do_not_go_with_masks() {
+    for flag in [["--detector", "none"], ["--motion", "off"], ["--mask-network", "none"], ["--segment-every", "3"]] {
+        let mut command = tractrix();
+        command.args(["run", "in.mp4", "--output", "out", "--masks", "masks"]).args(flag);
+        let (code, _, stderr) = outcome(&mut command);
+        assert_eq!(code, 2, "{stderr}");
+        assert!(stderr.contains(flag[0]) && stderr.contains("--masks"), "{stderr}");
+    }
 }
 
 #[test]
@@ -300,7 +317,7 @@ fn error_of(arguments: &[&str], expected_code: i32) -> serde_json::Value {
 fn errors_are_json_where_json_is_asked_for() {
     let cases: [(&[&str], i32, &str); 9] = [
         (&["run", "none.mp4", "--masks", "none", "--output", "out"], 1, "input"),
-        (&["run", "none.mp4", "--output", "out"], 2, "usage"),
+        (&["run", "none.mp4", "--masks", "a", "--detector", "none", "--output", "out"], 2, "usage"),
         (&["run", "none.mp4", "--output", "out", "--fly"], 2, "usage"),
         (&["evaluate", "none", "--truth", "none"], 1, "input"),
         (&["benchmark", "none"], 1, "input"),
@@ -335,7 +352,7 @@ fn a_failed_background_is_said_once_and_nothing_is_said_after_it() {
     let out = folder.path().join("out");
     let (stderr, _) = partial(&clip(folder.path(), 1), &masks(folder.path(), 1, 64, 48), &out);
     assert_eq!(stderr.matches("cannot be reconstructed").count(), 1, "{stderr}");
-    assert!(stderr.contains("background stage 5 of 9") && !stderr.contains("stage 6 of 9"), "{stderr}");
+    assert!(stderr.contains("background stage 4 of 11") && !stderr.contains("stage 7 of 11"), "{stderr}");
 }
 
 #[test]
@@ -474,9 +491,9 @@ fn with_flags(flags: &[&str]) -> (String, String) {
 #[test]
 fn progress_is_shown_as_it_is_asked_for() {
     let (_, stderr) = with_flags(&[]);
-    assert!(stderr.contains("features   stage 4 of 9\n"), "lines where there is no terminal: {stderr}");
+    assert!(stderr.contains("features   stage 3 of 11\n"), "lines where there is no terminal: {stderr}");
     let (_, stderr) = with_flags(&["--progress", "none"]);
-    assert!(!stderr.contains("stage 4 of 9") && stderr.contains("error"), "{stderr}");
+    assert!(!stderr.contains("stage 3 of 11") && stderr.contains("error"), "{stderr}");
     let (stdout, stderr) = with_flags(&["--quiet"]);
     assert_eq!((stdout.as_str(), stderr.lines().count()), ("", 1), "{stderr}");
     let (_, stderr) = with_flags(&["--progress", "json"]);
@@ -484,7 +501,7 @@ fn progress_is_shown_as_it_is_asked_for() {
     let features: Vec<_> = lines.iter().filter(|line| line["stage"] == "features").collect();
     assert_eq!(
         (&features[0]["index"], &features[0]["of"], &features[0]["event"]),
-        (&4.into(), &9.into(), &"begins".into())
+        (&3.into(), &11.into(), &"begins".into())
     );
     assert!(
         lines.iter().any(|line| line["error"].as_str().is_some_and(|text| text.contains("background"))),
@@ -518,7 +535,7 @@ fn the_last_lines_say_of_the_vehicle_what_a_person_wants_to_know() {
     command.arg("--intrinsics").arg(drive::intrinsics()).args(["--fps", "10"]).arg("--output").arg(of("out"));
     let (code, text, stderr) = outcome(&mut command);
     assert_eq!(code, 0, "{stderr}");
-    assert!(text.starts_with("1 vehicle with a trajectory\n  1: vehicle, placed in "), "{text}");
+    assert!(text.starts_with("1 vehicle with a trajectory\n  1: vehicle, moving, placed in "), "{text}");
     for expected in [" of 24 frames, from 0.", "path: ", " units of the background", "Size and distance"] {
         assert!(text.contains(expected), "{expected}: {text}");
     }

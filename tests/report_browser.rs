@@ -114,6 +114,7 @@ fn data<'a>(result: &'a Showcase, strip: Vec<Thumbnail>) -> Data<'a> {
         id: BICYCLE,
         class: "bicycle".into(),
         confidence: 0.51,
+        tracked: None,
         visible: result.frames.iter().map(|f| f.id).collect(),
         model: None,
         trajectory: None,
@@ -172,6 +173,7 @@ fn vehicle(vehicle: &tractrix::synthetic::showcase::Vehicle) -> Object<'_> {
         id: trajectory.id,
         class: trajectory.class.clone(),
         confidence: trajectory.confidence,
+        tracked: None,
         visible: vehicle.visible.clone(),
         model: Some(Model {
             reconstruction: &vehicle.model,

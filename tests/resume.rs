@@ -82,7 +82,19 @@ fn assert_same(a: &BTreeMap<PathBuf, Vec<u8>>, b: &BTreeMap<PathBuf, Vec<u8>>, w
     assert!(different.is_empty(), "{what}: {different:?} differ");
 }
 
-const ALL: [&str; 9] = ["frames", "segment", "track", "features", "background", "objects", "ground", "scale", "report"];
+const ALL: [&str; 11] = [
+    "frames",
+    "segment",
+    "features",
+    "background",
+    "motion",
+    "track",
+    "follow",
+    "objects",
+    "ground",
+    "scale",
+    "report",
+];
 
 #[test]
 fn a_killed_run_ends_where_an_undisturbed_one_ends() {
@@ -91,7 +103,7 @@ fn a_killed_run_ends_where_an_undisturbed_one_ends() {
     assert_eq!((done.len(), reused.len()), (ALL.len(), 0));
     let whole = place.result("whole");
     assert!(whole.contains_key(Path::new("objects/1/images.txt")), "{:?}", whole.keys());
-    for stage in ["frames", "track", "features", "background", "objects", "scale"] {
+    for stage in ["frames", "features", "background", "motion", "track", "follow", "objects", "scale"] {
         let output = format!("killed-after-{stage}");
         kill_after(&place, &output, stage);
         let (_, reused) = place.run(&output, &[]);

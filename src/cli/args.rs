@@ -119,7 +119,7 @@ mod tests {
         let mut command = Args::command();
         let mut help = |name: &str| command.find_subcommand_mut(name).unwrap().render_long_help().to_string();
         let flags = ["--segmentation-model", "--flow-model", "--intrinsics", "--ground-model", "--scale-method"];
-        for (name, num_shown) in [("segment", 1), ("track", 2), ("sfm", 3), ("ground", 4), ("scale", 5), ("run", 5)] {
+        for (name, num_shown) in [("segment", 1), ("track", 3), ("sfm", 3), ("ground", 4), ("scale", 5), ("run", 5)] {
             let help = help(name);
             let shown: Vec<bool> = flags.iter().map(|flag| help.contains(flag)).collect();
             assert_eq!(shown, flags.map(|flag| flags[..num_shown].contains(&flag)), "{name}");

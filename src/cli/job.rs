@@ -47,7 +47,7 @@ pub(super) struct JobArgs {
     /// What finds the pixels of a vehicle: `default` (comes with the program), or `none` (coarse, by colours)
     #[arg(long, value_name = "default|none", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) mask_network: Option<MaskChoice>,
-    /// Ask the mask network every N-th frame; optical flow carries the masks between
+    /// Ask the mask network every N-th frame; optical flow carries the masks between [default: four times a second]
     #[arg(long, value_name = "N", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) segment_every: Option<u32>,
     /// ONNX model for optical flow [default: OpenCV's DIS]
@@ -161,7 +161,7 @@ fn apply_flags(job: &JobArgs, options: &mut Options) {
     vehicles.detector = job.detector.clone().unwrap_or(vehicles.detector.clone());
     vehicles.motion = job.motion.unwrap_or(vehicles.motion);
     vehicles.mask_network = job.mask_network.unwrap_or(vehicles.mask_network);
-    vehicles.segment_every = job.segment_every.unwrap_or(vehicles.segment_every);
+    vehicles.segment_every = job.segment_every.or(vehicles.segment_every);
     if let Some(folder) = &job.ground_masks {
         options.ground_labels = GroundLabels::Masks { folder: folder.clone(), label: job.ground_label };
     } else if let Some(model) = &job.ground_model {

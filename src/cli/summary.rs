@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use crate::pipeline::{Summary, Vehicle};
 use crate::report::Verdict;
-use crate::scene::{ObjectId, ObjectTrajectory, ScaleEstimate, TimeBase, Trajectories, Unit};
+use crate::scene::{Movement, ObjectId, ObjectTrajectory, ScaleEstimate, TimeBase, Trajectories, Unit};
 
 /// One paragraph per vehicle; where a run ends before the trajectories, nothing.
 pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String {
@@ -69,8 +69,13 @@ fn why_not(vehicle: &Vehicle) -> &str {
     reason.unwrap_or("it is not known why")
 }
 
-fn class(vehicle: &Vehicle) -> &str {
-    if vehicle.class.is_empty() { "vehicle" } else { &vehicle.class }
+/// "car, moving".
+fn class(vehicle: &Vehicle) -> String {
+    let class = if vehicle.class.is_empty() { "vehicle" } else { &vehicle.class };
+    match vehicle.movement {
+        Some(state @ (Movement::Moving | Movement::Standing)) => format!("{class}, {}", state.name()),
+        Some(Movement::Undetermined) | None => class.to_owned(),
+    }
 }
 
 /// `1 frame`, `2 frames`.
@@ -112,6 +117,7 @@ pub(super) fn placed_as_json(summary: &Summary, trajectories: &Trajectories) -> 
         json!({
             "id": found.id,
             "class": found.class,
+            "movement": summary.vehicles.get(&found.id).and_then(|vehicle| vehicle.movement),
             "frames": found.poses.len(),
             "visible": summary.vehicles.get(&found.id).map(|vehicle| vehicle.model.num_visible),
             "first_frame": found.poses.first().map(|pose| pose.frame),
@@ -128,7 +134,11 @@ pub(super) fn placed_as_json(summary: &Summary, trajectories: &Trajectories) -> 
 pub(super) fn missing_as_json(summary: &Summary, trajectories: &Trajectories) -> Vec<Value> {
     let is_placed = |id: &ObjectId| trajectories.objects.iter().any(|found| found.id == *id);
     let missing = summary.vehicles.iter().filter(|(id, _)| !is_placed(id));
-    missing.map(|(id, vehicle)| json!({ "id": id, "class": vehicle.class, "reason": why_not(vehicle) })).collect()
+    let value = |(id, vehicle): (&ObjectId, &Vehicle)| {
+        let Vehicle { class, movement, .. } = vehicle;
+        json!({ "id": id, "class": class, "movement": movement, "reason": why_not(vehicle) })
+    };
+    missing.map(value).collect()
 }
 
 #[cfg(test)]
@@ -177,7 +187,7 @@ mod tests {
 
     fn vehicle(class: &str, num_visible: usize, failure: Option<&str>) -> Vehicle {
         let model = ModelReport { num_visible, failure: failure.map(str::to_owned), ..ModelReport::default() };
-        Vehicle { class: class.to_owned(), model, not_placed: None }
+        Vehicle { class: class.to_owned(), movement: None, model, not_placed: None }
     }
 
     #[test]

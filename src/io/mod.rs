@@ -30,6 +30,7 @@ mod run_folder;
 mod sequence;
 #[cfg(test)]
 pub(crate) mod testing;
+pub mod tracks;
 pub mod trajectories;
 
 pub use error::IoError;

@@ -8,8 +8,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::owned_folder::Place;
-use super::{IoError, colmap, ground, masks, trajectories};
-use crate::scene::{Frame, Ground, ObjectId, Reconstruction, Trajectories};
+use super::{IoError, colmap, ground, masks, tracks, trajectories};
+use crate::scene::{Frame, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
 
 /// The output folder of a run, which need not be there yet.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -22,7 +22,8 @@ const OBJECTS: &str = "objects";
 const AS_RECONSTRUCTED: &str = "as-reconstructed";
 const TRACKS: &str = "tracks";
 const POINT_CLOUDS: &str = "ply";
-const DOCUMENTS: [&str; 5] = ["run.json", "ground.json", "trajectories.json", "report.html", "evaluation.json"];
+const DOCUMENTS: [&str; 6] =
+    ["run.json", "tracks.json", "ground.json", "trajectories.json", "report.html", "evaluation.json"];
 
 impl RunFolder {
     /// The folder for what a run needs to go on where it was: lock, manifest, markers, intermediate results.
@@ -93,6 +94,11 @@ impl RunFolder {
         self.root.join(TRACKS)
     }
 
+    /// What is known of the objects that were followed.
+    pub fn tracked(&self) -> PathBuf {
+        self.root.join("tracks.json")
+    }
+
     /// An object's mask in one frame.
     pub fn mask(&self, id: ObjectId, frame: &Frame) -> PathBuf {
         self.tracks().join(id.to_string()).join(Self::mask_name(frame))
@@ -154,6 +160,14 @@ impl RunFolder {
     /// As [`Self::read_background`].
     pub fn read_trajectories(&self) -> Result<Trajectories, IoError> {
         trajectories::read(&self.trajectories())
+    }
+
+    /// Reads what is known of the objects that were followed.
+    ///
+    /// # Errors
+    /// As [`Self::read_background`].
+    pub fn read_tracked(&self) -> Result<Vec<TrackedObject>, IoError> {
+        tracks::read(&self.tracked())
     }
 
     /// Reads ground points and planes.

@@ -79,7 +79,8 @@ impl DetectionFolder {
     }
 
     pub(super) fn write(&self, frame: &Frame, detections: &[Detection]) -> Result<(), PipelineError> {
-        let stored = |d: &Detection| Stored { class: d.class.clone(), confidence: d.confidence, runs: runs(&d.mask) };
+        let stored =
+            |d: &Detection| Stored { class: d.class.clone(), confidence: d.confidence, runs: runs_of_mask(&d.mask) };
         self.files.write(frame, &detections.iter().map(stored).collect::<Vec<_>>())
     }
 
@@ -92,7 +93,7 @@ impl DetectionFolder {
     pub(super) fn read(&self, frame: FrameId) -> Result<Vec<Detection>, PipelineError> {
         let detection = |s: Stored| {
             let wrong = || damaged(&self.files.path(frame), "a mask has another size than the frame");
-            let mask = mask(&s.runs, self.size).ok_or_else(wrong)?;
+            let mask = mask_of_runs(&s.runs, self.size).ok_or_else(wrong)?;
             Ok(Detection { class: s.class, confidence: s.confidence, mask })
         };
         self.files.read(frame)?.into_iter().map(detection).collect()
@@ -112,7 +113,8 @@ fn damaged(path: &Path, reason: impl ToString) -> PipelineError {
     PipelineError::State { path: path.to_owned(), reason: reason.to_string() }
 }
 
-fn runs(mask: &Mask) -> Vec<u32> {
+/// A mask as run lengths, clear pixels first.
+pub(super) fn runs_of_mask(mask: &Mask) -> Vec<u32> {
     let mut runs = vec![0];
     let mut value = false;
     for &pixel in mask.pixels() {
@@ -125,7 +127,8 @@ fn runs(mask: &Mask) -> Vec<u32> {
     runs
 }
 
-fn mask(runs: &[u32], (width, height): (u32, u32)) -> Option<Mask> {
+/// The mask of run lengths, if it has the size.
+pub(super) fn mask_of_runs(runs: &[u32], (width, height): (u32, u32)) -> Option<Mask> {
     let total: u64 = runs.iter().map(|&run| u64::from(run)).sum();
     if total != u64::from(width) * u64::from(height) {
         return None;

@@ -31,7 +31,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let (camera, _) = models::initial_camera(run)?;
     let (_, sfm_options) = order::sfm_options(run)?;
     let options = run.options;
-    let wanted = objects.iter().map(|object| object.id);
+    let wanted = objects.iter().filter(|object| object.left_out.is_none()).map(|object| object.id);
     let wanted = wanted.filter(|id| options.wants(*id) && !options.object_models.contains_key(id));
     let mut front_ends: BTreeMap<ObjectId, FrontEnd> =
         wanted.map(|id| (id, FrontEnd::new(&sfm_options.front_end, camera))).collect();

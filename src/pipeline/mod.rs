@@ -58,7 +58,7 @@ pub use stage::Stage;
 pub use workspace::{Marker, Overwrite, Workspace};
 
 use crate::io::InputIdentity;
-use crate::scene::{ObjectId, TimeBase};
+use crate::scene::{Movement, ObjectId, TimeBase, TrackedObject};
 use crate::video::Source;
 use run::{Outcome, Run};
 
@@ -86,6 +86,8 @@ pub struct Summary {
 pub struct Vehicle {
     /// What it is, by the model that found it.
     pub class: String,
+    /// Whether it moved.
+    pub movement: Option<Movement>,
     /// How its model came about.
     pub model: ModelReport,
     /// Why it has no trajectory although it has a model, where that is so.
@@ -161,12 +163,13 @@ fn vehicles(run: &Run, goal: Stage) -> Result<BTreeMap<ObjectId, Vehicle>, Pipel
     if goal < Stage::Objects {
         return Ok(BTreeMap::new());
     }
-    let mut classes: BTreeMap<ObjectId, String> =
-        track::objects(run)?.into_iter().map(|object| (object.id, object.class)).collect();
+    let mut tracked: BTreeMap<ObjectId, TrackedObject> =
+        track::objects(run)?.into_iter().map(|object| (object.id, object)).collect();
     let mut failures = if goal >= Stage::Scale { scale::failures(run)? } else { BTreeMap::new() };
     let vehicle = |(id, model): (ObjectId, ModelReport)| {
-        let class = classes.remove(&id).unwrap_or_default();
-        (id, Vehicle { class, model, not_placed: failures.remove(&id.to_string()) })
+        let (class, movement) = tracked.remove(&id).map(|found| (found.class, found.movement.state)).unzip();
+        let not_placed = failures.remove(&id.to_string());
+        (id, Vehicle { class: class.unwrap_or_default(), movement, model, not_placed })
     };
     Ok(objects::reports(run)?.into_iter().map(vehicle).collect())
 }
@@ -187,8 +190,8 @@ fn stages(run: &mut Run, goal: Stage, input: &str) -> Result<(), PipelineError> 
         one_stage(run, stage, input)?;
         match stage {
             Stage::Frames => preflight::check_files(run, &open_stages(run, goal, input)?)?,
-            // The other stages write down that there is nothing, which is not worth a word.
-            Stage::Background if models::background_report(run)?.failure.is_some() => run.progress = &Silent,
+            // Without a background later stages write down that there is nothing, which is not worth a word.
+            Stage::Track if models::background_report(run)?.failure.is_some() => run.progress = &Silent,
             _ => {}
         }
     }
@@ -228,7 +231,7 @@ fn work(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, PipelineE
         Stage::Features => features::work(run, fingerprint),
         Stage::Background => models::background_work(run),
         Stage::Motion => motion::work(run, fingerprint),
-        Stage::Track => track::work(run),
+        Stage::Track => track::work(run, fingerprint),
         Stage::Follow => follow::work(run, fingerprint),
         Stage::Objects => objects::work(run, fingerprint),
         Stage::Ground => ground::work(run, fingerprint),

@@ -1,14 +1,193 @@
 //! Stage `motion`: what moves against the background.
+//!
+//! Points are followed all over the picture and held against the background's cameras and the ground. What the stage
+//! leaves are boxes of what moves, frame by frame, and the points themselves with what is known of each: the next stage
+//! asks whether the objects moved whose masks it has.
 
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use nalgebra::Point3;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::PipelineError;
+use super::detections::FrameFolder;
+use super::order::{self, Order};
 use super::run::{Outcome, Run};
+use super::{Instances, MotionChoice, PipelineError, Stage, models, pictures};
+use crate::ground::dominant_plane_points;
+use crate::image::gray_from_rgb;
+use crate::io::{IoError, atomic};
+use crate::perception::PerceptionError;
+use crate::perception::motion::{
+    GroundModel, Mover, PointFollower, PointTrack, Surroundings, TrackLabel, View, classify, movers,
+};
+use crate::scene::{BoxDetection, Finder, Frame, FrameId, ImageId, Reconstruction};
 
-pub(super) fn depends_on(_run: &Run) -> Result<Value, PipelineError> {
-    Ok(json!("none"))
+const PREFIX: &str = "motion-";
+const POINTS: &str = "points.bin";
+/// What motion finds has no other name.
+const CLASS: &str = "vehicle";
+
+/// The points of a run and what is known of each.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub(super) struct Points {
+    /// The frames that tracks count, from 0: those that could be decoded.
+    pub(super) frames: Vec<FrameId>,
+    pub(super) tracks: Vec<PointTrack>,
+    pub(super) labels: Vec<TrackLabel>,
 }
 
-pub(super) fn work(_run: &Run, _fingerprint: &str) -> Result<Outcome, PipelineError> {
-    Ok(Outcome::default())
+pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+    if !is_wanted(run)? {
+        return Ok(json!("none"));
+    }
+    Ok(json!({
+        "options": run.options.motion,
+        "finds": finds(run),
+        "ground": run.options.ground,
+        "seed": run.options.seed,
+    }))
+}
+
+/// Whether anything is looked for, in pictures that follow one another.
+fn is_wanted(run: &Run) -> Result<bool, PipelineError> {
+    let order: Order = run.workspace.read_state(order::STATE)?;
+    Ok(order.in_time && run.options.instances != Instances::None)
+}
+
+/// Whether motion is to find vehicles, besides saying which of them move.
+fn finds(run: &Run) -> bool {
+    run.options.instances == Instances::Vehicles && run.options.vehicles.motion == MotionChoice::On
+}
+
+pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    if !is_wanted(run)? {
+        return Ok(outcome);
+    }
+    let folder = run.workspace.keep_only(PREFIX, &folder_name(fingerprint))?;
+    let (background, _) = models::background(run)?;
+    let (frames, tracks) = follow(run, &mut outcome)?;
+    let world = World::new(run, &background, &frames, &mut outcome);
+    let labels = classify(&tracks, &world.surroundings(run), &run.options.motion.evidence);
+    let found = match finds(run) {
+        true => movers(&tracks, &labels, &world.surroundings(run), &run.options.motion),
+        false => Vec::new(),
+    };
+    outcome.figure("num_points", tracks.len());
+    outcome.figure("num_movers", found.len());
+    write_boxes(&folder, &frames, &found)?;
+    write_points(&folder.join(POINTS), &Points { frames: ids(&frames), tracks, labels })?;
+    outcome.outputs.push(folder);
+    Ok(outcome)
+}
+
+fn ids(frames: &[Frame]) -> Vec<FrameId> {
+    frames.iter().map(|frame| frame.id).collect()
+}
+
+/// Follows points through all frames; gives those that could be decoded, which the tracks count.
+fn follow(run: &Run, outcome: &mut Outcome) -> Result<(Vec<Frame>, Vec<PointTrack>), PipelineError> {
+    let mut seen = Vec::new();
+    let mut follower = PointFollower::new(&run.options.motion.follower, (run.info().width, run.info().height));
+    run.progress.begin("motion", Some(run.frames()?.len() as u64));
+    pictures::for_each(run, run.source.frames()?, outcome, |frame, picture| {
+        follower.push(&gray_from_rgb(&picture).map_err(PerceptionError::from)?)?;
+        seen.push(frame);
+        Ok(())
+    })?;
+    Ok((seen, follower.finish()))
+}
+
+/// The background as motion is held against it.
+struct World {
+    times_s: Vec<f64>,
+    views: Vec<Option<View>>,
+    ground: Option<GroundModel>,
+}
+
+impl World {
+    fn new(run: &Run, background: &Reconstruction, frames: &[Frame], outcome: &mut Outcome) -> Self {
+        let view = |frame: &Frame| {
+            let image = background.images.get(&ImageId::from(frame.id))?;
+            let camera = *background.cameras.get(&image.camera)?;
+            Some(View { camera, cam_from_world: image.cam_from_world })
+        };
+        let times_s = frames.iter().map(|frame| frame.time_s).collect();
+        Self { times_s, views: frames.iter().map(view).collect(), ground: ground(run, background, outcome) }
+    }
+
+    fn surroundings(&self, run: &Run) -> Surroundings<'_> {
+        Surroundings {
+            size: (run.info().width, run.info().height),
+            times_s: &self.times_s,
+            views: &self.views,
+            ground: self.ground.as_ref(),
+        }
+    }
+}
+
+/// The dominant plane below the camera and what was grown from it, whatever labels are given: they come later.
+fn ground(run: &Run, background: &Reconstruction, outcome: &mut Outcome) -> Option<GroundModel> {
+    if background.is_empty() {
+        return None;
+    }
+    match dominant_plane_points(background, &run.options.ground, run.options.seed) {
+        Ok(plane) => {
+            let position = |id| background.points.get(id).map(|point| point.position);
+            let points: Vec<Point3<f64>> = plane.point_ids.iter().filter_map(position).collect();
+            GroundModel::new(plane.normal, plane.point, &points)
+        }
+        Err(error) => {
+            outcome.note(format!("motion is judged without the ground: {error}"));
+            None
+        }
+    }
+}
+
+fn write_boxes(folder: &Path, frames: &[Frame], found: &[Mover]) -> Result<(), PipelineError> {
+    let store: FrameFolder<BoxDetection> = FrameFolder::new(folder.to_owned());
+    let mut boxes: BTreeMap<u32, Vec<BoxDetection>> = BTreeMap::new();
+    for mover in found {
+        for (&index, &rect) in &mover.boxes {
+            let (class, confidence, finder) = (CLASS.to_owned(), mover.confidence, Finder::Motion);
+            boxes.entry(index).or_default().push(BoxDetection { class, confidence, rect, finder });
+        }
+    }
+    for (index, boxes) in boxes {
+        if let Some(frame) = frames.get(index as usize) {
+            store.write(frame, &boxes)?;
+        }
+    }
+    Ok(())
+}
+
+fn write_points(path: &Path, points: &Points) -> Result<(), PipelineError> {
+    let bytes = postcard::to_stdvec(points)
+        .map_err(|e| PipelineError::State { path: path.to_owned(), reason: e.to_string() })?;
+    Ok(atomic::write(path, &bytes)?)
+}
+
+fn folder_name(fingerprint: &str) -> String {
+    format!("{PREFIX}{}", fingerprint.get(..16).unwrap_or_default())
+}
+
+fn folder(run: &Run) -> PathBuf {
+    run.workspace.state(&folder_name(run.fingerprint(Stage::Motion)))
+}
+
+/// The boxes of what moves; the stage must be done.
+pub(super) fn boxes(run: &Run) -> FrameFolder<BoxDetection> {
+    FrameFolder::new(folder(run))
+}
+
+/// The points and what is known of them; none where motion was not looked at. The stage must be done.
+pub(super) fn points(run: &Run) -> Result<Points, PipelineError> {
+    if !is_wanted(run)? {
+        return Ok(Points::default());
+    }
+    let path = folder(run).join(POINTS);
+    let bytes = std::fs::read(&path).map_err(IoError::system("read", &path))?;
+    postcard::from_bytes(&bytes).map_err(|e| PipelineError::State { path, reason: e.to_string() })
 }

@@ -1,35 +1,114 @@
 //! The networks with which the program finds vehicles by itself: which there are, and what stands in for those that are
 //! missing.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
 
 use super::run::Run;
-use super::{DetectorChoice, PipelineError};
-use crate::perception::{Detector, Prompter};
+use super::{DetectorChoice, MaskChoice, Options, PipelineError, fingerprint};
+use crate::ffi::onnx;
+use crate::perception::{DefaultModels, Detector, GrabCut, Prompter, default_models, load_detector, load_prompter};
 
 /// What is there of what the options choose.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Networks {
     /// The detector.
     pub(super) detector: Option<PathBuf>,
+    /// The two parts of the mask network.
+    masks: Option<[PathBuf; 2]>,
     /// What is missing, and what that means.
     pub(super) doubts: Vec<String>,
 }
 
 impl Networks {
     pub(super) fn of(run: &Run) -> Self {
+        Self::chosen(run.options, shipped())
+    }
+
+    /// * `shipped` – the networks that come with the program, or why they cannot be used.
+    fn chosen(options: &Options, shipped: Result<DefaultModels, String>) -> Self {
         let mut networks = Self::default();
-        if let DetectorChoice::File(path) = &run.options.vehicles.detector {
-            networks.detector = Some(path.clone());
-        }
-        networks
+        let mut default = |means: &str| {
+            shipped.as_ref().map_err(|reason| networks.doubts.push(format!("{means}: {reason}"))).ok().cloned()
+        };
+        let detector = match &options.vehicles.detector {
+            DetectorChoice::None => None,
+            DetectorChoice::File(path) => Some(path.clone()),
+            DetectorChoice::Default => {
+                default("vehicles are found by their motion alone, without a detector").map(|found| found.detector)
+            }
+        };
+        let masks = match options.vehicles.mask_network {
+            MaskChoice::None => None,
+            MaskChoice::Default => default("masks are made by colours alone, without the mask network")
+                .map(|found| [found.mask_encoder, found.mask_decoder]),
+        };
+        Self { detector, masks, ..networks }
     }
 
-    pub(super) fn load_detector(&self, _run: &Run) -> Result<Option<Box<dyn Detector>>, PipelineError> {
-        Ok(None)
+    /// The detector, where there is one.
+    pub(super) fn load_detector(&self, run: &Run) -> Result<Option<Box<dyn Detector>>, PipelineError> {
+        let load = |path: &Path| load_detector(path, &run.options.detector, run.options.threads.unwrap_or(0));
+        Ok(self.detector.as_deref().map(load).transpose()?)
     }
 
-    pub(super) fn load_prompter(&self, _run: &Run) -> Result<Option<Box<dyn Prompter>>, PipelineError> {
-        Ok(None)
+    /// What finds the masks of boxes: the mask network, or colours alone.
+    pub(super) fn load_prompter(&self, run: &Run) -> Result<Box<dyn Prompter>, PipelineError> {
+        let options = &run.options.prompt;
+        Ok(match &self.masks {
+            Some([encoder, decoder]) => load_prompter(encoder, decoder, options, run.options.threads.unwrap_or(0))?,
+            None => Box::new(GrabCut::new(options)),
+        })
+    }
+
+    /// What the detector's boxes hang on.
+    pub(super) fn fingerprint_of_detector(&self) -> Result<Value, PipelineError> {
+        Ok(json!(self.detector.as_deref().map(fingerprint::of_content).transpose()?))
+    }
+
+    /// What masks of boxes hang on.
+    pub(super) fn fingerprint_of_masks(&self) -> Result<Value, PipelineError> {
+        let parts = self.masks.iter().flatten().map(|path| fingerprint::of_content(path));
+        Ok(json!(parts.collect::<Result<Vec<_>, _>>()?))
+    }
+}
+
+/// The networks that come with the program, if they and what runs them are there.
+fn shipped() -> Result<DefaultModels, String> {
+    let found = default_models().map_err(|error| error.to_string())?;
+    onnx::probe().map_err(|error| error.to_string())?;
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn there() -> DefaultModels {
+        let [detector, mask_encoder, mask_decoder] = ["d", "e", "f"].map(PathBuf::from);
+        DefaultModels { detector, mask_encoder, mask_decoder }
+    }
+
+    #[test]
+    fn what_is_missing_is_said_and_stood_in_for() {
+        let networks = Networks::chosen(&Options::default(), Err("no such folder".into()));
+        assert!(networks.detector.is_none() && networks.masks.is_none());
+        let [detector, masks] = &networks.doubts[..] else { panic!("two doubts: {:?}", networks.doubts) };
+        assert!(detector.contains("motion alone") && masks.contains("colours alone"));
+        assert!(networks.doubts.iter().all(|doubt| doubt.ends_with("no such folder")));
+    }
+
+    #[test]
+    fn what_is_not_wanted_is_no_doubt() {
+        let mut options = Options::default();
+        options.vehicles.detector = DetectorChoice::None;
+        let networks = Networks::chosen(&options, Ok(there()));
+        assert!(networks.detector.is_none() && networks.masks.is_some() && networks.doubts.is_empty());
+        options.vehicles.detector = DetectorChoice::File("mine.onnx".into());
+        options.vehicles.mask_network = MaskChoice::None;
+        let networks = Networks::chosen(&options, Err("no such folder".into()));
+        assert_eq!(networks.detector, Some("mine.onnx".into()));
+        assert!(networks.masks.is_none() && networks.doubts.is_empty());
     }
 }

@@ -12,11 +12,11 @@ use serde_json::{Value, json};
 
 use super::models::{self, ModelReport};
 use super::run::{Outcome, Run};
-use super::track::{self, TrackedObject};
+use super::track;
 use super::{PipelineError, fingerprint, follow, order};
 use crate::camera::Camera;
 use crate::io::colmap;
-use crate::scene::{ImageId, ObjectId, Reconstruction};
+use crate::scene::{ImageId, ObjectId, Reconstruction, TrackedObject};
 use crate::sfm;
 use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes};
 
@@ -153,17 +153,17 @@ fn one_object(
         return Ok(before);
     }
     let given = run.options.object_models.get(&id);
+    let failed =
+        |failure: String| (Reconstruction::default(), ModelReport { failure: Some(failure), ..ModelReport::default() });
     let (model, mut report) = match (given, camera) {
         (Some(folder), _) => models::given(folder, run)?,
+        (None, _) if object.left_out.is_some() => failed(object.left_out.clone().unwrap_or_default()),
         (None, Some(camera)) => {
             let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
             models::reconstruct(run, table, camera, sfm::Intrinsics::Fixed, &options, watch)?
         }
-        (None, None) => {
-            let failure = Some(NO_BACKGROUND.to_owned());
-            (Reconstruction::default(), ModelReport { failure, ..ModelReport::default() })
-        }
+        (None, None) => failed(NO_BACKGROUND.to_owned()),
     };
     report.num_visible = object.frames.len();
     let is_checked = given.is_some() || report.failure.is_some();

@@ -18,7 +18,10 @@ pub use vehicles::{DetectorChoice, MaskChoice, MotionChoice, VehicleOptions};
 use super::PipelineError;
 use crate::camera::Camera;
 use crate::limits::{Checked, OptionError, under, within};
-use crate::perception::{FlowOptions, GroundOptions, SegmentationOptions, TrackerOptions};
+use crate::perception::motion::MotionOptions;
+use crate::perception::{
+    DetectorOptions, FlowOptions, GroundOptions, PromptOptions, SegmentationOptions, TrackerOptions,
+};
 use crate::scene::ObjectId;
 use crate::{ground, sfm, trajectory, video};
 
@@ -145,6 +148,12 @@ pub struct Options {
     pub only_objects: BTreeSet<ObjectId>,
     /// How vehicles are found by what comes with the program.
     pub vehicles: VehicleOptions,
+    /// How the detector finds boxes.
+    pub detector: DetectorOptions,
+    /// How what moves is found.
+    pub motion: MotionOptions,
+    /// How the masks of boxes are found.
+    pub prompt: PromptOptions,
     /// How a network of the user's finds instances in a frame.
     pub segmentation: SegmentationOptions,
     /// Optical flow.
@@ -211,6 +220,9 @@ impl Default for Options {
             object_models: BTreeMap::new(),
             only_objects: BTreeSet::new(),
             vehicles: VehicleOptions::default(),
+            detector: DetectorOptions::default(),
+            motion: MotionOptions::default(),
+            prompt: PromptOptions::default(),
             segmentation: SegmentationOptions::default(),
             flow: FlowOptions::default(),
             tracker: TrackerOptions::default(),
@@ -265,6 +277,9 @@ impl Options {
         self.check_input()?;
         under("video", self.video.check())?;
         under("vehicles", self.vehicles.check())?;
+        under("detector", self.detector.check())?;
+        under("motion", self.motion.check())?;
+        under("prompt", self.prompt.check())?;
         under("segmentation", self.segmentation.check())?;
         under("flow", self.flow.check())?;
         under("tracker", self.tracker.check())?;

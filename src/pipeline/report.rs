@@ -8,12 +8,12 @@ use serde::Deserialize;
 use super::models::{self, ModelReport};
 use super::options::CameraOrigin;
 use super::run::{Outcome, Run};
-use super::track::{self, TrackedObject};
+use super::track;
 use super::{Options, PipelineError, Silent, Workspace, ground, objects, scale};
 use crate::eval::Evaluation;
 use crate::io::json;
 use crate::report::{self, Data, Fact, Missing, Model, Object, Part, Thumbnail};
-use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, Trajectories};
+use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
 use crate::trajectory::{Views, intersection};
 use crate::video::{Kind, Source};
 
@@ -92,14 +92,14 @@ fn object_models(
 }
 
 fn objects<'a>(
-    tracked: &[TrackedObject],
+    tracked: &'a [TrackedObject],
     reports: &BTreeMap<ObjectId, ModelReport>,
     models: &'a BTreeMap<ObjectId, Reconstruction>,
     trajectories: &'a Trajectories,
     failures: &BTreeMap<String, String>,
     ratios: impl Fn(ObjectId, &Reconstruction) -> Vec<(FrameId, f64)>,
 ) -> Vec<Object<'a>> {
-    let object = |tracked: &TrackedObject| {
+    let object = |tracked: &'a TrackedObject| {
         let report = reports.get(&tracked.id);
         let unregistered = report.map(|report| report.unregistered.clone()).unwrap_or_default();
         let failure = report.and_then(|report| report.failure.clone());
@@ -107,6 +107,7 @@ fn objects<'a>(
             id: tracked.id,
             class: tracked.class.clone(),
             confidence: tracked.confidence,
+            tracked: Some(tracked),
             visible: tracked.frames.clone(),
             model: models.get(&tracked.id).map(|reconstruction| Model { reconstruction, unregistered }),
             trajectory: trajectories.objects.iter().find(|trajectory| trajectory.id == tracked.id),

@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::{Value, json};
 
 use super::run::{Outcome, Run};
-use super::track::{self, TrackedObject};
+use super::track;
 use super::{PipelineError, exports, ground, models, objects};
-use crate::scene::{Frame, FrameId, Ground, GroundPlane, ObjectId, ScaleMethod, Trajectories, Unit};
+use crate::scene::{Frame, FrameId, Ground, GroundPlane, ObjectId, ScaleMethod, TrackedObject, Trajectories, Unit};
 use crate::trajectory::{self, Adjustment, Evidence, ModelOrigin, ObjectDescription, Silhouette};
 
 /// The name of the list of objects without a trajectory, and why.

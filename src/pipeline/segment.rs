@@ -28,8 +28,8 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
             "options": run.options.segmentation,
         }),
         Instances::Vehicles => {
-            let detector = Networks::of(run).detector.as_deref().map(fingerprint::of_content).transpose()?;
-            json!({ "detector": detector, "options": run.options.vehicles })
+            let detector = Networks::of(run).fingerprint_of_detector()?;
+            json!({ "detector": detector, "options": run.options.detector })
         }
     })
 }

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use super::Thumbnail;
 use crate::eval::Evaluation;
 use crate::scene::{
-    Frame, FrameId, Ground, Image, ObjectId, ObjectTrajectory, Reconstruction, ScaleEstimate, TimeBase,
+    Frame, FrameId, Ground, Image, ObjectId, ObjectTrajectory, Reconstruction, ScaleEstimate, TimeBase, TrackedObject,
 };
 
 /// Everything the page shows; the pipeline fills it from a finished output folder.
@@ -70,6 +70,8 @@ pub struct Object<'a> {
     pub class: String,
     /// Mean score of its detections, 0 to 1.
     pub confidence: f64,
+    /// What found it, and whether it moved, where that is known.
+    pub tracked: Option<&'a TrackedObject>,
     /// The frames in which it has a mask, ascending.
     pub visible: Vec<FrameId>,
     /// Its reconstruction, if there is one.

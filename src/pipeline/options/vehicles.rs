@@ -92,9 +92,10 @@ pub struct VehicleOptions {
     pub motion: MotionChoice,
     /// What finds the pixels of their boxes.
     pub mask_network: MaskChoice,
-    /// Every so many frames the mask network is asked anew; between, masks are carried by optical flow.
+    /// Every so many frames the mask network is asked anew; between, masks are carried by optical flow. Without a
+    /// number as many frames as there are in a quarter of a second, but from 2 to 10.
     #[schemars(extend("unit" = "frames"))]
-    pub segment_every: u32,
+    pub segment_every: Option<u32>,
 }
 
 impl Default for VehicleOptions {
@@ -103,7 +104,7 @@ impl Default for VehicleOptions {
             detector: DetectorChoice::Default,
             motion: MotionChoice::On,
             mask_network: MaskChoice::Default,
-            segment_every: 5,
+            segment_every: None,
         }
     }
 }
@@ -114,6 +115,34 @@ impl VehicleOptions {
     /// # Errors
     /// [`OptionError`](crate::limits::OptionError) names the option.
     pub fn check(&self) -> Checked {
-        within("segment_every", self.segment_every, 1..=1000)
+        self.segment_every.map_or(Ok(()), |every| within("segment_every", every, 1..=1000))
+    }
+
+    /// Every how many frames the mask network is asked, where frames follow one another after `step_s` seconds.
+    pub(in crate::pipeline) fn frames_between_masks(&self, step_s: Option<f64>) -> usize {
+        const INTERVAL_S: f64 = 0.25;
+        let usual = step_s.filter(|step| *step > 0.0).map_or(2.0, |step| (INTERVAL_S / step).round().clamp(2.0, 10.0));
+        self.segment_every.map_or(usual as usize, |every| every as usize)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masks_are_asked_for_as_often_as_the_frames_are_apart() {
+        let every = |step_s| VehicleOptions::default().frames_between_masks(step_s);
+        assert_eq!([Some(0.04), Some(0.1), Some(1.0), Some(0.001), None].map(every), [6, 3, 2, 10, 2]);
+        let chosen = VehicleOptions { segment_every: Some(25), ..VehicleOptions::default() };
+        assert_eq!(chosen.frames_between_masks(Some(0.1)), 25);
+        assert!(VehicleOptions { segment_every: Some(0), ..chosen }.check().is_err());
+    }
+
+    #[test]
+    fn choices_are_words_or_files() {
+        assert_eq!("none".parse(), Ok(DetectorChoice::None));
+        assert_eq!("nets/none.onnx".parse(), Ok(DetectorChoice::File("nets/none.onnx".into())));
+        assert!("colours".parse::<MaskChoice>().is_err() && "maybe".parse::<MotionChoice>().is_err());
     }
 }

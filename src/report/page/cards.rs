@@ -11,7 +11,7 @@ use crate::report::timeline::Timeline;
 use crate::report::verdict::{Verdict, relative_std};
 use crate::report::view::{View, quantile};
 use crate::report::words::{UNKNOWN, figure, length, percent, plain, thousands, with_unit};
-use crate::scene::{ObjectTrajectory, ScaleEstimate, ScaleMethod, TimeBase};
+use crate::scene::{MovementFinding, ObjectTrajectory, Outline, ScaleEstimate, ScaleMethod, TimeBase, TrackedObject};
 
 /// A vehicle's card.
 #[derive(Debug, Serialize)]
@@ -76,8 +76,22 @@ fn facts(object: &Object, timeline: &Timeline) -> Vec<Fact> {
         facts.push(scale_ratio(&trajectory.scale));
     }
     facts.extend(points(object));
+    facts.extend(object.tracked.into_iter().flat_map(tracked));
     facts.push(Fact::new("detection confidence", confidence(object.confidence)));
     facts
+}
+
+/// Whether it moved, and what found it.
+fn tracked(object: &TrackedObject) -> [Fact; 2] {
+    let MovementFinding { state, reason } = &object.movement;
+    let masks = match object.outline {
+        Outline::Given | Outline::Network => "frames".to_owned(),
+        Outline::Coarse => "frames; its masks are coarse, by colours alone".to_owned(),
+    };
+    [
+        Fact::new("movement", state.name()).with_note(reason.clone()),
+        Fact::new("found by", object.found_in.to_string()).with_note(masks),
+    ]
 }
 
 fn frames(object: &Object) -> Fact {

@@ -1,0 +1,101 @@
+//! `tracks.json`: the objects that were followed, what found them, and whether they moved.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::{IoError, atomic, json};
+use crate::scene::TrackedObject;
+
+/// The only version there is.
+const VERSION: u32 = 1;
+
+#[derive(Serialize, Deserialize)]
+struct Document {
+    version: u32,
+    objects: Vec<TrackedObject>,
+}
+
+/// Writes the tracked objects of a run, ascending by id.
+///
+/// # Errors
+/// A system error; or objects or frames out of order.
+pub fn write(path: &Path, objects: &[TrackedObject]) -> Result<(), IoError> {
+    check(path, objects)?;
+    atomic::write_json(path, &Document { version: VERSION, objects: objects.to_vec() })
+}
+
+/// Reads the tracked objects of a run.
+///
+/// # Errors
+/// A missing file, JSON of another shape or version, or objects or frames out of order.
+pub fn read(path: &Path) -> Result<Vec<TrackedObject>, IoError> {
+    let document: Document = json::read(path)?;
+    json::check_version(path, document.version, VERSION)?;
+    check(path, &document.objects)?;
+    Ok(document.objects)
+}
+
+fn check(path: &Path, objects: &[TrackedObject]) -> Result<(), IoError> {
+    if let Some(pair) = objects.windows(2).find(|pair| pair[0].id >= pair[1].id) {
+        let [before, after] = [pair[0].id, pair[1].id];
+        return Err(IoError::content(path, format!("object {after} does not come after object {before}")));
+    }
+    for object in objects {
+        let wrong = |problem: String| Err(IoError::content(path, format!("object {}: {problem}", object.id)));
+        if let Some(pair) = object.frames.windows(2).find(|pair| pair[0] >= pair[1]) {
+            return wrong(format!("frame {} does not come after frame {}", pair[1].0, pair[0].0));
+        }
+        let shares = [Some(object.confidence), object.mask_quality];
+        if let Some(share) = shares.into_iter().flatten().find(|share| !(0.0..=1.0).contains(share)) {
+            return wrong(format!("{share} is not between 0 and 1"));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{FoundIn, FrameId, Movement, MovementFinding, ObjectId, Outline};
+
+    fn object(id: u32) -> TrackedObject {
+        TrackedObject {
+            id: ObjectId(id),
+            class: "car".into(),
+            confidence: 0.5,
+            found_in: FoundIn { detector: 2, carried: 1, ..FoundIn::default() },
+            outline: Outline::Network,
+            mask_quality: Some(0.9),
+            movement: MovementFinding { state: Movement::Moving, reason: "12 of 14 points move".into() },
+            left_out: None,
+            frames: [3, 4, 7].map(FrameId).to_vec(),
+        }
+    }
+
+    #[test]
+    fn tracked_objects_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("tracks.json");
+        let objects = [object(1), object(4)];
+        write(&path, &objects).unwrap();
+        assert_eq!(read(&path).unwrap(), objects);
+    }
+
+    #[test]
+    fn what_breaks_the_rules_is_neither_written_nor_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("tracks.json");
+        let unordered = TrackedObject { frames: [4, 3].map(FrameId).to_vec(), ..object(1) };
+        let unsure = TrackedObject { confidence: f64::NAN, ..object(1) };
+        for wrong in [vec![object(2), object(2)], vec![unordered], vec![unsure]] {
+            assert!(write(&path, &wrong).is_err());
+        }
+        write(&path, &[object(1)]).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        for (from, to) in [("\"version\": 1", "\"version\": 2"), ("0.9", "1.9"), ("\"moving\"", "\"flying\"")] {
+            std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
+            assert!(read(&path).is_err(), "{from}");
+        }
+    }
+}

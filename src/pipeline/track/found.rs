@@ -1,0 +1,167 @@
+//! Tracks from what was found in the frames: masks of a network of the user's, or boxes whose masks are asked for.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use ::image::RgbImage;
+
+use super::kept::{Kept, Pass};
+use crate::io::{IoError, RunFolder, masks};
+use crate::math::upper_median;
+use crate::perception::{self, Look, Prompter, TrackSummary, TrackedMask, Tracker};
+use crate::pipeline::detections::{DetectionFolder, FrameFolder};
+use crate::pipeline::networks::Networks;
+use crate::pipeline::run::{Outcome, Run};
+use crate::pipeline::{PipelineError, motion, pictures, segment};
+use crate::scene::{BoxDetection, FoundIn, Frame, FrameId, ObjectId, Outline, TrackedObject};
+
+/// Where what was found in the frames comes from.
+pub(super) enum Finds {
+    /// Masks in every frame.
+    Masks(DetectionFolder),
+    /// Boxes in every frame, and whom to ask for masks in every `every`-th of them and in the last.
+    Boxes {
+        detected: segment::BoxFolder,
+        moving: FrameFolder<BoxDetection>,
+        prompter: Kept,
+        every: usize,
+        num_frames: usize,
+    },
+}
+
+impl Finds {
+    /// Of a network of the user's; the stage `segment` must be done.
+    pub(super) fn masks(run: &Run) -> Self {
+        Self::Masks(segment::finished(run))
+    }
+
+    /// Of the detector and of motion, whose stages must be done.
+    /// * `answers` – folder for the masks that were asked for.
+    pub(super) fn boxes(run: &Run, answers: PathBuf, outcome: &mut Outcome) -> Result<Self, PipelineError> {
+        let prompter = Kept::new(Networks::of(run).load_prompter(run)?, answers);
+        if prompter.is_coarse() {
+            outcome.warn(
+                "masks are coarse: colours alone tell a vehicle from the road beside it, for there is no mask network \
+                 (`tractrix doctor` says why)",
+            );
+        }
+        let every = run.options.vehicles.frames_between_masks(step_s(run.frames()?));
+        let (detected, moving, num_frames) = (segment::finished_boxes(run), motion::boxes(run), run.frames()?.len());
+        Ok(Self::Boxes { detected, moving, prompter, every, num_frames })
+    }
+
+    /// Whom to ask for masks in a frame that is looked at once more, from the end on; nobody in frames between.
+    pub(super) fn prompter_backward(&mut self, frame: &Frame) -> Option<&mut dyn Prompter> {
+        match self {
+            Self::Masks(_) => None,
+            Self::Boxes { prompter, every, .. } => {
+                prompter.begin(frame.id, Pass::Backward);
+                (frame.id.0 as usize).is_multiple_of(*every).then_some(prompter as &mut dyn Prompter)
+            }
+        }
+    }
+
+    /// What is known of the `index`-th frame.
+    fn look(&mut self, index: usize, frame: &Frame) -> Result<Look<'_>, PipelineError> {
+        Ok(match self {
+            Self::Masks(folder) => Look::Masks(folder.read(frame.id)?),
+            Self::Boxes { detected, moving, prompter, every, num_frames } => {
+                let mut found = detected.read(frame.id)?;
+                found.extend(moving.read(frame.id)?);
+                prompter.begin(frame.id, Pass::Forward);
+                let is_key = index.is_multiple_of(*every) || index + 1 == *num_frames;
+                Look::Boxes { found, prompter: if is_key { Some(prompter) } else { None } }
+            }
+        })
+    }
+}
+
+/// Median time from one frame to the next, seconds; `None` for a single frame.
+fn step_s(frames: &[Frame]) -> Option<f64> {
+    upper_median(frames.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect())
+}
+
+/// An object that was followed, and what the tracker knows of it.
+pub(super) struct Followed {
+    pub(super) object: TrackedObject,
+    pub(super) summary: TrackSummary,
+}
+
+/// Follows what was found from frame to frame by optical flow; writes the masks into `folder`.
+pub(super) fn follow(
+    run: &Run,
+    finds: &mut Finds,
+    folder: &Path,
+    outcome: &mut Outcome,
+) -> Result<Vec<Followed>, PipelineError> {
+    let frames = run.frames()?;
+    let mut flow = super::load_flow_estimator(run)?;
+    let mut tracker = Tracker::new(run.options.tracker.clone());
+    let mut previous: Option<RgbImage> = None;
+    let mut seen: BTreeMap<ObjectId, BTreeSet<FrameId>> = BTreeMap::new();
+    let mut index = 0;
+    run.progress.begin("track", Some(frames.len() as u64));
+    pictures::for_each(run, run.source.frames()?, outcome, |frame, picture| {
+        let carried = previous.as_ref().map(|previous| flow.flow(previous, &picture)).transpose()?;
+        let look = finds.look(index, &frame)?;
+        for TrackedMask { object, mask, .. } in tracker.advance(&frame, &picture, look, carried.as_ref())? {
+            masks::write_mask(&provisional(folder, object).join(RunFolder::mask_name(&frame)), &mask)?;
+            seen.entry(object).or_default().insert(frame.id);
+        }
+        previous = Some(picture);
+        index += 1;
+        Ok(())
+    })?;
+    let names: BTreeMap<FrameId, &Frame> = frames.iter().map(|frame| (frame.id, frame)).collect();
+    let summaries = tracker.finish();
+    let objects =
+        summaries.into_iter().map(|summary| settle(folder, summary, &mut seen, &names)).collect::<Result<_, _>>()?;
+    for dropped in seen.into_keys() {
+        run.workspace.remove_state(&provisional(folder, dropped))?;
+    }
+    Ok(objects)
+}
+
+fn provisional(folder: &Path, id: ObjectId) -> PathBuf {
+    folder.join(format!("provisional-{id}"))
+}
+
+/// Gives a confirmed object its lasting id, without the masks that nothing confirms.
+fn settle(
+    folder: &Path,
+    summary: TrackSummary,
+    seen: &mut BTreeMap<ObjectId, BTreeSet<FrameId>>,
+    names: &BTreeMap<FrameId, &Frame>,
+) -> Result<Followed, PipelineError> {
+    let from = provisional(folder, summary.provisional);
+    let mut frames = seen.remove(&summary.provisional).unwrap_or_default();
+    let confirmed = summary.first..=summary.last;
+    for frame in frames.extract_if(.., |frame| !confirmed.contains(frame)) {
+        if let Some(frame) = names.get(&frame) {
+            let mask = from.join(RunFolder::mask_name(frame));
+            std::fs::remove_file(&mask).map_err(IoError::system("remove", &mask))?;
+        }
+    }
+    let to = folder.join(summary.id.to_string());
+    std::fs::rename(&from, &to).map_err(IoError::system("rename", &from))?;
+    let object = TrackedObject {
+        id: summary.id,
+        class: summary.class.clone(),
+        confidence: summary.confidence,
+        found_in: found_in(&summary),
+        outline: match summary.outline {
+            perception::Outline::Fine => Outline::Network,
+            perception::Outline::Coarse => Outline::Coarse,
+        },
+        mask_quality: summary.mask_quality,
+        movement: super::movement::unknown(),
+        left_out: None,
+        frames: frames.into_iter().collect(),
+    };
+    Ok(Followed { object, summary })
+}
+
+fn found_in(summary: &TrackSummary) -> FoundIn {
+    let perception::FoundIn { detector, motion, both, prompted, carried } = summary.found;
+    FoundIn { given: 0, detector, motion, both, prompted, carried }
+}
