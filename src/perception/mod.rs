@@ -31,8 +31,8 @@ pub use self::segmentation::{
 };
 pub use self::shipped::{DefaultModels, default_descriptions, default_models};
 pub use self::tracking::{
-    BackwardTracker, End, Evidence, Extension, FoundIn, Look, Outline, TrackSummary, TrackedMask, Tracker,
-    TrackerOptions, Unsupported, support,
+    BackwardTracker, End, Evidence, Extension, Look, TrackSummary, TrackedMask, Tracker, TrackerOptions, Unsupported,
+    support,
 };
 
 /// Longer sides of pictures, pixels, that networks are asked about: below, there is nothing to see; beyond, memory

@@ -51,13 +51,14 @@ impl fmt::Display for FoundIn {
     }
 }
 
-/// How the outlines of an object's masks were found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// How the outlines of an object's masks were found, the best first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outline {
     /// They were given.
     Given,
     /// By a network.
+    #[default]
     Network,
     /// By colours inside a box: good for finding the object, not for its outline.
     Coarse,

@@ -5,18 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::{PointTrack, TrackLabel, Verdict};
-
-/// Whether an object moves against the background.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Movement {
-    /// It moves in some part of its life.
-    Moving,
-    /// It stands all the time.
-    Standing,
-    /// Nothing can be said.
-    Undetermined,
-}
+use crate::scene::Movement;
 
 /// What the judgement rests on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

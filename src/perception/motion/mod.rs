@@ -28,7 +28,7 @@ use serde::{Deserialize, Serialize};
 pub use self::classify::{Evidence, TrackLabel, Verdict, classify};
 pub use self::follower::{PointFollower, PointTrack};
 pub use self::ground::GroundModel;
-pub use self::judge::{Judgement, Movement, MovementReason, judge};
+pub use self::judge::{Judgement, MovementReason, judge};
 pub use self::movers::{Mover, movers};
 use crate::camera::Camera;
 use crate::limits::{Checked, under, within};

@@ -2,10 +2,9 @@
 
 use super::world::{Flight, Plan, World, world};
 use super::{
-    MotionOptions, Movement, MovementReason, Mover, PointTrack, Surroundings, TrackLabel, Verdict, classify, judge,
-    movers,
+    MotionOptions, MovementReason, Mover, PointTrack, Surroundings, TrackLabel, Verdict, classify, judge, movers,
 };
-use crate::scene::Rect;
+use crate::scene::{Movement, Rect};
 
 fn look(world: &World) -> (Vec<TrackLabel>, Vec<Mover>) {
     look_with(world, &world.surroundings())

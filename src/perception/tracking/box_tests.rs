@@ -33,7 +33,7 @@ fn a_car_is_followed_whatever_the_distance_of_key_frames() {
     for every in [1, 5, 10] {
         let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, Finder::Detector), &honest);
         let [track] = &tracks[..] else { panic!("one track, every {every}: {tracks:#?}") };
-        assert_eq!((track.class.as_str(), track.found.detector, track.outline), ("car", 40, Outline::Fine));
+        assert_eq!((track.class.as_str(), track.found.detector, track.outline), ("car", 40, Outline::Network));
         assert_eq!((track.first, track.last, track.num_looks), (FrameId(0), FrameId(39), 40));
         assert_eq!(followed(&world, &frames, track, 0), 40, "every {every}");
         assert!(track.mask_quality.is_some_and(|quality| (quality - 0.9).abs() < 1e-9));

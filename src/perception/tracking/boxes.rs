@@ -10,9 +10,9 @@ use super::region::Region;
 use super::sights::{self, Finding, Sight};
 use super::track::{Asked, Moment, Prediction, Track};
 use super::tracker::{MAX_COVERED, Sighting, Tracker};
-use super::{Evidence, Outline, TrackerOptions};
+use super::{Evidence, TrackerOptions};
 use crate::perception::{PerceptionError, Prompted, Prompter};
-use crate::scene::{BoxDetection, Flow, ObjectId, Rect};
+use crate::scene::{BoxDetection, Flow, ObjectId, Outline, Rect};
 
 /// Overlap of boxes (intersection over union) that says as much as masks that overlap a little.
 const MIN_BOX_OVERLAP: f64 = 0.4;
@@ -85,7 +85,7 @@ impl Tracker {
             return Ok(self.carry_all(view, &meeting));
         };
         meeting.sights = sights::join(waiting, meeting.sights);
-        let outline = if prompter.is_coarse() { Outline::Coarse } else { Outline::Fine };
+        let outline = if prompter.is_coarse() { Outline::Coarse } else { Outline::Network };
         self.ask(view, prompter, &mut meeting)?;
         self.waiting.clear();
         self.associate_boxes(&mut meeting);

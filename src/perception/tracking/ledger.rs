@@ -2,7 +2,7 @@
 
 use super::choice::Fresh;
 use super::sights::Finding;
-use super::{FoundIn, Outline};
+use crate::scene::{FoundIn, Outline};
 
 /// Counts and sums over the life of a track.
 #[derive(Clone, Debug, Default)]

@@ -56,7 +56,7 @@ pub use self::support::{Unsupported, support};
 pub use self::tracker::Tracker;
 use crate::limits::{Checked, ordered, some_of, within};
 use crate::perception::Prompter;
-use crate::scene::{BoxDetection, Detection, FrameId, Mask, ObjectId};
+use crate::scene::{BoxDetection, Detection, FoundIn, FrameId, Mask, ObjectId, Outline};
 
 /// What is known of a frame before the tracker sees it.
 pub enum Look<'a> {
@@ -100,44 +100,6 @@ pub struct TrackedMask {
     pub mask: Mask,
     /// What the mask rests on.
     pub evidence: Evidence,
-}
-
-/// In how many frames what found an object. The first three count frames with a box, the last two frames without one.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct FoundIn {
-    /// The detector alone, or a segmentation network.
-    pub detector: usize,
-    /// Motion alone.
-    pub motion: usize,
-    /// Detector and motion.
-    pub both: usize,
-    /// Only a mask asked for in the place where the object had to be.
-    pub prompted: usize,
-    /// Only a mask carried by flow.
-    pub carried: usize,
-}
-
-impl FoundIn {
-    /// Frames with a box of the detector.
-    pub fn by_detector(&self) -> usize {
-        self.detector + self.both
-    }
-
-    /// Frames with a box of motion.
-    pub fn by_motion(&self) -> usize {
-        self.motion + self.both
-    }
-}
-
-/// How well masks follow an outline.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Outline {
-    /// As well as a network that was made for it.
-    #[default]
-    Fine,
-    /// Only so that the object is found.
-    Coarse,
 }
 
 /// What is known of an object when all frames are through.

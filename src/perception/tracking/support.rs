@@ -107,8 +107,7 @@ fn is_moving(summary: &TrackSummary, movement: Movement) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::perception::tracking::{FoundIn, Outline};
-    use crate::scene::{FrameId, ObjectId};
+    use crate::scene::{FoundIn, FrameId, ObjectId, Outline};
 
     fn summary(found: FoundIn, class_confidence: f64, num_looks: usize) -> TrackSummary {
         TrackSummary {
@@ -125,7 +124,7 @@ mod tests {
             num_looks,
             class_confidence,
             mask_quality: Some(0.9),
-            outline: Outline::Fine,
+            outline: Outline::Network,
         }
     }
 

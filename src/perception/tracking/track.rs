@@ -8,8 +8,8 @@ use super::choice::Fresh;
 use super::ledger::Ledger;
 use super::region::Region;
 use super::sights::{Finding, Sight};
-use super::{Outline, TrackSummary, TrackerOptions};
-use crate::scene::{BoundingBox, FrameId, ObjectId};
+use super::{TrackSummary, TrackerOptions};
+use crate::scene::{BoundingBox, FrameId, ObjectId, Outline};
 
 /// Share of the way that velocity and looks move towards each new measurement.
 const LEARNING_RATE: f64 = 0.4;

@@ -8,12 +8,12 @@ use ::image::RgbImage;
 use super::kept::{Kept, Pass};
 use crate::io::{IoError, RunFolder, masks};
 use crate::math::upper_median;
-use crate::perception::{self, Look, Prompter, TrackSummary, TrackedMask, Tracker};
+use crate::perception::{Look, Prompter, TrackSummary, TrackedMask, Tracker};
 use crate::pipeline::detections::{DetectionFolder, FrameFolder};
 use crate::pipeline::networks::Networks;
 use crate::pipeline::run::{Outcome, Run};
 use crate::pipeline::{PipelineError, motion, pictures, segment};
-use crate::scene::{BoxDetection, FoundIn, Frame, FrameId, ObjectId, Outline, TrackedObject};
+use crate::scene::{BoxDetection, Frame, FrameId, ObjectId, TrackedObject};
 
 /// Where what was found in the frames comes from.
 pub(super) enum Finds {
@@ -148,20 +148,12 @@ fn settle(
         id: summary.id,
         class: summary.class.clone(),
         confidence: summary.confidence,
-        found_in: found_in(&summary),
-        outline: match summary.outline {
-            perception::Outline::Fine => Outline::Network,
-            perception::Outline::Coarse => Outline::Coarse,
-        },
+        found_in: summary.found,
+        outline: summary.outline,
         mask_quality: summary.mask_quality,
         movement: super::movement::unknown(),
         left_out: None,
         frames: frames.into_iter().collect(),
     };
     Ok(Followed { object, summary })
-}
-
-fn found_in(summary: &TrackSummary) -> FoundIn {
-    let perception::FoundIn { detector, motion, both, prompted, carried } = summary.found;
-    FoundIn { given: 0, detector, motion, both, prompted, carried }
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use crate::io::{RunFolder, masks};
-use crate::perception::motion::{self as motion_of_points, Judgement, MovementReason, TrackLabel, judge};
+use crate::perception::motion::{Judgement, MovementReason, TrackLabel, judge};
 use crate::pipeline::PipelineError;
 use crate::pipeline::motion::{self, Points};
 use crate::pipeline::run::Run;
@@ -94,15 +94,7 @@ fn finding(object: &TrackedObject, judged: &Judgement) -> MovementFinding {
             "its lowest points would float over the ground if it stood: it comes nearer, or it is something tall";
         return MovementFinding { state: Movement::Undetermined, reason: reason.to_owned() };
     }
-    MovementFinding { state: state(judged.movement), reason: judged.to_string() }
-}
-
-fn state(judged: motion_of_points::Movement) -> Movement {
-    match judged {
-        motion_of_points::Movement::Moving => Movement::Moving,
-        motion_of_points::Movement::Standing => Movement::Standing,
-        motion_of_points::Movement::Undetermined => Movement::Undetermined,
-    }
+    MovementFinding { state: judged.movement, reason: judged.to_string() }
 }
 
 /// What lies on the masks of each object.
