@@ -9,27 +9,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use common::{drive, json, outcome, tractrix};
-use tempfile::TempDir;
+use common::{Place, drive, json, outcome, tractrix};
 
 const NUM_FRAMES: u32 = 24;
 
-/// A rendered drive and a place for results.
-struct Place {
-    folder: TempDir,
-}
-
 impl Place {
-    fn new() -> Self {
-        let folder = TempDir::new().unwrap();
-        drive::write(folder.path(), NUM_FRAMES);
-        Self { folder }
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
-    }
-
     fn arguments(&self, output: &str) -> Vec<String> {
         let path = |name: &str| self.path(name).display().to_string();
         let mut arguments = vec!["run".to_owned(), path("images"), "--output".to_owned(), path(output)];
@@ -98,7 +82,7 @@ const ALL: [&str; 11] = [
 
 #[test]
 fn a_killed_run_ends_where_an_undisturbed_one_ends() {
-    let place = Place::new();
+    let place = Place::new(NUM_FRAMES);
     let (done, reused) = place.run("whole", &[]);
     assert_eq!((done.len(), reused.len()), (ALL.len(), 0));
     let whole = place.result("whole");
@@ -138,7 +122,7 @@ fn kill_after(place: &Place, output: &str, stage: &str) {
 
 #[test]
 fn what_changes_is_done_again_and_nothing_else() {
-    let place = Place::new();
+    let place = Place::new(NUM_FRAMES);
     place.run("out", &[]);
     let before = place.result("out");
     let index = |stage: &str| ALL.iter().position(|name| *name == stage).unwrap();
@@ -194,7 +178,7 @@ fn what_changes_is_done_again_and_nothing_else() {
 
 #[test]
 fn two_runs_do_not_share_a_folder() {
-    let place = Place::new();
+    let place = Place::new(NUM_FRAMES);
     let mut first = Command::new(env!("CARGO_BIN_EXE_tractrix"))
         .args(place.arguments("out"))
         .stdout(Stdio::null())
@@ -214,7 +198,7 @@ fn two_runs_do_not_share_a_folder() {
 
 #[test]
 fn a_drive_becomes_a_trajectory() {
-    let place = Place::new();
+    let place = Place::new(NUM_FRAMES);
     place.run("out", &[]);
     let found = json(&place.path("out/trajectories.json"));
     let object = &found["objects"][0];
@@ -237,7 +221,7 @@ fn a_drive_becomes_a_trajectory() {
 
 #[test]
 fn images_of_a_given_model_that_are_no_frames_are_named() {
-    let place = Place::new();
+    let place = Place::new(NUM_FRAMES);
     place.run("out", &[]);
     let model = format!("1={}", place.path("out/objects/1").display());
     place.run("given", &["--every", "2", "--object-model", &model]);

@@ -8,8 +8,7 @@ use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
-use common::{drive, outcome, tractrix};
-use tempfile::TempDir;
+use common::{Place, drive, outcome, tractrix};
 
 const NUM_FRAMES: u32 = 12;
 /// The commands that do a run or a part of it.
@@ -18,22 +17,7 @@ const RUNS: [&str; 6] = ["run", "segment", "track", "sfm", "ground", "scale"];
 const THEIRS: [&str; 5] =
     ["objects/my_models/car.obj", "tracks/gps/t.gpx", "ply/scan.ply", "background/notes.txt", "notes/thesis.tex"];
 
-/// A rendered drive, and a place for results.
-struct Place {
-    folder: TempDir,
-}
-
 impl Place {
-    fn new() -> Self {
-        let folder = TempDir::new().unwrap();
-        drive::write(folder.path(), NUM_FRAMES);
-        Self { folder }
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
-    }
-
     fn run(&self, command: &str, images: &str, output: &str, more: &[&OsStr]) -> (i32, String) {
         let mut started = tractrix();
         started.arg(command).arg(self.path(images)).arg("--output").arg(self.path(output));
@@ -99,7 +83,7 @@ fn assert_same(before: &BTreeMap<PathBuf, Vec<u8>>, after: &BTreeMap<PathBuf, Ve
 
 #[test]
 fn a_folder_of_others_is_left_as_it_is_by_every_command() {
-    let place = Place::new();
+    let place = Place::new(NUM_FRAMES);
     plant(&place.path("theirs"), &THEIRS);
     plant(&place.path("theirs"), &["report.html", "evaluation.json", "benchmark.json", "cameras.txt"]);
     for command in RUNS {
@@ -121,7 +105,7 @@ fn a_folder_of_others_is_left_as_it_is_by_every_command() {
 
 #[test]
 fn files_of_others_beside_the_results_stay_and_the_run_goes_on() {
-    let place = Place::new();
+    let place = Place::new(NUM_FRAMES);
     place.succeeds("images", "out", &[]);
     plant(&place.path("out"), &THEIRS);
     let theirs = |place: &Place| -> Vec<Vec<u8>> {
@@ -144,7 +128,7 @@ fn files_of_others_beside_the_results_stay_and_the_run_goes_on() {
 
 #[test]
 fn inputs_that_lie_among_the_results_are_refused_by_every_command() {
-    let place = Place::new();
+    let place = Place::new(NUM_FRAMES);
     place.succeeds("images", "out", &[]);
     let out = place.path("out");
     let linked = place.path("linked");
@@ -189,7 +173,7 @@ fn inputs_that_lie_among_the_results_are_refused_by_every_command() {
 
 #[test]
 fn planted_links_are_never_followed() {
-    let place = Place::new();
+    let place = Place::new(NUM_FRAMES);
     place.succeeds("images", "whole", &[]);
     plant(&place.path("elsewhere"), &["profile", "objects/1/cameras.txt"]);
     for (link, to) in [
@@ -219,7 +203,7 @@ fn planted_links_are_never_followed() {
 
 #[test]
 fn results_of_another_input_are_given_up_only_when_that_is_asked_for() {
-    let place = Place::new();
+    let place = Place::new(NUM_FRAMES);
     place.succeeds("images", "out", &["--every", "2"]);
     fs::create_dir(place.path("others")).unwrap();
     for entry in fs::read_dir(place.path("images")).unwrap().flatten().take(NUM_FRAMES as usize - 1) {
@@ -241,7 +225,7 @@ fn results_of_another_input_are_given_up_only_when_that_is_asked_for() {
 
 #[test]
 fn a_conversion_writes_over_nothing() {
-    let place = Place::new();
+    let place = Place::new(NUM_FRAMES);
     place.succeeds("images", "out", &[]);
     let convert = |input: &Path, output: &Path, more: &[&str]| {
         let (code, _, said) = outcome(tractrix().arg("convert").arg(input).arg(output).args(more));

@@ -6,26 +6,11 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use common::{drive, outcome, tractrix};
-use tempfile::TempDir;
+use common::{Place, drive, outcome, tractrix};
 
 const NUM_FRAMES: u32 = 24;
 
-struct Place {
-    folder: TempDir,
-}
-
 impl Place {
-    fn new() -> Self {
-        let folder = TempDir::new().unwrap();
-        drive::write(folder.path(), NUM_FRAMES);
-        Self { folder }
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
-    }
-
     /// A run without masks; gives what it says.
     fn run(&self, output: &str, flags: &[&str]) -> String {
         let mut command = tractrix();
@@ -74,7 +59,7 @@ fn collect(folder: &Path, files: &mut BTreeMap<PathBuf, Vec<u8>>) {
 
 #[test]
 fn a_vehicle_without_a_class_is_found_because_it_moves() {
-    let place = Place::new();
+    let place = Place::new(NUM_FRAMES);
     let said = place.run("out", &["--mask-network", "none"]);
     assert!(said.contains("masks are coarse"), "{said}");
     let tracks = place.tracks("out");
@@ -93,7 +78,7 @@ fn a_vehicle_without_a_class_is_found_because_it_moves() {
 
 #[test]
 fn without_detector_and_motion_there_is_no_vehicle() {
-    let place = Place::new();
+    let place = Place::new(NUM_FRAMES);
     let said = place.run("out", &["--mask-network", "none", "--motion", "off"]);
     assert!(said.contains("no vehicle is tracked"), "{said}");
     assert!(place.tracks("out")["objects"].as_array().unwrap().is_empty());

@@ -72,12 +72,12 @@ pub(super) struct TrackStore {
 impl TrackStore {
     /// For a stage at work; takes away what it left before for other options.
     pub(super) fn fresh(run: &Run, prefix: &str, fingerprint: &str) -> Result<Self, PipelineError> {
-        Ok(Self { folder: run.workspace.keep_only(prefix, &folder_name(prefix, fingerprint))? })
+        Ok(Self { folder: run.workspace.keep_only(prefix, &super::fingerprint::folder_name(prefix, fingerprint))? })
     }
 
     /// Of a stage that is done.
     pub(super) fn done(run: &Run, prefix: &str, stage: Stage) -> Self {
-        Self { folder: run.workspace.state(&folder_name(prefix, run.fingerprint(stage))) }
+        Self { folder: run.workspace.state(&super::fingerprint::folder_name(prefix, run.fingerprint(stage))) }
     }
 
     pub(super) fn write(&self, target: &str, table: &TrackTable) -> Result<(), PipelineError> {
@@ -93,10 +93,6 @@ impl TrackStore {
     fn path(&self, target: &str) -> PathBuf {
         self.folder.join(format!("{target}.bin"))
     }
-}
-
-fn folder_name(prefix: &str, fingerprint: &str) -> String {
-    format!("{prefix}{}", fingerprint.get(..16).unwrap_or_default())
 }
 
 /// Piece by piece: the tracks of a long video are not to lie in memory twice.

@@ -66,6 +66,11 @@ fn of_file(path: &Path) -> io::Result<String> {
     }
 }
 
+/// Name of a folder of the run's own for the results of a fingerprint: the prefix and the fingerprint's beginning.
+pub(super) fn folder_name(prefix: &str, fingerprint: &str) -> String {
+    format!("{prefix}{}", fingerprint.get(..16).unwrap_or_default())
+}
+
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -157,7 +157,7 @@ fn ground_masks(
     fingerprint: &str,
     outcome: &mut Outcome,
 ) -> Result<PathBuf, PipelineError> {
-    let name = format!("ground-masks-{}", fingerprint.get(..16).unwrap_or_default());
+    let name = fingerprint::folder_name("ground-masks-", fingerprint);
     let folder = run.workspace.keep_only("ground-masks-", &name)?;
     let mut segmenter = load(run, model)?;
     let registered: BTreeSet<&str> = background.images.values().map(|image| image.name.as_str()).collect();

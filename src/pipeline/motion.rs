@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use super::detections::FrameFolder;
 use super::order::{self, Order};
 use super::run::{Outcome, Run};
-use super::{Instances, MotionChoice, PipelineError, Stage, models, pictures};
+use super::{Instances, MotionChoice, PipelineError, Stage, fingerprint, models, pictures};
 use crate::ground::dominant_plane_points;
 use crate::image::gray_from_rgb;
 use crate::io::{IoError, atomic};
@@ -66,7 +66,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     if !is_wanted(run)? {
         return Ok(outcome);
     }
-    let folder = run.workspace.keep_only(PREFIX, &folder_name(fingerprint))?;
+    let folder = run.workspace.keep_only(PREFIX, &fingerprint::folder_name(PREFIX, fingerprint))?;
     let (background, _) = models::background(run)?;
     let (frames, tracks) = follow(run, &mut outcome)?;
     let world = World::new(run, &background, &frames, &mut outcome);
@@ -169,12 +169,8 @@ fn write_points(path: &Path, points: &Points) -> Result<(), PipelineError> {
     Ok(atomic::write(path, &bytes)?)
 }
 
-fn folder_name(fingerprint: &str) -> String {
-    format!("{PREFIX}{}", fingerprint.get(..16).unwrap_or_default())
-}
-
 fn folder(run: &Run) -> PathBuf {
-    run.workspace.state(&folder_name(run.fingerprint(Stage::Motion)))
+    run.workspace.state(&fingerprint::folder_name(PREFIX, run.fingerprint(Stage::Motion)))
 }
 
 /// The boxes of what moves; the stage must be done.

@@ -44,20 +44,16 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
 
 /// The masks that the user's network found; the stage must be done.
 pub(super) fn finished(run: &Run) -> DetectionFolder {
-    masks_in(run, run.workspace.state(&folder_name(MASKS, run.fingerprint(Stage::Segment))))
+    masks_in(run, run.workspace.state(&fingerprint::folder_name(MASKS, run.fingerprint(Stage::Segment))))
 }
 
 /// The boxes that the detector found; the stage must be done.
 pub(super) fn finished_boxes(run: &Run) -> BoxFolder {
-    FrameFolder::new(run.workspace.state(&folder_name(BOXES, run.fingerprint(Stage::Segment))))
+    FrameFolder::new(run.workspace.state(&fingerprint::folder_name(BOXES, run.fingerprint(Stage::Segment))))
 }
 
 fn masks_in(run: &Run, folder: PathBuf) -> DetectionFolder {
     DetectionFolder::new(folder, (run.info().width, run.info().height))
-}
-
-fn folder_name(prefix: &str, fingerprint: &str) -> String {
-    format!("{prefix}{}", fingerprint.get(..16).unwrap_or_default())
 }
 
 /// Loads the user's network with the options of the run.
@@ -68,7 +64,7 @@ pub(super) fn load(run: &Run, model: &Path) -> Result<Box<dyn Segmenter>, Pipeli
 
 fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let path = run.workspace.keep_only(MASKS, &folder_name(MASKS, fingerprint))?;
+    let path = run.workspace.keep_only(MASKS, &fingerprint::folder_name(MASKS, fingerprint))?;
     let store = masks_in(run, path.clone());
     let mut segmenter = load(run, model)?;
     let Split { open, done } = split(run, |frame| store.has(frame))?;
@@ -92,7 +88,7 @@ fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, Pip
 
 fn find_boxes(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let path = run.workspace.keep_only(BOXES, &folder_name(BOXES, fingerprint))?;
+    let path = run.workspace.keep_only(BOXES, &fingerprint::folder_name(BOXES, fingerprint))?;
     outcome.outputs.push(path.clone());
     let networks = Networks::of(run);
     networks.doubts.iter().for_each(|doubt| outcome.warn(doubt.clone()));

@@ -15,7 +15,7 @@ use self::found::{Finds, Followed};
 use super::networks::Networks;
 use super::run::{Outcome, Run};
 use super::{Instances, PipelineError, fingerprint};
-use crate::io::masks;
+use crate::io::{RunFolder, masks};
 use crate::perception::{FlowEstimator, TrackSummary, load_flow, support};
 use crate::scene::{Frame, Mask, Movement, ObjectId, TrackedObject};
 
@@ -45,8 +45,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
 
 pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let answers =
-        run.workspace.keep_only(ANSWERS, &format!("{ANSWERS}{}", fingerprint.get(..16).unwrap_or_default()))?;
+    let answers = run.workspace.keep_only(ANSWERS, &fingerprint::folder_name(ANSWERS, fingerprint))?;
     let objects = run.workspace.put_folder(&run.workspace.tracks(), |folder| {
         let (mut objects, summaries) = tracked(run, folder, &answers, &mut outcome)?;
         let flat = movement::find(run, folder, &mut objects)?;
@@ -122,9 +121,20 @@ pub(super) fn masks_of(
     objects: &[TrackedObject],
     frame: &Frame,
 ) -> Result<Vec<(ObjectId, Mask)>, PipelineError> {
+    masks_in(run, &run.workspace.tracks(), objects, frame)
+}
+
+/// As [`masks_of`], of a folder that is still in the making.
+fn masks_in(
+    run: &Run,
+    folder: &Path,
+    objects: &[TrackedObject],
+    frame: &Frame,
+) -> Result<Vec<(ObjectId, Mask)>, PipelineError> {
     let size = (run.info().width, run.info().height);
     let seen = objects.iter().filter(|object| object.frames.binary_search(&frame.id).is_ok());
-    seen.map(|object| Ok((object.id, masks::read_mask(&run.workspace.mask(object.id, frame), size)?))).collect()
+    let path = |object: &TrackedObject| folder.join(object.id.to_string()).join(RunFolder::mask_name(frame));
+    seen.map(|object| Ok((object.id, masks::read_mask(&path(object), size)?))).collect()
 }
 
 /// The optical flow of the run's options.

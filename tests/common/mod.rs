@@ -4,9 +4,10 @@
 
 pub mod drive;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use assert_cmd::Command;
+use tempfile::TempDir;
 
 /// The program.
 pub fn tractrix() -> Command {
@@ -28,4 +29,21 @@ pub fn outcome(command: &mut Command) -> (i32, String, String) {
 pub fn json(path: &Path) -> serde_json::Value {
     let text = std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+/// A rendered drive, and a place for results.
+pub struct Place {
+    pub folder: TempDir,
+}
+
+impl Place {
+    pub fn new(num_frames: u32) -> Self {
+        let folder = TempDir::new().unwrap();
+        drive::write(folder.path(), num_frames);
+        Self { folder }
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
 }

@@ -10,7 +10,6 @@ use std::path::Path;
 use ::image::RgbImage;
 
 use super::found::{Finds, Followed};
-use super::movement::masks_in;
 use crate::io::{RunFolder, masks};
 use crate::perception::{BackwardTracker, Evidence, Extension, FlowEstimator, TrackSummary, TrackedMask};
 use crate::pipeline::run::{Outcome, Run};
@@ -88,7 +87,7 @@ fn follow_back(
     let mut found: Vec<(Frame, TrackedMask)> = Vec::new();
     let mut later: Option<&RgbImage> = None;
     for (frame, picture) in window.iter().rev() {
-        let known = masks_in(run, folder, &objects, frame)?;
+        let known = super::masks_in(run, folder, &objects, frame)?;
         let carried = later.filter(|_| tracker.is_following()).map(|later| flow.flow(later, picture)).transpose()?;
         let prompter = finds.prompter_backward(frame);
         let earlier = tracker.advance(frame, picture, &known, prompter, carried.as_ref())?;

@@ -36,6 +36,7 @@ impl Finds {
     }
 
     /// Of the detector and of motion, whose stages must be done.
+    ///
     /// * `answers` – folder for the masks that were asked for.
     pub(super) fn boxes(run: &Run, answers: PathBuf, outcome: &mut Outcome) -> Result<Self, PipelineError> {
         let prompter = Kept::new(Networks::of(run).load_prompter(run)?, answers);

@@ -3,12 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use crate::io::{RunFolder, masks};
 use crate::perception::motion::{Judgement, MovementReason, TrackLabel, judge};
 use crate::pipeline::PipelineError;
 use crate::pipeline::motion::{self, Points};
 use crate::pipeline::run::Run;
-use crate::scene::{FoundIn, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, TrackedObject};
+use crate::scene::{FoundIn, Frame, FrameId, Movement, MovementFinding, ObjectId, TrackedObject};
 
 /// What is said where nothing was looked at.
 pub(super) fn unknown() -> MovementFinding {
@@ -115,7 +114,7 @@ fn on_objects(
         live.extend(starting.remove(&index).into_iter().flatten());
         live.retain(|&k| points.tracks[k].end() > index);
         let Some(frame) = names.get(id) else { continue };
-        for (object, mask) in masks_in(run, folder, objects, frame)? {
+        for (object, mask) in super::masks_in(run, folder, objects, frame)? {
             let on_it = found.entry(object).or_default();
             on_it.area += mask.area_px2();
             on_it.num_masks += 1;
@@ -127,22 +126,6 @@ fn on_objects(
         }
     }
     Ok(found)
-}
-
-/// The masks of all objects in one frame, which lie in a folder that is still in the making.
-pub(super) fn masks_in(
-    run: &Run,
-    folder: &Path,
-    objects: &[TrackedObject],
-    frame: &Frame,
-) -> Result<Vec<(ObjectId, Mask)>, PipelineError> {
-    let size = (run.info().width, run.info().height);
-    let seen = objects.iter().filter(|object| object.frames.binary_search(&frame.id).is_ok());
-    let read = |object: &TrackedObject| {
-        let path = folder.join(object.id.to_string()).join(RunFolder::mask_name(frame));
-        Ok((object.id, masks::read_mask(&path, size)?))
-    };
-    seen.map(read).collect()
 }
 
 #[cfg(test)]
