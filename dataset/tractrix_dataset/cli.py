@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .drives import TRAJECTORIES
 from .render import RenderOptions
-from .vehicles.spec import VEHICLES
+from .scenarios import NAMES
+from .vehicles.heavy import FLEET
 
 MIB = 1024 * 1024
 
@@ -41,6 +41,6 @@ def render_options(arguments: argparse.Namespace) -> RenderOptions:
 
 def add_names(parser: argparse.ArgumentParser) -> None:
     """Which sequence, and where it goes."""
-    parser.add_argument("--trajectory", choices=sorted(TRAJECTORIES), required=True)
-    parser.add_argument("--vehicle", choices=sorted(VEHICLES), required=True)
+    parser.add_argument("--trajectory", choices=sorted(NAMES), required=True)
+    parser.add_argument("--vehicle", choices=sorted(FLEET), required=True)
     parser.add_argument("--output", type=Path, required=True, help="folder of the sequence")

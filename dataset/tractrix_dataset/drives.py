@@ -6,12 +6,15 @@ A drive follows a street in its right lane; lane changes are lateral moves.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from . import plan
 from .ground import Focus
 from .seeds import rng
+
+Knots = tuple[tuple[float, float], ...]
 
 FPS = 10.0
 CURVE_STEP_M = 0.1
@@ -32,13 +35,13 @@ class Drive:
     start: float
     direction: int
     lane: float
-    speed: tuple[tuple[float, float], ...]
-    shift: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
+    speed: Knots
+    shift: Knots = ((0.0, 0.0),)
 
     def distance(self, time: np.ndarray) -> np.ndarray:
         """Distance driven (m) at the given times (s)."""
         fine = np.arange(-2.0, float(np.max(time)) + 2.0, 0.01)
-        speed = _smooth_knots(fine, self.speed)
+        speed = smooth_knots(fine, self.speed)
         driven = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * 0.01)])
         return np.interp(time, fine, driven - np.interp(0.0, fine, driven))
 
@@ -46,7 +49,7 @@ class Drive:
         """The curve of the lane, smooth as a driver steers."""
         path = plan.street(self.street).path
         along = np.arange(-30.0, 110.0, CURVE_STEP_M)
-        left = _smooth_knots(along, self.shift) - self.lane
+        left = smooth_knots(along, self.shift) - self.lane
         points = path.offset_point(self.start + self.direction * along, self.direction * left)
         width = int(SMOOTHING_M / CURVE_STEP_M)
         kernel = np.hanning(2 * width + 1)
@@ -73,7 +76,7 @@ class Curve:
         return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
-def _smooth_knots(at: np.ndarray, knots: tuple[tuple[float, float], ...]) -> np.ndarray:
+def smooth_knots(at: np.ndarray, knots: Knots) -> np.ndarray:
     """Values between knots by smooth steps: no jumps, level at every knot."""
     t, v = np.array(knots).T
     if len(t) == 1:
@@ -89,26 +92,77 @@ class Flight:
 
     The view turns from ``azimuth`` by ``sweep`` while distance (m, along the
     ground) and height over the vehicle's ground (m) go from first to second.
+    ``gaze`` are knots (time s, degrees to the left) by which the camera looks
+    past the vehicle.
     """
 
     azimuths: tuple[float, ...]
     sweep: float
     distance: tuple[float, float]
     height: tuple[float, float]
+    gaze: Knots = ((0.0, 0.0),)
+
+
+@dataclass(frozen=True)
+class Dashcam:
+    """A camera behind the windscreen of a car that drives on its springs.
+
+    ``height`` over the road (m), ``view`` the horizontal field of view and
+    ``pitch`` how far the camera looks down (degrees). The springs let the car
+    pitch and roll by ``sway`` (degrees) and heave by ``heave`` (m) at most.
+    """
+
+    drive: Drive
+    height: float
+    view: float
+    pitch: float
+    sway: float
+    heave: float
+
+
+@dataclass(frozen=True)
+class Stand:
+    """Something put beside the target's street on purpose.
+
+    ``kind``, ``variant`` and ``scale`` are those of a piece of furniture, ``along``
+    the street's arc length (m), ``side`` +1 left or -1 right of the street,
+    ``off`` metres beyond the kerb.
+    """
+
+    kind: str
+    variant: int
+    along: float
+    side: int
+    off: float
+    scale: float = 1.0
+    turn: float = 0.0
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A drive, the flight that watches it, and the other vehicles."""
+    """A drive, the camera that watches it, and the other vehicles.
+
+    ``asphalt`` is ``worn`` or ``smooth`` (no patches, cracks or litter: few corners).
+    ``watched`` says that the camera keeps the target in the picture all the time.
+    """
 
     name: str
     drive: Drive
-    flight: Flight
+    flight: Flight | Dashcam
     others: tuple[tuple[str, Drive], ...] = ()
     near_degenerate: bool = False
     terrain: str = "flat"
     ground_step: float = 0.35
     sun: tuple[float, float] = (48.0, 130.0)
+    planted: tuple[Stand, ...] = ()
+    asphalt: Literal["worn", "smooth"] = "worn"
+    watched: bool = True
+
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        """All drives: the target's, the others', that of the camera's car."""
+        own = (self.flight.drive,) if isinstance(self.flight, Dashcam) else ()
+        return (self.drive, *(drive for _, drive in self.others), *own)
 
 
 ALL_ROUND = (140.0, -140.0, 110.0, -110.0, 70.0, -70.0, 40.0, -40.0, 165.0, -165.0)
@@ -209,3 +263,9 @@ def focus_of(drive: Drive, n_frames: int) -> Focus:
     """The bounding box of a drive."""
     points = drive.curve().point(drive.distance(frame_times(n_frames)))
     return Focus(points.min(0), points.max(0))
+
+
+def focus_of_all(drives: tuple[Drive, ...], n_frames: int) -> Focus:
+    """The bounding box of several drives."""
+    boxes = [focus_of(drive, n_frames) for drive in drives]
+    return Focus(np.min([b.low for b in boxes], 0), np.max([b.high for b in boxes], 0))

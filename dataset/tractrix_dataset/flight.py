@@ -1,4 +1,4 @@
-"""The drone: a smooth flight round the vehicle, clear of houses, with a free line of sight."""
+"""The camera: a drone's smooth flight round the vehicle with a free line of sight, or a dashcam's ride."""
 
 from __future__ import annotations
 
@@ -8,31 +8,32 @@ import numpy as np
 
 from . import plan
 from .buildings import Lot
-from .drives import Flight
+from .drives import Dashcam, Flight, smooth_knots
 from .furniture import Place
 from .seeds import noise, rng
 
 LAG_S = 0.9
 SIGHT_SAMPLES = 26
 FOCAL_PX_AT_960 = 880.0
+MOUNT_AHEAD_M = 0.45
 
 
 @dataclass
 class CameraPath:
-    """Per frame world_from_camera (N, 4, 4), camera axes x right, y down, z forward."""
+    """Per frame world_from_camera (N, 4, 4), camera axes x right, y down, z forward; focal length in pixels."""
 
     world_from_camera: np.ndarray
+    focal_px_at_960: float = FOCAL_PX_AT_960
 
     @property
     def centers(self) -> np.ndarray:
         """Camera centres (N, 3)."""
         return self.world_from_camera[:, :3, 3]
 
-
-def intrinsics(width: int, height: int) -> np.ndarray:
-    """K (3x3, pixels, first pixel's centre at 0.5, 0.5)."""
-    f = FOCAL_PX_AT_960 * width / 960.0
-    return np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1.0]])
+    def intrinsics(self, width: int, height: int) -> np.ndarray:
+        """K (3x3, pixels, first pixel's centre at 0.5, 0.5)."""
+        f = self.focal_px_at_960 * width / 960.0
+        return np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1.0]])
 
 
 def _look_at(center: np.ndarray, target: np.ndarray, roll: float) -> np.ndarray:
@@ -84,7 +85,54 @@ def fly(flight: Flight, azimuth: float, poses: np.ndarray, times: np.ndarray, ke
     camera += _wobble(times, 0.22, "camera", *key) * [sign, 1.0, steady]
     target = center + _wobble(times, 0.8, "target", *key) * [1, 1, 0.4] + [0, 0, 0.7]
     roll = np.radians(1.3) * noise(times, np.zeros(len(times)), 1.7, "roll", *key)
+    target = _past(camera, target, flight, times)
     return CameraPath(np.stack([_look_at(c, t, r) for c, t, r in zip(camera, target, roll)]))
+
+
+def _past(camera: np.ndarray, target: np.ndarray, flight: Flight, times: np.ndarray) -> np.ndarray:
+    """Where the camera looks (N, 3): at the target, turned to the left by the flight's gaze."""
+    if len(flight.gaze) == 1:
+        return target
+    angle = np.radians(smooth_knots(times, flight.gaze))
+    away = target - camera
+    c, s = np.cos(angle), np.sin(angle)
+    turned = np.stack([c * away[:, 0] - s * away[:, 1], s * away[:, 0] + c * away[:, 1], away[:, 2]], 1)
+    return camera + turned
+
+
+def ride(dashcam: Dashcam, host: np.ndarray, times: np.ndarray, key: tuple) -> CameraPath:
+    """The path of a camera in a car with the given poses (N, 4, 4), on top of its springs' motion.
+
+    Body and springs are rigid: pitch and heave of about 1.2 Hz, roll of about 0.8 Hz.
+    """
+    still = np.zeros(len(times))
+    size = np.radians(dashcam.sway)
+    pitch = size * (0.7 * noise(times, still, 0.42, "pitch", *key) + 0.3 * noise(times, still, 1.6, "nod", *key))
+    roll = size * (0.7 * noise(times, still, 0.62, "roll", *key) + 0.3 * noise(times, still, 2.1, "lean", *key))
+    heave = dashcam.heave * noise(times, still, 0.42, "heave", *key)
+    mount = _mount(dashcam)
+    poses = [pose @ _sprung(p, r, h) @ mount for pose, p, r, h in zip(host, pitch, roll, heave)]
+    return CameraPath(np.stack(poses), 480.0 / np.tan(np.radians(dashcam.view) / 2))
+
+
+def _sprung(pitch: float, roll: float, heave: float) -> np.ndarray:
+    """Motion (4x4) of a body on its springs: radians about y and x, metres along z."""
+    matrix = np.eye(4)
+    c, s = np.cos(pitch), np.sin(pitch)
+    about_y = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    c, s = np.cos(roll), np.sin(roll)
+    matrix[:3, :3] = np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ about_y
+    matrix[2, 3] = heave
+    return matrix
+
+
+def _mount(dashcam: Dashcam) -> np.ndarray:
+    """car_from_camera (4x4): behind the windscreen, looking ahead and a little down."""
+    c, s = np.cos(np.radians(dashcam.pitch)), np.sin(np.radians(dashcam.pitch))
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.array([[0.0, -s, c], [-1.0, 0.0, 0.0], [0.0, -c, -s]])
+    matrix[:3, 3] = (MOUNT_AHEAD_M, 0.0, dashcam.height)
+    return matrix
 
 
 def _sight_points(camera: CameraPath, poses: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from . import buildings, plan
+from .drives import Stand
 from .markings import crossings
 from .mesh import Mesh, MeshBuilder
 from .nature import N_TREE_KINDS
@@ -215,6 +216,20 @@ def _fence(b: MeshBuilder, variant: int) -> None:
     b.box((-1.55, -0.05, -0.2), (-1.43, 0.07, 1.1), material)
 
 
+def _poster_wall(b: MeshBuilder, variant: int) -> None:
+    r = rng("poster_wall", variant)
+    for x in (-2.9, 0.0, 2.9):
+        b.box((x - 0.06, 0.0, -0.3), (x + 0.06, 0.1, 4.1), "steel")
+    b.box((-3.1, -0.06, 0.5), (3.1, 0.0, 4.1), "dark")
+    for x in (-3.0, 0.05):
+        b.box((x, -0.09, 0.65), (x + 2.95, -0.06, 3.95), f"paint_{int(r.integers(10))}")
+        for _ in range(14):
+            u, z = x + r.uniform(0.1, 2.3), r.uniform(0.8, 3.5)
+            size = r.uniform(0.1, 0.55, 2)
+            material = str(r.choice([f"paint_{k}" for k in range(10)] + ["white", "signal_red", "signal_blue"]))
+            b.box((u, -0.10, z), (min(u + size[0], x + 2.9), -0.09, z + size[1] * 0.8), material)
+
+
 BUILDERS: dict[str, Callable[[MeshBuilder, int], None]] = {
     "lamp": _lamp,
     "sign": _sign,
@@ -232,6 +247,7 @@ BUILDERS: dict[str, Callable[[MeshBuilder, int], None]] = {
     "rock": _rock,
     "post": _post,
     "fence": _fence,
+    "poster_wall": _poster_wall,
 }
 SIZES = {
     "lamp": (6.3, 0.3),
@@ -253,6 +269,7 @@ SIZES = {
     "tree": (8.0, 2.3),
     "bush": (1.0, 0.6),
     "parked": (2.0, 2.6),
+    "poster_wall": (4.1, 3.1),
 }
 SIDEWALK_KINDS = (
     "sign",
@@ -291,6 +308,11 @@ def _placed(
     height, radius = SIZES[kind]
     at_xy = (float(position[0]), float(position[1]))
     return Place(kind, variant, at_xy, heading, scale, height * scale, radius * scale, min(off, 0.35) - 0.1)
+
+
+def planted(stand: Stand, street: plan.Street) -> Place:
+    """The place of something that a trajectory puts beside its street."""
+    return _placed(stand.kind, stand.variant, street, stand.along, stand.side, stand.off, stand.scale, stand.turn)
 
 
 def _town_row(street: plan.Street, side: int) -> list[Place]:

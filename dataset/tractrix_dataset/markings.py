@@ -167,12 +167,13 @@ def _iron(builder: MeshBuilder, street: plan.Street, focus: Focus) -> None:
                 )
 
 
-def build_markings(focus: Focus) -> Mesh:
-    """All markings, patches and covers near the focus, as one mesh laid on the ground."""
+def build_markings(focus: Focus, worn: bool = True) -> Mesh:
+    """All markings and, on worn streets, patches and covers near the focus, as one mesh laid on the ground."""
     builder = MeshBuilder()
     for street in plan.streets():
-        _patches(builder, street, focus)
-        _iron(builder, street, focus)
+        if worn:
+            _patches(builder, street, focus)
+            _iron(builder, street, focus)
         if not street.rural:
             _lines(builder, street, focus)
             _zebras(builder, street, focus)

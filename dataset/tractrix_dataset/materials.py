@@ -64,6 +64,15 @@ def _road(n: Nodes) -> None:
     n.surface(color, 0.88, distant=(0.11, 0.108, 0.105))
 
 
+def _smooth_road(n: Nodes) -> None:
+    """New asphalt: one grey with darker wheel tracks, almost without corners."""
+    at = n.position()
+    color = _toned(n, at, (0.115, 0.115, 0.117), (0.12,), 0.05)
+    tracks = n.math("MULTIPLY", n.step(n.math("ABSOLUTE", n.math("ADD", n.attribute("kerb"), 3.4)), 1.1, 0.3), 0.10)
+    color = n.mix(color, (0.07, 0.07, 0.072), tracks)
+    n.surface(_grain(n, at, color, 0.16), 0.85, distant=(0.115, 0.115, 0.117))
+
+
 def _lane(n: Nodes) -> None:
     at = n.position()
     color = n.ramp(
@@ -294,6 +303,7 @@ PAINTS: tuple[Color, ...] = (
 _BUILDERS: dict[str, Callable[[Nodes], None]] = {
     "road": _road,
     "deck": _road,
+    "smooth_road": _smooth_road,
     "lane": _lane,
     "sidewalk": _sidewalk,
     "kerb": _kerb,
@@ -336,6 +346,7 @@ _BUILDERS |= {f"paint_{i}": _plain(color, 0.6, (0.8, 4.0), 0.22) for i, color in
 FLAT = {
     "road",
     "deck",
+    "smooth_road",
     "lane",
     "sidewalk",
     "kerb",

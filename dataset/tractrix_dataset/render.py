@@ -13,7 +13,6 @@ import bpy
 import numpy as np
 
 from . import labels
-from .flight import intrinsics
 from .scene import World, pose_frame
 
 DEVICE_KINDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")
@@ -52,7 +51,7 @@ def set_up(world: World, options: RenderOptions, scratch: Path) -> str:
     scene = bpy.context.scene
     lens = bpy.data.cameras.new("camera")
     lens.sensor_width, lens.sensor_fit = 36.0, "HORIZONTAL"
-    lens.lens = 36.0 * intrinsics(options.width, options.height)[0, 0] / options.width
+    lens.lens = 36.0 * world.camera.intrinsics(options.width, options.height)[0, 0] / options.width
     lens.clip_start, lens.clip_end = 0.1, 3000.0
     scene.camera = bpy.data.objects.new("camera", lens)
     scene.collection.objects.link(scene.camera)

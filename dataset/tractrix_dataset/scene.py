@@ -9,18 +9,22 @@ import numpy as np
 from mathutils import Matrix
 
 from . import blender, buildings, flight, furniture, materials, nature, plan
-from .drives import Trajectory, focus_of, frame_times, variant
+from .drives import Dashcam, Trajectory, focus_of_all, frame_times
 from .flight import CameraPath
 from .ground import MATERIALS, Focus, Ground, build_deck, build_ground
 from .kinematics import Motion, Probe, simulate
 from .labels import GROUND, OTHER, STATIC, TARGET
 from .markings import build_litter, build_markings
 from .mesh import Mesh, MeshBuilder
+from .scenarios import trajectory as trajectory_of
 from .seeds import Key, fbm, rng, smoothstep
 from .shading import Nodes
 from .vehicles.assemble import Vehicle, assemble, pose_wheels
+from .vehicles.heavy import FLEET
 from .vehicles.spec import VEHICLES, repainted
 
+HOST = "saloon"
+SMOOTH = {"road": "smooth_road", "deck": "smooth_road"}
 LOT_REACH_M, PLACE_REACH_M, TREE_REACH_M = 95.0, 70.0, 120.0
 MIN_VIEW_GAP_M = 0.35
 
@@ -60,14 +64,15 @@ class World:
     focus: Focus
 
 
-def _place_ground(grounds: list[Ground]) -> None:
+def _place_ground(grounds: list[Ground], asphalt: str) -> None:
+    names = tuple(SMOOTH.get(m, m) if asphalt == "smooth" else m for m in MATERIALS)
     for i, ground in enumerate(grounds):
         data = blender.triangle_data(
             f"ground_{i}",
             ground.vertices,
             ground.triangles,
             ground.material,
-            MATERIALS,
+            names,
             materials.get,
             {"kerb": ground.kerb},
         )
@@ -249,24 +254,40 @@ def _choose_flight(trajectory: Trajectory, poses: np.ndarray, times: np.ndarray,
     return best
 
 
+def _focus(trajectory: Trajectory, n_frames: int) -> Focus:
+    """The part of the world that matters: the target's drive, with a dashcam all drives of its road."""
+    seen = trajectory.drives if isinstance(trajectory.flight, Dashcam) else (trajectory.drive,)
+    return focus_of_all(seen, n_frames)
+
+
+def _camera(
+    trajectory: Trajectory, poses: np.ndarray, times: np.ndarray, probe: Probe, key: tuple
+) -> tuple[CameraPath, list]:
+    """The camera's path, and the houses that have to go for it."""
+    if not isinstance(trajectory.flight, Dashcam):
+        return _choose_flight(trajectory, poses, times, key)
+    host = simulate(VEHICLES[HOST], trajectory.flight.drive, times, probe)
+    return flight.ride(trajectory.flight, host.world_from_object, times, key), []
+
+
 def build_world(request: Request) -> World:
     """Everything of one sequence, placed in a fresh Blender file."""
     blender.reset()
-    trajectory = variant(request.trajectory, request.vehicle, request.seed)
+    trajectory = trajectory_of(request.trajectory, request.vehicle, request.seed)
     times = frame_times(request.n_frames)
-    focus = focus_of(trajectory.drive, request.n_frames)
+    focus = _focus(trajectory, request.n_frames)
     grounds = [build_ground(focus, trajectory.ground_step)]
     if focus.distance(np.array([plan.RIVER_X_M]), np.array([0.0]))[0] < 150:
         grounds.append(build_deck())
     probe = Probe(grounds, focus.low - 60, focus.high + 60)
-    spec = VEHICLES[request.vehicle]
+    spec = FLEET[request.vehicle]
     motion = simulate(spec, trajectory.drive, times, probe)
-    camera, blocked = _choose_flight(trajectory, motion.world_from_object, times, request.key)
+    camera, blocked = _camera(trajectory, motion.world_from_object, times, probe, request.key)
     _build_surroundings(grounds, focus, trajectory, camera, motion, blocked, request.key)
     target = assemble(spec, TARGET)
     others = []
     for i, (name, drive) in enumerate(trajectory.others):
-        other = repainted(VEHICLES[name], int(rng("other", *request.key, i).integers(10)), f"TX {310 + 7 * i} Q")
+        other = repainted(FLEET[name], int(rng("other", *request.key, i).integers(10)), f"TX {310 + 7 * i} Q")
         others.append((assemble(other, OTHER), simulate(other, drive, times, probe)))
     return World(request, trajectory, times, target, motion, others, camera, grounds, focus)
 
@@ -281,19 +302,35 @@ def _build_surroundings(
     key: tuple[Key, ...],
 ) -> None:
     """All that does not move, without what stands in the line of sight."""
-    poses = motion.world_from_object
-    _place_ground(grounds)
+    _place_ground(grounds, trajectory.asphalt)
     _place_houses([lot for lot in buildings.lots() if lot not in blocked], focus)
     everything = furniture.places()
     close = focus.distance(*np.array([p.position for p in everything]).T) < TREE_REACH_M
     near = [p for p, is_close in zip(everything, close) if is_close]
-    hiding = set(flight.places_in_the_way(camera, poses, near, MIN_VIEW_GAP_M))
-    _place_things([p for p in near if p not in hiding], focus)
-    _place_mesh("markings", build_markings(focus), GROUND)
-    _place_mesh("litter", build_litter(focus), GROUND)
+    _place_things(_clear(near, trajectory, camera, motion), focus)
+    worn = trajectory.asphalt == "worn"
+    _place_mesh("markings", build_markings(focus, worn), GROUND)
+    if worn:
+        _place_mesh("litter", build_litter(focus), GROUND)
     _place_mesh("tufts", nature.build_tufts(focus), GROUND)
     _place_river(focus)
     _light(*trajectory.sun, key)
+
+
+def _clear(
+    near: list[furniture.Place], trajectory: Trajectory, camera: CameraPath, motion: Motion
+) -> list[furniture.Place]:
+    """What may stand: nothing in a drone's line of sight but what is planted there on purpose."""
+    if isinstance(trajectory.flight, Dashcam):
+        return near
+    hiding = set(flight.places_in_the_way(camera, motion.world_from_object, near, MIN_VIEW_GAP_M))
+    planted = [furniture.planted(stand, plan.street(trajectory.drive.street)) for stand in trajectory.planted]
+    return [p for p in near if p not in hiding and not _crowded(p, planted)] + planted
+
+
+def _crowded(place: furniture.Place, planted: list[furniture.Place]) -> bool:
+    """Whether something stands where another thing is planted."""
+    return any(np.hypot(*np.subtract(place.position, p.position)) < place.radius + p.radius for p in planted)
 
 
 def pose_frame(world: World, index: int) -> None:

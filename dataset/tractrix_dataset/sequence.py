@@ -105,7 +105,7 @@ def render_sequence(request: Request, options: RenderOptions, folder: Path, max_
             print(f"{done}, {time.monotonic() - started:.0f} s", flush=True)
         semantic_map = cv2.imread(str(semantic), cv2.IMREAD_GRAYSCALE)
         labels.write_png(folder / "masks" / f"{index:05d}.png", labels.mask_of(semantic_map))
-    content = truth.scene_json(world, options, device)
+    content = truth.scene_json(world, options, device, folder)
     _finish(folder, work, content, max_bytes, images)
 
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 
+from . import labels
 from .blender import decimated
-from .drives import FPS
-from .flight import intrinsics
+from .drives import FPS, Dashcam
 from .ground import crop
 from .kinematics import Motion
-from .mesh import write_ply, write_ply_ascii
+from .mesh import read_ply, write_ply, write_ply_ascii
+from .outline import in_camera, visible_share, whole_pixels
 from .render import RenderOptions
 from .scene import World
 from .vehicles.assemble import ground_truth_mesh
@@ -29,7 +31,8 @@ CONVENTIONS = (
 MASKS = (
     "masks/NNNNN.png (8 bit): 0 background, 1 target vehicle, 2 other moving vehicle. semantic/NNNNN.png: 0 sky, "
     "1 target, 2 other moving vehicle, 3 ground (street, sidewalk, grass), 4 other static. One label per pixel, "
-    "occlusion-aware, from the object index of the pixel's first sample, 3x3 median at the target's outline."
+    "occlusion-aware, from the object index of the pixel's first sample, 3x3 median at the target's outline. "
+    "visible_share: the target's pixels over those of its whole silhouette, beyond the picture's edges too."
 )
 
 
@@ -37,7 +40,17 @@ def _rows(matrix: np.ndarray) -> list[list[float]]:
     return [[float(v) for v in row] for row in matrix]
 
 
-def _frame(world: World, index: int) -> dict:
+def _shown(world: World, options: RenderOptions, folder: Path, index: int) -> float:
+    """Share of the target's whole silhouette that a frame's mask holds."""
+    mask = cv2.imread(str(folder / "masks" / f"{index:05d}.png"), cv2.IMREAD_GRAYSCALE)
+    vertices, triangles = read_ply(folder / "object_mesh.ply")
+    camera, pose = world.camera.world_from_camera[index], world.motion.world_from_object[index]
+    k = world.camera.intrinsics(options.width, options.height)
+    whole = whole_pixels(in_camera(vertices, camera, pose), triangles, k, mask.shape)
+    return visible_share(int((mask == labels.TARGET).sum()), whole)
+
+
+def _frame(world: World, options: RenderOptions, folder: Path, index: int) -> dict:
     """The entry of one frame."""
     stem = f"{index:05d}"
     pose, camera = world.motion.world_from_object[index], world.camera.world_from_camera[index]
@@ -53,6 +66,7 @@ def _frame(world: World, index: int) -> dict:
         "T_world_others": [_rows(motion.world_from_object[index]) for _, motion in world.others],
         "camera_height_over_object_plane": float((camera[:3, 3] - pose[:3, 3]) @ pose[:3, 2]),
         "speed_m_s": _speed(world.motion, world.times, index),
+        "visible_share": round(_shown(world, options, folder, index), 4),
     }
 
 
@@ -61,8 +75,22 @@ def _speed(motion: Motion, times: np.ndarray, index: int) -> float:
     return float(np.gradient(motion.distance, times)[index])
 
 
-def scene_json(world: World, options: RenderOptions, device: str) -> dict:
-    """The content of scene.json."""
+def _camera_entries(world: World) -> dict:
+    """What kind of camera it is."""
+    carried = world.trajectory.flight
+    if not isinstance(carried, Dashcam):
+        return {"camera": "drone"}
+    return {
+        "camera": "dashcam",
+        "camera_height_m": carried.height,
+        "camera_view_deg": carried.view,
+        "camera_pitch_deg": carried.pitch,
+        "springs": {"sway_deg": carried.sway, "heave_m": carried.heave},
+    }
+
+
+def scene_json(world: World, options: RenderOptions, device: str, folder: Path) -> dict:
+    """The content of scene.json; reads the masks and the mesh in ``folder``."""
     request = world.request
     return {
         "name": request.name,
@@ -76,7 +104,10 @@ def scene_json(world: World, options: RenderOptions, device: str) -> dict:
         "seed": request.seed,
         "terrain": world.trajectory.terrain,
         "near_degenerate": world.trajectory.near_degenerate,
-        "K": _rows(intrinsics(options.width, options.height)),
+        **_camera_entries(world),
+        "asphalt": world.trajectory.asphalt,
+        "target_always_in_picture": world.trajectory.watched,
+        "K": _rows(world.camera.intrinsics(options.width, options.height)),
         "K_note": "Pixels; the centre of the upper left pixel is (0.5, 0.5). Square pixels, no distortion, no rolling "
         "shutter, no motion blur.",
         "conventions": CONVENTIONS,
@@ -89,7 +120,7 @@ def scene_json(world: World, options: RenderOptions, device: str) -> dict:
         "engine": f"Cycles ({device}) with OpenImageDenoise",
         "path_length_m": float(world.motion.distance[-1] - world.motion.distance[0]),
         "others": [vehicle.spec.name for vehicle, _ in world.others],
-        "frames": [_frame(world, i) for i in range(request.n_frames)],
+        "frames": [_frame(world, options, folder, i) for i in range(request.n_frames)],
     }
 
 

@@ -17,12 +17,18 @@ import numpy as np
 
 from .labels import GROUND, OTHER, STATIC, TARGET
 from .mesh import read_ply
+from .outline import in_camera, silhouette, visible_share, whole_pixels
 
 MIN_IOU = 0.95
 OCCLUDED_SHARE = 0.02
 MAX_WHEEL_GAP_M = 0.09
 MAX_TIME_ERROR_S = 1e-3
 MIN_TARGET_SHARE = 0.002
+MIN_TARGET_PX = 60
+OUTLINE_SLACK_PX = 0.4
+MAX_SHARE_ERROR = 0.01
+MIN_VISIBLE, MIN_VISIBLE_FRAMES = 0.3, 15
+DASHCAM_HEIGHT_M, DASHCAM_VIEW_DEG = (1.25, 1.65), (60.0, 90.0)
 
 
 @dataclass
@@ -67,33 +73,17 @@ def load(folder: Path) -> Sequence:
     return Sequence(folder, scene, read_ply(folder / "object_mesh.ply"), read_ply(folder / "ground_mesh.ply"))
 
 
-def silhouette(points: np.ndarray, triangles: np.ndarray, k: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Pixels (H, W, bool) whose centres lie in the projection of a mesh in camera coordinates."""
-    scale = 8
-    front = points[triangles][:, :, 2].min(1) > 0.1
-    image = points @ k.T
-    pixels = image[:, :2] / image[:, 2:] - 0.5
-    drawn = np.zeros(shape, np.uint8)
-    for triangle in np.rint(pixels[triangles[front]] * 2**scale).astype(np.int32):
-        cv2.fillConvexPoly(drawn, triangle, 1, lineType=cv2.LINE_8, shift=scale)
-    return drawn.astype(bool)
-
-
-def _in_camera(points: np.ndarray, world_from_camera: np.ndarray, world_from_object: np.ndarray) -> np.ndarray:
-    camera_from_object = np.linalg.inv(world_from_camera) @ world_from_object
-    return points @ camera_from_object[:3, :3].T + camera_from_object[:3, 3]
-
-
 def _check_masks(sequence: Sequence, report: Report) -> None:
     """IoU of projected mesh and mask, where nothing stands in front."""
     overlaps, shares, sizes = [], [], []
+    watched = sequence.scene.get("target_always_in_picture", True)
     for frame in sequence.scene["frames"]:
         mask, semantic = sequence.labels(frame, "mask"), sequence.labels(frame, "semantic")
         report.demand(
             bool(((mask == TARGET) == (semantic == TARGET)).all()), f"frame {frame['index']}: mask and semantic differ"
         )
         report.demand(bool(((mask == OTHER) == (semantic == OTHER)).all()), f"frame {frame['index']}: others differ")
-        points = _in_camera(sequence.mesh[0], np.array(frame["T_world_camera"]), np.array(frame["T_world_object"]))
+        points = in_camera(sequence.mesh[0], np.array(frame["T_world_camera"]), np.array(frame["T_world_object"]))
         drawn = silhouette(points, sequence.mesh[1], sequence.k, mask.shape)
         target = mask == TARGET
         inner = cv2.erode(drawn.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
@@ -103,10 +93,12 @@ def _check_masks(sequence: Sequence, report: Report) -> None:
         overlap = (drawn & target).sum() / max(1, (drawn | target).sum())
         shares.append(hidden)
         sizes.append(np.ptp(np.nonzero(target.any(0))[0]) if target.any() else 0)
-        report.demand(target.mean() > MIN_TARGET_SHARE or hidden > 0.5, f"frame {frame['index']}: target hardly seen")
-        if hidden < OCCLUDED_SHARE and drawn.any():
+        seen = target.mean() > MIN_TARGET_SHARE if watched else target.any() or drawn.sum() < MIN_TARGET_PX
+        report.demand(bool(seen) or hidden > 0.5, f"frame {frame['index']}: target hardly seen")
+        if hidden < OCCLUDED_SHARE and drawn.sum() >= MIN_TARGET_PX:
             overlaps.append(overlap)
-            report.demand(overlap > MIN_IOU, f"frame {frame['index']}: IoU {overlap:.3f} of projected mesh and mask")
+            good = overlap > least_overlap(drawn)
+            report.demand(good, f"frame {frame['index']}: IoU {overlap:.3f} of projected mesh and mask")
     report.figures |= {
         "iou_min": float(min(overlaps, default=0)),
         "iou_mean": float(np.mean(overlaps or [0])),
@@ -116,6 +108,37 @@ def _check_masks(sequence: Sequence, report: Report) -> None:
         "width_px_max": float(max(sizes)),
     }
     report.demand(bool(overlaps), "no frame shows the target unoccluded")
+
+
+def least_overlap(drawn: np.ndarray) -> float:
+    """Least IoU asked of a silhouette: a fraction of a pixel along the outline may differ, more so in small ones."""
+    inner = cv2.erode(drawn.astype(np.uint8), np.ones((3, 3), np.uint8))
+    outline = drawn.sum() - inner.sum()
+    return min(MIN_IOU, 1 - OUTLINE_SLACK_PX * float(outline) / float(drawn.sum()))
+
+
+def _check_visibility(sequence: Sequence, report: Report) -> None:
+    """The shares written are those of mask and whole silhouette, and the target is seen in enough frames."""
+    frames = sequence.scene["frames"]
+    if "visible_share" not in frames[0]:
+        return
+    errors = [abs(frame["visible_share"] - _share(sequence, frame)) for frame in frames]
+    shares = np.array([frame["visible_share"] for frame in frames])
+    report.figures |= {
+        "visible_share_min": float(shares.min()),
+        "frames_hidden": float((shares == 0).sum()),
+        "frames_visible": float((shares >= MIN_VISIBLE).sum()),
+    }
+    report.demand(max(errors) < MAX_SHARE_ERROR, f"visible_share is {max(errors):.3f} off mask and mesh")
+    enough = (shares >= MIN_VISIBLE).sum() >= min(MIN_VISIBLE_FRAMES, len(frames) / 2)
+    report.demand(bool(enough), f"the target is visible in {int((shares >= MIN_VISIBLE).sum())} frames only")
+
+
+def _share(sequence: Sequence, frame: dict) -> float:
+    """The target's visible share in a frame, from mask and mesh."""
+    mask = sequence.labels(frame, "mask")
+    points = in_camera(sequence.mesh[0], np.array(frame["T_world_camera"]), np.array(frame["T_world_object"]))
+    return visible_share(int((mask == TARGET).sum()), whole_pixels(points, sequence.mesh[1], sequence.k, mask.shape))
 
 
 def _ground_heights(ground: tuple[np.ndarray, np.ndarray], points: np.ndarray) -> np.ndarray:
@@ -168,7 +191,7 @@ def _check_ground(sequence: Sequence, report: Report) -> None:
         semantic = sequence.labels(frame, "semantic")
         origin = np.array(frame["T_world_object"])[:3, 3]
         near = vertices[np.linalg.norm(vertices - origin, axis=1) < 6.0]
-        points = _in_camera(near, np.array(frame["T_world_camera"]), np.eye(4))
+        points = in_camera(near, np.array(frame["T_world_camera"]), np.eye(4))
         image = points @ sequence.k.T
         pixels = np.floor(image[:, :2] / image[:, 2:]).astype(int)
         inside = (points[:, 2] > 0.1) & (pixels >= 0).all(1) & (pixels < semantic.shape[::-1]).all(1)
@@ -192,6 +215,25 @@ def _check_camera(sequence: Sequence, report: Report) -> None:
     report.figures |= {"camera_height_min_m": min(heights), "camera_height_max_m": max(heights)}
     if not sequence.scene["near_degenerate"] and len(frames) >= 30:
         report.demand(np.ptp(heights) > 2.0, "the camera's height over the ground hardly varies")
+
+
+def _check_dashcam(sequence: Sequence, report: Report) -> None:
+    """A dashcam rides at its height over the road and sees the angle that K says."""
+    scene = sequence.scene
+    if scene.get("camera") != "dashcam":
+        return
+    view = float(np.degrees(2 * np.arctan(scene["width"] / 2 / sequence.k[0, 0])))
+    good = abs(view - scene["camera_view_deg"]) < 0.01 and DASHCAM_VIEW_DEG[0] <= view <= DASHCAM_VIEW_DEG[1]
+    report.demand(bool(good), f"K sees {view:.2f} degrees, scene.json says {scene['camera_view_deg']:.2f}")
+    centers = np.array([np.array(f["T_world_camera"])[:3, 3] for f in scene["frames"]])
+    heights = centers[:, 2] - _ground_heights(sequence.ground, centers[:, :2])
+    report.demand(bool(np.isfinite(heights).all()), "the ground mesh does not reach under the camera")
+    report.figures |= {"ride_height_min_m": float(np.nanmin(heights)), "ride_height_max_m": float(np.nanmax(heights))}
+    low, high = DASHCAM_HEIGHT_M
+    inside = np.nanmin(heights) > low and np.nanmax(heights) < high
+    report.demand(
+        bool(inside), f"the camera rides {np.nanmin(heights):.2f} to {np.nanmax(heights):.2f} m over the road"
+    )
 
 
 def _check_times(sequence: Sequence, report: Report) -> None:
@@ -219,11 +261,22 @@ def _check_times(sequence: Sequence, report: Report) -> None:
         report.demand(error < MAX_TIME_ERROR_S, f"time stamps are up to {error:.4f} s off the video's")
 
 
+CHECKS = (
+    _check_masks,
+    _check_visibility,
+    _check_wheels,
+    _check_ground,
+    _check_camera,
+    _check_dashcam,
+    _check_times,
+)
+
+
 def check(folder: Path) -> Report:
     """All checks on one sequence."""
     report = Report(folder.name)
     sequence = load(folder)
-    for examine in (_check_masks, _check_wheels, _check_ground, _check_camera, _check_times):
+    for examine in CHECKS:
         examine(sequence, report)
     size = sum(p.stat().st_size for p in folder.rglob("*") if p.is_file() and "images" not in p.parts)
     report.figures["mib"] = size / 2**20

@@ -12,17 +12,21 @@ from mathutils import Matrix
 from .. import blender
 from ..mesh import Mesh, MeshBuilder
 from ..shading import Nodes, Socket, material
-from . import body, livery, parts
+from . import body, heavy_livery, heavy_parts, livery, parts
+from .heavy import Block, HeavySpec
 from .spec import VehicleSpec
 
 GROUND_TRUTH_TRIANGLES = 7000
+EDGE_SEGMENTS = 4
+
+Spec = VehicleSpec | HeavySpec
 
 
 @dataclass
 class Vehicle:
     """A vehicle's objects. ``root`` carries the pose; wheels are its children."""
 
-    spec: VehicleSpec
+    spec: Spec
     root: bpy.types.Object
     shell: bpy.types.Object
     fittings: bpy.types.Object
@@ -41,7 +45,7 @@ def _image(name: str, picture: object, color: bool) -> bpy.types.Image:
     return image
 
 
-def _look_up(n: Nodes, spec: VehicleSpec, view: str, canvas: livery.Canvas, u: Socket, v: Socket) -> tuple:
+def _look_up(n: Nodes, spec: Spec, view: str, canvas: livery.Canvas, u: Socket, v: Socket) -> tuple:
     """Colour, alpha and finish of one picture at plane coordinates."""
     size = canvas.high - canvas.low
     uv = n.combine(
@@ -56,11 +60,11 @@ def _look_up(n: Nodes, spec: VehicleSpec, view: str, canvas: livery.Canvas, u: S
     return samples[0].outputs["Color"], samples[0].outputs["Alpha"], samples[1].outputs["Color"]
 
 
-def _chosen(n: Nodes, spec: VehicleSpec) -> tuple[Socket, Socket, Socket]:
+def _chosen(n: Nodes, spec: Spec) -> tuple[Socket, Socket, Socket]:
     """Colour, alpha and finish of the picture that faces the surface."""
     x, y, z = n.separate(n.position())
     nx, ny, _ = n.separate(n.position("Normal"))
-    pictures = livery.paint(spec)
+    pictures = heavy_livery.paint(spec) if isinstance(spec, HeavySpec) else livery.paint(spec)
     plane = {"top": (x, y), "front": (y, z), "rear": (y, z), "left": (x, z), "right": (x, z)}
     sample = {view: _look_up(n, spec, view, pictures[view], *plane[view]) for view in plane}
     color, alpha, finish = sample["top"]
@@ -86,12 +90,12 @@ def _dirty(n: Nodes, color: Socket) -> Socket:
     return n.mix(color, (0.17, 0.145, 0.11), n.math("ADD", n.math("MULTIPLY", splash, 0.55), film, clamp=True))
 
 
-def _look(spec: VehicleSpec) -> str:
+def _look(spec: Spec) -> str:
     """A name for model, plate and paint together."""
     return f"{spec.name}_{spec.plate_text}_{spec.paint}"
 
 
-def _body_material(spec: VehicleSpec) -> bpy.types.Material:
+def _body_material(spec: Spec) -> bpy.types.Material:
     """Paint under a clear coat, with the livery on it."""
 
     def build(n: Nodes) -> None:
@@ -106,7 +110,7 @@ def _body_material(spec: VehicleSpec) -> bpy.types.Material:
     return material(f"body_{_look(spec)}", build)
 
 
-def _part_material(spec: VehicleSpec, name: str) -> bpy.types.Material:
+def _part_material(spec: Spec, name: str) -> bpy.types.Material:
     """The materials of fittings and wheels."""
     looks = {
         "tyre": ((0.018, 0.018, 0.018), 0.85, 0.0),
@@ -122,7 +126,7 @@ def _part_material(spec: VehicleSpec, name: str) -> bpy.types.Material:
     return material(f"part_{name}", lambda n: n.surface(color, roughness, metallic))
 
 
-def _cutters(spec: VehicleSpec) -> Mesh:
+def _cutters(spec: Spec) -> Mesh:
     """Four cylinders that cut the wheel arches out of the shell."""
     builder = MeshBuilder()
     radius, inner, outer = spec.arch_radius, spec.track_half - spec.tyre_width - 0.07, spec.width / 2 + 0.2
@@ -138,21 +142,71 @@ def _cutters(spec: VehicleSpec) -> Mesh:
     return builder.mesh()
 
 
-def _cut_shell(spec: VehicleSpec) -> bpy.types.Mesh:
-    """Mesh data of the shell with its arches; inner faces are dark."""
+def _lofted(spec: VehicleSpec) -> Mesh:
+    """The closed shell of a car."""
     points, quads = body.build_shell(spec)
     tail, nose = body.end_loops(len(points))
     faces = [tuple(q) for q in quads.tolist()] + [tuple(tail.tolist()), tuple(nose.tolist())]
-    solid = blender.place("solid", blender.mesh_data("solid", Mesh(points, faces, []), lambda _: None), 0)
+    return Mesh(points, faces, [])
+
+
+def _solid(mesh: Mesh) -> bpy.types.Object:
+    """A closed mesh as an object with outward normals."""
+    solid = blender.place("solid", blender.mesh_data("solid", mesh, lambda _: None), 0)
+    _orient(solid.data)
+    return solid
+
+
+def _cut(spec: Spec, solid: bpy.types.Object) -> None:
+    """Cuts the wheel arches out of a solid."""
     tool = blender.place("tool", blender.mesh_data("tool", _cutters(spec), lambda _: _part_material(spec, "well")), 0)
-    for thing in (solid, tool):
-        _orient(thing.data)
+    _orient(tool.data)
     modifier = solid.modifiers.new("arches", "BOOLEAN")
     modifier.object, modifier.operation, modifier.solver = tool, "DIFFERENCE", "EXACT"
+
+
+def _baked(solid: bpy.types.Object) -> bpy.types.Mesh:
+    """Mesh data with all modifiers applied; the solid and its tools are removed."""
+    tools = [m.object for m in solid.modifiers if m.type == "BOOLEAN"]
     graph = bpy.context.evaluated_depsgraph_get()
     data = bpy.data.meshes.new_from_object(solid.evaluated_get(graph))
-    for thing in (solid, tool):
+    for thing in (solid, *tools):
         bpy.data.objects.remove(thing)
+    return data
+
+
+def _rounded_block(spec: HeavySpec, block: Block) -> bpy.types.Mesh:
+    """Mesh data of a block with round edges and, where it has them, arches."""
+    solid = _solid(block.mesh())
+    bevel = solid.modifiers.new("edges", "BEVEL")
+    bevel.width, bevel.segments, bevel.limit_method = block.edge, EDGE_SEGMENTS, "ANGLE"
+    bevel.angle_limit = np.radians(20)
+    if block.has_arches:
+        _cut(spec, solid)
+    return _baked(solid)
+
+
+def _joined_blocks(spec: HeavySpec) -> bpy.types.Mesh:
+    """Mesh data of all blocks of a body together."""
+    work = bmesh.new()
+    for block in spec.blocks:
+        piece = _rounded_block(spec, block)
+        work.from_mesh(piece)
+        bpy.data.meshes.remove(piece)
+    data = bpy.data.meshes.new("shell")
+    work.to_mesh(data)
+    work.free()
+    return data
+
+
+def _cut_shell(spec: Spec) -> bpy.types.Mesh:
+    """Mesh data of the shell with its arches; inner faces are dark."""
+    if isinstance(spec, HeavySpec):
+        data = _joined_blocks(spec)
+    else:
+        solid = _solid(_lofted(spec))
+        _cut(spec, solid)
+        data = _baked(solid)
     _finish_shell(spec, data)
     return data
 
@@ -166,7 +220,7 @@ def _orient(data: bpy.types.Mesh) -> None:
     work.free()
 
 
-def _finish_shell(spec: VehicleSpec, data: bpy.types.Mesh) -> None:
+def _finish_shell(spec: Spec, data: bpy.types.Mesh) -> None:
     """Material slots by place (0 outside, 1 inside an arch) and smooth shading with sharp edges."""
     centers = np.zeros(3 * len(data.polygons), np.float32)
     data.polygons.foreach_get("center", centers)
@@ -180,7 +234,7 @@ def _finish_shell(spec: VehicleSpec, data: bpy.types.Mesh) -> None:
     data.set_sharp_from_angle(angle=0.75)
 
 
-def _painted_shell(spec: VehicleSpec) -> bpy.types.Mesh:
+def _painted_shell(spec: Spec) -> bpy.types.Mesh:
     """The shell's mesh data with this vehicle's own paint."""
     data = _shared(f"shell_{spec.name}", lambda: _cut_shell(spec)).copy()
     slots = np.zeros(len(data.polygons), np.int32)
@@ -192,13 +246,14 @@ def _painted_shell(spec: VehicleSpec) -> bpy.types.Mesh:
     return data
 
 
-def assemble(spec: VehicleSpec, label: int) -> Vehicle:
+def assemble(spec: Spec, label: int) -> Vehicle:
     """Builds a vehicle at the world's origin; ``label`` goes into the label maps."""
     root = blender.place(f"vehicle_{spec.name}", None, label)
     shell = blender.place("shell", _shared(f"shell_{_look(spec)}", lambda: _painted_shell(spec)), label, parent=root)
     get = lambda name: _part_material(spec, name)  # noqa: E731
+    bolted = heavy_parts.build_fittings if isinstance(spec, HeavySpec) else parts.build_fittings
     fittings_data = _shared(
-        f"fittings_{_look(spec)}", lambda: blender.mesh_data("fittings", _smooth(parts.build_fittings(spec)), get)
+        f"fittings_{_look(spec)}", lambda: blender.mesh_data("fittings", _smooth(bolted(spec)), get)
     )
     fittings = blender.place("fittings", fittings_data, label, parent=root)
     wheel_data = _shared(
