@@ -1,16 +1,18 @@
 #!/usr/bin/env python3
-"""Contact sheets from rendered sequences: one per trajectory, one per vehicle, as small JPEG files."""
+"""Contact sheets from rendered sequences, as small JPEG files: per trajectory, per vehicle, of all scenarios."""
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
+from tractrix_dataset.scenarios import SCENARIOS
 
-TILE = (320, 180)
+TILE, SMALL_TILE = (320, 180), (256, 144)
 CROP = (240, 180)
 COLUMNS = 4
 MAX_BYTES = 120 * 1024
@@ -69,6 +71,13 @@ def write_sheet(path: Path, tiles: list[np.ndarray]) -> None:
     path.write_bytes(data.tobytes())
 
 
+def scenario_tiles(folder: Path, scene: dict) -> list[np.ndarray]:
+    """Four frames of a scenario, with its name."""
+    frames = frames_of(folder, chosen(scene["n_frames"], COLUMNS))
+    small = {i: cv2.resize(image, SMALL_TILE, interpolation=cv2.INTER_AREA) for i, image in frames.items()}
+    return [labelled(image, f"{scene['trajectory']} {scene['vehicle']} {i}") for i, image in small.items()]
+
+
 def trajectory_tiles(folder: Path, scene: dict) -> list[np.ndarray]:
     """Four frames of a sequence."""
     frames = frames_of(folder, chosen(scene["n_frames"], COLUMNS))
@@ -86,6 +95,13 @@ def vehicle_tiles(folder: Path, scene: dict) -> list[np.ndarray]:
     return tiles
 
 
+def sheets_of(scene: dict) -> list[tuple[str, Callable[[Path, dict], list[np.ndarray]]]]:
+    """The sheets that a sequence is shown on: name, and what makes its tiles."""
+    if scene["trajectory"] in SCENARIOS:
+        return [("scenarios", scenario_tiles)]
+    return [(f"trajectory_{scene['trajectory']}", trajectory_tiles), (f"vehicle_{scene['vehicle']}", vehicle_tiles)]
+
+
 def main() -> None:
     """Groups the sequences of a folder and writes their sheets."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -96,11 +112,11 @@ def main() -> None:
     sheets: dict[str, list[np.ndarray]] = {}
     for path in sorted(arguments.sequences.glob("*/scene.json")):
         scene = json.loads(path.read_text())
-        for kind, tiles in (("trajectory", trajectory_tiles), ("vehicle", vehicle_tiles)):
-            sheets.setdefault(f"{kind}_{scene[kind]}", []).extend(tiles(path.parent, scene))
+        for name, tiles in sheets_of(scene):
+            sheets.setdefault(name, []).extend(tiles(path.parent, scene))
     for name, tiles in sheets.items():
         if tiles:
-            write_sheet(arguments.output / f"{name}.jpg", tiles[: 7 * COLUMNS])
+            write_sheet(arguments.output / f"{name}.jpg", tiles[: 8 * COLUMNS])
             print(f"{name}.jpg: {len(tiles)} pictures")
 
 

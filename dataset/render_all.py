@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Renders the whole data set, 5 vehicles x 7 trajectories, in the order in which it is useful.
+"""Renders the whole data set, 5 vehicles x 7 trajectories, or the scenarios, in the order in which it is useful.
 
 Every trajectory comes with two vehicles before any comes with a third. Can be
 stopped at any moment: the same command goes on where it was. Each sequence is
@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tractrix_dataset.drives import TRAJECTORIES
+from tractrix_dataset.scenarios import CHOSEN
 from tractrix_dataset.vehicles.spec import VEHICLES
 
 SCRIPT = Path(__file__).with_name("render.py")
@@ -25,6 +26,9 @@ def order() -> list[tuple[str, str]]:
     trajectories, vehicles = list(TRAJECTORIES), list(VEHICLES)
     rounds = range(len(vehicles))
     return [(t, vehicles[(i + k) % len(vehicles)]) for k in rounds for i, t in enumerate(trajectories)]
+
+
+ORDERS = {"seven": order, "scenarios": lambda: list(CHOSEN), "all": lambda: [*order(), *CHOSEN]}
 
 
 def finished(folder: Path) -> bool:
@@ -43,11 +47,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, required=True, help="folder of all sequences")
     parser.add_argument("--list", action="store_true", help="only say what is there and what is missing")
-    parser.add_argument("--only", type=int, default=35, help="stop after this many sequences in all")
+    parser.add_argument("--set", choices=sorted(ORDERS), default="seven", help="what to render, default seven")
+    parser.add_argument("--only", type=int, default=1000, help="stop after this many sequences in all")
     parser.add_argument("--processes", type=int, default=1, help="sequences rendered at a time, default 1")
     arguments, passed = parser.parse_known_args()
     missing = []
-    for trajectory, vehicle in order()[: arguments.only]:
+    for trajectory, vehicle in ORDERS[arguments.set]()[: arguments.only]:
         folder = arguments.output / f"{trajectory}_{vehicle}"
         whole = finished(folder)
         if arguments.list or whole:

@@ -7,6 +7,7 @@ import importlib.util
 import json
 import sys
 import unittest
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,23 @@ class Unchanged(unittest.TestCase):
         ):
             np.testing.assert_allclose(poses, [f[key] for f in written["frames"]], rtol=0, atol=1e-9)
         np.testing.assert_array_equal(world.camera.intrinsics(written["width"], written["height"]), written["K"])
+
+    @unittest.skipUnless(importlib.util.find_spec("bpy"), "needs Blender's module")
+    def test_the_best_quality_that_fits_is_found_by_halves(self) -> None:
+        from tractrix_dataset.sequence import first_fitting
+
+        qualities = (16, 18, 20, 22, 24, 26)
+        for limit in range(14, 28):
+            tried: list[int] = []
+            found = first_fitting(qualities, partial(_asked, tried, limit))
+            self.assertEqual(found, next((q for q in qualities if q >= limit), 26))
+            self.assertLessEqual(len(tried), 3)
+
+
+def _asked(tried: list[int], limit: int, quality: int) -> bool:
+    """Whether a quality fits; notes that it was asked for."""
+    tried.append(quality)
+    return quality >= limit
 
 
 class Scenarios(unittest.TestCase):
@@ -188,6 +206,12 @@ class Visibility(unittest.TestCase):
         self.assertAlmostEqual(cut / inside, 1.0, delta=0.05)
         seen = outline.silhouette(self._square(3.2), self.triangles, self.k, (48, 64)).sum()
         self.assertAlmostEqual(outline.visible_share(int(seen), cut), 0.5, delta=0.06)
+
+    def test_a_triangle_that_passes_the_camera_is_drawn_up_to_it(self) -> None:
+        wall = np.array([(1, -1, -3), (1, -1, 9), (1, 1, 9), (1, 1, -3)], float)
+        drawn = outline.silhouette(wall, self.triangles, self.k, (48, 64))
+        self.assertTrue(drawn[24, 40:].all())
+        self.assertFalse(drawn[:, :33].any())
 
     def test_nothing_is_seen_of_what_is_behind_the_camera(self) -> None:
         behind = self._square(0.0) * [1, 1, -1]

@@ -16,15 +16,29 @@ def in_camera(points: np.ndarray, world_from_camera: np.ndarray, world_from_obje
     return points @ camera_from_object[:3, :3].T + camera_from_object[:3, 3]
 
 
+def _clipped(corners: np.ndarray) -> np.ndarray:
+    """The part of a triangle (3, 3) in front of the near plane: a polygon of three or four corners (N, 3)."""
+    kept = []
+    for here, there in zip(corners, np.roll(corners, -1, axis=0)):
+        if here[2] >= NEAR_M:
+            kept.append(here)
+        if (here[2] >= NEAR_M) != (there[2] >= NEAR_M):
+            kept.append(here + (NEAR_M - here[2]) / (there[2] - here[2]) * (there - here))
+    return np.array(kept)
+
+
 def silhouette(points: np.ndarray, triangles: np.ndarray, k: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Pixels (H, W, bool) whose centres lie in the projection of a mesh in camera coordinates."""
-    front = points[triangles][:, :, 2].min(1) > NEAR_M
-    image = points @ k.T
-    depth = np.where(np.abs(image[:, 2:]) < 1e-9, 1e-9, image[:, 2:])
-    pixels = image[:, :2] / depth - 0.5
+    corners = points[triangles]
+    in_front = corners[:, :, 2] >= NEAR_M
+    polygons = [*corners[in_front.all(1)]]
+    polygons += [_clipped(c) for c in corners[in_front.any(1) & ~in_front.all(1)]]
     drawn = np.zeros(shape, np.uint8)
-    for triangle in np.rint(pixels[triangles[front]] * 2**SUBPIXEL_BITS).astype(np.int32):
-        cv2.fillConvexPoly(drawn, triangle, 1, lineType=cv2.LINE_8, shift=SUBPIXEL_BITS)
+    for polygon in polygons:
+        image = polygon @ k.T
+        pixels = image[:, :2] / image[:, 2:] - 0.5
+        fixed = np.rint(pixels * 2**SUBPIXEL_BITS).astype(np.int32)
+        cv2.fillConvexPoly(drawn, fixed, 1, lineType=cv2.LINE_8, shift=SUBPIXEL_BITS)
     return drawn.astype(bool)
 
 

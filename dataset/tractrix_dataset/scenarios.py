@@ -53,7 +53,7 @@ def _occlusion_trees(vehicle: str, r: np.random.Generator) -> Trajectory:
     planted = [Stand("sign", int(r.integers(12)), at[0], -1, 0.4), Stand("lamp", 1, at[5], -1, 0.5)]
     for k in (1, 2, 3):
         planted += [
-            Stand("tree", int(r.integers(5)), at[k] + 0.6 * twin, -1, 0.9 + 0.5 * twin, 0.92, 2.0 * twin)
+            Stand("tree", int(r.integers(5)), at[k] + 0.6 * twin, -1, 0.9 + 0.5 * twin, 0.8, 2.0 * twin)
             for twin in (0, 1)
         ]
     planted.append(Stand("poster_wall", int(r.integers(12)), at[4], -1, 1.0))

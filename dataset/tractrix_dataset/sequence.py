@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -23,44 +24,39 @@ def finished(folder: Path) -> bool:
     return (folder / "scene.json").is_file()
 
 
+def _encode_at(work: Path, video: Path, crf: int) -> None:
+    """Encodes the frames as H.264 at one quality."""
+    color = ["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"]
+    command = ["ffmpeg", "-y", "-loglevel", "error", "-framerate", f"{FPS:g}", "-i", str(work / "%05d.png")]
+    command += ["-c:v", "libx264", "-preset", "veryslow", "-crf", str(crf), "-pix_fmt", "yuv420p", *color]
+    command += ["-vf", "scale=out_color_matrix=bt709", "-movflags", "+faststart", str(video)]
+    subprocess.run(command, check=True)
+
+
+def first_fitting(qualities: tuple[int, ...], fits: Callable[[int], bool]) -> int:
+    """The first quality that fits, or the last one; sizes fall from first to last, so halves are left out."""
+    low, high = 0, len(qualities) - 1
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if fits(qualities[middle]) else (middle + 1, high)
+    return qualities[low]
+
+
 def _encode(work: Path, video: Path, max_bytes: int) -> int:
     """Encodes the frames as H.264 at the best quality that fits; returns the quality (crf)."""
-    for crf in VIDEO_QUALITIES:
-        partial = video.with_suffix(".partial.mp4")
-        command = [
-            "ffmpeg",
-            "-y",
-            "-loglevel",
-            "error",
-            "-framerate",
-            f"{FPS:g}",
-            "-i",
-            str(work / "%05d.png"),
-            "-c:v",
-            "libx264",
-            "-preset",
-            "veryslow",
-            "-crf",
-            str(crf),
-            "-pix_fmt",
-            "yuv420p",
-            "-colorspace",
-            "bt709",
-            "-color_primaries",
-            "bt709",
-            "-color_trc",
-            "bt709",
-            "-vf",
-            "scale=out_color_matrix=bt709",
-            "-movflags",
-            "+faststart",
-            str(partial),
-        ]
-        subprocess.run(command, check=True)
-        if partial.stat().st_size <= max_bytes or crf == VIDEO_QUALITIES[-1]:
-            partial.replace(video)
-            return crf
-    raise AssertionError("the loop returns at the last quality")
+
+    def at(crf: int) -> Path:
+        return work / f"video_{crf}.mp4"
+
+    def fits(crf: int) -> bool:
+        _encode_at(work, at(crf), crf)
+        return at(crf).stat().st_size <= max_bytes
+
+    best = first_fitting(VIDEO_QUALITIES, fits)
+    if not at(best).is_file():
+        _encode_at(work, at(best), best)
+    at(best).replace(video)
+    return best
 
 
 def _check_request(folder: Path, request: Request, options: RenderOptions) -> None:
