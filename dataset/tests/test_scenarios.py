@@ -7,6 +7,7 @@ import importlib.util
 import json
 import sys
 import unittest
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tractrix_dataset import drives, outline, plan, scenarios  # noqa: E402
+from tractrix_dataset import drives, outline, plan, scenarios, validate  # noqa: E402
 from tractrix_dataset.vehicles.heavy import FLEET, HEAVY  # noqa: E402
 from tractrix_dataset.vehicles.spec import VEHICLES  # noqa: E402
 
@@ -218,6 +219,47 @@ class Visibility(unittest.TestCase):
         self.assertEqual(outline.whole_pixels(behind, self.triangles, self.k, (48, 64)), 0)
         self.assertEqual(outline.visible_share(0, 0), 0.0)
         self.assertEqual(outline.visible_share(12, 10), 1.0)
+
+
+class Proof(unittest.TestCase):
+    """What validate.py says of the bundled sequence when its scene.json is right, and when it is not."""
+
+    def setUp(self) -> None:
+        self.sequence = validate.load(ROOT / "demo")
+        self.frames = self.sequence.scene["frames"] = self.sequence.scene["frames"][:2]
+        for frame in self.frames:
+            frame["visible_share"] = validate._share(self.sequence, frame)
+
+    def _faults(self, examine: Callable) -> list[str]:
+        report = validate.Report("test")
+        examine(self.sequence, report)
+        return report.faults
+
+    def test_true_shares_pass_and_wrong_ones_do_not(self) -> None:
+        self.assertGreater(min(f["visible_share"] for f in self.frames), 0.95)
+        self.assertEqual(self._faults(validate._check_visibility), [])
+        self.frames[1]["visible_share"] -= 0.1
+        self.assertIn("0.100 off", "".join(self._faults(validate._check_visibility)))
+
+    def test_a_target_that_is_never_seen_is_a_fault(self) -> None:
+        for frame in self.frames:
+            frame["T_world_object"][0][3] += 500.0
+            frame["visible_share"] = 0.0
+        self.assertIn("in 0 frames only", "".join(self._faults(validate._check_visibility)))
+
+    def test_a_drone_is_no_dashcam(self) -> None:
+        self.assertEqual(self._faults(validate._check_dashcam), [])
+        view = float(np.degrees(2 * np.arctan(480 / self.sequence.k[0, 0])))
+        self.sequence.scene |= {"camera": "dashcam", "camera_view_deg": view + 1.0}
+        faults = self._faults(validate._check_dashcam)
+        self.assertIn("K sees", faults[0])
+        self.assertIn("under the camera", faults[-1])
+
+    def test_small_silhouettes_may_differ_by_a_part_of_a_pixel(self) -> None:
+        small, large = np.zeros((200, 200), bool), np.zeros((200, 200), bool)
+        small[50:60, 50:60], large[20:180, 20:180] = True, True
+        self.assertEqual(validate.least_overlap(large), validate.MIN_IOU)
+        self.assertTrue(0.8 < validate.least_overlap(small) < validate.MIN_IOU)
 
 
 if __name__ == "__main__":

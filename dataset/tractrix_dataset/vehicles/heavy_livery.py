@@ -133,7 +133,7 @@ def _lorry_rear(canvas: Canvas, spec: HeavySpec) -> None:
         for z in np.linspace(z0 + 0.3, z1 - 0.3, 4):
             canvas.box((y - 0.07, z - 0.035), (y + 0.07, z + 0.035), SEAM)
     _stripes(canvas, (-1.2, 1.2), z0 + 0.09)
-    canvas.text((-0.55, 2.8), 0.20, spec.text or "TRANSIT 24", GREEN if spec.text else BLUE)
+    canvas.text((0.0, 2.75), 0.17, spec.text or "TRANSIT 24", GREEN if spec.text else BLUE)
     canvas.ellipse((0.62, 2.15), (0.11, 0.11), STICKER_RED)
     canvas.ellipse((0.62, 2.15), (0.085, 0.085), STICKER_WHITE)
     canvas.text((0.62, 2.15), 0.09, "80", PLATE_INK)
@@ -207,7 +207,7 @@ def _bus_front(canvas: Canvas, spec: HeavySpec) -> None:
     canvas.polygon(pane, GLASS)
     canvas.line(pane, 0.05, BLACK, closed=True)
     canvas.box((-1.1, 2.44), (1.1, 2.78), BLACK)
-    canvas.text((0.0, 2.61), 0.20, "17 HAUPTBAHNHOF", DISPLAY)
+    canvas.text((0.0, 2.61), 0.15, "17 HAUPTBAHNHOF", DISPLAY)
     canvas.ellipse((0.62, 1.35), (0.2, 0.25), SEAT)
     canvas.line([(-0.9, 1.02), (0.0, 1.35)], 0.025, SEAM)
     canvas.line([(0.9, 1.02), (0.1, 1.40)], 0.025, SEAM)
