@@ -56,6 +56,11 @@ pub(super) enum Command {
     /// Can be stopped and started again like `run`. Exit code 1 if a sequence failed; the tables are written all the
     /// same.
     Benchmark(Box<super::benchmark::Args>),
+    /// See whether stated deviations mean what they say, and where the method breaks down
+    ///
+    /// Runs the sequences of a data set in many variants (shorter, smaller, blurred, with worse masks and so on) and
+    /// counts how many errors lie within 1, 2 and 3 stated deviations. Can be stopped and started again like `run`.
+    Calibrate(Box<super::calibrate::Args>),
     /// Compare two reconstructions of the same images
     Compare(super::compare::Args),
     /// Write a reconstruction in another format

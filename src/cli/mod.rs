@@ -7,6 +7,7 @@
 mod args;
 mod bal;
 mod benchmark;
+mod calibrate;
 mod common;
 mod compare;
 mod convert;
@@ -92,6 +93,7 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &Talk) -> Result<(), Fail
         | Command::Scale(job) => run::run(job, args.command.goal(), arguments, form, talk),
         Command::Evaluate(own) => evaluate::run(own, form),
         Command::Benchmark(own) => benchmark::run(own, arguments, form, talk),
+        Command::Calibrate(own) => calibrate::run(own, arguments, form, talk),
         Command::Compare(own) => compare::run(own, form),
         Command::Convert(own) => convert::run(own, form),
         Command::Bal(own) => bal::run(own, form),

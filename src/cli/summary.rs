@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use crate::pipeline::{Summary, Vehicle};
 use crate::report::Verdict;
-use crate::scene::{Movement, ObjectId, ObjectTrajectory, ScaleEstimate, TimeBase, Trajectories, Unit};
+use crate::scene::{Movement, ObjectId, ObjectTrajectory, TimeBase, Trajectories, Unit};
 
 /// One paragraph per vehicle; where a run ends before the trajectories, nothing.
 pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String {
@@ -41,7 +41,10 @@ fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, unit: Unit, times: TimeBa
         format!("  {id}: {class}, placed in {placed} of {}{}\n", count(visible, "frame"), span(found, times));
     // Writing to a string cannot fail.
     let _ = writeln!(text, "     path: {}{}", length(found.path_length(), unit), speed(found, unit, times));
-    let _ = writeln!(text, "     {}", sureness(&found.scale));
+    let _ = writeln!(text, "     {}", sureness(found));
+    for reason in doubts(found) {
+        let _ = writeln!(text, "     - {reason}");
+    }
     if let Some(reason) = vehicle.model.unregistered.values().next().filter(|_| placed < visible) {
         let _ = writeln!(text, "     not in {}: {reason}", count(visible.saturating_sub(placed), "frame"));
     }
@@ -57,11 +60,17 @@ fn span(found: &ObjectTrajectory, times: TimeBase) -> String {
     }
 }
 
-/// How far size and distance can be trusted: both hang on the scale ratio alone.
-fn sureness(scale: &ScaleEstimate) -> String {
-    let verdict = Verdict::of(Some(scale));
-    let reason = scale.reason.as_deref().map_or_else(String::new, |reason| format!(" ({reason})"));
-    format!("{}. {}{reason}", verdict.label(), verdict.sentence(Some(scale)))
+/// How far the path can be trusted.
+fn sureness(found: &ObjectTrajectory) -> String {
+    let verdict = Verdict::of(Some(found));
+    format!("{}. {}", verdict.label(), verdict.sentence(Some(found)))
+}
+
+/// What else speaks against the path, besides what the verdict's sentence says already.
+fn doubts(found: &ObjectTrajectory) -> Vec<&str> {
+    let against = found.verdict.iter().flat_map(|verdict| verdict.against());
+    let is_said = matches!(Verdict::of(Some(found)), Verdict::Doubtful | Verdict::Refuted | Verdict::Weak);
+    against.skip(usize::from(is_said)).map(|reason| reason.says.as_str()).collect()
 }
 
 fn why_not(vehicle: &Vehicle) -> &str {
@@ -123,7 +132,8 @@ pub(super) fn placed_as_json(summary: &Summary, trajectories: &Trajectories) -> 
             "first_frame": found.poses.first().map(|pose| pose.frame),
             "last_frame": found.poses.last().map(|pose| pose.frame),
             "path_length": found.path_length(),
-            "verdict": Verdict::of(Some(&found.scale)),
+            "verdict": Verdict::of(Some(found)),
+            "judged": found.verdict,
             "scale": found.scale,
         })
     };
@@ -146,7 +156,7 @@ mod tests {
     use super::*;
     use crate::math::Sim3;
     use crate::pipeline::ModelReport;
-    use crate::scene::{FrameId, ObjectPose, ScaleMethod};
+    use crate::scene::{self, FrameId, ObjectPose, Reason, ReasonKind, ScaleEstimate, ScaleMethod, Trust};
 
     fn pose(frame: u32) -> ObjectPose {
         ObjectPose {
@@ -157,6 +167,10 @@ mod tests {
             world_from_object: Sim3::identity(),
             speed: None,
         }
+    }
+
+    fn judged(state: Trust, reasons: Vec<Reason>) -> scene::Verdict {
+        scene::Verdict { state, reasons }
     }
 
     fn trajectory(id: u32) -> ObjectTrajectory {
@@ -170,7 +184,8 @@ mod tests {
             as_reconstructed: None,
         };
         let poses = (3..=12).map(pose).collect();
-        ObjectTrajectory { id: ObjectId(id), class: "car".into(), confidence: 1.0, scale, poses }
+        let verdict = Some(judged(Trust::Good, Vec::new()));
+        ObjectTrajectory { id: ObjectId(id), class: "car".into(), confidence: 1.0, scale, verdict, poses }
     }
 
     fn summary(vehicles: impl IntoIterator<Item = (u32, Vehicle)>, time_base: TimeBase) -> Summary {
@@ -220,11 +235,16 @@ mod tests {
 
     #[test]
     fn what_is_not_sure_is_said() {
-        let scale = |std, degenerate| ScaleEstimate { std, degenerate, ..trajectory(1).scale };
-        assert!(sureness(&scale(Some(0.5), false)).contains("may well be wrong by 25 %"));
-        assert!(sureness(&scale(None, false)).contains("not known"));
-        assert!(sureness(&scale(Some(0.02), true)).contains("do not measure"));
-        assert!(sureness(&scale(Some(f64::NAN), false)).contains("not known"));
+        let doubt = || Reason::doubts(ReasonKind::Pixels, 0.5, "it is small");
+        let size = || Reason::refutes(ReasonKind::Size, "it is a tenth as large");
+        let with = |state, reasons| ObjectTrajectory { verdict: Some(judged(state, reasons)), ..trajectory(1) };
+        let fair = with(Trust::Fair, vec![doubt()]);
+        assert!(sureness(&fair).contains("right to about 1.0 %") && doubts(&fair) == ["it is small"]);
+        let refuted = with(Trust::NotToBeTrusted, vec![size(), doubt()]);
+        assert!(sureness(&refuted).starts_with("not to be trusted. This path cannot be right: it is a tenth"));
+        assert_eq!(doubts(&refuted), ["it is small"]);
+        let unjudged = ObjectTrajectory { verdict: None, ..trajectory(1) };
+        assert!(sureness(&unjudged).starts_with("not judged"));
         assert_eq!(headline(0, 0), "no vehicle");
         assert_eq!(
             (headline(2, 2).as_str(), headline(3, 0).as_str()),

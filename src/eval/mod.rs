@@ -15,6 +15,7 @@
 //! Entry point: [`evaluate`].
 
 pub mod benchmark;
+pub mod calibration;
 mod cameras;
 pub mod comparison;
 mod figures;
@@ -22,6 +23,7 @@ mod input;
 mod mesh;
 pub mod reference;
 pub mod registration;
+pub mod spread;
 mod table;
 pub mod trajectory;
 

@@ -102,7 +102,7 @@ fn some_trajectory(ratio: f64) -> ObjectTrajectory {
         alternatives,
         as_reconstructed: None,
     };
-    ObjectTrajectory { id: ObjectId(1), class: "car".into(), confidence: 1.0, scale, poses: vec![] }
+    ObjectTrajectory { id: ObjectId(1), class: "car".into(), confidence: 1.0, scale, verdict: None, poses: vec![] }
 }
 
 fn curve(t: f64) -> Point3<f64> {

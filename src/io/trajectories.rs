@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::{IoError, atomic, json};
 use crate::math::Sim3;
 use crate::scene::{
-    FrameId, ObjectId, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, Trajectories, Unit,
+    FrameId, ObjectId, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, Trajectories, Unit, Verdict,
 };
 
 /// The only version there is.
@@ -35,6 +35,8 @@ struct Object {
     class: String,
     confidence: f64,
     scale: Scale,
+    #[serde(default)]
+    verdict: Option<Verdict>,
     frames: Vec<Pose>,
 }
 
@@ -71,7 +73,8 @@ struct Placement {
 ///
 /// # Errors
 /// A system error; or a value that breaks the contract: a number that is not finite, a ratio that is not positive, a
-/// pose whose scale is not its object's ratio, frames out of order, a degenerate ratio without a reason.
+/// pose whose scale is not its object's ratio, frames out of order, a degenerate ratio without a reason, a weight that
+/// is not between 0 and 1.
 pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
     let document = Document {
         version: VERSION,
@@ -100,6 +103,7 @@ fn object_to_file(object: &ObjectTrajectory) -> Object {
         class: object.class.clone(),
         confidence: object.confidence,
         scale: Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed },
+        verdict: object.verdict.clone(),
         frames: object.poses.iter().map(pose_to_file).collect(),
     }
 }
@@ -125,6 +129,7 @@ fn object_from_file(object: Object) -> ObjectTrajectory {
         class: object.class,
         confidence: object.confidence,
         scale: ScaleEstimate { ratio, std, method, degenerate, reason, alternatives, as_reconstructed },
+        verdict: object.verdict,
         poses: object.frames.into_iter().map(pose_from_file).collect(),
     }
 }
@@ -154,6 +159,10 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         let numbers = scale.std.iter().chain(ratios).chain([&object.confidence]);
         if let Some(number) = numbers.into_iter().find(|n| !n.is_finite()) {
             return wrong(format!("{number} is not a finite number"));
+        }
+        let reasons = object.verdict.iter().flat_map(|verdict| &verdict.reasons);
+        if let Some(reason) = reasons.into_iter().find(|reason| !(0.0..=1.0).contains(&reason.weight)) {
+            return wrong(format!("the weight {} of a reason is not between 0 and 1", reason.weight));
         }
         if scale.degenerate && scale.reason.is_none() {
             return wrong("is degenerate without a reason".into());
@@ -189,7 +198,7 @@ fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::ScaleMethod;
+    use crate::scene::{Reason, ReasonKind, ScaleMethod, Trust};
 
     fn sample() -> Trajectories {
         let pose = |frame: u32| ObjectPose {
@@ -214,7 +223,9 @@ mod tests {
             as_reconstructed: Some([(ScaleMethod::Intersection, 0.71)].into()),
         };
         let (class, confidence, poses) = ("car".into(), 0.93, vec![pose(0), pose(2)]);
-        let object = ObjectTrajectory { id: ObjectId(1), class, confidence, scale, poses };
+        let reasons = vec![Reason::doubts(ReasonKind::Shape, 0.5, "nearly as long as high")];
+        let verdict = Some(Verdict { state: Trust::Fair, reasons });
+        let object = ObjectTrajectory { id: ObjectId(1), class, confidence, scale, verdict, poses };
         Trajectories { unit: Unit::Background, objects: vec![object] }
     }
 
@@ -228,7 +239,7 @@ mod tests {
         assert_eq!(keys(&value), ["version", "unit", "objects"]);
         assert_eq!(value["unit"], "background");
         let object = &value["objects"][0];
-        assert_eq!(keys(object), ["id", "class", "confidence", "scale", "frames"]);
+        assert_eq!(keys(object), ["id", "class", "confidence", "scale", "verdict", "frames"]);
         let of_scale = ["ratio", "std", "method", "degenerate", "reason", "alternatives", "as_reconstructed"];
         assert_eq!(keys(&object["scale"]), of_scale);
         assert_eq!(object["scale"]["method"], "constant-distance");

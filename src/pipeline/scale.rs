@@ -7,8 +7,11 @@ use serde_json::{Value, json};
 use super::run::{Outcome, Run};
 use super::track;
 use super::{PipelineError, exports, ground, models, objects};
-use crate::scene::{Frame, FrameId, Ground, GroundPlane, ObjectId, ScaleMethod, TrackedObject, Trajectories, Unit};
-use crate::trajectory::{self, Adjustment, Evidence, ModelOrigin, ObjectDescription, Silhouette};
+use crate::scene::{
+    Frame, FrameId, Ground, GroundPlane, ObjectId, ObjectTrajectory, Reconstruction, ScaleMethod, TimeBase,
+    TrackedObject, Trajectories, Unit, Verdict,
+};
+use crate::trajectory::{self, Adjustment, Candidate, Evidence, ModelOrigin, ObjectDescription, Silhouette};
 
 /// The name of the list of objects without a trajectory, and why.
 const FAILURES: &str = "scale-failures.json";
@@ -30,21 +33,23 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     run.workspace
         .keep_objects(&run.workspace.objects(), |id| reports.get(&id).is_some_and(|report| report.failure.is_none()))?;
     outcome.outputs.push(exports::background(run, &background)?);
-    let mut found = Vec::new();
+    let mut found: Vec<Placed> = Vec::new();
     let mut failures = BTreeMap::new();
     let with_model = reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id).collect();
     let silhouettes = silhouettes(run, frames, &with_model)?;
     let no_silhouettes = BTreeMap::new();
-    for tracked in track::objects(run)? {
+    let tracked_objects = track::objects(run)?;
+    for tracked in &tracked_objects {
         let Some(report) = reports.get(&tracked.id) else { continue };
         let Some(object) = objects::as_reconstructed(run, tracked.id, report)? else { continue };
+        let planes = planes(&ground, tracked.id);
         let placed = trajectory::place(
             &Evidence {
-                description: description(&tracked),
+                description: description(tracked),
                 origin: if report.given { ModelOrigin::Given } else { ModelOrigin::Reconstructed },
                 background: &background,
                 object: &object,
-                planes: &planes(&ground, tracked.id),
+                planes: &planes,
                 silhouettes: silhouettes.get(&tracked.id).unwrap_or(&no_silhouettes),
                 frames,
             },
@@ -59,7 +64,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
                 if let Some(reason) = &trajectory.scale.reason {
                     outcome.warn(format!("object {}: its scale ratio is not to be trusted: {reason}", tracked.id));
                 }
-                found.push(trajectory);
+                found.push(Placed { trajectory, tracked, object: placed.object, planes });
             }
             Err(reason) => {
                 outcome.warn(format!("object {} has no trajectory: {reason}", tracked.id));
@@ -68,11 +73,48 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
         }
     }
     outcome.figure("num_trajectories", found.len());
-    let (path, all) = (run.workspace.trajectories(), Trajectories { unit: Unit::Background, objects: found });
+    let objects = judged(found, &background, run.info().time_base(), &mut outcome);
+    let (path, all) = (run.workspace.trajectories(), Trajectories { unit: Unit::Background, objects });
     run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
     run.workspace.write_state(FAILURES, &failures)?;
     outcome.outputs.extend([path, run.workspace.state(FAILURES)]);
     Ok(outcome)
+}
+
+/// An object that has a trajectory, until all of them are judged together.
+struct Placed<'a> {
+    trajectory: ObjectTrajectory,
+    tracked: &'a TrackedObject,
+    object: Reconstruction,
+    planes: BTreeMap<FrameId, GroundPlane>,
+}
+
+impl Placed<'_> {
+    fn candidate<'a>(&'a self, background: &'a Reconstruction) -> Candidate<'a> {
+        let Self { trajectory, tracked, object, planes } = self;
+        Candidate { trajectory, tracked: Some(tracked), object, background, planes }
+    }
+}
+
+/// The trajectories with the verdict on each.
+fn judged(
+    found: Vec<Placed>,
+    background: &Reconstruction,
+    time_base: TimeBase,
+    outcome: &mut Outcome,
+) -> Vec<ObjectTrajectory> {
+    let candidates: Vec<Candidate> = found.iter().map(|placed| placed.candidate(background)).collect();
+    let verdicts = trajectory::verdicts(&candidates, time_base);
+    let judge = |(placed, verdict): (Placed, Verdict)| {
+        let id = placed.trajectory.id;
+        let first = verdict.against().next().filter(|_| verdict.is_refuted() && !placed.trajectory.scale.degenerate);
+        if let Some(reason) = first {
+            outcome.warn(format!("object {id} is not to be trusted: {}", reason.says));
+        }
+        outcome.figure(&format!("verdict_{id}"), json!(verdict.state));
+        ObjectTrajectory { verdict: Some(verdict), ..placed.trajectory }
+    };
+    found.into_iter().zip(verdicts).map(judge).collect()
 }
 
 fn description(tracked: &TrackedObject) -> ObjectDescription {

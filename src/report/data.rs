@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use super::Thumbnail;
 use crate::eval::Evaluation;
 use crate::scene::{
-    Frame, FrameId, Ground, Image, ObjectId, ObjectTrajectory, Reconstruction, ScaleEstimate, TimeBase, TrackedObject,
+    Frame, FrameId, Ground, Image, ObjectId, ObjectTrajectory, Reconstruction, TimeBase, TrackedObject,
 };
 
 /// Everything the page shows; the pipeline fills it from a finished output folder.
@@ -82,13 +82,6 @@ pub struct Object<'a> {
     pub ratio_per_frame: Vec<(FrameId, f64)>,
     /// Why there is no trajectory.
     pub failure: Option<String>,
-}
-
-impl<'a> Object<'a> {
-    /// Its scale ratio, where it has a trajectory.
-    pub(super) fn scale(&self) -> Option<&'a ScaleEstimate> {
-        self.trajectory.map(|trajectory| &trajectory.scale)
-    }
 }
 
 /// Something that could not be reconstructed.

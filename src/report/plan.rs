@@ -107,7 +107,7 @@ impl Paper<'_> {
         Some(PlanPath {
             id: object.id.0,
             colour: css_colour(object_colour(object.id)),
-            degenerate: object.trajectory.is_some_and(|t| t.scale.degenerate),
+            degenerate: object.trajectory.is_some_and(|trajectory| trajectory.is_ruled_out()),
             path: polyline(&positions),
             start: start.map(tenth),
             end: end.map(tenth),

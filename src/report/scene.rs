@@ -215,7 +215,7 @@ fn scene_object(
         id: object.id.0,
         name: name.to_owned(),
         colour: css_colour(object_colour(object.id)),
-        degenerate: trajectory.scale.degenerate,
+        degenerate: trajectory.is_ruled_out(),
         total: all.len(),
         count: points.len(),
         positions: STANDARD.encode(floats.collect::<Vec<_>>()),

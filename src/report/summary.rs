@@ -38,7 +38,7 @@ pub(super) fn sentence(data: &Data) -> String {
 /// How sure the scales of the trajectories are, in one sentence.
 fn sureness(data: &Data) -> String {
     let of = |wanted: &[Verdict]| -> Vec<&Object> {
-        data.objects.iter().filter(|o| wanted.contains(&Verdict::of(o.scale()))).collect()
+        data.objects.iter().filter(|o| wanted.contains(&Verdict::of(o.trajectory))).collect()
     };
     let known = of(&[Verdict::Good, Verdict::Fair]);
     let worst = known.iter().filter_map(|o| relative_std(&o.trajectory?.scale)).reduce(f64::max);
@@ -55,10 +55,12 @@ fn sureness(data: &Data) -> String {
         (Verdict::Unrated, "it is not known how exact size and distance of", "are"),
         (Verdict::Weak, "size and distance of", "are only weakly determined"),
         (Verdict::Degenerate, "size and distance of", "are undetermined: do not measure with them"),
+        (Verdict::Doubtful, "", "may well be wrong"),
+        (Verdict::Refuted, "", "cannot be right: do not measure with them"),
     ] {
         let objects = of(&[verdict]);
         if !objects.is_empty() {
-            parts.push(format!("{before} {} {after}", paths_of(&objects)));
+            parts.push(format!("{before} {} {after}", paths_of(&objects)).trim_start().to_owned());
         }
     }
     capitalised(&format!("{}.", parts.join("; ")))
@@ -77,6 +79,7 @@ fn paths_of(objects: &[&Object]) -> String {
 mod tests {
     use super::*;
     use crate::report::testing;
+    use crate::scene::{self, Trust};
 
     #[test]
     fn the_sentence_names_the_vehicles_and_says_how_sure_each_is() {
@@ -87,6 +90,7 @@ mod tests {
              right to about 2.0 %."
         ));
         world.trajectory.scale.degenerate = true;
+        world.trajectory.verdict = Some(scene::Verdict { state: Trust::NotToBeTrusted, reasons: Vec::new() });
         assert!(sentence(&world.data()).ends_with("the path of Car 1 are undetermined: do not measure with them."));
     }
 }

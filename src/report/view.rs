@@ -68,7 +68,7 @@ fn focus(data: &Data, centers: &[Point3<f64>]) -> Vec<Point3<f64>> {
     let positions = |object: &Object| -> Vec<Point3<f64>> {
         object.trajectory.iter().flat_map(|t| &t.poses).map(|p| Point3::from(p.position)).filter(finite).collect()
     };
-    let sure = |o: &&Object| o.trajectory.is_some_and(|t| !t.scale.degenerate);
+    let sure = |o: &&Object| o.trajectory.is_some_and(|t| !t.is_ruled_out());
     let mut moving: Vec<_> = data.objects.iter().filter(sure).flat_map(positions).collect();
     if moving.is_empty() {
         moving = data.objects.iter().flat_map(positions).collect();

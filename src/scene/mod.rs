@@ -11,6 +11,7 @@ mod mesh;
 mod reconstruction;
 mod tracked;
 mod trajectory;
+mod verdict;
 
 pub use boxes::{BoxDetection, Finder, Rect};
 pub use flow::Flow;
@@ -23,3 +24,4 @@ pub use tracked::{FoundIn, Movement, MovementFinding, Outline, TrackedObject};
 pub use trajectory::{
     ModelState, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, Trajectories, Unit,
 };
+pub use verdict::{Finding, Reason, ReasonKind, Trust, Verdict};

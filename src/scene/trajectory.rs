@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{FrameId, ObjectId};
+use super::{FrameId, ObjectId, Verdict};
 use crate::math::Sim3;
 
 /// How a scale ratio was found; the names are those of the contract.
@@ -110,6 +110,8 @@ pub struct ObjectTrajectory {
     pub confidence: f64,
     /// Its scale ratio.
     pub scale: ScaleEstimate,
+    /// How far it can be trusted; `None` where nobody judged it.
+    pub verdict: Option<Verdict>,
     /// Ascending in time; frames without both cameras are absent.
     pub poses: Vec<ObjectPose>,
 }
@@ -119,6 +121,11 @@ impl ObjectTrajectory {
     /// positions.
     pub fn path_length(&self) -> f64 {
         self.poses.windows(2).map(|pair| pair[0].distance_to(&pair[1])).filter(|step| step.is_finite()).sum()
+    }
+
+    /// Whether it must not be measured with: its scale is undetermined, or something else rules it out.
+    pub fn is_ruled_out(&self) -> bool {
+        self.scale.degenerate || self.verdict.as_ref().is_some_and(Verdict::is_refuted)
     }
 }
 

@@ -15,7 +15,8 @@ use crate::camera::Camera;
 use crate::math::{Rigid3, Rng, Sim3, seeded_rng};
 use crate::scene::{
     CameraId, Frame, FrameId, Ground, GroundPlane, GroundSource, Image, ImageId, Mask, ObjectId, ObjectPose,
-    ObjectTrajectory, Observation, Point3d, Point3dId, Reconstruction, ScaleEstimate, ScaleMethod, TrackElement,
+    ObjectTrajectory, Observation, Point3d, Point3dId, Reason, ReasonKind, Reconstruction, ScaleEstimate, ScaleMethod,
+    TrackElement, Trust, Verdict,
 };
 
 /// Upward direction of the street corner in the background's frame.
@@ -269,7 +270,26 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
     };
     let class = if id == CAR { "car" } else { "van" }.to_owned();
     let confidence = if id == CAR { 0.93 } else { 0.78 };
-    Vehicle { model, trajectory: ObjectTrajectory { id, class, confidence, scale, poses }, visible, size_m }
+    let verdict = Some(if degenerate { undetermined() } else { sound() });
+    Vehicle { model, trajectory: ObjectTrajectory { id, class, confidence, scale, verdict, poses }, visible, size_m }
+}
+
+fn sound() -> Verdict {
+    let says = "size and distance are right to about 1.1 % (one standard deviation)";
+    let reasons = vec![
+        Reason::supports(ReasonKind::Deviation, says),
+        Reason::supports(ReasonKind::Ground, "it stands on the ground: its lowest points are at 4.0 % of its height"),
+    ];
+    Verdict { state: Trust::Good, reasons }
+}
+
+fn undetermined() -> Verdict {
+    let says = "the motion does not tell how large and how far away the path is: the camera keeps its height";
+    let reasons = vec![
+        Reason::refutes(ReasonKind::Determined, says),
+        Reason::doubts(ReasonKind::Pixels, 0.5, "it is small: its points span 18 pixels in the picture"),
+    ];
+    Verdict { state: Trust::NotToBeTrusted, reasons }
 }
 
 fn local_plane(background_from_metric: &Sim3, id: ObjectId, s: f64, rng: &mut Rng) -> GroundPlane {

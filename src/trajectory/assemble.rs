@@ -37,7 +37,7 @@ pub fn assemble(
     let mut poses = poses(background, object, scale.ratio, frames);
     poses.sort_by_key(|pose: &ObjectPose| -> FrameId { pose.frame });
     let ObjectDescription { id, class, confidence } = description;
-    let mut trajectory = ObjectTrajectory { id, class, confidence, scale, poses };
+    let mut trajectory = ObjectTrajectory { id, class, confidence, scale, verdict: None, poses };
     if unit == Unit::Metre {
         set_speeds(&mut trajectory);
     }

@@ -10,7 +10,8 @@
 //! for one unknown ratio r. Vehicles stand on the ground, and that determines r: [`constant_distance`] and
 //! [`intersection`] are the paper's two estimators, to the letter; [`least_squares`] uses all frames at once and says
 //! how well the motion determines r at all. [`joint`] goes further: it adjusts the object's reconstruction once more,
-//! together with the ground. [`estimate_scale`] runs the others and gives a verdict; [`assemble`] places the object.
+//! together with the ground. [`estimate_scale`] runs the others and says whether the ratio is determined;
+//! [`assemble`] places the object; [`verdicts`] judges the trajectories of a run.
 //! The derivations are in `docs/maths/scale.md`.
 
 //!
@@ -40,6 +41,7 @@ mod joint;
 mod least_squares;
 mod mirror;
 mod place;
+mod verdict;
 mod views;
 
 pub use assemble::{ObjectDescription, assemble, object_center, set_speeds};
@@ -52,4 +54,5 @@ pub use intersection::{Intersection, intersection};
 pub use joint::{Grounded, Joint, JointOptions, joint};
 pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
 pub use place::{Adjustment, AdjustmentFigures, Evidence, ModelOrigin, Placed, place};
+pub use verdict::{Candidate, verdicts};
 pub use views::{View, Views};

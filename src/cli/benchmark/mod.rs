@@ -4,8 +4,8 @@
 //! is taken over. The tables are written anew after every sequence, so that a stopped benchmark has those of what is
 //! done.
 
-mod sequences;
-mod single;
+pub(super) mod sequences;
+pub(super) mod single;
 #[cfg(test)]
 mod tests;
 

@@ -9,11 +9,11 @@ use crate::cli::output::Failure;
 use crate::io::Sequence;
 
 /// The folders of a data set.
-pub(super) struct Found {
+pub(in crate::cli) struct Found {
     /// Those with a `scene.json` that were asked for, by name.
-    pub(super) sequences: Vec<PathBuf>,
+    pub(in crate::cli) sequences: Vec<PathBuf>,
     /// Names of those without.
-    pub(super) left_out: Vec<String>,
+    pub(in crate::cli) left_out: Vec<String>,
 }
 
 /// The sequences in a folder, those alone whose name has one of `only` in it, if any are given. The results' own folder
@@ -21,7 +21,7 @@ pub(super) struct Found {
 ///
 /// # Errors
 /// A folder that cannot be read, or in which nothing is left.
-pub(super) fn find(folder: &Path, only: &[String], output: &Path) -> Result<Found, Failure> {
+pub(in crate::cli) fn find(folder: &Path, only: &[String], output: &Path) -> Result<Found, Failure> {
     let entries = fs::read_dir(folder)
         .with_context(|| format!("{}: cannot be read; give the folder of all sequences", folder.display()))?;
     let own = output.canonicalize().ok();
@@ -57,7 +57,7 @@ pub(super) fn find(folder: &Path, only: &[String], output: &Path) -> Result<Foun
 
 /// Vehicle and trajectory of a sequence: as its `scene.json` says, else from `<trajectory>_<vehicle>`, which folders
 /// are called, else the folder's name.
-pub(super) fn names(folder: &str, sequence: Option<&Sequence>) -> (String, String) {
+pub(in crate::cli) fn names(folder: &str, sequence: Option<&Sequence>) -> (String, String) {
     let vehicle = sequence.and_then(|s| s.vehicle.clone());
     let trajectory = sequence.and_then(|s| s.trajectory.clone());
     match (vehicle, trajectory) {

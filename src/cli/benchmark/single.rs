@@ -55,7 +55,7 @@ pub(super) fn sequence(
 }
 
 /// Whether the next sequence would meet the same.
-fn stands_in_every_way(error: &FolderError) -> bool {
+pub(in crate::cli) fn stands_in_every_way(error: &FolderError) -> bool {
     error.is_wrong_use() || matches!(error, FolderError::Busy { .. } | FolderError::System { .. })
 }
 

@@ -1,8 +1,12 @@
-//! The results on a data set as Markdown tables and as the paper's two bar charts.
+//! The results on a data set as Markdown tables and as the paper's two bar charts; calibration and breakdown likewise.
 
+mod breakdown;
+mod calibration;
 mod charts;
 mod pages;
 mod table;
 
+pub use breakdown::breakdown_charts;
+pub use calibration::{calibration, calibration_summary};
 pub use charts::{scale_deviation_chart, trajectory_error_chart};
 pub use pages::{ATTENTION_ERROR_M, ATTENTION_FRACTION, markdown, summary};

@@ -8,10 +8,12 @@ use crate::report::measure::speeds;
 use crate::report::overlay::{css_colour, object_colour};
 use crate::report::plan::Plan;
 use crate::report::timeline::Timeline;
-use crate::report::verdict::{Verdict, relative_std};
+use crate::report::verdict::{Verdict, relative_std, said};
 use crate::report::view::{View, quantile};
 use crate::report::words::{UNKNOWN, figure, length, percent, plain, thousands, with_unit};
-use crate::scene::{MovementFinding, ObjectTrajectory, Outline, ScaleEstimate, ScaleMethod, TimeBase, TrackedObject};
+use crate::scene::{
+    Finding, MovementFinding, ObjectTrajectory, Outline, ScaleEstimate, ScaleMethod, TimeBase, TrackedObject,
+};
 
 /// A vehicle's card.
 #[derive(Debug, Serialize)]
@@ -23,8 +25,12 @@ pub(super) struct Card {
     badge: &'static str,
     /// What the verdict means for this vehicle.
     meaning: String,
-    /// Why the scale is degenerate, or why there is no trajectory.
+    /// Why there is no trajectory.
     reason: Option<String>,
+    /// What speaks against the trajectory, the gravest first.
+    against: Vec<String>,
+    /// What speaks for it.
+    in_favour: Vec<String>,
     facts: Vec<Fact>,
     alternatives: Vec<Alternative>,
     plan: Option<Plan>,
@@ -45,15 +51,17 @@ pub(super) fn cards(data: &Data, timeline: &Timeline, names: &[String], view: Op
 }
 
 fn card(object: &Object, timeline: &Timeline, name: &str, view: Option<&View>) -> Card {
-    let verdict = Verdict::of(object.scale());
+    let verdict = Verdict::of(object.trajectory);
     Card {
         id: object.id.0,
         name: name.to_owned(),
         colour: css_colour(object_colour(object.id)),
         verdict,
         badge: verdict.label(),
-        meaning: verdict.sentence(object.scale()),
+        meaning: verdict.sentence(object.trajectory),
         reason: reason(object).map(|reason| plain(&reason)),
+        against: reasons(object, |finding| finding != Finding::Supports),
+        in_favour: reasons(object, |finding| finding == Finding::Supports),
         facts: facts(object, timeline),
         alternatives: object.trajectory.map(|t| alternatives(&t.scale)).unwrap_or_default(),
         plan: view.and_then(|v| Plan::object(object, v)),
@@ -61,11 +69,17 @@ fn card(object: &Object, timeline: &Timeline, name: &str, view: Option<&View>) -
 }
 
 fn reason(object: &Object) -> Option<String> {
-    match object.trajectory.map(|t| &t.scale) {
-        Some(scale) if scale.degenerate => scale.reason.clone().or(Some(NO_REASON.to_owned())),
-        Some(_) => None,
+    match object.trajectory {
+        Some(trajectory) if trajectory.verdict.is_some() || !trajectory.scale.degenerate => None,
+        Some(trajectory) => trajectory.scale.reason.clone().or(Some(NO_REASON.to_owned())),
         None => object.failure.clone(),
     }
+}
+
+/// What the verdict rests on, of one kind of finding.
+fn reasons(object: &Object, wanted: impl Fn(Finding) -> bool) -> Vec<String> {
+    let verdict = object.trajectory.and_then(|trajectory| trajectory.verdict.as_ref());
+    verdict.iter().flat_map(|verdict| &verdict.reasons).filter(|reason| wanted(reason.finding)).map(said).collect()
 }
 
 fn facts(object: &Object, timeline: &Timeline) -> Vec<Fact> {
@@ -174,6 +188,7 @@ fn deviation(fraction: f64) -> String {
 mod tests {
     use super::*;
     use crate::report::testing;
+    use crate::scene::{Reason, ReasonKind, Trust, Verdict};
 
     fn first_card(world: &testing::World) -> Card {
         let data = world.data();
@@ -198,9 +213,16 @@ mod tests {
         (scale.ratio, scale.std) = (f64::NAN, Some(f64::INFINITY));
         scale.alternatives.insert(ScaleMethod::Intersection, f64::NAN);
         (scale.degenerate, scale.reason) = (true, Some("the ratio is NaN ± inf".into()));
+        let verdict = Verdict { state: Trust::Doubtful, reasons: vec![Reason::doubts(ReasonKind::Size, 1.0, "NaN")] };
+        let mut judged = world.trajectory.clone();
+        judged.verdict = Some(verdict);
+        world.trajectory.verdict = None;
         world.trajectory.poses.iter_mut().for_each(|pose| pose.position = [f64::NAN; 3]);
         let card = serde_json::to_string(&first_card(&world)).unwrap();
         assert!(!card.contains("NaN") && !card.contains("inf"), "{card}");
         assert!(card.contains("the ratio is unknown ± unlimited"), "{card}");
+        world.trajectory = judged;
+        let card = serde_json::to_string(&first_card(&world)).unwrap();
+        assert!(!card.contains("NaN"), "{card}");
     }
 }

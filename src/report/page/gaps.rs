@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::report::data::{Data, Missing, Model};
 use crate::report::words::{count, plain};
-use crate::scene::ObjectId;
+use crate::scene::{ObjectId, Verdict};
 
 /// What stands where a stage left no reason.
 pub(super) const NO_REASON: &str = "no reason was recorded";
@@ -39,7 +39,10 @@ fn unregistered(name: &str, model: &Model) -> Vec<Missing> {
 
 /// The warnings that say more than what is missing and the verdicts do, with the names that vehicles have on the page.
 pub(super) fn warnings(data: &Data, names: &[String], missing: &[Missing]) -> Vec<String> {
-    let doubts = data.objects.iter().filter_map(|o| o.trajectory?.scale.reason.as_deref());
+    let judged = data.objects.iter().filter_map(|o| o.trajectory);
+    let doubts = judged.clone().filter_map(|trajectory| trajectory.scale.reason.as_deref());
+    let verdicts = judged.filter_map(|trajectory| trajectory.verdict.as_ref());
+    let doubts = doubts.chain(verdicts.flat_map(Verdict::against).map(|reason| reason.says.as_str()));
     let said: Vec<&str> = missing.iter().map(|m| m.reason.as_str()).chain(doubts).filter(|r| *r != NO_REASON).collect();
     let is_new = |warning: &&String| !said.iter().any(|reason| !reason.is_empty() && warning.ends_with(reason));
     let ids: Vec<(ObjectId, &String)> = data.objects.iter().map(|o| o.id).zip(names).collect();

@@ -1,0 +1,90 @@
+//! A real clip in a variant, beside the clip as it is.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::case::{Setting, apply};
+use super::degrade;
+use super::variant::{Kind, Variant};
+use crate::eval::spread::{Found, Spread, spreads};
+use crate::io::RunFolder;
+use crate::pipeline::{self, FrameOrder, Instances, Job, Stage};
+use crate::video::{Options as VideoOptions, Source};
+
+/// Whether a variant can be made of a clip: what changes masks needs a sequence.
+pub(super) fn is_possible(variant: Variant) -> bool {
+    use Kind::{Blur, Compression, Frames, Noise, Scale, Seed, Window};
+    matches!(variant.kind, Blur | Compression | Frames | Noise | Scale | Seed | Window)
+}
+
+impl Setting<'_> {
+    /// The clip as it is.
+    ///
+    /// # Errors
+    /// What stands in the way of the run.
+    pub(super) fn clip_as_it_is(&self, clip: &Path) -> anyhow::Result<Found> {
+        self.clip_run(clip, Variant { kind: Kind::AsItIs, level: 0.0 })
+    }
+
+    /// The vehicles that the clip in a variant and the clip as it is both have.
+    ///
+    /// # Errors
+    /// As [`Self::clip_as_it_is`].
+    pub(super) fn spreads(&self, clip: &Path, variant: Variant, as_it_is: &Found) -> anyhow::Result<Vec<Spread>> {
+        let found = self.clip_run(clip, variant)?;
+        let named = |spread| Spread { clip: name(clip), variant: variant.to_string(), ..spread };
+        Ok(spreads(as_it_is, &found).into_iter().map(named).collect())
+    }
+
+    fn clip_run(&self, clip: &Path, variant: Variant) -> anyhow::Result<Found> {
+        let mut options = self.options.clone();
+        options.instances = Instances::Vehicles;
+        apply(variant, &mut options);
+        let made = self.made_of_clip(clip, variant)?;
+        if made.is_some() {
+            // The pictures of a clip follow one another as its frames do.
+            let fps = Source::open(clip, &VideoOptions::default())?.info().fps;
+            options.video.fps = options.video.fps.or(fps);
+            options.order = FrameOrder::Time;
+        }
+        let output = self.results.subfolder(&name(clip))?.join(variant.to_string());
+        let input = made.as_ref().map_or(clip.to_owned(), |made| made.join("images"));
+        let job = Job {
+            input: &input,
+            output: &output,
+            options: &options,
+            goal: Stage::Report,
+            also_read: Vec::new(),
+            overwrite: self.overwrite,
+            arguments: self.arguments,
+        };
+        let done = pipeline::run(&job, self.talk);
+        if let Some(made) = &made {
+            fs::remove_dir_all(made)?;
+        }
+        done?;
+        found(&output)
+    }
+
+    /// The folder of a variant whose pictures differ, written anew; `None` for one that needs none.
+    fn made_of_clip(&self, clip: &Path, variant: Variant) -> anyhow::Result<Option<PathBuf>> {
+        if !variant.kind.is_degraded() {
+            return Ok(None);
+        }
+        let place = self.place_of(&name(clip), variant)?;
+        degrade::write_clip(clip, variant, &place, self.options.seed)?;
+        Ok(Some(place))
+    }
+}
+
+/// The name of a clip without its ending: that of its folder of results.
+fn name(clip: &Path) -> String {
+    clip.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn found(output: &Path) -> anyhow::Result<Found> {
+    let folder = RunFolder::at(output);
+    let background = folder.read_background()?;
+    let cameras = background.images.iter().map(|(id, image)| (id.frame(), image.cam_from_world));
+    Ok(Found { cam_from_world: cameras.collect(), trajectories: folder.read_trajectories()? })
+}

@@ -1,0 +1,173 @@
+//! `tractrix calibrate DIR`: do stated deviations mean what they say, and where does the method break down?
+//!
+//! Every sequence runs in every variant, each an ordinary run in `OUT/<sequence>/<variant>`. Worse pictures and masks
+//! are written into `OUT/.tractrix` and deleted after the run. Tables and curves are written anew after every case, so
+//! that a stopped calibration has those of what is done.
+
+mod case;
+mod clip;
+mod degrade;
+#[cfg(test)]
+mod tests;
+mod variant;
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use self::case::Setting;
+use self::variant::Variant;
+use super::benchmark::sequences::find;
+use super::common::CommonArgs;
+use super::job::use_threads;
+use super::output::{Failure, Form, show};
+use super::terminal::Talk;
+use crate::eval::calibration::{Calibration, Case, summarise, summarise_spreads};
+use crate::io::{FolderError, OwnedFolder, Place, RunFolder, atomic};
+use crate::pipeline::Overwrite;
+use crate::report::benchmark as pages;
+
+/// Version of `calibration.json`.
+const VERSION: u32 = 1;
+const JSON: &str = "calibration.json";
+const MARKDOWN: &str = "calibration.md";
+const CURVES: &str = "breakdown-";
+
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct Args {
+    /// Folder of sequences: every folder in it that has a scene.json
+    #[arg(value_name = "DIR", required_unless_present = "clip")]
+    pub(super) folder: Option<PathBuf>,
+    /// Also a real clip, whose truth nobody knows: its variants are compared with the clip as it is; may be repeated
+    #[arg(long, value_name = "VIDEO")]
+    pub(super) clip: Vec<PathBuf>,
+    /// Folder for the results: one output folder per sequence and variant, calibration.json, calibration.md, curves
+    #[arg(long, short, value_name = "OUT", default_value = "calibration")]
+    pub(super) output: PathBuf,
+    /// Replace results of sequences that have changed since
+    #[arg(long)]
+    pub(super) overwrite: bool,
+    /// Only sequences with this in the name of their folder; may be repeated
+    #[arg(long, value_name = "TEXT")]
+    pub(super) only: Vec<String>,
+    /// calibration, breakdown, or single variants, such as noise-8 or frames-30
+    ///
+    /// as-it-is, raw (nothing is given), frames-N, window-FIRST (20 frames), seed-N, blur-PIXELS, compression-QUALITY,
+    /// noise-LEVELS, scale-FACTOR, erosion-PIXELS, dilation-PIXELS, jitter-PIXELS (of the masks), hidden-SHARE (of the
+    /// frames).
+    #[arg(long, value_name = "NAME", value_delimiter = ',', default_value = "calibration")]
+    pub(super) variants: Vec<String>,
+
+    #[command(flatten)]
+    pub(super) common: CommonArgs,
+}
+
+pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) -> Result<(), Failure> {
+    let variants = Variant::all(&args.variants).map_err(Failure::Usage)?;
+    let options = args.common.options()?;
+    options.check().map_err(|error| Failure::Usage(error.to_string()))?;
+    let sequences = match &args.folder {
+        Some(folder) => find(folder, &args.only, &args.output)?.sequences,
+        None => Vec::new(),
+    };
+    let output = OwnedFolder::open(&args.output, "tractrix calibrate", place)?;
+    use_threads(options.threads)?;
+    talk.say_how_to_go_on();
+    let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
+    let setting = Setting {
+        results: &output,
+        options: &options,
+        overwrite: if args.overwrite { Overwrite::AnyInput } else { Overwrite::SameInput },
+        arguments: &arguments,
+        talk,
+    };
+    let mut calibration = Calibration {
+        version: VERSION,
+        program: env!("CARGO_PKG_VERSION").into(),
+        arguments: arguments.clone(),
+        cases: Vec::new(),
+        spreads: Vec::new(),
+    };
+    let pairs = || sequences.iter().flat_map(|folder| variants.iter().map(move |variant| (folder, *variant)));
+    let num = pairs().count();
+    for (k, (folder, variant)) in pairs().enumerate() {
+        let name = format!("{}, {variant}", folder.file_name().unwrap_or_default().to_string_lossy());
+        talk.say(&format!("[{}/{num}] {name}", k + 1));
+        let case = setting.case(folder, variant)?;
+        talk.say(&format!("{name}: {}", said(&case)));
+        calibration.cases.push(case);
+        write(&calibration, &output)?;
+    }
+    for clip in &args.clip {
+        clips(&setting, clip, &variants, &mut calibration)?;
+    }
+    talk.finish();
+    show(form, &with_summary(&calibration), || {
+        let path = args.output.join(MARKDOWN);
+        format!("{}\n{}\n", pages::calibration_summary(&calibration), path.display())
+    })
+}
+
+/// One clip in all variants that can be made of it. What fails is said, and the others go on.
+fn clips(setting: &Setting, clip: &Path, variants: &[Variant], calibration: &mut Calibration) -> Result<(), Failure> {
+    let talk = setting.talk;
+    talk.say(&format!("{}, as it is", clip.display()));
+    let as_it_is = setting.clip_as_it_is(clip)?;
+    for variant in variants.iter().filter(|variant| clip::is_possible(**variant)) {
+        let name = format!("{}, {variant}", clip.display());
+        talk.say(&name);
+        match setting.spreads(clip, *variant, &as_it_is) {
+            Ok(spreads) => {
+                talk.say(&format!("{name}: {} vehicles in both", spreads.len()));
+                calibration.spreads.extend(spreads);
+            }
+            Err(error) => tracing::warn!("{name}: {}", Failure::Input(error)),
+        }
+        write(calibration, setting.results)?;
+    }
+    Ok(())
+}
+
+/// What a calibration may put into its folder, besides the runs' own output folders.
+fn place(relative: &Path) -> Place {
+    let parts: Vec<_> = relative.iter().filter_map(|part| part.to_str()).collect();
+    match parts[..] {
+        [] => Place::Folder,
+        [RunFolder::STATE, ..] => Place::State,
+        [JSON | MARKDOWN] => Place::File,
+        [name] if name.starts_with(CURVES) && name.ends_with(".svg") => Place::File,
+        _ => Place::Elsewhere,
+    }
+}
+
+fn write(calibration: &Calibration, output: &OwnedFolder) -> Result<(), FolderError> {
+    let put = |name: &str, text: String| {
+        output.put_file(Path::new(name), |fresh| Ok::<_, FolderError>(atomic::write(fresh, text.as_bytes())?))
+    };
+    output.put_file(Path::new(JSON), |fresh| {
+        Ok::<_, FolderError>(atomic::write_json(fresh, &with_summary(calibration))?)
+    })?;
+    put(MARKDOWN, pages::calibration(calibration))?;
+    for (name, chart) in pages::breakdown_charts(calibration) {
+        put(&format!("{CURVES}{name}.svg"), chart)?;
+    }
+    Ok(())
+}
+
+/// What stands in `calibration.json`: the cases, and the summary that follows from them.
+fn with_summary(calibration: &Calibration) -> serde_json::Value {
+    let mut value = json!(calibration);
+    value["summary"] = json!(summarise(&calibration.cases));
+    value["summary_of_clips"] = json!(summarise_spreads(&calibration.spreads));
+    value
+}
+
+/// A case as a line.
+fn said(case: &Case) -> String {
+    let percent = |value: Option<f64>| value.map_or("unknown".to_owned(), |value| format!("{:.2} %", 100.0 * value));
+    match &case.failure {
+        Some(reason) => format!("FAILED: {reason}"),
+        None => format!("off by {}, stated {}", percent(case.error.map(f64::abs)), percent(case.relative_std)),
+    }
+}

@@ -1,0 +1,171 @@
+//! A calibration as Markdown.
+
+use super::table::Table;
+use crate::eval::calibration::{Calibration, Case, Row, Share, summarise, summarise_spreads};
+use crate::eval::spread::Spread;
+
+/// The aims, as shares within 1, 2 and 3 deviations.
+const AIMS: &str = "Aims: 68 ± 7 % within one stated deviation, at least 93 % within two, at least 99 % within three.";
+
+/// The table of all cases together, and of each kind of variant.
+pub fn calibration_summary(calibration: &Calibration) -> String {
+    let mut table = Table::new([
+        "variants",
+        "runs",
+        "judged",
+        "within 1",
+        "within 2",
+        "within 3",
+        "median error",
+        "median stated",
+        "factor",
+        "undetermined",
+        "failed",
+        "sure and wrong",
+    ]);
+    for row in summarise(&calibration.cases) {
+        table.row(cells(&row));
+    }
+    let clips = if calibration.spreads.is_empty() { String::new() } else { clips_summary(&calibration.spreads) };
+    table.render(1) + &clips
+}
+
+/// What runs of real clips say of one another.
+fn clips_summary(spreads: &[Spread]) -> String {
+    let row = summarise_spreads(spreads);
+    let shares = row.within.map_or("–".to_owned(), |shares| shares.map(share).join(", "));
+    format!(
+        "\nReal clips, each variant against the clip as it is: {} vehicles placed by both runs, {} with deviations; \
+         within 1, 2, 3 of them: {shares}; median difference {}. That is a lower bound: errors that both runs share do \
+         not show.\n",
+        row.num,
+        row.num_judged,
+        percent(row.median_difference)
+    )
+}
+
+/// All of it: the summary, and every case.
+pub fn calibration(calibration: &Calibration) -> String {
+    let mut cases = Table::new([
+        "sequence",
+        "variant",
+        "error",
+        "stated",
+        "in deviations",
+        "trajectory error",
+        "placed",
+        "object",
+        "verdict",
+    ]);
+    for case in &calibration.cases {
+        cases.row(case_cells(case));
+    }
+    format!(
+        "# Calibration\n\nDo stated deviations mean what they say? `tractrix {}`, version {}.\n\n{AIMS} Intervals are \
+         those of 95 % for independent cases (Wilson); cases of one sequence are not quite that. `factor`: what the \
+         stated deviations would have to be multiplied by, going by the median. `sure and wrong`: more than three \
+         deviations off, and called good or fair.\n\n{}\n## Every case\n\n{}",
+        calibration.arguments.iter().skip(1).cloned().collect::<Vec<_>>().join(" "),
+        calibration.program,
+        calibration_summary(calibration),
+        cases.render(2)
+    ) + &clips(&calibration.spreads)
+}
+
+/// Every vehicle that two runs of a clip place.
+fn clips(spreads: &[Spread]) -> String {
+    let mut table =
+        Table::new(["clip", "variant", "vehicle", "frames", "difference", "stated", "in deviations", "worse verdict"]);
+    for spread in spreads {
+        table.row([
+            spread.clip.clone(),
+            spread.variant.clone(),
+            format!("{} and {}", spread.objects[0], spread.objects[1]),
+            spread.num_frames.to_string(),
+            format!("{:.1} %", 100.0 * spread.difference),
+            percent(spread.relative_std),
+            spread.deviations().map_or("–".to_owned(), |deviations| format!("{deviations:.2}")),
+            spread.verdict.map_or("–", crate::scene::Trust::name).to_owned(),
+        ]);
+    }
+    if table.is_empty() { String::new() } else { format!("\n## Real clips\n\n{}", table.render(3)) }
+}
+
+fn cells(row: &Row) -> Vec<String> {
+    let within = |k: usize| row.within.map_or("–".to_owned(), |shares| share(shares[k]));
+    vec![
+        row.name.clone(),
+        row.num.to_string(),
+        row.num_judged.to_string(),
+        within(0),
+        within(1),
+        within(2),
+        percent(row.median_error),
+        percent(row.median_std),
+        row.factor.map_or("–".to_owned(), |factor| format!("{factor:.2}")),
+        row.num_degenerate.to_string(),
+        row.num_failed.to_string(),
+        row.num_sure_and_wrong.to_string(),
+    ]
+}
+
+fn case_cells(case: &Case) -> Vec<String> {
+    let number = |value: Option<f64>, digits: usize, unit: &str| {
+        value.map_or("–".to_owned(), |value| format!("{value:.digits$}{unit}"))
+    };
+    let verdict = match (&case.failure, case.verdict) {
+        (Some(reason), _) => format!("failed: {reason}"),
+        (None, verdict) => verdict.map_or("–", crate::scene::Trust::name).to_owned(),
+    };
+    vec![
+        case.sequence.clone(),
+        case.variant.clone(),
+        number(case.error.map(|error| 100.0 * error), 2, " %"),
+        percent(case.relative_std),
+        number(case.deviations(), 2, ""),
+        number(case.trajectory_error_m, 3, " m"),
+        format!("{} of {}", case.num_placed, case.num_visible),
+        number(case.object_px, 0, " px"),
+        verdict,
+    ]
+}
+
+fn share(share: Share) -> String {
+    let [low, high] = share.interval.map(|end| 100.0 * end);
+    format!("{:.0} % ({low:.0}–{high:.0})", 100.0 * share.share)
+}
+
+fn percent(value: Option<f64>) -> String {
+    value.map_or("–".to_owned(), |value| format!("{:.2} %", 100.0 * value))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_case_has_its_line_and_nothing_is_nan() {
+        let good = Case {
+            sequence: "bridge_van".into(),
+            variant: "noise-8".into(),
+            kind: "noise".into(),
+            level: 8.0,
+            error: Some(-0.012),
+            relative_std: Some(0.01),
+            num_placed: 60,
+            num_visible: 60,
+            ..Case::default()
+        };
+        let failed = Case { failure: Some("no | points".into()), ..Case::default() };
+        let all = Calibration {
+            version: 1,
+            program: "0".into(),
+            arguments: vec![],
+            cases: vec![good, failed],
+            spreads: vec![],
+        };
+        let text = calibration(&all);
+        assert!(text.contains("| bridge_van | noise-8 | -1.20 % | 1.00 % |"), "{text}");
+        assert!(text.contains("failed: no \\| points") && !text.contains("NaN"), "{text}");
+    }
+}

@@ -1,0 +1,60 @@
+//! Whether the vehicle stands on the ground, and stays on it.
+
+use super::{Measures, percent};
+use crate::scene::Reason;
+use crate::scene::ReasonKind::Ground;
+
+/// Height of its lowest points over the ground, as a share of the height of its top: from where on it floats, and from
+/// where on nothing that is left can be a vehicle. Of one that is seen above its sills alone a third is missing.
+const FLOATS: [f64; 2] = [0.6, 0.75];
+/// Depth of its lowest points below the ground, likewise.
+const SINKS: [f64; 2] = [0.25, 0.6];
+/// Spread of its height over the ground from frame to frame, as a share of the height of its top.
+const WANDERS: [f64; 2] = [0.08, 0.5];
+
+pub(super) fn reasons(measures: &Measures) -> Vec<Reason> {
+    let Some(height) = measures.height else {
+        return vec![Reason::doubts(Ground, 1.0, "no frame has a plane of the ground under it")];
+    };
+    if !(height > 0.0) {
+        return vec![Reason::refutes(Ground, "all of it lies below the ground")];
+    }
+    let stands = measures.bottom.and_then(|bottom| stands(bottom / height));
+    let stays = spread(&measures.middles).and_then(|spread| stays(spread / height));
+    [stands, stays].into_iter().flatten().collect()
+}
+
+/// * `bottom` – height of its lowest points, in heights of its top.
+fn stands(bottom: f64) -> Option<Reason> {
+    let floats = || format!("it floats: its lowest points are at {} of its height over the ground", percent(bottom));
+    let sinks = || format!("it sinks: its lowest points are {} of its height below the ground", percent(-bottom));
+    match bottom {
+        b if !b.is_finite() => None,
+        b if b > FLOATS[1] => Some(Reason::refutes(Ground, floats())),
+        b if b > FLOATS[0] => Some(Reason::doubts(Ground, 1.0, floats())),
+        b if b < -SINKS[1] => Some(Reason::refutes(Ground, sinks())),
+        b if b < -SINKS[0] => Some(Reason::doubts(Ground, 1.0, sinks())),
+        b => Some(Reason::supports(
+            Ground,
+            format!("it stands on the ground: its lowest points are at {} of its height", percent(b)),
+        )),
+    }
+}
+
+/// * `spread` – of its height over the ground along the path, in heights of its top.
+fn stays(spread: f64) -> Option<Reason> {
+    let said = || format!("it rises and sinks: its height over the ground wanders by {} of it", percent(spread));
+    match spread {
+        s if s > WANDERS[1] => Some(Reason::refutes(Ground, said())),
+        s if s > WANDERS[0] => Some(Reason::doubts(Ground, 1.0, said())),
+        _ => None,
+    }
+}
+
+/// Standard deviation; `None` for fewer than three.
+fn spread(values: &[f64]) -> Option<f64> {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / count;
+    (values.len() >= 3).then(|| variance.sqrt()).filter(|spread| spread.is_finite())
+}

@@ -1,0 +1,206 @@
+//! What is measured of a trajectory once, for all that look at it.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Point3, Vector3};
+
+use super::Candidate;
+use crate::math::median;
+use crate::scene::{GroundPlane, Image, ObjectPose, Reconstruction};
+use crate::trajectory::heading::forward_axis;
+use crate::trajectory::object_center;
+
+/// Of the points over the ground, the share that lies below what counts as the vehicle's top.
+const TOP: f64 = 0.95;
+/// The same for its bottom: a few points stray below it.
+const BOTTOM: f64 = 0.02;
+/// The same for its length: points beyond are strays.
+const EXTENT: f64 = 0.95;
+/// Half of the time over which a path is smoothed, seconds, and the least number of neighbours on either side.
+const HALF_WINDOW_S: f64 = 0.5;
+const LEAST_NEIGHBOURS: usize = 2;
+
+/// What is measured of a trajectory. Lengths are in units of the background; what cannot be measured is `None`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Measures {
+    /// Height of the vehicle's top over the ground: the median over the frames with a plane.
+    pub(super) height: Option<f64>,
+    /// Height of its bottom over the ground, likewise.
+    pub(super) bottom: Option<f64>,
+    /// Height of its middle over the ground, frame by frame in order of time.
+    pub(super) middles: Vec<f64>,
+    /// Longest extent: twice the distance within which nearly all points lie from their middle.
+    pub(super) length: Option<f64>,
+    /// Longer side of the box round its points in the picture, the median over frames, pixels.
+    pub(super) pixels: Option<f64>,
+    /// Longest extent as a multiple of what it looks like in the picture at its distance: the median over frames. About
+    /// 1 from the side, length over width from behind; more where the model is drawn out along the line of sight.
+    pub(super) stretch: Option<f64>,
+    /// Length of the path as it stands, and of the smoothed path.
+    pub(super) way: [f64; 2],
+    /// Largest distance of a place from the first one.
+    pub(super) reach: f64,
+    /// Share of the way that leads backwards, against the way that the vehicle points; `None` where it points nowhere.
+    pub(super) backwards: Option<f64>,
+    /// Typical distance of a place from the smooth path through its neighbours.
+    pub(super) jitter: Option<f64>,
+    /// Typical length of a step from one frame to the next.
+    pub(super) step: f64,
+    /// The step that stands out most.
+    pub(super) jump: Jump,
+    /// Typical speed, units of the background per unit of time.
+    pub(super) speed: Option<f64>,
+}
+
+/// A step that is longer than those beside it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Jump {
+    /// By how much it is longer than the longest of the four beside it, each for the time it takes; 0 for none.
+    pub(super) beyond: f64,
+    /// The frames before and after.
+    pub(super) frames: [u32; 2],
+}
+
+impl Measures {
+    pub(super) fn of(candidate: &Candidate) -> Self {
+        let (poses, object) = (&candidate.trajectory.poses, candidate.object);
+        let points: Vec<Point3<f64>> = finite_points(object);
+        let over_ground = over_ground(candidate, &points);
+        let column = |k: usize| over_ground.iter().map(|heights| heights[k]).collect::<Vec<f64>>();
+        let places: Vec<Vector3<f64>> = poses.iter().map(|pose| Vector3::from(pose.position)).collect();
+        let steps: Vec<f64> = places.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
+        let smooth = smoothed(poses, &places);
+        Self {
+            height: median(column(2)),
+            bottom: median(column(0)),
+            middles: column(1),
+            length: length(&points).map(|length| length * candidate.trajectory.scale.ratio),
+            stretch: length(&points).and_then(|length| stretch(object, length)),
+            pixels: median(object.images.values().filter_map(longer_side).collect()),
+            way: [steps.iter().sum(), smooth.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()],
+            reach: places.iter().map(|place| (place - places[0]).norm()).fold(0.0, f64::max),
+            backwards: backwards(poses),
+            jitter: median(places.iter().zip(&smooth).map(|(place, smooth)| (place - smooth).norm()).collect()),
+            jump: jump(poses),
+            speed: speed(poses, &steps),
+            step: median(steps).unwrap_or(0.0),
+        }
+    }
+
+    /// A length as a multiple of the vehicle's height over the ground; `None` where that is not a height.
+    pub(super) fn in_heights(&self, length: f64) -> Option<f64> {
+        let height = self.height.filter(|height| *height > 0.0)?;
+        Some(length / height).filter(|multiple| multiple.is_finite())
+    }
+}
+
+fn finite_points(object: &Reconstruction) -> Vec<Point3<f64>> {
+    let points = object.points.values().map(|point| point.position);
+    points.filter(|point| point.coords.iter().all(|x| x.is_finite())).collect()
+}
+
+/// Heights of bottom, middle and top over the ground, for every frame with a plane.
+fn over_ground(candidate: &Candidate, points: &[Point3<f64>]) -> Vec<[f64; 3]> {
+    let of_frame = |pose: &ObjectPose| {
+        let plane: &GroundPlane = candidate.planes.get(&pose.frame)?;
+        let heights: Vec<f64> =
+            points.iter().map(|point| plane.signed_distance(pose.world_from_object * *point)).collect();
+        let sorted = sorted(heights)?;
+        Some([quantile(&sorted, BOTTOM), quantile(&sorted, 0.5), quantile(&sorted, TOP)])
+    };
+    candidate.trajectory.poses.iter().filter_map(of_frame).collect()
+}
+
+/// Ascending; `None` of nothing, or of something that is no number.
+fn sorted(mut values: Vec<f64>) -> Option<Vec<f64>> {
+    if values.is_empty() || values.iter().any(|value| !value.is_finite()) {
+        return None;
+    }
+    values.sort_by(f64::total_cmp);
+    Some(values)
+}
+
+/// Of values in ascending order, at least one.
+fn quantile(sorted: &[f64], share: f64) -> f64 {
+    sorted[(share * (sorted.len() - 1) as f64).round() as usize]
+}
+
+/// Twice the distance from the middle within which nearly all points lie, in the frame of the points.
+fn length(points: &[Point3<f64>]) -> Option<f64> {
+    let along = |axis: usize| median(points.iter().map(|point| point[axis]).collect());
+    let middle = Point3::new(along(0)?, along(1)?, along(2)?);
+    let distances = sorted(points.iter().map(|point| (point - middle).norm()).collect())?;
+    Some(2.0 * quantile(&distances, EXTENT))
+}
+
+/// Longer side of the box round the points that an image sees, pixels; `None` for fewer than three.
+fn longer_side(image: &Image) -> Option<f64> {
+    let seen = || image.observations.iter().filter(|seen| seen.point.is_some()).map(|seen| seen.pixel);
+    let side = |axis: usize| {
+        let (least, most) = seen()
+            .map(|pixel| pixel[axis])
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), x| (least.min(x), most.max(x)));
+        most - least
+    };
+    (seen().count() >= 3).then(|| side(0).max(side(1))).filter(|side| side.is_finite())
+}
+
+/// How much longer the object is than it looks; `length` is in its own unit.
+fn stretch(object: &Reconstruction, length: f64) -> Option<f64> {
+    let middle = object_center(object);
+    let of_image = |image: &Image| {
+        let distance = (image.cam_from_world * middle).coords.norm();
+        let looks = longer_side(image)? / object.camera_of(image).mean_focal() * distance;
+        Some(length / looks).filter(|stretch| stretch.is_finite())
+    };
+    median(object.images.values().filter_map(of_image).collect())
+}
+
+/// Every place as the mean of those within half a second of it, taken evenly from both sides.
+fn smoothed(poses: &[ObjectPose], places: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+    let near = |i: usize, k: usize| {
+        i.abs_diff(k) <= LEAST_NEIGHBOURS || (poses[i].time_s - poses[k].time_s).abs() <= HALF_WINDOW_S
+    };
+    let smooth = |k: usize| {
+        let before = (0..k).rev().take_while(|&i| near(i, k)).count();
+        let after = (k + 1..places.len()).take_while(|&i| near(i, k)).count();
+        // As many on either side, or the ends would be drawn inwards.
+        let reach = before.min(after);
+        let window = &places[k - reach..=k + reach];
+        window.iter().sum::<Vector3<f64>>() / window.len() as f64
+    };
+    (0..places.len()).map(smooth).collect()
+}
+
+/// The share of the way that leads against the direction in which the vehicle points.
+fn backwards(poses: &[ObjectPose]) -> Option<f64> {
+    let forward = forward_axis(poses)?;
+    let ahead = |pair: &[ObjectPose]| {
+        let step = Vector3::from(pair[1].position) - Vector3::from(pair[0].position);
+        step.dot(&(pair[0].world_from_object.rotation * forward.into_inner()))
+    };
+    let steps: Vec<f64> = poses.windows(2).map(ahead).collect();
+    let way: f64 = steps.iter().map(|step| step.abs()).sum();
+    let back: f64 = steps.iter().filter(|step| **step < 0.0).map(|step| -step).sum();
+    (way > 0.0).then(|| back / way).filter(|share| share.is_finite())
+}
+
+/// The step that stands out most.
+fn jump(poses: &[ObjectPose]) -> Jump {
+    let duration = |pair: &[ObjectPose]| f64::from((pair[1].frame.0 - pair[0].frame.0).max(1));
+    let steps: Vec<(f64, f64)> = poses.windows(2).map(|pair| (pair[0].distance_to(&pair[1]), duration(pair))).collect();
+    let jump = |k: usize| {
+        let beside = (k.saturating_sub(2)..(k + 3).min(steps.len())).filter(|&i| i != k);
+        let expected = beside.map(|i| steps[i].0 / steps[i].1).fold(0.0, f64::max) * steps[k].1;
+        Jump { beyond: steps[k].0 - expected, frames: [poses[k].frame.0, poses[k + 1].frame.0] }
+    };
+    let jumps = (0..steps.len()).map(jump).filter(|jump| steps.len() > 2 && jump.beyond > 0.0);
+    jumps.max_by(|a, b| a.beyond.total_cmp(&b.beyond)).unwrap_or_default()
+}
+
+/// The median speed of all steps that take time.
+fn speed(poses: &[ObjectPose], steps: &[f64]) -> Option<f64> {
+    let times: BTreeMap<usize, f64> =
+        poses.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).enumerate().filter(|(_, t)| *t > 0.0).collect();
+    median(times.iter().map(|(&k, time)| steps[k] / time).filter(|speed| speed.is_finite()).collect())
+}

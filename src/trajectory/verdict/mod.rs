@@ -1,0 +1,130 @@
+//! How far a trajectory can be trusted, judged from everything that is known.
+//!
+//! A small standard deviation says that the figures agree with one another. It does not say that they are those of a
+//! vehicle: a patch of the horizon that was taken for a car has a small one, too. So every trajectory is looked at from
+//! many sides, each of which is a small function: the scale ratio ([`scale`]), what found the object and how much of it
+//! there is ([`support`]), whether it stands on the ground ([`ground`]), has the shape, size and speed of its class
+//! ([`class`], [`size`]), and drives a path that a vehicle can drive ([`path`]). Each look supports, doubts or refutes,
+//! says so in a sentence with its figure, and has a weight. What they come to is a [`Verdict`]:
+//!
+//! * one that refutes, or doubts whose weights sum up to 3 or more: not to be trusted;
+//! * doubts whose weights sum up to 1 or more: doubtful;
+//! * a deviation of more than 3 %, or any doubt: fair; else good.
+//!
+//! What supports a trajectory takes no doubt away. No metres are known: lengths are measured with the vehicle's own
+//! height over the ground, and vehicles with one another.
+//!
+//! Every limit, where it comes from, and on which clips it was chosen: docs/maths/verdict.md. Entry point:
+//! [`verdicts`].
+
+mod class;
+mod ground;
+mod measures;
+mod path;
+mod scale;
+mod size;
+mod support;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use self::measures::Measures;
+use super::Views;
+use crate::scene::{
+    Finding, FrameId, GroundPlane, ObjectTrajectory, Reason, Reconstruction, TimeBase, TrackedObject, Trust, Verdict,
+};
+
+/// A trajectory that is to be judged, and what is known of it.
+#[derive(Clone, Copy, Debug)]
+pub struct Candidate<'a> {
+    /// The trajectory, in units of the background.
+    pub trajectory: &'a ObjectTrajectory,
+    /// What found the object, and whether it moved; `None` where nothing is known of that.
+    pub tracked: Option<&'a TrackedObject>,
+    /// The model to which the trajectory refers.
+    pub object: &'a Reconstruction,
+    /// The background's reconstruction.
+    pub background: &'a Reconstruction,
+    /// The local plane of each frame, in the background's frame.
+    pub planes: &'a BTreeMap<FrameId, GroundPlane>,
+}
+
+/// The verdict on every trajectory of a run, in their order. They are compared with one another, so all are needed at
+/// once.
+///
+/// * `time_base` – where times count frames, nothing is said of speeds.
+pub fn verdicts(candidates: &[Candidate], time_base: TimeBase) -> Vec<Verdict> {
+    let measures: Vec<Measures> = candidates.iter().map(Measures::of).collect();
+    let mut reasons: Vec<Vec<Reason>> =
+        candidates.iter().zip(&measures).map(|(candidate, measures)| alone(candidate, measures)).collect();
+    let yardsticks = size::yardsticks(candidates, &measures, &reasons);
+    for k in 0..candidates.len() {
+        let class = class::of(&candidates[k].trajectory.class);
+        let found = size::beside_others(k, &yardsticks).into_iter();
+        reasons[k].extend(found.chain(size::speed(&measures[k], &class, time_base)));
+    }
+    reasons.into_iter().map(weighed).collect()
+}
+
+/// What one trajectory says by itself.
+fn alone(candidate: &Candidate, measures: &Measures) -> Vec<Reason> {
+    let class = class::of(&candidate.trajectory.class);
+    let views = Views::new(candidate.background, candidate.object, candidate.planes);
+    let mut reasons = scale::reasons(&candidate.trajectory.scale, &views);
+    let num_visible = candidate.tracked.map(|tracked| tracked.frames.len());
+    reasons.push(support::amount(candidate.object.points.len(), candidate.trajectory.poses.len(), num_visible));
+    reasons.extend(support::pixels(measures));
+    if let Some(tracked) = candidate.tracked {
+        reasons.extend(support::detection(tracked));
+        reasons.extend(support::movement(tracked, measures));
+    }
+    reasons.extend(ground::reasons(measures));
+    reasons.extend(size::shape(measures, &class));
+    reasons.extend(size::stretch(measures, &class));
+    reasons.extend(path::reasons(measures));
+    reasons
+}
+
+/// Doubts that sum up to this make a trajectory doubtful.
+const DOUBTFUL: f64 = 1.0;
+/// Doubts that sum up to this rule it out: nothing that is right is odd in so many ways.
+const TOO_MANY_DOUBTS: f64 = 3.0;
+
+/// What all reasons come to.
+fn weighed(mut reasons: Vec<Reason>) -> Verdict {
+    let gravity =
+        |reason: &Reason| (std::cmp::Reverse(reason.finding), std::cmp::Reverse((1e6 * reason.weight) as u32));
+    reasons.sort_by_key(|reason| (gravity(reason), reason.kind));
+    let has = |finding| reasons.iter().any(|reason| reason.finding == finding);
+    let doubt: f64 = reasons.iter().map(|reason| reason.weight).sum();
+    let state = match () {
+        () if has(Finding::Refutes) || doubt >= TOO_MANY_DOUBTS - 1e-9 => Trust::NotToBeTrusted,
+        () if doubt >= DOUBTFUL - 1e-9 => Trust::Doubtful,
+        () if has(Finding::Doubts) => Trust::Fair,
+        () => Trust::Good,
+    };
+    Verdict { state, reasons }
+}
+
+/// A fraction as per cent, for sentences: two digits, never "NaN".
+fn percent(fraction: f64) -> String {
+    let value = 100.0 * fraction;
+    match value.abs() {
+        v if !v.is_finite() => "any number of %".to_owned(),
+        v if v < 0.095 => format!("{value:.2} %"),
+        v if v < 9.5 => format!("{value:.1} %"),
+        v if v < 10_000.0 => format!("{value:.0} %"),
+        _ => "more than 10000 %".to_owned(),
+    }
+}
+
+/// A multiple, for sentences.
+fn times(value: f64) -> String {
+    match value.abs() {
+        v if !v.is_finite() || v >= 10_000.0 => "more than 10000".to_owned(),
+        v if v < 0.095 => format!("{value:.2}"),
+        v if v < 9.95 => format!("{value:.1}"),
+        _ => format!("{value:.0}"),
+    }
+}

@@ -1,0 +1,77 @@
+//! Whether the path is one that a vehicle can drive.
+
+use super::measures::Jump;
+use super::{Measures, percent, times};
+use crate::scene::Reason;
+use crate::scene::ReasonKind::Path;
+
+/// A path within this many heights of the vehicle goes nowhere: its noise says nothing.
+const GOES_NOWHERE: f64 = 1.0;
+/// How much longer the path is than the smoothed one.
+const ZIGZAG: [f64; 2] = [1.25, 2.0];
+/// Distance of a place from the smooth path, in heights of the vehicle; it counts where it is also this share
+/// of a step.
+const JITTER: [f64; 2] = [0.3, 1.0];
+const JITTER_OF_STEP: f64 = 0.25;
+/// Share of the way that leads backwards. Vehicles do back up, so it never refutes.
+const BACKWARDS: [f64; 2] = [0.05, 0.2];
+/// Length of a step beyond those beside it, in heights of the vehicle; a vehicle is two to three of them long.
+const JUMP: [f64; 2] = [1.5, 6.0];
+
+pub(super) fn reasons(measures: &Measures) -> Vec<Reason> {
+    if measures.in_heights(measures.reach).is_none_or(|reach| reach < GOES_NOWHERE) {
+        return Vec::new();
+    }
+    let odd: Vec<Reason> =
+        [zigzag(measures), jitter(measures), backwards(measures), jumps(measures)].into_iter().flatten().collect();
+    match odd.is_empty() {
+        true => vec![Reason::supports(Path, "its path is smooth and leads where it points")],
+        false => odd,
+    }
+}
+
+fn zigzag(measures: &Measures) -> Option<Reason> {
+    let [way, smooth] = measures.way;
+    let longer = way / smooth;
+    graded(longer, ZIGZAG, || format!("its path is a zigzag: {} times as long as when it is smoothed", times(longer)))
+}
+
+fn jitter(measures: &Measures) -> Option<Reason> {
+    let jitter = measures.jitter?;
+    let heights = measures.in_heights(jitter)?;
+    let said = || format!("its places lie {} of its height beside a smooth path", percent(heights));
+    if jitter < JITTER_OF_STEP * measures.step { None } else { graded(heights, JITTER, said) }
+}
+
+fn jumps(measures: &Measures) -> Option<Reason> {
+    let Jump { beyond, frames: [before, after] } = measures.jump;
+    let heights = measures.in_heights(beyond)?;
+    let said =
+        || format!("its path jumps by {} times its height between the frames {before} and {after}", times(heights));
+    if beyond < measures.step { None } else { graded(heights, JUMP, said) }
+}
+
+fn backwards(measures: &Measures) -> Option<Reason> {
+    let Some(share) = measures.backwards else {
+        return Some(Reason::doubts(
+            Path,
+            0.5,
+            "which way it points is not known: the directions of its motion cancel",
+        ));
+    };
+    let said = || format!("{} of its way leads backwards, against the way that it points", percent(share));
+    match share {
+        s if s > BACKWARDS[1] => Some(Reason::doubts(Path, 1.0, said())),
+        s if s > BACKWARDS[0] => Some(Reason::doubts(Path, 0.5, said())),
+        _ => None,
+    }
+}
+
+/// Doubted beyond the first limit, refuted beyond the second.
+fn graded(value: f64, [doubts, refutes]: [f64; 2], said: impl Fn() -> String) -> Option<Reason> {
+    match value {
+        v if v > refutes => Some(Reason::refutes(Path, said())),
+        v if v > doubts => Some(Reason::doubts(Path, 1.0, said())),
+        _ => None,
+    }
+}

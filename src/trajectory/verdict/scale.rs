@@ -1,0 +1,119 @@
+//! Whether the scale ratio is determined, how exactly, and whether other methods agree.
+
+use super::percent;
+use crate::math::median;
+use crate::scene::ReasonKind::{Agreement, Determined, Deviation};
+use crate::scene::{Reason, ScaleEstimate, ScaleMethod};
+use crate::trajectory::{
+    ConstantDistanceOptions, LeastSquaresOptions, Views, constant_distance, intersection, least_squares,
+};
+
+/// A relative standard deviation of the scale ratio up to which it counts as well determined.
+const GOOD_STD: f64 = 0.03;
+/// The same beyond which it is called weak.
+const WEAK_STD: f64 = 0.10;
+/// Relative standard deviation that no method undercuts: errors of planes and tracks that are common to all frames.
+const LEAST_STD: f64 = 0.05;
+/// The same for the contact of the lowest points: they lie somewhere between tyre and sill.
+const LEAST_CONTACT_STD: f64 = 0.15;
+/// The same for a method of which nothing is known but its answer.
+const UNKNOWN_STD: f64 = 0.15;
+/// A method whose own deviation is larger has nothing to say.
+const NOTHING_TO_SAY: f64 = 0.5;
+/// Standard deviations from which on two answers contradict one another, and from which on by far.
+const CONTRADICTS: f64 = 3.0;
+const CONTRADICTS_BY_FAR: f64 = 6.0;
+/// Weight of a deviation between the two bounds, and of one method that contradicts.
+const HALF: f64 = 0.5;
+
+/// What a method says of the ratio besides the one in use.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Answer {
+    /// Which one.
+    pub(super) method: ScaleMethod,
+    /// Its ratio.
+    pub(super) ratio: f64,
+    /// Its own relative standard deviation.
+    pub(super) std: f64,
+}
+
+pub(super) fn reasons(scale: &ScaleEstimate, views: &Views) -> Vec<Reason> {
+    let mut reasons = vec![deviation(scale)];
+    reasons.extend(agreement(scale, &answers(scale, views)));
+    reasons
+}
+
+/// Standard deviation of the ratio as a fraction of it.
+fn relative_std(scale: &ScaleEstimate) -> Option<f64> {
+    scale.std.map(|std| std / scale.ratio).filter(|std| std.is_finite() && *std >= 0.0)
+}
+
+pub(super) fn deviation(scale: &ScaleEstimate) -> Reason {
+    let said = |std: f64| format!("size and distance are right to about {} (one standard deviation)", percent(std));
+    match relative_std(scale) {
+        _ if scale.degenerate => Reason::refutes(Determined, undetermined(scale)),
+        Some(std) if std > WEAK_STD => Reason::doubts(Deviation, 1.0, said(std)),
+        Some(std) if std > GOOD_STD => Reason::doubts(Deviation, HALF * 0.5, said(std)),
+        Some(std) => Reason::supports(Deviation, said(std)),
+        None => Reason::doubts(Deviation, 1.0, "the method in use does not say how exact size and distance are"),
+    }
+}
+
+fn undetermined(scale: &ScaleEstimate) -> String {
+    let why = scale.reason.as_deref().unwrap_or("the run gives no reason");
+    format!("the motion does not tell how large and how far away the path is: {why}")
+}
+
+/// What the other methods say of the model as it is, and how sure each of them is by its own residuals.
+fn answers(scale: &ScaleEstimate, views: &Views) -> Vec<Answer> {
+    let others = scale.alternatives.iter().filter(|(method, _)| **method != scale.method);
+    let others = others.filter(|(_, ratio)| ratio.is_finite() && **ratio > 0.0);
+    others.map(|(&method, &ratio)| Answer { method, ratio, std: own_std(method, ratio, views) }).collect()
+}
+
+fn own_std(method: ScaleMethod, ratio: f64, views: &Views) -> f64 {
+    let all_frames = || least_squares(views, &LeastSquaresOptions::default()).ok();
+    let std = match method {
+        ScaleMethod::RobustLeastSquares => all_frames().map(|fit| (fit.std / ratio).max(LEAST_STD)),
+        ScaleMethod::ConstantDistance => all_frames().and_then(|fit| {
+            let pair = constant_distance(views, &ConstantDistanceOptions::default()).ok()?;
+            Some((fit.residual_std * (2.0 / pair.mean_denominator_sq).sqrt() / ratio).max(LEAST_STD))
+        }),
+        ScaleMethod::Intersection => intersection(views).ok().and_then(|found| {
+            let off = found.per_frame.iter().map(|(_, own)| (own / ratio - 1.0).abs()).collect();
+            Some((1.4826 * median(off)?).max(LEAST_CONTACT_STD))
+        }),
+        ScaleMethod::Joint => None,
+    };
+    match std {
+        Some(std) if std.is_finite() => std,
+        Some(_) => f64::INFINITY,
+        None => UNKNOWN_STD,
+    }
+}
+
+/// Holds the other methods' answers against the one in use.
+///
+/// One that contradicts it counts half; two make it doubtful, or refute it where both do by far.
+pub(super) fn agreement(scale: &ScaleEstimate, answers: &[Answer]) -> Option<Reason> {
+    let own = relative_std(scale).unwrap_or(UNKNOWN_STD);
+    let away = |answer: &Answer| (answer.ratio / scale.ratio).ln().abs() / answer.std.hypot(own);
+    let telling: Vec<&Answer> = answers.iter().filter(|answer| answer.std < NOTHING_TO_SAY).collect();
+    let beyond = |limit: f64| telling.iter().filter(|answer| away(answer) > limit).count();
+    let said: Vec<String> = telling.iter().map(|answer| said(answer, scale.ratio)).collect();
+    let said = said.join(", ");
+    match (beyond(CONTRADICTS), beyond(CONTRADICTS_BY_FAR)) {
+        _ if telling.is_empty() => None,
+        (0, _) => Some(Reason::supports(Agreement, format!("other methods agree within their errors: {said}"))),
+        (1, _) => Some(Reason::doubts(Agreement, HALF, format!("another method contradicts the ratio: {said}"))),
+        (_, 0..2) => Some(Reason::doubts(Agreement, 1.0, format!("the methods contradict one another: {said}"))),
+        _ => Some(Reason::refutes(Agreement, format!("the methods contradict one another by far: {said}"))),
+    }
+}
+
+/// "least-squares −32 %".
+fn said(answer: &Answer, ratio: f64) -> String {
+    let off = answer.ratio / ratio - 1.0;
+    let sign = if off < 0.0 { "−" } else { "+" };
+    format!("{} {sign}{} (give or take {})", answer.method.name(), percent(off.abs()), percent(answer.std))
+}

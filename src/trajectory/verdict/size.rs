@@ -1,0 +1,137 @@
+//! Whether a vehicle has the proportions, the size and the speed of its class. No metres are known: its height over the
+//! ground is the measure of its length and of its speed, and vehicles are measured by one another.
+
+use super::class::{self, Class};
+use super::{Candidate, Measures, times};
+use crate::math::upper_median;
+use crate::scene::ReasonKind::{Shape, Size, Speed};
+use crate::scene::{Finding, Reason, TimeBase};
+
+/// Share of a vehicle's height and of its length that its points show at least: roofs have few corners, and of a
+/// vehicle from behind only the width is seen.
+const HEIGHT_SEEN: f64 = 0.6;
+const LENGTH_SEEN: f64 = 0.35;
+/// By how much points beside the vehicle may make it longer.
+const STRAYS: f64 = 1.25;
+/// Beyond the limits of its class by this factor, nothing of that class looks so.
+const BY_FAR: f64 = 2.0;
+/// By which factor heights of two vehicles may differ besides what their classes allow: their tops are not seen alike.
+const SEEN_UNALIKE: f64 = 1.3;
+/// Speeds that are rare and that do not occur on roads, metres per second, with a vehicle of typical height.
+const FAST_M_S: f64 = 60.0;
+const IMPOSSIBLE_M_S: f64 = 140.0;
+
+/// Whether it is as long, for its height, as its class is.
+pub(super) fn shape(measures: &Measures, class: &Class) -> Option<Reason> {
+    let ratio = measures.in_heights(measures.length?)?;
+    let [low, high] = class.heights_m;
+    let [short, long] = class.lengths_m;
+    let least = LENGTH_SEEN * short / high;
+    let most = STRAYS * long / (HEIGHT_SEEN * low);
+    let said = format!("it is {} times as long as high", times(ratio));
+    let odd = format!("{said}, which no {} is", class.name);
+    Some(match beyond(ratio, least, most) {
+        factor if factor > BY_FAR => Reason::refutes(Shape, odd),
+        factor if factor > 1.0 => Reason::doubts(Shape, 1.0, odd),
+        _ => Reason::supports(Shape, said),
+    })
+}
+
+/// Whether it looks as long, in the picture, as it is. A vehicle from behind hides its length, but no more than that.
+pub(super) fn stretch(measures: &Measures, class: &Class) -> Option<Reason> {
+    let stretch = measures.stretch?;
+    let most = STRAYS * class.lengths_m[1] / class.height_m;
+    let odd = || format!("it is drawn out along the line of sight: {} times as long as it looks", times(stretch));
+    match stretch / most {
+        factor if factor > BY_FAR => Some(Reason::refutes(Shape, odd())),
+        factor if factor > 1.0 => Some(Reason::doubts(Shape, 1.0, odd())),
+        _ => None,
+    }
+}
+
+/// By which factor a value lies outside of a range; 1 or less inside.
+fn beyond(value: f64, least: f64, most: f64) -> f64 {
+    (least / value).max(value / most)
+}
+
+/// What a vehicle says of the size of the others: how many metres a unit of the background would be if it were of
+/// typical height.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Yardstick {
+    id: u32,
+    metres: f64,
+    spread: f64,
+    /// Whether nothing rules the vehicle out by itself.
+    is_sound: bool,
+}
+
+/// One for every vehicle that has a height.
+pub(super) fn yardsticks(
+    candidates: &[Candidate],
+    measures: &[Measures],
+    reasons: &[Vec<Reason>],
+) -> Vec<Option<Yardstick>> {
+    let yardstick = |k: usize| {
+        let class = class::of(&candidates[k].trajectory.class);
+        let height = measures[k].height.filter(|height| *height > 0.0)?;
+        Some(Yardstick {
+            id: candidates[k].trajectory.id.0,
+            metres: class.height_m / height,
+            spread: class.spread(),
+            is_sound: reasons[k].iter().all(|reason| reason.finding != Finding::Refutes),
+        })
+    };
+    (0..candidates.len()).map(yardstick).collect()
+}
+
+/// Whether it is as large, beside the others, as its class allows.
+///
+/// It is believed where at least as many of them agree with it as contradict it. Two vehicles alone do not say which of
+/// them is wrong: both are doubted. It is ruled out where none agrees and two or more contradict it by far, beyond what
+/// both classes allow, twice over.
+pub(super) fn beside_others(k: usize, all: &[Option<Yardstick>]) -> Option<Reason> {
+    let own = all[k]?;
+    let others: Vec<&Yardstick> = all.iter().flatten().filter(|other| other.id != own.id && other.is_sound).collect();
+    let beyond = |limit: f64| others.iter().filter(|other| own.is_off(other, limit)).count();
+    let contradict = beyond(1.0);
+    let agree = others.len() - contradict;
+    let factor = upper_median(others.iter().map(|other| other.metres / own.metres).collect())?;
+    Some(match agree {
+        0 if beyond(2.0) > 1 => Reason::refutes(Size, said(factor, &others)),
+        agree if agree < contradict => {
+            Reason::doubts(Size, 1.0, format!("{}, so that one of them is wrong", said(factor, &others)))
+        }
+        _ => Reason::supports(Size, said(factor, &others)),
+    })
+}
+
+impl Yardstick {
+    /// Whether another one says something else, by what both classes allow to the power of `limit`.
+    fn is_off(&self, other: &Self, limit: f64) -> bool {
+        let allowed = self.spread * other.spread * SEEN_UNALIKE;
+        (other.metres / self.metres).ln().abs() > limit * allowed.ln()
+    }
+}
+
+/// Of `factor`, by which the others are smaller than they should be if this one is of the right size.
+fn said(factor: f64, others: &[&Yardstick]) -> String {
+    let beside = match others {
+        [one] => format!("vehicle {}", one.id),
+        many => format!("the {} other vehicles", many.len()),
+    };
+    let (factor, size) = if factor >= 1.0 { (factor, "large") } else { (factor.recip(), "small") };
+    format!("beside {beside} it is {} times as {size} as is usual for its class", times(factor))
+}
+
+/// Whether it is as fast as vehicles are, measured with its own height.
+pub(super) fn speed(measures: &Measures, class: &Class, time_base: TimeBase) -> Option<Reason> {
+    let heights = measures.in_heights(measures.speed.filter(|_| time_base == TimeBase::Seconds)?)?;
+    let speed_m_s = heights * class.height_m;
+    let said = format!("it goes {} times its own height in a second", times(heights));
+    let odd = format!("{said}, which would be {} km/h for a {}", times(3.6 * speed_m_s), class.name);
+    Some(match speed_m_s {
+        v if v > IMPOSSIBLE_M_S => Reason::refutes(Speed, odd),
+        v if v > FAST_M_S => Reason::doubts(Speed, 1.0, odd),
+        _ => Reason::supports(Speed, said),
+    })
+}

@@ -1,0 +1,100 @@
+//! What found the object, whether it moves, and how much of it there is.
+
+use super::{Measures, percent, times};
+use crate::scene::ReasonKind::{Amount, Detection, Movement as MovementKind, Pixels};
+use crate::scene::{Movement, Outline, Reason, TrackedObject};
+
+/// Points, and frames with a place, below which little can be said; and below which next to nothing.
+const FEW_POINTS: [usize; 2] = [20, 10];
+const FEW_FRAMES: [usize; 2] = [10, 5];
+/// Share of the frames in which it is seen: with a place in fewer, tracking may have changed from one vehicle to
+/// another.
+const PART: f64 = 0.5;
+/// Longer side in the picture below which a vehicle is a handful of corners, pixels.
+const SMALL_PX: f64 = 20.0;
+/// Mean scores below which a detector is not sure, and from which on it is.
+const UNSURE: f64 = 0.45;
+const SURE: f64 = 0.6;
+/// Expected overlap with the truth below which a mask is poor.
+const POOR_MASKS: f64 = 0.8;
+/// Way, in heights of the vehicle, that something which stands cannot have gone.
+const STANDS_HEIGHTS: f64 = 2.0;
+
+/// Weight of what is not good, and of what is bad.
+const SMALL: f64 = 0.25;
+const HALF: f64 = 0.5;
+
+/// Whether there are enough points and frames.
+///
+/// * `num_visible` – frames in which it is seen, where that is known.
+pub(super) fn amount(num_points: usize, num_frames: usize, num_visible: Option<usize>) -> Reason {
+    let of = num_visible.map_or_else(String::new, |visible| format!(" of the {visible} in which it is seen"));
+    let said = format!("{num_points} points, placed in {num_frames} frames{of}");
+    let weight = |count: usize, [few, next_to_none]: [usize; 2]| match count {
+        c if c < next_to_none => 1.0,
+        c if c < few => HALF,
+        _ => 0.0,
+    };
+    let is_part = num_visible.is_some_and(|visible| (num_frames as f64) < PART * visible as f64);
+    let weights = [weight(num_points, FEW_POINTS), weight(num_frames, FEW_FRAMES), if is_part { SMALL } else { 0.0 }];
+    match weights.into_iter().fold(0.0, f64::max) {
+        weight if weight > 0.0 => Reason::doubts(Amount, weight, format!("only {said}")),
+        _ => Reason::supports(Amount, said),
+    }
+}
+
+/// Whether it is large enough in the picture.
+pub(super) fn pixels(measures: &Measures) -> Option<Reason> {
+    let pixels = measures.pixels?;
+    let said = format!("its points span {pixels:.0} pixels in the picture");
+    Some(match pixels < SMALL_PX {
+        true => Reason::doubts(Pixels, HALF, format!("it is small: {said}")),
+        false => Reason::supports(Pixels, said),
+    })
+}
+
+/// What found it, and how surely; nothing where its masks were given.
+pub(super) fn detection(tracked: &TrackedObject) -> Option<Reason> {
+    if tracked.outline == Outline::Given {
+        return None;
+    }
+    let found = &tracked.found_in;
+    let said = format!("{:.0} % sure on average; found by: {found}", 100.0 * tracked.confidence.clamp(0.0, 1.0));
+    let by_motion = found.by_motion() > tracked.frames.len() / 4;
+    let is_coarse = tracked.outline == Outline::Coarse;
+    let is_poor = tracked.mask_quality.is_some_and(|quality| quality < POOR_MASKS);
+    Some(match tracked.confidence {
+        score if score < UNSURE && !by_motion => {
+            Reason::doubts(Detection, HALF, format!("the detector is not sure that it is one: {said}"))
+        }
+        _ if is_coarse => Reason::doubts(Detection, HALF, format!("its masks are coarse, by colours alone; {said}")),
+        _ if is_poor => Reason::doubts(Detection, SMALL, format!("its masks are poor by their own figure; {said}")),
+        score if score >= SURE || by_motion => Reason::supports(Detection, said),
+        _ => Reason::doubts(Detection, SMALL, format!("the detector is not quite sure; {said}")),
+    })
+}
+
+/// Whether its points move as its path says.
+pub(super) fn movement(tracked: &TrackedObject, measures: &Measures) -> Option<Reason> {
+    let heights = measures.in_heights(measures.reach)?;
+    let is_far = heights > STANDS_HEIGHTS;
+    let far = format!("{} times its height", times(heights));
+    let why = &tracked.movement.reason;
+    match tracked.movement.state {
+        Movement::Moving => Some(Reason::supports(MovementKind, format!("it moves: {why}"))),
+        Movement::Standing if is_far => Some(Reason::refutes(
+            MovementKind,
+            format!("its points stand still in the picture of the ground ({why}), yet its path leads {far} away"),
+        )),
+        Movement::Standing => Some(Reason::supports(MovementKind, format!("it stands, and stays where it is: {why}"))),
+        Movement::Undetermined if is_far && tracked.confidence < SURE => Some(Reason::doubts(
+            MovementKind,
+            HALF,
+            format!(
+                "nothing but its path says that it moves ({far}), and its detector is only {} sure",
+                percent(tracked.confidence)
+            ),
+        )),
+        Movement::Undetermined => None,
+    }
+}

@@ -1,0 +1,248 @@
+//! Vehicles that are none, and vehicles that are right.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
+
+use super::scale::{Answer, agreement, deviation};
+use super::*;
+use crate::scene::{
+    FoundIn, Movement, MovementFinding, ObjectId, Outline, ReasonKind, ScaleEstimate, ScaleMethod, Unit,
+};
+use crate::synthetic::drive::{self, Drive, Noise, drive};
+use crate::trajectory::{ObjectDescription, assemble};
+
+const NOISE: Noise = Noise { pixel_px: 0.3, plane_height_m: 0.02, plane_tilt_deg: 0.2, bad_planes: 0.0 };
+
+/// A car that drives, with what is known of it.
+struct Car {
+    world: Drive,
+    trajectory: ObjectTrajectory,
+    tracked: TrackedObject,
+}
+
+fn estimate(ratio: f64, relative_std: f64) -> ScaleEstimate {
+    ScaleEstimate {
+        ratio,
+        std: Some(relative_std * ratio),
+        method: ScaleMethod::Joint,
+        degenerate: false,
+        reason: None,
+        alternatives: BTreeMap::new(),
+        as_reconstructed: None,
+    }
+}
+
+/// * `error` – factor by which the ratio is wrong.
+fn car(id: u32, error: f64, options: &drive::Options) -> Car {
+    let world = drive(options, u64::from(id));
+    let tracked = TrackedObject {
+        id: ObjectId(id),
+        class: "car".into(),
+        confidence: 0.8,
+        found_in: FoundIn { detector: 50, ..FoundIn::default() },
+        outline: Outline::Network,
+        mask_quality: Some(0.93),
+        movement: MovementFinding { state: Movement::Moving, reason: "its points move".into() },
+        left_out: None,
+        frames: world.frames.iter().map(|frame| frame.id).collect(),
+    };
+    let description = ObjectDescription { id: ObjectId(id), class: "car".into(), confidence: 0.8 };
+    let scale = estimate(error * world.ratio, 0.01);
+    let trajectory = assemble(description, &world.background, &world.object, scale, &world.frames, Unit::Background);
+    Car { world, trajectory, tracked }
+}
+
+fn usual() -> drive::Options {
+    drive::Options { noise: NOISE, ..drive::Options::default() }
+}
+
+impl Car {
+    fn candidate(&self) -> Candidate<'_> {
+        Candidate {
+            trajectory: &self.trajectory,
+            tracked: Some(&self.tracked),
+            object: &self.world.object,
+            background: &self.world.background,
+            planes: &self.world.planes,
+        }
+    }
+}
+
+fn judge(cars: &[Car]) -> Vec<Verdict> {
+    let candidates: Vec<Candidate> = cars.iter().map(Car::candidate).collect();
+    verdicts(&candidates, TimeBase::Seconds)
+}
+
+fn finding(verdict: &Verdict, kind: ReasonKind) -> Option<Finding> {
+    verdict.reasons.iter().find(|reason| reason.kind == kind).map(|reason| reason.finding)
+}
+
+fn moved(car: &mut Car, by: impl Fn(usize) -> Vector3<f64>) {
+    for (k, pose) in car.trajectory.poses.iter_mut().enumerate() {
+        pose.world_from_object.translation += by(k);
+        pose.position = (Vector3::from(pose.position) + by(k)).into();
+    }
+}
+
+/// Height of the car in units of the background.
+fn height(car: &Car) -> f64 {
+    1.5 / usual().background_unit_m * car.trajectory.scale.ratio / car.world.ratio
+}
+
+fn normal(car: &Car) -> Vector3<f64> {
+    car.world.planes.values().next().map_or(Vector3::z(), |plane| plane.normal)
+}
+
+#[test]
+fn a_car_that_drives_is_trusted_and_every_look_says_why() {
+    let verdict = judge(&[car(1, 1.0, &usual())]).remove(0);
+    assert_eq!(verdict.state, Trust::Good, "{verdict:#?}");
+    for kind in [
+        ReasonKind::Deviation,
+        ReasonKind::Amount,
+        ReasonKind::Pixels,
+        ReasonKind::Detection,
+        ReasonKind::Movement,
+        ReasonKind::Ground,
+        ReasonKind::Shape,
+        ReasonKind::Speed,
+        ReasonKind::Path,
+    ] {
+        assert_eq!(finding(&verdict, kind), Some(Finding::Supports), "{kind:?}: {verdict:#?}");
+    }
+}
+
+#[test]
+fn a_wrong_ratio_floats_or_sinks() {
+    for (error, wanted) in [(0.6, "floats"), (1.3, "below the ground")] {
+        let verdict = judge(&[car(1, error, &usual())]).remove(0);
+        let reason = verdict.against().next().unwrap();
+        assert!(reason.kind == ReasonKind::Ground && reason.says.contains(wanted), "{error}: {verdict:#?}");
+        assert!(verdict.is_refuted());
+    }
+}
+
+/// As the patch at the horizon of a clip from the air that a detector took for a car: static, 17 points, a small
+/// deviation, and a path that is nothing but noise.
+#[test]
+fn a_patch_at_the_horizon_is_not_to_be_trusted() {
+    let few = drive::Options { num_frames: 16, num_object_points: 17, has_wheels: false, ..usual() };
+    let mut patch = car(8, 1.0, &few);
+    patch.trajectory.scale = estimate(patch.trajectory.scale.ratio, 0.0037);
+    patch.tracked.confidence = 0.3;
+    patch.tracked.found_in = FoundIn { detector: 6, carried: 10, ..FoundIn::default() };
+    patch.tracked.movement = MovementFinding { state: Movement::Undetermined, reason: "too small".into() };
+    let (up, size) = (normal(&patch), height(&patch));
+    let aside = up.cross(&Vector3::x()).normalize();
+    moved(&mut patch, |k| aside * size * if k % 2 == 0 { 1.5 } else { -1.5 });
+    let verdict = judge(&[patch]).remove(0);
+    assert!(verdict.is_refuted(), "{verdict:#?}");
+    assert_eq!(finding(&verdict, ReasonKind::Path), Some(Finding::Refutes), "{verdict:#?}");
+    assert_eq!(finding(&verdict, ReasonKind::Detection), Some(Finding::Doubts));
+    assert_eq!(finding(&verdict, ReasonKind::Movement), Some(Finding::Doubts));
+}
+
+#[test]
+fn a_model_that_is_drawn_out_along_the_line_of_sight_is_refuted() {
+    let mut long = car(1, 1.0, &usual());
+    let camera = long.world.object.images.values().next().unwrap().cam_from_world.center();
+    let ray = (crate::trajectory::object_center(&long.world.object) - camera).normalize();
+    let ids: Vec<_> = long.world.object.points.keys().copied().collect();
+    for (k, id) in ids.iter().enumerate() {
+        let by = ((k % 41) as f64 - 20.0) * 1.0;
+        long.world.object.points.get_mut(id).unwrap().position += ray * by;
+    }
+    let verdict = judge(&[long]).remove(0);
+    assert!(verdict.is_refuted() && verdict.against().any(|r| r.says.contains("line of sight")), "{verdict:#?}");
+}
+
+#[test]
+fn what_stands_by_its_points_and_moves_by_its_path_is_refuted() {
+    let mut post = car(1, 1.0, &usual());
+    post.tracked.movement = MovementFinding { state: Movement::Standing, reason: "as the ground".into() };
+    let verdict = judge(&[post]).remove(0);
+    assert_eq!(finding(&verdict, ReasonKind::Movement), Some(Finding::Refutes));
+}
+
+/// A car whose stated deviation is 1.5 %, while the constant distances say +157 % and all frames together −32 %.
+#[test]
+fn methods_that_contradict_one_another_leave_no_green_badge() {
+    let scale = estimate(2.0, 0.015);
+    assert_eq!(deviation(&scale).finding, Finding::Supports);
+    let answer = |method, off: f64, std| Answer { method, ratio: 2.0 * (1.0 + off), std };
+    let pair = |std| answer(ScaleMethod::ConstantDistance, 1.57, std);
+    let all = |std| answer(ScaleMethod::RobustLeastSquares, -0.32, std);
+    let unknown = agreement(&scale, &[pair(0.15), all(0.15)]).unwrap();
+    assert_eq!((unknown.finding, unknown.weight), (Finding::Doubts, 0.5));
+    let sure = agreement(&scale, &[pair(0.05), all(0.05)]).unwrap();
+    assert_eq!(sure.finding, Finding::Refutes, "{}", sure.says);
+    assert!(sure.says.contains("+157 %") && sure.says.contains("−32 %"), "{}", sure.says);
+    let one_of_two = agreement(&scale, &[pair(0.1), all(0.1)]).unwrap();
+    assert_eq!((one_of_two.finding, one_of_two.weight), (Finding::Doubts, 1.0));
+    let idle = agreement(&scale, &[pair(0.6), all(9.0)]);
+    assert_eq!(idle, None, "methods that cannot tell do not contradict");
+}
+
+#[test]
+fn a_car_a_tenth_as_large_as_the_others_is_ruled_out() {
+    let mut cars: Vec<Car> = (1..=3).map(|id| car(id, 1.0, &usual())).collect();
+    let verdicts = judge(&cars);
+    assert!(verdicts.iter().all(|v| finding(v, ReasonKind::Size) == Some(Finding::Supports)), "{verdicts:#?}");
+    // The third is a tenth as large: the same picture of a car, with a ground that is a tenth as far away.
+    let third = &mut cars[2];
+    let camera = |frame: FrameId| {
+        let image = third.world.background.images.values().find(|image| image.name == format!("{:06}.jpg", frame.0));
+        image.unwrap().cam_from_world.center()
+    };
+    for (frame, plane) in &mut third.world.planes {
+        plane.point = camera(*frame) + 0.1 * (plane.point - camera(*frame));
+    }
+    let scale = estimate(0.1 * third.world.ratio, 0.01);
+    let description = ObjectDescription { id: ObjectId(3), class: "car".into(), confidence: 0.8 };
+    let Drive { background, object, frames, .. } = &third.world;
+    third.trajectory = assemble(description, background, object, scale, frames, Unit::Background);
+    let verdicts = judge(&cars);
+    assert_eq!(finding(&verdicts[2], ReasonKind::Size), Some(Finding::Refutes), "{:#?}", verdicts[2]);
+    assert_eq!(finding(&verdicts[0], ReasonKind::Size), Some(Finding::Supports), "{:#?}", verdicts[0]);
+}
+
+#[test]
+fn too_fast_backwards_and_jumping_paths_are_said() {
+    let fast = judge(&[car(1, 1.0, &drive::Options { speed_m_s: 200.0, ..usual() })]).remove(0);
+    assert_eq!(finding(&fast, ReasonKind::Speed), Some(Finding::Refutes), "{fast:#?}");
+    let mut jumping = car(1, 1.0, &usual());
+    let (up, size) = (normal(&jumping), height(&jumping));
+    let aside = up.cross(&Vector3::x()).normalize();
+    moved(&mut jumping, |k| if k >= 30 { aside * size * 10.0 } else { Vector3::zeros() });
+    let verdict = judge(&[jumping]).remove(0);
+    assert!(verdict.against().any(|reason| reason.says.contains("jumps")), "{verdict:#?}");
+    let mut back = car(1, 1.0, &usual());
+    let last = back.trajectory.poses.len() - 1;
+    let way = Vector3::from(back.trajectory.poses[last].position) - Vector3::from(back.trajectory.poses[0].position);
+    moved(&mut back, |k| -way * (k.saturating_sub(50) as f64) * 2.0 / last as f64);
+    let verdict = judge(&[back]).remove(0);
+    assert!(verdict.against().any(|reason| reason.says.contains("backwards")), "{verdict:#?}");
+}
+
+#[test]
+fn frames_without_seconds_have_no_speed_and_nothing_panics_on_little() {
+    let single = car(1, 1.0, &usual());
+    let of = |trajectory: &ObjectTrajectory, object: &Reconstruction| {
+        let planes = BTreeMap::new();
+        let background = &single.world.background;
+        let candidate = Candidate { trajectory, tracked: None, object, background, planes: &planes };
+        verdicts(&[candidate], TimeBase::Frames).remove(0)
+    };
+    let verdict = of(&single.trajectory, &single.world.object);
+    assert_eq!((finding(&verdict, ReasonKind::Speed), verdict.state), (None, Trust::Doubtful), "{verdict:#?}");
+    let mut one = single.trajectory.clone();
+    one.poses.truncate(1);
+    assert_ne!(of(&one, &Reconstruction::default()).state, Trust::Good);
+    one.poses.clear();
+    assert_ne!(of(&one, &Reconstruction::default()).state, Trust::Good);
+    let mut broken = single.trajectory.clone();
+    broken.poses.iter_mut().for_each(|pose| pose.position = [f64::NAN; 3]);
+    let text = serde_json::to_string(&of(&broken, &single.world.object)).unwrap();
+    assert!(!text.contains("NaN") && !text.contains("null"), "{text}");
+}
