@@ -182,6 +182,8 @@ mod tests {
             reason: None,
             alternatives: [].into(),
             as_reconstructed: None,
+            shares: None,
+            support: None,
         };
         let poses = (3..=12).map(pose).collect();
         let verdict = Some(judged(Trust::Good, Vec::new()));

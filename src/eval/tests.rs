@@ -101,6 +101,8 @@ fn some_trajectory(ratio: f64) -> ObjectTrajectory {
         reason: None,
         alternatives,
         as_reconstructed: None,
+        shares: None,
+        support: None,
     };
     ObjectTrajectory { id: ObjectId(1), class: "car".into(), confidence: 1.0, scale, verdict: None, poses: vec![] }
 }

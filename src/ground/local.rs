@@ -2,14 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use nalgebra::Point2;
+use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
 use thiserror::Error;
 
 use super::Options;
 use super::plane::{Candidate, PlaneFailure, fit_plane};
 use crate::math::{Neighbors, seeded_rng};
-use crate::scene::{FrameId, GroundPlane, Image, ObjectId, Point3dId, Reconstruction};
+use crate::scene::{FrameId, GroundPlane, Image, ObjectId, PlaneBasis, Point3dId, Reconstruction};
 
 /// Why a frame has no plane.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -139,13 +139,40 @@ fn plane_of_frame(
     if height.abs() <= tolerance {
         return Err(SkipReason::CameraOnPlane);
     }
+    let normal = plane.normal * height.signum();
+    let foot = lowest_foot(background, image, &object_pixels, (&normal, height.abs()));
+    let stated = plane.height_std_at(&foot.unwrap_or(plane.point));
     Ok(GroundPlane {
-        normal: plane.normal * height.signum(),
+        normal,
         point: plane.point,
         num_points: near.len(),
         num_inliers: plane.num_inliers,
         rms: plane.rms,
+        basis: PlaneBasis::Points,
+        height_std: stated.hypot(UNEVENNESS * plane.rms),
+        common_height_std: UNEVENNESS * plane.rms,
+        tilt_std: plane.sureness.tilt_std(),
     })
+}
+
+/// How far the ground below an object is from the plane of the points round it, as a share of their distances: kerbs
+/// and cambers do not average out.
+const UNEVENNESS: f64 = 0.5;
+
+/// Where the lowest of the rays through the given pixels meets a plane, which is given by its normal and the camera's
+/// height over it; `None` where the horizon lies below all of them.
+pub(super) fn lowest_foot(
+    background: &Reconstruction,
+    image: &Image,
+    pixels: &[Point2<f64>],
+    (normal, height): (&Vector3<f64>, f64),
+) -> Option<Point3<f64>> {
+    let camera = background.camera_of(image);
+    let turned = image.cam_from_world.rotation.inverse();
+    let rays = pixels.iter().map(|pixel| turned * camera.normalized_from_pixel(*pixel).push(1.0));
+    let lowest = rays.min_by(|a, b| normal.dot(a).total_cmp(&normal.dot(b)))?;
+    let sinking = -normal.dot(&lowest);
+    (sinking > 0.0).then(|| image.cam_from_world.center() + lowest * (height / sinking))
 }
 
 /// P of eq. 3: different ground points, the nearest of every object observation, then the second nearest of every one,

@@ -46,11 +46,37 @@ pub(super) struct Plane {
     pub point: Point3<f64>,
     pub num_inliers: usize,
     pub rms: f64,
+    pub sureness: Sureness,
+}
+
+/// How well points determine their plane (eq. 13).
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sureness {
+    /// Variance of the height at the plane's point.
+    height_var: f64,
+    /// Two directions in the plane at right angles, and the variance of the slope along each.
+    slopes: [(Vector3<f64>, f64); 2],
+}
+
+impl Sureness {
+    const NONE: Self = Self { height_var: 0.0, slopes: [(Vector3::new(0.0, 0.0, 0.0), 0.0); 2] };
+
+    /// Of the larger of the two slopes, radians.
+    pub(super) fn tilt_std(&self) -> f64 {
+        self.slopes[0].1.max(self.slopes[1].1).sqrt()
+    }
 }
 
 impl Plane {
     pub(super) fn distance(&self, point: &Point3<f64>) -> f64 {
         self.normal.dot(&(point - self.point))
+    }
+
+    /// Standard deviation of the height at a place of the plane.
+    pub(super) fn height_std_at(&self, place: &Point3<f64>) -> f64 {
+        let away = place - self.point;
+        let tilted = self.sureness.slopes.iter().map(|(direction, var)| direction.dot(&away).powi(2) * var);
+        (self.sureness.height_var + tilted.sum::<f64>()).sqrt()
     }
 
     fn holds(&self, candidate: &Candidate) -> bool {
@@ -112,7 +138,7 @@ fn through_sample(points: &[Candidate], rng: &mut Rng) -> Option<Plane> {
     let normal = ab.cross(&ac);
     // A triangle thinner than 1 in 100 says little about its plane; equal draws have no area at all.
     let is_wide = normal.norm() > 0.01 * ab.norm_squared().max(ac.norm_squared());
-    is_wide.then(|| Plane { normal: normal.normalize(), point: a, num_inliers: 0, rms: 0.0 })
+    is_wide.then(|| Plane { normal: normal.normalize(), point: a, num_inliers: 0, rms: 0.0, sureness: Sureness::NONE })
 }
 
 /// Sum of MSAC scores (eq. 5), and the number of inliers.
@@ -158,7 +184,12 @@ pub(super) fn least_squares_plane(points: &[Candidate]) -> Option<Plane> {
     let mean_tolerance_sq = points.len() as f64 / total;
     let is_wide = eigen.eigenvalues[order[1]] > mean_tolerance_sq;
     let rms = (points.iter().map(|c| normal.dot(&offset(c)).powi(2)).sum::<f64>() / points.len() as f64).sqrt();
-    let plane = Plane { normal, point: center.into(), num_inliers: points.len(), rms };
+    // Residuals in tolerances; three numbers were fitted to them.
+    let squares = points.iter().map(|c| normal.dot(&offset(c)).powi(2) * weight(c)).sum::<f64>();
+    let height_var = squares / (points.len() as f64 - 3.0).max(1.0) / total;
+    let slope = |k: usize| (eigen.eigenvectors.column(order[k]).into_owned(), height_var / eigen.eigenvalues[order[k]]);
+    let sureness = Sureness { height_var, slopes: [slope(1), slope(2)] };
+    let plane = Plane { normal, point: center.into(), num_inliers: points.len(), rms, sureness };
     (is_wide && normal.iter().all(|x| x.is_finite())).then_some(plane)
 }
 

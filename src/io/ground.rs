@@ -3,7 +3,8 @@
 //! ```json
 //! {"version": 1, "source": "masks" | "model" | "geometric", "point_ids": [3, 17],
 //!  "planes": [{"object": 1, "frame": 0, "normal": [0, 0, 1], "point": [1, 2, 3],
-//!              "num_points": 50, "num_inliers": 48, "rms": 0.01}]}
+//!              "num_points": 50, "num_inliers": 48, "rms": 0.01, "basis": "points",
+//!              "height_std": 0.004, "common_height_std": 0.002, "tilt_std": 0.003}]}
 //! ```
 //!
 //! Point ids are those of `background/`; planes are in its frame, normals of unit length towards the camera's side.
@@ -14,7 +15,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{IoError, atomic, json};
-use crate::scene::{FrameId, Ground, GroundPlane, GroundSource, ObjectId, Point3dId};
+use crate::scene::{FrameId, Ground, GroundPlane, GroundSource, ObjectId, PlaneBasis, Point3dId};
 
 /// The only version there is.
 const VERSION: u32 = 1;
@@ -36,6 +37,10 @@ struct Plane {
     num_points: usize,
     num_inliers: usize,
     rms: f64,
+    basis: PlaneBasis,
+    height_std: f64,
+    common_height_std: f64,
+    tilt_std: f64,
 }
 
 /// Writes the ground of a run; planes are ordered by object, then frame.
@@ -51,6 +56,10 @@ pub fn write(path: &Path, ground: &Ground) -> Result<(), IoError> {
         num_points: plane.num_points,
         num_inliers: plane.num_inliers,
         rms: plane.rms,
+        basis: plane.basis,
+        height_std: plane.height_std,
+        common_height_std: plane.common_height_std,
+        tilt_std: plane.tilt_std,
     };
     let planes = ground.planes.iter().map(plane_to_file).collect();
     let document = Document { version: VERSION, source: ground.source, point_ids: ground.point_ids.clone(), planes };
@@ -68,9 +77,18 @@ pub fn read(path: &Path) -> Result<Ground, IoError> {
     check(path, &document)?;
     let num_planes = document.planes.len();
     let plane_from_file = |p: Plane| {
-        let (normal, point) = (Vector3::from(p.normal), Point3::from(p.point));
-        let (num_points, num_inliers, rms) = (p.num_points, p.num_inliers, p.rms);
-        ((p.object, p.frame), GroundPlane { normal, point, num_points, num_inliers, rms })
+        let plane = GroundPlane {
+            normal: Vector3::from(p.normal),
+            point: Point3::from(p.point),
+            num_points: p.num_points,
+            num_inliers: p.num_inliers,
+            rms: p.rms,
+            basis: p.basis,
+            height_std: p.height_std,
+            common_height_std: p.common_height_std,
+            tilt_std: p.tilt_std,
+        };
+        ((p.object, p.frame), plane)
     };
     let planes: std::collections::BTreeMap<_, _> = document.planes.into_iter().map(plane_from_file).collect();
     if planes.len() != num_planes {
@@ -81,10 +99,12 @@ pub fn read(path: &Path) -> Result<Ground, IoError> {
 
 fn check(path: &Path, document: &Document) -> Result<(), IoError> {
     for plane in &document.planes {
-        let mut numbers = plane.normal.iter().chain(&plane.point).chain([&plane.rms]);
+        let deviations = [&plane.rms, &plane.height_std, &plane.common_height_std, &plane.tilt_std];
+        let mut numbers = plane.normal.iter().chain(&plane.point).chain(deviations);
         let length = Vector3::from(plane.normal).norm();
         let problem = match numbers.find(|n| !n.is_finite()) {
             Some(number) => format!("{number} is not a finite number"),
+            None if deviations.iter().any(|n| **n < 0.0) => "a deviation is negative".to_owned(),
             None if (length - 1.0).abs() > 1e-6 => format!("the normal has length {length}, not 1"),
             None => continue,
         };
@@ -105,6 +125,10 @@ mod tests {
             num_points: 50,
             num_inliers: 48,
             rms: 0.0125,
+            basis: PlaneBasis::Mount,
+            height_std: 0.02,
+            common_height_std: 0.01,
+            tilt_std: 0.004,
         };
         let planes = [((ObjectId(2), FrameId(0)), plane), ((ObjectId(1), FrameId(7)), plane)].into();
         Ground { source: GroundSource::Geometric, point_ids: vec![Point3dId(3), Point3dId(17)], planes }
@@ -119,6 +143,7 @@ mod tests {
         let value: serde_json::Value = json::read(&path).unwrap();
         assert_eq!(value["source"], "geometric");
         assert_eq!(value["planes"][0]["object"], 1);
+        assert_eq!(value["planes"][0]["basis"], PlaneBasis::Mount.name());
     }
 
     #[test]

@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 use super::{IoError, atomic, json};
 use crate::math::Sim3;
 use crate::scene::{
-    FrameId, ObjectId, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, Trajectories, Unit, Verdict,
+    FrameId, ObjectId, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport,
+    Trajectories, Unit, Verdict,
 };
 
 /// The only version there is.
@@ -50,6 +51,10 @@ struct Scale {
     alternatives: Ratios,
     #[serde(default)]
     as_reconstructed: Option<Ratios>,
+    #[serde(default)]
+    shares: Option<ScaleShares>,
+    #[serde(default)]
+    support: Option<ScaleSupport>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -97,12 +102,13 @@ pub fn read(path: &Path) -> Result<Trajectories, IoError> {
 }
 
 fn object_to_file(object: &ObjectTrajectory) -> Object {
-    let ScaleEstimate { ratio, std, method, degenerate, reason, alternatives, as_reconstructed } = object.scale.clone();
+    let ScaleEstimate { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support } =
+        object.scale.clone();
     Object {
         id: object.id,
         class: object.class.clone(),
         confidence: object.confidence,
-        scale: Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed },
+        scale: Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support },
         verdict: object.verdict.clone(),
         frames: object.poses.iter().map(pose_to_file).collect(),
     }
@@ -123,12 +129,23 @@ fn pose_to_file(pose: &ObjectPose) -> Pose {
 }
 
 fn object_from_file(object: Object) -> ObjectTrajectory {
-    let Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed } = object.scale;
+    let Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support } =
+        object.scale;
     ObjectTrajectory {
         id: object.id,
         class: object.class,
         confidence: object.confidence,
-        scale: ScaleEstimate { ratio, std, method, degenerate, reason, alternatives, as_reconstructed },
+        scale: ScaleEstimate {
+            ratio,
+            std,
+            method,
+            degenerate,
+            reason,
+            alternatives,
+            as_reconstructed,
+            shares,
+            support,
+        },
         verdict: object.verdict,
         poses: object.frames.into_iter().map(pose_from_file).collect(),
     }
@@ -156,7 +173,8 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
             return wrong(format!("the scale ratio {} is not positive", scale.ratio));
         }
         let ratios = scale.alternatives.values().chain(scale.as_reconstructed.iter().flat_map(BTreeMap::values));
-        let numbers = scale.std.iter().chain(ratios).chain([&object.confidence]);
+        let evidence = scale.shares.iter().flat_map(shares).chain(scale.support.iter().flat_map(lengths));
+        let numbers = scale.std.iter().chain(ratios).chain([&object.confidence]).copied().chain(evidence);
         if let Some(number) = numbers.into_iter().find(|n| !n.is_finite()) {
             return wrong(format!("{number} is not a finite number"));
         }
@@ -177,6 +195,15 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         }
     }
     Ok(())
+}
+
+fn shares(of: &ScaleShares) -> [f64; 6] {
+    let ScaleShares { tracks, frames, plane, contact, focal, disagreement } = *of;
+    [tracks, frames, plane, contact, focal, disagreement]
+}
+
+fn lengths(of: &ScaleSupport) -> [f64; 3] {
+    [of.tilt, of.ground_residual, of.disagreement.unwrap_or(0.0)]
 }
 
 fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
@@ -221,6 +248,8 @@ mod tests {
             reason: Some("all view pairs are ill conditioned".into()),
             alternatives: [(ScaleMethod::ConstantDistance, 0.731), (ScaleMethod::Intersection, 0.7)].into(),
             as_reconstructed: Some([(ScaleMethod::Intersection, 0.71)].into()),
+            shares: Some(ScaleShares { tracks: 0.01, contact: 1.0 / 3.0, ..ScaleShares::default() }),
+            support: Some(ScaleSupport { num_points: 90, disagreement: Some(0.041), ..ScaleSupport::default() }),
         };
         let (class, confidence, poses) = ("car".into(), 0.93, vec![pose(0), pose(2)]);
         let reasons = vec![Reason::doubts(ReasonKind::Shape, 0.5, "nearly as long as high")];
@@ -241,6 +270,7 @@ mod tests {
         let object = &value["objects"][0];
         assert_eq!(keys(object), ["id", "class", "confidence", "scale", "verdict", "frames"]);
         let of_scale = ["ratio", "std", "method", "degenerate", "reason", "alternatives", "as_reconstructed"];
+        let of_scale = [&of_scale[..], &["shares", "support"]].concat();
         assert_eq!(keys(&object["scale"]), of_scale);
         assert_eq!(object["scale"]["method"], "constant-distance");
         assert!(object["scale"]["std"].is_null());
@@ -278,6 +308,7 @@ mod tests {
         assert!(refused(|o| o.poses[1].world_from_object.scale = 0.73).contains("frame 2: the scale 0.73"));
         assert!(refused(|o| o.poses[1].position[2] = f64::INFINITY).contains("frame 2: inf"));
         assert!(refused(|o| o.poses.reverse()).contains("frame 0 does not come after frame 2"));
+        assert!(refused(|o| o.scale.shares.as_mut().unwrap().plane = f64::NAN).contains("NaN is not a finite"));
         assert!(refused(|o| o.scale.reason = None).contains("without a reason"));
         assert!(!path.exists());
         write(&path, &sample()).unwrap();

@@ -11,7 +11,9 @@ use super::{GroundLabels, PipelineError, fingerprint, models, objects, pictures}
 use crate::ground::{dominant_plane_points, label_points, local_planes};
 use crate::io::{RunFolder, masks};
 use crate::perception::{GroundSegmenter, load_ground_segmenter};
-use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Reconstruction};
+use crate::scene::{
+    Frame, FrameId, Ground, GroundPlane, GroundSource, LabelMap, PlaneBasis, Point3dId, Reconstruction,
+};
 
 /// The name of the list of frames that have no plane, and why.
 const SKIPPED: &str = "ground-skipped.json";
@@ -46,7 +48,8 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
             let (missing, all) = (found.skipped.len(), found.skipped.len() + found.planes.len());
             outcome.warn(format!("object {id}: {missing} of {all} frames have no ground plane: {}", first.reason));
         }
-        ground.planes.extend(found.planes.into_iter().map(|(frame, plane)| ((id, frame), plane)));
+        let with_basis = |plane: GroundPlane| GroundPlane { basis: basis(source), ..plane };
+        ground.planes.extend(found.planes.into_iter().map(|(frame, plane)| ((id, frame), with_basis(plane))));
         let reasons = found.skipped.into_iter().map(|skip| (skip.frame, skip.reason.to_string())).collect();
         skipped.insert(id.to_string(), reasons);
     }
@@ -58,6 +61,13 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     run.workspace.write_state(SKIPPED, &skipped)?;
     outcome.outputs.extend([path, run.workspace.state(SKIPPED)]);
     Ok(outcome)
+}
+
+fn basis(source: GroundSource) -> PlaneBasis {
+    match source {
+        GroundSource::Masks | GroundSource::Model => PlaneBasis::LabelledPoints,
+        GroundSource::Geometric => PlaneBasis::Points,
+    }
 }
 
 /// The ground; the stage must be done.

@@ -52,6 +52,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
                 planes: &planes,
                 silhouettes: silhouettes.get(&tracked.id).unwrap_or(&no_silhouettes),
                 frames,
+                focal_std: None,
             },
             &run.options.scale,
         );

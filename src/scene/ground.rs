@@ -19,8 +19,49 @@ pub enum GroundSource {
     Geometric,
 }
 
+/// What a local plane rests on: the links of the chain of fallbacks, the surest first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PlaneBasis {
+    /// Points round the object that labels call ground.
+    LabelledPoints,
+    /// Points round the object that were found to be ground without labels.
+    Points,
+    /// The one plane that stands still in the frame of a camera fixed to a vehicle.
+    Mount,
+    /// The dominant plane of the whole place, far from the object or not.
+    Dominant,
+}
+
+impl PlaneBasis {
+    /// Every link, the surest first.
+    pub const ALL: [Self; 4] = [Self::LabelledPoints, Self::Points, Self::Mount, Self::Dominant];
+
+    /// The name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::LabelledPoints => "labelled-points",
+            Self::Points => "points",
+            Self::Mount => "mount",
+            Self::Dominant => "dominant",
+        }
+    }
+
+    /// In words, for people.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::LabelledPoints => "labelled ground round the object",
+            Self::Points => "ground round the object, found without labels",
+            Self::Mount => "one plane below a camera fixed to a vehicle",
+            Self::Dominant => "the dominant plane of the whole place",
+        }
+    }
+}
+
 /// A local plane of the ground near one object in one frame, in the background's frame.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+///
+/// Its deviations speak of the ground below the object, which may lie far from the points of the plane.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroundPlane {
     /// Unit normal, towards the camera's side (n_i).
     pub normal: Vector3<f64>,
@@ -32,6 +73,15 @@ pub struct GroundPlane {
     pub num_inliers: usize,
     /// Root mean square distance of the inliers, in units of the background.
     pub rms: f64,
+    /// What it rests on.
+    pub basis: PlaneBasis,
+    /// Standard deviation of its height below the object, along the normal, in units of the background.
+    pub height_std: f64,
+    /// The part of `height_std` that all frames of the object share, so that more frames do not make it smaller; at
+    /// most `height_std`.
+    pub common_height_std: f64,
+    /// Standard deviation of its tilt about any axis in the plane, radians.
+    pub tilt_std: f64,
 }
 
 impl GroundPlane {

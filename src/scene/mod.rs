@@ -16,12 +16,13 @@ mod verdict;
 pub use boxes::{BoxDetection, Finder, Rect};
 pub use flow::Flow;
 pub use frame::{Frame, FrameId, ObjectId, TimeBase};
-pub use ground::{Ground, GroundPlane, GroundSource};
+pub use ground::{Ground, GroundPlane, GroundSource, PlaneBasis};
 pub use mask::{BoundingBox, Detection, LabelMap, Mask};
 pub use mesh::TriangleMesh;
 pub use reconstruction::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 pub use tracked::{FoundIn, Movement, MovementFinding, Outline, TrackedObject};
 pub use trajectory::{
-    ModelState, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, Trajectories, Unit,
+    ModelState, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport,
+    Trajectories, Unit,
 };
 pub use verdict::{Finding, Reason, ReasonKind, Trust, Verdict};

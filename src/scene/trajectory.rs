@@ -56,6 +56,55 @@ pub struct ScaleEstimate {
     /// What the methods say of the object as it was reconstructed; `None` where that is the same model, because nothing
     /// was adjusted after structure from motion.
     pub as_reconstructed: Option<Ratios>,
+    /// Where `std` comes from; `None` where the method gives none.
+    pub shares: Option<ScaleShares>,
+    /// What the ratio rests on; `None` in files that do not say.
+    pub support: Option<ScaleSupport>,
+}
+
+/// Where the standard deviation of a scale ratio comes from. Each is a standard deviation as a share of the ratio; they
+/// are independent, so that their squares add up to that of the whole.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ScaleShares {
+    /// Of image positions: errors that are common to all sightings of a point.
+    pub tracks: f64,
+    /// Of single frames: what planes and image positions of a stretch of time have in common.
+    pub frames: f64,
+    /// Of the ground's height and tilt, as far as all frames have them in common.
+    pub plane: f64,
+    /// Of where the vehicle touches the ground.
+    pub contact: f64,
+    /// Of the camera's focal length; 0 where it is known.
+    pub focal: f64,
+    /// What is left of the disagreement with the other methods that the rest does not explain.
+    pub disagreement: f64,
+}
+
+impl ScaleShares {
+    /// The standard deviation of the ratio, as a share of it.
+    pub fn total(&self) -> f64 {
+        let Self { tracks, frames, plane, contact, focal, disagreement } = *self;
+        [tracks, frames, plane, contact, focal, disagreement].map(|share| share * share).iter().sum::<f64>().sqrt()
+    }
+}
+
+/// What a scale ratio rests on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ScaleSupport {
+    /// Points of the object's model.
+    pub num_points: usize,
+    /// Frames with both cameras and a ground plane.
+    pub num_views: usize,
+    /// Frames whose outline shows where the vehicle touches the ground; 0 where none was looked at.
+    pub frames_with_outline: usize,
+    /// Median angle between the planes' normals and the object's upright direction, radians.
+    pub tilt: f64,
+    /// By how much the object's distance to the ground varies (standard deviation over the frames), as a share of the
+    /// camera's height over the ground.
+    pub ground_residual: f64,
+    /// The largest difference to another method's ratio of the same model, as a share of the ratio; `None` where no
+    /// other has an answer.
+    pub disagreement: Option<f64>,
 }
 
 /// Which of an object's models an answer speaks of.

@@ -18,7 +18,7 @@ use super::vehicle::{SurfacePoint, surface_points};
 use crate::camera::Camera;
 use crate::math::{Rigid3, Rng, Sim3, seeded_rng};
 use crate::scene::{
-    CameraId, Frame, FrameId, GroundPlane, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction,
+    CameraId, Frame, FrameId, GroundPlane, Image, ImageId, Observation, PlaneBasis, Point3d, Point3dId, Reconstruction,
     TrackElement,
 };
 
@@ -411,5 +411,9 @@ fn plane(metric_from_vehicle: &Rigid3, background_from_metric: &Sim3, noise: &No
         num_points: 50,
         num_inliers: 50,
         rms: noise.plane_height_m * background_from_metric.scale,
+        basis: PlaneBasis::LabelledPoints,
+        height_std: noise.plane_height_m * background_from_metric.scale,
+        common_height_std: 0.0,
+        tilt_std: noise.plane_tilt_deg.to_radians(),
     }
 }

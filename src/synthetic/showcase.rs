@@ -15,8 +15,8 @@ use crate::camera::Camera;
 use crate::math::{Rigid3, Rng, Sim3, seeded_rng};
 use crate::scene::{
     CameraId, Frame, FrameId, Ground, GroundPlane, GroundSource, Image, ImageId, Mask, ObjectId, ObjectPose,
-    ObjectTrajectory, Observation, Point3d, Point3dId, Reason, ReasonKind, Reconstruction, ScaleEstimate, ScaleMethod,
-    TrackElement, Trust, Verdict,
+    ObjectTrajectory, Observation, PlaneBasis, Point3d, Point3dId, Reason, ReasonKind, Reconstruction, ScaleEstimate,
+    ScaleMethod, TrackElement, Trust, Verdict,
 };
 
 /// Upward direction of the street corner in the background's frame.
@@ -267,6 +267,8 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
         reason: degenerate.then(|| "the camera keeps its height over the ground, seen from the van".to_owned()),
         alternatives: alternatives.into(),
         as_reconstructed: None,
+        shares: None,
+        support: None,
     };
     let class = if id == CAR { "car" } else { "van" }.to_owned();
     let confidence = if id == CAR { 0.93 } else { 0.78 };
@@ -301,6 +303,10 @@ fn local_plane(background_from_metric: &Sim3, id: ObjectId, s: f64, rng: &mut Rn
         num_points: 50,
         num_inliers: 46,
         rms: 0.01 * background_from_metric.scale,
+        basis: PlaneBasis::LabelledPoints,
+        height_std: 0.01 * background_from_metric.scale,
+        common_height_std: 0.0,
+        tilt_std: 0.005,
     }
 }
 

@@ -153,6 +153,8 @@ mod tests {
             reason: None,
             alternatives,
             as_reconstructed: None,
+            shares: None,
+            support: None,
         }
     }
 

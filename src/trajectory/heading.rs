@@ -50,6 +50,8 @@ mod tests {
             reason: None,
             alternatives: BTreeMap::new(),
             as_reconstructed: None,
+            shares: None,
+            support: None,
         };
         let description = ObjectDescription { id: ObjectId(1), class: "car".into(), confidence: 1.0 };
         assemble(description, &world.background, &world.object, scale, &world.frames, LengthUnit::Background)

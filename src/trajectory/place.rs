@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 
-use super::estimate::{estimate_scale, joint_estimate, ratios_of};
+use super::estimate::{estimate_scale, joint_estimate, ratios_of, with_focal};
 use super::{Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views, assemble, joint};
 use crate::scene::{Frame, FrameId, GroundPlane, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod, Unit};
 
@@ -37,6 +37,8 @@ pub struct Evidence<'a> {
     pub silhouettes: &'a BTreeMap<FrameId, Silhouette>,
     /// All frames.
     pub frames: &'a [Frame],
+    /// Standard deviation of the camera's focal length as a share of it; `None` where it is given, or not known.
+    pub focal_std: Option<f64>,
 }
 
 /// An object in its place.
@@ -100,7 +102,7 @@ pub fn place(evidence: &Evidence, options: &Options) -> Placed {
         ScaleMethod::Joint => ScaleMethod::RobustLeastSquares,
         method => method,
     };
-    let scale = estimate_scale(&as_it_is, method, options);
+    let scale = estimate_scale(&as_it_is, method, options).map(|scale| with_focal(scale, evidence.focal_std));
     let object = evidence.object.clone();
     let trajectory = scale.and_then(|scale| evidence.trajectory(&object, scale));
     Placed { object, adjustment, trajectory }
@@ -116,7 +118,7 @@ impl Evidence<'_> {
     fn adjusted(&self, found: Joint, as_it_was: &Views, options: &Options) -> Placed {
         let views = Views::new(self.background, &found.object, self.planes);
         let as_reconstructed = Some(ratios_of(as_it_was, options));
-        let scale = ScaleEstimate { as_reconstructed, ..joint_estimate(&views, &found, options) };
+        let scale = ScaleEstimate { as_reconstructed, ..joint_estimate(&views, &found, options, self.focal_std) };
         let adjustment = Adjustment::Done(AdjustmentFigures::from(&found));
         let trajectory = self.trajectory(&found.object, scale);
         Placed { object: found.object, adjustment, trajectory }
@@ -147,7 +149,7 @@ mod tests {
     ) -> Evidence<'a> {
         let description = ObjectDescription { id: ObjectId(1), class: "car".into(), confidence: 1.0 };
         let Drive { background, object, planes, frames, .. } = world;
-        Evidence { description, origin, background, object, planes, silhouettes, frames }
+        Evidence { description, origin, background, object, planes, silhouettes, frames, focal_std: None }
     }
 
     fn world() -> Drive {
@@ -165,6 +167,27 @@ mod tests {
         let before = scale.as_reconstructed.unwrap();
         assert!(!before.contains_key(&ScaleMethod::Joint) && before.contains_key(&ScaleMethod::Intersection));
         assert_ne!(placed.object, world.object);
+    }
+
+    #[test]
+    fn the_deviation_is_the_sum_of_its_shares_and_grows_with_the_focal_lengths() {
+        let (world, none) = (world(), BTreeMap::new());
+        for method in [ScaleMethod::Joint, ScaleMethod::RobustLeastSquares] {
+            let options = Options { method, ..Options::default() };
+            let scale = |focal_std| {
+                let evidence = Evidence { focal_std, ..evidence(&world, &none, ModelOrigin::Reconstructed) };
+                place(&evidence, &options).trajectory.unwrap().scale
+            };
+            let [known, open] = [None, Some(0.04)].map(scale);
+            for scale in [&known, &open] {
+                let shares = scale.shares.unwrap();
+                assert!((shares.total() / (scale.std.unwrap() / scale.ratio) - 1.0).abs() < 1e-12, "{shares:?}");
+            }
+            assert_eq!(known.shares.unwrap().focal, 0.0);
+            assert!(open.shares.unwrap().focal > 0.04 && open.std > known.std && open.ratio == known.ratio);
+            let support = known.support.unwrap();
+            assert!(support.num_views == 60 && support.num_points > 50 && support.tilt < 0.05, "{support:?}");
+        }
     }
 
     #[test]

@@ -82,6 +82,8 @@ fn output_with(models: &Models, sequence: &Sequence, ratio: f64) -> tempfile::Te
         reason: None,
         alternatives: [(ScaleMethod::ConstantDistance, ratio)].into(),
         as_reconstructed: None,
+        shares: None,
+        support: None,
     };
     let poses = placements.iter().map(pose).collect();
     let object =

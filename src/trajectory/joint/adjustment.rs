@@ -16,6 +16,7 @@ use crate::trajectory::{
 };
 
 /// An object's reconstruction with the ground at z = 0, in the background's unit.
+#[derive(Clone)]
 pub(super) struct Adjustment<'a> {
     grounded: &'a Grounded<'a>,
     options: &'a JointOptions,
@@ -55,6 +56,16 @@ impl<'a> Adjustment<'a> {
         for_each_residual(&object, |_, residual| residuals.extend([residual.x.abs(), residual.y.abs()]));
         let noise_px = 1.4826 * median(residuals).ok_or(ScaleError::NoObservations)?;
         Ok(Self { grounded, options, object, noise_px: noise_px.max(1e-3), wander, camera_height })
+    }
+
+    /// The same knowledge of another object, in the same frame.
+    pub(super) fn with(&self, object: Reconstruction) -> Self {
+        Self { object, ..self.clone() }
+    }
+
+    /// The same, as little believed as can be: how little an object wanders in a few frames is no proof.
+    pub(super) fn in_doubt(&self) -> Self {
+        Self { wander: self.options.sigma_distance[1], ..self.clone() }
     }
 
     /// Where the outlines put the ground.
@@ -117,7 +128,7 @@ impl<'a> Adjustment<'a> {
                 camera_height: plane.signed_distance(in_background.cam_from_world.center()),
                 point: Point3::new(middle.x, middle.y, 0.0),
                 up: Vector3::z(),
-                sigma_distance: self.sigma_distance(),
+                sigma_distance: self.sigma_distance().max(plane.height_std),
                 sigma_tilt: self.options.sigma_tilt,
                 loss: RobustLoss::Squared,
             })
@@ -134,6 +145,14 @@ impl<'a> Adjustment<'a> {
     /// Standard deviation of a plane's distance to the vehicle.
     fn sigma_distance(&self) -> f64 {
         (self.wander * self.camera_height).max(f64::MIN_POSITIVE)
+    }
+
+    /// Standard deviation of the ground's height that all frames have in common, as a share of the camera's height.
+    pub(super) fn common_height_std(&self) -> f64 {
+        let planes = self.grounded.planes.values();
+        let common = median(planes.map(|plane| plane.common_height_std).filter(|std| std.is_finite()).collect());
+        let share = common.unwrap_or(0.0) / self.camera_height;
+        if share.is_finite() { share } else { 0.0 }
     }
 
     /// As long as most planes are far off, none of them is an outlier.

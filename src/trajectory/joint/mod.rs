@@ -12,6 +12,8 @@
 
 mod adjustment;
 mod precision;
+mod spread;
+mod surface;
 #[cfg(test)]
 mod tests;
 
@@ -21,11 +23,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use self::adjustment::Adjustment;
-use self::precision::{median_error_px, set_errors, uncertain_points};
+use self::precision::{median_error_px, point_covariances, set_errors, uncertain_points};
+use self::surface::draw_onto_surface;
 use super::mirror::{mean_normal, mirrored};
-use super::{Contact, ContactOptions, Options, ScaleError, Silhouette, Views};
+use super::{Contact, ContactOptions, Options, ScaleError, Silhouette, Views, object_center};
 use crate::limits::{Checked, OptionError, under, within};
-use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction};
+use crate::math::median;
+use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction, ScaleShares};
 
 /// How much each kind of knowledge counts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -60,8 +64,8 @@ pub struct JointOptions {
     #[schemars(extend("unit" = "factor"))]
     pub max_error_growth: f64,
     /// Standard deviation of a point's place, as a share of the object's radius (the median distance of its points from
-    /// the middle), beyond which it is left out. On glossy paint most of what is seen in a few frames only is so
-    /// uncertain.
+    /// the middle), beyond which it is left out: what is seen in a few frames only and has no neighbours on whose
+    /// surface it could be drawn.
     #[schemars(extend("unit" = "share of the object's radius"))]
     pub max_deviation: f64,
     /// Share of the points that stays in any case: the surest.
@@ -135,8 +139,10 @@ pub struct Joint {
     pub object: Reconstruction,
     /// r, for this reconstruction.
     pub ratio: f64,
-    /// Its standard deviation.
+    /// Its standard deviation, as far as the adjustment itself knows: without focal length and other methods.
     pub std: f64,
+    /// Where that comes from.
+    pub shares: ScaleShares,
     /// Where the vehicle touches the ground, relative to it and in units of the background: what is left of the
     /// outlines' contradiction to the planes.
     pub contact: Contact,
@@ -189,21 +195,49 @@ fn adjusted(grounded: &Grounded, views: &Views, options: &Options, is_mirrored: 
     if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {
         return Err(ScaleError::GroundContradicts { before_px, after_px });
     }
-    let relative_std = adjustment.relative_std(&last)?;
+    let shares = shares(&adjustment, &last)?;
     let object_from_ground = adjustment.back_to(grounded.object).ok_or(ScaleError::NoSimilarity)?;
     let mut object = adjustment.object;
     object.transform(&object_from_ground);
-    let uncertain = uncertain_points(&object, options.max_deviation, options.least_share);
+    let radius = object_radius(&object);
+    let covariances = point_covariances(&object);
+    let deviations = draw_onto_surface(&mut object, &covariances, radius);
+    let uncertain = uncertain_points(&deviations, options.max_deviation * radius, options.least_share);
     object.remove_points(&uncertain);
     set_errors(&mut object);
     let ratio = 1.0 / object_from_ground.scale;
     Ok(Joint {
         object,
         ratio,
-        std: relative_std * ratio,
+        std: shares.total() * ratio,
+        shares,
         contact: last,
         mirrored: is_mirrored,
         error_px: [before_px, after_px],
         num_uncertain: uncertain.len(),
     })
+}
+
+/// Where the standard deviation of the ratio comes from, as far as the adjustment itself knows.
+///
+/// The part of the contact is what is left of the adjustment's own variance when the contact is known. For the rest that
+/// variance is too small, since it takes errors for independent; only where groups cannot be left out it stands in.
+fn shares(adjustment: &Adjustment, contact: &Contact) -> Result<ScaleShares, ScaleError> {
+    const KNOWN: f64 = 1e-3;
+    let doubted = adjustment.in_doubt();
+    let all = doubted.relative_std(contact)?;
+    let of_contact_known = doubted.relative_std(&Contact { std: KNOWN * contact.std, ..*contact })?;
+    Ok(ScaleShares {
+        tracks: spread::over_tracks(adjustment).unwrap_or(of_contact_known),
+        frames: spread::over_frames(adjustment).unwrap_or(of_contact_known),
+        plane: adjustment.common_height_std(),
+        contact: (all * all - of_contact_known * of_contact_known).max(0.0).sqrt(),
+        ..ScaleShares::default()
+    })
+}
+
+/// The median distance of an object's points from their middle.
+fn object_radius(object: &Reconstruction) -> f64 {
+    let center = object_center(object);
+    median(object.points.values().map(|point| (point.position - center).norm()).collect()).unwrap_or(0.0)
 }

@@ -6,7 +6,6 @@ use nalgebra::{Matrix3, Vector2};
 
 use crate::math::median;
 use crate::scene::{Image, Observation, Point3dId, Reconstruction};
-use crate::trajectory::object_center;
 
 /// Every residual of image positions, pixels, with the point that it belongs to.
 pub(super) fn for_each_residual(model: &Reconstruction, mut visit: impl FnMut(Point3dId, Vector2<f64>)) {
@@ -42,14 +41,14 @@ pub(super) fn set_errors(model: &mut Reconstruction) {
     }
 }
 
-/// The points whose place is too uncertain, the poses taken as known, though never more than `1 - least_share` of all.
+/// Covariance of every observed point's place, in squares of the model's unit, the poses taken as known. `None` where
+/// its image positions do not determine it.
 ///
-/// A point's variance is the largest one of (Σ JᵀJ)⁻¹ times the variance of its own residuals, to which the typical one
-/// of all points is added as if it came from three more observations. `max_deviation` is a share of the median distance
-/// of the points from their middle.
-pub(super) fn uncertain_points(model: &Reconstruction, max_deviation: f64, least_share: f64) -> Vec<Point3dId> {
+/// It is (Σ JᵀJ)⁻¹ times the variance of the point's own residuals, to which the typical one of all points is added as
+/// if it came from three more observations.
+pub(super) fn point_covariances(model: &Reconstruction) -> BTreeMap<Point3dId, Option<Matrix3<f64>>> {
     const MORE_OBSERVATIONS: f64 = 3.0;
-    let Some(typical_px) = median_error_px(model) else { return Vec::new() };
+    let Some(typical_px) = median_error_px(model) else { return BTreeMap::new() };
     let mut sums: BTreeMap<Point3dId, (Matrix3<f64>, f64, f64)> = BTreeMap::new();
     for image in model.images.values() {
         let camera = model.camera_of(image);
@@ -63,17 +62,26 @@ pub(super) fn uncertain_points(model: &Reconstruction, max_deviation: f64, least
             *count += 1.0;
         }
     }
-    let deviation = |(information, squares, count): &(Matrix3<f64>, f64, f64)| {
+    let covariance = |(information, squares, count): (Matrix3<f64>, f64, f64)| {
         let variance_px2 =
             (squares + MORE_OBSERVATIONS * typical_px * typical_px) / (2.0 * (count + MORE_OBSERVATIONS));
-        let least = information.symmetric_eigenvalues().min();
-        if least > 0.0 { (variance_px2 / least).sqrt() } else { f64::INFINITY }
+        let is_determined = information.symmetric_eigenvalues().min() > 0.0;
+        let inverse =
+            information.try_inverse().filter(|inverse| is_determined && inverse.iter().all(|x| x.is_finite()));
+        inverse.map(|inverse| inverse * variance_px2)
     };
-    let mut deviations: Vec<(f64, Point3dId)> = sums.iter().map(|(id, sum)| (deviation(sum), *id)).collect();
+    sums.into_iter().map(|(id, sum)| (id, covariance(sum))).collect()
+}
+
+/// The points whose standard deviation is more than `largest`, though never more than `1 - least_share` of all.
+pub(super) fn uncertain_points(
+    deviations: &BTreeMap<Point3dId, f64>,
+    largest: f64,
+    least_share: f64,
+) -> Vec<Point3dId> {
+    let mut deviations: Vec<(f64, Point3dId)> = deviations.iter().map(|(id, deviation)| (*deviation, *id)).collect();
     deviations.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let center = object_center(model);
-    let radius = median(model.points.values().map(|point| (point.position - center).norm()).collect()).unwrap_or(0.0);
-    let sure = deviations.partition_point(|(deviation, _)| *deviation <= max_deviation * radius);
+    let sure = deviations.partition_point(|(deviation, _)| *deviation <= largest);
     let kept = sure.max((least_share * deviations.len() as f64).ceil() as usize);
     deviations.iter().skip(kept).map(|(_, id)| *id).collect()
 }

@@ -134,10 +134,14 @@ fn uncertain_points_are_left_out_but_never_most() {
         object.images.get_mut(&element.image).unwrap().observations[element.observation_idx as usize].point = None;
     }
     object.points.get_mut(&id).unwrap().track.truncate(2);
-    assert_eq!(uncertain_points(&object, 0.05, 0.5), [id]);
+    let deviation = |covariance: Option<nalgebra::Matrix3<f64>>| {
+        covariance.map_or(f64::INFINITY, |c| c.symmetric_eigenvalues().max().sqrt())
+    };
+    let deviations = point_covariances(&object).into_iter().map(|(id, c)| (id, deviation(c))).collect();
+    assert_eq!(uncertain_points(&deviations, 0.05 * object_radius(&object), 0.5), [id]);
     let count = object.points.len();
-    assert_eq!(uncertain_points(&object, 0.0, 0.5).len(), count / 2);
-    assert!(uncertain_points(&object, f64::INFINITY, 0.5).is_empty());
+    assert_eq!(uncertain_points(&deviations, 0.0, 0.5).len(), count / 2);
+    assert!(uncertain_points(&deviations, f64::INFINITY, 0.5).is_empty());
 }
 
 #[test]
@@ -161,6 +165,7 @@ fn options_that_pass_the_check_do_no_harm() {
             planes: &world.planes,
             silhouettes: &silhouettes,
             frames: &world.frames,
+            focal_std: Some(0.01),
         };
         if let Ok(trajectory) = place(&evidence, &options).trajectory {
             assert!(trajectory.scale.ratio > 0.0 && trajectory.scale.ratio.is_finite(), "{changed}");
