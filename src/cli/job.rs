@@ -14,7 +14,7 @@ use crate::pipeline::{
     Options, Stage,
 };
 use crate::scene::ObjectId;
-use crate::video::Position;
+use crate::video::{Position, Turning};
 
 /// What the flags of the program's own perception do not go with.
 const OWN_MASKS: [&str; 2] = ["masks", "segmentation_model"];
@@ -143,6 +143,9 @@ pub(super) fn resolve(job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), 
     let looks_for_vehicles = !matches!(goal, Stage::Frames | Stage::Objects);
     if looks_for_vehicles && options.instances == Instances::None {
         options.instances = Instances::Vehicles;
+    }
+    if options.video.turning == Turning::Auto && options.instances == Instances::None && input.is_dir() {
+        options.video.turning = Turning::AsStored;
     }
     options.check().map_err(|error| Failure::Usage(error.to_string()))?;
     check_paths(&options)?;

@@ -156,6 +156,8 @@ mod tests {
             reason: None,
             alternatives: BTreeMap::new(),
             as_reconstructed: None,
+            shares: None,
+            support: None,
         };
         let poses = (0..8).map(pose).collect();
         let car =

@@ -27,6 +27,10 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     if run.info().kind == Kind::Video && run.options.video.fps.is_some() {
         outcome.warn("--fps is for folders of images; a video has its own time stamps, which are taken");
     }
+    if let Some(said) = order.said() {
+        tracing::info!("{said}");
+        outcome.note(said);
+    }
     outcome.figure("num_frames", scan.frames.len());
     outcome.figure("width", run.info().width);
     outcome.figure("height", run.info().height);

@@ -41,6 +41,12 @@ pub struct ModelReport {
     pub num_outside_masks: usize,
     /// The first of its cameras.
     pub camera: Option<Camera>,
+    /// Focal length of the first camera, pixels.
+    #[serde(default)]
+    pub focal_length_px: Option<f64>,
+    /// Standard deviation of that focal length, pixels; `None` where it was given and not looked for.
+    #[serde(default)]
+    pub focal_std_px: Option<f64>,
 }
 
 impl ModelReport {
@@ -49,6 +55,12 @@ impl ModelReport {
         self.num_observations = model.points.values().map(|point| point.track.len()).sum();
         self.mean_error_px = model.mean_reprojection_error_px();
         self.camera = model.cameras.values().next().copied();
+        self.focal_length_px = self.camera.as_ref().map(Camera::mean_focal);
+    }
+
+    /// Standard deviation of the focal length as a share of it; `None` where it was given.
+    pub(super) fn focal_deviation(&self) -> Option<f64> {
+        Some(self.focal_std_px? / self.focal_length_px?)
     }
 }
 
@@ -82,7 +94,8 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
             let (camera, origin) = initial_camera(run)?;
             let intrinsics = match origin {
                 CameraOrigin::Given => sfm::Intrinsics::Fixed,
-                CameraOrigin::Exif | CameraOrigin::Guess => sfm::Intrinsics::Refined,
+                CameraOrigin::Exif => sfm::Intrinsics::Stated,
+                CameraOrigin::Guess => sfm::Intrinsics::Refined,
             };
             let table = features::of_background(run)?;
             let num_frames = table.views.len() as u64;
@@ -108,6 +121,8 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     outcome.figure("mean_error_px", report.mean_error_px);
     if let Some(camera) = model.cameras.values().next() {
         outcome.figure("intrinsics", json!(camera.intrinsics()));
+        outcome.figure("focal_length_px", report.focal_length_px);
+        outcome.figure("focal_std_px", report.focal_std_px);
     }
     outcome.outputs.extend([run.workspace.background(), run.workspace.state(BACKGROUND_REPORT)]);
     Ok(outcome)
@@ -146,6 +161,12 @@ pub(super) fn background_report(run: &Run) -> Result<ModelReport, PipelineError>
     run.workspace.read_state(BACKGROUND_REPORT)
 }
 
+/// Standard deviation of the background's focal length as a share of it, what is known of lenses beforehand included;
+/// `None` where it was given. The stage must be done.
+pub(super) fn focal_deviation(run: &Run) -> Result<Option<f64>, PipelineError> {
+    Ok(background_report(run)?.focal_deviation())
+}
+
 /// The one place where structure from motion is called. `watch` is told which share of it is done.
 pub(super) fn reconstruct(
     run: &Run,
@@ -180,6 +201,7 @@ pub(super) fn reconstruct(
         ..ModelReport::default()
     };
     described.describe_points(&model);
+    described.focal_std_px = report.focal_deviation.zip(described.focal_length_px).map(|(share, focal)| share * focal);
     Ok((model, described))
 }
 

@@ -27,6 +27,23 @@ pub(super) struct Order {
     pub(super) followed_share: Option<f64>,
 }
 
+impl Order {
+    /// How the pictures are taken and how that is changed, where it was found by looking at them.
+    pub(super) fn said(&self) -> Option<String> {
+        let percent = 100.0 * self.followed_share?;
+        let seen = format!("{percent:.0} % of the corners are found again in the next picture");
+        Some(match self.in_time {
+            true => format!(
+                "the pictures are taken for frames of a video, since {seen}; --order none makes them photographs"
+            ),
+            false => format!(
+                "the pictures are taken for photographs in no order, since only {seen}; --order time makes them \
+                 frames of a video, which take a fraction of the time"
+            ),
+        })
+    }
+}
+
 /// The order, where options and input say it; `None` has to be measured.
 pub(super) fn stated(run: &Run) -> Option<bool> {
     let options = run.options;
@@ -49,7 +66,7 @@ pub(super) fn find(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> 
 
 /// Follows corners between a few pictures and their successors, evenly over the folder.
 fn measured(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> {
-    const NUM_PAIRS: usize = 3;
+    const NUM_PAIRS: usize = 7;
     let last = frames.len().saturating_sub(1);
     let firsts: BTreeSet<usize> = (0..NUM_PAIRS).map(|k| last * (2 * k + 1) / (2 * NUM_PAIRS)).collect();
     let firsts: Vec<usize> = firsts.into_iter().filter(|&first| first < last).collect();

@@ -229,7 +229,10 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
     // A background that was not reconstructed has only the camera to begin with.
     let found = background.cameras.values().next().filter(|_| !background.images.is_empty());
     if let Some(camera) = found {
-        let focal = format!("{:.1} px", camera.mean_focal());
+        let focal = match models::focal_deviation(run)? {
+            Some(share) => format!("{:.0} ± {:.0} px", camera.mean_focal(), share * camera.mean_focal()),
+            None => format!("{:.1} px", camera.mean_focal()),
+        };
         facts.push(Fact::new("Focal length", focal).with_note(origin));
     }
     Ok(facts)

@@ -24,6 +24,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     run.progress.begin("scale", None);
     let (background, _) = models::background(run)?;
+    let focal_std = models::focal_deviation(run)?;
     let ground = ground::ground(run)?;
     let reports = objects::reports(run)?;
     let frames = run.frames()?;
@@ -52,7 +53,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
                 planes: &planes,
                 silhouettes: silhouettes.get(&tracked.id).unwrap_or(&no_silhouettes),
                 frames,
-                focal_std: None,
+                focal_std,
             },
             &run.options.scale,
         );

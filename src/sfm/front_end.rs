@@ -3,9 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::large_frames::AnySizeFrontEnd;
 use super::sift_front_end::{Pairing, SiftFrontEnd, SiftOptions};
 use super::tracks::TrackTable;
-use super::video_front_end::{VideoFrontEnd, VideoOptions};
+use super::video_front_end::VideoOptions;
 use super::{SfmError, features::FeatureOptions};
 use crate::camera::Camera;
 use crate::image::RgbImage;
@@ -51,7 +52,7 @@ impl FrontEndOptions {
 /// Takes frames and gives tracks.
 pub enum FrontEnd {
     /// See [`FrontEndOptions::Video`].
-    Video(VideoFrontEnd),
+    Video(AnySizeFrontEnd),
     /// See [`FrontEndOptions::Sift`].
     Sift(SiftFrontEnd),
 }
@@ -61,7 +62,7 @@ impl FrontEnd {
     /// refuses may end in a panic.
     pub fn new(options: &FrontEndOptions, camera: Camera) -> Self {
         match options {
-            FrontEndOptions::Video(o) => Self::Video(VideoFrontEnd::new(o.clone())),
+            FrontEndOptions::Video(o) => Self::Video(AnySizeFrontEnd::new(o.clone())),
             FrontEndOptions::Sift(o) => Self::Sift(SiftFrontEnd::new(o.clone(), camera)),
         }
     }

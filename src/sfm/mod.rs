@@ -18,6 +18,7 @@
 //! ```
 
 pub mod features;
+pub mod large_frames;
 pub mod mapper;
 pub mod matching;
 pub mod order;

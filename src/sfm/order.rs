@@ -6,10 +6,12 @@ use super::SfmError;
 use super::lucas_kanade::{Followed, LucasKanade};
 use crate::image::{GrayImage, borrowed_gray, resize_gray, scale_to_fit};
 
-/// Share of the corners of one picture that pyramidal Lucas-Kanade finds in the next, no farther away than a fortieth
+/// Share of the corners of one picture that pyramidal Lucas-Kanade finds in the next, no farther away than a twentieth
 /// of the longer side, and back again within a pixel at 480 pixels; 0 where there are no corners.
 ///
-/// Points of a video move by less from frame to frame, and one that moves faster is no better followed than matched.
+/// Points of a video move by less from frame to frame: of rendered drives and drone clips at five to ten frames per
+/// second the median pair has 0.68 to 0.97, of photographs (Strecha's two scenes, the flight over Brighton) 0 to 0.48.
+/// At a fortieth of the side the drives would have 0.16 to 0.79, at a thirteenth one set of photographs 0.59.
 ///
 /// # Errors
 /// [`SfmError::OpenCv`] if OpenCV fails.
@@ -17,7 +19,7 @@ pub fn followed_share(first: &GrayImage, second: &GrayImage) -> Result<f64, SfmE
     const LONGER_SIDE_PX: u32 = 480;
     const MAX_CORNERS: i32 = 300;
     const MAX_ROUND_TRIP_PX: f32 = 1.0;
-    const MAX_MOTION_PX: f32 = LONGER_SIDE_PX as f32 / 40.0;
+    const MAX_MOTION_PX: f32 = LONGER_SIDE_PX as f32 / 20.0;
     let small = |image: &GrayImage| {
         let (width, height) = scale_to_fit(image.width(), image.height(), LONGER_SIDE_PX);
         resize_gray(image, width, height)

@@ -145,6 +145,13 @@ impl VideoFrontEnd {
         Ok(())
     }
 
+    /// Gives the positions of the last frame in pixels that are so much smaller across and down.
+    pub fn enlarge_last(&mut self, [across, down]: [f64; 2]) {
+        for pixel in self.table.views.last_mut().into_iter().flat_map(|view| &mut view.pixels) {
+            *pixel = Point2::new(pixel.x * across, pixel.y * down);
+        }
+    }
+
     /// The tracks.
     pub fn finish(mut self) -> TrackTable {
         let min_length = self.options.min_track_length.min(self.table.views.len()).max(2);

@@ -8,9 +8,8 @@ use std::path::{Path, PathBuf};
 use ::image::metadata::Orientation;
 use ::image::{DynamicImage, ImageDecoder, ImageReader, RgbImage};
 
-use super::VideoError;
 use super::decode::Decoder;
-use super::{exif, jpeg};
+use super::{Turning, VideoError, exif, jpeg};
 use crate::image::resize_rgb;
 use crate::scene::{Frame, FrameId};
 
@@ -33,7 +32,7 @@ pub(super) struct Listing {
     pub(super) entries: Vec<Entry>,
     /// Number of files with an image's extension.
     pub(super) num_files: u32,
-    /// Upright size of the first one, which all have.
+    /// Size of the first one as it is given out, which all have.
     pub(super) size: (u32, u32),
     /// Focal length that the first one's EXIF block states, pixels.
     pub(super) exif_focal_px: Option<f64>,
@@ -42,8 +41,8 @@ pub(super) struct Listing {
 }
 
 /// Lists a folder in natural order (`img2` before `img10`), reading headers, and where pictures end.
-pub(super) fn list(path: &Path) -> Result<Listing, VideoError> {
-    let Contents { mut names, others } = contents(path)?;
+pub(super) fn list(path: &Path, turning: Turning) -> Result<Listing, VideoError> {
+    let Contents { mut names, others, .. } = contents(path)?;
     names.sort_by(|a, b| natural_cmp(a, b));
     let mut listing = Listing {
         entries: Vec::new(),
@@ -61,7 +60,10 @@ pub(super) fn list(path: &Path) -> Result<Listing, VideoError> {
                 continue;
             }
         };
-        let orientation = exif.as_ref().map_or(Orientation::NoTransforms, exif::orientation);
+        let orientation = match turning {
+            Turning::AsStored => Orientation::NoTransforms,
+            Turning::Auto | Turning::Upright => exif.as_ref().map_or(Orientation::NoTransforms, exif::orientation),
+        };
         let size = upright(stored, orientation);
         if listing.entries.is_empty() {
             listing.size = size;
@@ -80,6 +82,7 @@ pub(super) fn list(path: &Path) -> Result<Listing, VideoError> {
         }
         listing.entries.push(Entry { id, path: file, name, orientation });
     }
+    listing.warnings.extend(turned(&listing.entries));
     if listing.entries.is_empty() {
         let found = listing.warnings.into_iter().next().unwrap_or_else(|| described(&others));
         return Err(VideoError::NoImages { path: path.to_owned(), found });
@@ -87,29 +90,63 @@ pub(super) fn list(path: &Path) -> Result<Listing, VideoError> {
     Ok(listing)
 }
 
+/// A word where pictures are stored otherwise than they stand: the models speak of upright pictures.
+fn turned(entries: &[Entry]) -> Option<String> {
+    let is_turned = |entry: &&Entry| entry.orientation != Orientation::NoTransforms;
+    let first = entries.iter().find(is_turned)?;
+    let count = entries.iter().filter(is_turned).count();
+    Some(format!(
+        "{}: {count} of {} pictures are turned upright, as their EXIF data say, and models speak of upright pictures; \
+         other programs that open them need upright files (ImageMagick: `mogrify -auto-orient *`)",
+        first.path.display(),
+        entries.len()
+    ))
+}
+
 /// The files of a folder, hidden ones aside.
+#[derive(Default)]
 struct Contents {
     /// Names of those that look like images.
     names: Vec<String>,
     /// How many others there are, by their extension in lower case.
     others: BTreeMap<String, usize>,
+    /// Names of its folders.
+    folders: Vec<String>,
 }
 
+/// The files of a folder; where no image lies in it, those of its folders, whose names go before theirs.
 fn contents(path: &Path) -> Result<Contents, VideoError> {
+    let mut contents = directly_in(path)?;
+    if contents.names.is_empty() {
+        for folder in std::mem::take(&mut contents.folders) {
+            let inner = directly_in(&path.join(&folder))?;
+            contents.names.extend(inner.names.iter().map(|name| format!("{folder}/{name}")));
+            inner.others.into_iter().for_each(|(kind, count)| *contents.others.entry(kind).or_default() += count);
+        }
+    }
+    Ok(contents)
+}
+
+fn directly_in(path: &Path) -> Result<Contents, VideoError> {
     let unreadable = |source| VideoError::Unreadable { path: path.to_owned(), source };
-    let mut contents = Contents { names: Vec::new(), others: BTreeMap::new() };
+    let mut contents = Contents::default();
     for entry in fs::read_dir(path).map_err(unreadable)? {
         let entry = entry.map_err(unreadable)?;
         let Ok(name) = entry.file_name().into_string() else { continue };
         let extension = Path::new(&name).extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
-        if name.starts_with('.') || !entry.path().is_file() {
+        if name.starts_with('.') {
             continue;
         }
-        match EXTENSIONS.contains(&extension.as_str()) {
-            true => contents.names.push(name),
-            false => *contents.others.entry(extension).or_default() += 1,
+        if entry.path().is_dir() {
+            contents.folders.push(name);
+        } else if entry.path().is_file() {
+            match EXTENSIONS.contains(&extension.as_str()) {
+                true => contents.names.push(name),
+                false => *contents.others.entry(extension).or_default() += 1,
+            }
         }
     }
+    contents.folders.sort();
     Ok(contents)
 }
 
@@ -118,7 +155,7 @@ fn described(others: &BTreeMap<String, usize>) -> String {
     const VIDEOS: [&str; 9] = ["mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "mpg", "gif"];
     const PICTURES: [&str; 9] = ["webp", "tif", "tiff", "bmp", "heic", "heif", "avif", "dng", "exr"];
     let Some((commonest, count)) = others.iter().max_by_key(|(_, count)| **count) else {
-        return "it is empty, or holds folders alone; give the folder that the images are in".to_owned();
+        return "it is empty, and so are its folders; give the folder that the images are in".to_owned();
     };
     let files = if *count == 1 { "file" } else { "files" };
     let kind = if commonest.is_empty() { "without an ending".to_owned() } else { format!(".{commonest}") };
@@ -250,5 +287,33 @@ mod tests {
         let mut names = ["img10.png", "img9.png", "img009.png", "a.png", "img10a.png", "img2.jpg", "img.png"];
         names.sort_by(|a, b| natural_cmp(a, b));
         assert_eq!(names, ["a.png", "img.png", "img2.jpg", "img009.png", "img9.png", "img10.png", "img10a.png"]);
+    }
+
+    #[test]
+    fn pictures_that_are_turned_are_named_with_a_cure() {
+        let entry = |id: u32, orientation| {
+            let name = format!("{id}.jpg");
+            Entry { id, path: Path::new("photos").join(&name), name, orientation }
+        };
+        let stored = entry(0, Orientation::NoTransforms);
+        assert_eq!(turned(std::slice::from_ref(&stored)), None);
+        let said = turned(&[stored, entry(1, Orientation::Rotate90)]).unwrap();
+        assert!(said.contains("1.jpg: 1 of 2") && said.contains("auto-orient"), "{said}");
+    }
+
+    #[test]
+    fn images_in_folders_of_a_folder_carry_the_names_of_both() {
+        let root = tempfile::tempdir().unwrap();
+        let image = RgbImage::new(8, 6);
+        for (folder, name) in [("b", "0.png"), ("a", "1.png"), ("a", "0.png")] {
+            fs::create_dir_all(root.path().join(folder)).unwrap();
+            image.save(root.path().join(folder).join(name)).unwrap();
+        }
+        let names = || {
+            list(root.path(), Turning::Auto).unwrap().entries.into_iter().map(|entry| entry.name).collect::<Vec<_>>()
+        };
+        assert_eq!(names(), ["a/0.png", "a/1.png", "b/0.png"]);
+        image.save(root.path().join("top.png")).unwrap();
+        assert_eq!(names(), ["top.png"]);
     }
 }

@@ -23,7 +23,7 @@ mod prefetch;
 mod source;
 
 pub use error::VideoError;
-pub use options::{Options, Position};
+pub use options::{Options, Position, Turning};
 pub use prefetch::Frames;
 pub use source::{Info, Kind, Scan, Source};
 

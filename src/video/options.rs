@@ -88,11 +88,26 @@ pub struct Options {
     /// its own.
     #[schemars(extend("unit" = "frames per second"))]
     pub fps: Option<f64>,
+    /// Whether photographs whose EXIF data turn them are turned. A video's rotation is always applied.
+    pub turning: Turning,
+}
+
+/// How photographs are given out that were taken with the camera turned.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Turning {
+    /// As they are stored where only a model is made (`tractrix sfm` without masks), else upright.
+    #[default]
+    Auto,
+    /// Upright, as what looks for vehicles needs them. Models speak of upright pictures, which the files are not.
+    Upright,
+    /// As they are stored: the model fits the files, and pictures of one camera have one size however it was held.
+    AsStored,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { start: None, end: None, every: 1, max_dimension: None, fps: None }
+        Self { start: None, end: None, every: 1, max_dimension: None, fps: None, turning: Turning::Auto }
     }
 }
 

@@ -94,7 +94,7 @@ impl Source {
         };
         let metadata = fs::metadata(path).map_err(unreadable)?;
         let (info, listing) = if metadata.is_dir() {
-            let listing = folder::list(path)?;
+            let listing = folder::list(path, options.turning)?;
             (folder_info(&listing, options), Some(listing))
         } else {
             File::open(path).map_err(unreadable)?;

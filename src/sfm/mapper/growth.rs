@@ -26,8 +26,8 @@ pub struct Growth<'a> {
     pair: Option<InitialPair>,
     /// By view: known points seen and inliers at the last failed try.
     failed: Vec<Option<Attempt>>,
-    /// Where the motion hardly tells the focal length.
-    focal_remark: Option<Remark>,
+    /// Standard deviation of ln f, where it is not held.
+    focal_deviation: Option<f64>,
     /// Whether views were taken out by the view graph since the last adjustment of everything.
     reviewed: bool,
     /// By view: the points for and against the best pose that was found, where the view graph refused it.
@@ -54,7 +54,7 @@ impl<'a> Growth<'a> {
             noise: Noise::Unknown,
             freedom: intrinsics.into(),
             lens_decided: false,
-            focal_remark: None,
+            focal_deviation: None,
             reviewed: false,
             pair: None,
             failed,
@@ -113,10 +113,18 @@ impl<'a> Growth<'a> {
             num_points: self.map.num_points(),
             num_observations,
             mean_error_px: None,
-            remarks: self.focal_remark.into_iter().chain(motion::remarks_on(&self.map, self.intrinsics)).collect(),
+            focal_deviation: self.focal_deviation,
+            remarks: self.focal_remark().into_iter().chain(motion::remarks_on(&self.map, self.intrinsics)).collect(),
             failure: None,
         };
         (self.map, report)
+    }
+
+    /// A word where the focal length is not known to a percent.
+    fn focal_remark(&self) -> Option<Remark> {
+        const LOOSE: f64 = 0.01;
+        let deviation = self.focal_deviation.filter(|deviation| *deviation > LOOSE)?;
+        Some(Remark::LooseFocalLength { percent: 100.0 * deviation })
     }
 
     fn adjust(&mut self, scope: &Scope, intrinsics: Freedom) -> Result<Vec<bool>, SfmError> {

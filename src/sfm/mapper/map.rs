@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point2, Point3};
 
-use super::Noise;
+use super::{Intrinsics, Noise};
 use crate::bundle::Whitening;
 use crate::camera::Camera;
 use crate::math::{Rigid3, upper_median};
@@ -38,6 +38,10 @@ pub struct Map<'a> {
     pub table: &'a TrackTable,
     /// Intrinsics.
     pub cameras: Vec<Camera>,
+    /// Intrinsics as they were at the start.
+    pub guess: Vec<Camera>,
+    /// Standard deviation of ln f about the guess.
+    pub guess_deviation: f64,
     /// World to camera, by view; `None` where not registered.
     pub poses: Vec<Option<Rigid3>>,
     /// By track.
@@ -60,11 +64,18 @@ impl<'a> Map<'a> {
         Self {
             table,
             cameras: cameras.to_vec(),
+            guess: cameras.to_vec(),
+            guess_deviation: Intrinsics::Refined.guess_deviation(),
             poses: vec![None; table.views.len()],
             points: vec![None; table.tracks.len()],
             num_visible: vec![0; table.views.len()],
             slots_of_view,
         }
+    }
+
+    /// The same with intrinsics that are so well known at the start.
+    pub fn guessed(self, intrinsics: Intrinsics) -> Self {
+        Self { guess_deviation: intrinsics.guess_deviation(), ..self }
     }
 
     /// Registered views.

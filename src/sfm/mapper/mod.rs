@@ -12,6 +12,7 @@
 mod adjustment;
 mod growth;
 mod initial_pair;
+mod lens;
 mod long_tracks;
 mod map;
 mod motion;
@@ -43,7 +44,10 @@ use map::Map;
 pub enum Intrinsics {
     /// Given, or found on the background: not touched.
     Fixed,
-    /// A guess: focal length and radial distortion are refined with the map.
+    /// The focal length that the pictures' files state, right to some percent: refined with the map, as is radial
+    /// distortion.
+    Stated,
+    /// A guess that may be far off: focal length and radial distortion are refined with the map.
     Refined,
 }
 
@@ -75,14 +79,16 @@ pub struct Options {
     pub max_error_px: f64,
     /// The same as a multiple of the noise, once that was measured from the map itself; never below `min_error_px`.
     /// Errors of tracks have long tails, of which eight standard deviations leave what bundle adjustment's loss can
-    /// bear.
+    /// bear. Only for views in order of time: features of photographs are of two kinds, some several times as exact as the
+    /// others (`refinement`), and the loss weighs both as they deserve.
     #[schemars(extend("unit" = "standard deviations"))]
     pub max_error_sigmas: f64,
     /// Reprojection error that is always let through, so that hardly any noise does not make outliers of observations
     /// that are off by what models of lenses leave out.
     pub min_error_px: f64,
     /// Smallest angle between two rays of a point. Below a degree, an error of a tenth of a pixel moves a point by a
-    /// percent of its distance and more, and bundle adjustment would follow it.
+    /// percent of its distance and more, and bundle adjustment would follow it. At focal lengths beyond 1536 px it is
+    /// smaller in proportion: the same error in pixels is a smaller angle there.
     pub min_angle_deg: f64,
     /// Scale of the robust loss of bundle adjustment while the noise is not known: about the error of a rough map, so
     /// that good observations still count by their squares.
@@ -190,13 +196,22 @@ impl Options {
         within("max_track_views", self.max_track_views, 4..=1_000_000_000)
     }
 
+    /// The same for cameras: positions are found to a share of a pixel whatever the frame's size, so that it is the
+    /// parallax in pixels, f · angle, that tells a depth. `min_angle_deg` holds up to the focal length that is guessed
+    /// for frames of 1280 pixels; beyond, the parallax counts that it makes there.
+    fn at_focal(&self, cameras: &[Camera]) -> Self {
+        const USUAL_FOCAL_PX: f64 = 1.2 * 1280.0;
+        let longest = cameras.iter().map(Camera::mean_focal).fold(USUAL_FOCAL_PX, f64::max);
+        Self { min_angle_deg: self.min_angle_deg * USUAL_FOCAL_PX / longest, ..self.clone() }
+    }
+
     /// What counts as an observation at a noise.
     fn limits(&self, noise: Noise) -> Limits {
         let max_error_px = match noise {
-            Noise::Unknown => self.max_error_px,
-            Noise::Measured { sigma_px } => {
+            Noise::Measured { sigma_px } if self.ordered => {
                 (self.max_error_sigmas * sigma_px).clamp(self.min_error_px, self.max_error_px)
             }
+            Noise::Measured { .. } | Noise::Unknown => self.max_error_px,
         };
         Limits { max_error_px, min_angle: self.min_angle_deg.to_radians() }
     }
@@ -267,6 +282,7 @@ pub fn reconstruct_watched(
     watch: &mut dyn FnMut(f64),
 ) -> Result<(Reconstruction, Report), SfmError> {
     options.check()?;
+    let options = &options.at_focal(cameras);
     // Of a start, growing takes about so much, the last adjustments the rest.
     const GROWTH_SHARE: f64 = 0.7;
     let (pairs, survey) = initial_pair::ranked(table, cameras, intrinsics, options, seed);
@@ -277,7 +293,7 @@ pub fn reconstruct_watched(
         let all_starts = options.min_starts.max(num_starts + 1) as f64;
         let before = num_starts as f64;
         num_starts += 1;
-        let mut growth = Growth::new(Map::new(table, cameras), intrinsics, options, seed);
+        let mut growth = Growth::new(Map::new(table, cameras).guessed(intrinsics), intrinsics, options, seed);
         if growth.start(pair)? {
             let mut grown = |num_registered: usize| {
                 let share = num_registered as f64 / usable.max(1) as f64;

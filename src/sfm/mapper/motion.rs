@@ -44,7 +44,9 @@ fn is_turn(homography: &Matrix3<f64>, intrinsics: Intrinsics) -> bool {
     let scales: Vec<f64> = match intrinsics {
         Intrinsics::Fixed => vec![1.0],
         // From 0.4 to 2.5 times the guess.
-        Intrinsics::Refined => (-STEPS..=STEPS).map(|k| 2.5f64.powf(f64::from(k) / f64::from(STEPS))).collect(),
+        Intrinsics::Stated | Intrinsics::Refined => {
+            (-STEPS..=STEPS).map(|k| 2.5f64.powf(f64::from(k) / f64::from(STEPS))).collect()
+        }
     };
     let deviation = |&scale: &f64| {
         let s = Matrix3::from_diagonal(&Vector3::new(scale, scale, 1.0));
@@ -147,7 +149,7 @@ impl fmt::Display for Remark {
 pub fn remarks_on(map: &Map<'_>, intrinsics: Intrinsics) -> Vec<Remark> {
     let mut out = Vec::new();
     if is_planar(map) {
-        out.push(Remark::PlanarScene { intrinsics_refined: intrinsics == Intrinsics::Refined });
+        out.push(Remark::PlanarScene { intrinsics_refined: intrinsics != Intrinsics::Fixed });
     }
     if is_forward(map) {
         out.push(Remark::ForwardMotion);

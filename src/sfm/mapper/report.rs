@@ -96,6 +96,10 @@ pub struct Report {
     pub num_observations: usize,
     /// Mean reprojection error, pixels.
     pub mean_error_px: Option<f64>,
+    /// Standard deviation of the focal length as a share of it, with what is known of lenses beforehand; `None` where
+    /// it was held.
+    #[serde(default)]
+    pub focal_deviation: Option<f64>,
     /// What weakens the map, in the motion and in the scene.
     #[serde(default)]
     pub remarks: Vec<Remark>,

@@ -4,11 +4,13 @@ use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
 use rand::Rng as _;
 use rand_distr::{Distribution, Normal};
 
+mod lens;
 mod long_video;
 mod motion;
 mod repetition;
 
 use super::*;
+use crate::bundle::{self, CameraBlock, Problem};
 use crate::math::{Rigid3, Rng, seeded_rng, umeyama};
 use crate::scene::ImageId;
 use crate::sfm::tracks::{Feature, Track, View};
@@ -212,4 +214,31 @@ fn options_that_do_not_pass_the_check_are_refused() {
     let options = Options { min_error_px: 5.0, ..Options::object() };
     let refused = reconstruct(&TrackTable::default(), &[], Intrinsics::Fixed, &options, 0);
     assert!(matches!(refused, Err(SfmError::Option(error)) if error.key == "min_error_px"));
+}
+
+#[test]
+fn what_is_kept_lies_at_its_minimum() {
+    let world = world(30, 500);
+    let mut rng = seeded_rng(8, 0);
+    let mut table = tracks(&world, 0.1, 0, &mut rng);
+    // One position in ten is off by more than the noise, and by less than what is let in while that is not known.
+    for pixel in table.views.iter_mut().flat_map(|view| &mut view.pixels) {
+        if rng.random_bool(0.1) {
+            let (angle, distance) = (rng.random_range(0.0..std::f64::consts::TAU), rng.random_range(1.0..2.5));
+            *pixel += distance * nalgebra::Vector2::new(f64::cos(angle), f64::sin(angle));
+        }
+    }
+    let (found, _) = reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 1).unwrap();
+    let mut problem = Problem::from_reconstruction(&found, |_, camera| CameraBlock::fixed(*camera));
+    let cost = |problem: &mut Problem| {
+        let exactly = bundle::Options { function_tolerance: 1e-12, ..bundle::Options::default() };
+        let summary = bundle::adjust(problem, &exactly).unwrap();
+        (summary.initial_cost, summary.final_cost)
+    };
+    problem.poses.iter_mut().for_each(|pose| pose.fixed = true);
+    let (written, least) = cost(&mut problem);
+    assert!(written <= 1.01 * least, "points alone: {written} {least}");
+    problem.poses.iter_mut().for_each(|pose| pose.fixed = false);
+    let (_, least) = cost(&mut problem);
+    assert!(written <= 1.02 * least, "with the cameras: {written} {least}");
 }

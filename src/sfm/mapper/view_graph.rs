@@ -2,9 +2,13 @@
 //!
 //! On repeated structure (the windows of a façade, the two sides of a symmetric building) a view can be registered at
 //! the wrong copy: enough points agree, and bundle adjustment cannot carry it away. Its true neighbours know better:
-//! with them it shares many points that one epipolar geometry explains, but of which the map explains few. A pair like
-//! that speaks against both its views, a pair whose points fit in both speaks for them, each with the number of its
-//! points; a view that has more against it than for it is taken out, the worst first, and what it was blamed for is
+//! with them it shares many points that one epipolar geometry explains, but of which the map explains few. Such points
+//! may not even be in the map: seen by two views that are wrongly placed, they have no position. Where the map explains
+//! less than half of all that two views share, their motion is therefore found from these points alone, and its turn and
+//! direction are compared with the map's.
+//!
+//! A pair that contradicts the map speaks against both its views, a pair whose points fit in both speaks for them, each
+//! with the number of its points; a view that has more against it than for it is taken out, the worst first, and what it was blamed for is
 //! taken back.
 
 use std::collections::BTreeMap;
@@ -12,8 +16,8 @@ use std::collections::BTreeMap;
 use nalgebra::Vector2;
 
 use super::map::Map;
-use crate::math::seeded_rng;
-use crate::sfm::two_view::{self, Correspondences};
+use crate::math::{Rng, seeded_rng};
+use crate::sfm::two_view::{self, Correspondences, TwoViewGeometry};
 
 /// Pairs that are looked at, of those that share most points with a view.
 const MAX_PARTNERS: usize = 10;
@@ -86,21 +90,26 @@ impl ViewGraph {
     }
 
     fn opinion(&self, map: &Map<'_>, views: [usize; 2], tracks: &[u32]) -> Option<Opinion> {
-        let known: Vec<usize> = tracks.iter().map(|&t| t as usize).filter(|&t| map.point(t).is_some()).collect();
-        if known.len() < MIN_COMMON {
-            return None;
-        }
+        let common: Vec<usize> = tracks.iter().map(|&t| t as usize).collect();
+        let known: Vec<usize> = common.iter().copied().filter(|&t| map.point(t).is_some()).collect();
         let fits = known.iter().filter(|&&t| views.iter().all(|&v| self.fits(map, t, v))).count();
-        let share = fits as f64 / known.len() as f64;
-        if share >= AGREEING_SHARE {
-            return Some(Opinion { views, agreeing: fits, contradicting: 0 });
+        let is_share = |share: f64, of: &[usize]| fits as f64 >= share * of.len() as f64;
+        let agrees = Some(Opinion { views, agreeing: fits, contradicting: 0 });
+        let contradicts = |points: usize| {
+            (points >= MIN_COMMON.max(2 * fits)).then_some(Opinion { views, agreeing: 0, contradicting: points })
+        };
+        if known.len() >= MIN_COMMON && is_share(AGREEING_SHARE, &common) {
+            return agrees;
         }
-        if share > CONTRADICTING_SHARE {
-            return None;
+        if known.len() >= MIN_COMMON && !is_share(CONTRADICTING_SHARE, &known) {
+            return contradicts(self.epipolar_inliers(map, views, &known));
         }
-        let by_itself = self.epipolar_inliers(map, views, &known);
-        let contradicts = by_itself >= MIN_COMMON.max(2 * fits);
-        contradicts.then_some(Opinion { views, agreeing: 0, contradicting: by_itself })
+        if let Some(found) =
+            self.motion_by_itself(map, views, &common).filter(|found| contradicted_by(map, views, found))
+        {
+            return contradicts(found.inliers.len());
+        }
+        agrees.filter(|_| known.len() >= MIN_COMMON && is_share(AGREEING_SHARE, &known))
     }
 
     fn fits(&self, map: &Map<'_>, track: usize, view: usize) -> bool {
@@ -113,6 +122,21 @@ impl ViewGraph {
 
     /// How many of the tracks one epipolar geometry of the two views explains.
     fn epipolar_inliers(&self, map: &Map<'_>, views: [usize; 2], tracks: &[usize]) -> usize {
+        self.on_pair(map, views, tracks, |pairs, max_error, rng| two_view::verify(pairs, max_error, rng).len())
+    }
+
+    /// The motion between two views that most of the tracks agree on.
+    fn motion_by_itself(&self, map: &Map<'_>, views: [usize; 2], tracks: &[usize]) -> Option<TwoViewGeometry> {
+        self.on_pair(map, views, tracks, two_view::estimate)
+    }
+
+    fn on_pair<T>(
+        &self,
+        map: &Map<'_>,
+        views: [usize; 2],
+        tracks: &[usize],
+        ask: impl Fn(&Correspondences<'_>, f64, &mut Rng) -> T,
+    ) -> T {
         let normalized = |view: usize| -> Vec<Vector2<f64>> {
             let feature = |t: &usize| map.table.tracks[*t].iter().find(|f| f.view as usize == view);
             let camera = map.camera_of(view);
@@ -122,8 +146,26 @@ impl ViewGraph {
         let mean_focal = (map.camera_of(views[0]).mean_focal() * map.camera_of(views[1]).mean_focal()).sqrt();
         let stream = (views[0] as u64) << 32 | views[1] as u64;
         let pairs = Correspondences { first: &first, second: &second };
-        two_view::verify(&pairs, self.max_error_px / mean_focal, &mut seeded_rng(self.seed, stream)).len()
+        ask(&pairs, self.max_error_px / mean_focal, &mut seeded_rng(self.seed, stream))
     }
+}
+
+/// Whether the motion that two views find by themselves is another than that of the map: in its turn, or in its
+/// direction where the views see their points under an angle that tells it. On a plane, where two motions explain the
+/// same points, nothing is said.
+fn contradicted_by(map: &Map<'_>, [a, b]: [usize; 2], found: &TwoViewGeometry) -> bool {
+    const MAX_TURN_DEG: f64 = 3.0;
+    const MAX_DIRECTION_DEG: f64 = 25.0;
+    const MIN_ANGLE_DEG: f64 = 2.0;
+    const PLANAR: f64 = 0.8;
+    let (Some(first), Some(second)) = (map.poses[a], map.poses[b]) else { return false };
+    if found.homography_ratio > PLANAR {
+        return false;
+    }
+    let in_map = second * first.inverse();
+    let turn = in_map.rotation.angle_to(&found.cam2_from_cam1.rotation).to_degrees();
+    let direction = in_map.translation.angle(&found.cam2_from_cam1.translation).to_degrees();
+    turn > MAX_TURN_DEG || (found.median_angle.to_degrees() >= MIN_ANGLE_DEG && direction > MAX_DIRECTION_DEG)
 }
 
 /// Points for and against a view.

@@ -30,6 +30,8 @@ fn estimate(ratio: f64, relative_std: f64) -> ScaleEstimate {
         reason: None,
         alternatives: BTreeMap::new(),
         as_reconstructed: None,
+        shares: None,
+        support: None,
     }
 }
 

@@ -4,9 +4,9 @@ use super::super::view_graph::{self, Opinion, ViewGraph};
 use super::{Attempt, Growth};
 use crate::math::{Rigid3, seeded_rng};
 use crate::sfm::SfmError;
-use crate::sfm::mapper::adjustment::{self, Freedom, Scope};
+use crate::sfm::mapper::adjustment::{Freedom, Scope};
+use crate::sfm::mapper::lens;
 use crate::sfm::mapper::map::Slot;
-use crate::sfm::mapper::motion::Remark;
 use crate::sfm::mapper::{Intrinsics, Noise};
 use crate::sfm::resection::{self, Resection};
 
@@ -23,24 +23,37 @@ impl Growth<'_> {
         if self.reviewed || before.iter().zip(&self.map.poses).any(changed) {
             self.adjust_until_settled()?;
         }
-        self.drop_unsupported_views();
+        self.drop_unsupported_views()?;
+        self.judge_focal_length()
+    }
+
+    /// How sure the focal length is, of the map as it stays.
+    fn judge_focal_length(&mut self) -> Result<(), SfmError> {
+        let Noise::Measured { sigma_px } = self.map.noise() else { return Ok(()) };
+        if self.intrinsics != Intrinsics::Fixed {
+            let evidence = lens::focal_evidence(&self.map, sigma_px, self.options)?;
+            tracing::debug!("focal length: {evidence:?}");
+            self.focal_deviation = Some(evidence.deviation(self.map.guess_deviation));
+        }
         Ok(())
     }
 
-    /// Adjusts everything on all points, until observations stop changing.
+    /// Adjusts everything on all points, until observations stop changing; then once more on those that are left, so
+    /// that cameras and points lie at the minimum of exactly what is kept.
     fn adjust_until_settled(&mut self) -> Result<(), SfmError> {
         const MAX_ROUNDS: usize = 3;
         const SETTLED_SHARE: f64 = 0.002;
         self.noise = Noise::Unknown;
-        let limits = self.limits();
         for _ in 0..MAX_ROUNDS {
+            // At those of the last round: at wide limits all outliers would come back.
+            let limits = self.limits();
             self.map.triangulate_all(&limits);
             self.map.update_observations(&limits);
             self.adjust(&Scope::Everything, self.freedom)?;
             self.noise = self.map.noise();
             let limits = self.limits();
             let changed = self.map.update_observations(&limits);
-            if self.intrinsics == Intrinsics::Refined && !self.lens_decided {
+            if self.intrinsics != Intrinsics::Fixed && !self.lens_decided {
                 self.freedom = self.final_freedom()?;
                 self.lens_decided = true;
                 continue;
@@ -50,7 +63,7 @@ impl Growth<'_> {
                 break;
             }
         }
-        Ok(())
+        self.adjust(&Scope::Everything, self.freedom).map(drop)
     }
 
     /// Which intrinsics the motion determines, once the noise is known and wrong points are gone.
@@ -63,13 +76,12 @@ impl Growth<'_> {
         // Three standard deviations.
         const SIGNIFICANT: f64 = 9.0;
         let Noise::Measured { sigma_px } = self.noise else { return Ok(self.intrinsics.into()) };
-        let deviation = adjustment::focal_deviation(&self.map, sigma_px, self.options)?;
+        let deviation = lens::focal_evidence(&self.map, sigma_px, self.options)?.together;
         tracing::debug!("focal length known to {:.3} %", 100.0 * deviation);
         if deviation <= LOOSE {
             return Ok(Freedom::WithPrincipalPoint);
         }
-        self.focal_remark = Some(Remark::LooseFocalLength { percent: 100.0 * deviation.min(1.0) });
-        let gain = adjustment::first_radial_gain(&self.map, sigma_px, self.options)?;
+        let gain = lens::first_radial_gain(&self.map, sigma_px, self.options)?;
         tracing::debug!("the first coefficient of distortion explains {gain:.1}");
         self.map.cameras.iter_mut().for_each(|camera| camera.radial = [0.0; 2]);
         // The noise was that of another lens.
@@ -173,22 +185,25 @@ impl Growth<'_> {
     }
 
     /// Takes out views that filtering has left with too few observations to hold a pose.
-    fn drop_unsupported_views(&mut self) {
+    fn drop_unsupported_views(&mut self) -> Result<(), SfmError> {
         let mut support = vec![0usize; self.map.poses.len()];
         for track in 0..self.map.table.tracks.len() {
             for (_, view, _) in self.map.observations(track) {
                 support[view] += 1;
             }
         }
-        let registered: Vec<usize> = self.map.registered().collect();
-        for view in registered {
-            if support[view] < self.options.min_resection_inliers {
-                let (_, visible) = self.map.visibility(view);
-                self.failed[view] = Some(Attempt { visible, inliers: support[view] });
-                self.map.unregister(view);
-            }
+        let is_weak = |&view: &usize| support[view] < self.options.min_resection_inliers;
+        let weak: Vec<usize> = self.map.registered().filter(is_weak).collect();
+        if weak.is_empty() {
+            return Ok(());
+        }
+        for view in weak {
+            let (_, visible) = self.map.visibility(view);
+            self.failed[view] = Some(Attempt { visible, inliers: support[view] });
+            self.map.unregister(view);
         }
         self.map.update_observations(&self.limits());
+        self.adjust(&Scope::Everything, self.freedom).map(drop)
     }
 }
 

@@ -102,3 +102,29 @@ fn a_view_that_fits_nowhere_is_left_out_and_the_others_stay() {
     assert!(matches!(failures[..], [("000009.jpg", Reason::Contradicted { .. })]), "{failures:?}");
     assert!(center_error(&found, &world) < 0.02, "{}", center_error(&found, &world));
 }
+
+#[test]
+fn a_view_whose_true_neighbours_share_no_known_points_with_it_is_left_out() {
+    const CONFUSED: usize = 20;
+    let world = street(24, 0.9);
+    let mut rng = seeded_rng(8, 2);
+    let mut sightings = Sightings::new(&world);
+    for point in along(-6.0, 26.0, 500, &mut rng) {
+        sightings.add((0..24).filter(|&view| view != CONFUSED).map(|view| (view, point)));
+    }
+    // What it shares with each of its neighbours no other view sees, so that no point of the map comes of it.
+    for neighbour in (16..24).filter(|&view| view != CONFUSED) {
+        for point in along(12.0, 24.0, 160, &mut rng) {
+            sightings.add([neighbour, CONFUSED].map(|view| (view, point)).into_iter());
+        }
+    }
+    // Some windows are taken for those at the beginning of the street.
+    for point in along(0.0, 6.0, 90, &mut rng) {
+        let copy = point + Vector3::new(15.0, 0.0, 0.0);
+        sightings.add((1..6).map(|view| (view, point)).chain([(CONFUSED, copy)]));
+    }
+    let (found, report) = sightings.reconstructed();
+    let failures: Vec<_> = report.failures().collect();
+    assert!(matches!(failures[..], [("000020.jpg", Reason::Contradicted { .. })]), "{failures:?}");
+    assert!(center_error(&found, &world) < 0.02, "{}", center_error(&found, &world));
+}

@@ -1,0 +1,228 @@
+//! What the motion tells of the lens, and what is known of lenses beforehand.
+//!
+//! The focal length of a map has a posterior: what the observations tell, and a prior round the guess. Both are terms of
+//! the same sum, so that a weak motion ends near the guess and a strong one does not feel it.
+//!
+//! *What the observations tell.* A focal length f e^(± δ) is held, and everything else is adjusted to it (a profile of
+//! the cost). With C(δ) = ½ Σ ρ, the curvature is H = (C(δ) + C(−δ) − 2 C(0)) / δ², and the points p, in groups g
+//! that may err together, each pull with s_g = Σ_p (C_p(δ) − C_p(−δ)) / 2 δ. Were errors independent from group to
+//! group, the deviation of ln f would be √(Σ s_g²) / H (the sandwich of P. Huber, *The behavior of maximum likelihood
+//! estimates under nonstandard conditions*, 1967, for the profile). It is so whatever the errors within a group have in
+//! common: that a track slides, that a part of the picture is bent.
+
+use super::adjustment::{self, Freedom, Scope};
+use super::map::Map;
+use super::{Intrinsics, Noise, Options};
+use crate::bundle::{self, CameraBlock, IntrinsicsPrior, Problem};
+use crate::camera::Camera;
+use crate::math::RobustLoss;
+use crate::sfm::SfmError;
+
+/// How much worse than their residuals say observations are believed to be, where something may be wrong with all of
+/// them together: what the model of the lens or of the shutter leaves out, points that slide with the view. Such errors
+/// do not average out.
+const COMMON_ERROR_FACTOR: f64 = 5.0;
+
+impl Intrinsics {
+    /// Standard deviation of ln f about the guess.
+    ///
+    /// The focal length of an EXIF block is rounded to a millimetre of 24 and more, and 36 mm are the width of some
+    /// cameras' pictures and stand for the diagonal of others': together 4 %. Cameras that are met in practice lie
+    /// between 0.55 and 2.6 longer sides: two deviations of 0.4 about the guess of 1.2.
+    pub(super) fn guess_deviation(self) -> f64 {
+        match self {
+            Self::Fixed => 0.0,
+            Self::Stated => 0.04,
+            Self::Refined => 0.4,
+        }
+    }
+}
+
+/// A pull towards the guess, in units of observations with common errors ([`COMMON_ERROR_FACTOR`]): it counts where
+/// these leave a parameter open.
+///
+/// The focal length is held log-normally to the guess, ln f ~ N(ln f₀, s²), which near the present f is a normal
+/// distribution of f about f (1 − ln(f / f₀)) with deviation s f; the two values fx and fy share it.
+///
+/// The principal point is held to the middle as lenses are built, within a hundredth of the picture. Where views turn
+/// and spread it moves freely; on a single flight looking straight down, where it could take up common errors, it
+/// stays.
+pub(super) fn prior(camera_idx: usize, map: &Map<'_>, noise: Noise) -> IntrinsicsPrior {
+    const SIGMA_PRINCIPAL: f64 = 0.01;
+    const SIGMA_RADIAL: f64 = 0.2;
+    let camera = &map.cameras[camera_idx];
+    // Observations count with a standard deviation of one pixel, so that those of the prior are in units of their true
+    // one.
+    let unit_px = match noise {
+        Noise::Measured { sigma_px } if sigma_px > 0.0 => COMMON_ERROR_FACTOR * sigma_px,
+        _ => 1.0,
+    };
+    let off = off_guess(map, camera_idx);
+    let [width, height] = [camera.width, camera.height].map(f64::from);
+    let mut values = [0.0, 0.0, 0.5 * width, 0.5 * height, 0.0, 0.0];
+    let mut sigma = [
+        0.0,
+        0.0,
+        SIGMA_PRINCIPAL * width.max(height),
+        SIGMA_PRINCIPAL * width.max(height),
+        SIGMA_RADIAL,
+        SIGMA_RADIAL,
+    ];
+    for (k, focal) in camera.focal.into_iter().enumerate() {
+        values[k] = focal * (1.0 - off);
+        sigma[k] = std::f64::consts::SQRT_2 * map.guess_deviation * focal;
+    }
+    IntrinsicsPrior { camera: camera_idx, values, sigma: sigma.map(|s| s / unit_px) }
+}
+
+/// ln of the focal length over that of the guess.
+fn off_guess(map: &Map<'_>, camera_idx: usize) -> f64 {
+    (map.cameras[camera_idx].mean_focal() / map.guess[camera_idx].mean_focal()).ln()
+}
+
+/// What the observations alone tell of the focal length.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct FocalEvidence {
+    /// Standard deviation of ln f if all observations err together ([`COMMON_ERROR_FACTOR`]); infinite where the motion
+    /// leaves it open.
+    pub together: f64,
+    /// The same if they err together within groups only (the sandwich above).
+    in_groups: f64,
+    /// How far the observations that were asked, some in every part of every view, would shift ln f from where all have
+    /// it; with the prior.
+    shift: f64,
+}
+
+impl FocalEvidence {
+    /// Standard deviation of ln f with what is known beforehand (deviation `guess`).
+    ///
+    /// Errors that groups have in common with one another do not show in the sandwich; a factor of two covers them on
+    /// the sequences of docs/benchmarks/focal-length.md. Beyond a factor of e nothing is known at all.
+    pub fn deviation(&self, guess: f64) -> f64 {
+        const FACTOR: f64 = 2.0;
+        const MOST: f64 = 1.0;
+        let information = (FACTOR * self.in_groups).powi(-2) + guess.powi(-2);
+        information.sqrt().recip().hypot(self.shift).min(MOST)
+    }
+}
+
+/// Asks what the observations tell of the focal length, by holding it off on both sides.
+pub(super) fn focal_evidence(map: &Map<'_>, sigma_px: f64, options: &Options) -> Result<FocalEvidence, SfmError> {
+    const CHANGE: f64 = 0.03;
+    // Less is rounding, of tracks without noise.
+    const MIN_SIGMA_PX: f64 = 1e-6;
+    let sigma_px = sigma_px.max(MIN_SIGMA_PX);
+    let probe = Probe::new(map, sigma_px, options);
+    let held = |change: f64| {
+        probe.adjusted(map, Freedom::FocalAndRadial, |block| {
+            block.camera.focal = block.camera.focal.map(|f| f * change.exp());
+            (block.free[0], block.free[1]) = (false, false);
+        })
+    };
+    let (less, here, more) = (held(-CHANGE)?, held(0.0)?, held(CHANGE)?);
+    let curvature = (more.cost + less.cost - 2.0 * here.cost) / CHANGE.powi(2);
+    if !(curvature > 0.0 && curvature.is_finite()) {
+        return Ok(FocalEvidence { together: f64::INFINITY, in_groups: f64::INFINITY, shift: 0.0 });
+    }
+    let slope = (more.cost - less.cost) / (2.0 * CHANGE);
+    let weight = (COMMON_ERROR_FACTOR * sigma_px).powi(-2);
+    let (off, stiffness) = (off_guess(map, 0), map.guess_deviation.powi(-2));
+    let pulls = more.by_group.iter().zip(&less.by_group).map(|(more, less)| (more - less) / (2.0 * CHANGE));
+    // What is left of the slope is the prior's and the shift, and no group's own.
+    let mean = slope / NUM_GROUPS as f64;
+    let spread: f64 = pulls.map(|pull| (pull - mean).powi(2)).sum();
+    Ok(FocalEvidence {
+        together: COMMON_ERROR_FACTOR * sigma_px / curvature.sqrt(),
+        in_groups: spread.sqrt() / curvature,
+        shift: -(weight * slope + stiffness * off) / (weight * curvature + stiffness),
+    })
+}
+
+/// How much the first coefficient of distortion explains, in units of the common errors squared, where it is the only
+/// one.
+pub(super) fn first_radial_gain(map: &Map<'_>, sigma_px: f64, options: &Options) -> Result<f64, SfmError> {
+    let probe = Probe::new(map, sigma_px, options);
+    let straight = |block: &mut CameraBlock| block.camera.radial = [0.0; 2];
+    let cost = |freedom| Ok::<_, SfmError>(probe.adjusted(map, freedom, straight)?.cost);
+    let gain = cost(Freedom::Focal)? - cost(Freedom::FocalAndFirstRadial)?;
+    Ok(2.0 * gain / (COMMON_ERROR_FACTOR * sigma_px).powi(2))
+}
+
+/// Adjustments on trial, of some points in every part of every view.
+struct Probe<'a> {
+    tracks: Vec<bool>,
+    free_views: Vec<bool>,
+    noise: Noise,
+    options: &'a Options,
+}
+
+/// A problem after adjustment.
+struct Adjusted {
+    /// ½ Σ ρ.
+    cost: f64,
+    /// The same by group of points.
+    by_group: Vec<f64>,
+}
+
+/// Groups of points: parts of the picture, across, down and in time.
+const GROUPS: [usize; 3] = [4, 3, 4];
+const NUM_GROUPS: usize = GROUPS[0] * GROUPS[1] * GROUPS[2];
+
+impl<'a> Probe<'a> {
+    fn new(map: &Map<'_>, sigma_px: f64, options: &'a Options) -> Self {
+        let scope = Scope::Selected { per_view: options.growth_points_per_view };
+        let (tracks, free_views) = adjustment::taking_part(map, &scope, options);
+        Self { tracks, free_views, noise: Noise::Measured { sigma_px }, options }
+    }
+
+    /// After adjustment without the prior, with cameras that are changed first.
+    fn adjusted(
+        &self,
+        map: &Map<'_>,
+        freedom: Freedom,
+        change: impl Fn(&mut CameraBlock),
+    ) -> Result<Adjusted, SfmError> {
+        let (mut problem, _) = adjustment::build(map, &self.tracks, &self.free_views, freedom, self.noise);
+        problem.priors.intrinsics.clear();
+        problem.cameras.iter_mut().for_each(change);
+        let loss = self.options.loss(self.noise);
+        let bundle_options =
+            bundle::Options { loss, max_iterations: 20, function_tolerance: 1e-5, ..bundle::Options::default() };
+        let cost = bundle::adjust(&mut problem, &bundle_options)?.final_cost;
+        Ok(Adjusted { cost, by_group: costs_by_group(&problem, loss) })
+    }
+}
+
+/// ½ Σ ρ of the points of each group; a point belongs where the middle of its observations lies.
+fn costs_by_group(problem: &Problem, loss: RobustLoss) -> Vec<f64> {
+    let mut points = vec![(0.0, [0.0; 3], 0.0); problem.points.len()];
+    for o in &problem.observations {
+        let pose = &problem.poses[o.pose as usize];
+        let camera = &problem.cameras[pose.camera].camera;
+        let error = camera.project(pose.cam_from_world * problem.points[o.point as usize].position).pixel - o.pixel;
+        let (cost, place, count) = &mut points[o.point as usize];
+        *cost += 0.5 * loss.evaluate(o.whitening.norm_sq(error))[0];
+        *count += 1.0;
+        let [width, height] = [camera.width, camera.height].map(f64::from);
+        let at = [o.pixel.x / width, o.pixel.y / height, f64::from(o.pose) / problem.poses.len() as f64];
+        place.iter_mut().zip(at).for_each(|(sum, at)| *sum += at);
+    }
+    let mut costs = vec![0.0; NUM_GROUPS];
+    for (cost, place, count) in points.into_iter().filter(|(cost, ..)| cost.is_finite()) {
+        let cell = |k: usize| ((place[k] / f64::max(count, 1.0) * GROUPS[k] as f64) as usize).min(GROUPS[k] - 1);
+        costs[(cell(2) * GROUPS[1] + cell(1)) * GROUPS[0] + cell(0)] += cost;
+    }
+    costs
+}
+
+/// Whether a lens like this is built: a field of view between 9 and 157 degrees over the longer side, and distortion
+/// that keeps the picture's order from the middle to the corner.
+pub(super) fn is_plausible(camera: &Camera) -> bool {
+    let side = f64::from(camera.width.max(camera.height));
+    let focal_ok = (0.1 * side..=6.0 * side).contains(&camera.mean_focal());
+    let corner = 0.5 * f64::from(camera.width).hypot(f64::from(camera.height)) / camera.mean_focal();
+    let [k1, k2] = camera.radial;
+    let r2 = corner * corner;
+    let monotonic = 1.0 + 3.0 * k1 * r2 + 5.0 * k2 * r2 * r2 > 0.0 && 1.0 + k1 * r2 + k2 * r2 * r2 < 2.0;
+    focal_ok && monotonic
+}
