@@ -187,7 +187,8 @@ mod tests {
         };
         let poses = (3..=12).map(pose).collect();
         let verdict = Some(judged(Trust::Good, Vec::new()));
-        ObjectTrajectory { id: ObjectId(id), class: "car".into(), confidence: 1.0, scale, verdict, poses }
+        let (class, ground) = ("car".into(), [].into());
+        ObjectTrajectory { id: ObjectId(id), class, confidence: 1.0, scale, ground, verdict, poses }
     }
 
     fn summary(vehicles: impl IntoIterator<Item = (u32, Vehicle)>, time_base: TimeBase) -> Summary {

@@ -104,7 +104,15 @@ fn some_trajectory(ratio: f64) -> ObjectTrajectory {
         shares: None,
         support: None,
     };
-    ObjectTrajectory { id: ObjectId(1), class: "car".into(), confidence: 1.0, scale, verdict: None, poses: vec![] }
+    ObjectTrajectory {
+        id: ObjectId(1),
+        class: "car".into(),
+        confidence: 1.0,
+        scale,
+        ground: BTreeMap::new(),
+        verdict: None,
+        poses: vec![],
+    }
 }
 
 fn curve(t: f64) -> Point3<f64> {

@@ -55,6 +55,18 @@ pub struct DominantPlane {
     pub num_on_plane: usize,
 }
 
+impl DominantPlane {
+    /// Root mean square distance of all ground points from the plane: how uneven the place is, units of the background.
+    pub(super) fn spread(&self, background: &Reconstruction) -> f64 {
+        let points = self.point_ids.iter().filter_map(|id| background.points.get(id));
+        let squares: Vec<f64> = points
+            .map(|point| self.normal.dot(&(point.position - self.point)).powi(2))
+            .filter(|d| d.is_finite())
+            .collect();
+        (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+    }
+}
+
 /// The points of the dominant plane below the cameras, and of the ground that continues it.
 ///
 /// # Errors

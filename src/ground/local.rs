@@ -51,6 +51,20 @@ pub struct LocalPlanes {
     pub skipped: Vec<SkippedFrame>,
 }
 
+impl LocalPlanes {
+    /// The same planes, said to rest on something else.
+    pub(super) fn with_basis(mut self, basis: PlaneBasis) -> Self {
+        self.planes.values_mut().for_each(|plane| plane.basis = basis);
+        self
+    }
+}
+
+/// Pixels where an image sees points of its object's model.
+pub(super) fn object_pixels(in_object: &Image) -> Vec<Point2<f64>> {
+    let seen = in_object.observations.iter().filter(|o| o.point.is_some()).map(|o| o.pixel);
+    seen.filter(|pixel| pixel.coords.iter().all(|x| x.is_finite())).collect()
+}
+
 /// Fits the ground round one object, in every frame that is registered in both models.
 ///
 /// Ground points are gathered in the image, as in the paper: for each object observation the nearest ground
@@ -113,9 +127,7 @@ fn plane_of_frame(
     options: &Options,
     (seed, stream): (u64, u64),
 ) -> Result<GroundPlane, SkipReason> {
-    let is_usable = |pixel: &Point2<f64>| pixel.coords.iter().all(|x| x.is_finite());
-    let observed = in_object.observations.iter().filter(|o| o.point.is_some()).map(|o| o.pixel);
-    let object_pixels: Vec<_> = observed.filter(is_usable).collect();
+    let object_pixels = object_pixels(in_object);
     if object_pixels.is_empty() {
         return Err(SkipReason::NoObjectObservations);
     }

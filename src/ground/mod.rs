@@ -5,18 +5,27 @@
 //! frame to the ground round the object (eq. 3 to 8). Everything is scale free: a background reconstruction has a unit
 //! of its own, so that tolerances are pixels, turned into lengths by the depth at which a point is seen (eq. 1).
 
+mod chain;
 mod dominant;
+#[cfg(test)]
+mod fixed_camera_tests;
 mod labels;
 mod local;
+mod mount;
 mod plane;
+mod road;
+mod sighting;
+mod way_plane;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::limits::{Checked, ordered, within};
+pub use chain::GroundChain;
 pub use dominant::{DominantPlane, GroundError, dominant_plane_points};
 pub use labels::label_points;
 pub use local::{LocalPlanes, SkipReason, SkippedFrame, local_planes};
+pub use mount::{Mount, MountFailure, find_mount};
 pub use plane::PlaneFailure;
 
 /// How the ground is found.

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 use super::{IoError, atomic, json};
 use crate::math::Sim3;
 use crate::scene::{
-    FrameId, ObjectId, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport,
-    Trajectories, Unit, Verdict,
+    FrameId, ObjectId, ObjectPose, ObjectTrajectory, PlaneBasis, Ratios, ScaleEstimate, ScaleMethod, ScaleShares,
+    ScaleSupport, Trajectories, Unit, Verdict,
 };
 
 /// The only version there is.
@@ -36,6 +36,9 @@ struct Object {
     class: String,
     confidence: f64,
     scale: Scale,
+    /// Absent in files of older programs.
+    #[serde(default)]
+    ground: BTreeMap<PlaneBasis, usize>,
     #[serde(default)]
     verdict: Option<Verdict>,
     frames: Vec<Pose>,
@@ -109,6 +112,7 @@ fn object_to_file(object: &ObjectTrajectory) -> Object {
         class: object.class.clone(),
         confidence: object.confidence,
         scale: Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support },
+        ground: object.ground.clone(),
         verdict: object.verdict.clone(),
         frames: object.poses.iter().map(pose_to_file).collect(),
     }
@@ -146,6 +150,7 @@ fn object_from_file(object: Object) -> ObjectTrajectory {
             shares,
             support,
         },
+        ground: object.ground,
         verdict: object.verdict,
         poses: object.frames.into_iter().map(pose_from_file).collect(),
     }
@@ -254,7 +259,15 @@ mod tests {
         let (class, confidence, poses) = ("car".into(), 0.93, vec![pose(0), pose(2)]);
         let reasons = vec![Reason::doubts(ReasonKind::Shape, 0.5, "nearly as long as high")];
         let verdict = Some(Verdict { state: Trust::Fair, reasons });
-        let object = ObjectTrajectory { id: ObjectId(1), class, confidence, scale, verdict, poses };
+        let object = ObjectTrajectory {
+            id: ObjectId(1),
+            class,
+            confidence,
+            scale,
+            ground: [(PlaneBasis::Mount, 2)].into(),
+            verdict,
+            poses,
+        };
         Trajectories { unit: Unit::Background, objects: vec![object] }
     }
 
@@ -268,7 +281,7 @@ mod tests {
         assert_eq!(keys(&value), ["version", "unit", "objects"]);
         assert_eq!(value["unit"], "background");
         let object = &value["objects"][0];
-        assert_eq!(keys(object), ["id", "class", "confidence", "scale", "verdict", "frames"]);
+        assert_eq!(keys(object), ["id", "class", "confidence", "scale", "ground", "verdict", "frames"]);
         let of_scale = ["ratio", "std", "method", "degenerate", "reason", "alternatives", "as_reconstructed"];
         let of_scale = [&of_scale[..], &["shares", "support"]].concat();
         assert_eq!(keys(&object["scale"]), of_scale);

@@ -8,12 +8,10 @@ use serde_json::{Value, json};
 use super::given_masks::MaskFolder;
 use super::run::{Outcome, Run};
 use super::{GroundLabels, PipelineError, fingerprint, models, objects, pictures};
-use crate::ground::{dominant_plane_points, label_points, local_planes};
+use crate::ground::{DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount, label_points};
 use crate::io::{RunFolder, masks};
 use crate::perception::{GroundSegmenter, load_ground_segmenter};
-use crate::scene::{
-    Frame, FrameId, Ground, GroundPlane, GroundSource, LabelMap, PlaneBasis, Point3dId, Reconstruction,
-};
+use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Reconstruction};
 
 /// The name of the list of frames that have no plane, and why.
 const SKIPPED: &str = "ground-skipped.json";
@@ -34,28 +32,42 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let mut outcome = Outcome::default();
     run.progress.begin("ground", None);
     let (background, _) = models::background(run)?;
-    let (source, point_ids) = if background.is_empty() {
-        (GroundSource::Geometric, Vec::new())
-    } else {
-        ground_points(run, &background, fingerprint, &mut outcome)?
+    let found = match background.is_empty() {
+        true => Found::nothing(),
+        false => find(run, &background, fingerprint, &mut outcome)?,
     };
-    let mut ground = Ground { source, point_ids, planes: BTreeMap::new() };
+    let mut ground = Ground { source: found.source(), point_ids: found.point_ids(), planes: BTreeMap::new() };
     let mut skipped: BTreeMap<String, BTreeMap<FrameId, String>> = BTreeMap::new();
+    let mut bases: BTreeMap<String, BTreeMap<&str, usize>> = BTreeMap::new();
+    let chain = found.chain(&background);
     for (id, report) in objects::reports(run)? {
         let Some(object) = objects::as_reconstructed(run, id, &report)? else { continue };
-        let found = local_planes(&background, &ground.point_ids, id, &object, &run.options.ground, run.options.seed);
+        let found = chain.planes(id, &object, &run.options.ground, run.options.seed);
         if let Some(first) = found.skipped.first() {
             let (missing, all) = (found.skipped.len(), found.skipped.len() + found.planes.len());
             outcome.warn(format!("object {id}: {missing} of {all} frames have no ground plane: {}", first.reason));
         }
-        let with_basis = |plane: GroundPlane| GroundPlane { basis: basis(source), ..plane };
-        ground.planes.extend(found.planes.into_iter().map(|(frame, plane)| ((id, frame), with_basis(plane))));
+        let counts = bases.entry(id.to_string()).or_default();
+        found.planes.values().for_each(|plane| *counts.entry(plane.basis.name()).or_default() += 1);
+        ground.planes.extend(found.planes.into_iter().map(|(frame, plane)| ((id, frame), plane)));
         let reasons = found.skipped.into_iter().map(|skip| (skip.frame, skip.reason.to_string())).collect();
         skipped.insert(id.to_string(), reasons);
     }
-    outcome.figure("source", json!(source));
+    outcome.figure("source", json!(ground.source));
     outcome.figure("num_points", ground.point_ids.len());
     outcome.figure("num_planes", ground.planes.len());
+    outcome.figure("bases", json!(bases));
+    if let Some(mount) = &found.mount {
+        outcome.figure(
+            "mount",
+            json!({
+                "height": mount.height,
+                "height_std": mount.height_std,
+                "wander": mount.wander,
+                "num_points": mount.num_points,
+            }),
+        );
+    }
     let path = run.workspace.ground();
     run.workspace.put_file(&path, |fresh| crate::io::ground::write(fresh, &ground))?;
     run.workspace.write_state(SKIPPED, &skipped)?;
@@ -63,11 +75,69 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     Ok(outcome)
 }
 
-fn basis(source: GroundSource) -> PlaneBasis {
-    match source {
-        GroundSource::Masks | GroundSource::Model => PlaneBasis::LabelledPoints,
-        GroundSource::Geometric => PlaneBasis::Points,
+/// What the stage finds out before it looks at any object.
+struct Found {
+    /// Labelled points and where the labels come from.
+    labelled: Option<(GroundSource, Vec<Point3dId>)>,
+    dominant: Option<DominantPlane>,
+    mount: Option<Mount>,
+}
+
+impl Found {
+    fn nothing() -> Self {
+        Self { labelled: None, dominant: None, mount: None }
     }
+
+    fn source(&self) -> GroundSource {
+        self.labelled.as_ref().map_or(GroundSource::Geometric, |(source, _)| *source)
+    }
+
+    fn point_ids(&self) -> Vec<Point3dId> {
+        match (&self.labelled, &self.dominant) {
+            (Some((_, labelled)), _) => labelled.clone(),
+            (None, Some(dominant)) => dominant.point_ids.clone(),
+            (None, None) => Vec::new(),
+        }
+    }
+
+    fn chain<'a>(&'a self, background: &'a Reconstruction) -> GroundChain<'a> {
+        GroundChain {
+            background,
+            labelled: self.labelled.as_ref().map_or(&[], |(_, points)| points),
+            dominant: self.dominant.as_ref(),
+            mount: self.mount.as_ref(),
+        }
+    }
+}
+
+/// Every source of the chain, for the whole place.
+fn find(
+    run: &Run,
+    background: &Reconstruction,
+    fingerprint: &str,
+    outcome: &mut Outcome,
+) -> Result<Found, PipelineError> {
+    let labelled = labelled_points(run, background, fingerprint, outcome)?;
+    let options = &run.options.ground;
+    let dominant = match dominant_plane_points(background, options, run.options.seed) {
+        Ok(plane) => Some(plane),
+        Err(error) if labelled.is_none() => {
+            outcome.warn(format!("no ground was found: {error}"));
+            None
+        }
+        Err(_) => None,
+    };
+    let points = labelled.as_ref().map(|(_, points)| points.as_slice());
+    let of_labels = points.and_then(|points| find_mount(background, Some(points), options, run.options.seed).ok());
+    let mount = match of_labels {
+        Some(mount) => Ok(mount),
+        None => find_mount(background, None, options, run.options.seed),
+    };
+    match &mount {
+        Ok(_) => tracing::info!("the camera is fixed to a vehicle: one plane in its frame is the ground"),
+        Err(reason) => tracing::debug!("the camera is not taken for one that is fixed to a vehicle: {reason}"),
+    }
+    Ok(Found { labelled, dominant, mount: mount.ok() })
 }
 
 /// The ground; the stage must be done.
@@ -75,40 +145,36 @@ pub(super) fn ground(run: &Run) -> Result<Ground, PipelineError> {
     Ok(run.workspace.read_ground()?)
 }
 
-fn ground_points(
+/// The points that labels call ground; `None` where there are no labels, or none that says so of any point.
+fn labelled_points(
     run: &Run,
     background: &Reconstruction,
     fingerprint: &str,
     outcome: &mut Outcome,
-) -> Result<(GroundSource, Vec<Point3dId>), PipelineError> {
-    let (source, labelled) = match &run.options.ground_labels {
-        GroundLabels::Geometric => (GroundSource::Geometric, None),
+) -> Result<Option<(GroundSource, Vec<Point3dId>)>, PipelineError> {
+    let (source, points) = match &run.options.ground_labels {
+        GroundLabels::Geometric => {
+            outcome.warn(
+                "there are no ground labels: what is found of the ground without them stands in for them (give \
+                 --ground-model or --ground-masks for better ones)",
+            );
+            return Ok(None);
+        }
         GroundLabels::Masks { folder, label } => {
-            (GroundSource::Masks, Some(vote_of_masks(run, background, folder, *label, outcome)?))
+            (GroundSource::Masks, vote_of_masks(run, background, folder, *label, outcome)?)
         }
         GroundLabels::Model(path) => {
             let folder = ground_masks(run, background, path, fingerprint, outcome)?;
-            (GroundSource::Model, Some(vote_of_masks(run, background, &folder, None, outcome)?))
+            (GroundSource::Model, vote_of_masks(run, background, &folder, None, outcome)?)
         }
     };
-    match labelled {
-        Some(points) if !points.is_empty() => return Ok((source, points)),
-        Some(_) => outcome.warn(
-            "no background point is ground according to the labels; the dominant plane below the camera stands in for \
-             them",
-        ),
-        None => outcome.warn(
-            "there are no ground labels: the dominant plane below the camera stands in for them (give --ground-model \
-             or --ground-masks for better ones)",
-        ),
+    if points.is_empty() {
+        outcome.warn(
+            "no background point is ground according to the labels; what is found without them stands in for them",
+        );
+        return Ok(None);
     }
-    Ok(match dominant_plane_points(background, &run.options.ground, run.options.seed) {
-        Ok(plane) => (GroundSource::Geometric, plane.point_ids),
-        Err(error) => {
-            outcome.warn(format!("no ground was found: {error}"));
-            (GroundSource::Geometric, Vec::new())
-        }
-    })
+    Ok(Some((source, points)))
 }
 
 /// Lets the labels under the observations vote, holding one label map at a time.

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{FrameId, ObjectId, Verdict};
+use super::{FrameId, ObjectId, PlaneBasis, Verdict};
 use crate::math::Sim3;
 
 /// How a scale ratio was found; the names are those of the contract.
@@ -159,6 +159,8 @@ pub struct ObjectTrajectory {
     pub confidence: f64,
     /// Its scale ratio.
     pub scale: ScaleEstimate,
+    /// On what its ground planes rest, and in how many frames.
+    pub ground: BTreeMap<PlaneBasis, usize>,
     /// How far it can be trusted; `None` where nobody judged it.
     pub verdict: Option<Verdict>,
     /// Ascending in time; frames without both cameras are absent.

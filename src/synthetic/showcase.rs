@@ -273,7 +273,8 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
     let class = if id == CAR { "car" } else { "van" }.to_owned();
     let confidence = if id == CAR { 0.93 } else { 0.78 };
     let verdict = Some(if degenerate { undetermined() } else { sound() });
-    Vehicle { model, trajectory: ObjectTrajectory { id, class, confidence, scale, verdict, poses }, visible, size_m }
+    let trajectory = ObjectTrajectory { id, class, confidence, scale, ground: BTreeMap::new(), verdict, poses };
+    Vehicle { model, trajectory, visible, size_m }
 }
 
 fn sound() -> Verdict {

@@ -26,6 +26,7 @@ pub struct ObjectDescription {
 /// one whose pose looks like an outlier; frames that are not in both models are absent. The pose is eq.
 /// object_to_background_coordinates as a similarity: x_world = c(b) + r R(b)ᵀ R(o) (x_object − c(o)). `position` is
 /// [`object_center`] placed by it. Speeds are set where `unit` is metric, by [`set_speeds`].
+/// What its ground rests on is for the caller to say.
 pub fn assemble(
     description: ObjectDescription,
     background: &Reconstruction,
@@ -37,7 +38,8 @@ pub fn assemble(
     let mut poses = poses(background, object, scale.ratio, frames);
     poses.sort_by_key(|pose: &ObjectPose| -> FrameId { pose.frame });
     let ObjectDescription { id, class, confidence } = description;
-    let mut trajectory = ObjectTrajectory { id, class, confidence, scale, verdict: None, poses };
+    let ground = BTreeMap::new();
+    let mut trajectory = ObjectTrajectory { id, class, confidence, scale, ground, verdict: None, poses };
     if unit == Unit::Metre {
         set_speeds(&mut trajectory);
     }

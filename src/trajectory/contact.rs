@@ -34,12 +34,18 @@ pub struct ContactOptions {
     /// Sine of the least angle between the line of sight, seen from above, and the vehicle's axis.
     #[schemars(extend("unit" = "sine"))]
     pub least_side_view: f64,
-    /// Fewest frames that show a side.
+    /// Sine of the most angle between the two up to which the vehicle is seen from the front or the rear.
+    #[schemars(extend("unit" = "sine"))]
+    pub most_end_view: f64,
+    /// Fewest frames that show a side, or an end.
     #[schemars(extend("unit" = "frames"))]
     pub min_frames: usize,
     /// By how much outlines put the ground too high, as tyres do not quite stand flush, and how much that varies.
     #[schemars(extend("unit" = "shares of the height: mean, standard deviation"))]
     pub side: [f64; 2],
+    /// How far the tyres stand back from the front or the rear, and how much that varies.
+    #[schemars(extend("unit" = "shares of the height: mean, standard deviation"))]
+    pub overhang: [f64; 2],
     /// By how much the lowest points lie over the ground where no outline shows it, and how much that varies.
     #[schemars(extend("unit" = "shares of the height: mean, standard deviation"))]
     pub lowest: [f64; 2],
@@ -56,6 +62,8 @@ impl Default for ContactOptions {
             least_side_view: 0.5,
             min_frames: 5,
             side: [0.035, 0.03],
+            most_end_view: 0.26,
+            overhang: [0.75, 0.25],
             lowest: [0.17, 0.07],
         }
     }
@@ -73,7 +81,9 @@ impl ContactOptions {
         within("within", self.within, 0.0..=1.0)?;
         within("least_side_view", self.least_side_view, 0.0..=1.0)?;
         within("min_frames", self.min_frames, 1..=1_000_000)?;
+        within("most_end_view", self.most_end_view, 0.0..=1.0)?;
         check_height("side", self.side)?;
+        check_height("overhang", self.overhang)?;
         check_height("lowest", self.lowest)
     }
 }
@@ -151,7 +161,10 @@ pub struct Contact {
 
 /// The points that count for extent and outline.
 fn solid_points(object: &Reconstruction, options: &ContactOptions) -> Vec<Point3<f64>> {
-    let seen = object.points.values().filter(|point| point.track.len() >= options.min_track);
+    // Of an object that is seen for a moment there is nothing better than what is seen longest.
+    let longest = object.points.values().map(|point| point.track.len()).max().unwrap_or(0);
+    let min_track = options.min_track.min(longest);
+    let seen = object.points.values().filter(|point| point.track.len() >= min_track);
     let mut points: Vec<Point3<f64>> =
         seen.map(|point| point.position).filter(|p| p.coords.iter().all(|x| x.is_finite())).collect();
     for axis in 0..3 {
@@ -180,22 +193,13 @@ pub fn contact(
     let limit = low + options.lowest_part * extent;
     let feet: Vec<Point3<f64>> = points.iter().filter(|p| p.z < limit).map(|p| Point3::new(p.x, p.y, 0.0)).collect();
     let center = Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len() as f64);
-    let view = SideView { object, feet: &feet, middle: Point3::new(center.x, center.y, low), options };
-    let found: Vec<f64> = forward
-        .and_then(|forward| Vector3::new(forward.x, forward.y, 0.0).try_normalize(1e-3))
-        .map(|forward| {
-            let by_frame = object.images.iter().filter_map(|(id, image)| {
-                let silhouette = silhouettes.get(&id.frame())?;
-                view.ground(image, silhouette, &forward)
-            });
-            by_frame.collect()
-        })
-        .unwrap_or_default();
-    let num_frames = found.len();
-    match median(found).filter(|_| num_frames >= options.min_frames) {
-        Some(z) => Some(Contact { z: z - options.side[0] * extent, std: options.side[1] * extent, num_frames }),
-        None => Some(Contact { z: low - options.lowest[0] * extent, std: options.lowest[1] * extent, num_frames: 0 }),
-    }
+    let view = LowerEdge { object, feet: &feet, middle: Point3::new(center.x, center.y, low), extent, options };
+    let ahead = forward.and_then(|forward| Vector3::new(forward.x, forward.y, 0.0).try_normalize(1e-3));
+    let lowest = Contact { z: low - options.lowest[0] * extent, std: options.lowest[1] * extent, num_frames: 0 };
+    let Some(ahead) = ahead else { return Some(lowest) };
+    let seen: Vec<(&Image, &Silhouette)> =
+        object.images.iter().filter_map(|(id, image)| Some((image, silhouettes.get(&id.frame())?))).collect();
+    Some(view.of_sides(&seen, &ahead).or_else(|| view.of_ends(&seen, &ahead, lowest.std)).unwrap_or(lowest))
 }
 
 fn quantile(sorted: &[f64], q: f64) -> Option<f64> {
@@ -203,30 +207,75 @@ fn quantile(sorted: &[f64], q: f64) -> Option<f64> {
 }
 
 /// What every frame is asked.
-struct SideView<'a> {
+struct LowerEdge<'a> {
     object: &'a Reconstruction,
     /// The lowest points, at height zero.
     feet: &'a [Point3<f64>],
     /// The middle of the vehicle, as low as its points go.
     middle: Point3<f64>,
+    /// The height over which its points spread.
+    extent: f64,
     options: &'a ContactOptions,
 }
 
-impl SideView<'_> {
-    /// The height at which the feet touch the outline's lower edge, if the frame shows a side.
-    fn ground(&self, image: &Image, silhouette: &Silhouette, forward: &Vector3<f64>) -> Option<f64> {
-        let sight = self.middle - image.cam_from_world.center();
-        let sight = Vector2::new(sight.x, sight.y).try_normalize(f64::EPSILON)?;
-        if sight.perp(&forward.xy()).abs() < self.options.least_side_view {
-            return None;
+impl LowerEdge<'_> {
+    /// By how many pixels the lower edge of a mask is off, in all frames alike: shadows.
+    const MASK_PX: f64 = 1.0;
+
+    /// The ground below the two tyres of the side that is seen; `None` where too few frames show a side.
+    fn of_sides(&self, seen: &[(&Image, &Silhouette)], ahead: &Vector3<f64>) -> Option<Contact> {
+        let [bias, std] = self.options.side;
+        let shows = |image: &Image| {
+            self.sight(image).is_some_and(|s| s.perp(&ahead.xy()).abs() >= self.options.least_side_view)
+        };
+        let sides = seen.iter().filter(|(image, _)| shows(image));
+        let found: Vec<f64> =
+            sides.filter_map(|(image, outline)| self.ground(image, outline, ahead, &Vector3::zeros())).collect();
+        let num_frames = found.len();
+        let z = median(found).filter(|_| num_frames >= self.options.min_frames)?;
+        Some(Contact { z: z - bias * self.extent, std: std * self.extent, num_frames })
+    }
+
+    /// The ground below the two tyres of the front or the rear that is seen: these stand back from the outermost points
+    /// by the overhang. `None` where too few frames look along the vehicle, or where that is less sure than `limit`.
+    fn of_ends(&self, seen: &[(&Image, &Silhouette)], ahead: &Vector3<f64>, limit: f64) -> Option<Contact> {
+        let [overhang, overhang_std] = self.options.overhang;
+        let across = Vector3::new(-ahead.y, ahead.x, 0.0);
+        let mut found: Vec<(f64, f64)> = Vec::new();
+        for (image, outline) in seen {
+            let Some(sight) = self.sight(image).filter(|s| s.perp(&ahead.xy()).abs() <= self.options.most_end_view)
+            else {
+                continue;
+            };
+            let back = ahead * (sight.dot(&ahead.xy()).signum() * self.extent);
+            let below = |overhang: f64| self.ground(image, outline, &across, &(back * overhang));
+            let (Some(z), Some(other)) = (below(overhang), below(overhang + overhang_std)) else { continue };
+            let pixel =
+                (self.middle - image.cam_from_world.center()).norm() / self.object.camera_of(image).mean_focal();
+            found.push((z, (other - z).hypot(Self::MASK_PX * pixel)));
         }
+        let num_frames = found.len();
+        let (heights, stds): (Vec<f64>, Vec<f64>) = found.into_iter().unzip();
+        let z = median(heights).filter(|_| num_frames >= self.options.min_frames)?;
+        let std = median(stds)?.hypot(self.options.side[1] * self.extent);
+        (std <= limit).then_some(Contact { z, std, num_frames })
+    }
+
+    /// Unit direction from the camera to the vehicle, seen from above.
+    fn sight(&self, image: &Image) -> Option<Vector2<f64>> {
+        let sight = self.middle - image.cam_from_world.center();
+        Vector2::new(sight.x, sight.y).try_normalize(f64::EPSILON)
+    }
+
+    /// The height at which the feet, moved by `shift`, touch the outline's lower edge, which runs along `axis`.
+    fn ground(&self, image: &Image, silhouette: &Silhouette, axis: &Vector3<f64>, shift: &Vector3<f64>) -> Option<f64> {
         let camera = self.object.camera_of(image);
         let undistorted = |point: Point3<f64>| {
             let p = image.cam_from_world * point;
             (p.z > 0.0).then(|| Vector2::new(p.x / p.z, p.y / p.z))
         };
         let step = 1e-3 * (self.middle - image.cam_from_world.center()).norm();
-        let along = undistorted(self.middle + forward * step)? - undistorted(self.middle - forward * step)?;
+        let along = undistorted(self.middle + axis * step)? - undistorted(self.middle - axis * step)?;
         let down = undistorted(self.middle - Vector3::z() * step)? - undistorted(self.middle)?;
         let across = Vector2::new(-along.y, along.x).try_normalize(f64::EPSILON)?;
         let u = if across.dot(&down) < 0.0 { -across } else { across };
@@ -235,8 +284,8 @@ impl SideView<'_> {
         // u · (x, y) / z = support is linear in the height: the plane through the camera and the edge.
         let plane = Vector3::new(u.x, u.y, -support);
         let slope = plane.dot(&(image.cam_from_world.rotation * Vector3::z()));
-        let mut heights: Vec<f64> =
-            self.feet.iter().map(|foot| -plane.dot(&(image.cam_from_world * *foot).coords) / slope).collect();
+        let touching = |foot: &Point3<f64>| -plane.dot(&(image.cam_from_world * (foot + shift)).coords) / slope;
+        let mut heights: Vec<f64> = self.feet.iter().map(touching).collect();
         heights.sort_by(f64::total_cmp);
         quantile(&heights, self.options.within).filter(|z| z.is_finite())
     }

@@ -31,6 +31,7 @@
 //! ```
 
 mod assemble;
+mod body;
 mod constant_distance;
 mod contact;
 mod error;
@@ -45,6 +46,7 @@ mod verdict;
 mod views;
 
 pub use assemble::{ObjectDescription, assemble, object_center, set_speeds};
+pub use body::Body;
 pub use constant_distance::{ConstantDistance, ConstantDistanceOptions, constant_distance};
 pub use contact::{Contact, ContactOptions, Silhouette, contact};
 pub use error::ScaleError;

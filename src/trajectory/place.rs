@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 
 use super::estimate::{estimate_scale, joint_estimate, ratios_of, with_focal};
-use super::{Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views, assemble, joint};
+use super::{Body, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views, assemble, joint};
 use crate::scene::{Frame, FrameId, GroundPlane, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod, Unit};
 
 /// Where an object's model comes from.
@@ -111,7 +111,8 @@ pub fn place(evidence: &Evidence, options: &Options) -> Placed {
 impl Evidence<'_> {
     fn grounded(&self) -> Grounded<'_> {
         let Self { background, object, planes, silhouettes, frames, .. } = *self;
-        Grounded { background, object, planes, silhouettes, frames }
+        let body = Body::of_class(&self.description.class);
+        Grounded { background, object, planes, silhouettes, frames, body }
     }
 
     /// The object after an adjustment; `as_it_was` are the views of the model before.
@@ -126,7 +127,10 @@ impl Evidence<'_> {
 
     fn trajectory(&self, object: &Reconstruction, scale: ScaleEstimate) -> Result<ObjectTrajectory, ScaleError> {
         let description = self.description.clone();
-        let trajectory = assemble(description, self.background, object, scale, self.frames, Unit::Background);
+        let mut trajectory = assemble(description, self.background, object, scale, self.frames, Unit::Background);
+        for plane in self.background.paired_images(object).iter().filter_map(|(frame, ..)| self.planes.get(frame)) {
+            *trajectory.ground.entry(plane.basis).or_default() += 1;
+        }
         match trajectory.poses.is_empty() {
             true => Err(ScaleError::NoCommonFrame),
             false => Ok(trajectory),

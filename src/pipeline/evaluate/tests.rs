@@ -86,8 +86,15 @@ fn output_with(models: &Models, sequence: &Sequence, ratio: f64) -> tempfile::Te
         support: None,
     };
     let poses = placements.iter().map(pose).collect();
-    let object =
-        ObjectTrajectory { id: ObjectId(1), class: "car".into(), confidence: 1.0, scale, verdict: None, poses };
+    let object = ObjectTrajectory {
+        id: ObjectId(1),
+        class: "car".into(),
+        confidence: 1.0,
+        scale,
+        ground: BTreeMap::new(),
+        verdict: None,
+        poses,
+    };
     let all = Trajectories { unit: Unit::Background, objects: vec![object] };
     trajectories::write(&out.join("trajectories.json"), &all).unwrap();
     for frame in &sequence.frames {

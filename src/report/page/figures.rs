@@ -3,7 +3,7 @@
 use crate::report::data::{Data, Fact};
 use crate::report::timeline::Timeline;
 use crate::report::words::{LENGTH_UNIT, count, share, thousands, with_unit};
-use crate::scene::GroundSource;
+use crate::scene::{Ground, GroundSource, PlaneBasis};
 
 /// The figures, those first that a reader looks for first.
 pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
@@ -34,8 +34,15 @@ fn ground(data: &Data) -> Fact {
     let source = data.ground.map(|g| match g.source {
         GroundSource::Masks => ("given", "by ground masks"),
         GroundSource::Model => ("recognised", "by a network"),
-        GroundSource::Geometric => ("guessed", "the dominant plane below the camera"),
+        GroundSource::Geometric => ("guessed", "without labels"),
     });
     let (value, note) = source.unwrap_or(("none", "no ground was found"));
-    Fact::new("ground", value).with_note(note)
+    let basis = data.ground.and_then(commonest_basis).map(|basis| format!("{note}: {}", basis.words()));
+    Fact::new("ground", value).with_note(basis.unwrap_or_else(|| note.to_owned()))
+}
+
+/// What most planes rest on; of equals the surest.
+fn commonest_basis(ground: &Ground) -> Option<PlaneBasis> {
+    let count = |basis: &PlaneBasis| ground.planes.values().filter(|plane| plane.basis == *basis).count();
+    PlaneBasis::ALL.into_iter().rev().max_by_key(count).filter(|basis| count(basis) > 0)
 }

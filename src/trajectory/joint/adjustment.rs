@@ -8,18 +8,34 @@ use super::precision::for_each_residual;
 use super::{Grounded, JointOptions};
 use crate::bundle::{self, BundleError, CameraBlock, PlanePrior, PointPrior, Problem, Wanted, Whitening};
 use crate::math::{RobustLoss, Sim3, median, umeyama};
-use crate::scene::{FrameId, Image, Reconstruction};
+use crate::scene::{FrameId, GroundPlane, Image, Reconstruction};
 use crate::trajectory::assemble::poses;
 use crate::trajectory::mirror::mean_normal;
 use crate::trajectory::{
-    Contact, Options, ScaleError, Views, contact, forward_axis, intersection, least_squares, object_center,
+    Contact, ContactOptions, LeastSquares, Options, ScaleError, Views, contact, forward_axis, intersection,
+    least_squares, object_center,
 };
+
+/// Standard deviation, relative to it, up to which the ratio of all frames is a better start than contact.
+const SURE: f64 = 0.1;
+
+/// The ratio to begin with: of all frames where the camera's climb determines it, else where the object meets the
+/// ground.
+fn start(all_frames: &Result<LeastSquares, ScaleError>, views: &Views) -> Result<f64, ScaleError> {
+    let usable = all_frames.as_ref().ok().filter(|found| found.ratio > 0.0 && found.ratio.is_finite());
+    match usable {
+        Some(found) if found.std <= SURE * found.ratio => Ok(found.ratio),
+        Some(found) => Ok(intersection(views).map_or(found.ratio, |contact| contact.ratio)),
+        None => Ok(intersection(views)?.ratio),
+    }
+}
 
 /// An object's reconstruction with the ground at z = 0, in the background's unit.
 #[derive(Clone)]
 pub(super) struct Adjustment<'a> {
     grounded: &'a Grounded<'a>,
     options: &'a JointOptions,
+    contact_options: ContactOptions,
     pub(super) object: Reconstruction,
     /// Standard deviation of an image position before it is made to count less.
     noise_px: f64,
@@ -30,15 +46,17 @@ pub(super) struct Adjustment<'a> {
     camera_height: f64,
 }
 
+/// The part of a plane's deviation that is new in every frame.
+fn own_deviation(plane: &GroundPlane) -> f64 {
+    (plane.height_std.powi(2) - plane.common_height_std.powi(2)).max(0.0).sqrt()
+}
+
 impl<'a> Adjustment<'a> {
     pub(super) fn new(grounded: &'a Grounded<'a>, views: &Views, options: &'a Options) -> Result<Self, ScaleError> {
         let (up, _) = mean_normal(views).ok_or(ScaleError::NoMeanNormal { num_views: views.views.len() })?;
         let all_frames = least_squares(views, &options.least_squares);
         let options = &options.joint;
-        let ratio = match all_frames.as_ref().map(|found| found.ratio) {
-            Ok(ratio) if ratio > 0.0 && ratio.is_finite() => ratio,
-            _ => intersection(views)?.ratio,
-        };
+        let ratio = start(&all_frames, views)?;
         let spread = all_frames.as_ref().map_or(f64::INFINITY, |found| found.residual_std);
         let level = UnitQuaternion::rotation_between(&up, &Vector3::z())
             .unwrap_or_else(|| UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0));
@@ -55,7 +73,8 @@ impl<'a> Adjustment<'a> {
         let mut residuals = Vec::new();
         for_each_residual(&object, |_, residual| residuals.extend([residual.x.abs(), residual.y.abs()]));
         let noise_px = 1.4826 * median(residuals).ok_or(ScaleError::NoObservations)?;
-        Ok(Self { grounded, options, object, noise_px: noise_px.max(1e-3), wander, camera_height })
+        let contact_options = grounded.body.contact(&options.contact);
+        Ok(Self { grounded, options, contact_options, object, noise_px: noise_px.max(1e-3), wander, camera_height })
     }
 
     /// The same knowledge of another object, in the same frame.
@@ -70,7 +89,7 @@ impl<'a> Adjustment<'a> {
 
     /// Where the outlines put the ground.
     pub(super) fn contact(&self) -> Result<Contact, ScaleError> {
-        contact(&self.object, self.grounded.silhouettes, self.forward(), &self.options.contact).ok_or_else(|| {
+        contact(&self.object, self.grounded.silhouettes, self.forward(), &self.contact_options).ok_or_else(|| {
             let num_points = self.object.points.len();
             ScaleError::NoSolidPoints { num_points, min_track: self.options.contact.min_track }
         })
@@ -128,8 +147,8 @@ impl<'a> Adjustment<'a> {
                 camera_height: plane.signed_distance(in_background.cam_from_world.center()),
                 point: Point3::new(middle.x, middle.y, 0.0),
                 up: Vector3::z(),
-                sigma_distance: self.sigma_distance().max(plane.height_std),
-                sigma_tilt: self.options.sigma_tilt,
+                sigma_distance: self.sigma_distance().max(own_deviation(plane)),
+                sigma_tilt: self.options.sigma_tilt.max(plane.tilt_std),
                 loss: RobustLoss::Squared,
             })
         };
@@ -142,7 +161,7 @@ impl<'a> Adjustment<'a> {
         found
     }
 
-    /// Standard deviation of a plane's distance to the vehicle.
+    /// Standard deviation of a plane's distance to the vehicle, by what is seen of it over all frames.
     fn sigma_distance(&self) -> f64 {
         (self.wander * self.camera_height).max(f64::MIN_POSITIVE)
     }

@@ -26,7 +26,7 @@ use self::adjustment::Adjustment;
 use self::precision::{median_error_px, point_covariances, set_errors, uncertain_points};
 use self::surface::draw_onto_surface;
 use super::mirror::{mean_normal, mirrored};
-use super::{Contact, ContactOptions, Options, ScaleError, Silhouette, Views, object_center};
+use super::{Body, Contact, ContactOptions, Options, ScaleError, Silhouette, Views, object_center};
 use crate::limits::{Checked, OptionError, under, within};
 use crate::math::median;
 use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction, ScaleShares};
@@ -130,6 +130,8 @@ pub struct Grounded<'a> {
     pub silhouettes: &'a BTreeMap<FrameId, Silhouette>,
     /// All frames.
     pub frames: &'a [Frame],
+    /// What kind of body it has.
+    pub body: Body,
 }
 
 /// An object's reconstruction that stands on the ground.
@@ -191,7 +193,7 @@ fn adjusted(grounded: &Grounded, views: &Views, options: &Options, is_mirrored: 
             break;
         }
     }
-    let after_px = median_error_px(&adjustment.object).unwrap_or(f64::INFINITY);
+    let after_px = median_error_px(&adjustment.object).filter(|px| px.is_finite()).ok_or(ScaleError::NoObservations)?;
     if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {
         return Err(ScaleError::GroundContradicts { before_px, after_px });
     }

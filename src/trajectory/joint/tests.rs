@@ -27,7 +27,11 @@ fn solve(
 ) -> Result<Joint, ScaleError> {
     let Drive { background, planes, frames, .. } = world;
     let views = Views::new(background, object, planes);
-    joint(&Grounded { background, object, planes, silhouettes, frames }, &views, &crate::trajectory::Options::default())
+    joint(
+        &Grounded { background, object, planes, silhouettes, frames, body: Body::Car },
+        &views,
+        &crate::trajectory::Options::default(),
+    )
 }
 
 /// Relative error of the ratio for the size that the object has come out with.

@@ -1,0 +1,116 @@
+//! The chain of fallbacks: what is taken for the ground below an object, and how sure it is.
+//!
+//! First come the ground points round the object: labelled ones where there are enough, else those found without labels.
+//! In a drive with a camera that is fixed to a vehicle the road below that camera ([`Mount`]) is a second source: it
+//! judges the ground found without labels, which has to agree with it, and it is taken where fewer points than asked for
+//! are there and it is surer. Frames that are left get the dominant plane of the whole place, with a deviation that says
+//! how uneven the place is.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Point2;
+
+use super::Options;
+use super::dominant::DominantPlane;
+use super::local::{LocalPlanes, local_planes, lowest_foot, object_pixels};
+use super::mount::Mount;
+use super::road::Road;
+use crate::scene::{FrameId, GroundPlane, Image, ObjectId, PlaneBasis, Point3dId, Reconstruction};
+
+/// What is known of the ground of a place.
+#[derive(Clone, Copy, Debug)]
+pub struct GroundChain<'a> {
+    /// The background.
+    pub background: &'a Reconstruction,
+    /// Points that labels call ground, ascending; empty without labels.
+    pub labelled: &'a [Point3dId],
+    /// The ground that was found without labels.
+    pub dominant: Option<&'a DominantPlane>,
+    /// The road below a camera that is fixed to a vehicle.
+    pub mount: Option<&'a Mount>,
+}
+
+/// Share of an object's frames that labelled points have to give a plane to; else points without labels are asked.
+const ENOUGH: f64 = 0.5;
+
+impl GroundChain<'_> {
+    /// The plane below one object in every frame that is registered in both models, from the surest source that has
+    /// one. The same seed gives the same planes, on any number of threads.
+    pub fn planes(&self, object: ObjectId, model: &Reconstruction, options: &Options, seed: u64) -> LocalPlanes {
+        let local = |points: &[Point3dId]| local_planes(self.background, points, object, model, options, seed);
+        let dominant =
+            self.dominant.filter(|ground| self.mount.is_none_or(|mount| mount.agrees(self.background, ground)));
+        let labelled = local(self.labelled).with_basis(PlaneBasis::LabelledPoints);
+        let num_frames = (labelled.planes.len() + labelled.skipped.len()) as f64;
+        let mut found = match dominant {
+            Some(ground) if (labelled.planes.len() as f64) < ENOUGH * num_frames => local(&ground.point_ids),
+            _ => labelled,
+        };
+        if let Some(mount) = self.mount {
+            self.prefer_surer(&mut found, mount, model, options);
+        }
+        if let Some(dominant) = dominant {
+            self.fill(&mut found, dominant, model);
+        }
+        found.skipped.retain(|skip| !found.planes.contains_key(&skip.frame));
+        found
+    }
+
+    /// Takes the road below the camera where it is surer than points of which there are fewer than asked for.
+    fn prefer_surer(&self, found: &mut LocalPlanes, mount: &Mount, model: &Reconstruction, options: &Options) {
+        for (frame, road) in self.road(mount, model) {
+            let stays =
+                |plane: &GroundPlane| plane.num_points >= options.num_neighbors || plane.height_std <= road.height_std;
+            if !found.planes.get(&frame).is_some_and(stays) {
+                found.planes.insert(frame, road);
+            }
+        }
+    }
+
+    /// The road below the object in every frame.
+    fn road(&self, mount: &Mount, model: &Reconstruction) -> BTreeMap<FrameId, GroundPlane> {
+        let road = Road::new(self.background, mount);
+        let below = |(frame, image, in_object): (FrameId, &Image, &Image)| {
+            Some((frame, road.plane_below(frame, image, &object_pixels(in_object))?))
+        };
+        self.background.paired_images(model).into_iter().filter_map(below).collect()
+    }
+
+    /// The dominant plane where there is no other; what has none either stays skipped.
+    fn fill(&self, found: &mut LocalPlanes, dominant: &DominantPlane, model: &Reconstruction) {
+        let spread = dominant.spread(self.background);
+        for (frame, image, in_object) in self.background.paired_images(model) {
+            if found.planes.contains_key(&frame) {
+                continue;
+            }
+            if let Some(plane) = self.dominant_below(dominant, spread, image, &object_pixels(in_object)) {
+                found.planes.insert(frame, plane);
+            }
+        }
+    }
+
+    fn dominant_below(
+        &self,
+        dominant: &DominantPlane,
+        spread: f64,
+        image: &Image,
+        pixels: &[Point2<f64>],
+    ) -> Option<GroundPlane> {
+        let normal = dominant.normal;
+        let height = normal.dot(&(image.cam_from_world.center() - dominant.point));
+        // Without a foot nothing is known of where the object is on the plane.
+        let foot = lowest_foot(self.background, image, pixels, (&normal, height)).filter(|_| height > spread)?;
+        let reach = (foot - image.cam_from_world.center()).norm().max(height);
+        Some(GroundPlane {
+            normal,
+            point: dominant.point,
+            num_points: dominant.point_ids.len(),
+            num_inliers: dominant.num_on_plane,
+            rms: spread,
+            basis: PlaneBasis::Dominant,
+            height_std: spread,
+            common_height_std: spread,
+            tilt_std: (spread / reach).atan(),
+        })
+    }
+}

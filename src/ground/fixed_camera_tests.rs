@@ -1,0 +1,145 @@
+//! A drive with a camera fixed to a vehicle, with a slope beside the road that has more points than the road.
+
+use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
+use rand::Rng as _;
+
+use super::{GroundChain, MountFailure, Options, find_mount};
+use crate::camera::Camera;
+use crate::math::{Rigid3, seeded_rng};
+use crate::scene::{
+    CameraId, FrameId, Image, ImageId, ObjectId, Observation, PlaneBasis, Point3d, Point3dId, Reconstruction,
+    TrackElement,
+};
+
+/// Height of the camera over the road, in units of the background.
+const HEIGHT: f64 = 0.4;
+const NUM_FRAMES: u32 = 60;
+
+/// The road is y = 0 (y down), the camera drives along z; `hill` lifts road and camera by that over 30 units.
+struct Drive {
+    turn: f64,
+    climb: f64,
+    hill: f64,
+}
+
+impl Drive {
+    const STRAIGHT: Self = Self { turn: 0.0, climb: 0.0, hill: 0.0 };
+
+    fn road_at(&self, z: f64) -> f64 {
+        -self.hill * (z / 10.0).sin()
+    }
+
+    fn pose(&self, k: u32) -> Rigid3 {
+        let z = 0.3 * f64::from(k);
+        let center = Point3::new(0.0, self.road_at(z) - HEIGHT - self.climb * f64::from(k), z);
+        let slope = -self.hill / 10.0 * (z / 10.0).cos();
+        let pitch = UnitQuaternion::from_euler_angles(0.04 + slope.atan(), 0.0, 0.0);
+        let turn = UnitQuaternion::from_euler_angles(0.0, self.turn * (f64::from(k) * 0.2).sin(), 0.0);
+        Rigid3::from_rotation_and_center(pitch * turn, center)
+    }
+
+    fn background(&self, num_road: usize, num_slope: usize, noise_px: f64) -> Reconstruction {
+        let rng = &mut seeded_rng(5, 1);
+        let mut uniform = |low: f64, high: f64| low + (high - low) * rng.random::<f64>();
+        let mut places: Vec<Point3<f64>> = Vec::new();
+        for k in 0..num_road + num_slope {
+            let z = uniform(1.0, 30.0);
+            let on_slope = k >= num_road;
+            let x = if on_slope { uniform(2.0, 6.0) } else { uniform(-2.0, 2.0) };
+            let lift = if on_slope { 0.27 * (x - 2.0) } else { 0.0 };
+            places.push(Point3::new(x, self.road_at(z) - lift, z));
+        }
+        let camera = Camera::with_focal(960, 540, 800.0);
+        let mut model = Reconstruction::default();
+        model.cameras.insert(CameraId(1), camera);
+        let mut tracks = vec![Vec::new(); places.len()];
+        for k in 0..NUM_FRAMES {
+            let cam_from_world = self.pose(k);
+            let id = ImageId::from(FrameId(k));
+            let mut observations = Vec::new();
+            for (idx, place) in places.iter().enumerate() {
+                let in_cam = cam_from_world * *place;
+                let near = in_cam.z > 0.5 && in_cam.z < 12.0;
+                let Some(pixel) = camera.pixel_from_cam(in_cam).filter(|p| near && camera.contains(*p)) else {
+                    continue;
+                };
+                tracks[idx].push(TrackElement { image: id, observation_idx: observations.len() as u32 });
+                let noise = Point2::new(uniform(-noise_px, noise_px), uniform(-noise_px, noise_px));
+                observations.push(Observation { pixel: pixel + noise.coords, point: Some(Point3dId(idx as u64 + 1)) });
+            }
+            let name = format!("{k:06}.jpg");
+            model.images.insert(id, Image { name, camera: CameraId(1), cam_from_world, observations });
+        }
+        for (idx, track) in tracks.into_iter().enumerate() {
+            // A pixel at the mean depth, in height.
+            let off = Vector3::new(0.0, uniform(-noise_px, noise_px) * 4.0 / 800.0, 0.0);
+            let position = places[idx] + off;
+            model.points.insert(Point3dId(idx as u64 + 1), Point3d { position, rgb: [0; 3], error_px: 0.5, track });
+        }
+        model
+    }
+
+    /// A vehicle two units wide of which a few points are seen `ahead` of the camera in every frame.
+    fn vehicle(&self, ahead: f64) -> Reconstruction {
+        let mut model = Reconstruction::default();
+        let camera = Camera::with_focal(960, 540, 800.0);
+        model.cameras.insert(CameraId(1), camera);
+        for k in 0..NUM_FRAMES {
+            let cam_from_world = self.pose(k);
+            let z = 0.3 * f64::from(k) + ahead;
+            let observations = [0.0, 0.1, 0.2].into_iter().filter_map(|up| {
+                let point = Point3::new(0.2, self.road_at(z) - up, z);
+                let pixel = camera.pixel_from_cam(cam_from_world * point)?;
+                Some(Observation { pixel, point: Some(Point3dId(1)) })
+            });
+            let observations = observations.collect();
+            let image = Image { name: format!("{k:06}.jpg"), camera: CameraId(1), cam_from_world, observations };
+            model.images.insert(ImageId::from(FrameId(k)), image);
+        }
+        model
+    }
+}
+
+#[test]
+fn the_road_is_found_although_the_slope_has_more_points() {
+    for (num_road, noise) in [(60, 0.0), (40, 0.5)] {
+        let model = Drive::STRAIGHT.background(num_road, 400, noise);
+        let found = find_mount(&model, None, &Options::default(), 3).unwrap();
+        assert_eq!(found, find_mount(&model, None, &Options::default(), 3).unwrap());
+        let roll = found.normal_in_cam.x.asin();
+        assert!((found.height / HEIGHT - 1.0).abs() < 0.02 && roll.abs() < 0.01, "{found:?}");
+        assert!(found.wander < 0.02 && found.height_std < 0.02 * HEIGHT, "{found:?}");
+    }
+}
+
+#[test]
+fn other_cameras_are_told_apart() {
+    let failure = |drive: Drive| find_mount(&drive.background(80, 0, 0.0), None, &Options::default(), 3).unwrap_err();
+    assert!(matches!(failure(Drive { turn: 0.5, ..Drive::STRAIGHT }), MountFailure::Turns { .. }));
+    let climbing = failure(Drive { climb: 0.004, ..Drive::STRAIGHT });
+    assert!(!matches!(climbing, MountFailure::Turns { .. }), "{climbing}");
+    let model = Drive::STRAIGHT.background(5, 0, 0.0);
+    assert!(matches!(find_mount(&model, None, &Options::default(), 3), Err(MountFailure::TooFewPoints { .. })));
+    let nothing = Reconstruction::default();
+    assert!(matches!(find_mount(&nothing, None, &Options::default(), 3), Err(MountFailure::TooFewFrames { .. })));
+}
+
+#[test]
+fn the_road_ahead_is_where_the_camera_comes_by() {
+    let drive = Drive { hill: 0.3, ..Drive::STRAIGHT };
+    let (model, vehicle) = (drive.background(300, 0, 0.0), drive.vehicle(6.0));
+    let mount = find_mount(&model, None, &Options::default(), 3).unwrap();
+    let chain = GroundChain { background: &model, labelled: &[], dominant: None, mount: Some(&mount) };
+    let found = chain.planes(ObjectId(1), &vehicle, &Options::default(), 3);
+    assert_eq!((found.planes.len(), found.skipped.len()), (NUM_FRAMES as usize, 0));
+    for (frame, plane) in &found.planes {
+        assert_eq!(plane.basis, PlaneBasis::Mount);
+        assert!(plane.common_height_std <= plane.height_std && plane.height_std.is_finite());
+        let z = 0.3 * f64::from(frame.0) + 6.0;
+        let off = plane.signed_distance(Point3::new(0.2, drive.road_at(z), z));
+        // Seen before the camera gets there; beyond its last place the road is guessed.
+        assert!(off.abs() < 3.0 * plane.height_std.max(0.02 * HEIGHT), "{frame:?}: {off}, {plane:?}");
+        let is_covered = z < 17.0;
+        assert!(!is_covered || off.abs() < 0.1 * HEIGHT, "{frame:?}: {off}");
+    }
+}

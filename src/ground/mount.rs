@@ -1,0 +1,201 @@
+//! The road below a camera that is fixed to a vehicle.
+//!
+//! Such a camera keeps its height over the road and its inclination against it for a whole drive, up to springs. So
+//! the road is one plane in the camera's own frame, and what is seen of it in any frame tells of it in every other:
+//! where smooth asphalt shows a dozen corners at a time, a drive shows hundreds (eq. 14 to 17 of
+//! `docs/maths/ground.md`).
+//!
+//! The case is recognised from the data: the camera looks in one direction against its way, the plane is parallel to
+//! that way, and the height over it is the same in all parts of the drive.
+
+use nalgebra::{Point3, Vector3};
+use thiserror::Error;
+
+use super::Options;
+use super::dominant::DominantPlane;
+use super::sighting::sightings;
+use super::way_plane::{Axes, Fit, Track, best_sample, refined};
+use crate::math::{median, seeded_rng};
+use crate::scene::{FrameId, Image, Point3dId, Reconstruction};
+
+/// Why a camera is not taken for one that is fixed to a vehicle.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum MountFailure {
+    /// Too few frames to see a way.
+    #[error("only {found} frames are registered; at least {needed} are needed")]
+    TooFewFrames {
+        /// Registered frames.
+        found: usize,
+        /// Fewest that are needed.
+        needed: usize,
+    },
+    /// The camera turns against its way.
+    #[error("the camera turns against its way: by {degrees:.1} degrees in half of the frames")]
+    Turns {
+        /// Median angle from the mean direction.
+        degrees: f64,
+    },
+    /// Too few points of a road.
+    #[error("only {found} points below the camera lie on one plane along its way; at least {needed} are needed")]
+    TooFewPoints {
+        /// Points on the best plane.
+        found: usize,
+        /// Fewest that are needed.
+        needed: usize,
+    },
+    /// The camera is too high for the way it goes.
+    #[error("the camera goes {heights:.1} of its heights over the plane: too short a way to tell that it keeps it")]
+    ShortWay {
+        /// Length of the way over the height.
+        heights: f64,
+    },
+    /// The height over the plane is not the same everywhere.
+    #[error("the camera's height over the plane varies by {percent:.0} % on the way")]
+    HeightVaries {
+        /// Robust standard deviation over the parts of the way.
+        percent: f64,
+    },
+}
+
+/// The road in the frame of a camera fixed to a vehicle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mount {
+    /// Unit normal in the camera's frame, upwards.
+    pub normal_in_cam: Vector3<f64>,
+    /// The camera's way in its own frame, unit length, at right angles to the normal.
+    pub way_in_cam: Vector3<f64>,
+    /// The camera's height over the road, units of the background.
+    pub height: f64,
+    /// Its standard deviation.
+    pub height_std: f64,
+    /// Standard deviation of the rotation about the way, radians.
+    pub roll_std: f64,
+    /// Standard deviation of the inclination along the way, radians.
+    pub pitch_std: f64,
+    /// How much the height differs between parts of the way, as a share of it: springs, and drift of scale.
+    pub wander: f64,
+    /// Points on the road.
+    pub num_points: usize,
+}
+
+/// Angle between the road and the dominant plane of a place up to which the latter is the ground, too, radians.
+const MAX_DISAGREEMENT: f64 = 0.07;
+
+impl Mount {
+    fn new(axes: &Axes, fit: &Fit, wander: f64, num_points: usize) -> Self {
+        let normal = (axes.up + axes.right * fit.roll + axes.way * fit.pitch).normalize();
+        Self {
+            normal_in_cam: normal,
+            way_in_cam: (axes.way - normal * normal.dot(&axes.way)).normalize(),
+            height: fit.height,
+            height_std: fit.stds.x,
+            roll_std: fit.stds.y,
+            pitch_std: fit.stds.z,
+            wander,
+            num_points,
+        }
+    }
+
+    /// Whether the ground that was found without labels is that on which the camera's vehicle drives, and not a bank
+    /// beside the road: by its inclination, and by the camera's height over it.
+    pub(super) fn agrees(&self, background: &Reconstruction, ground: &DominantPlane) -> bool {
+        let off = |image: &Image| {
+            let normal = image.cam_from_world.rotation.inverse() * self.normal_in_cam;
+            let height = ground.normal.dot(&(image.cam_from_world.center() - ground.point));
+            (normal.angle(&ground.normal), (height / self.height).ln().abs())
+        };
+        let (angles, ratios): (Vec<f64>, Vec<f64>) = background.images.values().map(off).unzip();
+        let within = |values: Vec<f64>, limit: f64| median(values).is_some_and(|typical| typical <= limit);
+        within(angles, MAX_DISAGREEMENT) && within(ratios, 0.25)
+    }
+}
+
+/// Fewest registered frames.
+const MIN_FRAMES: usize = 10;
+/// Fewest different points of the road.
+const MIN_POINTS: usize = 15;
+/// Median angle of the way against its mean direction in the camera's frame up to which the camera is fixed, radians.
+const MAX_TURN: f64 = 0.04;
+/// The way in heights below which a constant height is no sign of a vehicle.
+const MIN_WAY: f64 = 10.0;
+/// Up to which share the height may vary between parts of the way.
+const MAX_WANDER: f64 = 0.05;
+/// Parts of the way whose heights are compared.
+const NUM_PARTS: usize = 8;
+
+/// Finds the road below a camera that is fixed to a vehicle.
+///
+/// * `ground_points` – ascending; where labels say which points are ground, no other is looked at. `None`: all are.
+///
+/// # Errors
+/// [`MountFailure`] says what speaks against such a camera.
+pub fn find_mount(
+    background: &Reconstruction,
+    ground_points: Option<&[Point3dId]>,
+    options: &Options,
+    seed: u64,
+) -> Result<Mount, MountFailure> {
+    let images: Vec<(FrameId, &Image)> = background.images.iter().map(|(id, image)| (id.frame(), image)).collect();
+    if images.len() < MIN_FRAMES {
+        return Err(MountFailure::TooFewFrames { found: images.len(), needed: MIN_FRAMES });
+    }
+    let axes = Axes::new(way_in_cam(&images)?);
+    let seen = sightings(background, |id| ground_points.is_none_or(|ids| ids.binary_search(&id).is_ok()));
+    let tracks: Vec<Track> = seen.iter().filter_map(|sighting| Track::new(sighting, &axes, options)).collect();
+    let rng = &mut seeded_rng(seed, 0x006d_6f75_6e74);
+    let start = best_sample(&tracks, options.max_samples, rng);
+    let start = start.ok_or(MountFailure::TooFewPoints { found: 0, needed: MIN_POINTS })?;
+    let fit = refined(&tracks, start).ok_or(MountFailure::TooFewPoints { found: 0, needed: MIN_POINTS })?;
+    let found = tracks.iter().filter(|track| track.weight_on(&fit) > 0.0).count();
+    if found < MIN_POINTS {
+        return Err(MountFailure::TooFewPoints { found, needed: MIN_POINTS });
+    }
+    let heights = way_length(&images) / fit.height;
+    if !(heights >= MIN_WAY) {
+        return Err(MountFailure::ShortWay { heights });
+    }
+    let wander = wander(&tracks, &fit, &images);
+    if !(wander <= MAX_WANDER) {
+        return Err(MountFailure::HeightVaries { percent: 100.0 * wander });
+    }
+    Ok(Mount::new(&axes, &fit, wander, found))
+}
+
+/// Mean direction of the camera's way in its own frame.
+fn way_in_cam(images: &[(FrameId, &Image)]) -> Result<Vector3<f64>, MountFailure> {
+    let centers: Vec<Point3<f64>> = images.iter().map(|(_, image)| image.cam_from_world.center()).collect();
+    let reach = |k: usize| (k.saturating_sub(2), (k + 2).min(images.len() - 1));
+    let chords: Vec<Vector3<f64>> = (0..images.len())
+        .map(|k| {
+            let (first, last) = reach(k);
+            images[k].1.cam_from_world.rotation * (centers[last] - centers[first])
+        })
+        .collect();
+    // Where the vehicle stands, what is left is noise.
+    let typical = median(chords.iter().map(|chord| chord.norm()).collect()).unwrap_or(0.0);
+    let moving: Vec<Vector3<f64>> = chords.iter().filter(|c| c.norm() > 0.2 * typical).map(|c| c.normalize()).collect();
+    let turns = |degrees| MountFailure::Turns { degrees };
+    let mean = moving.iter().sum::<Vector3<f64>>().try_normalize(f64::EPSILON).ok_or(turns(90.0))?;
+    let angle = median(moving.iter().map(|way| way.angle(&mean)).collect()).unwrap_or(std::f64::consts::FRAC_PI_2);
+    if angle <= MAX_TURN { Ok(mean) } else { Err(turns(angle.to_degrees())) }
+}
+
+fn way_length(images: &[(FrameId, &Image)]) -> f64 {
+    let center = |(_, image): (FrameId, &Image)| image.cam_from_world.center();
+    images.windows(2).map(|pair| (center(pair[1]) - center(pair[0])).norm()).sum()
+}
+
+/// Robust standard deviation of the height between parts of the way, as a share of it (eq. 17).
+fn wander(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> f64 {
+    let first_of_part = |part: usize| images[part * images.len() / NUM_PARTS].0;
+    let starts: Vec<FrameId> = (0..NUM_PARTS).map(first_of_part).collect();
+    let mut off: Vec<Vec<f64>> = vec![Vec::new(); NUM_PARTS];
+    for track in tracks.iter().filter(|track| track.weight_on(fit) > 0.0) {
+        for (place, frame) in &track.places {
+            let part = starts.partition_point(|start| start <= frame).max(1) - 1;
+            off[part].push(fit.over(place) / fit.height);
+        }
+    }
+    let medians: Vec<f64> = off.into_iter().filter(|part| part.len() >= MIN_POINTS).filter_map(median).collect();
+    1.4826 * median(medians.iter().map(|x| x.abs()).collect()).unwrap_or(0.0)
+}

@@ -1,0 +1,56 @@
+//! What is assumed of the contact with the ground, by the class of a vehicle.
+
+use super::ContactOptions;
+
+/// Kinds of bodies that differ in where their tyres are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Body {
+    /// Cars and vans, and what is only known to be a vehicle.
+    #[default]
+    Car,
+    /// Lorries, buses and trailers: axles far from the ends, open frames, skirts.
+    Long,
+    /// Motorcycles and bicycles: two narrow tyres in the middle plane.
+    TwoWheeler,
+}
+
+impl Body {
+    /// By the class name of a detector (COCO) or of the data set.
+    pub fn of_class(class: &str) -> Self {
+        match class {
+            "truck" | "bus" | "train" | "lorry" | "trailer" => Self::Long,
+            "motorcycle" | "bicycle" | "motorbike" => Self::TwoWheeler,
+            _ => Self::Car,
+        }
+    }
+
+    /// The options for this body: those that are set are a car's. What was not measured gets a wide deviation.
+    pub(super) fn contact(self, car: &ContactOptions) -> ContactOptions {
+        let wider = |[mean, std]: [f64; 2], factor: f64| [mean, factor * std];
+        match self {
+            Self::Car => *car,
+            Self::Long => {
+                ContactOptions { side: wider(car.side, 2.0), lowest: [0.15, 0.12], overhang: [0.7, 0.4], ..*car }
+            }
+            Self::TwoWheeler => {
+                ContactOptions { side: wider(car.side, 2.0), lowest: [0.1, 0.12], overhang: [0.2, 0.15], ..*car }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_not_measured_is_less_sure() {
+        let car = ContactOptions::default();
+        assert_eq!(Body::of_class("car").contact(&car), car);
+        assert_eq!(Body::of_class("vehicle"), Body::Car);
+        for class in ["bus", "truck", "motorcycle", "bicycle"] {
+            let other = Body::of_class(class).contact(&car);
+            assert!(other.check().is_ok() && other.side[1] > car.side[1] && other.lowest[1] > car.lowest[1], "{class}");
+        }
+    }
+}
