@@ -303,10 +303,27 @@ pub(super) fn warn_of_gaps(target: &str, report: &ModelReport, outcome: &mut Out
         *reasons.entry(reason).or_default() += 1;
     }
     let commonest = reasons.iter().max_by_key(|(_, count)| **count).map_or("", |(reason, _)| *reason);
+    let frames = ranges(report.unregistered.keys().map(|frame| frame.0));
     outcome.warn(format!(
-        "{target}: {missing} of {} frames are not registered; the commonest reason: {commonest}",
+        "{target}: {missing} of {} frames are not registered ({frames}); the commonest reason: {commonest}",
         report.num_visible
     ));
+}
+
+/// Ascending numbers in words: "3 to 7, 9", the first few ranges of them.
+fn ranges(numbers: impl Iterator<Item = u32>) -> String {
+    const MOST: usize = 5;
+    let mut ranges: Vec<[u32; 2]> = Vec::new();
+    for number in numbers {
+        match ranges.last_mut() {
+            Some([_, last]) if *last + 1 == number => *last = number,
+            _ => ranges.push([number, number]),
+        }
+    }
+    let word = |[first, last]: &[u32; 2]| if first == last { first.to_string() } else { format!("{first} to {last}") };
+    let words: Vec<String> = ranges.iter().take(MOST).map(word).collect();
+    let more = ranges.len().saturating_sub(MOST);
+    if more == 0 { words.join(", ") } else { format!("{} and {more} ranges more", words.join(", ")) }
 }
 
 #[cfg(test)]
@@ -338,6 +355,12 @@ mod tests {
 
     fn frames() -> Vec<Frame> {
         (0..4).map(|k| Frame { id: FrameId(k), name: format!("{k:06}.jpg"), time_s: 0.0 }).collect()
+    }
+
+    #[test]
+    fn missing_frames_are_named_in_ranges() {
+        assert_eq!(ranges([3, 4, 5, 9, 11, 12].into_iter()), "3 to 5, 9, 11 to 12");
+        assert_eq!(ranges((0..14).step_by(2)), "0, 2, 4, 6, 8 and 2 ranges more");
     }
 
     #[test]

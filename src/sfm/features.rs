@@ -71,7 +71,7 @@ impl FeatureOptions {
 pub struct Features {
     /// Positions, pixels, first pixel centre at (0.5, 0.5).
     pub pixels: Vec<Point2<f64>>,
-    /// Colours there.
+    /// Colours there; none where the image has none.
     pub rgb: Vec<[u8; 3]>,
     /// Their sizes and directions.
     pub shapes: Vec<Shape>,
@@ -96,11 +96,22 @@ impl Features {
 /// # Errors
 /// [`SfmError::OpenCv`] if OpenCV fails, for example on an image side beyond its limits.
 pub fn extract(image: &RgbImage, mask: &Mask, options: &FeatureOptions) -> Result<Features, SfmError> {
+    let mut features = extract_gray(&gray_from_rgb(image)?, mask, options)?;
+    let colour = |p: &Point2<f64>| image.get_pixel_checked(p.x.max(0.0) as u32, p.y.max(0.0) as u32);
+    features.rgb = features.pixels.iter().map(|pixel| colour(pixel).map_or([0; 3], |c| c.0)).collect();
+    Ok(features)
+}
+
+/// The same in a grey image; the features have no colours.
+///
+/// # Errors
+/// As [`extract`].
+pub fn extract_gray(image: &GrayImage, mask: &Mask, options: &FeatureOptions) -> Result<Features, SfmError> {
     let mask = mask.eroded(options.border_px);
     let Some(window) = mask.bounding_box().map(|b| padded(b, image.width(), image.height())) else {
         return Ok(Features::default());
     };
-    let (crop, crop_mask) = cropped(&gray_from_rgb(image)?, &mask, window);
+    let (crop, crop_mask) = cropped(image, &mask, window);
     let scale = enlargement(window, options.enlarge_below_px);
     let (width, height) = (crop.width() * scale, crop.height() * scale);
     let crop = if scale > 1 { resize_gray(&crop, width, height)? } else { crop };
@@ -113,7 +124,7 @@ pub fn extract(image: &RgbImage, mask: &Mask, options: &FeatureOptions) -> Resul
         doubled: options.doubled,
     };
     let found = sift::detect(&picture, &wanted, |x, y| crop_mask.get(x as i64, y as i64));
-    Ok(collected(image, window, f64::from(scale), &found))
+    Ok(collected(window, f64::from(scale), &found))
 }
 
 /// The window with room for descriptors that reach over the mask.
@@ -138,14 +149,11 @@ fn enlargement(window: BoundingBox, enlarge_below_px: u32) -> u32 {
     enlarge_below_px.div_ceil(side).clamp(1, 4)
 }
 
-fn collected(image: &RgbImage, window: BoundingBox, scale: f64, found: &sift::Found) -> Features {
+fn collected(window: BoundingBox, scale: f64, found: &sift::Found) -> Features {
     let mut features = Features::default();
     for (keypoint, descriptor) in found.keypoints.iter().zip(found.descriptors.chunks_exact(DESCRIPTOR_LEN)) {
         let (x, y) = (f64::from(keypoint.x) / scale, f64::from(keypoint.y) / scale);
-        let pixel = Point2::new(x + f64::from(window.x0), y + f64::from(window.y0));
-        let colour = image.get_pixel_checked(pixel.x.max(0.0) as u32, pixel.y.max(0.0) as u32);
-        features.pixels.push(pixel);
-        features.rgb.push(colour.map_or([0; 3], |c| c.0));
+        features.pixels.push(Point2::new(x + f64::from(window.x0), y + f64::from(window.y0)));
         features.shapes.push(Shape { scale: keypoint.scale / scale as f32, angle: keypoint.angle });
         features.descriptors.extend(root_sift(descriptor));
     }

@@ -62,7 +62,7 @@ impl FrontEnd {
     /// refuses may end in a panic.
     pub fn new(options: &FrontEndOptions, camera: Camera) -> Self {
         match options {
-            FrontEndOptions::Video(o) => Self::Video(AnySizeFrontEnd::new(o.clone())),
+            FrontEndOptions::Video(o) => Self::Video(AnySizeFrontEnd::new(o.clone(), camera)),
             FrontEndOptions::Sift(o) => Self::Sift(SiftFrontEnd::new(o.clone(), camera)),
         }
     }

@@ -9,6 +9,7 @@
 use super::SfmError;
 use super::tracks::TrackTable;
 use super::video_front_end::{VideoFrontEnd, VideoOptions};
+use crate::camera::Camera;
 use crate::image::{RgbImage, resize_rgb, scale_to_fit};
 use crate::scene::{Frame, Mask};
 
@@ -20,6 +21,7 @@ const MAX_SIDE_PX: u32 = 1920;
 /// A [`VideoFrontEnd`] for frames of any size.
 pub struct AnySizeFrontEnd {
     options: VideoOptions,
+    camera: Camera,
     at_work: Option<(VideoFrontEnd, Reduction)>,
 }
 
@@ -31,9 +33,9 @@ enum Reduction {
 }
 
 impl AnySizeFrontEnd {
-    /// Nothing seen yet.
-    pub fn new(options: VideoOptions) -> Self {
-        Self { options, at_work: None }
+    /// Nothing seen yet. `camera`, of whole frames, serves to verify points that are found again; a guess will do.
+    pub fn new(options: VideoOptions, camera: Camera) -> Self {
+        Self { options, camera, at_work: None }
     }
 
     /// Adds the next frame, looking only where the mask, of the frame's size, is set.
@@ -41,8 +43,8 @@ impl AnySizeFrontEnd {
     /// # Errors
     /// [`SfmError::OpenCv`] if OpenCV fails.
     pub fn push(&mut self, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), SfmError> {
-        let options = &self.options;
-        let (front_end, reduction) = self.at_work.get_or_insert_with(|| begin(options, image, mask));
+        let (options, camera) = (&self.options, &self.camera);
+        let (front_end, reduction) = self.at_work.get_or_insert_with(|| begin(options, camera, image, mask));
         if *reduction == Reduction::None {
             return front_end.push(frame, image, mask);
         }
@@ -59,14 +61,21 @@ impl AnySizeFrontEnd {
     }
 }
 
-fn begin(options: &VideoOptions, image: &RgbImage, mask: &Mask) -> (VideoFrontEnd, Reduction) {
+fn begin(options: &VideoOptions, camera: &Camera, image: &RgbImage, mask: &Mask) -> (VideoFrontEnd, Reduction) {
     let extent = mask.bounding_box().map_or(0, |b| b.width().max(b.height()));
     let reduction = if extent > MAX_SIDE_PX { Reduction::ToMaxSide } else { Reduction::None };
     let side = image.width().max(image.height());
     let side = if reduction == Reduction::ToMaxSide { side.min(MAX_SIDE_PX) } else { side };
     let more = (f64::from(side) / f64::from(USUAL_SIDE_PX)).log2().ceil().max(0.0) as i32;
     let options = VideoOptions { pyramid_levels: options.pyramid_levels + more, ..options.clone() };
-    (VideoFrontEnd::new(options), reduction)
+    let camera = match reduction {
+        Reduction::None => camera.clone(),
+        Reduction::ToMaxSide => {
+            let (width, height) = scale_to_fit(image.width(), image.height(), MAX_SIDE_PX);
+            camera.resized(width, height)
+        }
+    };
+    (VideoFrontEnd::new(options, camera), reduction)
 }
 
 /// Frame pixels per reduced pixel, across and down.
@@ -93,7 +102,8 @@ mod tests {
         let mut rng = seeded_rng(1, 0);
         let coarse = RgbImage::from_fn(200, 10, |_, _| ::image::Rgb([rng.random(); 3]));
         let whole = ::image::imageops::resize(&coarse, 4000, 200, ::image::imageops::FilterType::CatmullRom);
-        let mut front_end = AnySizeFrontEnd::new(VideoOptions { min_track_length: 3, ..VideoOptions::background() });
+        let options = VideoOptions { min_track_length: 3, ..VideoOptions::background() };
+        let mut front_end = AnySizeFrontEnd::new(options, Camera::prior(3840, 200));
         for k in 0..3 {
             let picture = ::image::imageops::crop_imm(&whole, STEP_PX * k, 0, 3840, 200).to_image();
             let frame = Frame { id: FrameId(k), name: format!("{k}.png"), time_s: f64::from(k) };

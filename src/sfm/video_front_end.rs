@@ -5,7 +5,17 @@
 //! Track*, CVPR 1994), predicted in the next frame by pyramidal Lucas-Kanade with a forward-backward check (OpenCV),
 //! and then aligned with the patch that was cut when it was found ([`super::patch`]), which keeps long tracks from
 //! drifting. A point that Lucas-Kanade loses is looked for once more where its neighbours' motion leads. Every position
-//! comes with how exactly the patch fixes it ([`Whitening`]).
+//! comes with how exactly the patch fixes it ([`Whitening`](crate::bundle::Whitening)).
+//!
+//! What was lost for longer, behind something else or out of the picture, is found again by appearance (`memory`,
+//! `bridge`).
+
+mod bridge;
+mod live;
+mod looks;
+mod memory;
+#[cfg(test)]
+mod tests;
 
 use nalgebra::{Matrix2, Point2, Vector2};
 use opencv::core::{Mat, Point2f, Size, Vector};
@@ -16,11 +26,13 @@ use super::lucas_kanade::LucasKanade;
 use super::patch::{Patch, Warp};
 use super::tracks::{Feature, Track, TrackTable, View};
 use super::{SfmError, Target};
-use crate::bundle::Whitening;
+use crate::camera::Camera;
 use crate::image::{GrayImage, RgbImage, gray_from_rgb, mat_from_bytes, mat_from_gray};
 use crate::limits::{Checked, within};
 use crate::math::Neighbors;
 use crate::scene::{Frame, Mask};
+use live::{Live, whitening};
+use memory::Memory;
 
 /// How points are found and followed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -106,26 +118,20 @@ impl VideoOptions {
     }
 }
 
-/// A point that is being followed.
-struct Live {
-    track: usize,
-    patch: Patch,
-    warp: Warp,
-    whitening: Whitening,
-}
-
 /// Follows points frame by frame.
 pub struct VideoFrontEnd {
     options: VideoOptions,
     previous: Option<Vector<Mat>>,
     live: Vec<Live>,
+    memory: Memory,
     table: TrackTable,
 }
 
 impl VideoFrontEnd {
-    /// Nothing seen yet.
-    pub fn new(options: VideoOptions) -> Self {
-        Self { options, previous: None, live: Vec::new(), table: TrackTable::default() }
+    /// Nothing seen yet. `camera` serves to verify points that are found again; a guess will do.
+    pub fn new(options: VideoOptions, camera: Camera) -> Self {
+        let memory = Memory::new(camera, options.patch_radius_px);
+        Self { options, previous: None, live: Vec::new(), memory, table: TrackTable::default() }
     }
 
     /// Adds the next frame, looking only where the mask is set.
@@ -139,7 +145,9 @@ impl VideoFrontEnd {
         if let Some(previous) = self.previous.take() {
             self.follow(&previous, &pyramid, &gray, &mask)?;
         }
+        self.find_again(&gray, &mask)?;
         self.find_new(&gray, &mask)?;
+        self.memory.remember(self.table.views.len(), gray, mask, &self.live);
         self.record(frame, image);
         self.previous = Some(pyramid);
         Ok(())
@@ -206,10 +214,26 @@ impl VideoFrontEnd {
                 self.live.push(point);
             }
         }
-        self.live.retain(|point| {
+        self.live.retain_mut(|point| {
             let center = point.warp.center.cast::<f64>();
-            mask.contains(center.x, center.y)
+            let is_over = point.views_left.as_mut().is_some_and(|left| {
+                *left = left.saturating_sub(1);
+                *left == 0
+            });
+            !is_over && mask.contains(center.x, center.y)
         });
+        Ok(())
+    }
+
+    /// Goes on with points that were lost in earlier frames and are seen here. Where a newer point lies at the same
+    /// place, the older one goes on.
+    fn find_again(&mut self, gray: &GrayImage, mask: &Mask) -> Result<(), SfmError> {
+        const SAME_PX: f32 = 2.0;
+        let found = self.memory.find_again(self.table.views.len(), gray, mask, &self.live)?;
+        let found: Vec<Live> = found.into_iter().map(Live::from).collect();
+        let goes_on = |point: &Live| found.iter().all(|f| (f.warp.center - point.warp.center).norm() > SAME_PX);
+        self.live.retain(goes_on);
+        self.live.extend(found);
         Ok(())
     }
 
@@ -243,7 +267,7 @@ impl VideoFrontEnd {
                 self.table.tracks.push(Track::new());
                 let warp = Warp { shape: Matrix2::identity(), center };
                 let whitening = whitening(patch.covariance(&warp.shape, TYPICAL_DIFFERENCE));
-                self.live.push(Live { track, patch, warp, whitening });
+                self.live.push(Live { track, patch, warp, whitening, views_left: None });
             }
         }
         Ok(())
@@ -268,22 +292,6 @@ impl VideoFrontEnd {
             self.table.tracks[point.track].push(Feature { view, feature: feature as u32 });
         }
         self.table.views.push(source);
-    }
-}
-
-impl Live {
-    /// Moves to where the patch is seen near a prediction; false, and unmoved, where it is not.
-    fn align(&mut self, predicted: Point2<f32>, gray: &GrayImage, min_correlation: f32) -> bool {
-        const MAX_CORRECTION_PX: f32 = 2.0;
-        let start = Warp { shape: self.warp.shape, center: predicted };
-        let Some(found) = self.patch.align(gray, &start) else { return false };
-        let is_near = (found.warp.center - predicted).norm() <= MAX_CORRECTION_PX;
-        if !is_near || found.correlation < min_correlation {
-            return false;
-        }
-        self.warp = found.warp;
-        self.whitening = whitening(found.covariance);
-        true
     }
 }
 
@@ -315,13 +323,6 @@ impl Motion {
         };
         from + Vector2::new(median(0), median(1))
     }
-}
-
-/// How exactly a position with this covariance (see [`Patch::covariance`]) is known, relative to that of a good corner:
-/// on rendered video the errors against the truth are 0.05 px times these relative deviations, from 0.5 to 20.
-fn whitening(covariance: Matrix2<f32>) -> Whitening {
-    const TYPICAL_PX: f64 = 0.05;
-    Whitening::from_covariance(covariance.cast::<f64>() / (TYPICAL_PX * TYPICAL_PX), 0.5, 20.0)
 }
 
 /// Mean squared difference between a patch and its next sight.

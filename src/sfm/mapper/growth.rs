@@ -1,8 +1,11 @@
 //! Growing a map from its first pair.
 
 mod finish;
+mod leaps;
+mod loops;
 
 use super::adjustment::{self, Freedom, Scope};
+use super::apart;
 use super::initial_pair::InitialPair;
 use super::map::{Map, Slot};
 use super::motion::{self, Remark};
@@ -101,7 +104,11 @@ impl<'a> Growth<'a> {
 
     /// The map and what became of every view.
     pub fn into_result(self) -> (Map<'a>, Report) {
-        let views = Report::of_views(&self.map, |view| Some(self.reason(view)));
+        let stretches = match self.options.ordered {
+            true => apart::stretches(&self.map, self.options.min_resection_inliers),
+            false => vec![None; self.map.poses.len()],
+        };
+        let views = Report::of_views(&self.map, |view| Some(self.reason(view, stretches[view])));
         let num_observations = (0..self.map.table.tracks.len()).map(|t| self.map.observations(t).count()).sum();
         let names = |pair: &InitialPair| pair.views.map(|v| self.map.table.views[v].name.clone());
         let report = Report {
@@ -246,7 +253,8 @@ impl<'a> Growth<'a> {
         Some(Rigid3::from_rotation_and_center(rotation, center))
     }
 
-    fn reason(&self, view: usize) -> Reason {
+    /// Why a view is not registered; `stretch` holds the first and the last view of that to which it belongs.
+    fn reason(&self, view: usize, stretch: Option<[usize; 2]>) -> Reason {
         let features = self.map.table.views[view].pixels.len();
         let (in_tracks, visible) = self.map.visibility(view);
         if let Some((agreeing, contradicting)) = self.refused[view] {
@@ -256,6 +264,9 @@ impl<'a> Growth<'a> {
             _ if features == 0 => Reason::NoFeatures,
             _ if in_tracks == 0 => Reason::NoMatches { features },
             Some(Attempt { visible, inliers }) => Reason::NoPose { visible, inliers },
+            None if stretch.is_some() => {
+                Reason::Apart { ends: stretch.unwrap_or_default().map(|v| self.map.table.views[v].name.clone()) }
+            }
             None => Reason::TooFewPoints { visible, needed: self.options.min_resection_inliers },
         }
     }

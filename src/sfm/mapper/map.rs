@@ -1,5 +1,8 @@
 //! The state of a growing map.
 
+mod joints;
+
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use nalgebra::{Point2, Point3};
@@ -22,6 +25,17 @@ pub struct MapPoint {
     pub active: Vec<bool>,
 }
 
+/// Features of each view that belong to tracks.
+fn slots_of_view(table: &TrackTable) -> Vec<Vec<Slot>> {
+    let mut slots = vec![Vec::new(); table.views.len()];
+    for (track, features) in (0..).zip(&table.tracks) {
+        for (slot, feature) in (0..).zip(features) {
+            slots[feature.view as usize].push(Slot { track, slot });
+        }
+    }
+    slots
+}
+
 /// Place of a feature in its track.
 #[derive(Clone, Copy, Debug)]
 pub struct Slot {
@@ -34,8 +48,8 @@ pub struct Slot {
 /// Poses and points found so far.
 #[derive(Clone)]
 pub struct Map<'a> {
-    /// What is reconstructed.
-    pub table: &'a TrackTable,
+    /// What is reconstructed; a copy where joints of tracks had to be taken apart.
+    pub table: Cow<'a, TrackTable>,
     /// Intrinsics.
     pub cameras: Vec<Camera>,
     /// Intrinsics as they were at the start.
@@ -55,21 +69,15 @@ pub struct Map<'a> {
 impl<'a> Map<'a> {
     /// Nothing known yet.
     pub fn new(table: &'a TrackTable, cameras: &[Camera]) -> Self {
-        let mut slots_of_view = vec![Vec::new(); table.views.len()];
-        for (track, features) in table.tracks.iter().enumerate() {
-            for (slot, feature) in features.iter().enumerate() {
-                slots_of_view[feature.view as usize].push(Slot { track: track as u32, slot: slot as u32 });
-            }
-        }
         Self {
-            table,
             cameras: cameras.to_vec(),
             guess: cameras.to_vec(),
             guess_deviation: Intrinsics::Refined.guess_deviation(),
             poses: vec![None; table.views.len()],
             points: vec![None; table.tracks.len()],
             num_visible: vec![0; table.views.len()],
-            slots_of_view,
+            slots_of_view: slots_of_view(table),
+            table: Cow::Borrowed(table),
         }
     }
 

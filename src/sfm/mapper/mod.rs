@@ -10,6 +10,7 @@
 //! Every view that is not part of the result has a [`Reason`] in the [`Report`].
 
 mod adjustment;
+mod apart;
 mod growth;
 mod initial_pair;
 mod lens;

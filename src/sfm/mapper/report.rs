@@ -41,6 +41,11 @@ pub enum Reason {
         /// Points of pairs that contradict it.
         contradicting: usize,
     },
+    /// It belongs to a stretch of the video that hangs together, and that nothing ties to the rest.
+    Apart {
+        /// Names of the first and the last view of the stretch.
+        ends: [String; 2],
+    },
     /// Nothing was reconstructed at all.
     NoStart,
 }
@@ -61,6 +66,9 @@ impl fmt::Display for Reason {
                 "its best pose contradicts {contradicting} points that it shares with other frames, and agrees \
                  with {agreeing}"
             ),
+            Self::Apart { ends: [first, last] } => {
+                write!(f, "{first} to {last} hang together, but too few points tie them to the rest")
+            }
             Self::NoStart => write!(f, "no pair of frames could start a reconstruction"),
         }
     }

@@ -63,12 +63,37 @@ pub fn match_features(a: &Features, b: &Features, options: &MatchOptions) -> Vec
 pub fn match_strongest(a: &Features, b: &Features, count: usize, options: &MatchOptions) -> Vec<[u32; 2]> {
     let part = |f: &'_ Features| f.len().min(count) * DESCRIPTOR_LEN;
     let (best_of_row, best_of_column) = products::best(&a.descriptors[..part(a)], &b.descriptors[..part(b)]);
+    mutual_matches(&best_of_row, &best_of_column, options)
+}
+
+fn mutual_matches(best_of_row: &[Best], best_of_column: &[Best], options: &MatchOptions) -> Vec<[u32; 2]> {
     let mutual = |(i, best): (usize, &Best)| {
         let back = best_of_column.get(best.index as usize)?;
         let agreed = back.index == i as u32 && best.is_distinct(options) && back.is_distinct(options);
         agreed.then_some([i as u32, best.index])
     };
     best_of_row.iter().enumerate().filter_map(mutual).collect()
+}
+
+/// The same among the pairs for which `may` holds, one by one: for pairs of which geometry leaves few.
+pub fn match_where(
+    a: &Features,
+    b: &Features,
+    may: impl Fn(usize, usize) -> bool,
+    options: &MatchOptions,
+) -> Vec<[u32; 2]> {
+    const NONE: Best = Best { index: u32::MAX, first: 0, second: 0 };
+    let (mut best_of_row, mut best_of_column) = (vec![NONE; a.len()], vec![NONE; b.len()]);
+    let descriptor = |i: usize| i * DESCRIPTOR_LEN..(i + 1) * DESCRIPTOR_LEN;
+    for (i, row) in best_of_row.iter_mut().enumerate() {
+        for (j, column) in best_of_column.iter_mut().enumerate().filter(|(j, _)| may(i, *j)) {
+            let (x, y) = (&a.descriptors[descriptor(i)], &b.descriptors[descriptor(j)]);
+            let product: i32 = x.iter().zip(y).map(|(x, y)| i32::from(*x) * i32::from(*y)).sum();
+            row.offer(product as i16, j as u32);
+            column.offer(product as i16, i as u32);
+        }
+    }
+    mutual_matches(&best_of_row, &best_of_column, options)
 }
 
 #[cfg(test)]

@@ -25,6 +25,17 @@ pub(super) struct Best {
     pub(super) second: i16,
 }
 
+impl Best {
+    /// Takes a product into account.
+    pub(super) fn offer(&mut self, product: i16, index: u32) {
+        if product > self.first {
+            *self = Self { index, first: product, second: self.first };
+        } else {
+            self.second = self.second.max(product);
+        }
+    }
+}
+
 /// [`Best`] of sixteen vectors at once; `index` counts blocks or queries.
 #[derive(Clone, Copy)]
 struct BestLanes {

@@ -14,6 +14,8 @@ impl Growth<'_> {
     /// Adjusts everything on all points, takes out and tries again what contradicts the view graph, and tries again
     /// what failed.
     pub fn finish(&mut self) -> Result<(), SfmError> {
+        self.mend_leaps()?;
+        self.close_loops()?;
         self.adjust_until_settled()?;
         let before: Vec<Option<Rigid3>> = self.map.poses.clone();
         self.review_views()?;
@@ -154,7 +156,7 @@ impl Growth<'_> {
         true
     }
 
-    fn pose_from(&self, view: usize, slots: &[Slot], start: Option<Rigid3>) -> Option<Resection> {
+    pub(super) fn pose_from(&self, view: usize, slots: &[Slot], start: Option<Rigid3>) -> Option<Resection> {
         let buffers = self.map.pixels_and_points(slots);
         let data = self.map.resection_data(view, &buffers);
         let max_error = self.options.max_pose_error_px;

@@ -1,0 +1,237 @@
+//! What earlier views showed, so that points that were lost are found again.
+//!
+//! Some views are kept as *key views*: their SIFT features, and small pictures of their points. A view becomes one where
+//! few of its points are those of the last key view, or where hardly any point lives on from the view before, which then
+//! is one, too. It is compared with the key views before it, and points that were lost since go on where they are found
+//! again ([`super::bridge`]): behind a pole, after another vehicle swept over them, on a vehicle that was out of the
+//! picture, at a place where the camera comes back.
+
+use std::collections::BTreeSet;
+
+use nalgebra::{Point2, Vector2};
+
+use super::SfmError;
+use super::bridge::{self, FoundAgain, Now};
+use super::live::Live;
+use super::looks::Looks;
+use crate::camera::Camera;
+use crate::image::GrayImage;
+use crate::scene::Mask;
+use crate::sfm::features::Features;
+use crate::sfm::matching::{MatchOptions, match_features, match_strongest};
+
+/// The link to the view before is broken, and that to the last key view weak, below these shares of common points.
+const BROKEN_LINK: f64 = 0.3;
+const WEAK_LINK: f64 = 0.3;
+/// Fewer points than these tie no views together.
+pub const FEW_POINTS: usize = 8;
+/// Points of a key view of which a picture is kept: more tie no better.
+const MAX_SIGHTS: usize = 300;
+/// Key views that are kept; beyond, every other one is forgotten, so that cost and memory are bounded.
+const MAX_KEYS: usize = 256;
+/// Key views a short time ago with which a view is compared, and of those the ones in which points are looked for.
+const NEAR_KEYS: usize = 8;
+const NEAR_CHOSEN: usize = 2;
+/// Views after which a place counts as one that comes back: as many as the longest tracks live.
+const COMES_BACK_AFTER: usize = 100;
+/// Smallest distance between two ties to such places, and for how many views their points are followed: in the system
+/// of bundle adjustment each of these views fills a row of its own.
+const TIE_DISTANCE: usize = 48;
+const TIE_VIEWS: usize = 8;
+/// Features in a first comparison with views long ago, and how many must match for a second one.
+const GLANCE_FEATURES: usize = 400;
+const GLANCE_MATCHES: usize = 12;
+
+/// A point as a view showed it.
+pub struct Sight {
+    pub track: usize,
+    /// Where it was, pixels.
+    pub center: Point2<f32>,
+    /// The picture round it.
+    picture: GrayImage,
+    /// Where the picture's corner lay.
+    corner: Vector2<f32>,
+}
+
+impl Sight {
+    /// `None` for a point too near to the image's border.
+    fn new(gray: &GrayImage, track: usize, center: Point2<f32>, radius: u32) -> Option<Self> {
+        let (x, y) = (center.x.floor() as i64 - i64::from(radius), center.y.floor() as i64 - i64::from(radius));
+        let (x, y, side) = (u32::try_from(x).ok()?, u32::try_from(y).ok()?, 2 * radius + 1);
+        let fits = x + side <= gray.width() && y + side <= gray.height();
+        let picture = || ::image::imageops::crop_imm(gray, x, y, side, side).to_image();
+        fits.then(|| Self { track, center, picture: picture(), corner: Vector2::new(x as f32, y as f32) })
+    }
+
+    /// The patch round the point as the view showed it.
+    pub fn patch(&self, radius: i32) -> Option<super::Patch> {
+        super::Patch::cut(&self.picture, self.center - self.corner, radius)
+    }
+}
+
+/// A view that is remembered.
+pub struct KeyView {
+    view: usize,
+    pub looks: Looks,
+    pub sights: Vec<Sight>,
+    /// Points that it showed; not all of them have a sight.
+    num_points: usize,
+}
+
+/// The view before, in case that the next one shows hardly any of its points.
+struct Last {
+    view: usize,
+    gray: GrayImage,
+    mask: Mask,
+    points: Vec<(usize, Point2<f32>)>,
+}
+
+/// Key views and the last view.
+pub struct Memory {
+    camera: Camera,
+    patch_radius: i32,
+    keys: Vec<KeyView>,
+    last: Option<Last>,
+    /// The view that was tied to a place long ago last.
+    tied_at: Option<usize>,
+    /// What the view at hand looks like, if it is to be a key view.
+    described: Option<Looks>,
+}
+
+impl Memory {
+    /// Nothing seen yet. `patch_radius`, pixels, is that of the front end.
+    pub fn new(camera: Camera, patch_radius: i32) -> Self {
+        Self { camera, patch_radius, keys: Vec::new(), last: None, tied_at: None, described: None }
+    }
+
+    /// Finds points of earlier views that are not alive, where the link to those views is weak.
+    ///
+    /// # Errors
+    /// [`SfmError::OpenCv`].
+    pub fn find_again(
+        &mut self,
+        view: usize,
+        gray: &GrayImage,
+        mask: &Mask,
+        live: &[Live],
+    ) -> Result<Vec<FoundAgain>, SfmError> {
+        let alive: BTreeSet<usize> = live.iter().map(|point| point.track).collect();
+        let is_broken = self.is_broken(&alive);
+        if !is_broken && !self.is_weak(&alive) {
+            return Ok(Vec::new());
+        }
+        if let Some(last) = self.last.take().filter(|last| is_broken && !self.is_key(last.view)) {
+            let mut looks = Looks::new(&last.gray, &last.mask)?;
+            looks.squeeze(&last.gray, &last.mask)?;
+            self.keep(last.view, looks, &last.gray, &last.points);
+        }
+        let mut looks = Looks::new(gray, mask)?;
+        if is_broken {
+            looks.squeeze(gray, mask)?;
+        }
+        let now = Now { camera: &self.camera, looks: &looks, gray, mask };
+        let mut found: Vec<FoundAgain> = Vec::new();
+        for chosen in self.chosen(view, &looks.plain.features) {
+            let key = &self.keys[chosen.key];
+            let is_known = |track: usize| alive.contains(&track) || found.iter().any(|f| f.track == track);
+            let more = bridge::find(key, &now, self.patch_radius, is_known, chosen.follow_for);
+            tracing::trace!(view, key = key.view, matches = chosen.num_matches, found = more.len(), "looked back");
+            if chosen.follow_for.is_some() && !more.is_empty() {
+                self.tied_at = Some(view);
+            }
+            found.extend(more);
+        }
+        self.described = Some(looks);
+        Ok(found)
+    }
+
+    /// To be called with all points of a view, those that are new among them.
+    pub fn remember(&mut self, view: usize, gray: GrayImage, mask: Mask, live: &[Live]) {
+        let points: Vec<_> = live.iter().map(|point| (point.track, point.warp.center)).collect();
+        if let Some(looks) = self.described.take() {
+            self.keep(view, looks, &gray, &points);
+        }
+        self.last = Some(Last { view, gray, mask, points });
+    }
+
+    fn is_key(&self, view: usize) -> bool {
+        self.keys.last().is_some_and(|key| key.view == view)
+    }
+
+    /// Whether hardly any point of the view before lives on.
+    fn is_broken(&self, alive: &BTreeSet<usize>) -> bool {
+        self.last.as_ref().is_some_and(|last| {
+            let live_on = last.points.iter().filter(|(track, _)| alive.contains(track)).count();
+            last.points.len() >= FEW_POINTS && (live_on as f64) < BROKEN_LINK * last.points.len() as f64
+        })
+    }
+
+    /// Whether the points of the last key view are hardly those that are alive.
+    fn is_weak(&self, alive: &BTreeSet<usize>) -> bool {
+        let Some(key) = self.keys.last() else { return alive.len() >= FEW_POINTS };
+        let common = key.sights.iter().filter(|sight| alive.contains(&sight.track)).count() as f64;
+        // Of the points alive only a part could have a sight.
+        let sampled = key.sights.len() as f64 / key.num_points.max(1) as f64;
+        common < WEAK_LINK * (key.sights.len() as f64).max(alive.len() as f64 * sampled)
+    }
+
+    fn keep(&mut self, view: usize, looks: Looks, gray: &GrayImage, points: &[(usize, Point2<f32>)]) {
+        // Two pixels more: for differences, and for a centre between pixels.
+        let radius = self.patch_radius.unsigned_abs() + 2;
+        let step = points.len().div_ceil(MAX_SIGHTS).max(1);
+        let seen = points.iter().step_by(step);
+        let sights = seen.filter_map(|(track, center)| Sight::new(gray, *track, *center, radius)).collect();
+        self.keys.push(KeyView { view, looks, sights, num_points: points.len() });
+        if self.keys.len() > MAX_KEYS {
+            let mut index = 0;
+            self.keys.retain(|_| {
+                index += 1;
+                index % 2 == 1
+            });
+        }
+    }
+
+    /// The key views in which points are looked for: of those a short time ago the ones that match best, and of those
+    /// long ago the first that matches half as well as the best.
+    fn chosen(&self, view: usize, features: &Features) -> Vec<Chosen> {
+        let is_far = |key: &KeyView| view - key.view >= COMES_BACK_AFTER;
+        let num_far = self.keys.iter().take_while(|key| is_far(key)).count();
+        let near = (num_far.max(self.keys.len().saturating_sub(NEAR_KEYS)))..self.keys.len();
+        let mut chosen: Vec<Chosen> = near
+            .map(|key| Chosen { key, num_matches: self.num_matches(key, features), follow_for: None })
+            .filter(|chosen| chosen.num_matches >= FEW_POINTS)
+            .collect();
+        chosen.sort_by_key(|chosen| (usize::MAX - chosen.num_matches, usize::MAX - chosen.key));
+        chosen.truncate(NEAR_CHOSEN);
+        if self.tied_at.is_none_or(|tied| view - tied >= TIE_DISTANCE) {
+            chosen.extend(self.place_long_ago(num_far, features));
+        }
+        chosen
+    }
+
+    fn place_long_ago(&self, num_far: usize, features: &Features) -> Option<Chosen> {
+        let glance = |key: &usize| {
+            let seen = &self.keys[*key].looks.plain.features;
+            match_strongest(seen, features, GLANCE_FEATURES, &MatchOptions::default()).len() >= GLANCE_MATCHES
+        };
+        let looked: Vec<Chosen> = (0..num_far)
+            .filter(glance)
+            .map(|key| Chosen { key, num_matches: self.num_matches(key, features), follow_for: Some(TIE_VIEWS) })
+            .collect();
+        let most = looked.iter().map(|chosen| chosen.num_matches).max()?;
+        looked.into_iter().find(|chosen| 2 * chosen.num_matches >= most)
+    }
+
+    fn num_matches(&self, key: usize, features: &Features) -> usize {
+        match_features(&self.keys[key].looks.plain.features, features, &MatchOptions::default()).len()
+    }
+}
+
+/// A key view in which points are looked for.
+struct Chosen {
+    /// Its index.
+    key: usize,
+    num_matches: usize,
+    /// For how many views its points are followed; `None` for as long as they are seen.
+    follow_for: Option<usize>,
+}

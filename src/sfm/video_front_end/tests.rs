@@ -1,0 +1,76 @@
+//! Points that are lost and found again, on pictures whose motion is known.
+
+use nalgebra::Vector2;
+use rand::Rng as _;
+
+use super::*;
+use crate::math::seeded_rng;
+use crate::scene::FrameId;
+
+/// Blocks of random grey with smooth borders: corners everywhere, no two alike.
+fn texture() -> GrayImage {
+    let mut rng = seeded_rng(5, 0);
+    let coarse = GrayImage::from_fn(110, 60, |_, _| ::image::Luma([rng.random_range(20..235)]));
+    ::image::imageops::resize(&coarse, 880, 480, ::image::imageops::FilterType::Triangle)
+}
+
+/// Tracks of a window that moves over the texture; its corners, whole pixels, by frame.
+fn followed(corners: &[[u32; 2]]) -> TrackTable {
+    const SIZE: [u32; 2] = [320, 240];
+    let texture = texture();
+    let mut front_end = VideoFrontEnd::new(VideoOptions::object(), Camera::prior(SIZE[0], SIZE[1]));
+    for (k, [x, y]) in (0u32..).zip(corners) {
+        let window = ::image::imageops::crop_imm(&texture, *x, *y, SIZE[0], SIZE[1]).to_image();
+        let image = RgbImage::from_fn(SIZE[0], SIZE[1], |x, y| ::image::Rgb([window.get_pixel(x, y).0[0]; 3]));
+        let frame = Frame { id: FrameId(k), name: format!("{k}.png"), time_s: f64::from(k) };
+        front_end.push(&frame, &image, &Mask::full(SIZE[0], SIZE[1])).unwrap();
+    }
+    front_end.finish()
+}
+
+/// How far the features of a track are from where the texture shows its first one, pixels: the largest.
+fn drift(table: &TrackTable, corners: &[[u32; 2]], track: &Track) -> f64 {
+    let place = |f: &Feature| {
+        let [x, y] = corners[f.view as usize].map(f64::from);
+        table.pixel(*f).coords + Vector2::new(x, y)
+    };
+    let first = place(&track[0]);
+    track.iter().map(|f| (place(f) - first).norm()).fold(0.0, f64::max)
+}
+
+fn crossing(table: &TrackTable, first: u32, then: u32) -> Vec<&Track> {
+    let has = |track: &Track, view: u32| track.iter().any(|f| f.view == view);
+    table.tracks.iter().filter(|track| has(track, first) && has(track, then)).collect()
+}
+
+#[test]
+fn points_go_on_behind_a_leap_that_no_track_survives() {
+    let corners: Vec<[u32; 2]> = (0..5).map(|k| [2 * k, k]).chain((0..5).map(|k| [170 + 2 * k, 90 + k])).collect();
+    let table = followed(&corners);
+    let joined = crossing(&table, 4, 5);
+    assert!(joined.len() >= 30, "{}", joined.len());
+    let worst = joined.iter().map(|track| drift(&table, &corners, track)).fold(0.0, f64::max);
+    assert!(worst < 0.3, "{worst}");
+    assert!(table.tracks.iter().all(|track| track.is_sorted_by(|a, b| a.view < b.view)));
+}
+
+#[test]
+fn another_place_is_not_taken_for_the_same() {
+    let corners: Vec<[u32; 2]> = (0..5).map(|k| [2 * k, k]).chain((0..5).map(|k| [540 + 2 * k, 200 + k])).collect();
+    assert!(crossing(&followed(&corners), 4, 5).is_empty());
+}
+
+#[test]
+fn a_place_that_comes_back_is_tied_for_a_few_views() {
+    let away = (0..110).map(|k| [5 * k, 0]);
+    let corners: Vec<[u32; 2]> = away.clone().chain(away.rev()).collect();
+    let table = followed(&corners);
+    let after_long = |track: &Track| track.windows(2).position(|w| w[1].view >= w[0].view + 100);
+    let returned: Vec<(&Track, usize)> =
+        table.tracks.iter().filter_map(|track| Some((track, track.len() - 1 - after_long(track)?))).collect();
+    assert!(returned.len() >= 20, "{}", returned.len());
+    for (track, num_later) in returned {
+        assert!(num_later <= 8, "{num_later} views after {:?}", track[0]);
+        assert!(drift(&table, &corners, track) < 0.5);
+    }
+}
