@@ -5,11 +5,11 @@
     scripts/benchmark/perception.py clips VIDEO... --output DIR [--truth-boxes FILE] [--compare-model FILE] [-- FLAGS]
 
 `rendered` runs the program on the sequence's video.mp4 with nothing given (with --intrinsics-of-sequence the true K),
-and once more with the true masks. A frame counts where at least 60 % of the target's outline is visible; the target is
-found in it where the mask of one track overlaps its own by at least one half (intersection over union). IoU is the mean
-over the frames in which it is found. A switch is a change of the id that finds it. Tracks that never find the target
-are `others` where they lie on other vehicles that move, `pieces` on the target, else `false`: in most of their frames
-at least half of their pixels have that label.
+and once more with the true masks. A frame counts where at least 60 % (--min-visible) of its outline is visible; the
+target is found in it where the mask of one track overlaps its own by at least one half (intersection over union). IoU
+is the mean over the frames in which it is found. A switch is a change of the id that finds it. Tracks that never find
+the target are `others` where they lie on other vehicles that move, `pieces` on the target, else `false`: in most of
+their frames at least half of their pixels have that label.
 
 `clips` counts tracks and trajectories, and draws the masks over eight frames. A file of --truth-boxes holds one line
 x,y,width,height per frame, NaN where the object is absent, and belongs to the video with whose name its own begins; the
@@ -115,7 +115,7 @@ def best_track(masks: dict[int, np.ndarray], target: np.ndarray) -> tuple[int | 
     return best, 0.0 if best is None else overlaps[best]
 
 
-def against_truth(output: RunOutput, sequence: Path, scene: dict) -> Row:
+def against_truth(output: RunOutput, sequence: Path, scene: dict, min_visible: float) -> Row:
     """The target's recall and overlap, and what the other tracks are."""
     target, tracks = Target(sequence, scene), output.ids
     ious, finders, labels = [], [], {track: [] for track in tracks}
@@ -131,7 +131,7 @@ def against_truth(output: RunOutput, sequence: Path, scene: dict) -> Row:
         best, iou = best_track(masks, label == TARGET)
         if best is not None and iou >= MIN_MASK_IOU:
             finds_target.add(best)
-        if target.visible_share(frame, np.count_nonzero(label == TARGET)) >= MIN_VISIBLE:
+        if target.visible_share(frame, np.count_nonzero(label == TARGET)) >= min_visible:
             ious.append(iou)
             finders += [best] if iou >= MIN_MASK_IOU else []
     rest = {track: kind_of_track(labels[track]) for track in tracks if track not in finds_target}
@@ -161,7 +161,7 @@ def rendered_row(program: Program, sequence: Path, arguments: argparse.Namespace
     write_sheet(video, raw, program.folder / f"{name}-raw.png")
     return {
         "name": name,
-        **against_truth(raw, sequence, scene),
+        **against_truth(raw, sequence, scene, arguments.min_visible),
         "error_m": program.trajectory_error(raw, sequence),
         "error_with_masks_m": program.trajectory_error(given, sequence),
         "num_frames": raw.num_frames,
@@ -359,6 +359,7 @@ def parsed() -> argparse.Namespace:
     rendered = kinds.add_parser("rendered", help="sequences with a scene.json")
     rendered.add_argument("inputs", nargs="+", type=Path, metavar="SEQUENCE")
     rendered.add_argument("--intrinsics-of-sequence", action="store_true", help="give the true K")
+    rendered.add_argument("--min-visible", type=float, default=MIN_VISIBLE, help="share of the outline that counts")
     clips = kinds.add_parser("clips", help="videos")
     clips.add_argument("inputs", nargs="+", type=Path, metavar="VIDEO")
     clips.add_argument("--truth-boxes", type=Path, action="append", default=[], metavar="FILE")

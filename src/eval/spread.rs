@@ -160,8 +160,8 @@ mod tests {
             support: None,
         };
         let poses = (0..8).map(pose).collect();
-        let car =
-            ObjectTrajectory { id: ObjectId(1), class: "car".into(), confidence: 1.0, scale, verdict: None, poses };
+        let (id, class, ground) = (ObjectId(1), "car".into(), BTreeMap::new());
+        let car = ObjectTrajectory { id, class, confidence: 1.0, scale, ground, verdict: None, poses };
         let cameras =
             (0..8).map(|k| (FrameId(k), Rigid3::from_rotation_and_center(UnitQuaternion::identity(), camera(k))));
         let trajectories = Trajectories { unit: Unit::Background, objects: vec![car] };

@@ -70,6 +70,8 @@ mod tests {
             movement: MovementFinding { state: Movement::Moving, reason: "12 of 14 points move".into() },
             left_out: None,
             frames: [3, 4, 7].map(FrameId).to_vec(),
+            gaps: Vec::new(),
+            apart: Vec::new(),
         }
     }
 

@@ -101,10 +101,22 @@ fn follow(run: &Run, outcome: &mut Outcome) -> Result<(Vec<Frame>, Vec<PointTrac
 }
 
 /// The background as motion is held against it.
-struct World {
+pub(super) struct World {
     times_s: Vec<f64>,
-    views: Vec<Option<View>>,
-    ground: Option<GroundModel>,
+    /// Per frame its camera, where the background has one.
+    pub(super) views: Vec<Option<View>>,
+    /// The ground, if it was found.
+    pub(super) ground: Option<GroundModel>,
+}
+
+/// The background as later stages hold frames against it; `None` where frames do not follow one another in time, or
+/// motion is not looked at.
+pub(super) fn world(run: &Run, frames: &[Frame]) -> Result<Option<World>, PipelineError> {
+    if !is_wanted(run)? {
+        return Ok(None);
+    }
+    let (background, _) = models::background(run)?;
+    Ok(Some(World::new(run, &background, frames, &mut Outcome::default())))
 }
 
 impl World {

@@ -3,8 +3,10 @@
 mod backward;
 mod found;
 mod given;
+mod joined;
 mod kept;
 mod movement;
+mod places;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -16,11 +18,9 @@ use super::networks::Networks;
 use super::run::{Outcome, Run};
 use super::{Instances, PipelineError, fingerprint};
 use crate::io::{RunFolder, masks};
-use crate::perception::{FlowEstimator, TrackSummary, load_flow, support};
+use crate::perception::{FlowEstimator, Sighted, TrackSummary, load_flow, support};
 use crate::scene::{Frame, Mask, Movement, ObjectId, TrackedObject};
 
-/// Why a piece of the ground is left out.
-const FLAT: &str = "none of its points rises over the ground: a piece of road, not a vehicle";
 /// Where masks that were asked for are kept while the stage is at work.
 const ANSWERS: &str = "answers-";
 
@@ -48,8 +48,8 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let answers = run.workspace.keep_only(ANSWERS, &fingerprint::folder_name(ANSWERS, fingerprint))?;
     let objects = run.workspace.put_folder(&run.workspace.tracks(), |folder| {
         let (mut objects, summaries) = tracked(run, folder, &answers, &mut outcome)?;
-        let flat = movement::find(run, folder, &mut objects)?;
-        leave_out(&mut objects, &summaries, &flat, &mut outcome);
+        let sighted = movement::find(run, folder, &mut objects)?;
+        leave_out(&mut objects, &summaries, &sighted, &mut outcome);
         Ok(objects)
     })?;
     if objects.is_empty() && run.options.instances != Instances::None {
@@ -74,38 +74,36 @@ fn tracked(
         Instances::None => (Vec::new(), BTreeMap::new()),
         Instances::Masks(masks) => (given::split(run, masks, folder, outcome)?, BTreeMap::new()),
         Instances::Model(_) => {
-            let (objects, _): (Vec<_>, BTreeMap<_, _>) =
-                split(found::follow(run, &mut Finds::masks(run), folder, outcome)?);
+            let mut followed = found::follow(run, &mut Finds::masks(run), folder, outcome)?;
+            joined::join_pieces(run, folder, &mut followed, outcome)?;
+            let (objects, _): (Vec<_>, BTreeMap<_, _>) = split(followed);
             (objects, BTreeMap::new())
         }
         Instances::Vehicles => {
             let mut finds = Finds::boxes(run, answers.to_owned(), outcome)?;
             let mut followed = found::follow(run, &mut finds, folder, outcome)?;
             backward::extend(run, &mut finds, folder, &mut followed, outcome)?;
+            joined::join_pieces(run, folder, &mut followed, outcome)?;
             split(followed)
         }
     })
 }
 
-/// Says of the objects that neither class nor motion supports that they are not reconstructed.
+/// Says of the objects that are not vehicles enough that they are not reconstructed.
 ///
 /// * `summaries` – of the objects that the program found by itself.
-/// * `flat` – those that are a piece of the ground.
+/// * `sighted` – what the masks say of each.
 fn leave_out(
     objects: &mut [TrackedObject],
     summaries: &BTreeMap<ObjectId, TrackSummary>,
-    flat: &BTreeSet<ObjectId>,
+    sighted: &BTreeMap<ObjectId, Sighted>,
     outcome: &mut Outcome,
 ) {
     for object in objects {
-        let Some(summary) = summaries.get(&object.id) else { continue };
-        let reason = match support(summary, object.movement.state) {
-            _ if flat.contains(&object.id) => Some(FLAT.to_owned()),
-            supported => supported.err().map(|reason| reason.to_string()),
-        };
-        if let Some(reason) = reason {
+        let Some((summary, sighted)) = summaries.get(&object.id).zip(sighted.get(&object.id)) else { continue };
+        if let Err(reason) = support(summary, sighted) {
             outcome.warn(format!("object {} is left out: {reason}", object.id));
-            object.left_out = Some(reason);
+            object.left_out = Some(reason.to_string());
         }
     }
 }

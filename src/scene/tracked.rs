@@ -29,6 +29,18 @@ impl FoundIn {
         self.detector + self.both
     }
 
+    /// The frames of both.
+    pub fn plus(&self, other: &Self) -> Self {
+        Self {
+            given: self.given + other.given,
+            detector: self.detector + other.detector,
+            motion: self.motion + other.motion,
+            both: self.both + other.both,
+            prompted: self.prompted + other.prompted,
+            carried: self.carried + other.carried,
+        }
+    }
+
     /// Frames in which its motion found it.
     pub fn by_motion(&self) -> usize {
         self.motion + self.both
@@ -96,6 +108,57 @@ pub struct MovementFinding {
     pub reason: String,
 }
 
+/// What says that two sights show one object. What could not be looked at is `None`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Sameness {
+    /// How far the second is from where the first leads to expect it, as a share of what is tolerated: 0 to 1.
+    pub place: Option<f64>,
+    /// Similarity of their colours (Bhattacharyya coefficient), 0 to 1.
+    pub colours: Option<f64>,
+    /// How large the second is beside the first, once the distance to the camera is allowed for: ratio of areas.
+    pub size: Option<f64>,
+    /// Points that both show, each in the same place of the object.
+    pub num_points: Option<usize>,
+    /// Points that look alike in both, of which those are a part.
+    pub num_matches: Option<usize>,
+}
+
+impl fmt::Display for Sameness {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let parts = [
+            self.place.map(|place| format!("{:.0} % of the tolerated distance from its place", 100.0 * place)),
+            self.colours.map(|colours| format!("colours {:.0} % alike", 100.0 * colours)),
+            self.size.map(|size| format!("{size:.2} times as large")),
+            self.num_points.map(|points| format!("{points} points in common")),
+            self.num_matches.map(|matches| format!("of {matches} that look alike")),
+        ];
+        let said: Vec<String> = parts.into_iter().flatten().collect();
+        if said.is_empty() { f.write_str("nothing") } else { f.write_str(&said.join(", ")) }
+    }
+}
+
+/// A time in which an object was not seen, or the seam between two pieces of its track that meet.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Gap {
+    /// The last frame before it.
+    pub last: FrameId,
+    /// The first frame after it.
+    pub first: FrameId,
+    /// What says that it is the same object after it.
+    pub evidence: Sameness,
+}
+
+/// An object that might be the same as another one, and is not taken for it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Apart {
+    /// The other one, which is seen later.
+    pub object: ObjectId,
+    /// What is known of both.
+    pub evidence: Sameness,
+    /// Why they are kept apart, in words.
+    pub reason: String,
+}
+
 /// An object that was followed through the frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrackedObject {
@@ -118,6 +181,12 @@ pub struct TrackedObject {
     pub left_out: Option<String>,
     /// Frames in which it has a mask, ascending.
     pub frames: Vec<FrameId>,
+    /// Where it was lost from sight and found again, ascending.
+    #[serde(default)]
+    pub gaps: Vec<Gap>,
+    /// Objects seen later that might be this one.
+    #[serde(default)]
+    pub apart: Vec<Apart>,
 }
 
 #[cfg(test)]
@@ -130,5 +199,12 @@ mod tests {
         assert_eq!(found.to_string(), "detector and motion 12, motion alone 3, carried by flow 40");
         assert_eq!((found.by_detector(), found.by_motion()), (12, 15));
         assert_eq!(FoundIn::default().to_string(), "nothing");
+    }
+
+    #[test]
+    fn what_says_that_two_sights_show_one_object_is_said_in_words() {
+        let evidence = Sameness { place: Some(0.25), num_points: Some(17), ..Sameness::default() };
+        assert_eq!(evidence.to_string(), "25 % of the tolerated distance from its place, 17 points in common");
+        assert_eq!(Sameness::default().to_string(), "nothing");
     }
 }

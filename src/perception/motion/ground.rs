@@ -2,6 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 
+use super::View;
 use crate::math::{Neighbors, Rigid3, upper_median};
 
 /// The ground of a background: a plane through all of it, and points that say how far the ground is off it near them.
@@ -38,6 +39,17 @@ impl GroundModel {
     pub(super) fn camera_height(&self, cam_from_world: &Rigid3) -> Option<f64> {
         let height = self.normal.dot(&(cam_from_world.center() - self.point));
         (height > 0.0).then_some(height)
+    }
+
+    /// Where the ray through a pixel meets the ground, in the background's frame; `None` for one to the sky or near the
+    /// horizon, more than a hundred heights of the camera away.
+    pub fn meets(&self, view: &View, pixel: [f64; 2]) -> Option<Point3<f64>> {
+        const MOST_HEIGHTS: f64 = 100.0;
+        let ray = view.camera.normalized_from_pixel(pixel.into()).push(1.0);
+        let inverse_depth = self.inverse_depth(&view.cam_from_world, ray)?;
+        let height = self.camera_height(&view.cam_from_world)?;
+        let is_near = inverse_depth * MOST_HEIGHTS * height > 1.0;
+        is_near.then(|| view.cam_from_world.inverse() * Point3::from(ray / inverse_depth))
     }
 
     /// Inverse of the depth at which the ray through (x, y, 1), in camera coordinates, meets the ground; zero or

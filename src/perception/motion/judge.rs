@@ -36,6 +36,8 @@ pub struct Judgement {
     pub num_moving: usize,
     /// Points that say it stands.
     pub num_standing: usize,
+    /// Whether it is a piece of the ground as far as its points tell: none of them rises over it.
+    pub is_flat: bool,
 }
 
 impl fmt::Display for Judgement {
@@ -83,7 +85,18 @@ pub fn judge(points: &[(&PointTrack, &TrackLabel, f64)]) -> Judgement {
     };
     let grown = 1.0 - (-((num_moving + num_standing) as f64) / 4.0).exp();
     let confidence = if movement == Movement::Undetermined { 0.0 } else { (0.3 + 0.7 * certainty) * grown };
-    Judgement { movement, confidence, reason, num_moving, num_standing }
+    let is_flat = lies_flat(on_it.iter().map(|(_, label, _)| *label));
+    Judgement { movement, confidence, reason, num_moving, num_standing, is_flat }
+}
+
+/// Whether hardly any point of which a height is known rises over the ground.
+fn lies_flat<'a>(labels: impl Iterator<Item = &'a TrackLabel>) -> bool {
+    const LEAST_POINTS: usize = 8;
+    const MOST_HEIGHT: f64 = 0.03;
+    const LEAST_FLAT: f64 = 0.8;
+    let heights: Vec<f64> = labels.filter_map(|label| label.relative_height).collect();
+    let low = heights.iter().filter(|height| height.abs() <= MOST_HEIGHT).count();
+    heights.len() >= LEAST_POINTS && low as f64 >= LEAST_FLAT * heights.len() as f64
 }
 
 /// Whether the lowest points, if they stood, would float over the ground by a good part of the camera's height.
@@ -106,4 +119,32 @@ fn foot_floats(points: &[(&PointTrack, &TrackLabel)]) -> bool {
 /// Mean row of a track.
 fn lowest(track: &PointTrack) -> f64 {
     track.pixels.iter().map(|p| f64::from(p[1])).sum::<f64>() / track.pixels.len().max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whether points at these heights, each on the object for a share of its frames, are a piece of the ground.
+    fn is_flat(heights: &[Option<f64>], inside: f64) -> bool {
+        let track = PointTrack { first: 0, pixels: vec![[0.0, 0.0]; 10] };
+        let label = |relative_height: &Option<f64>| TrackLabel {
+            verdict: Verdict::Standing,
+            strength: 0.0,
+            deviation_px: 0.0,
+            relative_height: *relative_height,
+        };
+        let labels: Vec<TrackLabel> = heights.iter().map(label).collect();
+        judge(&labels.iter().map(|label| (&track, label, inside)).collect::<Vec<_>>()).is_flat
+    }
+
+    #[test]
+    fn a_patch_of_road_lies_flat_and_a_parked_car_does_not() {
+        let road = [0.0, 0.01, -0.02, 0.0, 0.01, 0.02, 0.0, 0.01, 0.2].map(Some);
+        assert!(is_flat(&road, 1.0));
+        assert!(!is_flat(&[0.0, 0.1, 0.15, 0.12, 0.01, 0.2, 0.18, 0.01, 0.2].map(Some), 1.0));
+        assert!(!is_flat(&[Some(0.0); 5], 1.0) && !is_flat(&[None; 20], 1.0));
+        // Points of the road that a car's mask passes over say nothing about the car.
+        assert!(!is_flat(&road, 0.5));
+    }
 }

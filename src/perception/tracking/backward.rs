@@ -101,6 +101,7 @@ impl BackwardTracker {
         self.end_tracks(&seen, &known, frame.id, image.dimensions());
         self.start(image, &known, now);
         self.tracker.last_frame = Some((frame.id, frame.time_s, image.dimensions()));
+        self.tracker.last_picture = Some(image.clone());
         Ok(masks)
     }
 

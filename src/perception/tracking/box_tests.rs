@@ -137,11 +137,27 @@ fn a_car_behind_a_pole_stays_itself() {
 }
 
 #[test]
+fn a_carried_mask_leaves_out_what_comes_before_the_car() {
+    let world = World::still(vec![Thing::car(RED, |t| (4 + 5 * t as i64, 30)), Thing::wall(80, 44)]);
+    // Masks are asked for once and never again: from then on they are carried.
+    let once = |t: usize, answer: Prompted| (t == 0).then_some(answer);
+    let (frames, _) = world.track_boxes(20, 30, |t| world.boxes(t, Finder::Detector), &once);
+    let on_wall = |t: usize| frames[t].iter().map(|m| m.mask.intersection_px2(&world.mask(t, 1))).max().unwrap_or(0);
+    // The wall takes 70 more pixels in every frame.
+    assert!((0..20).all(|t| on_wall(t) <= 28), "{:?}", (0..20).map(on_wall).collect::<Vec<_>>());
+    let hidden: Vec<usize> = (0..20).filter(|&t| world.mask(t, 0).area_px2() == 0).collect();
+    assert!(hidden.len() > 2 && hidden.into_iter().all(|t| frames[t].is_empty()));
+    let seen = |t: usize| frames[t].first().map_or(0.0, |m| m.mask.iou(&world.mask(t, 0)));
+    assert!((0..14).all(|t| seen(t) > 0.75), "{:?}", (0..20).map(seen).collect::<Vec<_>>());
+}
+
+#[test]
 fn a_car_behind_a_wall_is_found_again() {
     for every in [1, 5] {
         let world = World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30)), Thing::wall(70, 50)]);
         let (frames, tracks) = world.track_boxes(45, every, |t| world.boxes(t, Finder::Detector), &honest);
-        assert_eq!(tracks.len(), 1, "every {every}: {tracks:#?}");
+        let [before, after] = &tracks[..] else { panic!("two pieces, every {every}: {tracks:#?}") };
+        assert_eq!(after.after.map(|after| after.provisional), Some(before.provisional), "every {every}");
         let hidden = (0..45).filter(|&t| world.mask(t, 0).area_px2() == 0);
         assert!(hidden.clone().count() > 3 && hidden.into_iter().all(|t| frames[t].is_empty()));
     }

@@ -20,6 +20,8 @@ const MIN_BOX_OVERLAP: f64 = 0.4;
 const SAME_PROMPT: f64 = 0.85;
 /// Two masks of which one lies in the other by more than this share show one object.
 const SAME_MASK: f64 = 0.7;
+/// A new mask that agrees so well with the outline of the whole object shows all of it.
+const SAME_OUTLINE: f64 = 0.85;
 /// A new mask that swallows a followed object by more than this share is no object of its own.
 const SWALLOWED: f64 = 0.8;
 
@@ -39,8 +41,8 @@ struct Meeting {
     sights: Vec<Sight>,
     /// Per sight the mask in its box.
     masks: Vec<Option<Fresh>>,
-    /// Per track the mask in the box of its carried mask.
-    own_masks: Vec<Option<Fresh>>,
+    /// Per track the masks in the box of its carried mask, and in that of its whole outline where a part is hidden.
+    own_masks: Vec<Vec<Fresh>>,
     /// Per track the sight that shows it.
     sight_of: Vec<Option<usize>>,
 }
@@ -90,6 +92,7 @@ impl Tracker {
         self.waiting.clear();
         self.associate_boxes(&mut meeting);
         let mut seen = self.choose(view, &meeting, outline);
+        self.look_for(view, &meeting, outline, &mut seen);
         seen.extend(self.find_again(view, &mut meeting, outline, &seen));
         self.lose_others(view, &meeting, &seen);
         seen.extend(self.start_boxes(view, &meeting, outline, &seen));
@@ -98,7 +101,7 @@ impl Tracker {
 
     /// Where all tracks should be, and what boxes show.
     fn meet(&self, view: &View, found: Vec<BoxDetection>) -> Meeting {
-        let predictions = self.predict(&[], view.flow, view.image.dimensions(), view.elapsed_s);
+        let predictions = self.predict(&[], view.flow, view.image, view.elapsed_s);
         let is_carried: Vec<bool> =
             self.tracks.iter().zip(&predictions).map(|(track, p)| self.is_trusted(track, p, view.image)).collect();
         let trusted = predictions.iter().zip(&is_carried).filter(|(_, is_carried)| **is_carried);
@@ -110,7 +113,7 @@ impl Tracker {
             is_carried,
             sights,
             masks: vec![None; num_sights],
-            own_masks: vec![None; num_tracks],
+            own_masks: vec![Vec::new(); num_tracks],
             sight_of: vec![None; num_tracks],
         }
     }
@@ -120,6 +123,7 @@ impl Tracker {
         prediction.carried.as_ref().filter(|_| !track.is_lost()).is_some_and(|carried| {
             carried.share >= self.options.min_carried_share
                 && carried.region.area() >= self.options.min_area_px2
+                && !carried.is_nearly_hidden()
                 && looks_like(track, image, &carried.region, self.options.min_similarity)
         })
     }
@@ -138,18 +142,29 @@ impl Tracker {
         let mut rects: Vec<Rect> = meeting.sights.iter().map(|sight| sight.rect).collect();
         let mut own = Vec::new();
         for track in 0..self.tracks.len() {
-            let Some(carried) = meeting.carried(track) else { continue };
-            let rect = carried.region.rect();
-            if meeting.sights.iter().all(|sight| sight.rect.iou(&rect) < SAME_PROMPT) {
-                own.push(track);
-                rects.push(rect);
+            let Some(carried) = meeting.carried(track) else {
+                let place = meeting.predictions[track].moved.as_ref();
+                if let Some(place) = place.filter(|_| self.tracks[track].may_be_looked_for(view.now)) {
+                    own.push(track);
+                    rects.push(place.rect());
+                }
+                continue;
+            };
+            let whole = carried.is_partly_hidden().then(|| carried.whole.rect());
+            let mut known: Vec<Rect> = meeting.sights.iter().map(|sight| sight.rect).collect();
+            for rect in [Some(carried.region.rect()), whole].into_iter().flatten() {
+                if known.iter().all(|known| known.iou(&rect) < SAME_PROMPT) {
+                    own.push(track);
+                    rects.push(rect);
+                    known.push(rect);
+                }
             }
         }
         let mut masks = fresh_masks(view.image, prompter, &rects, &self.options)?;
         let own_masks = masks.split_off(meeting.sights.len());
         meeting.masks = masks;
         for (track, fresh) in own.into_iter().zip(own_masks) {
-            meeting.own_masks[track] = fresh;
+            meeting.own_masks[track].extend(fresh);
         }
         Ok(())
     }
@@ -242,16 +257,38 @@ impl Tracker {
         Some(sight.map_or(Evidence::Prompted { quality: fresh.quality }, detected))
     }
 
-    /// Continues lost tracks by masks at about their place, of about their size and like colours.
+    /// Continues tracks whose flow failed just now by the masks where they should be.
+    fn look_for(&mut self, view: &View, meeting: &Meeting, outline: Outline, seen: &mut Vec<Sighting>) {
+        for track_idx in (0..self.tracks.len()).filter(|t| !meeting.is_carried[*t]) {
+            let Some(place) = &meeting.predictions[track_idx].moved else { continue };
+            let is_shown = |fresh: &&Fresh| self.tracks[track_idx].is_shown_by(fresh, place);
+            let shown = meeting.own_masks[track_idx].iter().find(is_shown);
+            let Some(fresh) = shown.filter(|fresh| !is_explained(&fresh.region, seen)).cloned() else { continue };
+            self.lose(track_idx, meeting, view.now);
+            self.note_gap(track_idx, &fresh.region, fresh.appearance.as_ref(), view.now);
+            let region = fresh.region.clone();
+            let choice = Choice { score: 1.0, fresh: Some(fresh) };
+            let evidence = self.take(track_idx, choice, meeting, view, outline);
+            seen.extend(evidence.map(|evidence| Sighting { track_idx, evidence, region }));
+        }
+    }
+
+    /// Continues tracks that were lost a moment ago by masks at about their place, of about their size and like
+    /// colours.
     fn find_again(&mut self, view: &View, meeting: &mut Meeting, outline: Outline, seen: &[Sighting]) -> Vec<Sighting> {
-        let rows: Vec<usize> = (0..self.tracks.len()).filter(|t| !meeting.is_carried[*t]).collect();
+        let may_return = |t: &usize| {
+            !meeting.is_carried[*t]
+                && seen.iter().all(|s| s.track_idx != *t)
+                && (!self.tracks[*t].is_lost() || self.tracks[*t].is_briefly_lost(view.now))
+        };
+        let rows: Vec<usize> = (0..self.tracks.len()).filter(may_return).collect();
         let columns = meeting.left();
         let pairs = assign(rows.len(), columns.len(), |row, column| {
             let (track, sight) = (&self.tracks[rows[row]], &meeting.sights[columns[column]]);
             let fresh = meeting.masks[columns[column]].as_ref().filter(|fresh| !is_explained(&fresh.region, seen))?;
             let min_similarity = self.options.min_similarity;
-            let score = track.recognise(&fresh.region, fresh.appearance.as_ref(), view.now, min_similarity)?;
-            track.may_be(sight.class()).then_some(score)
+            let recognised = track.recognise(&fresh.region, fresh.appearance.as_ref(), view.now, min_similarity)?;
+            track.may_be(sight.class()).then_some(recognised.score)
         });
         let mut again: Vec<Sighting> = Vec::new();
         for (row, column) in pairs {
@@ -261,6 +298,7 @@ impl Tracker {
                 continue;
             }
             meeting.sight_of[track_idx] = Some(sight_idx);
+            self.note_gap(track_idx, &fresh.region, fresh.appearance.as_ref(), view.now);
             let region = fresh.region.clone();
             let choice = Choice { score: 1.0, fresh: Some(fresh) };
             let evidence = self.take(track_idx, choice, meeting, view, outline);
@@ -291,7 +329,7 @@ impl Tracker {
             }
             self.num_started += 1;
             let track = Track::start_from_box(ObjectId(self.num_started), sight, fresh, outline, view.now);
-            self.tracks.push(track);
+            self.add(track, fresh.appearance.as_ref(), view.now);
             let (track_idx, region) = (self.tracks.len() - 1, fresh.region.clone());
             started.push(Sighting { track_idx, evidence: detected(sight), region });
         }
@@ -330,12 +368,14 @@ fn detected(sight: &Sight) -> Evidence {
 fn choices(track: &Track, meeting: &Meeting, track_idx: usize, carried: &Carried) -> Vec<Choice> {
     let expected = Expected {
         carried: Some(&carried.region),
+        whole: carried.is_partly_hidden().then_some(&carried.whole),
         rect: meeting.sight(track_idx).map(|sight| sight.rect),
         area: track.full_area(),
         appearance: track.appearance.as_ref(),
     };
     let in_sight = meeting.sight_of[track_idx].and_then(|sight| meeting.masks[sight].clone());
     let new = in_sight.into_iter().chain(meeting.own_masks[track_idx].clone());
+    let new = new.filter_map(|fresh| uncovered(fresh, carried));
     let mut choices: Vec<Choice> = new
         .map(|fresh| Choice { score: score(&fresh, &expected), fresh: Some(fresh) })
         .filter(|choice| choice.score >= MIN_SCORE)
@@ -344,6 +384,16 @@ fn choices(track: &Track, meeting: &Meeting, track_idx: usize, carried: &Carried
     choices.push(Choice { score: old, fresh: None });
     choices.sort_by(|a, b| b.score.total_cmp(&a.score));
     choices
+}
+
+/// A new mask without what comes before the object, unless it shows that nothing does any more; `None` if that is most
+/// of it.
+fn uncovered(fresh: Fresh, carried: &Carried) -> Option<Fresh> {
+    if fresh.region.iou(&carried.whole) >= SAME_OUTLINE {
+        return Some(fresh);
+    }
+    let region = carried.cover.cut(&fresh.region)?;
+    (2 * region.area() > fresh.region.area()).then_some(Fresh { region, ..fresh })
 }
 
 /// The masks that a prompter gives for boxes, one entry per box.

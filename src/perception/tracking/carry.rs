@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::cover::{Cover, Moved, Pictures};
 use super::region::Region;
 use crate::math::upper_median;
 use crate::scene::{BoundingBox, Flow, Mask, Rect};
@@ -9,12 +10,35 @@ use crate::scene::{BoundingBox, Flow, Mask, Rect};
 /// A region carried to the next frame.
 #[derive(Clone, Debug)]
 pub(super) struct Carried {
-    /// Where its pixels are now, holes closed.
+    /// Where its visible pixels are now, holes closed.
     pub(super) region: Region,
+    /// The outline of the whole object, whatever hides a part of it.
+    pub(super) whole: Region,
+    /// What hides it.
+    pub(super) cover: Cover,
     /// Median displacement, pixels.
     pub(super) displacement: [f64; 2],
     /// Share of its pixels whose flow was of use.
     pub(super) share: f64,
+}
+
+impl Carried {
+    /// Share of the outline below which an object is partly hidden.
+    const MOSTLY_SEEN: f64 = 0.9;
+    /// What is left of a nearly hidden object serves no one.
+    const LEAST_SEEN: f64 = 0.06;
+
+    pub(super) fn is_partly_hidden(&self) -> bool {
+        self.seen_share() < Self::MOSTLY_SEEN
+    }
+
+    pub(super) fn is_nearly_hidden(&self) -> bool {
+        self.seen_share() < Self::LEAST_SEEN
+    }
+
+    fn seen_share(&self) -> f64 {
+        self.region.area() as f64 / self.whole.area().max(1) as f64
+    }
 }
 
 /// Pixels whose flow is this much off the object's median belong to something else: the mask's rim, or an occluder.
@@ -56,7 +80,17 @@ pub(super) fn carry(region: &Region, flow: &Flow) -> Option<Carried> {
         })
         .collect();
     let region = splat(&targets, closing_radius(region.area()), flow.width, flow.height)?;
-    Some(Carried { region, displacement, share })
+    Some(Carried { whole: region.clone(), region, cover: Cover::default(), displacement, share })
+}
+
+/// An object as it was in the frame before.
+pub(super) struct Seen<'a> {
+    /// Its visible pixels.
+    pub(super) region: &'a Region,
+    /// The outline of all of it.
+    pub(super) whole: &'a Region,
+    /// What hid it.
+    pub(super) cover: &'a Cover,
 }
 
 /// Carries a region as a whole, by the affine motion that fits the consistent flow of its pixels best; `None` if no
@@ -65,17 +99,25 @@ pub(super) fn carry(region: &Region, flow: &Flow) -> Option<Carried> {
 /// Flow is smooth across outlines, so that a mask whose pixels are carried one by one loses its rim: on rendered
 /// sequences a tenth to a quarter of its overlap with the truth in one frame. A vehicle is rigid and its outline moves
 /// with its inside.
-pub(super) fn carry_whole(region: &Region, flow: &Flow) -> Option<Carried> {
-    let moving = moving(region, flow)?;
-    let share = moving.pixels.len() as f64 / region.area() as f64;
+///
+/// * `pictures` – the frame before and this one; without them nothing is seen to come before the object.
+pub(super) fn carry_whole(object: &Seen<'_>, flow: &Flow, pictures: Option<Pictures<'_>>) -> Option<Carried> {
+    let moving = moving(object.region, flow)?;
     let displacement = moving.displacement;
     let motion = Affine::fit(&moving, flow).unwrap_or_else(|| Affine::shift(displacement));
-    let region = motion.apply(region, flow.width, flow.height)?;
-    Some(Carried { region, displacement, share })
+    let carried = motion.apply(object.region, flow.width, flow.height)?;
+    let whole = motion.apply(object.whole, flow.width, flow.height).unwrap_or_else(|| carried.clone());
+    let moved = Moved { before: object.region, visible: &carried, whole: &whole, motion: &motion };
+    let cover = pictures.map(|pictures| object.cover.advance(&moved, flow, pictures)).unwrap_or_default();
+    let region = cover.cut(&carried)?;
+    // What is hidden now has no flow of use, and none is asked of it.
+    let hidden = 1.0 - region.area() as f64 / carried.area() as f64;
+    let share = moving.pixels.len() as f64 / (object.region.area() as f64 * (1.0 - hidden)).max(1.0);
+    Some(Carried { region, whole, cover, displacement, share: share.min(1.0) })
 }
 
 /// x' = a + A (x − origin), in pixels.
-struct Affine {
+pub(super) struct Affine {
     origin: [f64; 2],
     /// Per coordinate of the target: constant, factor of x, factor of y.
     rows: [[f64; 3]; 2],
@@ -136,7 +178,7 @@ impl Affine {
         Some(Self { origin, rows })
     }
 
-    fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+    pub(super) fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let (u, v) = (x - self.origin[0], y - self.origin[1]);
         self.rows.map(|[constant, a, b]| constant + a * u + b * v)
     }
@@ -165,7 +207,7 @@ impl Affine {
     }
 
     /// Where a target position comes from.
-    fn source(&self, x: f64, y: f64) -> [f64; 2] {
+    pub(super) fn source(&self, x: f64, y: f64) -> [f64; 2] {
         let [[e, a, b], [f, c, d]] = self.rows;
         let (u, v) = (x - e, y - f);
         let determinant = self.determinant();
@@ -279,6 +321,10 @@ mod tests {
         }
     }
 
+    fn whole(region: &Region, flow: &Flow) -> Option<Carried> {
+        carry_whole(&Seen { region, whole: region, cover: &Cover::default() }, flow, None)
+    }
+
     fn block(x: u32, y: u32, w: u32, h: u32) -> Region {
         Region::from_mask(&Mask::from_fn(60, 40, |u, v| (x..x + w).contains(&u) && (y..y + h).contains(&v))).unwrap()
     }
@@ -308,14 +354,14 @@ mod tests {
         // The rim follows the background, as dense flow has it.
         let rim = |x: u32, y: u32| !(13..29).contains(&x) || !(13..29).contains(&y);
         let field = flow(60, 40, |x, y| Some(if rim(x, y) { [0.0, 0.0] } else { [5.0, -2.0] }));
-        let carried = carry_whole(&block(10, 10, 22, 22), &field).unwrap();
+        let carried = whole(&block(10, 10, 22, 22), &field).unwrap();
         assert_eq!(carried.region, block(15, 8, 22, 22));
         assert!((carried.share - 256.0 / 484.0).abs() < 1e-12);
         let growing = flow(60, 40, |x, y| Some([(x as f32 - 20.5) * 0.1, (y as f32 - 20.5) * 0.1]));
-        let grown = carry_whole(&block(11, 11, 20, 20), &growing).unwrap();
+        let grown = whole(&block(11, 11, 20, 20), &growing).unwrap();
         assert_eq!(grown.region, block(10, 10, 22, 22));
         let leaving = flow(60, 40, |_, _| Some([100.0, 0.0]));
-        assert!(carry_whole(&block(30, 10, 20, 20), &leaving).is_none());
+        assert!(whole(&block(30, 10, 20, 20), &leaving).is_none());
     }
 
     #[test]

@@ -34,6 +34,8 @@ pub(super) struct Fresh {
 pub(super) struct Expected<'a> {
     /// Its mask by optical flow.
     pub(super) carried: Option<&'a Region>,
+    /// Its outline by optical flow, where a part of it is hidden and may come up again.
+    pub(super) whole: Option<&'a Region>,
     /// Where a detector or motion found it.
     pub(super) rect: Option<Rect>,
     /// Pixels of its masks so far.
@@ -54,15 +56,27 @@ pub(super) fn score_carried(region: &Region, quality: f64, frames: usize, expect
 }
 
 fn fit(region: &Region, appearance: Option<&Appearance>, expected: &Expected) -> f64 {
-    let area = region.area() as f64;
-    let size = area.min(expected.area) / area.max(expected.area).max(1.0);
-    let place = expected.carried.map_or(1.0, |carried| carried.iou(region));
+    let (size, place) = match (expected.carried, expected.whole) {
+        (Some(carried), Some(whole)) => fit_in_part(region, carried, whole),
+        (carried, _) => {
+            let area = region.area() as f64;
+            let size = area.min(expected.area) / area.max(expected.area).max(1.0);
+            (size, carried.map_or(1.0, |carried| carried.iou(region)))
+        }
+    };
     let in_box = expected.rect.map_or(1.0, |rect| rect.iou(&region.rect()));
     // A box says where the object is and how large; what was before says less, and may have worn out.
     let [size, place] = [size, place].map(|before| if expected.rect.is_some() { before.max(in_box) } else { before });
     let looks = appearance.zip(expected.appearance).map_or(1.0, |(a, b)| a.similarity(b));
     let overlaps = [size, place, in_box].map(|overlap| (overlap / TOLERATED_OVERLAP).min(1.0));
     overlaps.iter().product::<f64>() * (looks / TOLERATED_SIMILARITY).min(1.0)
+}
+
+/// Size and place of a mask of an object that is partly hidden: it holds what is known to be seen, lies within the
+/// whole outline, and is no larger than that.
+fn fit_in_part(region: &Region, carried: &Region, whole: &Region) -> (f64, f64) {
+    let size = (whole.area() as f64 / region.area() as f64).min(1.0);
+    (size, carried.covered_by(region).min(region.covered_by(whole)))
 }
 
 #[cfg(test)]
@@ -79,7 +93,7 @@ mod tests {
     }
 
     fn expected<'a>(carried: &'a Region, area: f64, rect: Option<Rect>) -> Expected<'a> {
-        Expected { carried: Some(carried), rect, area, appearance: None }
+        Expected { carried: Some(carried), whole: None, rect, area, appearance: None }
     }
 
     #[test]
@@ -104,6 +118,16 @@ mod tests {
         let worn = block(10, 10, 9, 10);
         let expected = expected(&worn, 200.0, Some(Rect { x0: 10.0, y0: 10.0, x1: 30.0, y1: 20.0 }));
         assert!(score(&fresh(block(10, 10, 20, 10), 0.9), &expected) > score_carried(&worn, 0.9, 5, &expected));
+    }
+
+    #[test]
+    fn what_comes_up_again_fits_and_what_hides_it_does_not() {
+        let (seen, whole) = (block(10, 10, 8, 10), block(10, 10, 20, 10));
+        let expected = Expected { whole: Some(&whole), ..expected(&seen, 200.0, None) };
+        let score_of = |region| score(&fresh(region, 0.9), &expected);
+        assert_eq!(score_of(block(10, 10, 14, 10)), 0.9);
+        assert_eq!(score_of(block(10, 10, 20, 10)), 0.9);
+        assert!(score_of(block(18, 10, 12, 10)) < MIN_SCORE && score_of(block(5, 0, 60, 40)) < MIN_SCORE);
     }
 
     #[test]

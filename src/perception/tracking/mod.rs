@@ -6,8 +6,9 @@
 //!
 //! - An object without a detection keeps its carried mask for some frames ([`Evidence::Carried`]), as long as enough of
 //!   its pixels have a consistent flow and keep their colours: this bridges missed detections.
-//! - After that it is lost: nothing is reported, its place moves on with the background's flow plus its own velocity,
-//!   and it is found again by place and appearance.
+//! - After that it is lost: nothing is reported, and its place moves on with the background's flow plus its own
+//!   velocity. For a moment ([`Gap`]) it is found again by place and colours. Later, what comes up there is an object
+//!   of its own that remembers which one it may be ([`After`]); whether it is asks for more evidence ([`joining`]).
 //! - Lasting ids are given when an object was detected several times within a few frames, so that a false alarm gets
 //!   none. Its masks from before are not lost: every mask is reported at once under a provisional id, and
 //!   [`Tracker::finish`] says which provisional ids became which objects.
@@ -21,6 +22,9 @@
 //! - Of the new masks and the carried one an object gets the one that fits its size, colours, place and box best
 //!   (`choice.rs`). No two objects get the same. A mask may fail twice in a row; then the object counts as lost once
 //!   its mask is older than [`TrackerOptions::max_carried`] frames.
+//! - Pixels of a carried mask that show something which comes before the object are taken out of it (`cover.rs`), and
+//!   the outline of the whole object is carried besides: masks are asked for in its box, too, until all of it is seen
+//!   again.
 //! - Carrying between such frames is no miss, and confirmation counts boxes, not frames: an id is given with the third
 //!   box, whenever it comes, as long as the object was never lost.
 //! - Objects that were found late are followed back in time when all frames are through ([`BackwardTracker`]).
@@ -37,6 +41,8 @@ mod box_tests;
 mod boxes;
 mod carry;
 mod choice;
+mod cover;
+pub mod joining;
 mod ledger;
 mod region;
 mod sights;
@@ -52,11 +58,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use self::backward::{BackwardTracker, End, Extension};
-pub use self::support::{Unsupported, support};
+pub use self::support::{Sighted, Unsupported, support};
 pub use self::tracker::Tracker;
 use crate::limits::{Checked, ordered, some_of, within};
 use crate::perception::Prompter;
-use crate::scene::{BoxDetection, Detection, FoundIn, FrameId, Mask, ObjectId, Outline};
+use crate::scene::{BoxDetection, Detection, FoundIn, FrameId, Gap, Mask, ObjectId, Outline, Sameness};
 
 /// What is known of a frame before the tracker sees it.
 pub enum Look<'a> {
@@ -134,6 +140,19 @@ pub struct TrackSummary {
     pub mask_quality: Option<f64>,
     /// How well its masks follow its outline.
     pub outline: Outline,
+    /// Where it was lost for a moment and found again, ascending.
+    pub gaps: Vec<Gap>,
+    /// The object that was lost for longer where this one came up, if it may be the same.
+    pub after: Option<After>,
+}
+
+/// What an object may be the continuation of.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct After {
+    /// Provisional id of the one that was lost.
+    pub provisional: ObjectId,
+    /// What says that both are one, by the picture alone.
+    pub evidence: Sameness,
 }
 
 /// Options of the tracker.

@@ -1,8 +1,9 @@
 //! Which objects are vehicles enough to get a trajectory.
 //!
-//! A blob that neither a class nor motion supports gets none. A class supports an object if the detector named it in
-//! enough of the frames that it looked at, or named it surely; motion supports it if it moves against the background
-//! or was found by motion for long enough.
+//! An object with masks in a handful of frames gets none, nor does a piece of the ground, nor a blob that neither a
+//! class nor motion supports. A class supports an object if the detector named it in enough of the frames that it
+//! looked at, or named it surely; motion supports it if it moves against the background or was found by motion for long
+//! enough.
 
 use std::fmt;
 
@@ -28,47 +29,88 @@ const VERY_SURE: f64 = 0.7;
 /// Share of looks in which motion must have found an object of which nothing else is known to move.
 const MOVES_OFTEN: f64 = 0.25;
 
+/// Frames with a mask below which there is nothing to reconstruct: no length, no way, no speed.
+const MIN_MASKS: usize = 6;
+/// Share of the picture that a piece of the ground covers at least. What is smaller is so far away that everything
+/// looks flat.
+const LEAST_FLAT_SHARE: f64 = 0.03;
+
+/// What the masks of an object say besides who found it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sighted {
+    /// Frames in which it has a mask.
+    pub num_frames: usize,
+    /// Mean share of the picture that its masks cover.
+    pub mean_share: f64,
+    /// What the points in its masks say against the background.
+    pub movement: Movement,
+    /// Whether none of them rises over the ground ([`Judgement::is_flat`](crate::perception::motion::Judgement)).
+    pub is_flat: bool,
+}
+
 /// Why an object gets no trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Unsupported {
-    /// Frames in which the detector named it.
-    pub num_named: usize,
-    /// Mean confidence of the detector, 0 to 1.
-    pub confidence: f64,
-    /// Frames in which motion found it.
-    pub num_moving: usize,
-    /// Frames that somebody looked at.
-    pub num_looks: usize,
-    /// Whether it moves, by its own points.
-    pub movement: Movement,
+pub enum Unsupported {
+    /// It has masks in too few frames.
+    Brief {
+        /// Frames in which it has one.
+        num_frames: usize,
+    },
+    /// It is a piece of the ground.
+    Flat,
+    /// Neither class nor motion supports it.
+    Doubtful {
+        /// Frames in which the detector named it.
+        num_named: usize,
+        /// Mean confidence of the detector, 0 to 1.
+        confidence: f64,
+        /// Frames in which motion found it.
+        num_moving: usize,
+        /// Frames that somebody looked at.
+        num_looks: usize,
+        /// Whether it moves, by its own points.
+        movement: Movement,
+    },
 }
 
 impl fmt::Display for Unsupported {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { num_named, confidence, num_moving, num_looks, movement } = self;
-        match num_named {
-            0 => write!(f, "no detector names it")?,
-            _ => write!(f, "a detector names it in {num_named} of {num_looks} frames, {confidence:.2} sure")?,
-        }
-        match (movement, num_moving) {
-            (Movement::Standing, _) => write!(f, ", and it stands"),
-            (_, 0) => write!(f, ", and nothing says that it moves"),
-            _ => write!(f, ", and motion finds it in {num_moving} frames only"),
+        match *self {
+            Self::Brief { num_frames } => {
+                write!(f, "it has masks in {num_frames} frames only, and {MIN_MASKS} are needed")
+            }
+            Self::Flat => write!(f, "none of its points rises over the ground: a piece of road, not a vehicle"),
+            Self::Doubtful { num_named, confidence, num_moving, num_looks, movement } => {
+                match num_named {
+                    0 => write!(f, "no detector names it")?,
+                    _ => write!(f, "a detector names it in {num_named} of {num_looks} frames, {confidence:.2} sure")?,
+                }
+                match (movement, num_moving) {
+                    (Movement::Standing, _) => write!(f, ", and it stands"),
+                    (_, 0) => write!(f, ", and nothing says that it moves"),
+                    _ => write!(f, ", and motion finds it in {num_moving} frames only"),
+                }
+            }
         }
     }
 }
 
-/// Whether a class or motion supports an object.
-///
-/// * `movement` – what the points in its masks say against the background.
+/// Whether an object has enough masks, is more than a piece of the ground, and is supported by a class or by motion.
 ///
 /// # Errors
-/// [`Unsupported`] says what is known of an object that nothing supports.
-pub fn support(summary: &TrackSummary, movement: Movement) -> Result<(), Unsupported> {
+/// [`Unsupported`] says what it lacks.
+pub fn support(summary: &TrackSummary, sighted: &Sighted) -> Result<(), Unsupported> {
+    let &Sighted { num_frames, mean_share, movement, is_flat } = sighted;
+    if num_frames < MIN_MASKS {
+        return Err(Unsupported::Brief { num_frames });
+    }
+    if is_flat && movement != Movement::Moving && mean_share >= LEAST_FLAT_SHARE {
+        return Err(Unsupported::Flat);
+    }
     if is_named(summary, movement) || is_moving(summary, movement) {
         return Ok(());
     }
-    Err(Unsupported {
+    Err(Unsupported::Doubtful {
         num_named: summary.found.by_detector(),
         confidence: summary.class_confidence,
         num_moving: summary.found.by_motion(),
@@ -125,7 +167,13 @@ mod tests {
             class_confidence,
             mask_quality: Some(0.9),
             outline: Outline::Network,
+            gaps: Vec::new(),
+            after: None,
         }
+    }
+
+    fn seen(movement: Movement) -> Sighted {
+        Sighted { num_frames: 40, mean_share: 0.01, movement, is_flat: false }
     }
 
     fn named(frames: usize, confidence: f64) -> TrackSummary {
@@ -134,37 +182,53 @@ mod tests {
 
     #[test]
     fn a_parked_car_is_supported_by_its_class() {
-        assert_eq!(support(&named(38, 0.6), Movement::Standing), Ok(()));
-        assert_eq!(support(&named(4, 0.7), Movement::Standing), Ok(()));
+        assert_eq!(support(&named(38, 0.6), &seen(Movement::Standing)), Ok(()));
+        assert_eq!(support(&named(4, 0.7), &seen(Movement::Standing)), Ok(()));
     }
 
     #[test]
     fn a_patch_of_road_that_was_named_now_and_then_is_not() {
         for movement in [Movement::Standing, Movement::Undetermined] {
-            assert!(support(&named(5, 0.35), movement).is_err());
-            assert!(support(&named(2, 0.9), movement).is_err());
+            assert!(support(&named(5, 0.35), &seen(movement)).is_err());
+            assert!(support(&named(2, 0.9), &seen(movement)).is_err());
         }
-        let reason = support(&named(5, 0.35), Movement::Standing).unwrap_err().to_string();
+        let reason = support(&named(5, 0.35), &seen(Movement::Standing)).unwrap_err().to_string();
         assert_eq!(reason, "a detector names it in 5 of 40 frames, 0.35 sure, and it stands");
-        let reason = support(&named(0, 0.0), Movement::Undetermined).unwrap_err().to_string();
+        let reason = support(&named(0, 0.0), &seen(Movement::Undetermined)).unwrap_err().to_string();
         assert_eq!(reason, "no detector names it, and nothing says that it moves");
     }
 
     #[test]
     fn what_stands_needs_a_surer_class_than_what_nothing_is_known_of() {
-        assert_eq!(support(&named(30, 0.4), Movement::Undetermined), Ok(()));
-        assert!(support(&named(30, 0.4), Movement::Standing).is_err());
-        assert!(support(&named(10, 0.6), Movement::Standing).is_err());
+        assert_eq!(support(&named(30, 0.4), &seen(Movement::Undetermined)), Ok(()));
+        assert!(support(&named(30, 0.4), &seen(Movement::Standing)).is_err());
+        assert!(support(&named(10, 0.6), &seen(Movement::Standing)).is_err());
         let found = summary(FoundIn { both: 15, detector: 20, ..FoundIn::default() }, 0.4, 40);
-        assert_eq!(support(&found, Movement::Standing), Ok(()));
+        assert_eq!(support(&found, &seen(Movement::Standing)), Ok(()));
     }
 
     #[test]
     fn what_moves_needs_no_class() {
         let moving = |frames| summary(FoundIn { motion: frames, ..FoundIn::default() }, 0.0, 40);
-        assert_eq!(support(&moving(2), Movement::Moving), Ok(()));
-        assert!(support(&moving(20), Movement::Undetermined).is_err());
-        assert!(support(&moving(5), Movement::Undetermined).is_err());
-        assert!(support(&moving(20), Movement::Standing).is_err());
+        assert_eq!(support(&moving(2), &seen(Movement::Moving)), Ok(()));
+        assert!(support(&moving(20), &seen(Movement::Undetermined)).is_err());
+        assert!(support(&moving(5), &seen(Movement::Undetermined)).is_err());
+        assert!(support(&moving(20), &seen(Movement::Standing)).is_err());
+    }
+
+    #[test]
+    fn a_handful_of_masks_is_too_few() {
+        let brief = Sighted { num_frames: 3, ..seen(Movement::Moving) };
+        let reason = support(&named(38, 0.9), &brief).unwrap_err();
+        assert_eq!(reason.to_string(), "it has masks in 3 frames only, and 6 are needed");
+        assert_eq!(support(&named(38, 0.9), &Sighted { num_frames: 6, ..brief }), Ok(()));
+    }
+
+    #[test]
+    fn a_patch_of_road_is_left_out_unless_it_moves_or_is_far_away() {
+        let road = Sighted { mean_share: 0.3, is_flat: true, ..seen(Movement::Standing) };
+        assert_eq!(support(&named(38, 0.9), &road), Err(Unsupported::Flat));
+        assert_eq!(support(&named(38, 0.9), &Sighted { mean_share: 0.005, ..road }), Ok(()));
+        assert_eq!(support(&named(38, 0.9), &Sighted { movement: Movement::Moving, ..road }), Ok(()));
     }
 }

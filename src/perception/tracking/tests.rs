@@ -66,8 +66,10 @@ fn an_occluded_car_is_found_again_behind_the_wall() {
     // Behind the wall for about ten frames, longer than masks are carried.
     let world = World::still(vec![Thing::car(RED, |t| (5 + 5 * t as i64, 30)), Thing::wall(60, 60)]);
     let (frames, tracks) = world.track(32, all);
-    assert_eq!(tracks.len(), 1, "{tracks:#?}");
-    assert_eq!(follower(&world, &frames, 3, 0), follower(&world, &frames, 31, 0));
+    let [before, after] = &tracks[..] else { panic!("two pieces: {tracks:#?}") };
+    assert_eq!(after.after.map(|after| after.provisional), Some(before.provisional));
+    let ids = [3, 31].map(|t| follower(&world, &frames, t, 0));
+    assert_eq!(ids, [Some(before.provisional), Some(after.provisional)]);
     // Nothing is reported while the car cannot be seen.
     let hidden = (0..32).filter(|&t| world.mask(t, 0).area_px2() == 0);
     assert!(hidden.clone().count() >= 6);
@@ -81,8 +83,20 @@ fn it_is_found_again_when_the_camera_pans_meanwhile() {
     wall.at = Box::new(|t| (120 - 4 * t as i64, 0));
     let world = World { things: vec![Thing::car(RED, |_| (60, 30)), wall], pan: (-4, 0) };
     let (frames, tracks) = world.track(40, all);
-    assert_eq!(tracks.len(), 1, "{tracks:#?}");
-    assert_eq!(follower(&world, &frames, 3, 0), follower(&world, &frames, 39, 0));
+    let ids = [3, 39].map(|t| follower(&world, &frames, t, 0));
+    let piece = tracks.iter().find(|track| Some(track.provisional) == ids[1]);
+    let before = piece.and_then(|track| track.after).map(|after| after.provisional).or(ids[1]);
+    assert!(ids[0].is_some() && before == ids[0], "{tracks:#?}");
+}
+
+#[test]
+fn a_moment_behind_a_post_is_a_gap_of_one_object() {
+    let world = World::still(vec![Thing::car(RED, |t| (5 + 8 * t as i64, 30)), Thing::wall(80, 30)]);
+    let (_, tracks) = world.track(22, all);
+    let [track] = &tracks[..] else { panic!("one object: {tracks:#?}") };
+    let [gap] = &track.gaps[..] else { panic!("one gap: {track:#?}") };
+    assert!(gap.last < gap.first && gap.first.0 - gap.last.0 <= 6, "{gap:?}");
+    assert!(gap.evidence.place.is_some_and(|place| place < 1.0));
 }
 
 #[test]
@@ -94,7 +108,7 @@ fn another_car_from_behind_the_wall_is_another_object() {
     ]);
     let (_, tracks) = world.track(36, all);
     assert_eq!(tracks.len(), 2, "{tracks:#?}");
-    assert!(tracks[0].last < tracks[1].first);
+    assert!(tracks[0].last < tracks[1].first && tracks[1].after.is_none());
 }
 
 #[test]

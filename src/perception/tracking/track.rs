@@ -5,11 +5,12 @@ use std::collections::BTreeMap;
 use super::appearance::Appearance;
 use super::carry::Carried;
 use super::choice::Fresh;
+use super::cover::Cover;
 use super::ledger::Ledger;
 use super::region::Region;
 use super::sights::{Finding, Sight};
-use super::{TrackSummary, TrackerOptions};
-use crate::scene::{BoundingBox, FrameId, ObjectId, Outline};
+use super::{After, TrackSummary, TrackerOptions};
+use crate::scene::{BoundingBox, FrameId, Gap, ObjectId, Outline, Sameness};
 
 /// Share of the way that velocity and looks move towards each new measurement.
 const LEARNING_RATE: f64 = 0.4;
@@ -20,6 +21,16 @@ const MAX_TENTATIVE_GAP: usize = 2;
 const MAX_UNBOXED_LOOKS: usize = 30;
 /// Frames with masks asked for in which all may fail before a track that is carried counts as lost.
 const MAX_FAILED_PROMPTS: usize = 2;
+/// A mask that covers this share of the whole outline shows all of the object.
+const MOSTLY_SEEN: f64 = 0.85;
+/// Of an object whose flow failed this much must have been seen, and a mask must show as much, where it is looked for.
+const LEAST_SEEN: f64 = 0.3;
+/// Share of such a mask that lies in the outline of the object, and similarity of its colours.
+const MOSTLY_INSIDE: f64 = 0.7;
+const SURELY_ALIKE: f64 = 0.8;
+/// A lost object that comes back within so many seconds is found again by place and colours alone, if nothing hid it:
+/// no vehicle gets to the place of another of its size and colours in that time.
+const BRIEFLY_S: f64 = 0.6;
 /// Share by which the size of an object shrinks per detection when less of it is seen: it went further away, or is
 /// partly hidden.
 const SHRINK_RATE: f64 = 0.03;
@@ -89,6 +100,10 @@ pub(super) struct Track {
     pub(super) presence: Presence,
     /// Its mask in the last frame; while lost, the last one, moved to where it should be.
     pub(super) region: Region,
+    /// The outline of all of it, whatever hides a part.
+    pub(super) whole: Region,
+    /// What hides it.
+    pub(super) cover: Cover,
     pub(super) appearance: Option<Appearance>,
     /// Side of a square as large as the object's box while all of it was seen, pixels.
     size: f64,
@@ -116,6 +131,20 @@ pub(super) struct Track {
     /// What its latest mask was worth when it was new, 0 to 1.
     quality: f64,
     ledger: Ledger,
+    gaps: Vec<Gap>,
+    after: Option<After>,
+    /// Whether another track may be its continuation.
+    is_succeeded: bool,
+    /// Share of its outline that was seen when it was lost.
+    seen_share: f64,
+}
+
+/// How much a mask looks as that of a lost object should.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Recognised {
+    /// 0 to 1.
+    pub(super) score: f64,
+    pub(super) evidence: Sameness,
 }
 
 impl Track {
@@ -172,6 +201,8 @@ impl Track {
             provisional,
             id: None,
             presence: Presence::Detected,
+            whole: region.clone(),
+            cover: Cover::default(),
             region,
             appearance,
             size,
@@ -191,6 +222,10 @@ impl Track {
             area,
             quality: 0.0,
             ledger: Ledger::default(),
+            gaps: Vec::new(),
+            after: None,
+            is_succeeded: false,
+            seen_share: 1.0,
         }
     }
 
@@ -247,9 +282,21 @@ impl Track {
         }
         self.size = fresh.region.size().max(self.size * (1.0 - SHRINK_RATE));
         self.region = fresh.region.clone();
+        self.learn_whole(prediction.carried.as_ref());
         self.learn_look(fresh.appearance.as_ref());
         self.presence = Presence::Detected;
         self.confirm_mask(fresh, outline, now);
+    }
+
+    /// The outline is that of the new mask, unless that shows a part of an object that is partly hidden.
+    fn learn_whole(&mut self, carried: Option<&Carried>) {
+        let hidden = carried.filter(|c| !self.is_lost() && c.is_partly_hidden());
+        match hidden {
+            Some(c) if (self.region.area() as f64) < MOSTLY_SEEN * c.whole.area() as f64 => {
+                (self.whole, self.cover) = (c.whole.clone(), c.cover.clone());
+            }
+            _ => (self.whole, self.cover) = (self.region.clone(), Cover::default()),
+        }
     }
 
     fn confirm_mask(&mut self, fresh: &Fresh, outline: Outline, now: Moment) {
@@ -301,6 +348,7 @@ impl Track {
         }
         self.size = candidate.region.size().max(self.size * (1.0 - SHRINK_RATE));
         self.region = candidate.region.clone();
+        self.learn_whole(None);
         self.learn_look(candidate.appearance.as_ref());
         self.presence = Presence::Detected;
         self.count(candidate, now);
@@ -318,6 +366,7 @@ impl Track {
     pub(super) fn carry(&mut self, carried: &Carried, background: [f64; 2], elapsed_s: f64) {
         self.learn_velocity(carried.displacement, background, elapsed_s);
         self.region = carried.region.clone();
+        (self.whole, self.cover) = (carried.whole.clone(), carried.cover.clone());
         self.carried_since += 1;
         self.presence = Presence::Carried(match self.presence {
             Presence::Carried(frames) => frames + 1,
@@ -327,10 +376,12 @@ impl Track {
 
     /// Continues the track without any sight of it; `moved` is where it should be.
     pub(super) fn lose(&mut self, moved: Region, now: Moment) {
-        self.region = moved;
-        if !matches!(self.presence, Presence::Lost(_)) {
+        if !self.is_lost() {
+            self.seen_share = self.share_of_whole();
             self.presence = Presence::Lost(now.time_s);
         }
+        (self.whole, self.cover) = (moved.clone(), Cover::default());
+        self.region = moved;
     }
 
     fn learn_velocity(&mut self, displacement: [f64; 2], background: [f64; 2], elapsed_s: f64) {
@@ -369,7 +420,7 @@ impl Track {
                 self.is_lost() || now.count - self.last_boxed > MAX_UNBOXED_LOOKS
             }
             _ if self.id.is_none() => gap > MAX_TENTATIVE_GAP,
-            Presence::Lost(since) => now.time_s - since > options.max_lost_secs,
+            Presence::Lost(since) => self.is_succeeded || now.time_s - since > options.max_lost_secs,
             _ => false,
         }
     }
@@ -381,7 +432,7 @@ impl Track {
         appearance: Option<&Appearance>,
         now: Moment,
         min_similarity: f64,
-    ) -> Option<f64> {
+    ) -> Option<Recognised> {
         let similarity = self.appearance.as_ref()?.similarity(appearance?);
         let lost_s = (now.time_s - self.last_detected.time_s).max(0.0);
         // Uncertain by one length at once and one more for every second.
@@ -390,7 +441,58 @@ impl Track {
         let nearness = 1.0 - dx.hypot(dy) / reach;
         let ratio = region.area() as f64 / self.mean_area().max(1.0);
         let fits = similarity >= min_similarity && nearness > 0.0 && (0.25..=4.0).contains(&ratio);
-        fits.then_some(0.5 * similarity + 0.5 * nearness)
+        let evidence = Sameness {
+            place: Some(1.0 - nearness),
+            colours: Some(similarity.min(1.0)),
+            size: Some(ratio),
+            num_points: None,
+            num_matches: None,
+        };
+        fits.then_some(Recognised { score: 0.5 * similarity + 0.5 * nearness, evidence })
+    }
+
+    /// Whether it is lost for so short a time that nothing else can have come to its place.
+    pub(super) fn is_briefly_lost(&self, now: Moment) -> bool {
+        let is_brief = now.time_s - self.last_detected.time_s <= BRIEFLY_S;
+        self.is_lost() && is_brief && self.seen_share >= MOSTLY_SEEN
+    }
+
+    /// Whether a mask may be asked for where the object should be, for its flow failed just now. Where something has
+    /// come before most of it, the answer would show that.
+    pub(super) fn may_be_looked_for(&self, now: Moment) -> bool {
+        let seen_share = if self.is_lost() { self.seen_share } else { self.share_of_whole() };
+        seen_share >= LEAST_SEEN && now.time_s - self.last_detected.time_s <= BRIEFLY_S
+    }
+
+    /// Share of the whole outline that is seen.
+    fn share_of_whole(&self) -> f64 {
+        (self.region.area() as f64 / self.whole.area().max(1) as f64).min(1.0)
+    }
+
+    /// Whether a mask in the place where the object should be shows it.
+    ///
+    /// * `place` – its whole outline there.
+    pub(super) fn is_shown_by(&self, fresh: &Fresh, place: &Region) -> bool {
+        let looks = self.appearance.as_ref().zip(fresh.appearance.as_ref());
+        let is_alike = looks.is_some_and(|(before, now)| before.similarity(now) >= SURELY_ALIKE);
+        let is_large = fresh.region.area() as f64 >= LEAST_SEEN * place.area() as f64;
+        is_alike && is_large && fresh.region.covered_by(place) >= MOSTLY_INSIDE
+    }
+
+    /// Whether something that comes up may be this object, which was lost for longer.
+    pub(super) fn may_be_succeeded(&self, now: Moment) -> bool {
+        self.id.is_some() && self.is_lost() && !self.is_succeeded && !self.is_briefly_lost(now)
+    }
+
+    /// Says that the object was not seen since it was seen last.
+    pub(super) fn remember_gap(&mut self, evidence: Sameness, now: Moment) {
+        self.gaps.push(Gap { last: self.last_detected.frame, first: now.frame, evidence });
+    }
+
+    /// Says which lost object this one may be.
+    pub(super) fn follow_after(&mut self, lost: &mut Self, evidence: Sameness) {
+        self.after = Some(After { provisional: lost.provisional, evidence });
+        lost.is_succeeded = true;
     }
 
     fn mean_area(&self) -> f64 {
@@ -444,6 +546,8 @@ impl Track {
             class_confidence: self.ledger.class_confidence(),
             mask_quality: self.ledger.mask_quality(),
             outline: self.ledger.outline,
+            gaps: self.gaps.clone(),
+            after: self.after,
         })
     }
 }

@@ -5,10 +5,11 @@ use ::image::RgbImage;
 use super::appearance::Appearance;
 use super::assignment::assign;
 use super::boxes::View;
-use super::carry::{background_displacement, carry, carry_whole};
+use super::carry::{Seen, background_displacement, carry, carry_whole};
+use super::cover::Pictures;
 use super::region::Region;
 use super::sights::Sight;
-use super::track::{Candidate, Moment, Origin, Prediction, Presence, Track, compatible, leaves};
+use super::track::{Candidate, Moment, Origin, Prediction, Presence, Recognised, Track, compatible, leaves};
 use super::{Evidence, Look, TrackSummary, TrackedMask, TrackerOptions};
 use crate::perception::PerceptionError;
 use crate::scene::{Detection, Flow, Frame, FrameId, Mask, ObjectId};
@@ -30,6 +31,8 @@ pub struct Tracker {
     num_confirmed: u32,
     num_looks: usize,
     pub(super) last_frame: Option<(FrameId, f64, (u32, u32))>,
+    /// The picture of the last frame.
+    pub(super) last_picture: Option<RgbImage>,
 }
 
 /// What became of a track in the current frame.
@@ -51,6 +54,7 @@ impl Tracker {
             num_confirmed: 0,
             num_looks: 0,
             last_frame: None,
+            last_picture: None,
         }
     }
 
@@ -87,6 +91,7 @@ impl Tracker {
         let masks = self.report(sightings, image.dimensions());
         self.settle(now, image.dimensions());
         self.last_frame = Some((frame.id, frame.time_s, image.dimensions()));
+        self.last_picture = Some(image.clone());
         Ok(masks)
     }
 
@@ -94,12 +99,13 @@ impl Tracker {
     fn follow_masks(&mut self, view: &View, detections: Vec<Detection>) -> Vec<Sighting> {
         let View { image, flow, now, elapsed_s } = *view;
         let candidates = self.candidates(image, detections);
-        let predictions = self.predict(&candidates, flow, image.dimensions(), elapsed_s);
+        let predictions = self.predict(&candidates, flow, image, elapsed_s);
         let (pairs, left) = self.associate(&candidates, &predictions, now);
 
         let mut sightings = Vec::new();
         for &(track_idx, candidate_idx) in &pairs {
             let candidate = &candidates[candidate_idx];
+            self.note_gap(track_idx, &candidate.region, candidate.appearance.as_ref(), now);
             self.tracks[track_idx].detect(candidate, &predictions[track_idx], now, elapsed_s);
             let evidence = Evidence::Detected { confidence: candidate.confidence };
             sightings.push(Sighting { track_idx, evidence, region: candidate.region.clone() });
@@ -191,9 +197,11 @@ impl Tracker {
         &self,
         candidates: &[Candidate],
         flow: Option<&Flow>,
-        size: (u32, u32),
+        image: &RgbImage,
         elapsed_s: f64,
     ) -> Vec<Prediction> {
+        let size = image.dimensions();
+        let pictures = self.last_picture.as_ref().map(|before| Pictures { before, now: image });
         let mut occupied = Mask::empty(size.0, size.1);
         let regions = self.tracks.iter().map(|t| &t.region).chain(candidates.iter().map(|c| &c.region));
         for (x, y) in regions.flat_map(Region::iter) {
@@ -205,9 +213,12 @@ impl Tracker {
             let is_seen = !matches!(track.presence, Presence::Lost(_));
             let carried = flow.filter(|_| is_seen).and_then(|f| match track.origin() {
                 Origin::Masks => carry(&track.region, f),
-                Origin::Boxes => carry_whole(&track.region, f),
+                Origin::Boxes => {
+                    let seen = Seen { region: &track.region, whole: &track.whole, cover: &track.cover };
+                    carry_whole(&seen, f, pictures)
+                }
             });
-            let moved = track.region.moved(track.expected(background, elapsed_s), size.0, size.1);
+            let moved = track.whole.moved(track.expected(background, elapsed_s), size.0, size.1);
             Prediction { carried, moved, background }
         };
         self.tracks.iter().map(predict_one).collect()
@@ -235,12 +246,15 @@ impl Tracker {
             (0..candidates.len()).filter(|c| !pairs.iter().any(|p| p.1 == *c)).collect()
         };
         let columns = free(&pairs);
-        let rows: Vec<usize> = (0..self.tracks.len()).filter(|t| !pairs.iter().any(|p| p.0 == *t)).collect();
+        let is_free = |t: &usize| {
+            !pairs.iter().any(|p| p.0 == *t) && (!self.tracks[*t].is_lost() || self.tracks[*t].is_briefly_lost(now))
+        };
+        let rows: Vec<usize> = (0..self.tracks.len()).filter(is_free).collect();
         let found_again = assign(rows.len(), columns.len(), |row, column| {
             let (track, candidate) = (&self.tracks[rows[row]], &candidates[columns[column]]);
             let (region, appearance) = (&candidate.region, candidate.appearance.as_ref());
-            let score = track.recognise(region, appearance, now, self.options.min_similarity)?;
-            fits(rows[row], columns[column]).then_some(score)
+            let recognised = track.recognise(region, appearance, now, self.options.min_similarity)?;
+            fits(rows[row], columns[column]).then_some(recognised.score)
         });
         pairs.extend(found_again.into_iter().map(|(row, column)| (rows[row], columns[column])));
         pairs.sort_unstable();
@@ -263,11 +277,36 @@ impl Tracker {
                 continue;
             }
             self.num_started += 1;
-            self.tracks.push(Track::start(ObjectId(self.num_started), candidate, now));
+            let track = Track::start(ObjectId(self.num_started), candidate, now);
+            self.add(track, candidate.appearance.as_ref(), now);
             let evidence = Evidence::Detected { confidence: candidate.confidence };
             started.push(Sighting { track_idx: self.tracks.len() - 1, evidence, region: candidate.region.clone() });
         }
         started
+    }
+
+    /// Remembers that a track which is about to be found again was lost.
+    pub(super) fn note_gap(&mut self, track_idx: usize, region: &Region, appearance: Option<&Appearance>, now: Moment) {
+        let track = &mut self.tracks[track_idx];
+        let recognised = track.recognise(region, appearance, now, self.options.min_similarity);
+        if let Some(recognised) = recognised.filter(|_| track.is_lost()) {
+            track.remember_gap(recognised.evidence, now);
+        }
+    }
+
+    /// Adds a new track; where a lost object may have come up again, it remembers which.
+    pub(super) fn add(&mut self, mut track: Track, appearance: Option<&Appearance>, now: Moment) {
+        let recognised = |lost: &Track| {
+            let may_be = lost.may_be_succeeded(now) && compatible(lost.class(), track.class());
+            let found = lost.recognise(&track.region, appearance, now, self.options.min_similarity);
+            found.filter(|_| may_be)
+        };
+        let lost = self.tracks.iter().enumerate().filter_map(|(idx, lost)| Some((idx, recognised(lost)?)));
+        let best = lost.max_by(|a, b| a.1.score.total_cmp(&b.1.score).then(b.0.cmp(&a.0)));
+        if let Some((idx, Recognised { evidence, .. })) = best {
+            track.follow_after(&mut self.tracks[idx], evidence);
+        }
+        self.tracks.push(track);
     }
 
     /// Continues the tracks without a detection: by their carried mask where it can be trusted, else as lost.

@@ -155,6 +155,8 @@ fn settle(
         movement: super::movement::unknown(),
         left_out: None,
         frames: frames.into_iter().collect(),
+        gaps: Vec::new(),
+        apart: Vec::new(),
     };
     Ok(Followed { object, summary })
 }

@@ -50,5 +50,7 @@ fn object(id: ObjectId, frames: Vec<FrameId>) -> TrackedObject {
         movement: super::movement::unknown(),
         left_out: None,
         frames,
+        gaps: Vec::new(),
+        apart: Vec::new(),
     }
 }

@@ -1,9 +1,10 @@
 //! Which of the tracked objects moved: the points of the stage `motion` that lie on their masks say it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::perception::motion::{Judgement, MovementReason, TrackLabel, judge};
+use crate::perception::Sighted;
+use crate::perception::motion::{Judgement, MovementReason, judge};
 use crate::pipeline::PipelineError;
 use crate::pipeline::motion::{self, Points};
 use crate::pipeline::run::Run;
@@ -17,21 +18,18 @@ pub(super) fn unknown() -> MovementFinding {
     }
 }
 
-/// Says of every object whether it moved; its masks lie in `folder`, which is still in the making. Gives the objects
-/// that are a patch of the ground.
+/// Says of every object whether it moved; its masks lie in `folder`, which is still in the making. Gives what its masks
+/// say of it; nothing where nothing was looked at.
 pub(super) fn find(
     run: &Run,
     folder: &Path,
     objects: &mut [TrackedObject],
-) -> Result<BTreeSet<ObjectId>, PipelineError> {
+) -> Result<BTreeMap<ObjectId, Sighted>, PipelineError> {
     let points = motion::points(run)?;
-    let mut flat = BTreeSet::new();
-    if points.frames.is_empty() {
-        return Ok(flat);
-    }
     let size = (run.info().width, run.info().height);
-    let on = on_objects(run, folder, objects, &points)?;
+    let on = if points.frames.is_empty() { BTreeMap::new() } else { on_objects(run, folder, objects, &points)? };
     let none = OnObject::default();
+    let mut sighted = BTreeMap::new();
     for object in objects {
         let on_it = on.get(&object.id).unwrap_or(&none);
         let tracks: Vec<_> = on_it
@@ -42,27 +40,15 @@ pub(super) fn find(
                 (track, label, count as f64 / track.pixels.len().max(1) as f64)
             })
             .collect();
-        object.movement = finding(object, &judge(&tracks));
-        let labels: Vec<&TrackLabel> = on_it.counts.keys().map(|&track| &points.labels[track]).collect();
-        if object.movement.state != Movement::Moving && lies_flat(&labels, on_it.mean_share(size)) {
-            flat.insert(object.id);
+        let judged = judge(&tracks);
+        if !points.frames.is_empty() {
+            object.movement = finding(object, &judged);
         }
+        let (num_frames, movement) = (object.frames.len(), object.movement.state);
+        let (mean_share, is_flat) = (on_it.mean_share(size), judged.is_flat);
+        sighted.insert(object.id, Sighted { num_frames, mean_share, movement, is_flat });
     }
-    Ok(flat)
-}
-
-/// Whether an object is a piece of the ground: its points stand, none of them rises over the ground, and it is too
-/// large in the picture for a vehicle so far away that it looks flat.
-///
-/// * `share` – of the picture, that its masks cover.
-fn lies_flat(labels: &[&TrackLabel], share: f64) -> bool {
-    const LEAST_SHARE: f64 = 0.03;
-    const LEAST_POINTS: usize = 8;
-    const MOST_HEIGHT: f64 = 0.03;
-    const LEAST_FLAT: f64 = 0.8;
-    let heights: Vec<f64> = labels.iter().filter_map(|label| label.relative_height).collect();
-    let low = heights.iter().filter(|height| height.abs() <= MOST_HEIGHT).count();
-    share >= LEAST_SHARE && heights.len() >= LEAST_POINTS && low as f64 >= LEAST_FLAT * heights.len() as f64
+    Ok(sighted)
 }
 
 /// What lies on an object's masks.
@@ -126,29 +112,4 @@ fn on_objects(
         }
     }
     Ok(found)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::perception::motion::Verdict;
-
-    fn label(relative_height: Option<f64>) -> TrackLabel {
-        TrackLabel { verdict: Verdict::Standing, strength: 0.0, deviation_px: 0.0, relative_height }
-    }
-
-    fn lie_flat(heights: &[f64], share: f64) -> bool {
-        let labels: Vec<TrackLabel> = heights.iter().map(|height| label(Some(*height))).collect();
-        lies_flat(&labels.iter().collect::<Vec<_>>(), share)
-    }
-
-    #[test]
-    fn a_patch_of_road_lies_flat_and_a_parked_car_does_not() {
-        assert!(lie_flat(&[0.0, 0.01, -0.02, 0.0, 0.01, 0.02, 0.0, 0.01, 0.2], 0.3));
-        assert!(!lie_flat(&[0.0, 0.1, 0.15, 0.12, 0.01, 0.2, 0.18, 0.01, 0.2], 0.3));
-        // Far away everything is flat, and small.
-        assert!(!lie_flat(&[0.01; 9], 0.005));
-        assert!(!lie_flat(&[0.0; 5], 0.3));
-        assert!(!lies_flat(&[&label(None)], 0.3));
-    }
 }

@@ -47,6 +47,8 @@ fn car(id: u32, error: f64, options: &drive::Options) -> Car {
         mask_quality: Some(0.93),
         movement: MovementFinding { state: Movement::Moving, reason: "its points move".into() },
         left_out: None,
+        gaps: Vec::new(),
+        apart: Vec::new(),
         frames: world.frames.iter().map(|frame| frame.id).collect(),
     };
     let description = ObjectDescription { id: ObjectId(id), class: "car".into(), confidence: 0.8 };
