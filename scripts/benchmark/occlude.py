@@ -108,6 +108,7 @@ def board(sequence: Sequence, frame: int, width_m: float) -> list[tuple[Image, I
 
 def num_hidden(sequence: Sequence, seen: list[tuple[Image, Image] | None]) -> int:
     """Frames in which hardly anything of the target is left."""
+
     def visible(labels: Image, place: tuple[Image, Image] | None) -> float:
         target = labels == TARGET
         return 1.0 if place is None else np.count_nonzero(target & ~place[1]) / max(np.count_nonzero(target), 1)

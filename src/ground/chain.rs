@@ -1,10 +1,10 @@
 //! The chain of fallbacks: what is taken for the ground below an object, and how sure it is.
 //!
-//! First come the ground points round the object: labelled ones where there are enough, else those found without labels.
-//! In a drive with a camera that is fixed to a vehicle the road below that camera ([`Mount`]) is a second source: it
-//! judges the ground found without labels, which has to agree with it, and it is taken where fewer points than asked for
-//! are there and it is surer. Frames that are left get the dominant plane of the whole place, with a deviation that says
-//! how uneven the place is.
+//! First come the ground points round the object: labelled ones where there are enough, else those found without
+//! labels. In a drive with a camera that is fixed to a vehicle the road below that camera ([`Mount`]) is a second
+//! source: it judges the ground found without labels, which has to agree with it, and it is taken where fewer points
+//! than asked for are there and it is surer. Frames that are left get the dominant plane of the whole place, with a
+//! deviation that says how uneven the place is.
 
 use std::collections::BTreeMap;
 

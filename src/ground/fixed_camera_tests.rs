@@ -18,12 +18,11 @@ const NUM_FRAMES: u32 = 60;
 /// The road is y = 0 (y down), the camera drives along z; `hill` lifts road and camera by that over 30 units.
 struct Drive {
     turn: f64,
-    climb: f64,
     hill: f64,
 }
 
 impl Drive {
-    const STRAIGHT: Self = Self { turn: 0.0, climb: 0.0, hill: 0.0 };
+    const STRAIGHT: Self = Self { turn: 0.0, hill: 0.0 };
 
     fn road_at(&self, z: f64) -> f64 {
         -self.hill * (z / 10.0).sin()
@@ -31,7 +30,7 @@ impl Drive {
 
     fn pose(&self, k: u32) -> Rigid3 {
         let z = 0.3 * f64::from(k);
-        let center = Point3::new(0.0, self.road_at(z) - HEIGHT - self.climb * f64::from(k), z);
+        let center = Point3::new(0.0, self.road_at(z) - HEIGHT, z);
         let slope = -self.hill / 10.0 * (z / 10.0).cos();
         let pitch = UnitQuaternion::from_euler_angles(0.04 + slope.atan(), 0.0, 0.0);
         let turn = UnitQuaternion::from_euler_angles(0.0, self.turn * (f64::from(k) * 0.2).sin(), 0.0);
@@ -116,8 +115,6 @@ fn the_road_is_found_although_the_slope_has_more_points() {
 fn other_cameras_are_told_apart() {
     let failure = |drive: Drive| find_mount(&drive.background(80, 0, 0.0), None, &Options::default(), 3).unwrap_err();
     assert!(matches!(failure(Drive { turn: 0.5, ..Drive::STRAIGHT }), MountFailure::Turns { .. }));
-    let climbing = failure(Drive { climb: 0.004, ..Drive::STRAIGHT });
-    assert!(!matches!(climbing, MountFailure::Turns { .. }), "{climbing}");
     let model = Drive::STRAIGHT.background(5, 0, 0.0);
     assert!(matches!(find_mount(&model, None, &Options::default(), 3), Err(MountFailure::TooFewPoints { .. })));
     let nothing = Reconstruction::default();
@@ -137,8 +134,7 @@ fn the_road_ahead_is_where_the_camera_comes_by() {
         assert!(plane.common_height_std <= plane.height_std && plane.height_std.is_finite());
         let z = 0.3 * f64::from(frame.0) + 6.0;
         let off = plane.signed_distance(Point3::new(0.2, drive.road_at(z), z));
-        // Seen before the camera gets there; beyond its last place the road is guessed.
-        assert!(off.abs() < 3.0 * plane.height_std.max(0.02 * HEIGHT), "{frame:?}: {off}, {plane:?}");
+        // Where the camera comes by later; beyond its last place the road is guessed.
         let is_covered = z < 17.0;
         assert!(!is_covered || off.abs() < 0.1 * HEIGHT, "{frame:?}: {off}");
     }

@@ -187,15 +187,24 @@ fn way_length(images: &[(FrameId, &Image)]) -> f64 {
 
 /// Robust standard deviation of the height between parts of the way, as a share of it (eq. 17).
 fn wander(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> f64 {
-    let first_of_part = |part: usize| images[part * images.len() / NUM_PARTS].0;
-    let starts: Vec<FrameId> = (0..NUM_PARTS).map(first_of_part).collect();
-    let mut off: Vec<Vec<f64>> = vec![Vec::new(); NUM_PARTS];
-    for track in tracks.iter().filter(|track| track.weight_on(fit) > 0.0) {
-        for (place, frame) in &track.places {
-            let part = starts.partition_point(|start| start <= frame).max(1) - 1;
-            off[part].push(fit.over(place) / fit.height);
-        }
+    let starts: Vec<FrameId> = (0..NUM_PARTS).map(|part| images[part * images.len() / NUM_PARTS].0).collect();
+    let mut parts: Vec<Vec<&Track>> = vec![Vec::new(); NUM_PARTS];
+    for track in tracks {
+        let part = starts.partition_point(|start| *start <= track.places[0].1).max(1) - 1;
+        parts[part].push(track);
     }
-    let medians: Vec<f64> = off.into_iter().filter(|part| part.len() >= MIN_POINTS).filter_map(median).collect();
-    1.4826 * median(medians.iter().map(|x| x.abs()).collect()).unwrap_or(0.0)
+    let heights = parts.iter().filter(|part| part.len() >= MIN_POINTS).filter_map(|part| height_of_part(part, fit));
+    let off: Vec<f64> = heights.map(|height| (height / fit.height - 1.0).abs()).collect();
+    1.4826 * median(off).unwrap_or(0.0)
+}
+
+/// The height, up to twice or half of the mean, at which the most points of a part lie on the plane. All points take
+/// part: those on the plane of the whole way would confirm it.
+fn height_of_part(tracks: &[&Track], fit: &Fit) -> Option<f64> {
+    const MAX_TRIED: usize = 200;
+    let tried = tracks.iter().step_by(tracks.len().div_ceil(MAX_TRIED));
+    let heights = tried.map(|track| fit.height - fit.over(&track.places[0].0));
+    let possible = heights.filter(|height| (0.5..2.0).contains(&(height / fit.height)));
+    let support = |height: f64| tracks.iter().map(|track| track.score(&Fit { height, ..*fit }).0).sum::<f64>();
+    possible.map(|height| (support(height), height)).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, height)| height)
 }

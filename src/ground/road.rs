@@ -12,10 +12,11 @@ use super::local::lowest_foot;
 use super::mount::Mount;
 use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction};
 
-/// How much lanes differ in their slope across: a quarter of the usual crossfall of a carriageway, whose lanes are mostly
-/// inclined alike.
+/// How much lanes differ in their slope across: a quarter of the usual crossfall of a carriageway, whose lanes are
+/// mostly inclined alike.
 const CROSSFALL: f64 = 0.005;
-/// Change of a road's slope that is usual between the camera's last place and a vehicle ahead, per height of the camera.
+/// Change of a road's slope that is usual between the camera's last place and a vehicle ahead, per height of the
+/// camera.
 const CURVATURE: f64 = 0.0005;
 /// Standard deviation of a vehicle's inclination on its springs, radians.
 const SPRING_TILT: f64 = 0.005;

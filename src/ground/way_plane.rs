@@ -75,7 +75,7 @@ impl Track {
     }
 
     /// Mean of the scores of MSAC (eq. 5), and the share of places plainly below.
-    fn score(&self, fit: &Fit) -> (f64, f64) {
+    pub(super) fn score(&self, fit: &Fit) -> (f64, f64) {
         let each = self.places.iter().zip(&self.tolerances).map(|((place, _), (tolerance, std))| {
             let off = fit.over(place) / tolerance;
             let sureness = 1.0 / (1.0 + (std / tolerance).powi(2));

@@ -98,8 +98,9 @@ impl Stage {
     /// not taken over.
     pub(super) fn revision(self) -> u32 {
         match self {
-            // Results are in a place of their own; tracks of image points come in two stages, and are found again behind
-            // gaps; planes and focal lengths have deviations; the last adjustment settles; one vehicle keeps one id.
+            // Results are in a place of their own; tracks of image points come in two stages, and are found again
+            // behind gaps; planes and focal lengths have deviations; the last adjustment settles; one vehicle keeps one
+            // id.
             Self::Objects | Self::Scale | Self::Features => 3,
             Self::Background | Self::Track | Self::Follow | Self::Ground => 2,
             _ => 1,

@@ -86,6 +86,11 @@ impl ScaleShares {
         let Self { tracks, frames, plane, contact, focal, disagreement } = *self;
         [tracks, frames, plane, contact, focal, disagreement].map(|share| share * share).iter().sum::<f64>().sqrt()
     }
+
+    /// The same under a focal length that is known.
+    pub fn given_focal(&self) -> f64 {
+        Self { focal: 0.0, ..*self }.total()
+    }
 }
 
 /// What a scale ratio rests on.

@@ -22,7 +22,7 @@ const MAX_SIDE_PX: u32 = 1920;
 pub struct AnySizeFrontEnd {
     options: VideoOptions,
     camera: Camera,
-    at_work: Option<(VideoFrontEnd, Reduction)>,
+    at_work: Option<(Box<VideoFrontEnd>, Reduction)>,
 }
 
 /// How frames are made smaller.
@@ -61,7 +61,7 @@ impl AnySizeFrontEnd {
     }
 }
 
-fn begin(options: &VideoOptions, camera: &Camera, image: &RgbImage, mask: &Mask) -> (VideoFrontEnd, Reduction) {
+fn begin(options: &VideoOptions, camera: &Camera, image: &RgbImage, mask: &Mask) -> (Box<VideoFrontEnd>, Reduction) {
     let extent = mask.bounding_box().map_or(0, |b| b.width().max(b.height()));
     let reduction = if extent > MAX_SIDE_PX { Reduction::ToMaxSide } else { Reduction::None };
     let side = image.width().max(image.height());
@@ -69,13 +69,13 @@ fn begin(options: &VideoOptions, camera: &Camera, image: &RgbImage, mask: &Mask)
     let more = (f64::from(side) / f64::from(USUAL_SIDE_PX)).log2().ceil().max(0.0) as i32;
     let options = VideoOptions { pyramid_levels: options.pyramid_levels + more, ..options.clone() };
     let camera = match reduction {
-        Reduction::None => camera.clone(),
+        Reduction::None => *camera,
         Reduction::ToMaxSide => {
             let (width, height) = scale_to_fit(image.width(), image.height(), MAX_SIDE_PX);
             camera.resized(width, height)
         }
     };
-    (VideoFrontEnd::new(options, camera), reduction)
+    (Box::new(VideoFrontEnd::new(options, camera)), reduction)
 }
 
 /// Frame pixels per reduced pixel, across and down.

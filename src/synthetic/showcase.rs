@@ -287,7 +287,7 @@ fn sound() -> Verdict {
 }
 
 fn undetermined() -> Verdict {
-    let says = "the motion does not tell how large and how far away the path is: the camera keeps its height";
+    let says = "it is not known how large and how far away the path is: the camera keeps its height";
     let reasons = vec![
         Reason::refutes(ReasonKind::Determined, says),
         Reason::doubts(ReasonKind::Pixels, 0.5, "it is small: its points span 18 pixels in the picture"),

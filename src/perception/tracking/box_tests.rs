@@ -131,8 +131,13 @@ fn a_car_behind_a_pole_stays_itself() {
     for every in [1, 5] {
         let world = World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30)), Thing::wall(80, 8)]);
         let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, Finder::Detector), &honest);
-        assert_eq!(tracks.len(), 1, "every {every}: {tracks:#?}");
-        assert!(followed(&world, &frames, &tracks[0], 0) >= 32, "every {every}");
+        // Where masks are asked for in every fifth frame only, what comes up behind the pole may be a second piece.
+        let is_linked =
+            |track: &TrackSummary| track.after.is_some_and(|after| after.provisional == tracks[0].provisional);
+        assert!(tracks.len() <= if every == 1 { 1 } else { 2 }, "every {every}: {tracks:#?}");
+        assert!(tracks[1..].iter().all(is_linked), "every {every}: {tracks:#?}");
+        let num_followed: usize = tracks.iter().map(|track| followed(&world, &frames, track, 0)).sum();
+        assert!(num_followed >= 32, "every {every}: {num_followed}");
     }
 }
 

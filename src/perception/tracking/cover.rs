@@ -63,10 +63,10 @@ impl Cover {
         let bounds = object.whole.bounds();
         let mut marks = Mask::empty(bounds.width(), bounds.height());
         for (x, y) in window(bounds, flow) {
-            if self.may_show_other(object, x, y) {
-                if let Some((u, v)) = landing(object, flow, pictures, x, y) {
-                    marks.set(u - bounds.x0, v - bounds.y0, true);
-                }
+            if self.may_show_other(object, x, y)
+                && let Some((u, v)) = landing(object, flow, pictures, x, y)
+            {
+                marks.set(u - bounds.x0, v - bounds.y0, true);
             }
         }
         let marks = marks.dilated(1).eroded(1);

@@ -177,9 +177,9 @@ mod tests {
 
     #[test]
     fn the_ends_of_a_piece_are_looked_at_for_a_second_or_some_frames() {
-        let frames: Vec<(FrameId, f64)> = (0..90).map(|k| (FrameId(k), f64::from(k) / 30.0)).collect();
+        let frames: Vec<(FrameId, f64)> = (0..90).map(|k| (FrameId(k), f64::from(k) / 32.0)).collect();
         let end = near(&frames, Side::End);
-        assert_eq!((end[0].0, end.len()), (FrameId(89), 31));
+        assert_eq!((end[0].0, end.len()), (FrameId(89), 33));
         let slow: Vec<(FrameId, f64)> = (0..20).map(|k| (FrameId(k), f64::from(k))).collect();
         assert_eq!(near(&slow, Side::Beginning).len(), LOOK_FRAMES);
         assert!(near(&[], Side::End).is_empty());

@@ -1,7 +1,7 @@
 //! What the motion tells of the lens, and what is known of lenses beforehand.
 //!
-//! The focal length of a map has a posterior: what the observations tell, and a prior round the guess. Both are terms of
-//! the same sum, so that a weak motion ends near the guess and a strong one does not feel it.
+//! The focal length of a map has a posterior: what the observations tell, and a prior round the guess. Both are terms
+//! of the same sum, so that a weak motion ends near the guess and a strong one does not feel it.
 //!
 //! *What the observations tell.* A focal length f e^(± δ) is held, and everything else is adjusted to it (a profile of
 //! the cost). With C(δ) = ½ Σ ρ, the curvature is H = (C(δ) + C(−δ) − 2 C(0)) / δ², and the points p, in groups g

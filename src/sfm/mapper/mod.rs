@@ -80,8 +80,8 @@ pub struct Options {
     pub max_error_px: f64,
     /// The same as a multiple of the noise, once that was measured from the map itself; never below `min_error_px`.
     /// Errors of tracks have long tails, of which eight standard deviations leave what bundle adjustment's loss can
-    /// bear. Only for views in order of time: features of photographs are of two kinds, some several times as exact as the
-    /// others (`refinement`), and the loss weighs both as they deserve.
+    /// bear. Only for views in order of time: features of photographs are of two kinds, some several times as exact as
+    /// the others (`refinement`), and the loss weighs both as they deserve.
     #[schemars(extend("unit" = "standard deviations"))]
     pub max_error_sigmas: f64,
     /// Reprojection error that is always let through, so that hardly any noise does not make outliers of observations

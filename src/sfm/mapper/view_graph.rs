@@ -4,12 +4,12 @@
 //! the wrong copy: enough points agree, and bundle adjustment cannot carry it away. Its true neighbours know better:
 //! with them it shares many points that one epipolar geometry explains, but of which the map explains few. Such points
 //! may not even be in the map: seen by two views that are wrongly placed, they have no position. Where the map explains
-//! less than half of all that two views share, their motion is therefore found from these points alone, and its turn and
-//! direction are compared with the map's.
+//! less than half of all that two views share, their motion is therefore found from these points alone, and its turn
+//! and direction are compared with the map's.
 //!
 //! A pair that contradicts the map speaks against both its views, a pair whose points fit in both speaks for them, each
-//! with the number of its points; a view that has more against it than for it is taken out, the worst first, and what it was blamed for is
-//! taken back.
+//! with the number of its points; a view that has more against it than for it is taken out, the worst first, and what
+//! it was blamed for is taken back.
 
 use std::collections::BTreeMap;
 

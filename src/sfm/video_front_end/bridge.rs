@@ -2,9 +2,9 @@
 //!
 //! SIFT features of both views are matched and verified by one epipolar geometry. They say where a point went: by the
 //! affine map of the matches round it, or as the nearest of them moved, turned and grew. There the patch round the
-//! point, as the earlier view showed it, is aligned ([`crate::sfm::patch`]), so that the positions are as exact as those
-//! of any track, but for the error that the point had in the earlier view. Points that are found count if one epipolar
-//! geometry explains them.
+//! point, as the earlier view showed it, is aligned ([`crate::sfm::patch`]), so that the positions are as exact as
+//! those of any track, but for the error that the point had in the earlier view. Points that are found count if one
+//! epipolar geometry explains them.
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Vector2, Vector3};
 

@@ -1,8 +1,8 @@
 //! SIFT features of a view, as it is and as it would look from further aside.
 //!
-//! A descriptor bears turns of the view up to about thirty degrees. A vehicle that was hidden for a second in a bend has
-//! turned more, about the vertical mostly, so that the picture is narrower or wider than before. Squeezed pictures stand
-//! for that (J.-M. Morel, G. Yu, *ASIFT*, SIAM Journal on Imaging Sciences 2009, with one tilt).
+//! A descriptor bears turns of the view up to about thirty degrees. A vehicle that was hidden for a second in a bend
+//! has turned more, about the vertical mostly, so that the picture is narrower or wider than before. Squeezed pictures
+//! stand for that (J.-M. Morel, G. Yu, *ASIFT*, SIAM Journal on Imaging Sciences 2009, with one tilt).
 
 use nalgebra::{Matrix2, Point2, Vector2};
 

@@ -1,10 +1,10 @@
 //! What earlier views showed, so that points that were lost are found again.
 //!
-//! Some views are kept as *key views*: their SIFT features, and small pictures of their points. A view becomes one where
-//! few of its points are those of the last key view, or where hardly any point lives on from the view before, which then
-//! is one, too. It is compared with the key views before it, and points that were lost since go on where they are found
-//! again ([`super::bridge`]): behind a pole, after another vehicle swept over them, on a vehicle that was out of the
-//! picture, at a place where the camera comes back.
+//! Some views are kept as *key views*: their SIFT features, and small pictures of their points. A view becomes one
+//! where few of its points are those of the last key view, or where hardly any point lives on from the view before,
+//! which then is one, too. It is compared with the key views before it, and points that were lost since go on where
+//! they are found again ([`super::bridge`]): behind a pole, after another vehicle swept over them, on a vehicle that
+//! was out of the picture, at a place where the camera comes back.
 
 use std::collections::BTreeSet;
 
@@ -32,6 +32,9 @@ const MAX_KEYS: usize = 256;
 /// Key views a short time ago with which a view is compared, and of those the ones in which points are looked for.
 const NEAR_KEYS: usize = 8;
 const NEAR_CHOSEN: usize = 2;
+/// Views from one look back to the next, and the most of them, as long as what is seen is tied to no earlier view.
+const LOOK_EVERY: usize = 3;
+const LOOKS_BACK: usize = 20;
 /// Views after which a place counts as one that comes back: as many as the longest tracks live.
 const COMES_BACK_AFTER: usize = 100;
 /// Smallest distance between two ties to such places, and for how many views their points are followed: in the system
@@ -94,6 +97,8 @@ pub struct Memory {
     last: Option<Last>,
     /// The view that was tied to a place long ago last.
     tied_at: Option<usize>,
+    /// The first view of what is seen now, as long as nothing ties it to the views before.
+    apart_since: Option<usize>,
     /// What the view at hand looks like, if it is to be a key view.
     described: Option<Looks>,
 }
@@ -101,7 +106,7 @@ pub struct Memory {
 impl Memory {
     /// Nothing seen yet. `patch_radius`, pixels, is that of the front end.
     pub fn new(camera: Camera, patch_radius: i32) -> Self {
-        Self { camera, patch_radius, keys: Vec::new(), last: None, tied_at: None, described: None }
+        Self { camera, patch_radius, keys: Vec::new(), last: None, tied_at: None, apart_since: None, described: None }
     }
 
     /// Finds points of earlier views that are not alive, where the link to those views is weak.
@@ -116,8 +121,11 @@ impl Memory {
         live: &[Live],
     ) -> Result<Vec<FoundAgain>, SfmError> {
         let alive: BTreeSet<usize> = live.iter().map(|point| point.track).collect();
+        if self.is_cut(&alive) {
+            self.apart_since = Some(view);
+        }
         let is_broken = self.is_broken(&alive);
-        if !is_broken && !self.is_weak(&alive) {
+        if !is_broken && !self.is_weak(&alive) && !self.is_due(view, &alive) {
             return Ok(Vec::new());
         }
         if let Some(last) = self.last.take().filter(|last| is_broken && !self.is_key(last.view)) {
@@ -131,13 +139,14 @@ impl Memory {
         }
         let now = Now { camera: &self.camera, looks: &looks, gray, mask };
         let mut found: Vec<FoundAgain> = Vec::new();
-        for chosen in self.chosen(view, &looks.plain.features) {
+        for chosen in self.chosen(view, &looks.plain.features, &alive) {
             let key = &self.keys[chosen.key];
             let is_known = |track: usize| alive.contains(&track) || found.iter().any(|f| f.track == track);
             let more = bridge::find(key, &now, self.patch_radius, is_known, chosen.follow_for);
             tracing::trace!(view, key = key.view, matches = chosen.num_matches, found = more.len(), "looked back");
-            if chosen.follow_for.is_some() && !more.is_empty() {
-                self.tied_at = Some(view);
+            if !more.is_empty() {
+                self.tied_at = chosen.follow_for.map(|_| view).or(self.tied_at);
+                self.apart_since = self.apart_since.filter(|first| key.view >= *first);
             }
             found.extend(more);
         }
@@ -166,6 +175,28 @@ impl Memory {
         })
     }
 
+    /// Whether too few points live on from the view before to tie anything.
+    fn is_cut(&self, alive: &BTreeSet<usize>) -> bool {
+        self.last
+            .as_ref()
+            .is_some_and(|last| last.points.iter().filter(|(track, _)| alive.contains(track)).count() < FEW_POINTS)
+    }
+
+    /// Whether it is time to look back once more for what ties this view to those before a gap. What comes up from
+    /// behind something shows another part at first than what was seen last.
+    fn is_due(&self, view: usize, alive: &BTreeSet<usize>) -> bool {
+        self.apart_since.is_some_and(|first| {
+            let since = view - first;
+            alive.len() >= FEW_POINTS && since.is_multiple_of(LOOK_EVERY) && since <= LOOK_EVERY * LOOKS_BACK
+        })
+    }
+
+    /// Whether a key view shows enough of the points alive to be tied to them: it would match best, and tie nothing
+    /// new.
+    fn is_tied(key: &KeyView, alive: &BTreeSet<usize>) -> bool {
+        key.sights.iter().filter(|sight| alive.contains(&sight.track)).count() >= FEW_POINTS
+    }
+
     /// Whether the points of the last key view are hardly those that are alive.
     fn is_weak(&self, alive: &BTreeSet<usize>) -> bool {
         let Some(key) = self.keys.last() else { return alive.len() >= FEW_POINTS };
@@ -175,7 +206,11 @@ impl Memory {
         common < WEAK_LINK * (key.sights.len() as f64).max(alive.len() as f64 * sampled)
     }
 
+    /// Keeps a key view; none that shows hardly anything, behind which there would be nothing to find.
     fn keep(&mut self, view: usize, looks: Looks, gray: &GrayImage, points: &[(usize, Point2<f32>)]) {
+        if points.len() < FEW_POINTS {
+            return;
+        }
         // Two pixels more: for differences, and for a centre between pixels.
         let radius = self.patch_radius.unsigned_abs() + 2;
         let step = points.len().div_ceil(MAX_SIGHTS).max(1);
@@ -193,11 +228,14 @@ impl Memory {
 
     /// The key views in which points are looked for: of those a short time ago the ones that match best, and of those
     /// long ago the first that matches half as well as the best.
-    fn chosen(&self, view: usize, features: &Features) -> Vec<Chosen> {
+    fn chosen(&self, view: usize, features: &Features, alive: &BTreeSet<usize>) -> Vec<Chosen> {
         let is_far = |key: &KeyView| view - key.view >= COMES_BACK_AFTER;
         let num_far = self.keys.iter().take_while(|key| is_far(key)).count();
-        let near = (num_far.max(self.keys.len().saturating_sub(NEAR_KEYS)))..self.keys.len();
+        let before_gap =
+            self.keys.iter().take_while(|key| self.apart_since.is_none_or(|first| key.view < first)).count();
+        let near = num_far.max(before_gap.saturating_sub(NEAR_KEYS))..before_gap.max(num_far);
         let mut chosen: Vec<Chosen> = near
+            .filter(|key| !Self::is_tied(&self.keys[*key], alive))
             .map(|key| Chosen { key, num_matches: self.num_matches(key, features), follow_for: None })
             .filter(|chosen| chosen.num_matches >= FEW_POINTS)
             .collect();

@@ -222,8 +222,9 @@ fn adjusted(grounded: &Grounded, views: &Views, options: &Options, is_mirrored: 
 
 /// Where the standard deviation of the ratio comes from, as far as the adjustment itself knows.
 ///
-/// The part of the contact is what is left of the adjustment's own variance when the contact is known. For the rest that
-/// variance is too small, since it takes errors for independent; only where groups cannot be left out it stands in.
+/// The part of the contact is what is left of the adjustment's own variance when the contact is known. For the rest
+/// that variance is too small, since it takes errors for independent; only where groups cannot be left out it stands
+/// in.
 fn shares(adjustment: &Adjustment, contact: &Contact) -> Result<ScaleShares, ScaleError> {
     const KNOWN: f64 = 1e-3;
     let doubted = adjustment.in_doubt();

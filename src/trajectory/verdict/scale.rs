@@ -49,7 +49,12 @@ fn relative_std(scale: &ScaleEstimate) -> Option<f64> {
 }
 
 pub(super) fn deviation(scale: &ScaleEstimate) -> Reason {
-    let said = |std: f64| format!("size and distance are right to about {} (one standard deviation)", percent(std));
+    let focal = match scale.shares {
+        Some(shares) if shares.focal > shares.given_focal() => ", mostly because the focal length is not given",
+        _ => "",
+    };
+    let said =
+        |std: f64| format!("size and distance are right to about {} (one standard deviation){focal}", percent(std));
     match relative_std(scale) {
         _ if scale.degenerate => Reason::refutes(Determined, undetermined(scale)),
         Some(std) if std > WEAK_STD => Reason::doubts(Deviation, 1.0, said(std)),
@@ -61,7 +66,7 @@ pub(super) fn deviation(scale: &ScaleEstimate) -> Reason {
 
 fn undetermined(scale: &ScaleEstimate) -> String {
     let why = scale.reason.as_deref().unwrap_or("the run gives no reason");
-    format!("the motion does not tell how large and how far away the path is: {why}")
+    format!("it is not known how large and how far away the path is: {why}")
 }
 
 /// What the other methods say of the model as it is, and how sure each of them is by its own residuals.
@@ -96,7 +101,8 @@ fn own_std(method: ScaleMethod, ratio: f64, views: &Views) -> f64 {
 ///
 /// One that contradicts it counts half; two make it doubtful, or refute it where both do by far.
 pub(super) fn agreement(scale: &ScaleEstimate, answers: &[Answer]) -> Option<Reason> {
-    let own = relative_std(scale).unwrap_or(UNKNOWN_STD);
+    // All methods share the focal length, and its error.
+    let own = scale.shares.map(|shares| shares.given_focal()).or_else(|| relative_std(scale)).unwrap_or(UNKNOWN_STD);
     let away = |answer: &Answer| (answer.ratio / scale.ratio).ln().abs() / answer.std.hypot(own);
     let telling: Vec<&Answer> = answers.iter().filter(|answer| answer.std < NOTHING_TO_SAY).collect();
     let beyond = |limit: f64| telling.iter().filter(|answer| away(answer) > limit).count();

@@ -20,6 +20,7 @@ impl Growth<'_> {
         let before: Vec<Option<Rigid3>> = self.map.poses.clone();
         self.review_views()?;
         self.retry_failed()?;
+        self.mend_leaps()?;
         // Adjusted are poses that were known before as well; only those that came or went count here.
         let changed = |(a, b): (&Option<Rigid3>, &Option<Rigid3>)| a.is_some() != b.is_some();
         if self.reviewed || before.iter().zip(&self.map.poses).any(changed) {

@@ -1,12 +1,14 @@
 //! Views of a video that are registered far from their neighbours in time.
 //!
 //! Few points on a narrow piece of surface, as where another vehicle hides most of the one that is reconstructed, fit
-//! two poses: the right one, and one that sees the piece from the other side. A camera does not leap there and back from
-//! one frame to the next, so such views are tried again from between their neighbours, and left out where that fails.
+//! two poses: the right one, and one that sees the piece from the other side. A camera does not leap there and back
+//! from one frame to the next, so such views are tried again from between their neighbours, and left out where that
+//! fails.
 
 use super::{Attempt, Growth};
 use crate::math::upper_median;
 use crate::sfm::SfmError;
+use crate::sfm::mapper::Noise;
 
 /// A step that is so many times the usual one is a leap.
 const LEAP: f64 = 10.0;
@@ -22,6 +24,8 @@ impl Growth<'_> {
         if leapt.is_empty() {
             return Ok(());
         }
+        self.reviewed = true;
+        self.noise = Noise::Unknown;
         let support: Vec<usize> = leapt.iter().map(|&view| self.num_observations_of(view)).collect();
         leapt.iter().for_each(|&view| self.map.unregister(view));
         // Points that such a view took part in are found anew by the others.

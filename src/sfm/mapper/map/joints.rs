@@ -7,9 +7,9 @@ use crate::bundle::Whitening;
 use crate::sfm::tracks::Feature;
 
 impl Map<'_> {
-    /// Makes tracks of their own of what was found again and does not fit what was seen before: of every part of a track
-    /// behind a gap that has two registered views or more, and is an observation of the point in less than half of
-    /// them. Returns how many.
+    /// Makes tracks of their own of what was found again and does not fit what was seen before: of every part of a
+    /// track behind a gap that has two registered views or more, and is an observation of the point in less than half
+    /// of them. Returns how many.
     pub fn take_joints_apart(&mut self) -> usize {
         let mut apart: Vec<(usize, Vec<Range<usize>>)> = Vec::new();
         for track in 0..self.points.len() {
