@@ -188,7 +188,7 @@ pub struct TrackerOptions {
     /// Share of a mask's pixels that must be carried by consistent flow for the carried mask to count.
     #[schemars(extend("unit" = "share"))]
     pub min_carried_share: f64,
-    /// Seconds for which a lost object may be found again.
+    /// Seconds for which a lost object may be taken up again, or a new one be linked to it.
     pub max_lost_secs: f64,
     /// Similarity of colours (Bhattacharyya coefficient) that a lost object must have to be found again.
     #[schemars(extend("unit" = "0 to 1"))]
