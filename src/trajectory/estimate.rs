@@ -148,33 +148,50 @@ pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, fo
 
 /// What makes a ratio less sure than is accepted, in words; `None` where it is sure enough.
 fn why_unsure(shares: &ScaleShares, accepted: f64) -> Option<String> {
-    let percent = |share: f64| format!("{:.0} %", 100.0 * share);
-    let (total, with_focal) = (shares.total(), FOCAL_ALLOWANCE * accepted);
-    if !(shares.given_focal() <= accepted) {
-        return Some(format!(
-            "neither the camera's height over the ground, which changes too little, nor the outlines of the object \
-             determine the ratio to better than ± {}, where at most ± {} is accepted",
-            percent(shares.given_focal()),
-            percent(accepted)
-        ));
+    if shares.given_focal() <= accepted {
+        return focal_leaves_open(shares, accepted);
     }
-    (!(total <= with_focal)).then(|| {
+    Some(format!(
+        "neither the camera's height over the ground, which changes too little, nor the outlines of the object \
+         determine the ratio to better than ± {}, where at most ± {} is accepted",
+        whole_percent(shares.given_focal()),
+        whole_percent(accepted)
+    ))
+}
+
+/// Whether the focal length leaves a ratio open, in words.
+fn focal_leaves_open(shares: &ScaleShares, accepted: f64) -> Option<String> {
+    let (total, accepted) = (shares.total(), FOCAL_ALLOWANCE * accepted);
+    let is_open = !(total <= accepted) && shares.focal > shares.given_focal();
+    is_open.then(|| {
         format!(
             "the focal length is known to ± {} only, and the ratio therefore to ± {}, where at most ± {} is accepted; \
              give it with --intrinsics",
-            percent(shares.focal / FOCAL_SENSITIVITY),
-            percent(total),
-            percent(with_focal)
+            whole_percent(shares.focal / FOCAL_SENSITIVITY),
+            whole_percent(total),
+            whole_percent(accepted)
         )
     })
 }
 
+fn whole_percent(share: f64) -> String {
+    format!("{:.0} %", 100.0 * share)
+}
+
 /// The same estimate under a focal length that is not known exactly.
-pub(super) fn with_focal(scale: ScaleEstimate, focal_std: Option<f64>) -> ScaleEstimate {
-    let Some(focal_std) = focal_std else { return scale };
-    let focal = FOCAL_SENSITIVITY * focal_std;
-    let shares = scale.shares.map(|shares| ScaleShares { focal, ..shares });
-    ScaleEstimate { std: shares.map(|shares| shares.total() * scale.ratio), shares, ..scale }
+///
+/// * `accepted` – the largest deviation that is, as a share of the ratio.
+pub(super) fn with_focal(scale: ScaleEstimate, focal_std: Option<f64>, accepted: f64) -> ScaleEstimate {
+    let (Some(focal_std), Some(shares)) = (focal_std, scale.shares) else { return scale };
+    let shares = ScaleShares { focal: FOCAL_SENSITIVITY * focal_std, ..shares };
+    let reasons: Vec<String> = scale.reason.into_iter().chain(focal_leaves_open(&shares, accepted)).collect();
+    ScaleEstimate {
+        std: Some(shares.total() * scale.ratio),
+        degenerate: scale.degenerate || !reasons.is_empty(),
+        reason: (!reasons.is_empty()).then(|| reasons.join("; ")),
+        shares: Some(shares),
+        ..scale
+    }
 }
 
 /// What the difference to least squares on the same model says of the deviation: half of its square beyond what both

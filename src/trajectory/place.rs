@@ -102,7 +102,8 @@ pub fn place(evidence: &Evidence, options: &Options) -> Placed {
         ScaleMethod::Joint => ScaleMethod::RobustLeastSquares,
         method => method,
     };
-    let scale = estimate_scale(&as_it_is, method, options).map(|scale| with_focal(scale, evidence.focal_std));
+    let scale = estimate_scale(&as_it_is, method, options)
+        .map(|scale| with_focal(scale, evidence.focal_std, options.max_relative_std));
     let object = evidence.object.clone();
     let trajectory = scale.and_then(|scale| evidence.trajectory(&object, scale));
     Placed { object, adjustment, trajectory }
@@ -182,7 +183,8 @@ mod tests {
                 let evidence = Evidence { focal_std, ..evidence(&world, &none, ModelOrigin::Reconstructed) };
                 place(&evidence, &options).trajectory.unwrap().scale
             };
-            let [known, open] = [None, Some(0.04)].map(scale);
+            let [known, open, unknown] = [None, Some(0.04), Some(0.5)].map(scale);
+            assert!(!open.degenerate && unknown.degenerate && unknown.reason.unwrap().contains("--intrinsics"));
             for scale in [&known, &open] {
                 let shares = scale.shares.unwrap();
                 assert!((shares.total() / (scale.std.unwrap() / scale.ratio) - 1.0).abs() < 1e-12, "{shares:?}");
