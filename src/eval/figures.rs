@@ -102,6 +102,13 @@ pub struct RegisteredFrames {
     pub num_object: usize,
     /// `num_object / num_visible`.
     pub object_fraction: Option<f64>,
+    /// Frames in which [`CLEAR_SHARE`](super::CLEAR_SHARE) of the target or more is seen; `None` where the sequence does
+    /// not say how much is.
+    #[serde(default)]
+    pub num_clear: Option<usize>,
+    /// Those of `num_clear` with a camera in the target's model.
+    #[serde(default)]
+    pub num_object_clear: Option<usize>,
     /// Those of `num_visible` with both cameras.
     pub num_both: usize,
     /// Background images that are no frame of the sequence.

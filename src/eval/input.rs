@@ -33,6 +33,15 @@ pub struct TruthFrame {
     pub world_from_object: Rigid3,
     /// Pixels at which the target is seen.
     pub target_px2: usize,
+    /// How much of its outline is seen, 0 to 1, where the sequence says so.
+    pub visible_share: Option<f64>,
+}
+
+impl TruthFrame {
+    /// From the camera's centre to the target's origin, metres.
+    pub fn distance_m(&self) -> f64 {
+        (self.cam_from_world * self.world_from_object).translation.norm()
+    }
 }
 
 /// One object of a run.

@@ -43,6 +43,9 @@ use registration::Registration;
 /// Least overlap of masks with which a track is taken for the target.
 pub const MIN_TARGET_IOU: f64 = 0.1;
 
+/// Share of the target's outline from which it is seen well enough to ask for its pose.
+pub const CLEAR_SHARE: f64 = 0.3;
+
 /// Compares one run with the truth of its sequence.
 pub fn evaluate(input: &Input) -> Evaluation {
     let cameras = camera_pairs(input);
@@ -119,6 +122,9 @@ fn registered_frames(input: &Input, object: Option<&ObjectInput>) -> RegisteredF
     let model = object.and_then(|o| o.model.as_ref().ok());
     let in_object = |id: &FrameId| model.is_some_and(|m| m.cam_from_world.contains_key(id));
     let visible: Vec<_> = input.frames.iter().filter(|(_, f)| f.target_px2 > 0).map(|(id, _)| id).collect();
+    let is_clear = |f: &TruthFrame| f.visible_share.map(|share| share >= CLEAR_SHARE);
+    let clear: Option<Vec<_>> = input.frames.iter().map(|(id, f)| Some((id, is_clear(f)?))).collect();
+    let clear = clear.map(|all| all.into_iter().filter_map(|(id, clear)| clear.then_some(id)).collect::<Vec<_>>());
     let num_background = input.frames.keys().filter(|id| in_background(id)).count();
     let num_object = visible.iter().filter(|id| in_object(id)).count();
     let fraction = |count: usize, of: usize| (of > 0).then(|| count as f64 / of as f64);
@@ -129,6 +135,8 @@ fn registered_frames(input: &Input, object: Option<&ObjectInput>) -> RegisteredF
         num_visible: visible.len(),
         num_object,
         object_fraction: fraction(num_object, visible.len()),
+        num_clear: clear.as_ref().map(Vec::len),
+        num_object_clear: clear.map(|clear| clear.into_iter().filter(|id| in_object(id)).count()),
         num_both: visible.iter().filter(|id| in_object(id) && in_background(id)).count(),
         unmatched: input.background.as_ref().map_or(Vec::new(), |m| m.unmatched.clone()),
     }

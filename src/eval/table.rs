@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::figures::{Alternative, AsReconstructedFigures, Evaluation, Outcome};
+use super::trajectory::TrajectoryError;
 
 impl fmt::Display for Evaluation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -21,6 +22,9 @@ impl Evaluation {
         let registered = &self.registered;
         row("background frames", fraction(registered.num_background, registered.num_frames));
         row("object frames", fraction(registered.num_object, registered.num_visible));
+        if let (Some(num), Some(of)) = (registered.num_object_clear, registered.num_clear) {
+            row("  30 % or more of it seen", fraction(num, of));
+        }
         row(
             "target",
             text(&self.target, |t| match t.iou {
@@ -33,7 +37,7 @@ impl Evaluation {
             "camera rotations",
             text(&self.cameras, |c| format!("{:.4}° mean, {:.4}° at most", c.rotation_mean_deg, c.rotation_max_deg)),
         );
-        row("trajectory error", text(&self.trajectory, |t| format!("{} (mean)", length(t.mean_m))));
+        row("trajectory error", text(&self.trajectory, trajectory));
         row("  at the reference ratio", text(&self.trajectory_at_reference, |t| length(t.mean_m)));
         row(
             "scale ratio",
@@ -57,6 +61,13 @@ impl Evaluation {
         }
         rows
     }
+}
+
+fn trajectory(error: &TrajectoryError) -> String {
+    let share = error.mean_share_of_distance;
+    let share =
+        share.map_or(String::new(), |share| format!(", {:.2} % of the distance from the camera", 100.0 * share));
+    format!("{} (mean){share}", length(error.mean_m))
 }
 
 fn alternative(answer: &Alternative) -> String {

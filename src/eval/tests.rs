@@ -44,7 +44,8 @@ fn world(num_frames: u32, camera_center: impl Fn(f64) -> Point3<f64>) -> Input {
         let position = Point3::new(3.0 * t, 0.2 * t * t, 0.1 * t);
         let world_from_object = Rigid3::new(UnitQuaternion::from_euler_angles(0.0, 0.02, 0.1 * t), position.coords);
         let cam_from_world = looking(camera_center(t), position);
-        frames.insert(FrameId(k), TruthFrame { cam_from_world, world_from_object, target_px2: 900 });
+        frames
+            .insert(FrameId(k), TruthFrame { cam_from_world, world_from_object, target_px2: 900, visible_share: None });
     }
     let background_from_world =
         Sim3::new(0.21, UnitQuaternion::from_euler_angles(0.5, -1.0, 2.0), Vector3::new(1.0, 7.0, -3.0));
@@ -195,6 +196,8 @@ fn the_error_of_displaced_points_is_their_displacement() {
     let error = error.as_ref().unwrap();
     assert!((error.mean_m - metres).abs() < 1e-9 && (error.median_m - metres).abs() < 1e-9);
     assert_eq!((error.num_frames, error.num_points, error.frames.len()), (20, 200, 20));
+    let nearness = input.frames.values().map(|frame| 1.0 / frame.distance_m()).sum::<f64>() / 20.0;
+    assert!((error.mean_share_of_distance.unwrap() - metres * nearness).abs() < 1e-9);
 }
 
 #[test]
@@ -212,6 +215,20 @@ fn noise_in_the_cameras_stays_small_in_the_figures() {
     // √3 × 5 mm = 8.7 mm.
     assert!((0.006..0.011).contains(&rmse), "{rmse}");
     assert!((evaluation.reference_scale.as_ref().unwrap().ratio / TRUE_RATIO - 1.0).abs() < 2e-3);
+}
+
+#[test]
+fn frames_that_show_enough_of_the_target_are_counted_where_the_sequence_says_which() {
+    let mut input = world(20, curve);
+    assert_eq!(evaluate(&input).registered.num_clear, None);
+    for (id, frame) in &mut input.frames {
+        frame.visible_share = Some(if id.0 < 5 { 0.29 } else { 0.3 });
+    }
+    let model = input.objects[0].model.as_mut().unwrap();
+    model.cam_from_world.retain(|id, _| id.0 != 2 && id.0 != 10);
+    let registered = evaluate(&input).registered;
+    assert_eq!((registered.num_clear, registered.num_object_clear), (Some(15), Some(14)));
+    assert_eq!((registered.num_visible, registered.num_object), (20, 18));
 }
 
 #[test]

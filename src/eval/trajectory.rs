@@ -18,6 +18,9 @@ pub struct TrajectoryError {
     pub mean_m: f64,
     /// The median over frames and points.
     pub median_m: f64,
+    /// The mean over frames of each one's error over the true distance between camera and target.
+    #[serde(default)]
+    pub mean_share_of_distance: Option<f64>,
     /// Points in each frame.
     pub num_points: usize,
     /// Frames that took part.
@@ -81,5 +84,15 @@ pub fn error(
     let mean_m = errors.iter().map(|e| e.mean_m).sum::<f64>() / errors.len() as f64;
     let median_m = median(per_frame.concat()).filter(|_| mean_m.is_finite());
     let median_m = median_m.ok_or("the distances are not finite")?;
-    Ok(TrajectoryError { mean_m, median_m, num_points: points.len(), num_frames: errors.len(), frames: errors })
+    let share =
+        |((_, _, truth), error): (&(FrameId, &Sim3, &TruthFrame), &FrameError)| error.mean_m / truth.distance_m();
+    let share = placed.iter().zip(&errors).map(share).sum::<f64>() / errors.len() as f64;
+    Ok(TrajectoryError {
+        mean_m,
+        median_m,
+        mean_share_of_distance: Some(share).filter(|share| share.is_finite()),
+        num_points: points.len(),
+        num_frames: errors.len(),
+        frames: errors,
+    })
 }

@@ -57,6 +57,8 @@ pub struct SequenceFrame {
     pub cam_from_world: Rigid3,
     /// The target's pose.
     pub world_from_object: Rigid3,
+    /// How much of the target's outline is seen, 0 to 1, if stated.
+    pub visible_share: Option<f64>,
 }
 
 #[derive(Deserialize)]
@@ -88,6 +90,8 @@ struct FrameDocument {
     world_from_cam: [[f64; 4]; 4],
     #[serde(rename = "T_world_object")]
     world_from_object: [[f64; 4]; 4],
+    #[serde(default)]
+    visible_share: Option<f64>,
 }
 
 impl Sequence {
@@ -215,6 +219,9 @@ fn frame(path: &Path, frame: FrameDocument) -> Result<SequenceFrame, IoError> {
     if !frame.time_s.is_finite() {
         return Err(wrong("the time is not finite"));
     }
+    if frame.visible_share.is_some_and(|share| !(0.0..=1.0).contains(&share)) {
+        return Err(wrong("visible_share is not within 0 and 1"));
+    }
     Ok(SequenceFrame {
         id: FrameId(frame.index),
         name,
@@ -224,6 +231,7 @@ fn frame(path: &Path, frame: FrameDocument) -> Result<SequenceFrame, IoError> {
         time_s: frame.time_s,
         cam_from_world: world_from_cam.inverse(),
         world_from_object,
+        visible_share: frame.visible_share,
     })
 }
 
@@ -311,6 +319,7 @@ mod tests {
         assert!(refused(|d| d["frames"][1]["index"] = json!(0)).contains("out of order"));
         assert!(refused(|d| d["frames"][1]["T_world_object"][0][0] = json!(0.1)).contains("frame 3: T_world_object"));
         assert!(refused(|d| d["frames"][0]["T_world_camera"][2][2] = json!(-1)).contains("T_world_camera"));
+        assert!(refused(|d| d["frames"][1]["visible_share"] = json!(1.5)).contains("frame 3: visible_share"));
         assert!(refused(|d| d["frames"][0]["mask"] = json!(null)).contains("scene.json, line 1"));
     }
 

@@ -59,6 +59,7 @@ fn gather(output: &RunFolder, sequence: &Sequence) -> Result<Input, IoError> {
         cam_from_world: frame.cam_from_world,
         world_from_object: frame.world_from_object,
         target_px2: masks.target_px2[&frame.id],
+        visible_share: frame.visible_share,
     };
     let mesh = sequence.mesh().map_err(|e| reason(&e));
     Ok(Input {

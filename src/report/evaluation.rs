@@ -61,8 +61,11 @@ fn registered(frames: &RegisteredFrames, target: &str) -> Fact {
 
 fn vehicle_path(evaluation: &Evaluation, target: &str) -> Fact {
     outcome(&format!("path of {target}, off by"), &evaluation.trajectory, |t| {
+        let share = t
+            .mean_share_of_distance
+            .map_or(String::new(), |share| format!("; on average {} of its distance from the camera", percent(share)));
         let note = format!(
-            "mean distance of its {} from its true surface, over {}; half of them are nearer than {}",
+            "mean distance of its {} from its true surface, over {}; half of them are nearer than {}{share}",
             count(t.num_points, "point"),
             count(t.num_frames, "frame"),
             metres(t.median_m)
