@@ -174,17 +174,7 @@ mod tests {
     }
 
     fn trajectory(id: u32) -> ObjectTrajectory {
-        let scale = ScaleEstimate {
-            ratio: 2.0,
-            std: Some(0.02),
-            method: ScaleMethod::Joint,
-            degenerate: false,
-            reason: None,
-            alternatives: [].into(),
-            as_reconstructed: None,
-            shares: None,
-            support: None,
-        };
+        let scale = ScaleEstimate { std: Some(0.02), ..ScaleEstimate::new(2.0, ScaleMethod::Joint) };
         let poses = (3..=12).map(pose).collect();
         let verdict = Some(judged(Trust::Good, Vec::new()));
         let (class, ground) = ("car".into(), [].into());

@@ -148,17 +148,7 @@ mod tests {
                 speed: None,
             }
         };
-        let scale = ScaleEstimate {
-            ratio: 2.0,
-            std: Some(0.06),
-            method: ScaleMethod::Joint,
-            degenerate: false,
-            reason: None,
-            alternatives: BTreeMap::new(),
-            as_reconstructed: None,
-            shares: None,
-            support: None,
-        };
+        let scale = ScaleEstimate { std: Some(0.06), ..ScaleEstimate::new(2.0, ScaleMethod::Joint) };
         let poses = (0..8).map(pose).collect();
         let (id, class, ground) = (ObjectId(1), "car".into(), BTreeMap::new());
         let car = ObjectTrajectory { id, class, confidence: 1.0, scale, ground, verdict: None, poses };

@@ -93,18 +93,7 @@ fn world(num_frames: u32, camera_center: impl Fn(f64) -> Point3<f64>) -> Input {
 
 fn some_trajectory(ratio: f64) -> ObjectTrajectory {
     let alternatives = [(ScaleMethod::ConstantDistance, ratio), (ScaleMethod::Intersection, ratio * 0.9)].into();
-    let method = ScaleMethod::ConstantDistance;
-    let scale = ScaleEstimate {
-        ratio,
-        std: None,
-        method,
-        degenerate: false,
-        reason: None,
-        alternatives,
-        as_reconstructed: None,
-        shares: None,
-        support: None,
-    };
+    let scale = ScaleEstimate { alternatives, ..ScaleEstimate::new(ratio, ScaleMethod::ConstantDistance) };
     ObjectTrajectory {
         id: ObjectId(1),
         class: "car".into(),

@@ -62,6 +62,23 @@ pub struct ScaleEstimate {
     pub support: Option<ScaleSupport>,
 }
 
+impl ScaleEstimate {
+    /// A ratio of which nothing else is known: neither a deviation nor what other methods say.
+    pub fn new(ratio: f64, method: ScaleMethod) -> Self {
+        Self {
+            ratio,
+            std: None,
+            method,
+            degenerate: false,
+            reason: None,
+            alternatives: Ratios::new(),
+            as_reconstructed: None,
+            shares: None,
+            support: None,
+        }
+    }
+}
+
 /// Where the standard deviation of a scale ratio comes from. Each is a standard deviation as a share of the ratio; they
 /// are independent, so that their squares add up to that of the whole.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -260,15 +260,11 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
     }
     let alternatives = [(ScaleMethod::ConstantDistance, ratio * wrong), (ScaleMethod::Intersection, ratio * 1.013)];
     let scale = ScaleEstimate {
-        ratio: ratio * wrong,
         std: (!degenerate).then_some(0.011 * ratio),
-        method: ScaleMethod::ConstantDistance,
         degenerate,
         reason: degenerate.then(|| "the camera keeps its height over the ground, seen from the van".to_owned()),
         alternatives: alternatives.into(),
-        as_reconstructed: None,
-        shares: None,
-        support: None,
+        ..ScaleEstimate::new(ratio * wrong, ScaleMethod::ConstantDistance)
     };
     let class = if id == CAR { "car" } else { "van" }.to_owned();
     let confidence = if id == CAR { 0.93 } else { 0.78 };

@@ -145,19 +145,7 @@ mod tests {
     use crate::synthetic::drive::{Drive, Options, Route, drive};
 
     fn known(ratio: f64) -> ScaleEstimate {
-        let alternatives = BTreeMap::new();
-        let method = ScaleMethod::ConstantDistance;
-        ScaleEstimate {
-            ratio,
-            std: None,
-            method,
-            degenerate: false,
-            reason: None,
-            alternatives,
-            as_reconstructed: None,
-            shares: None,
-            support: None,
-        }
+        ScaleEstimate::new(ratio, ScaleMethod::ConstantDistance)
     }
 
     fn assembled(world: &Drive, unit: Unit) -> ObjectTrajectory {

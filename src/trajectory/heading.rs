@@ -34,7 +34,6 @@ pub fn headings(trajectory: &ObjectTrajectory) -> Vec<Unit<Vector3<f64>>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::collections::BTreeMap;
 
     use crate::scene::{ObjectId, ScaleEstimate, ScaleMethod, Unit as LengthUnit};
     use crate::synthetic::drive::{Options, Route, drive};
@@ -42,17 +41,7 @@ mod tests {
 
     fn trajectory(options: &Options) -> ObjectTrajectory {
         let world = drive(options, 2);
-        let scale = ScaleEstimate {
-            ratio: world.ratio,
-            std: None,
-            method: ScaleMethod::Intersection,
-            degenerate: false,
-            reason: None,
-            alternatives: BTreeMap::new(),
-            as_reconstructed: None,
-            shares: None,
-            support: None,
-        };
+        let scale = ScaleEstimate::new(world.ratio, ScaleMethod::Intersection);
         let description = ObjectDescription { id: ObjectId(1), class: "car".into(), confidence: 1.0 };
         assemble(description, &world.background, &world.object, scale, &world.frames, LengthUnit::Background)
     }

@@ -75,15 +75,8 @@ fn output_with(models: &Models, sequence: &Sequence, ratio: f64) -> tempfile::Te
         speed: None,
     };
     let scale = ScaleEstimate {
-        ratio,
-        std: None,
-        method: ScaleMethod::ConstantDistance,
-        degenerate: false,
-        reason: None,
         alternatives: [(ScaleMethod::ConstantDistance, ratio)].into(),
-        as_reconstructed: None,
-        shares: None,
-        support: None,
+        ..ScaleEstimate::new(ratio, ScaleMethod::ConstantDistance)
     };
     let poses = placements.iter().map(pose).collect();
     let object = ObjectTrajectory {

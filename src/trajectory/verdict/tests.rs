@@ -22,17 +22,7 @@ struct Car {
 }
 
 fn estimate(ratio: f64, relative_std: f64) -> ScaleEstimate {
-    ScaleEstimate {
-        ratio,
-        std: Some(relative_std * ratio),
-        method: ScaleMethod::Joint,
-        degenerate: false,
-        reason: None,
-        alternatives: BTreeMap::new(),
-        as_reconstructed: None,
-        shares: None,
-        support: None,
-    }
+    ScaleEstimate { std: Some(relative_std * ratio), ..ScaleEstimate::new(ratio, ScaleMethod::Joint) }
 }
 
 /// * `error` – factor by which the ratio is wrong.
