@@ -1,26 +1,232 @@
-//! `tractrix compare A B`: how far two reconstructions of the same images are apart.
+//! `tractrix compare A B`: reconstructions of the same images, held against one another or against the truth.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
 
 use super::output::{Failure, Form, show};
-use crate::eval::comparison::compare;
-use crate::io::model;
+use crate::eval::comparison::{Comparison, Cost, LengthUnit, MatchBy, Side, compare};
+use crate::io::{IoError, RunFolder, Sequence, json, model};
+use crate::report::comparison as page;
+use crate::scene::{CameraId, Image, ImageId, Reconstruction};
 
-/// Compares two reconstructions of the same images, in any format that is read.
+/// Compares reconstructions of the same images, in any format that is read.
+///
+/// The truth, or else the first one, sets frame and unit; every other one is brought into its frame by a similarity that
+/// a few lost cameras do not smear, and held against it image by image. Ends with exit code 1 where nothing can be
+/// compared.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
-    /// COLMAP folder, output folder of `tractrix run`, or OpenMVG's sfm_data.json; sets frame and unit
-    #[arg(value_name = "A")]
-    pub(super) a: PathBuf,
-    /// The other one
-    #[arg(value_name = "B")]
-    pub(super) b: PathBuf,
+    /// COLMAP folders, output folders of `tractrix run` (their background), or other formats that are read
+    #[arg(value_name = "MODEL", required = true)]
+    pub(super) models: Vec<PathBuf>,
+    /// What they should be: a sequence (scene.json, in metres), or a reconstruction
+    #[arg(long, value_name = "TRUTH")]
+    pub(super) truth: Option<PathBuf>,
+    /// What makes two images the same
+    #[arg(long, value_enum, value_name = "WHAT", default_value = "name")]
+    pub(super) match_by: By,
+    /// What to call a model, in the order given; may be repeated
+    #[arg(long = "label", value_name = "TEXT")]
+    pub(super) labels: Vec<String>,
+    /// Also write a page with both camera paths and point clouds in one view
+    #[arg(long, value_name = "FILE.html")]
+    pub(super) page: Option<PathBuf>,
+    /// Replace a page that is there
+    #[arg(long, requires = "page")]
+    pub(super) overwrite: bool,
 }
 
-/// Compares and prints the figures.
-pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
-    let (a, _) = model::read(&args.a)?;
-    let (b, _) = model::read(&args.b)?;
-    let comparison = compare(&a, &b);
-    show(form, &comparison, || comparison.to_string())
+/// What makes two images the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(super) enum By {
+    /// The whole name, with folders
+    Name,
+    /// The file name without folders and ending
+    Stem,
+    /// The place in the order of names
+    Order,
+}
+
+impl From<By> for MatchBy {
+    fn from(by: By) -> Self {
+        match by {
+            By::Name => Self::Name,
+            By::Stem => Self::Stem,
+            By::Order => Self::Order,
+        }
+    }
+}
+
+/// Compares, prints the figures, and writes the page if one is asked for.
+pub(super) fn run(args: &Args, arguments: &[std::ffi::OsString], form: Form) -> Result<(), Failure> {
+    check(args)?;
+    let mut sides = sides(args)?;
+    let unit = match args.truth.as_deref().map(is_sequence) {
+        Some(true) => LengthUnit::Metre,
+        _ => LengthUnit::Reference,
+    };
+    let others = sides.split_off(1);
+    let reference = sides.remove(0);
+    let comparison = compare(&reference, &others, unit, args.match_by.into());
+    if let Some(path) = &args.page {
+        let models = std::iter::once(&reference.model).chain(others.iter().map(|side| &side.model)).collect();
+        let arguments = arguments.iter().map(|a| a.to_string_lossy().into_owned()).collect();
+        page::write(path, &page::Data { comparison: &comparison, models, arguments })?;
+    }
+    if comparison.has_result() {
+        return show(form, &comparison, || comparison.to_string());
+    }
+    show(
+        form,
+        &Failed { comparison: &comparison, error: serde_json::json!({ "message": why_not(&comparison) }) },
+        || comparison.to_string(),
+    )?;
+    Err(Failure::Partial(anyhow::anyhow!(why_not(&comparison))))
+}
+
+/// What is printed as JSON where nothing could be compared.
+#[derive(serde::Serialize)]
+struct Failed<'a> {
+    #[serde(flatten)]
+    comparison: &'a Comparison,
+    error: Value,
+}
+
+fn check(args: &Args) -> Result<(), Failure> {
+    if args.models.len() + usize::from(args.truth.is_some()) < 2 {
+        return Err(Failure::Usage("there is nothing to compare it with: give a second model, or --truth".into()));
+    }
+    if args.labels.len() > args.models.len() {
+        let (labels, models) = (args.labels.len(), args.models.len());
+        return Err(Failure::Usage(format!("--label is given {labels} times, for {models} models")));
+    }
+    match &args.page {
+        Some(page) if page.exists() && !args.overwrite => {
+            Err(Failure::Usage(format!("{} exists; --overwrite replaces it", page.display())))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The truth, if there is one, and the models in the order given.
+fn sides(args: &Args) -> Result<Vec<Side>, Failure> {
+    let mut names = short_names(&args.models);
+    for (name, label) in names.iter_mut().zip(&args.labels) {
+        name.clone_from(label);
+    }
+    let mut sides = Vec::new();
+    for (path, name) in args.models.iter().zip(names) {
+        sides.push(Side { name, model: model::read(path)?.0, cost: cost(path)? });
+    }
+    let Some(truth) = &args.truth else { return Ok(sides) };
+    let model = match is_sequence(truth) {
+        true => {
+            let sequence = Sequence::open(truth)?;
+            sides.iter_mut().for_each(|side| name_as_in(&sequence, &mut side.model));
+            model_of(&sequence)
+        }
+        false => model::read(truth)?.0,
+    };
+    sides.insert(0, Side { name: "truth".into(), model, cost: None });
+    Ok(sides)
+}
+
+fn is_sequence(path: &Path) -> bool {
+    path.join("scene.json").is_file()
+}
+
+/// The true cameras of a sequence.
+fn model_of(sequence: &Sequence) -> Reconstruction {
+    let camera = CameraId(1);
+    let image = |frame: &crate::io::SequenceFrame| {
+        let image =
+            Image { name: frame.name.clone(), camera, cam_from_world: frame.cam_from_world, observations: Vec::new() };
+        (ImageId::from(frame.id), image)
+    };
+    Reconstruction {
+        cameras: [(camera, sequence.camera)].into(),
+        images: sequence.frames.iter().map(image).collect(),
+        ..Reconstruction::default()
+    }
+}
+
+/// Calls images as the sequence does: those of a video are numbered.
+fn name_as_in(sequence: &Sequence, model: &mut Reconstruction) {
+    for image in model.images.values_mut() {
+        if let Some(frame) = sequence.frame_named(&image.name) {
+            image.name.clone_from(&frame.name);
+        }
+    }
+}
+
+/// The last parts of paths, as few as tell them apart.
+fn short_names(paths: &[PathBuf]) -> Vec<String> {
+    let parts = |path: &Path, count: usize| {
+        let parts: Vec<_> = path.components().map(|c| c.as_os_str().to_string_lossy()).collect();
+        parts[parts.len().saturating_sub(count)..].join("/")
+    };
+    let longest = paths.iter().map(|path| path.components().count()).max().unwrap_or(1).max(1);
+    let names = |count| paths.iter().map(|path| parts(path, count)).collect::<Vec<_>>();
+    let are_distinct =
+        |names: &Vec<String>| names.iter().collect::<std::collections::BTreeSet<_>>().len() == names.len();
+    (1..=longest).map(names).find(are_distinct).unwrap_or_else(|| names(longest))
+}
+
+/// What a reconstruction cost: of an output folder from its run.json, of others from a `cost.json` beside them.
+fn cost(path: &Path) -> Result<Option<Cost>, IoError> {
+    let run = RunFolder::at(path).run_json();
+    if run.is_file() {
+        return Ok(cost_of_run(&json::read(&run)?));
+    }
+    let folder = if path.is_dir() { path } else { path.parent().unwrap_or(Path::new("")) };
+    let file = folder.join("cost.json");
+    if file.is_file() { json::read(&file).map(Some) } else { Ok(None) }
+}
+
+/// The sum over stages of a run, and the largest memory of any.
+fn cost_of_run(document: &Value) -> Option<Cost> {
+    let stages = document.get("stages")?.as_object()?;
+    let figures = |key: &str| stages.values().filter_map(|s| s.get(key)?.as_f64()).collect::<Vec<_>>();
+    let sum = |key: &str| figures(key).iter().sum::<f64>();
+    (!stages.is_empty()).then(|| Cost {
+        cpu_s: sum("cpu_s"),
+        wall_s: sum("wall_s"),
+        peak_rss_mib: figures("peak_rss_mib").into_iter().fold(0.0, f64::max),
+    })
+}
+
+/// Why nothing could be compared, and what may help.
+fn why_not(comparison: &Comparison) -> String {
+    let Some(other) = comparison.others.first() else { return "there is nothing to compare".into() };
+    let reason = other.alignment.as_ref().err().unwrap_or("no reason is known");
+    let (Some(ours), Some(theirs)) = (other.only_in_reference.first(), other.only_in_other.first()) else {
+        return format!("nothing can be compared: {reason}");
+    };
+    format!(
+        "nothing can be compared: {reason}. Are the images called otherwise ('{ours}' in {}, '{theirs}' in {})? \
+         --match-by stem leaves folders and endings aside, --match-by order takes them in the order of their names",
+        comparison.reference.name, other.subject.name
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_as_short_as_tells_them_apart() {
+        let names = |paths: &[&str]| short_names(&paths.iter().map(PathBuf::from).collect::<Vec<_>>());
+        assert_eq!(names(&["a/ours", "b/colmap"]), ["ours", "colmap"]);
+        assert_eq!(names(&["a/x/sparse/0", "b/y/sparse/0"]), ["x/sparse/0", "y/sparse/0"]);
+        assert_eq!(names(&["a", "a"]), ["a", "a"]);
+    }
+
+    #[test]
+    fn the_cost_of_a_run_is_that_of_its_stages() {
+        let stage = |cpu: f64, peak: f64| serde_json::json!({ "cpu_s": cpu, "wall_s": 1.0, "peak_rss_mib": peak });
+        let run = serde_json::json!({ "stages": { "input": stage(2.0, 100.0), "sfm": stage(3.5, 80.0) } });
+        assert_eq!(cost_of_run(&run), Some(Cost { cpu_s: 5.5, wall_s: 2.0, peak_rss_mib: 100.0 }));
+        assert_eq!(cost_of_run(&serde_json::json!({})), None);
+    }
 }

@@ -94,7 +94,7 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &Talk) -> Result<(), Fail
         Command::Evaluate(own) => evaluate::run(own, form),
         Command::Benchmark(own) => benchmark::run(own, arguments, form, talk),
         Command::Calibrate(own) => calibrate::run(own, arguments, form, talk),
-        Command::Compare(own) => compare::run(own, form),
+        Command::Compare(own) => compare::run(own, arguments, form),
         Command::Convert(own) => convert::run(own, form),
         Command::Bal(own) => bal::run(own, form),
         Command::Options(own) => options::run(own, form),

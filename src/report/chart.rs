@@ -91,7 +91,11 @@ pub(super) struct Tick {
 impl Chart {
     /// The drawing over the time of a run; `None` if no line has a point.
     pub fn draw(&self, timeline: &Timeline) -> Option<Drawing> {
-        let span = timeline.span();
+        self.draw_over(timeline.span(), timeline.ticks())
+    }
+
+    /// The drawing over any axis; `None` if no line has a point.
+    pub fn draw_over(&self, span: (f64, f64), x_ticks: Vec<Tick>) -> Option<Drawing> {
         let lines: Vec<Line> = self.lines.iter().map(thinned).filter(|l| !l.points.is_empty()).collect();
         if lines.is_empty() {
             return None;
@@ -117,7 +121,7 @@ impl Chart {
             summary,
             lines: drawn,
             levels: self.levels.iter().filter(|l| l.value >= range.0 && l.value <= range.1).map(level).collect(),
-            x_ticks: timeline.ticks(),
+            x_ticks,
             y_ticks,
             note: (clipped > 0)
                 .then(|| format!("{clipped} values lie outside the shown range; they stand at its edge.")),

@@ -12,6 +12,7 @@
 mod bars;
 pub mod benchmark;
 mod chart;
+pub mod comparison;
 mod data;
 mod evaluation;
 mod measure;
@@ -71,7 +72,10 @@ pub fn render(data: &Data) -> Result<String, ReportError> {
 /// # Errors
 /// [`ReportError::Write`] if the folder is missing or may not be written to.
 pub fn write(path: &Path, data: &Data) -> Result<(), ReportError> {
-    let text = render(data)?;
+    write_page(path, &render(data)?)
+}
+
+fn write_page(path: &Path, text: &str) -> Result<(), ReportError> {
     let failed = |source| ReportError::Write { path: path.to_owned(), source };
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();

@@ -45,11 +45,11 @@ struct SceneFrame {
 
 /// Packed points.
 #[derive(Debug, Serialize)]
-struct Cloud {
+pub(super) struct Cloud {
     /// Points in the model, points in this cloud, points beyond its reach.
-    total: usize,
-    count: usize,
-    beyond: usize,
+    pub total: usize,
+    pub count: usize,
+    pub beyond: usize,
     /// Coordinates from −reach to +reach as 16-bit fractions, little endian.
     reach: f64,
     positions: String,
@@ -87,7 +87,7 @@ impl Scene {
             radius: RADIUS,
             tangent: tangent(data.background.reconstruction),
             frames,
-            points: cloud(data, view),
+            points: cloud(data.background.reconstruction, data.ground.map_or(&[], |g| &g.point_ids), MAX_POINTS, view),
             objects: objects.filter_map(|(o, n)| scene_object(data, view, o, n, &chosen, budget)).collect(),
         }
     }
@@ -131,16 +131,16 @@ fn scene_frame(frame: &Frame, image: Option<&Image>, view: &View, timeline: &Tim
     SceneFrame { frame: frame.id.0, time: rounded(time), camera }
 }
 
-fn cloud(data: &Data, view: &View) -> Cloud {
-    let points = &data.background.reconstruction.points;
+/// The points of a reconstruction, at most `limit` of them; `ground` are ids of points on the ground, ascending.
+pub(super) fn cloud(model: &Reconstruction, ground: &[Point3dId], limit: usize, view: &View) -> Cloud {
+    let points = &model.points;
     let near = |p: &Point3d| {
         let distance = (view.view_from_world * p.position).coords.norm();
         distance <= view.reach
     };
     let inside: Vec<(Point3dId, &Point3d)> = points.iter().filter(|(_, p)| near(p)).map(|(id, p)| (*id, p)).collect();
     let beyond = points.len() - inside.len();
-    let chosen = sample(&inside, MAX_POINTS);
-    let ground = data.ground.map_or(&[][..], |g| &g.point_ids);
+    let chosen = sample(&inside, limit);
     let mut positions = Vec::with_capacity(chosen.len() * 6);
     let mut colours = Vec::with_capacity(chosen.len() * 4);
     for (id, point) in &chosen {
@@ -263,7 +263,8 @@ mod tests {
     #[test]
     fn what_is_not_finite_is_left_out() {
         let mut world = testing::world();
-        let far_before = cloud(&world.data(), &View::new(&world.data()).unwrap()).beyond;
+        let view = View::new(&world.data()).unwrap();
+        let far_before = cloud(&world.background, &[], MAX_POINTS, &view).beyond;
         let first = *world.background.points.keys().next().unwrap();
         world.background.points.get_mut(&first).unwrap().position.x = f64::NAN;
         world.trajectory.poses[3].position[1] = f64::INFINITY;

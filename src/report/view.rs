@@ -31,32 +31,53 @@ impl View {
     /// Of a run's data; `None` if nothing was reconstructed.
     pub fn new(data: &Data) -> Option<Self> {
         let background = data.background.reconstruction;
-        let centers: Vec<_> = background.images.values().map(|i| i.cam_from_world.center()).filter(finite).collect();
-        if centers.is_empty() {
-            return None;
-        }
-        let focus = focus(data, &centers);
-        let (up, up_source) = up(data);
+        let centers = centers(background)?;
+        let view = Self::around(background, &focus(data, &centers), up(data), centers[0]);
+        Some(Self { ground: ground_height(data, &view.view_from_world), ..view })
+    }
+
+    /// Of a reconstruction of which no more is known; `None` if nothing is registered.
+    pub fn of_model(model: &Reconstruction) -> Option<Self> {
+        let centers = centers(model)?;
+        let up = (mean_camera_up(model), "mean upward axis of the cameras");
+        let view = Self::around(model, &centers, up, centers[0]);
+        Some(Self { ground: low_height(model, &view.view_from_world), ..view })
+    }
+
+    /// * `focus` – what the first look should hold.
+    /// * `up` – unit vector away from the ground, and where it came from.
+    /// * `place` – of a camera.
+    fn around(
+        background: &Reconstruction,
+        focus: &[Point3<f64>],
+        (up, up_source): (Vector3<f64>, &'static str),
+        place: Point3<f64>,
+    ) -> Self {
         let forward: Vector3<f64> =
             background.images.values().map(|i| i.cam_from_world.rotation.inverse() * Vector3::z()).sum();
-        let rotation = upright(up, &focus, forward);
+        let rotation = upright(up, focus, forward);
         let turned: Vec<_> = focus.iter().map(|p| rotation * p).collect();
         let (middle, mut radius) = bounds(&turned);
         if !(radius > 0.0) {
             // A still camera and no trajectory: what it looks at gives the size.
-            let distances = background.points.values().map(|p| (p.position - centers[0]).norm());
+            let distances = background.points.values().map(|p| (p.position - place).norm());
             radius = quantile(&mut distances.filter(|d| d.is_finite()).collect::<Vec<_>>(), 0.5).max(1e-9);
         }
         let scale = RADIUS / radius;
         let view_from_world = Sim3::new(scale, rotation, -middle.coords * scale);
         let reach = reach(background, &view_from_world);
-        let ground = ground_height(data, &view_from_world);
-        Some(Self { view_from_world, reach, ground, up_source })
+        Self { view_from_world, reach, ground: 0.0, up_source }
     }
 
     pub fn point(&self, world: Point3<f64>) -> [f64; 3] {
         (self.view_from_world * world).coords.map(rounded).into()
     }
+}
+
+/// The places of the cameras; `None` without any.
+fn centers(model: &Reconstruction) -> Option<Vec<Point3<f64>>> {
+    let centers: Vec<_> = model.images.values().map(|i| i.cam_from_world.center()).filter(finite).collect();
+    (!centers.is_empty()).then_some(centers)
 }
 
 pub(super) fn finite(p: &Point3<f64>) -> bool {
@@ -175,7 +196,12 @@ fn ground_height(data: &Data, view_from_world: &Sim3) -> f64 {
     if !known.is_empty() {
         return quantile(&mut known, 0.5);
     }
-    let near = background.points.values().map(|p| *view_from_world * p.position);
+    low_height(background, view_from_world)
+}
+
+/// The 10th percentile of the heights of all points nearby.
+fn low_height(model: &Reconstruction, view_from_world: &Sim3) -> f64 {
+    let near = model.points.values().map(|p| *view_from_world * p.position);
     let mut all: Vec<_> = near.filter(|p| p.coords.norm() < 3.0 * RADIUS).map(|p| p.y).collect();
     quantile(&mut all, 0.1)
 }

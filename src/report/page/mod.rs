@@ -26,13 +26,11 @@ use crate::report::words::{self, LENGTH_UNIT};
 use crate::scene::{ObjectId, TimeBase};
 
 const TEMPLATE: &str = include_str!("report.html");
-const STYLE: &str = include_str!("style.css");
-const SCRIPTS: [&str; 4] = [
-    include_str!("errors.js"),
-    include_str!("../../../third_party/three/three.min.js"),
-    include_str!("view3d.js"),
-    include_str!("page.js"),
-];
+pub(super) const STYLE: &str = include_str!("style.css");
+/// Scripts that every page with a 3D view has: errors first, then what draws.
+pub(super) const VIEW_SCRIPTS: [&str; 3] =
+    [include_str!("errors.js"), include_str!("../../../third_party/three/three.min.js"), include_str!("view3d.js")];
+const SCRIPTS: [&str; 4] = [VIEW_SCRIPTS[0], VIEW_SCRIPTS[1], VIEW_SCRIPTS[2], include_str!("page.js")];
 
 /// Fills the template.
 pub(super) fn render(data: &Data) -> Result<String, ReportError> {
@@ -81,7 +79,7 @@ fn page_context(data: &Data) -> Value {
         notes,
         style => Value::from_safe_string(STYLE.to_owned()),
         scripts => SCRIPTS.map(|s| Value::from_safe_string(s.to_owned())).to_vec(),
-        policy => policy(),
+        policy => policy(&SCRIPTS),
     }
 }
 
@@ -125,13 +123,14 @@ impl Clock {
 }
 
 /// What the page may do: run our own scripts, show pictures that it holds itself, and nothing else.
-fn policy() -> String {
-    let hashes = SCRIPTS.map(|s| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(s.as_bytes()))));
+pub(super) fn policy(scripts: &[&str]) -> String {
+    let hash = |script: &&str| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(script.as_bytes())));
+    let hashes: Vec<_> = scripts.iter().map(hash).collect();
     format!("default-src 'none'; script-src {}; style-src 'unsafe-inline'; img-src data: blob:", hashes.join(" "))
 }
 
 /// JSON for a script element: without `<`, which could end it.
-fn json(value: &impl Serialize) -> Value {
+pub(super) fn json(value: &impl Serialize) -> Value {
     let text = serde_json::to_string(value).expect("numbers, strings and lists always serialise");
     Value::from_safe_string(text.replace('<', "\\u003c"))
 }

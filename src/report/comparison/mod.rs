@@ -1,0 +1,175 @@
+//! The page of a comparison: all reconstructions in one 3D view, differences over images, histograms, every figure.
+//!
+//! It is made like the report ([`super`]): one file that loads nothing, with the report's style and 3D view.
+
+mod charts;
+mod scene;
+
+use std::path::Path;
+
+use minijinja::{AutoEscape, Environment, Value, context};
+use serde::Serialize;
+
+use super::page::{STYLE, VIEW_SCRIPTS, json, policy};
+use super::words::{UNKNOWN, count, percent, thousands};
+use super::{ReportError, write_page};
+use crate::camera::Camera;
+use crate::eval::comparison::{Against, Comparison, ImageDifference, LengthUnit};
+use crate::scene::Reconstruction;
+
+const TEMPLATE: &str = include_str!("compare.html");
+const SCRIPTS: [&str; 4] = [VIEW_SCRIPTS[0], VIEW_SCRIPTS[1], VIEW_SCRIPTS[2], include_str!("compare.js")];
+
+/// Colours of the reconstructions, the reference first; told apart also by the colour-blind (after Okabe and Ito).
+const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#777777"];
+
+/// Images that the table lists of each reconstruction.
+const MAX_ROWS: usize = 200;
+
+/// What the page shows.
+#[derive(Clone, Debug)]
+pub struct Data<'a> {
+    /// The figures.
+    pub comparison: &'a Comparison,
+    /// The reference's reconstruction, then those of the others in their order.
+    pub models: Vec<&'a Reconstruction>,
+    /// The command line.
+    pub arguments: Vec<String>,
+}
+
+/// The page as text.
+///
+/// # Errors
+/// [`ReportError::Template`].
+pub fn render(data: &Data) -> Result<String, ReportError> {
+    let mut environment = Environment::new();
+    environment.set_auto_escape_callback(|_| AutoEscape::Html);
+    environment.set_trim_blocks(true);
+    environment.set_lstrip_blocks(true);
+    environment.add_template("compare", TEMPLATE)?;
+    Ok(environment.get_template("compare")?.render(page_context(data))?)
+}
+
+/// Writes the page, by rename: one that stands there is whole.
+///
+/// # Errors
+/// [`ReportError::Write`] if the folder is missing or may not be written to.
+pub fn write(path: &Path, data: &Data) -> Result<(), ReportError> {
+    write_page(path, &render(data)?)
+}
+
+pub(super) fn colour(side: usize) -> &'static str {
+    COLOURS[side % COLOURS.len()]
+}
+
+fn page_context(data: &Data) -> Value {
+    let comparison = data.comparison;
+    let scene = scene::Scene::new(data);
+    let names: Vec<&str> = std::iter::once(&comparison.reference)
+        .chain(comparison.others.iter().map(|other| &other.subject))
+        .map(|subject| subject.name.as_str())
+        .collect();
+    let sides: Vec<_> = names.iter().enumerate().map(|(k, name)| context! { name, colour => colour(k) }).collect();
+    context! {
+        title => names.join(" · "),
+        sentences => comparison.others.iter().map(|other| sentence(other, comparison)).collect::<Vec<_>>(),
+        version => env!("CARGO_PKG_VERSION"),
+        arguments => data.arguments.join(" "),
+        sides,
+        table => comparison.table(),
+        charts => charts::charts(data),
+        histograms => charts::histograms(comparison),
+        details => comparison.others.iter().enumerate().map(|(k, other)| Details::new(k + 1, other)).collect::<Vec<_>>(),
+        unit => unit(comparison.unit),
+        reference => names[0],
+        scene => scene.as_ref().map(json),
+        omissions => scene.as_ref().map(scene::Scene::omissions),
+        style => Value::from_safe_string(STYLE.to_owned()),
+        scripts => SCRIPTS.map(|s| Value::from_safe_string(s.to_owned())).to_vec(),
+        policy => policy(&SCRIPTS),
+    }
+}
+
+fn unit(unit: LengthUnit) -> &'static str {
+    match unit {
+        LengthUnit::Metre => "metres",
+        LengthUnit::Reference => "units of the first",
+    }
+}
+
+/// What a reader wants to know first.
+fn sentence(other: &Against, comparison: &Comparison) -> String {
+    let (name, reference) = (&other.subject.name, &comparison.reference.name);
+    let (alignment, cameras) = match (other.alignment.as_ref(), other.cameras.as_ref()) {
+        (Ok(alignment), Ok(cameras)) => (alignment, cameras),
+        (Err(reason), _) | (_, Err(reason)) => return format!("{name} cannot be held against {reference}: {reason}."),
+    };
+    let lost = match alignment.lost.len() {
+        0 => String::new(),
+        lost => format!(" {} lie elsewhere and took no part in the alignment.", count(lost, "camera")),
+    };
+    format!(
+        "{name}: {} of {} images of {reference} are registered in both; their cameras lie {} apart (root mean square, \
+         {} of the path's extent) and {:.3}° turned on average.{lost}",
+        other.num_common,
+        comparison.reference.figures.num_images,
+        with_unit(cameras.center_rmse, comparison.unit),
+        percent(cameras.center_share_of_extent),
+        cameras.rotation_mean_deg
+    )
+}
+
+fn with_unit(length: f64, of: LengthUnit) -> String {
+    super::words::with_unit(length, 3, unit(of))
+}
+
+/// What stands of one reconstruction below the charts.
+#[derive(Debug, Serialize)]
+struct Details {
+    name: String,
+    colour: &'static str,
+    intrinsics: Vec<[String; 3]>,
+    only_in_reference: Vec<String>,
+    only_in_other: Vec<String>,
+    rows: Vec<[String; 6]>,
+    left_out: usize,
+}
+
+impl Details {
+    fn new(side: usize, other: &Against) -> Self {
+        let intrinsics = other
+            .intrinsics
+            .iter()
+            .map(|pair| [thousands(pair.num_images), camera(&pair.reference), camera(&pair.other)]);
+        Self {
+            name: other.subject.name.clone(),
+            colour: colour(side),
+            intrinsics: intrinsics.collect(),
+            only_in_reference: other.only_in_reference.clone(),
+            only_in_other: other.only_in_other.clone(),
+            rows: other.images.iter().take(MAX_ROWS).map(row).collect(),
+            left_out: other.images.len().saturating_sub(MAX_ROWS),
+        }
+    }
+}
+
+fn camera(camera: &Camera) -> String {
+    let ([fx, fy], [cx, cy], [k1, k2]) = (camera.focal, camera.principal, camera.radial);
+    format!("{} × {}, f {fx:.2} {fy:.2}, c {cx:.2} {cy:.2}, k {k1:.5} {k2:.5}", camera.width, camera.height)
+}
+
+fn row(image: &ImageDifference) -> [String; 6] {
+    let number = |value: Option<f64>, digits| value.map_or(UNKNOWN.to_owned(), |v| super::words::figure(v, digits));
+    let [ours, theirs] = image.num_observations;
+    [
+        image.name.clone(),
+        number(image.center, 4),
+        number(image.rotation_deg, 4),
+        format!("{ours} / {theirs}"),
+        format!("{} / {}", number(image.error_px[0], 3), number(image.error_px[1], 3)),
+        if image.lost { "lost".into() } else { String::new() },
+    ]
+}
+
+#[cfg(test)]
+mod tests;
