@@ -4,7 +4,8 @@
 //! driving?, CVPR 2012): cars 3.88 × 1.63 × 1.53 m, vans 5.08 × 1.90 × 2.21 m, lorries 10.11 × 2.59 × 3.25 m, trams
 //! 16.09 × 2.54 × 3.53 m, cyclists 1.76 × 0.60 × 1.74 m. The limits above are those of EU directive 96/53/EC (4 m high,
 //! 12 m for a rigid vehicle, 13.5 m for a bus, 18.75 m for one that bends or draws another) and for cars, as the limits
-//! below, makers' data: the shortest cars sold are 2.5 m long, the longest 5.8 m, their heights 1.15 to 2.1 m.
+//! below, makers' data: the shortest cars sold are 2.5 m long, the longest 5.8 m, their heights 1.15 to 2.1 m; buses of
+//! 18.75 m are 2.9 m high, lorries of that length 3 m and more.
 
 /// What is known of a class, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,22 +18,30 @@ pub(super) struct Class {
     pub(super) heights_m: [f64; 2],
     /// Least and largest length.
     pub(super) lengths_m: [f64; 2],
+    /// Largest length in its own heights: the longest of a class are not its lowest.
+    pub(super) longest_in_heights: f64,
 }
 
-const fn class(name: &'static str, height_m: f64, heights_m: [f64; 2], lengths_m: [f64; 2]) -> Class {
-    Class { name, height_m, heights_m, lengths_m }
+const fn class(
+    name: &'static str,
+    height_m: f64,
+    heights_m: [f64; 2],
+    lengths_m: [f64; 2],
+    longest_in_heights: f64,
+) -> Class {
+    Class { name, height_m, heights_m, lengths_m, longest_in_heights }
 }
 
-const CAR: Class = class("car", 1.53, [1.15, 2.1], [2.5, 5.8]);
-const VAN: Class = class("van", 2.21, [1.6, 3.1], [3.6, 7.5]);
+const CAR: Class = class("car", 1.53, [1.15, 2.1], [2.5, 5.8], 5.0);
+const VAN: Class = class("van", 2.21, [1.6, 3.1], [3.6, 7.5], 4.7);
 // Detectors call pickups lorries, too.
-const LORRY: Class = class("lorry", 2.6, [1.6, 4.0], [4.5, 18.75]);
-const BUS: Class = class("bus", 3.1, [2.3, 4.4], [5.5, 18.75]);
-const CYCLE: Class = class("two-wheeler", 1.6, [0.9, 2.1], [1.4, 2.7]);
-const TRAM: Class = class("tram", 3.53, [2.8, 4.6], [8.0, 400.0]);
-const PERSON: Class = class("person", 1.7, [0.9, 2.1], [0.3, 1.2]);
+const LORRY: Class = class("lorry", 2.6, [1.6, 4.0], [4.5, 18.75], 6.3);
+const BUS: Class = class("bus", 3.1, [2.3, 4.4], [5.5, 18.75], 6.5);
+const CYCLE: Class = class("two-wheeler", 1.6, [0.9, 2.1], [1.4, 2.7], 3.0);
+const TRAM: Class = class("tram", 3.53, [2.8, 4.6], [8.0, 400.0], 133.0);
+const PERSON: Class = class("person", 1.7, [0.9, 2.1], [0.3, 1.2], 1.2);
 /// Whatever drives.
-const VEHICLE: Class = class("vehicle", 1.7, [0.9, 4.4], [1.4, 18.75]);
+const VEHICLE: Class = class("vehicle", 1.7, [0.9, 4.4], [1.4, 18.75], 6.5);
 
 /// What is known of a class by its name in a detector's list.
 pub(super) fn of(name: &str) -> Class {

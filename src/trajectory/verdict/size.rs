@@ -7,9 +7,7 @@ use crate::math::upper_median;
 use crate::scene::ReasonKind::{Shape, Size, Speed};
 use crate::scene::{Finding, Reason, TimeBase};
 
-/// Share of a vehicle's height and of its length that its points show at least: roofs have few corners, and of a
-/// vehicle from behind only the width is seen.
-const HEIGHT_SEEN: f64 = 0.6;
+/// Share of a vehicle's length that its points show at least: from behind only the width is seen.
 const LENGTH_SEEN: f64 = 0.35;
 /// By how much points beside the vehicle may make it longer.
 const STRAYS: f64 = 1.25;
@@ -24,10 +22,8 @@ const IMPOSSIBLE_M_S: f64 = 140.0;
 /// Whether it is as long, for its height, as its class is.
 pub(super) fn shape(measures: &Measures, class: &Class) -> Option<Reason> {
     let ratio = measures.in_heights(measures.length?)?;
-    let [low, high] = class.heights_m;
-    let [short, long] = class.lengths_m;
-    let least = LENGTH_SEEN * short / high;
-    let most = STRAYS * long / (HEIGHT_SEEN * low);
+    let least = LENGTH_SEEN * class.lengths_m[0] / class.heights_m[1];
+    let most = STRAYS * class.longest_in_heights;
     let said = format!("it is {} times as long as high", times(ratio));
     let odd = format!("{said}, which no {} is", class.name);
     Some(match beyond(ratio, least, most) {
@@ -134,4 +130,29 @@ pub(super) fn speed(measures: &Measures, class: &Class, time_base: TimeBase) -> 
         v if v > FAST_M_S => Reason::doubts(Speed, 1.0, odd),
         _ => Reason::supports(Speed, said),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_is_many_times_as_long_as_high() {
+        let finding = |class: &str, length: f64| {
+            let measures = Measures { height: Some(2.0), length: Some(2.0 * length), ..Measures::default() };
+            shape(&measures, &class::of(class)).unwrap().finding
+        };
+        for (class, length, finds) in [
+            ("car", 4.5, Finding::Supports),
+            ("car", 6.5, Finding::Doubts),
+            ("car", 13.0, Finding::Refutes),
+            ("bus", 6.5, Finding::Supports),
+            ("object", 6.5, Finding::Supports),
+            ("object", 8.9, Finding::Doubts),
+            ("object", 17.0, Finding::Refutes),
+            ("car", 0.4, Finding::Doubts),
+        ] {
+            assert_eq!(finding(class, length), finds, "{class} {length}");
+        }
+    }
 }
