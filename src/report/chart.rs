@@ -96,11 +96,28 @@ impl Chart {
 
     /// The drawing over any axis; `None` if no line has a point.
     pub fn draw_over(&self, span: (f64, f64), x_ticks: Vec<Tick>) -> Option<Drawing> {
-        let lines: Vec<Line> = self.lines.iter().map(thinned).filter(|l| !l.points.is_empty()).collect();
-        if lines.is_empty() {
-            return None;
-        }
+        let lines = self.thinned()?;
         let range = self.range(&lines);
+        Some(self.drawn(&lines, span, x_ticks, range))
+    }
+
+    /// The same with every value inside, however wild it is.
+    pub fn draw_whole(&self, span: (f64, f64), x_ticks: Vec<Tick>) -> Option<Drawing> {
+        let lines = self.thinned()?;
+        let values = || lines.iter().flat_map(|l| l.points.iter().map(|p| p.1));
+        let low = if self.from_zero { 0.0 } else { values().fold(f64::INFINITY, f64::min) };
+        let high = values().fold(f64::NEG_INFINITY, f64::max);
+        let range = (low, high + (0.04 * (high - low)).max(1e-9));
+        Some(self.drawn(&lines, span, x_ticks, range))
+    }
+
+    /// Lines with as many points as are drawn; `None` if none has a point.
+    fn thinned(&self) -> Option<Vec<Line>> {
+        let lines: Vec<Line> = self.lines.iter().map(thinned).filter(|l| !l.points.is_empty()).collect();
+        (!lines.is_empty()).then_some(lines)
+    }
+
+    fn drawn(&self, lines: &[Line], span: (f64, f64), x_ticks: Vec<Tick>, range: (f64, f64)) -> Drawing {
         let (y_ticks, decimals) = ticks(range);
         let clipped = lines.iter().flat_map(|l| &l.points).filter(|(_, v)| *v < range.0 || *v > range.1).count();
         let place = |t: f64, v: f64| {
@@ -114,7 +131,7 @@ impl Chart {
         };
         let drawn: Vec<DrawnLine> = lines.iter().map(|l| drawn_line(l, place, decimals)).collect();
         let summary = drawn.iter().map(|l| format!("{}: {}", l.label, l.range)).collect::<Vec<_>>().join("; ");
-        Some(Drawing {
+        Drawing {
             title: self.title.clone(),
             caption: self.caption.clone(),
             unit: self.unit.clone(),
@@ -125,7 +142,7 @@ impl Chart {
             y_ticks,
             note: (clipped > 0)
                 .then(|| format!("{clipped} values lie outside the shown range; they stand at its edge.")),
-        })
+        }
     }
 
     /// Low and high end of the value axis: nearly all values, so that one wild value does not flatten the rest.

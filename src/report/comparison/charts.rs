@@ -84,7 +84,7 @@ pub(super) fn histograms(comparison: &Comparison) -> Vec<Drawing> {
     };
     let last = sides.iter().map(|(_, f)| f.track_lengths.len()).max().unwrap_or(1) as f64 + 1.0;
     let widest = ERROR_BIN_PX * NUM_ERROR_BINS as f64;
-    [errors.draw_over((0.0, widest), ticks((0.0, widest)).0), tracks.draw_over((2.0, last), whole_ticks((2.0, last)))]
+    [errors.draw_whole((0.0, widest), ticks((0.0, widest)).0), tracks.draw_whole((2.0, last), whole_ticks((2.0, last)))]
         .into_iter()
         .flatten()
         .collect()
