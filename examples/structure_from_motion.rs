@@ -19,7 +19,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let source = Source::open(photos.as_ref(), &video::Options::default())?;
     // Nothing is known of the camera: a guess from the size, refined with everything else.
-    let camera = Camera::prior(source.info().width, source.info().height);
+    let camera = Camera::prior_of_photograph(source.info().width, source.info().height);
     let options = sfm::Options::unordered(); // For a video: sfm::Options::background().
     // No mask: the whole picture is used. A frame that cannot be decoded is no reason to stop.
     let pictures = source.frames()?.filter_map(Result::ok).map(|(frame, picture)| (frame, picture, None));

@@ -54,9 +54,18 @@ impl Camera {
         }
     }
 
-    /// The guess for an unknown camera: focal length 1.2 × the longer side (COLMAP's default too).
+    /// The guess for the unknown camera of a video: focal length 0.75 × the longer side, a field of view of 67°.
+    ///
+    /// The middle of what videos are taken with, in longer sides: phones 0.65 to 0.85, drones 0.65 to 0.8, cameras of
+    /// driving data sets 0.55 to 0.95, dashcams and action cameras 0.4 to 0.6; docs/sfm.md has the sources.
     pub fn prior(width: u32, height: u32) -> Self {
-        Self::with_focal(width, height, 1.2 * f64::from(width.max(height)))
+        Self::with_focal(width, height, 0.75 * f64::from(width.max(height)))
+    }
+
+    /// The same for photographs: focal length once the longer side, 36 mm of a full frame. They are taken with phones
+    /// and drones as well, but also with zoom lenses of 24 to 85 mm.
+    pub fn prior_of_photograph(width: u32, height: u32) -> Self {
+        Self::with_focal(width, height, f64::from(width.max(height)))
     }
 
     /// Parameters in the order fx, fy, cx, cy, k1, k2.

@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use crate::camera::Camera;
 use crate::pipeline::{ModelReport, Summary};
 
 /// The background's model, its camera, and the model of every vehicle; empty before the background is reconstructed.
@@ -10,15 +11,26 @@ pub(super) fn as_text(summary: &Summary) -> String {
     let Some(background) = &summary.background else { return text };
     // Writing to a string cannot fail.
     let _ = writeln!(text, "background: {}", model(background, summary.num_frames));
-    if let Some(camera) = background.camera.filter(|_| background.num_registered > 0) {
-        let [fx, fy, cx, cy, k1, k2] = camera.intrinsics();
-        let focal = if fx == fy { format!("{fx:.2}") } else { format!("{fx:.2} {fy:.2}") };
-        let _ = writeln!(text, "camera: focal length {focal}, centre {cx:.2} {cy:.2}, distortion {k1:.4} {k2:.4}");
+    if background.cameras.len() > 1 {
+        for of in &background.cameras {
+            let (id, width, height) = (of.id.0, of.camera.width, of.camera.height);
+            let count = of.frames.len();
+            let pictures = if count == 1 { "picture" } else { "pictures" };
+            let _ = writeln!(text, "camera {id} ({count} {pictures} of {width}x{height}): {}", lens(&of.camera));
+        }
+    } else if let Some(camera) = background.camera.filter(|_| background.num_registered > 0) {
+        let _ = writeln!(text, "camera: {}", lens(&camera));
     }
     for (id, vehicle) in &summary.vehicles {
         let _ = writeln!(text, "vehicle {id}: {}", model(&vehicle.model, vehicle.model.num_visible));
     }
     text
+}
+
+fn lens(camera: &Camera) -> String {
+    let [fx, fy, cx, cy, k1, k2] = camera.intrinsics();
+    let focal = if fx == fy { format!("{fx:.2}") } else { format!("{fx:.2} {fy:.2}") };
+    format!("focal length {focal}, centre {cx:.2} {cy:.2}, distortion {k1:.4} {k2:.4}")
 }
 
 fn model(report: &ModelReport, num_frames: usize) -> String {
@@ -29,9 +41,8 @@ fn model(report: &ModelReport, num_frames: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::Camera;
-    use crate::pipeline::Vehicle;
-    use crate::scene::{ObjectId, TimeBase};
+    use crate::pipeline::{CameraReport, Vehicle};
+    use crate::scene::{CameraId, FrameId, ObjectId, TimeBase};
 
     #[test]
     fn the_summary_names_frames_points_camera_and_vehicles() {
@@ -59,6 +70,18 @@ mod tests {
              camera: focal length 1379.05, centre 759.50 502.85, distortion -0.0001 0.0021\n\
              vehicle 3: 7 of 8 frames, 90 points\n"
         );
+        let of = |id: u32, width: u32, frames: &[u32]| CameraReport {
+            id: CameraId(id),
+            camera: Camera::with_focal(width, 600, 700.0),
+            focal_std_px: None,
+            frames: frames.iter().copied().map(FrameId).collect(),
+        };
+        if let Some(background) = &mut summary.background {
+            background.cameras = vec![of(1, 800, &[0, 2]), of(3, 400, &[5])];
+        }
+        let text = as_text(&summary);
+        assert!(text.contains("camera 1 (2 pictures of 800x600): focal length 700.00, centre 400.00 300.00"), "{text}");
+        assert!(text.contains("camera 3 (1 picture of 400x600): "), "{text}");
         summary.background = None;
         assert_eq!(as_text(&summary), "");
     }

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::masking::Masking;
 use super::run::{Outcome, Run};
-use super::{Instances, PipelineError, Stage, fingerprint, models, order, pictures};
+use super::{Instances, PipelineError, Stage, cameras, fingerprint, order, pictures};
 use crate::io::{IoError, atomic};
 use crate::sfm::{FrontEnd, TrackTable};
 
@@ -15,10 +15,10 @@ const PREFIX: &str = "features-";
 const BACKGROUND: &str = "background";
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
-    let (camera, _) = models::initial_camera(run)?;
+    let cameras: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| initial.camera).collect();
     let (background, _) = order::sfm_options(run)?;
     Ok(json!({
-        "camera": camera,
+        "cameras": cameras,
         "masking": run.options.masking,
         "background": background.front_end,
         "given_background": run.options.background_model.is_some(),
@@ -48,13 +48,22 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
 }
 
 fn follow_background(run: &Run, outcome: &mut Outcome) -> Result<TrackTable, PipelineError> {
-    let (camera, _) = models::initial_camera(run)?;
+    let initial = cameras::initial(run)?;
+    if let Some(open) = cameras::not_covered(run, &initial) {
+        outcome.warn(open);
+    }
+    let camera_of = cameras::of_frames(run)?;
     let (options, _) = order::sfm_options(run)?;
     let masking = Masking::new(run)?;
-    let mut background = FrontEnd::new(&options.front_end, camera);
-    run.progress.begin("features", Some(run.frames()?.len() as u64));
-    pictures::for_each(run, run.source.frames()?, outcome, |frame, picture| {
-        Ok(background.push(&frame, &picture, &masking.background(&frame)?)?)
+    let initial = initial.into_iter().map(|initial| initial.camera).collect();
+    let mut background = FrontEnd::of_cameras(&options.front_end, initial)?;
+    let frames = run.frames()?;
+    run.progress.begin("features", Some(frames.len() as u64));
+    let wanted = frames.iter().map(|frame| frame.id).collect();
+    pictures::for_each(run, run.source.frames_at(wanted)?, outcome, |frame, picture| {
+        let mask = masking.background(&frame, picture.dimensions())?;
+        let camera = camera_of.get(&frame.id).copied().unwrap_or_default();
+        Ok(background.push_of(camera, &frame, &picture, &mask)?)
     })?;
     Ok(background.finish(run.options.seed)?)
 }

@@ -6,14 +6,14 @@ use serde_json::{Value, json};
 
 use super::features::{self, TrackStore};
 use super::run::{Outcome, Run};
-use super::{PipelineError, Stage, models, order, pictures, track};
+use super::{PipelineError, Stage, cameras, order, pictures, track};
 use crate::scene::ObjectId;
 use crate::sfm::{FrontEnd, TrackTable};
 
 const PREFIX: &str = "follow-";
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
-    let (camera, _) = models::initial_camera(run)?;
+    let camera = cameras::first(run)?.camera;
     let (_, objects) = order::sfm_options(run)?;
     Ok(json!({
         "camera": camera,
@@ -28,7 +28,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let mut outcome = Outcome::default();
     let objects = track::objects(run)?;
     track::check_ids(run, &objects, &mut outcome)?;
-    let (camera, _) = models::initial_camera(run)?;
+    let camera = cameras::first(run)?.camera;
     let (_, sfm_options) = order::sfm_options(run)?;
     let options = run.options;
     let wanted = objects.iter().filter(|object| object.left_out.is_none()).map(|object| object.id);

@@ -2,9 +2,9 @@
 
 use serde_json::{Value, json};
 
-use super::PipelineError;
 use super::order;
 use super::run::{Outcome, Run};
+use super::{PipelineError, cameras};
 use crate::scene::TimeBase;
 use crate::video::Kind;
 
@@ -15,10 +15,14 @@ pub(super) fn depends_on(run: &Run, input: &str) -> Value {
 pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     run.progress.begin("frames", None);
     let scan = run.source.scan()?;
-    run.workspace.write_state("frames-list.json", &scan.frames)?;
     let order = order::find(run, &scan.frames)?;
+    let (frames, left_out) = match order.in_time {
+        true => cameras::of_one_size(run.source, scan.frames),
+        false => (scan.frames, Vec::new()),
+    };
+    run.workspace.write_state("frames-list.json", &frames)?;
     let mut outcome = Outcome::default();
-    for warning in scan.warnings {
+    for warning in scan.warnings.into_iter().chain(left_out) {
         outcome.warn(warning);
     }
     if order.in_time && run.info().time_base() == TimeBase::Frames {
@@ -31,7 +35,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
         tracing::info!("{said}");
         outcome.note(said);
     }
-    outcome.figure("num_frames", scan.frames.len());
+    outcome.figure("num_frames", frames.len());
     outcome.figure("width", run.info().width);
     outcome.figure("height", run.info().height);
     outcome.figure("in_time", order.in_time);

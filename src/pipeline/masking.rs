@@ -19,15 +19,14 @@ enum Movable {
 }
 
 /// Gives the background's masks of frames.
-pub(super) struct Masking<'a> {
-    run: &'a Run<'a>,
+pub(super) struct Masking {
     movable: Movable,
     dilation_px: u32,
 }
 
-impl<'a> Masking<'a> {
+impl Masking {
     /// The stage `segment` must be done.
-    pub(super) fn new(run: &'a Run<'a>) -> Result<Self, PipelineError> {
+    pub(super) fn new(run: &Run) -> Result<Self, PipelineError> {
         let longer_px = run.info().width.max(run.info().height);
         let dilation_px = (run.options.masking.dilation * f64::from(longer_px)).round() as u32;
         let movable = match &run.options.instances {
@@ -36,16 +35,15 @@ impl<'a> Masking<'a> {
             Instances::Model(_) => Movable::Masks(segment::finished(run)),
             Instances::Vehicles => Movable::Boxes(segment::finished_boxes(run)),
         };
-        Ok(Self { run, movable, dilation_px })
+        Ok(Self { movable, dilation_px })
     }
 
-    /// Where nothing moves in a frame.
-    pub(super) fn background(&self, frame: &Frame) -> Result<Mask, PipelineError> {
-        Ok(self.movable(frame)?.dilated(self.dilation_px).complement())
+    /// Where nothing moves in a frame, whose picture has a size.
+    pub(super) fn background(&self, frame: &Frame, size: (u32, u32)) -> Result<Mask, PipelineError> {
+        Ok(self.movable(frame, size)?.dilated(self.dilation_px).complement())
     }
 
-    fn movable(&self, frame: &Frame) -> Result<Mask, PipelineError> {
-        let (width, height) = (self.run.info().width, self.run.info().height);
+    fn movable(&self, frame: &Frame, (width, height): (u32, u32)) -> Result<Mask, PipelineError> {
         let mut movable = Mask::empty(width, height);
         match &self.movable {
             Movable::Nothing => {}

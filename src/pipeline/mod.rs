@@ -7,6 +7,7 @@
 //!
 //! Entry point: [`run`].
 
+mod cameras;
 mod detections;
 mod error;
 mod evaluate;
@@ -47,7 +48,7 @@ use serde_json::{Value, json};
 pub use error::PipelineError;
 pub use evaluate::{Kept, evaluate, keep_evaluation};
 pub use meter::{Cost, process_cpu_s};
-pub use models::ModelReport;
+pub use models::{CameraReport, ModelReport};
 pub use options::{
     DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskChoice, MaskingOptions,
     MotionChoice, OptionRow, OptionSection, Options, VehicleOptions,
@@ -59,7 +60,6 @@ pub use workspace::{Marker, Overwrite, Workspace};
 
 use crate::io::InputIdentity;
 use crate::scene::{Movement, ObjectId, TimeBase, TrackedObject};
-use crate::video::Source;
 use run::{Outcome, Run};
 
 /// What a run did.
@@ -134,7 +134,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
     let Job { options, goal, .. } = *job;
     options.check()?;
     Workspace::inspect(job.output, &job.inputs())?;
-    let source = Source::open(job.input, &options.video)?;
+    let source = cameras::open(job.input, options)?;
     let workspace = Workspace::open(job.output)?;
     progress.plan(&Plan::new(&workspace, options, source.info(), goal));
     progress.begin("input", None);

@@ -1,19 +1,18 @@
 //! Stage `background`, and what it shares with `objects`: a COLMAP model, reconstructed or given.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::options::{CameraOrigin, camera};
 use super::run::{Outcome, Run};
 use super::threads::on_threads;
-use super::{PipelineError, features, fingerprint, order};
+use super::{PipelineError, cameras, features, fingerprint, order};
 use crate::bundle;
 use crate::camera::Camera;
 use crate::io::colmap;
-use crate::scene::{Frame, FrameId, ImageId, Reconstruction};
+use crate::scene::{CameraId, Frame, FrameId, ImageId, Reconstruction};
 use crate::sfm::{self, mapper};
 
 /// How a model came about.
@@ -47,6 +46,23 @@ pub struct ModelReport {
     /// Standard deviation of that focal length, pixels; `None` where it was given and not looked for.
     #[serde(default)]
     pub focal_std_px: Option<f64>,
+    /// All cameras, of a model that was reconstructed.
+    #[serde(default)]
+    pub cameras: Vec<CameraReport>,
+}
+
+/// A camera of a model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraReport {
+    /// Its id in the model.
+    pub id: CameraId,
+    /// Its intrinsics.
+    pub camera: Camera,
+    /// Standard deviation of its focal length, pixels; `None` where it was given, or where eight other cameras took
+    /// more pictures.
+    pub focal_std_px: Option<f64>,
+    /// Its registered frames.
+    pub frames: Vec<FrameId>,
 }
 
 impl ModelReport {
@@ -56,6 +72,20 @@ impl ModelReport {
         self.mean_error_px = model.mean_reprojection_error_px();
         self.camera = model.cameras.values().next().copied();
         self.focal_length_px = self.camera.as_ref().map(Camera::mean_focal);
+    }
+
+    /// `focal_deviations` are shares, by place of the camera.
+    fn describe_cameras(&mut self, model: &Reconstruction, focal_deviations: &[Option<f64>]) {
+        let frames_of = |id: CameraId| {
+            model.images.iter().filter(|(_, image)| image.camera == id).map(|(image, _)| image.frame()).collect()
+        };
+        let described = |(&id, camera): (&CameraId, &Camera)| {
+            let share = (id.0 as usize).checked_sub(1).and_then(|place| *focal_deviations.get(place)?);
+            let focal_std_px = share.map(|share| share * camera.mean_focal());
+            CameraReport { id, camera: *camera, focal_std_px, frames: frames_of(id) }
+        };
+        self.cameras = model.cameras.iter().map(described).collect();
+        self.focal_std_px = self.cameras.first().and_then(|first| first.focal_std_px);
     }
 
     /// Standard deviation of the focal length as a share of it; `None` where it was given.
@@ -68,18 +98,13 @@ impl ModelReport {
 const DEVIATION_IMAGES: usize = 16;
 const BACKGROUND_REPORT: &str = "background-report.json";
 
-/// The camera before the background is reconstructed.
-pub(super) fn initial_camera(run: &Run) -> Result<(Camera, CameraOrigin), PipelineError> {
-    camera(run.options.intrinsics.as_ref(), run.info())
-}
-
 pub(super) fn background_depends_on(run: &Run) -> Result<Value, PipelineError> {
-    let (_, origin) = initial_camera(run)?;
+    let origins: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| initial.origin).collect();
     let (background, _) = order::sfm_options(run)?;
     let given = run.options.background_model.as_deref().map(fingerprint::of_content).transpose()?;
     Ok(json!({
         "model": given,
-        "camera_origin": origin,
+        "camera_origins": origins,
         "options": background.mapper,
         "seed": run.options.seed,
     }))
@@ -91,17 +116,13 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     let (model, mut report) = match &run.options.background_model {
         Some(folder) => given(folder, run)?,
         None => {
-            let (camera, origin) = initial_camera(run)?;
-            let intrinsics = match origin {
-                CameraOrigin::Given => sfm::Intrinsics::Fixed,
-                CameraOrigin::Exif => sfm::Intrinsics::Stated,
-                CameraOrigin::Guess => sfm::Intrinsics::Refined,
-            };
+            let initial = cameras::initial(run)?;
+            let cameras: Vec<_> = initial.iter().map(|initial| (initial.camera, initial.known())).collect();
             let table = features::of_background(run)?;
             let num_frames = table.views.len() as u64;
             run.progress.begin("background", Some(num_frames));
             let mut watch = |share: f64| run.progress.reach((share * num_frames as f64) as u64);
-            reconstruct(run, table, camera, intrinsics, &order::sfm_options(run)?.0.mapper, &mut watch)?
+            reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, &mut watch)?
         }
     };
     if let Some(failure) = &mut report.failure {
@@ -123,6 +144,9 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
         outcome.figure("intrinsics", json!(camera.intrinsics()));
         outcome.figure("focal_length_px", report.focal_length_px);
         outcome.figure("focal_std_px", report.focal_std_px);
+    }
+    if report.cameras.len() > 1 {
+        outcome.figure("cameras", json!(report.cameras));
     }
     outcome.outputs.extend([run.workspace.background(), run.workspace.state(BACKGROUND_REPORT)]);
     Ok(outcome)
@@ -171,19 +195,24 @@ pub(super) fn focal_deviation(run: &Run) -> Result<Option<f64>, PipelineError> {
 pub(super) fn reconstruct(
     run: &Run,
     mut table: sfm::TrackTable,
-    camera: Camera,
-    intrinsics: sfm::Intrinsics,
+    cameras: &[(Camera, sfm::Intrinsics)],
     options: &mapper::Options,
     watch: &mut (dyn FnMut(f64) + Send),
 ) -> Result<(Reconstruction, ModelReport), PipelineError> {
     let (threads, seed) = (run.options.threads, run.options.seed);
+    let (cameras, known): (Vec<Camera>, Vec<sfm::Intrinsics>) = cameras.iter().copied().unzip();
     let (mut model, report) = on_threads(threads, || {
-        sfm::cut_long_tracks(&mut table, &[camera], intrinsics, options, seed);
-        sfm::reconstruct_watched(&table, &[camera], intrinsics, options, seed, watch)
+        // Only videos have long tracks, and one camera.
+        let of_video = known.first().copied().unwrap_or(sfm::Intrinsics::Refined);
+        sfm::cut_long_tracks(&mut table, &cameras, of_video, options, seed);
+        sfm::reconstruct_watched(&table, &cameras, known, options, seed, watch)
     })??;
     if model.is_empty() {
-        // Even an empty model says which camera it would have had.
-        model.cameras.insert(crate::scene::CameraId(1), camera);
+        // Even an empty model says which cameras it would have had.
+        model.cameras = (1..).map(CameraId).zip(cameras).collect();
+    } else {
+        let used: BTreeSet<CameraId> = model.images.values().map(|image| image.camera).collect();
+        model.cameras.retain(|id, _| used.contains(id));
     }
     let unregistered = report
         .views
@@ -201,7 +230,7 @@ pub(super) fn reconstruct(
         ..ModelReport::default()
     };
     described.describe_points(&model);
-    described.focal_std_px = report.focal_deviation.zip(described.focal_length_px).map(|(share, focal)| share * focal);
+    described.describe_cameras(&model, &report.focal_deviations);
     Ok((model, described))
 }
 
@@ -332,7 +361,7 @@ mod tests {
 
     use super::*;
     use crate::math::Rigid3;
-    use crate::scene::{CameraId, Image, Observation, Point3d, Point3dId, TrackElement};
+    use crate::scene::{Image, Observation, Point3d, Point3dId, TrackElement};
 
     fn model(names: &[&str]) -> Reconstruction {
         let mut model = Reconstruction::default();

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::detections::FrameFolder;
-use super::order::{self, Order};
+use super::order;
 use super::run::{Outcome, Run};
 use super::{Instances, MotionChoice, PipelineError, Stage, fingerprint, models, pictures};
 use crate::ground::dominant_plane_points;
@@ -52,8 +52,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
 
 /// Whether anything is looked for, in pictures that follow one another.
 fn is_wanted(run: &Run) -> Result<bool, PipelineError> {
-    let order: Order = run.workspace.read_state(order::STATE)?;
-    Ok(order.in_time && run.options.instances != Instances::None)
+    Ok(order::found(run)?.in_time && run.options.instances != Instances::None)
 }
 
 /// Whether motion is to find vehicles, besides saying which of them move.

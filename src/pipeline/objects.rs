@@ -161,7 +161,7 @@ fn one_object(
         (None, Some(camera)) => {
             let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
-            models::reconstruct(run, table, camera, sfm::Intrinsics::Fixed, &options, watch)?
+            models::reconstruct(run, table, &[(camera, sfm::Intrinsics::Fixed)], &options, watch)?
         }
         (None, None) => failed(NO_BACKGROUND.to_owned()),
     };

@@ -16,6 +16,7 @@ pub use reference::{OptionRow, OptionSection};
 pub use vehicles::{DetectorChoice, MaskChoice, MotionChoice, VehicleOptions};
 
 use super::PipelineError;
+use super::order::Order;
 use crate::camera::Camera;
 use crate::limits::{Checked, OptionError, under, within};
 use crate::perception::motion::MotionOptions;
@@ -63,9 +64,10 @@ pub enum GroundLabels {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum IntrinsicsSource {
-    /// fx, fy, cx, cy, k1, k2 in pixels of the source, first pixel centre at (0.5, 0.5).
+    /// fx, fy, cx, cy, k1, k2 in pixels of the source, first pixel centre at (0.5, 0.5); of photographs of several
+    /// sizes, those of the first one's size.
     Given([f64; 6]),
-    /// A COLMAP `cameras.txt` or `cameras.bin` with one camera.
+    /// A COLMAP `cameras.txt` or `cameras.bin` with one camera, or one for each size of the pictures.
     File(PathBuf),
 }
 
@@ -327,30 +329,13 @@ fn check_intrinsics(values: [f64; 6]) -> Checked {
     all.map_err(|e| OptionError::new("intrinsics", format!("{}: {}", e.key, e.reason)))
 }
 
-/// The camera that the options and the input give, at the size of the frames, and whether it is known well enough to be
-/// kept as it is.
-pub(super) fn camera(
-    intrinsics: Option<&IntrinsicsSource>,
-    info: &video::Info,
-) -> Result<(Camera, CameraOrigin), PipelineError> {
-    let at_source = |values: [f64; 6]| {
-        let source = Camera::prior(info.source_width, info.source_height).with_intrinsics(values);
-        source.resized(info.width, info.height)
-    };
-    match intrinsics {
-        Some(IntrinsicsSource::Given(values)) => Ok((at_source(*values), CameraOrigin::Given)),
-        Some(IntrinsicsSource::File(path)) => {
-            let cameras = crate::io::colmap::read_cameras(path)?;
-            let mut cameras = cameras.into_values();
-            match (cameras.next(), cameras.next()) {
-                (Some(camera), None) => Ok((camera.resized(info.width, info.height), CameraOrigin::Given)),
-                _ => Err(PipelineError::Options(format!("{}: must hold exactly one camera", path.display()))),
-            }
-        }
-        None => Ok(match info.exif_focal_px {
-            Some(focal) => (Camera::with_focal(info.width, info.height, focal), CameraOrigin::Exif),
-            None => (Camera::prior(info.width, info.height), CameraOrigin::Guess),
-        }),
+/// The camera as the input tells it, where nobody gives it; what is guessed hangs on how the pictures were taken.
+pub(super) fn unknown_camera(pictures: &video::PictureCamera, order: &Order) -> (Camera, CameraOrigin) {
+    let (width, height) = (pictures.width, pictures.height);
+    match pictures.exif_focal_px {
+        Some(focal) => (Camera::with_focal(width, height, focal), CameraOrigin::Exif),
+        None if order.in_time => (Camera::prior(width, height), CameraOrigin::Guess),
+        None => (Camera::prior_of_photograph(width, height), CameraOrigin::Guess),
     }
 }
 
@@ -362,7 +347,7 @@ pub(super) enum CameraOrigin {
     Given,
     /// The photographs.
     Exif,
-    /// Nothing: 1.2 × the longer side.
+    /// Nothing: a guess, [`Camera::prior`] or [`Camera::prior_of_photograph`].
     Guess,
 }
 
@@ -462,22 +447,21 @@ mod tests {
     }
 
     #[test]
-    fn cameras_follow_the_frames_size() {
-        let info = video::Info {
-            kind: video::Kind::Video,
+    fn an_unknown_camera_is_stated_or_guessed() {
+        let pictures = |exif_focal_px| video::PictureCamera {
             width: 480,
             height: 270,
             source_width: 960,
             source_height: 540,
-            fps: None,
-            num_frames: None,
-            rotation_deg: 0,
-            exif_focal_px: None,
+            exif_focal_px,
+            frames: Vec::new(),
         };
-        let given = IntrinsicsSource::Given([880.0, 880.0, 480.0, 270.0, 0.0, 0.0]);
-        let (camera, origin) = camera(Some(&given), &info).unwrap();
-        assert_eq!((camera.focal, camera.principal, origin), ([440.0; 2], [240.0, 135.0], CameraOrigin::Given));
-        let (camera, origin) = super::camera(None, &info).unwrap();
-        assert_eq!((camera.focal, origin), ([576.0; 2], CameraOrigin::Guess));
+        for (in_time, expected) in [(true, 360.0), (false, 480.0)] {
+            let order = Order { in_time, followed_share: None };
+            let (camera, origin) = unknown_camera(&pictures(None), &order);
+            assert_eq!((camera.focal, origin), ([expected; 2], CameraOrigin::Guess));
+            let (camera, origin) = unknown_camera(&pictures(Some(500.0)), &order);
+            assert_eq!((camera.focal, origin), ([500.0; 2], CameraOrigin::Exif));
+        }
     }
 }

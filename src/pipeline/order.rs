@@ -44,13 +44,17 @@ impl Order {
     }
 }
 
-/// The order, where options and input say it; `None` has to be measured.
+/// Whether pictures follow one another in time, where options and input say it; `None` has to be measured.
 pub(super) fn stated(run: &Run) -> Option<bool> {
-    let options = run.options;
+    of_options(run.options).or_else(|| (run.info().kind == Kind::Video).then_some(true))
+}
+
+/// The same of a folder, where the options say it.
+pub(super) fn of_options(options: &Options) -> Option<bool> {
     match (options.order, options.features) {
         (FrameOrder::Time, _) | (FrameOrder::Auto, FeatureKind::Video) => Some(true),
         (FrameOrder::None, _) => Some(false),
-        (FrameOrder::Auto, _) => (run.info().kind == Kind::Video || options.video.fps.is_some()).then_some(true),
+        (FrameOrder::Auto, _) => options.video.fps.is_some().then_some(true),
     }
 }
 
@@ -78,7 +82,9 @@ fn measured(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> {
     let mut shares = Vec::new();
     for k in firsts {
         if let (Some(a), Some(b)) = (pictures.get(&frames[k].id), pictures.get(&frames[k + 1].id)) {
-            shares.push(sfm::order::followed_share(a, b)?);
+            // No video changes its size.
+            let is_alike = a.dimensions() == b.dimensions();
+            shares.push(if is_alike { sfm::order::followed_share(a, b)? } else { 0.0 });
         }
     }
     shares.sort_by(f64::total_cmp);
@@ -86,11 +92,15 @@ fn measured(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> {
     Ok(Order { in_time: share.is_some_and(|share| share >= FOLLOWED_SHARE), followed_share: share })
 }
 
+/// The order that was found; the stage `frames` must be done.
+pub(super) fn found(run: &Run) -> Result<Order, PipelineError> {
+    run.workspace.read_state(STATE)
+}
+
 /// Structure from motion of the background and of objects as options, input and order want it. The stage `frames` must
 /// be done.
 pub(super) fn sfm_options(run: &Run) -> Result<(sfm::Options, sfm::Options), PipelineError> {
-    let order: Order = run.workspace.read_state(STATE)?;
-    Ok(resolved(run.options, order.in_time))
+    Ok(resolved(run.options, found(run)?.in_time))
 }
 
 fn resolved(options: &Options, in_time: bool) -> (sfm::Options, sfm::Options) {

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use super::given_masks::MaskFolder;
 use super::networks::Networks;
 use super::run::Run;
-use super::{GroundLabels, Instances, PipelineError, Stage, ground, lens, models, segment, track};
+use super::{GroundLabels, Instances, PipelineError, Stage, cameras, ground, lens, models, segment, track};
 use crate::scene::{LabelMap, ObjectId};
 
 /// Looks at the camera that was given; needs nothing but the input's size.
@@ -19,11 +19,12 @@ pub(super) fn check_camera(run: &mut Run) -> Result<(), PipelineError> {
     if run.options.intrinsics.is_none() {
         return Ok(());
     }
-    let (camera, _) = models::initial_camera(run)?;
-    if let Some(reason) = lens::impossible(&camera) {
-        return Err(PipelineError::Options(reason));
+    for camera in cameras::given(run)? {
+        if let Some(reason) = lens::impossible(&camera) {
+            return Err(PipelineError::Options(reason));
+        }
+        lens::doubts(&camera).into_iter().for_each(|doubt| run.warn(doubt));
     }
-    lens::doubts(&camera).into_iter().for_each(|doubt| run.warn(doubt));
     Ok(())
 }
 

@@ -9,13 +9,13 @@ use super::models::{self, ModelReport};
 use super::options::CameraOrigin;
 use super::run::{Outcome, Run};
 use super::track;
-use super::{Options, PipelineError, Silent, Workspace, ground, objects, scale};
+use super::{Options, PipelineError, Silent, Workspace, cameras, ground, objects, scale};
 use crate::eval::Evaluation;
 use crate::io::json;
 use crate::report::{self, Data, Fact, Missing, Model, Object, Part, Thumbnail};
 use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
 use crate::trajectory::{Views, intersection};
-use crate::video::{Kind, Source};
+use crate::video::Kind;
 
 /// Makes the page of a finished run anew, with what was put into the folder since.
 ///
@@ -24,7 +24,7 @@ use crate::video::{Kind, Source};
 pub(super) fn renew(workspace: &Workspace) -> Result<(), PipelineError> {
     let told: Told = json::read(&workspace.run_json())?;
     let input = workspace.claimed_by().map_or(told.input.path, |input| input.path);
-    let source = Source::open(&input, &told.options.video)?;
+    let source = cameras::open(&input, &told.options)?;
     let mut run = Run::new(&told.options, workspace, &source, &told.arguments, &Silent);
     run.recall();
     work(&run).map(drop)
@@ -220,8 +220,7 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
     if info.rotation_deg != 0 {
         facts.push(Fact::new("Rotation applied", format!("{}°", info.rotation_deg)));
     }
-    let (_, origin) = models::initial_camera(run)?;
-    let origin = match origin {
+    let origin = match cameras::first(run)?.origin {
         CameraOrigin::Given => "given",
         CameraOrigin::Exif => "from EXIF, refined with the background",
         CameraOrigin::Guess => "unknown, found with the background",
@@ -234,6 +233,10 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
             None => format!("{:.1} px", camera.mean_focal()),
         };
         facts.push(Fact::new("Focal length", focal).with_note(origin));
+    }
+    if background.cameras.len() > 1 {
+        facts
+            .push(Fact::new("Cameras", background.cameras.len().to_string()).with_note("the first one's focal length"));
     }
     Ok(facts)
 }

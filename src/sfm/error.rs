@@ -21,6 +21,14 @@ pub enum SfmError {
         /// What was missing.
         reason: String,
     },
+    /// A frame is said to be of a camera that was not given.
+    #[error("camera {camera} of {count} is not there: give its intrinsics, or a guess, with the others")]
+    NoCamera {
+        /// Its place in the list, from 0.
+        camera: usize,
+        /// How many were given.
+        count: usize,
+    },
     /// A mask has another size than its image.
     #[error("the mask of {name} is {found:?} pixels, its image {expected:?}: give masks at the size of the frames")]
     MaskSize {

@@ -63,8 +63,20 @@ impl FrontEnd {
     pub fn new(options: &FrontEndOptions, camera: Camera) -> Self {
         match options {
             FrontEndOptions::Video(o) => Self::Video(AnySizeFrontEnd::new(o.clone(), camera)),
-            FrontEndOptions::Sift(o) => Self::Sift(SiftFrontEnd::new(o.clone(), camera)),
+            FrontEndOptions::Sift(o) => Self::Sift(SiftFrontEnd::new(o.clone(), vec![camera])),
         }
+    }
+
+    /// As [`FrontEnd::new`], for photographs of several cameras. A video has one: the first of the list.
+    ///
+    /// # Errors
+    /// [`SfmError::NoCamera`] if the list is empty.
+    pub fn of_cameras(options: &FrontEndOptions, cameras: Vec<Camera>) -> Result<Self, SfmError> {
+        let first = *cameras.first().ok_or(SfmError::NoCamera { camera: 0, count: 0 })?;
+        Ok(match options {
+            FrontEndOptions::Video(_) => Self::new(options, first),
+            FrontEndOptions::Sift(o) => Self::Sift(SiftFrontEnd::new(o.clone(), cameras)),
+        })
     }
 
     /// Adds the next frame, looking only where the mask is set; the mask has the image's size.
@@ -72,13 +84,23 @@ impl FrontEnd {
     /// # Errors
     /// [`SfmError::MaskSize`] if the mask has not the image's size, [`SfmError::OpenCv`].
     pub fn push(&mut self, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), SfmError> {
+        self.push_of(0, frame, image, mask)
+    }
+
+    /// As [`FrontEnd::push`], of one of several cameras, by its place in the list.
+    ///
+    /// # Errors
+    /// As [`FrontEnd::push`]; [`SfmError::NoCamera`] if there is no such camera.
+    pub fn push_of(&mut self, camera: usize, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), SfmError> {
         let (expected, found) = (image.dimensions(), (mask.width(), mask.height()));
         if expected != found {
             return Err(SfmError::MaskSize { name: frame.name.clone(), expected, found });
         }
         match self {
+            Self::Video(_) if camera > 0 => Err(SfmError::NoCamera { camera, count: 1 }),
+            Self::Sift(f) if camera >= f.num_cameras() => Err(SfmError::NoCamera { camera, count: f.num_cameras() }),
             Self::Video(f) => f.push(frame, image, mask),
-            Self::Sift(f) => f.push(frame, image, mask),
+            Self::Sift(f) => f.push(frame, camera, image, mask),
         }
     }
 

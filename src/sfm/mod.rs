@@ -9,7 +9,7 @@
 //! use tractrix::video::{self, Source};
 //!
 //! let source = Source::open("photos".as_ref(), &video::Options::default())?;
-//! let camera = Camera::prior(source.info().width, source.info().height);
+//! let camera = Camera::prior_of_photograph(source.info().width, source.info().height);
 //! let pictures = source.frames()?.filter_map(Result::ok).map(|(frame, picture)| (frame, picture, None));
 //! let options = sfm::Options::unordered();
 //! let (model, report) = sfm::reconstruct_pictures(pictures, camera, Intrinsics::Refined, &options, 0)?;
@@ -45,7 +45,7 @@ use serde::{Deserialize, Serialize};
 use crate::limits::{Checked, under};
 pub use error::SfmError;
 pub use front_end::{FrontEnd, FrontEndOptions};
-pub use mapper::{Intrinsics, Report, cut_long_tracks, reconstruct, reconstruct_watched};
+pub use mapper::{Intrinsics, KnownIntrinsics, Report, cut_long_tracks, reconstruct, reconstruct_watched};
 pub use pictures::reconstruct_pictures;
 use sift_front_end::{Pairing, SiftOptions};
 pub use tracks::TrackTable;

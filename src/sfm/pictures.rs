@@ -10,7 +10,8 @@ use crate::scene::{Frame, Mask, Reconstruction};
 ///
 /// * `pictures` – frames in order of time, or photographs in any order ([`Options::unordered`]), each with a mask of
 ///   its size outside of which nothing is looked at; `None` is the whole picture.
-/// * `camera` – intrinsics of all pictures; [`Camera::prior`] where they are not known.
+/// * `camera` – intrinsics of all pictures; [`Camera::prior`], or [`Camera::prior_of_photograph`], where they are not
+///   known.
 ///
 /// Returns the model in a unit of its own, frame k as image k + 1, and what became of every picture. Pictures that do
 /// not fit are left out of the model, and the report says why.

@@ -110,21 +110,29 @@ impl SiftOptions {
 /// Collects features frame by frame.
 pub struct SiftFrontEnd {
     options: SiftOptions,
-    camera: Camera,
+    cameras: Vec<Camera>,
     views: Vec<View>,
     features: Vec<Features>,
-    waiting: Vec<(Frame, RgbImage, Mask)>,
+    waiting: Vec<Waiting>,
     /// Grey pictures for refinement, as long as they are not too many.
     pictures: Vec<GrayImage>,
     num_pixels: f64,
 }
 
+/// A frame whose features are still to be found.
+struct Waiting {
+    frame: Frame,
+    camera: usize,
+    image: RgbImage,
+    mask: Mask,
+}
+
 impl SiftFrontEnd {
-    /// `camera` serves to verify matches; a guess will do.
-    pub fn new(options: SiftOptions, camera: Camera) -> Self {
+    /// `cameras` serve to verify matches; guesses will do.
+    pub fn new(options: SiftOptions, cameras: Vec<Camera>) -> Self {
         Self {
             options,
-            camera,
+            cameras,
             views: Vec::new(),
             features: Vec::new(),
             waiting: Vec::new(),
@@ -133,26 +141,31 @@ impl SiftFrontEnd {
         }
     }
 
-    /// Adds a frame, looking only where the mask is set.
+    /// How many cameras took the frames.
+    pub fn num_cameras(&self) -> usize {
+        self.cameras.len()
+    }
+
+    /// Adds a frame of one of the cameras, looking only where the mask is set.
     ///
     /// # Errors
     /// [`SfmError::OpenCv`] if OpenCV fails, on this frame or on one before it: as many frames are worked on at a time
     /// as there are threads.
-    pub fn push(&mut self, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), SfmError> {
-        self.waiting.push((frame.clone(), image.clone(), mask.clone()));
+    pub fn push(&mut self, frame: &Frame, camera: usize, image: &RgbImage, mask: &Mask) -> Result<(), SfmError> {
+        self.waiting.push(Waiting { frame: frame.clone(), camera, image: image.clone(), mask: mask.clone() });
         if self.waiting.len() < rayon::current_num_threads() { Ok(()) } else { self.work_off() }
     }
 
     fn work_off(&mut self) -> Result<(), SfmError> {
         let waiting = std::mem::take(&mut self.waiting);
         let found: Result<Vec<Features>, SfmError> =
-            waiting.par_iter().map(|(_, image, mask)| extract(image, mask, &self.options.features)).collect();
-        for ((frame, image, _), mut features) in waiting.into_iter().zip(found?) {
+            waiting.par_iter().map(|w| extract(&w.image, &w.mask, &self.options.features)).collect();
+        for (Waiting { frame, camera, image, .. }, mut features) in waiting.into_iter().zip(found?) {
             self.keep_picture(&image)?;
             self.views.push(View {
                 image: frame.id.into(),
                 name: frame.name,
-                camera: 0,
+                camera,
                 pixels: features.pixels.clone(),
                 rgb: std::mem::take(&mut features.rgb),
                 whitening: Vec::new(),
@@ -181,7 +194,8 @@ impl SiftFrontEnd {
         let normalized: Vec<Vec<Vector2<f64>>> = self
             .features
             .par_iter()
-            .map(|f| f.pixels.iter().map(|&p| self.camera.normalized_from_pixel(p)).collect())
+            .enumerate()
+            .map(|(v, f)| f.pixels.iter().map(|&p| self.camera_of(v).normalized_from_pixel(p)).collect())
             .collect();
         let pairs: Vec<PairMatches> = pairs_of(self.features.len(), self.options.pairing)
             .into_par_iter()
@@ -200,6 +214,14 @@ impl SiftFrontEnd {
         Ok(table)
     }
 
+    fn camera_of(&self, view: usize) -> &Camera {
+        &self.cameras[self.views[view].camera]
+    }
+
+    fn cameras_differ(&self, [first, second]: [usize; 2]) -> bool {
+        self.views[first].camera != self.views[second].camera
+    }
+
     fn verified(&self, views: [usize; 2], normalized: &[Vec<Vector2<f64>>], seed: u64) -> Option<PairMatches> {
         let matches = match_features(&self.features[views[0]], &self.features[views[1]], &self.options.matching);
         if matches.len() < self.options.min_pair_matches {
@@ -209,8 +231,12 @@ impl SiftFrontEnd {
         let (first, second) = (side(0), side(1));
         let pairs = Correspondences { first: &first, second: &second };
         let stream = (views[0] as u64) << 32 | views[1] as u64;
-        let max_error = self.options.max_epipolar_error_px / self.camera.mean_focal();
-        let inliers = two_view::verify(&pairs, max_error, &mut seeded_rng(seed, stream));
+        let focal = views.map(|v| self.camera_of(v).mean_focal());
+        let max_error = self.options.max_epipolar_error_px / (focal[0] * focal[1]).sqrt();
+        let inliers = match self.cameras_differ(views) {
+            true => two_view::verify_of_two_cameras(&pairs, max_error, &mut seeded_rng(seed, stream)),
+            false => two_view::verify(&pairs, max_error, &mut seeded_rng(seed, stream)),
+        };
         (inliers.len() >= self.options.min_pair_matches).then(|| PairMatches {
             views: views.map(|v| v as u32),
             matches: inliers.into_iter().map(|i| matches[i]).collect(),

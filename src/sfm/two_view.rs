@@ -63,6 +63,38 @@ pub fn verify(pairs: &Correspondences<'_>, max_error: f64, rng: &mut Rng) -> Vec
     robust::ransac(&EssentialEstimator(pairs), &options, rng).map(|c| c.inliers).unwrap_or_default()
 }
 
+/// How many correspondences agree with the epipolar geometry of a motion that is known otherwise; `None` for a motion
+/// without a translation, which has none.
+pub fn num_explained(pairs: &Correspondences<'_>, cam2_from_cam1: &Rigid3, max_error: f64) -> Option<usize> {
+    let direction = cam2_from_cam1.translation.try_normalize(f64::EPSILON)?;
+    let essential = essential_from_pose(&Rigid3::new(cam2_from_cam1.rotation, direction));
+    let estimator = EssentialEstimator(pairs);
+    let fits = |&i: &usize| estimator.error_sq(&essential, i) <= max_error * max_error;
+    Some((0..pairs.first.len()).filter(fits).count())
+}
+
+/// As [`verify`] for two cameras whose focal lengths may be known to a third only, each wrong in its own way: a common
+/// factor bends an epipolar geometry little, a ratio much, so that several ratios are tried and the one that explains
+/// most is taken.
+pub fn verify_of_two_cameras(pairs: &Correspondences<'_>, max_error: f64, rng: &mut Rng) -> Vec<usize> {
+    const GOOD_SHARE: f64 = 0.7;
+    const RATIOS: [f64; 4] = [0.75, 4.0 / 3.0, 0.5625, 16.0 / 9.0];
+    let mut best = verify(pairs, max_error, rng);
+    for ratio in RATIOS {
+        if best.len() as f64 >= GOOD_SHARE * pairs.first.len() as f64 {
+            break;
+        }
+        // Half of it on either side, so that errors of both count as before.
+        let scaled = |side: &[Vector2<f64>], factor: f64| side.iter().map(|p| p * factor).collect::<Vec<_>>();
+        let (first, second) = (scaled(pairs.first, ratio.sqrt()), scaled(pairs.second, ratio.sqrt().recip()));
+        let found = verify(&Correspondences { first: &first, second: &second }, max_error, rng);
+        if found.len() > best.len() {
+            best = found;
+        }
+    }
+    best
+}
+
 /// Midpoint of the shortest segment between two rays, in the first camera; `None` for parallel rays.
 fn midpoint(pairs: &Correspondences<'_>, cam2_from_cam1: &Rigid3, i: usize) -> Option<Point3<f64>> {
     let ray1 = pairs.first[i].push(1.0);
@@ -252,6 +284,18 @@ mod tests {
         assert!((found.cam2_from_cam1.translation - t).norm() < 1e-3);
         assert!(found.inliers.len() >= 200 && found.homography_ratio < 0.5);
         assert!(found.median_angle > 0.1);
+    }
+
+    #[test]
+    fn another_motion_explains_less() {
+        let truth = Rigid3::new(UnitQuaternion::from_euler_angles(0.05, -0.1, 0.02), Vector3::new(1.0, 0.1, 0.2));
+        let (first, second) = views(&truth, false, 100);
+        let pairs = Correspondences { first: &first, second: &second };
+        let count = |motion: &Rigid3| num_explained(&pairs, motion, 1e-3);
+        assert!((200..220).contains(&count(&truth).unwrap()));
+        let off = Rigid3::new(truth.rotation, truth.translation + Vector3::new(0.0, 0.3, 0.0));
+        assert!(count(&off).unwrap() < 40, "{:?}", count(&off));
+        assert_eq!(count(&Rigid3::new(truth.rotation, Vector3::zeros())), None);
     }
 
     #[test]

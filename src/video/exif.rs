@@ -7,8 +7,24 @@ use std::path::Path;
 use ::image::metadata::Orientation;
 use exif::{Exif, In, Tag, Value};
 
-/// Width of a 35 mm film frame, to which `FocalLengthIn35mmFilm` refers, millimetres.
-const FILM_WIDTH_MM: f64 = 36.0;
+/// Longer side of a picture on film, to which `FocalLengthIn35mmFilm` refers, millimetres. Equivalent are focal lengths
+/// that show as much over the diagonal of a sensor as over that of a film frame, 43.27 mm. Of a sensor of 3:2, as film
+/// has it, the longer side stands for 36 mm, of one of 4:3 for 34.61. A picture of another shape was cut out of one or the
+/// other: 35.3, between them.
+fn film_side_mm(width: u32, height: u32) -> f64 {
+    let aspect = f64::from(width.max(height)) / f64::from(width.min(height).max(1));
+    let is_near = |shape: f64| (aspect / shape - 1.0).abs() < SHAPE_TOLERANCE;
+    if is_near(4.0 / 3.0) {
+        34.61
+    } else if is_near(3.0 / 2.0) {
+        36.0
+    } else {
+        35.3
+    }
+}
+
+/// More than rounding of the sides does to the shape of small pictures.
+const SHAPE_TOLERANCE: f64 = 0.02;
 
 /// The EXIF block of an image file; `None` without one that can be read.
 pub(super) fn read(path: &Path) -> Option<Exif> {
@@ -23,14 +39,25 @@ pub(super) fn orientation(exif: &Exif) -> Orientation {
         .unwrap_or(Orientation::NoTransforms)
 }
 
+/// What the block says of the camera and how it was set: pictures in which all of it is the same were taken with one
+/// focal length.
+pub(super) fn camera(exif: &Exif) -> Vec<String> {
+    const TAGS: [Tag; 5] = [Tag::Make, Tag::Model, Tag::LensModel, Tag::FocalLength, Tag::FocalLengthIn35mmFilm];
+    let said = |tag| exif.get_field(tag, In::PRIMARY).map(|field| field.display_value().to_string());
+    TAGS.map(|tag| said(tag).unwrap_or_default()).to_vec()
+}
+
 /// Focal length in pixels of a picture of `width` × `height`; `None` where the block does not say.
 ///
-/// From `FocalLengthIn35mmFilm`, else from `FocalLength` and the sensor's pixel pitch, provided that the picture still
+/// Nothing of a picture that was cut out of another, which tells by its proportions. From `FocalLengthIn35mmFilm`, else from `FocalLength` and the sensor's pixel pitch, provided that the picture still
 /// has the size that the camera gave it.
 pub(super) fn focal_px(exif: &Exif, width: u32, height: u32) -> Option<f64> {
     let longer_px = f64::from(width.max(height));
+    if was_cut(exif, width, height) {
+        return None;
+    }
     if let Some(equivalent_mm) = number(exif, Tag::FocalLengthIn35mmFilm) {
-        return Some(equivalent_mm / FILM_WIDTH_MM * longer_px);
+        return Some(equivalent_mm / film_side_mm(width, height) * longer_px);
     }
     let focal_mm = number(exif, Tag::FocalLength)?;
     let pixels_per_unit = number(exif, Tag::FocalPlaneXResolution)?;
@@ -42,6 +69,14 @@ pub(super) fn focal_px(exif: &Exif, width: u32, height: u32) -> Option<f64> {
     let recorded = [Tag::PixelXDimension, Tag::PixelYDimension].map(|tag| number(exif, tag));
     let original_px = recorded[0]?.max(recorded[1]?);
     Some(focal_mm * pixels_per_unit / unit_mm * longer_px / original_px)
+}
+
+/// Whether the picture has other proportions than the one that the camera wrote, where that is stated.
+fn was_cut(exif: &Exif, width: u32, height: u32) -> bool {
+    let aspect = |a: f64, b: f64| a.max(b) / a.min(b);
+    let recorded = [Tag::PixelXDimension, Tag::PixelYDimension].map(|tag| number(exif, tag));
+    let [Some(x), Some(y)] = recorded else { return false };
+    (aspect(x, y) / aspect(f64::from(width), f64::from(height)) - 1.0).abs() > SHAPE_TOLERANCE
 }
 
 /// A positive number.
@@ -78,7 +113,9 @@ mod tests {
     fn focal_length_from_the_film_equivalent() {
         let exif =
             block(&[(Tag::FocalLengthIn35mmFilm, Value::Short(vec![24])), (Tag::Orientation, Value::Short(vec![6]))]);
-        assert_eq!(focal_px(&exif, 3000, 4000), Some(24.0 / 36.0 * 4000.0));
+        assert_eq!(focal_px(&exif, 3000, 4000), Some(24.0 / 34.61 * 4000.0));
+        assert_eq!(focal_px(&exif, 3000, 2000), Some(24.0 / 36.0 * 3000.0));
+        assert_eq!(focal_px(&exif, 1600, 900), Some(24.0 / 35.3 * 1600.0));
         assert_eq!(orientation(&exif), Orientation::Rotate90);
     }
 
@@ -94,6 +131,18 @@ mod tests {
         ]);
         // 4000 pixels per centimetre: 8.8 mm are 3520 pixels, half of that in the picture of half the size.
         assert!((focal_px(&exif, 2000, 1500).unwrap() - 1760.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_picture_that_was_cut_has_no_focal_length() {
+        let exif = block(&[
+            (Tag::FocalLengthIn35mmFilm, Value::Short(vec![36])),
+            (Tag::PixelXDimension, Value::Long(vec![4000])),
+            (Tag::PixelYDimension, Value::Long(vec![3000])),
+        ]);
+        assert_eq!(focal_px(&exif, 2000, 1500), Some(36.0 / 34.61 * 2000.0));
+        assert_eq!(focal_px(&exif, 1500, 2000), Some(36.0 / 34.61 * 2000.0));
+        assert_eq!(focal_px(&exif, 2000, 1000), None);
     }
 
     #[test]

@@ -9,6 +9,7 @@ use ::image::metadata::Orientation;
 use ::image::{DynamicImage, ImageDecoder, ImageReader, RgbImage};
 
 use super::decode::Decoder;
+use super::source::Cameras;
 use super::{Turning, VideoError, exif, jpeg};
 use crate::image::resize_rgb;
 use crate::scene::{Frame, FrameId};
@@ -24,6 +25,23 @@ pub(super) struct Entry {
     path: PathBuf,
     name: String,
     orientation: Orientation,
+    /// Size as it is given out, before resizing.
+    size: (u32, u32),
+    /// Index in [`Listing::cameras`].
+    camera: usize,
+}
+
+/// What took some of the images: one size, one orientation, and one camera and focal length as far as EXIF data tell.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Taken {
+    /// Size as it is given out, before resizing.
+    pub(super) size: (u32, u32),
+    /// Focal length that the first one's EXIF block states, pixels of that size.
+    pub(super) exif_focal_px: Option<f64>,
+    /// Indices of the images among all of the folder.
+    pub(super) ids: Vec<u32>,
+    orientation: Orientation,
+    camera: Vec<String>,
 }
 
 /// The images of a folder that can be used together.
@@ -32,25 +50,18 @@ pub(super) struct Listing {
     pub(super) entries: Vec<Entry>,
     /// Number of files with an image's extension.
     pub(super) num_files: u32,
-    /// Size of the first one as it is given out, which all have.
-    pub(super) size: (u32, u32),
-    /// Focal length that the first one's EXIF block states, pixels.
-    pub(super) exif_focal_px: Option<f64>,
+    /// What took them, in order of their first image; one if all are to have one size.
+    pub(super) cameras: Vec<Taken>,
     /// What was left out, and why.
     pub(super) warnings: Vec<String>,
 }
 
 /// Lists a folder in natural order (`img2` before `img10`), reading headers, and where pictures end.
-pub(super) fn list(path: &Path, turning: Turning) -> Result<Listing, VideoError> {
+pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Listing, VideoError> {
     let Contents { mut names, others, .. } = contents(path)?;
     names.sort_by(|a, b| natural_cmp(a, b));
-    let mut listing = Listing {
-        entries: Vec::new(),
-        num_files: names.len() as u32,
-        size: (0, 0),
-        exif_focal_px: None,
-        warnings: Vec::new(),
-    };
+    let mut listing =
+        Listing { entries: Vec::new(), num_files: names.len() as u32, cameras: Vec::new(), warnings: Vec::new() };
     for (id, name) in (0u32..).zip(names) {
         let file = path.join(&name);
         let (stored, exif) = match header(&file) {
@@ -65,22 +76,17 @@ pub(super) fn list(path: &Path, turning: Turning) -> Result<Listing, VideoError>
             Turning::Auto | Turning::Upright => exif.as_ref().map_or(Orientation::NoTransforms, exif::orientation),
         };
         let size = upright(stored, orientation);
-        if listing.entries.is_empty() {
-            listing.size = size;
-            listing.exif_focal_px = exif.as_ref().and_then(|e| exif::focal_px(e, size.0, size.1));
+        let taken = Taken {
+            size,
+            exif_focal_px: exif.as_ref().and_then(|e| exif::focal_px(e, size.0, size.1)),
+            ids: vec![id],
+            orientation,
+            camera: exif.as_ref().map(exif::camera).unwrap_or_default(),
+        };
+        match listing.camera_of(taken, cameras) {
+            Ok(camera) => listing.entries.push(Entry { id, path: file, name, orientation, size, camera }),
+            Err((width, height)) => listing.warnings.push(of_another_size(&file, size, (width, height))),
         }
-        if size != listing.size {
-            listing.warnings.push(format!(
-                "{}: left out, has {}x{} pixels where the first image has {}x{}",
-                file.display(),
-                size.0,
-                size.1,
-                listing.size.0,
-                listing.size.1
-            ));
-            continue;
-        }
-        listing.entries.push(Entry { id, path: file, name, orientation });
     }
     listing.warnings.extend(turned(&listing.entries));
     if listing.entries.is_empty() {
@@ -88,6 +94,46 @@ pub(super) fn list(path: &Path, turning: Turning) -> Result<Listing, VideoError>
         return Err(VideoError::NoImages { path: path.to_owned(), found });
     }
     Ok(listing)
+}
+
+/// Why an image is left out, with what to do.
+pub(super) fn of_another_size(
+    file: &Path,
+    (width, height): (u32, u32),
+    (first_width, first_height): (u32, u32),
+) -> String {
+    format!(
+        "{}: left out, has {width}x{height} pixels where the first image has {first_width}x{first_height}; frames of a \
+         video and pictures in which vehicles are looked for must have one size (`tractrix sfm` without masks and with \
+         --order none takes photographs of all sizes)",
+        file.display()
+    )
+}
+
+impl Listing {
+    /// Which camera took an image, a new one if need be.
+    ///
+    /// # Errors
+    /// The size of the first image, where all are to have it and this one has not.
+    fn camera_of(&mut self, taken: Taken, cameras: Cameras) -> Result<usize, (u32, u32)> {
+        let is_same = |known: &Taken| match cameras {
+            Cameras::One => true,
+            Cameras::Several => {
+                (known.size, known.orientation, &known.camera) == (taken.size, taken.orientation, &taken.camera)
+            }
+        };
+        match self.cameras.iter().position(is_same) {
+            Some(camera) if self.cameras[camera].size != taken.size => Err(self.cameras[camera].size),
+            Some(camera) => {
+                self.cameras[camera].ids.extend(taken.ids);
+                Ok(camera)
+            }
+            None => {
+                self.cameras.push(taken);
+                Ok(self.cameras.len() - 1)
+            }
+        }
+    }
 }
 
 /// A word where pictures are stored otherwise than they stand: the models speak of upright pictures.
@@ -226,18 +272,17 @@ pub(super) struct FolderDecoder {
     entries: std::vec::IntoIter<Entry>,
     current: Option<Entry>,
     seconds_per_frame: f64,
-    size: (u32, u32),
-    target: (u32, u32),
+    /// By camera, the size to which images are resized.
+    targets: Vec<(u32, u32)>,
 }
 
 impl FolderDecoder {
-    pub(super) fn new(listing: &Listing, fps: Option<f64>, target: (u32, u32)) -> Self {
+    pub(super) fn new(listing: &Listing, fps: Option<f64>, targets: Vec<(u32, u32)>) -> Self {
         Self {
             entries: listing.entries.clone().into_iter(),
             current: None,
             seconds_per_frame: 1.0 / fps.unwrap_or(1.0),
-            size: listing.size,
-            target,
+            targets,
         }
     }
 }
@@ -260,12 +305,13 @@ impl Decoder for FolderDecoder {
         picture.apply_orientation(entry.orientation);
         let picture = picture.into_rgb8();
         let (found_width, found_height) = picture.dimensions();
-        if (found_width, found_height) != self.size {
+        if (found_width, found_height) != entry.size {
             // Only if the file changed since it was listed.
-            let ((width, height), path, frame) = (self.size, entry.path.clone(), entry.id);
+            let ((width, height), path, frame) = (entry.size, entry.path.clone(), entry.id);
             return Err(VideoError::SizeChanges { path, frame, width, height, found_width, found_height });
         }
-        Ok(if self.size == self.target { picture } else { resize_rgb(&picture, self.target.0, self.target.1)? })
+        let target = self.targets[entry.camera];
+        Ok(if entry.size == target { picture } else { resize_rgb(&picture, target.0, target.1)? })
     }
 
     fn num_stepped(&self) -> u32 {
@@ -293,7 +339,7 @@ mod tests {
     fn pictures_that_are_turned_are_named_with_a_cure() {
         let entry = |id: u32, orientation| {
             let name = format!("{id}.jpg");
-            Entry { id, path: Path::new("photos").join(&name), name, orientation }
+            Entry { id, path: Path::new("photos").join(&name), name, orientation, size: (8, 6), camera: 0 }
         };
         let stored = entry(0, Orientation::NoTransforms);
         assert_eq!(turned(std::slice::from_ref(&stored)), None);
@@ -310,7 +356,12 @@ mod tests {
             image.save(root.path().join(folder).join(name)).unwrap();
         }
         let names = || {
-            list(root.path(), Turning::Auto).unwrap().entries.into_iter().map(|entry| entry.name).collect::<Vec<_>>()
+            list(root.path(), Turning::Auto, Cameras::One)
+                .unwrap()
+                .entries
+                .into_iter()
+                .map(|entry| entry.name)
+                .collect::<Vec<_>>()
         };
         assert_eq!(names(), ["a/0.png", "a/1.png", "b/0.png"]);
         image.save(root.path().join("top.png")).unwrap();

@@ -25,7 +25,7 @@ mod source;
 pub use error::VideoError;
 pub use options::{Options, Position, Turning};
 pub use prefetch::Frames;
-pub use source::{Info, Kind, Scan, Source};
+pub use source::{Info, Kind, PictureCamera, Scan, Source};
 
 /// Silences what OpenCV and FFmpeg print by themselves; what is wrong comes back as a [`VideoError`]. To be called
 /// before the first thread starts. Levels that the user set in the environment are left alone.

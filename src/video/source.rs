@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::decode::{Decoder, next_chosen};
 use super::file::{self, FileDecoder};
-use super::folder::{self, FolderDecoder, Listing};
+use super::folder::{self, FolderDecoder, Listing, Taken};
 use super::options::Selection;
 use super::{Frames, Options, VideoError};
 use crate::image::scale_to_fit;
@@ -24,6 +24,32 @@ pub enum Kind {
     Video,
     /// A folder of images.
     Folder,
+}
+
+/// Whether the pictures of a folder may come from several cameras.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Cameras {
+    /// No: those of another size than the first are left out.
+    One,
+    /// Yes: as many as sizes, orientations and EXIF data tell apart.
+    Several,
+}
+
+/// A camera that took some of the pictures.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PictureCamera {
+    /// Width of its pictures as they are given out (turned, resized), pixels.
+    pub width: u32,
+    /// Height of its pictures as they are given out, pixels.
+    pub height: u32,
+    /// Width before resizing, pixels.
+    pub source_width: u32,
+    /// Height before resizing, pixels.
+    pub source_height: u32,
+    /// Focal length that EXIF data state, in pixels of the pictures as they are given out.
+    pub exif_focal_px: Option<f64>,
+    /// Its pictures, ascending; empty for a video, all frames of which are of its one camera.
+    pub frames: Vec<FrameId>,
 }
 
 /// What is known of an input before its frames are decoded.
@@ -74,6 +100,7 @@ pub struct Source {
     path: PathBuf,
     options: Options,
     info: Info,
+    cameras: Vec<PictureCamera>,
     listing: Option<Listing>,
 }
 
@@ -81,12 +108,25 @@ pub struct Source {
 const COUNT_TOLERANCE: u32 = 1;
 
 impl Source {
-    /// Opens an input and decodes its first picture's size.
+    /// Opens an input and decodes its first picture's size. Pictures of a folder that have another size are left out.
     ///
     /// # Errors
     /// Every [`VideoError`] that can be told before the frames are walked through: missing, unreadable, empty, not a
     /// video, no picture, contradicting options.
     pub fn open(path: &Path, options: &Options) -> Result<Self, VideoError> {
+        Self::open_as(path, options, Cameras::One)
+    }
+
+    /// As [`Source::open`], with all pictures of a folder, whatever their sizes: [`Source::cameras`] says which of them
+    /// have one size and were taken alike. [`Source::info`] speaks of the first one.
+    ///
+    /// # Errors
+    /// As [`Source::open`].
+    pub fn open_photographs(path: &Path, options: &Options) -> Result<Self, VideoError> {
+        Self::open_as(path, options, Cameras::Several)
+    }
+
+    fn open_as(path: &Path, options: &Options, cameras: Cameras) -> Result<Self, VideoError> {
         options.check()?;
         let unreadable = |source: io::Error| match source.kind() {
             io::ErrorKind::NotFound => VideoError::Missing { path: path.to_owned() },
@@ -94,7 +134,7 @@ impl Source {
         };
         let metadata = fs::metadata(path).map_err(unreadable)?;
         let (info, listing) = if metadata.is_dir() {
-            let listing = folder::list(path, options.turning)?;
+            let listing = folder::list(path, options.turning, cameras)?;
             (folder_info(&listing, options), Some(listing))
         } else {
             File::open(path).map_err(unreadable)?;
@@ -103,7 +143,24 @@ impl Source {
             }
             (file_info(path, options)?, None)
         };
-        Ok(Self { path: path.to_owned(), options: options.clone(), info, listing })
+        let cameras = match &listing {
+            Some(listing) => listing.cameras.iter().map(|taken| picture_camera(taken, options)).collect(),
+            None => vec![only_camera(&info)],
+        };
+        Ok(Self { path: path.to_owned(), options: options.clone(), info, cameras, listing })
+    }
+
+    /// The cameras that took the pictures, in order of their first one; never empty.
+    pub fn cameras(&self) -> &[PictureCamera] {
+        &self.cameras
+    }
+
+    /// Why a picture of another size than the first one is left out, where all must have one.
+    pub fn of_another_size(&self, frame: &Frame) -> Option<String> {
+        let (first, own) = (self.cameras.first()?, self.cameras.iter().find(|c| c.frames.contains(&frame.id))?);
+        let size = |camera: &PictureCamera| (camera.source_width, camera.source_height);
+        (size(first) != size(own))
+            .then(|| folder::of_another_size(&self.path.join(&frame.name), size(own), size(first)))
     }
 
     /// What is known of the input.
@@ -153,7 +210,10 @@ impl Source {
         let info = &self.info;
         let target = (info.width, info.height);
         Ok(match &self.listing {
-            Some(listing) => Box::new(FolderDecoder::new(listing, self.options.fps, target)),
+            Some(listing) => {
+                let targets = self.cameras.iter().map(|camera| (camera.width, camera.height)).collect();
+                Box::new(FolderDecoder::new(listing, self.options.fps, targets))
+            }
             None => Box::new(FileDecoder::open(&self.path, (info.source_width, info.source_height), target)?),
         })
     }
@@ -195,9 +255,8 @@ impl Source {
 }
 
 fn folder_info(listing: &Listing, options: &Options) -> Info {
-    let (source_width, source_height) = listing.size;
-    let (width, height) = target_size(listing.size, options);
-    let scale = f64::from(width.max(height)) / f64::from(source_width.max(source_height));
+    let PictureCamera { width, height, source_width, source_height, exif_focal_px, .. } =
+        picture_camera(&listing.cameras[0], options);
     Info {
         kind: Kind::Folder,
         width,
@@ -207,8 +266,23 @@ fn folder_info(listing: &Listing, options: &Options) -> Info {
         fps: options.fps,
         num_frames: Some(listing.num_files),
         rotation_deg: 0,
-        exif_focal_px: listing.exif_focal_px.map(|focal| focal * scale),
+        exif_focal_px,
     }
+}
+
+fn picture_camera(taken: &Taken, options: &Options) -> PictureCamera {
+    let (source_width, source_height) = taken.size;
+    let (width, height) = target_size(taken.size, options);
+    let scale = f64::from(width.max(height)) / f64::from(source_width.max(source_height));
+    let exif_focal_px = taken.exif_focal_px.map(|focal| focal * scale);
+    let frames = taken.ids.iter().copied().map(FrameId).collect();
+    PictureCamera { width, height, source_width, source_height, exif_focal_px, frames }
+}
+
+/// That of a video.
+fn only_camera(info: &Info) -> PictureCamera {
+    let Info { width, height, source_width, source_height, exif_focal_px, .. } = *info;
+    PictureCamera { width, height, source_width, source_height, exif_focal_px, frames: Vec::new() }
 }
 
 fn file_info(path: &Path, options: &Options) -> Result<Info, VideoError> {
@@ -334,6 +408,28 @@ mod tests {
         let without_rate = Source::open(folder.path(), &Options::default()).unwrap();
         assert_eq!(without_rate.info().time_base(), TimeBase::Frames);
         assert_eq!(source.frames().unwrap().filter(Result::is_ok).count(), 3);
+    }
+
+    #[test]
+    fn photographs_of_all_sizes_are_taken_where_they_are_asked_for() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, width, height) in [("1.png", 40, 30), ("2.png", 30, 40), ("3.png", 40, 30), ("4.png", 20, 16)] {
+            png(&folder.path().join(name), width, height);
+        }
+        let options = Options { max_dimension: Some(32), ..Options::default() };
+        let source = Source::open_photographs(folder.path(), &options).unwrap();
+        let cameras = source.cameras().iter();
+        let found: Vec<_> = cameras.map(|c| (c.width, c.height, c.source_width, c.frames.as_slice())).collect();
+        let ids = |ids: &[u32]| ids.iter().copied().map(FrameId).collect::<Vec<_>>();
+        let expected = [(32, 24, 40, ids(&[0, 2])), (24, 32, 30, ids(&[1])), (20, 16, 20, ids(&[3]))];
+        assert_eq!(found, expected.iter().map(|(w, h, s, ids)| (*w, *h, *s, ids.as_slice())).collect::<Vec<_>>());
+        let sizes: Vec<_> = source.frames().unwrap().map(|item| item.unwrap().1.dimensions()).collect();
+        assert_eq!(sizes, [(32, 24), (24, 32), (32, 24), (20, 16)]);
+        let scan = source.scan().unwrap();
+        assert!(scan.warnings.is_empty() && source.of_another_size(&scan.frames[2]).is_none());
+        assert!(source.of_another_size(&scan.frames[3]).unwrap().contains("4.png: left out, has 20x16"));
+        let one = Source::open(folder.path(), &options).unwrap();
+        assert_eq!((one.cameras().len(), one.scan().unwrap().warnings.len()), (1, 2));
     }
 
     #[test]

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use super::lens;
 use super::map::Map;
-use super::{Intrinsics, Noise, Options};
+use super::{Noise, Options};
 use crate::bundle::{self, CameraBlock, Observation, PointBlock, PoseBlock, Problem};
-use crate::camera::NUM_INTRINSICS;
+use crate::camera::{Camera, NUM_INTRINSICS};
 use crate::sfm::SfmError;
 
 /// What is adjusted.
@@ -23,7 +23,7 @@ pub enum Scope {
 }
 
 /// Which intrinsics are adjusted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Freedom {
     /// None.
     Nothing,
@@ -37,11 +37,33 @@ pub enum Freedom {
     WithPrincipalPoint,
 }
 
-impl From<Intrinsics> for Freedom {
-    fn from(intrinsics: Intrinsics) -> Self {
-        match intrinsics {
-            Intrinsics::Fixed => Self::Nothing,
-            Intrinsics::Stated | Intrinsics::Refined => Self::FocalAndRadial,
+impl Freedom {
+    /// While a map grows.
+    pub fn at_first(map: &Map<'_>) -> Self {
+        if map.unknown_cameras().next().is_some() { Self::FocalAndRadial } else { Self::Nothing }
+    }
+
+    /// By camera: nothing of those that are given or see nothing, and of a camera beside others that sees few points at
+    /// most a focal length and the first coefficient of distortion: the margin of its picture tells little.
+    fn of_cameras(self, map: &Map<'_>) -> Vec<Self> {
+        const FEW_POINTS: usize = 300;
+        let num_seen = map.num_points_of_cameras();
+        let mut all = vec![Self::Nothing; num_seen.len()];
+        for camera in map.unknown_cameras().filter(|&camera| num_seen[camera] > 0) {
+            let few = num_seen.len() > 1 && num_seen[camera] < FEW_POINTS;
+            all[camera] = if few { self.min(Self::FocalAndFirstRadial) } else { self };
+        }
+        all
+    }
+
+    /// Which of fx, fy, cx, cy, k1, k2 are free.
+    fn mask(self) -> [bool; NUM_INTRINSICS] {
+        match self {
+            Self::Nothing => [false; NUM_INTRINSICS],
+            Self::Focal => [true, true, false, false, false, false],
+            Self::FocalAndFirstRadial => [true, true, false, false, true, false],
+            Self::FocalAndRadial => [true, true, false, false, true, true],
+            Self::WithPrincipalPoint => [true; NUM_INTRINSICS],
         }
     }
 }
@@ -55,7 +77,8 @@ pub fn adjust(
     options: &Options,
 ) -> Result<Vec<bool>, SfmError> {
     let (tracks, free_views) = taking_part(map, scope, options);
-    let (mut problem, mut parts) = build(map, &tracks, &free_views, intrinsics, noise);
+    let mut freedom = intrinsics.of_cameras(map);
+    let (mut problem, mut parts) = build_with(map, &tracks, &free_views, &freedom, noise);
     let local = matches!(scope, Scope::Around(_));
     let bundle_options = bundle::Options {
         loss: options.loss(noise),
@@ -64,9 +87,8 @@ pub fn adjust(
         ..bundle::Options::default()
     };
     let mut summary = bundle::adjust(&mut problem, &bundle_options)?;
-    if intrinsics != Freedom::Nothing && !problem.cameras.iter().all(|block| lens::is_plausible(&block.camera)) {
-        // The motion does not determine them (yet): better the guess than a lens that nobody builds.
-        (problem, parts) = build(map, &tracks, &free_views, Freedom::Nothing, noise);
+    while hold_odd_lenses(&mut freedom, &problem) {
+        (problem, parts) = build_with(map, &tracks, &free_views, &freedom, noise);
         summary = bundle::adjust(&mut problem, &bundle_options)?;
         tracing::debug!("intrinsics are not determined by {} views; held", problem.poses.len());
     }
@@ -84,6 +106,16 @@ pub fn adjust(
     );
     take_over(map, &problem, &parts);
     Ok(tracks)
+}
+
+/// Holds cameras that were adjusted to a lens that nobody builds: the motion does not determine them (yet), and the
+/// guess is better. Returns whether there were any.
+fn hold_odd_lenses(freedom: &mut [Freedom], problem: &Problem) -> bool {
+    let is_odd = |(freedom, block): &(&mut Freedom, &CameraBlock)| {
+        **freedom != Freedom::Nothing && !lens::is_plausible(&block.camera)
+    };
+    let odd = freedom.iter_mut().zip(&problem.cameras).filter(is_odd);
+    odd.map(|(freedom, _)| *freedom = Freedom::Nothing).count() > 0
 }
 
 /// Which points take part in a scope, by track, and which views are free.
@@ -117,19 +149,22 @@ pub(super) fn build(
     intrinsics: Freedom,
     noise: Noise,
 ) -> (Problem, Parts) {
+    build_with(map, tracks, free_views, &intrinsics.of_cameras(map), noise)
+}
+
+/// The same with a freedom for each camera.
+fn build_with(
+    map: &Map<'_>,
+    tracks: &[bool],
+    free_views: &[bool],
+    freedom: &[Freedom],
+    noise: Noise,
+) -> (Problem, Parts) {
     let mut problem = Problem::default();
-    let free_intrinsics = match intrinsics {
-        Freedom::Nothing => [false; NUM_INTRINSICS],
-        Freedom::Focal => [true, true, false, false, false, false],
-        Freedom::FocalAndFirstRadial => [true, true, false, false, true, false],
-        Freedom::FocalAndRadial => [true, true, false, false, true, true],
-        Freedom::WithPrincipalPoint => [true; NUM_INTRINSICS],
-    };
-    problem.cameras =
-        map.cameras.iter().map(|&camera| CameraBlock { camera, free: free_intrinsics, tie_focal: true }).collect();
-    if intrinsics != Freedom::Nothing {
-        problem.priors.intrinsics = (0..map.cameras.len()).map(|camera| lens::prior(camera, map, noise)).collect();
-    }
+    let block = |(&camera, freedom): (&Camera, &Freedom)| CameraBlock { camera, free: freedom.mask(), tie_focal: true };
+    problem.cameras = map.cameras.iter().zip(freedom).map(block).collect();
+    let adjusted = (0..freedom.len()).filter(|&camera| freedom[camera] != Freedom::Nothing);
+    problem.priors.intrinsics = adjusted.map(|camera| lens::prior(camera, map, noise)).collect();
     let mut parts = Parts { views: Vec::new(), tracks: Vec::new() };
     let mut pose_of_view = BTreeMap::new();
     for track in (0..tracks.len()).filter(|&t| tracks[t]) {

@@ -3,13 +3,14 @@
 mod finish;
 mod leaps;
 mod loops;
+mod new_camera;
 
 use super::adjustment::{self, Freedom, Scope};
 use super::apart;
 use super::initial_pair::InitialPair;
 use super::map::{Map, Slot};
 use super::motion::{self, Remark};
-use super::{Intrinsics, Noise, Options, Reason, Report};
+use super::{Noise, Options, Reason, Report, lens};
 use crate::math::{Rigid3, seeded_rng};
 use crate::sfm::SfmError;
 use crate::sfm::resection::{self, Resection};
@@ -18,7 +19,6 @@ use crate::sfm::triangulation::Limits;
 /// A map, what has been tried on it, and how to go on.
 pub struct Growth<'a> {
     map: Map<'a>,
-    intrinsics: Intrinsics,
     options: &'a Options,
     seed: u64,
     noise: Noise,
@@ -29,8 +29,8 @@ pub struct Growth<'a> {
     pair: Option<InitialPair>,
     /// By view: known points seen and inliers at the last failed try.
     failed: Vec<Option<Attempt>>,
-    /// Standard deviation of ln f, where it is not held.
-    focal_deviation: Option<f64>,
+    /// By camera: standard deviation of ln f, where it is not held and was asked for.
+    focal_deviations: Vec<Option<f64>>,
     /// Whether views were taken out by the view graph since the last adjustment of everything.
     reviewed: bool,
     /// By view: the points for and against the best pose that was found, where the view graph refused it.
@@ -47,17 +47,16 @@ struct Attempt {
 
 impl<'a> Growth<'a> {
     /// An empty map.
-    pub fn new(map: Map<'a>, intrinsics: Intrinsics, options: &'a Options, seed: u64) -> Self {
+    pub fn new(map: Map<'a>, options: &'a Options, seed: u64) -> Self {
         let (failed, refused) = (vec![None; map.poses.len()], vec![None; map.poses.len()]);
         Self {
+            freedom: Freedom::at_first(&map),
+            focal_deviations: vec![None; map.cameras.len()],
             map,
-            intrinsics,
             options,
             seed,
             noise: Noise::Unknown,
-            freedom: intrinsics.into(),
             lens_decided: false,
-            focal_deviation: None,
             reviewed: false,
             pair: None,
             failed,
@@ -120,8 +119,8 @@ impl<'a> Growth<'a> {
             num_points: self.map.num_points(),
             num_observations,
             mean_error_px: None,
-            focal_deviation: self.focal_deviation,
-            remarks: self.focal_remark().into_iter().chain(motion::remarks_on(&self.map, self.intrinsics)).collect(),
+            focal_deviations: self.focal_deviations.clone(),
+            remarks: self.focal_remark().into_iter().chain(motion::remarks_on(&self.map)).collect(),
             failure: None,
         };
         (self.map, report)
@@ -130,7 +129,7 @@ impl<'a> Growth<'a> {
     /// A word where the focal length is not known to a percent.
     fn focal_remark(&self) -> Option<Remark> {
         const LOOSE: f64 = 0.01;
-        let deviation = self.focal_deviation.filter(|deviation| *deviation > LOOSE)?;
+        let deviation = self.focal_deviations[lens::leading_camera(&self.map)?].filter(|found| *found > LOOSE)?;
         Some(Remark::LooseFocalLength { percent: 100.0 * deviation })
     }
 
@@ -157,6 +156,9 @@ impl<'a> Growth<'a> {
     }
 
     fn register(&mut self, view: usize) -> bool {
+        if self.is_first_of_camera(view) {
+            return self.register_with_focal(view);
+        }
         let visible = self.map.visible(view);
         let buffers = self.map.pixels_and_points(&visible);
         let data = self.map.resection_data(view, &buffers);
@@ -204,7 +206,8 @@ impl<'a> Growth<'a> {
     fn settle(&mut self, view: usize) -> Result<(), SfmError> {
         let limits = self.limits();
         self.map.triangulate_seen_by(view, &limits);
-        if self.map.num_registered() as f64 >= self.options.global_growth * self.adjusted_at as f64 {
+        let has_grown = self.map.num_registered() as f64 >= self.options.global_growth * self.adjusted_at as f64;
+        if has_grown || self.is_only_one_of_camera(view) {
             return self.adjust_globally();
         }
         self.adjust(&Scope::Around(view), Freedom::Nothing)?;

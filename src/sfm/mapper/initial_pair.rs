@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector2;
 
 use super::motion::{self, PairMotion, Survey};
-use super::{Intrinsics, Options};
+use super::{Intrinsics, KnownIntrinsics, Options};
 use crate::camera::Camera;
 use crate::math::{Rigid3, seeded_rng, upper_median};
 use crate::sfm::tracks::TrackTable;
@@ -36,17 +36,19 @@ const MAX_ESTIMATED: usize = 60;
 pub fn ranked(
     table: &TrackTable,
     cameras: &[Camera],
-    intrinsics: Intrinsics,
+    known: &KnownIntrinsics,
     options: &Options,
     seed: u64,
 ) -> (Vec<InitialPair>, Survey) {
     let common = common_tracks(table, options.min_initial_inliers);
     let mut survey = Survey::default();
-    let mut estimated: Vec<(f64, InitialPair)> = promising(table, common, &mut survey)
+    let mut estimated: Vec<(f64, InitialPair)> = promising(table, cameras, common, &mut survey)
         .into_iter()
         .filter_map(|(views, tracks)| {
             let geometry = geometry_of(table, cameras, options, seed, views, &tracks)?;
-            let score = score(&geometry, options);
+            let of_views = views.map(|view| table.views[view].camera);
+            let intrinsics = known.of_pair(of_views);
+            let score = score(&geometry, options) * worth_of_cameras(of_views, intrinsics);
             let pair = InitialPair {
                 views,
                 cam2_from_cam1: geometry.cam2_from_cam1,
@@ -75,6 +77,13 @@ fn score(geometry: &TwoViewGeometry, options: &Options) -> f64 {
     inliers * angle * (1.0 - PLANAR_DISCOUNT * geometry.homography_ratio.min(1.0))
 }
 
+/// A pair of two cameras whose focal lengths are both guessed, each wrong by another factor, is worth less than one of a
+/// single camera, which a common factor does little harm.
+fn worth_of_cameras([first, second]: [usize; 2], intrinsics: Intrinsics) -> f64 {
+    const OF_TWO_GUESSED: f64 = 0.5;
+    if first != second && intrinsics == Intrinsics::Refined { OF_TWO_GUESSED } else { 1.0 }
+}
+
 type PairTracks = ([usize; 2], Vec<usize>);
 
 /// Tracks that two views have in common, for pairs with enough of them.
@@ -94,9 +103,9 @@ fn common_tracks(table: &TrackTable, min_common: usize) -> Vec<PairTracks> {
 
 /// The pairs with the largest product of common points (up to a number that suffices) and median displacement, which
 /// stands for the baseline until the geometry is known. Pairs between which nothing moves are only counted.
-fn promising(table: &TrackTable, common: Vec<PairTracks>, survey: &mut Survey) -> Vec<PairTracks> {
+fn promising(table: &TrackTable, cameras: &[Camera], common: Vec<PairTracks>, survey: &mut Survey) -> Vec<PairTracks> {
     let mut rate = |(views, tracks): PairTracks| {
-        let median = median_displacement(table, &tracks, views)?;
+        let median = median_displacement(table, cameras, &tracks, views)?;
         let count = (tracks.len() as f64).min(400.0);
         if median < MIN_DISPLACEMENT_PX {
             survey.add(PairMotion::Still);
@@ -115,17 +124,23 @@ fn promising(table: &TrackTable, common: Vec<PairTracks>, survey: &mut Survey) -
 }
 
 /// Whether two views count as one by their common tracks.
-pub fn is_still(table: &TrackTable, tracks: &[usize], views: [usize; 2]) -> bool {
-    median_displacement(table, tracks, views).is_none_or(|median| median < MIN_DISPLACEMENT_PX)
+pub fn is_still(table: &TrackTable, cameras: &[Camera], tracks: &[usize], views: [usize; 2]) -> bool {
+    median_displacement(table, cameras, tracks, views).is_none_or(|median| median < MIN_DISPLACEMENT_PX)
 }
 
-fn median_displacement(table: &TrackTable, tracks: &[usize], views: [usize; 2]) -> Option<f64> {
-    upper_median(tracks.iter().filter_map(|&t| displacement(table, t, views)).collect())
-}
-
-fn displacement(table: &TrackTable, track: usize, views: [usize; 2]) -> Option<f64> {
-    let pixel = |view: usize| table.tracks[track].iter().find(|f| f.view as usize == view).map(|f| table.pixel(*f));
-    Some((pixel(views[0])? - pixel(views[1])?).norm())
+/// In pixels; of views of two cameras, in those of the first.
+fn median_displacement(table: &TrackTable, cameras: &[Camera], tracks: &[usize], views: [usize; 2]) -> Option<f64> {
+    let [first, second] = views.map(|view| table.views[view].camera);
+    let displacement = |&track: &usize| {
+        let [a, b] = views.map(|view| table.tracks[track].iter().find(|f| f.view as usize == view).copied());
+        let (a, b) = (table.pixel(a?), table.pixel(b?));
+        if first == second {
+            return Some((a - b).norm());
+        }
+        let (a, b) = (cameras[first].normalized_from_pixel(a), cameras[second].normalized_from_pixel(b));
+        Some(cameras[first].mean_focal() * (a - b).norm())
+    };
+    upper_median(tracks.iter().filter_map(displacement).collect())
 }
 
 /// Two-view geometry of some common tracks.

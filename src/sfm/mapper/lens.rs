@@ -12,8 +12,8 @@
 
 use super::adjustment::{self, Freedom, Scope};
 use super::map::Map;
-use super::{Intrinsics, Noise, Options};
-use crate::bundle::{self, CameraBlock, IntrinsicsPrior, Problem};
+use super::{Noise, Options};
+use crate::bundle::{self, IntrinsicsPrior, Problem};
 use crate::camera::Camera;
 use crate::math::RobustLoss;
 use crate::sfm::SfmError;
@@ -22,21 +22,6 @@ use crate::sfm::SfmError;
 /// them together: what the model of the lens or of the shutter leaves out, points that slide with the view. Such errors
 /// do not average out.
 const COMMON_ERROR_FACTOR: f64 = 5.0;
-
-impl Intrinsics {
-    /// Standard deviation of ln f about the guess.
-    ///
-    /// The focal length of an EXIF block is rounded to a millimetre of 24 and more, and 36 mm are the width of some
-    /// cameras' pictures and stand for the diagonal of others': together 4 %. Cameras that are met in practice lie
-    /// between 0.55 and 2.6 longer sides: two deviations of 0.4 about the guess of 1.2.
-    pub(super) fn guess_deviation(self) -> f64 {
-        match self {
-            Self::Fixed => 0.0,
-            Self::Stated => 0.04,
-            Self::Refined => 0.4,
-        }
-    }
-}
 
 /// A pull towards the guess, in units of observations with common errors ([`COMMON_ERROR_FACTOR`]): it counts where
 /// these leave a parameter open.
@@ -70,7 +55,7 @@ pub(super) fn prior(camera_idx: usize, map: &Map<'_>, noise: Noise) -> Intrinsic
     ];
     for (k, focal) in camera.focal.into_iter().enumerate() {
         values[k] = focal * (1.0 - off);
-        sigma[k] = std::f64::consts::SQRT_2 * map.guess_deviation * focal;
+        sigma[k] = std::f64::consts::SQRT_2 * map.known.of(camera_idx).guess_deviation() * focal;
     }
     IntrinsicsPrior { camera: camera_idx, values, sigma: sigma.map(|s| s / unit_px) }
 }
@@ -106,27 +91,57 @@ impl FocalEvidence {
     }
 }
 
-/// Asks what the observations tell of the focal length, by holding it off on both sides.
-pub(super) fn focal_evidence(map: &Map<'_>, sigma_px: f64, options: &Options) -> Result<FocalEvidence, SfmError> {
+/// Of the cameras that are looked for, the one with most registered views.
+pub(super) fn leading_camera(map: &Map<'_>) -> Option<usize> {
+    let counts = map.num_views_of_cameras();
+    map.unknown_cameras().max_by_key(|&camera| (counts[camera], usize::MAX - camera))
+}
+
+/// The cameras that are asked for their deviation: of those that are looked for and see something, the first one, and
+/// those with most views, as far as it costs no more than the last adjustments do.
+pub(super) fn asked_cameras(map: &Map<'_>) -> Vec<usize> {
+    const MOST: usize = 8;
+    let counts = map.num_views_of_cameras();
+    let mut asked: Vec<usize> = map.unknown_cameras().filter(|&camera| counts[camera] > 0).collect();
+    asked.sort_by_key(|&camera| (camera > 0, usize::MAX - counts[camera], camera));
+    asked.truncate(MOST);
+    asked
+}
+
+/// Asks what the observations tell of the focal length of a camera, or of a factor of those of several, by holding them
+/// off on both sides.
+pub(super) fn focal_evidence(
+    map: &Map<'_>,
+    asked: &[usize],
+    sigma_px: f64,
+    options: &Options,
+) -> Result<FocalEvidence, SfmError> {
     const CHANGE: f64 = 0.03;
     // Less is rounding, of tracks without noise.
     const MIN_SIGMA_PX: f64 = 1e-6;
     let sigma_px = sigma_px.max(MIN_SIGMA_PX);
+    let nothing = FocalEvidence { together: f64::INFINITY, in_groups: f64::INFINITY, shift: 0.0 };
+    let Some(&first) = asked.first() else { return Ok(nothing) };
     let probe = Probe::new(map, sigma_px, options);
     let held = |change: f64| {
-        probe.adjusted(map, Freedom::FocalAndRadial, |block| {
+        let mut trial = probe.trial(map, Freedom::FocalAndRadial);
+        // Of the others' focal lengths what is known beforehand counts as before.
+        trial.priors.intrinsics.retain(|prior| !asked.contains(&prior.camera));
+        for &camera in asked {
+            let block = &mut trial.cameras[camera];
             block.camera.focal = block.camera.focal.map(|f| f * change.exp());
             (block.free[0], block.free[1]) = (false, false);
-        })
+        }
+        probe.adjusted(trial)
     };
     let (less, here, more) = (held(-CHANGE)?, held(0.0)?, held(CHANGE)?);
     let curvature = (more.cost + less.cost - 2.0 * here.cost) / CHANGE.powi(2);
     if !(curvature > 0.0 && curvature.is_finite()) {
-        return Ok(FocalEvidence { together: f64::INFINITY, in_groups: f64::INFINITY, shift: 0.0 });
+        return Ok(nothing);
     }
     let slope = (more.cost - less.cost) / (2.0 * CHANGE);
     let weight = (COMMON_ERROR_FACTOR * sigma_px).powi(-2);
-    let (off, stiffness) = (off_guess(map, 0), map.guess_deviation.powi(-2));
+    let (off, stiffness) = (off_guess(map, first), map.known.of(first).guess_deviation().powi(-2));
     let pulls = more.by_group.iter().zip(&less.by_group).map(|(more, less)| (more - less) / (2.0 * CHANGE));
     // What is left of the slope is the prior's and the shift, and no group's own.
     let mean = slope / NUM_GROUPS as f64;
@@ -142,8 +157,13 @@ pub(super) fn focal_evidence(map: &Map<'_>, sigma_px: f64, options: &Options) ->
 /// one.
 pub(super) fn first_radial_gain(map: &Map<'_>, sigma_px: f64, options: &Options) -> Result<f64, SfmError> {
     let probe = Probe::new(map, sigma_px, options);
-    let straight = |block: &mut CameraBlock| block.camera.radial = [0.0; 2];
-    let cost = |freedom| Ok::<_, SfmError>(probe.adjusted(map, freedom, straight)?.cost);
+    let cost = |freedom| {
+        let mut trial = probe.trial(map, freedom);
+        trial.priors.intrinsics.clear();
+        let adjusted = trial.cameras.iter_mut().filter(|block| block.free[0]);
+        adjusted.for_each(|block| block.camera.radial = [0.0; 2]);
+        Ok::<_, SfmError>(probe.adjusted(trial)?.cost)
+    };
     let gain = cost(Freedom::Focal)? - cost(Freedom::FocalAndFirstRadial)?;
     Ok(2.0 * gain / (COMMON_ERROR_FACTOR * sigma_px).powi(2))
 }
@@ -175,16 +195,11 @@ impl<'a> Probe<'a> {
         Self { tracks, free_views, noise: Noise::Measured { sigma_px }, options }
     }
 
-    /// After adjustment without the prior, with cameras that are changed first.
-    fn adjusted(
-        &self,
-        map: &Map<'_>,
-        freedom: Freedom,
-        change: impl Fn(&mut CameraBlock),
-    ) -> Result<Adjusted, SfmError> {
-        let (mut problem, _) = adjustment::build(map, &self.tracks, &self.free_views, freedom, self.noise);
-        problem.priors.intrinsics.clear();
-        problem.cameras.iter_mut().for_each(change);
+    fn trial(&self, map: &Map<'_>, freedom: Freedom) -> Problem {
+        adjustment::build(map, &self.tracks, &self.free_views, freedom, self.noise).0
+    }
+
+    fn adjusted(&self, mut problem: Problem) -> Result<Adjusted, SfmError> {
         let loss = self.options.loss(self.noise);
         let bundle_options =
             bundle::Options { loss, max_iterations: 20, function_tolerance: 1e-5, ..bundle::Options::default() };

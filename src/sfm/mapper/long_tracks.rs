@@ -87,7 +87,7 @@ fn views_that_count(
     let mut counts = vec![true; table.views.len()];
     for (first, tracks) in ends.into_iter().filter(|(_, tracks)| tracks.len() >= options.min_initial_inliers) {
         let views = [first, first + step];
-        let shows_depth = !initial_pair::is_still(table, &tracks, views)
+        let shows_depth = !initial_pair::is_still(table, cameras, &tracks, views)
             && initial_pair::geometry_of(table, cameras, options, seed, views, &tracks).is_some_and(|geometry| {
                 motion::of_pair(&geometry, intrinsics) == PairMotion::Other && geometry.median_angle >= min_angle
             });

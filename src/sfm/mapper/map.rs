@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point2, Point3};
 
-use super::{Intrinsics, Noise};
+use super::{Intrinsics, KnownIntrinsics, Noise};
 use crate::bundle::Whitening;
 use crate::camera::Camera;
 use crate::math::{Rigid3, upper_median};
@@ -54,8 +54,8 @@ pub struct Map<'a> {
     pub cameras: Vec<Camera>,
     /// Intrinsics as they were at the start.
     pub guess: Vec<Camera>,
-    /// Standard deviation of ln f about the guess.
-    pub guess_deviation: f64,
+    /// How well they were known.
+    pub known: KnownIntrinsics,
     /// World to camera, by view; `None` where not registered.
     pub poses: Vec<Option<Rigid3>>,
     /// By track.
@@ -72,7 +72,7 @@ impl<'a> Map<'a> {
         Self {
             cameras: cameras.to_vec(),
             guess: cameras.to_vec(),
-            guess_deviation: Intrinsics::Refined.guess_deviation(),
+            known: Intrinsics::Refined.into(),
             poses: vec![None; table.views.len()],
             points: vec![None; table.tracks.len()],
             num_visible: vec![0; table.views.len()],
@@ -82,8 +82,27 @@ impl<'a> Map<'a> {
     }
 
     /// The same with intrinsics that are so well known at the start.
-    pub fn guessed(self, intrinsics: Intrinsics) -> Self {
-        Self { guess_deviation: intrinsics.guess_deviation(), ..self }
+    pub fn knowing(self, known: KnownIntrinsics) -> Self {
+        Self { known, ..self }
+    }
+
+    /// The cameras whose intrinsics are looked for, ascending.
+    pub fn unknown_cameras(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.cameras.len()).filter(|&camera| self.known.of(camera) != Intrinsics::Fixed)
+    }
+
+    /// Registered views, by camera.
+    pub fn num_views_of_cameras(&self) -> Vec<usize> {
+        let mut counts = vec![0; self.cameras.len()];
+        self.registered().for_each(|view| counts[self.table.views[view].camera] += 1);
+        counts
+    }
+
+    /// Known points that registered views see, by camera; one that two views see counts twice.
+    pub fn num_points_of_cameras(&self) -> Vec<usize> {
+        let mut counts = vec![0; self.cameras.len()];
+        self.registered().for_each(|view| counts[self.table.views[view].camera] += self.num_visible[view]);
+        counts
     }
 
     /// Registered views.

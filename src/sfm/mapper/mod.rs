@@ -13,6 +13,7 @@ mod adjustment;
 mod apart;
 mod growth;
 mod initial_pair;
+mod known;
 mod lens;
 mod long_tracks;
 mod map;
@@ -25,6 +26,7 @@ mod view_graph;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use known::{Intrinsics, KnownIntrinsics};
 pub use long_tracks::cut_long_tracks;
 pub use motion::Remark;
 pub use report::{Outcome, Reason, Report};
@@ -38,19 +40,6 @@ use crate::math::RobustLoss;
 use crate::scene::Reconstruction;
 use growth::Growth;
 use map::Map;
-
-/// What is known of the intrinsics.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Intrinsics {
-    /// Given, or found on the background: not touched.
-    Fixed,
-    /// The focal length that the pictures' files state, right to some percent: refined with the map, as is radial
-    /// distortion.
-    Stated,
-    /// A guess that may be far off: focal length and radial distortion are refined with the map.
-    Refined,
-}
 
 /// How a map is built.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -198,10 +187,10 @@ impl Options {
     }
 
     /// The same for cameras: positions are found to a share of a pixel whatever the frame's size, so that it is the
-    /// parallax in pixels, f · angle, that tells a depth. `min_angle_deg` holds up to the focal length that is guessed
-    /// for frames of 1280 pixels; beyond, the parallax counts that it makes there.
+    /// parallax in pixels, f · angle, that tells a depth. `min_angle_deg` holds up to a focal length of 1536 px, that of
+    /// a field of view of 45° in frames of 1280 pixels; beyond, the parallax counts that it makes there.
     fn at_focal(&self, cameras: &[Camera]) -> Self {
-        const USUAL_FOCAL_PX: f64 = 1.2 * 1280.0;
+        const USUAL_FOCAL_PX: f64 = 1536.0;
         let longest = cameras.iter().map(Camera::mean_focal).fold(USUAL_FOCAL_PX, f64::max);
         Self { min_angle_deg: self.min_angle_deg * USUAL_FOCAL_PX / longest, ..self.clone() }
     }
@@ -251,6 +240,7 @@ enum Noise {
 /// Long videos cost the least after [`cut_long_tracks`].
 ///
 /// * `cameras` – intrinsics, indexed by [`super::tracks::View::camera`].
+/// * `intrinsics` – what is known of them: alike of all cameras, or of each.
 ///
 /// The reconstruction is empty when no pair of views can start one; the report then says why.
 ///
@@ -262,7 +252,7 @@ enum Noise {
 pub fn reconstruct(
     table: &TrackTable,
     cameras: &[Camera],
-    intrinsics: Intrinsics,
+    intrinsics: impl Into<KnownIntrinsics>,
     options: &Options,
     seed: u64,
 ) -> Result<(Reconstruction, Report), SfmError> {
@@ -277,16 +267,16 @@ pub fn reconstruct(
 pub fn reconstruct_watched(
     table: &TrackTable,
     cameras: &[Camera],
-    intrinsics: Intrinsics,
+    intrinsics: impl Into<KnownIntrinsics>,
     options: &Options,
     seed: u64,
     watch: &mut dyn FnMut(f64),
 ) -> Result<(Reconstruction, Report), SfmError> {
     options.check()?;
-    let options = &options.at_focal(cameras);
+    let (options, known) = (&options.at_focal(cameras), intrinsics.into());
     // Of a start, growing takes about so much, the last adjustments the rest.
     const GROWTH_SHARE: f64 = 0.7;
-    let (pairs, survey) = initial_pair::ranked(table, cameras, intrinsics, options, seed);
+    let (pairs, survey) = initial_pair::ranked(table, cameras, &known, options, seed);
     let usable = table.views.iter().filter(|v| !v.pixels.is_empty()).count();
     let mut best: Option<(f64, Map, Report)> = None;
     let mut num_starts = 0;
@@ -294,7 +284,7 @@ pub fn reconstruct_watched(
         let all_starts = options.min_starts.max(num_starts + 1) as f64;
         let before = num_starts as f64;
         num_starts += 1;
-        let mut growth = Growth::new(Map::new(table, cameras).guessed(intrinsics), intrinsics, options, seed);
+        let mut growth = Growth::new(Map::new(table, cameras).knowing(known.clone()), options, seed);
         if growth.start(pair)? {
             let mut grown = |num_registered: usize| {
                 let share = num_registered as f64 / usable.max(1) as f64;

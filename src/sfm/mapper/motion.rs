@@ -146,10 +146,10 @@ impl fmt::Display for Remark {
 }
 
 /// Remarks on the shape of a finished map.
-pub fn remarks_on(map: &Map<'_>, intrinsics: Intrinsics) -> Vec<Remark> {
+pub fn remarks_on(map: &Map<'_>) -> Vec<Remark> {
     let mut out = Vec::new();
     if is_planar(map) {
-        out.push(Remark::PlanarScene { intrinsics_refined: intrinsics != Intrinsics::Fixed });
+        out.push(Remark::PlanarScene { intrinsics_refined: map.unknown_cameras().next().is_some() });
     }
     if is_forward(map) {
         out.push(Remark::ForwardMotion);

@@ -104,10 +104,10 @@ pub struct Report {
     pub num_observations: usize,
     /// Mean reprojection error, pixels.
     pub mean_error_px: Option<f64>,
-    /// Standard deviation of the focal length as a share of it, with what is known of lenses beforehand; `None` where
-    /// it was held.
+    /// By camera: standard deviation of the focal length as a share of it, with what is known of lenses beforehand;
+    /// `None` where it was held, or no registered view is of this camera, or many cameras have more views.
     #[serde(default)]
-    pub focal_deviation: Option<f64>,
+    pub focal_deviations: Vec<Option<f64>>,
     /// What weakens the map, in the motion and in the scene.
     #[serde(default)]
     pub remarks: Vec<Remark>,
@@ -124,6 +124,11 @@ impl Report {
     /// Views that are not registered.
     pub fn failures(&self) -> impl Iterator<Item = (&str, &Reason)> {
         self.views.iter().filter_map(|v| Some((v.name.as_str(), v.failure.as_ref()?)))
+    }
+
+    /// The same of the first camera.
+    pub fn focal_deviation(&self) -> Option<f64> {
+        self.focal_deviations.first().copied().flatten()
     }
 
     pub(super) fn of_views(map: &Map<'_>, failure: impl Fn(usize) -> Option<Reason>) -> Vec<Outcome> {

@@ -9,6 +9,7 @@ mod lens;
 mod long_video;
 mod motion;
 mod repetition;
+mod several_cameras;
 
 use super::*;
 use crate::bundle::{self, CameraBlock, Problem};

@@ -7,6 +7,12 @@
 //! less than half of all that two views share, their motion is therefore found from these points alone, and its turn
 //! and direction are compared with the map's.
 //!
+//! A view may also be wrong by less: beside one of many bars, bricks or sills that look alike, a part of a baseline away
+//! from its place. Most points still fit to some pixels, and turn and direction are hardly off. So for views in no order
+//! every pair is asked once more, at the noise of the map: the epipolar geometry that the map gives to the two views
+//! must explain half of their common tracks, or half as many as the one that they find by themselves. That is fair to
+//! pairs whose motion is uncertain (a plane, a short baseline): what they find explains hardly more than the map's.
+//!
 //! A pair that contradicts the map speaks against both its views, a pair whose points fit in both speaks for them, each
 //! with the number of its points; a view that has more against it than for it is taken out, the worst first, and what
 //! it was blamed for is taken back.
@@ -27,6 +33,8 @@ const MIN_COMMON: usize = 15;
 const AGREEING_SHARE: f64 = 0.5;
 /// A pair of which the map explains at most this share contradicts it, if one epipolar geometry explains twice as many.
 const CONTRADICTING_SHARE: f64 = 0.3;
+/// At the noise of the map, its epipolar geometry explains less than this share of what the pair's own one does.
+const FINE_SHARE: f64 = 0.5;
 
 /// What a pair of registered views says of the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,18 +47,26 @@ pub struct Opinion {
     pub contradicting: usize,
 }
 
+/// Up to where positions agree.
+#[derive(Clone, Copy, Debug)]
+pub struct Thresholds {
+    /// Epipolar and reprojection threshold, pixels.
+    pub max_error_px: f64,
+    /// The same at the noise of the map, pixels; `None` where pairs are not asked for it.
+    pub fine_px: Option<f64>,
+}
+
 /// The pairs of views that share most points.
 pub struct ViewGraph {
     /// Views and the tracks that they have in common.
     pairs: Vec<([usize; 2], Vec<u32>)>,
-    /// Epipolar and reprojection threshold, pixels.
-    max_error_px: f64,
+    thresholds: Thresholds,
     seed: u64,
 }
 
 impl ViewGraph {
     /// Of all views of a map's table, registered or not.
-    pub fn new(map: &Map<'_>, max_error_px: f64, seed: u64) -> Self {
+    pub fn new(map: &Map<'_>, thresholds: Thresholds, seed: u64) -> Self {
         let tracks = &map.table.tracks;
         let mut tracks_of: Vec<Vec<u32>> = vec![Vec::new(); map.poses.len()];
         for (index, track) in tracks.iter().enumerate() {
@@ -74,7 +90,7 @@ impl ViewGraph {
             let seen_by_b = |&&track: &&u32| tracks_of[*b].binary_search(&track).is_ok();
             common.extend(tracks_of[*a].iter().filter(seen_by_b));
         }
-        Self { pairs: chosen.into_iter().collect(), max_error_px, seed }
+        Self { pairs: chosen.into_iter().collect(), thresholds, seed }
     }
 
     /// What pairs of registered views say; of those of one view only, where one is given.
@@ -85,8 +101,32 @@ impl ViewGraph {
         self.pairs
             .iter()
             .filter(|(views, _)| wanted(views))
-            .filter_map(|(views, tracks)| self.opinion(map, *views, tracks))
+            .filter_map(|(views, tracks)| {
+                let said = [self.opinion(map, *views, tracks), self.fine_opinion(map, *views, tracks)];
+                // What speaks against the map goes before what speaks for it.
+                said.into_iter().flatten().max_by_key(|opinion| (opinion.contradicting, opinion.agreeing))
+            })
             .collect()
+    }
+
+    /// Whether the epipolar geometry of the map explains, at its noise, the tracks of two views, or far fewer of them
+    /// than the one that the two find by themselves.
+    fn fine_opinion(&self, map: &Map<'_>, views: [usize; 2], tracks: &[u32]) -> Option<Opinion> {
+        let max_error_px = self.thresholds.fine_px?;
+        let common: Vec<usize> = tracks.iter().map(|&t| t as usize).collect();
+        let (first, second) = (map.poses[views[0]]?, map.poses[views[1]]?);
+        let in_map = second * first.inverse();
+        let explained = self.on_pair(map, views, &common, max_error_px, |pairs, max_error, _| {
+            two_view::num_explained(pairs, &in_map, max_error)
+        })?;
+        if explained as f64 >= FINE_SHARE * common.len() as f64 {
+            return Some(Opinion { views, agreeing: explained, contradicting: 0 });
+        }
+        let by_itself = self.on_pair(map, views, &common, max_error_px, |pairs, max_error, rng| {
+            two_view::verify(pairs, max_error, rng).len()
+        });
+        let contradicts = by_itself >= MIN_COMMON && (explained as f64) < FINE_SHARE * by_itself as f64;
+        contradicts.then_some(Opinion { views, agreeing: 0, contradicting: by_itself - explained })
     }
 
     fn opinion(&self, map: &Map<'_>, views: [usize; 2], tracks: &[u32]) -> Option<Opinion> {
@@ -117,17 +157,20 @@ impl ViewGraph {
         let Some(feature) = map.table.tracks[track].iter().find(|f| f.view as usize == view) else { return false };
         map.camera_of(view)
             .pixel_from_cam(*pose * point.position)
-            .is_some_and(|pixel| (pixel - map.table.pixel(*feature)).norm() <= self.max_error_px)
+            .is_some_and(|pixel| (pixel - map.table.pixel(*feature)).norm() <= self.thresholds.max_error_px)
     }
 
     /// How many of the tracks one epipolar geometry of the two views explains.
     fn epipolar_inliers(&self, map: &Map<'_>, views: [usize; 2], tracks: &[usize]) -> usize {
-        self.on_pair(map, views, tracks, |pairs, max_error, rng| two_view::verify(pairs, max_error, rng).len())
+        let max_error_px = self.thresholds.max_error_px;
+        self.on_pair(map, views, tracks, max_error_px, |pairs, max_error, rng| {
+            two_view::verify(pairs, max_error, rng).len()
+        })
     }
 
     /// The motion between two views that most of the tracks agree on.
     fn motion_by_itself(&self, map: &Map<'_>, views: [usize; 2], tracks: &[usize]) -> Option<TwoViewGeometry> {
-        self.on_pair(map, views, tracks, two_view::estimate)
+        self.on_pair(map, views, tracks, self.thresholds.max_error_px, two_view::estimate)
     }
 
     fn on_pair<T>(
@@ -135,6 +178,7 @@ impl ViewGraph {
         map: &Map<'_>,
         views: [usize; 2],
         tracks: &[usize],
+        max_error_px: f64,
         ask: impl Fn(&Correspondences<'_>, f64, &mut Rng) -> T,
     ) -> T {
         let normalized = |view: usize| -> Vec<Vector2<f64>> {
@@ -146,7 +190,7 @@ impl ViewGraph {
         let mean_focal = (map.camera_of(views[0]).mean_focal() * map.camera_of(views[1]).mean_focal()).sqrt();
         let stream = (views[0] as u64) << 32 | views[1] as u64;
         let pairs = Correspondences { first: &first, second: &second };
-        ask(&pairs, self.max_error_px / mean_focal, &mut seeded_rng(self.seed, stream))
+        ask(&pairs, max_error_px / mean_focal, &mut seeded_rng(self.seed, stream))
     }
 }
 

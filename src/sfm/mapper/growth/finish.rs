@@ -1,13 +1,13 @@
 //! The last adjustments of a map, and what they depend on.
 
-use super::super::view_graph::{self, Opinion, ViewGraph};
+use super::super::view_graph::{self, Opinion, Thresholds, ViewGraph};
 use super::{Attempt, Growth};
 use crate::math::{Rigid3, seeded_rng};
 use crate::sfm::SfmError;
+use crate::sfm::mapper::Noise;
 use crate::sfm::mapper::adjustment::{Freedom, Scope};
 use crate::sfm::mapper::lens;
 use crate::sfm::mapper::map::Slot;
-use crate::sfm::mapper::{Intrinsics, Noise};
 use crate::sfm::resection::{self, Resection};
 
 impl Growth<'_> {
@@ -33,10 +33,11 @@ impl Growth<'_> {
     /// How sure the focal length is, of the map as it stays.
     fn judge_focal_length(&mut self) -> Result<(), SfmError> {
         let Noise::Measured { sigma_px } = self.map.noise() else { return Ok(()) };
-        if self.intrinsics != Intrinsics::Fixed {
-            let evidence = lens::focal_evidence(&self.map, sigma_px, self.options)?;
-            tracing::debug!("focal length: {evidence:?}");
-            self.focal_deviation = Some(evidence.deviation(self.map.guess_deviation));
+        for camera in lens::asked_cameras(&self.map) {
+            let evidence = lens::focal_evidence(&self.map, &[camera], sigma_px, self.options)?;
+            tracing::debug!("focal length of camera {camera}: {evidence:?}");
+            let guess_deviation = self.map.known.of(camera).guess_deviation();
+            self.focal_deviations[camera] = Some(evidence.deviation(guess_deviation));
         }
         Ok(())
     }
@@ -56,8 +57,9 @@ impl Growth<'_> {
             self.noise = self.map.noise();
             let limits = self.limits();
             let changed = self.map.update_observations(&limits);
-            if self.intrinsics != Intrinsics::Fixed && !self.lens_decided {
-                self.freedom = self.final_freedom()?;
+            let unknown: Vec<usize> = self.map.unknown_cameras().collect();
+            if !unknown.is_empty() && !self.lens_decided {
+                self.freedom = self.final_freedom(&unknown)?;
                 self.lens_decided = true;
                 continue;
             }
@@ -69,24 +71,25 @@ impl Growth<'_> {
         self.adjust(&Scope::Everything, self.freedom).map(drop)
     }
 
-    /// Which intrinsics the motion determines, once the noise is known and wrong points are gone.
+    /// Which intrinsics the motion determines, of all cameras that are looked for alike, once the noise is known and wrong
+    /// points are gone.
     ///
     /// Where the focal length itself is loosely held, as on a single flight looking straight down, a second coefficient
     /// of distortion and the principal point would take up what the model of the camera leaves out (the shutter that
     /// rolls down the picture), and bend the map: they go back to the guess.
-    fn final_freedom(&mut self) -> Result<Freedom, SfmError> {
+    fn final_freedom(&mut self, unknown: &[usize]) -> Result<Freedom, SfmError> {
         const LOOSE: f64 = 0.01;
         // Three standard deviations.
         const SIGNIFICANT: f64 = 9.0;
-        let Noise::Measured { sigma_px } = self.noise else { return Ok(self.intrinsics.into()) };
-        let deviation = lens::focal_evidence(&self.map, sigma_px, self.options)?.together;
+        let Noise::Measured { sigma_px } = self.noise else { return Ok(Freedom::at_first(&self.map)) };
+        let deviation = lens::focal_evidence(&self.map, unknown, sigma_px, self.options)?.together;
         tracing::debug!("focal length known to {:.3} %", 100.0 * deviation);
         if deviation <= LOOSE {
             return Ok(Freedom::WithPrincipalPoint);
         }
         let gain = lens::first_radial_gain(&self.map, sigma_px, self.options)?;
         tracing::debug!("the first coefficient of distortion explains {gain:.1}");
-        self.map.cameras.iter_mut().for_each(|camera| camera.radial = [0.0; 2]);
+        unknown.iter().for_each(|&camera| self.map.cameras[camera].radial = [0.0; 2]);
         // The noise was that of another lens.
         self.noise = Noise::Unknown;
         Ok(if gain > SIGNIFICANT { Freedom::FocalAndFirstRadial } else { Freedom::Focal })
@@ -101,7 +104,7 @@ impl Growth<'_> {
         if num_registered < MIN_VIEWS {
             return Ok(());
         }
-        let graph = ViewGraph::new(&self.map, self.options.max_pose_error_px, self.seed);
+        let graph = ViewGraph::new(&self.map, self.thresholds_of_pairs(), self.seed);
         let opinions = graph.opinions(&self.map, None);
         let wrong = view_graph::contradicted(opinions.clone());
         if wrong.is_empty() || wrong.len() as f64 > MAX_SHARE * num_registered as f64 {
@@ -128,6 +131,21 @@ impl Growth<'_> {
             );
         }
         Ok(())
+    }
+
+    /// How exactly pairs of views have to agree with the map. Frames of a video are placed by their neighbours in time,
+    /// and asked less.
+    fn thresholds_of_pairs(&self) -> Thresholds {
+        const SIGMAS: f64 = 4.0;
+        const LEAST_PX: f64 = 0.5;
+        let max_error_px = self.options.max_pose_error_px;
+        let fine_px = match self.map.noise() {
+            Noise::Measured { sigma_px } if !self.options.ordered => {
+                Some((SIGMAS * sigma_px).max(LEAST_PX).min(max_error_px))
+            }
+            Noise::Measured { .. } | Noise::Unknown => None,
+        };
+        Thresholds { max_error_px, fine_px }
     }
 
     /// Tries the points that the accusers see, then all, then the pose between the neighbours in time; the pose for

@@ -24,7 +24,7 @@ fn found(world: &World, guess_px: f64, intrinsics: Intrinsics) -> (f64, f64) {
     let (model, report) = reconstruct(&table, &[guess], intrinsics, &Options::background(), 1).unwrap();
     assert_eq!(report.num_registered(), world.poses.len());
     let focal = model.cameras.values().next().unwrap().mean_focal();
-    ((focal / 900.0).ln(), report.focal_deviation.unwrap())
+    ((focal / 900.0).ln(), report.focal_deviation().unwrap())
 }
 
 #[test]
@@ -40,7 +40,7 @@ fn a_focal_length_is_no_farther_off_than_is_said() {
 #[test]
 fn what_files_state_holds_a_weak_motion_and_gives_way_to_a_strong_one() {
     let (off, said) = found(&forward_flight(12, 0.3), 930.0, Intrinsics::Stated);
-    assert!(off.abs() < 0.1 && said <= 0.06, "{off} {said}");
+    assert!(off.abs() < 0.1 && said <= 0.1, "{off} {said}");
     // Where the motion tells it, what is stated wrongly does no harm.
     let (off, said) = found(&world(40, 600), 990.0, Intrinsics::Stated);
     assert!(off.abs() < 0.02 && said < 0.015, "{off} {said}");
@@ -51,5 +51,5 @@ fn intrinsics_that_are_given_have_no_deviation() {
     let world = world(12, 300);
     let table = tracks(&world, 0.2, 0, &mut seeded_rng(3, 0));
     let (_, report) = reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 1).unwrap();
-    assert_eq!(report.focal_deviation, None);
+    assert_eq!(report.focal_deviation(), None);
 }

@@ -128,3 +128,47 @@ fn a_view_whose_true_neighbours_share_no_known_points_with_it_is_left_out() {
     assert!(matches!(failures[..], [("000020.jpg", Reason::Contradicted { .. })]), "{failures:?}");
     assert!(center_error(&found, &world) < 0.02, "{}", center_error(&found, &world));
 }
+
+/// What a view low on a wall takes for the row of bricks below it, a quarter of a unit away: by `known` tracks of points
+/// that two of its true neighbours know, fewer than those that two far views know of the wrong row.
+fn beside_a_wrong_row(known: usize) -> (Reconstruction, Report, World) {
+    const CONFUSED: usize = 20;
+    const WRONG: usize = 240;
+    let world = street(24, 0.9);
+    let mut rng = seeded_rng(8, 3);
+    let mut sightings = Sightings::new(&world);
+    for point in along(-6.0, 26.0, 500, &mut rng) {
+        sightings.add((0..24).filter(|&view| view != CONFUSED).map(|view| (view, point)));
+    }
+    for neighbour in (15..24).filter(|&view| view != CONFUSED) {
+        for point in along(14.0, 22.0, 160, &mut rng) {
+            sightings.add([neighbour, CONFUSED].map(|view| (view, point)).into_iter());
+        }
+    }
+    for neighbour in [16, 17, 18, 21, 22] {
+        for point in along(14.0, 22.0, known, &mut rng) {
+            sightings.add([neighbour, neighbour + 1, CONFUSED].map(|view| (view, point)).into_iter());
+        }
+    }
+    for point in along(12.0, 16.0, WRONG, &mut rng) {
+        let row = point - Vector3::new(0.0, 0.0, 0.25);
+        sightings.add([(11, row), (12, row), (CONFUSED, point)].into_iter());
+    }
+    let (found, report) = sightings.reconstructed();
+    (found, report, world)
+}
+
+#[test]
+fn a_view_a_row_of_bricks_away_is_left_out() {
+    let (found, report, world) = beside_a_wrong_row(0);
+    let failures: Vec<_> = report.failures().collect();
+    assert!(matches!(failures[..], [("000020.jpg", Reason::Contradicted { .. })]), "{failures:?}");
+    assert!(center_error(&found, &world) < 0.02, "{}", center_error(&found, &world));
+}
+
+#[test]
+fn a_view_a_row_of_bricks_away_is_moved_where_its_neighbours_know_enough_points() {
+    let (found, report, world) = beside_a_wrong_row(25);
+    assert_eq!(report.num_registered(), 24, "{:?}", report.failures().collect::<Vec<_>>());
+    assert!(center_error(&found, &world) < 0.02, "{}", center_error(&found, &world));
+}

@@ -1,0 +1,232 @@
+//! The cameras that the background's pictures come from.
+//!
+//! A video has one. Photographs may have several: one for each size, orientation, and camera and focal length that
+//! their EXIF data name. Where vehicles are looked for, and where pictures follow one another in time, all must have
+//! one size, and one camera is assumed.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::options::{CameraOrigin, IntrinsicsSource, unknown_camera};
+use super::run::Run;
+use super::{Instances, Options, PipelineError, order};
+use crate::camera::Camera;
+use crate::io::colmap;
+use crate::scene::{Frame, FrameId};
+use crate::sfm::Intrinsics;
+use crate::video::{PictureCamera, Source};
+
+/// A camera before the background is reconstructed, at the size of its pictures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct InitialCamera {
+    pub(super) camera: Camera,
+    pub(super) origin: CameraOrigin,
+}
+
+impl InitialCamera {
+    /// What is known of its intrinsics.
+    pub(super) fn known(&self) -> Intrinsics {
+        match self.origin {
+            CameraOrigin::Given => Intrinsics::Fixed,
+            CameraOrigin::Exif => Intrinsics::Stated,
+            CameraOrigin::Guess => Intrinsics::Refined,
+        }
+    }
+}
+
+/// Opens the input: pictures of all sizes where they may be photographs and only a model of the background is made.
+pub(super) fn open(input: &Path, options: &Options) -> Result<Source, PipelineError> {
+    let only_a_model = options.instances == Instances::None && options.background_model.is_none();
+    let photographs = only_a_model && order::of_options(options) != Some(true);
+    Ok(match photographs {
+        true => Source::open_photographs(input, &options.video)?,
+        false => Source::open(input, &options.video)?,
+    })
+}
+
+/// The cameras of the pictures; of those that follow one another in time there is one. The stage `frames` must be done.
+pub(super) fn initial(run: &Run) -> Result<Vec<InitialCamera>, PipelineError> {
+    let taken = taken(run)?;
+    let given = of_options(run, taken)?;
+    let camera = |(taken, given): (&PictureCamera, Option<Camera>)| match given {
+        Some(camera) => Ok(InitialCamera { camera, origin: CameraOrigin::Given }),
+        None => {
+            let (camera, origin) = unknown_camera(taken, &order::found(run)?);
+            Ok(InitialCamera { camera, origin })
+        }
+    };
+    taken.iter().zip(given).map(camera).collect()
+}
+
+fn of_options(run: &Run, taken: &[PictureCamera]) -> Result<Vec<Option<Camera>>, PipelineError> {
+    match &run.options.intrinsics {
+        Some(given) => given_cameras(given, taken),
+        None => Ok(vec![None; taken.len()]),
+    }
+}
+
+/// The cameras that the options give, before any stage; each once.
+pub(super) fn given(run: &Run) -> Result<Vec<Camera>, PipelineError> {
+    let mut given: Vec<Camera> = of_options(run, run.source.cameras())?.into_iter().flatten().collect();
+    given.dedup();
+    Ok(given)
+}
+
+/// The first of them, which took all pictures where vehicles are looked for.
+pub(super) fn first(run: &Run) -> Result<InitialCamera, PipelineError> {
+    let path = run.input().display();
+    initial(run)?.first().copied().ok_or_else(|| PipelineError::Options(format!("{path}: it holds no picture")))
+}
+
+/// What took the pictures that are used.
+fn taken<'a>(run: &Run<'a>) -> Result<&'a [PictureCamera], PipelineError> {
+    let all = run.source.cameras();
+    let is_one = all.len() > 1 && order::found(run)?.in_time;
+    Ok(if is_one { &all[..1] } else { all })
+}
+
+/// By frame, the place of its camera among [`initial`]; frames that are not there are of the first one.
+pub(super) fn of_frames(run: &Run) -> Result<BTreeMap<FrameId, usize>, PipelineError> {
+    let of_camera = |(camera, taken): (usize, &PictureCamera)| {
+        taken.frames.iter().map(|&frame| (frame, camera)).collect::<Vec<_>>()
+    };
+    Ok(taken(run)?.iter().enumerate().flat_map(of_camera).collect())
+}
+
+/// Leaves out the frames of a video that have another size than the first one, and says of each why.
+pub(super) fn of_one_size(source: &Source, frames: Vec<Frame>) -> (Vec<Frame>, Vec<String>) {
+    let mut said = Vec::new();
+    let mut is_alike = |frame: &Frame| match source.of_another_size(frame) {
+        Some(reason) => {
+            said.push(reason);
+            false
+        }
+        None => true,
+    };
+    let kept = frames.into_iter().filter(&mut is_alike).collect();
+    (kept, said)
+}
+
+/// What `--intrinsics` leaves open, of pictures of several sizes.
+pub(super) fn not_covered(run: &Run, cameras: &[InitialCamera]) -> Option<String> {
+    let is_given = |camera: &&InitialCamera| camera.origin == CameraOrigin::Given;
+    let open = cameras.iter().zip(taken(run).ok()?).find(|(camera, _)| !is_given(camera))?;
+    cameras.iter().find(is_given)?;
+    let num_open = cameras.iter().filter(|camera| !is_given(camera)).count();
+    let first = open.1.frames.first().and_then(|id| run.frames().ok()?.iter().find(|frame| frame.id == *id));
+    let name = first.map_or("", |frame| frame.name.as_str());
+    Some(format!(
+        "--intrinsics says nothing of {num_open} of the {} cameras, the first of which took {name} ({}x{} pixels): these \
+         are found with the background; a cameras.txt with a camera of each size says all of them",
+        cameras.len(),
+        open.1.source_width,
+        open.1.source_height
+    ))
+}
+
+/// The cameras that the user gives, at the size of the pictures; `None` for those of which nothing is said. Four or six
+/// numbers are those of the pictures of the first size; a file has a camera for each size that it speaks of, and where
+/// it has only one, of another size than all pictures, it is that of the first size, scaled.
+fn given_cameras(intrinsics: &IntrinsicsSource, taken: &[PictureCamera]) -> Result<Vec<Option<Camera>>, PipelineError> {
+    let source_size = |pictures: &PictureCamera| (pictures.source_width, pictures.source_height);
+    let Some(first) = taken.first().map(source_size) else { return Ok(Vec::new()) };
+    let of_first = |camera: Camera| {
+        let at_size = |pictures: &PictureCamera| {
+            (source_size(pictures) == first).then(|| camera.resized(pictures.width, pictures.height))
+        };
+        taken.iter().map(at_size).collect()
+    };
+    let path = match intrinsics {
+        IntrinsicsSource::Given(values) => {
+            return Ok(of_first(Camera::prior(first.0, first.1).with_intrinsics(*values)));
+        }
+        IntrinsicsSource::File(path) => path,
+    };
+    let cameras: Vec<Camera> = colmap::read_cameras(path)?.into_values().collect();
+    let given: Vec<Option<Camera>> =
+        taken.iter().map(|pictures| of_size(path, &cameras, pictures)).collect::<Result<_, _>>()?;
+    match (given.iter().any(Option::is_some), cameras.as_slice()) {
+        (true, _) => Ok(given),
+        (false, [only]) => Ok(of_first(*only)),
+        (false, _) => Err(PipelineError::Options(format!(
+            "{}: must hold exactly one camera, or one for each size of the pictures; none of its {} is for {}x{} pixels",
+            path.display(),
+            cameras.len(),
+            first.0,
+            first.1
+        ))),
+    }
+}
+
+/// The one camera of a file that has the size of the pictures, as they are stored or as they are given out.
+fn of_size(path: &Path, cameras: &[Camera], pictures: &PictureCamera) -> Result<Option<Camera>, PipelineError> {
+    let sizes = [(pictures.source_width, pictures.source_height), (pictures.width, pictures.height)];
+    for (width, height) in sizes {
+        let mut found = cameras.iter().filter(|camera| (camera.width, camera.height) == (width, height));
+        match (found.next(), found.next()) {
+            (Some(camera), None) => return Ok(Some(camera.resized(pictures.width, pictures.height))),
+            (Some(_), Some(_)) => {
+                return Err(PipelineError::Options(format!(
+                    "{}: must hold exactly one camera, or one for each size of the pictures; several are for \
+                     {width}x{height} pixels",
+                    path.display()
+                )));
+            }
+            (None, _) => {}
+        }
+    }
+    Ok(None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pictures(source: (u32, u32), given_out: (u32, u32)) -> PictureCamera {
+        PictureCamera {
+            width: given_out.0,
+            height: given_out.1,
+            source_width: source.0,
+            source_height: source.1,
+            exif_focal_px: None,
+            frames: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn numbers_are_for_pictures_of_the_first_size() {
+        let given = IntrinsicsSource::Given([880.0, 880.0, 480.0, 270.0, 0.0, 0.0]);
+        let taken =
+            [pictures((960, 540), (480, 270)), pictures((540, 960), (270, 480)), pictures((960, 540), (480, 270))];
+        let found = given_cameras(&given, &taken).unwrap();
+        let camera = found[0].unwrap();
+        assert_eq!((camera.focal, camera.principal), ([440.0; 2], [240.0, 135.0]));
+        assert_eq!((found[1], found[2]), (None, Some(camera)));
+    }
+
+    #[test]
+    fn a_file_has_a_camera_for_each_size() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |text: &str| {
+            let path = folder.path().join("cameras.txt");
+            std::fs::write(&path, text).unwrap();
+            IntrinsicsSource::File(path)
+        };
+        let two = "1 PINHOLE 960 540 880 880 480 270\n2 PINHOLE 540 960 700 700 270 480\n";
+        let taken =
+            [pictures((540, 960), (270, 480)), pictures((100, 80), (100, 80)), pictures((960, 540), (480, 270))];
+        let found = given_cameras(&file(two), &taken).unwrap();
+        let focal = |k: usize| found[k].map(|camera: Camera| camera.focal[0]);
+        assert_eq!([focal(0), focal(1), focal(2)], [Some(350.0), None, Some(440.0)]);
+        // One camera of another size is that of the first pictures, scaled.
+        let one = given_cameras(&file("1 PINHOLE 1080 1920 1400 1400 540 960\n"), &taken).unwrap();
+        assert_eq!((one[0].map(|camera| camera.focal[0]), one[1]), (Some(350.0), None));
+        let twice = "1 PINHOLE 540 960 880 880 270 480\n2 PINHOLE 540 960 700 700 270 480\n";
+        for (text, expected) in
+            [(twice, "several are for 540x960"), ("1 PINHOLE 9 9 9 9 4 4\n2 PINHOLE 8 8 9 9 4 4\n", "none of its 2")]
+        {
+            let error = given_cameras(&file(text), &taken).unwrap_err().to_string();
+            assert!(error.contains(expected) && error.contains("cameras.txt"), "{error}");
+        }
+    }
+}
