@@ -85,7 +85,7 @@ pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> 
     let Some((method, ratio)) = found else {
         return Err(failure.cloned().unwrap_or(ScaleError::NoAnswer(wanted)));
     };
-    let std = standard_deviation(method, &pair, &all_frames);
+    let std = standard_deviation(method, views, &pair, &all_frames);
     let mut reasons: Vec<String> = failure.map(|failure| stands_in(method, wanted, failure)).into_iter().collect();
     // Contact does not need the camera to climb, so its answer, where it was asked for, is not judged by the climb.
     if [method, wanted] != [ScaleMethod::Intersection; 2] {
@@ -274,6 +274,7 @@ fn stands_in(method: ScaleMethod, wanted: ScaleMethod, failure: &ScaleError) -> 
 
 fn standard_deviation(
     method: ScaleMethod,
+    views: &Views,
     pair: &Result<ConstantDistance, ScaleError>,
     all_frames: &Result<LeastSquares, ScaleError>,
 ) -> Option<f64> {
@@ -281,7 +282,8 @@ fn standard_deviation(
     let std = match method {
         ScaleMethod::RobustLeastSquares => all_frames.std,
         ScaleMethod::ConstantDistance => {
-            all_frames.residual_std * (2.0 / pair.as_ref().ok()?.mean_denominator_sq).sqrt()
+            let pair = pair.as_ref().ok()?;
+            all_frames.residual_std.hypot(views.grazing_std(pair.ratio)) * (2.0 / pair.mean_denominator_sq).sqrt()
         }
         ScaleMethod::Intersection | ScaleMethod::Joint => return None,
     };

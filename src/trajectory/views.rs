@@ -5,7 +5,12 @@ use std::collections::BTreeMap;
 use nalgebra::{Point3, Vector3};
 
 use super::ScaleError;
+use crate::math::median;
 use crate::scene::{FrameId, GroundPlane, Image, Reconstruction};
+
+/// By how much an object's height over its planes wanders, as a share of [`View::lever`]: the most that `joint` takes it
+/// to be (`sigma_distance`).
+const WANDER: f64 = 0.008;
 
 /// One camera with its local ground plane. With it the distance of object point j to the plane is h + r a_j
 /// (eq. ground_plane_distance with eq. object_to_background_coordinates put in).
@@ -31,6 +36,13 @@ impl View {
             normal_in_object: in_object.cam_from_world.rotation.inverse() * normal_in_cam,
             center_in_object: in_object.cam_from_world.center(),
         }
+    }
+
+    /// The length of which errors of the object's height over its plane are a share: the camera's height over it, or half
+    /// of the object's distance where that is more. What an angle is wrong by lifts the object in proportion to its
+    /// distance, so that a vehicle far ahead of a low camera is off by much more than one below a drone.
+    pub fn lever(&self, point_in_object: &Point3<f64>, ratio: f64) -> f64 {
+        self.camera_height.abs().max(0.5 * ratio.abs() * (point_in_object - self.center_in_object).norm())
     }
 
     /// a_j = n · v_j = (R(o)ᵀ R(b) n) · (o_j − c(o)): how far point j lies above (below: negative) the camera along the
@@ -69,6 +81,18 @@ impl Views {
         let is_finite = |p: &Point3<f64>| p.coords.iter().all(|x| x.is_finite());
         let points = object.points.values().map(|point| point.position).filter(is_finite).collect();
         Self { views, points, num_paired: paired.len(), num_planes: planes.len() }
+    }
+
+    /// Standard deviation of the object's height over its planes that goes on for many frames and grows with the distance
+    /// (see [`View::lever`]), beyond that seen from above; units of the background. The median over the views.
+    pub(super) fn grazing_std(&self, ratio: f64) -> f64 {
+        let count = self.points.len().max(1) as f64;
+        let middle = Point3::from(self.points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / count);
+        let beyond = |view: &View| {
+            let lever = view.lever(&middle, ratio);
+            (lever * lever - view.camera_height * view.camera_height).max(0.0).sqrt()
+        };
+        WANDER * median(self.views.iter().map(beyond).collect()).filter(|std| std.is_finite()).unwrap_or(0.0)
     }
 
     /// Fails unless there are `needed` views and a point.

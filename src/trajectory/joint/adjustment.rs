@@ -147,7 +147,7 @@ impl<'a> Adjustment<'a> {
                 camera_height: plane.signed_distance(in_background.cam_from_world.center()),
                 point: Point3::new(middle.x, middle.y, 0.0),
                 up: Vector3::z(),
-                sigma_distance: self.sigma_distance().max(own_deviation(plane)),
+                sigma_distance: self.sigma_distance(in_object, &middle).max(own_deviation(plane)),
                 sigma_tilt: self.options.sigma_tilt.max(plane.tilt_std),
                 loss: RobustLoss::Squared,
             })
@@ -161,9 +161,13 @@ impl<'a> Adjustment<'a> {
         found
     }
 
-    /// Standard deviation of a plane's distance to the vehicle, by what is seen of it over all frames.
-    fn sigma_distance(&self) -> f64 {
-        (self.wander * self.camera_height).max(f64::MIN_POSITIVE)
+    /// Standard deviation of a plane's distance to the vehicle, by what is seen of it over all frames: a share of the
+    /// camera's height, or of half the vehicle's distance where that is more (see [`View::lever`]).
+    ///
+    /// [`View::lever`]: crate::trajectory::View::lever
+    fn sigma_distance(&self, image: &Image, middle: &Point3<f64>) -> f64 {
+        let distance = (middle - image.cam_from_world.center()).norm();
+        (self.wander * self.camera_height.max(0.5 * distance)).max(f64::MIN_POSITIVE)
     }
 
     /// Standard deviation of the ground's height that all frames have in common, as a share of the camera's height.

@@ -82,7 +82,8 @@ fn own_std(method: ScaleMethod, ratio: f64, views: &Views) -> f64 {
         ScaleMethod::RobustLeastSquares => all_frames().map(|fit| (fit.std / ratio).max(LEAST_STD)),
         ScaleMethod::ConstantDistance => all_frames().and_then(|fit| {
             let pair = constant_distance(views, &ConstantDistanceOptions::default()).ok()?;
-            Some((fit.residual_std * (2.0 / pair.mean_denominator_sq).sqrt() / ratio).max(LEAST_STD))
+            let wanders = fit.residual_std.hypot(views.grazing_std(ratio));
+            Some((wanders * (2.0 / pair.mean_denominator_sq).sqrt() / ratio).max(LEAST_STD))
         }),
         ScaleMethod::Intersection => intersection(views).ok().and_then(|found| {
             let off = found.per_frame.iter().map(|(_, own)| (own / ratio - 1.0).abs()).collect();
