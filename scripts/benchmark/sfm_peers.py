@@ -167,8 +167,6 @@ def rows_of(folder: Path, case: str, arguments: argparse.Namespace, work: Path) 
         cost = measured(command, work / "tractrix.log")
         document = json.loads((output / "run.json").read_text())
         stages = {name: stage["cpu_s"] for name, stage in document["stages"].items()}
-        # It measures every stage by itself, and for that sets the peak back that the system keeps of a process.
-        cost["peak_mib"] = max(stage["peak_rss_mib"] for stage in document["stages"].values())
         yield "tractrix", cost | {"stages": stages} | judged(output / "background", truth)
     if arguments.only != "tractrix":
         colmap = work / "colmap"

@@ -173,15 +173,16 @@ fn short_names(paths: &[PathBuf]) -> Vec<String> {
     (1..=longest).map(names).find(are_distinct).unwrap_or_else(|| names(longest))
 }
 
-/// What a reconstruction cost: of an output folder from its run.json, of others from a `cost.json` beside them.
+/// What a reconstruction cost: from a `cost.json`, in its folder or the one above, in which somebody wrote down what was
+/// measured from outside; else, of an output folder, from its run.json.
 fn cost(path: &Path) -> Result<Option<Cost>, IoError> {
+    let measured = path.ancestors().take(2).map(|folder| folder.join("cost.json")).find(|file| file.is_file());
     let run = RunFolder::at(path).run_json();
-    if run.is_file() {
-        return Ok(cost_of_run(&json::read(&run)?));
+    match measured {
+        Some(file) => json::read(&file).map(Some),
+        None if run.is_file() => Ok(cost_of_run(&json::read(&run)?)),
+        None => Ok(None),
     }
-    let folder = if path.is_dir() { path } else { path.parent().unwrap_or(Path::new("")) };
-    let file = folder.join("cost.json");
-    if file.is_file() { json::read(&file).map(Some) } else { Ok(None) }
 }
 
 /// The sum over stages of a run, and the largest memory of any.
