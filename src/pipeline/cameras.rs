@@ -116,8 +116,8 @@ pub(super) fn not_covered(run: &Run, cameras: &[InitialCamera]) -> Option<String
     let first = open.1.frames.first().and_then(|id| run.frames().ok()?.iter().find(|frame| frame.id == *id));
     let name = first.map_or("", |frame| frame.name.as_str());
     Some(format!(
-        "--intrinsics says nothing of {num_open} of the {} cameras, the first of which took {name} ({}x{} pixels): these \
-         are found with the background; a cameras.txt with a camera of each size says all of them",
+        "--intrinsics says nothing of {num_open} of the {} cameras, the first of which took {name} ({}x{} pixels): \
+         these are found with the background; a cameras.txt with a camera of each size says all of them",
         cameras.len(),
         open.1.source_width,
         open.1.source_height
@@ -149,7 +149,8 @@ fn given_cameras(intrinsics: &IntrinsicsSource, taken: &[PictureCamera]) -> Resu
         (true, _) => Ok(given),
         (false, [only]) => Ok(of_first(*only)),
         (false, _) => Err(PipelineError::Options(format!(
-            "{}: must hold exactly one camera, or one for each size of the pictures; none of its {} is for {}x{} pixels",
+            "{}: must hold exactly one camera, or one for each size of the pictures; none of its {} is for {}x{} \
+             pixels",
             path.display(),
             cameras.len(),
             first.0,

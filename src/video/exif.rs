@@ -9,8 +9,8 @@ use exif::{Exif, In, Tag, Value};
 
 /// Longer side of a picture on film, to which `FocalLengthIn35mmFilm` refers, millimetres. Equivalent are focal lengths
 /// that show as much over the diagonal of a sensor as over that of a film frame, 43.27 mm. Of a sensor of 3:2, as film
-/// has it, the longer side stands for 36 mm, of one of 4:3 for 34.61. A picture of another shape was cut out of one or the
-/// other: 35.3, between them.
+/// has it, the longer side stands for 36 mm, of one of 4:3 for 34.61. A picture of another shape was cut out of one or
+/// the other: 35.3, between them.
 fn film_side_mm(width: u32, height: u32) -> f64 {
     let aspect = f64::from(width.max(height)) / f64::from(width.min(height).max(1));
     let is_near = |shape: f64| (aspect / shape - 1.0).abs() < SHAPE_TOLERANCE;
@@ -49,8 +49,9 @@ pub(super) fn camera(exif: &Exif) -> Vec<String> {
 
 /// Focal length in pixels of a picture of `width` × `height`; `None` where the block does not say.
 ///
-/// Nothing of a picture that was cut out of another, which tells by its proportions. From `FocalLengthIn35mmFilm`, else from `FocalLength` and the sensor's pixel pitch, provided that the picture still
-/// has the size that the camera gave it.
+/// Nothing of a picture that was cut out of another, which shows in its proportions. From `FocalLengthIn35mmFilm`, else
+/// from `FocalLength` and the sensor's pixel pitch, provided that the picture still has the size that the camera gave
+/// it.
 pub(super) fn focal_px(exif: &Exif, width: u32, height: u32) -> Option<f64> {
     let longer_px = f64::from(width.max(height));
     if was_cut(exif, width, height) {

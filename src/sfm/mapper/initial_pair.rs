@@ -77,8 +77,8 @@ fn score(geometry: &TwoViewGeometry, options: &Options) -> f64 {
     inliers * angle * (1.0 - PLANAR_DISCOUNT * geometry.homography_ratio.min(1.0))
 }
 
-/// A pair of two cameras whose focal lengths are both guessed, each wrong by another factor, is worth less than one of a
-/// single camera, which a common factor does little harm.
+/// A pair of two cameras whose focal lengths are both guessed, each wrong by another factor, is worth less than one of
+/// a single camera, which a common factor does little harm.
 fn worth_of_cameras([first, second]: [usize; 2], intrinsics: Intrinsics) -> f64 {
     const OF_TWO_GUESSED: f64 = 0.5;
     if first != second && intrinsics == Intrinsics::Refined { OF_TWO_GUESSED } else { 1.0 }

@@ -19,8 +19,8 @@ impl Intrinsics {
     /// Standard deviation of ln f about the guess.
     ///
     /// The focal length of an EXIF block is rounded to a millimetre of 24 and more, is that of the lens and not of the
-    /// picture where the camera cuts off a margin (straightened distortion, stabilisation: up to a tenth), and may stand
-    /// for the width of the picture or for its diagonal: together 8 %. Cameras that are met in practice lie
+    /// picture where the camera cuts off a margin (straightened distortion, stabilisation: up to a tenth), and may
+    /// stand for the width of the picture or for its diagonal: together 8 %. Cameras that are met in practice lie
     /// within two deviations of 0.4 about the guess: from 0.34 to 1.67 longer sides for videos
     /// ([`Camera::prior`](crate::camera::Camera::prior)), from 0.45 to 2.2 for photographs
     /// ([`Camera::prior_of_photograph`](crate::camera::Camera::prior_of_photograph)).

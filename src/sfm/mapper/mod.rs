@@ -187,8 +187,8 @@ impl Options {
     }
 
     /// The same for cameras: positions are found to a share of a pixel whatever the frame's size, so that it is the
-    /// parallax in pixels, f · angle, that tells a depth. `min_angle_deg` holds up to a focal length of 1536 px, that of
-    /// a field of view of 45° in frames of 1280 pixels; beyond, the parallax counts that it makes there.
+    /// parallax in pixels, f · angle, that tells a depth. `min_angle_deg` holds up to a focal length of 1536 px, a field
+    /// of view of 45° in frames of 1280 pixels; beyond, the parallax counts that it makes there.
     fn at_focal(&self, cameras: &[Camera]) -> Self {
         const USUAL_FOCAL_PX: f64 = 1536.0;
         let longest = cameras.iter().map(Camera::mean_focal).fold(USUAL_FOCAL_PX, f64::max);

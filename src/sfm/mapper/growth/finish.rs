@@ -71,8 +71,8 @@ impl Growth<'_> {
         self.adjust(&Scope::Everything, self.freedom).map(drop)
     }
 
-    /// Which intrinsics the motion determines, of all cameras that are looked for alike, once the noise is known and wrong
-    /// points are gone.
+    /// Which intrinsics the motion determines, of all cameras that are looked for alike, once the noise is known and
+    /// wrong points are gone.
     ///
     /// Where the focal length itself is loosely held, as on a single flight looking straight down, a second coefficient
     /// of distortion and the principal point would take up what the model of the camera leaves out (the shutter that

@@ -129,8 +129,8 @@ fn a_view_whose_true_neighbours_share_no_known_points_with_it_is_left_out() {
     assert!(center_error(&found, &world) < 0.02, "{}", center_error(&found, &world));
 }
 
-/// What a view low on a wall takes for the row of bricks below it, a quarter of a unit away: by `known` tracks of points
-/// that two of its true neighbours know, fewer than those that two far views know of the wrong row.
+/// A view sees bricks that two far views see one row lower, a quarter of a unit away, and takes them for the same. It
+/// shares points with each of its neighbours, and `known` ones with each of five pairs of them, fewer than the bricks.
 fn beside_a_wrong_row(known: usize) -> (Reconstruction, Report, World) {
     const CONFUSED: usize = 20;
     const WRONG: usize = 240;
