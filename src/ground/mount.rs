@@ -55,6 +55,12 @@ pub enum MountFailure {
         /// Robust standard deviation over the parts of the way.
         percent: f64,
     },
+    /// The points leave open whether the height is the same everywhere.
+    #[error("the camera may climb or sink by {percent:.0} % of its height over the plane: its points do not tell")]
+    MayClimb {
+        /// The greatest change from the mean that the points allow.
+        percent: f64,
+    },
 }
 
 /// The road in the frame of a camera fixed to a vehicle.
@@ -62,8 +68,6 @@ pub enum MountFailure {
 pub struct Mount {
     /// Unit normal in the camera's frame, upwards.
     pub normal_in_cam: Vector3<f64>,
-    /// The camera's way in its own frame, unit length, at right angles to the normal.
-    pub way_in_cam: Vector3<f64>,
     /// The camera's height over the road, units of the background.
     pub height: f64,
     /// Its standard deviation.
@@ -83,14 +87,13 @@ const MAX_DISAGREEMENT: f64 = 0.07;
 
 impl Mount {
     fn new(axes: &Axes, fit: &Fit, wander: f64, num_points: usize) -> Self {
-        let normal = (axes.up + axes.right * fit.roll + axes.way * fit.pitch).normalize();
+        let stds = fit.stds();
         Self {
-            normal_in_cam: normal,
-            way_in_cam: (axes.way - normal * normal.dot(&axes.way)).normalize(),
+            normal_in_cam: (axes.up + axes.right * fit.roll + axes.way * fit.pitch).normalize(),
             height: fit.height,
-            height_std: fit.stds.x,
-            roll_std: fit.stds.y,
-            pitch_std: fit.stds.z,
+            height_std: stds.x,
+            roll_std: stds.y,
+            pitch_std: stds.z,
             wander,
             num_points,
         }
@@ -122,6 +125,13 @@ const MIN_WAY: f64 = 10.0;
 const MAX_WANDER: f64 = 0.05;
 /// Parts of the way whose heights are compared.
 const NUM_PARTS: usize = 8;
+/// Up to which share of the height points may leave it open whether the camera climbs.
+const MAX_CLIMB: f64 = 0.15;
+/// Climbs that are tried: so many to either side, and the step between them.
+const NUM_CLIMBS: u8 = 10;
+const CLIMB_STEP: f64 = 0.05;
+/// By how many points a climb has to be worse than the best to be ruled out.
+const CLIMB_POINTS: f64 = 2.0;
 
 /// Finds the road below a camera that is fixed to a vehicle.
 ///
@@ -154,7 +164,12 @@ pub fn find_mount(
     if !(heights >= MIN_WAY) {
         return Err(MountFailure::ShortWay { heights });
     }
-    let wander = wander(&tracks, &fit, &images);
+    let climb = possible_climb(&tracks, &fit, &images);
+    if !(climb <= MAX_CLIMB) {
+        return Err(MountFailure::MayClimb { percent: 100.0 * climb });
+    }
+    // Too few points to compare parts of the way leave what the whole way allows.
+    let wander = wander(&tracks, &fit, &images).unwrap_or(0.5 * climb);
     if !(wander <= MAX_WANDER) {
         return Err(MountFailure::HeightVaries { percent: 100.0 * wander });
     }
@@ -185,8 +200,9 @@ fn way_length(images: &[(FrameId, &Image)]) -> f64 {
     images.windows(2).map(|pair| (center(pair[1]) - center(pair[0])).norm()).sum()
 }
 
-/// Robust standard deviation of the height between parts of the way, as a share of it (eq. 17).
-fn wander(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> f64 {
+/// Robust standard deviation of the height between parts of the way, as a share of it (eq. 17); `None` where fewer than
+/// three parts have points enough.
+fn wander(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> Option<f64> {
     let starts: Vec<FrameId> = (0..NUM_PARTS).map(|part| images[part * images.len() / NUM_PARTS].0).collect();
     let mut parts: Vec<Vec<&Track>> = vec![Vec::new(); NUM_PARTS];
     for track in tracks {
@@ -195,7 +211,38 @@ fn wander(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> f64 {
     }
     let heights = parts.iter().filter(|part| part.len() >= MIN_POINTS).filter_map(|part| height_of_part(part, fit));
     let off: Vec<f64> = heights.map(|height| (height / fit.height - 1.0).abs()).collect();
-    1.4826 * median(off).unwrap_or(0.0)
+    (off.len() >= 3).then(|| 1.4826 * median(off).unwrap_or(0.0))
+}
+
+/// How much the height may change over the way, steadily or up and down again, so that nearly as many points lie on the
+/// plane below the camera as at best: a share of the height (eq. 17a). A few points on a part of the way fit many.
+fn possible_climb(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> f64 {
+    let (first, last) = (images[0].0.0, images[images.len() - 1].0.0);
+    let along = |frame: FrameId| 2.0 * f64::from(frame.0 - first) / f64::from((last - first).max(1)) - 1.0;
+    let steadily = |climb: f64| move |frame: FrameId| 1.0 + climb * along(frame);
+    let up_and_down = |climb: f64| move |frame: FrameId| 1.0 + climb * (2.0 * along(frame).powi(2) - 1.0);
+    let steps = i32::from(NUM_CLIMBS);
+    let climbs: Vec<f64> = (-steps..=steps).map(|k| CLIMB_STEP * f64::from(k)).collect();
+    let mut tried: Vec<(f64, f64)> = Vec::new();
+    for climb in climbs {
+        tried.push((climb.abs(), support_of_course(tracks, fit, steadily(climb))));
+        tried.push((climb.abs(), support_of_course(tracks, fit, up_and_down(climb))));
+    }
+    let best = tried.iter().map(|(_, support)| *support).fold(0.0, f64::max);
+    let possible = tried.into_iter().filter(|(_, support)| *support >= best - CLIMB_POINTS);
+    possible.map(|(climb, _)| climb).fold(0.0, f64::max)
+}
+
+/// The most support (eq. 5) that a plane gets whose distance from the camera follows `course`, up to a factor.
+fn support_of_course(tracks: &[Track], fit: &Fit, course: impl Fn(FrameId) -> f64) -> f64 {
+    const MAX_TRIED: usize = 60;
+    let height_at = |track: &Track| (fit.height - fit.over(&track.places[0].0)) / course(track.places[0].1);
+    let is_possible = |height: &f64| (0.5..2.0).contains(&(height / fit.height));
+    let possible: Vec<f64> = tracks.iter().map(height_at).filter(is_possible).collect();
+    let support =
+        |height: f64| tracks.iter().map(|track| track.score(fit, |frame| height * course(frame)).0).sum::<f64>();
+    let tried = possible.iter().step_by(possible.len().div_ceil(MAX_TRIED).max(1));
+    tried.chain([&fit.height]).map(|height| support(*height)).fold(0.0, f64::max)
 }
 
 /// The height, up to twice or half of the mean, at which the most points of a part lie on the plane. All points take
@@ -205,6 +252,6 @@ fn height_of_part(tracks: &[&Track], fit: &Fit) -> Option<f64> {
     let tried = tracks.iter().step_by(tracks.len().div_ceil(MAX_TRIED));
     let heights = tried.map(|track| fit.height - fit.over(&track.places[0].0));
     let possible = heights.filter(|height| (0.5..2.0).contains(&(height / fit.height)));
-    let support = |height: f64| tracks.iter().map(|track| track.score(&Fit { height, ..*fit }).0).sum::<f64>();
+    let support = |height: f64| tracks.iter().map(|track| track.score(fit, |_| height).0).sum::<f64>();
     possible.map(|height| (support(height), height)).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, height)| height)
 }

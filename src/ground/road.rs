@@ -15,9 +15,11 @@ use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction};
 /// How much lanes differ in their slope across: a quarter of the usual crossfall of a carriageway, whose lanes are
 /// mostly inclined alike.
 const CROSSFALL: f64 = 0.005;
-/// Change of a road's slope that is usual between the camera's last place and a vehicle ahead, per height of the
-/// camera.
-const CURVATURE: f64 = 0.0005;
+/// Change of a road's slope along it that is usual, per height of the camera, squared mean: a radius of 1.9 km for a
+/// camera at 1.3 m.
+const CURVATURE: f64 = 0.0007;
+/// Length of the road, in heights of the camera, to either side of a place over which its bend there is measured.
+const BEND_SPAN: f64 = 10.0;
 /// Standard deviation of a vehicle's inclination on its springs, radians.
 const SPRING_TILT: f64 = 0.005;
 /// Reach of the places that are averaged, in heights of the camera.
@@ -31,6 +33,8 @@ pub(super) struct Road<'a> {
     mount: &'a Mount,
     /// By frame: a place of the road and the normal there.
     places: BTreeMap<FrameId, (Point3<f64>, Vector3<f64>)>,
+    /// Change of the road's slope per length, the root of its mean square.
+    bend: f64,
 }
 
 impl<'a> Road<'a> {
@@ -39,8 +43,9 @@ impl<'a> Road<'a> {
             let normal = image.cam_from_world.rotation.inverse() * mount.normal_in_cam;
             (image.cam_from_world.center() - normal * mount.height, normal)
         };
-        let places = background.images.iter().map(|(id, image)| (id.frame(), below(image))).collect();
-        Self { background, mount, places }
+        let places: BTreeMap<_, _> = background.images.iter().map(|(id, image)| (id.frame(), below(image))).collect();
+        let bend = hypot([bend_of(&places, BEND_SPAN * mount.height), CURVATURE / mount.height]);
+        Self { background, mount, places, bend }
     }
 
     /// The road below an object that a frame sees at `pixels`; `None` for a frame that is not registered.
@@ -92,22 +97,41 @@ impl<'a> Road<'a> {
     fn with_deviations(&self, plane: GroundPlane, foot: &Point3<f64>, near: &Near) -> GroundPlane {
         let mount = self.mount;
         let away = foot - plane.point;
-        let way = near.way(mount).unwrap_or_else(Vector3::zeros);
-        let (along, across) = (away.dot(&way).abs(), away.cross(&way).norm());
-        let heights = along / mount.height;
+        // Where the camera stands the plane is as inclined as its own, and the way not known.
+        let (along, across, slope) = match near.way(mount) {
+            Some(way) => (away.dot(&way).abs(), away.cross(&way).norm(), 0.0),
+            None => (away.norm(), 0.0, mount.pitch_std),
+        };
         let unknown =
             hypot([mount.height_std, mount.wander * mount.height, across * mount.roll_std, across * CROSSFALL]);
-        // Beyond the last place the slope has to be guessed: with the springs, and with the road's own curvature.
-        let slope = hypot([mount.pitch_std, CURVATURE * heights]);
+        // Beyond the last place the road goes on as it was, and bends as much as it did (eq. 19).
+        let guessed = 0.5 * self.bend * along * along;
+        let half = guessed / 2.0_f64.sqrt();
         let springs = hypot([0.01 * mount.height, SPRING_TILT * along]) / near.count().sqrt().max(1.0);
-        let common = hypot([unknown, 0.5 * along * slope]);
+        let common = hypot([unknown, along * slope, half]);
         GroundPlane {
-            height_std: hypot([common, 0.5 * along * slope, springs]),
+            height_std: hypot([common, half, springs]),
             common_height_std: common,
-            tilt_std: hypot([mount.roll_std, mount.pitch_std, CROSSFALL, SPRING_TILT]),
+            tilt_std: hypot([mount.roll_std, mount.pitch_std, CROSSFALL, SPRING_TILT, self.bend * along]),
             ..plane
         }
     }
+}
+
+/// The root of the mean square of the change of slope along the places of a road, from each and the first ones at least
+/// `span` before and behind it; 0 for a road that is too short to tell.
+fn bend_of(places: &BTreeMap<FrameId, (Point3<f64>, Vector3<f64>)>, span: f64) -> f64 {
+    let road: Vec<&(Point3<f64>, Vector3<f64>)> = places.values().collect();
+    let bend_at = |k: usize| {
+        let (place, normal) = road[k];
+        let before = road[..k].iter().rev().map(|(other, _)| place - other).find(|away| away.norm() >= span)?;
+        let behind = road[k + 1..].iter().map(|(other, _)| other - place).find(|away| away.norm() >= span)?;
+        let slope = |away: Vector3<f64>| normal.dot(&away) / away.norm();
+        Some(2.0 * (slope(behind) - slope(before)) / (behind.norm() + before.norm()))
+    };
+    let bends: Vec<f64> = (0..road.len()).filter_map(bend_at).collect();
+    let mean_square = bends.iter().map(|bend| bend * bend).sum::<f64>() / bends.len().max(1) as f64;
+    mean_square.sqrt()
 }
 
 fn hypot<const N: usize>(parts: [f64; N]) -> f64 {

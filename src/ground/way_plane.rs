@@ -17,6 +17,7 @@ const PITCH_STD: f64 = 0.005;
 const NOISE_PX: f64 = 1.0;
 
 /// Right-angled axes in the camera's frame: along its way, up, and to the right.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Axes {
     pub way: Vector3<f64>,
     pub up: Vector3<f64>,
@@ -34,20 +35,30 @@ impl Axes {
 }
 
 /// A plane along the way: n ∝ up + roll · right + pitch · way, and the camera's height over it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Fit {
     pub height: f64,
     pub roll: f64,
     pub pitch: f64,
-    /// Standard deviations of the three.
-    pub stds: Vector3<f64>,
+    /// Of height, roll and pitch.
+    pub covariance: Matrix3<f64>,
 }
 
 impl Fit {
-    /// How far a place lies over the plane; the normal's length differs from one by the square of small angles.
+    /// How far a place lies over the plane.
     pub(super) fn over(&self, place: &Vector3<f64>) -> f64 {
-        let slope = place.x + self.roll * place.y + self.pitch * place.z;
-        slope / (1.0 + self.roll * self.roll + self.pitch * self.pitch).sqrt() + self.height
+        self.slope(place) + self.height
+    }
+
+    /// How far a place lies along the normal, as the camera sees it.
+    pub(super) fn slope(&self, place: &Vector3<f64>) -> f64 {
+        let along = place.x + self.roll * place.y + self.pitch * place.z;
+        along / (1.0 + self.roll * self.roll + self.pitch * self.pitch).sqrt()
+    }
+
+    /// Standard deviations of height, roll and pitch.
+    pub(super) fn stds(&self) -> Vector3<f64> {
+        self.covariance.diagonal().map(|variance| variance.max(0.0).sqrt())
     }
 }
 
@@ -74,10 +85,11 @@ impl Track {
         is_usable.then_some(Self { places, tolerances })
     }
 
-    /// Mean of the scores of MSAC (eq. 5), and the share of places plainly below.
-    pub(super) fn score(&self, fit: &Fit) -> (f64, f64) {
-        let each = self.places.iter().zip(&self.tolerances).map(|((place, _), (tolerance, std))| {
-            let off = fit.over(place) / tolerance;
+    /// Mean of the scores of MSAC (eq. 5), and the share of places plainly below, of a plane whose height may differ
+    /// from frame to frame.
+    pub(super) fn score(&self, fit: &Fit, height: impl Fn(FrameId) -> f64) -> (f64, f64) {
+        let each = self.places.iter().zip(&self.tolerances).map(|((place, frame), (tolerance, std))| {
+            let off = (fit.over(place) - fit.height + height(*frame)) / tolerance;
             let sureness = 1.0 / (1.0 + (std / tolerance).powi(2));
             (sureness * (1.0 - off * off).max(0.0), f64::from(off < -3.0))
         });
@@ -104,7 +116,10 @@ pub(super) fn best_sample(tracks: &[Track], max_samples: usize, rng: &mut Rng) -
     for _ in 0..max_samples {
         let mut draw = || tracks[rng.random_range(0..tracks.len())].places[0].0;
         let Some(fit) = through_two(draw(), draw()) else { continue };
-        let sums = tracks.iter().map(|track| track.score(&fit)).fold((0.0, 0.0), |s, t| (s.0 + t.0, s.1 + t.1));
+        let sums = tracks
+            .iter()
+            .map(|track| track.score(&fit, |_| fit.height))
+            .fold((0.0, 0.0), |s, t| (s.0 + t.0, s.1 + t.1));
         let prior = (-0.5 * (fit.roll / ROLL_STD).powi(2)).exp();
         let value = prior * (sums.0 - 0.5 * sums.1);
         if value > best.map_or(0.0, |(value, _)| value) {
@@ -120,7 +135,7 @@ fn through_two(a: Vector3<f64>, b: Vector3<f64>) -> Option<Fit> {
     let (roll, slant) = (solved.x, solved.y);
     let height = slant / (1.0 + roll * roll).sqrt();
     let is_usable = height > 0.0 && height.is_finite() && roll.abs() < 1.0;
-    is_usable.then(|| Fit { height, roll, pitch: 0.0, stds: Vector3::zeros() })
+    is_usable.then(|| Fit { height, roll, pitch: 0.0, covariance: Matrix3::zeros() })
 }
 
 /// Weighted least squares on height, roll and pitch, with what is known beforehand of the two angles (eq. 16).
@@ -144,14 +159,13 @@ pub(super) fn refined(tracks: &[Track], start: Fit) -> Option<Fit> {
         let prior = Vector3::new(0.0, ROLL_STD.powi(-2), PITCH_STD.powi(-2));
         let covariance = (information / excess + Matrix3::from_diagonal(&prior)).try_inverse()?;
         let solved = covariance * (right_side / excess);
-        let next =
-            Fit { height: solved.x, roll: solved.y, pitch: solved.z, stds: covariance.diagonal().map(f64::sqrt) };
+        let next = Fit { height: solved.x, roll: solved.y, pitch: solved.z, covariance };
         let has_settled = (next.height - fit.height).abs() < 1e-9 * fit.height.abs();
         fit = next;
         if has_settled {
             break;
         }
     }
-    let numbers = [fit.height, fit.roll, fit.pitch, fit.stds.sum()];
+    let numbers = [fit.height, fit.roll, fit.pitch, fit.covariance.sum()];
     (fit.height > 0.0 && numbers.iter().all(|x| x.is_finite())).then_some(fit)
 }

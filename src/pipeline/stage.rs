@@ -100,9 +100,10 @@ impl Stage {
         match self {
             // Results are in a place of their own; tracks of image points come in two stages, and are found again
             // behind gaps; planes and focal lengths have deviations; the last adjustment settles; one vehicle keeps one
-            // id.
-            Self::Objects | Self::Scale | Self::Features => 3,
-            Self::Background | Self::Track | Self::Follow | Self::Ground => 2,
+            // id; a fixed camera is told from a climbing one, and heights are less sure far away.
+            Self::Scale => 4,
+            Self::Objects | Self::Features | Self::Ground => 3,
+            Self::Background | Self::Track | Self::Follow => 2,
             _ => 1,
         }
     }

@@ -299,4 +299,15 @@ mod tests {
         // 8 m of even climb spread by 8 / sqrt(12) m; the object's unit is 1.7 m.
         assert!((climbing.excitation * 1.7 - 8.0 / 12.0_f64.sqrt()).abs() < 0.1);
     }
+
+    #[test]
+    fn a_vehicle_far_ahead_of_a_low_camera_is_not_known_from_a_small_climb() {
+        let noise = Noise { plane_height_m: 0.001, ..Noise::default() };
+        let relative_std = |camera_height_m: f64, camera_climb_m: f64| {
+            let found = solve(&drive(&Options { camera_height_m, camera_climb_m, noise, ..Options::default() }, 5));
+            found.std / found.ratio.abs()
+        };
+        let [low, high] = [relative_std(1.4, 0.1), relative_std(20.0, 1.5)];
+        assert!(low > 0.5 && high < 0.1, "{low} {high}");
+    }
 }
