@@ -48,14 +48,30 @@ pub(super) fn open(input: &Path, options: &Options) -> Result<Source, PipelineEr
 pub(super) fn initial(run: &Run) -> Result<Vec<InitialCamera>, PipelineError> {
     let taken = taken(run)?;
     let given = of_options(run, taken)?;
+    let example = given.iter().flatten().next().copied();
     let camera = |(taken, given): (&PictureCamera, Option<Camera>)| match given {
         Some(camera) => Ok(InitialCamera { camera, origin: CameraOrigin::Given }),
         None => {
             let (camera, origin) = unknown_camera(taken, &order::found(run)?);
-            Ok(InitialCamera { camera, origin })
+            let beside = example.filter(|_| origin == CameraOrigin::Guess).map(|given| guess_beside(&given, taken));
+            Ok(InitialCamera { camera: beside.unwrap_or(camera), origin })
         }
     };
     taken.iter().zip(given).map(camera).collect()
+}
+
+/// The guess for pictures of which nothing is said beside a camera that is given: they may well be its own, reduced or
+/// turned, so that field of view, shape of the pixels and distortion are taken from it.
+fn guess_beside(given: &Camera, pictures: &PictureCamera) -> Camera {
+    let (width, height) = (pictures.width, pictures.height);
+    let scale = f64::from(width.max(height)) / f64::from(given.width.max(given.height));
+    let [fx, fy] = given.focal.map(|focal| focal * scale);
+    let is_turned = (given.width > given.height) != (width > height);
+    Camera {
+        focal: if is_turned { [fy, fx] } else { [fx, fy] },
+        radial: given.radial,
+        ..Camera::prior_of_photograph(width, height)
+    }
 }
 
 fn of_options(run: &Run, taken: &[PictureCamera]) -> Result<Vec<Option<Camera>>, PipelineError> {
@@ -203,6 +219,15 @@ mod tests {
         let camera = found[0].unwrap();
         assert_eq!((camera.focal, camera.principal), ([440.0; 2], [240.0, 135.0]));
         assert_eq!((found[1], found[2]), (None, Some(camera)));
+    }
+
+    #[test]
+    fn beside_a_given_camera_its_field_of_view_is_guessed() {
+        let given = Camera { radial: [0.1, 0.0], ..Camera::with_focal(1000, 600, 900.0) };
+        let given = Camera { focal: [900.0, 910.0], ..given };
+        let turned = guess_beside(&given, &pictures((300, 500), (300, 500)));
+        assert_eq!((turned.focal, turned.principal, turned.radial), ([455.0, 450.0], [150.0, 250.0], [0.1, 0.0]));
+        assert_eq!(guess_beside(&given, &pictures((2000, 900), (1000, 450))).focal, [900.0, 910.0]);
     }
 
     #[test]
