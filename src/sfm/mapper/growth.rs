@@ -4,6 +4,7 @@ mod finish;
 mod leaps;
 mod loops;
 mod new_camera;
+mod submaps;
 
 use super::adjustment::{self, Freedom, Scope};
 use super::apart;
@@ -15,8 +16,10 @@ use crate::math::{Rigid3, seeded_rng};
 use crate::sfm::SfmError;
 use crate::sfm::resection::{self, Resection};
 use crate::sfm::triangulation::Limits;
+pub use submaps::SubMap;
 
 /// A map, what has been tried on it, and how to go on.
+#[derive(Clone)]
 pub struct Growth<'a> {
     map: Map<'a>,
     options: &'a Options,
@@ -35,6 +38,8 @@ pub struct Growth<'a> {
     reviewed: bool,
     /// By view: the points for and against the best pose that was found, where the view graph refused it.
     refused: Vec<Option<(usize, usize)>>,
+    /// By view: why the map of its own that it belongs to stays apart.
+    apart: Vec<Option<Reason>>,
     /// Registered views at the last global adjustment.
     adjusted_at: usize,
 }
@@ -48,7 +53,8 @@ struct Attempt {
 impl<'a> Growth<'a> {
     /// An empty map.
     pub fn new(map: Map<'a>, options: &'a Options, seed: u64) -> Self {
-        let (failed, refused) = (vec![None; map.poses.len()], vec![None; map.poses.len()]);
+        let num_views = map.poses.len();
+        let (failed, refused, apart) = (vec![None; num_views], vec![None; num_views], vec![None; num_views]);
         Self {
             freedom: Freedom::at_first(&map),
             focal_deviations: vec![None; map.cameras.len()],
@@ -61,6 +67,7 @@ impl<'a> Growth<'a> {
             pair: None,
             failed,
             refused,
+            apart,
             adjusted_at: 0,
         }
     }
@@ -99,6 +106,16 @@ impl<'a> Growth<'a> {
                 return Ok(());
             }
         }
+    }
+
+    /// How much of all observations the map explains; see [`Map::num_explained`].
+    pub fn num_explained(&self) -> f64 {
+        self.map.num_explained(self.options.max_error_px)
+    }
+
+    /// How many views it has.
+    pub fn num_registered(&self) -> usize {
+        self.map.num_registered()
     }
 
     /// The map and what became of every view.
@@ -262,6 +279,9 @@ impl<'a> Growth<'a> {
         let (in_tracks, visible) = self.map.visibility(view);
         if let Some((agreeing, contradicting)) = self.refused[view] {
             return Reason::Contradicted { agreeing, contradicting };
+        }
+        if let Some(reason) = &self.apart[view] {
+            return reason.clone();
         }
         match self.failed[view] {
             _ if features == 0 => Reason::NoFeatures,

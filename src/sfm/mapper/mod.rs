@@ -5,7 +5,8 @@
 //! ([`super::triangulation`]), then a local bundle adjustment round it, and a global one whenever the map has grown by
 //! a fixed share. Views that fail are tried again when they see more points, and at the end, for a video, from the
 //! poses of their neighbours. Views that contradict what pairs of views say by themselves are taken out and tried again
-//! (`view_graph`). When a start does not carry far, the next pair is tried, and the largest map is kept.
+//! (`view_graph`). When a start does not carry far, the next pair is tried, and the largest map is kept. Views that are
+//! left over grow maps of their own, which are joined to it where enough ties them (`growth::submaps`).
 //!
 //! Every view that is not part of the result has a [`Reason`] in the [`Report`].
 
@@ -38,8 +39,10 @@ use crate::camera::Camera;
 use crate::limits::{Checked, ordered, within};
 use crate::math::RobustLoss;
 use crate::scene::Reconstruction;
-use growth::Growth;
+use growth::{Growth, SubMap};
+use initial_pair::InitialPair;
 use map::Map;
+use motion::Survey;
 
 /// How a map is built.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -274,11 +277,45 @@ pub fn reconstruct_watched(
 ) -> Result<(Reconstruction, Report), SfmError> {
     options.check()?;
     let (options, known) = (&options.at_focal(cameras), intrinsics.into());
+    let starts = from_starts(table, cameras, &known, options, seed, watch)?;
+    let Some(mut growth) = starts.best else {
+        let report = Report::without_start(table, starts.pairs.len(), starts.tried, &starts.survey);
+        return Ok((Reconstruction::default(), report));
+    };
+    growth.join_left_over(&|rest, cameras, known| {
+        let starts = from_starts(rest, cameras, known, options, seed, &mut |_| {})?;
+        Ok(starts.best.as_ref().map(SubMap::of))
+    })?;
+    let (map, mut report) = growth.into_result();
+    let reconstruction = map.into_reconstruction();
+    report.num_starts = starts.tried;
+    report.mean_error_px = reconstruction.mean_reprojection_error_px();
+    Ok((reconstruction, report))
+}
+
+/// What came of the pairs that could start a map.
+struct Starts<'a> {
+    /// The map that explains the tracks best.
+    best: Option<Growth<'a>>,
+    pairs: Vec<InitialPair>,
+    tried: usize,
+    survey: Survey,
+}
+
+/// Grows a map from one pair after the other, until one is good.
+fn from_starts<'a>(
+    table: &'a TrackTable,
+    cameras: &[Camera],
+    known: &KnownIntrinsics,
+    options: &'a Options,
+    seed: u64,
+    watch: &mut dyn FnMut(f64),
+) -> Result<Starts<'a>, SfmError> {
     // Of a start, growing takes about so much, the last adjustments the rest.
     const GROWTH_SHARE: f64 = 0.7;
-    let (pairs, survey) = initial_pair::ranked(table, cameras, &known, options, seed);
+    let (pairs, survey) = initial_pair::ranked(table, cameras, known, options, seed);
     let usable = table.views.iter().filter(|v| !v.pixels.is_empty()).count();
-    let mut best: Option<(f64, Map, Report)> = None;
+    let mut best: Option<(f64, Growth<'a>)> = None;
     let mut num_starts = 0;
     for pair in initial_pair::far_from_one_another(pairs.clone(), table.views.len()).iter().take(options.max_starts) {
         let all_starts = options.min_starts.max(num_starts + 1) as f64;
@@ -292,30 +329,21 @@ pub fn reconstruct_watched(
             };
             growth.grow(&mut grown)?;
             growth.finish()?;
-            let (map, report) = growth.into_result();
-            let explained = map.num_explained(options.max_error_px);
+            let explained = growth.num_explained();
             tracing::debug!(
                 "start {num_starts}: {} views, {explained:.0} observations explained",
-                map.num_registered()
+                growth.num_registered()
             );
-            if best.as_ref().is_none_or(|(b, ..)| explained > *b) {
-                best = Some((explained, map, report));
+            if best.as_ref().is_none_or(|(b, _)| explained > *b) {
+                best = Some((explained, growth));
             }
         }
         watch((before + 1.0) / all_starts);
         const GOOD_SHARE: f64 = 0.95;
-        let is_good = |map: &Map| map.num_registered() as f64 >= GOOD_SHARE * usable as f64;
-        if num_starts >= options.min_starts && best.as_ref().is_some_and(|(_, map, _)| is_good(map)) {
+        let is_good = |growth: &Growth| growth.num_registered() as f64 >= GOOD_SHARE * usable as f64;
+        if num_starts >= options.min_starts && best.as_ref().is_some_and(|(_, growth)| is_good(growth)) {
             break;
         }
     }
-    Ok(match best {
-        Some((_, map, mut report)) => {
-            let reconstruction = map.into_reconstruction();
-            report.num_starts = num_starts;
-            report.mean_error_px = reconstruction.mean_reprojection_error_px();
-            (reconstruction, report)
-        }
-        None => (Reconstruction::default(), Report::without_start(table, pairs.len(), num_starts, &survey)),
-    })
+    Ok(Starts { best: best.map(|(_, growth)| growth), pairs, tried: num_starts, survey })
 }

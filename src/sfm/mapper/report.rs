@@ -46,6 +46,19 @@ pub enum Reason {
         /// Names of the first and the last view of the stretch.
         ends: [String; 2],
     },
+    /// It belongs to a map of its own, which could not be joined to the largest one.
+    OwnMap {
+        /// Names of its first and its last view.
+        ends: [String; 2],
+        /// Its views.
+        views: usize,
+        /// Tracks that it shares with the largest map.
+        shared: usize,
+        /// How many of them agree on how the two maps lie to one another.
+        agreeing: usize,
+        /// How many would have to.
+        needed: usize,
+    },
     /// Nothing was reconstructed at all.
     NoStart,
 }
@@ -68,6 +81,17 @@ impl fmt::Display for Reason {
             ),
             Self::Apart { ends: [first, last] } => {
                 write!(f, "{first} to {last} hang together, but too few points tie them to the rest")
+            }
+            Self::OwnMap { ends: [first, last], views, shared, agreeing, needed } => {
+                write!(f, "{first} to {last} have a map of their own with {views} frames, which stays apart: ")?;
+                match agreeing < needed {
+                    true => write!(
+                        f,
+                        "of {shared} points that it shares with the rest {agreeing} agree on where it lies, {needed} \
+                         are needed"
+                    ),
+                    false => write!(f, "{agreeing} points tie it to the rest, but the two do not fit into one map"),
+                }
             }
             Self::NoStart => write!(f, "no pair of frames could start a reconstruction"),
         }

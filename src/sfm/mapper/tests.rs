@@ -10,6 +10,7 @@ mod long_video;
 mod motion;
 mod repetition;
 mod several_cameras;
+mod submaps;
 
 use super::*;
 use crate::bundle::{self, CameraBlock, Problem};
