@@ -54,8 +54,8 @@ fn key_of<'a>(model: &'a Reconstruction, id: ImageId, key: &'a str, by: MatchBy)
     if by == MatchBy::Order { key } else { &model.images[&id].name }
 }
 
-fn only(ids: &Vec<ImageId>) -> Option<ImageId> {
-    if let [id] = ids[..] { Some(id) } else { None }
+fn only(ids: &[ImageId]) -> Option<ImageId> {
+    if let [id] = *ids { Some(id) } else { None }
 }
 
 /// Image ids by what they are paired by.
