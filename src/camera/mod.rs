@@ -1,19 +1,27 @@
-//! The pinhole camera with radial distortion, and its derivatives.
+//! The pinhole camera with radial and tangential distortion, and its derivatives.
 //!
 //! With x = X/Z, y = Y/Z, r² = x² + y² and the factor d = 1 + k₁ r² + k₂ r⁴, a point (X, Y, Z) in camera coordinates
 //! (x right, y down, z forward) is seen at
 //!
 //! ```text
-//! u = fx d x + cx,    v = fy d y + cy.
+//! u = fx (d x + a) + cx,    v = fy (d y + b) + cy.
 //! ```
 //!
-//! Pixels follow COLMAP: the corner of the image is (0, 0), the centre of the first pixel is (0.5, 0.5). The model is
-//! COLMAP's PINHOLE (k₁ = k₂ = 0), RADIAL (fx = fy), or OPENCV (p₁ = p₂ = 0).
+//! (a, b) are the [`HigherTerms`] of k₃, p₁ and p₂, zero for most lenses. They are held wherever a camera is adjusted:
+//! `docs/decisions/011-higher-terms-of-a-lens-are-held.md`. Pixels follow COLMAP: the corner of the image is (0, 0),
+//! the centre of the first pixel is (0.5, 0.5). [`Model`] names the models of files and says which of them this one
+//! covers.
+
+mod higher;
+mod model;
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3, Point2, Point3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Number of intrinsic parameters: fx, fy, cx, cy, k1, k2, in this order.
+pub use higher::HigherTerms;
+pub use model::Model;
+
+/// Number of intrinsic parameters that can be adjusted: fx, fy, cx, cy, k1, k2, in this order.
 pub const NUM_INTRINSICS: usize = 6;
 
 /// Intrinsic parameters of one camera.
@@ -29,6 +37,9 @@ pub struct Camera {
     pub principal: [f64; 2],
     /// Radial distortion k₁, k₂.
     pub radial: [f64; 2],
+    /// Distortion beyond k₁ and k₂; held where a camera is adjusted.
+    #[serde(default, skip_serializing_if = "HigherTerms::are_zero")]
+    pub higher: HigherTerms,
 }
 
 /// Image position and its derivatives.
@@ -51,6 +62,7 @@ impl Camera {
             focal: [focal_px; 2],
             principal: [f64::from(width) / 2.0, f64::from(height) / 2.0],
             radial: [0.0; 2],
+            higher: HigherTerms::ZERO,
         }
     }
 
@@ -79,6 +91,22 @@ impl Camera {
         Self { focal: [fx, fy], principal: [cx, cy], radial: [k1, k2], ..*self }
     }
 
+    /// All parameters in OpenCV's order: fx, fy, cx, cy, k1, k2, p1, p2, k3.
+    pub fn parameters(&self) -> [f64; 9] {
+        let ([fx, fy], [cx, cy], [k1, k2]) = (self.focal, self.principal, self.radial);
+        let HigherTerms { k3, tangential: [p1, p2] } = self.higher;
+        [fx, fy, cx, cy, k1, k2, p1, p2, k3]
+    }
+
+    /// The same image size with the first parameters in the order of [`Camera::parameters`], the others zero: four,
+    /// five, six, eight or nine numbers; `None` for any other count.
+    pub fn with_parameters(&self, first: &[f64]) -> Option<Self> {
+        let at = |k: usize| first.get(k).copied().unwrap_or(0.0);
+        let higher = HigherTerms { k3: at(8), tangential: [at(6), at(7)] };
+        let camera = self.with_intrinsics(std::array::from_fn(at));
+        matches!(first.len(), 4..=6 | 8 | 9).then_some(Self { higher, ..camera })
+    }
+
     /// The camera of the same picture resized to `width` × `height`.
     pub fn resized(&self, width: u32, height: u32) -> Self {
         let sx = f64::from(width) / f64::from(self.width);
@@ -88,7 +116,7 @@ impl Camera {
             height,
             focal: [self.focal[0] * sx, self.focal[1] * sy],
             principal: [self.principal[0] * sx, self.principal[1] * sy],
-            radial: self.radial,
+            ..*self
         }
     }
 
@@ -116,7 +144,10 @@ impl Camera {
     /// Pixel of a direction given by its undistorted coordinates (x, y) on the plane z = 1.
     #[inline]
     pub fn pixel_from_normalized(&self, normalized: Vector2<f64>) -> Point2<f64> {
-        let distorted = normalized * self.distortion_factor(normalized.norm_squared());
+        let mut distorted = normalized * self.distortion_factor(normalized.norm_squared());
+        if !self.higher.are_zero() {
+            distorted += self.higher.offset(normalized);
+        }
         Point2::new(self.focal[0] * distorted.x + self.principal[0], self.focal[1] * distorted.y + self.principal[1])
     }
 
@@ -147,17 +178,35 @@ impl Camera {
             fy * y * r2,
             fy * y * r2 * r2,
         );
-        Projection {
+        let mut projection = Projection {
             pixel: self.pixel_from_normalized(Vector2::new(x, y)),
             d_point: d_normalized * normalized_d_point,
             d_intrinsics,
+        };
+        if !self.higher.are_zero() {
+            self.add_higher(&mut projection, Vector2::new(x, y), &normalized_d_point);
         }
+        projection
+    }
+
+    /// What the higher terms add to the derivatives. Apart, so that the common case stays short.
+    #[cold]
+    #[inline(never)]
+    fn add_higher(&self, projection: &mut Projection, normalized: Vector2<f64>, d_point: &Matrix2x3<f64>) {
+        let focal = Matrix2::from_diagonal(&self.focal.into());
+        let offset = self.higher.offset(normalized);
+        projection.d_point += focal * self.higher.jacobian(normalized) * d_point;
+        projection.d_intrinsics[(0, 0)] += offset.x;
+        projection.d_intrinsics[(1, 1)] += offset.y;
     }
 
     /// Undistorted coordinates (x, y) on the plane z = 1 of the ray through a pixel.
     pub fn normalized_from_pixel(&self, pixel: Point2<f64>) -> Vector2<f64> {
         let distorted =
             Vector2::new((pixel.x - self.principal[0]) / self.focal[0], (pixel.y - self.principal[1]) / self.focal[1]);
+        if !self.higher.are_zero() {
+            return self.undistorted(distorted);
+        }
         if self.radial == [0.0; 2] {
             return distorted;
         }
@@ -181,6 +230,28 @@ impl Camera {
         if target > 0.0 { distorted * (radius / target) } else { distorted }
     }
 
+    /// The inverse of the whole distortion on the plane z = 1: Newton in both coordinates, started at the distorted
+    /// place.
+    fn undistorted(&self, distorted: Vector2<f64>) -> Vector2<f64> {
+        let [k1, k2] = self.radial;
+        let mut place = distorted;
+        for _ in 0..30 {
+            let r2 = place.norm_squared();
+            let factor = self.distortion_factor(r2);
+            let radial = Matrix2::identity() * factor + place * place.transpose() * (2.0 * (k1 + 2.0 * k2 * r2));
+            let jacobian = radial + self.higher.jacobian(place);
+            let error = place * factor + self.higher.offset(place) - distorted;
+            // Past the radius at which the model turns back on itself there is no inverse.
+            let Some(inverse) = jacobian.try_inverse().filter(|_| jacobian.determinant() > 0.01) else { break };
+            let step = inverse * error;
+            place -= step;
+            if step.norm() < 1e-14 {
+                break;
+            }
+        }
+        place
+    }
+
     /// Unit direction, in camera coordinates, of the ray through a pixel.
     pub fn ray_from_pixel(&self, pixel: Point2<f64>) -> Vector3<f64> {
         let normalized = self.normalized_from_pixel(pixel);
@@ -202,38 +273,64 @@ impl Camera {
 mod tests {
     use super::*;
 
-    fn camera() -> Camera {
-        Camera { width: 960, height: 540, focal: [800.0, 810.0], principal: [470.0, 280.0], radial: [-0.12, 0.03] }
+    /// A lens with k₁ and k₂ alone, and one with all terms.
+    fn cameras() -> [Camera; 2] {
+        let all = [800.0, 810.0, 470.0, 280.0, -0.12, 0.03, 0.004, -0.003, 0.02];
+        [6, 9].map(|count| Camera::prior(960, 540).with_parameters(&all[..count]).unwrap())
     }
 
     #[test]
     fn pixel_and_ray_are_inverse() {
-        for (x, y) in [(0.5, 0.5), (480.0, 270.0), (955.0, 12.0), (470.0, 280.0)] {
-            let ray = camera().ray_from_pixel(Point2::new(x, y));
-            let back = camera().pixel_from_cam(Point3::from(ray * 7.0)).unwrap();
-            assert!((back - Point2::new(x, y)).norm() < 1e-9);
+        for camera in cameras() {
+            for (x, y) in [(0.5, 0.5), (480.0, 270.0), (955.0, 12.0), (470.0, 280.0)] {
+                let ray = camera.ray_from_pixel(Point2::new(x, y));
+                let back = camera.pixel_from_cam(Point3::from(ray * 7.0)).unwrap();
+                assert!((back - Point2::new(x, y)).norm() < 1e-9);
+            }
+            assert!(camera.pixel_from_cam(Point3::new(0.0, 0.0, -1.0)).is_none());
         }
-        assert!(camera().pixel_from_cam(Point3::new(0.0, 0.0, -1.0)).is_none());
     }
 
     #[test]
     fn derivatives_match_finite_differences() {
         let point = Point3::new(0.9, -0.6, 2.3);
-        let projection = camera().project(point);
         let h = 1e-6;
-        for k in 0..3 {
-            let mut step = Vector3::zeros();
-            step[k] = h;
-            let numeric = (camera().project(point + step).pixel - camera().project(point - step).pixel) / (2.0 * h);
-            assert!((projection.d_point.column(k) - numeric).norm() < 1e-5);
+        for camera in cameras() {
+            let projection = camera.project(point);
+            for k in 0..3 {
+                let mut step = Vector3::zeros();
+                step[k] = h;
+                let numeric = (camera.project(point + step).pixel - camera.project(point - step).pixel) / (2.0 * h);
+                assert!((projection.d_point.column(k) - numeric).norm() < 1e-5);
+            }
+            for k in 0..NUM_INTRINSICS {
+                let at = |delta: f64| {
+                    let mut p = camera.intrinsics();
+                    p[k] += delta;
+                    camera.with_intrinsics(p).project(point).pixel
+                };
+                assert!((projection.d_intrinsics.column(k) - (at(h) - at(-h)) / (2.0 * h)).norm() < 1e-5);
+            }
         }
-        for k in 0..NUM_INTRINSICS {
-            let at = |delta: f64| {
-                let mut p = camera().intrinsics();
-                p[k] += delta;
-                camera().with_intrinsics(p).project(point).pixel
-            };
-            assert!((projection.d_intrinsics.column(k) - (at(h) - at(-h)) / (2.0 * h)).norm() < 1e-5);
+    }
+
+    /// OpenCV's published formula, by hand.
+    #[test]
+    fn all_terms_are_those_of_opencv() {
+        let [_, camera] = cameras();
+        // x = 0.5, y = -0.25: r² = 0.3125, d = 1 - 0.0375 + 0.0029296875 + 0.02 · 0.030517578125 = 0.9660400390625;
+        // x' = 0.48302001953125 + 2 p₁ x y - 0.003 · 0.8125 = 0.47958251953125;
+        // y' = -0.241510009765625 + 0.004 · 0.4375 + 2 p₂ x y = -0.239010009765625.
+        let pixel = camera.pixel_from_cam(Point3::new(1.0, -0.5, 2.0)).unwrap();
+        let expected = Point2::new(800.0 * 0.47958251953125 + 470.0, 810.0 * -0.239010009765625 + 280.0);
+        assert!((pixel - expected).norm() < 1e-10, "{pixel} {expected}");
+    }
+
+    #[test]
+    fn parameters_come_back_and_odd_counts_are_refused() {
+        for camera in cameras() {
+            assert_eq!(camera.with_parameters(&camera.parameters()), Some(camera));
         }
+        assert!([0, 3, 7, 10].iter().all(|count| Camera::prior(8, 6).with_parameters(&[1.0; 10][..*count]).is_none()));
     }
 }

@@ -64,7 +64,7 @@ pub(super) struct JobArgs {
     #[arg(long, value_name = "FILE", help_heading = "Ground")]
     pub(super) ground_model: Option<PathBuf>,
 
-    /// fx,fy,cx,cy[,k1,k2] in pixels of the source, or a COLMAP cameras.txt [default: from EXIF, or found]
+    /// fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]] in pixels of the source, or a COLMAP cameras.txt [default: from EXIF, or found]
     ///
     /// The centre of the upper left pixel is (0.5, 0.5).
     #[arg(long, value_name = "NUMBERS|FILE", help_heading = "Geometry")]
@@ -202,7 +202,7 @@ pub(super) fn apply_sequence(sequence: &Sequence, options: &mut Options) -> Resu
         options.ground_labels = GroundLabels::Masks { folder: folder_of(semantic), label };
     }
     if options.intrinsics.is_none() {
-        options.intrinsics = Some(IntrinsicsSource::Given(sequence.camera.intrinsics()));
+        options.intrinsics = Some(IntrinsicsSource::Given(sequence.camera.intrinsics().to_vec()));
     }
     if input.is_dir() {
         options.video.fps = options.video.fps.or(Some(sequence.fps));

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::camera::Camera;
+use crate::camera::{Camera, HigherTerms};
 use crate::pipeline::{ModelReport, Summary};
 
 /// The background's model, its camera, and the model of every vehicle; empty before the background is reconstructed.
@@ -30,7 +30,12 @@ pub(super) fn as_text(summary: &Summary) -> String {
 fn lens(camera: &Camera) -> String {
     let [fx, fy, cx, cy, k1, k2] = camera.intrinsics();
     let focal = if fx == fy { format!("{fx:.2}") } else { format!("{fx:.2} {fy:.2}") };
-    format!("focal length {focal}, centre {cx:.2} {cy:.2}, distortion {k1:.4} {k2:.4}")
+    let HigherTerms { k3, tangential: [p1, p2] } = camera.higher;
+    let higher = match camera.higher.are_zero() {
+        true => String::new(),
+        false => format!(", third {k3:.4}, tangential {p1:.4} {p2:.4}"),
+    };
+    format!("focal length {focal}, centre {cx:.2} {cy:.2}, distortion {k1:.4} {k2:.4}{higher}")
 }
 
 fn model(report: &ModelReport, num_frames: usize) -> String {

@@ -133,7 +133,7 @@ impl<'a> Words<'a> {
             return Err(self.fault("focal length", format!("{focal} is not positive")));
         }
         let radial = [self.number("k1")?, self.number("k2")?];
-        let camera = Camera { width: 0, height: 0, focal: [focal; 2], principal: [0.0; 2], radial };
+        let camera = Camera { focal: [focal; 2], principal: [0.0; 2], radial, ..Camera::prior(0, 0) };
         let cam_from_bal =
             Rigid3::new(UnitQuaternion::from_scaled_axis(Vector3::x() * std::f64::consts::PI), Vector3::zeros());
         let bal_from_world = Rigid3::new(UnitQuaternion::from_scaled_axis(rotation), translation);

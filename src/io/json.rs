@@ -20,6 +20,19 @@ pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, IoError> {
     })
 }
 
+/// As [`read()`], for a file of another program: the error says what it was taken for.
+///
+/// # Errors
+/// As [`read()`].
+pub fn read_model<T: DeserializeOwned>(path: &Path, kind: &str) -> Result<T, IoError> {
+    read(path).map_err(|error| match error {
+        IoError::Line { path, line, field, problem } => {
+            IoError::Line { path, line, field, problem: format!("this is not what {kind} has here: {problem}") }
+        }
+        other => other,
+    })
+}
+
 /// Refuses a file of a version that is not known.
 ///
 /// # Errors

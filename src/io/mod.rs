@@ -1,4 +1,5 @@
-//! File formats: COLMAP, OpenMVG, PLY, masks, the contract's JSON files and ground-truth sequences.
+//! File formats: COLMAP, OpenMVG, OpenSfM, nerfstudio, NVM, Bundler, camera paths, PLY, masks, the contract's JSON
+//! files and ground-truth sequences.
 //!
 //! Every reader takes hostile input: what is wrong is an [`IoError`] that names file, place and field, never a panic,
 //! and no count in a file is believed before the bytes behind it are there. Everything is written through [`atomic`].
@@ -7,23 +8,30 @@
 //! ```
 //! use tractrix::io::{colmap, model};
 //!
-//! // Recognised by what is there: a COLMAP folder, text or binary, an output folder, or OpenMVG's sfm_data.json.
+//! // Recognised by content: COLMAP, an output folder, OpenMVG, OpenSfM, nerfstudio, NVM, Bundler, TUM, KITTI.
 //! let (from_openmvg, _) = model::read("tests/golden/models/openmvg/sfm_data.json".as_ref())?;
 //! let from_colmap = colmap::read("tests/golden/models/colmap_binary".as_ref())?;
 //! assert_eq!(from_openmvg.cameras, from_colmap.cameras);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod assembly;
 pub mod atomic;
 pub mod bal;
+pub mod bundler;
 mod bytes;
+pub mod camera_path;
+mod centered;
 pub mod colmap;
 mod error;
 pub mod ground;
 pub mod json;
 pub mod masks;
 pub mod model;
+pub mod nerfstudio;
+pub mod nvm;
 pub mod openmvg;
+pub mod opensfm;
 mod owned_folder;
 pub mod ply;
 mod run_folder;
@@ -32,7 +40,9 @@ mod sequence;
 pub(crate) mod testing;
 pub mod tracks;
 pub mod trajectories;
+mod words;
 
+pub use assembly::Losses;
 pub use error::IoError;
 pub use owned_folder::{FolderError, InputIdentity, OwnedFolder, Place, refuse_own_input};
 pub use run_folder::RunFolder;

@@ -207,7 +207,7 @@ fn camera(path: &Path, document: &Document) -> Result<Camera, IoError> {
         return Err(IoError::content(path, format!("K {:?} is not that of a pinhole camera without skew", document.k)));
     }
     let (width, height) = (document.width, document.height);
-    Ok(Camera { width, height, focal: [fx, fy], principal: [cx, cy], radial: [0.0; 2] })
+    Ok(Camera { focal: [fx, fy], principal: [cx, cy], ..Camera::prior(width, height) })
 }
 
 fn frame(path: &Path, frame: FrameDocument) -> Result<SequenceFrame, IoError> {

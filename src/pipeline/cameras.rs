@@ -7,7 +7,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::options::{CameraOrigin, IntrinsicsSource, unknown_camera};
+use super::options::{CameraOrigin, IntrinsicsSource, not_intrinsics, unknown_camera};
 use super::run::Run;
 use super::{Instances, Options, PipelineError, order};
 use crate::camera::Camera;
@@ -154,7 +154,8 @@ fn given_cameras(intrinsics: &IntrinsicsSource, taken: &[PictureCamera]) -> Resu
     };
     let path = match intrinsics {
         IntrinsicsSource::Given(values) => {
-            return Ok(of_first(Camera::prior(first.0, first.1).with_intrinsics(*values)));
+            let camera = Camera::prior(first.0, first.1).with_parameters(values);
+            return camera.map(of_first).ok_or_else(|| PipelineError::Options(not_intrinsics(values.len())));
         }
         IntrinsicsSource::File(path) => path,
     };
@@ -212,7 +213,7 @@ mod tests {
 
     #[test]
     fn numbers_are_for_pictures_of_the_first_size() {
-        let given = IntrinsicsSource::Given([880.0, 880.0, 480.0, 270.0, 0.0, 0.0]);
+        let given = IntrinsicsSource::Given(vec![880.0, 880.0, 480.0, 270.0, 0.0, 0.0]);
         let taken =
             [pictures((960, 540), (480, 270)), pictures((540, 960), (270, 480)), pictures((960, 540), (480, 270))];
         let found = given_cameras(&given, &taken).unwrap();

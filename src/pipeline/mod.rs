@@ -51,7 +51,7 @@ pub use meter::{Cost, process_cpu_s};
 pub use models::{CameraReport, ModelReport};
 pub use options::{
     DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskChoice, MaskingOptions,
-    MotionChoice, OptionRow, OptionSection, Options, VehicleOptions,
+    ModelFiles, MotionChoice, OptionRow, OptionSection, Options, VehicleOptions,
 };
 pub use progress::{Plan, Planned, Progress, Silent};
 pub use run::StageRecord;

@@ -6,6 +6,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use super::options::ModelFiles;
 use super::run::{Outcome, Run};
 use super::threads::on_threads;
 use super::{PipelineError, cameras, features, fingerprint, order};
@@ -102,12 +103,21 @@ pub(super) fn background_depends_on(run: &Run) -> Result<Value, PipelineError> {
     let origins: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| initial.origin).collect();
     let (background, _) = order::sfm_options(run)?;
     let given = run.options.background_model.as_deref().map(fingerprint::of_content).transpose()?;
-    Ok(json!({
+    let depends_on = json!({
         "model": given,
         "camera_origins": origins,
         "options": background.mapper,
         "seed": run.options.seed,
-    }))
+    });
+    Ok(with_model_files(depends_on, run))
+}
+
+/// What a stage that writes models depends on, with their form if one was asked for.
+pub(super) fn with_model_files(mut depends_on: Value, run: &Run) -> Value {
+    if run.options.model_files != ModelFiles::Auto {
+        depends_on["model_files"] = json!(run.options.model_files);
+    }
+    depends_on
 }
 
 pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
@@ -141,7 +151,8 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     outcome.figure("num_points", report.num_points);
     outcome.figure("mean_error_px", report.mean_error_px);
     if let Some(camera) = model.cameras.values().next() {
-        outcome.figure("intrinsics", json!(camera.intrinsics()));
+        let values = if camera.higher.are_zero() { json!(camera.intrinsics()) } else { json!(camera.parameters()) };
+        outcome.figure("intrinsics", values);
         outcome.figure("focal_length_px", report.focal_length_px);
         outcome.figure("focal_std_px", report.focal_std_px);
     }
@@ -318,7 +329,7 @@ fn with_frame_ids(mut model: Reconstruction, frames: &[Frame]) -> Reconstruction
 
 /// Puts a model in its public place, whole.
 pub(super) fn store(run: &Run, folder: &Path, model: &Reconstruction) -> Result<(), PipelineError> {
-    run.workspace.put_folder(folder, |fresh| Ok(colmap::write_text(fresh, model)?))
+    run.workspace.put_folder(folder, |fresh| Ok(colmap::write(fresh, model, run.options.model_files.into())?))
 }
 
 /// Warns where a target is visible in frames whose camera is not known.

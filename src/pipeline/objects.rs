@@ -31,12 +31,13 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     let given: Result<BTreeMap<_, _>, PipelineError> =
         run.options.object_models.iter().map(|(id, folder)| Ok((id, fingerprint::of_content(folder)?))).collect();
     let (_, objects) = order::sfm_options(run)?;
-    Ok(json!({
+    let depends_on = json!({
         "models": given?,
         "only": run.options.only_objects,
         "options": objects.mapper,
         "seed": run.options.seed,
-    }))
+    });
+    Ok(models::with_model_files(depends_on, run))
 }
 
 pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
@@ -174,7 +175,7 @@ fn one_object(
     } else {
         let folder = run.workspace.unchecked_objects().join(id.to_string());
         run.workspace.remove_state(&folder)?;
-        colmap::write_text(&folder, &model)?;
+        colmap::write(&folder, &model, colmap::Encoding::Auto)?;
     }
     let marker = ObjectMarker { fingerprint: fingerprint.to_owned(), is_checked, report };
     marker.write(run, id)?;

@@ -18,6 +18,7 @@ pub use vehicles::{DetectorChoice, MaskChoice, MotionChoice, VehicleOptions};
 use super::PipelineError;
 use super::order::Order;
 use crate::camera::Camera;
+use crate::io::colmap::Encoding;
 use crate::limits::{Checked, OptionError, under, within};
 use crate::perception::motion::MotionOptions;
 use crate::perception::{
@@ -64,9 +65,9 @@ pub enum GroundLabels {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum IntrinsicsSource {
-    /// fx, fy, cx, cy, k1, k2 in pixels of the source, first pixel centre at (0.5, 0.5); of photographs of several
-    /// sizes, those of the first one's size.
-    Given([f64; 6]),
+    /// fx, fy, cx, cy, k1, k2, and perhaps p1, p2, k3 (OpenCV's order), in pixels of the source, first pixel centre at
+    /// (0.5, 0.5); of photographs of several sizes, those of the first one's size.
+    Given(Vec<f64>),
     /// A COLMAP `cameras.txt` or `cameras.bin` with one camera, or one for each size of the pictures.
     File(PathBuf),
 }
@@ -74,25 +75,53 @@ pub enum IntrinsicsSource {
 impl FromStr for IntrinsicsSource {
     type Err = String;
 
-    /// `fx,fy,cx,cy[,k1,k2]`, or the path of a COLMAP cameras file.
+    /// `fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]]`, or the path of a COLMAP cameras file.
     fn from_str(text: &str) -> Result<Self, String> {
         let numbers: Result<Vec<f64>, _> = text.split(',').map(|field| field.trim().parse::<f64>()).collect();
         let Ok(numbers) = numbers else {
             if text.ends_with(".txt") || text.ends_with(".bin") {
                 return Ok(Self::File(text.into()));
             }
-            return Err(format!("'{text}' is neither fx,fy,cx,cy[,k1,k2] nor a COLMAP cameras.txt"));
+            return Err(format!("'{text}' is neither {INTRINSICS} nor a COLMAP cameras.txt"));
         };
-        let values = match numbers[..] {
-            [fx, fy, cx, cy] => [fx, fy, cx, cy, 0.0, 0.0],
-            [fx, fy, cx, cy, k1] => [fx, fy, cx, cy, k1, 0.0],
-            [fx, fy, cx, cy, k1, k2] => [fx, fy, cx, cy, k1, k2],
-            _ => return Err(format!("fx,fy,cx,cy[,k1,k2] are four to six numbers, not {}", numbers.len())),
-        };
+        let camera = Camera::prior(1, 1).with_parameters(&numbers);
+        let camera = camera.ok_or_else(|| not_intrinsics(numbers.len()))?;
+        let values = if numbers.len() > 6 { camera.parameters().to_vec() } else { camera.intrinsics().to_vec() };
         if !values.iter().all(|v| v.is_finite()) || values[0] <= 0.0 || values[1] <= 0.0 {
             return Err("focal lengths must be positive and all numbers finite".to_owned());
         }
         Ok(Self::Given(values))
+    }
+}
+
+/// How intrinsics are given.
+const INTRINSICS: &str = "fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]]";
+
+/// What is wrong with so many numbers.
+pub(super) fn not_intrinsics(count: usize) -> String {
+    format!("{INTRINSICS} are 4, 5, 6, 8 or 9 numbers, not {count}")
+}
+
+/// Which form the files of models have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum ModelFiles {
+    /// Text, unless the name of a picture has a blank in it, which COLMAP's reader of text would cut off there.
+    #[default]
+    Auto,
+    /// Text: `cameras.txt`, `images.txt`, `points3D.txt`.
+    Text,
+    /// Binary: `cameras.bin`, `images.bin`, `points3D.bin`; smaller, and read faster by others.
+    Binary,
+}
+
+impl From<ModelFiles> for Encoding {
+    fn from(files: ModelFiles) -> Self {
+        match files {
+            ModelFiles::Auto => Self::Auto,
+            ModelFiles::Text => Self::Text,
+            ModelFiles::Binary => Self::Binary,
+        }
     }
 }
 
@@ -146,6 +175,8 @@ pub struct Options {
     pub background_model: Option<PathBuf>,
     /// COLMAP models of objects, taken as they are.
     pub object_models: BTreeMap<ObjectId, PathBuf>,
+    /// Which form the files of models have.
+    pub model_files: ModelFiles,
     /// Objects that are reconstructed; empty is all. The others are still kept out of the background.
     pub only_objects: BTreeSet<ObjectId>,
     /// How vehicles are found by what comes with the program.
@@ -220,6 +251,7 @@ impl Default for Options {
             intrinsics: None,
             background_model: None,
             object_models: BTreeMap::new(),
+            model_files: ModelFiles::Auto,
             only_objects: BTreeSet::new(),
             vehicles: VehicleOptions::default(),
             detector: DetectorOptions::default(),
@@ -309,7 +341,7 @@ impl Options {
         if self.only_objects.contains(&ObjectId(0)) {
             return Err(OptionError::new("only_objects", "ids of objects start at 1"));
         }
-        match self.intrinsics {
+        match &self.intrinsics {
             Some(IntrinsicsSource::Given(values)) => check_intrinsics(values),
             _ => Ok(()),
         }
@@ -320,12 +352,15 @@ impl Options {
 const MOST_THREADS: usize = 1024;
 
 /// Pictures have some ten thousand pixels a side at the most; whatever camera took them, intrinsics are of that order.
-fn check_intrinsics(values: [f64; 6]) -> Checked {
-    let [fx, fy, cx, cy, k1, k2] = values;
+fn check_intrinsics(values: &[f64]) -> Checked {
+    let Some(camera) = Camera::prior(1, 1).with_parameters(values) else {
+        return Err(OptionError::new("intrinsics", not_intrinsics(values.len())));
+    };
+    let [fx, fy, cx, cy, distortion @ ..] = camera.parameters();
     let checks = [fx, fy].map(|focal| within("focal length", focal, 1.0..=1e6));
     let centers = [cx, cy].map(|center| within("principal point", center, -1e6..=1e6));
-    let radial = [k1, k2].map(|k| within("distortion", k, -100.0..=100.0));
-    let all = checks.into_iter().chain(centers).chain(radial).collect::<Checked>();
+    let distortion = distortion.map(|k| within("distortion", k, -100.0..=100.0));
+    let all = checks.into_iter().chain(centers).chain(distortion).collect::<Checked>();
     all.map_err(|e| OptionError::new("intrinsics", format!("{}: {}", e.key, e.reason)))
 }
 
@@ -357,8 +392,11 @@ mod tests {
 
     #[test]
     fn intrinsics_are_numbers_or_a_file() {
-        assert_eq!("880,880,480,270".parse(), Ok(IntrinsicsSource::Given([880.0, 880.0, 480.0, 270.0, 0.0, 0.0])));
-        assert_eq!("1,2,3,4,.5,-6".parse(), Ok(IntrinsicsSource::Given([1.0, 2.0, 3.0, 4.0, 0.5, -6.0])));
+        assert_eq!("880,880,480,270".parse(), Ok(IntrinsicsSource::Given(vec![880.0, 880.0, 480.0, 270.0, 0.0, 0.0])));
+        assert_eq!("1,2,3,4,.5,-6".parse(), Ok(IntrinsicsSource::Given(vec![1.0, 2.0, 3.0, 4.0, 0.5, -6.0])));
+        let all = vec![1.0, 2.0, 3.0, 4.0, 0.5, -6.0, 7.0, 8.0, 0.0];
+        assert_eq!("1,2,3,4,.5,-6,7,8".parse(), Ok(IntrinsicsSource::Given(all)));
+        assert!("1,2,3,4,5,6,7".parse::<IntrinsicsSource>().unwrap_err().contains("not 7"));
         assert_eq!("a/cameras.txt".parse(), Ok(IntrinsicsSource::File("a/cameras.txt".into())));
         for wrong in ["", "1,2,3", "0,1,2,3", "1,2,3,4,5,6,7", "nan,1,2,3", "model"] {
             assert!(wrong.parse::<IntrinsicsSource>().is_err(), "{wrong}");
@@ -371,7 +409,7 @@ mod tests {
         Options {
             video: video::Options { max_dimension: Some(640), fps: Some(25.0), ..options.video.clone() },
             ground_labels: GroundLabels::Masks { folder: "masks".into(), label: Some(3) },
-            intrinsics: Some(IntrinsicsSource::Given([800.0, 800.0, 480.0, 270.0, 0.0, 0.0])),
+            intrinsics: Some(IntrinsicsSource::Given(vec![800.0, 800.0, 480.0, 270.0, 0.0, 0.0])),
             only_objects: [ObjectId(1)].into(),
             background: options.background.clone().with_sift(sfm::Target::Background),
             objects: options.objects.clone().with_sift(sfm::Target::Object),

@@ -19,7 +19,9 @@ pub use frame::{Frame, FrameId, ObjectId, TimeBase};
 pub use ground::{Ground, GroundPlane, GroundSource, PlaneBasis};
 pub use mask::{BoundingBox, Detection, LabelMap, Mask};
 pub use mesh::TriangleMesh;
-pub use reconstruction::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
+pub use reconstruction::{
+    CameraForm, CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement,
+};
 pub use tracked::{Apart, FoundIn, Gap, Movement, MovementFinding, Outline, Sameness, TrackedObject};
 pub use trajectory::{
     ModelState, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport,

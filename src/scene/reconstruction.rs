@@ -6,7 +6,7 @@ use nalgebra::{Point2, Point3};
 use serde::{Deserialize, Serialize};
 
 use super::FrameId;
-use crate::camera::Camera;
+use crate::camera::{Camera, Model};
 use crate::math::{Rigid3, Sim3};
 
 macro_rules! id {
@@ -89,11 +89,26 @@ pub struct Point3d {
     pub track: Vec<TrackElement>,
 }
 
+/// How the file that a camera came from describes it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CameraForm {
+    /// In a model that [`Camera`] covers, whatever the values are.
+    Covered(Model),
+    /// In another one, with its parameters. Of its [`Camera`] only image size, focal lengths and principal point mean
+    /// something, and nothing may be projected with it.
+    Foreign(Model, Vec<f64>),
+    /// Not at all: a file of poses alone. Nothing may be projected with its [`Camera`].
+    Unknown,
+}
+
 /// Cameras, registered images and points, in one world frame of arbitrary scale.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reconstruction {
     /// Intrinsics by id.
     pub cameras: BTreeMap<CameraId, Camera>,
+    /// How the cameras that came from a file were described there, so that they can be written in the same way. Those
+    /// that this program found have no entry.
+    pub camera_forms: BTreeMap<CameraId, CameraForm>,
     /// Registered images by id, which orders them in time for a video.
     pub images: BTreeMap<ImageId, Image>,
     /// Points by id.
@@ -109,6 +124,38 @@ impl Reconstruction {
     /// The intrinsics of an image of this reconstruction.
     pub fn camera_of(&self, image: &Image) -> &Camera {
         &self.cameras[&image.camera]
+    }
+
+    /// Whether points can be projected with a camera of this reconstruction.
+    pub fn can_project(&self, camera: CameraId) -> bool {
+        !matches!(self.camera_forms.get(&camera), Some(CameraForm::Foreign(..) | CameraForm::Unknown))
+    }
+
+    /// The intrinsics of an image, if there are any that points can be projected with.
+    pub fn projecting_camera(&self, image: &Image) -> Option<&Camera> {
+        self.cameras.get(&image.camera).filter(|_| self.can_project(image.camera))
+    }
+
+    /// The first camera that nothing can be projected with, and the name of its model.
+    pub fn first_foreign(&self) -> Option<(CameraId, &'static str)> {
+        self.cameras.keys().find_map(|id| match self.camera_forms.get(id)? {
+            CameraForm::Covered(_) => None,
+            CameraForm::Foreign(model, _) => Some((*id, model.name())),
+            CameraForm::Unknown => Some((*id, "of an unknown lens")),
+        })
+    }
+
+    /// Reprojection errors of a point in those images of its track that it is in front of, pixels, recomputed. `None`
+    /// if one of the cameras is not known.
+    pub fn errors_of(&self, point: &Point3d) -> Option<Vec<f64>> {
+        let error = |element: &TrackElement| {
+            let image = self.images.get(&element.image)?;
+            let seen = image.observations.get(element.observation_idx as usize)?.pixel;
+            let camera = self.projecting_camera(image)?;
+            let projected = camera.pixel_from_cam(image.cam_from_world * point.position);
+            Some(projected.map(|pixel| (pixel - seen).norm()))
+        };
+        Some(point.track.iter().map(error).collect::<Option<Vec<_>>>()?.into_iter().flatten().collect())
     }
 
     /// The images that this (background) and an object's reconstruction have in common, matched by name and in the

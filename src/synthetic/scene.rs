@@ -64,7 +64,7 @@ pub fn static_scene(options: &Options) -> Reconstruction {
     observe(options, &mut images, &mut points);
     let num_cameras = if options.camera_per_image { options.num_images } else { 1 };
     let cameras = (1..=num_cameras).map(|id| (CameraId(id), options.camera)).collect();
-    Reconstruction { cameras, images, points }
+    Reconstruction { cameras, images, points, ..Reconstruction::default() }
 }
 
 /// Moves every pose and point at random: rotations by `rotation` radians about a random axis, camera centres and points

@@ -43,12 +43,13 @@ fn pose() -> Rigid3 {
 
 #[test]
 fn reprojection() {
-    let camera = Camera {
-        focal: [800.0, 820.0],
-        principal: [470.0, 280.0],
-        radial: [-0.1, 0.02],
-        ..Camera::with_focal(960, 540, 1.0)
-    };
+    let all = [800.0, 820.0, 470.0, 280.0, -0.1, 0.02, 0.003, -0.002, 0.01];
+    for count in [6, 9] {
+        check_reprojection(&Camera::prior(960, 540).with_parameters(&all[..count]).unwrap());
+    }
+}
+
+fn check_reprojection(camera: &Camera) {
     let point = [0.7, -0.4, 0.9];
     let (pixel, whitening) = ([600.0, 200.0], Whitening([1.7, -0.4, 0.9]));
     let tied = Columns { len: 3, source: [0, 4, 5, 0, 0, 0], aspect: 820.0 / 800.0 };
@@ -56,14 +57,14 @@ fn reprojection() {
     for loss in [RobustLoss::Squared, RobustLoss::Huber { scale: 2.0 }, RobustLoss::Cauchy { scale: 3.0 }] {
         for columns in [Columns::default(), tied, all] {
             for shared in [false, true] {
-                let view = View::new(&pose(), &camera, columns);
+                let view = View::new(&pose(), camera, columns);
                 let (mut d_point, mut d_shared) = ([[0.0; 3]; 2], [[0.0; 6]; 2]);
                 let derivatives = Derivatives { d_point: &mut d_point, d_shared: shared.then_some(&mut d_shared) };
                 let (_, r) = linearize::<12, One>(&view, &point, &pixel, &whitening, &loss, derivatives);
                 let plain = plain_residual(&view, &point, &pixel, &whitening);
                 let weight = loss.evaluate(plain[0] * plain[0] + plain[1] * plain[1])[1].sqrt();
                 let moved = |d: &[f64; 15]| {
-                    let camera = move_camera(&camera, &columns, &d[6..12]);
+                    let camera = move_camera(camera, &columns, &d[6..12]);
                     let view = View::new(&perturb(&pose(), &d[..6]), &camera, columns);
                     let point = std::array::from_fn(|k| point[k] + d[12 + k]);
                     plain_residual(&view, &point, &pixel, &whitening).map(|v| v * weight).to_vec()

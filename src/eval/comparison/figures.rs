@@ -87,10 +87,11 @@ fn reprojection(per_point: &[Vec<Option<f64>>], found: Vec<f64>) -> Option<Repro
     })
 }
 
-/// The error of every observation of a point; `None` where it does not lie in front of the camera.
+/// The error of every observation of a point; `None` where it does not lie in front of the camera, or where the lens is
+/// one that nothing can be projected with.
 fn errors_of(model: &Reconstruction, point: &Point3d) -> Vec<Option<f64>> {
     let seen = |image: &Image, observation: u32| {
-        let camera = model.cameras.get(&image.camera)?;
+        let camera = model.projecting_camera(image)?;
         let pixel = camera.pixel_from_cam(image.cam_from_world * point.position)?;
         let error = (pixel - image.observations.get(observation as usize)?.pixel).norm();
         error.is_finite().then_some(error)
@@ -101,7 +102,7 @@ fn errors_of(model: &Reconstruction, point: &Point3d) -> Vec<Option<f64>> {
 
 /// Mean reprojection error of the points that one image sees, pixels.
 pub(super) fn error_of_image(model: &Reconstruction, image: &Image) -> Option<f64> {
-    let camera = model.cameras.get(&image.camera)?;
+    let camera = model.projecting_camera(image)?;
     let error = |seen: &crate::scene::Observation| {
         let point = model.points.get(&seen.point?)?;
         let pixel = camera.pixel_from_cam(image.cam_from_world * point.position)?;

@@ -102,7 +102,7 @@ pub struct Against {
     pub cameras: Outcome<CameraDifferences>,
     /// Relative poses.
     pub relative: Outcome<RelativePoses>,
-    /// Intrinsics side by side, those of most images first.
+    /// Intrinsics side by side, those of most images first; none of lenses that nothing can be projected with.
     pub intrinsics: Vec<IntrinsicsPair>,
     /// Every common image, the furthest off first.
     pub images: Vec<ImageDifference>,
@@ -258,6 +258,7 @@ impl Both<'_> {
             *counts.entry(cameras).or_insert(0) += 1;
         }
         let pair = |((a, b), num_images): ((_, _), usize)| {
+            (self.reference.can_project(a) && self.other.can_project(b)).then_some(())?;
             let (reference, other) = (*self.reference.cameras.get(&a)?, *self.other.cameras.get(&b)?);
             let widths = f64::from(reference.width) / f64::from(other.width);
             let focal_difference = other.mean_focal() * widths / reference.mean_focal() - 1.0;

@@ -128,7 +128,8 @@ fn names(f: &mut fmt::Formatter<'_>, what: &str, names: &[String]) -> fmt::Resul
 fn intrinsics(pair: &IntrinsicsPair) -> String {
     let text = |c: &Camera| {
         let ([fx, fy], [cx, cy], [k1, k2]) = (c.focal, c.principal, c.radial);
-        format!("{}×{} f {fx:.2} {fy:.2} c {cx:.2} {cy:.2} k {k1:.5} {k2:.5}", c.width, c.height)
+        let more = c.higher.in_figures();
+        format!("{}×{} f {fx:.2} {fy:.2} c {cx:.2} {cy:.2} k {k1:.5} {k2:.5}{more}", c.width, c.height)
     };
     format!("intrinsics of {} images: {}, here {}", pair.num_images, text(&pair.reference), text(&pair.other))
 }

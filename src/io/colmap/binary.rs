@@ -6,8 +6,8 @@ use std::path::Path;
 
 use nalgebra::{Point2, Point3, Vector3};
 
-use super::{camera_model, unit_quaternion};
-use crate::camera::Camera;
+use super::{Cameras, camera_model, unit_quaternion};
+use crate::camera::Model;
 use crate::io::IoError;
 use crate::io::bytes::Bytes;
 use crate::math::Rigid3;
@@ -17,35 +17,33 @@ use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Re
 const NO_POINT: u64 = u64::MAX;
 
 /// Fewest bytes that one camera, image, observation, point or track element takes.
-const MIN_BYTES: [usize; 5] = [24 + 3 * 8, 64 + 8 + 1, 24, 43 + 8, 8];
+const MIN_BYTES: [usize; 5] = [24 + 2 * 8, 64 + 8 + 1, 24, 43 + 8, 8];
 
-pub fn read_cameras(path: &Path) -> Result<BTreeMap<CameraId, Camera>, IoError> {
+pub fn read_cameras(path: &Path) -> Result<Cameras, IoError> {
     let content = Bytes::read_file(path)?;
     let mut bytes = content.cursor();
     let count = bytes.count("number of cameras", MIN_BYTES[0])?;
-    let mut cameras = BTreeMap::new();
+    let (mut cameras, mut forms) = Cameras::default();
     for _ in 0..count {
         let id = CameraId(bytes.u32("camera id")?);
         let model_id = bytes.i32("camera model")?;
         let (width, height) = (bytes.u64("width")?, bytes.u64("height")?);
-        let unsupported = |what: String| IoError::Unsupported {
-            path: path.to_path_buf(),
-            what: format!("camera {}: {what}", id.0),
-            cure: camera_model::CURE.into(),
-        };
-        let model = camera_model::by_id(model_id).ok_or_else(|| unsupported(format!("camera model {model_id}")))?;
-        let params = (0..model.num_params).map(|_| bytes.finite("camera parameter")).collect::<Result<Vec<_>, _>>()?;
+        let unknown = || camera_model::unknown(path, id, &model_id.to_string());
+        let model = Model::by_id(model_id).ok_or_else(unknown)?;
+        let params =
+            (0..model.num_params()).map(|_| bytes.finite("camera parameter")).collect::<Result<Vec<_>, _>>()?;
         let [width, height] = [width, height].map(|v| u32::try_from(v).ok().filter(|v| *v > 0));
         let (Some(width), Some(height)) = (width, height) else {
             return Err(bytes.error("image size", "must lie between 1 and 2³² − 1"));
         };
-        let camera = camera_model::camera(model, width, height, &params).map_err(unsupported)?;
+        let (camera, form) = camera_model::camera(model, width, height, params);
+        forms.insert(id, form);
         if cameras.insert(id, camera).is_some() {
             return Err(bytes.error("camera id", format!("{} occurs twice", id.0)));
         }
     }
     bytes.end()?;
-    Ok(cameras)
+    Ok((cameras, forms))
 }
 
 pub fn read_images(path: &Path) -> Result<BTreeMap<ImageId, Image>, IoError> {
@@ -106,9 +104,9 @@ pub fn read_points(path: &Path) -> Result<BTreeMap<Point3dId, Point3d>, IoError>
 pub fn write_cameras(out: &mut dyn Write, model: &Reconstruction) -> std::io::Result<()> {
     out.write_all(&(model.cameras.len() as u64).to_le_bytes())?;
     for (id, camera) in &model.cameras {
-        let (kind, params) = camera_model::model_of(camera);
+        let (kind, params) = camera_model::written(model, *id, camera);
         out.write_all(&id.0.to_le_bytes())?;
-        out.write_all(&kind.id.to_le_bytes())?;
+        out.write_all(&kind.id().to_le_bytes())?;
         out.write_all(&u64::from(camera.width).to_le_bytes())?;
         out.write_all(&u64::from(camera.height).to_le_bytes())?;
         write_doubles(out, &params)?;

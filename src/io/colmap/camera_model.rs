@@ -1,68 +1,47 @@
-//! COLMAP's camera models, as far as [`Camera`] covers them.
+//! Cameras as COLMAP's files describe them.
 
-use crate::camera::Camera;
+use std::path::Path;
 
-/// A camera model by name, binary id and number of parameters (COLMAP, `src/colmap/sensor/models.h`).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Model {
-    /// As in text files.
-    pub name: &'static str,
-    /// As in binary files.
-    pub id: i32,
-    /// Number of parameters.
-    pub num_params: usize,
+use crate::camera::{Camera, Model};
+use crate::io::IoError;
+use crate::scene::{CameraForm, CameraId, Reconstruction};
+
+/// Says what to do about a camera that this program cannot project with.
+const CURE: &str = "undistort the images, or calibrate with PINHOLE, RADIAL, OPENCV, or FULL_OPENCV with k4 to k6 zero";
+
+/// The error about a camera of a model that is not known at all.
+pub fn unknown(path: &Path, id: CameraId, model: &str) -> IoError {
+    unsupported(path, id, &format!("camera model {model}"), "convert it with the COLMAP that wrote it to OPENCV")
 }
 
-const SIMPLE_PINHOLE: Model = Model { name: "SIMPLE_PINHOLE", id: 0, num_params: 3 };
-const PINHOLE: Model = Model { name: "PINHOLE", id: 1, num_params: 4 };
-const SIMPLE_RADIAL: Model = Model { name: "SIMPLE_RADIAL", id: 2, num_params: 4 };
-const RADIAL: Model = Model { name: "RADIAL", id: 3, num_params: 5 };
-const OPENCV: Model = Model { name: "OPENCV", id: 4, num_params: 8 };
-const FULL_OPENCV: Model = Model { name: "FULL_OPENCV", id: 6, num_params: 12 };
-
-/// Those that can be read, where their parameters allow.
-const MODELS: [Model; 6] = [SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV];
-
-/// Says what the program does instead of an unknown model.
-pub const CURE: &str = "undistort the images, or calibrate with PINHOLE, RADIAL or OPENCV without tangential terms";
-
-/// The model of a text file.
-pub fn by_name(name: &str) -> Option<Model> {
-    MODELS.into_iter().find(|m| m.name == name)
+/// The error about a camera that cannot be projected with.
+pub fn foreign(path: &Path, id: CameraId, model: &str) -> IoError {
+    let detail = if model == Model::FullOpenCv.name() { " with k4, k5 or k6" } else { "" };
+    unsupported(path, id, &format!("camera model {model}{detail}"), CURE)
 }
 
-/// The model of a binary file.
-pub fn by_id(id: i32) -> Option<Model> {
-    MODELS.into_iter().find(|m| m.id == id)
+fn unsupported(path: &Path, id: CameraId, what: &str, cure: &str) -> IoError {
+    IoError::Unsupported { path: path.to_path_buf(), what: format!("camera {}: {what}", id.0), cure: cure.into() }
 }
 
-/// The camera that these parameters describe; an error says which parameter has no place in [`Camera`].
-pub fn camera(model: Model, width: u32, height: u32, params: &[f64]) -> Result<Camera, String> {
-    let make = |focal, principal, radial| Camera { width, height, focal, principal, radial };
-    let camera = match *params {
-        [f, cx, cy] => make([f; 2], [cx, cy], [0.0; 2]),
-        [fx, fy, cx, cy] if model == PINHOLE => make([fx, fy], [cx, cy], [0.0; 2]),
-        [f, cx, cy, k] => make([f; 2], [cx, cy], [k, 0.0]),
-        [f, cx, cy, k1, k2] => make([f; 2], [cx, cy], [k1, k2]),
-        [fx, fy, cx, cy, k1, k2, ref beyond @ ..] => {
-            if let Some(value) = beyond.iter().find(|v| **v != 0.0) {
-                return Err(format!("{} with tangential or higher distortion ({value})", model.name));
-            }
-            make([fx, fy], [cx, cy], [k1, k2])
-        }
-        _ => return Err(format!("{} with {} parameters", model.name, params.len())),
+/// A camera and its form from stored values.
+pub fn camera(model: Model, width: u32, height: u32, params: Vec<f64>) -> (Camera, CameraForm) {
+    match model.camera(width, height, &params) {
+        Some(camera) => (camera, CameraForm::Covered(model)),
+        None => (model.pinhole_part(width, height, &params), CameraForm::Foreign(model, params)),
+    }
+}
+
+/// The model and parameters under which a camera is written: those of its file if they still hold it, else the smallest
+/// model that does.
+pub fn written(model: &Reconstruction, id: CameraId, camera: &Camera) -> (Model, Vec<f64>) {
+    let smallest = || {
+        let smallest = Model::of(camera);
+        (smallest, smallest.params_of(camera).unwrap_or_default())
     };
-    Ok(camera)
-}
-
-/// The smallest model that holds a camera, and its parameters.
-pub fn model_of(camera: &Camera) -> (Model, Vec<f64>) {
-    let ([fx, fy], [cx, cy], [k1, k2]) = (camera.focal, camera.principal, camera.radial);
-    if [k1, k2] == [0.0; 2] {
-        (PINHOLE, vec![fx, fy, cx, cy])
-    } else if fx == fy {
-        (RADIAL, vec![fx, cx, cy, k1, k2])
-    } else {
-        (OPENCV, vec![fx, fy, cx, cy, k1, k2, 0.0, 0.0])
+    match model.camera_forms.get(&id) {
+        Some(CameraForm::Foreign(name, params)) => (*name, params.clone()),
+        Some(CameraForm::Covered(name)) => name.params_of(camera).map_or_else(smallest, |params| (*name, params)),
+        Some(CameraForm::Unknown) | None => smallest(),
     }
 }

@@ -5,6 +5,10 @@
 //! which COLMAP 4 writes beside, are not needed to read a model and are not written; COLMAP makes them up from the
 //! images.
 //!
+//! A camera is written under the model of the file that it came from, if that still holds it. Those that this program
+//! found are written as the smallest model that holds them: one focal length as `SIMPLE_PINHOLE`, `SIMPLE_RADIAL` or
+//! `RADIAL`, so that an adjustment by others keeps it one.
+//!
 //! Only registered images are written, as COLMAP does. Numbers in text files are the shortest that read back as the
 //! same double, so both forms give back exactly what was written.
 
@@ -12,27 +16,45 @@ mod binary;
 mod camera_model;
 mod text;
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, UnitQuaternion};
 
+use super::assembly::check_finite;
 use super::{IoError, atomic};
 use crate::camera::Camera;
-use crate::scene::{CameraId, ImageId, Point3dId, Reconstruction};
+use crate::scene::{CameraForm, CameraId, ImageId, Point3dId, Reconstruction};
+pub(super) use camera_model::foreign as foreign_camera;
 
-/// Reads the model in a folder: binary if `cameras.bin` is there, else text.
+/// Cameras by id, and how the file describes them.
+type Cameras = (BTreeMap<CameraId, Camera>, BTreeMap<CameraId, CameraForm>);
+
+/// Reads the model in a folder for geometry: binary if `cameras.bin` is there, else text.
 ///
 /// # Errors
-/// A missing file, a wrong field (with its place), a camera model with more than two radial coefficients, or parts that
-/// refer to what is not there.
+/// As [`read_any`]; a camera that this program cannot project with.
 pub fn read(folder: &Path) -> Result<Reconstruction, IoError> {
+    let model = read_any(folder)?;
+    match model.first_foreign() {
+        Some((id, name)) => Err(foreign_camera(folder, id, name)),
+        None => Ok(model),
+    }
+}
+
+/// As [`read`], for comparing and converting: cameras of every model that COLMAP has.
+///
+/// # Errors
+/// A missing file, a wrong field (with its place), a camera model that is not known, or parts that refer to what is not
+/// there.
+pub fn read_any(folder: &Path) -> Result<Reconstruction, IoError> {
     let mut model = Reconstruction::default();
     if folder.join("cameras.bin").exists() {
-        model.cameras = binary::read_cameras(&folder.join("cameras.bin"))?;
+        (model.cameras, model.camera_forms) = binary::read_cameras(&folder.join("cameras.bin"))?;
         model.images = binary::read_images(&folder.join("images.bin"))?;
         model.points = binary::read_points(&folder.join("points3D.bin"))?;
     } else {
-        model.cameras = text::read_cameras(&folder.join("cameras.txt"))?;
+        (model.cameras, model.camera_forms) = text::read_cameras(&folder.join("cameras.txt"))?;
         model.images = text::read_images(&folder.join("images.txt"))?;
         model.points = text::read_points(&folder.join("points3D.txt"))?;
     }
@@ -43,14 +65,59 @@ pub fn read(folder: &Path) -> Result<Reconstruction, IoError> {
 /// Names of a model's files, as text and binary.
 pub const FILES: [&str; 6] = ["cameras.txt", "images.txt", "points3D.txt", "cameras.bin", "images.bin", "points3D.bin"];
 
-/// Reads the cameras of one file alone: `cameras.txt`, or `cameras.bin` if the name ends so.
-pub fn read_cameras(path: &Path) -> Result<std::collections::BTreeMap<CameraId, Camera>, IoError> {
-    if path.extension().is_some_and(|e| e == "bin") { binary::read_cameras(path) } else { text::read_cameras(path) }
+/// Reads the cameras of one file alone, for geometry: `cameras.txt`, or `cameras.bin` if the name ends so.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_cameras(path: &Path) -> Result<BTreeMap<CameraId, Camera>, IoError> {
+    let is_binary = path.extension().is_some_and(|e| e == "bin");
+    let (cameras, forms) = if is_binary { binary::read_cameras(path) } else { text::read_cameras(path) }?;
+    let foreign = forms.iter().find_map(|(id, form)| match form {
+        CameraForm::Foreign(name, _) => Some(camera_model::foreign(path, *id, name.name())),
+        CameraForm::Covered(_) | CameraForm::Unknown => None,
+    });
+    foreign.map_or(Ok(cameras), Err)
 }
 
 /// Whether a folder holds a COLMAP model, as far as its file names tell.
 pub fn is_model(folder: &Path) -> bool {
     folder.join("cameras.bin").exists() || folder.join("cameras.txt").exists()
+}
+
+/// How a model is written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Encoding {
+    /// As text, unless the name of an image has a blank in it: COLMAP's own reader of text cuts such names.
+    #[default]
+    Auto,
+    /// As text.
+    Text,
+    /// As binary.
+    Binary,
+}
+
+/// Writes a model in one of the two forms.
+///
+/// # Errors
+/// As [`write_text`].
+pub fn write(folder: &Path, model: &Reconstruction, encoding: Encoding) -> Result<(), IoError> {
+    match encoding {
+        Encoding::Auto if check_text_names(folder, model).is_ok() => write_text(folder, model),
+        Encoding::Text => write_text(folder, model),
+        Encoding::Auto | Encoding::Binary => write_binary(folder, model),
+    }
+}
+
+/// Refuses names of images that COLMAP's reader of text would cut at a blank.
+pub(super) fn check_text_names(folder: &Path, model: &Reconstruction) -> Result<(), IoError> {
+    match model.images.values().find(|image| image.name.contains(char::is_whitespace)) {
+        None => Ok(()),
+        Some(image) => Err(IoError::Unsupported {
+            path: folder.to_path_buf(),
+            what: format!("the name {:?}, whose blank ends a name in COLMAP's text files,", image.name),
+            cure: "write binary files".to_owned(),
+        }),
+    }
 }
 
 /// Writes a model as text: `cameras.txt`, `images.txt`, `points3D.txt`, each whole.
@@ -60,6 +127,7 @@ pub fn is_model(folder: &Path) -> bool {
 /// model in the same folder: every reader would take that one.
 pub fn write_text(folder: &Path, model: &Reconstruction) -> Result<(), IoError> {
     check_writable(folder, model)?;
+    check_text_names(folder, model)?;
     if folder.join("cameras.bin").exists() {
         return Err(IoError::content(folder, "a binary model is in this folder; write text into another one"));
     }
@@ -133,25 +201,16 @@ fn sees(model: &Reconstruction, image: ImageId, observation_idx: u32, point: Poi
 
 /// What a file cannot hold is an error before anything is written.
 fn check_writable(folder: &Path, model: &Reconstruction) -> Result<(), IoError> {
-    let finite = |v: &Vector3<f64>| v.iter().all(|c| c.is_finite());
-    for (id, camera) in &model.cameras {
-        if !camera.intrinsics().iter().all(|p| p.is_finite()) {
-            return Err(IoError::content(folder, format!("camera {} has a parameter that is not finite", id.0)));
-        }
+    check_finite(folder, model)?;
+    if let Some((id, _)) = model.camera_forms.iter().find(|(_, form)| **form == CameraForm::Unknown) {
+        let what = format!("camera {}, of which the file that it came from says nothing,", id.0);
+        let cure = "give the model that the camera path was made from".to_owned();
+        return Err(IoError::Unsupported { path: folder.to_path_buf(), what, cure });
     }
     for (id, image) in &model.images {
-        let pose = &image.cam_from_world;
-        if !finite(&pose.translation) || !pose.rotation.coords.iter().all(|c| c.is_finite()) {
-            return Err(IoError::content(folder, format!("image {} has a pose that is not finite", id.0)));
-        }
         let name = image.name.as_str();
         if name.is_empty() || name.trim() != name || name.contains(['\n', '\r', '\0']) {
             return Err(IoError::content(folder, format!("image {}: the name {name:?} cannot be written", id.0)));
-        }
-    }
-    for (id, point) in &model.points {
-        if !finite(&point.position.coords) || !point.error_px.is_finite() {
-            return Err(IoError::content(folder, format!("point {} is not finite", id.0)));
         }
     }
     check_references(folder, model)

@@ -1,9 +1,10 @@
 use std::collections::BTreeMap;
 
-use nalgebra::{Point2, Point3};
+use nalgebra::{Point2, Point3, Vector3};
 use rand::Rng as _;
 
 use super::*;
+use crate::camera::Model;
 use crate::io::testing::{in_data, in_repository};
 use crate::math::{Rigid3, seeded_rng};
 use crate::scene::{Image, Observation, Point3d, TrackElement};
@@ -11,13 +12,19 @@ use crate::scene::{Image, Observation, Point3d, TrackElement};
 /// A small model of random numbers, every kind of camera in it, observations with and without points.
 fn sample() -> Reconstruction {
     let mut rng = seeded_rng(7, 0);
-    let camera = |focal, radial| Camera { width: 960, height: 540, focal, principal: [480.1, 1.0 / 3.0], radial };
+    let third = 1.0 / 3.0;
+    let camera = |values: &[f64]| Camera::prior(960, 540).with_parameters(values).unwrap();
     let cameras = [
-        (CameraId(1), camera([880.0, 880.0], [0.0; 2])),
-        (CameraId(4), camera([880.0, 881.0 + 1e-13], [0.0; 2])),
-        (CameraId(5), camera([0.1 + 0.2, 0.1 + 0.2], [-0.1, 1e-17])),
-        (CameraId(9), camera([880.0, 881.0], [0.05, 0.0])),
+        (CameraId(1), camera(&[880.0, 880.0, 480.1, third])),
+        (CameraId(4), camera(&[880.0, 881.0 + 1e-13, 480.1, third])),
+        (CameraId(5), camera(&[0.1 + 0.2, 0.1 + 0.2, 480.1, third, -0.1, 1e-17])),
+        (CameraId(9), camera(&[880.0, 881.0, 480.1, third, 0.05, 0.0, 1e-3, -2e-3, 0.01])),
+        (CameraId(10), camera(&[880.0, 880.0, 480.0, 270.0])),
     ];
+    let mut camera_forms: BTreeMap<_, _> =
+        cameras.iter().map(|(id, camera)| (*id, CameraForm::Covered(Model::of(camera)))).collect();
+    // A model larger than its values need.
+    camera_forms.insert(CameraId(10), CameraForm::Covered(Model::FullOpenCv));
     let camera_ids: Vec<_> = cameras.iter().map(|(id, _)| *id).collect();
     let mut images = BTreeMap::new();
     for index in 0..4u32 {
@@ -30,7 +37,7 @@ fn sample() -> Reconstruction {
                 point: (k % 2 == 0).then_some(Point3dId(1 + k)),
             })
             .collect();
-        let name = if index == 2 { "a name with blanks.jpg".into() } else { format!("{index:06}.jpg") };
+        let name = format!("{index:06}.jpg");
         let camera = camera_ids[index as usize];
         images.insert(ImageId(index + 1), Image { name, camera, cam_from_world, observations });
     }
@@ -48,7 +55,7 @@ fn sample() -> Reconstruction {
         let position = Point3::new(rng.random(), rng.random::<f64>() * 1e-20, rng.random());
         (Point3dId(id), Point3d { position, rgb: [0, 128, 255], error_px: rng.random(), track })
     });
-    Reconstruction { cameras: cameras.into(), images, points: points.into() }
+    Reconstruction { cameras: cameras.into(), camera_forms, images, points: points.into() }
 }
 
 fn written(model: &Reconstruction, binary: bool) -> tempfile::TempDir {
@@ -72,22 +79,25 @@ fn every_camera_model_is_read_or_refused_with_a_cure() {
     let path = folder.path().join("cameras.txt");
     let read_line = |line: &str| {
         std::fs::write(&path, format!("# comment\n\n{line}\n")).unwrap();
-        read_cameras(&path).map(|cameras| cameras[&CameraId(3)].intrinsics())
+        read_cameras(&path).map(|cameras| cameras[&CameraId(3)].parameters())
     };
-    let cases = [
-        ("3 SIMPLE_PINHOLE 8 6 5 4 3", [5.0, 5.0, 4.0, 3.0, 0.0, 0.0]),
-        ("3 PINHOLE 8 6 5 5.5 4 3", [5.0, 5.5, 4.0, 3.0, 0.0, 0.0]),
-        ("3 SIMPLE_RADIAL 8 6 5 4 3 0.1", [5.0, 5.0, 4.0, 3.0, 0.1, 0.0]),
-        ("3 RADIAL 8 6 5 4 3 0.1 -0.2", [5.0, 5.0, 4.0, 3.0, 0.1, -0.2]),
-        ("3 OPENCV 8 6 5 5.5 4 3 0.1 -0.2 0 0", [5.0, 5.5, 4.0, 3.0, 0.1, -0.2]),
-        ("3 FULL_OPENCV 8 6 5 5.5 4 3 0.1 -0.2 0 0 0 0 0 0", [5.0, 5.5, 4.0, 3.0, 0.1, -0.2]),
+    let cases: [(&str, &[f64]); 6] = [
+        ("3 SIMPLE_PINHOLE 8 6 5 4 3", &[5.0, 5.0, 4.0, 3.0]),
+        ("3 PINHOLE 8 6 5 5.5 4 3", &[5.0, 5.5, 4.0, 3.0]),
+        ("3 SIMPLE_RADIAL 8 6 5 4 3 0.1", &[5.0, 5.0, 4.0, 3.0, 0.1]),
+        ("3 RADIAL 8 6 5 4 3 0.1 -0.2", &[5.0, 5.0, 4.0, 3.0, 0.1, -0.2]),
+        ("3 OPENCV 8 6 5 5.5 4 3 0.1 -0.2 0.3 0.4", &[5.0, 5.5, 4.0, 3.0, 0.1, -0.2, 0.3, 0.4]),
+        ("3 FULL_OPENCV 8 6 5 5.5 4 3 0.1 -0.2 0.3 0.4 0.5 0 0 0", &[5.0, 5.5, 4.0, 3.0, 0.1, -0.2, 0.3, 0.4, 0.5]),
     ];
     for (line, expected) in cases {
-        assert_eq!(read_line(line).unwrap(), expected, "{line}");
+        let expected = Camera::prior(8, 6).with_parameters(expected).unwrap();
+        assert_eq!(read_line(line).unwrap(), expected.parameters(), "{line}");
     }
     let refused = [
-        ("3 OPENCV 8 6 5 5.5 4 3 0.1 -0.2 0 0.001", "tangential"),
+        ("3 FULL_OPENCV 8 6 5 5.5 4 3 0 0 0 0 0 0 0 0.1", "FULL_OPENCV with k4, k5 or k6"),
         ("3 OPENCV_FISHEYE 8 6 5 5.5 4 3 0 0 0 0", "OPENCV_FISHEYE"),
+        ("3 EQUIRECTANGULAR 8 6 8 6", "EQUIRECTANGULAR"),
+        ("3 LATER_MODEL 8 6 8 6", "LATER_MODEL"),
         ("3 PINHOLE 8 6 5 5.5 4", "line 3: camera parameter: the line ends before it"),
         ("3 PINHOLE 8 6 5 5.5 4 3 2", "line 3: end of line: '2' is too much"),
         ("3 PINHOLE 0 6 5 5.5 4 3", "line 3: image size"),
@@ -99,6 +109,71 @@ fn every_camera_model_is_read_or_refused_with_a_cure() {
         let error = read_line(line).unwrap_err().to_string();
         assert!(error.contains(expected) && error.contains("cameras.txt"), "{line}: {error}");
     }
+}
+
+/// COLMAP's reader of text takes a name up to its first blank.
+#[test]
+fn names_with_blanks_go_to_binary_files() {
+    let mut model = sample();
+    model.images.get_mut(&ImageId(3)).unwrap().name = "a/name with blanks.jpg".into();
+    let folder = tempfile::tempdir().unwrap();
+    let refused = write_text(folder.path(), &model).unwrap_err().to_string();
+    assert!(refused.contains("name with blanks") && refused.contains("binary"), "{refused}");
+    write(folder.path(), &model, Encoding::Auto).unwrap();
+    assert!(folder.path().join("images.bin").is_file());
+    assert_eq!(read(folder.path()).unwrap(), model);
+    let plain = tempfile::tempdir().unwrap();
+    write(plain.path(), &sample(), Encoding::Auto).unwrap();
+    assert!(plain.path().join("images.txt").is_file());
+}
+
+/// Names with blanks in text that this program wrote before are read whole.
+#[test]
+fn names_with_blanks_are_read_from_text() {
+    let folder = written(&sample(), false);
+    let path = folder.path().join("images.txt");
+    let text = std::fs::read_to_string(&path).unwrap().replace("000001.jpg", "with a blank.jpg");
+    std::fs::write(&path, text).unwrap();
+    assert_eq!(read(folder.path()).unwrap().images[&ImageId(2)].name, "with a blank.jpg");
+}
+
+/// Foreign lenses and models with zeros stay what they are; only geometry refuses the first.
+#[test]
+fn every_camera_model_goes_through_text_and_binary() {
+    let mut model = Reconstruction::default();
+    for (k, form) in (1..).zip(Model::ALL) {
+        let params: Vec<f64> = (0..form.num_params()).map(|i| 2.0 + 0.125 * i as f64).collect();
+        let (camera, form) = camera_model::camera(*form, 8, 6, params);
+        model.cameras.insert(CameraId(k), camera);
+        model.camera_forms.insert(CameraId(k), form);
+    }
+    for binary in [false, true] {
+        let folder = written(&model, binary);
+        assert_eq!(read_any(folder.path()).unwrap(), model, "binary: {binary}");
+        let error = read(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("camera 6: camera model OPENCV_FISHEYE"), "binary: {binary}: {error}");
+    }
+}
+
+#[test]
+fn an_adjusted_camera_outgrows_the_model_of_its_file() {
+    let mut model = Reconstruction::default();
+    let camera = Camera { radial: [0.1, 0.0], ..Camera::with_focal(8, 6, 5.0) };
+    model.cameras.insert(CameraId(1), camera);
+    model.camera_forms.insert(CameraId(1), CameraForm::Covered(Model::Pinhole));
+    assert_eq!(camera_model::written(&model, CameraId(1), &camera).0, Model::SimpleRadial);
+    let straight = Camera { radial: [0.0; 2], ..camera };
+    assert_eq!(camera_model::written(&model, CameraId(1), &straight).0, Model::Pinhole);
+}
+
+#[test]
+fn a_binary_camera_of_an_unknown_model_is_refused_by_number() {
+    let folder = written(&sample(), true);
+    let path = folder.path().join("cameras.bin");
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes[12] = 99;
+    std::fs::write(&path, bytes).unwrap();
+    assert!(read(folder.path()).unwrap_err().to_string().contains("camera 1: camera model 99"));
 }
 
 #[test]

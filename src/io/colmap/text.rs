@@ -7,36 +7,32 @@ use std::str::FromStr;
 
 use nalgebra::{Point2, Point3, Vector3};
 
-use super::{camera_model, unit_quaternion};
-use crate::camera::Camera;
+use super::{Cameras, camera_model, unit_quaternion};
+use crate::camera::Model;
 use crate::io::IoError;
 use crate::math::Rigid3;
 use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
-pub fn read_cameras(path: &Path) -> Result<BTreeMap<CameraId, Camera>, IoError> {
+pub fn read_cameras(path: &Path) -> Result<Cameras, IoError> {
     let content = read_file(path)?;
-    let mut cameras = BTreeMap::new();
+    let (mut cameras, mut forms) = Cameras::default();
     for mut line in records(path, &content) {
         let id = CameraId(line.number("camera id")?);
         let name = line.word("camera model")?;
-        let unsupported = |what: String| IoError::Unsupported {
-            path: path.to_path_buf(),
-            what: format!("camera {}: {what}", id.0),
-            cure: camera_model::CURE.into(),
-        };
-        let model = camera_model::by_name(name).ok_or_else(|| unsupported(format!("camera model {name}")))?;
+        let model = Model::by_name(name).ok_or_else(|| camera_model::unknown(path, id, name))?;
         let (width, height) = (line.number("width")?, line.number("height")?);
         if width == 0 || height == 0 {
             return Err(line.error("image size", "must not be zero"));
         }
-        let params = (0..model.num_params).map(|_| line.finite("camera parameter")).collect::<Result<Vec<_>, _>>()?;
+        let params = (0..model.num_params()).map(|_| line.finite("camera parameter")).collect::<Result<Vec<_>, _>>()?;
         line.end()?;
-        let camera = camera_model::camera(model, width, height, &params).map_err(unsupported)?;
+        let (camera, form) = camera_model::camera(model, width, height, params);
+        forms.insert(id, form);
         if cameras.insert(id, camera).is_some() {
             return Err(line.error("camera id", format!("{} occurs twice", id.0)));
         }
     }
-    Ok(cameras)
+    Ok((cameras, forms))
 }
 
 pub fn read_images(path: &Path) -> Result<BTreeMap<ImageId, Image>, IoError> {
@@ -98,8 +94,8 @@ pub fn write_cameras(out: &mut dyn Write, model: &Reconstruction) -> std::io::Re
     writeln!(out, "# Cameras, one per line: CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]")?;
     writeln!(out, "# Number of cameras: {}", model.cameras.len())?;
     for (id, camera) in &model.cameras {
-        let (kind, params) = camera_model::model_of(camera);
-        write!(out, "{} {} {} {}", id.0, kind.name, camera.width, camera.height)?;
+        let (kind, params) = camera_model::written(model, *id, camera);
+        write!(out, "{} {} {} {}", id.0, kind.name(), camera.width, camera.height)?;
         params.iter().try_for_each(|value| write!(out, " {value}"))?;
         writeln!(out)?;
     }

@@ -45,6 +45,7 @@ fn models_of_the_truth(sequence: &Sequence) -> Models {
         cameras: [(CameraId(1), sequence.camera)].into(),
         images: sequence.frames.iter().map(|frame| (ImageId(frame.id.0 + 1), image(frame, pose(frame)))).collect(),
         points: (1..).map(Point3dId).zip(points.iter().map(|p| point(*p))).collect(),
+        ..Reconstruction::default()
     };
     let vertices = sequence.mesh().unwrap().vertices;
     let corners: Vec<_> = vertices.into_iter().step_by(20).collect();

@@ -155,7 +155,8 @@ impl Details {
 
 fn camera(camera: &Camera) -> String {
     let ([fx, fy], [cx, cy], [k1, k2]) = (camera.focal, camera.principal, camera.radial);
-    format!("{} × {}, f {fx:.2} {fy:.2}, c {cx:.2} {cy:.2}, k {k1:.5} {k2:.5}", camera.width, camera.height)
+    let more = camera.higher.in_figures();
+    format!("{} × {}, f {fx:.2} {fy:.2}, c {cx:.2} {cy:.2}, k {k1:.5} {k2:.5}{more}", camera.width, camera.height)
 }
 
 fn row(image: &ImageDifference) -> [String; 6] {

@@ -344,7 +344,7 @@ impl<'a> Map<'a> {
                 points.insert(id, point);
             }
         }
-        Reconstruction { cameras, images, points }
+        Reconstruction { cameras, images, points, ..Reconstruction::default() }
     }
 
     fn colmap_point(&self, track: usize) -> Option<Point3d> {

@@ -7,7 +7,7 @@ const NUM_VIEWS: usize = 30;
 fn camera_of(view: usize) -> usize {
     match view {
         7 => 2,
-        _ if view % 3 == 0 => 1,
+        _ if view.is_multiple_of(3) => 1,
         _ => 0,
     }
 }

@@ -1,0 +1,189 @@
+//! The camera models of files, by the names that COLMAP gives them (`src/colmap/sensor/models.h`).
+//!
+//! [`Camera`] covers the pinhole models with up to three radial and two tangential coefficients. The others are known
+//! by name and number of parameters, so that a model that uses them can be carried through and refused by name.
+
+use super::{Camera, HigherTerms};
+
+macro_rules! models {
+    ($($(#[$doc:meta])* $variant:ident = $id:literal, $name:literal, $params:literal;)*) => {
+        /// A camera model.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+        pub enum Model {
+            $($(#[$doc])* $variant,)*
+        }
+
+        impl Model {
+            /// All of them, in the order of their ids.
+            pub const ALL: &[Self] = &[$(Self::$variant),*];
+
+            /// As in COLMAP's text files.
+            pub fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name,)* }
+            }
+
+            /// As in COLMAP's binary files.
+            pub fn id(self) -> i32 {
+                match self { $(Self::$variant => $id,)* }
+            }
+
+            /// Number of parameters.
+            pub fn num_params(self) -> usize {
+                match self { $(Self::$variant => $params,)* }
+            }
+        }
+    };
+}
+
+models! {
+    /// f, cx, cy.
+    SimplePinhole = 0, "SIMPLE_PINHOLE", 3;
+    /// fx, fy, cx, cy.
+    Pinhole = 1, "PINHOLE", 4;
+    /// f, cx, cy, k.
+    SimpleRadial = 2, "SIMPLE_RADIAL", 4;
+    /// f, cx, cy, k1, k2.
+    Radial = 3, "RADIAL", 5;
+    /// fx, fy, cx, cy, k1, k2, p1, p2.
+    OpenCv = 4, "OPENCV", 8;
+    /// fx, fy, cx, cy, k1, k2, k3, k4 of the angle.
+    OpenCvFisheye = 5, "OPENCV_FISHEYE", 8;
+    /// fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6.
+    FullOpenCv = 6, "FULL_OPENCV", 12;
+    /// fx, fy, cx, cy, omega.
+    Fov = 7, "FOV", 5;
+    /// f, cx, cy, k of the angle.
+    SimpleRadialFisheye = 8, "SIMPLE_RADIAL_FISHEYE", 4;
+    /// f, cx, cy, k1, k2 of the angle.
+    RadialFisheye = 9, "RADIAL_FISHEYE", 5;
+    /// fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, sx1, sy1.
+    ThinPrismFisheye = 10, "THIN_PRISM_FISHEYE", 12;
+    /// fx, fy, cx, cy, k0 to k5, p0, p1, s0 to s3.
+    RadTanThinPrismFisheye = 11, "RAD_TAN_THIN_PRISM_FISHEYE", 16;
+    /// f, cx, cy, k.
+    SimpleDivision = 12, "SIMPLE_DIVISION", 4;
+    /// fx, fy, cx, cy, k.
+    Division = 13, "DIVISION", 5;
+    /// f, cx, cy.
+    SimpleFisheye = 14, "SIMPLE_FISHEYE", 3;
+    /// fx, fy, cx, cy.
+    Fisheye = 15, "FISHEYE", 4;
+    /// fx, fy, cx, cy, alpha, beta.
+    Eucm = 16, "EUCM", 6;
+    /// Width and height of the whole sphere's picture.
+    Equirectangular = 17, "EQUIRECTANGULAR", 2;
+}
+
+impl Model {
+    /// The model of a name.
+    pub fn by_name(name: &str) -> Option<Self> {
+        Self::ALL.iter().copied().find(|model| model.name() == name)
+    }
+
+    /// The model of a number.
+    pub fn by_id(id: i32) -> Option<Self> {
+        Self::ALL.iter().copied().find(|model| model.id() == id)
+    }
+
+    /// The smallest model that holds a camera: with one focal length if the camera has one.
+    pub fn of(camera: &Camera) -> Self {
+        let smallest = [Self::SimplePinhole, Self::SimpleRadial, Self::Radial, Self::Pinhole, Self::OpenCv];
+        smallest.into_iter().find(|model| model.params_of(camera).is_some()).unwrap_or(Self::FullOpenCv)
+    }
+
+    /// Whether there are pictures of this model that a pinhole with radial and tangential distortion does not describe.
+    pub fn is_foreign(self) -> bool {
+        !matches!(
+            self,
+            Self::SimplePinhole | Self::Pinhole | Self::SimpleRadial | Self::Radial | Self::OpenCv | Self::FullOpenCv
+        )
+    }
+
+    /// The camera that parameters describe; `None` if their number is wrong or [`Camera`] does not cover them.
+    pub fn camera(self, width: u32, height: u32, params: &[f64]) -> Option<Camera> {
+        let all = match (self, params) {
+            (Self::SimplePinhole, &[f, cx, cy]) => [f, f, cx, cy, 0.0, 0.0, 0.0, 0.0, 0.0],
+            (Self::Pinhole, &[fx, fy, cx, cy]) => [fx, fy, cx, cy, 0.0, 0.0, 0.0, 0.0, 0.0],
+            (Self::SimpleRadial, &[f, cx, cy, k]) => [f, f, cx, cy, k, 0.0, 0.0, 0.0, 0.0],
+            (Self::Radial, &[f, cx, cy, k1, k2]) => [f, f, cx, cy, k1, k2, 0.0, 0.0, 0.0],
+            (Self::OpenCv, &[fx, fy, cx, cy, k1, k2, p1, p2]) => [fx, fy, cx, cy, k1, k2, p1, p2, 0.0],
+            (Self::FullOpenCv, &[fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]) => {
+                [fx, fy, cx, cy, k1, k2, p1, p2, k3]
+            }
+            _ => return None,
+        };
+        Camera::prior(width, height).with_parameters(&all)
+    }
+
+    /// The parameters of a camera in this model; `None` if it has no place for one of them.
+    pub fn params_of(self, camera: &Camera) -> Option<Vec<f64>> {
+        let all @ [fx, fy, cx, cy, k1, k2, p1, p2, k3] = camera.parameters();
+        let params = match self {
+            Self::SimplePinhole => vec![fx, cx, cy],
+            Self::Pinhole => vec![fx, fy, cx, cy],
+            Self::SimpleRadial => vec![fx, cx, cy, k1],
+            Self::Radial => vec![fx, cx, cy, k1, k2],
+            Self::OpenCv => vec![fx, fy, cx, cy, k1, k2, p1, p2],
+            Self::FullOpenCv => vec![fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0],
+            _ => return None,
+        };
+        let back = self.camera(camera.width, camera.height, &params)?;
+        // Numbers that are not finite come back as they are, too, and are refused by who writes them.
+        let same = back.parameters().iter().zip(&all).all(|(a, b)| a == b || (a.is_nan() && b.is_nan()));
+        same.then_some(params)
+    }
+
+    /// A pinhole with the focal lengths and the principal point of parameters that [`Camera`] does not cover: right in
+    /// the middle of the picture alone.
+    pub fn pinhole_part(self, width: u32, height: u32, params: &[f64]) -> Camera {
+        let plain = Camera::prior(width, height);
+        let (focal, principal) = match (self, params) {
+            (Self::Equirectangular, _) => ([f64::from(width) / std::f64::consts::TAU; 2], plain.principal),
+            (
+                Self::SimpleRadialFisheye | Self::RadialFisheye | Self::SimpleDivision | Self::SimpleFisheye,
+                &[f, cx, cy, ..],
+            ) => ([f; 2], [cx, cy]),
+            (_, &[fx, fy, cx, cy, ..]) => ([fx, fy], [cx, cy]),
+            _ => (plain.focal, plain.principal),
+        };
+        Camera { focal, principal, higher: HigherTerms::ZERO, ..plain }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_is_written_as_the_smallest_model_that_holds_it() {
+        let cases: [(&[f64], Model); 7] = [
+            (&[5.0, 5.0, 4.0, 3.0], Model::SimplePinhole),
+            (&[5.0, 5.5, 4.0, 3.0], Model::Pinhole),
+            (&[5.0, 5.0, 4.0, 3.0, 0.1], Model::SimpleRadial),
+            (&[5.0, 5.0, 4.0, 3.0, 0.0, 0.1], Model::Radial),
+            (&[5.0, 5.5, 4.0, 3.0, 0.1], Model::OpenCv),
+            (&[5.0, 5.0, 4.0, 3.0, 0.1, 0.2, 0.3, 0.4], Model::OpenCv),
+            (&[5.0, 5.0, 4.0, 3.0, 0.1, 0.2, 0.3, 0.4, 0.5], Model::FullOpenCv),
+        ];
+        for (values, expected) in cases {
+            let camera = Camera::prior(8, 6).with_parameters(values).unwrap();
+            assert_eq!(Model::of(&camera), expected, "{values:?}");
+            let params = expected.params_of(&camera).unwrap();
+            assert_eq!(params.len(), expected.num_params());
+            assert_eq!(expected.camera(8, 6, &params), Some(camera));
+        }
+    }
+
+    #[test]
+    fn what_a_camera_does_not_cover_is_none() {
+        assert_eq!(Model::FullOpenCv.camera(8, 6, &[1.0; 12]), None, "k4 to k6 divide");
+        assert_eq!(Model::Pinhole.camera(8, 6, &[1.0; 3]), None);
+        for model in Model::ALL.iter().filter(|model| model.is_foreign()) {
+            assert_eq!(model.camera(8, 6, &vec![1.0; model.num_params()]), None);
+            let part = model.pinhole_part(8, 6, &vec![2.0; model.num_params()]);
+            assert!(part.focal[0] > 0.0, "{}", model.name());
+        }
+        assert_eq!((Model::by_id(17), Model::by_id(18)), (Some(Model::Equirectangular), None));
+        assert_eq!(Model::by_name("FOV"), Some(Model::Fov));
+    }
+}

@@ -1,0 +1,172 @@
+//! Reconstructions in whatever supported format they come.
+
+mod detect;
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use super::{FolderError, IoError, Losses, bundler, camera_path, colmap, nerfstudio, nvm, openmvg, opensfm, ply};
+use crate::scene::Reconstruction;
+
+pub use detect::detect;
+
+/// A format of reconstructions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// COLMAP's text files, a folder.
+    ColmapText,
+    /// COLMAP's binary files, a folder.
+    ColmapBinary,
+    /// OpenMVG's `sfm_data.json`.
+    OpenMvg,
+    /// OpenSfM's `reconstruction.json`, with `tracks.csv` beside it.
+    OpenSfm,
+    /// nerfstudio's `transforms.json`.
+    Nerfstudio,
+    /// VisualSFM's `.nvm`.
+    Nvm,
+    /// Bundler's `bundle.out`.
+    Bundler,
+    /// A camera path in TUM's form; read only.
+    Tum,
+    /// A camera path in KITTI's form; read only.
+    Kitti,
+    /// Coloured points, `.ply`; written only.
+    Ply,
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::ColmapText => "COLMAP (text)",
+            Self::ColmapBinary => "COLMAP (binary)",
+            Self::OpenMvg => "OpenMVG",
+            Self::OpenSfm => "OpenSfM",
+            Self::Nerfstudio => "nerfstudio",
+            Self::Nvm => "NVM",
+            Self::Bundler => "Bundler",
+            Self::Tum => "TUM",
+            Self::Kitti => "KITTI",
+            Self::Ply => "PLY",
+        })
+    }
+}
+
+/// Reads a reconstruction for comparing or converting, whatever its lenses are, and says in which format it came.
+///
+/// # Errors
+/// Nothing there, no format that is read (with what to do about it), or what the format's reader says.
+pub fn read(path: &Path) -> Result<(Reconstruction, Format), IoError> {
+    let (place, format) = detect(path)?;
+    let model = match format {
+        Format::ColmapText | Format::ColmapBinary => colmap::read_any(&place),
+        Format::OpenMvg => openmvg::read(&place),
+        Format::OpenSfm => opensfm::read(&place),
+        Format::Nerfstudio => nerfstudio::read(&place),
+        Format::Nvm => nvm::read(&place),
+        Format::Bundler => bundler::read(&place),
+        Format::Tum => camera_path::read_tum(&place),
+        Format::Kitti => camera_path::read_kitti(&place),
+        Format::Ply => Err(detect::points_alone(&place)),
+    }?;
+    Ok((model, format))
+}
+
+/// Reads a reconstruction whose points are to be projected.
+///
+/// # Errors
+/// As [`read`]; a camera that this program cannot project with.
+pub fn read_for_geometry(path: &Path) -> Result<(Reconstruction, Format), IoError> {
+    let (model, format) = read(path)?;
+    match model.first_foreign() {
+        Some((id, name)) => Err(colmap::foreign_camera(path, id, name)),
+        None => Ok((model, format)),
+    }
+}
+
+/// Writes a reconstruction and says what the format had no place for. To PLY go its points alone.
+///
+/// # Errors
+/// A format that is only read, or what the format's writer says.
+pub fn write(path: &Path, model: &Reconstruction, format: Format) -> Result<Losses, IoError> {
+    match format {
+        Format::ColmapText => colmap::write_text(path, model).map(|()| Losses::default()),
+        Format::ColmapBinary => colmap::write_binary(path, model).map(|()| Losses::default()),
+        Format::OpenMvg => openmvg::write(path, model),
+        Format::OpenSfm => opensfm::write(path, model),
+        Format::Nerfstudio => nerfstudio::write(path, model),
+        Format::Nvm => nvm::write(path, model),
+        Format::Bundler => bundler::write(path, model),
+        Format::Tum | Format::Kitti => Err(IoError::Unsupported {
+            path: path.into(),
+            what: format!("writing a camera path in {format}'s form"),
+            cure: "write a COLMAP model instead".into(),
+        }),
+        Format::Ply => {
+            let points: Vec<_> = model.points.values().map(|p| (p.position, p.rgb)).collect();
+            let losses =
+                Losses::default().counted(model.images.len(), "cameras are left out: the format has points alone");
+            ply::write_points(path, &points).map(|()| losses)
+        }
+    }
+}
+
+/// Looks whether a reconstruction may be written: no file is written through a link or over the one that is read, and
+/// over others only if `overwrite` is set.
+///
+/// # Errors
+/// [`FolderError`] says what is in the way.
+pub fn check_target(input: &Path, output: &Path, format: Format, overwrite: bool) -> Result<(), FolderError> {
+    let is_same =
+        |a: &Path, b: &Path| std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(b).is_ok_and(|b| a == b));
+    let files = files_of(output, format);
+    if is_same(input, output) || files.iter().any(|file| is_same(input, file)) {
+        return Err(FolderError::OwnInput { flag: "IN".to_owned(), input: input.to_owned() });
+    }
+    for file in &files {
+        let Ok(found) = std::fs::symlink_metadata(file) else { continue };
+        let shown = || file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if found.file_type().is_symlink() {
+            return Err(FolderError::Link { path: output.to_owned(), link: shown() });
+        }
+        if !overwrite {
+            return Err(FolderError::Exists { path: file.clone() });
+        }
+    }
+    Ok(())
+}
+
+/// The files that a reconstruction is written to.
+pub fn files_of(output: &Path, format: Format) -> Vec<PathBuf> {
+    let [text, binary] = [&colmap::FILES[..3], &colmap::FILES[3..]];
+    match format {
+        Format::ColmapText => text.iter().map(|name| output.join(name)).collect(),
+        Format::ColmapBinary => binary.iter().map(|name| output.join(name)).collect(),
+        Format::OpenSfm => opensfm::files(output).into(),
+        Format::Nerfstudio => nerfstudio::files(output).into(),
+        Format::Bundler => bundler::files(output).into(),
+        Format::Ply | Format::OpenMvg | Format::Nvm | Format::Tum | Format::Kitti => vec![output.to_owned()],
+    }
+}
+
+/// The format in which a conversion of a model that came as `from` writes to `to`, if none is asked for: what the name
+/// says, else the other COLMAP form than the one read. Text comes first where it can hold the names of the images.
+pub fn format_for(from: Format, to: &Path, model: &Reconstruction) -> Format {
+    let named = |name: &str| to.file_name().is_some_and(|n| n.eq_ignore_ascii_case(name));
+    let ends = |extension: &str| to.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
+    let by_name = [
+        (ends("ply"), Format::Ply),
+        (ends("nvm"), Format::Nvm),
+        (ends("out"), Format::Bundler),
+        (named("sfm_data.json"), Format::OpenMvg),
+        (named("reconstruction.json"), Format::OpenSfm),
+        (named("transforms.json"), Format::Nerfstudio),
+    ];
+    if let Some((_, format)) = by_name.into_iter().find(|(is_named, _)| *is_named) {
+        format
+    } else if from == Format::ColmapText || colmap::check_text_names(to, model).is_err() {
+        Format::ColmapBinary
+    } else {
+        Format::ColmapText
+    }
+}
