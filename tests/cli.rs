@@ -362,7 +362,8 @@ fn a_reader_that_goes_away_is_no_failure() {
     partial(&clip(folder.path(), 1), &masks(folder.path(), 1, 64, 48), &out);
     let model = out.join("background");
     let (model, points) = (model.to_str().unwrap(), folder.path().join("points.ply"));
-    let cases = [vec!["doctor"], vec!["compare", model, model], vec!["convert", model, points.to_str().unwrap()]];
+    let golden = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/models/colmap_text");
+    let cases = [vec!["doctor"], vec!["compare", golden, golden], vec!["convert", model, points.to_str().unwrap()]];
     for arguments in cases {
         let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin("tractrix"));
         let mut child = command.args(&arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();

@@ -12,8 +12,8 @@ use crate::scene::{CameraId, Image, ImageId, Reconstruction};
 
 /// Compares reconstructions of the same images, in any format that is read.
 ///
-/// The truth, or else the first one, sets frame and unit; every other one is brought into its frame by a similarity that
-/// a few lost cameras do not smear, and held against it image by image. Ends with exit code 1 where nothing can be
+/// The truth, or else the first one, sets frame and unit; every other one is brought into its frame by a similarity
+/// that a few lost cameras do not smear, and held against it image by image. Ends with exit code 1 where nothing can be
 /// compared.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
@@ -173,8 +173,8 @@ fn short_names(paths: &[PathBuf]) -> Vec<String> {
     (1..=longest).map(names).find(are_distinct).unwrap_or_else(|| names(longest))
 }
 
-/// What a reconstruction cost: from a `cost.json`, in its folder or the one above, in which somebody wrote down what was
-/// measured from outside; else, of an output folder, from its run.json.
+/// What a reconstruction cost: from a `cost.json`, in its folder or the one above, in which somebody wrote down what
+/// was measured from outside; else, of an output folder, from its run.json.
 fn cost(path: &Path) -> Result<Option<Cost>, IoError> {
     let measured = path.ancestors().take(2).map(|folder| folder.join("cost.json")).find(|file| file.is_file());
     let run = RunFolder::at(path).run_json();

@@ -102,8 +102,8 @@ pub struct RegisteredFrames {
     pub num_object: usize,
     /// `num_object / num_visible`.
     pub object_fraction: Option<f64>,
-    /// Frames in which [`CLEAR_SHARE`](super::CLEAR_SHARE) of the target or more is seen; `None` where the sequence does
-    /// not say how much is.
+    /// Frames in which [`CLEAR_SHARE`](super::CLEAR_SHARE) of the target or more is seen; `None` where the sequence
+    /// does not say how much is.
     #[serde(default)]
     pub num_clear: Option<usize>,
     /// Those of `num_clear` with a camera in the target's model.

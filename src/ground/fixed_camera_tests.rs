@@ -15,8 +15,8 @@ use crate::scene::{
 pub(super) const HEIGHT: f64 = 0.4;
 const NUM_FRAMES: u32 = 60;
 
-/// The road is y = 0 (y down), the camera drives along z; `hill` lifts road and camera by that over 30 units, beginning at
-/// `phase`; `climb` is the share of its height by which the camera is higher in the end than in the middle.
+/// The road is y = 0 (y down), the camera drives along z; `hill` lifts road and camera by that over 30 units, beginning
+/// at `phase`; `climb` is the share of its height by which the camera is higher in the end than in the middle.
 pub(super) struct Drive {
     pub turn: f64,
     pub hill: f64,
@@ -128,8 +128,8 @@ fn other_cameras_are_told_apart() {
     assert!(matches!(find_mount(&nothing, None, &Options::default(), 3), Err(MountFailure::TooFewFrames { .. })));
 }
 
-/// A drone that climbs along a road keeps its direction as a vehicle's camera does. Few points lie on any one plane below
-/// it, and those that do were seen over a part of the way.
+/// A drone that climbs along a road keeps its direction as a vehicle's camera does. Few points lie on any one plane
+/// below it, and those that do were seen over a part of the way.
 #[test]
 fn a_camera_that_climbs_is_not_fixed_to_a_vehicle_however_few_points_there_are() {
     for climb in [-0.4, 0.25, 0.5] {

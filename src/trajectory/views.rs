@@ -8,8 +8,8 @@ use super::ScaleError;
 use crate::math::median;
 use crate::scene::{FrameId, GroundPlane, Image, Reconstruction};
 
-/// By how much an object's height over its planes wanders, as a share of [`View::lever`]: the most that `joint` takes it
-/// to be (`sigma_distance`).
+/// By how much an object's height over its planes wanders, as a share of [`View::lever`]: the most that `joint` takes
+/// it to be (`sigma_distance`).
 const WANDER: f64 = 0.008;
 
 /// One camera with its local ground plane. With it the distance of object point j to the plane is h + r a_j
@@ -38,9 +38,9 @@ impl View {
         }
     }
 
-    /// The length of which errors of the object's height over its plane are a share: the camera's height over it, or half
-    /// of the object's distance where that is more. What an angle is wrong by lifts the object in proportion to its
-    /// distance, so that a vehicle far ahead of a low camera is off by much more than one below a drone.
+    /// The length of which errors of the object's height over its plane are a share: the camera's height over it, or
+    /// half of the object's distance where that is more. What an angle is wrong by lifts the object in proportion to
+    /// its distance, so that a vehicle far ahead of a low camera is off by much more than one below a drone.
     pub fn lever(&self, point_in_object: &Point3<f64>, ratio: f64) -> f64 {
         self.camera_height.abs().max(0.5 * ratio.abs() * (point_in_object - self.center_in_object).norm())
     }
@@ -83,8 +83,8 @@ impl Views {
         Self { views, points, num_paired: paired.len(), num_planes: planes.len() }
     }
 
-    /// Standard deviation of the object's height over its planes that goes on for many frames and grows with the distance
-    /// (see [`View::lever`]), beyond that seen from above; units of the background. The median over the views.
+    /// Standard deviation of the object's height over its planes that goes on for many frames and grows with the
+    /// distance (see [`View::lever`]), beyond that seen from above; units of the background. The median over the views.
     pub(super) fn grazing_std(&self, ratio: f64) -> f64 {
         let count = self.points.len().max(1) as f64;
         let middle = Point3::from(self.points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / count);

@@ -2,8 +2,8 @@
 //!
 //! Of two images, the rotation and the direction of translation from one to the other are compared. The error of a pair
 //! is the larger of both angles; the area under the curve of recall over error, up to a limit and divided by it, is 1
-//! where everything is exact (Y. Jin et al., *Image Matching across Wide Baselines: From Paper to Practice*, IJCV 2021).
-//! All pairs of the reference's images count: one with an image that the other lacks has failed.
+//! where everything is exact (Y. Jin et al., *Image Matching across Wide Baselines: From Paper to Practice*, IJCV
+//! 2021). All pairs of the reference's images count: one with an image that the other lacks has failed.
 
 use serde::{Deserialize, Serialize};
 

@@ -69,6 +69,7 @@ fn page_context(data: &Data) -> Value {
         .chain(comparison.others.iter().map(|other| &other.subject))
         .map(|subject| subject.name.as_str())
         .collect();
+    let details: Vec<_> = (1..).zip(&comparison.others).map(|(k, other)| Details::new(k, other)).collect();
     let sides: Vec<_> = names.iter().enumerate().map(|(k, name)| context! { name, colour => colour(k) }).collect();
     context! {
         title => names.join(" · "),
@@ -79,7 +80,7 @@ fn page_context(data: &Data) -> Value {
         table => comparison.table(),
         charts => charts::charts(data),
         histograms => charts::histograms(comparison),
-        details => comparison.others.iter().enumerate().map(|(k, other)| Details::new(k + 1, other)).collect::<Vec<_>>(),
+        details,
         unit => unit(comparison.unit),
         reference => names[0],
         scene => scene.as_ref().map(json),

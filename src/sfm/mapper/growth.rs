@@ -5,6 +5,7 @@ mod leaps;
 mod loops;
 mod new_camera;
 mod submaps;
+mod unjoined;
 
 use super::adjustment::{self, Freedom, Scope};
 use super::apart;
@@ -17,6 +18,7 @@ use crate::sfm::SfmError;
 use crate::sfm::resection::{self, Resection};
 use crate::sfm::triangulation::Limits;
 pub use submaps::SubMap;
+pub use unjoined::without_joints;
 
 /// A map, what has been tried on it, and how to go on.
 #[derive(Clone)]

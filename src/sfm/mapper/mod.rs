@@ -190,8 +190,8 @@ impl Options {
     }
 
     /// The same for cameras: positions are found to a share of a pixel whatever the frame's size, so that it is the
-    /// parallax in pixels, f · angle, that tells a depth. `min_angle_deg` holds up to a focal length of 1536 px, a field
-    /// of view of 45° in frames of 1280 pixels; beyond, the parallax counts that it makes there.
+    /// parallax in pixels, f · angle, that tells a depth. `min_angle_deg` holds up to a focal length of 1536 px, a
+    /// field of view of 45° in frames of 1280 pixels; beyond, the parallax counts that it makes there.
     fn at_focal(&self, cameras: &[Camera]) -> Self {
         const USUAL_FOCAL_PX: f64 = 1536.0;
         let longest = cameras.iter().map(Camera::mean_focal).fold(USUAL_FOCAL_PX, f64::max);
@@ -282,6 +282,13 @@ pub fn reconstruct_watched(
         let report = Report::without_start(table, starts.pairs.len(), starts.tried, &starts.survey);
         return Ok((Reconstruction::default(), report));
     };
+    if options.ordered
+        && growth.is_poor()
+        && let Some(other) = without_what_was_found_again(table, cameras, &known, options, seed)?
+        && other.num_explained() > growth.num_explained()
+    {
+        growth = other;
+    }
     growth.join_left_over(&|rest, cameras, known| {
         let starts = from_starts(rest, cameras, known, options, seed, &mut |_| {})?;
         Ok(starts.best.as_ref().map(SubMap::of))
@@ -291,6 +298,22 @@ pub fn reconstruct_watched(
     report.num_starts = starts.tried;
     report.mean_error_px = reconstruction.mean_reprojection_error_px();
     Ok((reconstruction, report))
+}
+
+/// The map of tracks that are cut at their gaps, and then of all of them; `None` where there are no gaps or no start.
+fn without_what_was_found_again<'a>(
+    table: &'a TrackTable,
+    cameras: &[Camera],
+    known: &KnownIntrinsics,
+    options: &'a Options,
+    seed: u64,
+) -> Result<Option<Growth<'a>>, SfmError> {
+    let Some(cut) = growth::without_joints(table) else { return Ok(None) };
+    let starts = from_starts(&cut, cameras, known, options, seed, &mut |_| {})?;
+    let Some(found) = starts.best else { return Ok(None) };
+    let mut whole = Growth::new(Map::new(table, cameras).knowing(known.clone()), options, seed);
+    whole.adopt(&SubMap::of(&found))?;
+    Ok(Some(whole))
 }
 
 /// What came of the pairs that could start a map.

@@ -9,9 +9,10 @@
 //!
 //! A view may also be wrong by less: beside one of many bars, bricks or sills that look alike, a part of a baseline
 //! away from its place. Most points still fit to some pixels, and turn and direction are hardly off. So for views in no
-//! order every pair is asked once more, at the noise of the map: the epipolar geometry that the map gives to the two views
-//! must explain half of their common tracks, or half as many as the one that they find by themselves. That is fair to
-//! pairs whose motion is uncertain (a plane, a short baseline): what they find explains hardly more than the map's.
+//! order every pair is asked once more, at the noise of the map: the epipolar geometry that the map gives to the two
+//! views must explain half of their common tracks, or half as many as the one that they find by themselves. That is
+//! fair to pairs whose motion is uncertain (a plane, a short baseline): what they find explains hardly more than the
+//! map's.
 //!
 //! A pair that contradicts the map speaks against both its views, a pair whose points fit in both speaks for them, each
 //! with the number of its points; a view that has more against it than for it is taken out, the worst first, and what

@@ -213,7 +213,12 @@ impl Growth<'_> {
     }
 
     /// Takes another map's views over and adjusts everything; `tracks` are those that tie the two.
-    fn take_over(&mut self, sub: &SubMap, first_from_other: &Sim3, tracks: &[usize]) -> Result<(), SfmError> {
+    pub(super) fn take_over(
+        &mut self,
+        sub: &SubMap,
+        first_from_other: &Sim3,
+        tracks: &[usize],
+    ) -> Result<(), SfmError> {
         for camera in 0..sub.cameras.len() {
             if !self.has_camera(camera) {
                 self.map.cameras[camera] = sub.cameras[camera];

@@ -27,8 +27,8 @@ pub struct Tie<'a> {
 }
 
 impl Tie<'_> {
-    /// Mean squared reprojection error, whitened, of what one map knows in the views of the other one; infinite behind a
-    /// camera.
+    /// Mean squared reprojection error, whitened, of what one map knows in the views of the other one; infinite behind
+    /// a camera.
     fn error_sq(&self, first_from_other: &Sim3) -> f64 {
         let other_from_first = first_from_other.inverse();
         let (mut sum, mut count) = (0.0, 0);
