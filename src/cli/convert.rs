@@ -99,8 +99,10 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
 
 fn convert(args: &Args) -> anyhow::Result<Conversion> {
     let (reconstruction, from) = model::read(&args.input)?;
-    let by_name = || model::format_for(from, &args.output, &reconstruction);
-    let format = args.to.map_or_else(by_name, Format::from);
+    let format = match args.to {
+        Some(to) => to.into(),
+        None => model::format_for(from, &args.output, &reconstruction)?,
+    };
     model::check_target(&args.input, &args.output, format, args.overwrite)?;
     let losses = model::write(&args.output, &reconstruction, format)?;
     Ok(Conversion {
@@ -139,6 +141,8 @@ mod tests {
         assert_eq!(colmap::read(&binary).unwrap(), colmap::read(&original).unwrap());
         convert(&binary, &points, None).unwrap();
         assert!(std::fs::metadata(&points).unwrap().len() > 27 * 12);
+        let nameless = convert(&binary, &folder.path().join("model.json"), None).unwrap_err().to_string();
+        assert!(nameless.contains("--to") && nameless.contains("sfm_data.json"), "{nameless}");
         for name in ["sfm_data.json", "reconstruction.json", "transforms.json", "points.nvm", "bundle.out"] {
             let there = folder.path().join(format!("there/{name}"));
             let converted = convert(&binary, &there, None).unwrap();

@@ -151,7 +151,10 @@ pub fn files_of(output: &Path, format: Format) -> Vec<PathBuf> {
 
 /// The format in which a conversion of a model that came as `from` writes to `to`, if none is asked for: what the name
 /// says, else the other COLMAP form than the one read. Text comes first where it can hold the names of the images.
-pub fn format_for(from: Format, to: &Path, model: &Reconstruction) -> Format {
+///
+/// # Errors
+/// A JSON file whose name says nothing: three formats are written as JSON.
+pub fn format_for(from: Format, to: &Path, model: &Reconstruction) -> Result<Format, IoError> {
     let named = |name: &str| to.file_name().is_some_and(|n| n.eq_ignore_ascii_case(name));
     let ends = |extension: &str| to.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
     let by_name = [
@@ -162,11 +165,19 @@ pub fn format_for(from: Format, to: &Path, model: &Reconstruction) -> Format {
         (named("reconstruction.json"), Format::OpenSfm),
         (named("transforms.json"), Format::Nerfstudio),
     ];
-    if let Some((_, format)) = by_name.into_iter().find(|(is_named, _)| *is_named) {
+    Ok(if let Some((_, format)) = by_name.into_iter().find(|(is_named, _)| *is_named) {
         format
+    } else if ends("json") {
+        return Err(IoError::Unsupported {
+            path: to.into(),
+            what: "a JSON file whose name says no format".into(),
+            cure: "call it sfm_data.json (OpenMVG), reconstruction.json (OpenSfM) or transforms.json (nerfstudio), or \
+                   say which with --to"
+                .into(),
+        });
     } else if from == Format::ColmapText || colmap::check_text_names(to, model).is_err() {
         Format::ColmapBinary
     } else {
         Format::ColmapText
-    }
+    })
 }
