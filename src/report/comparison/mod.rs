@@ -7,10 +7,10 @@ mod scene;
 
 use std::path::Path;
 
-use minijinja::{AutoEscape, Environment, Value, context};
+use minijinja::{Value, context};
 use serde::Serialize;
 
-use super::page::{STYLE, VIEW_SCRIPTS, json, policy};
+use super::page::{STYLE, VIEW_SCRIPTS, fill, json, policy};
 use super::words::{UNKNOWN, count, percent, thousands};
 use super::{ReportError, write_page};
 use crate::camera::Camera;
@@ -42,12 +42,7 @@ pub struct Data<'a> {
 /// # Errors
 /// [`ReportError::Template`].
 pub fn render(data: &Data) -> Result<String, ReportError> {
-    let mut environment = Environment::new();
-    environment.set_auto_escape_callback(|_| AutoEscape::Html);
-    environment.set_trim_blocks(true);
-    environment.set_lstrip_blocks(true);
-    environment.add_template("compare", TEMPLATE)?;
-    Ok(environment.get_template("compare")?.render(page_context(data))?)
+    fill(TEMPLATE, page_context(data))
 }
 
 /// Writes the page, by rename: one that stands there is whole.

@@ -34,12 +34,19 @@ const SCRIPTS: [&str; 4] = [VIEW_SCRIPTS[0], VIEW_SCRIPTS[1], VIEW_SCRIPTS[2], i
 
 /// Fills the template.
 pub(super) fn render(data: &Data) -> Result<String, ReportError> {
+    fill(TEMPLATE, page_context(data))
+}
+
+/// Fills a template, which may include `head` and `brand`; everything is escaped.
+pub(super) fn fill(template: &str, context: Value) -> Result<String, ReportError> {
     let mut environment = Environment::new();
     environment.set_auto_escape_callback(|_| AutoEscape::Html);
     environment.set_trim_blocks(true);
     environment.set_lstrip_blocks(true);
-    environment.add_template("report", TEMPLATE)?;
-    Ok(environment.get_template("report")?.render(page_context(data))?)
+    environment.add_template("head", include_str!("head.html"))?;
+    environment.add_template("brand", include_str!("brand.html"))?;
+    environment.add_template("page", template)?;
+    Ok(environment.get_template("page")?.render(context)?)
 }
 
 fn page_context(data: &Data) -> Value {
