@@ -232,3 +232,44 @@ fn images_of_a_given_model_that_are_no_frames_are_named() {
     let scale = &json(&place.path("given/trajectories.json"))["objects"][0]["scale"];
     assert_eq!(scale["method"], "least-squares", "a model that the user gives is not adjusted");
 }
+
+/// The combination of the paper: another program's background, and a third one's object.
+#[test]
+fn models_of_other_programs_are_taken_as_they_are_and_read_again_when_they_change() {
+    let place = Place::new(NUM_FRAMES);
+    place.run("out", &[]);
+    let convert = |from: &str, to: &str| {
+        let (code, _, stderr) = outcome(tractrix().arg("convert").arg(place.path(from)).arg(place.path(to)));
+        assert_eq!(code, 0, "{stderr}");
+    };
+    fs::create_dir_all(place.path("project/sparse")).unwrap();
+    convert("out/background", "sfm_data.json");
+    convert("out/objects/1", "project/sparse/0");
+    let background = place.path("sfm_data.json").display().to_string();
+    let object = format!("1={}", place.path("project").display());
+    let given = ["--background-model", &background, "--object-model", &object];
+    place.run("given", &given);
+    for model in ["background", "objects/1"] {
+        let read = |out: &str| tractrix::io::colmap::read(&place.path(out).join(model)).unwrap();
+        let (own, other) = (read("out"), read("given"));
+        assert!(own.images.keys().eq(other.images.keys()) && !own.images.is_empty());
+        let centers = own.images.values().zip(other.images.values());
+        let mut centers = centers.map(|(a, b)| (a.cam_from_world.center(), b.cam_from_world.center()));
+        assert!(centers.all(|(a, b)| (a - b).norm() < 1e-9), "{model}");
+    }
+    let found = json(&place.path("given/trajectories.json"));
+    assert!(!found["objects"][0]["frames"].as_array().unwrap().is_empty());
+    let (done, _) = place.run("given", &given);
+    assert!(!done.iter().any(|stage| stage == "objects"), "{done:?}");
+    let points = place.path("project/sparse/0/points3D.bin");
+    let bytes = fs::read(&points).unwrap();
+    convert("out/as-reconstructed/1", "other");
+    fs::copy(place.path("other/points3D.bin"), &points).unwrap();
+    for name in ["cameras.bin", "images.bin"] {
+        fs::copy(place.path("other").join(name), place.path("project/sparse/0").join(name)).unwrap();
+    }
+    assert_ne!(bytes, fs::read(&points).unwrap());
+    let (done, reused) = place.run("given", &given);
+    assert!(done.iter().any(|stage| stage == "objects"), "{done:?}");
+    assert!(reused.iter().any(|stage| stage == "background"), "{reused:?}");
+}

@@ -81,11 +81,11 @@ pub(super) struct JobArgs {
     /// they are taken for photographs.
     #[arg(long, value_name = "ORDER", value_parser = frame_order, help_heading = "Frames")]
     pub(super) order: Option<FrameOrder>,
-    /// COLMAP model of the background, taken as it is
-    #[arg(long, value_name = "DIR", help_heading = "Geometry")]
+    /// Model of the background by another program (COLMAP, OpenMVG, OpenSfM, NVM, Bundler), taken as it is
+    #[arg(long, value_name = "PATH", help_heading = "Geometry")]
     pub(super) background_model: Option<PathBuf>,
-    /// COLMAP model of vehicle ID, taken as it is; may be repeated
-    #[arg(long, value_name = "ID=DIR", value_parser = object_model, help_heading = "Geometry")]
+    /// Model of vehicle ID by another program, taken as it is; may be repeated
+    #[arg(long, value_name = "ID=PATH", value_parser = object_model, help_heading = "Geometry")]
     pub(super) object_model: Vec<(ObjectId, PathBuf)>,
     /// Reconstruct this vehicle alone; may be repeated [default: all]
     #[arg(long, value_name = "ID", value_parser = object_id, help_heading = "Geometry")]
@@ -232,10 +232,10 @@ fn object_id(text: &str) -> Result<ObjectId, String> {
 }
 
 fn object_model(text: &str) -> Result<(ObjectId, PathBuf), String> {
-    let parsed = text.split_once('=').and_then(|(id, folder)| Some((id.parse().ok()?, folder)));
+    let parsed = text.split_once('=').and_then(|(id, path)| Some((id.parse().ok()?, path)));
     match parsed {
-        Some((id, folder)) if id > 0 && !folder.is_empty() => Ok((ObjectId(id), folder.into())),
-        _ => Err(format!("'{text}' is not ID=DIR with an id from 1")),
+        Some((id, path)) if id > 0 && !path.is_empty() => Ok((ObjectId(id), path.into())),
+        _ => Err(format!("'{text}' is not ID=PATH with an id from 1")),
     }
 }
 

@@ -110,9 +110,7 @@ fn point(words: &mut Words<'_>, num_cameras: usize) -> Result<Centered, IoError>
 
 /// The names of the list beside the file; none without one. Bundler writes `name 0 focal`, others the name alone.
 fn names(path: &Path) -> Result<Vec<String>, IoError> {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let lists = ["list.txt".to_owned(), format!("{stem}.list.txt")].map(|name| path.with_file_name(name));
-    let Some(list) = lists.into_iter().find(|list| list.is_file()) else { return Ok(Vec::new()) };
+    let Some(list) = lists(path).into_iter().find(|list| list.is_file()) else { return Ok(Vec::new()) };
     let text = Text::read_file(&list)?;
     let name = |line: &str| {
         let mut fields = line.rsplitn(3, ' ');
@@ -123,6 +121,12 @@ fn names(path: &Path) -> Result<Vec<String>, IoError> {
         }
     };
     Ok(text.records().map(|(_, line)| name(line)).collect())
+}
+
+/// Where the list of the pictures may lie, in the order in which it is looked for.
+pub(super) fn lists(path: &Path) -> [PathBuf; 2] {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    ["list.txt".to_owned(), format!("{stem}.list.txt")].map(|name| path.with_file_name(name))
 }
 
 /// The files that are written: the model and the list of its pictures.

@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -49,6 +49,23 @@ pub(super) fn of_content(path: &Path) -> Result<String, PipelineError> {
         hasher.update(name.as_encoded_bytes());
         hasher.update([0]);
         hasher.update(hash);
+    }
+    Ok(hex(&hasher.finalize()))
+}
+
+/// As [`of_content`], of several files or folders together, in their order.
+///
+/// # Errors
+/// As [`of_content`].
+pub(super) fn of_files(paths: &[PathBuf]) -> Result<String, PipelineError> {
+    if let [only] = paths {
+        return of_content(only);
+    }
+    let mut hasher = Sha256::new();
+    for path in paths {
+        hasher.update(path.file_name().unwrap_or_default().as_encoded_bytes());
+        hasher.update([0]);
+        hasher.update(of_content(path)?);
     }
     Ok(hex(&hasher.finalize()))
 }

@@ -17,6 +17,7 @@ mod fingerprint;
 mod follow;
 mod frames;
 mod given_masks;
+mod given_models;
 mod ground;
 mod lens;
 mod masking;
@@ -134,6 +135,9 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
     let Job { options, goal, .. } = *job;
     options.check()?;
     Workspace::inspect(job.output, &job.inputs())?;
+    for (flag, path) in options.named_models() {
+        Workspace::inspect(job.output, &[(flag, given_models::place(path).as_path())])?;
+    }
     let source = cameras::open(job.input, options)?;
     let workspace = Workspace::open(job.output)?;
     progress.plan(&Plan::new(&workspace, options, source.info(), goal));

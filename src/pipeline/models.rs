@@ -1,4 +1,4 @@
-//! Stage `background`, and what it shares with `objects`: a COLMAP model, reconstructed or given.
+//! Stage `background`, and what it shares with `objects`: a model, reconstructed or given.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -6,14 +6,15 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use super::given_models::{self, Target};
 use super::options::ModelFiles;
 use super::run::{Outcome, Run};
 use super::threads::on_threads;
-use super::{PipelineError, cameras, features, fingerprint, order};
+use super::{PipelineError, cameras, features, order};
 use crate::bundle;
 use crate::camera::Camera;
 use crate::io::colmap;
-use crate::scene::{CameraId, Frame, FrameId, ImageId, Reconstruction};
+use crate::scene::{CameraId, FrameId, Reconstruction};
 use crate::sfm::{self, mapper};
 
 /// How a model came about.
@@ -102,7 +103,7 @@ const BACKGROUND_REPORT: &str = "background-report.json";
 pub(super) fn background_depends_on(run: &Run) -> Result<Value, PipelineError> {
     let origins: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| initial.origin).collect();
     let (background, _) = order::sfm_options(run)?;
-    let given = run.options.background_model.as_deref().map(fingerprint::of_content).transpose()?;
+    let given = run.options.background_model.as_deref().map(given_models::fingerprint).transpose()?;
     let depends_on = json!({
         "model": given,
         "camera_origins": origins,
@@ -124,7 +125,7 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     run.progress.begin("background", None);
     let mut outcome = Outcome::default();
     let (model, mut report) = match &run.options.background_model {
-        Some(folder) => given(folder, run)?,
+        Some(path) => given_models::read(path, Target::Background, run)?,
         None => {
             let initial = cameras::initial(run)?;
             let cameras: Vec<_> = initial.iter().map(|initial| (initial.camera, initial.known())).collect();
@@ -245,88 +246,6 @@ pub(super) fn reconstruct(
     Ok((model, described))
 }
 
-/// A model that the user gives, with the ids and names of our frames.
-pub(super) fn given(folder: &Path, run: &Run) -> Result<(Reconstruction, ModelReport), PipelineError> {
-    let model = colmap::read(folder)?;
-    let size = (run.info().width, run.info().height);
-    if let Some(camera) = model.cameras.values().find(|camera| (camera.width, camera.height) != size) {
-        return Err(PipelineError::Options(format!(
-            "{}: its pictures have {}x{} pixels, the frames {}x{}; models must be at the resolution of the frames",
-            folder.display(),
-            camera.width,
-            camera.height,
-            size.0,
-            size.1
-        )));
-    }
-    let frames = run.frames()?;
-    let num_images = model.images.len();
-    let model = with_frame_ids(model, frames);
-    if model.images.is_empty() {
-        let example = frames.first().map_or("", |frame| frame.name.as_str());
-        return Err(PipelineError::Options(format!(
-            "{}: none of its {num_images} images is a frame of the input; they must be named like the frames \
-             ({example})",
-            folder.display()
-        )));
-    }
-    let num_left_out = num_images - model.images.len();
-    let remark = (num_left_out > 0).then(|| {
-        let folder = folder.display();
-        format!("{folder}: {num_left_out} of its {num_images} images are no frames of the input and were left out")
-    });
-    let absent = frames.iter().filter(|frame| !model.images.contains_key(&ImageId::from(frame.id)));
-    let mut report = ModelReport {
-        given: true,
-        num_visible: frames.len(),
-        num_registered: model.images.len(),
-        unregistered: absent.map(|frame| (frame.id, "not in the model that was given".to_owned())).collect(),
-        remarks: remark.into_iter().collect(),
-        ..ModelReport::default()
-    };
-    report.describe_points(&model);
-    Ok((model, report))
-}
-
-/// The model with the images that are frames, under the frames' ids and names. An image belongs to the frame of its
-/// name, else of its stem, else to the one whose index its stem is.
-fn with_frame_ids(mut model: Reconstruction, frames: &[Frame]) -> Reconstruction {
-    let stem = |name: &str| name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned();
-    let keys: [&dyn Fn(&Frame) -> String; 3] = [&|f| f.name.clone(), &|f| f.stem().to_owned(), &|f| f.id.0.to_string()];
-    let names: [&dyn Fn(&str) -> String; 3] = [&|n| n.to_owned(), &stem, &|n| {
-        let digits = stem(n);
-        digits.parse::<u32>().map_or(digits, |index| index.to_string())
-    }];
-    let frame_of: BTreeMap<ImageId, &Frame> = keys
-        .iter()
-        .zip(names)
-        .map(|(key, name)| {
-            let by_key: BTreeMap<String, &Frame> = frames.iter().map(|frame| (key(frame), frame)).collect();
-            let found = model.images.iter().filter_map(|(&id, image)| Some((id, *by_key.get(&name(&image.name))?)));
-            found.collect::<BTreeMap<_, _>>()
-        })
-        .find(|found| !found.is_empty())
-        .unwrap_or_default();
-    let images = std::mem::take(&mut model.images);
-    for (id, mut image) in images {
-        if let Some(frame) = frame_of.get(&id) {
-            image.name.clone_from(&frame.name);
-            model.images.insert(frame.id.into(), image);
-        }
-    }
-    for point in model.points.values_mut() {
-        point.track.retain_mut(|element| match frame_of.get(&element.image) {
-            Some(frame) => {
-                element.image = frame.id.into();
-                true
-            }
-            None => false,
-        });
-    }
-    model.points.retain(|_, point| !point.track.is_empty());
-    model
-}
-
 /// Puts a model in its public place, whole.
 pub(super) fn store(run: &Run, folder: &Path, model: &Reconstruction) -> Result<(), PipelineError> {
     run.workspace.put_folder(folder, |fresh| Ok(colmap::write(fresh, model, run.options.model_files.into())?))
@@ -368,34 +287,7 @@ fn ranges(numbers: impl Iterator<Item = u32>) -> String {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Point2, Point3};
-
     use super::*;
-    use crate::math::Rigid3;
-    use crate::scene::{Image, Observation, Point3d, Point3dId, TrackElement};
-
-    fn model(names: &[&str]) -> Reconstruction {
-        let mut model = Reconstruction::default();
-        let mut track = Vec::new();
-        for (k, name) in (10u32..).zip(names) {
-            let observations = vec![Observation { pixel: Point2::new(1.0, 2.0), point: Some(Point3dId(5)) }];
-            let image = Image {
-                name: (*name).to_owned(),
-                camera: CameraId(1),
-                cam_from_world: Rigid3::identity(),
-                observations,
-            };
-            model.images.insert(ImageId(k), image);
-            track.push(TrackElement { image: ImageId(k), observation_idx: 0 });
-        }
-        let point = Point3d { position: Point3::origin(), rgb: [0; 3], error_px: 0.5, track };
-        model.points.insert(Point3dId(5), point);
-        model
-    }
-
-    fn frames() -> Vec<Frame> {
-        (0..4).map(|k| Frame { id: FrameId(k), name: format!("{k:06}.jpg"), time_s: 0.0 }).collect()
-    }
 
     #[test]
     fn missing_frames_are_named_in_ranges() {
@@ -407,20 +299,5 @@ mod tests {
     fn large_frames_have_a_cure() {
         assert!(cure_of_large_frames(1920, 1080).contains("--max-dimension 1280"));
         assert_eq!(cure_of_large_frames(720, 1280), "");
-    }
-
-    #[test]
-    fn images_of_given_models_become_frames() {
-        for names in
-            [["000002.jpg", "000000.jpg", "x.jpg"], ["000002.png", "000000.png", "x"], ["2.jpg", "0.jpg", "7.jpg"]]
-        {
-            let found = with_frame_ids(model(&names), &frames());
-            assert_eq!(found.images.keys().map(|id| id.0).collect::<Vec<_>>(), [1, 3], "{names:?}");
-            assert_eq!(found.images[&ImageId(3)].name, "000002.jpg");
-            let track = &found.points[&Point3dId(5)].track;
-            assert_eq!(track.iter().map(|element| element.image.0).collect::<Vec<_>>(), [3, 1]);
-        }
-        let none = with_frame_ids(model(&["a", "b"]), &frames());
-        assert!(none.images.is_empty() && none.points.is_empty());
     }
 }

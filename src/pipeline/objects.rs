@@ -1,4 +1,4 @@
-//! Stage `objects`: a COLMAP model of every object, reconstructed or given.
+//! Stage `objects`: a model of every object, reconstructed or given.
 //!
 //! First every object is reconstructed, and what is finished is kept one by one. Then one pass through the frames
 //! compares all of them with the masks, and the points that lie beside those are taken out. An object's marker says
@@ -10,10 +10,11 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use super::given_models::{self, Target};
 use super::models::{self, ModelReport};
 use super::run::{Outcome, Run};
 use super::track;
-use super::{PipelineError, fingerprint, follow, order};
+use super::{PipelineError, follow, order};
 use crate::camera::Camera;
 use crate::io::colmap;
 use crate::scene::{ImageId, ObjectId, Reconstruction, TrackedObject};
@@ -29,7 +30,7 @@ const BORDER: f64 = 0.01;
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     let given: Result<BTreeMap<_, _>, PipelineError> =
-        run.options.object_models.iter().map(|(id, folder)| Ok((id, fingerprint::of_content(folder)?))).collect();
+        run.options.object_models.iter().map(|(id, path)| Ok((id, given_models::fingerprint(path)?))).collect();
     let (_, objects) = order::sfm_options(run)?;
     let depends_on = json!({
         "models": given?,
@@ -157,7 +158,7 @@ fn one_object(
     let failed =
         |failure: String| (Reconstruction::default(), ModelReport { failure: Some(failure), ..ModelReport::default() });
     let (model, mut report) = match (given, camera) {
-        (Some(folder), _) => models::given(folder, run)?,
+        (Some(path), _) => given_models::read(path, Target::Object, run)?,
         (None, _) if object.left_out.is_some() => failed(object.left_out.clone().unwrap_or_default()),
         (None, Some(camera)) => {
             let table = follow::of_object(run, id)?;

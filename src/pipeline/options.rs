@@ -171,9 +171,10 @@ pub struct Options {
     pub order: FrameOrder,
     /// The camera; `None` is EXIF where a photograph has it, else a guess that is refined.
     pub intrinsics: Option<IntrinsicsSource>,
-    /// A COLMAP model of the background, taken as it is instead of reconstructing one.
+    /// A model of the background, of whatever program, taken as it is instead of reconstructing one: a folder or file as
+    /// `tractrix convert` reads it.
     pub background_model: Option<PathBuf>,
-    /// COLMAP models of objects, taken as they are.
+    /// Models of objects, by id, likewise.
     pub object_models: BTreeMap<ObjectId, PathBuf>,
     /// Which form the files of models have.
     pub model_files: ModelFiles,
@@ -298,9 +299,15 @@ impl Options {
             named.push(("--intrinsics", path));
         }
         named.extend(self.flow_model.iter().map(|path| ("--flow-model", path.as_path())));
-        named.extend(self.background_model.iter().map(|path| ("--background-model", path.as_path())));
-        named.extend(self.object_models.values().map(|path| ("--object-model", path.as_path())));
+        named.extend(self.named_models());
         named
+    }
+
+    /// The models that are given, after the flags that name them.
+    pub(super) fn named_models(&self) -> Vec<(&'static str, &Path)> {
+        let background = self.background_model.iter().map(|path| ("--background-model", path.as_path()));
+        let objects = self.object_models.values().map(|path| ("--object-model", path.as_path()));
+        background.chain(objects).collect()
     }
 
     /// Rejects what contradicts itself or cannot be worked with, at every level of the tree, before work starts.

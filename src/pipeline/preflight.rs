@@ -6,9 +6,10 @@
 use std::collections::BTreeSet;
 
 use super::given_masks::MaskFolder;
+use super::given_models::{self, Target};
 use super::networks::Networks;
 use super::run::Run;
-use super::{GroundLabels, Instances, PipelineError, Stage, cameras, ground, lens, models, segment, track};
+use super::{GroundLabels, Instances, PipelineError, Stage, cameras, ground, lens, segment, track};
 use crate::scene::{LabelMap, ObjectId};
 
 /// Looks at the camera that was given; needs nothing but the input's size.
@@ -88,11 +89,11 @@ fn object_ids(run: &Run) -> Result<(), PipelineError> {
 }
 
 fn background_model(run: &Run) -> Result<(), PipelineError> {
-    run.options.background_model.iter().try_for_each(|folder| models::given(folder, run).map(drop))
+    run.options.background_model.iter().try_for_each(|path| given_models::read(path, Target::Background, run).map(drop))
 }
 
 fn object_models(run: &Run) -> Result<(), PipelineError> {
-    run.options.object_models.values().try_for_each(|folder| models::given(folder, run).map(drop))
+    run.options.object_models.values().try_for_each(|path| given_models::read(path, Target::Object, run).map(drop))
 }
 
 fn ground_labels(run: &Run) -> Result<(), PipelineError> {

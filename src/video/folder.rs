@@ -111,6 +111,18 @@ pub(super) fn of_another_size(
 }
 
 impl Listing {
+    /// Quarter turns, clockwise, of the picture of a frame; `None` if it is mirrored as well.
+    pub(super) fn quarter_turns(&self, frame: FrameId) -> Option<u8> {
+        let entry = self.entries.iter().find(|entry| entry.id == frame.0)?;
+        match entry.orientation {
+            Orientation::NoTransforms => Some(0),
+            Orientation::Rotate90 => Some(1),
+            Orientation::Rotate180 => Some(2),
+            Orientation::Rotate270 => Some(3),
+            _ => None,
+        }
+    }
+
     /// Which camera took an image, a new one if need be.
     ///
     /// # Errors

@@ -163,6 +163,15 @@ impl Source {
             .then(|| folder::of_another_size(&self.path.join(&frame.name), size(own), size(first)))
     }
 
+    /// Quarter turns, clockwise, that make a frame of the picture as its file stores it, 0 to 3; `None` if it is mirrored
+    /// as well.
+    pub fn quarter_turns(&self, frame: FrameId) -> Option<u8> {
+        match &self.listing {
+            Some(listing) => listing.quarter_turns(frame),
+            None => Some((self.info.rotation_deg.rem_euclid(360) / 90) as u8),
+        }
+    }
+
     /// What is known of the input.
     pub fn info(&self) -> &Info {
         &self.info
@@ -461,6 +470,7 @@ mod tests {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/variable_rate_rotated.mp4");
         let source = Source::open(&path, &Options::default()).unwrap();
         assert_eq!((source.info().width, source.info().height), (48, 64));
+        assert!(matches!(source.quarter_turns(FrameId(0)), Some(1 | 3)));
         let scan = source.scan().unwrap();
         let expected = [0.0, 0.1, 0.2, 0.3, 0.9, 1.0, 1.1, 1.2];
         assert_eq!(scan.frames.len(), expected.len());

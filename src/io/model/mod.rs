@@ -149,6 +149,17 @@ pub fn files_of(output: &Path, format: Format) -> Vec<PathBuf> {
     }
 }
 
+/// What is read of the model at a place that [`detect`] gave: a folder of COLMAP's as a whole, or files that are there.
+pub fn files_read(place: &Path, format: Format) -> Vec<PathBuf> {
+    let beside = match format {
+        Format::OpenSfm => opensfm::files(place)[1..].to_vec(),
+        Format::Bundler => bundler::lists(place).to_vec(),
+        _ => Vec::new(),
+    };
+    let beside = beside.into_iter().filter(|file| file.is_file());
+    std::iter::once(place.to_owned()).chain(beside).collect()
+}
+
 /// The format in which a conversion of a model that came as `from` writes to `to`, if none is asked for: what the name
 /// says, else the other COLMAP form than the one read. Text comes first where it can hold the names of the images.
 ///

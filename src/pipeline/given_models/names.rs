@@ -1,0 +1,208 @@
+//! Which frame an image of a given model is.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::pipeline::PipelineError;
+use crate::scene::{Frame, Image, ImageId, Reconstruction};
+
+/// The model with the images that are frames, under the frames' ids and names, and what is to be said of the others.
+/// Cameras and points that no frame has are left out.
+///
+/// An image belongs to the frame of its name, else of its stem, else to the one whose index its stem is; where there is
+/// none, the same is tried with the names without their folders.
+///
+/// # Errors
+/// [`PipelineError::Options`] if no image is a frame, or two are the same one.
+pub(super) fn with_frame_ids(
+    path: &Path,
+    mut model: Reconstruction,
+    frames: &[Frame],
+) -> Result<(Reconstruction, Vec<String>), PipelineError> {
+    let frame_of = frames_of(&model.images, frames);
+    if frame_of.is_empty() {
+        return Err(PipelineError::Options(nothing_in_common(path, &model, frames)));
+    }
+    check_unique(path, &model.images, &frame_of)?;
+    let remarks = [left_out(path, &model.images, &frame_of), counted_from_one(path, &model.images, frames)];
+    let images = std::mem::take(&mut model.images);
+    for (id, mut image) in images {
+        if let Some(frame) = frame_of.get(&id) {
+            image.name.clone_from(&frame.name);
+            model.images.insert(frame.id.into(), image);
+        }
+    }
+    let used: Vec<_> = model.images.values().map(|image| image.camera).collect();
+    model.cameras.retain(|id, _| used.contains(id));
+    model.camera_forms.retain(|id, _| used.contains(id));
+    for point in model.points.values_mut() {
+        point.track.retain_mut(|element| match frame_of.get(&element.image) {
+            Some(frame) => {
+                element.image = frame.id.into();
+                true
+            }
+            None => false,
+        });
+    }
+    model.points.retain(|_, point| !point.track.is_empty());
+    Ok((model, remarks.into_iter().flatten().collect()))
+}
+
+/// The part of a name behind its folders, of either kind.
+fn file_name(name: &str) -> &str {
+    name.rsplit(['/', '\\']).next().unwrap_or(name)
+}
+
+fn stem(name: &str) -> &str {
+    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+}
+
+/// The number that a stem is, without leading zeros; else the stem.
+fn index(name: &str) -> String {
+    stem(name).parse::<u32>().map_or_else(|_| stem(name).to_owned(), |index| index.to_string())
+}
+
+type OfFrame<'a> = &'a dyn Fn(&Frame) -> String;
+type OfName<'a> = &'a dyn Fn(&str) -> String;
+
+fn frames_of<'a>(images: &BTreeMap<ImageId, Image>, frames: &'a [Frame]) -> BTreeMap<ImageId, &'a Frame> {
+    let of_frame: [OfFrame; 3] = [&|f| f.name.clone(), &|f| f.stem().to_owned(), &|f| f.id.0.to_string()];
+    let of_name: [OfName; 3] = [&|n| n.to_owned(), &|n| stem(n).to_owned(), &index];
+    let whole: OfName = &|n| n.to_owned();
+    let without_folders: OfName = &|n| file_name(n).to_owned();
+    let tried = [whole, without_folders].into_iter().flat_map(|part| {
+        of_frame.iter().zip(of_name).map(move |(of_frame, of_name)| {
+            let by_key: BTreeMap<String, &Frame> = frames.iter().map(|frame| (of_frame(frame), frame)).collect();
+            let found = |(&id, image): (&ImageId, &Image)| Some((id, *by_key.get(&of_name(&part(&image.name)))?));
+            images.iter().filter_map(found).collect::<BTreeMap<_, _>>()
+        })
+    });
+    tried.into_iter().find(|found| !found.is_empty()).unwrap_or_default()
+}
+
+fn nothing_in_common(path: &Path, model: &Reconstruction, frames: &[Frame]) -> String {
+    let image = model.images.values().next().map_or("", |image| image.name.as_str());
+    let frame = frames.first().map_or("", |frame| frame.name.as_str());
+    format!(
+        "{}: none of its {} images is a frame of the input: its first one is called '{image}', the first frame \
+         '{frame}'; make the model of pictures that are named like the frames (or by their index from 0), or rename \
+         its images",
+        path.display(),
+        model.images.len()
+    )
+}
+
+fn check_unique(
+    path: &Path,
+    images: &BTreeMap<ImageId, Image>,
+    frame_of: &BTreeMap<ImageId, &Frame>,
+) -> Result<(), PipelineError> {
+    let mut taken: BTreeMap<&str, &str> = BTreeMap::new();
+    for (id, frame) in frame_of {
+        let name = images.get(id).map_or("", |image| image.name.as_str());
+        if let Some(other) = taken.insert(&frame.name, name) {
+            return Err(PipelineError::Options(format!(
+                "{}: its images '{other}' and '{name}' would both be the frame '{}'; leave one of them out of the \
+                 model",
+                path.display(),
+                frame.name
+            )));
+        }
+    }
+    Ok(())
+}
+
+fn left_out(path: &Path, images: &BTreeMap<ImageId, Image>, frame_of: &BTreeMap<ImageId, &Frame>) -> Option<String> {
+    let (num_images, num_left_out) = (images.len(), images.len() - frame_of.len());
+    let path = path.display();
+    (num_left_out > 0).then(|| {
+        format!("{path}: {num_left_out} of its {num_images} images are no frames of the input and were left out")
+    })
+}
+
+/// Tools that take a video apart count pictures from 1: each image would be the frame after its own.
+fn counted_from_one(path: &Path, images: &BTreeMap<ImageId, Image>, frames: &[Frame]) -> Option<String> {
+    let number = |name: &str| stem(file_name(name)).parse::<u32>().ok();
+    let numbers: Vec<u32> = images.values().filter_map(|image| number(&image.name)).collect();
+    let of_frames: Vec<u32> = frames.iter().filter_map(|frame| number(&frame.name)).collect();
+    let (smallest, largest) = (numbers.iter().min()?, numbers.iter().max()?);
+    let is_shifted = of_frames.iter().min() == Some(&0)
+        && *smallest == 1
+        && of_frames.iter().max().and_then(|last| last.checked_add(1)) == Some(*largest);
+    is_shifted.then(|| {
+        let path = path.display();
+        format!(
+            "{path}: its images seem to be counted from 1, frames are from 0; if they are, each is taken for the frame \
+             after its own: number them from 0 (ffmpeg: -start_number 0)"
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Point2, Point3};
+
+    use super::*;
+    use crate::math::Rigid3;
+    use crate::scene::{CameraId, FrameId, Observation, Point3d, Point3dId, TrackElement};
+
+    fn model(names: &[&str]) -> Reconstruction {
+        let mut model = Reconstruction::default();
+        let mut track = Vec::new();
+        for (k, name) in (10u32..).zip(names) {
+            let observations = vec![Observation { pixel: Point2::new(1.0, 2.0), point: Some(Point3dId(5)) }];
+            let image = Image {
+                name: (*name).to_owned(),
+                camera: CameraId(1),
+                cam_from_world: Rigid3::identity(),
+                observations,
+            };
+            model.images.insert(ImageId(k), image);
+            track.push(TrackElement { image: ImageId(k), observation_idx: 0 });
+        }
+        let point = Point3d { position: Point3::origin(), rgb: [0; 3], error_px: 0.5, track };
+        model.points.insert(Point3dId(5), point);
+        model
+    }
+
+    fn frames() -> Vec<Frame> {
+        (0..4).map(|k| Frame { id: FrameId(k), name: format!("{k:06}.jpg"), time_s: 0.0 }).collect()
+    }
+
+    fn matched(names: &[&str]) -> Result<(Reconstruction, Vec<String>), String> {
+        with_frame_ids(Path::new("m"), model(names), &frames()).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn images_of_given_models_become_frames() {
+        for names in [
+            ["000002.jpg", "000000.jpg", "x.jpg"],
+            ["000002.png", "000000.png", "x"],
+            ["2.jpg", "0.jpg", "7.jpg"],
+            ["images/000002.jpg", "images/000000.jpg", "images/x.jpg"],
+            ["a\\2.png", "a\\0.png", "a\\x.png"],
+        ] {
+            let (found, remarks) = matched(&names).unwrap();
+            assert_eq!(found.images.keys().map(|id| id.0).collect::<Vec<_>>(), [1, 3], "{names:?}");
+            assert_eq!(found.images[&ImageId(3)].name, "000002.jpg");
+            let track = &found.points[&Point3dId(5)].track;
+            assert_eq!(track.iter().map(|element| element.image.0).collect::<Vec<_>>(), [3, 1]);
+            assert!(remarks.len() == 1 && remarks[0].contains("1 of its 3 images are no frames"), "{remarks:?}");
+        }
+    }
+
+    #[test]
+    fn names_that_nothing_can_be_made_of_are_refused() {
+        let said = matched(&["frame_00001.png", "frame_00002.png"]).unwrap_err();
+        assert!(said.contains("'frame_00001.png'") && said.contains("'000000.jpg'"), "{said}");
+        let said = matched(&["a/000001.jpg", "b/000001.jpg"]).unwrap_err();
+        assert!(said.contains("'a/000001.jpg' and 'b/000001.jpg'"), "{said}");
+    }
+
+    #[test]
+    fn images_counted_from_one_are_told() {
+        let (_, remarks) = matched(&["1.png", "2.png", "3.png", "4.png"]).unwrap();
+        assert!(remarks.iter().any(|remark| remark.contains("counted from 1")), "{remarks:?}");
+        assert!(matched(&["1.png", "2.png", "3.png"]).unwrap().1.is_empty());
+    }
+}
