@@ -126,12 +126,19 @@ fn names(f: &mut fmt::Formatter<'_>, what: &str, names: &[String]) -> fmt::Resul
 }
 
 fn intrinsics(pair: &IntrinsicsPair) -> String {
-    let text = |c: &Camera| {
-        let ([fx, fy], [cx, cy], [k1, k2]) = (c.focal, c.principal, c.radial);
-        let more = c.higher.in_figures();
-        format!("{}×{} f {fx:.2} {fy:.2} c {cx:.2} {cy:.2} k {k1:.5} {k2:.5}{more}", c.width, c.height)
-    };
-    format!("intrinsics of {} images: {}, here {}", pair.num_images, text(&pair.reference), text(&pair.other))
+    let [reference, other] = pair.in_figures();
+    format!("intrinsics of {} images: {reference}, here {other}", pair.num_images)
+}
+
+impl IntrinsicsPair {
+    /// The reference's and the other's, as text: size, focal lengths, principal point, distortion.
+    pub fn in_figures(&self) -> [String; 2] {
+        [&self.reference, &self.other].map(|camera: &Camera| {
+            let ([fx, fy], [cx, cy], [k1, k2]) = (camera.focal, camera.principal, camera.radial);
+            let (width, height, more) = (camera.width, camera.height, camera.higher.in_figures());
+            format!("{width} × {height}, f {fx:.2} {fy:.2}, c {cx:.2} {cy:.2}, k {k1:.5} {k2:.5}{more}")
+        })
+    }
 }
 
 /// Six significant digits.

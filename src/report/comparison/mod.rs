@@ -13,7 +13,6 @@ use serde::Serialize;
 use super::page::{STYLE, VIEW_SCRIPTS, fill, json, policy};
 use super::words::{UNKNOWN, count, percent, thousands};
 use super::{ReportError, write_page};
-use crate::camera::Camera;
 use crate::eval::comparison::{Against, Comparison, ImageDifference, LengthUnit};
 use crate::scene::Reconstruction;
 
@@ -133,10 +132,10 @@ struct Details {
 
 impl Details {
     fn new(side: usize, other: &Against) -> Self {
-        let intrinsics = other
-            .intrinsics
-            .iter()
-            .map(|pair| [thousands(pair.num_images), camera(&pair.reference), camera(&pair.other)]);
+        let intrinsics = other.intrinsics.iter().map(|pair| {
+            let [reference, here] = pair.in_figures();
+            [thousands(pair.num_images), reference, here]
+        });
         Self {
             name: other.subject.name.clone(),
             colour: colour(side),
@@ -147,12 +146,6 @@ impl Details {
             left_out: other.images.len().saturating_sub(MAX_ROWS),
         }
     }
-}
-
-fn camera(camera: &Camera) -> String {
-    let ([fx, fy], [cx, cy], [k1, k2]) = (camera.focal, camera.principal, camera.radial);
-    let more = camera.higher.in_figures();
-    format!("{} × {}, f {fx:.2} {fy:.2}, c {cx:.2} {cy:.2}, k {k1:.5} {k2:.5}{more}", camera.width, camera.height)
 }
 
 fn row(image: &ImageDifference) -> [String; 6] {
