@@ -171,8 +171,8 @@ pub struct Options {
     pub order: FrameOrder,
     /// The camera; `None` is EXIF where a photograph has it, else a guess that is refined.
     pub intrinsics: Option<IntrinsicsSource>,
-    /// A model of the background, of whatever program, taken as it is instead of reconstructing one: a folder or file as
-    /// `tractrix convert` reads it.
+    /// A model of the background, of whatever program, taken as it is instead of reconstructing one: a folder or file
+    /// as `tractrix convert` reads it.
     pub background_model: Option<PathBuf>,
     /// Models of objects, by id, likewise.
     pub object_models: BTreeMap<ObjectId, PathBuf>,

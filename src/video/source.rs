@@ -163,8 +163,8 @@ impl Source {
             .then(|| folder::of_another_size(&self.path.join(&frame.name), size(own), size(first)))
     }
 
-    /// Quarter turns, clockwise, that make a frame of the picture as its file stores it, 0 to 3; `None` if it is mirrored
-    /// as well.
+    /// Quarter turns, clockwise, that make a frame of the picture as its file stores it, 0 to 3; `None` if it is
+    /// mirrored as well.
     pub fn quarter_turns(&self, frame: FrameId) -> Option<u8> {
         match &self.listing {
             Some(listing) => listing.quarter_turns(frame),
