@@ -20,7 +20,7 @@
 
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::assembly::{Losses, check_finite, check_lenses, check_line_names, rotation};
 use super::centered::{Centered, add_points, check_two_radial, losses, places, set_picture_sizes};
@@ -64,7 +64,8 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
         let name = names.get(index).cloned().unwrap_or_else(|| format!("{index:06}.jpg"));
         add_camera(&mut words, index as u32, name, &mut model)?;
     }
-    let points = (0..num_points).map(|_| point(&mut words, num_cameras)).collect::<Result<Vec<_>, _>>()?;
+    let points =
+        (0..num_points).map(|_| Centered::read(&mut words, num_cameras, -1.0)).collect::<Result<Vec<_>, _>>()?;
     set_picture_sizes(path, &mut model, &points);
     add_points(path, &mut model, points)?;
     Ok(model)
@@ -89,23 +90,6 @@ fn add_camera(words: &mut Words<'_>, index: u32, name: String, model: &mut Recon
     let image = Image { name, camera: CameraId(index + 1), cam_from_world, observations: Vec::new() };
     model.images.insert(ImageId(index + 1), image);
     Ok(())
-}
-
-fn point(words: &mut Words<'_>, num_cameras: usize) -> Result<Centered, IoError> {
-    let position = Point3::from(words.finites::<3>("position of a point")?);
-    let rgb = [words.number("red")?, words.number("green")?, words.number("blue")?];
-    let count = words.count("number of views of a point", 8)?;
-    let mut seen = Vec::with_capacity(count);
-    for _ in 0..count {
-        let view: usize = words.number("view of a point")?;
-        if view >= num_cameras {
-            return Err(words.error("view of a point", format!("there is no camera {view}")));
-        }
-        let _key: u64 = words.number("key of a feature")?;
-        let [x, y] = words.finites("place of a feature")?;
-        seen.push((ImageId(view as u32 + 1), Point2::new(x, -y)));
-    }
-    Ok(Centered { position, rgb, seen })
 }
 
 /// The names of the list beside the file; none without one. Bundler writes `name 0 focal`, others the name alone.
@@ -183,6 +167,8 @@ fn write_bundle(out: &mut dyn std::io::Write, model: &Reconstruction) -> std::io
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Point3;
+
     use super::*;
     use crate::io::testing::{damaged_text_never_panics, model_with, near_but_for_sizes};
 

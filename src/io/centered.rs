@@ -7,6 +7,7 @@ use nalgebra::{Point2, Point3, Vector2};
 
 use super::IoError;
 use super::assembly::{Losses, Short, add_point, unsupported_camera};
+use super::words::Words;
 use crate::camera::{Camera, HigherTerms};
 use crate::scene::{CameraId, ImageId, Point3dId, Reconstruction};
 
@@ -15,6 +16,27 @@ pub struct Centered {
     pub position: Point3<f64>,
     pub rgb: [u8; 3],
     pub seen: Vec<(ImageId, Point2<f64>)>,
+}
+
+impl Centered {
+    /// Reads a point: position, colour, number of views, and of each view its camera, the feature and its place. `down`
+    /// is 1 where the format counts downwards, −1 where it counts upwards.
+    pub fn read(words: &mut Words<'_>, num_cameras: usize, down: f64) -> Result<Self, IoError> {
+        let position = Point3::from(words.finites::<3>("position of a point")?);
+        let rgb = [words.number("red")?, words.number("green")?, words.number("blue")?];
+        let count = words.count("number of views of a point", 8)?;
+        let mut seen = Vec::with_capacity(count);
+        for _ in 0..count {
+            let view: usize = words.number("view of a point")?;
+            if view >= num_cameras {
+                return Err(words.error("view of a point", format!("there is no camera {view}")));
+            }
+            let _feature: u64 = words.number("index of a feature")?;
+            let [x, y] = words.finites("place of a feature")?;
+            seen.push((ImageId(view as u32 + 1), Point2::new(x, down * y)));
+        }
+        Ok(Self { position, rgb, seen })
+    }
 }
 
 /// Gives every camera, which serves one image, the size of its picture: that of the file, if it lies where `path` does,

@@ -53,7 +53,8 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
         add_camera(&mut words, index as u32, &mut model)?;
     }
     let num_points = words.count("number of points", 13)?;
-    let points = (0..num_points).map(|_| point(&mut words, num_cameras)).collect::<Result<Vec<_>, _>>()?;
+    let points =
+        (0..num_points).map(|_| Centered::read(&mut words, num_cameras, 1.0)).collect::<Result<Vec<_>, _>>()?;
     set_picture_sizes(path, &mut model, &points);
     add_points(path, &mut model, points)?;
     Ok(model)
@@ -80,22 +81,6 @@ fn add_camera(words: &mut Words<'_>, index: u32, model: &mut Reconstruction) -> 
     model.cameras.insert(id, camera);
     model.images.insert(ImageId(index + 1), Image { name, camera: id, cam_from_world, observations: Vec::new() });
     Ok(())
-}
-
-fn point(words: &mut Words<'_>, num_cameras: usize) -> Result<Centered, IoError> {
-    let position = Point3::from(words.finites::<3>("position of a point")?);
-    let rgb = [words.number("red")?, words.number("green")?, words.number("blue")?];
-    let count = words.count("number of views of a point", 8)?;
-    let mut seen = Vec::with_capacity(count);
-    for _ in 0..count {
-        let view: usize = words.number("view of a point")?;
-        if view >= num_cameras {
-            return Err(words.error("view of a point", format!("there is no camera {view}")));
-        }
-        let _feature: u64 = words.number("index of a feature")?;
-        seen.push((ImageId(view as u32 + 1), Point2::from(words.finites::<2>("place of a feature")?)));
-    }
-    Ok(Centered { position, rgb, seen })
 }
 
 /// Writes a reconstruction and says what the format has no place for.
