@@ -1,6 +1,7 @@
 //! Points followed from one picture to another and back, by pyramidal Lucas-Kanade (OpenCV).
 
 use opencv::core::{Point2f, Size, TermCriteria, ToInputArray, Vector};
+use opencv::video::OPTFLOW_USE_INITIAL_FLOW;
 
 use super::SfmError;
 
@@ -32,24 +33,39 @@ impl LucasKanade {
         to: &impl ToInputArray,
         points: &Vector<Point2f>,
     ) -> Result<Vec<Option<Followed>>, SfmError> {
-        let (there, found) = self.follow(from, to, points)?;
-        let (back, found_back) = self.follow(to, from, &there)?;
-        let ways = points.iter().zip(&there).zip(&back).zip(found.iter().zip(&found_back));
-        let followed = ways.map(|(((start, position), back), (found, found_back))| {
-            let round_trip_px = (start.x - back.x).hypot(start.y - back.y);
-            (found != 0 && found_back != 0).then_some(Followed { position, round_trip_px })
-        });
-        Ok(followed.collect())
+        let (there, found) = self.follow(from, to, points, None)?;
+        let (back, found_back) = self.follow(to, from, &there, None)?;
+        Ok(followed(points, &there, &found, &back, &found_back))
     }
 
+    /// The same from near predictions, which need no more than the finest pictures. The way back begins as far off as
+    /// the way there.
+    pub fn there_and_back_near(
+        &self,
+        from: &impl ToInputArray,
+        to: &impl ToInputArray,
+        points: &Vector<Point2f>,
+        predicted: &Vector<Point2f>,
+    ) -> Result<Vec<Option<Followed>>, SfmError> {
+        let near = Self { pyramid_levels: self.pyramid_levels.min(1), ..*self };
+        let (there, found) = near.follow(from, to, points, Some(predicted.clone()))?;
+        let ends = points.iter().zip(&there).zip(predicted);
+        let predicted_back = ends.map(|((start, end), predicted)| end + start - predicted).collect();
+        let (back, found_back) = near.follow(to, from, &there, Some(predicted_back))?;
+        Ok(followed(points, &there, &found, &back, &found_back))
+    }
+
+    /// Where the points are, and which were found; `guesses` are where they are looked for first.
     fn follow(
         &self,
         from: &impl ToInputArray,
         to: &impl ToInputArray,
         points: &Vector<Point2f>,
+        guesses: Option<Vector<Point2f>>,
     ) -> Result<(Vector<Point2f>, Vector<u8>), SfmError> {
         let side = 2 * self.window_radius_px + 1;
-        let (mut moved, mut status, mut error) = (Vector::new(), Vector::new(), Vector::<f32>::new());
+        let flags = if guesses.is_some() { OPTFLOW_USE_INITIAL_FLOW } else { 0 };
+        let (mut moved, mut status, mut error) = (guesses.unwrap_or_default(), Vector::new(), Vector::<f32>::new());
         opencv::video::calc_optical_flow_pyr_lk(
             from,
             to,
@@ -60,9 +76,24 @@ impl LucasKanade {
             Size::new(side, side),
             self.pyramid_levels,
             TermCriteria::new(3, 20, 0.03)?,
-            0,
+            flags,
             self.min_eigenvalue,
         )?;
         Ok((moved, status))
     }
+}
+
+fn followed(
+    points: &Vector<Point2f>,
+    there: &Vector<Point2f>,
+    found: &Vector<u8>,
+    back: &Vector<Point2f>,
+    found_back: &Vector<u8>,
+) -> Vec<Option<Followed>> {
+    let ways = points.iter().zip(there).zip(back).zip(found.iter().zip(found_back));
+    let followed = ways.map(|(((start, position), back), (found, found_back))| {
+        let round_trip_px = (start.x - back.x).hypot(start.y - back.y);
+        (found != 0 && found_back != 0).then_some(Followed { position, round_trip_px })
+    });
+    followed.collect()
 }

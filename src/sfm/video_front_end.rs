@@ -2,34 +2,33 @@
 //! first sight.
 //!
 //! A point is found where both eigenvalues of the structure tensor are large (J. Shi, C. Tomasi, *Good Features to
-//! Track*, CVPR 1994), predicted in the next frame by pyramidal Lucas-Kanade with a forward-backward check (OpenCV),
-//! and then aligned with the patch that was cut when it was found ([`super::patch`]), which keeps long tracks from
-//! drifting. A point that Lucas-Kanade loses is looked for once more where its neighbours' motion leads. Every position
-//! comes with how exactly the patch fixes it ([`Whitening`](crate::bundle::Whitening)).
+//! Track*, CVPR 1994), predicted in the next frame by pyramidal Lucas-Kanade with a forward-backward check
+//! (`following`; OpenCV), and then aligned with the patch that was cut when it was found ([`super::patch`]), which keeps
+//! long tracks from drifting. A point that Lucas-Kanade loses is looked for once more where its neighbours' motion
+//! leads. Every position comes with how exactly the patch fixes it ([`Whitening`](crate::bundle::Whitening)).
 //!
 //! What was lost for longer, behind something else or out of the picture, is found again by appearance (`memory`,
 //! `bridge`).
 
 mod bridge;
+mod following;
 mod live;
 mod looks;
 mod memory;
 #[cfg(test)]
 mod tests;
 
-use nalgebra::{Matrix2, Point2, Vector2};
+use nalgebra::{Matrix2, Point2};
 use opencv::core::{Mat, Point2f, Size, Vector};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::lucas_kanade::LucasKanade;
 use super::patch::{Patch, Warp};
 use super::tracks::{Feature, Track, TrackTable, View};
 use super::{SfmError, Target};
 use crate::camera::Camera;
 use crate::image::{GrayImage, RgbImage, gray_from_rgb, mat_from_bytes, mat_from_gray};
 use crate::limits::{Checked, within};
-use crate::math::Neighbors;
 use crate::scene::{Frame, Mask};
 use live::{Live, whitening};
 use memory::Memory;
@@ -179,52 +178,6 @@ impl VideoFrontEnd {
         Ok(pyramid)
     }
 
-    fn follow(
-        &mut self,
-        previous: &Vector<Mat>,
-        pyramid: &Vector<Mat>,
-        gray: &GrayImage,
-        mask: &Mask,
-    ) -> Result<(), SfmError> {
-        let starts: Vector<Point2f> = self.live.iter().map(|l| to_opencv(l.warp.center)).collect();
-        if starts.is_empty() {
-            return Ok(());
-        }
-        let tracker = LucasKanade {
-            window_radius_px: self.options.window_radius_px,
-            pyramid_levels: self.options.pyramid_levels,
-            min_eigenvalue: 1e-4,
-        };
-        let followed = tracker.there_and_back(previous, pyramid, &starts)?;
-        let max_round_trip_px = self.options.max_round_trip_px;
-        let (mut moves, mut lost) = (Vec::new(), Vec::new());
-        for (mut point, followed) in std::mem::take(&mut self.live).into_iter().zip(followed) {
-            let start = point.warp.center;
-            let returned = followed.filter(|f| f.round_trip_px <= max_round_trip_px);
-            if returned.is_some_and(|f| point.align(from_opencv(f.position), gray, self.options.min_correlation)) {
-                moves.push([start, point.warp.center]);
-                self.live.push(point);
-            } else {
-                lost.push(point);
-            }
-        }
-        let motion = Motion::new(&moves);
-        for mut point in lost {
-            if point.align(motion.carry(point.warp.center), gray, self.options.min_found_again) {
-                self.live.push(point);
-            }
-        }
-        self.live.retain_mut(|point| {
-            let center = point.warp.center.cast::<f64>();
-            let is_over = point.views_left.as_mut().is_some_and(|left| {
-                *left = left.saturating_sub(1);
-                *left == 0
-            });
-            !is_over && mask.contains(center.x, center.y)
-        });
-        Ok(())
-    }
-
     /// Goes on with points that were lost in earlier frames and are seen here. Where a newer point lies at the same
     /// place, the older one goes on.
     fn find_again(&mut self, gray: &GrayImage, mask: &Mask) -> Result<(), SfmError> {
@@ -267,7 +220,7 @@ impl VideoFrontEnd {
                 self.table.tracks.push(Track::new());
                 let warp = Warp { shape: Matrix2::identity(), center };
                 let whitening = whitening(patch.covariance(&warp.shape, TYPICAL_DIFFERENCE));
-                self.live.push(Live { track, patch, warp, whitening, views_left: None });
+                self.live.push(Live { track, patch, warp, whitening, step: None, views_left: None });
             }
         }
         Ok(())
@@ -292,36 +245,6 @@ impl VideoFrontEnd {
             self.table.tracks[point.track].push(Feature { view, feature: feature as u32 });
         }
         self.table.views.push(source);
-    }
-}
-
-/// How the image moves between two frames, from points that were followed.
-struct Motion {
-    shifts: Vec<Vector2<f32>>,
-    tree: Option<Neighbors<2>>,
-}
-
-impl Motion {
-    /// From the positions of points in both frames.
-    fn new(moves: &[[Point2<f32>; 2]]) -> Self {
-        let starts: Vec<[f64; 2]> = moves.iter().map(|[from, _]| from.coords.cast::<f64>().into()).collect();
-        Self { shifts: moves.iter().map(|[from, to]| to - from).collect(), tree: Neighbors::new(&starts) }
-    }
-
-    /// Where a point goes if it moves like its neighbours: by the median of their shifts.
-    fn carry(&self, from: Point2<f32>) -> Point2<f32> {
-        const NUM_NEIGHBOURS: usize = 9;
-        let near = self.tree.as_ref().map(|tree| tree.nearest(&from.coords.cast::<f64>().into(), NUM_NEIGHBOURS));
-        let near = near.unwrap_or_default();
-        if near.is_empty() {
-            return from;
-        }
-        let median = |axis: usize| {
-            let mut values: Vec<f32> = near.iter().map(|&i| self.shifts[i][axis]).collect();
-            let middle = values.len() / 2;
-            *values.select_nth_unstable_by(middle, f32::total_cmp).1
-        };
-        from + Vector2::new(median(0), median(1))
     }
 }
 

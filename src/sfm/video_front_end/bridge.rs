@@ -77,7 +77,7 @@ pub fn find(
         let Some(patch) = sight.patch(patch_radius) else { continue };
         let Some(best) = best_alignment(&patch, &field.predictions(sight.center), now) else { continue };
         let whitening = whitening(best.covariance);
-        let point = Live { track: sight.track, patch, warp: best.warp, whitening, views_left: follow_for };
+        let point = Live { track: sight.track, patch, warp: best.warp, whitening, step: None, views_left: follow_for };
         found.push((sight.center, FoundAgain { track: sight.track, point }));
     }
     let ends: Vec<[Point2<f64>; 2]> =

@@ -1,6 +1,6 @@
 //! A point that is being followed.
 
-use nalgebra::{Matrix2, Point2};
+use nalgebra::{Matrix2, Point2, Vector2};
 
 use crate::bundle::Whitening;
 use crate::image::GrayImage;
@@ -12,11 +12,18 @@ pub struct Live {
     pub patch: Patch,
     pub warp: Warp,
     pub whitening: Whitening,
+    /// How it moved from the view before the last to the last; `None` where it was not followed so.
+    pub step: Option<Vector2<f32>>,
     /// For how many views it is followed yet; `None` for as long as it is seen.
     pub views_left: Option<usize>,
 }
 
 impl Live {
+    /// Where its last step leads.
+    pub fn predicted(&self) -> Option<Point2<f32>> {
+        Some(self.warp.center + self.step?)
+    }
+
     /// Moves to where the patch is seen near a prediction; false, and unmoved, where it is not.
     pub fn align(&mut self, predicted: Point2<f32>, gray: &GrayImage, min_correlation: f32) -> bool {
         const MAX_CORRECTION_PX: f32 = 2.0;
@@ -26,6 +33,7 @@ impl Live {
         if !is_near || found.correlation < min_correlation {
             return false;
         }
+        self.step = Some(found.warp.center - self.warp.center);
         self.warp = found.warp;
         self.whitening = whitening(found.covariance);
         true
