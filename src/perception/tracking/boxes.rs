@@ -11,13 +11,11 @@ use super::sights::{self, Finding, Sight};
 use super::track::{Asked, Moment, Prediction, Track};
 use super::tracker::{MAX_COVERED, Sighting, Tracker};
 use super::{Evidence, TrackerOptions};
-use crate::perception::{PerceptionError, Prompted, Prompter};
+use crate::perception::{PerceptionError, Prompter};
 use crate::scene::{BoxDetection, Flow, ObjectId, Outline, Rect};
 
 /// Overlap of boxes (intersection over union) that says as much as masks that overlap a little.
 const MIN_BOX_OVERLAP: f64 = 0.4;
-/// A box that agrees this well with that of the carried mask asks for the same mask.
-const SAME_PROMPT: f64 = 0.85;
 /// Two masks of which one lies in the other by more than this share show one object.
 const SAME_MASK: f64 = 0.7;
 /// A new mask that agrees so well with the outline of the whole object shows all of it.
@@ -34,21 +32,21 @@ pub(super) struct View<'a> {
 }
 
 /// What a frame holds for every track, and who meets whom.
-struct Meeting {
-    predictions: Vec<Prediction>,
+pub(super) struct Meeting {
+    pub(super) predictions: Vec<Prediction>,
     /// Per track whether it is followed and its carried mask can be trusted.
     is_carried: Vec<bool>,
-    sights: Vec<Sight>,
+    pub(super) sights: Vec<Sight>,
     /// Per sight the mask in its box.
-    masks: Vec<Option<Fresh>>,
+    pub(super) masks: Vec<Option<Fresh>>,
     /// Per track the masks in the box of its carried mask, and in that of its whole outline where a part is hidden.
-    own_masks: Vec<Vec<Fresh>>,
+    pub(super) own_masks: Vec<Vec<Fresh>>,
     /// Per track the sight that shows it.
     sight_of: Vec<Option<usize>>,
 }
 
 impl Meeting {
-    fn carried(&self, track: usize) -> Option<&Carried> {
+    pub(super) fn carried(&self, track: usize) -> Option<&Carried> {
         self.predictions[track].carried.as_ref().filter(|_| self.is_carried[track])
     }
 
@@ -135,38 +133,6 @@ impl Tracker {
             Some(sight.at(rect))
         };
         self.waiting.iter().filter_map(moved).collect()
-    }
-
-    /// Asks for the masks of all boxes, and of all carried masks that no box repeats.
-    fn ask(&self, view: &View, prompter: &mut dyn Prompter, meeting: &mut Meeting) -> Result<(), PerceptionError> {
-        let mut rects: Vec<Rect> = meeting.sights.iter().map(|sight| sight.rect).collect();
-        let mut own = Vec::new();
-        for track in 0..self.tracks.len() {
-            let Some(carried) = meeting.carried(track) else {
-                let place = meeting.predictions[track].moved.as_ref();
-                if let Some(place) = place.filter(|_| self.tracks[track].may_be_looked_for(view.now)) {
-                    own.push(track);
-                    rects.push(place.rect());
-                }
-                continue;
-            };
-            let whole = carried.is_partly_hidden().then(|| carried.whole.rect());
-            let mut known: Vec<Rect> = meeting.sights.iter().map(|sight| sight.rect).collect();
-            for rect in [Some(carried.region.rect()), whole].into_iter().flatten() {
-                if known.iter().all(|known| known.iou(&rect) < SAME_PROMPT) {
-                    own.push(track);
-                    rects.push(rect);
-                    known.push(rect);
-                }
-            }
-        }
-        let mut masks = fresh_masks(view.image, prompter, &rects, &self.options)?;
-        let own_masks = masks.split_off(meeting.sights.len());
-        meeting.masks = masks;
-        for (track, fresh) in own.into_iter().zip(own_masks) {
-            meeting.own_masks[track].extend(fresh);
-        }
-        Ok(())
     }
 
     /// Joins boxes and the tracks in sight, by their boxes and, where they are known, by their masks.
@@ -338,7 +304,7 @@ impl Tracker {
 }
 
 /// Whether a box is sure enough to be an object: by its class, by its motion, or by both.
-fn may_start(sight: &Sight, options: &TrackerOptions) -> bool {
+pub(super) fn may_start(sight: &Sight, options: &TrackerOptions) -> bool {
     let surest = |of: fn(&Finding) -> Option<f64>| sight.findings().filter_map(of).fold(0.0, f64::max);
     let (detector, motion) = (surest(|found| found.detector), surest(|found| found.motion));
     let is_both = detector > 0.0 && motion >= options.start_confidence;
@@ -394,27 +360,6 @@ fn uncovered(fresh: Fresh, carried: &Carried) -> Option<Fresh> {
     }
     let region = carried.cover.cut(&fresh.region)?;
     (2 * region.area() > fresh.region.area()).then_some(Fresh { region, ..fresh })
-}
-
-/// The masks that a prompter gives for boxes, one entry per box.
-pub(super) fn fresh_masks(
-    image: &RgbImage,
-    prompter: &mut dyn Prompter,
-    rects: &[Rect],
-    options: &TrackerOptions,
-) -> Result<Vec<Option<Fresh>>, PerceptionError> {
-    let mut answers = if rects.is_empty() { Vec::new() } else { prompter.masks(image, rects)? };
-    answers.resize(rects.len(), None);
-    let fresh = |answer: Option<Prompted>| {
-        let Some(Prompted { mask, quality }) = answer else { return Ok(None) };
-        let (found, expected) = ((mask.width(), mask.height()), image.dimensions());
-        if found != expected {
-            return Err(PerceptionError::SizeMismatch { what: "the mask of a box".to_owned(), expected, found });
-        }
-        let region = Region::from_mask(&mask).filter(|region| region.area() >= options.min_area_px2);
-        Ok(region.map(|region| Fresh { appearance: Appearance::of(image, &region), quality, region }))
-    };
-    answers.into_iter().map(fresh).collect()
 }
 
 /// Whether the colours of a region are those of a track; what cannot be told counts as alike.

@@ -34,6 +34,7 @@
 //! the same ids.
 
 mod appearance;
+mod asking;
 mod assignment;
 mod backward;
 #[cfg(test)]

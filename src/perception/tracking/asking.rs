@@ -1,0 +1,96 @@
+//! For which boxes masks are asked: the mask network takes longer than everything else together.
+//!
+//! Of the boxes of a frame those that may come to something: that may be a followed object or one that was just lost, or
+//! that are sure enough to start a track. Of the followed objects all, in the box of their carried masks, where no other
+//! box asks the same.
+
+use ::image::RgbImage;
+
+use super::TrackerOptions;
+use super::appearance::Appearance;
+use super::boxes::{Meeting, View, may_start};
+use super::choice::Fresh;
+use super::region::Region;
+use super::sights::Sight;
+use super::tracker::Tracker;
+use crate::perception::{PerceptionError, Prompted, Prompter};
+use crate::scene::Rect;
+
+/// A box that agrees this well with that of the carried mask asks for the same mask.
+const SAME_PROMPT: f64 = 0.85;
+
+impl Tracker {
+    /// Asks for the masks of boxes that may come to something, and of carried masks that no box repeats.
+    pub(super) fn ask(
+        &self,
+        view: &View,
+        prompter: &mut dyn Prompter,
+        meeting: &mut Meeting,
+    ) -> Result<(), PerceptionError> {
+        let asked: Vec<usize> =
+            (0..meeting.sights.len()).filter(|&s| self.is_worth_asking(&meeting.sights[s], meeting, view)).collect();
+        let mut rects: Vec<Rect> = asked.iter().map(|&s| meeting.sights[s].rect).collect();
+        let own = self.own_boxes(view, meeting, &rects);
+        rects.extend(own.iter().map(|(_, rect)| *rect));
+        let mut masks = fresh_masks(view.image, prompter, &rects, &self.options)?;
+        let own_masks = masks.split_off(asked.len());
+        meeting.masks = vec![None; meeting.sights.len()];
+        asked.into_iter().zip(masks).for_each(|(s, fresh)| meeting.masks[s] = fresh);
+        own.into_iter().zip(own_masks).for_each(|((track, _), fresh)| meeting.own_masks[track].extend(fresh));
+        Ok(())
+    }
+
+    /// Whether the mask in a box could be a followed object's, a lost one's, or a new one's.
+    fn is_worth_asking(&self, sight: &Sight, meeting: &Meeting, view: &View) -> bool {
+        let overlaps = |track: usize| meeting.carried(track).is_some_and(|c| c.region.rect().iou(&sight.rect) > 0.0);
+        let may_return = |t: usize| {
+            let track = &self.tracks[t];
+            meeting.carried(t).is_none() && (!track.is_lost() || track.is_briefly_lost(view.now))
+        };
+        may_start(sight, &self.options) || (0..self.tracks.len()).any(|t| overlaps(t) || may_return(t))
+    }
+
+    /// The boxes of carried masks, and of whole outlines where a part is hidden, by track; those that agree with one of
+    /// `asked` are left out. Of tracks whose flow failed just now the boxes where they should be.
+    fn own_boxes(&self, view: &View, meeting: &Meeting, asked: &[Rect]) -> Vec<(usize, Rect)> {
+        let mut own = Vec::new();
+        for track in 0..self.tracks.len() {
+            let Some(carried) = meeting.carried(track) else {
+                let place = meeting.predictions[track].moved.as_ref();
+                let place = place.filter(|_| self.tracks[track].may_be_looked_for(view.now));
+                own.extend(place.map(|place| (track, place.rect())));
+                continue;
+            };
+            let whole = carried.is_partly_hidden().then(|| carried.whole.rect());
+            let mut known = asked.to_vec();
+            for rect in [Some(carried.region.rect()), whole].into_iter().flatten() {
+                if known.iter().all(|known| known.iou(&rect) < SAME_PROMPT) {
+                    own.push((track, rect));
+                    known.push(rect);
+                }
+            }
+        }
+        own
+    }
+}
+
+/// The masks that a prompter gives for boxes, one entry per box.
+pub(super) fn fresh_masks(
+    image: &RgbImage,
+    prompter: &mut dyn Prompter,
+    rects: &[Rect],
+    options: &TrackerOptions,
+) -> Result<Vec<Option<Fresh>>, PerceptionError> {
+    let mut answers = if rects.is_empty() { Vec::new() } else { prompter.masks(image, rects)? };
+    answers.resize(rects.len(), None);
+    let fresh = |answer: Option<Prompted>| {
+        let Some(Prompted { mask, quality }) = answer else { return Ok(None) };
+        let (found, expected) = ((mask.width(), mask.height()), image.dimensions());
+        if found != expected {
+            return Err(PerceptionError::SizeMismatch { what: "the mask of a box".to_owned(), expected, found });
+        }
+        let region = Region::from_mask(&mask).filter(|region| region.area() >= options.min_area_px2);
+        Ok(region.map(|region| Fresh { appearance: Appearance::of(image, &region), quality, region }))
+    };
+    answers.into_iter().map(fresh).collect()
+}
