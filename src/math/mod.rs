@@ -1,6 +1,7 @@
 //! Arithmetic that every room shares: rigid and similarity transforms, robust losses, seeded random numbers.
 
 mod align;
+mod direct_linear;
 mod neighbors;
 pub mod polynomial;
 mod random;
@@ -11,6 +12,7 @@ mod statistics;
 mod wxyz;
 
 pub use align::umeyama;
+pub use direct_linear::{fundamental_from_points, homography_from_points};
 pub(crate) use neighbors::Neighbors;
 pub use random::{Rng, seeded_rng};
 pub use rigid3::Rigid3;
