@@ -1,21 +1,25 @@
 //! `tractrix convert IN OUT`: a reconstruction in another format.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
 use super::output::{Failure, Form, show};
+use crate::io::database::{self, Features};
 use crate::io::model::{self, Format};
+use crate::io::{Losses, colmap};
+use crate::pipeline;
+use crate::scene::Reconstruction;
 
 /// Converts a reconstruction between COLMAP (text, binary), OpenMVG, OpenSfM, nerfstudio, NVM and Bundler; to PLY go
-/// its points.
+/// its points, to COLMAP's database its features and matches.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
     /// A COLMAP folder, an output folder of `tractrix run` (its background), or a file of another program (see
     /// docs/formats.md)
     #[arg(value_name = "IN")]
     pub(super) input: PathBuf,
-    /// Folder to write a COLMAP model into, or a file: NAME.ply, NAME.nvm, bundle.out, sfm_data.json,
+    /// Folder to write a COLMAP model into, or a file: NAME.ply, NAME.nvm, NAME.db, bundle.out, sfm_data.json,
     /// reconstruction.json or transforms.json says the format by its name
     #[arg(value_name = "OUT")]
     pub(super) output: PathBuf,
@@ -30,10 +34,13 @@ pub(super) struct Args {
 /// A format that can be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum To {
-    /// cameras.txt, images.txt, points3D.txt
+    /// cameras.txt, images.txt, points3D.txt, rigs.txt, frames.txt
     ColmapText,
-    /// cameras.bin, images.bin, points3D.bin
+    /// cameras.bin, images.bin, points3D.bin, rigs.bin, frames.bin
     ColmapBinary,
+    /// Features, matches and two-view geometry, from which COLMAP's mapper starts; of an output folder all features
+    /// that the run followed
+    ColmapDatabase,
     /// sfm_data.json
     Openmvg,
     /// reconstruction.json, and tracks.csv beside it
@@ -48,19 +55,90 @@ pub(super) enum To {
     Ply,
 }
 
-impl From<To> for Format {
+/// What is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Target {
+    Model(Format),
+    Database,
+}
+
+impl From<To> for Target {
     fn from(to: To) -> Self {
-        match to {
-            To::ColmapText => Self::ColmapText,
-            To::ColmapBinary => Self::ColmapBinary,
-            To::Openmvg => Self::OpenMvg,
-            To::Opensfm => Self::OpenSfm,
-            To::Nerfstudio => Self::Nerfstudio,
-            To::Nvm => Self::Nvm,
-            To::Bundler => Self::Bundler,
-            To::Ply => Self::Ply,
+        Self::Model(match to {
+            To::ColmapText => Format::ColmapText,
+            To::ColmapBinary => Format::ColmapBinary,
+            To::ColmapDatabase => return Self::Database,
+            To::Openmvg => Format::OpenMvg,
+            To::Opensfm => Format::OpenSfm,
+            To::Nerfstudio => Format::Nerfstudio,
+            To::Nvm => Format::Nvm,
+            To::Bundler => Format::Bundler,
+            To::Ply => Format::Ply,
+        })
+    }
+}
+
+impl Target {
+    /// What is asked for, or else what the name of the output says.
+    fn of(args: &Args, from: Format, model: &Reconstruction) -> anyhow::Result<Self> {
+        let is_database = args.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("db"));
+        Ok(match args.to {
+            Some(to) => to.into(),
+            None if is_database => Self::Database,
+            None => Self::Model(model::format_for(from, &args.output, model)?),
+        })
+    }
+
+    fn name(self) -> String {
+        match self {
+            Self::Model(format) => format.to_string(),
+            Self::Database => "COLMAP (database)".to_owned(),
         }
     }
+
+    fn files(self, output: &Path) -> Vec<PathBuf> {
+        match self {
+            Self::Model(format) => model::files_of(output, format),
+            Self::Database => vec![output.to_owned()],
+        }
+    }
+
+    fn write(self, args: &Args, model: &Reconstruction, from: Format) -> anyhow::Result<Losses> {
+        let losses = match self {
+            Self::Model(format) => model::write(&args.output, model, format)?,
+            Self::Database => write_database(&args.input, &args.output, model)?,
+        };
+        Ok(losses.counted(
+            several(&args.input, from),
+            "rig of several cameras becomes rigs of one camera each",
+            "rigs of several cameras become rigs of one camera each",
+        ))
+    }
+
+    fn num_images(self, model: &Reconstruction) -> usize {
+        // Points alone go to PLY.
+        if self == Self::Model(Format::Ply) { 0 } else { model.images.len() }
+    }
+}
+
+/// Rigs of several cameras, of which nothing is read.
+fn several(input: &Path, from: Format) -> usize {
+    let is_colmap = matches!(from, Format::ColmapText | Format::ColmapBinary);
+    let place = if is_colmap { model::detect(input).ok() } else { None };
+    place.map_or(0, |(folder, _)| colmap::num_rigs_of_several(&folder))
+}
+
+/// The model's features and matches; of an output folder all that its run followed.
+fn write_database(input: &Path, output: &Path, model: &Reconstruction) -> anyhow::Result<Losses> {
+    let own = Features::of(model);
+    let Some(found) = pipeline::found_features(input)? else { return Ok(database::write(output, model, &own)?) };
+    let losses = match own.clone().joined(found) {
+        Some(all) => database::write(output, model, &all)?,
+        None => database::write(output, model, &own)?.with(
+            "what the run followed besides is left out: the model in its folder is not the one that it made".to_owned(),
+        ),
+    };
+    Ok(losses)
 }
 
 /// What was converted.
@@ -80,15 +158,21 @@ struct Conversion {
 
 impl Conversion {
     fn as_text(&self) -> String {
+        let points = counted(self.num_points, "point");
         let what = match self.num_images {
-            0 => format!("{} points", self.num_points),
-            images => format!("{images} images, {} points", self.num_points),
+            0 => points,
+            images => format!("{}, {points}", counted(images, "image")),
         };
         let beside = self.files.iter().filter(|file| !file.starts_with(&self.output));
         let beside: String = beside.map(|file| format!("{}\n", file.display())).collect();
         let losses: String = self.losses.iter().map(|loss| format!("{loss}\n")).collect();
         format!("{} to {}: {what}\n{}\n{beside}{losses}", self.from, self.to, self.output.display())
     }
+}
+
+/// "1 point", "2 points".
+fn counted(number: usize, noun: &str) -> String {
+    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }
 
 /// Converts and says what was written.
@@ -99,31 +183,25 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
 
 fn convert(args: &Args) -> anyhow::Result<Conversion> {
     let (reconstruction, from) = model::read(&args.input)?;
-    let format = match args.to {
-        Some(to) => to.into(),
-        None => model::format_for(from, &args.output, &reconstruction)?,
-    };
-    model::check_target(&args.input, &args.output, format, args.overwrite)?;
-    let losses = model::write(&args.output, &reconstruction, format)?;
+    let target = Target::of(args, from, &reconstruction)?;
+    let files = target.files(&args.output);
+    model::check_target(&args.input, &args.output, &files, args.overwrite)?;
+    let losses = target.write(args, &reconstruction, from)?;
     Ok(Conversion {
         input: args.input.clone(),
         from: from.to_string(),
         output: args.output.clone(),
-        to: format.to_string(),
-        // Points alone go to PLY.
-        num_images: if format == Format::Ply { 0 } else { reconstruction.images.len() },
+        to: target.name(),
+        num_images: target.num_images(&reconstruction),
         num_points: reconstruction.points.len(),
-        files: model::files_of(&args.output, format),
+        files,
         losses: losses.sentences().to_vec(),
     })
 }
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::*;
-    use crate::io::colmap;
     use crate::io::testing::in_repository;
 
     fn convert(input: &Path, output: &Path, to: Option<To>) -> anyhow::Result<Conversion> {
@@ -152,6 +230,10 @@ mod tests {
             assert_eq!(colmap::read(&back).unwrap().images.len(), 3, "{name}");
             assert!(convert(&binary, &there, None).unwrap_err().to_string().contains("--overwrite"), "{name}");
         }
+        let database = folder.path().join("database.db");
+        let converted = convert(&binary, &database, None).unwrap();
+        assert!(converted.to == "COLMAP (database)" && converted.files == [database.as_path()]);
+        assert!(std::fs::read(&database).unwrap().starts_with(b"SQLite format 3"));
         let openmvg = in_repository("tests/golden/models/openmvg/sfm_data.json");
         convert(&openmvg, &folder.path().join("out/background"), None).unwrap();
         // An output folder counts as its background.

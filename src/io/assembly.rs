@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::Path;
 
-use nalgebra::{Matrix3, Point2, Point3, Rotation3, UnitQuaternion};
+use nalgebra::{Matrix3, Point2, Point3, Quaternion, Rotation3, UnitQuaternion};
 
 use super::IoError;
 use crate::scene::{CameraId, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
@@ -12,7 +12,20 @@ use crate::scene::{CameraId, ImageId, Observation, Point3d, Point3dId, Reconstru
 pub fn rotation(matrix: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
     let error = (matrix * matrix.transpose() - Matrix3::identity()).norm();
     let is_rotation = error < 1e-5 && matrix.determinant() > 0.0;
-    is_rotation.then(|| UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*matrix)))
+    let found =
+        is_rotation.then(|| UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*matrix)))?;
+    // Of a matrix that is one to 10⁻⁵ only, the quaternion is of unit length no better.
+    unit_quaternion(found.into_inner())
+}
+
+/// A unit quaternion from one of any length; one that is of unit length to rounding is kept as it is. `None` if the
+/// length is next to nothing, or too large to be a number.
+pub fn unit_quaternion(stored: Quaternion<f64>) -> Option<UnitQuaternion<f64>> {
+    let norm = stored.norm();
+    if (norm - 1.0).abs() < 1e-12 {
+        return Some(UnitQuaternion::new_unchecked(stored));
+    }
+    (norm > 1e-6 && norm.is_finite()).then(|| UnitQuaternion::new_normalize(stored))
 }
 
 /// Adds a point and its observations, pixels of this program, in those images that the model has; its error is their
@@ -107,22 +120,34 @@ impl Losses {
         self
     }
 
-    /// One more if there is any.
-    pub fn counted(self, count: usize, what: &str) -> Self {
-        if count == 0 { self } else { self.with(format!("{count} {what}")) }
+    /// One more if there is any; `one` follows the number 1, `many` all others.
+    pub fn counted(self, count: usize, one: &str, many: &str) -> Self {
+        match count {
+            0 => self,
+            1 => self.with(format!("1 {one}")),
+            _ => self.with(format!("{count} {many}")),
+        }
     }
 
     /// The format has no colours.
     pub fn colors(self, model: &Reconstruction) -> Self {
         let colored = model.points.values().filter(|point| point.rgb != [255; 3]).count();
-        self.counted(colored, "points lose their colour, for which the format has no place")
+        self.counted(
+            colored,
+            "point loses its colour, for which the format has no place",
+            "points lose their colour, for which the format has no place",
+        )
     }
 
     /// The format has no features that see no point.
     pub fn unmatched_features(self, model: &Reconstruction) -> Self {
         let features = model.images.values().flat_map(|image| &image.observations);
         let unmatched = features.filter(|o| o.point.is_none()).count();
-        self.counted(unmatched, "features that see no point are left out, for which the format has no place")
+        self.counted(
+            unmatched,
+            "feature that sees no point is left out, for which the format has no place",
+            "features that see no point are left out, for which the format has no place",
+        )
     }
 }
 
@@ -133,5 +158,19 @@ impl fmt::Display for Short {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let digits = 5 - self.0.abs().max(1e-3).log10().floor() as i32;
         write!(f, "{:.*}", digits.clamp(0, 9) as usize, self.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rotation_of_a_rough_matrix_is_of_unit_length() {
+        let exact = UnitQuaternion::from_euler_angles(0.3, -0.2, 0.1);
+        let matrix = exact.to_rotation_matrix().into_inner();
+        let found = rotation(&(matrix * (1.0 + 2e-6))).unwrap();
+        assert!((found.norm() - 1.0).abs() < 1e-15 && found.angle_to(&exact) < 1e-5, "{found}");
+        assert!(rotation(&(matrix * 1.001)).is_none() && rotation(&-matrix).is_none());
     }
 }

@@ -11,7 +11,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use tempfile::Builder;
+use tempfile::{Builder, NamedTempFile};
 
 use super::IoError;
 
@@ -35,19 +35,37 @@ pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<(), IoError> {
 
 /// Writes a file through `fill`, which gets a buffered writer; it replaces `path` only if all went well.
 pub fn write_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<(), IoError> {
+    let mut file = beside(path)?;
+    let written = {
+        let mut buffered = BufWriter::new(file.as_file_mut());
+        fill(&mut buffered).and_then(|()| buffered.flush())
+    };
+    written.map_err(IoError::system("write", path))?;
+    put(file, path)
+}
+
+/// As [`write_with`], through `fill`, which gets the name of an empty file to open and fill by itself.
+#[cfg(feature = "database")]
+pub fn write_through(path: &Path, fill: impl FnOnce(&Path) -> Result<(), IoError>) -> Result<(), IoError> {
+    let file = beside(path)?;
+    fill(file.path())?;
+    put(file, path)
+}
+
+/// An empty file under a temporary name in the folder of `path`.
+fn beside(path: &Path) -> Result<NamedTempFile, IoError> {
     let folder = parent(path);
     fs::create_dir_all(folder).map_err(IoError::system("create", folder))?;
     let mut builder = Builder::new();
     // The process's umask takes its share off these, as for any new file.
     builder.prefix(TEMPORARY_PREFIX).permissions(Permissions::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder).map_err(IoError::system("write into", folder))?;
-    let written = {
-        let mut buffered = BufWriter::new(file.as_file_mut());
-        fill(&mut buffered).and_then(|()| buffered.flush())
-    };
-    written.and_then(|()| file.as_file().sync_all()).map_err(IoError::system("write", path))?;
+    builder.tempfile_in(folder).map_err(IoError::system("write into", folder))
+}
+
+fn put(file: NamedTempFile, path: &Path) -> Result<(), IoError> {
+    file.as_file().sync_all().map_err(IoError::system("write", path))?;
     file.persist(path).map_err(|e| IoError::system("replace", path)(e.error))?;
-    sync_folder(folder)
+    sync_folder(parent(path))
 }
 
 /// Whether a name is one under which a file is written before it is whole.

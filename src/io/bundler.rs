@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::assembly::{Losses, check_finite, check_lenses, check_line_names, rotation};
-use super::centered::{Centered, add_points, check_two_radial, losses, places, set_picture_sizes};
+use super::centered::{Centered, add_points, check_two_radial, losses, places, set_picture_sizes, sizes_of_files};
 use super::words::{Text, Words};
 use super::{IoError, atomic};
 use crate::camera::Camera;
@@ -66,7 +66,8 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     }
     let points =
         (0..num_points).map(|_| Centered::read(&mut words, num_cameras, -1.0)).collect::<Result<Vec<_>, _>>()?;
-    set_picture_sizes(path, &mut model, &points);
+    let sizes = sizes_of_files(path, &model);
+    set_picture_sizes(&mut model, &points, &sizes);
     add_points(path, &mut model, points)?;
     Ok(model)
 }

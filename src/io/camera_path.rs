@@ -16,7 +16,7 @@ use std::path::Path;
 use nalgebra::{Matrix3, Point3, Quaternion, UnitQuaternion};
 
 use super::IoError;
-use super::assembly::rotation;
+use super::assembly::{rotation, unit_quaternion};
 use super::words::Text;
 use crate::camera::Camera;
 use crate::math::Rigid3;
@@ -32,7 +32,7 @@ pub fn read_tum(path: &Path) -> Result<Reconstruction, IoError> {
     read(path, |_, fields, values: &[f64; 8]| {
         let [_, x, y, z, qx, qy, qz, qw] = *values;
         let quaternion = Quaternion::new(qw, qx, qy, qz);
-        let rotation = (quaternion.norm() > 1e-6).then(|| UnitQuaternion::new_normalize(quaternion))?;
+        let rotation = unit_quaternion(quaternion)?;
         Some((fields[0].to_owned(), rotation, Point3::new(x, y, z)))
     })
 }

@@ -39,9 +39,18 @@ impl Centered {
     }
 }
 
-/// Gives every camera, which serves one image, the size of its picture: that of the file, if it lies where `path` does,
-/// else the smallest even one that holds all places seen. The principal point is the middle.
-pub fn set_picture_sizes(path: &Path, model: &mut Reconstruction, points: &[Centered]) {
+/// Widths and heights of pictures, pixels.
+pub type Sizes = BTreeMap<ImageId, (u32, u32)>;
+
+/// The sizes of those pictures that lie where `path` does.
+pub fn sizes_of_files(path: &Path, model: &Reconstruction) -> Sizes {
+    let size = |name: &str| image::image_dimensions(path.with_file_name("").join(name)).ok();
+    model.images.iter().filter_map(|(id, image)| Some((*id, size(&image.name)?))).collect()
+}
+
+/// Gives every camera, which serves one image, the size of its picture: the one that is known, else the smallest even
+/// one that holds all places seen. The principal point is the middle.
+pub fn set_picture_sizes(model: &mut Reconstruction, points: &[Centered], known: &Sizes) {
     let mut reach: BTreeMap<ImageId, [f64; 2]> = BTreeMap::new();
     for (image, place) in points.iter().flat_map(|point| &point.seen) {
         let largest = reach.entry(*image).or_default();
@@ -49,10 +58,9 @@ pub fn set_picture_sizes(path: &Path, model: &mut Reconstruction, points: &[Cent
     }
     for (id, image) in &model.images {
         let Some(camera) = model.cameras.get_mut(&image.camera) else { continue };
-        let of_file = image::image_dimensions(path.with_file_name("").join(&image.name)).ok();
         let half = reach.get(id).copied().unwrap_or_default();
         let even = |half: f64| 2 * (half.ceil().clamp(1.0, 1e6) as u32);
-        let (width, height) = of_file.unwrap_or((even(half[0]), even(half[1])));
+        let (width, height) = known.get(id).copied().unwrap_or((even(half[0]), even(half[1])));
         let principal = [f64::from(width) / 2.0, f64::from(height) / 2.0];
         *camera = Camera { width, height, principal, ..*camera };
     }
@@ -105,6 +113,7 @@ pub fn losses(model: &Reconstruction) -> Losses {
         .with("the sizes of the pictures are not in the format".to_owned())
         .counted(
             model.cameras.values().filter(is_off).count(),
+            "camera has its principal point off the middle of the picture; features are relative to that point",
             "cameras have their principal point off the middle of the picture; features are relative to that point",
         )
         .unmatched_features(model)

@@ -23,6 +23,8 @@ mod bytes;
 pub mod camera_path;
 mod centered;
 pub mod colmap;
+#[cfg(feature = "database")]
+pub mod database;
 mod error;
 pub mod ground;
 pub mod json;

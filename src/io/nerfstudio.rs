@@ -5,8 +5,8 @@
 //! third columns change their sign here. Pixels are counted from the corner, as here. Where the program that made the
 //! file has moved the world it says how in `applied_transform` (3 × 4, or 4 × 4), which is undone. Intrinsics stand at
 //! the top, or with a frame. A file without `camera_model` is read as OPENCV; k₄ has a place with OPENCV_FISHEYE alone.
-//! Where `fl_x` is missing it follows from `camera_angle_x`, and the size, without which nothing can be said, from
-//! nowhere.
+//! Where `fl_x` is missing it follows from `camera_angle_x`, and a missing size from the picture, if that lies beside the
+//! file; its name may lack the ending `.png`, as in the scenes of NeRF's paper.
 //!
 //! Images get their places in the list plus one as ids, and the name `file_path`. There are no observations in the
 //! format; points are written to `sparse_pc.ply`, which `ply_file_path` names, and are not read.
@@ -98,10 +98,22 @@ impl Intrinsics {
         }
     }
 
+    /// With the size of the picture at `name` beside the file at `path`, where no size is said.
+    fn or_size_of(self, path: &Path, name: &str) -> Self {
+        if self.w.is_some() && self.h.is_some() {
+            return self;
+        }
+        let size = |name: &str| image::image_dimensions(path.with_file_name("").join(name)).ok();
+        let size = size(name).or_else(|| size(&format!("{name}.png")));
+        size.map(|(w, h)| Self { w: Some(f64::from(w)), h: Some(f64::from(h)), ..self.clone() }).unwrap_or(self)
+    }
+
     /// The camera, and its form where nothing can be projected with it.
     fn camera(&self) -> Result<(Camera, Option<CameraForm>), String> {
         let size = |side: Option<f64>| side.filter(|s| *s >= 1.0 && *s < 1e6).map(|s| s.round() as u32);
-        let (width, height) = size(self.w).zip(size(self.h)).ok_or("no size of the picture (w, h)")?;
+        let (width, height) = size(self.w)
+            .zip(size(self.h))
+            .ok_or("no size of the picture (w, h), and no picture beside the file tells it")?;
         let half = f64::from(width) / 2.0;
         let of_angle = || self.camera_angle_x.map(|angle| half / (angle / 2.0).tan());
         let fx = self.fl_x.or_else(of_angle).ok_or("no focal length (fl_x)")?;
@@ -165,7 +177,7 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     let mut known: Vec<Intrinsics> = Vec::new();
     for (index, frame) in (1..).zip(&document.frames) {
         let problem = |what: String| IoError::content(path, format!("frame '{}' has {what}", frame.file_path));
-        let intrinsics = frame.camera.or(&document.camera);
+        let intrinsics = frame.camera.or(&document.camera).or_size_of(path, &frame.file_path);
         let place = known.iter().position(|other| *other == intrinsics).unwrap_or(known.len());
         let camera = CameraId(place as u32 + 1);
         if place == known.len() {
@@ -243,7 +255,11 @@ pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
     let document = Document { camera: only.unwrap_or_default(), applied_transform: None, ply_file_path, frames };
     atomic::write_json(&json, &document)?;
     let num_features = model.images.values().map(|image| image.observations.len()).sum();
-    Ok(Losses::default().counted(num_features, "features are left out: the format has none"))
+    Ok(Losses::default().counted(
+        num_features,
+        "feature is left out: the format has none",
+        "features are left out: the format has none",
+    ))
 }
 
 fn matrix(pose: &Rigid3) -> [[f64; 4]; 4] {
@@ -306,6 +322,14 @@ mod tests {
         assert!(says("\"k2\"", "\"k4\"").contains("fourth radial"));
         assert!(says("\"OPENCV\"", "\"FISHEYE624\"").contains("the camera_model FISHEYE624"));
         assert!(says("[[1, 0, 0, 1]", "[[2, 0, 0, 1]").contains("transform_matrix that is not a rigid motion"));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("transforms.json");
+        let sizeless = GOLDEN.replace("\"w\": 640,", "").replace("\"h\": 480,", "").replace("a.jpg", "a");
+        std::fs::write(&path, sizeless).unwrap();
+        std::fs::create_dir(folder.path().join("images")).unwrap();
+        image::GrayImage::new(64, 48).save(folder.path().join("images/a.png")).unwrap();
+        let found = read(&path).unwrap();
+        assert_eq!((found.cameras[&CameraId(1)].width, found.cameras[&CameraId(1)].height), (64, 48));
         let angle = GOLDEN.replace("\"fl_x\": 500.0, \"fl_y\": 510.0", "\"camera_angle_x\": 1.5707963267948966");
         assert!((read_text(&angle).unwrap().cameras[&CameraId(1)].focal[1] - 320.0).abs() < 1e-9);
         damaged_text_never_panics(GOLDEN, |text| read_text(text).is_ok());

@@ -10,17 +10,26 @@
 //! to the lens over the picture; a lens that none follows to half a pixel is refused. Sizes of pictures are not in the
 //! file: they are those of the pictures where these lie beside it, else the smallest even ones that hold all features.
 //! Of several models in a file the first is read.
+//!
+//! VisualSFM itself also writes places from the upper left corner, and does not say so. A file in which no place lies
+//! left of or above its origin is taken to be one of these. The middle is then half the size of the picture where that
+//! lies beside the file, else what the poses and points say: the median difference between places and projections.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use nalgebra::{Point2, Point3, Quaternion, UnitQuaternion};
+use nalgebra::{Point2, Point3, Quaternion, Vector2};
 
-use super::assembly::{Losses, Short, check_finite, check_lenses, check_line_names, unsupported_camera};
-use super::centered::{Centered, add_points, check_one_focal_length, losses, places, set_picture_sizes};
+use super::assembly::{
+    Losses, Short, check_finite, check_lenses, check_line_names, unit_quaternion, unsupported_camera,
+};
+use super::centered::{
+    Centered, Sizes, add_points, check_one_focal_length, losses, places, set_picture_sizes, sizes_of_files,
+};
 use super::words::{Text, Words};
 use super::{IoError, atomic};
 use crate::camera::{Camera, HigherTerms};
-use crate::math::Rigid3;
+use crate::math::{Rigid3, median};
 use crate::scene::{CameraId, Image, ImageId, Reconstruction};
 
 /// How the file begins.
@@ -53,11 +62,45 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
         add_camera(&mut words, index as u32, &mut model)?;
     }
     let num_points = words.count("number of points", 13)?;
-    let points =
+    let mut points =
         (0..num_points).map(|_| Centered::read(&mut words, num_cameras, 1.0)).collect::<Result<Vec<_>, _>>()?;
-    set_picture_sizes(path, &mut model, &points);
+    let sizes = sizes_of_files(path, &model);
+    let sizes = if count_from_the_corner(&points) { middled(&model, &mut points, sizes) } else { sizes };
+    set_picture_sizes(&mut model, &points, &sizes);
     add_points(path, &mut model, points)?;
     Ok(model)
+}
+
+/// Whether no place lies left of or above the origin, as about half of those do that are counted from the middle.
+fn count_from_the_corner(points: &[Centered]) -> bool {
+    const FEWEST: usize = 16;
+    let mut places = points.iter().flat_map(|point| &point.seen).map(|(_, place)| place);
+    points.iter().map(|point| point.seen.len()).sum::<usize>() >= FEWEST && places.all(|p| p.x >= 0.0 && p.y >= 0.0)
+}
+
+/// Moves places from the corner to the middle, and gives the sizes of all pictures.
+fn middled(model: &Reconstruction, points: &mut [Centered], mut sizes: Sizes) -> Sizes {
+    let mut differences: BTreeMap<ImageId, [Vec<f64>; 2]> = BTreeMap::new();
+    for point in points.iter() {
+        for (id, place) in &point.seen {
+            let Some(image) = model.images.get(id) else { continue };
+            let camera = model.camera_of(image);
+            let Some(pixel) = camera.pixel_from_cam(image.cam_from_world * point.position) else { continue };
+            let from_middle = pixel - Point2::from(camera.principal);
+            let found = differences.entry(*id).or_default();
+            found[0].push(place.x - from_middle.x);
+            found[1].push(place.y - from_middle.y);
+        }
+    }
+    let twice = |values: Vec<f64>| (2.0 * median(values).unwrap_or(0.0)).round().clamp(1.0, 1e6) as u32;
+    for (id, [x, y]) in differences {
+        sizes.entry(id).or_insert_with(|| (twice(x), twice(y)));
+    }
+    for (id, place) in points.iter_mut().flat_map(|point| &mut point.seen) {
+        let (width, height) = sizes.get(id).copied().unwrap_or_default();
+        *place -= Vector2::new(f64::from(width) / 2.0, f64::from(height) / 2.0);
+    }
+    sizes
 }
 
 fn add_camera(words: &mut Words<'_>, index: u32, model: &mut Reconstruction) -> Result<(), IoError> {
@@ -71,12 +114,10 @@ fn add_camera(words: &mut Words<'_>, index: u32, model: &mut Reconstruction) -> 
     if !(focal > 0.0) {
         return Err(words.error("focal length", "is not positive"));
     }
-    if !(stored.norm() > 1e-6) {
-        return Err(words.error("quaternion", "is not a rotation"));
-    }
+    let rotation = unit_quaternion(stored).ok_or_else(|| words.error("quaternion", "is not a rotation"))?;
     let higher = HigherTerms { k3: -12.0 * r * r * r, ..HigherTerms::ZERO };
     let camera = Camera { radial: [-r, 3.0 * r * r], higher, ..Camera::with_focal(2, 2, focal) };
-    let cam_from_world = Rigid3::from_rotation_and_center(UnitQuaternion::new_normalize(stored), center);
+    let cam_from_world = Rigid3::from_rotation_and_center(rotation, center);
     let id = CameraId(index + 1);
     model.cameras.insert(id, camera);
     model.images.insert(ImageId(index + 1), Image { name, camera: id, cam_from_world, observations: Vec::new() });
@@ -93,7 +134,7 @@ pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
     check_lenses(path, model, FORMAT)?;
     check_line_names(path, model)?;
     let mut worst_px = 0.0;
-    let mut distortions = std::collections::BTreeMap::new();
+    let mut distortions = BTreeMap::new();
     for (id, camera) in &model.cameras {
         check_one_focal_length(path, *id, camera, FORMAT)?;
         let (r, error_px) = measured_side(camera);
@@ -127,7 +168,7 @@ fn measured_side(camera: &Camera) -> (f64, f64) {
         (above + row.dot(&(true_one - seen)), below + row.norm_squared())
     });
     let r = if below > 0.0 { above / below } else { 0.0 };
-    let error = |(seen, true_one): &(nalgebra::Vector2<f64>, nalgebra::Vector2<f64>)| {
+    let error = |(seen, true_one): &(Vector2<f64>, Vector2<f64>)| {
         (seen * (1.0 + r * seen.norm_squared()) - true_one).norm() * camera.focal[0]
     };
     (r, rays.iter().map(error).fold(0.0, f64::max))
@@ -136,7 +177,7 @@ fn measured_side(camera: &Camera) -> (f64, f64) {
 fn write_nvm(
     out: &mut dyn std::io::Write,
     model: &Reconstruction,
-    distortions: &std::collections::BTreeMap<CameraId, f64>,
+    distortions: &BTreeMap<CameraId, f64>,
 ) -> std::io::Result<()> {
     let places = places(model);
     writeln!(out, "{MAGIC}\n\n{}", model.images.len())?;
@@ -209,11 +250,36 @@ mod tests {
         assert!(write(&path, &strong).unwrap_err().to_string().contains("one term"));
     }
 
+    /// What VisualSFM writes besides: places from the corner, without a size.
+    #[test]
+    fn places_from_the_corner_are_noticed() {
+        let lens = |f: f64, width| Camera { radial: [0.0; 2], ..Camera::with_focal(width, 540, f) };
+        let model = model_with(&[lens(280.0, 960), lens(290.0, 1000)]);
+        let mut cornered = model.clone();
+        cornered.cameras.values_mut().for_each(|camera| camera.principal = [0.0; 2]);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.nvm");
+        write(&path, &cornered).unwrap();
+        let found = read(&path).unwrap();
+        for (found, image) in found.images.values().zip(model.images.values()) {
+            let (found, camera) = (found.cam_from_world, model.camera_of(image));
+            assert!((found.center() - image.cam_from_world.center()).norm() < 1e-9, "{camera:?}");
+        }
+        // Features lie up to half a pixel beside their projections.
+        let sizes: Vec<_> = found.images.values().map(|i| found.camera_of(i)).map(|c| (c.width, c.height)).collect();
+        for ((width, height), expected) in sizes.iter().zip([960u32, 1000, 960, 1000]) {
+            assert!(width.abs_diff(expected) < 2 && height.abs_diff(540) < 2, "{sizes:?}");
+        }
+        let error = found.mean_reprojection_error_px().unwrap();
+        assert!(error < 1.0, "{error}");
+    }
+
     #[test]
     fn damage_is_said_with_its_place() {
         let says = |from: &str, to: &str| read_text(&GOLDEN.replace(from, to)).unwrap_err().to_string();
         assert!(says("NVM_V3", "NVM_V3 FixedK 1 2 3 4 0").contains("without a fixed calibration"));
         assert!(says("500 1 0", "500 0 0").contains("is not a rotation"));
+        assert!(says("500 1 0", "500 1e308 0").contains("is not a rotation"));
         assert!(says("1 6 0", "7 6 0").contains("line 8: view of a point: there is no camera 7"));
         damaged_text_never_panics(GOLDEN, |text| read_text(text).is_ok());
     }

@@ -199,8 +199,8 @@ impl RunFolder {
             [name] if DOCUMENTS.contains(&name) => Place::File,
             [BACKGROUND | OBJECTS | AS_RECONSTRUCTED | TRACKS | POINT_CLOUDS] => Place::Folder,
             [OBJECTS | AS_RECONSTRUCTED | TRACKS, id] if object_id(id).is_some() => Place::Folder,
-            [BACKGROUND, file] if colmap::FILES.contains(&file) => Place::File,
-            [OBJECTS | AS_RECONSTRUCTED, id, file] if object_id(id).is_some() && colmap::FILES.contains(&file) => {
+            [BACKGROUND, file] if colmap::is_file_name(file) => Place::File,
+            [OBJECTS | AS_RECONSTRUCTED, id, file] if object_id(id).is_some() && colmap::is_file_name(file) => {
                 Place::File
             }
             [TRACKS, id, file] if object_id(id).is_some() && file.ends_with(".png") => Place::File,

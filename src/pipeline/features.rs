@@ -11,8 +11,8 @@ use super::{Instances, PipelineError, Stage, cameras, fingerprint, order, pictur
 use crate::io::{IoError, atomic};
 use crate::sfm::{FrontEnd, TrackTable};
 
-const PREFIX: &str = "features-";
-const BACKGROUND: &str = "background";
+pub(super) const PREFIX: &str = "features-";
+pub(super) const BACKGROUND: &str = "background";
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     let cameras: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| initial.camera).collect();
@@ -99,7 +99,7 @@ impl TrackStore {
         postcard::from_bytes(&bytes).map_err(|e| PipelineError::State { path, reason: e.to_string() })
     }
 
-    fn path(&self, target: &str) -> PathBuf {
+    pub(super) fn path(&self, target: &str) -> PathBuf {
         self.folder.join(format!("{target}.bin"))
     }
 }

@@ -15,6 +15,7 @@ mod exports;
 mod features;
 mod fingerprint;
 mod follow;
+mod found_features;
 mod frames;
 mod given_masks;
 mod given_models;
@@ -48,6 +49,7 @@ use serde_json::{Value, json};
 
 pub use error::PipelineError;
 pub use evaluate::{Kept, evaluate, keep_evaluation};
+pub use found_features::found_features;
 pub use meter::{Cost, process_cpu_s};
 pub use models::{CameraReport, ModelReport};
 pub use options::{

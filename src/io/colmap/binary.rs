@@ -148,6 +148,6 @@ pub fn write_points(out: &mut dyn Write, model: &Reconstruction) -> std::io::Res
     Ok(())
 }
 
-fn write_doubles(out: &mut dyn Write, values: &[f64]) -> std::io::Result<()> {
+pub fn write_doubles(out: &mut dyn Write, values: &[f64]) -> std::io::Result<()> {
     values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
 }

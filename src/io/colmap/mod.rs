@@ -2,8 +2,7 @@
 //!
 //! The formats are those of COLMAP's documentation, `doc/format.rst`. Poses are `cam_from_world`, quaternions w x y z,
 //! the corner of the image is (0, 0): as everywhere in this program, so nothing is converted. `rigs` and `frames`,
-//! which COLMAP 4 writes beside, are not needed to read a model and are not written; COLMAP makes them up from the
-//! images.
+//! which COLMAP has beside since version 3.12, are written (see `rigs`) and are not needed to read a model.
 //!
 //! A camera is written under the model of the file that it came from, if that still holds it. Those that this program
 //! found are written as the smallest model that holds them: one focal length as `SIMPLE_PINHOLE`, `SIMPLE_RADIAL` or
@@ -14,6 +13,7 @@
 
 mod binary;
 mod camera_model;
+mod rigs;
 mod text;
 
 use std::collections::BTreeMap;
@@ -21,11 +21,14 @@ use std::path::Path;
 
 use nalgebra::{Quaternion, UnitQuaternion};
 
-use super::assembly::check_finite;
+use super::assembly::{self, check_finite};
 use super::{IoError, atomic};
 use crate::camera::Camera;
 use crate::scene::{CameraForm, CameraId, ImageId, Point3dId, Reconstruction};
 pub(super) use camera_model::foreign as foreign_camera;
+#[cfg(feature = "database")]
+pub(super) use camera_model::written as written_camera;
+pub use rigs::num_of_several as num_rigs_of_several;
 
 /// Cameras by id, and how the file describes them.
 type Cameras = (BTreeMap<CameraId, Camera>, BTreeMap<CameraId, CameraForm>);
@@ -62,8 +65,16 @@ pub fn read_any(folder: &Path) -> Result<Reconstruction, IoError> {
     Ok(model)
 }
 
-/// Names of a model's files, as text and binary.
-pub const FILES: [&str; 6] = ["cameras.txt", "images.txt", "points3D.txt", "cameras.bin", "images.bin", "points3D.bin"];
+/// Names of a model's files as text.
+pub const TEXT_FILES: [&str; 5] = ["cameras.txt", "images.txt", "points3D.txt", "rigs.txt", "frames.txt"];
+
+/// Names of a model's files as binary.
+pub const BINARY_FILES: [&str; 5] = ["cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin"];
+
+/// Whether a file is called like one of a model's.
+pub fn is_file_name(name: &str) -> bool {
+    TEXT_FILES.contains(&name) || BINARY_FILES.contains(&name)
+}
 
 /// Reads the cameras of one file alone, for geometry: `cameras.txt`, or `cameras.bin` if the name ends so.
 ///
@@ -120,7 +131,7 @@ pub(super) fn check_text_names(folder: &Path, model: &Reconstruction) -> Result<
     }
 }
 
-/// Writes a model as text: `cameras.txt`, `images.txt`, `points3D.txt`, each whole.
+/// Writes a model as text, [`TEXT_FILES`], each whole.
 ///
 /// # Errors
 /// A system error, or a number that is not finite, or an image name that cannot stand in a line of text, or a binary
@@ -133,10 +144,12 @@ pub fn write_text(folder: &Path, model: &Reconstruction) -> Result<(), IoError> 
     }
     atomic::write_with(&folder.join("cameras.txt"), |out| text::write_cameras(out, model))?;
     atomic::write_with(&folder.join("images.txt"), |out| text::write_images(out, model))?;
-    atomic::write_with(&folder.join("points3D.txt"), |out| text::write_points(out, model))
+    atomic::write_with(&folder.join("points3D.txt"), |out| text::write_points(out, model))?;
+    atomic::write_with(&folder.join("rigs.txt"), |out| rigs::write_rigs_text(out, model))?;
+    atomic::write_with(&folder.join("frames.txt"), |out| rigs::write_frames_text(out, model))
 }
 
-/// Writes a model as binary: `cameras.bin`, `images.bin`, `points3D.bin`, each whole.
+/// Writes a model as binary, [`BINARY_FILES`], each whole.
 ///
 /// # Errors
 /// As [`write_text`].
@@ -144,20 +157,15 @@ pub fn write_binary(folder: &Path, model: &Reconstruction) -> Result<(), IoError
     check_writable(folder, model)?;
     atomic::write_with(&folder.join("cameras.bin"), |out| binary::write_cameras(out, model))?;
     atomic::write_with(&folder.join("images.bin"), |out| binary::write_images(out, model))?;
-    atomic::write_with(&folder.join("points3D.bin"), |out| binary::write_points(out, model))
+    atomic::write_with(&folder.join("points3D.bin"), |out| binary::write_points(out, model))?;
+    atomic::write_with(&folder.join("rigs.bin"), |out| rigs::write_rigs_binary(out, model))?;
+    atomic::write_with(&folder.join("frames.bin"), |out| rigs::write_frames_binary(out, model))
 }
 
 /// A unit quaternion from its stored parts; parts that are of unit length to rounding are kept as they are.
 fn unit_quaternion([w, x, y, z]: [f64; 4]) -> Result<UnitQuaternion<f64>, String> {
-    let quaternion = Quaternion::new(w, x, y, z);
-    let norm = quaternion.norm();
-    if (norm - 1.0).abs() < 1e-12 {
-        Ok(UnitQuaternion::new_unchecked(quaternion))
-    } else if norm > 1e-6 && norm.is_finite() {
-        Ok(UnitQuaternion::new_normalize(quaternion))
-    } else {
-        Err(format!("the quaternion ({w}, {x}, {y}, {z}) is not a rotation"))
-    }
+    assembly::unit_quaternion(Quaternion::new(w, x, y, z))
+        .ok_or_else(|| format!("the quaternion ({w}, {x}, {y}, {z}) is not a rotation"))
 }
 
 /// The parts of a model must refer to one another: each track element to an observation that names its point, and each

@@ -319,3 +319,42 @@ fn models_that_colmap_wrote_are_read() {
     assert!((camera.radial[0] + 0.00249982825).abs() < 1e-10 && camera.radial[1] == 0.0);
     assert_errors_come_back(&fountain, 1e-6);
 }
+
+/// Every camera is a rig and every image a frame, byte for byte what COLMAP 4.2.1 writes of such a model.
+#[test]
+fn rigs_and_frames_are_written() {
+    let model = sample();
+    let binary = written(&model, true);
+    let rigs = std::fs::read(binary.path().join("rigs.bin")).unwrap();
+    assert_eq!(rigs.len(), 8 + 16 * model.cameras.len());
+    assert_eq!(rigs[..24], [5, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0]);
+    let frames = std::fs::read(binary.path().join("frames.bin")).unwrap();
+    assert_eq!(frames.len(), 8 + (8 + 56 + 4 + 16) * model.images.len());
+    let text = written(&model, false);
+    let rigs = std::fs::read_to_string(text.path().join("rigs.txt")).unwrap();
+    assert!(rigs.ends_with("1 1 CAMERA 1\n4 1 CAMERA 4\n5 1 CAMERA 5\n9 1 CAMERA 9\n10 1 CAMERA 10\n"), "{rigs}");
+    let frames = std::fs::read_to_string(text.path().join("frames.txt")).unwrap();
+    assert!(frames.ends_with("9 1 1 0 0 0 0 0 0 1 CAMERA 1 9\n"), "{frames}");
+    assert_eq!((num_rigs_of_several(binary.path()), num_rigs_of_several(text.path())), (0, 0));
+}
+
+#[test]
+fn rigs_of_several_cameras_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(num_rigs_of_several(folder.path()), 0);
+    let text = "# comment\n1 1 CAMERA 1\n2 3 CAMERA 2 CAMERA 3 0 IMU 1 1 1 0 0 0 1 2 3\n";
+    std::fs::write(folder.path().join("rigs.txt"), text).unwrap();
+    assert_eq!(num_rigs_of_several(folder.path()), 1);
+    std::fs::write(folder.path().join("cameras.bin"), 0u64.to_le_bytes()).unwrap();
+    let mut rigs = 1u64.to_le_bytes().to_vec();
+    rigs.extend([2u32, 3, 0, 2, 0, 3].iter().flat_map(|v| v.to_le_bytes()));
+    rigs.push(0);
+    rigs.extend([1u32, 1].iter().flat_map(|v| v.to_le_bytes()));
+    rigs.push(1);
+    rigs.extend([0; 56]);
+    std::fs::write(folder.path().join("rigs.bin"), &rigs).unwrap();
+    assert_eq!(num_rigs_of_several(folder.path()), 1);
+    rigs.truncate(20);
+    std::fs::write(folder.path().join("rigs.bin"), rigs).unwrap();
+    assert_eq!(num_rigs_of_several(folder.path()), 0);
+}

@@ -66,7 +66,7 @@ fn numbered_models(folder: &Path) -> Vec<PathBuf> {
 }
 
 fn of_file(path: &Path) -> Result<(PathBuf, Format), IoError> {
-    let is_colmap = path.file_name().is_some_and(|name| colmap::FILES.iter().any(|file| *file == name));
+    let is_colmap = path.file_name().and_then(|name| name.to_str()).is_some_and(colmap::is_file_name);
     if let (true, Some(folder)) = (is_colmap, path.parent()) {
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
         return of_folder(folder);

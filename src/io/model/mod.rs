@@ -1,6 +1,8 @@
 //! Reconstructions in whatever supported format they come.
 
 mod detect;
+#[cfg(test)]
+mod properties;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -104,26 +106,28 @@ pub fn write(path: &Path, model: &Reconstruction, format: Format) -> Result<Loss
         }),
         Format::Ply => {
             let points: Vec<_> = model.points.values().map(|p| (p.position, p.rgb)).collect();
-            let losses =
-                Losses::default().counted(model.images.len(), "cameras are left out: the format has points alone");
+            let losses = Losses::default().counted(
+                model.images.len(),
+                "camera is left out: the format has points alone",
+                "cameras are left out: the format has points alone",
+            );
             ply::write_points(path, &points).map(|()| losses)
         }
     }
 }
 
-/// Looks whether a reconstruction may be written: no file is written through a link or over the one that is read, and
-/// over others only if `overwrite` is set.
+/// Looks whether `files` may be written, at or in `output`: none is written through a link or over the one that is read,
+/// and over others only if `overwrite` is set.
 ///
 /// # Errors
 /// [`FolderError`] says what is in the way.
-pub fn check_target(input: &Path, output: &Path, format: Format, overwrite: bool) -> Result<(), FolderError> {
+pub fn check_target(input: &Path, output: &Path, files: &[PathBuf], overwrite: bool) -> Result<(), FolderError> {
     let is_same =
         |a: &Path, b: &Path| std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(b).is_ok_and(|b| a == b));
-    let files = files_of(output, format);
     if is_same(input, output) || files.iter().any(|file| is_same(input, file)) {
         return Err(FolderError::OwnInput { flag: "IN".to_owned(), input: input.to_owned() });
     }
-    for file in &files {
+    for file in files {
         let Ok(found) = std::fs::symlink_metadata(file) else { continue };
         let shown = || file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if found.file_type().is_symlink() {
@@ -138,10 +142,9 @@ pub fn check_target(input: &Path, output: &Path, format: Format, overwrite: bool
 
 /// The files that a reconstruction is written to.
 pub fn files_of(output: &Path, format: Format) -> Vec<PathBuf> {
-    let [text, binary] = [&colmap::FILES[..3], &colmap::FILES[3..]];
     match format {
-        Format::ColmapText => text.iter().map(|name| output.join(name)).collect(),
-        Format::ColmapBinary => binary.iter().map(|name| output.join(name)).collect(),
+        Format::ColmapText => colmap::TEXT_FILES.iter().map(|name| output.join(name)).collect(),
+        Format::ColmapBinary => colmap::BINARY_FILES.iter().map(|name| output.join(name)).collect(),
         Format::OpenSfm => opensfm::files(output).into(),
         Format::Nerfstudio => nerfstudio::files(output).into(),
         Format::Bundler => bundler::files(output).into(),
