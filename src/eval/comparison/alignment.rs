@@ -103,7 +103,8 @@ impl<'a> Cameras<'a> {
     fn new(pairs: &'a [(Rigid3, Rigid3)]) -> Result<Self, String> {
         if pairs.len() < registration::MIN_CAMERAS {
             let (few, least) = (pairs.len(), registration::MIN_CAMERAS);
-            return Err(format!("{few} images are registered in both, {least} are needed"));
+            let images = if few == 1 { "image is" } else { "images are" };
+            return Err(format!("{few} {images} registered in both, {least} are needed"));
         }
         let (source, target): (Vec<_>, Vec<_>) = pairs.iter().map(|(s, t)| (s.center(), t.center())).unzip();
         let (from, extent) = (typical_extent(&source), typical_extent(&target));

@@ -127,7 +127,8 @@ fn names(f: &mut fmt::Formatter<'_>, what: &str, names: &[String]) -> fmt::Resul
 
 fn intrinsics(pair: &IntrinsicsPair) -> String {
     let [reference, other] = pair.in_figures();
-    format!("intrinsics of {} images: {reference}, here {other}", pair.num_images)
+    let images = if pair.num_images == 1 { "1 image".to_owned() } else { format!("{} images", pair.num_images) };
+    format!("intrinsics of {images}: {reference}, here {other}")
 }
 
 impl IntrinsicsPair {

@@ -82,7 +82,8 @@ class CompareView extends SceneView {
 		const data = { ...JSON.parse(text.textContent), objects: [], frames: [], tangent: [0.5, 0.3] };
 		find("canvas").hidden = false;
 		view = new CompareView(find("canvas"), find("viewport"), data, () => null);
-		find("grid-size").textContent = `${view.gridLength} ${find("grid-size").dataset.unit}`;
+		const { one, unit } = find("grid-size").dataset;
+		find("grid-size").textContent = `${view.gridLength} ${Number(view.gridLength) === 1 ? one : unit}`;
 		for (const button of document.querySelectorAll("[data-view]")) button.addEventListener("click", () => view.look(button.dataset.view));
 		view.onMode = (mode) => document.querySelectorAll("[data-view]").forEach((button) => button.setAttribute("aria-pressed", button.dataset.view === mode));
 		for (const box of document.querySelectorAll("[data-part]")) {

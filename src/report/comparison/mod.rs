@@ -76,6 +76,7 @@ fn page_context(data: &Data) -> Value {
         histograms => charts::histograms(comparison),
         details,
         unit => unit(comparison.unit),
+        one => one(comparison.unit),
         reference => names[0],
         scene => scene.as_ref().map(json),
         omissions => scene.as_ref().map(scene::Scene::omissions),
@@ -92,6 +93,14 @@ fn unit(unit: LengthUnit) -> &'static str {
     }
 }
 
+/// As [`unit`], after the number 1.
+fn one(unit: LengthUnit) -> &'static str {
+    match unit {
+        LengthUnit::Metre => "metre",
+        LengthUnit::Reference => "unit of the first",
+    }
+}
+
 /// What a reader wants to know first.
 fn sentence(other: &Against, comparison: &Comparison) -> String {
     let (name, reference) = (&other.subject.name, &comparison.reference.name);
@@ -101,13 +110,14 @@ fn sentence(other: &Against, comparison: &Comparison) -> String {
     };
     let lost = match alignment.lost.len() {
         0 => String::new(),
-        lost => format!(" {} lie elsewhere and took no part in the alignment.", count(lost, "camera")),
+        1 => " 1 camera lies elsewhere and took no part in the alignment.".to_owned(),
+        lost => format!(" {lost} cameras lie elsewhere and took no part in the alignment."),
     };
     format!(
-        "{name}: {} of {} images of {reference} are registered in both; their cameras lie {} apart (root mean square, \
-         {} of the path's extent) and {:.3}° turned on average.{lost}",
+        "{name}: {} of the {} of {reference} are registered in both; their cameras lie {} apart (root mean square, {} \
+         of the path's extent) and {:.3}° turned on average.{lost}",
         other.num_common,
-        comparison.reference.figures.num_images,
+        count(comparison.reference.figures.num_images, "image"),
         with_unit(cameras.center_rmse, comparison.unit),
         percent(cameras.center_share_of_extent),
         cameras.rotation_mean_deg
@@ -115,7 +125,11 @@ fn sentence(other: &Against, comparison: &Comparison) -> String {
 }
 
 fn with_unit(length: f64, of: LengthUnit) -> String {
-    super::words::with_unit(length, 3, unit(of))
+    let text = super::words::with_unit(length, 3, unit(of));
+    match text.strip_prefix("1 ") {
+        Some(_) => format!("1 {}", one(of)),
+        None => text,
+    }
 }
 
 /// What stands of one reconstruction below the charts.
