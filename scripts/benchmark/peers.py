@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
-"""Structure from motion on a folder of photographs by tractrix and COLMAP, and `tractrix compare`.
+"""Structure from motion on a folder of photographs by tractrix, COLMAP and Theia, and `tractrix compare`.
 
     scripts/benchmark/peers.py IMAGES --output DIR [--intrinsics fx,fy,cx,cy] [--truth TRUTH] [--also NAME=MODEL]...
                                [--tractrix target/release/tractrix]
 
-COLMAP is taken from pycolmap (pip install numpy pycolmap); without it, it is left out. Both run alone, in processes of
+COLMAP is taken from pycolmap (pip install numpy pycolmap); without it, it is left out. All run alone, in processes of
 their own, with default options (COLMAP: exhaustive matching, one camera), and are measured from outside: CPU seconds,
-wall seconds and largest resident memory, as the kernel counts them for the process. Results of OpenMVG, Theia and
-others, in any format that is read, take part with --also; a cost.json beside them says what they cost.
+wall seconds and largest resident memory, as the kernel counts them for the process. Theia (pip install pytheia) starts
+from COLMAP's features and matches, and what it costs is without these. Results of OpenMVG and others, in any format
+that is read, take part with --also; a cost.json beside them says what they cost.
 
 DIR/NAME/ holds each result with its cost.json, DIR/NAME.log what it said, DIR/compare.html and DIR/compare.json the
 comparison. A result that is there is not computed again.
@@ -23,7 +24,8 @@ from pathlib import Path
 
 from sfm_peers import measured, run_colmap
 
-MODELS = {"tractrix": "out", "colmap": "best"}
+MODELS = {"tractrix": "out", "colmap": "best", "theia": "model"}
+MODULES = {"colmap": ["pycolmap"], "theia": ["pycolmap", "pytheia"]}
 
 
 def command_of(name: str, arguments: argparse.Namespace, work: Path) -> list[str]:
@@ -31,6 +33,9 @@ def command_of(name: str, arguments: argparse.Namespace, work: Path) -> list[str
     if name == "tractrix":
         given = ["--intrinsics", arguments.intrinsics] if arguments.intrinsics else []
         return [arguments.tractrix, "sfm", str(arguments.images), "--output", str(work / "out"), "--quiet", *given]
+    if name == "theia":
+        script, database = Path(__file__).with_name("theia_model.py"), arguments.output / "colmap" / "database.db"
+        return [sys.executable, str(script), str(database), str(work / "model"), arguments.intrinsics or ""]
     return [sys.executable, __file__, "--colmap", str(arguments.images), str(work), arguments.intrinsics or ""]
 
 
@@ -40,13 +45,18 @@ def run(name: str, arguments: argparse.Namespace) -> Path | None:
     model = work / MODELS[name]
     if (work / "cost.json").is_file():
         return model
-    if name == "colmap" and importlib.util.find_spec("pycolmap") is None:
-        print("colmap: left out, since pycolmap is not installed", file=sys.stderr)
+    missing = [module for module in MODULES.get(name, []) if importlib.util.find_spec(module) is None]
+    if missing:
+        print(f"{name}: left out, since {' and '.join(missing)} is not installed", file=sys.stderr)
         return None
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
     print(f"{name}: runs", file=sys.stderr)
-    cost = measured(command_of(name, arguments, work), arguments.output / f"{name}.log")
+    try:
+        cost = measured(command_of(name, arguments, work), arguments.output / f"{name}.log")
+    except SystemExit as failed:
+        print(f"{name}: left out: {failed}", file=sys.stderr)
+        return None
     cost["peak_rss_mib"] = cost.pop("peak_mib")
     (work / "cost.json").write_text(json.dumps(cost))
     return model
