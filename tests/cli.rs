@@ -8,20 +8,14 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
 use common::{drive, json, outcome, tractrix};
-use opencv::core::{CV_8UC3, Mat, Scalar, Size};
-use opencv::videoio::{VideoWriter, VideoWriterTrait};
 use tempfile::TempDir;
+use tractrix::synthetic::write_clip;
 
 /// A clip of `num_frames` plain frames of 64 × 48 pixels.
 fn clip(folder: &Path, num_frames: u32) -> PathBuf {
     let path = folder.join("clip.avi");
-    let fourcc = VideoWriter::fourcc('M', 'J', 'P', 'G').unwrap();
-    let mut writer = VideoWriter::new(&path, fourcc, 10.0, Size::new(64, 48), true).unwrap();
-    for k in 0..num_frames {
-        let colour = Scalar::new(40.0, 90.0, f64::from(k), 0.0);
-        writer.write(&Mat::new_rows_cols_with_default(48, 64, CV_8UC3, colour).unwrap()).unwrap();
-    }
-    writer.release().unwrap();
+    let plain = |k| image::RgbImage::from_pixel(64, 48, image::Rgb([k as u8, 90, 40]));
+    write_clip(&path, 10, &(0..num_frames).map(plain).collect::<Vec<_>>()).unwrap();
     path
 }
 
@@ -468,7 +462,9 @@ fn an_input_of_another_kind_says_what_it_is() {
     fs::write(folder.path().join("unfinished.mp4"), unfinished).unwrap();
     let said = refuse("unfinished.mp4");
     assert!(said.contains("index") && !said.contains("ffmpeg"), "{said}");
-    fs::write(folder.path().join("sound.wav"), b"RIFF\x24\0\0\0WAVEfmt \x10\0\0\0").unwrap();
+    // One channel, 8000 samples a second, 16 bits, four samples.
+    let format = b"RIFF\x2c\0\0\0WAVEfmt \x10\0\0\0\x01\0\x01\0\x40\x1f\0\0\x80\x3e\0\0\x02\0\x10\0";
+    fs::write(folder.path().join("sound.wav"), [&format[..], b"data\x08\0\0\0\0\0\0\0\0\0\0\0"].concat()).unwrap();
     assert!(refuse("sound.wav").contains("no picture track"));
     for (name, file, expected) in
         [("films", "a.MP4", "1 .mp4 file"), ("scans", "a.tiff", "convert"), ("bare", ".hidden", "empty")]

@@ -4,13 +4,12 @@ use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use opencv::videoio;
 use serde::Serialize;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 
 use super::output::{Failure, Form, show};
-use crate::ffi::onnx;
+use crate::ffi::{ffmpeg, onnx};
 use crate::perception::{
     FlowOptions, GroundOptions, ModelDescription, PerceptionError, SegmentationOptions, default_descriptions,
     default_models, load_flow, load_ground_segmenter, load_segmenter,
@@ -122,23 +121,7 @@ fn opencv_library() -> Finding {
 }
 
 fn video_decoder() -> Finding {
-    let information = opencv::core::get_build_information().unwrap_or_default();
-    let line = |key: &str| {
-        information.lines().map(str::trim).find_map(|line| line.strip_prefix(key)).map(|rest| rest.trim().to_owned())
-    };
-    let registered = videoio::get_backends()
-        .is_ok_and(|backends| backends.iter().any(|backend| backend == videoio::VideoCaptureAPIs::CAP_FFMPEG));
-    let codec = line("avcodec:").map_or(String::new(), |version| format!(", avcodec {version}"));
-    match registered {
-        true => Finding::good("video decoding", format!("FFmpeg behind OpenCV{codec}")),
-        false => Finding::bad(
-            "video decoding",
-            State::Missing,
-            "OpenCV was built without FFmpeg",
-            "only folders of images can be read; install an OpenCV with FFmpeg (Debian and Ubuntu: \
-             libopencv-videoio-dev)",
-        ),
-    }
+    Finding::good("video decoding", format!("FFmpeg {}", ffmpeg::version()))
 }
 
 fn onnx_runtime() -> Finding {

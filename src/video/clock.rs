@@ -2,15 +2,10 @@
 
 use std::collections::VecDeque;
 
-/// Rebuilds time stamps that are missing or do not rise, one frame at a time.
-///
-/// A missing stamp is taken from the file's index, as long as that has agreed with all stamps before; else it continues
-/// at the pace of the frames before it.
+/// Rebuilds time stamps that are missing or do not rise, one frame at a time: they continue at the pace of the frames
+/// before.
 #[derive(Debug)]
 pub(super) struct Clock {
-    /// Times from the file's index, if there is one that can be believed.
-    index_s: Option<Vec<f64>>,
-    num_advanced: usize,
     nominal_step_s: f64,
     /// The last few intervals that the container stated, seconds.
     recent_s: VecDeque<f64>,
@@ -21,29 +16,21 @@ pub(super) struct Clock {
 
 /// The rate that is assumed where a container states none that can be believed.
 const FALLBACK_FPS: f64 = 25.0;
-/// Index and stamp may differ by the rounding of either, seconds.
-const INDEX_TOLERANCE_S: f64 = 0.002;
 /// Intervals that set the pace.
 const NUM_RECENT: usize = 7;
 /// Intervals that differ by less than this share are one rate; containers round to ticks.
 const STEADY: f64 = 0.05;
 
 impl Clock {
-    pub(super) fn new(fps: Option<f64>, index_s: Option<Vec<f64>>) -> Self {
+    pub(super) fn new(fps: Option<f64>) -> Self {
         let nominal_step_s = 1.0 / fps.unwrap_or(FALLBACK_FPS);
-        let recent_s = VecDeque::new();
-        Self { index_s, num_advanced: 0, nominal_step_s, recent_s, last_s: None, num_rebuilt: 0, num_trailing: 0 }
+        Self { nominal_step_s, recent_s: VecDeque::new(), last_s: None, num_rebuilt: 0, num_trailing: 0 }
     }
 
     /// The time of the next frame, from what the container says.
-    pub(super) fn advance(&mut self, stated_s: f64) -> f64 {
-        let indexed_s = self.index_s.as_ref().and_then(|times| times.get(self.num_advanced).copied());
-        self.num_advanced += 1;
-        let believable = stated_s.is_finite() && stated_s >= 0.0 && self.last_s.is_none_or(|last| stated_s > last);
-        if believable {
-            if indexed_s.is_none_or(|time| (time - stated_s).abs() > INDEX_TOLERANCE_S) {
-                self.index_s = None;
-            }
+    pub(super) fn advance(&mut self, stated_s: Option<f64>) -> f64 {
+        let rises = |time: &f64| time.is_finite() && *time >= 0.0 && self.last_s.is_none_or(|last| *time > last);
+        if let Some(stated_s) = stated_s.filter(rises) {
             if let Some(last) = self.last_s.filter(|_| self.num_trailing == 0) {
                 self.recent_s.truncate(NUM_RECENT - 1);
                 self.recent_s.push_front(stated_s - last);
@@ -51,10 +38,6 @@ impl Clock {
             self.num_trailing = 0;
             self.last_s = Some(stated_s);
             return stated_s;
-        }
-        if let Some(time_s) = indexed_s.filter(|time| self.last_s.is_none_or(|last| *time > last)) {
-            self.last_s = Some(time_s);
-            return time_s;
         }
         self.num_rebuilt += 1;
         self.num_trailing += 1;
@@ -89,8 +72,8 @@ mod tests {
 
     #[test]
     fn stamps_rise_whatever_the_container_says() {
-        let mut clock = Clock::new(Some(10.0), None);
-        let stated = [0.0, 0.1, 0.1, f64::NAN, 0.05, 0.7, -1.0];
+        let mut clock = Clock::new(Some(10.0));
+        let stated = [Some(0.0), Some(0.1), Some(0.1), None, Some(0.05), Some(0.7), Some(-1.0)];
         let times: Vec<f64> = stated.iter().map(|&s| clock.advance(s)).collect();
         let expected = [0.0, 0.1, 0.2, 0.3, 0.4, 0.7, 0.8];
         for (time, expected) in times.iter().zip(expected) {
@@ -101,32 +84,21 @@ mod tests {
 
     #[test]
     fn a_variable_rate_is_kept_and_its_lost_end_is_a_guess() {
-        let mut clock = Clock::new(None, None);
+        let mut clock = Clock::new(None);
         for stated in [0.02, 0.05, 0.5, 0.51] {
-            assert_eq!(clock.advance(stated), stated);
+            assert_eq!(clock.advance(Some(stated)), stated);
         }
         assert_eq!(clock.num_guessed(), 0);
-        clock.advance(0.0);
+        clock.advance(None);
         assert_eq!(clock.num_guessed(), 1);
     }
 
     #[test]
     fn the_end_of_a_steady_rate_is_known() {
-        let mut clock = Clock::new(Some(30.0), None);
-        let stated = [0.0, 0.1, 0.2, 0.3, 0.0, 0.0];
+        let mut clock = Clock::new(Some(30.0));
+        let stated = [Some(0.0), Some(0.1), Some(0.2), Some(0.3), None, None];
         let times: Vec<f64> = stated.iter().map(|&s| clock.advance(s)).collect();
         assert!((times[5] - 0.5).abs() < 1e-12);
         assert_eq!(clock.num_guessed(), 0);
-    }
-
-    #[test]
-    fn the_index_fills_in_as_long_as_it_agrees() {
-        let index = vec![0.0, 0.1, 0.35, 0.4, 0.9];
-        let mut clock = Clock::new(Some(10.0), Some(index.clone()));
-        let times: Vec<f64> = [0.0, 0.1, 0.35, 0.0, 0.0].iter().map(|&s| clock.advance(s)).collect();
-        assert_eq!((times, clock.num_guessed()), (index.clone(), 0));
-        let mut clock = Clock::new(Some(10.0), Some(index));
-        let times: Vec<f64> = [0.0, 0.2, 0.4, 0.0].iter().map(|&s| clock.advance(s)).collect();
-        assert!((times[3] - 0.6).abs() < 1e-12, "{times:?}");
     }
 }

@@ -1,58 +1,86 @@
-//! Why a file is no video that can be decoded, as far as its first bytes and its index tell.
+//! Why a file is no video that can be decoded.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 use super::VideoError;
-use super::mp4_times::{children, is_video, movie_box};
+use crate::ffi::ffmpeg::{MediaFile, Stream, StreamKind};
 
-/// Bytes of a file in which its kind shows.
-const HEAD_BYTES: u64 = 4096;
-
-/// What is wrong with a file that no decoder takes.
-pub(super) fn why_not(path: &Path) -> VideoError {
+/// The first stream of moving pictures.
+///
+/// # Errors
+/// [`VideoError::NotAVideo`] for photographs and texts, which FFmpeg takes for videos of one frame and for terminals;
+/// [`VideoError::NoPictures`] where there is no such stream.
+pub(super) fn moving_pictures(file: &MediaFile, path: &Path) -> Result<Stream, VideoError> {
     let path = path.to_owned();
-    let mut head = Vec::new();
-    let file = File::open(&path).and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head));
-    match file {
-        Ok(_) if is_mp4(&head) => match index(&path) {
-            None => VideoError::NoIndex { path },
-            Some(index) if has_pictures(&index) => VideoError::NotAVideo { path },
-            Some(_) => VideoError::NoPictures { path },
-        },
-        Ok(_) if is_sound(&head) => VideoError::NoPictures { path },
-        _ => VideoError::NotAVideo { path },
+    let format = file.format();
+    if format == "tty" || format == "image2" || format.ends_with("_pipe") {
+        return Err(VideoError::NotAVideo { path });
+    }
+    let streams = file.streams();
+    let pictures = streams.iter().find(|stream| stream.kind == StreamKind::Video).copied();
+    pictures.ok_or_else(|| VideoError::NoPictures { path, found: in_words(&streams) })
+}
+
+fn in_words(streams: &[Stream]) -> &'static str {
+    let has = |wanted: fn(&StreamKind) -> bool| streams.iter().any(|stream| wanted(&stream.kind));
+    match (has(|kind| *kind == StreamKind::Sound), has(|kind| matches!(kind, StreamKind::Text(_)))) {
+        (true, true) => "only sound and text",
+        (true, false) => "only sound",
+        (false, true) => "only text",
+        (false, false) => "nothing that can be shown",
     }
 }
 
-/// MP4 and MOV: a box with one of these names comes first.
-fn is_mp4(head: &[u8]) -> bool {
-    const FIRST_BOXES: [&[u8]; 6] = [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"];
-    head.get(4..8).is_some_and(|name| FIRST_BOXES.contains(&name))
+/// What is wrong with a file that FFmpeg does not take.
+pub(super) fn why_not(path: &Path) -> VideoError {
+    match File::open(path).ok().and_then(|mut file| mp4_index(&mut file)) {
+        Some(Mp4Index::Missing) => VideoError::NoIndex { path: path.to_owned() },
+        Some(Mp4Index::Whole) | None => VideoError::NotAVideo { path: path.to_owned() },
+    }
 }
 
-fn index(path: &Path) -> Option<Vec<u8>> {
-    movie_box(&mut File::open(path).ok()?)
+/// Whether the index of an MP4 or MOV file is there (ISO/IEC 14496-12: the `moov` box).
+#[derive(Debug, PartialEq, Eq)]
+enum Mp4Index {
+    Whole,
+    Missing,
 }
 
-/// Whether there is a track of pictures. An index in pieces has no tracks that are easily found; it is given the
-/// benefit of the doubt.
-fn has_pictures(index: &[u8]) -> bool {
-    let mut tracks = children(index).filter(|(name, _)| *name == b"trak").peekable();
-    tracks.peek().is_none() || tracks.any(|(_, track)| is_video(track))
+/// Walks through the boxes of the file; `None` if it has none.
+fn mp4_index(file: &mut File) -> Option<Mp4Index> {
+    /// With one of these an MP4 or MOV file begins.
+    const FIRST_BOXES: [&[u8; 4]; 6] = [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"];
+    let end = file.seek(SeekFrom::End(0)).ok()?;
+    let mut at = 0;
+    while let Some((name, size)) = box_at(file, at) {
+        if at == 0 && !FIRST_BOXES.contains(&&name) {
+            return None;
+        }
+        let next = if size == 0 { end } else { at.checked_add(size)? };
+        if &name == b"moov" && next <= end {
+            return Some(Mp4Index::Whole);
+        }
+        at = next;
+    }
+    (at > 0).then_some(Mp4Index::Missing)
 }
 
-/// WAV, MP3, FLAC, AAC, and Ogg without pictures.
-fn is_sound(head: &[u8]) -> bool {
-    let contains = |text: &[u8]| head.windows(text.len()).any(|window| window == text);
-    // MP3 (layers II and III) and AAC in ADTS frames.
-    let is_mpeg_audio = matches!(head, [0xff, 0xf0..=0xfd, ..]);
-    head.starts_with(b"RIFF") && head.get(8..12) == Some(b"WAVE")
-        || head.starts_with(b"ID3")
-        || head.starts_with(b"fLaC")
-        || head.starts_with(b"OggS") && !contains(b"theora")
-        || is_mpeg_audio
+/// Name and size of the box at a place in the file; a size of 0 means that it goes on to the end.
+fn box_at(file: &mut File, at: u64) -> Option<([u8; 4], u64)> {
+    /// Of a box with a size of 64 bits.
+    const LONGEST_HEAD: u64 = 16;
+    file.seek(SeekFrom::Start(at)).ok()?;
+    let mut head = Vec::new();
+    file.take(LONGEST_HEAD).read_to_end(&mut head).ok()?;
+    let name = head.get(4..8)?.try_into().ok()?;
+    let size = match u32::from_be_bytes(head.get(..4)?.try_into().ok()?) {
+        1 => u64::from_be_bytes(head.get(8..16)?.try_into().ok()?).max(LONGEST_HEAD),
+        size @ 1..8 => u64::from(size.max(8)),
+        size => u64::from(size),
+    };
+    Some((name, size))
 }
 
 #[cfg(test)]
@@ -61,11 +89,6 @@ mod tests {
 
     fn boxed(name: &[u8; 4], content: &[u8]) -> Vec<u8> {
         [&(content.len() as u32 + 8).to_be_bytes()[..], name, content].concat()
-    }
-
-    fn track(handler: &[u8; 4]) -> Vec<u8> {
-        let handler = boxed(b"hdlr", &[&[0; 8][..], handler, &[0; 13]].concat());
-        boxed(b"trak", &boxed(b"mdia", &handler))
     }
 
     #[test]
@@ -77,16 +100,12 @@ mod tests {
             why_not(&path)
         };
         let (kind, data) = (boxed(b"ftyp", b"isom\0\0\0\0"), boxed(b"mdat", &[7; 100]));
-        let unfinished = [&kind[..], &data].concat();
-        assert!(matches!(why(&unfinished), VideoError::NoIndex { .. }));
-        let sound = [&kind[..], &boxed(b"moov", &track(b"soun")), &data].concat();
-        assert!(matches!(why(&sound), VideoError::NoPictures { .. }));
-        assert!(matches!(why(&sound[..kind.len() + 20]), VideoError::NoIndex { .. }), "cut in the index");
-        let broken = [&kind[..], &boxed(b"moov", &track(b"vide")), &data].concat();
-        assert!(matches!(why(&broken), VideoError::NotAVideo { .. }));
-        assert!(matches!(why(b"RIFF\x10\0\0\0WAVEfmt "), VideoError::NoPictures { .. }));
-        assert!(matches!(why(b"ID3\x04\0"), VideoError::NoPictures { .. }));
+        assert!(matches!(why(&[&kind[..], &data].concat()), VideoError::NoIndex { .. }));
+        let whole = [&kind[..], &boxed(b"moov", &[0; 40]), &data].concat();
+        assert!(matches!(why(&whole), VideoError::NotAVideo { .. }));
+        assert!(matches!(why(&whole[..kind.len() + 20]), VideoError::NoIndex { .. }), "cut in the index");
+        assert!(matches!(why(b"RIFF\x10\0\0\0WAVEfmt "), VideoError::NotAVideo { .. }));
         assert!(matches!(why(b"Dear reader"), VideoError::NotAVideo { .. }));
-        assert!(matches!(why(b"\xff\xd8\xff\xe0 a photograph"), VideoError::NotAVideo { .. }));
+        assert!(matches!(why(b"\0\0\0\x02ftyp"), VideoError::NoIndex { .. }), "a size that cannot be");
     }
 }

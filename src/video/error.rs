@@ -3,6 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
+use crate::ffi::ffmpeg::FfmpegError;
 use crate::image::ImageError;
 
 /// What can be wrong with a video or a folder of images.
@@ -49,11 +50,25 @@ pub enum VideoError {
         /// The input.
         path: PathBuf,
     },
-    /// Sound alone.
-    #[error("{path}: has no picture track, only sound; give the video that it belongs to", path = path.display())]
+    /// No stream of moving pictures.
+    #[error("{path}: has no picture track, {found}; give the video that it belongs to", path = path.display())]
     NoPictures {
         /// The input.
         path: PathBuf,
+        /// What is there instead.
+        found: &'static str,
+    },
+    /// The pictures are coded in a way that the installed FFmpeg cannot decode.
+    #[error(
+        "{path}: its pictures are coded as {coding}, for which the FFmpeg on this machine has no decoder; convert it \
+         where there is one (`ffmpeg -i FILE converted.mp4`)",
+        path = path.display()
+    )]
+    NoDecoder {
+        /// The input.
+        path: PathBuf,
+        /// FFmpeg's name of the coding.
+        coding: String,
     },
     /// The container is readable, but no picture comes out of it.
     #[error(
@@ -121,7 +136,7 @@ pub enum VideoError {
     /// A picture could not be resized or converted.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// OpenCV failed where input has no part in it.
-    #[error("OpenCV's video reader: {0}")]
-    OpenCv(#[from] opencv::Error),
+    /// FFmpeg failed where input has no part in it, as far as can be told.
+    #[error("FFmpeg: {0}")]
+    Ffmpeg(#[from] FfmpegError),
 }

@@ -1,16 +1,14 @@
-//! A video file, decoded by FFmpeg behind OpenCV.
+//! A video file, decoded by FFmpeg.
 
 use std::path::{Path, PathBuf};
 
-use ::image::RgbImage;
-use opencv::core::{Mat, MatTraitConst};
-use opencv::videoio::{self, CAP_FFMPEG, VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst};
+use ::image::{RgbImage, imageops};
 
-use super::VideoError;
 use super::clock::Clock;
 use super::decode::Decoder;
-use super::{diagnosis, mp4_times};
-use crate::image::{resize_rgb, rgb_from_bgr_mat};
+use super::{VideoError, diagnosis};
+use crate::ffi::ffmpeg::{self, FfmpegError, MediaFile, Packet, RgbConverter, Stream, StreamKind};
+use crate::image::resize_rgb;
 use crate::scene::{Frame, FrameId};
 
 /// What the container states about itself.
@@ -18,42 +16,96 @@ use crate::scene::{Frame, FrameId};
 pub(super) struct Container {
     /// Frames per second, if it is a rate that can be believed.
     pub(super) fps: Option<f64>,
-    /// Number of frames; exact for some containers, an estimate for others.
+    /// Number of frames: as the container counts them, else its length times its rate.
     pub(super) num_frames: Option<u32>,
-    /// Rotation metadata, degrees.
+    /// Rotation that is asked for, degrees clockwise, from 0 to 359.
     pub(super) rotation_deg: i32,
 }
 
 /// Rates beyond this are a time base mistaken for a rate.
 const MAX_FPS: f64 = 1000.0;
 
-/// Opens the file for decoding.
-pub(super) fn open(path: &Path) -> Result<VideoCapture, VideoError> {
-    let mut capture = VideoCapture::from_file(path, CAP_FFMPEG)?;
-    if !capture.is_opened()? {
-        return Err(diagnosis::why_not(path));
-    }
-    // Frames come upright. It is OpenCV's default, stated because the result hangs on it; false means "not supported".
-    capture.set(videoio::CAP_PROP_ORIENTATION_AUTO, 1.0)?;
-    Ok(capture)
+/// A video that is being decoded.
+pub(super) struct Video {
+    file: MediaFile,
+    stream: Stream,
+    decoder: ffmpeg::Decoder,
+    packet: Packet,
+    converter: RgbConverter,
+    /// Time stamp that counts as zero, in ticks; that of the first picture where the container states no start.
+    origin: Option<i64>,
 }
 
-/// Reads what the container states.
-pub(super) fn container(capture: &VideoCapture) -> Result<Container, VideoError> {
-    let fps = capture.get(videoio::CAP_PROP_FPS)?;
-    let num_frames = capture.get(videoio::CAP_PROP_FRAME_COUNT)?;
-    Ok(Container {
-        fps: (fps.is_finite() && fps > 0.0 && fps <= MAX_FPS).then_some(fps),
-        num_frames: (num_frames.is_finite() && num_frames >= 1.0 && num_frames < f64::from(u32::MAX))
-            .then_some(num_frames as u32),
-        rotation_deg: capture.get(videoio::CAP_PROP_ORIENTATION_META)? as i32,
-    })
+impl Video {
+    /// Opens the first stream of moving pictures.
+    ///
+    /// # Errors
+    /// What [`diagnosis`] finds, where FFmpeg does not take the file or there is no such stream;
+    /// [`VideoError::NoDecoder`]; [`VideoError::Ffmpeg`].
+    pub(super) fn open(path: &Path) -> Result<Self, VideoError> {
+        let refused = |error| match error {
+            FfmpegError::Open(_) => diagnosis::why_not(path),
+            FfmpegError::NoDecoder(coding) => VideoError::NoDecoder { path: path.to_owned(), coding },
+            other => VideoError::Ffmpeg(other),
+        };
+        let mut file = MediaFile::open(path).map_err(refused)?;
+        let stream = diagnosis::moving_pictures(&file, path)?;
+        file.keep_only(stream.index);
+        let decoder = ffmpeg::Decoder::new(&file, stream.index).map_err(refused)?;
+        let (packet, converter) = (Packet::new()?, RgbConverter::new()?);
+        Ok(Self { file, stream, decoder, packet, converter, origin: stream.start })
+    }
+
+    /// What the container states.
+    pub(super) fn container(&self) -> Container {
+        let fps = self.stream.rate.filter(|fps| *fps <= MAX_FPS);
+        let estimated = || Some((self.stream.duration_s? * fps?).round()).filter(|count| *count >= 1.0);
+        let num_frames = self.stream.num_packets.map(|count| count as f64).or_else(estimated);
+        let num_frames = num_frames.filter(|count| *count < f64::from(u32::MAX)).map(|count| count as u32);
+        Container { fps, num_frames, rotation_deg: self.stream.rotation_deg }
+    }
+
+    /// Goes to the next picture and gives the time that is stated for it, seconds; `None` at the end.
+    fn advance(&mut self) -> Option<Option<f64>> {
+        if !self.decoder.advance(&mut self.file, &mut self.packet) {
+            return None;
+        }
+        Some(self.decoder.time().map(|ticks| {
+            let origin = *self.origin.get_or_insert(ticks);
+            self.stream.time_base.seconds(ticks.saturating_sub(origin))
+        }))
+    }
+
+    /// The picture, upright.
+    fn picture(&mut self) -> Result<RgbImage, FfmpegError> {
+        let picture = self.converter.convert(&self.decoder)?;
+        Ok(match self.stream.rotation_deg {
+            90 => imageops::rotate90(&picture),
+            180 => imageops::rotate180(&picture),
+            270 => imageops::rotate270(&picture),
+            _ => picture,
+        })
+    }
+
+    /// Size of the first picture, upright; `None` if there is none.
+    pub(super) fn first_size(mut self) -> Result<Option<(u32, u32)>, VideoError> {
+        match self.advance() {
+            Some(_) => Ok(Some(self.picture()?.dimensions())),
+            None => Ok(None),
+        }
+    }
+}
+
+/// Where the pictures of a file begin on the container's clock, seconds: its zero as far as frames are concerned.
+pub(super) fn origin_s(streams: &[Stream]) -> f64 {
+    let stream = streams.iter().find(|stream| stream.kind == StreamKind::Video);
+    stream.and_then(|stream| Some(stream.time_base.seconds(stream.start?))).unwrap_or(0.0)
 }
 
 /// Steps through a video file.
 pub(super) struct FileDecoder {
     path: PathBuf,
-    capture: VideoCapture,
+    video: Video,
     clock: Clock,
     next: u32,
     /// Size that every decoded picture must have, pixels.
@@ -64,38 +116,28 @@ pub(super) struct FileDecoder {
 
 impl FileDecoder {
     pub(super) fn open(path: &Path, size: (u32, u32), target: (u32, u32)) -> Result<Self, VideoError> {
-        let capture = open(path)?;
-        let clock = Clock::new(container(&capture)?.fps, mp4_times::read(path));
-        Ok(Self { path: path.to_owned(), capture, clock, next: 0, size, target })
-    }
-
-    fn failed(&self, reason: String) -> VideoError {
-        VideoError::Frame { path: self.path.clone(), frame: self.next.saturating_sub(1), reason }
+        let video = Video::open(path)?;
+        let clock = Clock::new(video.container().fps);
+        Ok(Self { path: path.to_owned(), video, clock, next: 0, size, target })
     }
 }
 
 impl Decoder for FileDecoder {
     fn step(&mut self) -> Option<Frame> {
-        if !self.capture.grab().unwrap_or(false) {
-            return None;
-        }
-        let stated_ms = self.capture.get(videoio::CAP_PROP_POS_MSEC).unwrap_or(f64::NAN);
+        let stated_s = self.video.advance()?;
         let id = self.next;
         self.next = id.checked_add(1)?;
-        Some(Frame { id: FrameId(id), name: format!("{id:06}.jpg"), time_s: self.clock.advance(stated_ms / 1000.0) })
+        Some(Frame { id: FrameId(id), name: format!("{id:06}.jpg"), time_s: self.clock.advance(stated_s) })
     }
 
     fn picture(&mut self) -> Result<RgbImage, VideoError> {
-        let picture = match retrieve(&mut self.capture) {
-            Ok(Some(picture)) => picture,
-            Ok(None) => return Err(self.failed("the decoder gives an empty picture".to_owned())),
-            Err(error) => return Err(self.failed(error.to_string())),
-        };
+        let (path, frame) = (|| self.path.clone(), self.next.saturating_sub(1));
+        let failed = |error: FfmpegError| VideoError::Frame { path: path(), frame, reason: error.to_string() };
+        let picture = self.video.picture().map_err(failed)?;
         let found = picture.dimensions();
         if found != self.size {
             let ((width, height), (found_width, found_height)) = (self.size, found);
-            let (path, frame) = (self.path.clone(), self.next.saturating_sub(1));
-            return Err(VideoError::SizeChanges { path, frame, width, height, found_width, found_height });
+            return Err(VideoError::SizeChanges { path: path(), frame, width, height, found_width, found_height });
         }
         if found == self.target {
             return Ok(picture);
@@ -110,21 +152,4 @@ impl Decoder for FileDecoder {
     fn num_stepped(&self) -> u32 {
         self.next
     }
-}
-
-/// Size of the first picture; `None` if there is none.
-pub(super) fn first_size(capture: &mut VideoCapture) -> Result<Option<(u32, u32)>, VideoError> {
-    if !capture.grab()? {
-        return Ok(None);
-    }
-    Ok(retrieve(capture)?.map(|picture| picture.dimensions()))
-}
-
-/// The picture of the frame that was grabbed last; `None` if the decoder has none.
-fn retrieve(capture: &mut VideoCapture) -> Result<Option<RgbImage>, VideoError> {
-    let mut mat = Mat::default();
-    if !capture.retrieve_def(&mut mat)? || mat.empty() {
-        return Ok(None);
-    }
-    Ok(Some(rgb_from_bgr_mat(&mat)?))
 }

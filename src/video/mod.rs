@@ -4,10 +4,10 @@
 //! input, in words), and [`Source::frames`] decodes them in the same order, two ahead of the caller and never more:
 //! memory does not grow with the length of the video. Both may be called again; they give the same frames every time.
 //!
-//! Time stamps are the container's. Those that are missing or do not rise are rebuilt from the nominal rate, with a
-//! warning. Pictures come upright (rotation metadata and EXIF orientation are applied) and no larger than asked for.
+//! Time stamps are the container's, counted from its first picture. Those that are missing or do not rise are rebuilt
+//! from the pace of the frames before, with a warning. Pictures come upright (rotation metadata and EXIF orientation are applied) and no larger than asked for.
 //!
-//! Entry point: [`Source::open`].
+//! Entry point: [`Source::open`]. [`subtitles`] reads the text track that some cameras write beside the pictures.
 
 mod clock;
 mod decode;
@@ -17,21 +17,22 @@ mod exif;
 mod file;
 mod folder;
 mod jpeg;
-mod mp4_times;
 mod options;
 mod prefetch;
 mod source;
+mod subtitles;
 
 pub use error::VideoError;
 pub use options::{Options, Position, Turning};
 pub use prefetch::Frames;
 pub use source::{Info, Kind, PictureCamera, Scan, Source};
+pub use subtitles::{Subtitle, subtitles};
 
 /// Silences what OpenCV and FFmpeg print by themselves; what is wrong comes back as a [`VideoError`]. To be called
-/// before the first thread starts. Levels that the user set in the environment are left alone.
+/// before the first thread starts. A level that the user set for OpenCV in the environment is left alone.
 pub fn silence_decoders() {
     crate::ffi::environment::set_default("OPENCV_LOG_LEVEL", "SILENT");
-    crate::ffi::environment::set_default("OPENCV_FFMPEG_LOGLEVEL", "-8");
+    crate::ffi::ffmpeg::silence();
     if std::env::var_os("OPENCV_LOG_LEVEL").is_some_and(|level| level == "SILENT") {
         // The library read the environment when it was loaded, before main. Without an effect there is nothing to mend.
         let _ = opencv::core::set_log_level(opencv::core::LogLevel::LOG_LEVEL_SILENT);

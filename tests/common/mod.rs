@@ -12,7 +12,7 @@ use tempfile::TempDir;
 /// The program.
 pub fn tractrix() -> Command {
     let mut command = Command::cargo_bin("tractrix").expect("the binary is built with the tests");
-    command.env_remove("TRACTRIX_LOG").env_remove("OPENCV_LOG_LEVEL").env_remove("OPENCV_FFMPEG_LOGLEVEL");
+    command.env_remove("TRACTRIX_LOG").env_remove("OPENCV_LOG_LEVEL");
     command
 }
 

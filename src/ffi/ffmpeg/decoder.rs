@@ -1,0 +1,107 @@
+//! The decoder of one video stream.
+
+use std::ffi::CStr;
+use std::ptr;
+
+use ffmpeg_sys_the_third as sys;
+
+use super::media_file::stated;
+use super::{FfmpegError, MediaFile, Packet, checked, words};
+
+/// Failures in a row after which a decoder that is being emptied is taken to be empty.
+const MAX_FAILURES: u32 = 1000;
+/// Pixels of a picture, four times those of the largest video cameras: a damaged head may state more than memory holds.
+const MAX_PIXELS: i64 = 1 << 27;
+
+/// Decodes the packets of one video stream, picture by picture, in the order in which they are shown.
+///
+/// It works on the caller's thread alone. With threads of its own FFmpeg decodes whole videos to the same pixels, but
+/// damaged ones, whose gaps it fills from what lies around them, to others from run to run.
+pub struct Decoder {
+    context: *mut sys::AVCodecContext,
+    pub(super) frame: *mut sys::AVFrame,
+    is_drained: bool,
+}
+
+// SAFETY: context and frame are owned; the decoder's own threads are FFmpeg's concern.
+#[allow(unsafe_code)]
+unsafe impl Send for Decoder {}
+
+#[allow(unsafe_code)]
+impl Decoder {
+    /// A decoder for a stream of a file.
+    ///
+    /// # Errors
+    /// [`FfmpegError::NoDecoder`], [`FfmpegError::Decoder`], [`FfmpegError::Memory`].
+    pub fn new(file: &MediaFile, stream: usize) -> Result<Self, FfmpegError> {
+        let parameters = file.parameters(stream);
+        // SAFETY: the parameters are those of an open file.
+        let (codec, name) = unsafe {
+            let id = (*parameters).codec_id;
+            (sys::avcodec_find_decoder(id), CStr::from_ptr(sys::avcodec_get_name(id)))
+        };
+        if codec.is_null() {
+            return Err(FfmpegError::NoDecoder(name.to_string_lossy().into_owned()));
+        }
+        // SAFETY: both calls allocate, or return null; what is allocated is freed by `drop`.
+        let decoder = unsafe {
+            Self { context: sys::avcodec_alloc_context3(codec), frame: sys::av_frame_alloc(), is_drained: false }
+        };
+        if decoder.context.is_null() || decoder.frame.is_null() {
+            return Err(FfmpegError::Memory);
+        }
+        // SAFETY: the context is new and not open yet, as setting what limits it asks for.
+        let opened = unsafe {
+            checked(sys::avcodec_parameters_to_context(decoder.context, parameters)).and_then(|_| {
+                (*decoder.context).thread_count = 1;
+                (*decoder.context).max_pixels = MAX_PIXELS;
+                checked(sys::avcodec_open2(decoder.context, codec, ptr::null_mut()))
+            })
+        };
+        opened.map_err(|code| FfmpegError::Decoder(words(code)))?;
+        Ok(decoder)
+    }
+
+    /// Goes to the next picture, reading from `file`, whose other streams are passed over. `false` after the last one,
+    /// or where nothing more can be decoded; damaged packets are skipped.
+    pub fn advance(&mut self, file: &mut MediaFile, packet: &mut Packet) -> bool {
+        let mut num_failures = 0;
+        loop {
+            // SAFETY: context and frame are allocated, and the context is open.
+            match checked(unsafe { sys::avcodec_receive_frame(self.context, self.frame) }) {
+                Ok(_) => return true,
+                Err(sys::AVERROR_EOF) => return false,
+                Err(_) if self.is_drained => num_failures += 1,
+                Err(_) => self.feed(file, packet),
+            }
+            if num_failures > MAX_FAILURES {
+                return false;
+            }
+        }
+    }
+
+    /// Hands the next packet to the decoder, or tells it that there is none. A packet that it refuses is lost.
+    fn feed(&mut self, file: &mut MediaFile, packet: &mut Packet) {
+        self.is_drained = !file.read(packet);
+        let next = if self.is_drained { ptr::null() } else { packet.packet.cast_const() };
+        // SAFETY: the context is open; the packet is allocated, or null for the end.
+        unsafe { sys::avcodec_send_packet(self.context, next) };
+    }
+
+    /// The time stamp of the picture, in ticks of its stream: the one stated, else what FFmpeg makes of its neighbours.
+    pub fn time(&self) -> Option<i64> {
+        // SAFETY: the frame is allocated as long as `self` lives.
+        stated(unsafe { (*self.frame).best_effort_timestamp })
+    }
+}
+
+#[allow(unsafe_code)]
+impl Drop for Decoder {
+    fn drop(&mut self) {
+        // SAFETY: both were allocated by `new`, or are null, and are freed once.
+        unsafe {
+            sys::av_frame_free(&mut self.frame);
+            sys::avcodec_free_context(&mut self.context);
+        }
+    }
+}

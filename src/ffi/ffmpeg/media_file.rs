@@ -1,0 +1,328 @@
+//! A container: its streams, and the packets that they consist of.
+
+use std::ffi::{CStr, CString, c_int};
+use std::os::unix::ffi::OsStrExt;
+use std::path::Path;
+use std::ptr;
+
+use ffmpeg_sys_the_third as sys;
+
+use super::{FfmpegError, checked, words};
+
+/// Errors in a row after which a file is taken to be at its end.
+const MAX_READ_ERRORS: u32 = 64;
+
+/// Seconds per tick, as a fraction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TimeBase {
+    /// Numerator.
+    pub num: i32,
+    /// Denominator, not zero.
+    pub den: i32,
+}
+
+impl TimeBase {
+    /// A number of ticks in seconds.
+    pub fn seconds(self, ticks: i64) -> f64 {
+        (ticks as f64 * f64::from(self.num)) / f64::from(self.den)
+    }
+}
+
+/// How the packets of a text track hold their text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TextCoding {
+    /// The text itself.
+    Plain,
+    /// MP4's timed text (3GPP TS 26.245): two bytes of length, the text, then boxes of style.
+    Timed,
+    /// Advanced SubStation Alpha: eight fields and commas before the text.
+    SubStation,
+}
+
+/// What a stream holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StreamKind {
+    /// Moving pictures.
+    Video,
+    /// A single picture that belongs to the file, such as a cover.
+    Cover,
+    /// Sound.
+    Sound,
+    /// Text with times.
+    Text(TextCoding),
+    /// Anything else.
+    Other,
+}
+
+/// What a container states about one of its streams.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stream {
+    /// Place in the file, from 0.
+    pub index: usize,
+    /// What it holds.
+    pub kind: StreamKind,
+    /// Unit of its time stamps.
+    pub time_base: TimeBase,
+    /// Time stamp of its beginning.
+    pub start: Option<i64>,
+    /// Packets that the container counts in it.
+    pub num_packets: Option<u64>,
+    /// Length, seconds.
+    pub duration_s: Option<f64>,
+    /// Pictures per second: the container's nominal rate, or what its first packets show.
+    pub rate: Option<f64>,
+    /// Degrees clockwise by which its pictures are to be turned, from 0 to 359.
+    pub rotation_deg: i32,
+}
+
+/// A piece of a stream. It holds its data until the next one is read into it.
+pub struct Packet {
+    pub(super) packet: *mut sys::AVPacket,
+}
+
+// SAFETY: the packet and its data are owned, and no thread but the owner's touches them.
+#[allow(unsafe_code)]
+unsafe impl Send for Packet {}
+
+#[allow(unsafe_code)]
+impl Packet {
+    /// A packet that holds nothing yet.
+    ///
+    /// # Errors
+    /// [`FfmpegError::Memory`].
+    pub fn new() -> Result<Self, FfmpegError> {
+        // SAFETY: allocates, or returns null.
+        let packet = unsafe { sys::av_packet_alloc() };
+        if packet.is_null() { Err(FfmpegError::Memory) } else { Ok(Self { packet }) }
+    }
+
+    /// The stream that it belongs to.
+    pub fn stream(&self) -> usize {
+        // SAFETY: the packet is allocated as long as `self` lives.
+        usize::try_from(unsafe { (*self.packet).stream_index }).unwrap_or(usize::MAX)
+    }
+
+    /// When it is to be shown, in ticks of its stream.
+    pub fn time(&self) -> Option<i64> {
+        // SAFETY: as above.
+        stated(unsafe { (*self.packet).pts })
+    }
+
+    /// For how long, in ticks of its stream; 0 if it does not say.
+    pub fn duration(&self) -> i64 {
+        // SAFETY: as above.
+        unsafe { (*self.packet).duration }.max(0)
+    }
+
+    /// Its content.
+    pub fn data(&self) -> &[u8] {
+        // SAFETY: as above; `data` is null or points to `size` bytes that the packet owns.
+        unsafe {
+            let (data, size) = ((*self.packet).data, (*self.packet).size);
+            if data.is_null() { &[] } else { std::slice::from_raw_parts(data, usize::try_from(size).unwrap_or(0)) }
+        }
+    }
+}
+
+#[allow(unsafe_code)]
+impl Drop for Packet {
+    fn drop(&mut self) {
+        // SAFETY: was allocated by `new`, and is freed once.
+        unsafe { sys::av_packet_free(&mut self.packet) }
+    }
+}
+
+/// An open container.
+pub struct MediaFile {
+    context: *mut sys::AVFormatContext,
+}
+
+// SAFETY: the context is owned and has no ties to the thread that made it.
+#[allow(unsafe_code)]
+unsafe impl Send for MediaFile {}
+
+#[allow(unsafe_code)]
+impl MediaFile {
+    /// Opens a file and looks at its head and its first packets.
+    ///
+    /// # Errors
+    /// [`FfmpegError::Open`] where FFmpeg does not know it or finds it broken.
+    pub fn open(path: &Path) -> Result<Self, FfmpegError> {
+        let url = [b"file:".as_slice(), path.as_os_str().as_bytes()].concat();
+        let url = CString::new(url).map_err(|_| FfmpegError::Open("a path holds no zero byte".to_owned()))?;
+        let refused = |code| FfmpegError::Open(words(code));
+        let mut context = ptr::null_mut();
+        let mut options = ptr::null_mut();
+        // SAFETY: the strings end in a zero byte and outlive the calls; on failure the context stays null.
+        let opened = unsafe {
+            sys::av_dict_set(&mut options, c"protocol_whitelist".as_ptr(), c"file".as_ptr(), 0);
+            let opened = sys::avformat_open_input(&mut context, url.as_ptr(), ptr::null(), &mut options);
+            sys::av_dict_free(&mut options);
+            opened
+        };
+        checked(opened).map_err(refused)?;
+        let file = Self { context };
+        // SAFETY: the context is open; it is closed when `file` is dropped.
+        checked(unsafe { sys::avformat_find_stream_info(file.context, ptr::null_mut()) }).map_err(refused)?;
+        Ok(file)
+    }
+
+    /// FFmpeg's short name of the container's kind, such as `mov,mp4,m4a,3gp,3g2,mj2`.
+    pub fn format(&self) -> String {
+        // SAFETY: an open context has a format, whose name is a constant.
+        let name = unsafe { CStr::from_ptr((*(*self.context).iformat).name) };
+        name.to_string_lossy().into_owned()
+    }
+
+    /// All streams, in the order of the file.
+    pub fn streams(&self) -> Vec<Stream> {
+        // SAFETY: the context is open.
+        let count = unsafe { (*self.context).nb_streams } as usize;
+        (0..count).map(|index| self.stream(index)).collect()
+    }
+
+    /// Passes over all packets but those of one stream.
+    pub fn keep_only(&mut self, index: usize) {
+        for stream in self.streams() {
+            let discard = if stream.index == index { sys::AVDiscard::DEFAULT } else { sys::AVDiscard::ALL };
+            // SAFETY: the stream is one of the context's.
+            unsafe { (*self.raw_stream(stream.index)).discard = discard }
+        }
+    }
+
+    /// Reads the next packet of any stream that is kept; `false` at the end, or where nothing more can be read.
+    pub fn read(&mut self, packet: &mut Packet) -> bool {
+        let mut num_errors = 0;
+        loop {
+            // SAFETY: context and packet are allocated; what the packet held is given back first.
+            let code = unsafe {
+                sys::av_packet_unref(packet.packet);
+                sys::av_read_frame(self.context, packet.packet)
+            };
+            match checked(code) {
+                Ok(_) => return true,
+                Err(sys::AVERROR_EOF) => return false,
+                Err(_) => num_errors += 1,
+            }
+            if num_errors > MAX_READ_ERRORS {
+                return false;
+            }
+        }
+    }
+
+    /// What a stream's decoder has to know.
+    pub(super) fn parameters(&self, index: usize) -> *const sys::AVCodecParameters {
+        // SAFETY: the stream is one of the context's, and every stream has parameters.
+        unsafe { (*self.raw_stream(index)).codecpar }
+    }
+
+    /// # Panics
+    /// If there is no such stream.
+    fn raw_stream(&self, index: usize) -> *mut sys::AVStream {
+        // SAFETY: `streams` points to `nb_streams` streams, and `index` is below.
+        unsafe {
+            assert!(index < (*self.context).nb_streams as usize, "stream {index} is not one of the file's");
+            *(*self.context).streams.add(index)
+        }
+    }
+
+    fn stream(&self, index: usize) -> Stream {
+        let stream = self.raw_stream(index);
+        // SAFETY: stream and parameters are valid as long as the context is open.
+        let (base, start, length, num_packets, whole_length, rate) = unsafe {
+            let rate = sys::av_guess_frame_rate(self.context, stream, ptr::null_mut());
+            let stream = &*stream;
+            (stream.time_base, stream.start_time, stream.duration, stream.nb_frames, (*self.context).duration, rate)
+        };
+        let time_base = TimeBase { num: base.num, den: base.den.max(1) };
+        let whole = || stated(whole_length).map(|length| length as f64 / f64::from(sys::AV_TIME_BASE));
+        Stream {
+            index,
+            kind: kind(stream),
+            time_base,
+            start: stated(start),
+            num_packets: u64::try_from(num_packets).ok().filter(|count| *count > 0),
+            duration_s: stated(length).map(|length| time_base.seconds(length)).or_else(whole),
+            rate: (rate.num > 0 && rate.den > 0).then(|| f64::from(rate.num) / f64::from(rate.den)),
+            rotation_deg: rotation_deg(stream),
+        }
+    }
+}
+
+#[allow(unsafe_code)]
+impl Drop for MediaFile {
+    fn drop(&mut self) {
+        // SAFETY: was opened by `open`, and is closed once.
+        unsafe { sys::avformat_close_input(&mut self.context) }
+    }
+}
+
+/// A time stamp, unless it is FFmpeg's mark for none.
+pub(super) fn stated(ticks: i64) -> Option<i64> {
+    (ticks != sys::AV_NOPTS_VALUE).then_some(ticks)
+}
+
+#[allow(unsafe_code)]
+fn kind(stream: *const sys::AVStream) -> StreamKind {
+    // SAFETY: the caller's stream is valid, and has parameters.
+    let (medium, codec, disposition) =
+        unsafe { ((*(*stream).codecpar).codec_type, (*(*stream).codecpar).codec_id, (*stream).disposition) };
+    match medium {
+        sys::AVMediaType::VIDEO if disposition & sys::AV_DISPOSITION_ATTACHED_PIC as c_int != 0 => StreamKind::Cover,
+        sys::AVMediaType::VIDEO => StreamKind::Video,
+        sys::AVMediaType::AUDIO => StreamKind::Sound,
+        sys::AVMediaType::SUBTITLE => text_coding(codec).map_or(StreamKind::Other, StreamKind::Text),
+        _ => StreamKind::Other,
+    }
+}
+
+fn text_coding(codec: sys::AVCodecID) -> Option<TextCoding> {
+    use sys::AVCodecID as Id;
+    match codec {
+        Id::SUBRIP | Id::TEXT | Id::WEBVTT => Some(TextCoding::Plain),
+        Id::MOV_TEXT => Some(TextCoding::Timed),
+        Id::ASS => Some(TextCoding::SubStation),
+        _ => None,
+    }
+}
+
+/// The rotation that the stream's display matrix asks for.
+#[allow(unsafe_code)]
+fn rotation_deg(stream: *const sys::AVStream) -> i32 {
+    /// Bytes of nine 32-bit numbers.
+    const MATRIX_BYTES: usize = 36;
+    let (data, size) = display_matrix(stream);
+    if data.is_null() || size < MATRIX_BYTES {
+        return 0;
+    }
+    let mut matrix = [0; MATRIX_BYTES / 4];
+    // SAFETY: `data` points to `size` bytes, of which there are enough; both functions read the matrix alone.
+    let counterclockwise_deg = unsafe {
+        ptr::copy_nonoverlapping(data, matrix.as_mut_ptr().cast::<u8>(), MATRIX_BYTES);
+        sys::av_display_rotation_get(matrix.as_ptr())
+    };
+    if counterclockwise_deg.is_finite() { (-counterclockwise_deg.round() as i32).rem_euclid(360) } else { 0 }
+}
+
+/// Where the display matrix lies, and its size in bytes; null if there is none.
+#[cfg(ffmpeg_6_1)]
+#[allow(unsafe_code)]
+fn display_matrix(stream: *const sys::AVStream) -> (*const u8, usize) {
+    // SAFETY: the caller's stream is valid; the parameters' array has the length that stands beside it.
+    unsafe {
+        let parameters = &*(*stream).codecpar;
+        let (all, count) = (parameters.coded_side_data, parameters.nb_coded_side_data);
+        let found = sys::av_packet_side_data_get(all, count, sys::AVPacketSideDataType::DISPLAYMATRIX);
+        if found.is_null() { (ptr::null(), 0) } else { ((*found).data, (*found).size) }
+    }
+}
+
+/// Where the display matrix lies, and its size in bytes; null if there is none.
+#[cfg(not(ffmpeg_6_1))]
+#[allow(unsafe_code)]
+fn display_matrix(stream: *const sys::AVStream) -> (*const u8, usize) {
+    let mut size = 0;
+    // SAFETY: the caller's stream is valid; the call writes the size beside the pointer that it gives.
+    let data = unsafe { sys::av_stream_get_side_data(stream, sys::AVPacketSideDataType::DISPLAYMATRIX, &mut size) };
+    (data, size)
+}

@@ -1,0 +1,80 @@
+//! Media files, read and decoded by FFmpeg's libraries: libavformat, libavcodec and libswscale of the system.
+//!
+//! A [`MediaFile`] is a container with its streams, from which packets are read; a [`Decoder`] makes pictures of the
+//! packets of one video stream; an [`RgbConverter`] turns the pictures into red, green and blue. Time stamps stay what
+//! they are in the file: integers, in the time base of their stream.
+//!
+//! Files are opened by the file system alone: a play list that names an address in the network does not get it.
+//! Damaged input is FFmpeg's to survive; what it refuses comes back as an [`FfmpegError`]. Nothing is printed after
+//! [`silence`].
+
+mod colour;
+mod decoder;
+mod media_file;
+
+use std::ffi::{CStr, c_int};
+
+use ffmpeg_sys_the_third as sys;
+
+pub use self::colour::RgbConverter;
+pub use self::decoder::Decoder;
+pub use self::media_file::{MediaFile, Packet, Stream, StreamKind, TextCoding, TimeBase};
+
+/// What FFmpeg can refuse.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FfmpegError {
+    /// No container that FFmpeg knows, or one whose head is broken.
+    #[error("{0}")]
+    Open(String),
+    /// The installed FFmpeg has no decoder for a stream.
+    #[error("no decoder for {0}")]
+    NoDecoder(String),
+    /// A decoder does not start.
+    #[error("the decoder does not start: {0}")]
+    Decoder(String),
+    /// A picture cannot be turned into red, green and blue.
+    #[error("a picture of {width}x{height} pixels cannot be converted: {reason}")]
+    Convert {
+        /// Width, pixels.
+        width: i32,
+        /// Height, pixels.
+        height: i32,
+        /// What stands in the way.
+        reason: &'static str,
+    },
+    /// There is no memory for it.
+    #[error("out of memory")]
+    Memory,
+}
+
+/// Stops what FFmpeg prints by itself.
+#[allow(unsafe_code)]
+pub fn silence() {
+    // SAFETY: sets an atomic number.
+    unsafe { sys::av_log_set_level(sys::AV_LOG_QUIET) }
+}
+
+/// The version of the libraries that are loaded, such as `5.1.9-0+deb12u1`.
+#[allow(unsafe_code)]
+pub fn version() -> String {
+    // SAFETY: returns a string constant of the library.
+    let version = unsafe { CStr::from_ptr(sys::av_version_info()) };
+    version.to_string_lossy().into_owned()
+}
+
+/// FFmpeg's words for one of its error codes.
+#[allow(unsafe_code)]
+fn words(code: c_int) -> String {
+    let mut text = [0; 128];
+    // SAFETY: writes a string with its end mark into the buffer, of which it is told the size.
+    let text = unsafe {
+        sys::av_strerror(code, text.as_mut_ptr(), text.len());
+        CStr::from_ptr(text.as_ptr())
+    };
+    text.to_string_lossy().into_owned()
+}
+
+/// What a call of FFmpeg's gave, which counts errors below zero.
+fn checked(code: c_int) -> Result<c_int, c_int> {
+    if code < 0 { Err(code) } else { Ok(code) }
+}

@@ -1,0 +1,112 @@
+//! The text track of a video, in which some cameras write where they are.
+
+use std::path::Path;
+
+use super::file::origin_s;
+use super::{VideoError, diagnosis};
+use crate::ffi::ffmpeg::{FfmpegError, MediaFile, Packet, Stream, StreamKind, TextCoding};
+
+/// A text and when it is to be shown.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Subtitle {
+    /// When it appears, seconds on the clock of the frames; negative where it comes before the first one.
+    pub start_s: f64,
+    /// When it goes, seconds; no earlier than `start_s`, and equal to it where the file does not say.
+    pub end_s: f64,
+    /// The text as it stands in the file, with line breaks and markup; bytes that are no UTF-8 are replaced.
+    pub text: String,
+}
+
+/// Reads the first text track of a video, or a file of subtitles (SRT, WebVTT, ASS).
+///
+/// Returns the texts in the order of the file; none if it has no text track. Nothing is decoded, so that it takes little
+/// more time than reading the file.
+///
+/// # Errors
+/// [`VideoError::NoIndex`], [`VideoError::NotAVideo`] for a file that FFmpeg does not take, [`VideoError::Ffmpeg`].
+pub fn subtitles(path: &Path) -> Result<Vec<Subtitle>, VideoError> {
+    let refused = |error| match error {
+        FfmpegError::Open(_) => diagnosis::why_not(path),
+        other => VideoError::Ffmpeg(other),
+    };
+    let mut file = MediaFile::open(path).map_err(refused)?;
+    let streams = file.streams();
+    let is_text = |stream: &&Stream| matches!(stream.kind, StreamKind::Text(_));
+    let Some(Stream { index, kind: StreamKind::Text(coding), time_base, .. }) = streams.iter().find(is_text).copied()
+    else {
+        return Ok(Vec::new());
+    };
+    let origin_s = origin_s(&streams);
+    file.keep_only(index);
+    let mut packet = Packet::new()?;
+    let mut found = Vec::new();
+    while file.read(&mut packet) {
+        let Some(time) = packet.time().filter(|_| packet.stream() == index) else { continue };
+        let text = text(packet.data(), coding);
+        if !text.is_empty() {
+            let end_s = time_base.seconds(time.saturating_add(packet.duration())) - origin_s;
+            found.push(Subtitle { start_s: time_base.seconds(time) - origin_s, end_s, text });
+        }
+    }
+    Ok(found)
+}
+
+/// The text that a packet holds.
+fn text(data: &[u8], coding: TextCoding) -> String {
+    /// Fields before the text of a line of Advanced SubStation Alpha.
+    const SUB_STATION_FIELDS: usize = 8;
+    let text = match coding {
+        TextCoding::Plain => data,
+        TextCoding::Timed => timed(data),
+        TextCoding::SubStation => data.splitn(SUB_STATION_FIELDS + 1, |byte| *byte == b',').last().unwrap_or_default(),
+    };
+    String::from_utf8_lossy(text).trim_matches('\0').trim_end().to_owned()
+}
+
+/// The text after its length, of which no more is believed than there is.
+fn timed(data: &[u8]) -> &[u8] {
+    let [high, low, rest @ ..] = data else { return &[] };
+    &rest[..rest.len().min(usize::from(u16::from_be_bytes([*high, *low])))]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_is_taken_out_of_every_coding() {
+        assert_eq!(text(b"F/2.8, SS 500\nISO 100\r\n", TextCoding::Plain), "F/2.8, SS 500\nISO 100");
+        assert_eq!(text(b"\0\x03abc\0\0\0\x0cencd\0\0\x01\0", TextCoding::Timed), "abc");
+        assert_eq!(text(b"\0\x09abc", TextCoding::Timed), "abc", "a length beyond the end");
+        assert_eq!(text(b"\0", TextCoding::Timed), "");
+        assert_eq!(text(b"0,0,Default,,0,0,0,,one, two", TextCoding::SubStation), "one, two");
+    }
+
+    #[test]
+    fn a_file_of_subtitles_is_read_with_its_times() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("flight.srt");
+        let content = "1\n00:00:00,000 --> 00:00:00,033\n<font>GPS (8.5, 47.2, 18)</font>\nBAROMETER:91.2\n\n\
+                       2\n00:00:01,500 --> 00:00:02,000\nsecond\n\n";
+        std::fs::write(&path, content).unwrap();
+        let found = subtitles(&path).unwrap();
+        assert_eq!(found.len(), 2, "{found:?}");
+        assert_eq!(found[0].text, "<font>GPS (8.5, 47.2, 18)</font>\nBAROMETER:91.2");
+        assert!((found[0].end_s - 0.033).abs() < 1e-9 && (found[1].start_s - 1.5).abs() < 1e-9, "{found:?}");
+        std::fs::write(&path, "").unwrap();
+        assert!(subtitles(&path).is_err());
+    }
+
+    #[test]
+    fn a_text_track_inside_a_video_is_on_the_clock_of_its_frames() {
+        let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
+        let found = subtitles(&golden.join("text_track.mp4")).unwrap();
+        let expected = [(0.0, 0.5, "HOME(8.5,47.2) D=1.5m"), (0.5, 1.0, "HOME(8.5,47.2) D=2.5m")];
+        assert_eq!(found.len(), expected.len(), "{found:?}");
+        for (found, (start_s, end_s, text)) in found.iter().zip(expected) {
+            assert!((found.start_s - start_s).abs() < 1e-6 && (found.end_s - end_s).abs() < 1e-6, "{found:?}");
+            assert_eq!(found.text, text);
+        }
+        assert_eq!(subtitles(&golden.join("variable_rate_rotated.mp4")).unwrap(), []);
+    }
+}
