@@ -71,6 +71,10 @@ pub(super) enum Command {
     Options(Box<super::options::Args>),
     /// Say what is installed, what is missing, and how to get it
     Doctor(super::doctor::Args),
+    /// Print what a shell needs to complete commands and options
+    Completions(super::manual::CompletionsArgs),
+    /// Write the manual pages, one for each command
+    Manual(super::manual::ManualArgs),
 }
 
 impl Command {

@@ -16,6 +16,7 @@ mod doctor;
 pub mod evaluate;
 mod forecast;
 mod job;
+mod manual;
 mod models;
 mod options;
 mod output;
@@ -99,5 +100,7 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &Talk) -> Result<(), Fail
         Command::Bal(own) => bal::run(own, form),
         Command::Options(own) => options::run(own, form),
         Command::Doctor(own) => doctor::run(own, form),
+        Command::Completions(own) => manual::completions(own),
+        Command::Manual(own) => manual::pages(own, form),
     }
 }

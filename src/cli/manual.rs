@@ -1,0 +1,70 @@
+//! `completions` and `manual`: what shells and `man` want to know of the command line, made from its definition.
+
+use std::fs;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::CommandFactory;
+use clap_complete::Shell;
+use serde_json::json;
+
+use super::args::Args;
+use super::output::{Failure, Form, print, show};
+
+/// The program's name, as it is typed.
+const NAME: &str = "tractrix";
+
+#[derive(Debug, clap::Args)]
+pub(super) struct CompletionsArgs {
+    /// The shell that is to complete
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct ManualArgs {
+    /// Where to write the pages; the folder is made where it is not there
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+}
+
+/// Prints the completions for one shell.
+pub(super) fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut Args::command(), NAME, &mut script);
+    print(&String::from_utf8_lossy(&script))
+}
+
+/// Writes `tractrix.1` and, for every command, `tractrix-<command>.1`. They hold no date: one program has one manual.
+pub(super) fn pages(args: &ManualArgs, form: Form) -> Result<(), Failure> {
+    let folder = &args.output;
+    let written = fs::create_dir_all(folder).and_then(|()| clap_mangen::generate_to(Args::command(), folder));
+    written.with_context(|| format!("cannot write the manual pages to {}", folder.display()))?;
+    show(form, &json!({ "folder": folder }), || format!("the manual pages are in {}\n", folder.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_command_has_a_page_that_names_its_flags() {
+        let folder = tempfile::tempdir().unwrap();
+        let args = ManualArgs { output: folder.path().join("man1") };
+        pages(&args, Form::Nothing).unwrap();
+        let page = |name: &str| fs::read_to_string(args.output.join(name)).unwrap();
+        let (program, run) = (page("tractrix.1"), page("tractrix-run.1"));
+        assert!(program.contains("run(1)") && program.contains("doctor(1)"), "{program}");
+        assert!(run.contains("intrinsics") && run.contains("quiet"), "{run}");
+    }
+
+    #[test]
+    fn shells_learn_the_commands() {
+        for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Args::command(), NAME, &mut script);
+            let script = String::from_utf8(script).unwrap();
+            assert!(script.contains("doctor") && script.contains("only-object"), "{shell}");
+        }
+    }
+}
