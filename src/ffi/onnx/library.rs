@@ -82,8 +82,8 @@ fn load() -> Result<PathBuf, OnnxError> {
     Err(OnnxError::RuntimeNotFound { tried })
 }
 
-/// Where the library may be: beside the executable, in `third_party` of a folder above it or of the source tree, and
-/// last by its bare name, which the system's loader looks up.
+/// Where the library may be: beside the executable, where packages put it, in `third_party` of a folder above it or of
+/// the source tree, and last by its bare name, which the system's loader looks up.
 fn candidates(executable: Option<&Path>, source_tree: &Path) -> Vec<PathBuf> {
     let in_tree = |root: &Path| root.join("third_party/onnxruntime").join(env::consts::ARCH).join(FILE_NAME);
     let folder = executable.and_then(Path::parent);
@@ -91,6 +91,7 @@ fn candidates(executable: Option<&Path>, source_tree: &Path) -> Vec<PathBuf> {
     if let Some(folder) = folder {
         found.push(folder.join(FILE_NAME));
         found.push(folder.join("../lib").join(FILE_NAME));
+        found.push(folder.join("../lib/tractrix").join(FILE_NAME));
         // Above target/release/deps (tests) or target/release lies the source tree that was built.
         found.extend(folder.ancestors().skip(1).take(4).map(in_tree).filter(|path| path.exists()));
     }
@@ -171,6 +172,7 @@ mod tests {
     fn the_library_is_looked_for_beside_the_program_first_and_by_the_loader_last() {
         let found = candidates(Some(Path::new("/opt/tractrix/bin/tractrix")), Path::new("/src"));
         assert_eq!(found.first(), Some(&PathBuf::from("/opt/tractrix/bin/libonnxruntime.so")));
+        assert!(found.contains(&PathBuf::from("/opt/tractrix/bin/../lib/tractrix/libonnxruntime.so")), "{found:?}");
         assert_eq!(found.last(), Some(&PathBuf::from("libonnxruntime.so")));
         let in_source = Path::new("/src/third_party/onnxruntime").join(env::consts::ARCH).join("libonnxruntime.so");
         assert!(found.contains(&in_source));
