@@ -3,8 +3,9 @@
 //! First come the ground points round the object: labelled ones where there are enough, else those found without
 //! labels. In a drive with a camera that is fixed to a vehicle the road below that camera ([`Mount`]) is a second
 //! source: it judges the ground found without labels, which has to agree with it, and it is taken where fewer points
-//! than asked for are there and it is surer. Frames that are left get the dominant plane of the whole place, with a
-//! deviation that says how uneven the place is.
+//! than asked for are there and it is surer. Where the points of all frames bear it out it is taken wherever it is the
+//! steadier: few points make a plane that trembles from frame to frame. Frames that are left get the dominant plane of
+//! the whole place, with a deviation that says how uneven the place is.
 
 use std::collections::BTreeMap;
 
@@ -15,6 +16,7 @@ use super::dominant::DominantPlane;
 use super::local::{LocalPlanes, local_planes, lowest_foot, object_pixels};
 use super::mount::Mount;
 use super::road::Road;
+use crate::math::median;
 use crate::scene::{FrameId, GroundPlane, Image, ObjectId, PlaneBasis, Point3dId, Reconstruction};
 
 /// What is known of the ground of a place.
@@ -32,6 +34,8 @@ pub struct GroundChain<'a> {
 
 /// Share of an object's frames that labelled points have to give a plane to; else points without labels are asked.
 const ENOUGH: f64 = 0.5;
+/// By what factor the road may be less sure in all than points, and still be taken since it is steadier.
+const MUCH: f64 = 2.0;
 
 impl GroundChain<'_> {
     /// The plane below one object in every frame that is registered in both models, from the surest source that has
@@ -56,15 +60,40 @@ impl GroundChain<'_> {
         found
     }
 
-    /// Takes the road below the camera where it is surer than points of which there are fewer than asked for.
+    /// Takes the road below the camera where it is surer than points of which there are fewer than asked for; where the
+    /// points of all frames bear it out, wherever it wanders less from frame to frame than they do.
     fn prefer_surer(&self, found: &mut LocalPlanes, mount: &Mount, model: &Reconstruction, options: &Options) {
-        for (frame, road) in self.road(mount, model) {
-            let stays =
-                |plane: &GroundPlane| plane.num_points >= options.num_neighbors || plane.height_std <= road.height_std;
+        let roads = self.road(mount, model);
+        let is_borne_out = self.gaps(&found.planes, &roads, model).bear_out();
+        for (frame, road) in roads {
+            let stays = |plane: &GroundPlane| match is_borne_out {
+                true => plane.own_height_std() < road.own_height_std() || MUCH * plane.height_std < road.height_std,
+                false => plane.num_points >= options.num_neighbors || plane.height_std <= road.height_std,
+            };
             if !found.planes.get(&frame).is_some_and(stays) {
                 found.planes.insert(frame, road);
             }
         }
+    }
+
+    /// How far planes of points lie from the road, below the object.
+    fn gaps(
+        &self,
+        points: &BTreeMap<FrameId, GroundPlane>,
+        roads: &BTreeMap<FrameId, GroundPlane>,
+        model: &Reconstruction,
+    ) -> Gaps {
+        let compared = |(frame, image, in_object): (FrameId, &Image, &Image)| {
+            let (plane, road) = (points.get(&frame)?, roads.get(&frame)?);
+            let height = road.signed_distance(image.cam_from_world.center());
+            let foot = lowest_foot(self.background, image, &object_pixels(in_object), (&road.normal, height))?;
+            Some(Gap {
+                height: plane.signed_distance(foot),
+                own_std: plane.own_height_std().hypot(road.own_height_std()),
+                common_std: plane.common_height_std.hypot(road.common_height_std),
+            })
+        };
+        Gaps(self.background.paired_images(model).into_iter().filter_map(compared).collect())
     }
 
     /// The road below the object in every frame.
@@ -112,5 +141,35 @@ impl GroundChain<'_> {
             common_height_std: spread,
             tilt_std: (spread / reach).atan(),
         })
+    }
+}
+
+/// How far the road lies above a plane of points in one frame, with the deviations that both have for the frame alone and
+/// for all frames.
+struct Gap {
+    height: f64,
+    own_std: f64,
+    common_std: f64,
+}
+
+struct Gaps(Vec<Gap>);
+
+impl Gaps {
+    /// Fewest frames in which planes of points and the road are compared.
+    const MIN_FRAMES: usize = 5;
+    /// Deviations beyond which they contradict one another.
+    const CONTRADICTION: f64 = 3.0;
+
+    fn median_of(&self, value: impl Fn(&Gap) -> f64) -> f64 {
+        median(self.0.iter().map(value).collect()).unwrap_or(f64::INFINITY)
+    }
+
+    /// Whether points lie on the road: on average, and from frame to frame.
+    fn bear_out(&self) -> bool {
+        let middle = self.median_of(|gap| gap.height);
+        let spread = 1.4826 * self.median_of(|gap| (gap.height - middle).abs());
+        let (own, common) = (self.median_of(|gap| gap.own_std), self.median_of(|gap| gap.common_std));
+        let is_steady = spread <= Self::CONTRADICTION * own;
+        self.0.len() >= Self::MIN_FRAMES && is_steady && middle.abs() <= Self::CONTRADICTION * common.hypot(own)
     }
 }

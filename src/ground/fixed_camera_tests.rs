@@ -187,3 +187,20 @@ fn the_road_ahead_is_where_the_camera_comes_by() {
         assert!(!is_covered || off.abs() < 0.1 * HEIGHT, "{frame:?}: {off}");
     }
 }
+
+/// Few noisy points make a plane that trembles from frame to frame; where they lie on the road, the road is better.
+#[test]
+fn the_road_is_taken_in_all_frames_where_points_bear_it_out() {
+    let (model, vehicle) = (Drive::STRAIGHT.background(250, 0, 1.5), Drive::STRAIGHT.vehicle(6.0));
+    let mount = find_mount(&model, None, &Options::default(), 3).unwrap();
+    let mut lifted = model.clone();
+    lifted.points.values_mut().for_each(|point| point.position.y -= 0.3 * HEIGHT);
+    let labelled: Vec<Point3dId> = model.points.keys().copied().collect();
+    let num_on_road = |background: &Reconstruction| {
+        let chain = GroundChain { background, labelled: &labelled, dominant: None, mount: Some(&mount) };
+        let found = chain.planes(ObjectId(1), &vehicle, &Options { num_neighbors: 15, ..Options::default() }, 3);
+        found.planes.values().filter(|plane| plane.basis == PlaneBasis::Mount).count()
+    };
+    let [borne_out, contradicted] = [num_on_road(&model), num_on_road(&lifted)];
+    assert!(borne_out >= 10 && contradicted == 0, "{borne_out} and {contradicted} of {NUM_FRAMES} frames");
+}

@@ -85,6 +85,11 @@ pub struct GroundPlane {
 }
 
 impl GroundPlane {
+    /// The part of `height_std` that is new in every frame.
+    pub fn own_height_std(&self) -> f64 {
+        (self.height_std.powi(2) - self.common_height_std.powi(2)).max(0.0).sqrt()
+    }
+
     /// Signed distance of a point; positive on the camera's side (eq. ground_plane_distance).
     pub fn signed_distance(&self, point_in_background: Point3<f64>) -> f64 {
         self.normal.dot(&(point_in_background - self.point))

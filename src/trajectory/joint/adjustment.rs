@@ -8,7 +8,7 @@ use super::precision::for_each_residual;
 use super::{Grounded, JointOptions};
 use crate::bundle::{self, BundleError, CameraBlock, PlanePrior, PointPrior, Problem, Wanted, Whitening};
 use crate::math::{RobustLoss, Sim3, median, umeyama};
-use crate::scene::{FrameId, GroundPlane, Image, Reconstruction};
+use crate::scene::{FrameId, Image, Reconstruction};
 use crate::trajectory::assemble::poses;
 use crate::trajectory::mirror::mean_normal;
 use crate::trajectory::{
@@ -44,11 +44,6 @@ pub(super) struct Adjustment<'a> {
     wander: f64,
     /// The median of that height, units of the background.
     camera_height: f64,
-}
-
-/// The part of a plane's deviation that is new in every frame.
-fn own_deviation(plane: &GroundPlane) -> f64 {
-    (plane.height_std.powi(2) - plane.common_height_std.powi(2)).max(0.0).sqrt()
 }
 
 impl<'a> Adjustment<'a> {
@@ -147,7 +142,7 @@ impl<'a> Adjustment<'a> {
                 camera_height: plane.signed_distance(in_background.cam_from_world.center()),
                 point: Point3::new(middle.x, middle.y, 0.0),
                 up: Vector3::z(),
-                sigma_distance: self.sigma_distance(in_object, &middle).max(own_deviation(plane)),
+                sigma_distance: self.sigma_distance(in_object, &middle).max(plane.own_height_std()),
                 sigma_tilt: self.options.sigma_tilt.max(plane.tilt_std),
                 loss: RobustLoss::Squared,
             })
