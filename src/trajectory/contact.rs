@@ -257,7 +257,7 @@ impl LowerEdge<'_> {
         let num_frames = found.len();
         let (heights, stds): (Vec<f64>, Vec<f64>) = found.into_iter().unzip();
         let z = median(heights).filter(|_| num_frames >= self.options.min_frames)?;
-        let std = median(stds)?.hypot(self.options.side[1] * self.extent);
+        let std = median(stds)?;
         (std <= limit).then_some(Contact { z, std, num_frames })
     }
 
@@ -293,7 +293,11 @@ impl LowerEdge<'_> {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::{Matrix3, Rotation3};
+
     use super::*;
+    use crate::math::Rigid3;
+    use crate::scene::{CameraId, ImageId, Point3d, Point3dId};
     use crate::synthetic::drive::{Options, drive};
 
     fn rectangle(width: u32, height: u32, [x0, y0, x1, y1]: [u32; 4]) -> Mask {
@@ -343,5 +347,44 @@ mod tests {
         assert!(seen.num_frames > 20 && seen.z.abs() < 0.15, "{seen:?}");
         assert!(guessed.num_frames == 0 && guessed.z > 0.25 && guessed.std > seen.std, "{guessed:?}");
         assert_eq!(contact(&Reconstruction::default(), &silhouettes, forward, &options), None);
+    }
+
+    /// A box on four tyres, seen from behind by a low camera.
+    fn from_behind(distance: f64) -> (Reconstruction, BTreeMap<FrameId, Silhouette>) {
+        let corners = |xs: [f64; 2], ys: [f64; 2], zs: [f64; 2]| {
+            let all = xs.into_iter().flat_map(move |x| ys.into_iter().map(move |y| (x, y)));
+            all.flat_map(move |(x, y)| zs.into_iter().map(move |z| Point3::new(x, y, z))).collect::<Vec<_>>()
+        };
+        let body = corners([-2.0, 2.0], [-0.8, 0.8], [0.3, 1.5]);
+        let tyres = corners([-1.3, 1.3], [-0.75, 0.75], [0.0, 0.6]);
+        let mut model = Reconstruction::default();
+        let camera = crate::camera::Camera::with_focal(960, 540, 800.0);
+        model.cameras.insert(CameraId(1), camera);
+        for (k, position) in body.iter().enumerate() {
+            let point = Point3d { position: *position, rgb: [0; 3], error_px: 0.5, track: Vec::new() };
+            model.points.insert(Point3dId(k as u64 + 1), point);
+        }
+        let forward = Rotation3::from_matrix_unchecked(Matrix3::new(0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0));
+        let mut silhouettes = BTreeMap::new();
+        for k in 0..8 {
+            let center = Point3::new(-distance - 0.3 * f64::from(k), 0.1, 1.4);
+            let cam_from_world = Rigid3::from_rotation_and_center(forward.into(), center);
+            let seen = body.iter().chain(&tyres).filter_map(|p| camera.pixel_from_cam(cam_from_world * *p));
+            silhouettes.insert(FrameId(k), Silhouette { hull: seen.collect() });
+            let image = Image { name: k.to_string(), camera: CameraId(1), cam_from_world, observations: Vec::new() };
+            model.images.insert(ImageId::from(FrameId(k)), image);
+        }
+        (model, silhouettes)
+    }
+
+    #[test]
+    fn from_behind_the_tyres_of_the_rear_show_the_ground() {
+        let found = |distance: f64| {
+            let (model, silhouettes) = from_behind(distance);
+            contact(&model, &silhouettes, Some(Vector3::x_axis()), &ContactOptions::default()).unwrap()
+        };
+        let [near, far] = [found(15.0), found(30.0)];
+        assert!(near.num_frames == 8 && near.z.abs() < 2.0 * near.std && near.std < 0.045, "{near:?}");
+        assert!(far.num_frames == 8 && far.z.abs() < 2.0 * far.std && far.std > 1.1 * near.std, "{far:?}");
     }
 }
