@@ -62,6 +62,8 @@ pub mod scene;
 pub mod sfm;
 #[cfg(any(test, feature = "synthetic"))]
 pub mod synthetic;
+#[cfg(feature = "telemetry")]
+pub mod telemetry;
 pub mod trajectory;
 #[cfg(feature = "video")]
 pub mod video;

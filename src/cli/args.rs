@@ -67,6 +67,8 @@ pub(super) enum Command {
     Convert(super::convert::Args),
     /// Solve a problem of "Bundle Adjustment in the Large"
     Bal(super::bal::Args),
+    /// Say what is understood of a file of telemetry
+    Telemetry(super::telemetry::Args),
     /// Say what options there are, and which values they have with these flags
     Options(Box<super::options::Args>),
     /// Say what is installed, what is missing, and how to get it

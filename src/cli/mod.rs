@@ -22,6 +22,7 @@ mod options;
 mod output;
 mod run;
 mod summary;
+mod telemetry;
 mod terminal;
 
 use std::ffi::OsString;
@@ -98,6 +99,7 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &Talk) -> Result<(), Fail
         Command::Compare(own) => compare::run(own, arguments, form),
         Command::Convert(own) => convert::run(own, form),
         Command::Bal(own) => bal::run(own, form),
+        Command::Telemetry(own) => telemetry::run(own, form),
         Command::Options(own) => options::run(own, form),
         Command::Doctor(own) => doctor::run(own, form),
         Command::Completions(own) => manual::completions(own),

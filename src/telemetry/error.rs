@@ -1,0 +1,76 @@
+//! Why a file gives no telemetry.
+
+use std::path::{Path, PathBuf};
+
+/// Telemetry that cannot be read at all. What is wrong with single lines does not stop the reading; it stands in the
+/// [`Log`](super::Log).
+#[derive(Debug, thiserror::Error)]
+pub enum TelemetryError {
+    /// The operating system refuses.
+    #[error("cannot read {}", path.display())]
+    System {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The file is empty.
+    #[error("{}: the file is empty; copy it from the camera again", path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file is larger than any log.
+    #[error(
+        "{}: {size_mib} MiB are more than a log has (at most {most_mib}); give the part that belongs to the video",
+        path.display()
+    )]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// Its size.
+        size_mib: u64,
+        /// The limit.
+        most_mib: u64,
+    },
+    /// No known format.
+    #[error(
+        "{}: neither DJI's subtitles, nor GPX, NMEA, a CSV whose header names longitude and latitude, nor a photograph \
+         with GPS data; docs/telemetry.md says what each looks like",
+        path.display()
+    )]
+    Unknown {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The format is known, but no position can be had from it.
+    #[error("{}: {what} without a single position{}", path.display(), first_reason(.first.as_deref()))]
+    NoFix {
+        /// The file.
+        path: PathBuf,
+        /// The format or dialect.
+        what: String,
+        /// What is wrong with the first line that could have had one.
+        first: Option<String>,
+    },
+    /// The header of a table cannot be used.
+    #[error("{}, line 1: {problem}", path.display())]
+    Header {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and the cure.
+        problem: String,
+    },
+}
+
+impl TelemetryError {
+    /// For `map_err`: the system refuses to read the path.
+    pub(super) fn system(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.to_path_buf();
+        move |source| Self::System { path, source }
+    }
+}
+
+fn first_reason(first: Option<&str>) -> String {
+    first.map(|reason| format!("; {reason}")).unwrap_or_default()
+}

@@ -1,0 +1,114 @@
+//! Positions on the ellipsoid of WGS 84, and metres east, north and up of a place on it.
+//!
+//! The arithmetic is that of the crate `map_3d` (geodetic → earth-centred → local, and back in closed form: R.-J. You,
+//! *Transformation of Cartesian to geodetic coordinates without iterations*, Journal of Surveying Engineering 2000).
+
+use map_3d::{Ellipsoid, enu2geodetic, geodetic2enu};
+use nalgebra::{Point3, point};
+use serde::{Deserialize, Serialize};
+
+/// A place by longitude, latitude and height.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Geodetic {
+    /// East of Greenwich, degrees.
+    pub longitude_deg: f64,
+    /// North of the equator, degrees.
+    pub latitude_deg: f64,
+    /// Height, metres. It is taken for one above the ellipsoid; whose zero it is makes a difference of parts in a
+    /// hundred thousand to horizontal distances.
+    pub height_m: f64,
+}
+
+/// Axes east, north and up at a place, metres; the place is (0, 0, 0).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LocalFrame {
+    /// The place.
+    pub origin: Geodetic,
+}
+
+impl LocalFrame {
+    /// The frame of a place.
+    pub fn at(origin: Geodetic) -> Self {
+        Self { origin }
+    }
+
+    /// Metres east, north, up.
+    pub fn from_geodetic(&self, place: Geodetic) -> Point3<f64> {
+        let Self { origin } = self;
+        let (east, north, up) = geodetic2enu(
+            place.latitude_deg.to_radians(),
+            place.longitude_deg.to_radians(),
+            place.height_m,
+            origin.latitude_deg.to_radians(),
+            origin.longitude_deg.to_radians(),
+            origin.height_m,
+            Ellipsoid::WGS84,
+        );
+        point![east, north, up]
+    }
+
+    /// Longitude, latitude and height of a point in metres east, north, up.
+    pub fn to_geodetic(&self, point_in_frame: Point3<f64>) -> Geodetic {
+        let Self { origin } = self;
+        let (latitude, longitude, height_m) = enu2geodetic(
+            point_in_frame.x,
+            point_in_frame.y,
+            point_in_frame.z,
+            origin.latitude_deg.to_radians(),
+            origin.longitude_deg.to_radians(),
+            origin.height_m,
+            Ellipsoid::WGS84,
+        );
+        Geodetic { longitude_deg: longitude.to_degrees(), latitude_deg: latitude.to_degrees(), height_m }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn place(longitude_deg: f64, latitude_deg: f64, height_m: f64) -> Geodetic {
+        Geodetic { longitude_deg, latitude_deg, height_m }
+    }
+
+    /// Earth-centred coordinates, from the definition of the ellipsoid.
+    fn earth_centered(place: Geodetic) -> Point3<f64> {
+        let (a, f): (f64, f64) = (6_378_137.0, 1.0 / 298.257_223_563);
+        let e2 = f * (2.0 - f);
+        let (sin, cos) = place.latitude_deg.to_radians().sin_cos();
+        let (sin_lon, cos_lon) = place.longitude_deg.to_radians().sin_cos();
+        let n = a / (1.0 - e2 * sin * sin).sqrt();
+        let h = place.height_m;
+        point![(n + h) * cos * cos_lon, (n + h) * cos * sin_lon, (n * (1.0 - e2) + h) * sin]
+    }
+
+    #[test]
+    fn there_and_back_is_the_same_place() {
+        for latitude in [-89.9, -34.2, 0.0, 0.001, 48.1, 70.0, 89.99] {
+            for longitude in [-180.0, -58.85, 0.0, 9.2, 179.999] {
+                let frame = LocalFrame::at(place(longitude, latitude, 450.0));
+                for point in [point![7000.0, -7000.0, 120.0], point![0.0, 0.0, 0.0], point![-3.0, 9999.0, -300.0]] {
+                    let back = frame.from_geodetic(frame.to_geodetic(point));
+                    assert!((back - point).norm() < 1e-4, "{latitude} {longitude}: {point} {back}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn ten_kilometres_agree_with_the_definition() {
+        let origin = place(9.2, 48.1, 450.0);
+        let there = place(9.28, 48.17, 520.0);
+        let found = LocalFrame::at(origin).from_geodetic(there);
+        let chord = earth_centered(there) - earth_centered(origin);
+        assert!((found.coords.norm() - chord.norm()).abs() < 1e-6, "{found}");
+        // Along the normals of the ellipsoid at the origin.
+        let (sin, cos) = 48.1f64.to_radians().sin_cos();
+        let (sin_lon, cos_lon) = 9.2f64.to_radians().sin_cos();
+        let up = nalgebra::vector![cos * cos_lon, cos * sin_lon, sin];
+        let east = nalgebra::vector![-sin_lon, cos_lon, 0.0];
+        let expected = point![east.dot(&chord), up.cross(&east).dot(&chord), up.dot(&chord)];
+        assert!((found - expected).norm() < 1e-6, "{found} {expected}");
+        assert!(found.x > 5900.0 && found.y > 7700.0, "{found}");
+    }
+}

@@ -1,0 +1,165 @@
+//! GPX 1.0 and 1.1: points of tracks, routes and way points (`trkpt`, `rtept`, `wpt`).
+//!
+//! Read: longitude and latitude, `ele` (metres above the sea), `time` (UTC), `fix` (kind of receiver), `hdop`, and
+//! `speed` wherever it stands. A file that breaks off is used as far as it goes.
+
+use quick_xml::Reader;
+use quick_xml::events::{BytesStart, Event};
+
+use super::coordinate;
+use super::fix::{ClockKind, Fix, HeightDatum, Log, Receiver};
+use super::text::number;
+use super::time;
+
+/// The name in reports.
+pub(super) const DIALECT: &str = "gpx";
+
+/// A point that is being read.
+#[derive(Default)]
+struct Open {
+    longitude: String,
+    latitude: String,
+    line: usize,
+    height_m: Option<f64>,
+    clock_s: Option<f64>,
+    speed_m_s: Option<f64>,
+    dilution: Option<f64>,
+    fix: String,
+}
+
+/// Reads what the text holds.
+pub(super) fn read(text: &str) -> Log {
+    let mut log = Log { clock: ClockKind::Utc, height_datum: HeightDatum::SeaLevel, ..Log::default() };
+    let mut reader = Reader::from_str(text);
+    reader.config_mut().check_end_names = false;
+    let mut lines = LineCounter { text: text.as_bytes(), at: 0, line: 1 };
+    let (mut open, mut content): (Option<Open>, String) = (None, String::new());
+    loop {
+        match reader.read_event() {
+            Err(error) => {
+                let line = lines.at(reader.error_position());
+                log.pass_over(line, format!("the file breaks off or is damaged here ({error})"));
+                break;
+            }
+            Ok(Event::Eof) => break,
+            Ok(Event::Start(tag)) => {
+                content.clear();
+                if is_point(&tag) {
+                    open = Some(begin(&tag, lines.at(reader.buffer_position())));
+                }
+            }
+            Ok(Event::Empty(tag)) if is_point(&tag) => {
+                finish(begin(&tag, lines.at(reader.buffer_position())), &mut log)
+            }
+            Ok(Event::Text(text)) => content.push_str(&text),
+            Ok(Event::End(tag)) => match tag.local_name().as_ref() {
+                "trkpt" | "rtept" | "wpt" => open.take().into_iter().for_each(|open| finish(open, &mut log)),
+                name => open.iter_mut().for_each(|open| take(open, name, content.trim())),
+            },
+            Ok(_) => {}
+        }
+    }
+    if let Some(open) = open {
+        log.pass_over(open.line, "the file breaks off inside this point");
+    }
+    log
+}
+
+fn is_point(tag: &BytesStart) -> bool {
+    matches!(tag.local_name().as_ref(), "trkpt" | "rtept" | "wpt")
+}
+
+fn begin(tag: &BytesStart, line: usize) -> Open {
+    let mut open = Open { line, ..Open::default() };
+    for attribute in tag.attributes().with_checks(false).flatten() {
+        let value = attribute.value.into_owned();
+        match attribute.key.local_name().as_ref() {
+            "lon" => open.longitude = value,
+            "lat" => open.latitude = value,
+            _ => {}
+        }
+    }
+    open
+}
+
+/// Takes what an element inside a point says.
+fn take(open: &mut Open, name: &str, content: &str) {
+    match name {
+        "ele" => open.height_m = number(content),
+        "time" => open.clock_s = time::iso_s(content).map(|(time_s, _)| time_s),
+        "speed" => open.speed_m_s = number(content),
+        "hdop" => open.dilution = number(content),
+        "fix" => open.fix = content.to_ascii_lowercase(),
+        _ => {}
+    }
+}
+
+fn finish(open: Open, log: &mut Log) {
+    let receiver = match open.fix.as_str() {
+        "none" => return log.pass_over(open.line, "the receiver had no fix"),
+        "dgps" => Receiver::Differential,
+        _ => Receiver::Plain,
+    };
+    match coordinate::position(&open.longitude, &open.latitude) {
+        Err(reason) => log.pass_over(open.line, reason),
+        Ok(position) => log.push(
+            DIALECT,
+            Fix {
+                clock_s: open.clock_s,
+                gps_height_m: open.height_m,
+                speed_m_s: open.speed_m_s,
+                ..Fix::at(open.line, position).received_by(receiver, open.dilution)
+            },
+        ),
+    }
+}
+
+/// Line numbers of positions that only rise.
+struct LineCounter<'a> {
+    text: &'a [u8],
+    at: usize,
+    line: usize,
+}
+
+impl LineCounter<'_> {
+    fn at(&mut self, position: u64) -> usize {
+        let end = usize::try_from(position).unwrap_or(usize::MAX).min(self.text.len());
+        if end > self.at {
+            self.line += self.text[self.at..end].iter().filter(|&&byte| byte == b'\n').count();
+            self.at = end;
+        }
+        self.line
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TRACK: &str = "<?xml version=\"1.0\"?>\n<gpx version=\"1.1\" creator=\"by hand\">\n<trk><trkseg>\n\
+        <trkpt lat=\"48.1234567\" lon=\"9.7654321\"><ele>512.5</ele><time>2024-05-06T07:08:09.5Z</time>\
+        <fix>dgps</fix><hdop>2.0</hdop><extensions><speed>3.25</speed></extensions></trkpt>\n\
+        <trkpt lon=\"9.8\" lat=\"48.2\"/>\n<trkpt lat=\"0\" lon=\"0\"></trkpt>\n<trkpt lat=\"99\" lon=\"0\"/>\n\
+        </trkseg></trk>\n</gpx>\n";
+
+    #[test]
+    fn points_with_what_stands_in_them() {
+        let log = read(TRACK);
+        assert_eq!((log.fixes.len(), log.num_passed_over), (2, 2), "{log:?}");
+        let first = &log.fixes[0];
+        assert_eq!((first.longitude_deg, first.latitude_deg, first.line), (9.7654321, 48.1234567, 4));
+        assert_eq!((first.gps_height_m, first.relative_height_m, first.speed_m_s), (Some(512.5), None, Some(3.25)));
+        assert_eq!((first.horizontal_std_m, first.vertical_std_m), (2.0, 4.0));
+        assert_eq!(time::spelled(first.clock_s.unwrap()).unwrap(), "2024-05-06T07:08:09.500");
+        assert_eq!(log.passed_over.iter().map(|passed| passed.line).collect::<Vec<_>>(), [6, 7]);
+    }
+
+    #[test]
+    fn half_a_file_is_used_as_far_as_it_goes() {
+        let log = read(&TRACK[..TRACK.find("<trkpt lon").unwrap() + 12]);
+        assert_eq!(log.fixes.len(), 1);
+        assert_eq!(log.passed_over[0].line, 5, "{:?}", log.passed_over);
+        let log = read(&TRACK[..TRACK.find("</ele>").unwrap()]);
+        assert!(log.fixes.is_empty() && log.passed_over[0].reason.contains("breaks off"), "{:?}", log.passed_over);
+    }
+}

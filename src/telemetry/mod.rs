@@ -1,0 +1,45 @@
+//! Telemetry: where a receiver says that the camera was.
+//!
+//! A file of any known format becomes one [`Log`]: fixes in order of time, and what was passed over with its line and
+//! the reason. Formats are told apart by their content, never by name or by the name of a drone: DJI's subtitle files
+//! (a registry of dialects), GPX, NMEA 0183, CSV with a header, GPS data in photographs. `docs/telemetry.md` describes
+//! each.
+//!
+//! Heights of two kinds are kept apart: absolute ones, which a receiver or a fusion with air pressure gives, and those
+//! above the place of take-off. Longitudes and latitudes are decimal degrees, as in all these files, so that no digit
+//! changes on the way; other angles are radians.
+//!
+//! [`LocalFrame`] turns positions on the ellipsoid into metres east, north and up of a place, and back.
+//!
+//! Nothing here panics on any input, and time and memory are linear in the length of a file, which is limited.
+
+mod coordinate;
+mod csv;
+mod dji;
+mod error;
+mod fix;
+mod geodesy;
+mod gpx;
+mod kind;
+mod nmea;
+mod order;
+mod photographs;
+mod read;
+mod srt;
+mod summary;
+mod text;
+mod time;
+
+#[cfg(test)]
+mod real_files;
+#[cfg(test)]
+mod tests;
+
+pub use error::TelemetryError;
+pub use fix::{Angles, ClockKind, Fix, HeightDatum, Log, PassedOver, Receiver};
+pub use geodesy::{Geodetic, LocalFrame};
+pub use kind::Kind;
+pub use photographs::read_photographs;
+pub use read::{read, read_bytes, read_subtitles};
+pub use srt::Subtitle;
+pub use summary::{Range, Summary};

@@ -1,0 +1,86 @@
+//! Fixes in order of time, in spite of clocks that jump.
+
+use super::fix::{Fix, Log};
+
+/// Keeps the longest series of fixes whose times rise, and passes over the others.
+///
+/// A single wrong time costs itself, a clock that was set in mid-flight the shorter side. Logs whose fixes have no time
+/// stay as they are.
+pub(super) fn keep_rising(log: &mut Log) {
+    let fixes = std::mem::take(&mut log.fixes);
+    let by_video = fixes.iter().all(|fix| fix.video_s.is_some());
+    let time_s = |fix: &Fix| if by_video { fix.video_s } else { fix.clock_s };
+    let times: Vec<Option<f64>> = fixes.iter().map(time_s).collect();
+    if times.iter().all(Option::is_none) {
+        log.fixes = fixes;
+        return;
+    }
+    let keep = longest_rise(&times);
+    let mut last_s = None;
+    for ((fix, time), keep) in fixes.into_iter().zip(times).zip(keep) {
+        if keep {
+            last_s = time;
+            log.fixes.push(fix);
+        } else {
+            log.pass_over(fix.line, reason(time, last_s));
+        }
+    }
+    log.passed_over.sort_by_key(|passed| passed.line);
+}
+
+fn reason(time_s: Option<f64>, last_s: Option<f64>) -> String {
+    match (time_s, last_s) {
+        (None, _) => "the fix has no time, others have one".to_owned(),
+        (Some(time), Some(last)) if time == last => "another fix of the same time".to_owned(),
+        (Some(time), Some(last)) if time < last => format!("the clock goes back by {:.3} s", last - time),
+        _ => "the clock jumps ahead of the fixes that follow".to_owned(),
+    }
+}
+
+/// Marks a longest strictly rising series (patience sorting: for each length, the series that ends earliest).
+fn longest_rise(times: &[Option<f64>]) -> Vec<bool> {
+    let mut tails: Vec<usize> = Vec::new();
+    let mut before: Vec<Option<usize>> = vec![None; times.len()];
+    for (i, time) in times.iter().enumerate() {
+        let Some(time) = time else { continue };
+        let length = tails.partition_point(|&tail| times[tail].is_some_and(|last| last < *time));
+        before[i] = length.checked_sub(1).map(|shorter| tails[shorter]);
+        match tails.get_mut(length) {
+            // The one that came first stays where times are equal.
+            Some(tail) if times[*tail] == times[i] => {}
+            Some(tail) => *tail = i,
+            None => tails.push(i),
+        }
+    }
+    let mut keep = vec![false; times.len()];
+    let mut next = tails.last().copied();
+    while let Some(i) = next {
+        keep[i] = true;
+        next = before[i];
+    }
+    keep
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn kept(times: &[f64]) -> Vec<f64> {
+        let times: Vec<Option<f64>> = times.iter().copied().map(Some).collect();
+        let keep = longest_rise(&times);
+        times.iter().zip(keep).filter(|(_, keep)| *keep).filter_map(|(time, _)| *time).collect()
+    }
+
+    #[test]
+    fn one_wrong_time_costs_one_fix() {
+        assert_eq!(kept(&[1.0, 2.0, 900.0, 3.0, 4.0]), [1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(kept(&[1.0, 2.0, -5.0, 3.0, 3.0, 4.0]), [1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(kept(&[]), [0.0; 0]);
+    }
+
+    #[test]
+    fn a_clock_that_was_set_costs_the_shorter_side() {
+        assert_eq!(kept(&[50.0, 51.0, 1.0, 2.0, 3.0, 4.0]), [1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(kept(&[5.0, 6.0, 7.0, 1.0, 2.0]), [5.0, 6.0, 7.0]);
+    }
+}

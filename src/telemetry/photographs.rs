@@ -1,0 +1,200 @@
+//! GPS data in photographs (EXIF 2.3, section 4.6.6).
+//!
+//! Read: position, altitude and its reference, date and time (UTC), `GPSHPositioningError`, `GPSSpeed`,
+//! `GPSDifferential`.
+
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use exif::{Exif, In, Rational, Tag, Value};
+
+use super::coordinate;
+use super::error::TelemetryError;
+use super::fix::{ClockKind, Fix, HeightDatum, Log, Position, Receiver};
+use super::read::bytes_of;
+use super::time;
+
+/// The name in reports.
+pub(super) const DIALECT: &str = "exif";
+
+/// Reads the GPS data of photographs, in the order in which they are given; `line` of a fix is the number of its
+/// photograph, from 1. They keep that order whatever their clocks say.
+///
+/// # Errors
+/// [`TelemetryError::NoFix`] if none of them has a position; what is wrong with single ones stands in the log.
+pub fn read_photographs(paths: &[PathBuf]) -> Result<Log, TelemetryError> {
+    let mut log = Log { clock: ClockKind::Utc, height_datum: HeightDatum::SeaLevel, ..Log::default() };
+    for (number, path) in (1..).zip(paths) {
+        match bytes_of(path).map_err(|error| error.to_string()).and_then(|bytes| fix(&bytes, number)) {
+            Err(reason) => log.pass_over(number, format!("{}: {reason}", path.display())),
+            Ok(fix) => {
+                let photograph = path.file_name().map(|name| name.to_string_lossy().into_owned());
+                log.push(DIALECT, Fix { photograph, ..fix });
+            }
+        }
+    }
+    finish(log, paths.first().map_or(Path::new(""), PathBuf::as_path))
+}
+
+/// The log of one photograph whose content is at hand.
+pub(super) fn read_one(bytes: &[u8]) -> Log {
+    let mut log = Log { clock: ClockKind::Utc, height_datum: HeightDatum::SeaLevel, ..Log::default() };
+    match fix(bytes, 1) {
+        Ok(fix) => log.push(DIALECT, fix),
+        Err(reason) => log.pass_over(1, reason),
+    }
+    log
+}
+
+fn finish(mut log: Log, first: &Path) -> Result<Log, TelemetryError> {
+    if log.fixes.is_empty() {
+        let reason = log.passed_over.first().map(|passed| passed.reason.clone());
+        return Err(TelemetryError::NoFix { path: first.to_path_buf(), what: "photographs".to_owned(), first: reason });
+    }
+    if log.fixes.iter().all(|fix| fix.clock_s.is_none()) {
+        log.clock = ClockKind::Absent;
+    }
+    Ok(log)
+}
+
+fn fix(bytes: &[u8], line: usize) -> Result<Fix, String> {
+    let exif = exif::Reader::new().read_from_container(&mut Cursor::new(bytes));
+    let exif = exif.map_err(|error| format!("there is no EXIF block that can be read ({error})"))?;
+    let (longitude_deg, fine) =
+        angle(&exif, Tag::GPSLongitude, Tag::GPSLongitudeRef).ok_or("there is no GPS position")?;
+    let (latitude_deg, also) = angle(&exif, Tag::GPSLatitude, Tag::GPSLatitudeRef).ok_or("there is no GPS position")?;
+    let position = coordinate::checked(Position { longitude_deg, latitude_deg, resolution_deg: fine.max(also) })?;
+    let receiver = match exif.get_field(Tag::GPSDifferential, In::PRIMARY).and_then(|field| field.value.get_uint(0)) {
+        Some(1) => Receiver::Differential,
+        _ => Receiver::Plain,
+    };
+    let fix = Fix::at(line, position).received_by(receiver, None);
+    // The error is the radius of a circle, thus of both directions together.
+    let stated = rational(&exif, Tag::GPSHPositioningError).filter(|&error| error > 0.0);
+    Ok(Fix {
+        clock_s: clock_s(&exif),
+        gps_height_m: height_m(&exif),
+        speed_m_s: speed_m_s(&exif),
+        horizontal_std_m: stated.map_or(fix.horizontal_std_m, |error| error / std::f64::consts::SQRT_2),
+        ..fix
+    })
+}
+
+fn rationals(exif: &Exif, tag: Tag) -> Option<&[Rational]> {
+    match &exif.get_field(tag, In::PRIMARY)?.value {
+        Value::Rational(values) => Some(values),
+        _ => None,
+    }
+}
+
+fn rational(exif: &Exif, tag: Tag) -> Option<f64> {
+    Some(rationals(exif, tag)?.first()?.to_f64()).filter(|value| value.is_finite())
+}
+
+fn letters(exif: &Exif, tag: Tag) -> Option<String> {
+    match &exif.get_field(tag, In::PRIMARY)?.value {
+        Value::Ascii(texts) => Some(String::from_utf8_lossy(texts.first()?).trim().to_owned()),
+        _ => None,
+    }
+}
+
+/// Degrees, minutes and seconds as one angle, and what the last digit stands for.
+fn angle(exif: &Exif, tag: Tag, reference: Tag) -> Option<(f64, f64)> {
+    let parts = rationals(exif, tag)?;
+    let units = [1.0, 60.0, 3600.0];
+    let value: f64 = parts.iter().zip(units).map(|(part, unit)| part.to_f64() / unit).sum();
+    // The finest of what is written: seconds in tenths, or minutes with many digits and no seconds.
+    let finest = parts
+        .iter()
+        .zip(units)
+        .filter(|(part, _)| part.num != 0)
+        .map(|(part, unit)| 1.0 / (f64::from(part.denom) * unit));
+    let sign = if letters(exif, reference)?.starts_with(['S', 'W']) { -1.0 } else { 1.0 };
+    value.is_finite().then_some((sign * value, finest.fold(1.0, f64::min)))
+}
+
+fn height_m(exif: &Exif) -> Option<f64> {
+    let height = rational(exif, Tag::GPSAltitude)?;
+    let below = exif.get_field(Tag::GPSAltitudeRef, In::PRIMARY).and_then(|field| field.value.get_uint(0)) == Some(1);
+    Some(if below { -height } else { height })
+}
+
+fn speed_m_s(exif: &Exif) -> Option<f64> {
+    let unit = match letters(exif, Tag::GPSSpeedRef)?.as_str() {
+        "K" => 1.0 / 3.6,
+        "M" => 0.447_04,
+        "N" => 0.514_444,
+        _ => return None,
+    };
+    Some(rational(exif, Tag::GPSSpeed)? * unit)
+}
+
+fn clock_s(exif: &Exif) -> Option<f64> {
+    let date = letters(exif, Tag::GPSDateStamp)?.replace(':', "-");
+    let midnight_s = time::spelled_s(&format!("{date} 00:00:00"))?;
+    let parts = rationals(exif, Tag::GPSTimeStamp)?;
+    let of_day: f64 = parts.iter().zip([3600.0, 60.0, 1.0]).map(|(part, unit)| part.to_f64() * unit).sum();
+    of_day.is_finite().then_some(midnight_s + of_day)
+}
+
+#[cfg(test)]
+mod tests {
+    use exif::Field;
+    use exif::experimental::Writer;
+
+    use super::*;
+
+    fn rational(values: &[(u32, u32)]) -> Value {
+        Value::Rational(values.iter().map(|&(num, denom)| Rational { num, denom }).collect())
+    }
+
+    fn text(text: &str) -> Value {
+        Value::Ascii(vec![text.as_bytes().to_vec()])
+    }
+
+    /// A TIFF file with these fields.
+    fn photograph(fields: &[(Tag, Value)]) -> Vec<u8> {
+        let fields: Vec<Field> =
+            fields.iter().map(|(tag, value)| Field { tag: *tag, ifd_num: In::PRIMARY, value: value.clone() }).collect();
+        let mut writer = Writer::new();
+        fields.iter().for_each(|field| writer.push_field(field));
+        let mut bytes = Cursor::new(Vec::new());
+        writer.write(&mut bytes, true).unwrap();
+        bytes.into_inner()
+    }
+
+    fn position() -> Vec<(Tag, Value)> {
+        vec![
+            (Tag::GPSLatitudeRef, text("N")),
+            (Tag::GPSLatitude, rational(&[(46, 1), (50, 1), (333_855, 10_000)])),
+            (Tag::GPSLongitudeRef, text("W")),
+            (Tag::GPSLongitude, rational(&[(91, 1), (59, 1), (404_156, 10_000)])),
+            (Tag::GPSAltitude, rational(&[(198_309, 1000)])),
+        ]
+    }
+
+    #[test]
+    fn position_height_and_time() {
+        let mut fields = position();
+        fields.push((Tag::GPSDateStamp, text("2016:06:23")));
+        fields.push((Tag::GPSTimeStamp, rational(&[(16, 1), (31, 1), (595, 10)])));
+        let log = read_one(&photograph(&fields));
+        let fix = &log.fixes[0];
+        assert!(
+            (fix.latitude_deg - 46.842_607_083_333).abs() < 1e-9 && (fix.longitude_deg + 91.994_559_888).abs() < 1e-8
+        );
+        assert_eq!((fix.gps_height_m, fix.relative_height_m), (Some(198.309), None));
+        assert_eq!(time::spelled(fix.clock_s.unwrap()).unwrap(), "2016-06-23T16:31:59.500");
+        assert!((fix.resolution_deg - 1e-4 / 3600.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn photographs_without_a_position_are_named() {
+        let reason = |bytes: &[u8]| read_one(bytes).passed_over.remove(0).reason;
+        assert!(reason(&photograph(&position()[..2])).contains("no GPS position"));
+        assert!(reason(b"II*\0").contains("no EXIF block"));
+        let mut damaged = position();
+        damaged[1] = (Tag::GPSLatitude, rational(&[(46, 0)]));
+        assert!(reason(&photograph(&damaged)).contains("no GPS position"));
+    }
+}

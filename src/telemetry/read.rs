@@ -1,0 +1,120 @@
+//! A file of any format as a log.
+
+use std::fs::{self, File};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use super::error::TelemetryError;
+use super::fix::{ClockKind, Log};
+use super::srt::{self, Subtitle};
+use super::text::decode;
+use super::{Kind, csv, dji, gpx, nmea, order, photographs};
+
+/// Ten hours of a drone that writes at 60 Hz.
+const MOST_MIB: u64 = 512;
+
+/// Reads a file; of a folder its photographs, in order of their names.
+///
+/// # Errors
+/// [`TelemetryError`] names the file and what can be done.
+pub fn read(path: &Path) -> Result<Log, TelemetryError> {
+    if path.is_dir() {
+        return photographs::read_photographs(&photographs_in(path)?);
+    }
+    read_bytes(&bytes_of(path)?, path)
+}
+
+/// Reads what a file holds; `path` is its name in messages.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_bytes(bytes: &[u8], path: &Path) -> Result<Log, TelemetryError> {
+    if bytes.iter().all(u8::is_ascii_whitespace) {
+        return Err(TelemetryError::Empty { path: path.to_path_buf() });
+    }
+    let kind = Kind::of(bytes).ok_or_else(|| TelemetryError::Unknown { path: path.to_path_buf() })?;
+    let log = match kind {
+        Kind::Dji => subtitles(&decode(bytes)),
+        Kind::Gpx => gpx::read(&decode(bytes)),
+        Kind::Nmea => nmea::read(&decode(bytes)),
+        Kind::Csv => csv::read(&decode(bytes), path)?,
+        Kind::Photograph => photographs::read_one(bytes),
+    };
+    in_order(log, kind, path)
+}
+
+/// Reads the entries of a video's subtitle track; `path` is the video's name in messages.
+///
+/// # Errors
+/// [`TelemetryError::NoFix`] where no entry holds a position.
+pub fn read_subtitles(entries: &[Subtitle], path: &Path) -> Result<Log, TelemetryError> {
+    in_order(dji_log(entries, Log::default()), Kind::Dji, path)
+}
+
+fn subtitles(text: &str) -> Log {
+    let mut log = Log::default();
+    let blocks = srt::blocks(text, |line, reason| log.pass_over(line, reason));
+    dji_log(&blocks, log)
+}
+
+fn dji_log(blocks: &[Subtitle], mut log: Log) -> Log {
+    blocks.iter().for_each(|block| dji::read_block(block, &mut log));
+    if log.fixes.iter().any(|fix| fix.clock_s.is_some()) {
+        // The drone's clock shows the time of wherever its pilot's telephone thinks it is.
+        log.clock = ClockKind::Local;
+    }
+    time_by_clock(&mut log);
+    log
+}
+
+/// Where subtitles have no times of their own, the clock counts from the first one.
+fn time_by_clock(log: &mut Log) {
+    let Some(first_s) = log.fixes.first().and_then(|fix| fix.clock_s) else { return };
+    if log.fixes.iter().all(|fix| fix.video_s.is_none()) {
+        log.fixes.iter_mut().for_each(|fix| fix.video_s = fix.clock_s.map(|clock_s| clock_s - first_s));
+    }
+}
+
+fn in_order(mut log: Log, kind: Kind, path: &Path) -> Result<Log, TelemetryError> {
+    order::keep_rising(&mut log);
+    log.passed_over.sort_by_key(|passed| passed.line);
+    if log.fixes.is_empty() {
+        let first = log.passed_over.first().map(ToString::to_string);
+        return Err(TelemetryError::NoFix { path: path.to_path_buf(), what: kind.name().to_owned(), first });
+    }
+    Ok(log)
+}
+
+/// The content of a file of a size that can be telemetry.
+pub(super) fn bytes_of(path: &Path) -> Result<Vec<u8>, TelemetryError> {
+    let file = File::open(path).map_err(TelemetryError::system(path))?;
+    let metadata = file.metadata().map_err(TelemetryError::system(path))?;
+    let size_mib = metadata.len() >> 20;
+    let too_large = |size_mib| TelemetryError::TooLarge { path: path.to_path_buf(), size_mib, most_mib: MOST_MIB };
+    if size_mib >= MOST_MIB {
+        return Err(too_large(size_mib));
+    }
+    // Devices and pipes state no size: the limit holds for them as well.
+    let mut bytes = Vec::new();
+    file.take(MOST_MIB << 20).read_to_end(&mut bytes).map_err(TelemetryError::system(path))?;
+    if bytes.len() as u64 >= MOST_MIB << 20 { Err(too_large(MOST_MIB)) } else { Ok(bytes) }
+}
+
+fn photographs_in(folder: &Path) -> Result<Vec<PathBuf>, TelemetryError> {
+    let entries = fs::read_dir(folder).map_err(TelemetryError::system(folder))?;
+    let mut paths = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(TelemetryError::system(folder))?.path();
+        let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+        let is_photograph =
+            ["jpg", "jpeg", "png", "tif", "tiff"].iter().any(|known| extension.eq_ignore_ascii_case(known));
+        if is_photograph && path.is_file() {
+            paths.push(path);
+        }
+    }
+    paths.sort();
+    match paths.is_empty() {
+        true => Err(TelemetryError::NoFix { path: folder.to_path_buf(), what: "a folder".to_owned(), first: None }),
+        false => Ok(paths),
+    }
+}

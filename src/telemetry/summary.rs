@@ -1,0 +1,167 @@
+//! What was understood of a file, for people and programs.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use serde::Serialize;
+
+use super::fix::{ClockKind, Fix, HeightDatum, Log, PassedOver};
+use super::geodesy::{Geodetic, LocalFrame};
+use super::time;
+
+/// Least and greatest of what was read.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Range {
+    /// The least.
+    pub least: f64,
+    /// The greatest.
+    pub most: f64,
+}
+
+impl Range {
+    fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
+        values.fold(None, |range: Option<Self>, value| {
+            let range = range.unwrap_or(Self { least: value, most: value });
+            Some(Self { least: range.least.min(value), most: range.most.max(value) })
+        })
+    }
+}
+
+/// Facts of a log.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Summary {
+    /// Number of fixes by format or dialect.
+    pub dialects: BTreeMap<&'static str, usize>,
+    /// Number of fixes.
+    pub num_fixes: usize,
+    /// First and last time after the video's start, seconds.
+    pub video_s: Option<Range>,
+    /// What the clock shows.
+    pub clock: ClockKind,
+    /// First time on the clock.
+    pub first_clock: Option<String>,
+    /// Last time on the clock.
+    pub last_clock: Option<String>,
+    /// Fixes per second, of those whose position is not that of the one before.
+    pub rate_hz: Option<f64>,
+    /// Degrees.
+    pub longitude_deg: Option<Range>,
+    /// Degrees.
+    pub latitude_deg: Option<Range>,
+    /// What the last digit of longitude and latitude stands for on the ground (north–south), metres; the coarsest.
+    pub resolution_m: Option<f64>,
+    /// Diagonal of the ground that the fixes cover, metres.
+    pub extent_m: f64,
+    /// Absolute heights, metres.
+    pub gps_height_m: Option<Range>,
+    /// Above what they are counted.
+    pub height_datum: HeightDatum,
+    /// Heights above take-off, metres.
+    pub relative_height_m: Option<Range>,
+    /// Stated or usual horizontal deviation, metres.
+    pub horizontal_std_m: Option<Range>,
+    /// Number of fixes with a speed.
+    pub num_speeds: usize,
+    /// Number of fixes with the camera's attitude.
+    pub num_gimbals: usize,
+    /// How many lines gave no fix although they should.
+    pub num_passed_over: usize,
+    /// The first of them.
+    pub passed_over: Vec<PassedOver>,
+}
+
+/// Length of a degree of latitude, metres.
+const DEGREE_M: f64 = 111_320.0;
+
+impl Log {
+    /// The facts.
+    pub fn summary(&self) -> Summary {
+        let range = |value: fn(&Fix) -> Option<f64>| Range::of(self.fixes.iter().filter_map(value));
+        let clock = range(|fix| fix.clock_s);
+        let spelled = |clock_s: Option<f64>| clock_s.and_then(time::spelled);
+        Summary {
+            dialects: self.dialects(),
+            num_fixes: self.fixes.len(),
+            video_s: range(|fix| fix.video_s),
+            clock: self.clock,
+            first_clock: spelled(clock.map(|range| range.least)),
+            last_clock: spelled(clock.map(|range| range.most)),
+            rate_hz: self.rate_hz(),
+            longitude_deg: range(|fix| Some(fix.longitude_deg)),
+            latitude_deg: range(|fix| Some(fix.latitude_deg)),
+            resolution_m: range(|fix| Some(fix.resolution_deg * DEGREE_M)).map(|range| range.most),
+            extent_m: self.extent_m(),
+            gps_height_m: range(|fix| fix.gps_height_m),
+            height_datum: self.height_datum,
+            relative_height_m: range(|fix| fix.relative_height_m),
+            horizontal_std_m: range(|fix| Some(fix.horizontal_std_m)),
+            num_speeds: self.fixes.iter().filter(|fix| fix.speed_m_s.is_some()).count(),
+            num_gimbals: self.fixes.iter().filter(|fix| fix.gimbal.is_some()).count(),
+            num_passed_over: self.num_passed_over,
+            passed_over: self.passed_over.clone(),
+        }
+    }
+
+    fn rate_hz(&self) -> Option<f64> {
+        let place = |fix: &Fix| (fix.longitude_deg, fix.latitude_deg);
+        let moves = self.fixes.windows(2).filter(|pair| place(&pair[0]) != place(&pair[1])).count();
+        let time_s = |fix: &Fix| fix.video_s.or(fix.clock_s);
+        let (first, last) = (time_s(self.fixes.first()?)?, time_s(self.fixes.last()?)?);
+        (last > first && moves > 0).then(|| moves as f64 / (last - first))
+    }
+
+    fn extent_m(&self) -> f64 {
+        let Some(first) = self.fixes.first() else { return 0.0 };
+        let place =
+            |fix: &Fix| Geodetic { longitude_deg: fix.longitude_deg, latitude_deg: fix.latitude_deg, height_m: 0.0 };
+        let frame = LocalFrame::at(place(first));
+        let points: Vec<_> = self.fixes.iter().map(|fix| frame.from_geodetic(place(fix))).collect();
+        let side = |axis: usize| {
+            Range::of(points.iter().map(|point| point[axis])).map_or(0.0, |range| range.most - range.least)
+        };
+        side(0).hypot(side(1))
+    }
+}
+
+impl Summary {
+    /// A few lines for people.
+    pub fn as_text(&self) -> String {
+        let mut text = String::new();
+        let mut line = |name: &str, value: String| {
+            let _ = writeln!(text, "{name:<16}{value}");
+        };
+        let names = self.dialects.iter().map(|(name, count)| format!("{name} ({count})")).collect::<Vec<_>>();
+        line("dialect", names.join(", "));
+        let rate = self.rate_hz.map_or(String::new(), |rate| format!(", a new position {rate:.2} times a second"));
+        line("fixes", format!("{}{rate}", self.num_fixes));
+        let shown = |range: Option<Range>, digits: usize, unit: &str| match range {
+            None => "none".to_owned(),
+            Some(Range { least, most }) => format!("{least:.digits$} to {most:.digits$}{unit}"),
+        };
+        line("time in video", shown(self.video_s, 3, " s"));
+        let zone = match self.clock {
+            ClockKind::Utc => " UTC",
+            ClockKind::Local => " (unknown zone)",
+            ClockKind::TimeOfDay => " (no date)",
+            ClockKind::Absent => "",
+        };
+        let clock = self.first_clock.as_ref().zip(self.last_clock.as_ref());
+        line("clock", clock.map_or("none".to_owned(), |(first, last)| format!("{first} to {last}{zone}")));
+        line("longitude", shown(self.longitude_deg, 7, "°"));
+        line("latitude", shown(self.latitude_deg, 7, "°"));
+        let resolution = self.resolution_m.map_or(String::new(), |metres| format!(", last digit {metres:.2} m"));
+        line("extent", format!("{:.1} m{resolution}", self.extent_m));
+        let datum = match self.height_datum {
+            HeightDatum::Ellipsoid => " m above the ellipsoid",
+            HeightDatum::SeaLevel => " m above the sea",
+            HeightDatum::Unstated => " m, above what is not said",
+        };
+        line("GPS height", shown(self.gps_height_m, 2, datum));
+        line("over take-off", shown(self.relative_height_m, 2, " m"));
+        line("deviation", shown(self.horizontal_std_m, 2, " m horizontally"));
+        line("also", format!("{} speeds, {} attitudes of the camera", self.num_speeds, self.num_gimbals));
+        line("passed over", self.num_passed_over.to_string());
+        self.passed_over.iter().for_each(|passed| line("", passed.to_string()));
+        text
+    }
+}

@@ -1,0 +1,168 @@
+//! Hostile input: nothing panics, everything ends, and what is wrong is said with its line.
+
+use std::path::Path;
+
+use proptest::prelude::*;
+
+use super::*;
+
+/// One file of each format, written by hand.
+const SEEDS: [&str; 8] = [
+    "1\n00:00:00,000 --> 00:00:00,033\n<font size=\"36\">SrtCnt : 1, DiffTime : 33ms\n2022-08-07 13:40:40,774,808\n\
+     [iso : 100] [latitude: 41.424724] [longitude: 2.234156] [altitude: 117.0] </font>\n\n2\n00:00:00,033 --> \
+     00:00:00,066\n2022-08-07 13:40:40,808,164\n[latitude: 41.424725] [longitude: 2.234147] [rel_alt: 1.0 \
+     abs_alt: 2.5]\n",
+    "1\n00:00:01,000 --> 00:00:02,000\nHOME(149.0251,-20.2532) 2017.08.05 14:11:51\nGPS(149.0251,-20.2533,16) \
+     BAROMETER:1.9\nISO:100\n\n2\n00:00:02,000 --> 00:00:03,000\nGPS(149.0251,-20.2533,16) Hb:1.9 Hs:1.9\n",
+    "1\n00:00:00,000 --> 00:00:01,000\n2022.06.21 16:06:17\nGPS(36.6146,-6.1120,0.0M) BAROMETER:0.3M\n",
+    "1\n00:00:00,000 --> 00:00:01,000\nF/5.6, SS 400, GPS (-58.8, -34.2, 15), HOME (-58.8, -34.2, -57.98m), D 6.7m, \
+     H 85.8m, H.S 2.8m/s, V.S 0.0m/s, F.PRY (2.7\u{b0}, -7.0\u{b0}, 110.1\u{b0}), G.PRY (-24.4\u{b0}, \
+     0.0\u{b0}, 1.4\u{b0})\n",
+    "<?xml version=\"1.0\"?><gpx version=\"1.1\"><trk><trkseg><trkpt lat=\"48.1\" lon=\"9.7\"><ele>5</ele>\
+     <time>2024-05-06T07:08:09Z</time></trkpt><trkpt lat=\"48.2\" \
+     lon=\"9.8\"><time>2024-05-06T07:08:10+00:00</time></trkpt></trkseg></trk></gpx>",
+    "$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\n$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,\
+     084.4,230394,003.1,W\n",
+    "time_s,latitude,longitude,altitude [ft],speed(km/h)\n0.0,48.5,9.25,1000,36\n1.0,48.5001,9.25,1001,37\n",
+    "timestamp;lat;lon;\"height_m\"\n2022-08-07T13:40:40Z;48\u{b0}30'0\"N;9.25E;3\n",
+];
+
+fn read_text(bytes: &[u8]) -> Result<Log, TelemetryError> {
+    read_bytes(bytes, Path::new("a log"))
+}
+
+/// What holds of every log, whatever it was read from.
+fn check(log: &Log) {
+    assert!(!log.fixes.is_empty());
+    for fix in &log.fixes {
+        assert!(fix.longitude_deg.abs() <= 180.0 && fix.latitude_deg.abs() <= 90.0, "{fix:?}");
+        let numbers = [fix.video_s, fix.clock_s, fix.gps_height_m, fix.relative_height_m, fix.speed_m_s];
+        assert!(numbers.into_iter().flatten().all(f64::is_finite), "{fix:?}");
+        assert!(fix.horizontal_std_m > 0.0 && fix.vertical_std_m > 0.0 && fix.resolution_deg > 0.0, "{fix:?}");
+    }
+    let summary = log.summary();
+    let json = serde_json::to_string(&summary).unwrap();
+    let said = format!("{json}{}", summary.as_text());
+    // JSON has no word for what is not finite, and people none that they understand.
+    assert!(!said.contains("NaN") && !said.contains(" inf"), "{said}");
+}
+
+#[test]
+fn every_seed_is_understood() {
+    for (seed, expected) in SEEDS.iter().zip([2, 2, 1, 1, 2, 1, 2, 1]) {
+        let log = read_text(seed.as_bytes()).unwrap();
+        check(&log);
+        assert_eq!((log.fixes.len(), log.num_passed_over), (expected, 0), "{seed}: {log:?}");
+    }
+}
+
+#[test]
+fn a_file_cut_anywhere_is_used_as_far_as_it_goes() {
+    for seed in SEEDS {
+        let whole = read_text(seed.as_bytes()).unwrap().fixes.len();
+        for end in 0..seed.len() {
+            if let Ok(log) = read_text(&seed.as_bytes()[..end]) {
+                check(&log);
+                assert!(log.fixes.len() <= whole, "{end}: {seed}");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_no_telemetry_is_refused_with_a_cure() {
+    let said = |bytes: &[u8]| read_text(bytes).unwrap_err().to_string();
+    assert!(said(b"").contains("empty") && said(b" \r\n\n").contains("empty"));
+    assert!(said(b"hello").contains("docs/telemetry.md"));
+    assert!(said(&[0, 159, 146, 150]).contains("docs/telemetry.md"));
+    let camera_only = "1\n00:00:00,000 --> 00:00:00,039\n[iso : 100] [shutter : 1/240.0] [ct : 5627] </font>\n";
+    assert!(said(camera_only.as_bytes()).contains("line 3: the block states settings of the camera alone"));
+    assert!(said(b"lat,lon\n0,0\n").contains("line 2: the position is (0, 0)"));
+    assert!(said(&[0xff, 0xd8, 0xff, 0xe1]).contains("photograph"));
+    assert!(read(Path::new("no such file")).unwrap_err().to_string().contains("no such file"));
+}
+
+#[test]
+fn a_megabyte_on_one_line_costs_that_line() {
+    let long = "9".repeat(1 << 20);
+    let log = read_text(format!("{}\n3\n{long}\n", SEEDS[1]).as_bytes()).unwrap();
+    assert_eq!(log.fixes.len(), 2);
+    assert!(log.passed_over[0].line > 9 && log.passed_over[0].reason.contains("1048576"), "{:?}", log.passed_over);
+    let log = read_text(format!("{}2.0,{long},1\n", SEEDS[6]).as_bytes()).unwrap();
+    assert!(log.passed_over[0].line == 4 && log.passed_over[0].reason.contains("1048576"), "{:?}", log.passed_over);
+    let log = read_text(format!("{}{long}\n", SEEDS[5]).as_bytes()).unwrap();
+    assert_eq!((log.fixes.len(), log.num_passed_over), (1, 1));
+}
+
+#[test]
+fn reasons_do_not_fill_the_memory() {
+    let mut text = SEEDS[6].to_owned();
+    (0..10_000).for_each(|_| text.push_str("x,y,z\n"));
+    let log = read_text(text.as_bytes()).unwrap();
+    assert_eq!((log.num_passed_over, log.passed_over.len()), (10_000, 100));
+}
+
+#[test]
+fn a_clock_that_jumps_costs_the_fixes_that_it_dates_wrong() {
+    let rows = ["2.0,48.5,9.2,1,1", "900.0,48.5,9.2,1,1", "3.0,48.5,9.2,1,1", "4.0,48.5,9.2,1,1"];
+    let log = read_text(format!("{}{}\n", SEEDS[6], rows.join("\n")).as_bytes()).unwrap();
+    assert_eq!(log.fixes.iter().map(|fix| fix.video_s.unwrap()).collect::<Vec<_>>(), [0.0, 1.0, 2.0, 3.0, 4.0]);
+    assert!(log.passed_over[0].line == 5 && log.passed_over[0].reason.contains("clock"), "{:?}", log.passed_over);
+}
+
+#[test]
+fn the_track_of_a_video_reads_like_its_file() {
+    let text = SEEDS[0];
+    let entries = srt::blocks(text, |_, _| unreachable!());
+    let from_track = read_subtitles(&entries, Path::new("a.mp4")).unwrap();
+    assert_eq!(from_track, read_text(text.as_bytes()).unwrap());
+    let error = read_subtitles(&[], Path::new("a.mp4")).unwrap_err().to_string();
+    assert!(error.contains("a.mp4"), "{error}");
+}
+
+#[test]
+fn positions_in_another_encoding_are_read() {
+    let utf16: Vec<u8> = [0xff, 0xfe].into_iter().chain(SEEDS[3].encode_utf16().flat_map(u16::to_le_bytes)).collect();
+    assert_eq!(read_text(&utf16).unwrap().fixes, read_text(SEEDS[3].as_bytes()).unwrap().fixes);
+    let latin: Vec<u8> = SEEDS[3].chars().map(|c| c as u8).collect();
+    assert_eq!(read_text(&latin).unwrap().fixes, read_text(SEEDS[3].as_bytes()).unwrap().fixes);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn damaged_files_never_panic(
+        which in 0..SEEDS.len(),
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4u8), 1..12),
+    ) {
+        let mut bytes = SEEDS[which].as_bytes().to_vec();
+        for (at, byte, change) in changes {
+            let at = at.index(bytes.len().max(1)).min(bytes.len());
+            match change {
+                0 if at < bytes.len() => bytes[at] = byte,
+                1 if at < bytes.len() => { bytes.remove(at); }
+                2 => bytes.insert(at, byte),
+                _ => { let copy = bytes[..at].to_vec(); bytes.extend(copy.into_iter().rev().take(40).rev()); }
+            }
+        }
+        if let Ok(log) = read_text(&bytes) {
+            check(&log);
+        }
+    }
+
+    #[test]
+    fn numbers_of_any_size_never_panic(which in 0..SEEDS.len(), numbers in prop::collection::vec(any::<f64>(), 1..8)) {
+        let mut numbers = numbers.into_iter().cycle();
+        let mut text = String::new();
+        for (i, part) in SEEDS[which].split(char::is_numeric).enumerate() {
+            text.push_str(part);
+            // Every third number is another one.
+            let number = numbers.next().filter(|_| i % 3 == 0);
+            text.push_str(&number.map_or("1".to_owned(), |number| number.to_string()));
+        }
+        if let Ok(log) = read_text(text.as_bytes()) {
+            check(&log);
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! Dates and times as files write them.
+
+use jiff::Timestamp;
+use jiff::civil::DateTime;
+
+use super::text::number;
+
+/// Seconds after 1970-01-01T00:00:00 of a date and a time without a zone, both on the same clock.
+///
+/// Takes year, month, day, hour, minute, second; `None` of what is no date.
+pub(super) fn civil_s(parts: [u32; 6], fraction_s: f64) -> Option<f64> {
+    let [year, month, day, hour, minute, second] = parts;
+    let small = |value: u32| i8::try_from(value).ok();
+    // A leap second counts as the one before it.
+    let second = second.min(59);
+    let civil = DateTime::new(
+        i16::try_from(year).ok()?,
+        small(month)?,
+        small(day)?,
+        small(hour)?,
+        small(minute)?,
+        small(second)?,
+        0,
+    )
+    .ok()?;
+    let timestamp = civil.to_zoned(jiff::tz::TimeZone::UTC).ok()?.timestamp();
+    Some(timestamp.as_second() as f64 + fraction_s)
+}
+
+/// Seconds after 1970-01-01T00:00:00 of a date and time in any of DJI's spellings: `2017.8.5 14:11:51`,
+/// `2022-08-07 13:40:40,774,808` (milliseconds, then microseconds), `2026-05-27 13:14:22.911`.
+///
+/// Looks at the beginning of the text; what follows the time is not looked at.
+pub(super) fn spelled_s(text: &str) -> Option<f64> {
+    let mut rest = text.trim_start();
+    let mut parts = [0; 6];
+    for (i, part) in parts.iter_mut().enumerate() {
+        let end = rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len());
+        *part = rest[..end].parse().ok()?;
+        rest = &rest[end..];
+        if i < 5 {
+            let is_separator =
+                |c: char| if i < 2 { matches!(c, '-' | '.' | '/') } else { matches!(c, ' ' | 'T' | ':') };
+            rest = rest.strip_prefix(is_separator)?;
+        }
+    }
+    civil_s(parts, fraction_s(rest))
+}
+
+/// Seconds of “,774,808” or “.911”, at most two groups of three digits after a comma.
+fn fraction_s(text: &str) -> f64 {
+    let Some(text) = text.strip_prefix([',', '.']) else { return 0.0 };
+    let digits = |text: &str| text.bytes().take_while(u8::is_ascii_digit).count();
+    let first = &text[..digits(text)];
+    let after = &text[first.len()..];
+    let second = after.strip_prefix(',').map_or("", |after| &after[..digits(after)]);
+    let second = if first.len() == 3 && second.len() == 3 { second } else { "" };
+    number(&format!("0.{first}{second}0")).unwrap_or(0.0)
+}
+
+/// Seconds after 1970-01-01T00:00:00 of an ISO 8601 time, and whether it states its zone.
+pub(super) fn iso_s(text: &str) -> Option<(f64, bool)> {
+    let text = text.trim();
+    if let Ok(timestamp) = text.parse::<Timestamp>() {
+        return Some((timestamp.as_microsecond() as f64 * 1e-6, true));
+    }
+    Some((spelled_s(text)?, false))
+}
+
+/// A time on the log's clock for people: `2022-08-07T13:40:40.774`.
+pub(super) fn spelled(clock_s: f64) -> Option<String> {
+    let timestamp = Timestamp::from_millisecond((clock_s * 1e3).round() as i64).ok()?;
+    let civil = timestamp.to_zoned(jiff::tz::TimeZone::UTC).datetime();
+    Some(civil.strftime("%Y-%m-%dT%H:%M:%S%.3f").to_string())
+}
+
+/// Seconds of `00:01:02,345` or `00:01:02.345`.
+pub(super) fn subtitle_s(text: &str) -> Option<f64> {
+    let mut parts = text.trim().splitn(3, ':');
+    let [hours, minutes] = [parts.next()?, parts.next()?].map(|part| part.trim().parse::<u32>().ok());
+    let seconds = number(&parts.next()?.replace(',', "."))?;
+    let is_time = (0.0..61.0).contains(&seconds) && minutes? < 60;
+    is_time.then_some(f64::from(hours?) * 3600.0 + f64::from(minutes?) * 60.0 + seconds)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 2022-08-07T13:40:40, from `date --utc --date=2022-08-07T13:40:40 +%s`.
+    const AUGUST_S: f64 = 1_659_879_640.0;
+
+    #[test]
+    fn all_spellings_are_one_time() {
+        for text in ["2022-08-07 13:40:40", "2022.8.7 13:40:40 x", "2022/08/07T13:40:40,000,000,000"] {
+            assert_eq!(spelled_s(text), Some(AUGUST_S), "{text}");
+        }
+        assert_eq!(spelled_s("2022-08-07 13:40:40,774,808"), Some(AUGUST_S + 0.774_808));
+        assert_eq!(spelled_s("2022-08-07 13:40:40.5"), Some(AUGUST_S + 0.5));
+        assert_eq!(iso_s("2022-08-07T15:40:40+02:00"), Some((AUGUST_S, true)));
+        assert_eq!(iso_s("2022-08-07 13:40:40"), Some((AUGUST_S, false)));
+        assert_eq!(spelled(AUGUST_S + 0.774).unwrap(), "2022-08-07T13:40:40.774");
+    }
+
+    #[test]
+    fn what_is_no_time_is_nothing() {
+        for text in ["", "2022-13-07 13:40:40", "2022-02-30 00:00:00", "99999-01-01 00:00:00", "2022-08-07", "a"] {
+            assert_eq!(spelled_s(text), None, "{text}");
+        }
+        assert_eq!((spelled(f64::MAX), spelled(1e17)), (None, None));
+        assert_eq!(subtitle_s("01:02:03,500"), Some(3723.5));
+        assert_eq!((subtitle_s("00:61:00,0"), subtitle_s("x"), subtitle_s("0:0:-1")), (None, None, None));
+    }
+}
