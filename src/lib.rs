@@ -50,6 +50,7 @@ pub mod image;
 pub mod io;
 pub mod limits;
 pub mod math;
+pub mod metric;
 #[cfg(feature = "perception")]
 pub mod perception;
 #[cfg(feature = "pipeline")]

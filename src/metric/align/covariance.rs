@@ -1,0 +1,40 @@
+//! The covariance of a receiver's errors along one axis: wander and noise.
+//!
+//! `C_jk = w_j w_k exp(−|τ_j − τ_k| / T) + d_j δ_jk` (docs/maths/metric.md, eq. 2).
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+/// Time in which a receiver's bias forgets itself, seconds. Measured correlation times of single receivers go from one
+/// minute (reflections, at a moving receiver) to an hour (air); the shorter ones make fixes of a short video drift
+/// apart more, and are the careful choice.
+pub(super) const WANDER_TIME_S: f64 = 120.0;
+
+/// Covariance of the errors of groups, factorised.
+pub(super) struct Errors {
+    factor: Cholesky<f64, Dyn>,
+    /// Variance of the noise of each, with the weights.
+    pub(super) noise: DVector<f64>,
+}
+
+impl Errors {
+    /// Of groups at these times with these deviations of the wander and variances of the noise. `None` if the matrix
+    /// has no factor, which takes values that are not finite.
+    pub(super) fn new(times_s: &[f64], wander_m: &[f64], noise: DVector<f64>) -> Option<Self> {
+        let covariance = DMatrix::from_fn(times_s.len(), times_s.len(), |j, k| {
+            let apart_s = (times_s[j] - times_s[k]).abs();
+            let wander = wander_m[j] * wander_m[k] * (-apart_s / WANDER_TIME_S).exp();
+            if j == k { wander + noise[j] } else { wander }
+        });
+        Some(Self { factor: Cholesky::new(covariance)?, noise })
+    }
+
+    /// `C⁻¹ a`, column by column.
+    pub(super) fn solve(&self, a: &DMatrix<f64>) -> DMatrix<f64> {
+        self.factor.solve(a)
+    }
+
+    /// `C⁻¹`.
+    pub(super) fn inverse(&self) -> DMatrix<f64> {
+        self.factor.inverse()
+    }
+}

@@ -1,0 +1,249 @@
+//! A camera's path laid onto a receiver's fixes.
+//!
+//! Unknown are the similarity `metric_from_world` and the time offset δ between log and video. A fix at time τ of the
+//! log's clock shows
+//!
+//! `p = s R (c(τ − δ) − c̄) + m + b(τ) + e`
+//!
+//! with the camera's centre c, its mean c̄, a bias b that wanders (a Gauss–Markov process, part of the covariance and
+//! not a parameter, so that it is neither trusted nor forgotten) and noise e that is new in every fix. Generalised
+//! least squares over (log s, R, m, δ), with what is known of the vertical, of the camera's attitude and of the offset
+//! as further observations; `docs/maths/metric.md`, eqs. 1–5.
+//!
+//! Fixes that jump are found by what the others say of them and lose their weight. What the motion leaves open comes
+//! out with its deviation: a straight flight leaves the roll to the vertical, hovering leaves the scale. A log of
+//! another flight is refused: [`Refusal`].
+
+mod covariance;
+mod refine;
+mod search;
+mod start;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::{Matrix3, Point3, SMatrix, UnitQuaternion, Vector3};
+
+use super::fix::distinct;
+use super::{CameraPath, PositionFix};
+use crate::math::Sim3;
+
+/// What is known of the time between the log's clock and the video's: log = video + offset.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Offset {
+    /// The log was written with the video, or clocks were compared.
+    Known {
+        /// Seconds.
+        mean_s: f64,
+        /// Standard deviation, seconds.
+        std_s: f64,
+    },
+    /// Nothing: it is looked for wherever log and video can overlap.
+    Unknown,
+}
+
+impl Offset {
+    /// Of a log inside the video or beside it as its subtitles: what receivers are late.
+    pub const SAME_FILE: Self = Self::Known { mean_s: 0.0, std_s: 0.2 };
+}
+
+/// Where up is in the frame of the background.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gravity {
+    /// Unit vector.
+    pub up_in_world: Vector3<f64>,
+    /// Standard deviation of its tilt, radians.
+    pub std: f64,
+}
+
+/// How the background's frame is turned, from the camera's attitude in a log.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Orientation {
+    /// East, north, up from the background's axes.
+    pub metric_from_world: UnitQuaternion<f64>,
+    /// Standard deviation of the tilt, radians.
+    pub tilt_std: f64,
+    /// Standard deviation of north, radians.
+    pub heading_std: f64,
+}
+
+/// What is known besides the fixes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Support {
+    /// Time between the clocks.
+    pub offset: Offset,
+    /// The vertical.
+    pub gravity: Option<Gravity>,
+    /// The camera's attitude.
+    pub orientation: Option<Orientation>,
+}
+
+/// Number of parameters: log s, rotation (3), place of c̄ (3), time offset.
+pub(super) const NUM_PARAMETERS: usize = 8;
+
+/// Covariance of log s, rotation vector (axes east, north, up; radians), and the place of
+/// [`Alignment::anchor_in_world`] (metres).
+pub type Covariance = SMatrix<f64, 7, 7>;
+
+/// A path on its fixes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Alignment {
+    /// Metres east, north, up from units of the background.
+    pub metric_from_world: Sim3,
+    /// Mean of the path: the point at which `covariance` is taken.
+    pub anchor_in_world: Point3<f64>,
+    /// How sure it is.
+    pub covariance: Covariance,
+    /// Log = video + this, seconds.
+    pub offset_s: f64,
+    /// Its standard deviation, seconds.
+    pub offset_std_s: f64,
+    /// Fixes in the time of the video.
+    pub num_fixes: usize,
+    /// Share of them that jump, and count for nothing.
+    pub rejected_share: f64,
+    /// Standard deviation of what is new in every fix, as found, over what was stated; horizontal.
+    pub noise_factor: f64,
+}
+
+impl Alignment {
+    /// Standard deviation of log s: that of the metres per unit as a share of them.
+    pub fn log_scale_std(&self) -> f64 {
+        self.covariance[(0, 0)].sqrt()
+    }
+
+    /// Standard deviation of up, radians.
+    pub fn tilt_std(&self) -> f64 {
+        (0.5 * (self.covariance[(1, 1)] + self.covariance[(2, 2)])).sqrt()
+    }
+
+    /// Standard deviation of north, radians.
+    pub fn heading_std(&self) -> f64 {
+        self.covariance[(3, 3)].sqrt()
+    }
+
+    /// Covariance of the place of a point of the background, metres², as far as it comes from the alignment.
+    pub fn place_covariance(&self, point_in_world: Point3<f64>) -> Matrix3<f64> {
+        let Sim3 { scale, rotation, .. } = self.metric_from_world;
+        let arm = rotation * (point_in_world - self.anchor_in_world) * scale;
+        let mut jacobian = SMatrix::<f64, 3, 7>::zeros();
+        jacobian.set_column(0, &arm);
+        jacobian.fixed_view_mut::<3, 3>(0, 1).copy_from(&-arm.cross_matrix());
+        jacobian.fixed_view_mut::<3, 3>(0, 4).copy_from(&Matrix3::identity());
+        jacobian * self.covariance * jacobian.transpose()
+    }
+}
+
+/// Why fixes give no metres.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// Too few fixes in the time of the video.
+    #[error(
+        "{num} of the log's {of} distinct positions lie in the time of the video, {least} are needed: the log belongs \
+         to another flight, or its clock to another zone"
+    )]
+    NoOverlap {
+        /// How many lie in it.
+        num: usize,
+        /// How many there are.
+        of: usize,
+        /// How many it takes.
+        least: usize,
+    },
+    /// The camera hardly moved, by the receiver's measure.
+    #[error(
+        "the camera moved too little for its receiver: metres per unit would be known to {percent:.0} % only \
+         ({extent_m:.1} m of way in fixes that are good to {std_m:.1} m)"
+    )]
+    Motionless {
+        /// Standard deviation of the scale, per cent.
+        percent: f64,
+        /// Diagonal of the box round the fixes, metres.
+        extent_m: f64,
+        /// Deviation of a fix, metres.
+        std_m: f64,
+    },
+    /// The fixes do not follow the path.
+    #[error(
+        "the log shows another motion than the video: {rejected_percent:.0} % of the positions do not fit, the others \
+         are {noise_factor:.1} times as far off as they should be"
+    )]
+    AnotherMotion {
+        /// Share that does not fit, per cent.
+        rejected_percent: f64,
+        /// Deviation over what was stated.
+        noise_factor: f64,
+    },
+    /// Two offsets fit equally well.
+    #[error("the log fits the video at an offset of {offset_s:.1} s as well as at {other_s:.1} s: state the offset")]
+    Ambiguous {
+        /// The better one, seconds.
+        offset_s: f64,
+        /// The other one, seconds.
+        other_s: f64,
+    },
+}
+
+/// Fewer fixes leave nothing to judge the fit by.
+const MIN_FIXES: usize = 4;
+
+/// A scale that is known to a quarter, at best, is not known: the arithmetic with logarithms ends here.
+const MAX_LOG_SCALE_STD: f64 = 0.25;
+
+/// If more fixes than this share do not fit, it is not they that are wrong.
+const MAX_REJECTED_SHARE: f64 = 0.34;
+
+/// Nor are fixes wrong that are, all of them, three times as far off as stated.
+const MAX_NOISE_FACTOR: f64 = 3.0;
+
+/// A fit explains as much as another if it has at least this part of its fixes.
+const AS_MANY: f64 = 0.9;
+
+/// Offsets that are closer together than this are one, seconds.
+const SAME_OFFSET_S: f64 = 1.0;
+
+/// Lays a camera's path onto fixes.
+///
+/// # Errors
+/// [`Refusal`] says why the fixes give no metres.
+pub fn align_to_fixes(path: &CameraPath, fixes: &[PositionFix], support: &Support) -> Result<Alignment, Refusal> {
+    let fixes = distinct(fixes);
+    let starts = search::starts(path, &fixes, support);
+    let mut found: Vec<refine::Refined> =
+        starts.iter().filter_map(|start| refine::refine(path, &fixes, support, start)).collect();
+    found.sort_by(|a, b| a.badness().total_cmp(&b.badness()));
+    let Some(least) = found.first().map(refine::Refined::badness) else {
+        let num = search::most_overlapping(path, &fixes, support.offset);
+        return Err(Refusal::NoOverlap { num, of: fixes.len(), least: MIN_FIXES });
+    };
+    found.retain(|fit| fit.badness() <= least + fit.badness_by_chance());
+    // Of fits that are equally good, the one that explains most. The sort is stable: of equal ones the best.
+    found.sort_by_key(|fit| std::cmp::Reverse(fit.num_fixes));
+    let [best, others @ ..] = &found[..] else { return Err(Refusal::NoOverlap { num: 0, of: 0, least: MIN_FIXES }) };
+    judge(best, &fixes)?;
+    if let Some(other) = others.iter().find(|other| contradicts(best, other)) {
+        return Err(Refusal::Ambiguous { offset_s: best.offset_s, other_s: other.offset_s });
+    }
+    Ok(best.alignment())
+}
+
+/// Whether a fit is one.
+fn judge(best: &refine::Refined, fixes: &[PositionFix]) -> Result<(), Refusal> {
+    if best.rejected_share > MAX_REJECTED_SHARE || best.noise_factor > MAX_NOISE_FACTOR {
+        let rejected_percent = 100.0 * best.rejected_share;
+        return Err(Refusal::AnotherMotion { rejected_percent, noise_factor: best.noise_factor });
+    }
+    let log_scale_std = best.log_scale_std();
+    if !(log_scale_std <= MAX_LOG_SCALE_STD) {
+        let percent = (100.0 * log_scale_std).min(999.0);
+        let std_m = fixes.iter().map(|fix| fix.horizontal_std_m).fold(f64::INFINITY, f64::min);
+        return Err(Refusal::Motionless { percent, extent_m: best.extent_m, std_m });
+    }
+    Ok(())
+}
+
+/// Another fit that explains as much as this one, at another time.
+fn contradicts(best: &refine::Refined, other: &refine::Refined) -> bool {
+    let apart_s = (other.offset_s - best.offset_s).abs();
+    let std_s = best.offset_std_s().hypot(other.offset_std_s());
+    other.num_fixes as f64 >= AS_MANY * best.num_fixes as f64 && apart_s > 3.0 * std_s + SAME_OFFSET_S
+}

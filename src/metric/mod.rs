@@ -1,0 +1,24 @@
+//! Metres: how long a unit of the background is, and where its frame lies on the earth.
+//!
+//! A reconstruction from one camera has no unit of length. What gives it one are estimates of a single unknown, the
+//! logarithm of metres per unit, each with a standard deviation: a receiver's fixes along the camera's path
+//! ([`align_to_fixes`], which gives the place and north as well), a known height or length ([`Measured`]), and what
+//! vehicles are like ([`vehicle_sizes`]). [`fuse`] weighs them by their inverse variances, tests them against one
+//! another and says on what the result rests.
+//!
+//! `metric` is a frame of axes east, north and up in metres where a receiver gave it, else one whose z axis points up.
+//! `docs/maths/metric.md` derives the equations. This room is arithmetic on values.
+
+pub mod align;
+mod camera_path;
+mod fix;
+mod fusion;
+mod measured;
+mod vehicles;
+
+pub use align::{Alignment, Gravity, Offset, Orientation, Refusal, Support, align_to_fixes};
+pub use camera_path::CameraPath;
+pub use fix::PositionFix;
+pub use fusion::{Contradiction, Fused, Kind, Share, Source, Verdict, fuse};
+pub use measured::{Measured, MeasuredError};
+pub use vehicles::{Dimension, Extent, VehicleClass, vehicle_sizes};
