@@ -7,6 +7,7 @@ mod properties;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use super::assembly::check_finite;
 use super::{FolderError, IoError, Losses, bundler, camera_path, colmap, nerfstudio, nvm, openmvg, opensfm, ply};
 use crate::scene::Reconstruction;
 
@@ -57,7 +58,8 @@ impl fmt::Display for Format {
 /// Reads a reconstruction for comparing or converting, whatever its lenses are, and says in which format it came.
 ///
 /// # Errors
-/// Nothing there, no format that is read (with what to do about it), or what the format's reader says.
+/// Nothing there, no format that is read (with what to do about it), what the format's reader says, or numbers so large
+/// that what follows from them is none.
 pub fn read(path: &Path) -> Result<(Reconstruction, Format), IoError> {
     let (place, format) = detect(path)?;
     let model = match format {
@@ -71,6 +73,7 @@ pub fn read(path: &Path) -> Result<(Reconstruction, Format), IoError> {
         Format::Kitti => camera_path::read_kitti(&place),
         Format::Ply => Err(detect::points_alone(&place)),
     }?;
+    check_finite(&place, &model)?;
     Ok((model, format))
 }
 

@@ -95,6 +95,19 @@ proptest! {
     }
 }
 
+/// Of a number that is finite, and what follows from it is not.
+#[test]
+fn numbers_too_large_to_compute_with_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("sfm_data.json");
+    write(&path, &model_with(&[Camera::with_focal(960, 540, 700.0)]), Format::OpenMvg).unwrap();
+    let mut document: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    document["structure"][0]["value"]["observations"][0]["value"]["x"][0] = serde_json::json!(1e308);
+    std::fs::write(&path, document.to_string()).unwrap();
+    let error = read(&path).unwrap_err().to_string();
+    assert!(error.contains("point 1 is not finite"), "{error}");
+}
+
 proptest! {
     #![proptest_config(few(256))]
 
