@@ -2,11 +2,11 @@
 //!
 //!     damage_files READER SECONDS [FILE...] [--seed N] [--keep DIR]
 //!
-//! READER is `colmap-text`, `colmap-binary`, `openmvg`, `opensfm`, `nerfstudio`, `nvm`, `bundler`, `tum`, `kitti`, `ply`,
-//! `bal`, `trajectories`, `tracks`, `ground`, `mask` or `sequence`. Without FILEs the reader's files are written from the
-//! small models in `tests/golden`; `ply`, `bal`, `trajectories`, `tracks`, `ground`, `mask` and `sequence` need one. What
-//! was read is written as a COLMAP model and read again. Run it under `ulimit -v` to have memory that is asked for and
-//! not used count as well, and with `TMPDIR` in memory: every case is a file.
+//! READER is `colmap-text`, `colmap-binary`, `openmvg`, `opensfm`, `nerfstudio`, `nvm`, `bundler`, `tum`, `kitti`,
+//! `ply`, `bal`, `trajectories`, `tracks`, `ground`, `mask` or `sequence`. Without FILEs the reader's files are written
+//! from the small models in `tests/golden`; `ply`, `bal`, `trajectories`, `tracks`, `ground`, `mask` and `sequence`
+//! need one. What was read is written as a COLMAP model and read again. Run it under `ulimit -v` to have memory that is
+//! asked for and not used count as well, and with `TMPDIR` in memory: every case is a file.
 //!
 //! Prints how many files were read, accepted and refused, panics, the slowest file, and the largest resident memory;
 //! exit code 1 after a panic. With `--keep` panics are shown, and the files that panicked, and the slowest, stay.

@@ -144,8 +144,8 @@ impl GroundChain<'_> {
     }
 }
 
-/// How far the road lies above a plane of points in one frame, with the deviations that both have for the frame alone and
-/// for all frames.
+/// How far the road lies above a plane of points in one frame, with the deviations that both have for the frame alone
+/// and for all frames.
 struct Gap {
     height: f64,
     own_std: f64,

@@ -3,9 +3,9 @@
 //!
 //! A point is found where both eigenvalues of the structure tensor are large (J. Shi, C. Tomasi, *Good Features to
 //! Track*, CVPR 1994), predicted in the next frame by pyramidal Lucas-Kanade with a forward-backward check
-//! (`following`; OpenCV), and then aligned with the patch that was cut when it was found ([`super::patch`]), which keeps
-//! long tracks from drifting. A point that Lucas-Kanade loses is looked for once more where its neighbours' motion
-//! leads. Every position comes with how exactly the patch fixes it ([`Whitening`](crate::bundle::Whitening)).
+//! (`following`; OpenCV), and then aligned with the patch that was cut when it was found ([`super::patch`]), which
+//! keeps long tracks from drifting. A point that Lucas-Kanade loses is looked for once more where its neighbours'
+//! motion leads. Every position comes with how exactly the patch fixes it ([`Whitening`](crate::bundle::Whitening)).
 //!
 //! What was lost for longer, behind something else or out of the picture, is found again by appearance (`memory`,
 //! `bridge`).
@@ -33,6 +33,16 @@ use crate::scene::{Frame, Mask};
 use live::{Live, whitening};
 use memory::Memory;
 
+/// Where a point that was followed before is looked for first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum FirstLook {
+    /// Where its last step leads, in the finest pictures; through the whole pyramid if it is not there.
+    Predicted,
+    /// Where it was, through the whole pyramid.
+    Pyramid,
+}
+
 /// How points are found and followed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -52,6 +62,8 @@ pub struct VideoOptions {
     /// Levels of the pyramid above the image: each doubles the motion from frame to frame that can be followed.
     #[schemars(extend("unit" = "levels"))]
     pub pyramid_levels: i32,
+    /// Where a point that was followed before is looked for first.
+    pub first_look: FirstLook,
     /// Largest distance between a point and where tracking back from its successor leads.
     pub max_round_trip_px: f32,
     /// Smallest correlation with the first patch.
@@ -103,6 +115,7 @@ impl VideoOptions {
             window_radius_px: 7,
             patch_radius_px: 7,
             pyramid_levels: 3,
+            first_look: FirstLook::Predicted,
             max_round_trip_px: 0.7,
             min_correlation: 0.7,
             min_found_again: 0.8,
@@ -111,9 +124,11 @@ impl VideoOptions {
         }
     }
 
-    /// For one object: denser, and with smaller windows, since it is small and its surfaces end soon.
+    /// For one object: denser, and with smaller windows, since it is small and its surfaces end soon; and from coarse
+    /// pictures on, since it moves on its own, and the road beside it is near.
     pub fn object() -> Self {
-        Self { max_points: 800, min_distance_px: 4.0, quality: 0.002, border_px: 2, ..Self::background() }
+        let first_look = FirstLook::Pyramid;
+        Self { max_points: 800, min_distance_px: 4.0, quality: 0.002, border_px: 2, first_look, ..Self::background() }
     }
 }
 

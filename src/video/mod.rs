@@ -5,7 +5,8 @@
 //! memory does not grow with the length of the video. Both may be called again; they give the same frames every time.
 //!
 //! Time stamps are the container's, counted from its first picture. Those that are missing or do not rise are rebuilt
-//! from the pace of the frames before, with a warning. Pictures come upright (rotation metadata and EXIF orientation are applied) and no larger than asked for.
+//! from the pace of the frames before, with a warning. Pictures come upright (rotation metadata and EXIF orientation
+//! are applied) and no larger than asked for.
 //!
 //! Entry point: [`Source::open`]. [`subtitles`] reads the text track that some cameras write beside the pictures.
 

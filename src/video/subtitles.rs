@@ -19,8 +19,8 @@ pub struct Subtitle {
 
 /// Reads the first text track of a video, or a file of subtitles (SRT, WebVTT, ASS).
 ///
-/// Returns the texts in the order of the file; none if it has no text track. Nothing is decoded, so that it takes little
-/// more time than reading the file.
+/// Returns the texts in the order of the file; none if it has no text track. Nothing is decoded, so that it takes
+/// little more time than reading the file.
 ///
 /// # Errors
 /// [`VideoError::NoIndex`], [`VideoError::NotAVideo`] for a file that FFmpeg does not take, [`VideoError::Ffmpeg`].

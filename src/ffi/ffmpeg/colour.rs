@@ -101,7 +101,8 @@ impl RgbConverter {
         let mut image = RgbImage::new(width, height);
         let row_bytes = width as usize * 3;
         for (row, to) in image.chunks_exact_mut(row_bytes).enumerate() {
-            // SAFETY: the target has `height` rows of at least `row_bytes` bytes, `linesize` apart, and all are written.
+            // SAFETY: the target has `height` rows of at least `row_bytes` bytes, `linesize` apart, and all are
+            // written.
             let from = unsafe {
                 let first = (*self.target).data[0].offset((*self.target).linesize[0] as isize * row as isize);
                 std::slice::from_raw_parts(first, row_bytes)

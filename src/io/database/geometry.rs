@@ -1,10 +1,10 @@
 //! Two-view geometry of matched images, as COLMAP stores it.
 //!
 //! Where both poses are known the essential matrix is `E = [t]ₓ R` of `cam2_from_cam1` with a unit translation, the
-//! fundamental matrix `F = K₂⁻ᵀ E K₁⁻¹` (of pixels without distortion), and inliers are the matches within four pixels of
-//! it by the Sampson distance. Elsewhere `F` comes from the matches, which were verified when tracks were made of them:
-//! all are inliers. `H` is fitted to the inliers; where it explains eight in ten of them within four pixels the pair is
-//! planar or panoramic. Both limits are COLMAP's (`src/colmap/estimators/two_view_geometry.h`).
+//! fundamental matrix `F = K₂⁻ᵀ E K₁⁻¹` (of pixels without distortion), and inliers are the matches within four pixels
+//! of it by the Sampson distance. Elsewhere `F` comes from the matches, which were verified when tracks were made of
+//! them: all are inliers. `H` is fitted to the inliers; where it explains eight in ten of them within four pixels the
+//! pair is planar or panoramic. Both limits are COLMAP's (`src/colmap/estimators/two_view_geometry.h`).
 
 use std::collections::BTreeMap;
 

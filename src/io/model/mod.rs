@@ -119,8 +119,8 @@ pub fn write(path: &Path, model: &Reconstruction, format: Format) -> Result<Loss
     }
 }
 
-/// Looks whether `files` may be written, at or in `output`: none is written through a link or over the one that is read,
-/// and over others only if `overwrite` is set.
+/// Looks whether `files` may be written, at or in `output`: none is written through a link or over the one that is
+/// read, and over others only if `overwrite` is set.
 ///
 /// # Errors
 /// [`FolderError`] says what is in the way.

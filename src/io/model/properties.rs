@@ -14,7 +14,8 @@ fn few(cases: u32) -> ProptestConfig {
     ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() }
 }
 
-/// Focal length, principal point beside the middle, k₁, k₂, p₁, p₂, k₃: what no lens goes astray with within the picture.
+/// Focal length, principal point beside the middle, k₁, k₂, p₁, p₂, k₃: what no lens goes astray with within the
+/// picture.
 fn lens() -> impl Strategy<Value = [f64; 8]> {
     let small = -2e-3..2e-3;
     (400.0..2000.0, -9.0..9.0, -9.0..9.0, -0.1..0.1, -0.02..0.02, small.clone(), small, -5e-3..5e-3)

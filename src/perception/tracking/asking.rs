@@ -1,8 +1,8 @@
 //! For which boxes masks are asked: the mask network takes longer than everything else together.
 //!
-//! Of the boxes of a frame those that may come to something: that may be a followed object or one that was just lost, or
-//! that are sure enough to start a track. Of the followed objects all, in the box of their carried masks, where no other
-//! box asks the same.
+//! Of the boxes of a frame those that may come to something: that may be a followed object or one that was just lost,
+//! or that are sure enough to start a track. Of the followed objects all, in the box of their carried masks, where no
+//! other box asks the same.
 
 use ::image::RgbImage;
 

@@ -3,7 +3,8 @@
 use nalgebra::{Point2, Vector2};
 use opencv::core::{Mat, Point2f, Vector};
 
-use super::{VideoFrontEnd, from_opencv, to_opencv};
+use super::live::Live;
+use super::{FirstLook, VideoFrontEnd, from_opencv, to_opencv};
 use crate::image::GrayImage;
 use crate::math::Neighbors;
 use crate::scene::Mask;
@@ -66,8 +67,12 @@ impl VideoFrontEnd {
         };
         let starts = |chosen: &[usize]| chosen.iter().map(|&k| to_opencv(self.live[k].warp.center)).collect();
         let mut found: Vec<Option<Followed>> = vec![None; self.live.len()];
+        let prediction = |live: &Live| match self.options.first_look {
+            FirstLook::Predicted => live.predicted(),
+            FirstLook::Pyramid => None,
+        };
         let (moving, predicted): (Vec<usize>, Vec<Point2f>) =
-            self.live.iter().enumerate().filter_map(|(k, live)| Some((k, to_opencv(live.predicted()?)))).unzip();
+            self.live.iter().enumerate().filter_map(|(k, live)| Some((k, to_opencv(prediction(live)?)))).unzip();
         let is_back = |f: &Followed| f.round_trip_px <= self.options.max_round_trip_px;
         if !moving.is_empty() {
             let near = tracker.there_and_back_near(previous, pyramid, &starts(&moving), &predicted.into())?;
