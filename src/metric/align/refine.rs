@@ -38,7 +38,6 @@ pub(super) struct Refined {
     state: State,
     anchor_in_world: Point3<f64>,
     covariance: Normal,
-    pub(super) log_scale: f64,
     pub(super) offset_s: f64,
     /// Sum of the squared whitened residuals.
     pub(super) chi2: f64,
@@ -400,7 +399,6 @@ impl<'a> Fit<'a> {
             state: self.state,
             anchor_in_world: self.anchor_in_world,
             covariance,
-            log_scale: self.state.log_scale,
             offset_s: self.state.offset_s,
             chi2,
             num_groups: self.groups.len(),

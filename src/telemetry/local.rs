@@ -1,0 +1,166 @@
+//! A log in metres east, north and up of its first fix.
+
+use super::fix::{Fix, Log};
+use super::geodesy::{Geodetic, LocalFrame};
+use crate::math::median;
+use crate::metric::PositionFix;
+
+/// Which heights of a log count; two kinds are never mixed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Heights {
+    /// Above take-off, by air pressure: smoother than what a receiver knows.
+    Relative,
+    /// Absolute ones.
+    Absolute,
+    /// None.
+    Absent,
+}
+
+/// What the times of a log count from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TimeBase {
+    /// The video's start.
+    Video,
+    /// 1970, on the log's own clock.
+    Clock,
+}
+
+/// Fixes in metres.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LocalFixes {
+    /// Turns metres into longitude, latitude and height. The height is absolute if `knows_height`, else one above
+    /// take-off, or of an unknown level.
+    pub frame: LocalFrame,
+    /// Whether absolute heights are known.
+    pub knows_height: bool,
+    /// The fixes, in order of time.
+    pub fixes: Vec<PositionFix>,
+    /// Which heights they have.
+    pub heights: Heights,
+    /// What their times count from.
+    pub times: TimeBase,
+}
+
+/// Standard deviation of a height by air pressure over a flight, metres: weather and wind at the sensor.
+const BAROMETER_STD_M: f64 = 1.0;
+
+/// Length of a degree of latitude, metres.
+const DEGREE_M: f64 = 111_320.0;
+
+/// Heights of a kind count if so many fixes have them.
+const MOST: f64 = 0.9;
+
+impl Log {
+    /// The fixes that have a time, in metres; `None` if there are none. Video time is taken where all fixes have it.
+    pub fn local_fixes(&self) -> Option<LocalFixes> {
+        let by_video = self.fixes.iter().all(|fix| fix.video_s.is_some());
+        let times = if by_video { TimeBase::Video } else { TimeBase::Clock };
+        self.local_fixes_at(times, |fix| if by_video { fix.video_s } else { fix.clock_s })
+    }
+
+    /// The same at other times, such as those of photographs by their names.
+    pub fn local_fixes_at(&self, times: TimeBase, time_s: impl Fn(&Fix) -> Option<f64>) -> Option<LocalFixes> {
+        let timed: Vec<(&Fix, f64)> = self.fixes.iter().filter_map(|fix| Some((fix, time_s(fix)?))).collect();
+        let (first, _) = timed.first()?;
+        let heights = self.heights();
+        let takeoff_m = self.takeoff_height_m();
+        let origin_height_m = match heights {
+            Heights::Relative => takeoff_m.unwrap_or(0.0),
+            Heights::Absolute => first.gps_height_m.unwrap_or(0.0),
+            Heights::Absent => 0.0,
+        };
+        let origin = Geodetic {
+            longitude_deg: first.longitude_deg,
+            latitude_deg: first.latitude_deg,
+            height_m: origin_height_m,
+        };
+        let frame = LocalFrame::at(origin);
+        let fixes = timed.iter().map(|(fix, time_s)| local(fix, *time_s, &frame, heights)).collect();
+        let knows_height = match heights {
+            Heights::Relative => takeoff_m.is_some(),
+            Heights::Absolute => true,
+            Heights::Absent => false,
+        };
+        Some(LocalFixes { frame, knows_height, fixes, heights, times })
+    }
+
+    fn heights(&self) -> Heights {
+        let share = |has: fn(&Fix) -> bool| {
+            self.fixes.iter().filter(|fix| has(fix)).count() as f64 / self.fixes.len().max(1) as f64
+        };
+        if share(|fix| fix.relative_height_m.is_some()) >= MOST {
+            Heights::Relative
+        } else if share(|fix| fix.gps_height_m.is_some()) >= MOST {
+            Heights::Absolute
+        } else {
+            Heights::Absent
+        }
+    }
+
+    /// Absolute height of the place of take-off: the median of what both kinds of height say.
+    fn takeoff_height_m(&self) -> Option<f64> {
+        let differences = self.fixes.iter().filter_map(|fix| Some(fix.gps_height_m? - fix.relative_height_m?));
+        median(differences.collect())
+    }
+}
+
+fn local(fix: &Fix, time_s: f64, frame: &LocalFrame, heights: Heights) -> PositionFix {
+    let height_m = match heights {
+        Heights::Relative => fix.relative_height_m.map(|height| frame.origin.height_m + height),
+        Heights::Absolute => fix.gps_height_m,
+        Heights::Absent => None,
+    };
+    let Fix { longitude_deg, latitude_deg, .. } = *fix;
+    let place = Geodetic { longitude_deg, latitude_deg, height_m: height_m.unwrap_or(frame.origin.height_m) };
+    let point_m = frame.from_geodetic(place);
+    PositionFix {
+        time_s,
+        east_north_m: point_m.coords.xy(),
+        up_m: height_m.map(|_| point_m.z),
+        horizontal_std_m: fix.horizontal_std_m,
+        vertical_std_m: if heights == Heights::Relative { BAROMETER_STD_M } else { fix.vertical_std_m },
+        rounding_m: fix.resolution_deg * DEGREE_M,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::fix::Position;
+    use super::*;
+
+    fn fix(i: u32, gps_height_m: Option<f64>, relative_height_m: Option<f64>) -> Fix {
+        let position = Position { longitude_deg: 9.2, latitude_deg: 48.1 + 1e-4 * f64::from(i), resolution_deg: 1e-6 };
+        let video_s = Some(f64::from(i));
+        Fix { video_s, clock_s: video_s, gps_height_m, relative_height_m, ..Fix::at(1, position) }
+    }
+
+    fn log(fixes: Vec<Fix>) -> LocalFixes {
+        Log { fixes, ..Log::default() }.local_fixes().unwrap()
+    }
+
+    #[test]
+    fn heights_above_take_off_go_before_absolute_ones_and_are_not_mixed_with_them() {
+        let noise = [3.0, -1.0, 0.0, 2.0, -2.0];
+        let fixes = (0..5).map(|i| fix(i, Some(500.0 + noise[i as usize]), Some(10.0))).collect();
+        let found = log(fixes);
+        assert_eq!((found.heights, found.times, found.knows_height), (Heights::Relative, TimeBase::Video, true));
+        // A plane touches the earth: 44 m on, it is 0.15 mm above it.
+        assert!(found.fixes.iter().all(|fix| (fix.up_m.unwrap() - 10.0).abs() < 1e-3), "{:?}", found.fixes);
+        assert!((found.fixes[4].east_north_m.y - 44.48).abs() < 0.02, "{:?}", found.fixes[4]);
+        let PositionFix { east_north_m, up_m, .. } = found.fixes[4];
+        let back = found.frame.to_geodetic([east_north_m.x, east_north_m.y, up_m.unwrap()].into());
+        assert!((back.latitude_deg - 48.1004).abs() < 1e-9 && (back.height_m - 500.0).abs() < 1e-4, "{back:?}");
+    }
+
+    #[test]
+    fn logs_with_one_kind_of_height_or_none() {
+        let absolute = log((0..3).map(|i| fix(i, Some(500.0 + f64::from(i)), None)).collect());
+        assert_eq!((absolute.heights, absolute.knows_height), (Heights::Absolute, true));
+        assert!((absolute.fixes[2].up_m.unwrap() - 2.0).abs() < 1e-3 && absolute.fixes[0].up_m == Some(0.0));
+        let none = log((0..3).map(|i| fix(i, None, None)).collect());
+        assert_eq!((none.heights, none.knows_height, none.fixes[1].up_m), (Heights::Absent, false, None));
+        let relative = log((0..3).map(|i| fix(i, None, Some(7.0))).collect());
+        assert_eq!((relative.heights, relative.knows_height), (Heights::Relative, false));
+        assert_eq!(Log::default().local_fixes(), None);
+    }
+}
