@@ -10,6 +10,7 @@
 //! `docs/maths/metric.md` derives the equations. This room is arithmetic on values.
 
 pub mod align;
+mod attitude;
 mod camera_path;
 mod fix;
 mod fusion;
@@ -17,6 +18,7 @@ mod measured;
 mod vehicles;
 
 pub use align::{Alignment, Gravity, Offset, Orientation, Refusal, Support, align_to_fixes};
+pub use attitude::{metric_from_cam, orientation};
 pub use camera_path::CameraPath;
 pub use fix::PositionFix;
 pub use fusion::{Contradiction, Fused, Kind, Share, Source, Verdict, fuse};
