@@ -471,7 +471,7 @@ mod tests {
         let golden = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/text_track.mp4")).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("broken.mp4");
-        let mut walk = |content: &[u8]| {
+        let walk = |content: &[u8]| {
             fs::write(&path, content).unwrap();
             walked(&path)
         };

@@ -186,8 +186,11 @@ fn a_quick_receiver_on_a_quick_flight_gives_the_offset_to_a_tenth_of_a_second() 
     assert!(found.offset_rms_s < 0.1 && found.scale_rms < 0.02, "{found}");
 }
 
+/// Times in seconds and camera centres in metres.
+type TimedPath = Vec<(f64, Point3<f64>)>;
+
 /// Camera paths of rendered sequences, metres: those of the data, and the one in this repository.
-fn rendered_paths() -> Vec<(String, Vec<(f64, Point3<f64>)>)> {
+fn rendered_paths() -> Vec<(String, TimedPath)> {
     let repository = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("dataset");
     let data = std::env::var_os("TRACTRIX_DATA").map(std::path::PathBuf::from).expect("TRACTRIX_DATA names the data");
     let folders = [repository, data.join("sequences"), data.join("sequences/generated")];
