@@ -20,7 +20,7 @@ pub struct Warp {
     pub center: Point2<f32>,
 }
 
-/// A square template with what alignment needs of it. Rows are filled up with zeros to a whole number of [`LANES`].
+/// A square template with what alignment needs of it. Rows are filled up with zeros to a whole number of `LANES`.
 #[derive(Clone, Debug)]
 pub struct Patch {
     radius: i32,
