@@ -12,6 +12,10 @@ use crate::scene::{ImageId, Reconstruction};
 pub struct CenterDeviations {
     /// Standard deviation of a pixel coordinate, from the residuals.
     pub pixel_px: f64,
+    /// The image that holds the gauge: exact by definition.
+    pub held: ImageId,
+    /// The one farthest from it, which holds the scale by the largest coordinate of `held` in its frame.
+    pub farthest: ImageId,
     /// Per image √ of the trace of its centre's covariance, world units.
     pub centers: BTreeMap<ImageId, f64>,
 }
@@ -31,7 +35,15 @@ pub fn center_deviations(model: &Reconstruction, num_images: usize) -> Result<Op
     problem.check()?;
     let Some(pixel_px) = pixel_deviation(&problem) else { return Ok(None) };
     let observed: std::collections::BTreeSet<usize> = problem.observations.iter().map(|o| o.pose as usize).collect();
-    let free: Vec<usize> = observed.into_iter().skip(1).collect();
+    let mut free: Vec<usize> = observed.into_iter().collect();
+    if free.len() < 2 {
+        return Ok(None);
+    }
+    let held = free.remove(0);
+    let center = |pose: usize| problem.poses[pose].cam_from_world.center();
+    let distance = |pose: usize| (center(pose) - center(held)).norm();
+    let farthest = free.iter().copied().max_by(|a, b| distance(*a).total_cmp(&distance(*b)).then(b.cmp(a)));
+    let farthest = farthest.unwrap_or(held);
     let count = num_images.min(free.len());
     let poses: Vec<usize> = (0..count).map(|k| free[k * (free.len() - 1) / (count - 1).max(1)]).collect();
     let ids: Vec<ImageId> = model.images.keys().copied().collect();
@@ -39,7 +51,7 @@ pub fn center_deviations(model: &Reconstruction, num_images: usize) -> Result<Op
     let found = covariances(&problem, &options, &Wanted { poses: poses.clone(), ..Wanted::default() })?;
     let deviation = |c: &super::PoseCovariance| pixel_px * c.center.trace().max(0.0).sqrt();
     let centers = poses.iter().map(|pose| ids[*pose]).zip(found.poses.iter().map(deviation)).collect();
-    Ok(Some(CenterDeviations { pixel_px, centers }))
+    Ok(Some(CenterDeviations { pixel_px, held: ids[held], farthest: ids[farthest], centers }))
 }
 
 /// From the residuals' sum of squares and the redundancy, of which the gauge gives back seven.

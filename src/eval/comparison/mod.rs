@@ -6,12 +6,14 @@
 //! the observations.
 
 mod alignment;
+mod coverage;
 mod figures;
 mod pairing;
 mod relative;
 mod table;
 
 pub use alignment::{Alignment, Basis};
+pub use coverage::Coverage;
 pub use figures::{ERROR_BIN_PX, ModelFigures, NUM_ERROR_BINS, NUM_TRACK_BINS, Reprojection};
 pub use pairing::MatchBy;
 pub use relative::{LIMITS_DEG, RelativePoses};
@@ -100,6 +102,8 @@ pub struct Against {
     pub alignment: Outcome<Alignment>,
     /// Differences between the common cameras, once aligned.
     pub cameras: Outcome<CameraDifferences>,
+    /// Whether the deviations of the centres hold that follow from this one's own observations.
+    pub coverage: Outcome<Coverage>,
     /// Relative poses.
     pub relative: Outcome<RelativePoses>,
     /// Intrinsics side by side, those of most images first; none of lenses that nothing can be projected with.
@@ -202,6 +206,7 @@ fn against(reference: &Side, other: &Side, match_by: MatchBy) -> Against {
         num_common: common.len(),
         alignment: alignment.map_err(Clone::clone).into(),
         cameras: aligned.map(|found| differences(&pairs, &found)).into(),
+        coverage: coverage::coverage(&both).into(),
         relative: relative::relative_poses(&pairs, reference.model.images.len(), extent).into(),
         intrinsics: both.intrinsics(),
         images,

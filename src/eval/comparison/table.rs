@@ -2,7 +2,9 @@
 
 use std::fmt;
 
-use super::{Against, Basis, Camera, CameraDifferences, Comparison, IntrinsicsPair, LIMITS_DEG, LengthUnit, Subject};
+use super::{
+    Against, Basis, Camera, CameraDifferences, Comparison, Coverage, IntrinsicsPair, LIMITS_DEG, LengthUnit, Subject,
+};
 
 /// Images that the table lists.
 const WORST: usize = 5;
@@ -65,6 +67,7 @@ impl Comparison {
             of_others("  with the lost ones", &|o| with_lost(o).map(|c| figure(c.center_rmse_of_all))),
             of_others("  over the extent", &|o| cameras(o).map(|c| percent(c.center_share_of_extent))),
             of_others("  largest", &|o| cameras(o).map(|c| figure(c.center_max))),
+            of_others("  within 1, 2, 3 deviations", &|o| o.coverage.as_ref().ok().map(shares)),
             of_others("rotations, mean", &|o| cameras(o).map(|c| format!("{:.4}°", c.rotation_mean_deg))),
             of_others("  largest", &|o| cameras(o).map(|c| format!("{:.4}°", c.rotation_max_deg))),
             of_others("focal length", &|o| {
@@ -145,6 +148,11 @@ impl IntrinsicsPair {
 /// Six significant digits.
 fn figure(value: f64) -> String {
     if value != 0.0 && !(1e-3..1e6).contains(&value.abs()) { format!("{value:.5e}") } else { format!("{value:.6}") }
+}
+
+fn shares(coverage: &Coverage) -> String {
+    let [one, two, three] = coverage.within.map(|share| 100.0 * share);
+    format!("{one:.0}, {two:.0}, {three:.0} %")
 }
 
 fn percent(share: f64) -> String {

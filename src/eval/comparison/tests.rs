@@ -176,3 +176,45 @@ fn nothing_at_all_is_compared_without_a_panic() {
     let still = flight(8, |_| Point3::new(1.0, 2.0, 3.0));
     assert!(compared(&still, &b).alignment.as_ref().unwrap_err().contains("one place"));
 }
+
+/// Points all over the view of every camera, seen half a pixel off at the most.
+fn see_all_over(side: &mut Side) {
+    let camera = side.model.cameras[&CameraId(1)];
+    let mut rng = seeded_rng(9, 0);
+    for id in 0..60 {
+        let around = |limit: f64, rng: &mut crate::math::Rng| rng.random_range(-limit..limit);
+        let position =
+            Point3::new(35.0 + around(60.0, &mut rng), around(25.0, &mut rng), 100.0 + around(30.0, &mut rng));
+        let mut track = Vec::new();
+        for (image, seen) in &mut side.model.images {
+            let Some(pixel) = camera.pixel_from_cam(seen.cam_from_world * position) else { continue };
+            track.push(TrackElement { image: *image, observation_idx: seen.observations.len() as u32 });
+            let pixel = pixel + nalgebra::Vector2::from_fn(|_, _| around(0.5, &mut rng));
+            seen.observations.push(Observation { pixel, point: Some(Point3dId(id)) });
+        }
+        side.model.points.insert(Point3dId(id), Point3d { position, rgb: [0; 3], error_px: 0.3, track });
+    }
+}
+
+#[test]
+fn deviations_are_held_against_the_reference_in_the_gauge_of_the_covariance() {
+    let mut other = flight(8, |t| Point3::new(10.0 * t, 0.3 * t * t, 0.0));
+    let mut reference = other.clone();
+    reference.model.transform(&similarity());
+    assert!(compared(&reference, &other).coverage.as_ref().is_err(), "nothing is observed");
+    see_all_over(&mut other);
+    let found = *compared(&reference, &other).coverage.as_ref().unwrap();
+    assert_eq!((found.num_images, found.within), (7, [1.0; 3]));
+    assert!(found.median_in_deviations < 1e-6, "{found:?}");
+    // One camera of the reference lies a third of the path away.
+    let moved = reference.model.images.get_mut(&ImageId(4)).unwrap();
+    let center = moved.cam_from_world.center() + Vector3::new(0.0, 0.0, 2e-3);
+    moved.cam_from_world = Rigid3::from_rotation_and_center(moved.cam_from_world.rotation, center);
+    let comparison = compare(&reference, std::slice::from_ref(&other), LengthUnit::Metre, MatchBy::Name);
+    let found = comparison.others[0].coverage.as_ref().unwrap();
+    assert!((found.within[2] - 6.0 / 7.0).abs() < 1e-12, "{found:?}");
+    assert!(comparison.to_string().contains("86, 86, 86 %"), "{comparison}");
+    // The image that holds the gauge is not in the reference.
+    reference.model.images.remove(&ImageId(1));
+    assert!(compared(&reference, &other).coverage.as_ref().unwrap_err().contains("gauge"));
+}
