@@ -253,8 +253,9 @@ impl<'a> Picture<'a> {
         let (mut x, mut y) = (fixed(start.x), fixed(start.y));
         let mut values = [0.0; LANES];
         for value in &mut values {
-            // The patch's corners lie inside; rounding may still step on the last column or row.
-            let (u, v) = (((x >> BITS) as usize).min(self.width - 2), ((y >> BITS) as usize).min(self.height - 2));
+            // The patch's corners lie inside; rounding may still step over the border.
+            let index = |place: i64, last: usize| ((place >> BITS).max(0) as usize).min(last);
+            let (u, v) = (index(x, self.width - 2), index(y, self.height - 2));
             let part = |place: i64| (place & ((1 << BITS) - 1)) as i32 as f32 * (1.0 / ONE);
             let first = v * self.width + u;
             let near = &self.pixels[first..first + self.width + 2];
