@@ -166,6 +166,7 @@ mod tests {
             position: [f64::from(frame) * 0.05, 0.0, 0.0],
             world_from_object: Sim3::identity(),
             speed: None,
+            metric: None,
         }
     }
 
@@ -178,7 +179,7 @@ mod tests {
         let poses = (3..=12).map(pose).collect();
         let verdict = Some(judged(Trust::Good, Vec::new()));
         let (class, ground) = ("car".into(), [].into());
-        ObjectTrajectory { id: ObjectId(id), class, confidence: 1.0, scale, ground, verdict, poses }
+        ObjectTrajectory { id: ObjectId(id), class, confidence: 1.0, scale, ground, verdict, dimensions: None, poses }
     }
 
     fn summary(vehicles: impl IntoIterator<Item = (u32, Vehicle)>, time_base: TimeBase) -> Summary {
@@ -201,7 +202,7 @@ mod tests {
     #[test]
     fn every_vehicle_is_told_in_words() {
         let vehicles = [(1, vehicle("car", 10, None)), (4, vehicle("truck", 2, Some("it is too small")))];
-        let found = Trajectories { unit: Unit::Background, objects: vec![trajectory(1)] };
+        let found = Trajectories { unit: Unit::Background, metric: None, objects: vec![trajectory(1)] };
         assert_eq!(
             as_text(&summary(vehicles.clone(), TimeBase::Seconds), &found),
             "2 vehicles, 1 of them with a trajectory\n  \
@@ -220,7 +221,7 @@ mod tests {
 
     #[test]
     fn metres_have_a_speed_and_one_vehicle_is_one() {
-        let found = Trajectories { unit: Unit::Metre, objects: vec![trajectory(1)] };
+        let found = Trajectories { unit: Unit::Metre, metric: None, objects: vec![trajectory(1)] };
         let text = as_text(&summary([(1, vehicle("", 10, None))], TimeBase::Seconds), &found);
         assert!(text.starts_with("1 vehicle with a trajectory\n  1: vehicle, "), "{text}");
         assert!(text.contains("path: 0.5 m, on average 0.5 m/s (2 km/h)"), "{text}");

@@ -101,6 +101,7 @@ fn some_trajectory(ratio: f64) -> ObjectTrajectory {
         scale,
         ground: BTreeMap::new(),
         verdict: None,
+        dimensions: None,
         poses: vec![],
     }
 }

@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::{IoError, atomic, json};
 use crate::math::Sim3;
 use crate::scene::{
-    FrameId, ObjectId, ObjectPose, ObjectTrajectory, PlaneBasis, Ratios, ScaleEstimate, ScaleMethod, ScaleShares,
-    ScaleSupport, Trajectories, Unit, Verdict,
+    Dimensions, FrameId, Metric, MetricPose, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, PlaneBasis, Ratios,
+    ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, Trajectories, Unit, Verdict,
 };
 
 /// The only version there is.
@@ -27,6 +28,9 @@ const MAX_SCALE_ERROR: f64 = 1e-9;
 struct Document {
     version: u32,
     unit: Unit,
+    /// Absent in files that do not speak of metres, as are the other keys of metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    metric: Option<Metric>,
     objects: Vec<Object>,
 }
 
@@ -41,6 +45,8 @@ struct Object {
     ground: BTreeMap<PlaneBasis, usize>,
     #[serde(default)]
     verdict: Option<Verdict>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    dimensions: Option<Dimensions>,
     frames: Vec<Pose>,
 }
 
@@ -68,6 +74,8 @@ struct Pose {
     position: [f64; 3],
     world_from_object: Placement,
     speed: Option<f64>,
+    #[serde(flatten)]
+    metric: Option<MetricPose>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -87,6 +95,7 @@ pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
     let document = Document {
         version: VERSION,
         unit: trajectories.unit,
+        metric: trajectories.metric.clone(),
         objects: trajectories.objects.iter().map(object_to_file).collect(),
     };
     check(path, &document)?;
@@ -101,7 +110,8 @@ pub fn read(path: &Path) -> Result<Trajectories, IoError> {
     let document: Document = json::read(path)?;
     json::check_version(path, document.version, VERSION)?;
     check(path, &document)?;
-    Ok(Trajectories { unit: document.unit, objects: document.objects.into_iter().map(object_from_file).collect() })
+    let Document { unit, metric, objects, .. } = document;
+    Ok(Trajectories { unit, metric, objects: objects.into_iter().map(object_from_file).collect() })
 }
 
 fn object_to_file(object: &ObjectTrajectory) -> Object {
@@ -114,6 +124,7 @@ fn object_to_file(object: &ObjectTrajectory) -> Object {
         scale: Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support },
         ground: object.ground.clone(),
         verdict: object.verdict.clone(),
+        dimensions: object.dimensions,
         frames: object.poses.iter().map(pose_to_file).collect(),
     }
 }
@@ -129,6 +140,7 @@ fn pose_to_file(pose: &ObjectPose) -> Pose {
         position: pose.position,
         world_from_object: Placement { scale, rotation_wxyz: [q.w, q.i, q.j, q.k], translation: translation.into() },
         speed: pose.speed,
+        metric: pose.metric,
     }
 }
 
@@ -152,6 +164,7 @@ fn object_from_file(object: Object) -> ObjectTrajectory {
         },
         ground: object.ground,
         verdict: object.verdict,
+        dimensions: object.dimensions,
         poses: object.frames.into_iter().map(pose_from_file).collect(),
     }
 }
@@ -166,11 +179,15 @@ fn pose_from_file(pose: Pose) -> ObjectPose {
         position: pose.position,
         world_from_object: Sim3::new(scale, rotation, Vector3::from(translation)),
         speed: pose.speed,
+        metric: pose.metric,
     }
 }
 
 /// What the contract asks for beyond the shape; JSON has no NaN, so it must not reach the writer.
 fn check(path: &Path, document: &Document) -> Result<(), IoError> {
+    if let Some(problem) = document.metric.as_ref().and_then(metric_problem) {
+        return Err(IoError::content(path, format!("metric: {problem}")));
+    }
     for object in &document.objects {
         let wrong = |problem: String| Err(IoError::content(path, format!("object {}: {problem}", object.id)));
         let scale = &object.scale;
@@ -182,6 +199,9 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         let numbers = scale.std.iter().chain(ratios).chain([&object.confidence]).copied().chain(evidence);
         if let Some(number) = numbers.into_iter().find(|n| !n.is_finite()) {
             return wrong(format!("{number} is not a finite number"));
+        }
+        if !object.dimensions.as_ref().is_none_or(has_finite_numbers) {
+            return wrong("a dimension is not a finite number".into());
         }
         let reasons = object.verdict.iter().flat_map(|verdict| &verdict.reasons);
         if let Some(reason) = reasons.into_iter().find(|reason| !(0.0..=1.0).contains(&reason.weight)) {
@@ -211,14 +231,44 @@ fn lengths(of: &ScaleSupport) -> [f64; 3] {
     [of.tilt, of.ground_residual, of.disagreement.unwrap_or(0.0)]
 }
 
+/// What is wrong with the metres of a result.
+fn metric_problem(metric: &Metric) -> Option<&'static str> {
+    let positive = metric.frame.as_ref().is_none_or(|frame| frame.scale > 0.0);
+    let turns = metric.frame.as_ref().is_none_or(|frame| (norm(frame.rotation_wxyz) - 1.0).abs() <= MAX_UNIT_ERROR);
+    let is_unknown = metric.verdict == MetricVerdict::Unknown;
+    if !has_finite_numbers(metric) {
+        Some("a number is not finite")
+    } else if metric.frame.is_none() != is_unknown {
+        Some("`unknown` is the verdict where, and only where, there is no scale")
+    } else if !positive {
+        Some("the scale is not positive")
+    } else if !turns {
+        Some("the quaternion has not length 1")
+    } else {
+        None
+    }
+}
+
+/// Whether every number is finite: JSON has no others, so that a value with one does not come back the same.
+fn has_finite_numbers<T: Serialize + DeserializeOwned + PartialEq>(value: &T) -> bool {
+    let back = serde_json::to_value(value).and_then(serde_json::from_value::<T>);
+    back.is_ok_and(|back| back == *value)
+}
+
+fn norm([w, x, y, z]: [f64; 4]) -> f64 {
+    Quaternion::new(w, x, y, z).norm()
+}
+
 fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
     let Placement { scale, rotation_wxyz, translation } = &pose.world_from_object;
     let numbers = [&pose.time_s].into_iter().chain(&pose.position).chain(rotation_wxyz).chain(translation);
     if let Some(number) = numbers.chain(&pose.speed).find(|n| !n.is_finite()) {
         return Some(format!("{number} is not a finite number"));
     }
-    let [w, x, y, z] = *rotation_wxyz;
-    let norm = Quaternion::new(w, x, y, z).norm();
+    if !pose.metric.as_ref().is_none_or(has_finite_numbers) {
+        return Some("a number in metres is not finite".into());
+    }
+    let norm = norm(*rotation_wxyz);
     if (norm - 1.0).abs() > MAX_UNIT_ERROR {
         return Some(format!("the quaternion has length {norm}, not 1"));
     }
@@ -230,7 +280,10 @@ fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Reason, ReasonKind, ScaleMethod, Trust};
+    use crate::scene::{
+        Estimate, MapOrigin, MapPlace, MetricAxes, MetricFrame, MetricShare, MetricStd, Reason, ReasonKind,
+        ScaleMethod, Trust,
+    };
 
     fn sample() -> Trajectories {
         let pose = |frame: u32| ObjectPose {
@@ -244,6 +297,7 @@ mod tests {
                 Vector3::new(4.0, 5.0, 6.0),
             ),
             speed: (frame > 0).then_some(13.25),
+            metric: None,
         };
         let scale = ScaleEstimate {
             ratio: 0.731,
@@ -266,9 +320,10 @@ mod tests {
             scale,
             ground: [(PlaneBasis::Mount, 2)].into(),
             verdict,
+            dimensions: None,
             poses,
         };
-        Trajectories { unit: Unit::Background, objects: vec![object] }
+        Trajectories { unit: Unit::Background, metric: None, objects: vec![object] }
     }
 
     #[test]
@@ -306,6 +361,84 @@ mod tests {
             b.world_from_object.rotation = a.world_from_object.rotation;
         }
         assert_eq!(back, expected);
+    }
+
+    fn with_metres() -> Trajectories {
+        let mut all = sample();
+        all.metric = Some(Metric {
+            verdict: MetricVerdict::Telemetry,
+            reason: None,
+            frame: Some(MetricFrame {
+                scale: 12.5,
+                rotation_wxyz: [0.0, 0.6, 0.8, 0.0],
+                translation: [1.0, 2.0, 1.0 / 3.0],
+                axes: MetricAxes::EastNorthUp,
+                origin: Some(MapOrigin { longitude: 8.5, latitude: 47.3, height_m: 410.0, knows_height: true }),
+                std: MetricStd { scale: 0.25, tilt_deg: 0.5, heading_deg: Some(1.0), place_m: Some([2.0, 2.0, 4.0]) },
+                anchor: [0.1, 0.2, 0.3],
+                covariance: [[1e-4; 7]; 7],
+            }),
+            shares: vec![MetricShare { source: "telemetry".into(), scale: 12.5, std: 0.25, share: 1.0 }],
+            contradictions: Vec::new(),
+            time_offset_s: Some(0.7),
+            time_offset_std_s: Some(0.05),
+        });
+        let length_m = Some(Estimate { value: 4.4, std: 0.1 });
+        all.objects[0].dimensions = Some(Dimensions { length_m, ..Dimensions::default() });
+        all.objects[0].poses[1].metric = Some(MetricPose {
+            position_m: [10.0, 20.0, 0.7],
+            position_std_m: [0.1, 0.2, 0.1],
+            distance_to_camera_m: 31.0,
+            distance_to_camera_std_m: 0.6,
+            motion: None,
+            place: Some(MapPlace { longitude: 8.6, latitude: 47.4, height_m: 410.7, place_std_m: [2.0, 2.0, 4.0] }),
+        });
+        all
+    }
+
+    #[test]
+    fn metres_are_keys_of_their_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trajectories.json");
+        let all = with_metres();
+        write(&path, &all).unwrap();
+        let value: serde_json::Value = json::read(&path).unwrap();
+        assert_eq!((&value["metric"]["scale"], &value["metric"]["verdict"]), (&12.5.into(), &"telemetry".into()));
+        let frames = &value["objects"][0]["frames"];
+        assert_eq!((&frames[0]["position_m"], &frames[1]["longitude"]), (&serde_json::Value::Null, &8.6.into()));
+        assert_eq!(value["objects"][0]["dimensions"]["length_m"]["value"], 4.4);
+        let back = read(&path).unwrap();
+        assert_eq!((&back.metric, back.objects[0].dimensions), (&all.metric, all.objects[0].dimensions));
+        assert_eq!(back.objects[0].poses[1].metric, all.objects[0].poses[1].metric);
+        let frame = back.metric.unwrap().frame.unwrap();
+        assert!((frame.log_scale_std() - 0.02).abs() < 1e-12 && frame.metric_from_world().scale == 12.5);
+    }
+
+    #[test]
+    fn metres_that_are_no_numbers_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let refused = |change: fn(&mut Trajectories)| {
+            let mut all = with_metres();
+            change(&mut all);
+            write(&folder.path().join("trajectories.json"), &all).unwrap_err().to_string()
+        };
+        let metric = |change: fn(&mut Metric)| {
+            let mut all = with_metres();
+            change(all.metric.as_mut().unwrap());
+            write(&folder.path().join("trajectories.json"), &all).unwrap_err().to_string()
+        };
+        assert!(metric(|m| m.frame.as_mut().unwrap().covariance[3][3] = f64::NAN).contains("metric: a number is not"));
+        assert!(metric(|m| m.frame = None).contains("`unknown` is the verdict"));
+        assert!(metric(|m| m.frame.as_mut().unwrap().scale = -1.0).contains("not positive"));
+        assert!(metric(|m| m.frame.as_mut().unwrap().rotation_wxyz[0] = 1.0).contains("length 1"));
+        assert!(
+            refused(|all| all.objects[0].dimensions.as_mut().unwrap().length_m.as_mut().unwrap().std = f64::NAN)
+                .contains("object 1: a dimension")
+        );
+        assert!(
+            refused(|all| all.objects[0].poses[1].metric.as_mut().unwrap().position_m[1] = f64::NAN)
+                .contains("frame 2: a number in metres")
+        );
     }
 
     #[test]

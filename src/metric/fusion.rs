@@ -6,6 +6,8 @@
 
 use serde::Serialize;
 
+use crate::scene::{MetricContradiction, MetricShare, MetricVerdict};
+
 /// What a source rests on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -31,44 +33,6 @@ pub struct Source {
     pub std: f64,
 }
 
-/// What a source contributed.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Share {
-    /// The source.
-    pub source: String,
-    /// Metres per unit by it alone.
-    pub scale: f64,
-    /// Their standard deviation, metres per unit.
-    pub std: f64,
-    /// Its part of the weight, from 0 to 1.
-    pub share: f64,
-}
-
-/// A source that does not agree with the others.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Contradiction {
-    /// The source.
-    pub source: String,
-    /// Metres per unit by it over those by the others.
-    pub ratio: f64,
-    /// The difference in standard deviations.
-    pub deviations: f64,
-}
-
-/// On what metres rest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Verdict {
-    /// Mostly on what somebody measured.
-    Surveyed,
-    /// Mostly on a receiver.
-    Telemetry,
-    /// On what vehicles are like.
-    PriorOnly,
-    /// On nothing: there are none.
-    Unknown,
-}
-
 /// Metres per unit from all sources.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Fused {
@@ -77,11 +41,11 @@ pub struct Fused {
     /// Standard deviation, metres per unit.
     pub std: f64,
     /// On what they rest.
-    pub verdict: Verdict,
+    pub verdict: MetricVerdict,
     /// What each source contributed, in the order in which they were given.
-    pub shares: Vec<Share>,
+    pub shares: Vec<MetricShare>,
     /// The sources that contradict the others, the worst first.
-    pub contradictions: Vec<Contradiction>,
+    pub contradictions: Vec<MetricContradiction>,
 }
 
 /// Sources further apart than this contradict each other.
@@ -96,7 +60,7 @@ pub fn fuse(sources: &[Source]) -> Option<Fused> {
     let freedom = sources.len().saturating_sub(1).max(1) as f64;
     let std = std * (chi2 / freedom).sqrt().max(1.0);
     let total: f64 = sources.iter().map(|source| source.std.powi(-2)).sum();
-    let shares = sources.iter().map(|source| Share {
+    let shares = sources.iter().map(|source| MetricShare {
         source: source.name.clone(),
         scale: source.log_scale.exp(),
         std: source.log_scale.exp() * source.std,
@@ -121,31 +85,31 @@ fn mean(sources: &[&Source]) -> Option<(f64, f64)> {
 }
 
 /// The kind with the most weight; of equal ones the surer.
-fn verdict(sources: &[&Source], total: f64) -> Verdict {
+fn verdict(sources: &[&Source], total: f64) -> MetricVerdict {
     let weight = |kind: Kind| -> f64 {
         sources.iter().filter(|source| source.kind == kind).map(|source| source.std.powi(-2) / total).sum()
     };
     let [surveyed, telemetry, prior] = [Kind::Surveyed, Kind::Telemetry, Kind::Prior].map(weight);
     if surveyed >= telemetry && surveyed >= prior {
-        Verdict::Surveyed
+        MetricVerdict::Surveyed
     } else if telemetry >= prior {
-        Verdict::Telemetry
+        MetricVerdict::Telemetry
     } else {
-        Verdict::PriorOnly
+        MetricVerdict::PriorOnly
     }
 }
 
 /// Each source against the mean of the others.
-fn contradictions(sources: &[&Source]) -> Vec<Contradiction> {
+fn contradictions(sources: &[&Source]) -> Vec<MetricContradiction> {
     let of = |i: usize| {
         let others: Vec<&Source> = (0..sources.len()).filter(|&j| j != i).map(|j| sources[j]).collect();
         let (log_scale, std) = mean(&others)?;
         let apart = sources[i].log_scale - log_scale;
         let deviations = apart.abs() / std.hypot(sources[i].std);
         let contradicts = deviations > MAX_DEVIATIONS;
-        contradicts.then(|| Contradiction { source: sources[i].name.clone(), ratio: apart.exp(), deviations })
+        contradicts.then(|| MetricContradiction { source: sources[i].name.clone(), ratio: apart.exp(), deviations })
     };
-    let mut found: Vec<Contradiction> = (0..sources.len()).filter_map(of).collect();
+    let mut found: Vec<MetricContradiction> = (0..sources.len()).filter_map(of).collect();
     found.sort_by(|a, b| b.deviations.total_cmp(&a.deviations));
     found
 }
@@ -165,7 +129,7 @@ mod tests {
         assert!((fused.shares[0].share - 0.8).abs() < 1e-12 && (fused.shares[1].share - 0.2).abs() < 1e-12);
         assert!((fused.scale.ln() - (0.8 * 2f64.ln() + 0.2 * 2.04f64.ln())).abs() < 1e-12);
         assert!((fused.std / fused.scale - 0.01 * 0.8f64.sqrt()).abs() < 1e-12);
-        assert_eq!((fused.verdict, fused.contradictions.len()), (Verdict::Surveyed, 0));
+        assert_eq!((fused.verdict, fused.contradictions.len()), (MetricVerdict::Surveyed, 0));
     }
 
     #[test]
@@ -174,9 +138,9 @@ mod tests {
         let cars = source("cars", Kind::Prior, 1.0, 0.06);
         let fixes = source("telemetry", Kind::Telemetry, 1.0, 0.02);
         assert_eq!(verdict(&[]), None);
-        assert_eq!(verdict(std::slice::from_ref(&cars)), Some(Verdict::PriorOnly));
-        assert_eq!(verdict(&[cars.clone(), fixes.clone()]), Some(Verdict::Telemetry));
-        assert_eq!(verdict(&[cars, fixes, source("tape", Kind::Surveyed, 1.0, 0.01)]), Some(Verdict::Surveyed));
+        assert_eq!(verdict(std::slice::from_ref(&cars)), Some(MetricVerdict::PriorOnly));
+        assert_eq!(verdict(&[cars.clone(), fixes.clone()]), Some(MetricVerdict::Telemetry));
+        assert_eq!(verdict(&[cars, fixes, source("tape", Kind::Surveyed, 1.0, 0.01)]), Some(MetricVerdict::Surveyed));
         assert_eq!(verdict(&[source("broken", Kind::Surveyed, f64::NAN, 0.01)]), None);
     }
 

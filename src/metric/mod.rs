@@ -21,6 +21,6 @@ pub use align::{Alignment, Gravity, Offset, Orientation, Refusal, Support, align
 pub use attitude::{metric_from_cam, orientation};
 pub use camera_path::CameraPath;
 pub use fix::PositionFix;
-pub use fusion::{Contradiction, Fused, Kind, Share, Source, Verdict, fuse};
+pub use fusion::{Fused, Kind, Source, fuse};
 pub use measured::{Measured, MeasuredError};
 pub use vehicles::{Dimension, Extent, VehicleClass, vehicle_sizes};

@@ -76,7 +76,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     }
     outcome.figure("num_trajectories", found.len());
     let objects = judged(found, &background, run.info().time_base(), &mut outcome);
-    let (path, all) = (run.workspace.trajectories(), Trajectories { unit: Unit::Background, objects });
+    let (path, all) = (run.workspace.trajectories(), Trajectories { unit: Unit::Background, metric: None, objects });
     run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
     run.workspace.write_state(FAILURES, &failures)?;
     outcome.outputs.extend([path, run.workspace.state(FAILURES)]);

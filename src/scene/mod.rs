@@ -8,6 +8,7 @@ mod frame;
 mod ground;
 mod mask;
 mod mesh;
+mod metric;
 mod reconstruction;
 mod tracked;
 mod trajectory;
@@ -19,6 +20,10 @@ pub use frame::{Frame, FrameId, ObjectId, TimeBase};
 pub use ground::{Ground, GroundPlane, GroundSource, PlaneBasis};
 pub use mask::{BoundingBox, Detection, LabelMap, Mask};
 pub use mesh::TriangleMesh;
+pub use metric::{
+    Dimensions, Estimate, MapOrigin, MapPlace, Metric, MetricAxes, MetricContradiction, MetricFrame, MetricPose,
+    MetricShare, MetricStd, MetricVerdict, Motion,
+};
 pub use reconstruction::{
     CameraForm, CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement,
 };

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{FrameId, ObjectId, PlaneBasis, Verdict};
+use super::{Dimensions, FrameId, Metric, MetricPose, ObjectId, PlaneBasis, Verdict};
 use crate::math::Sim3;
 
 /// How a scale ratio was found; the names are those of the contract.
@@ -168,6 +168,8 @@ pub struct ObjectPose {
     pub world_from_object: Sim3,
     /// Metres per second, where the unit is metric.
     pub speed: Option<f64>,
+    /// The same and what follows from it in metres; `None` where they are unknown.
+    pub metric: Option<MetricPose>,
 }
 
 /// One object's trajectory.
@@ -185,6 +187,8 @@ pub struct ObjectTrajectory {
     pub ground: BTreeMap<PlaneBasis, usize>,
     /// How far it can be trusted; `None` where nobody judged it.
     pub verdict: Option<Verdict>,
+    /// How large it is in metres; `None` where they are unknown.
+    pub dimensions: Option<Dimensions>,
     /// Ascending in time; frames without both cameras are absent.
     pub poses: Vec<ObjectPose>,
 }
@@ -212,8 +216,10 @@ impl ObjectPose {
 /// All trajectories of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectories {
-    /// The unit of every length.
+    /// The unit of every length but those that are named after theirs.
     pub unit: Unit,
+    /// How metres follow; `None` in files that do not say.
+    pub metric: Option<Metric>,
     /// Ascending by id.
     pub objects: Vec<ObjectTrajectory>,
 }

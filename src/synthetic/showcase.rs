@@ -255,6 +255,7 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
             position: position.coords.into(),
             world_from_object,
             speed: None,
+            metric: None,
         });
         result.ground.planes.insert((id, *f), local_plane(&result.background_from_metric, id, s, rng));
     }
@@ -269,7 +270,8 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
     let class = if id == CAR { "car" } else { "van" }.to_owned();
     let confidence = if id == CAR { 0.93 } else { 0.78 };
     let verdict = Some(if degenerate { undetermined() } else { sound() });
-    let trajectory = ObjectTrajectory { id, class, confidence, scale, ground: BTreeMap::new(), verdict, poses };
+    let trajectory =
+        ObjectTrajectory { id, class, confidence, scale, ground: BTreeMap::new(), verdict, dimensions: None, poses };
     Vehicle { model, trajectory, visible, size_m }
 }
 

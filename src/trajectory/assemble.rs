@@ -39,7 +39,8 @@ pub fn assemble(
     poses.sort_by_key(|pose: &ObjectPose| -> FrameId { pose.frame });
     let ObjectDescription { id, class, confidence } = description;
     let ground = BTreeMap::new();
-    let mut trajectory = ObjectTrajectory { id, class, confidence, scale, ground, verdict: None, poses };
+    let mut trajectory =
+        ObjectTrajectory { id, class, confidence, scale, ground, verdict: None, dimensions: None, poses };
     if unit == Unit::Metre {
         set_speeds(&mut trajectory);
     }
@@ -70,6 +71,7 @@ pub(super) fn poses(
             position: (world_from_object * center).coords.into(),
             world_from_object,
             speed: None,
+            metric: None,
         })
     };
     frames.iter().filter_map(pose).collect()

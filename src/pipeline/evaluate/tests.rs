@@ -74,6 +74,7 @@ fn output_with(models: &Models, sequence: &Sequence, ratio: f64) -> tempfile::Te
         position: world_from_object.translation.into(),
         world_from_object: *world_from_object,
         speed: None,
+        metric: None,
     };
     let scale = ScaleEstimate {
         alternatives: [(ScaleMethod::ConstantDistance, ratio)].into(),
@@ -87,9 +88,10 @@ fn output_with(models: &Models, sequence: &Sequence, ratio: f64) -> tempfile::Te
         scale,
         ground: BTreeMap::new(),
         verdict: None,
+        dimensions: None,
         poses,
     };
-    let all = Trajectories { unit: Unit::Background, objects: vec![object] };
+    let all = Trajectories { unit: Unit::Background, metric: None, objects: vec![object] };
     trajectories::write(&out.join("trajectories.json"), &all).unwrap();
     for frame in &sequence.frames {
         let mask = sequence.target_mask(frame).unwrap();

@@ -1,0 +1,233 @@
+//! Metres of a result, in the shape of their keys in `trajectories.json`: the similarity from the background's frame,
+//! on what it rests, and what follows from it for every object and frame.
+//!
+//! Everything here stands beside what is given in units of the background and replaces none of it. Deviations are
+//! standard deviations, and whole ones: that of the scale is in each of them, common to all lengths of a result.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::math::Sim3;
+
+/// On what metres rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MetricVerdict {
+    /// Mostly on what somebody measured.
+    Surveyed,
+    /// Mostly on a receiver.
+    Telemetry,
+    /// On what vehicles are like.
+    PriorOnly,
+    /// On nothing: there are none.
+    Unknown,
+}
+
+impl MetricVerdict {
+    /// The name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Surveyed => "surveyed",
+            Self::Telemetry => "telemetry",
+            Self::PriorOnly => "prior-only",
+            Self::Unknown => "unknown",
+        }
+    }
+}
+
+/// What a source contributed to the metres per unit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MetricShare {
+    /// The source, for people.
+    pub source: String,
+    /// Metres per unit by it alone.
+    pub scale: f64,
+    /// Their standard deviation, metres per unit.
+    pub std: f64,
+    /// Its part of the weight, from 0 to 1.
+    pub share: f64,
+}
+
+/// A source that does not agree with the others.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MetricContradiction {
+    /// The source.
+    pub source: String,
+    /// Metres per unit by it over those by the others.
+    pub ratio: f64,
+    /// The difference in standard deviations.
+    pub deviations: f64,
+}
+
+/// What the axes of the metric frame are. The third points up in both.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MetricAxes {
+    /// East, north, up.
+    EastNorthUp,
+    /// The third axis points up; the others have no meaning on a map.
+    Up,
+}
+
+/// Where the origin of the metric frame lies on the ellipsoid of WGS 84.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MapOrigin {
+    /// East of Greenwich, degrees.
+    pub longitude: f64,
+    /// North of the equator, degrees.
+    pub latitude: f64,
+    /// Height, metres; see `knows_height`.
+    pub height_m: f64,
+    /// Whether heights are absolute ones of the receiver; else they count from take-off or from an unknown level.
+    pub knows_height: bool,
+}
+
+/// The transform into metres: a point X of the background is at `scale * R * X + translation`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MetricFrame {
+    /// Metres per unit of the background.
+    pub scale: f64,
+    /// Unit quaternion w, x, y, z of R.
+    pub rotation_wxyz: [f64; 4],
+    /// Metres.
+    pub translation: [f64; 3],
+    /// What the axes are.
+    pub axes: MetricAxes,
+    /// Where they lie on the map; `None` where nothing says so.
+    pub origin: Option<MapOrigin>,
+    /// How sure all this is.
+    pub std: MetricStd,
+    /// The point of the background, in its units, at which `covariance` is taken.
+    pub anchor: [f64; 3],
+    /// Rows of the covariance of log scale, rotation vector (axes of the metric frame, radians) and the anchor's place
+    /// (metres). What has no meaning (north and place without a map) has variance 0.
+    pub covariance: [[f64; 7]; 7],
+}
+
+/// Standard deviations of a [`MetricFrame`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MetricStd {
+    /// Of the scale, metres per unit.
+    pub scale: f64,
+    /// Of the vertical, degrees.
+    pub tilt_deg: f64,
+    /// Of north, degrees; `None` where north is not known.
+    pub heading_deg: Option<f64>,
+    /// Of the anchor's place, metres along the axes; `None` where the place on the map is not known.
+    pub place_m: Option<[f64; 3]>,
+}
+
+impl MetricFrame {
+    /// Metres of the metric frame from units of the background's frame.
+    pub fn metric_from_world(&self) -> Sim3 {
+        let [w, x, y, z] = self.rotation_wxyz;
+        let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
+        Sim3::new(self.scale, rotation, Vector3::from(self.translation))
+    }
+
+    /// Standard deviation of the scale as a share of it.
+    pub fn log_scale_std(&self) -> f64 {
+        self.std.scale / self.scale
+    }
+}
+
+/// Metres of a result.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Metric {
+    /// On what they rest.
+    pub verdict: MetricVerdict,
+    /// Why they are unknown, or what there is to say of them; for people.
+    pub reason: Option<String>,
+    /// The transform; `None` where metres are unknown.
+    #[serde(flatten)]
+    pub frame: Option<MetricFrame>,
+    /// What each source contributed.
+    pub shares: Vec<MetricShare>,
+    /// The sources that contradict the others, the worst first.
+    pub contradictions: Vec<MetricContradiction>,
+    /// Clock of the telemetry = time of the video + this, seconds; `None` without telemetry.
+    pub time_offset_s: Option<f64>,
+    /// Its standard deviation, seconds.
+    pub time_offset_std_s: Option<f64>,
+}
+
+/// A value and its standard deviation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// The value.
+    pub value: f64,
+    /// Its standard deviation.
+    pub std: f64,
+}
+
+/// How large an object is, metres; `None` for what it was never seen from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Dimensions {
+    /// Between its ends, along the direction in which it points.
+    pub length_m: Option<Estimate>,
+    /// Between its sides.
+    pub width_m: Option<Estimate>,
+    /// Above the ground.
+    pub height_m: Option<Estimate>,
+}
+
+/// An object's pose in one frame, in metres.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MetricPose {
+    /// `position` in the metric frame, as it was reconstructed.
+    pub position_m: [f64; 3],
+    /// Its standard deviations along the axes, relative to the other objects and the camera of this result: without
+    /// that of the place on the map.
+    pub position_std_m: [f64; 3],
+    /// From the camera's centre.
+    pub distance_to_camera_m: f64,
+    /// Its standard deviation.
+    pub distance_to_camera_std_m: f64,
+    /// What the smoother makes of all frames together; `None` where there are too few.
+    #[serde(flatten)]
+    pub motion: Option<Motion>,
+    /// Where it is on the map; `None` where the map is not known.
+    #[serde(flatten)]
+    pub place: Option<MapPlace>,
+}
+
+/// An object's motion in one frame, from all frames.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Motion {
+    /// Position in the metric frame, smoothed.
+    pub smoothed_position_m: [f64; 3],
+    /// Its standard deviations along the axes, as those of the raw one.
+    pub smoothed_position_std_m: [f64; 3],
+    /// Speed over the ground; negative when backing up.
+    pub speed_m_s: f64,
+    /// Its standard deviation.
+    pub speed_std_m_s: f64,
+    /// Between the neighbouring raw positions, to be seen beside `speed_m_s`.
+    pub raw_speed_m_s: f64,
+    /// Change of the speed, metres per second².
+    pub acceleration_m_s2: f64,
+    /// Its standard deviation.
+    pub acceleration_std_m_s2: f64,
+    /// Direction in which it points, degrees clockwise from north, 0 to 360; from the metric frame's second axis where
+    /// north is not known. `None` where nothing shows it.
+    pub heading_deg: Option<f64>,
+    /// Its standard deviation; without that of north.
+    pub heading_std_deg: Option<f64>,
+    /// Change of the heading, degrees per second, clockwise; `None` with it.
+    pub yaw_rate_deg_s: Option<f64>,
+    /// Its standard deviation.
+    pub yaw_rate_std_deg_s: Option<f64>,
+}
+
+/// A place on the map.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MapPlace {
+    /// East of Greenwich, degrees (WGS 84).
+    pub longitude: f64,
+    /// North of the equator, degrees.
+    pub latitude: f64,
+    /// Height, metres; of which kind, `metric.origin.knows_height` says.
+    pub height_m: f64,
+    /// Standard deviation of the place on the map, east, north and up, metres.
+    pub place_std_m: [f64; 3],
+}
