@@ -17,9 +17,9 @@ use super::track;
 use super::{PipelineError, follow, order};
 use crate::camera::Camera;
 use crate::io::colmap;
-use crate::scene::{ImageId, ObjectId, Reconstruction, TrackedObject};
+use crate::scene::{BoundingBox, Frame, ImageId, Mask, ObjectId, Reconstruction, TrackedObject};
 use crate::sfm;
-use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes};
+use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes, Silhouettes};
 
 const REPORTS: &str = "objects-report.json";
 /// Why there is no model where it is not the object's fault.
@@ -27,6 +27,10 @@ const NO_BACKGROUND: &str = "there is no background to place it in";
 /// Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
 const BORDER_PX: f64 = 1.0;
 const BORDER: f64 = 0.01;
+/// Frames by whose masks maps of an object are told apart, and the memory that they may take.
+const MOST_SILHOUETTES: usize = 32;
+const LEAST_SILHOUETTES: usize = 8;
+const SILHOUETTES_BYTES: usize = 64 << 20;
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     let given: Result<BTreeMap<_, _>, PipelineError> =
@@ -55,7 +59,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     for object in wanted {
         let (before, of_this) = (num_done, object.frames.len());
         let mut watch = |share: f64| run.progress.reach(before + (share * of_this as f64) as u64);
-        markers.insert(object.id, one_object(run, object, camera, fingerprint, &mut watch)?);
+        markers.insert(object.id, one_object(run, object, &tracked, camera, fingerprint, &mut watch)?);
         num_done += of_this as u64;
         run.progress.reach(num_done);
     }
@@ -145,6 +149,7 @@ fn marker_name(id: ObjectId) -> String {
 fn one_object(
     run: &Run,
     object: &TrackedObject,
+    tracked: &[TrackedObject],
     camera: Option<Camera>,
     fingerprint: &str,
     watch: &mut (dyn FnMut(f64) + Send),
@@ -163,7 +168,9 @@ fn one_object(
         (None, Some(camera)) => {
             let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
-            models::reconstruct(run, table, &[(camera, sfm::Intrinsics::Fixed)], &options, watch)?
+            let silhouettes = table.has_gaps().then(|| silhouettes(run, object, tracked)).transpose()?;
+            let cameras = [(camera, sfm::Intrinsics::Fixed)];
+            models::reconstruct(run, table, &cameras, &options, silhouettes.as_ref(), watch)?
         }
         (None, None) => failed(NO_BACKGROUND.to_owned()),
     };
@@ -181,6 +188,31 @@ fn one_object(
     let marker = ObjectMarker { fingerprint: fingerprint.to_owned(), is_checked, report };
     marker.write(run, id)?;
     Ok(marker)
+}
+
+/// A mask, grown by what its border may be off.
+fn grown(mask: &Mask, bounds: BoundingBox) -> Mask {
+    let longer_px = f64::from(bounds.width().max(bounds.height()));
+    mask.dilated((BORDER_PX + BORDER * longer_px).round() as u32)
+}
+
+/// An object's silhouettes in some of its frames, evenly spread: as many as fit [`SILHOUETTES_BYTES`].
+fn silhouettes(run: &Run, object: &TrackedObject, tracked: &[TrackedObject]) -> Result<Silhouettes, PipelineError> {
+    let mut found = Silhouettes::default();
+    let is_seen = |frame: &&Frame| object.frames.binary_search(&frame.id).is_ok();
+    let frames: Vec<&Frame> = run.frames()?.iter().filter(is_seen).collect();
+    let bytes_of_frame = 2 * run.info().width as usize * run.info().height as usize;
+    let most = (SILHOUETTES_BYTES / bytes_of_frame.max(1)).clamp(LEAST_SILHOUETTES, MOST_SILHOUETTES);
+    for frame in frames.iter().step_by(frames.len().div_ceil(most).max(1)) {
+        let masks = track::masks_of(run, tracked, frame)?;
+        let (own, others): (Vec<_>, Vec<_>) = masks.iter().partition(|(id, _)| *id == object.id);
+        let own = own.first().and_then(|(_, mask)| Some((mask, mask.bounding_box()?)));
+        let Some((mask, bounds)) = own else { continue };
+        let mut hidden = Mask::empty(mask.width(), mask.height());
+        others.iter().for_each(|(_, other)| hidden.union_with(other));
+        found.add(ImageId::from(frame.id), grown(mask, bounds), hidden);
+    }
+    Ok(found)
 }
 
 /// A reconstruction that is being compared with the masks.
@@ -235,8 +267,7 @@ fn vote(
         for (id, mask) in &masks {
             let Some(Unchecked { model, votes }) = unchecked.get_mut(id) else { continue };
             let Some(bounds) = mask.bounding_box().filter(|_| model.images.contains_key(&image)) else { continue };
-            let longer_px = f64::from(bounds.width().max(bounds.height()));
-            let silhouette = mask.dilated((BORDER_PX + BORDER * longer_px).round() as u32);
+            let silhouette = grown(mask, bounds);
             let is_hidden = |x, y| masks.iter().any(|(other, mask)| other != id && mask.contains(x, y));
             votes.add(model, image, &silhouette, is_hidden);
         }

@@ -52,6 +52,11 @@ impl TrackTable {
         self.tracks.iter().map(Vec::len).sum()
     }
 
+    /// Whether any track was lost and found again in a later view.
+    pub fn has_gaps(&self) -> bool {
+        self.tracks.iter().any(|track| track.windows(2).any(|pair| pair[1].view > pair[0].view + 1))
+    }
+
     /// How exactly a feature is located.
     pub fn whitening(&self, feature: Feature) -> Whitening {
         let known = self.views[feature.view as usize].whitening.get(feature.feature as usize);

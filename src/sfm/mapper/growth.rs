@@ -14,6 +14,7 @@ use super::map::{Map, Slot};
 use super::motion::{self, Remark};
 use super::{Noise, Options, Reason, Report, lens};
 use crate::math::{Rigid3, seeded_rng};
+use crate::scene::Reconstruction;
 use crate::sfm::SfmError;
 use crate::sfm::resection::{self, Resection};
 use crate::sfm::triangulation::Limits;
@@ -118,6 +119,11 @@ impl<'a> Growth<'a> {
     /// How many views it has.
     pub fn num_registered(&self) -> usize {
         self.map.num_registered()
+    }
+
+    /// The map as it stands.
+    pub fn reconstruction(&self) -> Reconstruction {
+        self.map.clone().into_reconstruction()
     }
 
     /// The map and what became of every view.

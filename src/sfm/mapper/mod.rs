@@ -20,6 +20,7 @@ mod long_tracks;
 mod map;
 mod motion;
 mod report;
+mod starts;
 #[cfg(test)]
 mod tests;
 mod view_graph;
@@ -33,16 +34,15 @@ pub use motion::Remark;
 pub use report::{Outcome, Reason, Report};
 
 use super::SfmError;
+use super::silhouette::Silhouettes;
 use super::tracks::TrackTable;
 use super::triangulation::Limits;
 use crate::camera::Camera;
 use crate::limits::{Checked, ordered, within};
 use crate::math::RobustLoss;
 use crate::scene::Reconstruction;
-use growth::{Growth, SubMap};
-use initial_pair::InitialPair;
-use map::Map;
-use motion::Survey;
+use growth::SubMap;
+use starts::Task;
 
 /// How a map is built.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -259,10 +259,11 @@ pub fn reconstruct(
     options: &Options,
     seed: u64,
 ) -> Result<(Reconstruction, Report), SfmError> {
-    reconstruct_watched(table, cameras, intrinsics, options, seed, &mut |_| {})
+    reconstruct_watched(table, cameras, intrinsics, options, seed, None, &mut |_| {})
 }
 
-/// As [`reconstruct`]; `watch` is told now and then which share of the work is done, as far as that can be told: starts
+/// As [`reconstruct`]; of maps that explain less than good tracks let a map explain, the one whose points lie within
+/// the `silhouettes` is taken. `watch` is told now and then which share of the work is done, as far as that can be told: starts
 /// that turn out to be needed set it back.
 ///
 /// # Errors
@@ -273,100 +274,28 @@ pub fn reconstruct_watched(
     intrinsics: impl Into<KnownIntrinsics>,
     options: &Options,
     seed: u64,
+    silhouettes: Option<&Silhouettes>,
     watch: &mut dyn FnMut(f64),
 ) -> Result<(Reconstruction, Report), SfmError> {
     options.check()?;
     let (options, known) = (&options.at_focal(cameras), intrinsics.into());
-    let starts = from_starts(table, cameras, &known, options, seed, watch)?;
+    let task = Task { table, cameras, known: &known, options, silhouettes };
+    let starts = task.grow_from_starts(seed, watch)?;
     let Some(mut growth) = starts.best else {
         let report = Report::without_start(table, starts.pairs.len(), starts.tried, &starts.survey);
         return Ok((Reconstruction::default(), report));
     };
-    if options.ordered
-        && growth.is_poor()
-        && let Some(other) = without_what_was_found_again(table, cameras, &known, options, seed)?
-        && other.num_explained() > growth.num_explained()
-    {
-        growth = other;
+    if options.ordered && options.min_starts > 1 {
+        growth = task.best_of_rounds(growth, seed)?;
     }
     growth.join_left_over(&|rest, cameras, known| {
-        let starts = from_starts(rest, cameras, known, options, seed, &mut |_| {})?;
-        Ok(starts.best.as_ref().map(SubMap::of))
+        // Of views that are left over, no other map says what the silhouettes have to tell apart.
+        let task = Task { table: rest, cameras, known, options, silhouettes: None };
+        Ok(task.grow_from_starts(seed, &mut |_| {})?.best.as_ref().map(SubMap::of))
     })?;
     let (map, mut report) = growth.into_result();
     let reconstruction = map.into_reconstruction();
     report.num_starts = starts.tried;
     report.mean_error_px = reconstruction.mean_reprojection_error_px();
     Ok((reconstruction, report))
-}
-
-/// The map of tracks that are cut at their gaps, and then of all of them; `None` where there are no gaps or no start.
-fn without_what_was_found_again<'a>(
-    table: &'a TrackTable,
-    cameras: &[Camera],
-    known: &KnownIntrinsics,
-    options: &'a Options,
-    seed: u64,
-) -> Result<Option<Growth<'a>>, SfmError> {
-    let Some(cut) = growth::without_joints(table) else { return Ok(None) };
-    let starts = from_starts(&cut, cameras, known, options, seed, &mut |_| {})?;
-    let Some(found) = starts.best else { return Ok(None) };
-    let mut whole = Growth::new(Map::new(table, cameras).knowing(known.clone()), options, seed);
-    whole.adopt(&SubMap::of(&found))?;
-    Ok(Some(whole))
-}
-
-/// What came of the pairs that could start a map.
-struct Starts<'a> {
-    /// The map that explains the tracks best.
-    best: Option<Growth<'a>>,
-    pairs: Vec<InitialPair>,
-    tried: usize,
-    survey: Survey,
-}
-
-/// Grows a map from one pair after the other, until one is good.
-fn from_starts<'a>(
-    table: &'a TrackTable,
-    cameras: &[Camera],
-    known: &KnownIntrinsics,
-    options: &'a Options,
-    seed: u64,
-    watch: &mut dyn FnMut(f64),
-) -> Result<Starts<'a>, SfmError> {
-    // Of a start, growing takes about so much, the last adjustments the rest.
-    const GROWTH_SHARE: f64 = 0.7;
-    let (pairs, survey) = initial_pair::ranked(table, cameras, known, options, seed);
-    let usable = table.views.iter().filter(|v| !v.pixels.is_empty()).count();
-    let mut best: Option<(f64, Growth<'a>)> = None;
-    let mut num_starts = 0;
-    for pair in initial_pair::far_from_one_another(pairs.clone(), table.views.len()).iter().take(options.max_starts) {
-        let all_starts = options.min_starts.max(num_starts + 1) as f64;
-        let before = num_starts as f64;
-        num_starts += 1;
-        let mut growth = Growth::new(Map::new(table, cameras).knowing(known.clone()), options, seed);
-        if growth.start(pair)? {
-            let mut grown = |num_registered: usize| {
-                let share = num_registered as f64 / usable.max(1) as f64;
-                watch((before + GROWTH_SHARE * share) / all_starts);
-            };
-            growth.grow(&mut grown)?;
-            growth.finish()?;
-            let explained = growth.num_explained();
-            tracing::debug!(
-                "start {num_starts}: {} views, {explained:.0} observations explained",
-                growth.num_registered()
-            );
-            if best.as_ref().is_none_or(|(b, _)| explained > *b) {
-                best = Some((explained, growth));
-            }
-        }
-        watch((before + 1.0) / all_starts);
-        const GOOD_SHARE: f64 = 0.95;
-        let is_good = |growth: &Growth| growth.num_registered() as f64 >= GOOD_SHARE * usable as f64;
-        if num_starts >= options.min_starts && best.as_ref().is_some_and(|(_, growth)| is_good(growth)) {
-            break;
-        }
-    }
-    Ok(Starts { best: best.map(|(_, growth)| growth), pairs, tried: num_starts, survey })
 }

@@ -162,7 +162,7 @@ impl Growth<'_> {
         let tracks: Vec<usize> = found.inliers.iter().map(|&i| ties[i].track).collect();
         let mut joined = self.clone();
         joined.take_over(sub, &found.first_from_other, &tracks)?;
-        if !joined.holds(sub, self.map.noise()) {
+        if !joined.holds(sub, self.map.noise()) || joined.num_explained() <= self.num_explained() {
             return Ok(Err(agreement));
         }
         *self = joined;
@@ -258,7 +258,11 @@ impl Growth<'_> {
         };
         let num_common = (0..self.map.table.tracks.len()).filter(is_of_both).count();
         let noise = sigma(self.map.noise());
-        tracing::debug!("joined: {kept} of {} views kept, {num_common} points of both, {noise:.3} px", sub.num_views());
+        tracing::debug!(
+            "joined: {kept} of {} views kept, {num_common} points of both, {noise:.3} px, {:.0} observations explained",
+            sub.num_views(),
+            self.num_explained()
+        );
         kept as f64 >= MIN_KEPT * sub.num_views() as f64
             && num_common >= self.options.min_resection_inliers
             && noise <= MAX_NOISE * sigma(noise_before).max(sigma(sub.noise))

@@ -1,0 +1,134 @@
+//! Which pair a map starts from, and which of several maps is taken.
+
+use super::growth::{self, Growth, SubMap};
+use super::initial_pair::{self, InitialPair};
+use super::map::Map;
+use super::motion::Survey;
+use super::{KnownIntrinsics, Options};
+use crate::camera::Camera;
+use crate::sfm::SfmError;
+use crate::sfm::silhouette::Silhouettes;
+use crate::sfm::tracks::TrackTable;
+
+/// What a map is made of.
+#[derive(Clone, Copy)]
+pub struct Task<'a> {
+    pub table: &'a TrackTable,
+    /// Indexed by [`crate::sfm::tracks::View::camera`].
+    pub cameras: &'a [Camera],
+    pub known: &'a KnownIntrinsics,
+    pub options: &'a Options,
+    /// Of the object, where it is one and maps of it may have to be told apart.
+    pub silhouettes: Option<&'a Silhouettes>,
+}
+
+/// What came of the pairs that could start a map.
+pub struct Starts<'a> {
+    /// The map that explains the tracks best.
+    pub best: Option<Growth<'a>>,
+    pub pairs: Vec<InitialPair>,
+    pub tried: usize,
+    pub survey: Survey,
+}
+
+/// Rounds of starts that are made at most.
+const MAX_ROUNDS: u64 = 4;
+
+/// Between the seeds of two rounds: far from those that people give.
+const ROUND_STRIDE: u64 = 0x9E37_79B9_7F4A_7C15;
+
+impl<'a> Task<'a> {
+    /// Grows a map from one pair after the other, until one is good.
+    pub fn grow_from_starts(&self, seed: u64, watch: &mut dyn FnMut(f64)) -> Result<Starts<'a>, SfmError> {
+        // Of a start, growing takes about so much, the last adjustments the rest.
+        const GROWTH_SHARE: f64 = 0.7;
+        let Self { table, cameras, known, options, .. } = *self;
+        let (pairs, survey) = initial_pair::ranked(table, cameras, known, options, seed);
+        let usable = table.views.iter().filter(|v| !v.pixels.is_empty()).count();
+        let mut best: Option<(f64, Growth<'a>)> = None;
+        let mut num_starts = 0;
+        let apart = initial_pair::far_from_one_another(pairs.clone(), table.views.len());
+        for pair in apart.iter().take(options.max_starts) {
+            let all_starts = options.min_starts.max(num_starts + 1) as f64;
+            let before = num_starts as f64;
+            num_starts += 1;
+            let mut growth = Growth::new(Map::new(table, cameras).knowing(known.clone()), options, seed);
+            if growth.start(pair)? {
+                let mut grown = |num_registered: usize| {
+                    let share = num_registered as f64 / usable.max(1) as f64;
+                    watch((before + GROWTH_SHARE * share) / all_starts);
+                };
+                growth.grow(&mut grown)?;
+                growth.finish()?;
+                let worth = self.worth(&growth);
+                tracing::debug!("start {num_starts}: {} views, worth {worth:.0}", growth.num_registered());
+                if best.as_ref().is_none_or(|(b, _)| worth > *b) {
+                    best = Some((worth, growth));
+                }
+            }
+            watch((before + 1.0) / all_starts);
+            const GOOD_SHARE: f64 = 0.95;
+            let is_good = |growth: &Growth| growth.num_registered() as f64 >= GOOD_SHARE * usable as f64;
+            if num_starts >= options.min_starts && best.as_ref().is_some_and(|(_, growth)| is_good(growth)) {
+                break;
+            }
+        }
+        Ok(Starts { best: best.map(|(_, growth)| growth), pairs, tried: num_starts, survey })
+    }
+
+    /// The best of this map and of others, grown from other random choices and without trust in what was found again,
+    /// until one explains what good tracks let a map explain.
+    ///
+    /// Where few points tie two parts of a video, chance says which of several maps comes out, bent more or less; they
+    /// differ in what they explain and in what leaves the silhouettes.
+    pub fn best_of_rounds(&self, first: Growth<'a>, seed: u64) -> Result<Growth<'a>, SfmError> {
+        if !self.table.has_gaps() {
+            return Ok(first);
+        }
+        let cut = growth::without_joints(self.table);
+        let cut = Task { table: &cut, ..*self };
+        let mut best = (self.worth(&first), first);
+        for round in 0..MAX_ROUNDS {
+            if self.is_healthy(best.0) {
+                break;
+            }
+            let seed = seed.wrapping_add(round.wrapping_mul(ROUND_STRIDE));
+            let again = match round {
+                0 => None,
+                _ => self.grow_from_starts(seed, &mut |_| {})?.best,
+            };
+            let unjoined = self.joined_later(&cut, seed)?;
+            for other in again.into_iter().chain(unjoined) {
+                let worth = self.worth(&other);
+                if worth > best.0 {
+                    best = (worth, other);
+                }
+            }
+        }
+        Ok(best.1)
+    }
+
+    /// The map of tracks that are cut at their gaps, and then of all of them; `None` where nothing starts one.
+    fn joined_later(&self, cut: &Task<'_>, seed: u64) -> Result<Option<Growth<'a>>, SfmError> {
+        let Some(found) = cut.grow_from_starts(seed, &mut |_| {})?.best else { return Ok(None) };
+        let map = Map::new(self.table, self.cameras).knowing(self.known.clone());
+        let mut whole = Growth::new(map, self.options, seed);
+        whole.adopt(&SubMap::of(&found))?;
+        Ok(Some(whole))
+    }
+
+    /// How many observations a map explains, less those of points that its silhouettes contradict.
+    fn worth(&self, growth: &Growth) -> f64 {
+        let within = self.silhouettes.map_or(1.0, |silhouettes| silhouettes.share_within(&growth.reconstruction()));
+        growth.num_explained() * within
+    }
+
+    /// Whether a map is worth what it is with right tracks: maps of rendered vehicles explain 0.93 and more of the
+    /// observations, one that was bent by wheels of which the wrong ones were joined 0.2.
+    fn is_healthy(&self, worth: f64) -> bool {
+        const HEALTHY_SHARE: f64 = 0.93;
+        let share = worth / self.table.num_observations().max(1) as f64;
+        tracing::debug!("{share:.2} of the observations are explained");
+        share >= HEALTHY_SHARE
+    }
+}
