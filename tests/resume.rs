@@ -190,7 +190,7 @@ fn two_runs_do_not_share_a_folder() {
         std::thread::sleep(Duration::from_millis(2));
     }
     let (code, _, stderr) = outcome(tractrix().args(place.arguments("out")));
-    assert_eq!(code, 1);
+    assert_eq!(code, 75);
     assert!(stderr.contains("another tractrix is at work"), "{stderr}");
     first.kill().unwrap();
     first.wait().unwrap();

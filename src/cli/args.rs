@@ -6,9 +6,14 @@ use super::job::{self, JobArgs};
 use super::terminal::ProgressKind;
 use crate::pipeline::Stage;
 
+/// What the program's end tells whoever started it.
+const EXIT_CODES: &str = "Exit codes: 0 done, 1 failed on the input, 2 wrong use, 75 to be started again with the same \
+                          command (stopped by SIGTERM or SIGHUP, or another process has the output folder), 130 \
+                          stopped by Ctrl-C.";
+
 /// Three-dimensional trajectories of the vehicles in one video from a moving camera.
 #[derive(Debug, Parser)]
-#[command(name = "tractrix", version, max_term_width = 100)]
+#[command(name = "tractrix", version, max_term_width = 100, after_help = EXIT_CODES)]
 pub(super) struct Args {
     /// What to do
     #[command(subcommand)]

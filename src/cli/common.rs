@@ -1,11 +1,12 @@
 //! Flags that `run`, the commands that do a part of it, and `benchmark` have in common.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
 use super::output::Failure;
+use crate::limits::files;
+use crate::limits::memory::MemoryLimit;
 use crate::pipeline::Options;
 use crate::scene::ScaleMethod;
 
@@ -18,6 +19,9 @@ pub(super) struct CommonArgs {
     /// Threads [default: one per core]
     #[arg(long, value_name = "N", help_heading = "General")]
     pub(super) threads: Option<usize>,
+    /// What pictures and networks may take of memory, such as 2GiB [default: four fifths of what there is]
+    #[arg(long, value_name = "SIZE", help_heading = "General")]
+    pub(super) memory_limit: Option<MemoryLimit>,
     /// Seed of every random choice [default: 0]
     #[arg(long, value_name = "N", help_heading = "General")]
     pub(super) seed: Option<u64>,
@@ -42,6 +46,7 @@ impl CommonArgs {
             options = options.with_value(key, value).map_err(|error| Failure::Usage(error.to_string()))?;
         }
         options.threads = self.threads.or(options.threads);
+        options.memory_limit = self.memory_limit.or(options.memory_limit);
         options.seed = self.seed.unwrap_or(options.seed);
         options.scale.method = self.scale_method.unwrap_or(options.scale.method);
         Ok(options)
@@ -50,9 +55,9 @@ impl CommonArgs {
 
 fn read_options(path: &Path) -> Result<Options, Failure> {
     let shown = path.display().to_string();
-    let text = fs::read_to_string(path).with_context(|| format!("{shown}: cannot be read; check --options"))?;
+    let text = files::read_text(path).with_context(|| format!("{shown}: cannot be read; check --options"))?;
     let given: serde_json::Value =
-        serde_json::from_str(&text).with_context(|| format!("{shown}: not a tree of options; check --options"))?;
+        serde_json::from_slice(&text).with_context(|| format!("{shown}: not a tree of options; check --options"))?;
     // A run.json has more than options.
     let options = given.get("options").filter(|_| given.get("stages").is_some()).unwrap_or(&given);
     Ok(Options::default().with_tree(options).map_err(|error| anyhow::anyhow!("{shown}: {error}"))?)

@@ -10,6 +10,7 @@ use sha2::{Digest, Sha256};
 
 use super::output::{Failure, Form, show};
 use crate::ffi::{ffmpeg, onnx};
+use crate::limits::files;
 use crate::perception::{
     FlowOptions, GroundOptions, ModelDescription, PerceptionError, SegmentationOptions, default_descriptions,
     default_models, load_flow, load_ground_segmenter, load_segmenter,
@@ -173,7 +174,7 @@ fn own_network(path: &Path, description: &ModelDescription, cure: &str) -> Findi
 /// SHA-256 of a file in hexadecimal digits.
 fn hash(path: &Path) -> std::io::Result<String> {
     let mut hasher = Sha256::new();
-    std::io::copy(&mut fs::File::open(path)?, &mut hasher)?;
+    std::io::copy(&mut files::open(path)?, &mut hasher)?;
     Ok(format!("{:x}", hasher.finalize()))
 }
 

@@ -9,6 +9,7 @@ use anyhow::Context;
 use super::common::CommonArgs;
 use super::output::Failure;
 use crate::io::{IoError, Sequence};
+use crate::limits::files;
 use crate::pipeline::{
     DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskChoice, MotionChoice,
     Options, Stage,
@@ -213,7 +214,8 @@ pub(super) fn apply_sequence(sequence: &Sequence, options: &mut Options) -> Resu
 /// Says which file is missing before any work starts.
 fn check_paths(options: &Options) -> Result<(), Failure> {
     for (flag, path) in options.named_paths() {
-        fs::metadata(path).with_context(|| format!("{}: cannot be read; check {flag}", path.display()))?;
+        let found = fs::metadata(path).and_then(|found| if found.is_dir() { Ok(()) } else { files::check(path) });
+        found.with_context(|| format!("{}: cannot be read; check {flag}", path.display()))?;
     }
     Ok(())
 }

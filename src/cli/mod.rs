@@ -1,8 +1,9 @@
 //! The command line: raw flags, then options, then the pipeline; what comes back goes to the terminal.
 //!
 //! Results go to stdout, everything else to stderr. An error is printed once, with all its causes and what to do about
-//! it; with `--json` it stands on stdout as well, as `{"error": {"kind": "input" or "usage", "message": ...}}`. Exit
-//! codes: 0 done, 1 failed on the input, 2 wrong use, 130 stopped by Ctrl-C.
+//! it; with `--json` it stands on stdout as well, as `{"error": {"kind": "input", "message": ...}}`, whose kind is
+//! `input`, `usage`, `busy` or `stopped`. Exit codes: 0 done, 1 failed on the input, 2 wrong use, 75 stopped by the
+//! system or the output folder is in use, so that the same command is to be given again, 130 stopped by Ctrl-C.
 
 mod args;
 mod bal;
@@ -21,6 +22,7 @@ mod models;
 mod options;
 mod output;
 mod run;
+mod stop;
 mod summary;
 mod telemetry;
 mod terminal;
@@ -28,11 +30,9 @@ mod terminal;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-use clap::Parser;
-use serde_json::json;
-
 use args::{Args, Command};
-use output::{Failure, Form, print_json};
+use clap::Parser;
+use output::{Failure, Form};
 use terminal::{Talk, Verbosity};
 
 /// Runs the program on the arguments of the process.
@@ -43,18 +43,23 @@ pub fn main() -> ExitCode {
         Ok(args) => args,
         Err(error) => return not_parsed(&error, &arguments),
     };
-    let talk = Talk::start(args.progress, verbosity(&args));
-    match dispatch(&args, &arguments, &talk) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
+    let talk = Talk::start(args.progress, verbosity(&args), form(&args));
+    match (dispatch(&args, &arguments, &talk), talk.stopped_by()) {
+        (Ok(()), _) => ExitCode::SUCCESS,
+        (Err(failure), Some(signal)) if failure.is_stop() => {
+            talk.say_stopped();
+            ended(&Failure::Stopped(signal), &args)
+        }
+        (Err(failure), _) => {
             talk.error(&failure.to_string());
-            if args.json && !matches!(failure, Failure::Partial(_)) {
-                // What cannot be printed cannot be reported either.
-                let _ = print_json(&json!({ "error": failure.as_json() }));
-            }
-            ExitCode::from(failure.code())
+            ended(&failure, &args)
         }
     }
+}
+
+fn ended(failure: &Failure, args: &Args) -> ExitCode {
+    failure.show_as_json(form(args));
+    ExitCode::from(failure.code())
 }
 
 /// Help and version count as done, anything else as wrong use; clap says which.
@@ -63,7 +68,7 @@ fn not_parsed(error: &clap::Error, arguments: &[OsString]) -> ExitCode {
     let wants_json = arguments.iter().take_while(|argument| *argument != "--").any(|argument| argument == "--json");
     if wants_json && error.use_stderr() {
         let failure = Failure::Usage(error.render().to_string().trim().to_owned());
-        let _ = print_json(&json!({ "error": failure.as_json() }));
+        failure.show_as_json(Form::Json);
     }
     ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
 }

@@ -5,6 +5,7 @@ use std::io::{self, Write};
 
 use serde_json::{Value, json};
 
+use super::stop::{Signal, TRY_AGAIN};
 use crate::io::FolderError;
 use crate::pipeline::PipelineError;
 
@@ -15,6 +16,10 @@ pub(super) enum Failure {
     Input(anyhow::Error),
     /// The command line asks for what cannot be: exit code 2.
     Usage(String),
+    /// Another process has the output folder: exit code 75.
+    Busy(anyhow::Error),
+    /// A signal ended the program before it was done: exit code 130 or 75.
+    Stopped(Signal),
     /// There is a result, which was printed, and it is not what was asked for: exit code 1. As JSON it holds the error.
     Partial(anyhow::Error),
 }
@@ -24,7 +29,14 @@ impl Failure {
         match self {
             Self::Input(_) | Self::Partial(_) => 1,
             Self::Usage(_) => 2,
+            Self::Busy(_) => TRY_AGAIN,
+            Self::Stopped(signal) => signal.exit_code(),
         }
+    }
+
+    /// Whether the work ended because it was asked to.
+    pub(super) fn is_stop(&self) -> bool {
+        matches!(self, Self::Input(error) if matches!(error.downcast_ref(), Some(PipelineError::Stopped)))
     }
 
     /// What stands under "error" in the JSON that is printed.
@@ -32,8 +44,18 @@ impl Failure {
         let kind = match self {
             Self::Input(_) | Self::Partial(_) => "input",
             Self::Usage(_) => "usage",
+            Self::Busy(_) => "busy",
+            Self::Stopped(_) => "stopped",
         };
         json!({ "kind": kind, "message": self.to_string() })
+    }
+
+    /// Prints the failure to stdout where JSON was asked for, unless that holds it already.
+    pub(super) fn show_as_json(&self, form: Form) {
+        if form == Form::Json && !matches!(self, Self::Partial(_)) {
+            // What cannot be printed cannot be reported either.
+            let _ = print_json(&json!({ "error": self.as_json() }));
+        }
     }
 }
 
@@ -41,7 +63,8 @@ impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Usage(text) => text.fmt(f),
-            Self::Input(error) | Self::Partial(error) => {
+            Self::Stopped(_) => PipelineError::Stopped.fmt(f),
+            Self::Input(error) | Self::Partial(error) | Self::Busy(error) => {
                 let mut said = error.to_string();
                 said.fmt(f)?;
                 for cause in error.chain().skip(1).map(ToString::to_string) {
@@ -68,10 +91,15 @@ fn is_full_disk(cause: &(dyn std::error::Error + 'static)) -> bool {
 impl<E: Into<anyhow::Error>> From<E> for Failure {
     fn from(error: E) -> Self {
         let error = error.into();
-        let of_pipeline = error.downcast_ref().is_some_and(PipelineError::is_wrong_use);
-        match of_pipeline || error.downcast_ref().is_some_and(FolderError::is_wrong_use) {
-            true => Self::Usage(error.to_string()),
-            false => Self::Input(error),
+        let is = |of_pipeline: fn(&PipelineError) -> bool, of_folder: fn(&FolderError) -> bool| {
+            error.downcast_ref().is_some_and(of_pipeline) || error.downcast_ref().is_some_and(of_folder)
+        };
+        if is(PipelineError::is_wrong_use, FolderError::is_wrong_use) {
+            Self::Usage(error.to_string())
+        } else if is(PipelineError::is_busy, FolderError::is_busy) {
+            Self::Busy(error)
+        } else {
+            Self::Input(error)
         }
     }
 }

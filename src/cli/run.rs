@@ -26,7 +26,7 @@ pub(super) fn run(job: &JobArgs, goal: Stage, arguments: &[OsString], form: Form
         overwrite: if job.overwrite { Overwrite::AnyInput } else { Overwrite::SameInput },
         arguments: &arguments,
     };
-    talk.say_how_to_go_on();
+    talk.ends_in_order();
     let summary = pipeline::run(&task, talk)?;
     talk.finish();
     let folder = RunFolder::at(&job.output);

@@ -13,6 +13,8 @@ use tracing_subscriber::fmt::MakeWriter;
 
 use super::course::{Course, Event, Moment};
 use super::forecast::in_words;
+use super::output::{Failure, Form};
+use super::stop::{Signal, Stop};
 use crate::pipeline::{Plan, Progress};
 
 /// The environment variable that sets what is logged, in `tracing`'s filter language.
@@ -86,14 +88,17 @@ impl Shown {
 pub(super) struct Talk {
     voice: Voice,
     verbosity: Verbosity,
+    stop: Stop,
     course: Arc<Mutex<Course>>,
     /// Ends the thread that says how far a stage is when this is dropped.
     _ticker: Option<Sender<()>>,
 }
 
 impl Talk {
-    /// Starts logging, too.
-    pub(super) fn start(kind: ProgressKind, verbosity: Verbosity) -> Self {
+    /// Starts logging, and listening to signals, too.
+    ///
+    /// * `form` – how the end is told on stdout if a signal brings it.
+    pub(super) fn start(kind: ProgressKind, verbosity: Verbosity, form: Form) -> Self {
         let shown = Shown::new(kind, verbosity);
         let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());
         if shown == Shown::Bar {
@@ -103,7 +108,15 @@ impl Talk {
         start_logging(voice.clone(), verbosity);
         let course = Arc::new(Mutex::new(Course::new()));
         let ticker = shown.period().map(|period| start_ticker(period, voice.clone(), course.clone()));
-        Self { voice, verbosity, course, _ticker: ticker }
+        let last_words = voice.clone();
+        let stop = Stop::listen(move |signal, order| {
+            last_words.bar.finish_and_clear();
+            if verbosity != Verbosity::Quiet {
+                last_words.say("message", order.words());
+            }
+            Failure::Stopped(signal).show_as_json(form);
+        });
+        Self { voice, verbosity, stop, course, _ticker: ticker }
     }
 
     /// Says a line, above the bar, unless nothing but errors is to be said.
@@ -127,22 +140,20 @@ impl Talk {
         self.voice.bar.finish_and_clear();
     }
 
-    /// Has a run that is stopped by hand (Ctrl-C) or by the system (SIGTERM) say how it goes on. Nothing is ever left
-    /// half-written, so it can end at once.
-    pub(super) fn say_how_to_go_on(&self) {
-        use signal_hook::consts::{SIGINT, SIGTERM};
-        // Where no handler can be had, the system's own ends the run, without a word.
-        let Ok(mut signals) = signal_hook::iterator::Signals::new([SIGINT, SIGTERM]) else { return };
-        let (voice, verbosity) = (self.voice.clone(), self.verbosity);
-        thread::spawn(move || {
-            let Some(signal) = signals.forever().next() else { return };
-            voice.bar.finish_and_clear();
-            if verbosity != Verbosity::Quiet {
-                voice.say("message", "stopped; the same command goes on where it was");
-            }
-            // The code that shells expect of a program that a signal ends.
-            signal_hook::low_level::exit(128 + signal);
-        });
+    /// From here on a signal ends the work at the next unit of it, instead of at once.
+    pub(super) fn ends_in_order(&self) {
+        self.stop.end_in_order();
+    }
+
+    /// Says that a signal ended the program.
+    pub(super) fn say_stopped(&self) {
+        self.finish();
+        self.say(self.stop.order().words());
+    }
+
+    /// The signal that asks the program to end, if one came.
+    pub(super) fn stopped_by(&self) -> Option<Signal> {
+        self.stop.signal()
     }
 
     fn course(&self) -> MutexGuard<'_, Course> {
@@ -214,6 +225,10 @@ impl Progress for Talk {
     fn skip(&self, stage: &str) {
         let moment = self.course().skip(stage);
         self.voice.tell(moment);
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.stopped_by().is_some()
     }
 }
 

@@ -55,7 +55,7 @@ pub fn write_through(path: &Path, fill: impl FnOnce(&Path) -> Result<(), IoError
 /// An empty file under a temporary name in the folder of `path`.
 fn beside(path: &Path) -> Result<NamedTempFile, IoError> {
     let folder = parent(path);
-    fs::create_dir_all(folder).map_err(IoError::system("create", folder))?;
+    create_folders(folder)?;
     let mut builder = Builder::new();
     // The process's umask takes its share off these, as for any new file.
     builder.prefix(TEMPORARY_PREFIX).permissions(Permissions::from_mode(0o666));
@@ -68,23 +68,57 @@ fn put(file: NamedTempFile, path: &Path) -> Result<(), IoError> {
     sync_folder(parent(path))
 }
 
+/// Removes a file, if it is there, so that it does not come back after a power failure.
+///
+/// # Errors
+/// [`IoError::System`] names the file.
+pub fn remove(path: &Path) -> Result<(), IoError> {
+    match fs::remove_file(path) {
+        Ok(()) => sync_folder(parent(path)),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        Err(error) => Err(IoError::system("remove", path)(error)),
+    }
+}
+
 /// Whether a name is one under which a file is written before it is whole.
 pub(super) fn is_temporary(name: &str) -> bool {
     name.starts_with(TEMPORARY_PREFIX)
 }
 
-/// Removes temporary files and folders that a killed process left directly in `folder`; returns how many.
+/// Makes a folder and those above it that are missing, so that they are there after a power failure, too.
+///
+/// # Errors
+/// [`IoError::System`] names the folder that cannot be made.
+pub fn create_folders(folder: &Path) -> Result<(), IoError> {
+    if folder.is_dir() {
+        return Ok(());
+    }
+    let above = parent(folder);
+    if above != folder {
+        create_folders(above)?;
+    }
+    match fs::create_dir(folder) {
+        // Another thread may have been faster.
+        Err(_) if folder.is_dir() => Ok(()),
+        Err(error) => Err(IoError::system("create", folder)(error)),
+        Ok(()) => sync_folder(above),
+    }
+}
+
+/// Removes temporary files and folders that a killed process left in `folder` or in folders below it; returns how many.
+/// Links are not followed.
 ///
 /// No other process may be writing there.
 pub fn remove_leftovers(folder: &Path) -> Result<usize, IoError> {
     let mut removed = 0;
     for entry in fs::read_dir(folder).map_err(IoError::system("read", folder))? {
         let entry = entry.map_err(IoError::system("read", folder))?;
-        if !is_temporary(&entry.file_name().to_string_lossy()) {
-            continue;
-        }
         let path = entry.path();
         let is_folder = entry.file_type().map_err(IoError::system("read", &path))?.is_dir();
+        if !is_temporary(&entry.file_name().to_string_lossy()) {
+            removed += if is_folder { remove_leftovers(&path)? } else { 0 };
+            continue;
+        }
         let result = if is_folder { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
         result.map_err(IoError::system("remove", &path))?;
         removed += 1;
@@ -100,7 +134,11 @@ fn parent(path: &Path) -> &Path {
 }
 
 pub(super) fn sync_folder(folder: &Path) -> Result<(), IoError> {
-    File::open(folder).and_then(|f| f.sync_all()).map_err(IoError::system("synchronise", folder))
+    match File::open(folder).and_then(|f| f.sync_all()) {
+        // A folder that may be written into and not be read cannot be synchronised by anybody.
+        Err(error) if error.kind() == std::io::ErrorKind::PermissionDenied => Ok(()),
+        done => done.map_err(IoError::system("synchronise", folder)),
+    }
 }
 
 pub(super) fn sync_tree(folder: &Path) -> Result<(), IoError> {
@@ -150,8 +188,11 @@ mod tests {
         fs::write(folder.path().join(".tractrix-x1/part"), "x").unwrap();
         fs::write(folder.path().join(".tractrix-x2"), "x").unwrap();
         fs::write(folder.path().join("kept"), "x").unwrap();
-        assert_eq!(remove_leftovers(folder.path()).unwrap(), 2);
-        assert_eq!(names(folder.path()), ["kept"]);
+        fs::create_dir_all(folder.path().join("deep/er")).unwrap();
+        fs::write(folder.path().join("deep/er/.tractrix-x3"), "x").unwrap();
+        assert_eq!(remove_leftovers(folder.path()).unwrap(), 3);
+        assert_eq!(names(folder.path()), ["deep", "kept"]);
+        assert!(names(&folder.path().join("deep/er")).is_empty());
     }
 
     #[test]

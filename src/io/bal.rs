@@ -18,6 +18,7 @@ use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
 
 use super::IoError;
 use crate::camera::Camera;
+use crate::limits::files;
 use crate::math::Rigid3;
 use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
@@ -28,7 +29,7 @@ use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Re
 /// the counts in its first line.
 pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     let system = |source| IoError::System { action: "read", path: path.to_path_buf(), source };
-    let bytes = std::fs::read(path).map_err(system)?;
+    let bytes = files::read_text(path).map_err(system)?;
     // Bytes that are no text become signs that are no number, and are reported with their line.
     parse(path, &String::from_utf8_lossy(&bytes))
 }

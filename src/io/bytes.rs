@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::IoError;
+use crate::limits::files;
 
 /// The bytes of a file.
 pub struct Bytes {
@@ -22,7 +23,7 @@ pub struct Cursor<'a> {
 
 impl Bytes {
     pub fn read_file(path: &Path) -> Result<Self, IoError> {
-        let content = std::fs::read(path).map_err(IoError::system("read", path))?;
+        let content = files::read(path).map_err(IoError::system("read", path))?;
         Ok(Self { path: path.to_path_buf(), content })
     }
 

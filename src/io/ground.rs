@@ -14,6 +14,7 @@ use std::path::Path;
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use super::extent::{LARGEST, is_sensible};
 use super::{IoError, atomic, json};
 use crate::scene::{FrameId, Ground, GroundPlane, GroundSource, ObjectId, PlaneBasis, Point3dId};
 
@@ -102,8 +103,8 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         let deviations = [&plane.rms, &plane.height_std, &plane.common_height_std, &plane.tilt_std];
         let mut numbers = plane.normal.iter().chain(&plane.point).chain(deviations);
         let length = Vector3::from(plane.normal).norm();
-        let problem = match numbers.find(|n| !n.is_finite()) {
-            Some(number) => format!("{number} is not a finite number"),
+        let problem = match numbers.find(|n| !is_sensible(n)) {
+            Some(number) => format!("{number} is not a number of at most {LARGEST:e}"),
             None if deviations.iter().any(|n| **n < 0.0) => "a deviation is negative".to_owned(),
             None if (length - 1.0).abs() > 1e-6 => format!("the normal has length {length}, not 1"),
             None => continue,

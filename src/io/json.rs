@@ -5,13 +5,14 @@ use std::path::Path;
 use serde::de::DeserializeOwned;
 
 use super::IoError;
+use crate::limits::files;
 
 /// Reads a JSON file as a value.
 ///
 /// # Errors
 /// [`IoError::Line`] with line and column if it is not JSON or not of this shape.
 pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, IoError> {
-    let bytes = std::fs::read(path).map_err(IoError::system("read", path))?;
+    let bytes = files::read_text(path).map_err(IoError::system("read", path))?;
     serde_json::from_slice(&bytes).map_err(|e| IoError::Line {
         path: path.to_path_buf(),
         line: e.line(),

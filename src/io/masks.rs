@@ -10,6 +10,7 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageDecoder, ImageEncoder};
 
 use super::{IoError, atomic};
+use crate::limits::files;
 use crate::scene::{LabelMap, Mask};
 
 /// Reads a label map: 0 is background, k is object (or class) k. `frame_size` is the width and height of its frame.
@@ -63,7 +64,7 @@ fn as_mask(picture: Grey) -> Mask {
 }
 
 fn decode(path: &Path, frame_size: Option<(u32, u32)>) -> Result<Grey, IoError> {
-    let bytes = std::fs::read(path).map_err(IoError::system("read", path))?;
+    let bytes = files::read(path).map_err(IoError::system("read", path))?;
     let depth = check_kind(path, &bytes)?;
     let broken = |e: image::ImageError| IoError::content(path, format!("is not a whole PNG picture: {e}"));
     let decoder = image::codecs::png::PngDecoder::new(Cursor::new(&bytes)).map_err(broken)?;

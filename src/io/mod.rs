@@ -26,6 +26,7 @@ pub mod colmap;
 #[cfg(feature = "database")]
 pub mod database;
 mod error;
+mod extent;
 pub mod ground;
 pub mod json;
 pub mod masks;

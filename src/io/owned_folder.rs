@@ -105,7 +105,7 @@ impl OwnedFolder {
     pub fn open(path: &Path, made_by: &'static str, places: Places) -> Result<Self, FolderError> {
         Self::inspect(path, made_by, places)?;
         let system = |source| FolderError::System { path: path.to_owned(), source };
-        fs::create_dir_all(path.join(STATE)).map_err(system)?;
+        make(&path.join(STATE)).map_err(system)?;
         // A link to the folder itself is the user's way of naming it; below it no link is followed.
         let root = fs::canonicalize(path).map_err(system)?;
         let lock = lock(&root, path)?;
@@ -287,6 +287,9 @@ impl OwnedFolder {
         if gone.is_empty() {
             return Ok(());
         }
+        // A file that came back after a power failure must still be listed.
+        let folders: BTreeSet<PathBuf> = gone.iter().filter_map(|file| Some(self.root.join(file.parent()?))).collect();
+        folders.iter().filter(|folder| folder.is_dir()).try_for_each(|folder| sync_folder(folder))?;
         let mut manifest = self.manifest();
         manifest.files.retain(|file| !gone.contains(file));
         self.write_manifest(&manifest)
@@ -359,7 +362,7 @@ impl OwnedFolder {
         self.check_way(relative)?;
         let target = self.root.join(relative);
         let folder = target.parent().unwrap_or(&self.root);
-        Ok(fs::create_dir_all(folder).map_err(IoError::system("create", folder))?)
+        Ok(atomic::create_folders(folder)?)
     }
 
     fn scratch(&self) -> Result<TempDir, FolderError> {
@@ -384,6 +387,14 @@ impl OwnedFolder {
     fn write_manifest(&self, manifest: &Manifest) -> Result<(), FolderError> {
         Ok(atomic::write_json(&self.root.join(STATE).join(MANIFEST), manifest)?)
     }
+}
+
+/// Makes a folder and those above it.
+fn make(folder: &Path) -> io::Result<()> {
+    atomic::create_folders(folder).map_err(|error| match error {
+        IoError::System { source, .. } => source,
+        other => io::Error::other(other),
+    })
 }
 
 fn lock(root: &Path, shown: &Path) -> Result<File, FolderError> {

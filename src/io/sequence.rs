@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
+use super::extent::is_sensible;
 use super::{IoError, json, masks, ply};
 use crate::camera::Camera;
 use crate::math::Rigid3;
@@ -235,14 +236,15 @@ fn frame(path: &Path, frame: FrameDocument) -> Result<SequenceFrame, IoError> {
     })
 }
 
-/// The rigid transform of a 4 × 4 matrix; `None` if its rotation is further than rounding from one.
+/// The rigid transform of a 4 × 4 matrix; `None` if its rotation is further than rounding from one, or if it leads
+/// further than anything can be.
 fn rigid([r0, r1, r2, last]: [[f64; 4]; 4]) -> Option<Rigid3> {
     let rotation = Matrix3::new(r0[0], r0[1], r0[2], r1[0], r1[1], r1[2], r2[0], r2[1], r2[2]);
     let error = (rotation * rotation.transpose() - Matrix3::identity()).norm();
     // Six digits are what careful hands write into JSON files.
     let is_rigid = error < 1e-5 && rotation.determinant() > 0.0 && last == [0.0, 0.0, 0.0, 1.0];
     let translation = Vector3::new(r0[3], r1[3], r2[3]);
-    if !is_rigid || !translation.iter().all(|c| c.is_finite()) {
+    if !is_rigid || !translation.iter().all(is_sensible) {
         return None;
     }
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));

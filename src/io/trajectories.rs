@@ -7,6 +7,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use super::extent::{is_sensible, is_sensible_ratio};
 use super::{IoError, atomic, json};
 use crate::math::Sim3;
 use crate::scene::{
@@ -191,8 +192,8 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
     for object in &document.objects {
         let wrong = |problem: String| Err(IoError::content(path, format!("object {}: {problem}", object.id)));
         let scale = &object.scale;
-        if !(scale.ratio > 0.0 && scale.ratio.is_finite()) {
-            return wrong(format!("the scale ratio {} is not positive", scale.ratio));
+        if !is_sensible_ratio(scale.ratio) {
+            return wrong(format!("the scale ratio {} is not positive, or beyond any sense", scale.ratio));
         }
         let ratios = scale.alternatives.values().chain(scale.as_reconstructed.iter().flat_map(BTreeMap::values));
         let evidence = scale.shares.iter().flat_map(shares).chain(scale.support.iter().flat_map(lengths));
@@ -269,6 +270,11 @@ fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
         return Some("a number in metres is not finite".into());
     }
     let norm = norm(*rotation_wxyz);
+    if let Some(far) = pose.position.iter().chain(translation).find(|c| !is_sensible(c)) {
+        return Some(format!("{far} is further away than anything can be"));
+    }
+    let [w, x, y, z] = *rotation_wxyz;
+    let norm = Quaternion::new(w, x, y, z).norm();
     if (norm - 1.0).abs() > MAX_UNIT_ERROR {
         return Some(format!("the quaternion has length {norm}, not 1"));
     }

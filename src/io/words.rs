@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use super::IoError;
+use crate::limits::files;
 
 /// A text file in memory.
 pub struct Text {
@@ -21,7 +22,7 @@ pub struct Words<'a> {
 
 impl Text {
     pub fn read_file(path: &Path) -> Result<Self, IoError> {
-        let bytes = std::fs::read(path).map_err(IoError::system("read", path))?;
+        let bytes = files::read_text(path).map_err(IoError::system("read", path))?;
         let content = String::from_utf8(bytes).map_err(|_| IoError::content(path, "is not a text file (UTF-8)"))?;
         Ok(Self { path: path.to_path_buf(), content })
     }

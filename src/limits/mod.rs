@@ -1,8 +1,11 @@
-//! What an option may be: limits, and errors that name the option.
+//! What may come from outside: limits of options, with errors that name the option, which files are opened ([`files`]),
+//! and how much memory may be taken ([`memory`]).
 //!
 //! A room checks its own options with these and names each by its key. Whoever nests the options of others puts the key
 //! before which they stand ([`under`]), so that an error names the whole path in the tree of options.
 
+pub mod files;
+pub mod memory;
 #[cfg(test)]
 pub(crate) mod testing;
 

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::PerceptionError;
 use crate::ffi::onnx::{Model, TensorInfo};
+use crate::limits::files;
 
 /// The networks known by name.
 const KNOWN: &str = include_str!("../../models/models.toml");
@@ -140,8 +141,8 @@ pub(super) fn read_sidecar(model: &Path) -> Result<Option<ModelDescription>, Per
         return Ok(None);
     }
     let failed = |reason: String| PerceptionError::Description { path: path.clone(), reason };
-    let text = std::fs::read_to_string(&path).map_err(|e| failed(e.to_string()))?;
-    toml::from_str(&text).map(Some).map_err(|e| failed(e.to_string()))
+    let text = files::read_text(&path).map_err(|e| failed(e.to_string()))?;
+    toml::from_slice(&text).map(Some).map_err(|e| failed(e.to_string()))
 }
 
 #[cfg(test)]

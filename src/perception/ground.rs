@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::description::{ModelDescription, Preprocessing, find_known, read_sidecar};
 use super::tensor::{Plane, tensor_from_image};
 use super::{INPUT_SIZES, PerceptionError};
-use crate::ffi::onnx::{Model, Tensor};
+use crate::ffi::onnx::{Model, Resources, Tensor};
 use crate::image::resize_rgb;
 use crate::limits::{Checked, some_of, within};
 use crate::scene::Mask;
@@ -59,7 +59,7 @@ impl GroundOptions {
 }
 
 /// Loads a semantic network; what it expects comes from the description beside it, else from the descriptions shipped
-/// with the program. `num_threads` is the number of threads that it runs on; 0 is one per core.
+/// with the program. `resources` is what it may take, or a number of threads; 0 is one per core.
 ///
 /// # Errors
 /// [`PerceptionError::Option`] for options that make no sense;
@@ -68,10 +68,10 @@ impl GroundOptions {
 pub fn load_ground_segmenter(
     path: &Path,
     options: &GroundOptions,
-    num_threads: usize,
+    resources: impl Into<Resources>,
 ) -> Result<Box<dyn GroundSegmenter>, PerceptionError> {
     options.check()?;
-    let model = Model::load(path, num_threads)?;
+    let model = Model::load(path, resources)?;
     let description = match read_sidecar(path)? {
         Some(description) => Some(description),
         None => find_known(&model, "ground")?,

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use crate::io::{FolderError, IoError};
 use crate::limits::OptionError;
+use crate::limits::memory::TooMuch;
 use crate::perception::PerceptionError;
 use crate::report::ReportError;
 use crate::sfm::SfmError;
@@ -31,6 +32,9 @@ pub enum PipelineError {
     /// The output folder.
     #[error(transparent)]
     Folder(#[from] FolderError),
+    /// Whoever watches the run has asked it to stop.
+    #[error("stopped; the same command goes on where it was")]
+    Stopped,
     /// A file of the run's own is damaged.
     #[error("{path}: {reason}; delete it, and the stage that made it runs again", path = path.display())]
     State {
@@ -47,6 +51,9 @@ pub enum PipelineError {
         /// What the system says.
         source: io::Error,
     },
+    /// The input is more than memory holds.
+    #[error(transparent)]
+    Memory(#[from] TooMuch),
     /// An option that cannot be worked with.
     #[error(transparent)]
     Option(#[from] OptionError),
@@ -88,6 +95,11 @@ pub enum PipelineError {
 }
 
 impl PipelineError {
+    /// Whether it is a matter of waiting: another process has the output folder.
+    pub fn is_busy(&self) -> bool {
+        matches!(self, Self::Folder(error) if error.is_busy())
+    }
+
     /// Whether the command line asks for what must not be, so that nothing was begun.
     pub fn is_wrong_use(&self) -> bool {
         matches!(self, Self::Option(_)) || matches!(self, Self::Folder(error) if error.is_wrong_use())

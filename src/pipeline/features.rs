@@ -9,6 +9,7 @@ use super::masking::Masking;
 use super::run::{Outcome, Run};
 use super::{Instances, PipelineError, Stage, cameras, fingerprint, order, pictures};
 use crate::io::{IoError, atomic};
+use crate::limits::files;
 use crate::sfm::{FrontEnd, TrackTable};
 
 pub(super) const PREFIX: &str = "features-";
@@ -95,7 +96,7 @@ impl TrackStore {
 
     pub(super) fn read(&self, target: &str) -> Result<TrackTable, PipelineError> {
         let path = self.path(target);
-        let bytes = std::fs::read(&path).map_err(IoError::system("read", &path))?;
+        let bytes = files::read(&path).map_err(IoError::system("read", &path))?;
         postcard::from_bytes(&bytes).map_err(|e| PipelineError::State { path, reason: e.to_string() })
     }
 

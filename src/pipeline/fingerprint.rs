@@ -1,6 +1,6 @@
 //! What a result was made from, as a hash: equal fingerprints mean that the work need not be done again.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
 use super::{PipelineError, Stage};
+use crate::limits::files;
 
 /// Hash of anything that can be written as JSON.
 fn of(value: &impl Serialize) -> String {
@@ -71,7 +72,7 @@ pub(super) fn of_files(paths: &[PathBuf]) -> Result<String, PipelineError> {
 }
 
 fn of_file(path: &Path) -> io::Result<String> {
-    let mut file = File::open(path)?;
+    let mut file = files::open(path)?;
     let mut hasher = Sha256::new();
     let mut buffer = vec![0; 1 << 20];
     loop {

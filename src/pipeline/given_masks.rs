@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::PipelineError;
 use crate::io::{IoError, masks};
+use crate::limits::files;
 use crate::scene::{Frame, FrameId, LabelMap};
 use crate::video::Info;
 
@@ -80,6 +81,8 @@ impl MaskFolder {
     pub(super) fn check(&self) -> Result<(), PipelineError> {
         let fits = |size: (u32, u32)| size == self.size || size == self.source_size;
         for (k, (&frame, path)) in self.files.iter().enumerate() {
+            let unreadable = |source| PipelineError::Unreadable { path: path.clone(), source };
+            files::check(path).map_err(unreadable)?;
             // The header is enough where it is in order.
             let is_in_order = ::image::image_dimensions(path).is_ok_and(fits);
             if k == 0 || !is_in_order {

@@ -220,8 +220,7 @@ fn value_at(labels: &LabelMap, x: f64, y: f64) -> Option<u8> {
 
 /// Loads the semantic model with the options of the run.
 pub(super) fn load(run: &Run, model: &Path) -> Result<Box<dyn GroundSegmenter>, PipelineError> {
-    let num_threads = run.options.threads.unwrap_or(0);
-    Ok(load_ground_segmenter(model, &run.options.ground_segmentation, num_threads)?)
+    Ok(load_ground_segmenter(model, &run.options.ground_segmentation, run.options.resources())?)
 }
 
 /// Asks the semantic model for every registered frame that it was not asked for before; gives the folder of the

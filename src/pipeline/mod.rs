@@ -56,6 +56,7 @@ pub use options::{
     DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskChoice, MaskingOptions,
     ModelFiles, MotionChoice, OptionRow, OptionSection, Options, VehicleOptions,
 };
+use progress::Muted;
 pub use progress::{Plan, Planned, Progress, Silent};
 pub use run::StageRecord;
 pub use stage::Stage;
@@ -141,6 +142,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
         Workspace::inspect(job.output, &[(flag, given_models::place(path).as_path())])?;
     }
     let source = cameras::open(job.input, options)?;
+    preflight::check_pictures(&source, options)?;
     let workspace = Workspace::open(job.output)?;
     progress.plan(&Plan::new(&workspace, options, source.info(), goal));
     progress.begin("input", None);
@@ -149,11 +151,14 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
     let content = content?;
     let path = std::fs::canonicalize(source.path()).unwrap_or_else(|_| source.path().to_owned());
     workspace.claim(InputIdentity { path, content: content.clone() }, job.overwrite)?;
+    let muted = Muted(progress);
     let mut run = Run::new(options, &workspace, &source, job.arguments, progress);
-    let result = stages(&mut run, goal, &content);
+    let result = stages(&mut run, goal, &content, &muted);
     let error = result.as_ref().err().map(ToString::to_string);
-    run_json::write(&run, error.as_deref())?;
+    let written = run_json::write(&run, error.as_deref());
+    // What went wrong first says what to do: on a full disk it names the file that did not fit.
     result?;
+    written?;
     summary(job, run)
 }
 
@@ -190,14 +195,14 @@ impl Job<'_> {
     }
 }
 
-fn stages(run: &mut Run, goal: Stage, input: &str) -> Result<(), PipelineError> {
+fn stages<'a>(run: &mut Run<'a>, goal: Stage, input: &str, muted: &'a Muted<'a>) -> Result<(), PipelineError> {
     preflight::check_camera(run)?;
     for stage in Stage::ALL.into_iter().filter(|stage| *stage <= goal) {
         one_stage(run, stage, input)?;
         match stage {
             Stage::Frames => preflight::check_files(run, &open_stages(run, goal, input)?)?,
             // Without a background later stages write down that there is nothing, which is not worth a word.
-            Stage::Track if models::background_report(run)?.failure.is_some() => run.progress = &Silent,
+            Stage::Track if models::background_report(run)?.failure.is_some() => run.progress = muted,
             _ => {}
         }
     }

@@ -18,6 +18,7 @@ use super::{Instances, MotionChoice, PipelineError, Stage, fingerprint, models, 
 use crate::ground::dominant_plane_points;
 use crate::image::gray_from_rgb;
 use crate::io::{IoError, atomic};
+use crate::limits::files;
 use crate::perception::PerceptionError;
 use crate::perception::motion::{
     GroundModel, Mover, PointFollower, PointTrack, Surroundings, TrackLabel, View, classify, movers,
@@ -195,6 +196,6 @@ pub(super) fn points(run: &Run) -> Result<Points, PipelineError> {
         return Ok(Points::default());
     }
     let path = folder(run).join(POINTS);
-    let bytes = std::fs::read(&path).map_err(IoError::system("read", &path))?;
+    let bytes = files::read(&path).map_err(IoError::system("read", &path))?;
     postcard::from_bytes(&bytes).map_err(|e| PipelineError::State { path, reason: e.to_string() })
 }

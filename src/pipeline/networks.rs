@@ -49,7 +49,7 @@ impl Networks {
 
     /// The detector, where there is one.
     pub(super) fn load_detector(&self, run: &Run) -> Result<Option<Box<dyn Detector>>, PipelineError> {
-        let load = |path: &Path| load_detector(path, &run.options.detector, run.options.threads.unwrap_or(0));
+        let load = |path: &Path| load_detector(path, &run.options.detector, run.options.resources());
         Ok(self.detector.as_deref().map(load).transpose()?)
     }
 
@@ -57,7 +57,7 @@ impl Networks {
     pub(super) fn load_prompter(&self, run: &Run) -> Result<Box<dyn Prompter>, PipelineError> {
         let options = &run.options.prompt;
         Ok(match &self.masks {
-            Some([encoder, decoder]) => load_prompter(encoder, decoder, options, run.options.threads.unwrap_or(0))?,
+            Some([encoder, decoder]) => load_prompter(encoder, decoder, options, run.options.resources())?,
             None => Box::new(GrabCut::new(options)),
         })
     }

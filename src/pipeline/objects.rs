@@ -57,6 +57,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let mut markers = BTreeMap::new();
     let mut num_done = 0;
     for object in wanted {
+        run.go_on()?;
         let (before, of_this) = (num_done, object.frames.len());
         let mut watch = |share: f64| run.progress.reach(before + (share * of_this as f64) as u64);
         markers.insert(object.id, one_object(run, object, &tracked, camera, fingerprint, &mut watch)?);
@@ -258,7 +259,7 @@ fn vote(
     }
     let frames = run.frames()?;
     for frame in frames {
-        run.progress.step();
+        run.step()?;
         let image = ImageId::from(frame.id);
         if unchecked.values().all(|object| !object.model.images.contains_key(&image)) {
             continue;

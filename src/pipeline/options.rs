@@ -18,7 +18,9 @@ pub use vehicles::{DetectorChoice, MaskChoice, MotionChoice, VehicleOptions};
 use super::PipelineError;
 use super::order::Order;
 use crate::camera::Camera;
+use crate::ffi::onnx::Resources;
 use crate::io::colmap::Encoding;
+use crate::limits::memory::MemoryLimit;
 use crate::limits::{Checked, OptionError, under, within};
 use crate::perception::motion::MotionOptions;
 use crate::perception::{
@@ -212,6 +214,11 @@ pub struct Options {
     /// Threads; `None` is one per core. Results agree whatever the number.
     #[schemars(extend("unit" = "threads"))]
     pub threads: Option<usize>,
+    /// What pictures and networks may take of memory, for example `2GiB` or `800MiB`; `None` is four fifths of the
+    /// machine's, or of the control group's that the program runs in. What would take more is refused before it is
+    /// tried. Has no influence on results.
+    #[schemars(with = "Option<String>", extend("unit" = "MiB or GiB"))]
+    pub memory_limit: Option<MemoryLimit>,
 }
 
 /// How the background keeps away from what moves.
@@ -269,6 +276,7 @@ impl Default for Options {
             scale: trajectory::Options::default(),
             seed: 0,
             threads: None,
+            memory_limit: None,
         }
     }
 }
@@ -277,6 +285,16 @@ impl Options {
     /// Whether an object is to be reconstructed.
     pub(super) fn wants(&self, id: ObjectId) -> bool {
         self.only_objects.is_empty() || self.only_objects.contains(&id)
+    }
+
+    /// What a network may take of the machine.
+    pub(super) fn resources(&self) -> Resources {
+        Resources { num_threads: self.threads.unwrap_or(0), memory: self.memory() }
+    }
+
+    /// What may be taken of memory.
+    pub(super) fn memory(&self) -> MemoryLimit {
+        self.memory_limit.unwrap_or_else(MemoryLimit::of_machine)
     }
 
     /// Every file and folder that the options name, after the flag that sets it.

@@ -25,7 +25,7 @@ pub(super) fn for_each(
                 }
             }
         }
-        run.progress.step();
+        run.step()?;
     }
     Ok(())
 }

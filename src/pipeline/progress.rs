@@ -19,6 +19,10 @@ pub trait Progress: Sync {
     fn end(&self);
     /// A stage is left out because an earlier run had done it.
     fn skip(&self, stage: &str);
+    /// Whether the run is to end at the next unit of work: a frame, an object, a stage. What is finished stays.
+    fn is_stopped(&self) -> bool {
+        false
+    }
 }
 
 /// Says nothing.
@@ -30,6 +34,20 @@ impl Progress for Silent {
     fn reach(&self, _: u64) {}
     fn end(&self) {}
     fn skip(&self, _: &str) {}
+}
+
+/// Says nothing of how far a run is, and stops it where another one does.
+pub(super) struct Muted<'a>(pub(super) &'a dyn Progress);
+
+impl Progress for Muted<'_> {
+    fn begin(&self, _: &str, _: Option<u64>) {}
+    fn step(&self) {}
+    fn reach(&self, _: u64) {}
+    fn end(&self) {}
+    fn skip(&self, _: &str) {}
+    fn is_stopped(&self) -> bool {
+        self.0.is_stopped()
+    }
 }
 
 /// The stages up to a goal, in order, and how long each should take.

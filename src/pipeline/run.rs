@@ -94,6 +94,26 @@ impl<'a> Run<'a> {
         Ok(self.frames.get().map_or(&[], Vec::as_slice))
     }
 
+    /// Says that a step is done, and whether there may be another one.
+    ///
+    /// # Errors
+    /// As [`Self::go_on`].
+    pub(super) fn step(&self) -> Result<(), PipelineError> {
+        self.progress.step();
+        self.go_on()
+    }
+
+    /// To be asked between units of work, when all that is done is in its place.
+    ///
+    /// # Errors
+    /// [`PipelineError::Stopped`].
+    pub(super) fn go_on(&self) -> Result<(), PipelineError> {
+        match self.progress.is_stopped() {
+            true => Err(PipelineError::Stopped),
+            false => Ok(()),
+        }
+    }
+
     /// Does a stage, unless it is done already.
     ///
     /// * `depends_on` – everything that its result hangs on besides the stages before it.
@@ -104,6 +124,7 @@ impl<'a> Run<'a> {
         depends_on: Value,
         work: impl FnOnce(&Self, &str) -> Result<Outcome, PipelineError>,
     ) -> Result<(), PipelineError> {
+        self.go_on()?;
         let upstream: Vec<&str> = stage.after().iter().map(|&stage| self.fingerprint(stage)).collect();
         let fingerprint = fingerprint::of_stage(stage, &depends_on, &upstream);
         let before = self.workspace.marker(stage);

@@ -58,8 +58,7 @@ fn masks_in(run: &Run, folder: PathBuf) -> DetectionFolder {
 
 /// Loads the user's network with the options of the run.
 pub(super) fn load(run: &Run, model: &Path) -> Result<Box<dyn Segmenter>, PipelineError> {
-    let num_threads = run.options.threads.unwrap_or(0);
-    Ok(load_segmenter(model, &run.options.segmentation, num_threads)?)
+    Ok(load_segmenter(model, &run.options.segmentation, run.options.resources())?)
 }
 
 fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, PipelineError> {

@@ -138,7 +138,7 @@ fn masks_in(
 /// The optical flow of the run's options.
 pub(super) fn load_flow_estimator(run: &Run) -> Result<Box<dyn FlowEstimator>, PipelineError> {
     let options = run.options;
-    Ok(load_flow(options.flow_model.as_deref(), &options.flow, options.threads.unwrap_or(0))?)
+    Ok(load_flow(options.flow_model.as_deref(), &options.flow, options.resources())?)
 }
 
 /// Refuses models of objects that there are not.

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::meter::Cost;
 use super::{PipelineError, Stage};
 use crate::io::{InputIdentity, IoError, OwnedFolder, RunFolder, atomic, refuse_own_input};
+use crate::limits::files;
 use crate::scene::ObjectId;
 
 /// Which command such folders are made by.
@@ -162,13 +163,7 @@ impl Workspace {
 
     /// Says that a stage is not done. To be called before its results are touched.
     pub fn clear_marker(&self, stage: Stage) -> Result<(), PipelineError> {
-        let path = self.state(&marker_name(stage));
-        match fs::remove_file(&path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                Err(IoError::system("remove", &path)(error).into())
-            }
-            _ => Ok(()),
-        }
+        Ok(atomic::remove(&self.state(&marker_name(stage)))?)
     }
 
     /// Whether every part of a marked result is still there.
@@ -183,7 +178,7 @@ impl Workspace {
     pub fn read_state<T: DeserializeOwned>(&self, name: &str) -> Result<T, PipelineError> {
         let path = self.state(name);
         let damaged = |reason: String| PipelineError::State { path: path.clone(), reason };
-        let bytes = fs::read(&path).map_err(|e| damaged(e.to_string()))?;
+        let bytes = files::read(&path).map_err(|e| damaged(e.to_string()))?;
         serde_json::from_slice(&bytes).map_err(|e| damaged(e.to_string()))
     }
 
@@ -206,7 +201,7 @@ impl Workspace {
             }
         }
         let kept = state.join(keep);
-        fs::create_dir_all(&kept).map_err(IoError::system("create", &kept))?;
+        atomic::create_folders(&kept)?;
         Ok(kept)
     }
 

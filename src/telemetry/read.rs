@@ -1,6 +1,6 @@
 //! A file of any format as a log.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -9,6 +9,7 @@ use super::fix::{ClockKind, Log};
 use super::srt::{self, Subtitle};
 use super::text::decode;
 use super::{Kind, csv, dji, gpx, nmea, order, photographs};
+use crate::limits::files;
 
 /// Ten hours of a drone that writes at 60 Hz.
 const MOST_MIB: u64 = 512;
@@ -87,14 +88,14 @@ fn in_order(mut log: Log, kind: Kind, path: &Path) -> Result<Log, TelemetryError
 
 /// The content of a file of a size that can be telemetry.
 pub(super) fn bytes_of(path: &Path) -> Result<Vec<u8>, TelemetryError> {
-    let file = File::open(path).map_err(TelemetryError::system(path))?;
+    let file = files::open(path).map_err(TelemetryError::system(path))?;
     let metadata = file.metadata().map_err(TelemetryError::system(path))?;
     let size_mib = metadata.len() >> 20;
     let too_large = |size_mib| TelemetryError::TooLarge { path: path.to_path_buf(), size_mib, most_mib: MOST_MIB };
     if size_mib >= MOST_MIB {
         return Err(too_large(size_mib));
     }
-    // Devices and pipes state no size: the limit holds for them as well.
+    // A file that grows states too little: the limit holds for it as well.
     let mut bytes = Vec::new();
     file.take(MOST_MIB << 20).read_to_end(&mut bytes).map_err(TelemetryError::system(path))?;
     if bytes.len() as u64 >= MOST_MIB << 20 { Err(too_large(MOST_MIB)) } else { Ok(bytes) }

@@ -1,10 +1,22 @@
 //! What can be wrong with an input. Every message names the file, and what to do where something can be done.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::ffi::ffmpeg::FfmpegError;
 use crate::image::ImageError;
+use crate::limits::files;
+
+/// Refuses what is no regular file: FFmpeg would wait for whoever writes into a pipe.
+///
+/// # Errors
+/// [`VideoError::Missing`], [`VideoError::Unreadable`].
+pub(super) fn regular(path: &Path) -> Result<(), VideoError> {
+    files::check(path).map_err(|source| match source.kind() {
+        io::ErrorKind::NotFound => VideoError::Missing { path: path.to_owned() },
+        _ => VideoError::Unreadable { path: path.to_owned(), source },
+    })
+}
 
 /// What can be wrong with a video or a folder of images.
 #[derive(Debug, thiserror::Error)]

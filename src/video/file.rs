@@ -6,6 +6,7 @@ use ::image::{RgbImage, imageops};
 
 use super::clock::Clock;
 use super::decode::Decoder;
+use super::error::regular;
 use super::{VideoError, diagnosis};
 use crate::ffi::ffmpeg::{self, FfmpegError, MediaFile, Packet, RgbConverter, Stream, StreamKind};
 use crate::image::resize_rgb;
@@ -48,6 +49,7 @@ impl Video {
             FfmpegError::NoDecoder(coding) => VideoError::NoDecoder { path: path.to_owned(), coding },
             other => VideoError::Ffmpeg(other),
         };
+        regular(path)?;
         let mut file = MediaFile::open(path).map_err(refused)?;
         let stream = diagnosis::moving_pictures(&file, path)?;
         file.keep_only(stream.index);

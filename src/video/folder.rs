@@ -2,6 +2,7 @@
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -12,6 +13,7 @@ use super::decode::Decoder;
 use super::source::Cameras;
 use super::{Turning, VideoError, exif, jpeg};
 use crate::image::resize_rgb;
+use crate::limits::files;
 use crate::scene::{Frame, FrameId};
 
 /// Extensions that are taken for images, in lower case.
@@ -56,36 +58,35 @@ pub(super) struct Listing {
     pub(super) warnings: Vec<String>,
 }
 
-/// Lists a folder in natural order (`img2` before `img10`), reading headers, and where pictures end.
+/// Lists a folder in natural order (`img2` before `img10`), reading headers, and where pictures end. What is called
+/// like an image and is none keeps its place in the count, so that the others keep their indices and times.
+///
+/// Where all are to have one size, it is that of most of them.
 pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Listing, VideoError> {
     let Contents { mut names, others, .. } = contents(path)?;
-    names.sort_by(|a, b| natural_cmp(a, b));
+    names.sort_by(|a, b| natural_cmp(&a.text, &b.text));
     let mut listing =
         Listing { entries: Vec::new(), num_files: names.len() as u32, cameras: Vec::new(), warnings: Vec::new() };
+    let mut found = Vec::new();
     for (id, name) in (0u32..).zip(names) {
-        let file = path.join(&name);
-        let (stored, exif) = match header(&file) {
-            Ok(size) => (size, exif::read(&file)),
-            Err(reason) => {
-                listing.warnings.push(format!("{}: left out, cannot be read: {reason}", file.display()));
-                continue;
+        let file = path.join(&name.text);
+        match name.flaw.map_or_else(|| picture(id, &file, turning), Err) {
+            Ok(taken) => found.push((id, file, name.text, taken)),
+            Err(reason) => listing.warnings.push(format!("{}: left out, cannot be read: {reason}", file.display())),
+        }
+    }
+    let common = match cameras {
+        Cameras::One => commonest(found.iter().map(|(.., taken)| taken.size)),
+        Cameras::Several => None,
+    };
+    for (id, path, name, taken) in found {
+        let (size, orientation) = (taken.size, taken.orientation);
+        match common.filter(|common| *common != size) {
+            Some(common) => listing.warnings.push(of_another_size(&path, size, common, "most images have")),
+            None => {
+                let camera = listing.camera_of(taken, cameras);
+                listing.entries.push(Entry { id, path, name, orientation, size, camera });
             }
-        };
-        let orientation = match turning {
-            Turning::AsStored => Orientation::NoTransforms,
-            Turning::Auto | Turning::Upright => exif.as_ref().map_or(Orientation::NoTransforms, exif::orientation),
-        };
-        let size = upright(stored, orientation);
-        let taken = Taken {
-            size,
-            exif_focal_px: exif.as_ref().and_then(|e| exif::focal_px(e, size.0, size.1)),
-            ids: vec![id],
-            orientation,
-            camera: exif.as_ref().map(exif::camera).unwrap_or_default(),
-        };
-        match listing.camera_of(taken, cameras) {
-            Ok(camera) => listing.entries.push(Entry { id, path: file, name, orientation, size, camera }),
-            Err((width, height)) => listing.warnings.push(of_another_size(&file, size, (width, height))),
         }
     }
     listing.warnings.extend(turned(&listing.entries));
@@ -96,14 +97,51 @@ pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Li
     Ok(listing)
 }
 
+/// What is known of an image from its header and its EXIF data.
+///
+/// # Errors
+/// Why it cannot be used.
+fn picture(id: u32, file: &Path, turning: Turning) -> Result<Taken, String> {
+    let stored = header(file)?;
+    let exif = exif::read(file);
+    let orientation = match turning {
+        Turning::AsStored => Orientation::NoTransforms,
+        Turning::Auto | Turning::Upright => exif.as_ref().map_or(Orientation::NoTransforms, exif::orientation),
+    };
+    let size = upright(stored, orientation);
+    Ok(Taken {
+        size,
+        exif_focal_px: exif.as_ref().and_then(|e| exif::focal_px(e, size.0, size.1)),
+        ids: vec![id],
+        orientation,
+        camera: exif.as_ref().map(exif::camera).unwrap_or_default(),
+    })
+}
+
+/// What there is most of; of several that are equally common the first.
+fn commonest(sizes: impl Iterator<Item = (u32, u32)>) -> Option<(u32, u32)> {
+    let mut counts: Vec<((u32, u32), usize)> = Vec::new();
+    for size in sizes {
+        match counts.iter_mut().find(|(known, _)| *known == size) {
+            Some((_, count)) => *count += 1,
+            None => counts.push((size, 1)),
+        }
+    }
+    let most = counts.iter().map(|(_, count)| *count).max()?;
+    counts.into_iter().find(|(_, count)| *count == most).map(|(size, _)| size)
+}
+
 /// Why an image is left out, with what to do.
+///
+/// * `whose` – which images have the size that it should have, and `have` or `has`.
 pub(super) fn of_another_size(
     file: &Path,
     (width, height): (u32, u32),
-    (first_width, first_height): (u32, u32),
+    (other_width, other_height): (u32, u32),
+    whose: &str,
 ) -> String {
     format!(
-        "{}: left out, has {width}x{height} pixels where the first image has {first_width}x{first_height}; frames of a \
+        "{}: left out, has {width}x{height} pixels where {whose} {other_width}x{other_height}; frames of a \
          video and pictures in which vehicles are looked for must have one size (`tractrix sfm` without masks and with \
          --order none takes photographs of all sizes)",
         file.display()
@@ -124,10 +162,7 @@ impl Listing {
     }
 
     /// Which camera took an image, a new one if need be.
-    ///
-    /// # Errors
-    /// The size of the first image, where all are to have it and this one has not.
-    fn camera_of(&mut self, taken: Taken, cameras: Cameras) -> Result<usize, (u32, u32)> {
+    fn camera_of(&mut self, taken: Taken, cameras: Cameras) -> usize {
         let is_same = |known: &Taken| match cameras {
             Cameras::One => true,
             Cameras::Several => {
@@ -135,14 +170,13 @@ impl Listing {
             }
         };
         match self.cameras.iter().position(is_same) {
-            Some(camera) if self.cameras[camera].size != taken.size => Err(self.cameras[camera].size),
             Some(camera) => {
                 self.cameras[camera].ids.extend(taken.ids);
-                Ok(camera)
+                camera
             }
             None => {
                 self.cameras.push(taken);
-                Ok(self.cameras.len() - 1)
+                self.cameras.len() - 1
             }
         }
     }
@@ -164,12 +198,42 @@ fn turned(entries: &[Entry]) -> Option<String> {
 /// The files of a folder, hidden ones aside.
 #[derive(Default)]
 struct Contents {
-    /// Names of those that look like images.
-    names: Vec<String>,
+    /// Those that are called like images.
+    names: Vec<Name>,
     /// How many others there are, by their extension in lower case.
     others: BTreeMap<String, usize>,
     /// Names of its folders.
     folders: Vec<String>,
+}
+
+/// Something that is called like an image.
+struct Name {
+    /// As it is shown: signs that are no text are replaced.
+    text: String,
+    /// Why it is none, where that can be told without opening it.
+    flaw: Option<String>,
+}
+
+impl Name {
+    fn new(name: &OsStr, path: &Path) -> Self {
+        let text = name.to_string_lossy().into_owned();
+        let flaw = match fs::metadata(path) {
+            Err(error) => Some(error.to_string()),
+            Ok(found) if !found.is_file() => Some(format!("it is {}", files::in_words(found.file_type()))),
+            Ok(_) if name.to_str().is_none() => Some("its name is not in UTF-8; rename it".to_owned()),
+            Ok(_) if is_unwritable(&text) => Some(
+                "its name begins or ends with a blank, or has a line break in it, which models cannot hold; rename it"
+                    .to_owned(),
+            ),
+            Ok(_) => None,
+        };
+        Self { text, flaw }
+    }
+}
+
+/// Whether the files of models cannot hold a name.
+fn is_unwritable(name: &str) -> bool {
+    name.trim() != name || name.contains(['\n', '\r', '\0'])
 }
 
 /// The files of a folder; where no image lies in it, those of its folders, whose names go before theirs.
@@ -178,7 +242,8 @@ fn contents(path: &Path) -> Result<Contents, VideoError> {
     if contents.names.is_empty() {
         for folder in std::mem::take(&mut contents.folders) {
             let inner = directly_in(&path.join(&folder))?;
-            contents.names.extend(inner.names.iter().map(|name| format!("{folder}/{name}")));
+            let below = |name: Name| Name { text: format!("{folder}/{}", name.text), ..name };
+            contents.names.extend(inner.names.into_iter().map(below));
             inner.others.into_iter().for_each(|(kind, count)| *contents.others.entry(kind).or_default() += count);
         }
     }
@@ -190,18 +255,18 @@ fn directly_in(path: &Path) -> Result<Contents, VideoError> {
     let mut contents = Contents::default();
     for entry in fs::read_dir(path).map_err(unreadable)? {
         let entry = entry.map_err(unreadable)?;
-        let Ok(name) = entry.file_name().into_string() else { continue };
-        let extension = Path::new(&name).extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
-        if name.starts_with('.') {
+        let name = entry.file_name();
+        let extension = Path::new(&name).extension().and_then(OsStr::to_str).unwrap_or_default().to_lowercase();
+        if name.as_encoded_bytes().starts_with(b".") {
             continue;
         }
-        if entry.path().is_dir() {
-            contents.folders.push(name);
-        } else if entry.path().is_file() {
-            match EXTENSIONS.contains(&extension.as_str()) {
-                true => contents.names.push(name),
-                false => *contents.others.entry(extension).or_default() += 1,
-            }
+        let is_folder = entry.path().is_dir();
+        if EXTENSIONS.contains(&extension.as_str()) {
+            contents.names.push(Name::new(&name, &entry.path()));
+        } else if let (true, Some(name)) = (is_folder, name.to_str()) {
+            contents.folders.push(name.to_owned());
+        } else if !is_folder {
+            *contents.others.entry(extension).or_default() += 1;
         }
     }
     contents.folders.sort();

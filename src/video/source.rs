@@ -2,7 +2,7 @@
 //! pictures.
 
 use std::collections::BTreeSet;
-use std::fs::{self, File};
+use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -14,6 +14,7 @@ use super::folder::{self, FolderDecoder, Listing, Taken};
 use super::options::Selection;
 use super::{Frames, Options, VideoError};
 use crate::image::scale_to_fit;
+use crate::limits::files;
 use crate::scene::{Frame, FrameId, TimeBase};
 
 /// What an input is.
@@ -137,7 +138,7 @@ impl Source {
             let listing = folder::list(path, options.turning, cameras)?;
             (folder_info(&listing, options), Some(listing))
         } else {
-            File::open(path).map_err(unreadable)?;
+            files::open(path).map_err(unreadable)?;
             if metadata.len() == 0 {
                 return Err(VideoError::Empty { path: path.to_owned() });
             }
@@ -159,8 +160,9 @@ impl Source {
     pub fn of_another_size(&self, frame: &Frame) -> Option<String> {
         let (first, own) = (self.cameras.first()?, self.cameras.iter().find(|c| c.frames.contains(&frame.id))?);
         let size = |camera: &PictureCamera| (camera.source_width, camera.source_height);
-        (size(first) != size(own))
-            .then(|| folder::of_another_size(&self.path.join(&frame.name), size(own), size(first)))
+        (size(first) != size(own)).then(|| {
+            folder::of_another_size(&self.path.join(&frame.name), size(own), size(first), "the first image has")
+        })
     }
 
     /// Quarter turns, clockwise, that make a frame of the picture as its file stores it, 0 to 3; `None` if it is

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::error::regular;
 use super::file::origin_s;
 use super::{VideoError, diagnosis};
 use crate::ffi::ffmpeg::{FfmpegError, MediaFile, Packet, Stream, StreamKind, TextCoding};
@@ -29,6 +30,7 @@ pub fn subtitles(path: &Path) -> Result<Vec<Subtitle>, VideoError> {
         FfmpegError::Open(_) => diagnosis::why_not(path),
         other => VideoError::Ffmpeg(other),
     };
+    regular(path)?;
     let mut file = MediaFile::open(path).map_err(refused)?;
     let streams = file.streams();
     let is_text = |stream: &&Stream| matches!(stream.kind, StreamKind::Text(_));

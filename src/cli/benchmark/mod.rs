@@ -94,7 +94,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) 
     }
     let output = OwnedFolder::open(&args.output, "tractrix benchmark", place)?;
     use_threads(options.threads)?;
-    talk.say_how_to_go_on();
+    talk.ends_in_order();
     let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
     let mut benchmark = Benchmark {
         version: VERSION,

@@ -42,10 +42,8 @@ pub(super) fn sequence(
     }));
     match result {
         Ok(Ok(entry)) => Ok(described(entry)),
-        Ok(Err(error)) => match error.downcast_ref() {
-            Some(PipelineError::Folder(of_all)) if stands_in_every_way(of_all) => Err(error.into()),
-            _ => Ok(described(failed(Failure::Input(error).to_string()))),
-        },
+        Ok(Err(error)) if stands_in_every_way(&error) => Err(error.into()),
+        Ok(Err(error)) => Ok(described(failed(Failure::Input(error).to_string()))),
         Err(panic) => {
             let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
             let text = text.unwrap_or("no message");
@@ -55,8 +53,14 @@ pub(super) fn sequence(
 }
 
 /// Whether the next sequence would meet the same.
-pub(in crate::cli) fn stands_in_every_way(error: &FolderError) -> bool {
-    error.is_wrong_use() || matches!(error, FolderError::Busy { .. } | FolderError::System { .. })
+pub(in crate::cli) fn stands_in_every_way(error: &anyhow::Error) -> bool {
+    match error.downcast_ref() {
+        Some(PipelineError::Stopped) => true,
+        Some(PipelineError::Folder(error)) => {
+            error.is_wrong_use() || matches!(error, FolderError::Busy { .. } | FolderError::System { .. })
+        }
+        _ => false,
+    }
 }
 
 fn run(

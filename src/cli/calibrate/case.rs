@@ -14,7 +14,7 @@ use crate::eval::calibration::Case;
 use crate::eval::{Evaluation, Outcome};
 use crate::io::{OwnedFolder, RunFolder, Sequence, TARGET_LABEL};
 use crate::math::median;
-use crate::pipeline::{self, Instances, Job, Options, Overwrite, PipelineError, Stage};
+use crate::pipeline::{self, Instances, Job, Options, Overwrite, Stage};
 use crate::scene::{ObjectId, Trust};
 use crate::video::Position;
 
@@ -46,10 +46,8 @@ impl Setting<'_> {
         // A panic is a defect of the program, but it must not take the other cases with it.
         match catch_unwind(AssertUnwindSafe(|| self.result(folder, variant, &output, described.clone()))) {
             Ok(Ok(case)) => Ok(case),
-            Ok(Err(error)) => match error.downcast_ref() {
-                Some(PipelineError::Folder(of_all)) if stands_in_every_way(of_all) => Err(error.into()),
-                _ => Ok(failed(Failure::Input(error).to_string())),
-            },
+            Ok(Err(error)) if stands_in_every_way(&error) => Err(error.into()),
+            Ok(Err(error)) => Ok(failed(Failure::Input(error).to_string())),
             Err(_) => Ok(failed("the program broke, which is a defect to be reported".into())),
         }
     }

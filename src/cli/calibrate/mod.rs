@@ -19,6 +19,7 @@ use serde_json::json;
 use self::case::Setting;
 use self::variant::Variant;
 use super::benchmark::sequences::find;
+use super::benchmark::single::stands_in_every_way;
 use super::common::CommonArgs;
 use super::job::use_threads;
 use super::output::{Failure, Form, show};
@@ -73,7 +74,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) 
     };
     let output = OwnedFolder::open(&args.output, "tractrix calibrate", place)?;
     use_threads(options.threads)?;
-    talk.say_how_to_go_on();
+    talk.ends_in_order();
     let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
     let setting = Setting {
         results: &output,
@@ -122,6 +123,7 @@ fn clips(setting: &Setting, clip: &Path, variants: &[Variant], calibration: &mut
                 talk.say(&format!("{name}: {} vehicles in both", spreads.len()));
                 calibration.spreads.extend(spreads);
             }
+            Err(error) if stands_in_every_way(&error) => return Err(error.into()),
             Err(error) => tracing::warn!("{name}: {}", Failure::Input(error)),
         }
         write(calibration, setting.results)?;

@@ -11,8 +11,26 @@ mod model;
 
 use std::path::PathBuf;
 
+use crate::limits::memory::{MemoryLimit, TooMuch};
+
 pub use self::library::{MINIMUM_VERSION, RuntimeInfo, probe};
 pub use self::model::{Model, Tensor, TensorInfo};
+
+/// What a network may take of the machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Resources {
+    /// Threads that work on one operation; 0 lets the runtime take one per core.
+    pub num_threads: usize,
+    /// What its file and the numbers that go in and come out may take.
+    pub memory: MemoryLimit,
+}
+
+impl From<usize> for Resources {
+    /// So many threads, and the usual share of the machine's memory.
+    fn from(num_threads: usize) -> Self {
+        Self { num_threads, memory: MemoryLimit::of_machine() }
+    }
+}
 
 /// How to get the runtime, for messages.
 const CURE: &str =
@@ -63,6 +81,9 @@ pub enum OnnxError {
         /// The runtime's message.
         reason: String,
     },
+    /// The network promises more than memory holds.
+    #[error(transparent)]
+    Memory(#[from] TooMuch),
     /// Running the network failed.
     #[error("running the network {} failed: {reason}", path.display())]
     Run {

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use ort::session::{Session, SessionInputValue};
 use ort::value::{DynValue, Outlet, TensorElementType, TensorRef};
 
-use super::OnnxError;
 use super::library::runtime;
+use super::{OnnxError, Resources};
 
 /// Name and shape of an input or output.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,6 +18,14 @@ pub struct TensorInfo {
     pub shape: Vec<Option<usize>>,
     /// Its number type, such as `f32`.
     pub element: String,
+}
+
+impl TensorInfo {
+    /// What it takes as numbers of 32 bits, bytes; sides that are left open count as one.
+    fn num_bytes(&self) -> u128 {
+        let sides = self.shape.iter().map(|side| side.unwrap_or(1) as u128);
+        sides.fold(size_of::<f32>() as u128, u128::saturating_mul)
+    }
 }
 
 impl fmt::Display for TensorInfo {
@@ -69,18 +77,23 @@ impl fmt::Debug for Model {
 }
 
 impl Model {
-    /// Loads a network from a file. `num_threads` is the number of threads that work on one operation; 0 lets the
-    /// runtime take one per core.
+    /// Loads a network from a file.
     ///
     /// # Errors
-    /// [`OnnxError::NoModel`], [`OnnxError::Load`], or one of the runtime's own errors when its library is missing.
-    pub fn load(path: &Path, num_threads: usize) -> Result<Self, OnnxError> {
-        if !path.is_file() {
-            return Err(OnnxError::NoModel { path: path.to_path_buf() });
-        }
+    /// [`OnnxError::NoModel`], [`OnnxError::Load`], [`OnnxError::Memory`] for a file, or numbers that go in and come
+    /// out, which are more than memory holds; or one of the runtime's own errors when its library is missing.
+    pub fn load(path: &Path, resources: impl Into<Resources>) -> Result<Self, OnnxError> {
+        let Resources { num_threads, memory } = resources.into();
+        let found = std::fs::metadata(path).ok().filter(|found| found.is_file());
+        let size = found.ok_or_else(|| OnnxError::NoModel { path: path.to_path_buf() })?.len();
+        memory.check(|| format!("{}: the network", path.display()), u128::from(size))?;
         let session = open(path, num_threads)?;
-        let inputs = session.inputs().iter().map(describe).collect();
-        let outputs = session.outputs().iter().map(describe).collect();
+        let inputs: Vec<_> = session.inputs().iter().map(describe).collect();
+        let outputs: Vec<_> = session.outputs().iter().map(describe).collect();
+        for tensor in inputs.iter().chain(&outputs) {
+            let what = || format!("{}: {tensor}, of which the network speaks,", path.display());
+            memory.check(what, tensor.num_bytes())?;
+        }
         Ok(Self { path: path.to_path_buf(), session, inputs, outputs })
     }
 
@@ -181,5 +194,8 @@ mod tests {
     fn open_sides_are_shown_as_a_question_mark() {
         let info = TensorInfo { name: "x".into(), shape: vec![None, Some(3)], element: "f32".into() };
         assert_eq!(info.to_string(), "x f32 [?, 3]");
+        assert_eq!(info.num_bytes(), 12);
+        let shape = vec![Some(1), Some(3), Some(usize::MAX), Some(usize::MAX)];
+        assert!(TensorInfo { shape, ..info }.num_bytes() > 1 << 100);
     }
 }

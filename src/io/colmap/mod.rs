@@ -22,7 +22,7 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion};
 
 use super::assembly::{self, check_finite};
-use super::{IoError, atomic};
+use super::{IoError, atomic, extent};
 use crate::camera::Camera;
 use crate::scene::{CameraForm, CameraId, ImageId, Point3dId, Reconstruction};
 pub(super) use camera_model::foreign as foreign_camera;
@@ -62,7 +62,10 @@ pub fn read_any(folder: &Path) -> Result<Reconstruction, IoError> {
         model.points = text::read_points(&folder.join("points3D.txt"))?;
     }
     check_references(folder, &model)?;
-    Ok(model)
+    match extent::beyond(&model) {
+        Some(problem) => Err(IoError::content(folder, problem)),
+        None => Ok(model),
+    }
 }
 
 /// Names of a model's files as text.

@@ -9,6 +9,7 @@ use std::path::Path;
 
 use crate::io::IoError;
 use crate::io::bytes::Bytes;
+use crate::limits::files;
 use crate::scene::Reconstruction;
 
 /// COLMAP's number and name of a sensor that is a camera.
@@ -70,7 +71,7 @@ pub fn num_of_several(folder: &Path) -> usize {
     if folder.join("cameras.bin").exists() {
         several_in_binary(&folder.join("rigs.bin")).unwrap_or(0)
     } else {
-        std::fs::read_to_string(folder.join("rigs.txt")).map_or(0, |text| several_in_text(&text))
+        files::read_text(&folder.join("rigs.txt")).map_or(0, |text| several_in_text(&String::from_utf8_lossy(&text)))
     }
 }
 

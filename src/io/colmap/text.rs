@@ -10,6 +10,7 @@ use nalgebra::{Point2, Point3, Vector3};
 use super::{Cameras, camera_model, unit_quaternion};
 use crate::camera::Model;
 use crate::io::IoError;
+use crate::limits::files;
 use crate::math::Rigid3;
 use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
@@ -144,7 +145,7 @@ struct Line<'a> {
 }
 
 fn read_file(path: &Path) -> Result<String, IoError> {
-    let bytes = std::fs::read(path).map_err(IoError::system("read", path))?;
+    let bytes = files::read_text(path).map_err(IoError::system("read", path))?;
     String::from_utf8(bytes).map_err(|_| IoError::content(path, "is not a text file (UTF-8)"))
 }
 

@@ -8,6 +8,7 @@ use serde::de::IgnoredAny;
 
 use super::Format;
 use crate::io::{IoError, RunFolder, colmap};
+use crate::limits::files;
 
 /// What can be given, in words.
 const READABLE: &str = "a COLMAP folder, an output folder, OpenMVG's sfm_data.json, OpenSfM's reconstruction.json, \
@@ -82,9 +83,9 @@ fn of_file(path: &Path) -> Result<(PathBuf, Format), IoError> {
 
 fn start_of(path: &Path) -> Result<Vec<u8>, IoError> {
     let mut start = Vec::new();
-    let file = std::fs::File::open(path).map_err(IoError::system("read", path))?;
+    let file = files::open(path).map_err(IoError::system("read", path))?;
     file.take(4096).read_to_end(&mut start).map_err(IoError::system("read", path))?;
-    Ok(start)
+    Ok(files::without_mark(start))
 }
 
 /// What a JSON file is by the keys at its top.
@@ -115,7 +116,7 @@ fn of_json(path: &Path) -> Result<Format, IoError> {
 /// The keys of the object at the top of a JSON file, or of the first one in the list at its top.
 fn top_keys(path: &Path) -> Result<Vec<String>, IoError> {
     type Object = BTreeMap<String, IgnoredAny>;
-    let bytes = std::fs::read(path).map_err(IoError::system("read", path))?;
+    let bytes = files::read_text(path).map_err(IoError::system("read", path))?;
     let is_list = bytes.iter().find(|byte| !byte.is_ascii_whitespace()) == Some(&b'[');
     let object = if is_list {
         serde_json::from_slice::<Vec<Object>>(&bytes).map(|list| list.into_iter().next().unwrap_or_default())

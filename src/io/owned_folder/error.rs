@@ -108,6 +108,11 @@ fn cure(error: &io::Error) -> &'static str {
 }
 
 impl FolderError {
+    /// Whether it is a matter of waiting: another process has the folder.
+    pub fn is_busy(&self) -> bool {
+        matches!(self, Self::Busy { .. })
+    }
+
     /// Whether the command line asks for what must not be, so that nothing was begun.
     pub fn is_wrong_use(&self) -> bool {
         use FolderError::{Exists, InTheWay, Link, NotOwn, OtherInput, OwnInput};

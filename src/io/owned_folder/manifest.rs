@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{FolderError, InputIdentity, STATE, is_inside};
+use crate::limits::files;
 
 /// Its name in the state folder.
 pub(super) const MANIFEST: &str = "manifest.json";
@@ -37,7 +38,7 @@ pub(super) fn read_manifest(root: &Path) -> Result<Option<Manifest>, FolderError
             return Err(FolderError::Link { path: root.to_owned(), link: name });
         }
     }
-    let Ok(bytes) = fs::read(state.join(MANIFEST)) else { return Ok(None) };
+    let Ok(bytes) = files::read(&state.join(MANIFEST)) else { return Ok(None) };
     // One that cannot be read says nothing: the folder is then nobody's, and left alone.
     Ok(serde_json::from_slice::<Manifest>(&bytes).ok().filter(Manifest::is_sound))
 }

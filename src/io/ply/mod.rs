@@ -11,7 +11,9 @@ use std::path::Path;
 
 use nalgebra::Point3;
 
+use super::extent::{LARGEST, is_sensible};
 use super::{IoError, atomic};
+use crate::limits::files;
 use crate::scene::TriangleMesh;
 use header::{Header, Kind};
 
@@ -54,7 +56,7 @@ pub fn write_mesh(path: &Path, mesh: &TriangleMesh) -> Result<(), IoError> {
 /// # Errors
 /// A missing or broken file, no faces, or a face that names a vertex which is not there.
 pub fn read_mesh(path: &Path) -> Result<TriangleMesh, IoError> {
-    let content = std::fs::read(path).map_err(IoError::system("read", path))?;
+    let content = files::read(path).map_err(IoError::system("read", path))?;
     let (header, body) = Header::parse(path, &content)?;
     let mut values = payload::Values::new(path, header.encoding, body, content.len() - body.len());
     let mut mesh = TriangleMesh::default();
@@ -81,10 +83,10 @@ fn vertex(values: &mut payload::Values<'_>, properties: &[header::Property]) -> 
             }
         })?;
     }
-    if position.iter().all(|c| c.is_finite()) {
+    if position.iter().all(is_sensible) {
         Ok(Point3::from(position))
     } else {
-        Err(values.error("vertex", "needs finite properties x, y and z"))
+        Err(values.error("vertex", &format!("needs properties x, y and z, each a number of at most {LARGEST:e}")))
     }
 }
 

@@ -18,6 +18,7 @@ pub use self::dis::{DisFlow, DisPreset};
 pub use self::network::OnnxFlow;
 use super::tensor::Plane;
 use super::{INPUT_SIZES, PerceptionError};
+use crate::ffi::onnx::Resources;
 use crate::limits::{Checked, within};
 use crate::scene::Flow;
 
@@ -65,8 +66,8 @@ impl FlowOptions {
     }
 }
 
-/// The flow estimator: a network if one is given, otherwise OpenCV's DIS. `num_threads` is the number of threads that a
-/// network runs on; 0 is one per core.
+/// The flow estimator: a network if one is given, otherwise OpenCV's DIS. `resources` is what a network may take, or
+/// a number of threads; 0 is one per core.
 ///
 /// # Errors
 /// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] if the network does
@@ -74,11 +75,11 @@ impl FlowOptions {
 pub fn load_flow(
     network: Option<&Path>,
     options: &FlowOptions,
-    num_threads: usize,
+    resources: impl Into<Resources>,
 ) -> Result<Box<dyn FlowEstimator>, PerceptionError> {
     options.check()?;
     match network {
-        Some(path) => Ok(Box::new(OnnxFlow::load(path, options, num_threads)?)),
+        Some(path) => Ok(Box::new(OnnxFlow::load(path, options, resources)?)),
         None => Ok(Box::new(DisFlow::new(options)?)),
     }
 }

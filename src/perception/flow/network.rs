@@ -5,7 +5,7 @@ use std::path::Path;
 use ::image::RgbImage;
 
 use super::{Field, FlowEstimator, FlowOptions, at_frame_size, check_sizes, consistent};
-use crate::ffi::onnx::{Model, Tensor, TensorInfo};
+use crate::ffi::onnx::{Model, Resources, Tensor, TensorInfo};
 use crate::image::{resize_rgb, scale_to_fit};
 use crate::perception::PerceptionError;
 use crate::perception::description::{Preprocessing, find_known, read_sidecar};
@@ -37,12 +37,12 @@ fn is_flow(tensor: &TensorInfo) -> bool {
 impl OnnxFlow {
     /// Loads a network with two inputs [1, 3, h, w] and an output [1, 2, h, w] of displacements in x and y, in pixels
     /// of the input. Pixels become RGB between -1 and 1 (torchvision's RAFT) unless a description beside it says
-    /// otherwise. `num_threads` is the number of threads that it runs on; 0 is one per core.
+    /// otherwise. `resources` is what it may take, or a number of threads; 0 is one per core.
     ///
     /// # Errors
     /// [`PerceptionError::UnknownLayout`] if inputs and outputs are others.
-    pub fn load(path: &Path, options: &FlowOptions, num_threads: usize) -> Result<Self, PerceptionError> {
-        let model = Model::load(path, num_threads)?;
+    pub fn load(path: &Path, options: &FlowOptions, resources: impl Into<Resources>) -> Result<Self, PerceptionError> {
+        let model = Model::load(path, resources)?;
         let output_idx = model.outputs().iter().rposition(is_flow);
         let (2, true, Some(output_idx)) = (model.inputs().len(), model.inputs().iter().all(is_image), output_idx)
         else {

@@ -23,7 +23,7 @@ use super::options::PromptOptions;
 use super::outline::one_part;
 use super::window::{Placement, Share, Window, shares};
 use super::{Prompted, Prompter, agreement, visible};
-use crate::ffi::onnx::{Model, Tensor, TensorInfo};
+use crate::ffi::onnx::{Model, Resources, Tensor, TensorInfo};
 use crate::perception::PerceptionError;
 use crate::perception::description::Preprocessing;
 use crate::perception::tensor::{Plane, tensor_from_image};
@@ -40,7 +40,7 @@ const CONFIRMED_OVERLAP: f64 = 0.8;
 /// Labels of a box's two corners.
 const CORNERS: [f32; 2] = [2.0, 3.0];
 
-/// Loads the two parts of the network. `num_threads` is the number of threads that each runs on; 0 is one per core.
+/// Loads the two parts of the network. `resources` is what each may take, or a number of threads; 0 is one per core.
 ///
 /// # Errors
 /// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] names the part whose
@@ -49,11 +49,12 @@ pub fn load_prompter(
     encoder: &Path,
     decoder: &Path,
     options: &PromptOptions,
-    num_threads: usize,
+    resources: impl Into<Resources>,
 ) -> Result<Box<dyn Prompter>, PerceptionError> {
     options.check()?;
-    let encoder = Model::load(encoder, num_threads)?;
-    let decoder = Model::load(decoder, num_threads)?;
+    let resources = resources.into();
+    let encoder = Model::load(encoder, resources)?;
+    let decoder = Model::load(decoder, resources)?;
     refuse_unless(is_encoder(&encoder), &encoder, "an encoder: image [1, 3, H, W] in, embedding [1, c, h, w] out")?;
     refuse_unless(
         is_decoder(&decoder),

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::yolox::{self, Yolox};
 use super::{Detector, movable};
-use crate::ffi::onnx::Model;
+use crate::ffi::onnx::{Model, Resources};
 use crate::limits::{Checked, some_of, within};
 use crate::perception::{INPUT_SIZES, PerceptionError};
 
@@ -60,8 +60,8 @@ impl DetectorOptions {
     }
 }
 
-/// Loads a network that finds boxes; its family is recognised from its inputs and outputs. `num_threads` is the number
-/// of threads that it runs on; 0 is one per core.
+/// Loads a network that finds boxes; its family is recognised from its inputs and outputs. `resources` is what it may
+/// take, or a number of threads; 0 is one per core.
 ///
 /// # Errors
 /// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] lists what was found
@@ -70,10 +70,10 @@ impl DetectorOptions {
 pub fn load_detector(
     path: &Path,
     options: &DetectorOptions,
-    num_threads: usize,
+    resources: impl Into<Resources>,
 ) -> Result<Box<dyn Detector>, PerceptionError> {
     options.check()?;
-    let model = Model::load(path, num_threads)?;
+    let model = Model::load(path, resources)?;
     if yolox::recognise(&model) {
         return Ok(Box::new(Yolox::new(model, options)?));
     }

@@ -19,7 +19,7 @@ pub use self::detection::{DetectorOptions, load_detector};
 use self::mask_rcnn::MaskRcnn;
 use self::yolo::YoloSeg;
 use super::{INPUT_SIZES, PerceptionError};
-use crate::ffi::onnx::Model;
+use crate::ffi::onnx::{Model, Resources};
 use crate::limits::{Checked, some_of, within};
 use crate::scene::{BoxDetection, Detection};
 
@@ -143,8 +143,8 @@ impl SegmentationOptions {
     }
 }
 
-/// Loads a network for instance segmentation; its family is recognised from its inputs and outputs. `num_threads` is
-/// the number of threads that it runs on; 0 is one per core.
+/// Loads a network for instance segmentation; its family is recognised from its inputs and outputs. `resources` is what
+/// it may take, or a number of threads; 0 is one per core.
 ///
 /// # Errors
 /// [`PerceptionError::UnknownLayout`] lists what was found and what is supported; [`PerceptionError::NoClassNames`] and
@@ -152,10 +152,10 @@ impl SegmentationOptions {
 pub fn load_segmenter(
     path: &Path,
     options: &SegmentationOptions,
-    num_threads: usize,
+    resources: impl Into<Resources>,
 ) -> Result<Box<dyn Segmenter>, PerceptionError> {
     options.check()?;
-    let model = Model::load(path, num_threads)?;
+    let model = Model::load(path, resources)?;
     if yolo::recognise(&model) {
         return Ok(Box::new(YoloSeg::new(model, options)?));
     }

@@ -28,7 +28,7 @@ pub(super) fn split(
     run.progress.begin("track", Some(frames.len() as u64));
     let mut seen: BTreeMap<ObjectId, Vec<FrameId>> = BTreeMap::new();
     for frame in frames {
-        run.progress.step();
+        run.step()?;
         let Some(labels) = files.labels(frame.id)? else { continue };
         for label in labels.present() {
             let id = ObjectId(label.into());

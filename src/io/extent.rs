@@ -1,0 +1,42 @@
+//! How far away anything may be.
+
+use crate::scene::Reconstruction;
+
+/// The largest coordinate that is taken, in whatever unit a file counts. In metres it is a tenth of a light year; from
+/// there on squares and cubes of distances lose all meaning, and in the end are no numbers any more.
+pub const LARGEST: f64 = 1e15;
+
+/// Whether a coordinate is a number that can be meant.
+pub fn is_sensible(coordinate: &f64) -> bool {
+    coordinate.abs() <= LARGEST
+}
+
+/// Whether a ratio of lengths is a number that can be meant.
+pub fn is_sensible_ratio(ratio: f64) -> bool {
+    (1.0 / LARGEST..=LARGEST).contains(&ratio)
+}
+
+/// The first part of a model that lies beyond any sense, in words.
+pub fn beyond(model: &Reconstruction) -> Option<String> {
+    let images = model.images.iter().filter(|(_, image)| !image.cam_from_world.translation.iter().all(is_sensible));
+    let points = model.points.iter().filter(|(_, point)| !point.position.iter().all(is_sensible));
+    let mut found =
+        images.map(|(id, _)| format!("image {}", id.0)).chain(points.map(|(id, _)| format!("point {}", id.0)));
+    found.next().map(|part| format!("{part} is further than {LARGEST:e} units away"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_cannot_be_meant_is_told_from_what_is_far() {
+        assert!([0.0, -4.0e6, 1e-300, 1e15].iter().all(is_sensible));
+        assert!(![f64::NAN, f64::INFINITY, -1e16].iter().any(is_sensible));
+        assert!(is_sensible_ratio(1e-9) && ![0.0, -1.0, 1e-16, 1e308, f64::NAN].iter().any(|r| is_sensible_ratio(*r)));
+        let mut model = crate::io::testing::odd_model();
+        assert_eq!(beyond(&model), None);
+        model.points.values_mut().next().unwrap().position.y = -1e200;
+        assert_eq!(beyond(&model).as_deref(), Some("point 1 is further than 1e15 units away"));
+    }
+}

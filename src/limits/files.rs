@@ -1,0 +1,138 @@
+//! Which files are opened: those that end, and that memory holds.
+//!
+//! Behind a name that the user gives, or that lies in a folder of his, may be a pipe that nobody writes into, or a
+//! device that never ends. Only regular files are opened, by whatever links they are reached, and only those that fit
+//! into memory are read whole.
+
+use std::fs::{self, File, FileType, OpenOptions};
+use std::io::{self, Read};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+use std::path::Path;
+
+use super::memory;
+
+/// UTF-8's byte order mark, which some editors put before a text.
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+
+/// Opens a regular file.
+///
+/// # Errors
+/// What the system says; [`io::ErrorKind::InvalidInput`] names what it is that is no regular file.
+pub fn open(path: &Path) -> io::Result<File> {
+    check(path)?;
+    // Should it have become a pipe since, opening it must not wait for somebody who writes.
+    let no_waiting = i32::try_from(rustix::fs::OFlags::NONBLOCK.bits()).unwrap_or(0);
+    let file = OpenOptions::new().read(true).custom_flags(no_waiting).open(path)?;
+    check_type(file.metadata()?.file_type())?;
+    Ok(file)
+}
+
+/// Looks whether a path leads to a regular file, for those that are opened by foreign libraries.
+///
+/// # Errors
+/// As [`open`].
+pub fn check(path: &Path) -> io::Result<()> {
+    check_type(fs::metadata(path)?.file_type())
+}
+
+/// Reads a regular file whole.
+///
+/// # Errors
+/// As [`open`]; [`io::ErrorKind::FileTooLarge`] for a file that this machine's memory does not hold.
+pub fn read(path: &Path) -> io::Result<Vec<u8>> {
+    let mut file = open(path)?;
+    let (size, limit) = (file.metadata()?.len(), memory::of_machine());
+    if size > limit {
+        let reason = format!("it has {}, memory holds {}", memory::in_words(size), memory::in_words(limit));
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, reason));
+    }
+    let mut content = Vec::new();
+    content.try_reserve_exact(usize::try_from(size).unwrap_or(usize::MAX)).map_err(io::Error::from)?;
+    file.read_to_end(&mut content)?;
+    Ok(content)
+}
+
+/// As [`read`], of a text: without its byte order mark.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_text(path: &Path) -> io::Result<Vec<u8>> {
+    read(path).map(without_mark)
+}
+
+/// A text's bytes without its byte order mark.
+pub fn without_mark(mut text: Vec<u8>) -> Vec<u8> {
+    if text.starts_with(BYTE_ORDER_MARK) {
+        text.drain(..BYTE_ORDER_MARK.len());
+    }
+    text
+}
+
+fn check_type(found: FileType) -> io::Result<()> {
+    match in_words(found) {
+        "a file" => Ok(()),
+        "a folder" => Err(io::ErrorKind::IsADirectory.into()),
+        other => Err(io::Error::new(io::ErrorKind::InvalidInput, format!("it is {other}, and no file that ends"))),
+    }
+}
+
+/// What a thing in a folder is.
+pub fn in_words(found: FileType) -> &'static str {
+    if found.is_file() {
+        "a file"
+    } else if found.is_dir() {
+        "a folder"
+    } else if found.is_fifo() {
+        "a pipe"
+    } else if found.is_socket() {
+        "a socket"
+    } else if found.is_symlink() {
+        "a link that leads nowhere"
+    } else {
+        "a device"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::symlink;
+    use std::os::unix::net::UnixListener;
+
+    use super::*;
+
+    #[test]
+    fn only_regular_files_are_opened() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, link, socket) = ["file", "link", "socket"].map(|name| folder.path().join(name)).into();
+        fs::write(&file, "text").unwrap();
+        symlink(&file, &link).unwrap();
+        assert_eq!(read(&link).unwrap(), b"text");
+        let _listener = UnixListener::bind(&socket).unwrap();
+        let said = |path: &Path| read(path).unwrap_err().to_string();
+        assert!(said(&socket).contains("a socket"), "{}", said(&socket));
+        assert!(said(Path::new("/dev/zero")).contains("a device"));
+        assert_eq!(read(folder.path()).unwrap_err().kind(), io::ErrorKind::IsADirectory);
+        assert_eq!(read(&folder.path().join("none")).unwrap_err().kind(), io::ErrorKind::NotFound);
+        let pipe = folder.path().join("pipe");
+        rustix::fs::mknodat(rustix::fs::CWD, &pipe, rustix::fs::FileType::Fifo, 0o600.into(), 0).unwrap();
+        assert!(said(&pipe).contains("a pipe"));
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_no_text() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("text");
+        fs::write(&path, b"\xef\xbb\xbfone\xef\xbb\xbf").unwrap();
+        assert_eq!(read_text(&path).unwrap(), b"one\xef\xbb\xbf");
+    }
+
+    #[test]
+    fn a_file_larger_than_memory_is_refused_before_it_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("sparse");
+        // A file of holes, where the file system has such.
+        if File::create(&path).unwrap().set_len(1 << 43).is_ok() {
+            assert_eq!(read(&path).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
+        }
+    }
+}
