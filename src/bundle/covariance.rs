@@ -71,16 +71,21 @@ pub fn covariances(problem: &Problem, options: &Options, wanted: &Wanted) -> Res
 }
 
 /// The normal equations without damping, eliminated and factorised.
-struct System<'a, const D: usize> {
-    problem: &'a Problem,
-    layout: &'a Layout,
-    lin: Linearization<D>,
-    reduced: Reduced<D>,
-    solver: Solver,
+pub(super) struct System<'a, const D: usize> {
+    pub problem: &'a Problem,
+    pub layout: &'a Layout,
+    pub lin: Linearization<D>,
+    pub reduced: Reduced<D>,
+    pub solver: Solver,
 }
 
 impl<'a, const D: usize> System<'a, D> {
-    fn new(problem: &'a Problem, options: &Options, layout: &'a Layout, parallel: bool) -> Result<Self, BundleError> {
+    pub fn new(
+        problem: &'a Problem,
+        options: &Options,
+        layout: &'a Layout,
+        parallel: bool,
+    ) -> Result<Self, BundleError> {
         let state = State::new(problem, layout);
         let pass = Pass { layout, loss: options.loss, parallel };
         let mut reduced = Reduced::new(layout);

@@ -28,6 +28,7 @@
 
 mod accumulate;
 mod camera_sums;
+mod clustered;
 mod covariance;
 mod layout;
 mod levenberg_marquardt;

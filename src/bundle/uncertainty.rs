@@ -2,6 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use nalgebra::Matrix3;
+
+use super::clustered::clustered_centers;
 use super::covariance::{Wanted, covariances};
 use super::options::{Behind, Options};
 use super::problem::{BundleError, CameraBlock, Problem};
@@ -21,8 +24,11 @@ pub struct CenterDeviations {
 }
 
 /// Standard deviations of the centres of at most `num_images` images, evenly spread, from the covariance of the
-/// reconstruction's adjustment with its intrinsics held. The noise of a pixel is taken from the residuals:
-/// σ² = Σ r² / (residuals − unknowns).
+/// reconstruction's adjustment with its intrinsics held.
+///
+/// Two are computed, and the larger one counts: if every observation errs by itself, with the noise of a pixel taken
+/// from the residuals, σ² = Σ r² / (residuals − unknowns); and if those of a part of the time and of the picture err
+/// together ([`clustered_centers`]), as tracks do that slide.
 ///
 /// They are relative to what holds the gauge: the first image, which is exact by definition and left out, and its
 /// distance to the image farthest from it. They know nothing of wrong matches or of intrinsics that are off. `None`
@@ -49,9 +55,36 @@ pub fn center_deviations(model: &Reconstruction, num_images: usize) -> Result<Op
     let ids: Vec<ImageId> = model.images.keys().copied().collect();
     let options = Options { threads: 1, behind: Behind::Project, ..Options::default() };
     let found = covariances(&problem, &options, &Wanted { poses: poses.clone(), ..Wanted::default() })?;
-    let deviation = |c: &super::PoseCovariance| pixel_px * c.center.trace().max(0.0).sqrt();
-    let centers = poses.iter().map(|pose| ids[*pose]).zip(found.poses.iter().map(deviation)).collect();
+    let (group_of_point, num_groups) = groups(&problem);
+    let clustered = clustered_centers(&problem, &options, &poses, &group_of_point, num_groups)?;
+    let deviation = |(alone, clustered): (&super::PoseCovariance, &Matrix3<f64>)| {
+        let alone = pixel_px * alone.center.trace().max(0.0).sqrt();
+        alone.max(clustered.trace().max(0.0).sqrt())
+    };
+    let centers = poses.iter().map(|pose| ids[*pose]).zip(found.poses.iter().zip(&clustered).map(deviation)).collect();
     Ok(Some(CenterDeviations { pixel_px, held: ids[held], farthest: ids[farthest], centers }))
+}
+
+/// By point the group with which it may err together, a part of the time and of the picture; and how many there are.
+fn groups(problem: &Problem) -> (Vec<usize>, usize) {
+    const TIMES: usize = 8;
+    const PARTS: [usize; 2] = [3, 2];
+    let mut sums = vec![[0.0; 4]; problem.points.len()];
+    for o in &problem.observations {
+        let camera = &problem.cameras[problem.poses[o.pose as usize].camera].camera;
+        let [u, v] = [o.pixel.x / f64::from(camera.width), o.pixel.y / f64::from(camera.height)];
+        let sum = &mut sums[o.point as usize];
+        for (cell, value) in sum.iter_mut().zip([f64::from(o.pose), u, v, 1.0]) {
+            *cell += value;
+        }
+    }
+    let place = |value: f64, parts: usize| ((value * parts as f64) as usize).min(parts - 1);
+    let group = |[pose, u, v, count]: &[f64; 4]| {
+        let count = count.max(1.0);
+        let time = place(pose / count / problem.poses.len().max(1) as f64, TIMES);
+        (time * PARTS[0] + place(u / count, PARTS[0])) * PARTS[1] + place(v / count, PARTS[1])
+    };
+    (sums.iter().map(group).collect(), TIMES * PARTS[0] * PARTS[1])
 }
 
 /// From the residuals' sum of squares and the redundancy, of which the gauge gives back seven.
