@@ -160,7 +160,7 @@ pub struct Contact {
 }
 
 /// The points that count for extent and outline.
-fn solid_points(object: &Reconstruction, options: &ContactOptions) -> Vec<Point3<f64>> {
+pub(super) fn solid_points(object: &Reconstruction, options: &ContactOptions) -> Vec<Point3<f64>> {
     // Of an object that is seen for a moment there is nothing better than what is seen longest.
     let longest = object.points.values().map(|point| point.track.len()).max().unwrap_or(0);
     let min_track = options.min_track.min(longest);

@@ -11,7 +11,7 @@
 //! [`intersection`] are the paper's two estimators, to the letter; [`least_squares`] uses all frames at once and says
 //! how well the motion determines r at all. [`joint`] goes further: it adjusts the object's reconstruction once more,
 //! together with the ground. [`estimate_scale`] runs the others and says whether the ratio is determined;
-//! [`assemble`] places the object; [`verdicts`] judges the trajectories of a run.
+//! [`assemble`] places the object; [`extents()`] measures it; [`verdicts`] judges the trajectories of a run.
 //! The derivations are in `docs/maths/scale.md`.
 
 //!
@@ -36,6 +36,7 @@ mod constant_distance;
 mod contact;
 mod error;
 mod estimate;
+mod extents;
 mod heading;
 mod intersection;
 mod joint;
@@ -51,6 +52,7 @@ pub use constant_distance::{ConstantDistance, ConstantDistanceOptions, constant_
 pub use contact::{Contact, ContactOptions, Silhouette, contact};
 pub use error::ScaleError;
 pub use estimate::{Options, estimate_scale, ratios_of};
+pub use extents::{Extents, Subject, extents};
 pub use heading::{forward_axis, headings};
 pub use intersection::{Intersection, intersection};
 pub use joint::{Grounded, Joint, JointOptions, joint};

@@ -1,0 +1,171 @@
+//! A body of a given shape, stretched until its outlines are those that were seen: Gauss–Newton with weights that leave
+//! out what does not fit (Cauchy's).
+
+use nalgebra::{Point3, SMatrix, SVector, Vector3};
+
+use super::outline::{Sight, seen, support};
+use super::template::Template;
+
+/// Unknowns: logarithms of length, width and height; the middle forwards and to the left; the turn about the vertical;
+/// the ground's height.
+pub(super) const NUM: usize = 7;
+/// One value for every unknown.
+pub(super) type Unknowns = SVector<f64, NUM>;
+
+/// Where the search starts and how far it may go from there: a standard deviation for every unknown.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Expected {
+    pub(super) value: Unknowns,
+    pub(super) std: Unknowns,
+    /// How far points reach forwards, backwards, to the left and to the right.
+    pub(super) reaches: [Reach; 4],
+}
+
+/// How far points reach in a direction along the ground.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reach {
+    /// Which of length (0) and width (1).
+    pub(super) axis: usize,
+    /// 1.0 forwards or to the left, −1.0 the other way.
+    pub(super) side: f64,
+    /// How far, along that direction, and a little more: where the body ends if its end was seen.
+    pub(super) at: f64,
+    /// Standard deviation of that.
+    pub(super) std: f64,
+    /// Whether that end was seen; else the body may go on.
+    pub(super) is_seen: bool,
+}
+
+impl Reach {
+    /// By how many deviations the body ends elsewhere, and which unknowns move its end by how much.
+    fn residual(&self, value: &Unknowns) -> (f64, Unknowns) {
+        let half = 0.5 * value[self.axis].exp();
+        let beyond = self.side * value[3 + self.axis] + half - self.at;
+        let mut gradient = Unknowns::zeros();
+        if beyond > 0.0 && !self.is_seen {
+            return (0.0, gradient);
+        }
+        gradient[self.axis] = half / self.std;
+        gradient[3 + self.axis] = self.side / self.std;
+        (beyond / self.std, gradient)
+    }
+}
+
+/// What a body fits best with.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Fit {
+    /// The unknowns.
+    pub(super) value: Unknowns,
+    /// Their covariance.
+    pub(super) covariance: SMatrix<f64, NUM, NUM>,
+    /// Robust mean of the squared residuals, in deviations².
+    pub(super) misfit: f64,
+}
+
+const ITERATIONS: usize = 30;
+/// Residuals beyond this many deviations lose weight.
+const CAUCHY: f64 = 2.0;
+/// Step of the differences, in units of the unknowns' expected deviations.
+const DIFFERENCE: f64 = 1e-5;
+
+/// The body's corners in the vehicle's frame.
+fn placed(corners: &[Vector3<f64>], value: &Unknowns) -> Vec<Point3<f64>> {
+    let [length, width, height] = [0, 1, 2].map(|k| value[k].exp());
+    let (sin, cos) = value[5].sin_cos();
+    let place = |c: &Vector3<f64>| {
+        let (x, y) = (length * c.x, width * c.y);
+        Point3::new(value[3] + cos * x - sin * y, value[4] + sin * x + cos * y, value[6] + height * c.z)
+    };
+    corners.iter().map(place).collect()
+}
+
+/// By how many deviations the body reaches beyond every line; `None` where it is not in front of a camera.
+fn residuals(corners: &[Vector3<f64>], sights: &[Sight], value: &Unknowns) -> Option<Vec<f64>> {
+    let body = placed(corners, value);
+    let mut all = Vec::new();
+    for sight in sights {
+        let outline: Option<Vec<_>> = body.iter().map(|p| seen(&sight.cam_from_vehicle, p)).collect();
+        let outline = outline?;
+        all.extend(sight.touches.iter().map(|t| (support(&outline, &t.normal) - t.support) / sight.std));
+    }
+    all.iter().all(|r| r.is_finite()).then_some(all)
+}
+
+fn cauchy(residual: f64) -> f64 {
+    (1.0 + (residual / CAUCHY).powi(2)).recip()
+}
+
+fn cost(residuals: &[f64], value: &Unknowns, expected: &Expected, weight: f64) -> f64 {
+    let lines: f64 = residuals.iter().map(|r| CAUCHY * CAUCHY * (r / CAUCHY).powi(2).ln_1p()).sum();
+    let reaches: f64 = expected.reaches.iter().map(|reach| reach.residual(value).0.powi(2)).sum();
+    weight * lines + reaches + (value - expected.value).component_div(&expected.std).norm_squared()
+}
+
+/// Fits a body to the sights; `weight` is the share of an independent observation that a line is. `None` where it cannot be seen by all of them, or nothing is determined.
+pub(super) fn fit(template: &Template, sights: &[Sight], expected: &Expected, weight: f64) -> Option<Fit> {
+    let corners = template.corners();
+    let mut value = expected.value;
+    let mut residual = residuals(&corners, sights, &value)?;
+    let mut now = cost(&residual, &value, expected, weight);
+    let mut damping = 1e-3;
+    let mut normal = SMatrix::<f64, NUM, NUM>::zeros();
+    for _ in 0..ITERATIONS {
+        let (matrix, gradient) = linearised(&corners, sights, expected, &value, &residual, weight)?;
+        normal = matrix;
+        let mut damped = matrix;
+        for k in 0..NUM {
+            damped[(k, k)] *= 1.0 + damping;
+        }
+        let step = damped.cholesky()?.solve(&gradient);
+        let next = value - step;
+        let found = residuals(&corners, sights, &next).map(|r| (cost(&r, &next, expected, weight), r));
+        match found.filter(|(cost, _)| *cost < now) {
+            Some((better, r)) => {
+                let is_done = now - better < 1e-6 * now;
+                (value, residual, now, damping) = (next, r, better, damping * 0.3);
+                if is_done {
+                    break;
+                }
+            }
+            None if damping > 1e6 => break,
+            None => damping *= 10.0,
+        }
+    }
+    let misfit = residual.iter().map(|r| cauchy(*r) * r * r).sum::<f64>() / residual.len().max(1) as f64;
+    Some(Fit { value, covariance: normal.try_inverse()?, misfit })
+}
+
+type Linear = (SMatrix<f64, NUM, NUM>, Unknowns);
+
+/// Normal matrix and gradient, by differences.
+fn linearised(
+    corners: &[Vector3<f64>],
+    sights: &[Sight],
+    expected: &Expected,
+    value: &Unknowns,
+    residual: &[f64],
+    line_weight: f64,
+) -> Option<Linear> {
+    let mut columns: Vec<Vec<f64>> = Vec::with_capacity(NUM);
+    for k in 0..NUM {
+        let step = DIFFERENCE * expected.std[k];
+        let mut moved = *value;
+        moved[k] += step;
+        let other = residuals(corners, sights, &moved)?;
+        columns.push(other.iter().zip(residual).map(|(a, b)| (a - b) / step).collect());
+    }
+    let prior = expected.std.map(|std| (std * std).recip());
+    let mut matrix = SMatrix::<f64, NUM, NUM>::from_diagonal(&prior);
+    let mut gradient = (value - expected.value).component_mul(&prior);
+    for (r, jacobian) in expected.reaches.iter().map(|reach| reach.residual(value)) {
+        matrix += jacobian * jacobian.transpose();
+        gradient += jacobian * r;
+    }
+    for (row, r) in residual.iter().enumerate() {
+        let jacobian = Unknowns::from_fn(|k, _| columns[k][row]);
+        let weight = line_weight * cauchy(*r);
+        matrix += jacobian * jacobian.transpose() * weight;
+        gradient += jacobian * (weight * r);
+    }
+    Some((matrix, gradient))
+}

@@ -1,0 +1,308 @@
+//! How long, wide and high an object is.
+//!
+//! The points of a reconstruction stop short of a vehicle's ends, and outlines from a few sides reach beyond them. So a
+//! body of a vehicle's shape ([`template`]) is stretched in length, width and height, shifted and turned a little until
+//! the lines that touch its outline in all frames are those that touch the masks ([`fit`]); docs/maths/extents.md.
+//! Several shapes are tried. Those that fit as well as the best take part in proportion, and their spread is part of
+//! the deviations.
+//!
+//! What was not seen has no extent: the length of a vehicle seen from behind.
+
+mod fit;
+mod outline;
+mod template;
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Matrix3, Point3, Rotation3, Unit, UnitQuaternion, Vector3};
+
+use self::fit::{Expected, Fit, Reach, Unknowns};
+use self::outline::Sight;
+use super::contact::solid_points;
+use super::{Body, ContactOptions, Silhouette, View, Views, forward_axis};
+use crate::math::{Rigid3, median};
+use crate::scene::{Estimate, FrameId, GroundPlane, Image, ObjectTrajectory, Reconstruction};
+
+/// An object whose extents are asked for.
+#[derive(Clone, Copy, Debug)]
+pub struct Subject<'a> {
+    /// Where it was, and its scale ratio.
+    pub trajectory: &'a ObjectTrajectory,
+    /// The model to which the trajectory refers.
+    pub object: &'a Reconstruction,
+    /// The background's reconstruction.
+    pub background: &'a Reconstruction,
+    /// The local plane of each frame, in the background's frame.
+    pub planes: &'a BTreeMap<FrameId, GroundPlane>,
+    /// The outlines of its masks; those that the border of the picture cuts are absent.
+    pub silhouettes: &'a BTreeMap<FrameId, Silhouette>,
+}
+
+/// How large an object is, in units of the background; `None` for what was not seen. Deviations are whole ones, that of
+/// the scale ratio among them.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Extents {
+    /// Between its ends.
+    pub length: Option<Estimate>,
+    /// Between its sides, without mirrors.
+    pub width: Option<Estimate>,
+    /// Of its roof above the ground.
+    pub height: Option<Estimate>,
+}
+
+/// Frames that are looked at, at most, spread over all.
+const MAX_SIGHTS: usize = 60;
+/// Fewest of them.
+const MIN_SIGHTS: usize = 3;
+/// Sights from directions closer than this tell the same, radians.
+const SAME_SIGHT: f64 = 0.10;
+/// Independent lines of one sight: the sides of a vehicle's outline.
+const LINES_OF_A_SIGHT: f64 = 4.0;
+/// Deviation of a forward direction that comes from motion, radians.
+const YAW_STD: f64 = 0.03;
+/// Deviation of the ground's height, as a share of the vehicle's.
+const GROUND_STD: f64 = 0.015;
+/// Deviation of the logarithm of the height to which the points reach.
+const TOP_STD: f64 = 0.03;
+/// The roof's height over that to which all but 2 % of the points reach.
+const TOP: f64 = 1.025;
+/// How far an end that was seen lies beyond all but 2 % of the points, as a share of the height, and its deviation.
+const END: f64 = 0.04;
+const END_STD: f64 = 0.08;
+/// Cosine of the angle between the line of sight and an end's normal up to which its points are seen.
+const FACING: f64 = 0.35;
+/// What no shape of a body accounts for: deviations of the logarithms of length, width and height.
+const SHAPE_STD: [f64; 3] = [0.02, 0.025, 0.03];
+/// An extent whose logarithm is less sure than this was not seen.
+const SEEN: f64 = 0.10;
+/// Extents that differ by this many deviations are not equal.
+const CLEAR: f64 = 2.0;
+
+/// How long, wide and high an object is. Needs an upright direction: without a plane under it nothing is known.
+pub fn extents(subject: &Subject) -> Extents {
+    measured(subject).unwrap_or_default()
+}
+
+fn measured(subject: &Subject) -> Option<Extents> {
+    let start = Start::of(subject)?;
+    let axis = start.axis;
+    let starts = match axis {
+        Axis::Forward => vec![start],
+        // Either of the two may be its front.
+        Axis::Unknown => vec![start.turned(), start],
+    };
+    let fitted: Vec<(Vec<Fit>, f64)> = starts.iter().filter_map(|start| fits(subject, start)).collect();
+    let independent = fitted.first()?.1;
+    let fits: Vec<Fit> = fitted.into_iter().flat_map(|(fits, _)| fits).collect();
+    let scale = &subject.trajectory.scale;
+    let logs = Logs::of(&fits, independent)?;
+    let estimate = |k: usize| logs.estimate(k, scale.ratio, scale.std.unwrap_or(0.0) / scale.ratio);
+    let all = Extents { length: estimate(0), width: estimate(1), height: estimate(2) };
+    match axis {
+        Axis::Forward => Some(all),
+        Axis::Unknown => Some(logs.longer_first(all)),
+    }
+}
+
+/// Bodies of all shapes that the object may have, and how many independent lines they rest on; `None` where too few
+/// frames show the object.
+fn fits(subject: &Subject, start: &Start) -> Option<(Vec<Fit>, f64)> {
+    let sights = start.sights(subject);
+    if sights.len() < MIN_SIGHTS {
+        return None;
+    }
+    let independent = LINES_OF_A_SIGHT * num_views(&sights) as f64;
+    let num_lines: usize = sights.iter().map(|sight| sight.touches.len()).sum();
+    let weight = (independent / num_lines.max(1) as f64).min(1.0);
+    let expected = start.expected(&sights);
+    let shapes = template::of_body(Body::of_class(&subject.trajectory.class));
+    Some((shapes.iter().filter_map(|shape| fit::fit(shape, &sights, &expected, weight)).collect(), independent))
+}
+
+/// What says which way the object points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Axis {
+    /// Its motion.
+    Forward,
+    /// Nothing: its points lie along one direction or another.
+    Unknown,
+}
+
+/// The vehicle's frame (x forward, y left, z up, origin on the ground below the middle of its points) and how far its
+/// points reach.
+#[derive(Clone, Debug)]
+struct Start {
+    vehicle_from_object: Rigid3,
+    points: Vec<Point3<f64>>,
+    axis: Axis,
+    /// Length, width and height over which the points spread.
+    size: Vector3<f64>,
+    /// How far they reach forwards, backwards, to the left and to the right.
+    reach: [f64; 4],
+}
+
+impl Start {
+    fn of(subject: &Subject) -> Option<Self> {
+        let views = Views::new(subject.background, subject.object, subject.planes).views;
+        let up = views.iter().map(|view| view.normal_in_object).sum::<Vector3<f64>>();
+        let up = Unit::try_new(up, f64::EPSILON)?;
+        let points = solid_points(subject.object, &ContactOptions::default());
+        let middle = Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64);
+        let ratio = subject.trajectory.scale.ratio;
+        // Where the plane of a view crosses the vertical through the middle.
+        let below = |view: &View| -(view.camera_height / ratio + view.offset(&middle)) / view.normal_in_object.dot(&up);
+        let ground = median(views.iter().map(below).filter(|z| z.is_finite()).collect())?;
+        let axis = forward_axis(&subject.trajectory.poses).filter(|_| has_travelled(subject, &points, &middle));
+        let moved = axis.and_then(|axis| across(&axis, &up));
+        let axis = if moved.is_some() { Axis::Forward } else { Axis::Unknown };
+        let forward = moved.or_else(|| longest(&points, &middle, &up))?;
+        let left = up.cross(&forward);
+        let rows = Matrix3::from_rows(&[forward.transpose(), left.transpose(), up.transpose()]);
+        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rows));
+        let vehicle_from_object = Rigid3::new(rotation, -(rotation * (middle + up.scale(ground)).coords));
+        let points: Vec<_> = points.iter().map(|p| vehicle_from_object * *p).collect();
+        let spread = |k: usize| {
+            let mut along: Vec<f64> = points.iter().map(|p| p[k]).collect();
+            along.sort_by(f64::total_cmp);
+            let at = |q: f64| along.get((q * along.len().saturating_sub(1) as f64).round() as usize).copied();
+            Some([at(0.02)?, at(0.98)?])
+        };
+        let ([x0, x1], [y0, y1], [_, top]) = (spread(0)?, spread(1)?, spread(2)?);
+        let (size, reach) = (Vector3::new(x1 - x0, y1 - y0, TOP * top), [x1, -x0, y1, -y0]);
+        (top > 0.0 && size.iter().all(|s| s.is_finite())).then_some(Self {
+            vehicle_from_object,
+            points,
+            axis,
+            size,
+            reach,
+        })
+    }
+
+    /// The same with front and rear exchanged.
+    fn turned(&self) -> Self {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI);
+        let turn = Rigid3::new(turn, Vector3::zeros());
+        let [front, rear, left, right] = self.reach;
+        Self {
+            vehicle_from_object: turn * self.vehicle_from_object,
+            points: self.points.iter().map(|p| turn * *p).collect(),
+            reach: [rear, front, right, left],
+            ..*self
+        }
+    }
+
+    /// What is expected before outlines are looked at.
+    fn expected(&self, sights: &[Sight]) -> Expected {
+        let height = self.size.z;
+        // Points of one end or side say nothing of what is behind it.
+        let (length, width) = (self.size.x.max(2.0 * height), self.size.y.max(0.9 * height));
+        let yaw = if self.axis == Axis::Forward { YAW_STD } else { 0.2 };
+        let directions: Vec<Vector3<f64>> = sights.iter().map(Sight::direction).collect();
+        let reach = |k: usize| {
+            let (axis, side) = (k / 2, if k % 2 == 0 { 1.0 } else { -1.0 });
+            let facing = directions.iter().filter(|d| -side * d[axis] > FACING).count();
+            let is_seen = facing >= MIN_SIGHTS.max(directions.len() / 10);
+            let [at, std] = [self.reach[k] + END * height, END_STD * height];
+            Reach { axis, side, at, std, is_seen }
+        };
+        Expected {
+            value: Unknowns::from([length.ln(), width.ln(), height.ln(), 0.0, 0.0, 0.0, 0.0]),
+            std: Unknowns::from([0.5, 0.4, TOP_STD, 0.5 * length, 0.5 * width, yaw, GROUND_STD * height]),
+            reaches: [reach(0), reach(1), reach(2), reach(3)],
+        }
+    }
+
+    /// The outlines, of at most [`MAX_SIGHTS`] frames spread over all.
+    fn sights(&self, subject: &Subject) -> Vec<Sight> {
+        let images = subject.object.images.iter();
+        let seen: Vec<_> =
+            images.filter_map(|(id, image)| Some((image, subject.silhouettes.get(&id.frame())?))).collect();
+        let step = seen.len().div_ceil(MAX_SIGHTS).max(1);
+        let sight = |(image, outline): &(&Image, &Silhouette)| {
+            Sight::new(subject.object, image, outline, &self.points, &self.vehicle_from_object)
+        };
+        seen.iter().step_by(step).filter_map(sight).collect()
+    }
+}
+
+/// Whether the object went further than it is large: the direction of less is noise.
+fn has_travelled(subject: &Subject, points: &[Point3<f64>], middle: &Point3<f64>) -> bool {
+    let poses = &subject.trajectory.poses;
+    let furthest = poses.iter().filter_map(|pose| Some(pose.distance_to(poses.first()?))).fold(0.0, f64::max);
+    let size = points.iter().map(|p| (p - middle).norm()).fold(0.0, f64::max);
+    furthest > subject.trajectory.scale.ratio * size
+}
+
+/// The part of a direction across another; `None` where they are nearly the same.
+fn across(axis: &Unit<Vector3<f64>>, up: &Unit<Vector3<f64>>) -> Option<Vector3<f64>> {
+    (axis.into_inner() - up.scale(axis.dot(up))).try_normalize(0.1)
+}
+
+/// The direction across `up` along which points spread most.
+fn longest(points: &[Point3<f64>], middle: &Point3<f64>, up: &Unit<Vector3<f64>>) -> Option<Vector3<f64>> {
+    let scatter = points.iter().map(|p| {
+        let d = p - middle;
+        let flat = d - up.scale(d.dot(up));
+        flat * flat.transpose()
+    });
+    let eigen = scatter.sum::<Matrix3<f64>>().symmetric_eigen();
+    let axis = Unit::try_new(eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned(), f64::EPSILON)?;
+    across(&axis, up)
+}
+
+/// Directions that differ, from which the sights look.
+fn num_views(sights: &[Sight]) -> usize {
+    let mut distinct: Vec<Vector3<f64>> = Vec::new();
+    for direction in sights.iter().map(Sight::direction) {
+        if distinct.iter().all(|other| other.angle(&direction) > SAME_SIGHT) {
+            distinct.push(direction);
+        }
+    }
+    distinct.len().max(1)
+}
+
+/// Logarithms of length, width and height, in units of the object.
+#[derive(Clone, Copy, Debug)]
+struct Logs {
+    value: [f64; 3],
+    std: [f64; 3],
+}
+
+impl Logs {
+    /// Of all shapes, each by how well it fits.
+    fn of(fits: &[Fit], independent: f64) -> Option<Self> {
+        let best = fits.iter().map(|fit| fit.misfit).min_by(f64::total_cmp)?.max(1e-3);
+        let weights: Vec<f64> = fits.iter().map(|f| (-0.5 * independent * (f.misfit / best - 1.0)).exp()).collect();
+        let total: f64 = weights.iter().sum();
+        let mean = |of: &dyn Fn(&Fit) -> f64| fits.iter().zip(&weights).map(|(f, w)| w * of(f)).sum::<f64>() / total;
+        let (mut value, mut std) = ([0.0; 3], [0.0; 3]);
+        for k in 0..3 {
+            value[k] = mean(&|fit| fit.value[k]);
+            let spread = mean(&|fit| (fit.value[k] - value[k]).powi(2));
+            let noise = mean(&|fit| fit.covariance[(k, k)]);
+            std[k] = (spread + noise + SHAPE_STD[k].powi(2)).sqrt();
+        }
+        value.iter().chain(&std).all(|x| x.is_finite()).then_some(Self { value, std })
+    }
+
+    /// In units of the background; `None` where it is not sure enough to have been seen.
+    fn estimate(&self, k: usize, ratio: f64, scale_std: f64) -> Option<Estimate> {
+        let value = ratio * self.value[k].exp();
+        let std = value * self.std[k].hypot(scale_std);
+        (self.std[k] < SEEN && value.is_finite() && std.is_finite()).then_some(Estimate { value, std })
+    }
+
+    /// Without a direction in which the object points: the longer side is its length where one clearly is.
+    fn longer_first(&self, all: Extents) -> Extents {
+        let difference = self.value[0] - self.value[1];
+        let is_clear = difference.abs() > CLEAR * self.std[0].hypot(self.std[1]);
+        match (is_clear, difference > 0.0) {
+            (true, true) => all,
+            (true, false) => Extents { length: all.width, width: all.length, ..all },
+            (false, _) => Extents { length: None, width: None, ..all },
+        }
+    }
+}

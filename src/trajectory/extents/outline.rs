@@ -1,0 +1,102 @@
+//! Outlines as lines that touch the vehicle, and what of them is to be believed.
+
+use nalgebra::{Point3, Vector2, Vector3};
+
+use crate::math::Rigid3;
+use crate::scene::{Image, Reconstruction};
+use crate::trajectory::Silhouette;
+
+/// A line of the picture that touches the vehicle's outline from one side.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Touch {
+    /// Unit normal of the line, away from the vehicle, in coordinates of z = 1.
+    pub(super) normal: Vector2<f64>,
+    /// Where the line is along the normal.
+    pub(super) support: f64,
+}
+
+/// One frame's outline.
+#[derive(Clone, Debug)]
+pub(super) struct Sight {
+    /// The camera, in the vehicle's frame.
+    pub(super) cam_from_vehicle: Rigid3,
+    /// Lines all round.
+    pub(super) touches: Vec<Touch>,
+    /// Standard deviation of where a line is, in coordinates of z = 1.
+    pub(super) std: f64,
+}
+
+/// How far an outline lies outside of the outermost centres of pixels, pixels.
+const BORDER: f64 = 0.3;
+/// Directions in which lines touch an outline.
+const DIRECTIONS: u32 = 16;
+/// Error of an outline that a network or a renderer draws, pixels.
+const EDGE_PX: f64 = 1.0;
+/// Error of a body's shape, as a share of how large the vehicle looks.
+const SHAPE: f64 = 0.012;
+/// By how many of these deviations points of the vehicle may lie outside of an outline before the vehicle counts as
+/// hidden there.
+const HIDDEN: f64 = 2.0;
+/// Share of the points that lie inside of an outline that hides nothing.
+const INSIDE: f64 = 0.97;
+
+impl Sight {
+    /// From a frame's outline; `None` behind the camera. Lines beyond which the vehicle's own points lie are left out:
+    /// something hides it on that side.
+    pub(super) fn new(
+        object: &Reconstruction,
+        image: &Image,
+        outline: &Silhouette,
+        points_in_vehicle: &[Point3<f64>],
+        vehicle_from_object: &Rigid3,
+    ) -> Option<Self> {
+        let camera = object.projecting_camera(image)?;
+        let cam_from_vehicle = image.cam_from_world * vehicle_from_object.inverse();
+        let hull: Vec<Vector2<f64>> = outline.hull.iter().map(|pixel| camera.normalized_from_pixel(*pixel)).collect();
+        let border = BORDER / camera.mean_focal();
+        let inside: Vec<Vector2<f64>> = points_in_vehicle.iter().filter_map(|p| seen(&cam_from_vehicle, p)).collect();
+        let size = diameter(&hull);
+        let std = (EDGE_PX / camera.mean_focal()).hypot(SHAPE * size);
+        let touches = (0..DIRECTIONS).filter_map(|k| {
+            let angle = f64::from(k) * std::f64::consts::TAU / f64::from(DIRECTIONS);
+            let normal = Vector2::new(angle.cos(), angle.sin());
+            let support = support(&hull, &normal) + border;
+            (quantile(&inside, &normal)? <= support + HIDDEN * std).then_some(Touch { normal, support })
+        });
+        let touches: Vec<Touch> = touches.collect();
+        (touches.iter().all(|touch| touch.support.is_finite()) && std.is_finite()).then_some(Self {
+            cam_from_vehicle,
+            touches,
+            std,
+        })
+    }
+
+    /// Unit direction from the camera to the vehicle, in the vehicle's frame.
+    pub(super) fn direction(&self) -> Vector3<f64> {
+        (-self.cam_from_vehicle.center().coords).try_normalize(f64::EPSILON).unwrap_or_else(Vector3::z)
+    }
+}
+
+/// Where a point of the vehicle is seen, in coordinates of z = 1.
+pub(super) fn seen(cam_from_vehicle: &Rigid3, point: &Point3<f64>) -> Option<Vector2<f64>> {
+    let p = *cam_from_vehicle * *point;
+    (p.z > f64::EPSILON).then(|| Vector2::new(p.x / p.z, p.y / p.z))
+}
+
+/// How far points reach in a direction.
+pub(super) fn support(points: &[Vector2<f64>], normal: &Vector2<f64>) -> f64 {
+    points.iter().map(|p| normal.dot(p)).fold(f64::NEG_INFINITY, f64::max)
+}
+
+/// How far nearly all points reach in a direction.
+fn quantile(points: &[Vector2<f64>], normal: &Vector2<f64>) -> Option<f64> {
+    let mut along: Vec<f64> = points.iter().map(|p| normal.dot(p)).collect();
+    along.sort_by(f64::total_cmp);
+    along.get((INSIDE * along.len().saturating_sub(1) as f64).round() as usize).copied()
+}
+
+/// How large a hull is: the larger side of the rectangle around it.
+fn diameter(hull: &[Vector2<f64>]) -> f64 {
+    let along = |normal: Vector2<f64>| support(hull, &normal) + support(hull, &-normal);
+    along(Vector2::x()).max(along(Vector2::y()))
+}

@@ -1,0 +1,158 @@
+use std::collections::BTreeMap;
+
+use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
+
+use super::template::of_body;
+use super::*;
+use crate::camera::Camera;
+use crate::scene::{
+    CameraId, Frame, ImageId, ObjectId, PlaneBasis, Point3d, Point3dId, ScaleEstimate, ScaleMethod, Unit as LengthUnit,
+};
+use crate::trajectory::{ObjectDescription, assemble};
+
+/// Length, width and height of the car that the tests look at, metres; its model's unit is the metre.
+const CAR: [f64; 3] = [4.4, 1.8, 1.5];
+/// Units of the background in a metre.
+const RATIO: f64 = 2.0;
+
+/// A car in the middle, cameras around it.
+struct World {
+    object: Reconstruction,
+    background: Reconstruction,
+    planes: BTreeMap<FrameId, GroundPlane>,
+    silhouettes: BTreeMap<FrameId, Silhouette>,
+    trajectory: ObjectTrajectory,
+}
+
+fn looking_at(eye: Point3<f64>, target: Point3<f64>) -> Rigid3 {
+    let forward = (target - eye).normalize();
+    let right = forward.cross(&Vector3::z()).normalize();
+    let rows = Matrix3::from_rows(&[right.transpose(), forward.cross(&right).transpose(), forward.transpose()]);
+    Rigid3::from_rotation_and_center(Rotation3::from_matrix_unchecked(rows).into(), eye)
+}
+
+/// Cameras at these azimuths (degrees from straight ahead of the car), 15 m away and 5 m above the ground.
+fn world(azimuths: &[f64]) -> World {
+    let corners: Vec<Point3<f64>> =
+        of_body(Body::Car)[1].corners().iter().map(|c| Point3::from(c.component_mul(&Vector3::from(CAR)))).collect();
+    let camera = Camera::with_focal(960, 540, 880.0);
+    let (mut object, mut background) = (Reconstruction::default(), Reconstruction::default());
+    object.cameras.insert(CameraId(1), camera);
+    background.cameras.insert(CameraId(1), camera);
+    for (k, corner) in corners.iter().enumerate() {
+        for (j, within) in [0.94, 0.96, 0.98].into_iter().enumerate() {
+            let position = Point3::new(within * corner.x, within * corner.y, corner.z);
+            let point = Point3d { position, rgb: [0; 3], error_px: 0.5, track: Vec::new() };
+            object.points.insert(Point3dId((3 * k + j) as u64 + 1), point);
+        }
+    }
+    let (mut planes, mut silhouettes, mut frames) = (BTreeMap::new(), BTreeMap::new(), Vec::new());
+    for (k, azimuth) in azimuths.iter().enumerate() {
+        let (sin, cos) = azimuth.to_radians().sin_cos();
+        let (id, name) = (FrameId(k as u32), format!("{k:06}.jpg"));
+        let pose = looking_at(Point3::new(15.0 * cos, 15.0 * sin, 5.0), Point3::new(0.0, 0.0, 0.7));
+        let image = |cam_from_world| Image {
+            name: name.clone(),
+            camera: CameraId(1),
+            cam_from_world,
+            observations: Vec::new(),
+        };
+        object.images.insert(ImageId::from(id), image(pose));
+        let wider = Rigid3::from_rotation_and_center(pose.rotation, Point3::from(pose.center().coords * RATIO));
+        background.images.insert(ImageId::from(id), image(wider));
+        let seen = corners.iter().filter_map(|corner| camera.pixel_from_cam(pose * *corner)).collect();
+        silhouettes.insert(id, Silhouette { hull: seen });
+        planes.insert(id, level());
+        frames.push(Frame { id, name, time_s: 0.1 * k as f64 });
+    }
+    let description = ObjectDescription { id: ObjectId(1), class: "car".into(), confidence: 1.0 };
+    let scale = ScaleEstimate { std: Some(0.01 * RATIO), ..ScaleEstimate::new(RATIO, ScaleMethod::Joint) };
+    let trajectory = assemble(description, &background, &object, scale, &frames, LengthUnit::Background);
+    World { object, background, planes, silhouettes, trajectory }
+}
+
+fn level() -> GroundPlane {
+    GroundPlane {
+        normal: Vector3::z(),
+        point: Point3::origin(),
+        num_points: 50,
+        num_inliers: 50,
+        rms: 0.0,
+        basis: PlaneBasis::Points,
+        height_std: 0.0,
+        common_height_std: 0.0,
+        tilt_std: 0.0,
+    }
+}
+
+impl World {
+    /// Lets the car drive forwards.
+    fn drive(mut self) -> Self {
+        for (k, pose) in self.trajectory.poses.iter_mut().enumerate() {
+            pose.position = [k as f64, 0.0, 0.0];
+        }
+        self
+    }
+
+    fn extents(&self) -> Extents {
+        let Self { object, background, planes, silhouettes, trajectory } = self;
+        extents(&Subject { trajectory, object, background, planes, silhouettes })
+    }
+}
+
+/// Whether an extent is what it should be, within two deviations and a tenth.
+fn is_near(found: Option<Estimate>, metres: f64) -> bool {
+    found.is_some_and(|e| (e.value - RATIO * metres).abs() < 2.0 * e.std && e.std < 0.1 * e.value)
+}
+
+#[test]
+fn a_car_seen_from_all_sides_is_measured() {
+    let azimuths: Vec<f64> = (0..12).map(|k| 30.0 * f64::from(k)).collect();
+    let found = world(&azimuths).drive().extents();
+    assert!(
+        is_near(found.length, CAR[0]) && is_near(found.width, CAR[1]) && is_near(found.height, CAR[2]),
+        "{found:?}"
+    );
+    // The deviation of the scale ratio is in that of every extent.
+    assert!(found.height.is_some_and(|height| height.std > 0.01 * height.value));
+}
+
+#[test]
+fn a_parked_car_points_along_its_longer_side() {
+    let azimuths: Vec<f64> = (0..12).map(|k| 30.0 * f64::from(k)).collect();
+    let found = world(&azimuths).extents();
+    assert!(is_near(found.length, CAR[0]) && is_near(found.width, CAR[1]), "{found:?}");
+}
+
+#[test]
+fn from_behind_a_car_has_no_length() {
+    let found = world(&[178.0, 179.0, 180.0, 181.0, 182.0]).drive().extents();
+    assert_eq!(found.length, None);
+    assert!(is_near(found.width, CAR[1]) && is_near(found.height, CAR[2]), "{found:?}");
+}
+
+#[test]
+fn a_car_hidden_in_half_of_the_frames_keeps_its_size() {
+    let azimuths: Vec<f64> = (0..24).map(|k| 15.0 * f64::from(k)).collect();
+    let mut world = world(&azimuths).drive();
+    for silhouette in world.silhouettes.values_mut().step_by(2) {
+        let middle = silhouette.hull.iter().map(|p| p.x).sum::<f64>() / silhouette.hull.len() as f64;
+        silhouette.hull.retain(|p| p.x < middle);
+    }
+    let found = world.extents();
+    assert!(
+        is_near(found.length, CAR[0]) && is_near(found.width, CAR[1]) && is_near(found.height, CAR[2]),
+        "{found:?}"
+    );
+}
+
+#[test]
+fn what_was_not_seen_has_no_extents() {
+    let mut world = world(&[0.0, 90.0, 180.0]).drive();
+    world.silhouettes.pop_first();
+    assert_eq!(world.extents(), Extents::default());
+    world.planes.clear();
+    assert_eq!(world.extents(), Extents::default());
+    world.object.points.clear();
+    assert_eq!(world.extents(), Extents::default());
+}
