@@ -11,7 +11,8 @@
 //! [`intersection`] are the paper's two estimators, to the letter; [`least_squares`] uses all frames at once and says
 //! how well the motion determines r at all. [`joint`] goes further: it adjusts the object's reconstruction once more,
 //! together with the ground. [`estimate_scale`] runs the others and says whether the ratio is determined;
-//! [`assemble`] places the object; [`extents()`] measures it; [`verdicts`] judges the trajectories of a run.
+//! [`assemble`] places the object; [`extents()`] measures it; [`smooth`] gives its speed in metres;
+//! [`verdicts`] judges the trajectories of a run.
 //! The derivations are in `docs/maths/scale.md`.
 
 //!
@@ -43,6 +44,7 @@ mod joint;
 mod least_squares;
 mod mirror;
 mod place;
+mod smoother;
 mod verdict;
 mod views;
 
@@ -58,5 +60,6 @@ pub use intersection::{Intersection, intersection};
 pub use joint::{Grounded, Joint, JointOptions, joint};
 pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
 pub use place::{Adjustment, AdjustmentFigures, Evidence, ModelOrigin, Placed, place};
+pub use smoother::{CommonStd, Sighting, smooth};
 pub use verdict::{Candidate, verdicts};
 pub use views::{View, Views};

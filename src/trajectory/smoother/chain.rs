@@ -1,0 +1,83 @@
+//! The Kalman filter forwards and Rauch, Tung and Striebel's smoother backwards over a chain of states (H. Rauch,
+//! F. Tung, C. Striebel, *Maximum likelihood estimates of linear dynamic systems*, AIAA Journal 3, 1965).
+
+use nalgebra::{DMatrix, DVector};
+
+/// A mean and its covariance.
+#[derive(Clone, Debug)]
+pub(super) struct Gaussian {
+    pub(super) mean: DVector<f64>,
+    pub(super) covariance: DMatrix<f64>,
+}
+
+/// From one state to the next, and what is observed there.
+#[derive(Clone, Debug)]
+pub(super) struct Step {
+    /// The state's transition from the one before; not used in the first step.
+    pub(super) transition: DMatrix<f64>,
+    /// Covariance of what is added on the way.
+    pub(super) process: DMatrix<f64>,
+    /// What is observed of the state.
+    pub(super) observation: DMatrix<f64>,
+    /// Covariance of the observation.
+    pub(super) noise: DMatrix<f64>,
+}
+
+/// All states after the pass forwards.
+struct Filtered {
+    predicted: Vec<Gaussian>,
+    updated: Vec<Gaussian>,
+    log_likelihood: f64,
+}
+
+/// The first observations, which the wide first state leaves open, say nothing of the likelihood.
+const BURN_IN: usize = 3;
+
+fn filter(first: &Gaussian, steps: &[Step], observed: &[DVector<f64>]) -> Option<Filtered> {
+    let mut found = Filtered { predicted: Vec::new(), updated: Vec::new(), log_likelihood: 0.0 };
+    let mut state = first.clone();
+    for (k, (step, seen)) in steps.iter().zip(observed).enumerate() {
+        if k > 0 {
+            state = Gaussian {
+                mean: &step.transition * &state.mean,
+                covariance: &step.transition * &state.covariance * step.transition.transpose() + &step.process,
+            };
+        }
+        found.predicted.push(state.clone());
+        let innovation = seen - &step.observation * &state.mean;
+        let spread = &step.observation * &state.covariance * step.observation.transpose() + &step.noise;
+        let cholesky = spread.cholesky()?;
+        let half = &step.observation * &state.covariance;
+        let gain = cholesky.solve(&half).transpose();
+        if k >= BURN_IN {
+            let determinant: f64 = cholesky.l_dirty().diagonal().iter().map(|d| 2.0 * d.ln()).sum();
+            found.log_likelihood -= 0.5 * (innovation.dot(&cholesky.solve(&innovation)) + determinant);
+        }
+        let covariance = &state.covariance - &gain * half;
+        let symmetric = (&covariance + covariance.transpose()) * 0.5;
+        state = Gaussian { mean: &state.mean + gain * innovation, covariance: symmetric };
+        found.updated.push(state.clone());
+    }
+    found.log_likelihood.is_finite().then_some(found)
+}
+
+/// Logarithm of the likelihood of what was observed, but for a constant.
+pub(super) fn log_likelihood(first: &Gaussian, steps: &[Step], observed: &[DVector<f64>]) -> Option<f64> {
+    filter(first, steps, observed).map(|found| found.log_likelihood)
+}
+
+/// Every state, from all observations; `None` where rounding leaves no covariance.
+pub(super) fn smooth(first: &Gaussian, steps: &[Step], observed: &[DVector<f64>]) -> Option<Vec<Gaussian>> {
+    let Filtered { predicted, mut updated, .. } = filter(first, steps, observed)?;
+    for k in (0..updated.len().saturating_sub(1)).rev() {
+        let ahead = &predicted[k + 1];
+        let cross = &steps[k + 1].transition * &updated[k].covariance;
+        let gain = ahead.covariance.clone().cholesky()?.solve(&cross).transpose();
+        let mean = &updated[k].mean + &gain * (&updated[k + 1].mean - &ahead.mean);
+        let covariance =
+            &updated[k].covariance + &gain * (&updated[k + 1].covariance - &ahead.covariance) * gain.transpose();
+        updated[k] = Gaussian { mean, covariance: (&covariance + covariance.transpose()) * 0.5 };
+    }
+    let is_finite = |g: &Gaussian| g.mean.iter().chain(g.covariance.iter()).all(|x| x.is_finite());
+    updated.iter().all(is_finite).then_some(updated)
+}

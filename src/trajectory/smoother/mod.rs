@@ -1,0 +1,248 @@
+//! A vehicle's motion, in metres, from all of its positions together.
+//!
+//! Positions are smoothed under white jerk ([`track`], [`chain`]): speed and acceleration follow with their deviations.
+//! Where the object's model says which way the vehicle points, its heading is smoothed likewise, and speeds are counted
+//! along it. Errors of positions lie mostly along the line of sight, part of them new in every frame and part wandering
+//! slowly. What all frames have in common, the scale ratio and metres per unit, is no noise: smoothing leaves it as it
+//! is, and it is added to the deviations. docs/maths/smoother.md derives this.
+
+mod chain;
+mod track;
+
+#[cfg(test)]
+mod tests;
+
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+
+use self::track::{Kind, Observed, Track, is_at_rest, track};
+use crate::scene::{Motion, Movement};
+
+/// Where a vehicle was seen, in a frame in metres whose third axis points up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sighting {
+    /// When, seconds.
+    pub time_s: f64,
+    /// Where.
+    pub position_m: Vector3<f64>,
+    /// Where the camera was.
+    pub camera_m: Vector3<f64>,
+    /// Direction in which the object's model points; `None` where it has no forward axis.
+    pub forward: Option<Vector3<f64>>,
+}
+
+/// Errors that all frames have in common: standard deviations of logarithms.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CommonStd {
+    /// Of the object's scale ratio, which moves it along the lines of sight.
+    pub ratio: f64,
+    /// Of metres per unit, which stretches everything.
+    pub scale: f64,
+}
+
+/// Fewest sightings that have a motion.
+const MIN_SIGHTINGS: usize = 4;
+/// Errors of positions as shares of the distance to the camera: along the line of sight and across it, new in every
+/// frame; and along it, wandering. Chosen on thirteen rendered sequences; docs/maths/smoother.md.
+const ALONG: f64 = 5e-4;
+const ACROSS: f64 = 1e-4;
+const WANDER: f64 = 2e-3;
+/// First position, speed and acceleration: metres, m/s, m/s².
+const FIRST: [f64; 3] = [10.0, 40.0, 5.0];
+/// Spectral density of the jerk of a vehicle in traffic, m²/s⁵, and its vertical part.
+const JERK: f64 = 1.0;
+const VERTICAL: f64 = 0.1;
+/// Deviation of the speed of a vehicle that stands, m/s.
+const REST: f64 = 0.02;
+/// Errors of headings, radians: new in every frame, and wandering.
+const YAW: f64 = 1e-3;
+const YAW_WANDER: f64 = 1e-2;
+/// First heading, yaw rate and its change: radians, rad/s, rad/s².
+const FIRST_YAW: [f64; 3] = [1.0, 1.0, 1.0];
+/// Spectral density of the third derivative of the heading, rad²/s⁵.
+const YAW_JERK: f64 = 0.05;
+/// Deviation of the model's forward axis, radians: the same in all frames.
+const FORWARD: f64 = 0.02;
+/// How many deviations a speed must be from zero to show a heading.
+const CLEAR: f64 = 3.0;
+
+/// The motion at every sighting; `None` where there are fewer than four, or numbers that are not finite.
+///
+/// * `sightings` – ascending in time; gaps are bridged, with deviations that grow.
+/// * `movement` – what is known of whether the vehicle moved at all; one that stands does not drift.
+pub fn smooth(sightings: &[Sighting], common: &CommonStd, movement: Movement) -> Option<Vec<Motion>> {
+    if sightings.len() < MIN_SIGHTINGS || !sightings.iter().all(Sighting::is_usable) {
+        return None;
+    }
+    let origin = sightings[0].position_m;
+    let observed: Vec<Observed> = sightings.iter().map(|s| s.observed(&origin)).collect();
+    let moving = Kind { first: FIRST, usual_jerk: JERK, last_axis: VERTICAL };
+    let rest = moving.at_rest(REST);
+    let stands = match movement {
+        Movement::Moving => false,
+        Movement::Standing => true,
+        Movement::Undetermined => is_at_rest(&observed, &moving, &rest),
+    };
+    let positions = track(&observed, if stands { &rest } else { &moving })?;
+    let along_sight = |s: &Sighting| dynamic(&(common.ratio * (s.position_m - s.camera_m)));
+    let moved = positions.response(&sightings.iter().map(along_sight).collect::<Vec<_>>())?;
+    let headings = headings(sightings);
+    let all = Smoothed { sightings, origin, positions, moved, headings, scale_std: common.scale };
+    let motions: Vec<Motion> = (0..sightings.len()).map(|k| all.motion(k)).collect();
+    motions.iter().all(is_finite).then_some(motions)
+}
+
+impl Sighting {
+    fn is_usable(&self) -> bool {
+        let forward = self.forward.unwrap_or_default();
+        [self.position_m, self.camera_m, forward].iter().all(|v| v.iter().all(|x| x.is_finite() && x.abs() < 1e9))
+            && self.time_s.is_finite()
+    }
+
+    /// Relative to an origin nearby, which keeps the numbers small.
+    fn observed(&self, origin: &Vector3<f64>) -> Observed {
+        let ray = self.position_m - self.camera_m;
+        let distance = ray.norm().max(1e-3);
+        let sight = ray / distance;
+        let along = sight * sight.transpose();
+        let noise = along * (ALONG * distance).powi(2) + (Matrix3::identity() - along) * (ACROSS * distance).powi(2);
+        Observed {
+            time_s: self.time_s,
+            value: dynamic(&(self.position_m - origin)),
+            noise: DMatrix::from_iterator(3, 3, noise.iter().copied()),
+            wander: dynamic(&(sight * (WANDER * distance))),
+        }
+    }
+
+    /// Angle to the left of the first axis, radians.
+    fn yaw(&self) -> Option<f64> {
+        self.forward.filter(|f| f.xy().norm() > 1e-6).map(|f| f.y.atan2(f.x))
+    }
+}
+
+fn dynamic(v: &Vector3<f64>) -> DVector<f64> {
+    DVector::from_column_slice(v.as_slice())
+}
+
+/// The heading under white jerk; `None` unless the model points somewhere in every frame.
+fn headings(sightings: &[Sighting]) -> Option<Track> {
+    let mut before: Option<f64> = None;
+    let mut observed = Vec::new();
+    for sighting in sightings {
+        let yaw = sighting.yaw()?;
+        let turns = before.map_or(0.0, |last| ((last - yaw) / std::f64::consts::TAU).round());
+        let unwrapped = yaw + turns * std::f64::consts::TAU;
+        before = Some(unwrapped);
+        observed.push(Observed {
+            time_s: sighting.time_s,
+            value: DVector::from_element(1, unwrapped),
+            noise: DMatrix::from_element(1, 1, YAW * YAW),
+            wander: DVector::from_element(1, YAW_WANDER),
+        });
+    }
+    track(&observed, &Kind { first: FIRST_YAW, usual_jerk: YAW_JERK, last_axis: 1.0 })
+}
+
+/// Everything that was smoothed.
+struct Smoothed<'a> {
+    sightings: &'a [Sighting],
+    origin: Vector3<f64>,
+    positions: Track,
+    /// What the scale ratio's deviation does to the states of `positions`.
+    moved: Vec<DVector<f64>>,
+    headings: Option<Track>,
+    scale_std: f64,
+}
+
+/// A heading: where it points, radians to the left of the first axis, and the rate, with their deviations.
+#[derive(Clone, Copy)]
+struct Heading {
+    yaw: f64,
+    std: f64,
+    rate: Option<[f64; 2]>,
+}
+
+impl Smoothed<'_> {
+    fn motion(&self, k: usize) -> Motion {
+        let mean = &self.positions.states[k].mean;
+        let part = |first: usize| Vector3::new(mean[first], mean[first + 1], mean[first + 2]);
+        let (position, velocity, acceleration) = (part(0) + self.origin, part(3), part(6));
+        let direction = self.direction(k, &velocity);
+        let along = |first: usize, v: &Vector3<f64>| (v.dot(&direction), self.std(k, first, &direction, v));
+        let (speed_m_s, speed_std_m_s) = along(3, &velocity);
+        let (acceleration_m_s2, acceleration_std_m_s2) = along(6, &acceleration);
+        let from_camera = position - self.sightings[k].camera_m;
+        let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
+        let raw = self.raw_velocity(k);
+        let heading = self.heading(k, &velocity, speed_std_m_s);
+        Motion {
+            smoothed_position_m: position.into(),
+            smoothed_position_std_m: axes.map(|axis| self.std(k, 0, &axis, &from_camera)),
+            speed_m_s,
+            speed_std_m_s,
+            raw_speed_m_s: if raw.dot(&direction) < 0.0 { -raw.norm() } else { raw.norm() },
+            acceleration_m_s2,
+            acceleration_std_m_s2,
+            heading_deg: heading.map(|h| (90.0 - h.yaw.to_degrees()).rem_euclid(360.0)),
+            heading_std_deg: heading.map(|h| h.std.to_degrees()),
+            yaw_rate_deg_s: heading.and_then(|h| h.rate).map(|[rate, _]| -rate.to_degrees()),
+            yaw_rate_std_deg_s: heading.and_then(|h| h.rate).map(|[_, std]| std.to_degrees()),
+        }
+    }
+
+    /// The whole deviation, along a direction, of the part of the state that begins at `first` and is proportional to
+    /// `stretched` where metres per unit are concerned.
+    fn std(&self, k: usize, first: usize, direction: &Vector3<f64>, stretched: &Vector3<f64>) -> f64 {
+        let covariance = self.positions.states[k].covariance.fixed_view::<3, 3>(first, first);
+        let own = (direction.transpose() * covariance * direction)[0].max(0.0);
+        let ratio = self.moved[k].fixed_rows::<3>(first).dot(direction);
+        (own + ratio * ratio + (self.scale_std * stretched.dot(direction)).powi(2)).sqrt()
+    }
+
+    /// Unit direction along which speeds count: that of the model, turned as the smoothed heading; else that of the
+    /// motion.
+    fn direction(&self, k: usize, velocity: &Vector3<f64>) -> Vector3<f64> {
+        let moving = velocity.try_normalize(1e-9).unwrap_or_else(Vector3::x);
+        let (Some(headings), Some(forward)) = (&self.headings, self.sightings[k].forward) else { return moving };
+        let Some(forward) = forward.try_normalize(1e-9) else { return moving };
+        let (sin, cos) = headings.states[k].mean[0].sin_cos();
+        let level = forward.xy().norm();
+        Vector3::new(level * cos, level * sin, forward.z)
+    }
+
+    /// By the model; without it by the motion, where that is clear.
+    fn heading(&self, k: usize, velocity: &Vector3<f64>, speed_std: f64) -> Option<Heading> {
+        if let Some(Track { states, .. }) = &self.headings {
+            let std = |i: usize| states[k].covariance[(i, i)].max(0.0).sqrt();
+            let rate = Some([states[k].mean[1], std(1)]);
+            return Some(Heading { yaw: states[k].mean[0], std: std(0).hypot(FORWARD), rate });
+        }
+        let level = velocity.xy().norm();
+        (level > CLEAR * speed_std).then(|| Heading {
+            yaw: velocity.y.atan2(velocity.x),
+            std: self.sideways_std(k, velocity) / level,
+            rate: None,
+        })
+    }
+
+    /// Deviation of the velocity across itself, m/s.
+    fn sideways_std(&self, k: usize, velocity: &Vector3<f64>) -> f64 {
+        let across = Vector3::new(-velocity.y, velocity.x, 0.0).try_normalize(1e-9).unwrap_or_else(Vector3::y);
+        self.std(k, 3, &across, velocity)
+    }
+
+    /// Between the neighbouring positions, m/s.
+    fn raw_velocity(&self, k: usize) -> Vector3<f64> {
+        let (before, after) =
+            (&self.sightings[k.saturating_sub(1)], &self.sightings[(k + 1).min(self.sightings.len() - 1)]);
+        let time = after.time_s - before.time_s;
+        if time > 0.0 { (after.position_m - before.position_m) / time } else { Vector3::zeros() }
+    }
+}
+
+fn is_finite(motion: &Motion) -> bool {
+    let all = [motion.smoothed_position_m, motion.smoothed_position_std_m].concat();
+    let speeds = [motion.speed_m_s, motion.speed_std_m_s, motion.raw_speed_m_s];
+    let others = [motion.acceleration_m_s2, motion.acceleration_std_m_s2];
+    let turns = [motion.heading_deg, motion.heading_std_deg, motion.yaw_rate_deg_s, motion.yaw_rate_std_deg_s];
+    all.iter().chain(&speeds).chain(&others).chain(turns.iter().flatten()).all(|x| x.is_finite())
+}

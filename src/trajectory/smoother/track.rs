@@ -1,0 +1,189 @@
+//! One quantity of several axes under white jerk: where it was at every time, with its first two derivatives.
+//!
+//! What is observed is the quantity, plus an error that wanders slowly along one direction (see [`Observed`]), plus white
+//! noise. How strong the jerk is and how much larger the errors are than stated, the likelihood decides.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::chain::{self, Gaussian, Step};
+
+/// One observation.
+#[derive(Clone, Debug)]
+pub(super) struct Observed {
+    pub(super) time_s: f64,
+    pub(super) value: DVector<f64>,
+    /// Covariance of what is new in every observation.
+    pub(super) noise: DMatrix<f64>,
+    /// By how much, and in which direction, the error that wanders moves the value: one standard deviation.
+    pub(super) wander: DVector<f64>,
+}
+
+/// What is known beforehand of how a quantity changes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Kind {
+    /// Standard deviations of the first value, of the first derivative and of the second.
+    pub(super) first: [f64; 3],
+    /// Spectral density of the jerk that is usual.
+    pub(super) usual_jerk: f64,
+    /// That of the last axis as a share of the others'.
+    pub(super) last_axis: f64,
+}
+
+/// What is found by the likelihood.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Level {
+    /// Spectral density of the jerk.
+    pub(super) jerk: f64,
+    /// By how much the errors are larger than stated.
+    pub(super) noise: f64,
+}
+
+/// A quantity after smoothing.
+#[derive(Clone, Debug)]
+pub(super) struct Track {
+    pub(super) states: Vec<Gaussian>,
+    first: Gaussian,
+    steps: Vec<Step>,
+}
+
+/// Time after which an error that wanders has forgotten where it was, seconds.
+const WANDER_S: f64 = 1.0;
+/// Jerks that are tried, as multiples of the usual one.
+const JERKS: [f64; 11] = [1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0];
+/// Errors that are tried, as multiples of those that are stated.
+const NOISES: [f64; 7] = [0.5, 0.7, 1.0, 2.0, 4.0, 8.0, 16.0];
+/// Standard deviations of the logarithms of both, before anything is observed.
+const PRIOR: [f64; 2] = [2.3, 1.1];
+/// Observations that are rated at most.
+const MAX_RATED: usize = 400;
+/// Degrees of freedom of Student's distribution, whose tails jumps are expected to come from.
+const STUDENT: f64 = 4.0;
+/// Passes over the weights against jumps.
+const PASSES: usize = 4;
+
+impl Kind {
+    /// A quantity of so many axes that stays as it is, but for a drift that nobody would notice.
+    pub(super) fn at_rest(self, speed: f64) -> Self {
+        Self { first: [self.first[0], speed, 1e-3 * speed], usual_jerk: 1e-6 * speed * speed, ..self }
+    }
+
+    fn first(&self, observed: &Observed) -> Gaussian {
+        let axes = observed.value.len();
+        let mut mean = DVector::zeros(3 * axes + 1);
+        mean.rows_mut(0, axes).copy_from(&observed.value);
+        let variances = (0..3 * axes).map(|k| self.first[k / axes].powi(2)).chain([1.0]);
+        let covariance = DMatrix::from_diagonal(&DVector::from_iterator(3 * axes + 1, variances));
+        Gaussian { mean, covariance }
+    }
+
+    fn steps(&self, all: &[Observed], weights: &[f64], level: Level) -> Vec<Step> {
+        let before = |k: usize| if k == 0 { all[0].time_s } else { all[k - 1].time_s };
+        let step =
+            |(k, seen): (usize, &Observed)| self.step(seen, (seen.time_s - before(k)).max(0.0), level, weights[k]);
+        all.iter().enumerate().map(step).collect()
+    }
+
+    /// States are the value, its first and its second derivative, axis by axis, and the error that wanders, in
+    /// deviations.
+    fn step(&self, seen: &Observed, dt: f64, level: Level, weight: f64) -> Step {
+        let axes = seen.value.len();
+        let size = 3 * axes + 1;
+        let mut transition = DMatrix::identity(size, size);
+        let mut process = DMatrix::zeros(size, size);
+        let powers = [dt.powi(5) / 20.0, dt.powi(4) / 8.0, dt.powi(3) / 6.0, dt.powi(3) / 3.0, dt * dt / 2.0, dt];
+        for axis in 0..axes {
+            let [value, first, second] = [axis, axes + axis, 2 * axes + axis];
+            transition[(value, first)] = dt;
+            transition[(value, second)] = 0.5 * dt * dt;
+            transition[(first, second)] = dt;
+            let share = if axis + 1 == axes { self.last_axis } else { 1.0 };
+            let pairs =
+                [(value, value), (value, first), (value, second), (first, first), (first, second), (second, second)];
+            for ((row, column), power) in pairs.into_iter().zip(powers) {
+                process[(row, column)] = level.jerk * share * power;
+                process[(column, row)] = level.jerk * share * power;
+            }
+        }
+        let kept = (-dt / WANDER_S).exp();
+        transition[(size - 1, size - 1)] = kept;
+        process[(size - 1, size - 1)] = 1.0 - kept * kept;
+        let mut observation = DMatrix::zeros(axes, size);
+        observation.view_mut((0, 0), (axes, axes)).fill_with_identity();
+        observation.set_column(size - 1, &seen.wander);
+        Step { transition, process, observation, noise: &seen.noise * (level.noise * level.noise / weight) }
+    }
+
+    /// Logarithm of the posterior of a level.
+    fn posterior(&self, all: &[Observed], weights: &[f64], level: Level) -> Option<f64> {
+        let values: Vec<DVector<f64>> = all.iter().map(|seen| seen.value.clone()).collect();
+        let likelihood = chain::log_likelihood(&self.first(&all[0]), &self.steps(all, weights, level), &values)?;
+        let off = [(level.jerk / self.usual_jerk).ln() / PRIOR[0], level.noise.ln() / PRIOR[1]];
+        Some(likelihood - 0.5 * (off[0] * off[0] + off[1] * off[1]))
+    }
+
+    /// The errors, then the jerk, and both again, by the middle of what was observed if that is long.
+    fn best_level(&self, all: &[Observed], weights: &[f64], start: Level) -> Level {
+        let from = all.len().saturating_sub(MAX_RATED) / 2;
+        let until = all.len().min(from + MAX_RATED);
+        let (all, weights) = (&all[from..until], &weights[from..until]);
+        let best = |levels: Vec<Level>| {
+            let rated = levels.into_iter().filter_map(|level| Some((self.posterior(all, weights, level)?, level)));
+            rated.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(start, |(_, level)| level)
+        };
+        let jerks = |noise: f64| JERKS.iter().map(|m| Level { jerk: m * self.usual_jerk, noise }).collect();
+        let noises = |jerk: f64| NOISES.iter().map(|noise| Level { jerk, noise: *noise }).collect();
+        let mut level = start;
+        for _ in 0..2 {
+            level = best(noises(level.jerk));
+            level = best(jerks(level.noise));
+        }
+        level
+    }
+}
+
+/// Smooths what was observed at ascending times; `None` for nothing at all, or where rounding wins.
+pub(super) fn track(all: &[Observed], kind: &Kind) -> Option<Track> {
+    let first = kind.first(all.first()?);
+    let values: Vec<DVector<f64>> = all.iter().map(|seen| seen.value.clone()).collect();
+    let mut weights = vec![1.0; all.len()];
+    let mut level = Level { jerk: kind.usual_jerk, noise: 1.0 };
+    for pass in 0..PASSES {
+        // A jump is seen against a motion that is usual, before the motion is made to follow it.
+        if pass > 1 {
+            level = kind.best_level(all, &weights, level);
+        }
+        let states = chain::smooth(&first, &kind.steps(all, &weights, level), &values)?;
+        let weight = |(seen, state): (&Observed, &Gaussian)| {
+            let axes = seen.value.len();
+            let wander = state.mean[3 * axes];
+            let off = &seen.value - state.mean.rows(0, axes) - &seen.wander * wander;
+            let square = seen.noise.clone().cholesky().map_or(0.0, |c| off.dot(&c.solve(&off)));
+            (STUDENT + axes as f64) / (STUDENT + square / level.noise.powi(2))
+        };
+        weights = all.iter().zip(&states).map(weight).map(|w: f64| w.min(1.0)).collect();
+    }
+    let steps = kind.steps(all, &weights, level);
+    let states = chain::smooth(&first, &steps, &values)?;
+    Some(Track { states, first, steps })
+}
+
+/// Whether observations speak for a quantity at rest rather than for one that moves.
+pub(super) fn is_at_rest(all: &[Observed], moving: &Kind, rest: &Kind) -> bool {
+    let weights = vec![1.0; all.len()];
+    let rated = |kind: &Kind| {
+        let start = Level { jerk: kind.usual_jerk, noise: 1.0 };
+        kind.posterior(all, &weights, kind.best_level(all, &weights, start))
+    };
+    matches!((rated(moving), rated(rest)), (Some(moving), Some(rest)) if rest > moving)
+}
+
+impl Track {
+    /// What smoothing makes of an error that all observations have in common, given where it moves each of them.
+    pub(super) fn response(&self, moved: &[DVector<f64>]) -> Option<Vec<DVector<f64>>> {
+        let mut first = self.first.clone();
+        first.mean.fill(0.0);
+        let start = moved.first()?;
+        first.mean.rows_mut(0, start.len()).copy_from(start);
+        Some(chain::smooth(&first, &self.steps, moved)?.into_iter().map(|state| state.mean).collect())
+    }
+}
