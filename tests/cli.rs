@@ -346,7 +346,7 @@ fn a_failed_background_is_said_once_and_nothing_is_said_after_it() {
     let out = folder.path().join("out");
     let (stderr, _) = partial(&clip(folder.path(), 1), &masks(folder.path(), 1, 64, 48), &out);
     assert_eq!(stderr.matches("cannot be reconstructed").count(), 1, "{stderr}");
-    assert!(stderr.contains("background stage 4 of 11") && !stderr.contains("stage 7 of 11"), "{stderr}");
+    assert!(stderr.contains("background stage 4 of 12") && !stderr.contains("stage 7 of 12"), "{stderr}");
 }
 
 #[test]
@@ -488,9 +488,9 @@ fn with_flags(flags: &[&str]) -> (String, String) {
 #[test]
 fn progress_is_shown_as_it_is_asked_for() {
     let (_, stderr) = with_flags(&[]);
-    assert!(stderr.contains("features   stage 3 of 11\n"), "lines where there is no terminal: {stderr}");
+    assert!(stderr.contains("features   stage 3 of 12\n"), "lines where there is no terminal: {stderr}");
     let (_, stderr) = with_flags(&["--progress", "none"]);
-    assert!(!stderr.contains("stage 3 of 11") && stderr.contains("error"), "{stderr}");
+    assert!(!stderr.contains("stage 3 of 12") && stderr.contains("error"), "{stderr}");
     let (stdout, stderr) = with_flags(&["--quiet"]);
     assert_eq!((stdout.as_str(), stderr.lines().count()), ("", 1), "{stderr}");
     let (_, stderr) = with_flags(&["--progress", "json"]);

@@ -66,7 +66,7 @@ fn assert_same(a: &BTreeMap<PathBuf, Vec<u8>>, b: &BTreeMap<PathBuf, Vec<u8>>, w
     assert!(different.is_empty(), "{what}: {different:?} differ");
 }
 
-const ALL: [&str; 11] = [
+const ALL: [&str; 12] = [
     "frames",
     "segment",
     "features",
@@ -77,6 +77,7 @@ const ALL: [&str; 11] = [
     "objects",
     "ground",
     "scale",
+    "metric",
     "report",
 ];
 
@@ -87,7 +88,7 @@ fn a_killed_run_ends_where_an_undisturbed_one_ends() {
     assert_eq!((done.len(), reused.len()), (ALL.len(), 0));
     let whole = place.result("whole");
     assert!(whole.contains_key(Path::new("objects/1/images.txt")), "{:?}", whole.keys());
-    for stage in ["frames", "features", "background", "motion", "track", "follow", "objects", "scale"] {
+    for stage in ["frames", "features", "background", "motion", "track", "follow", "objects", "scale", "metric"] {
         let output = format!("killed-after-{stage}");
         kill_after(&place, &output, stage);
         let (_, reused) = place.run(&output, &[]);

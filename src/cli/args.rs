@@ -53,7 +53,10 @@ pub(super) enum Command {
     #[command(mut_args(|flag| job::shown_up_to(Stage::Ground, flag)))]
     Ground(Box<JobArgs>),
     /// Find scale ratios and trajectories (after `ground`)
+    #[command(mut_args(|flag| job::shown_up_to(Stage::Scale, flag)))]
     Scale(Box<JobArgs>),
+    /// Find metres and places on the map (after `scale`)
+    Metric(Box<JobArgs>),
     /// Compare the result of a run with the ground truth of its sequence
     Evaluate(super::evaluate::Args),
     /// Run all sequences of a data set, and sum up how far they are from the truth
@@ -93,6 +96,7 @@ impl Command {
             Self::Sfm(_) => Stage::Objects,
             Self::Ground(_) => Stage::Ground,
             Self::Scale(_) => Stage::Scale,
+            Self::Metric(_) => Stage::Metric,
             _ => Stage::Report,
         }
     }

@@ -10,9 +10,10 @@ use super::common::CommonArgs;
 use super::output::Failure;
 use crate::io::{IoError, Sequence};
 use crate::limits::files;
+use crate::metric::{KnownLength, Measured, TimeOffset};
 use crate::pipeline::{
-    DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskChoice, MotionChoice,
-    Options, Stage,
+    DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskChoice, MetricOptions,
+    MotionChoice, Options, Stage, TelemetryChoice,
 };
 use crate::scene::ObjectId;
 use crate::video::{Position, Turning};
@@ -108,6 +109,27 @@ pub(super) struct JobArgs {
     #[arg(long, value_name = "RATE", help_heading = "Frames")]
     pub(super) fps: Option<f64>,
 
+    /// Log of the camera's receiver: DJI's subtitles, GPX, NMEA, CSV [default: found beside or inside the video]
+    #[arg(long, value_name = "FILE", conflicts_with = "no_telemetry", help_heading = "Metres")]
+    pub(super) telemetry: Option<PathBuf>,
+    /// Take no telemetry, not even what is found beside or inside the video
+    #[arg(long, help_heading = "Metres")]
+    pub(super) no_telemetry: bool,
+    /// Time of the telemetry minus time of the video, seconds: 0.7±0.1 [default: by the files, or found]
+    ///
+    /// The time of a log with a clock (GPX, NMEA) counts from its first position. Without a deviation: ± 0.2 s.
+    #[arg(long, value_name = "SECONDS[±STD]", allow_hyphen_values = true, help_heading = "Metres")]
+    pub(super) time_offset: Option<TimeOffset>,
+    /// Height of the camera over the ground, on average over the video, metres: 1.45±0.05 (standard deviation)
+    #[arg(long, value_name = "METRES[±STD]", help_heading = "Metres")]
+    pub(super) camera_height: Option<Measured>,
+    /// Length, width or height of vehicle ID that is known, metres: 1:length=4.47±0.02; may be repeated
+    #[arg(long, value_name = "ID:NAME=METRES[±STD]", help_heading = "Metres")]
+    pub(super) known_length: Vec<KnownLength>,
+    /// Metres per unit of the background, where they are known: 12.3±0.1 (standard deviation)
+    #[arg(long, value_name = "METRES[±STD]", help_heading = "Metres")]
+    pub(super) scale: Option<Measured>,
+
     #[command(flatten)]
     pub(super) common: CommonArgs,
 }
@@ -128,6 +150,7 @@ pub(super) fn shown_up_to(goal: Stage, flag: clap::Arg) -> clap::Arg {
         "object_model" | "only_object" => Stage::Follow,
         "ground_masks" | "ground_label" | "ground_model" => Stage::Ground,
         "scale_method" => Stage::Scale,
+        "telemetry" | "no_telemetry" | "time_offset" | "camera_height" | "known_length" | "scale" => Stage::Metric,
         _ => Stage::Frames,
     };
     flag.hide(first_use > goal)
@@ -188,6 +211,19 @@ fn apply_flags(job: &JobArgs, options: &mut Options) {
     options.video.fps = job.fps.or(options.video.fps);
     options.features = job.features.unwrap_or(options.features);
     options.order = job.order.unwrap_or(options.order);
+    apply_metres(job, &mut options.metric);
+}
+
+fn apply_metres(job: &JobArgs, metric: &mut MetricOptions) {
+    if let Some(path) = &job.telemetry {
+        metric.telemetry = TelemetryChoice::File(path.clone());
+    } else if job.no_telemetry {
+        metric.telemetry = TelemetryChoice::None;
+    }
+    metric.time_offset = job.time_offset.or(metric.time_offset);
+    metric.camera_height = job.camera_height.or(metric.camera_height);
+    metric.scale = job.scale.or(metric.scale);
+    metric.known_lengths.extend(job.known_length.iter().copied());
 }
 
 /// Fills in what a ground-truth sequence knows and nobody gave; gives its folder of images or its video.
@@ -216,6 +252,9 @@ fn check_paths(options: &Options) -> Result<(), Failure> {
     for (flag, path) in options.named_paths() {
         let found = fs::metadata(path).and_then(|found| if found.is_dir() { Ok(()) } else { files::check(path) });
         found.with_context(|| format!("{}: cannot be read; check {flag}", path.display()))?;
+    // Telemetry is read whole before work begins, and what is wrong with it is said then.
+    for (flag, path) in options.named_paths().into_iter().filter(|(flag, _)| *flag != "--telemetry") {
+        fs::metadata(path).with_context(|| format!("{}: cannot be read; check {flag}", path.display()))?;
     }
     Ok(())
 }

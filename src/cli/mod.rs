@@ -97,7 +97,8 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &Talk) -> Result<(), Fail
         | Command::Track(job)
         | Command::Sfm(job)
         | Command::Ground(job)
-        | Command::Scale(job) => run::run(job, args.command.goal(), arguments, form, talk),
+        | Command::Scale(job)
+        | Command::Metric(job) => run::run(job, args.command.goal(), arguments, form, talk),
         Command::Evaluate(own) => evaluate::run(own, form),
         Command::Benchmark(own) => benchmark::run(own, arguments, form, talk),
         Command::Calibrate(own) => calibrate::run(own, arguments, form, talk),

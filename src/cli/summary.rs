@@ -14,11 +14,31 @@ pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String 
     for (&id, vehicle) in &summary.vehicles {
         // Writing to a string cannot fail.
         let _ = match trajectories.objects.iter().find(|trajectory| trajectory.id == id) {
-            Some(found) => write!(text, "{}", placed(found, vehicle, trajectories.unit, summary.time_base)),
+            Some(found) => write!(text, "{}", placed(found, vehicle, metres(trajectories), summary.time_base)),
             None => writeln!(text, "  {id}: {}, no trajectory: {}", class(vehicle), why_not(vehicle)),
         };
     }
+    let said = trajectories.metric.as_ref().and_then(|metric| metric.reason.as_ref());
+    if let Some(reason) = said.filter(|_| !trajectories.objects.is_empty()) {
+        let _ = writeln!(text, "  {reason}");
+    }
     text
+}
+
+/// Metres in the unit of the positions.
+#[derive(Clone, Copy)]
+struct Metres {
+    per_unit: f64,
+    /// Standard deviation as a share; 0 where the unit is the metre.
+    std: f64,
+}
+
+fn metres(trajectories: &Trajectories) -> Option<Metres> {
+    let frame = trajectories.metric.as_ref().and_then(|metric| metric.frame.as_ref());
+    match trajectories.unit {
+        Unit::Metre => Some(Metres { per_unit: 1.0, std: 0.0 }),
+        Unit::Background => frame.map(|frame| Metres { per_unit: frame.scale, std: frame.log_scale_std() }),
+    }
 }
 
 fn headline(num_vehicles: usize, num_placed: usize) -> String {
@@ -34,13 +54,13 @@ fn headline(num_vehicles: usize, num_placed: usize) -> String {
     }
 }
 
-fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, unit: Unit, times: TimeBase) -> String {
+fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, metres: Option<Metres>, times: TimeBase) -> String {
     let (id, class) = (found.id, class(vehicle));
     let (placed, visible) = (found.poses.len(), vehicle.model.num_visible);
     let mut text =
         format!("  {id}: {class}, placed in {placed} of {}{}\n", count(visible, "frame"), span(found, times));
     // Writing to a string cannot fail.
-    let _ = writeln!(text, "     path: {}{}", length(found.path_length(), unit), speed(found, unit, times));
+    let _ = writeln!(text, "     path: {}{}", length(found.path_length(), metres), speed(found, metres, times));
     let _ = writeln!(text, "     {}", sureness(found));
     for reason in doubts(found) {
         let _ = writeln!(text, "     - {reason}");
@@ -93,10 +113,11 @@ fn count(number: usize, noun: &str) -> String {
     format!("{number} {noun}{plural}")
 }
 
-fn length(length: f64, unit: Unit) -> String {
-    match unit {
-        Unit::Metre => format!("{length:.1} m"),
-        Unit::Background => format!("{} units of the background", with_three_digits(length)),
+fn length(length: f64, metres: Option<Metres>) -> String {
+    match metres {
+        Some(Metres { per_unit, std }) if std > 0.0 => format!("{:.1} m ± {:.1} %", per_unit * length, 100.0 * std),
+        Some(Metres { per_unit, .. }) => format!("{:.1} m", per_unit * length),
+        None => format!("{} units of the background", with_three_digits(length)),
     }
 }
 
@@ -108,12 +129,12 @@ fn with_three_digits(value: f64) -> String {
 }
 
 /// The mean speed, where it has a meaning.
-fn speed(found: &ObjectTrajectory, unit: Unit, times: TimeBase) -> String {
+fn speed(found: &ObjectTrajectory, metres: Option<Metres>, times: TimeBase) -> String {
     let (Some(first), Some(last)) = (found.poses.first(), found.poses.last()) else { return String::new() };
     let seconds = last.time_s - first.time_s;
-    match (unit, times) {
-        (Unit::Metre, TimeBase::Seconds) if seconds > 0.0 => {
-            let speed = found.path_length() / seconds;
+    match (metres, times) {
+        (Some(Metres { per_unit, .. }), TimeBase::Seconds) if seconds > 0.0 => {
+            let speed = per_unit * found.path_length() / seconds;
             format!(", on average {speed:.1} m/s ({:.0} km/h)", 3.6 * speed)
         }
         _ => String::new(),

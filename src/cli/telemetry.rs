@@ -1,16 +1,17 @@
 //! `tractrix telemetry FILE`: what is understood of a receiver's log.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
 use super::output::{Failure, Form, show};
-use crate::telemetry::{self, Summary};
+use crate::pipeline;
+use crate::telemetry::{self, Log, Summary, TelemetryError};
 
 /// Says what is understood of a file of telemetry: format, fixes, times, ranges, and what was passed over.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
-    /// DJI's subtitles, GPX, NMEA, CSV, a photograph, or a folder of photographs (see docs/telemetry.md)
+    /// DJI's subtitles, GPX, NMEA, CSV, a video with a text track, a photograph, or a folder of them (docs/telemetry.md)
     pub(super) file: PathBuf,
 }
 
@@ -26,7 +27,17 @@ struct Output {
 /// # Errors
 /// Why the file gives no position.
 pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
-    let summary = telemetry::read(&args.file)?.summary();
+    let summary = read(&args.file)?.summary();
     let output = Output { file: args.file.clone(), summary };
     show(form, &output, || output.summary.as_text())
+}
+
+/// A file that is no log may be a video with one in its text track.
+fn read(file: &Path) -> Result<Log, TelemetryError> {
+    match telemetry::read(file) {
+        Err(error @ (TelemetryError::Unknown { .. } | TelemetryError::TooLarge { .. })) => {
+            pipeline::telemetry_inside(file).unwrap_or(Err(error))
+        }
+        found => found,
+    }
 }

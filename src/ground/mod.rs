@@ -9,6 +9,7 @@ mod chain;
 mod dominant;
 #[cfg(test)]
 mod fixed_camera_tests;
+mod height;
 mod labels;
 mod local;
 mod mount;
@@ -23,6 +24,7 @@ use serde::{Deserialize, Serialize};
 use crate::limits::{Checked, ordered, within};
 pub use chain::GroundChain;
 pub use dominant::{DominantPlane, GroundError, dominant_plane_points};
+pub use height::{CameraHeight, HeightFailure, camera_height};
 pub use labels::label_points;
 pub use local::{LocalPlanes, SkipReason, SkippedFrame, local_planes};
 pub use mount::{Mount, MountFailure, find_mount};

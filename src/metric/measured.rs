@@ -1,10 +1,13 @@
-//! A positive quantity with its deviation, as people write it: `1.45±0.05`, `1.45+-0.05`, `4.47`.
+//! Quantities with their deviations, as people write them: `1.45±0.05`, `1.45+-0.05`, `4.47`.
 
 use std::fmt;
 use std::str::FromStr;
 
-/// A positive value and its standard deviation.
-#[derive(Clone, Copy, Debug, PartialEq)]
+use serde::{Deserialize, Serialize};
+
+/// A positive value and its standard deviation. In files it is a text.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub struct Measured {
     /// The value.
     pub value: f64,
@@ -46,20 +49,94 @@ impl FromStr for Measured {
 
     fn from_str(text: &str) -> Result<Self, MeasuredError> {
         let wrong = || MeasuredError { text: text.to_owned() };
-        let parts = text.split_once('±').or_else(|| text.split_once("+-")).or_else(|| text.split_once("+/-"));
-        let (value, std) = match parts {
-            Some((value, std)) => (value, Some(std)),
-            None => (text, None),
-        };
-        let number = |text: &str| text.trim().parse::<f64>().map_err(|_| wrong());
-        let std = std.map_or_else(|| Ok(half_digit(value)), number)?;
-        Self::new(number(value)?, std).ok_or_else(wrong)
+        let (value, std) = parts(text);
+        let std = std.map_or_else(|| Some(half_digit(value)), number).ok_or_else(wrong)?;
+        Self::new(number(value).ok_or_else(wrong)?, std).ok_or_else(wrong)
     }
+}
+
+impl TryFrom<String> for Measured {
+    type Error = MeasuredError;
+
+    fn try_from(text: String) -> Result<Self, MeasuredError> {
+        text.parse()
+    }
+}
+
+impl From<Measured> for String {
+    fn from(measured: Measured) -> Self {
+        measured.to_string()
+    }
+}
+
+/// What is written before and after the sign of a deviation.
+fn parts(text: &str) -> (&str, Option<&str>) {
+    let parts = text.split_once('±').or_else(|| text.split_once("+-")).or_else(|| text.split_once("+/-"));
+    parts.map_or((text, None), |(value, std)| (value, Some(std)))
+}
+
+fn number(text: &str) -> Option<f64> {
+    text.trim().parse().ok().filter(|number: &f64| number.is_finite())
 }
 
 impl fmt::Display for Measured {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}±{}", self.value, self.std)
+    }
+}
+
+/// The time between the clocks of a log and a video: log = video + this. In files it is a text.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct TimeOffset {
+    /// Seconds, of either sign.
+    pub mean_s: f64,
+    /// Standard deviation, seconds.
+    pub std_s: f64,
+}
+
+/// Why a text is no [`TimeOffset`].
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("“{text}” is no number of seconds with a deviation; write it as 0.7±0.1 or -3")]
+pub struct TimeOffsetError {
+    text: String,
+}
+
+/// What receivers are late, seconds: so well an offset is known whose deviation nobody states.
+const RECEIVER_LATENCY_S: f64 = 0.2;
+
+/// Clocks are not compared better than to a frame of a fast video, seconds.
+const LEAST_OFFSET_STD_S: f64 = 1e-3;
+
+impl FromStr for TimeOffset {
+    type Err = TimeOffsetError;
+
+    fn from_str(text: &str) -> Result<Self, TimeOffsetError> {
+        let (mean, std) = parts(text);
+        let std_s = std.map_or(Some(RECEIVER_LATENCY_S), number).filter(|std| *std > 0.0);
+        let offset =
+            number(mean).zip(std_s).map(|(mean_s, std_s)| Self { mean_s, std_s: std_s.max(LEAST_OFFSET_STD_S) });
+        offset.ok_or_else(|| TimeOffsetError { text: text.to_owned() })
+    }
+}
+
+impl fmt::Display for TimeOffset {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}±{}", self.mean_s, self.std_s)
+    }
+}
+
+impl TryFrom<String> for TimeOffset {
+    type Error = TimeOffsetError;
+
+    fn try_from(text: String) -> Result<Self, TimeOffsetError> {
+        text.parse()
+    }
+}
+
+impl From<TimeOffset> for String {
+    fn from(offset: TimeOffset) -> Self {
+        offset.to_string()
     }
 }
 
@@ -85,6 +162,25 @@ mod tests {
         for text in ["", "a", "0±1", "-1±1", "1±0", "1±-1", "NaN", "1±inf", "1e999"] {
             assert!(text.parse::<Measured>().unwrap_err().to_string().contains("1.45±0.05"), "{text}");
         }
+    }
+
+    #[test]
+    fn offsets_have_either_sign_and_a_deviation() {
+        assert_eq!("0.7".parse(), Ok(TimeOffset { mean_s: 0.7, std_s: 0.2 }));
+        assert_eq!("-3±1.5".parse(), Ok(TimeOffset { mean_s: -3.0, std_s: 1.5 }));
+        assert_eq!("-3+-1.5".parse::<TimeOffset>().unwrap().to_string().parse(), "-3±1.5".parse::<TimeOffset>());
+        for text in ["", "soon", "1±0", "1±-1", "NaN", "1±inf", "1e999"] {
+            assert!(text.parse::<TimeOffset>().unwrap_err().to_string().contains("0.7±0.1"), "{text}");
+        }
+    }
+
+    #[test]
+    fn in_files_they_are_texts() {
+        let measured = Measured { value: 1.45, std: 0.05 };
+        let text = serde_json::to_string(&measured).unwrap();
+        assert_eq!(text, "\"1.45±0.05\"");
+        assert_eq!(serde_json::from_str::<Measured>(&text).unwrap(), measured);
+        assert!(serde_json::from_str::<Measured>("\"-1\"").is_err() && serde_json::from_str::<Measured>("7").is_err());
     }
 
     #[test]

@@ -30,6 +30,17 @@ pub enum Dimension {
     Height,
 }
 
+impl Dimension {
+    /// The name in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Length => "length",
+            Self::Width => "width",
+            Self::Height => "height",
+        }
+    }
+}
+
 /// A dimension that was measured, in units of the background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
@@ -74,7 +85,8 @@ impl VehicleClass {
 
     /// Cars: between the means of KITTI (3.88 × 1.63 × 1.53 m, deviations 0.43, 0.10, 0.14; Geiger et al., *Are we
     /// ready for autonomous driving?*, CVPR 2012) and of nuScenes (4.61 × 1.95 × 1.72 m; Caesar et al., CVPR 2020), the
-    /// latter with mirrors. Others: means of nuScenes, trucks with the spread of a class that goes from 5 to 16 m.
+    /// latter with mirrors. Others: means of nuScenes within what Directive 96/53/EC allows, trucks with the spread of
+    /// a class that goes from 5 to 16.5 m. `docs/maths/metric.md` says where each number comes from.
     fn likeness(self, dimension: Dimension) -> Likeness {
         let (median_m, spread) = match (self, dimension) {
             (Self::Car, Dimension::Length) => (4.30, 0.10),

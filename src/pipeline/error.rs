@@ -9,6 +9,7 @@ use crate::limits::memory::TooMuch;
 use crate::perception::PerceptionError;
 use crate::report::ReportError;
 use crate::sfm::SfmError;
+use crate::telemetry::TelemetryError;
 use crate::video::VideoError;
 
 /// Why a run ends without a result. What concerns single frames or objects is no error: it is counted and reported.
@@ -26,6 +27,9 @@ pub enum PipelineError {
     /// The page.
     #[error(transparent)]
     Report(#[from] ReportError),
+    /// Telemetry that was named.
+    #[error(transparent)]
+    Telemetry(#[from] TelemetryError),
     /// A file that is read or written on the way.
     #[error(transparent)]
     Io(#[from] IoError),
@@ -102,6 +106,7 @@ impl PipelineError {
 
     /// Whether the command line asks for what must not be, so that nothing was begun.
     pub fn is_wrong_use(&self) -> bool {
-        matches!(self, Self::Option(_)) || matches!(self, Self::Folder(error) if error.is_wrong_use())
+        matches!(self, Self::Option(_) | Self::Telemetry(_))
+            || matches!(self, Self::Folder(error) if error.is_wrong_use())
     }
 }

@@ -23,6 +23,7 @@ mod ground;
 mod lens;
 mod masking;
 mod meter;
+mod metric;
 mod models;
 mod motion;
 mod networks;
@@ -51,10 +52,11 @@ pub use error::PipelineError;
 pub use evaluate::{Kept, evaluate, keep_evaluation};
 pub use found_features::found_features;
 pub use meter::{Cost, process_cpu_s};
+pub use metric::telemetry_inside;
 pub use models::{CameraReport, ModelReport};
 pub use options::{
     DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskChoice, MaskingOptions,
-    ModelFiles, MotionChoice, OptionRow, OptionSection, Options, VehicleOptions,
+    MetricOptions, ModelFiles, MotionChoice, OptionRow, OptionSection, Options, TelemetryChoice, VehicleOptions,
 };
 use progress::Muted;
 pub use progress::{Plan, Planned, Progress, Silent};
@@ -137,6 +139,7 @@ pub struct Job<'a> {
 pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError> {
     let Job { options, goal, .. } = *job;
     options.check()?;
+    metric::check(options)?;
     Workspace::inspect(job.output, &job.inputs())?;
     for (flag, path) in options.named_models() {
         Workspace::inspect(job.output, &[(flag, given_models::place(path).as_path())])?;
@@ -231,6 +234,7 @@ fn depends_on(run: &Run, stage: Stage, input: &str) -> Result<Value, PipelineErr
         Stage::Objects => objects::depends_on(run)?,
         Stage::Ground => ground::depends_on(run)?,
         Stage::Scale => scale::depends_on(run),
+        Stage::Metric => metric::depends_on(run)?,
         Stage::Report => json!({ "arguments": run.arguments }),
     })
 }
@@ -247,6 +251,7 @@ fn work(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, PipelineE
         Stage::Objects => objects::work(run, fingerprint),
         Stage::Ground => ground::work(run, fingerprint),
         Stage::Scale => scale::work(run),
+        Stage::Metric => metric::work(run),
         Stage::Report => report::work(run),
     }
 }

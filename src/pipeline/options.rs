@@ -1,5 +1,6 @@
 //! The tree of options: everything that decides a result.
 
+mod metres;
 mod reference;
 mod schema;
 mod tree;
@@ -12,6 +13,7 @@ use std::str::FromStr;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use metres::{MetricOptions, TelemetryChoice};
 pub use reference::{OptionRow, OptionSection};
 pub use vehicles::{DetectorChoice, MaskChoice, MotionChoice, VehicleOptions};
 
@@ -208,6 +210,8 @@ pub struct Options {
     pub ground: ground::Options,
     /// The scale ratio.
     pub scale: trajectory::Options,
+    /// Where metres come from, besides what vehicles are like. All that is there is weighed together.
+    pub metric: MetricOptions,
     /// Seed of every random choice.
     #[schemars(extend("unit" = "any whole number"))]
     pub seed: u64,
@@ -274,6 +278,7 @@ impl Default for Options {
             ground_segmentation: GroundOptions::default(),
             ground: ground::Options::default(),
             scale: trajectory::Options::default(),
+            metric: MetricOptions::default(),
             seed: 0,
             threads: None,
             memory_limit: None,
@@ -316,6 +321,9 @@ impl Options {
         if let Some(IntrinsicsSource::File(path)) = &self.intrinsics {
             named.push(("--intrinsics", path));
         }
+        if let TelemetryChoice::File(path) = &self.metric.telemetry {
+            named.push(("--telemetry", path));
+        }
         named.extend(self.flow_model.iter().map(|path| ("--flow-model", path.as_path())));
         named.extend(self.named_models());
         named
@@ -347,7 +355,8 @@ impl Options {
         under("objects", self.objects.check())?;
         under("ground_segmentation", self.ground_segmentation.check())?;
         under("ground", self.ground.check())?;
-        Ok(under("scale", self.scale.check())?)
+        under("scale", self.scale.check())?;
+        Ok(under("metric", self.metric.check())?)
     }
 
     /// What stands at the tree's root.

@@ -67,7 +67,7 @@ pub(super) fn check_files(run: &Run, open: &[Stage]) -> Result<(), PipelineError
         Stage::Background => background_model(run),
         Stage::Objects => object_models(run),
         Stage::Ground => ground_labels(run),
-        Stage::Frames | Stage::Motion | Stage::Scale | Stage::Report => Ok(()),
+        Stage::Frames | Stage::Motion | Stage::Scale | Stage::Metric | Stage::Report => Ok(()),
     })
 }
 

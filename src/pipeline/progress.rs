@@ -110,6 +110,7 @@ fn usual_s(stage: Stage, options: &Options, info: &Info) -> f64 {
         Stage::Ground if with_ground_model => (0.3, 0.0),
         Stage::Ground => (0.002, 0.0),
         Stage::Scale => (0.005, 0.0),
+        Stage::Metric => (0.002, 0.0),
         Stage::Report => (0.01, 0.0),
     };
     frames * (per_frame + per_megapixel * megapixels)

@@ -4,14 +4,23 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::{Value, json};
 
+use super::metric::Size;
 use super::run::{Outcome, Run};
 use super::track;
-use super::{PipelineError, exports, ground, models, objects};
+use super::{PipelineError, Stage, exports, ground, models, objects};
 use crate::scene::{
     Frame, FrameId, Ground, GroundPlane, ObjectId, ObjectTrajectory, Reconstruction, ScaleMethod, TimeBase,
     TrackedObject, Trajectories, Unit, Verdict,
 };
-use crate::trajectory::{self, Adjustment, Candidate, Evidence, ModelOrigin, ObjectDescription, Silhouette};
+use crate::trajectory::{
+    self, Adjustment, Candidate, Evidence, Extents, ModelOrigin, ObjectDescription, Silhouette, Subject, extents,
+};
+
+/// The name of the trajectories as this stage leaves them, in units of the background.
+const IN_UNITS: &str = "scale-trajectories.json";
+
+/// The name of the objects' sizes, in units of the background.
+const SIZES: &str = "scale-sizes.json";
 
 /// The name of the list of objects without a trajectory, and why.
 const FAILURES: &str = "scale-failures.json";
@@ -28,6 +37,8 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let ground = ground::ground(run)?;
     let reports = objects::reports(run)?;
     let frames = run.frames()?;
+    // The file of trajectories is made anew without metres, which the stage `metric` writes into it.
+    run.workspace.clear_marker(Stage::Metric)?;
     // It speaks of the trajectories that are replaced.
     run.workspace.remove(&run.workspace.evaluation())?;
     run.workspace.remove(&run.workspace.point_clouds())?;
@@ -36,6 +47,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     outcome.outputs.push(exports::background(run, &background)?);
     let mut found: Vec<Placed> = Vec::new();
     let mut failures = BTreeMap::new();
+    let mut sizes = BTreeMap::new();
     let with_model = reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id).collect();
     let silhouettes = silhouettes(run, frames, &with_model)?;
     let no_silhouettes = BTreeMap::new();
@@ -44,6 +56,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
         let Some(report) = reports.get(&tracked.id) else { continue };
         let Some(object) = objects::as_reconstructed(run, tracked.id, report)? else { continue };
         let planes = planes(&ground, tracked.id);
+        let seen = silhouettes.get(&tracked.id).unwrap_or(&no_silhouettes);
         let placed = trajectory::place(
             &Evidence {
                 description: description(tracked),
@@ -51,7 +64,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
                 background: &background,
                 object: &object,
                 planes: &planes,
-                silhouettes: silhouettes.get(&tracked.id).unwrap_or(&no_silhouettes),
+                silhouettes: seen,
                 frames,
                 focal_std,
             },
@@ -66,6 +79,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
                 if let Some(reason) = &trajectory.scale.reason {
                     outcome.warn(format!("object {}: its scale ratio is not to be trusted: {reason}", tracked.id));
                 }
+                sizes.insert(tracked.id, size(&trajectory, &placed.object, &background, &planes, seen));
                 found.push(Placed { trajectory, tracked, object: placed.object, planes });
             }
             Err(reason) => {
@@ -77,10 +91,25 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     outcome.figure("num_trajectories", found.len());
     let objects = judged(found, &background, run.info().time_base(), &mut outcome);
     let (path, all) = (run.workspace.trajectories(), Trajectories { unit: Unit::Background, metric: None, objects });
+    crate::io::trajectories::write(&run.workspace.state(IN_UNITS), &all)?;
     run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
     run.workspace.write_state(FAILURES, &failures)?;
-    outcome.outputs.extend([path, run.workspace.state(FAILURES)]);
+    run.workspace.write_state(SIZES, &sizes)?;
+    let states = [IN_UNITS, FAILURES, SIZES].map(|name| run.workspace.state(name));
+    outcome.outputs.extend(states.into_iter().chain([path]));
     Ok(outcome)
+}
+
+/// How large an object is, in units of the background.
+fn size(
+    trajectory: &ObjectTrajectory,
+    object: &Reconstruction,
+    background: &Reconstruction,
+    planes: &BTreeMap<FrameId, GroundPlane>,
+    silhouettes: &BTreeMap<FrameId, Silhouette>,
+) -> Size {
+    let Extents { length, width, height } = extents(&Subject { trajectory, object, background, planes, silhouettes });
+    Size { length, width, height }
 }
 
 /// An object that has a trajectory, until all of them are judged together.
@@ -145,9 +174,19 @@ fn describe_adjustment(id: ObjectId, adjustment: &Adjustment, outcome: &mut Outc
     }
 }
 
-/// The trajectories; the stage must be done.
+/// The trajectories, with their metres after the stage `metric`; this stage must be done.
 pub(super) fn trajectories(run: &Run) -> Result<Trajectories, PipelineError> {
     Ok(run.workspace.read_trajectories()?)
+}
+
+/// The trajectories in units of the background, without metres; the stage must be done.
+pub(super) fn in_units(run: &Run) -> Result<Trajectories, PipelineError> {
+    Ok(crate::io::trajectories::read(&run.workspace.state(IN_UNITS))?)
+}
+
+/// How large the objects are, in units of the background; the stage must be done.
+pub(super) fn sizes(run: &Run) -> Result<BTreeMap<ObjectId, Size>, PipelineError> {
+    run.workspace.read_state(SIZES)
 }
 
 /// Why objects have no trajectory although they have a model, by id; the stage must be done.

@@ -28,13 +28,15 @@ pub enum Stage {
     Ground,
     /// Scale ratios and trajectories.
     Scale,
+    /// Trajectories in metres and on the map.
+    Metric,
     /// The page to look at.
     Report,
 }
 
 impl Stage {
     /// All of them, in order.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Frames,
         Self::Segment,
         Self::Features,
@@ -45,6 +47,7 @@ impl Stage {
         Self::Objects,
         Self::Ground,
         Self::Scale,
+        Self::Metric,
         Self::Report,
     ];
 
@@ -61,13 +64,14 @@ impl Stage {
             Self::Objects => "objects",
             Self::Ground => "ground",
             Self::Scale => "scale",
+            Self::Metric => "metric",
             Self::Report => "report",
         }
     }
 
     /// The stages whose results this one reads.
     pub fn after(self) -> &'static [Self] {
-        use Stage::{Background, Features, Follow, Frames, Ground, Motion, Objects, Scale, Segment, Track};
+        use Stage::{Background, Features, Follow, Frames, Ground, Metric, Motion, Objects, Scale, Segment, Track};
         match self {
             Frames => &[],
             Segment => &[Frames],
@@ -79,7 +83,8 @@ impl Stage {
             Objects => &[Follow, Background],
             Ground => &[Background, Objects],
             Scale => &[Ground],
-            Self::Report => &[Scale],
+            Metric => &[Scale],
+            Self::Report => &[Metric],
         }
     }
 
@@ -100,8 +105,9 @@ impl Stage {
         match self {
             // Results are in a place of their own; tracks of image points come in two stages, and are found again
             // behind gaps; planes and focal lengths have deviations; the last adjustment settles; one vehicle keeps one
-            // id; a fixed camera is told from a climbing one, and heights are less sure far away.
-            Self::Scale => 4,
+            // id; a fixed camera is told from a climbing one, and heights are less sure far away; trajectories are kept for
+            // the stage `metric`.
+            Self::Scale => 5,
             Self::Objects | Self::Features | Self::Ground => 3,
             Self::Background | Self::Track | Self::Follow => 2,
             _ => 1,

@@ -67,6 +67,11 @@ pub(super) fn iso_s(text: &str) -> Option<(f64, bool)> {
     Some((spelled_s(text)?, false))
 }
 
+/// Seconds after 1970-01-01T00:00:00 of an ISO 8601 time.
+pub fn clock_s(text: &str) -> Option<f64> {
+    iso_s(text).map(|(clock_s, _)| clock_s)
+}
+
 /// A time on the log's clock for people: `2022-08-07T13:40:40.774`.
 pub(super) fn spelled(clock_s: f64) -> Option<String> {
     let timestamp = Timestamp::from_millisecond((clock_s * 1e3).round() as i64).ok()?;

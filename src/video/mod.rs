@@ -21,12 +21,14 @@ mod jpeg;
 mod options;
 mod prefetch;
 mod source;
+mod start;
 mod subtitles;
 
 pub use error::VideoError;
 pub use options::{Options, Position, Turning};
 pub use prefetch::Frames;
 pub use source::{Info, Kind, PictureCamera, Scan, Source};
+pub use start::stated_start;
 pub use subtitles::{Subtitle, subtitles};
 
 /// Silences what OpenCV and FFmpeg print by themselves; what is wrong comes back as a [`VideoError`]. To be called

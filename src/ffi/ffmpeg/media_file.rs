@@ -174,6 +174,15 @@ impl MediaFile {
         name.to_string_lossy().into_owned()
     }
 
+    /// What the container's metadata say under a key.
+    pub fn metadata(&self, key: &CStr) -> Option<String> {
+        // SAFETY: the context is open; an entry belongs to it, and its value ends in a zero byte.
+        unsafe {
+            let entry = sys::av_dict_get((*self.context).metadata, key.as_ptr(), ptr::null(), 0);
+            entry.as_ref().map(|entry| CStr::from_ptr(entry.value).to_string_lossy().into_owned())
+        }
+    }
+
     /// All streams, in the order of the file.
     pub fn streams(&self) -> Vec<Stream> {
         // SAFETY: the context is open.

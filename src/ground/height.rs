@@ -1,0 +1,177 @@
+//! The camera's height over the ground, and where up is.
+//!
+//! In evenly spread frames a plane is fitted to the ground points nearest to the camera (eq. 4 to 8 of
+//! `docs/maths/ground.md`); the camera's height is that over this plane, and its deviation that of the plane at the
+//! camera's foot. Heights are a mean over the frames: a camera that climbs has no other single one.
+
+use nalgebra::{Point3, Vector3};
+use thiserror::Error;
+
+use super::Options;
+use super::plane::{Candidate, fit_plane};
+use crate::math::{Neighbors, median, seeded_rng};
+use crate::scene::{Image, Point3dId, Reconstruction};
+
+/// The camera over the ground, in units of the background.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraHeight {
+    /// Mean over the frames.
+    pub mean: f64,
+    /// Standard deviation of the mean.
+    pub std: f64,
+    /// Standard deviation of the heights themselves, as a share of the mean: how much the camera climbs.
+    pub spread: f64,
+    /// Unit vector: mean normal of the planes, towards the camera.
+    pub up_in_world: Vector3<f64>,
+    /// By how much the normals differ from it (root mean square), radians.
+    pub tilt_spread: f64,
+    /// Frames with a plane below the camera.
+    pub num_frames: usize,
+    /// Foot of the first such camera.
+    pub foot_in_world: Point3<f64>,
+}
+
+/// Why the camera's height over the ground is not known.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum HeightFailure {
+    /// Nothing to fit planes to.
+    #[error("there are only {found} ground points; at least {needed} are needed")]
+    TooFewPoints {
+        /// Ground points.
+        found: usize,
+        /// Fewest that are needed.
+        needed: usize,
+    },
+    /// In hardly any frame is there ground near the camera.
+    #[error("only {found} of {of} frames that were looked at have ground near the camera")]
+    TooFewFrames {
+        /// Frames with a plane.
+        found: usize,
+        /// Frames that were looked at.
+        of: usize,
+    },
+}
+
+/// Frames that are looked at; neighbours say nothing new.
+const MAX_FRAMES: usize = 60;
+/// Ground points per frame: so many that they reach further than a lane.
+const NUM_POINTS: usize = 200;
+/// A plane that is known no better at the camera's foot does not count, as a share of the height.
+const MAX_STD: f64 = 0.1;
+/// What planes of one place have in common (drift, cambers, grass), as a share of the height.
+const COMMON_STD: f64 = 0.01;
+
+/// The height of the camera over the ground, and the mean normal of the ground.
+///
+/// * `ground_points` – ascending.
+///
+/// # Errors
+/// [`HeightFailure`] where too little of the ground is near the camera.
+pub fn camera_height(
+    background: &Reconstruction,
+    ground_points: &[Point3dId],
+    options: &Options,
+    seed: u64,
+) -> Result<CameraHeight, HeightFailure> {
+    let is_finite = |p: &Point3<f64>| p.coords.iter().all(|x| x.is_finite());
+    let points = ground_points.iter().filter_map(|id| background.points.get(id)).map(|point| point.position);
+    let points: Vec<[f64; 3]> = points.filter(is_finite).map(|position| position.coords.into()).collect();
+    let needed = options.min_points.max(3);
+    let too_few = HeightFailure::TooFewPoints { found: points.len(), needed };
+    let tree = Neighbors::new(&points).filter(|_| points.len() >= needed).ok_or(too_few)?;
+    let every = background.images.len().div_ceil(MAX_FRAMES).max(1);
+    let images: Vec<&Image> = background.images.values().step_by(every).collect();
+    let found: Vec<Below> = (0..)
+        .zip(&images)
+        .filter_map(|(k, image)| {
+            let center = image.cam_from_world.center();
+            let near = tree.nearest(&center.coords.into(), NUM_POINTS).into_iter().map(|i| points[i].into());
+            Below::of(background, image, near, options, (seed, 0x6865_6967_6874 + k))
+        })
+        .collect();
+    mean(&found, images.len()).ok_or(HeightFailure::TooFewFrames { found: found.len(), of: images.len() })
+}
+
+/// The ground below one camera.
+struct Below {
+    height: f64,
+    std: f64,
+    normal: Vector3<f64>,
+    foot: Point3<f64>,
+}
+
+impl Below {
+    fn of(
+        background: &Reconstruction,
+        image: &Image,
+        near: impl Iterator<Item = Point3<f64>>,
+        options: &Options,
+        (seed, stream): (u64, u64),
+    ) -> Option<Self> {
+        let center = image.cam_from_world.center();
+        let per_distance = options.max_error_px / background.camera_of(image).mean_focal();
+        let candidate =
+            |position: Point3<f64>| Candidate { position, tolerance: per_distance * (position - center).norm() };
+        let candidates: Vec<Candidate> = near.map(candidate).filter(|candidate| candidate.tolerance > 0.0).collect();
+        let rng = &mut seeded_rng(seed, stream);
+        let plane = fit_plane(&candidates, options.min_points, options.max_samples, |_, support| support, rng).ok()?;
+        let height = plane.distance(&center);
+        let normal = plane.normal * height.signum();
+        let foot = center - normal * height.abs();
+        let std = plane.height_std_at(&foot).hypot(plane.rms / (plane.num_inliers as f64).sqrt());
+        (std <= MAX_STD * height.abs()).then_some(Self { height: height.abs(), std, normal, foot })
+    }
+}
+
+/// Means over the frames; `None` where fewer than a fifth of them has a plane.
+fn mean(found: &[Below], num_frames: usize) -> Option<CameraHeight> {
+    let first = found.first().filter(|_| 5 * found.len() >= num_frames)?;
+    let num = found.len() as f64;
+    let mean = found.iter().map(|below| below.height).sum::<f64>() / num;
+    let spread = (found.iter().map(|below| (below.height - mean).powi(2)).sum::<f64>() / num).sqrt() / mean;
+    let up_in_world = found.iter().map(|below| below.normal).sum::<Vector3<f64>>().try_normalize(f64::EPSILON)?;
+    let angles: f64 = found.iter().map(|below| below.normal.angle(&up_in_world).powi(2)).sum();
+    // Planes of neighbouring frames rest on the same points: their errors do not average out. What the frames without a
+    // plane would have shown is not known either.
+    let of_planes = median(found.iter().map(|below| below.std / below.height).collect())?;
+    let of_the_others = spread * (1.0 - num / num_frames as f64);
+    let share = COMMON_STD.hypot(of_planes).hypot(of_the_others);
+    (mean.is_finite() && mean > 0.0 && share.is_finite()).then_some(CameraHeight {
+        mean,
+        std: share * mean,
+        spread,
+        up_in_world,
+        tilt_spread: (angles / num).sqrt(),
+        num_frames: found.len(),
+        foot_in_world: first.foot,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic::drive::{self, Noise, Terrain, drive};
+
+    #[test]
+    fn the_height_over_a_flat_place_is_the_cameras() {
+        let noise = Noise { pixel_px: 0.5, ..Noise::default() };
+        let world = drive(&drive::Options { noise, terrain: Terrain::Flat, ..Default::default() }, 3);
+        let found = camera_height(&world.background, &world.ground_points, &Options::default(), 7).unwrap();
+        let up = world.planes.values().next().unwrap().normal;
+        let heights = world.background.images.iter().map(|(id, image)| {
+            let plane = &world.planes[&id.frame()];
+            plane.signed_distance(image.cam_from_world.center())
+        });
+        let expected = heights.sum::<f64>() / world.background.images.len() as f64;
+        assert!((found.mean / expected - 1.0).abs() < 0.02, "{found:?} {expected}");
+        assert!(found.std / found.mean < 0.05 && found.up_in_world.angle(&up) < 0.03, "{found:?}");
+    }
+
+    #[test]
+    fn without_ground_there_is_no_height() {
+        let world = drive(&drive::Options { num_frames: 4, ..Default::default() }, 3);
+        let none = camera_height(&world.background, &[], &Options::default(), 7);
+        assert!(matches!(none, Err(HeightFailure::TooFewPoints { found: 0, .. })), "{none:?}");
+        assert!(none.unwrap_err().to_string().contains("0 ground points"));
+    }
+}

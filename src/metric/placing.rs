@@ -1,0 +1,127 @@
+//! What is seen of the background's frame, in metres.
+//!
+//! An object's point is at x = c + r v (`docs/maths/scale.md`): its ratio r moves it along the ray from the camera's
+//! centre c, the metres per unit move it in proportion to the same ray, and the image position is what is left across
+//! it (`docs/maths/metric.md`, eq. 10).
+
+use nalgebra::{Matrix3, Point3, SMatrix, Vector3};
+
+use super::align::Covariance;
+use crate::scene::{MetricFrame, MetricPose};
+
+/// A point that is seen from a camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sighted {
+    /// The point, in the frame of the background.
+    pub point: Point3<f64>,
+    /// The camera's centre, in the frame of the background.
+    pub center: Point3<f64>,
+    /// Standard deviation of the scale ratio, as a share of it.
+    pub log_ratio_std: f64,
+    /// Standard deviation of the direction, radians.
+    pub direction_std: f64,
+}
+
+impl Sighted {
+    fn ray_m(&self, frame: &MetricFrame) -> Vector3<f64> {
+        let metric_from_world = frame.metric_from_world();
+        metric_from_world.rotation * (self.point - self.center) * metric_from_world.scale
+    }
+}
+
+/// Position and distance in metres, relative to the camera; motion and place are for others to say.
+pub fn metric_pose(frame: &MetricFrame, sighted: &Sighted) -> MetricPose {
+    let ray_m = sighted.ray_m(frame);
+    let log_std = frame.log_scale_std().hypot(sighted.log_ratio_std);
+    MetricPose {
+        position_m: (frame.metric_from_world() * sighted.point).coords.into(),
+        position_std_m: axes_std(&ray_covariance(&ray_m, log_std, sighted.direction_std)),
+        distance_to_camera_m: ray_m.norm(),
+        distance_to_camera_std_m: ray_m.norm() * log_std,
+        motion: None,
+        place: None,
+    }
+}
+
+/// Standard deviations of the point's place on the map along the axes of the metric frame: what the alignment leaves,
+/// which has the scale in it, and what the ratio and the direction add.
+pub fn place_std_m(frame: &MetricFrame, sighted: &Sighted) -> [f64; 3] {
+    let of_ray = ray_covariance(&sighted.ray_m(frame), sighted.log_ratio_std, sighted.direction_std);
+    axes_std(&(alignment_covariance(frame, sighted.point) + of_ray))
+}
+
+/// Along the ray in proportion to it, across it by the direction.
+fn ray_covariance(ray_m: &Vector3<f64>, log_std: f64, direction_std: f64) -> Matrix3<f64> {
+    let along = ray_m * ray_m.transpose();
+    let across = Matrix3::identity() * ray_m.norm_squared() - along;
+    along * (log_std * log_std) + across * (direction_std * direction_std)
+}
+
+/// Covariance of the place of a point as far as it comes from the frame.
+fn alignment_covariance(frame: &MetricFrame, point: Point3<f64>) -> Matrix3<f64> {
+    let metric_from_world = frame.metric_from_world();
+    let arm = metric_from_world.rotation * (point - Point3::from(frame.anchor)) * metric_from_world.scale;
+    let mut jacobian = SMatrix::<f64, 3, 7>::zeros();
+    jacobian.set_column(0, &arm);
+    jacobian.fixed_view_mut::<3, 3>(0, 1).copy_from(&-arm.cross_matrix());
+    jacobian.fixed_view_mut::<3, 3>(0, 4).copy_from(&Matrix3::identity());
+    let covariance = Covariance::from_fn(|j, k| frame.covariance[j][k]);
+    jacobian * covariance * jacobian.transpose()
+}
+
+fn axes_std(covariance: &Matrix3<f64>) -> [f64; 3] {
+    [0, 1, 2].map(|k| covariance[(k, k)].max(0.0).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{point, vector};
+
+    use super::*;
+    use crate::metric::{Kind, Level, Source, frame_on_ground, fuse};
+
+    fn frame() -> MetricFrame {
+        let source = Source { name: "a".to_owned(), kind: Kind::Surveyed, log_scale: 2f64.ln(), std: 0.03 };
+        let level = Level {
+            up_in_world: vector![0.0, 0.0, 1.0],
+            tilt_std: 0.0,
+            ahead_in_world: vector![0.0, 1.0, 0.0],
+            origin_in_world: point![0.0, 0.0, 0.0],
+        };
+        frame_on_ground(&fuse(&[source]).unwrap(), &level)
+    }
+
+    #[test]
+    fn the_ratio_moves_a_point_along_its_ray() {
+        let sighted = Sighted {
+            point: point![0.0, 10.0, 0.0],
+            center: point![0.0, 0.0, 0.0],
+            log_ratio_std: 0.04,
+            direction_std: 1e-3,
+        };
+        let found = metric_pose(&frame(), &sighted);
+        assert!((Point3::from(found.position_m) - point![0.0, 20.0, 0.0]).norm() < 1e-9, "{found:?}");
+        // Twenty metres at 3 % of the scale and 4 % of the ratio, across it a thousandth.
+        let expected = [0.02, 1.0, 0.02];
+        assert!(found.position_std_m.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
+        assert!((found.distance_to_camera_m - 20.0).abs() < 1e-9);
+        assert!((found.distance_to_camera_std_m - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_place_is_as_sure_as_the_frame_and_the_ray() {
+        let mut frame = frame();
+        frame.covariance[4][4] = 9.0;
+        frame.covariance[3][3] = 1e-4;
+        let sighted = Sighted {
+            point: point![0.0, 10.0, 0.0],
+            center: point![0.0, 8.0, 0.0],
+            log_ratio_std: 0.1,
+            direction_std: 0.0,
+        };
+        let [east, north, up] = place_std_m(&frame, &sighted);
+        assert!((east - 9.04f64.sqrt()).abs() < 1e-9, "three metres, and a hundredth of a turn at twenty: {east}");
+        assert!((north - 0.6f64.hypot(0.4)).abs() < 1e-9, "{north}");
+        assert!(up.abs() < 1e-9, "{up}");
+    }
+}

@@ -1,0 +1,196 @@
+//! Which telemetry belongs to the input.
+
+use std::path::{Path, PathBuf};
+
+use super::super::TelemetryChoice;
+use super::super::run::{Outcome, Run};
+use crate::telemetry::{self, Log, TelemetryError};
+use crate::video::{self, Kind};
+
+/// Where telemetry was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Origin {
+    /// The user named it.
+    Named,
+    /// In a file beside the video.
+    Beside,
+    /// In the video's text track.
+    Inside,
+    /// In the photographs themselves.
+    Photographs,
+}
+
+/// A log and where it comes from.
+pub(super) struct Telemetry {
+    pub(super) log: Log,
+    pub(super) path: PathBuf,
+    pub(super) origin: Origin,
+}
+
+/// What logs beside a video are called; the first that holds telemetry is taken.
+const EXTENSIONS: [&str; 6] = ["srt", "gpx", "csv", "nmea", "log", "txt"];
+
+/// The files whose content decides what is found, besides the input itself.
+pub(super) fn files(run: &Run) -> Vec<PathBuf> {
+    match &run.options.metric.telemetry {
+        TelemetryChoice::None => Vec::new(),
+        TelemetryChoice::File(path) => vec![path.clone()],
+        TelemetryChoice::Auto if run.info().kind == Kind::Video => beside(run.input()),
+        TelemetryChoice::Auto => Vec::new(),
+    }
+}
+
+/// The files beside a video with its stem and the extension of a log, in the order of [`EXTENSIONS`].
+fn beside(video: &Path) -> Vec<PathBuf> {
+    let (Some(folder), Some(stem)) = (video.parent(), video.file_stem()) else { return Vec::new() };
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let rank = |path: &Path| {
+        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+        EXTENSIONS.iter().position(|known| *known == extension).filter(|_| path.file_stem() == Some(stem))
+    };
+    let paths = entries.map(|entry| entry.path()).filter(|path| path.is_file() && path != video);
+    let mut found: Vec<(usize, PathBuf)> = paths.filter_map(|path| Some((rank(&path)?, path))).collect();
+    found.sort();
+    found.into_iter().map(|(_, path)| path).collect()
+}
+
+/// The telemetry of the input; what is odd about it is said.
+pub(super) fn find(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
+    let found = match &run.options.metric.telemetry {
+        TelemetryChoice::None => None,
+        TelemetryChoice::File(path) => named(path, outcome),
+        TelemetryChoice::Auto if run.info().kind == Kind::Video => {
+            from_files(&beside(run.input()), outcome).or_else(|| inside(run.input(), outcome))
+        }
+        TelemetryChoice::Auto => photographs(run),
+    };
+    if let Some(found) = &found {
+        say(found, outcome);
+    }
+    found
+}
+
+fn named(path: &Path, outcome: &mut Outcome) -> Option<Telemetry> {
+    match telemetry::read(path) {
+        Ok(log) => Some(Telemetry { log, path: path.to_owned(), origin: Origin::Named }),
+        Err(error) => {
+            outcome.warn(format!("telemetry gives no metres: {}", with_cause(&error)));
+            None
+        }
+    }
+}
+
+fn from_files(paths: &[PathBuf], outcome: &mut Outcome) -> Option<Telemetry> {
+    paths.iter().find_map(|path| match telemetry::read(path) {
+        Ok(log) => Some(Telemetry { log, path: path.clone(), origin: Origin::Beside }),
+        Err(error) => {
+            let said = format!("a file beside the video is not taken for telemetry: {}", with_cause(&error));
+            tracing::info!("{said}");
+            outcome.note(said);
+            None
+        }
+    })
+}
+
+fn inside(video: &Path, outcome: &mut Outcome) -> Option<Telemetry> {
+    match telemetry_inside(video) {
+        Some(Ok(log)) => Some(Telemetry { log, path: video.to_owned(), origin: Origin::Inside }),
+        Some(Err(error)) => {
+            tracing::info!("the text track of the video is no telemetry: {}", with_cause(&error));
+            outcome.note(format!("the text track of the video is no telemetry: {}", with_cause(&error)));
+            None
+        }
+        None => None,
+    }
+}
+
+/// Reads the telemetry in the text track of a video; `None` where it has no text track, or is no video.
+///
+/// # Errors
+/// [`TelemetryError::NoFix`] where the track says something else.
+pub fn telemetry_inside(video: &Path) -> Option<Result<Log, TelemetryError>> {
+    let entries = video::subtitles(video).ok().filter(|entries| !entries.is_empty())?;
+    let numbered = (1..).zip(&entries);
+    let subtitles: Vec<telemetry::Subtitle> = numbered
+        .map(|(line, entry)| telemetry::Subtitle {
+            line,
+            start_s: Some(entry.start_s),
+            lines: entry.text.lines().map(str::trim).collect(),
+        })
+        .collect();
+    Some(telemetry::read_subtitles(&subtitles, video))
+}
+
+/// If none of so many photographs knows its place, the others are not asked.
+const NUM_TRIED: usize = 8;
+
+fn photographs(run: &Run) -> Option<Telemetry> {
+    let frames = run.frames().ok()?;
+    let paths: Vec<PathBuf> = frames.iter().map(|frame| run.input().join(&frame.name)).collect();
+    telemetry::read_photographs(&paths[..paths.len().min(NUM_TRIED)]).ok()?;
+    let log = telemetry::read_photographs(&paths).ok()?;
+    Some(Telemetry { log, path: run.input().to_owned(), origin: Origin::Photographs })
+}
+
+fn say(found: &Telemetry, outcome: &mut Outcome) {
+    let Telemetry { log, path, origin } = found;
+    let whence = match origin {
+        Origin::Named => "as named",
+        Origin::Beside => "found beside the video",
+        Origin::Inside => "the video's text track",
+        Origin::Photographs => "what the photographs say of their places",
+    };
+    tracing::info!("telemetry: {} ({whence}), {} positions", path.display(), log.fixes.len());
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    outcome.figure("telemetry", serde_json::json!({ "file": name, "found": whence, "num_fixes": log.fixes.len() }));
+    if let Some(first) = log.passed_over.first() {
+        outcome.warn(format!(
+            "{}: passed over were {}, the first: {first}",
+            path.display(),
+            places(log.num_passed_over)
+        ));
+    }
+}
+
+fn places(number: usize) -> String {
+    format!("{number} {}", if number == 1 { "place" } else { "places" })
+}
+
+/// An error with what the system says.
+fn with_cause(error: &TelemetryError) -> String {
+    match std::error::Error::source(error) {
+        Some(cause) => format!("{error}: {cause}"),
+        None => error.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn logs_beside_a_video_have_its_stem() {
+        let folder = tempfile::tempdir().unwrap();
+        let video = folder.path().join("DJI_0001.MP4");
+        for name in ["DJI_0001.MP4", "DJI_0001.csv", "DJI_0001.SRT", "DJI_0002.SRT", "DJI_0001.jpg", "DJI_0001"] {
+            fs::write(folder.path().join(name), "x").unwrap();
+        }
+        let names: Vec<_> = beside(&video).iter().map(|path| path.file_name().unwrap().to_owned()).collect();
+        assert_eq!(names, ["DJI_0001.SRT", "DJI_0001.csv"]);
+    }
+
+    #[test]
+    fn what_lies_beside_a_video_and_is_no_telemetry_is_said_and_passed_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        fs::write(path("a.srt"), "1\n00:00:00,000 --> 00:00:01,000\nHello\n").unwrap();
+        fs::write(path("a.csv"), "time,latitude,longitude\n0,47.1,8.5\n1,47.2,8.5\n").unwrap();
+        let mut outcome = Outcome::default();
+        let found = from_files(&[path("a.srt"), path("a.csv")], &mut outcome).unwrap();
+        assert_eq!((found.path, found.log.fixes.len(), found.origin), (path("a.csv"), 2, Origin::Beside));
+        assert!(outcome.warnings.len() == 1 && outcome.warnings[0].contains("a.srt"), "{:?}", outcome.warnings);
+    }
+}

@@ -1,0 +1,171 @@
+//! Stage `metric`: metres per unit from all sources, and the trajectories in metres and on the map.
+//!
+//! The stage `scale` leaves the trajectories in units of the background; this one writes `trajectories.json` whole,
+//! with the same trajectories and their metres beside them. Where nothing gives metres it says why, and everything else
+//! stays as it was.
+
+mod aligned;
+mod log;
+mod placed;
+mod sources;
+mod vehicles;
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+
+use super::run::{Outcome, Run};
+use super::{MetricOptions, Options, PipelineError, TelemetryChoice, fingerprint, models, scale};
+use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
+use crate::scene::{Metric, MetricFrame, MetricVerdict, ObjectId, Reconstruction, Trajectories};
+use crate::telemetry;
+use aligned::Aligned;
+pub use log::telemetry_inside;
+use placed::Placing;
+use sources::Ground;
+pub(super) use vehicles::Size;
+
+/// What nothing but this stage hangs on: the options of metres, and what the files of telemetry hold.
+pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+    let MetricOptions { telemetry, time_offset, camera_height, scale, known_lengths } = &run.options.metric;
+    let files = log::files(run);
+    let contents: Vec<String> = files.iter().map(|file| fingerprint::of_content(file)).collect::<Result<_, _>>()?;
+    let is_looked_for = *telemetry != TelemetryChoice::None;
+    Ok(json!({
+        "telemetry": { "is_looked_for": is_looked_for, "files": contents },
+        "time_offset": time_offset,
+        "camera_height": camera_height,
+        "scale": scale,
+        "known_lengths": known_lengths,
+    }))
+}
+
+/// Reads the telemetry that is named, so that what is wrong with it is said before any work.
+///
+/// # Errors
+/// [`PipelineError::Telemetry`] names the file and the cure.
+pub(super) fn check(options: &Options) -> Result<(), PipelineError> {
+    match &options.metric.telemetry {
+        TelemetryChoice::File(path) => Ok(telemetry::read(path).map(drop)?),
+        TelemetryChoice::Auto | TelemetryChoice::None => Ok(()),
+    }
+}
+
+pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    run.progress.begin("metric", None);
+    let (background, _) = models::background(run)?;
+    let trajectories = scale::in_units(run)?;
+    let sizes = scale::sizes(run)?;
+    let found = match background.is_empty() {
+        true => Found::unknown("there is no background"),
+        false => find(run, &background, &trajectories, &sizes, &mut outcome)?,
+    };
+    describe(&found.metric, &mut outcome);
+    let mut objects = trajectories.objects;
+    if let Some(frame) = &found.metric.frame {
+        let placing = Placing::new(&background, frame, found.map);
+        for trajectory in &mut objects {
+            placing.fill(trajectory);
+            trajectory.dimensions = sizes.get(&trajectory.id).map(|size| size.in_metres(frame));
+        }
+    }
+    let all = Trajectories { unit: trajectories.unit, metric: Some(found.metric), objects };
+    let path = run.workspace.trajectories();
+    run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
+    outcome.outputs.push(path);
+    Ok(outcome)
+}
+
+/// Metres, and the map where it is known.
+struct Found {
+    metric: Metric,
+    map: Option<telemetry::LocalFrame>,
+}
+
+impl Found {
+    fn unknown(reason: impl Into<String>) -> Self {
+        let metric = Metric {
+            verdict: MetricVerdict::Unknown,
+            reason: Some(reason.into()),
+            frame: None,
+            shares: Vec::new(),
+            contradictions: Vec::new(),
+            time_offset_s: None,
+            time_offset_std_s: None,
+        };
+        Self { metric, map: None }
+    }
+}
+
+fn find(
+    run: &Run,
+    background: &Reconstruction,
+    trajectories: &Trajectories,
+    sizes: &BTreeMap<ObjectId, Size>,
+    outcome: &mut Outcome,
+) -> Result<Found, PipelineError> {
+    let ground = Ground::of(run, background)?;
+    let telemetry = log::find(run, outcome);
+    let aligned = telemetry.and_then(|telemetry| aligned::align(run, background, &ground, &telemetry, outcome));
+    let mut sources: Vec<Source> = aligned.iter().map(Aligned::source).collect();
+    sources.extend(sources::measured(run, &ground, outcome));
+    sources.extend(vehicles::known(run, sizes, outcome));
+    sources.extend(vehicles::alike(trajectories, sizes));
+    let Some(fused) = fuse(&sources) else { return Ok(Found::unknown(NOTHING)) };
+    warn_of_contradictions(&fused, outcome);
+    let frame = match &aligned {
+        Some(aligned) => frame_on_map(&fused, &aligned.alignment, aligned.origin()),
+        None => frame_on_ground(&fused, &ground.level(background)),
+    };
+    let metric = Metric {
+        verdict: fused.verdict,
+        reason: Some(sentence(&fused, &frame)),
+        frame: Some(frame),
+        shares: fused.shares,
+        contradictions: fused.contradictions,
+        time_offset_s: aligned.as_ref().map(|aligned| aligned.clock_offset_s()),
+        time_offset_std_s: aligned.as_ref().map(|aligned| aligned.alignment.offset_std_s),
+    };
+    Ok(Found { metric, map: aligned.map(|aligned| aligned.map) })
+}
+
+/// Why metres are unknown.
+const NOTHING: &str = "nothing gives metres: there is no telemetry that fits, no length is known, and no vehicle is of a \
+                       class whose sizes are known (give --telemetry FILE, --camera-height METRES, --known-length \
+                       ID:length=METRES or --scale METRES)";
+
+/// On what the metres rest, and how well they are known.
+fn sentence(fused: &Fused, frame: &MetricFrame) -> String {
+    let percent = 100.0 * frame.log_scale_std();
+    let basis = match fused.verdict {
+        MetricVerdict::Surveyed => "metres rest on what was measured",
+        MetricVerdict::Telemetry => "metres rest on the receiver's positions",
+        MetricVerdict::PriorOnly => "metres rest on what vehicles are like, and on nothing that was measured here",
+        MetricVerdict::Unknown => "metres are unknown",
+    };
+    format!("{basis}: known to ± {percent:.1} % (standard deviation), which all lengths have in common")
+}
+
+fn warn_of_contradictions(fused: &Fused, outcome: &mut Outcome) {
+    for contradiction in &fused.contradictions {
+        outcome.warn(format!(
+            "{} contradicts the other sources of metres: it gives {:.3} times their metres per unit, which is {:.1} \
+             standard deviations off; check it",
+            contradiction.source, contradiction.ratio, contradiction.deviations
+        ));
+    }
+}
+
+fn describe(metric: &Metric, outcome: &mut Outcome) {
+    if let Some(reason) = &metric.reason {
+        tracing::info!("{reason}");
+        outcome.figure("reason", reason.as_str());
+    }
+    outcome.figure("verdict", metric.verdict.name());
+    if let Some(frame) = &metric.frame {
+        outcome.figure("scale", frame.scale);
+        outcome.figure("scale_std", frame.std.scale);
+        outcome.figure("shares", json!(metric.shares));
+    }
+}

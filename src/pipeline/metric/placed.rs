@@ -1,0 +1,57 @@
+//! Poses in metres and on the map.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Point3;
+
+use crate::metric::{Sighted, metric_pose, place_std_m};
+use crate::scene::{Image, MapPlace, MetricFrame, MetricPose, ObjectPose, ObjectTrajectory, Reconstruction};
+use crate::telemetry::{Geodetic, LocalFrame};
+
+/// All that places objects in metres.
+pub(super) struct Placing<'a> {
+    frame: &'a MetricFrame,
+    map: Option<LocalFrame>,
+    images: BTreeMap<&'a str, &'a Image>,
+    direction_std: f64,
+}
+
+/// Deviation of a ratio of which its method states none, as a share: what methods differ by where they work.
+const UNSTATED_RATIO_STD: f64 = 0.1;
+
+/// Deviation of an object's middle in the picture, pixels.
+const PIXEL_STD: f64 = 1.0;
+
+impl<'a> Placing<'a> {
+    pub(super) fn new(background: &'a Reconstruction, frame: &'a MetricFrame, map: Option<LocalFrame>) -> Self {
+        let images: BTreeMap<&str, &Image> =
+            background.images.values().map(|image| (image.name.as_str(), image)).collect();
+        let focal = background.images.values().next().map_or(1.0, |image| background.camera_of(image).mean_focal());
+        Self { frame, map, images, direction_std: PIXEL_STD / focal }
+    }
+
+    /// Fills in what is in metres.
+    pub(super) fn fill(&self, trajectory: &mut ObjectTrajectory) {
+        let scale = &trajectory.scale;
+        let log_ratio_std = scale.std.map_or(UNSTATED_RATIO_STD, |std| std / scale.ratio);
+        for pose in &mut trajectory.poses {
+            pose.metric = self.metric(pose, log_ratio_std);
+        }
+    }
+
+    fn metric(&self, pose: &ObjectPose, log_ratio_std: f64) -> Option<MetricPose> {
+        let center = self.images.get(pose.name.as_str())?.cam_from_world.center();
+        let direction_std = self.direction_std;
+        let sighted = Sighted { point: Point3::from(pose.position), center, log_ratio_std, direction_std };
+        let found = metric_pose(self.frame, &sighted);
+        // Lengths that no number holds are no metres.
+        let is_finite = found.position_m.iter().chain(&found.position_std_m).all(|value| value.is_finite());
+        is_finite.then(|| MetricPose { place: self.map.map(|map| self.place(&map, &found, &sighted)), ..found })
+    }
+
+    fn place(&self, map: &LocalFrame, found: &MetricPose, sighted: &Sighted) -> MapPlace {
+        let Geodetic { longitude_deg, latitude_deg, height_m } = map.to_geodetic(Point3::from(found.position_m));
+        let place_std_m = place_std_m(self.frame, sighted);
+        MapPlace { longitude: longitude_deg, latitude: latitude_deg, height_m, place_std_m }
+    }
+}
