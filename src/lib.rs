@@ -42,6 +42,8 @@ pub mod camera;
 pub mod cli;
 #[cfg(feature = "eval")]
 pub mod eval;
+#[cfg(feature = "export")]
+pub mod export;
 #[cfg(any(feature = "video", feature = "perception"))]
 pub mod ffi;
 pub mod ground;

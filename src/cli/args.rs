@@ -73,6 +73,12 @@ pub(super) enum Command {
     Compare(super::compare::Args),
     /// Write a reconstruction in another format
     Convert(super::convert::Args),
+    /// Write results in files that other programs open: tables, maps, poses, a scene, an annotated video
+    Export(super::export::Args),
+    /// Join the results of many runs in one table
+    ///
+    /// Exit code 1 if a folder could not be read; the table holds the others all the same.
+    Summary(super::summarize::Args),
     /// Solve a problem of "Bundle Adjustment in the Large"
     Bal(super::bal::Args),
     /// Say what is understood of a file of telemetry

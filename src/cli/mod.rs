@@ -15,6 +15,7 @@ mod convert;
 mod course;
 mod doctor;
 pub mod evaluate;
+mod export;
 mod forecast;
 mod job;
 mod manual;
@@ -23,6 +24,7 @@ mod options;
 mod output;
 mod run;
 mod stop;
+mod summarize;
 mod summary;
 mod telemetry;
 mod terminal;
@@ -104,6 +106,8 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &Talk) -> Result<(), Fail
         Command::Calibrate(own) => calibrate::run(own, arguments, form, talk),
         Command::Compare(own) => compare::run(own, arguments, form),
         Command::Convert(own) => convert::run(own, form),
+        Command::Export(own) => export::run(own, form, talk),
+        Command::Summary(own) => summarize::run(own, form),
         Command::Bal(own) => bal::run(own, form),
         Command::Telemetry(own) => telemetry::run(own, form),
         Command::Options(own) => options::run(own, form),

@@ -6,6 +6,7 @@ use std::io::{self, Write};
 use serde_json::{Value, json};
 
 use super::stop::{Signal, TRY_AGAIN};
+use crate::export::ExportError;
 use crate::io::FolderError;
 use crate::pipeline::PipelineError;
 
@@ -92,7 +93,8 @@ impl<E: Into<anyhow::Error>> From<E> for Failure {
     fn from(error: E) -> Self {
         let error = error.into();
         let is = |of_pipeline: fn(&PipelineError) -> bool, of_folder: fn(&FolderError) -> bool| {
-            error.downcast_ref().is_some_and(of_pipeline) || error.downcast_ref().is_some_and(of_folder)
+            let exported = error.downcast_ref().and_then(ExportError::folder);
+            error.downcast_ref().is_some_and(of_pipeline) || error.downcast_ref().or(exported).is_some_and(of_folder)
         };
         if is(PipelineError::is_wrong_use, FolderError::is_wrong_use) {
             Self::Usage(error.to_string())

@@ -7,12 +7,14 @@
 //!
 //! Channel order is red, green, blue in both worlds unless a name says `bgr`.
 
+mod canvas;
 mod degrade;
 mod opencv_mat;
 mod resize;
 
 use std::num::TryFromIntError;
 
+pub use self::canvas::Canvas;
 pub use self::degrade::{blurred, noisy};
 pub use self::opencv_mat::{
     borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_bytes, mat_from_f32, mat_from_gray, mat_from_rgb,

@@ -26,6 +26,7 @@ pub mod colmap;
 #[cfg(feature = "database")]
 pub mod database;
 mod error;
+mod export_folder;
 mod extent;
 pub mod ground;
 pub mod json;
@@ -47,6 +48,7 @@ mod words;
 
 pub use assembly::Losses;
 pub use error::IoError;
+pub use export_folder::ExportFolder;
 pub use owned_folder::{FolderError, InputIdentity, OwnedFolder, Place, refuse_own_input};
 pub use run_folder::RunFolder;
 pub use sequence::{GROUND_LABEL, Sequence, SequenceFrame, TARGET_LABEL};

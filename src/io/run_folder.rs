@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::owned_folder::Place;
-use super::{IoError, colmap, ground, masks, tracks, trajectories};
+use super::{ExportFolder, IoError, colmap, ground, masks, tracks, trajectories};
 use crate::scene::{Frame, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
 
 /// The output folder of a run, which need not be there yet.
@@ -22,12 +22,16 @@ const OBJECTS: &str = "objects";
 const AS_RECONSTRUCTED: &str = "as-reconstructed";
 const TRACKS: &str = "tracks";
 const POINT_CLOUDS: &str = "ply";
+const EXPORTS: &str = "export";
 const DOCUMENTS: [&str; 6] =
     ["run.json", "tracks.json", "ground.json", "trajectories.json", "report.html", "evaluation.json"];
 
 impl RunFolder {
     /// The folder for what a run needs to go on where it was: lock, manifest, markers, intermediate results.
     pub const STATE: &str = ".tractrix";
+
+    /// The command by which such folders are made, as their manifests name it.
+    pub const MADE_BY: &str = "tractrix run";
 
     /// The output folder at `root`.
     pub fn at(root: impl Into<PathBuf>) -> Self {
@@ -130,6 +134,11 @@ impl RunFolder {
         self.point_clouds().join(format!("object-{id}.ply"))
     }
 
+    /// The folder of what was exported for other programs.
+    pub fn exports(&self) -> PathBuf {
+        self.root.join(EXPORTS)
+    }
+
     /// Reads the background's model.
     ///
     /// # Errors
@@ -205,12 +214,13 @@ impl RunFolder {
             }
             [TRACKS, id, file] if object_id(id).is_some() && file.ends_with(".png") => Place::File,
             [POINT_CLOUDS, file] if is_point_cloud(file) => Place::File,
+            [EXPORTS, ref below @ ..] => ExportFolder::place_of(below),
             _ => Place::Elsewhere,
         }
     }
 }
 
-fn object_id(name: &str) -> Option<ObjectId> {
+pub(super) fn object_id(name: &str) -> Option<ObjectId> {
     name.parse().ok().filter(|id: &u32| *id > 0 && id.to_string() == name).map(ObjectId)
 }
 
@@ -241,6 +251,7 @@ mod tests {
             folder.mask(id, &frame),
             folder.background_points(),
             folder.object_points(id),
+            folder.exports().join("vehicles.csv"),
         ];
         for file in files {
             assert_eq!(RunFolder::place(file.strip_prefix("out").unwrap()), Place::File, "{}", file.display());

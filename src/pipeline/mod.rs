@@ -33,6 +33,7 @@ mod order;
 mod pictures;
 mod preflight;
 mod progress;
+mod reopen;
 mod report;
 mod run;
 mod run_json;
@@ -60,6 +61,7 @@ pub use options::{
 };
 use progress::Muted;
 pub use progress::{Plan, Planned, Progress, Silent};
+pub use reopen::{known_frames, reopen};
 pub use run::StageRecord;
 pub use stage::Stage;
 pub use workspace::{Marker, Overwrite, Workspace};

@@ -32,15 +32,15 @@ pub(super) fn renew(workspace: &Workspace) -> Result<(), PipelineError> {
 
 /// What `run.json` tells of a run.
 #[derive(Deserialize)]
-struct Told {
+pub(super) struct Told {
     arguments: Vec<String>,
-    input: ToldInput,
-    options: Options,
+    pub(super) input: ToldInput,
+    pub(super) options: Options,
 }
 
 #[derive(Deserialize)]
-struct ToldInput {
-    path: PathBuf,
+pub(super) struct ToldInput {
+    pub(super) path: PathBuf,
 }
 
 pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {

@@ -40,7 +40,9 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     // The file of trajectories is made anew without metres, which the stage `metric` writes into it.
     run.workspace.clear_marker(Stage::Metric)?;
     // It speaks of the trajectories that are replaced.
+    // They speak of the trajectories that are replaced.
     run.workspace.remove(&run.workspace.evaluation())?;
+    run.workspace.remove(&run.workspace.exports())?;
     run.workspace.remove(&run.workspace.point_clouds())?;
     run.workspace
         .keep_objects(&run.workspace.objects(), |id| reports.get(&id).is_some_and(|report| report.failure.is_none()))?;

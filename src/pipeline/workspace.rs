@@ -14,9 +14,6 @@ use crate::io::{InputIdentity, IoError, OwnedFolder, RunFolder, atomic, refuse_o
 use crate::limits::files;
 use crate::scene::ObjectId;
 
-/// Which command such folders are made by.
-const MADE_BY: &str = "tractrix run";
-
 /// An output folder that this process has for itself. What lies where in it is [`RunFolder`]'s to say.
 #[derive(Debug)]
 pub struct Workspace {
@@ -66,7 +63,7 @@ impl Workspace {
     /// # Errors
     /// [`PipelineError::Folder`] says what is in the way.
     pub fn inspect(output: &Path, inputs: &[(&str, &Path)]) -> Result<(), PipelineError> {
-        OwnedFolder::inspect(output, MADE_BY, RunFolder::place)?;
+        OwnedFolder::inspect(output, RunFolder::MADE_BY, RunFolder::place)?;
         for (flag, input) in inputs {
             refuse_own_input(output, RunFolder::place, flag, input)?;
         }
@@ -78,14 +75,14 @@ impl Workspace {
     /// # Errors
     /// [`PipelineError::Folder`] if it is not a run's own, cannot be written to, or if another run has it.
     pub fn open(output: &Path) -> Result<Self, PipelineError> {
-        let owned = OwnedFolder::open(output, MADE_BY, RunFolder::place)?;
+        let owned = OwnedFolder::open(output, RunFolder::MADE_BY, RunFolder::place)?;
         let places = RunFolder::at(owned.root());
         Ok(Self { owned, places })
     }
 
     /// Whether a folder was made by a run.
     pub fn is_own(output: &Path) -> bool {
-        OwnedFolder::is_own(output, MADE_BY)
+        OwnedFolder::is_own(output, RunFolder::MADE_BY)
     }
 
     /// Says what the results are made from; results of another input go, if that is allowed.

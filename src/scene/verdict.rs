@@ -26,6 +26,16 @@ impl Trust {
             Self::NotToBeTrusted => "not to be trusted",
         }
     }
+
+    /// The name in files.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Fair => "fair",
+            Self::Doubtful => "doubtful",
+            Self::NotToBeTrusted => "not-to-be-trusted",
+        }
+    }
 }
 
 /// What was looked at.

@@ -179,6 +179,11 @@ impl Source {
         &self.info
     }
 
+    /// Of how many frames one is taken.
+    pub fn every(&self) -> u32 {
+        self.options.every.max(1)
+    }
+
     /// Where the input is.
     pub fn path(&self) -> &Path {
         &self.path

@@ -9,7 +9,7 @@ use ffmpeg_sys_the_third as sys;
 use super::{Decoder, FfmpegError, checked};
 
 /// `SWS_BICUBIC`, which has another Rust type in newer versions of the library, and the same value.
-const BICUBIC: c_int = 4;
+pub(super) const BICUBIC: c_int = 4;
 
 /// Turns decoded pictures of any format into 8-bit red, green and blue.
 ///

@@ -1,8 +1,8 @@
-//! Media files, read and decoded by FFmpeg's libraries: libavformat, libavcodec and libswscale of the system.
+//! Media files, read, decoded and written by FFmpeg's libraries: libavformat, libavcodec and libswscale of the system.
 //!
 //! A [`MediaFile`] is a container with its streams, from which packets are read; a [`Decoder`] makes pictures of the
 //! packets of one video stream; an [`RgbConverter`] turns the pictures into red, green and blue. Time stamps stay what
-//! they are in the file: integers, in the time base of their stream.
+//! they are in the file: integers, in the time base of their stream. An [`Encoder`] makes a file of pictures.
 //!
 //! Files are opened by the file system alone: a play list that names an address in the network does not get it.
 //! Damaged input is FFmpeg's to survive; what it refuses comes back as an [`FfmpegError`]. Nothing is printed after
@@ -10,6 +10,7 @@
 
 mod colour;
 mod decoder;
+mod encoder;
 mod media_file;
 
 use std::ffi::{CStr, c_int};
@@ -18,6 +19,7 @@ use ffmpeg_sys_the_third as sys;
 
 pub use self::colour::RgbConverter;
 pub use self::decoder::Decoder;
+pub use self::encoder::Encoder;
 pub use self::media_file::{MediaFile, Packet, Stream, StreamKind, TextCoding, TimeBase};
 
 /// What FFmpeg can refuse.
@@ -42,6 +44,15 @@ pub enum FfmpegError {
         /// What stands in the way.
         reason: &'static str,
     },
+    /// The installed FFmpeg has no encoder for videos.
+    #[error("the installed FFmpeg has no encoder for H.264 or MPEG-4; install one that has (Debian: libavcodec59)")]
+    NoEncoder,
+    /// An encoder does not start, or does not take a picture.
+    #[error("the encoder refuses: {0}")]
+    Encoder(String),
+    /// A file cannot be written.
+    #[error("cannot be written: {0}")]
+    Write(String),
     /// There is no memory for it.
     #[error("out of memory")]
     Memory,

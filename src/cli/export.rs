@@ -1,0 +1,115 @@
+//! `tractrix export OUT --format NAMES`: results in the files that other programs open.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::output::{Failure, Form, show};
+use super::terminal::Talk;
+use crate::export::{self, Asked, ExportError, Exported, Format, Need, Pictures, Results, Target};
+use crate::io::RunFolder;
+use crate::pipeline::{self, Progress};
+
+/// Writes the results of a run in files that other programs open (docs/export.md has every column).
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct Args {
+    /// Output folder of `tractrix run`
+    #[arg(value_name = "OUT")]
+    pub(super) run: PathBuf,
+    /// What to write: csv, geojson, kml, gpx, tum, kitti, gltf, video, colmap; several with commas between them; or all
+    ///
+    /// csv: tables of vehicles, vehicles frame by frame, and the camera. geojson, kml, gpx: places on the map, which
+    /// need --telemetry in the run. tum, kitti: poses. gltf: the scene in motion. video: masks, identities, speeds and
+    /// paths drawn into the video. colmap: pictures, masks and the background, ready for densification. all: what can
+    /// be made of these results.
+    #[arg(long, value_name = "NAMES", value_parser = asked)]
+    pub(super) format: Formats,
+    /// Folder to write into [default: OUT/export]
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: Option<PathBuf>,
+    /// Where the video or the folder of images lies now, if it was moved; video and colmap need it
+    #[arg(long, value_name = "INPUT")]
+    pub(super) input: Option<PathBuf>,
+}
+
+/// The formats that were asked for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Formats {
+    formats: Vec<Format>,
+    asked: Asked,
+}
+
+fn asked(list: &str) -> Result<Formats, String> {
+    let formats = Format::listed(list)?;
+    Ok(Formats { formats, asked: if list.trim() == "all" { Asked::ForAll } else { Asked::ByName } })
+}
+
+#[derive(Debug, Serialize)]
+struct Output {
+    output: PathBuf,
+    #[serde(flatten)]
+    exported: Exported,
+}
+
+impl Output {
+    /// The files, one a line.
+    fn as_text(&self) -> String {
+        let files = self.exported.written.iter().flat_map(|written| &written.files);
+        files.map(|file| format!("{}\n", file.display())).collect()
+    }
+}
+
+/// Writes and says what was written.
+///
+/// # Errors
+/// Why a format that was asked for by name cannot be made.
+pub(super) fn run(args: &Args, form: Form, talk: &Talk) -> Result<(), Failure> {
+    let folder = RunFolder::at(&args.run);
+    let frames = pipeline::known_frames(&args.run);
+    let results = Results::read(&folder, frames.as_deref())?;
+    let needs_pictures = args.format.formats.iter().any(|format| format.need() == Need::Pictures);
+    let opened = needs_pictures.then(|| pipeline::reopen(&args.run, args.input.as_deref()));
+    let source = match &opened {
+        Some(Ok(source)) => Ok(source),
+        Some(Err(error)) => Err(error.to_string()),
+        None => Err("no format needs them".to_owned()),
+    };
+    talk.begin("export", None);
+    let on_step = || talk.step();
+    let pictures = Pictures::new(&folder, source, &on_step);
+    let exported =
+        export::write(&results, &args.format.formats, args.format.asked, &pictures, || target(args, &folder));
+    talk.end();
+    talk.finish();
+    let exported = exported?;
+    for left in &exported.passed_over {
+        tracing::warn!("{}", left.reason);
+    }
+    let output = Output { output: args.output.clone().unwrap_or_else(|| folder.exports()), exported };
+    show(form, &output, || output.as_text())
+}
+
+fn target(args: &Args, folder: &RunFolder) -> Result<Target, ExportError> {
+    let input = args.input.as_deref();
+    let mut reads = vec![("OUT", args.run.as_path())];
+    reads.extend(input.map(|input| ("--input", input)));
+    Ok(match &args.output {
+        Some(output) => Target::at(output, &reads)?,
+        None => Target::in_run(folder)?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn formats_are_listed_and_unknown_ones_refused() {
+        assert_eq!(
+            asked("csv,gltf").unwrap(),
+            Formats { formats: vec![Format::Csv, Format::Gltf], asked: Asked::ByName }
+        );
+        assert_eq!(asked("all").unwrap().asked, Asked::ForAll);
+        assert!(asked("shapefile").unwrap_err().contains("'shapefile' is no format; there are csv"));
+    }
+}

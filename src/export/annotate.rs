@@ -1,0 +1,222 @@
+//! The video with what was found drawn into it: masks, identities, speeds, and the ways on the ground.
+//!
+//! Every chosen frame of the input is decoded once, drawn into and encoded; none is kept. The way of a vehicle is the
+//! line of its centres, let down to the ground along the normal of its local plane, seen by the camera of the frame:
+//! where it has been strong, where it will be thin.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use nalgebra::{Point2, Point3};
+
+use super::facts::raw_speed;
+use super::write::Pictures;
+use super::{ExportError, Results, View};
+use crate::ffi::ffmpeg::{Encoder, FfmpegError};
+use crate::image::{Canvas, RgbImage};
+use crate::io::{RunFolder, masks};
+use crate::report::{object_colour, overlay};
+use crate::scene::{Frame, FrameId, Mask, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
+
+/// Height of a capital letter, as a share of the picture's shorter side.
+const CAPITAL: f64 = 0.021;
+/// Width of a way where a vehicle has been, as a share of the picture's shorter side.
+const LINE: f64 = 0.006;
+/// Nothing nearer to the camera is drawn, as a share of the vehicle's own distance: lines close to its centre run
+/// through the whole picture.
+const NEAREST: f64 = 0.02;
+/// Pictures per second of an input without times, as are 25 frames of one.
+const FRAMES_PER_S: f64 = 25.0;
+/// Colour of the plate with the time.
+const DARK: [u8; 3] = [24, 24, 28];
+
+/// Writes the video.
+///
+/// # Errors
+/// An input that is gone, has other pictures than the results, or cannot be decoded at all; an encoder that refuses.
+pub(super) fn write(path: &Path, results: &Results, pictures: &Pictures) -> Result<(), ExportError> {
+    let annotator = Annotator::new(results);
+    let encode = |source: FfmpegError| ExportError::Encode { path: path.to_owned(), source };
+    let mut encoder: Option<Encoder> = None;
+    let mut start_s = 0.0;
+    for next in pictures.source()?.frames()? {
+        // A frame that cannot be decoded was reported by the run; here it is one picture less.
+        let Ok((frame, picture)) = next else { continue };
+        pictures.check_size(&picture, results)?;
+        let masks = masks_of(pictures.folder(), &frame, picture.dimensions())?;
+        let drawn = annotator.draw(&picture, &frame, &masks)?;
+        if encoder.is_none() {
+            start_s = annotator.seconds(&frame);
+            let rate = pictures.rate().unwrap_or(FRAMES_PER_S);
+            encoder = Some(Encoder::create(path, drawn.dimensions(), rate).map_err(encode)?);
+        }
+        if let Some(encoder) = &mut encoder {
+            encoder.add(&drawn, annotator.seconds(&frame) - start_s).map_err(encode)?;
+        }
+        pictures.step();
+    }
+    let encoder = encoder.ok_or_else(|| pictures.other("none of its frames can be decoded"))?;
+    encoder.finish().map_err(encode)
+}
+
+/// The masks of one frame, ascending by id.
+pub(super) fn masks_of(
+    folder: &RunFolder,
+    frame: &Frame,
+    size: (u32, u32),
+) -> Result<Vec<(ObjectId, Mask)>, ExportError> {
+    let ids: BTreeSet<ObjectId> = RunFolder::ids_in(&folder.tracks());
+    let paths = ids.into_iter().filter_map(|id| Some((id, folder.find_mask(id, &[&frame.name])?)));
+    paths.map(|(id, path)| Ok((id, masks::read_mask(&path, size)?))).collect()
+}
+
+/// Draws what was found into pictures.
+struct Annotator<'a> {
+    results: &'a Results,
+    views: BTreeMap<&'a str, &'a View>,
+    /// The ways on the ground, in the background's frame.
+    ways: BTreeMap<ObjectId, Vec<Point3<f64>>>,
+}
+
+impl<'a> Annotator<'a> {
+    fn new(results: &'a Results) -> Self {
+        let ways = results.trajectories.objects.iter().map(|object| (object.id, way_on_ground(results, object)));
+        let views = results.views.iter().map(|view| (view.frame.name.as_str(), view)).collect();
+        Self { results, views, ways: ways.collect() }
+    }
+
+    /// When a frame is shown.
+    fn seconds(&self, frame: &Frame) -> f64 {
+        match self.results.time_base {
+            TimeBase::Seconds => frame.time_s,
+            TimeBase::Frames => frame.time_s / FRAMES_PER_S,
+        }
+    }
+
+    fn draw(&self, picture: &RgbImage, frame: &Frame, masks: &[(ObjectId, Mask)]) -> Result<RgbImage, ExportError> {
+        let side = f64::from(picture.width().min(picture.height()));
+        let mut canvas = Canvas::new(picture)?;
+        for object in &self.results.trajectories.objects {
+            self.draw_way(&mut canvas, object, frame, side)?;
+        }
+        let borrowed: Vec<_> = masks.iter().map(|(id, mask)| (*id, mask)).collect();
+        let mut canvas = Canvas::new(&overlay(&canvas.finish()?, &borrowed))?;
+        let capital_px = (CAPITAL * side).max(7.0);
+        for (id, mask) in masks {
+            let Some(found) = mask.bounding_box() else { continue };
+            let above = Point2::new(f64::from(found.x0), f64::from(found.y0) - 0.3 * capital_px);
+            canvas.words(&self.label(*id, frame.id), above, capital_px, object_colour(*id))?;
+        }
+        let lower_left = Point2::new(0.0, f64::from(picture.height()));
+        canvas.words(&self.time(frame), lower_left, 0.8 * capital_px, DARK)?;
+        Ok(canvas.finish()?)
+    }
+
+    /// The way of a vehicle that has a place in the frame.
+    fn draw_way(
+        &self,
+        canvas: &mut Canvas,
+        object: &ObjectTrajectory,
+        frame: &Frame,
+        side: f64,
+    ) -> Result<(), ExportError> {
+        let Some(view) = self.views.get(frame.name.as_str()) else { return Ok(()) };
+        let Ok(now) = object.poses.binary_search_by_key(&frame.id, |pose| pose.frame) else { return Ok(()) };
+        let in_camera: Vec<_> = self.ways[&object.id].iter().map(|point| view.cam_from_world * *point).collect();
+        let nearest = NEAREST * in_camera[now].z.max(0.0);
+        let colour = object_colour(object.id);
+        for (index, ends) in in_camera.windows(2).enumerate() {
+            let [from, to] = [ends[0], ends[1]]
+                .map(|point| (point.z > nearest).then(|| view.camera.pixel_from_cam(point)).flatten());
+            let width_px = if index < now { LINE * side } else { 0.4 * LINE * side };
+            if let (Some(from), Some(to)) = (from, to) {
+                canvas.line(from, to, colour, width_px.round() as i32)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// `3 car 54 ± 2 km/h`.
+    fn label(&self, id: ObjectId, frame: FrameId) -> String {
+        let Some(object) = self.results.trajectories.objects.iter().find(|object| object.id == id) else {
+            return id.to_string();
+        };
+        let name = format!("{id} {}", object.class);
+        if object.is_ruled_out() {
+            return format!("{name} (not to be trusted)");
+        }
+        let now = object.poses.binary_search_by_key(&frame, |pose| pose.frame).ok();
+        let speed = now.and_then(|now| self.speed(&object.poses, now));
+        speed.map_or(name.clone(), |speed| format!("{name} {speed}"))
+    }
+
+    fn speed(&self, poses: &[ObjectPose], now: usize) -> Option<String> {
+        if let Some(motion) = poses[now].metric.and_then(|metric| metric.motion) {
+            let (speed, std) = (3.6 * motion.speed_m_s, 3.6 * motion.speed_std_m_s);
+            // As many decimals as the deviation is worth.
+            let decimals = usize::from(std < 1.0);
+            return Some(format!("{speed:.decimals$} ± {std:.decimals$} km/h"));
+        }
+        let is_known = self.results.metric_frame().is_none() && self.results.time_base == TimeBase::Seconds;
+        raw_speed(poses, now).filter(|_| is_known).map(|speed| format!("{speed:.2} units/s"))
+    }
+
+    /// `frame 12  0.40 s`.
+    fn time(&self, frame: &Frame) -> String {
+        match self.results.time_base {
+            TimeBase::Seconds => format!("frame {}  {:.2} s", frame.id.0, frame.time_s),
+            TimeBase::Frames => format!("frame {}", frame.id.0),
+        }
+    }
+}
+
+/// The centres of a vehicle let down to the ground. A frame without a plane takes the one of the nearest frame that has
+/// one; without any the centres stay where they are.
+fn way_on_ground(results: &Results, object: &ObjectTrajectory) -> Vec<Point3<f64>> {
+    let planes: Vec<_> = match &results.ground {
+        Some(ground) => ground.planes.iter().filter(|((id, _), _)| *id == object.id).collect(),
+        None => Vec::new(),
+    };
+    let on_ground = |pose: &ObjectPose| {
+        let center = Point3::from(pose.position);
+        let nearest = planes.iter().min_by_key(|((_, frame), _)| frame.0.abs_diff(pose.frame.0));
+        nearest.map_or(center, |(_, plane)| center - plane.normal * plane.signed_distance(center))
+    };
+    object.poses.iter().map(on_ground).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::testing::{results_of, with_metres};
+    use crate::synthetic::showcase::{CAR, showcase};
+
+    #[test]
+    fn the_way_lies_on_the_ground_and_the_car_has_a_speed() {
+        let found = showcase(12, 1);
+        let results = with_metres(results_of(&found));
+        let annotator = Annotator::new(&results);
+        let object = &results.trajectories.objects[0];
+        let frame = found.frames.iter().find(|frame| frame.id == object.poses[4].frame).unwrap();
+        let plane = results.ground.as_ref().unwrap().planes[&(CAR, frame.id)];
+        assert!(plane.signed_distance(annotator.ways[&CAR][4]).abs() < 1e-9);
+        assert!(plane.signed_distance(Point3::from(object.poses[4].position)) > 0.1);
+        assert_eq!(annotator.label(CAR, frame.id), "1 car 29 ± 1 km/h");
+        assert_eq!(annotator.label(ObjectId(9), frame.id), "9");
+        let picture = found.picture(frame.id);
+        let drawn = annotator.draw(&picture, frame, &found.masks(frame.id)).unwrap();
+        let changed = drawn.pixels().zip(picture.pixels()).filter(|(a, b)| a != b).count();
+        assert!(changed > 2000 && changed < 960 * 540 / 2, "{changed}");
+    }
+
+    #[test]
+    fn without_metres_speeds_are_units_and_ways_that_are_wrong_are_called_so() {
+        let found = showcase(12, 1);
+        let results = results_of(&found);
+        let annotator = Annotator::new(&results);
+        let frame = results.trajectories.objects[0].poses[3].frame;
+        assert!(annotator.label(CAR, frame).ends_with(" units/s"), "{}", annotator.label(CAR, frame));
+        let van = annotator.label(ObjectId(2), frame);
+        assert!(van.ends_with("(not to be trusted)"), "{van}");
+    }
+}

@@ -1,0 +1,95 @@
+//! Why something cannot be exported.
+
+use std::path::PathBuf;
+
+use super::Format;
+use crate::ffi::ffmpeg::FfmpegError;
+use crate::image::ImageError;
+use crate::io::{FolderError, IoError};
+use crate::video::VideoError;
+
+/// Why something cannot be exported.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    /// A file that is read or written.
+    #[error(transparent)]
+    Io(#[from] IoError),
+    /// The folder that is written into.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// The pictures.
+    #[error(transparent)]
+    Video(#[from] VideoError),
+    /// A picture.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// There is no result.
+    #[error("{}: is no output folder of `tractrix run` with a result (it has no trajectories.json)", path.display())]
+    NoResult {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// No camera is known.
+    #[error("--format {format}: the background could not be reconstructed, so nothing has a place in it")]
+    NoCamera {
+        /// What was asked for.
+        format: Format,
+    },
+    /// The place on the map is not known.
+    #[error(
+        "--format {format} needs places on the map, and there are none: {reason}; run again with --telemetry FILE (the \
+         drone's or the car's log), then export again"
+    )]
+    NoMap {
+        /// What was asked for.
+        format: Format,
+        /// Why.
+        reason: String,
+    },
+    /// The input cannot be read.
+    #[error(
+        "the pictures are needed, and cannot be had: {reason}; if the video or folder lies elsewhere now, name it with \
+         --input"
+    )]
+    NoPictures {
+        /// Why.
+        reason: String,
+    },
+    /// The input is no longer the one that the results are of.
+    #[error(
+        "{}: has not the pictures that the results are of ({problem}); name the right video or folder with --input",
+        path.display()
+    )]
+    OtherInput {
+        /// The input.
+        path: PathBuf,
+        /// What does not fit.
+        problem: String,
+    },
+    /// The video cannot be encoded.
+    #[error("{}: cannot be encoded: {source}", path.display())]
+    Encode {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: FfmpegError,
+    },
+    /// What is written does not fit into the format.
+    #[error("{}: {problem}", path.display())]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// What.
+        problem: String,
+    },
+}
+
+impl ExportError {
+    /// What is wrong with the folder that is written into, if it is that.
+    pub fn folder(&self) -> Option<&FolderError> {
+        match self {
+            Self::Folder(error) => Some(error),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! The formats by name, and what each needs.
+
+use std::fmt;
+use std::str::FromStr;
+
+use super::{ExportError, Results};
+
+/// A format, or a set of files that belong together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Format {
+    /// Tables: vehicles, vehicles frame by frame, the camera.
+    Csv,
+    /// Ways and places on the map.
+    GeoJson,
+    /// Ways on a globe, with times.
+    Kml,
+    /// The camera's way.
+    Gpx,
+    /// Poses in TUM's form.
+    Tum,
+    /// Poses in KITTI's form.
+    Kitti,
+    /// The scene in motion.
+    Gltf,
+    /// The video with what was found drawn into it.
+    Video,
+    /// Pictures, masks and the background's model, ready for COLMAP's densification.
+    Colmap,
+}
+
+/// What a format cannot do without.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Need {
+    /// Nothing but the output folder.
+    Nothing,
+    /// A place on the map.
+    Map,
+    /// The pictures of the input.
+    Pictures,
+}
+
+impl Format {
+    /// Every format, in the order in which they are written.
+    pub const ALL: [Self; 9] =
+        [Self::Csv, Self::GeoJson, Self::Kml, Self::Gpx, Self::Tum, Self::Kitti, Self::Gltf, Self::Video, Self::Colmap];
+
+    /// The name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Csv => "csv",
+            Self::GeoJson => "geojson",
+            Self::Kml => "kml",
+            Self::Gpx => "gpx",
+            Self::Tum => "tum",
+            Self::Kitti => "kitti",
+            Self::Gltf => "gltf",
+            Self::Video => "video",
+            Self::Colmap => "colmap",
+        }
+    }
+
+    /// What it cannot do without.
+    pub fn need(self) -> Need {
+        match self {
+            Self::GeoJson | Self::Kml | Self::Gpx => Need::Map,
+            Self::Video | Self::Colmap => Need::Pictures,
+            Self::Csv | Self::Tum | Self::Kitti | Self::Gltf => Need::Nothing,
+        }
+    }
+
+    /// Why it cannot be made of these results, if that is so.
+    pub fn obstacle(self, results: &Results) -> Option<ExportError> {
+        match self {
+            _ if results.views.is_empty() => Some(ExportError::NoCamera { format: self }),
+            _ if self.need() == Need::Map && results.map().is_none() => {
+                Some(ExportError::NoMap { format: self, reason: results.why_no_map() })
+            }
+            _ => None,
+        }
+    }
+
+    /// The formats that a list names: names with commas between them, or `all`.
+    ///
+    /// # Errors
+    /// Which name is none of them, and which there are.
+    pub fn listed(list: &str) -> Result<Vec<Self>, String> {
+        if list.trim() == "all" {
+            return Ok(Self::ALL.to_vec());
+        }
+        let mut formats = list.split(',').map(str::parse).collect::<Result<Vec<Self>, String>>()?;
+        formats.sort_unstable();
+        formats.dedup();
+        Ok(formats)
+    }
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Format {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let found = Self::ALL.into_iter().find(|format| format.name() == text.trim());
+        found.ok_or_else(|| {
+            let names = Self::ALL.map(Self::name).join(", ");
+            format!("'{}' is no format; there are {names}, and all", text.trim())
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_are_read_and_unknown_names_are_refused_with_the_list() {
+        assert_eq!(Format::listed("video, csv,csv"), Ok(vec![Format::Csv, Format::Video]));
+        assert_eq!(Format::listed("all").unwrap().len(), Format::ALL.len());
+        for wrong in ["", "xlsx", "csv,", "CSV", "csv,all"] {
+            let refusal = Format::listed(wrong).unwrap_err();
+            assert!(refusal.contains("csv, geojson, kml, gpx, tum, kitti, gltf, video, colmap"), "{refusal}");
+        }
+    }
+}

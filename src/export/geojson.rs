@@ -1,0 +1,219 @@
+//! GeoJSON (RFC 7946): longitude, latitude and, where heights are absolute ones, height, on WGS 84.
+//!
+//! The format has no place for times. `coordTimes` is what converters from GPX and KML call them: one per coordinate,
+//! beside the geometry.
+
+use std::path::Path;
+
+use serde_json::{Map, Value, json};
+
+use super::{Clock, ExportError, Facts, Results};
+use crate::io::atomic;
+use crate::scene::{MapPlace, ObjectPose};
+
+/// A place and the time of the video at which something is there.
+pub(super) struct Fix {
+    pub(super) place: MapPlace,
+    pub(super) time_s: f64,
+}
+
+/// The ways: one feature per vehicle, and one of the camera.
+pub(super) fn ways(path: &Path, results: &Results) -> Result<(), ExportError> {
+    let clock = results.clock();
+    let vehicles = results.trajectories.objects.iter().map(|object| {
+        let facts = Facts::of(object, results.time_base, results.metric_frame());
+        way(&vehicle_fixes(results, &object.poses), results, &clock, vehicle_properties(&facts))
+    });
+    let camera = way(&camera_fixes(results), results, &clock, properties(json!({ "kind": "camera" })));
+    Ok(atomic::write_json(path, &collection(results, vehicles.chain([camera]).collect()))?)
+}
+
+/// The places: one feature per vehicle and frame, and per frame of the camera.
+pub(super) fn places(path: &Path, results: &Results) -> Result<(), ExportError> {
+    let clock = results.clock();
+    let mut features = Vec::new();
+    for object in &results.trajectories.objects {
+        for pose in &object.poses {
+            let Some(place) = results.place_of(pose) else { continue };
+            let who = json!({ "kind": "vehicle", "vehicle": object.id, "class": object.class });
+            let more = [timed(&clock, pose.frame.0, pose.time_s), motion(pose), deviations(&place)];
+            features.push(point(results, &place, joined(who, more)));
+        }
+    }
+    for view in &results.views {
+        let Some(place) = results.place(view.cam_from_world.center()) else { continue };
+        let more = [timed(&clock, view.frame.id.0, view.frame.time_s), deviations(&place)];
+        features.push(point(results, &place, joined(json!({ "kind": "camera" }), more)));
+    }
+    Ok(atomic::write_json(path, &collection(results, features))?)
+}
+
+/// Where a vehicle was.
+pub(super) fn vehicle_fixes(results: &Results, poses: &[ObjectPose]) -> Vec<Fix> {
+    let fix = |pose: &ObjectPose| Some(Fix { place: results.place_of(pose)?, time_s: pose.time_s });
+    poses.iter().filter_map(fix).collect()
+}
+
+/// Where the camera was.
+pub(super) fn camera_fixes(results: &Results) -> Vec<Fix> {
+    let fix = |view: &super::View| {
+        Some(Fix { place: results.place(view.cam_from_world.center())?, time_s: view.frame.time_s })
+    };
+    results.views.iter().filter_map(fix).collect()
+}
+
+fn collection(results: &Results, features: Vec<Value>) -> Value {
+    json!({ "type": "FeatureCollection", "name": results.title, "features": features })
+}
+
+fn point(results: &Results, place: &MapPlace, properties: Map<String, Value>) -> Value {
+    let geometry = json!({ "type": "Point", "coordinates": coordinates(results, place) });
+    json!({ "type": "Feature", "geometry": geometry, "properties": properties })
+}
+
+/// A line needs two places, and none may cross the 180th meridian (RFC 7946, section 3.1.9): there it is cut.
+fn way(fixes: &[Fix], results: &Results, clock: &Clock, mut properties: Map<String, Value>) -> Value {
+    let stays = |a: &Fix, b: &Fix| (a.place.longitude - b.place.longitude).abs() < 180.0;
+    let pieces: Vec<&[Fix]> = fixes.chunk_by(stays).filter(|piece| piece.len() > 1).collect();
+    let line = |piece: &[Fix]| piece.iter().map(|fix| coordinates(results, &fix.place)).collect::<Vec<_>>();
+    let times = |piece: &[Fix]| piece.iter().map(|fix| time(clock, fix.time_s)).collect::<Vec<_>>();
+    let (geometry, times) = match (pieces.as_slice(), fixes.first()) {
+        ([], None) => (Value::Null, json!([])),
+        ([], Some(fix)) => (
+            json!({ "type": "Point", "coordinates": coordinates(results, &fix.place) }),
+            json!([time(clock, fix.time_s)]),
+        ),
+        ([piece], _) => (json!({ "type": "LineString", "coordinates": line(piece) }), json!(times(piece))),
+        (pieces, _) => {
+            let lines: Vec<_> = pieces.iter().map(|piece| line(piece)).collect();
+            let times: Vec<_> = pieces.iter().map(|piece| times(piece)).collect();
+            (json!({ "type": "MultiLineString", "coordinates": lines }), json!(times))
+        }
+    };
+    properties.insert("coordTimes".into(), times);
+    json!({ "type": "Feature", "geometry": geometry, "properties": properties })
+}
+
+fn coordinates(results: &Results, place: &MapPlace) -> Vec<f64> {
+    // Nine decimals of a degree are a tenth of a millimetre.
+    let mut numbers = vec![rounded(place.longitude, 1e9), rounded(place.latitude, 1e9)];
+    if results.knows_height() {
+        numbers.push(rounded(place.height_m, 1e4));
+    }
+    numbers
+}
+
+fn rounded(value: f64, steps: f64) -> f64 {
+    (value * steps).round() / steps
+}
+
+/// A date where one is known, else seconds after the video's start.
+fn time(clock: &Clock, time_s: f64) -> Value {
+    clock.date(time_s).map_or_else(|| json!(time_s), Value::from)
+}
+
+fn timed(clock: &Clock, frame: u32, time_s: f64) -> Value {
+    let seconds = (*clock != Clock::Frames).then_some(time_s);
+    json!({ "frame": frame, "time_s": seconds, "date": clock.date(time_s) })
+}
+
+fn motion(pose: &ObjectPose) -> Value {
+    let motion = pose.metric.and_then(|metric| metric.motion);
+    json!({
+        "speed_m_s": motion.map(|motion| motion.speed_m_s),
+        "speed_std_m_s": motion.map(|motion| motion.speed_std_m_s),
+        "heading_deg": motion.and_then(|motion| motion.heading_deg),
+    })
+}
+
+fn deviations(place: &MapPlace) -> Value {
+    let [east, north, up] = place.place_std_m;
+    json!({ "east_std_m": east, "north_std_m": north, "up_std_m": up, "height_m": place.height_m })
+}
+
+/// What is said of a vehicle as a whole, under the names of the tables' columns.
+pub(super) fn vehicle_properties(facts: &Facts) -> Map<String, Value> {
+    let value = |estimate: Option<crate::scene::Estimate>| estimate.map(|estimate| estimate.value);
+    let std = |estimate: Option<crate::scene::Estimate>| estimate.map(|estimate| estimate.std);
+    properties(json!({
+        "kind": "vehicle",
+        "vehicle": facts.vehicle,
+        "class": facts.class,
+        "confidence": facts.confidence,
+        "verdict": facts.verdict,
+        "doubt": facts.doubt,
+        "frames": facts.num_frames,
+        "first_time_s": facts.first_time_s,
+        "last_time_s": facts.last_time_s,
+        "path_m": value(facts.path_m),
+        "path_std_m": std(facts.path_m),
+        "mean_speed_m_s": value(facts.mean_speed_m_s),
+        "mean_speed_std_m_s": std(facts.mean_speed_m_s),
+        "max_speed_m_s": value(facts.max_speed_m_s),
+        "max_speed_std_m_s": std(facts.max_speed_m_s),
+        "length_m": value(facts.dimensions.length_m),
+        "width_m": value(facts.dimensions.width_m),
+        "height_m": value(facts.dimensions.height_m),
+    }))
+}
+
+fn properties(value: Value) -> Map<String, Value> {
+    if let Value::Object(map) = value { map } else { Map::new() }
+}
+
+fn joined<const N: usize>(first: Value, more: [Value; N]) -> Map<String, Value> {
+    let mut all = properties(first);
+    more.into_iter().for_each(|value| all.extend(properties(value)));
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::testing::{results, with_metres};
+    use crate::io::json;
+
+    fn read(write: fn(&Path, &Results) -> Result<(), ExportError>, results: &Results) -> Vec<Value> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map.geojson");
+        write(&path, results).unwrap();
+        let value: Value = json::read(&path).unwrap();
+        assert_eq!(value["type"], "FeatureCollection");
+        value["features"].as_array().unwrap().clone()
+    }
+
+    #[test]
+    fn ways_are_lines_with_times_and_places_are_points() {
+        let results = with_metres(results());
+        let features = read(ways, &results);
+        assert_eq!(features.len(), 3);
+        let poses = &results.trajectories.objects[0].poses;
+        let (geometry, properties) = (&features[0]["geometry"], &features[0]["properties"]);
+        assert_eq!((&geometry["type"], &properties["class"]), (&"LineString".into(), &"car".into()));
+        assert_eq!(geometry["coordinates"].as_array().unwrap().len(), poses.len());
+        assert_eq!(properties["coordTimes"][0], "2024-06-01T12:00:00Z");
+        let place = poses[0].metric.unwrap().place.unwrap();
+        assert!((geometry["coordinates"][0][0].as_f64().unwrap() - place.longitude).abs() < 1e-9);
+        assert!((geometry["coordinates"][0][2].as_f64().unwrap() - place.height_m).abs() < 1e-4);
+        let points = read(places, &results);
+        let count: usize = results.trajectories.objects.iter().map(|object| object.poses.len()).sum();
+        assert_eq!(points.len(), count + results.views.len());
+        assert_eq!(points[0]["properties"]["speed_m_s"], 8.0);
+        assert_eq!(points.last().unwrap()["properties"]["kind"], "camera");
+    }
+
+    #[test]
+    fn lines_are_cut_where_longitudes_jump_and_one_place_is_a_point() {
+        let results = with_metres(results());
+        let fix = |longitude: f64| Fix {
+            place: MapPlace { longitude, latitude: -17.0, height_m: 3.0, place_std_m: [1.0; 3] },
+            time_s: longitude,
+        };
+        let geometry = |fixes: &[Fix]| way(fixes, &results, &Clock::OfVideo, Map::new());
+        let cut = geometry(&[fix(179.8), fix(179.9), fix(-179.9), fix(-179.8)]);
+        assert_eq!(cut["geometry"]["type"], "MultiLineString");
+        assert_eq!(cut["properties"]["coordTimes"], json!([[179.8, 179.9], [-179.9, -179.8]]));
+        assert_eq!(geometry(&[fix(1.0)])["geometry"]["type"], "Point");
+        assert_eq!(geometry(&[])["geometry"], Value::Null);
+    }
+}

@@ -1,0 +1,91 @@
+//! A scene in motion: glTF 2.0 in one binary file (`.glb`), which Blender and browsers open.
+//!
+//! glTF has y up and metres; the scene has metres where they are known, else units of the background, which
+//! `asset.extras.unit` says. With a map x points east and −z north. The background's points stand still; the camera and
+//! each vehicle are nodes that one animation moves. A vehicle is shown from its first frame to its last: outside its
+//! scale is 0, which glTF means by "not to be seen". Its node holds the points of its model and a box round them.
+//!
+//! The two crates for glTF are readers; what is written here is a few tables of JSON over one buffer.
+
+mod buffer;
+mod scene;
+mod vehicle;
+
+use std::collections::BTreeMap;
+use std::io::Write as _;
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use super::{ExportError, Results};
+use crate::io::{IoError, RunFolder, atomic};
+use crate::scene::{ObjectId, Reconstruction};
+use scene::Scene;
+
+/// `glTF` and the version of its container.
+const MAGIC: [u8; 4] = *b"glTF";
+const CONTAINER_VERSION: u32 = 2;
+const HEADER_BYTES: usize = 12;
+const CHUNK_HEADER_BYTES: usize = 8;
+
+/// The models of the vehicles that have a trajectory.
+///
+/// # Errors
+/// A model that is there and damaged. One that is not there leaves a vehicle without points.
+pub(super) fn models(folder: &RunFolder, results: &Results) -> Result<BTreeMap<ObjectId, Reconstruction>, ExportError> {
+    let mut models = BTreeMap::new();
+    for object in &results.trajectories.objects {
+        match folder.read_object(object.id) {
+            Err(error) if error.is_not_found() => {}
+            model => drop(models.insert(object.id, model?)),
+        }
+    }
+    Ok(models)
+}
+
+/// Writes the scene.
+pub(super) fn write(
+    path: &Path,
+    results: &Results,
+    models: &BTreeMap<ObjectId, Reconstruction>,
+) -> Result<(), ExportError> {
+    let (document, buffer) = Scene::of(results, models).finish();
+    let bytes = container(path, &document, &buffer)?;
+    Ok(atomic::write_with(path, |out| out.write_all(&bytes))?)
+}
+
+/// Head, JSON and buffer, each padded to four bytes.
+fn container(path: &Path, document: &Value, buffer: &[u8]) -> Result<Vec<u8>, ExportError> {
+    let mut text = serde_json::to_vec(document).map_err(|error| IoError::content(path, error.to_string()))?;
+    text.resize(text.len().next_multiple_of(4), b' ');
+    let total = HEADER_BYTES + 2 * CHUNK_HEADER_BYTES + text.len() + buffer.len();
+    let too_large = || ExportError::TooLarge {
+        path: path.to_owned(),
+        problem: format!("the scene has {total} bytes, and a .glb file at most 4 GiB"),
+    };
+    let length = |bytes: usize| u32::try_from(bytes).map_err(|_| too_large());
+    let mut bytes = Vec::with_capacity(total);
+    // Writing to a vector cannot fail.
+    let _ = bytes.write_all(&MAGIC);
+    for number in [CONTAINER_VERSION, length(total)?] {
+        bytes.extend(number.to_le_bytes());
+    }
+    for (kind, chunk) in [(b"JSON", text.as_slice()), (b"BIN\0", buffer)] {
+        bytes.extend(length(chunk.len())?.to_le_bytes());
+        bytes.extend(kind);
+        bytes.extend(chunk);
+    }
+    Ok(bytes)
+}
+
+/// What is said of the file as a whole.
+fn asset(results: &Results) -> Value {
+    json!({
+        "version": "2.0",
+        "generator": concat!("tractrix ", env!("CARGO_PKG_VERSION")),
+        "extras": { "unit": results.unit(), "input": results.title },
+    })
+}
+
+#[cfg(test)]
+mod tests;

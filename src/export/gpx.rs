@@ -1,0 +1,72 @@
+//! GPX 1.1: the camera's way as one track. It has times where dates are known, and heights where they are absolute
+//! ones.
+
+use std::io::Write;
+use std::path::Path;
+
+use quick_xml::Writer;
+use quick_xml::events::{BytesDecl, Event};
+
+use super::geojson::camera_fixes;
+use super::kml::element;
+use super::{ExportError, Results};
+use crate::io::atomic;
+
+const ATTRIBUTES: [(&str, &str); 3] =
+    [("version", "1.1"), ("creator", "tractrix"), ("xmlns", "http://www.topografix.com/GPX/1/1")];
+
+/// Writes the camera's way.
+pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
+    Ok(atomic::write_with(path, |out| document(out, results))?)
+}
+
+fn document(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
+    let mut xml = Writer::new_with_indent(out, b' ', 1);
+    xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
+    xml.create_element("gpx").with_attributes(ATTRIBUTES).write_inner_content(|xml| {
+        xml.create_element("trk").write_inner_content(|xml| {
+            element(xml, "name", &format!("camera of {}", results.title))?;
+            xml.create_element("trkseg").write_inner_content(|xml| points(xml, results))?;
+            Ok(())
+        })?;
+        Ok(())
+    })?;
+    xml.into_inner().write_all(b"\n")
+}
+
+fn points(xml: &mut Writer<&mut dyn Write>, results: &Results) -> std::io::Result<()> {
+    let clock = results.clock();
+    for fix in camera_fixes(results) {
+        let [latitude, longitude] = [fix.place.latitude, fix.place.longitude].map(|degrees| format!("{degrees:.9}"));
+        let attributes = [("lat", latitude.as_str()), ("lon", longitude.as_str())];
+        xml.create_element("trkpt").with_attributes(attributes).write_inner_content(|xml| {
+            if results.knows_height() {
+                element(xml, "ele", &format!("{:.4}", fix.place.height_m))?;
+            }
+            clock.date(fix.time_s).map_or(Ok(()), |date| element(xml, "time", &date))
+        })?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::testing::{results, with_metres};
+
+    #[test]
+    fn what_is_written_is_read_as_telemetry() {
+        let results = with_metres(results());
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("camera.gpx");
+        write(&path, &results).unwrap();
+        let log = crate::telemetry::read(&path).unwrap();
+        assert_eq!((log.fixes.len(), log.num_passed_over), (results.views.len(), 0));
+        let expected = results.place(results.views[0].cam_from_world.center()).unwrap();
+        let found = &log.fixes[0];
+        assert!((found.longitude_deg - expected.longitude).abs() < 1e-8);
+        assert!((found.latitude_deg - expected.latitude).abs() < 1e-8);
+        assert!((found.gps_height_m.unwrap() - expected.height_m).abs() < 1e-3);
+        assert_eq!(found.clock_s, Some(1_717_243_200.0));
+    }
+}

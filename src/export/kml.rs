@@ -1,0 +1,176 @@
+//! KML 2.2 with Google's `gx:Track`: a place for each time, which Google Earth plays.
+//!
+//! KML knows dates alone. Where none are known, times count from the first of January 1970, and the description says
+//! so. Vehicles are laid on the ground of the globe, since its ground is not that of the reconstruction; the camera
+//! stands at its height.
+
+use std::io::Write;
+use std::path::Path;
+
+use quick_xml::Writer;
+use quick_xml::events::{BytesDecl, BytesText, Event};
+
+use super::geojson::{Fix, camera_fixes, vehicle_fixes};
+use super::{Clock, ExportError, Facts, Results};
+use crate::io::atomic;
+use crate::report::object_colour;
+use crate::scene::ObjectTrajectory;
+
+const NAMESPACES: [(&str, &str); 2] =
+    [("xmlns", "http://www.opengis.net/kml/2.2"), ("xmlns:gx", "http://www.google.com/kml/ext/2.2")];
+/// The camera's line.
+const WHITE: [u8; 3] = [255; 3];
+
+type Xml<'a> = Writer<&'a mut dyn Write>;
+
+/// What is drawn as one track.
+struct Track {
+    name: String,
+    description: String,
+    colour: [u8; 3],
+    altitude_mode: &'static str,
+    fixes: Vec<Fix>,
+}
+
+/// Writes the ways of vehicles and camera.
+pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
+    Ok(atomic::write_with(path, |out| document(out, results))?)
+}
+
+fn document(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
+    let clock = results.clock();
+    let tracks = results.trajectories.objects.iter().map(|object| vehicle(results, object)).chain([camera(results)]);
+    let mut xml = Writer::new_with_indent(out, b' ', 1);
+    xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
+    xml.create_element("kml").with_attributes(NAMESPACES).write_inner_content(|xml| {
+        xml.create_element("Document").write_inner_content(|xml| {
+            element(xml, "name", &results.title)?;
+            element(xml, "description", times_in_words(&clock))?;
+            tracks.filter(|track| !track.fixes.is_empty()).try_for_each(|track| placemark(xml, &track, &clock))
+        })?;
+        Ok(())
+    })?;
+    xml.into_inner().write_all(b"\n")
+}
+
+fn times_in_words(clock: &Clock) -> &'static str {
+    match clock {
+        Clock::Dated { .. } => "Times are those of the receiver's clock.",
+        Clock::OfVideo => "No date is known: times count from the video's start, set to 1970-01-01T00:00:00Z.",
+        Clock::Frames => "No times are known: a frame counts as one second, from 1970-01-01T00:00:00Z.",
+    }
+}
+
+fn vehicle(results: &Results, object: &ObjectTrajectory) -> Track {
+    let facts = Facts::of(object, results.time_base, results.metric_frame());
+    let speed = facts
+        .mean_speed_m_s
+        .map(|speed| format!("; on average {:.1} ± {:.1} km/h", 3.6 * speed.value, 3.6 * speed.std));
+    let doubt = facts.doubt.map(|doubt| format!("; {doubt}"));
+    Track {
+        name: format!("{} {}", if facts.class.is_empty() { "vehicle" } else { &facts.class }, object.id),
+        description: format!(
+            "{}{}{}",
+            facts.verdict.unwrap_or("not judged"),
+            speed.unwrap_or_default(),
+            doubt.unwrap_or_default()
+        ),
+        colour: object_colour(object.id),
+        altitude_mode: "clampToGround",
+        fixes: vehicle_fixes(results, &object.poses),
+    }
+}
+
+fn camera(results: &Results) -> Track {
+    let (altitude_mode, description) = match results.knows_height() {
+        true => ("absolute", "heights are those of the receiver"),
+        false => ("relativeToGround", "heights count from an unknown level, which is taken for the ground"),
+    };
+    Track {
+        name: "camera".into(),
+        description: description.into(),
+        colour: WHITE,
+        altitude_mode,
+        fixes: camera_fixes(results),
+    }
+}
+
+fn placemark(xml: &mut Xml, track: &Track, clock: &Clock) -> std::io::Result<()> {
+    let [r, g, b] = track.colour;
+    xml.create_element("Placemark").write_inner_content(|xml| {
+        element(xml, "name", &track.name)?;
+        element(xml, "description", &track.description)?;
+        xml.create_element("Style").write_inner_content(|xml| {
+            xml.create_element("LineStyle").write_inner_content(|xml| {
+                // KML has the opacity first, and red last.
+                element(xml, "color", &format!("ff{b:02x}{g:02x}{r:02x}"))?;
+                element(xml, "width", "4")
+            })?;
+            Ok(())
+        })?;
+        xml.create_element("gx:Track").write_inner_content(|xml| {
+            element(xml, "altitudeMode", track.altitude_mode)?;
+            let times = track.fixes.iter().map(|fix| clock.date_or_since_1970(fix.time_s));
+            times.into_iter().try_for_each(|time| element(xml, "when", &time))?;
+            track.fixes.iter().try_for_each(|fix| {
+                let place = &fix.place;
+                let coordinates = format!("{:.9} {:.9} {:.4}", place.longitude, place.latitude, place.height_m);
+                element(xml, "gx:coord", &coordinates)
+            })
+        })?;
+        Ok(())
+    })?;
+    Ok(())
+}
+
+/// An element that holds text.
+pub(super) fn element(xml: &mut Xml, name: &str, text: &str) -> std::io::Result<()> {
+    // A character that XML has no place for, even escaped.
+    let text: String = text.chars().map(|c| if is_allowed(c) { c } else { '?' }).collect();
+    xml.create_element(name).write_text_content(BytesText::new(&text)).map(drop)
+}
+
+fn is_allowed(c: char) -> bool {
+    matches!(c, '\t' | '\n' | '\r' | ' '..='\u{d7ff}' | '\u{e000}'..='\u{fffd}' | '\u{10000}'..)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::testing::{results, with_metres};
+
+    pub(in crate::export) fn text(write: fn(&Path, &Results) -> Result<(), ExportError>, results: &Results) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file.xml");
+        write(&path, results).unwrap();
+        std::fs::read_to_string(path).unwrap()
+    }
+
+    #[test]
+    fn every_track_has_as_many_times_as_places() {
+        let mut results = with_metres(results());
+        results.title = "a <b> & \u{1}".into();
+        let found = text(write, &results);
+        assert!(found.contains("<name>a &lt;b&gt; &amp; ?</name>"), "{found}");
+        let tracks: Vec<&str> = found.split("<gx:Track>").skip(1).collect();
+        assert_eq!(tracks.len(), 3);
+        for (track, count) in tracks
+            .iter()
+            .zip(results.trajectories.objects.iter().map(|object| object.poses.len()).chain([results.views.len()]))
+        {
+            let of = |name: &str| track.matches(name).count();
+            assert_eq!((of("<when>"), of("<gx:coord>")), (count, count));
+        }
+        assert!(tracks[0].contains("<when>2024-06-01T12:00:00Z</when>") && tracks[2].contains("absolute"));
+        let mut events = quick_xml::Reader::from_str(&found);
+        while !matches!(events.read_event().unwrap(), Event::Eof) {}
+    }
+
+    #[test]
+    fn without_a_date_times_count_from_1970_and_that_is_said() {
+        let mut results = with_metres(results());
+        results.trajectories.metric.as_mut().unwrap().time_offset_s = Some(0.7);
+        let found = text(write, &results);
+        assert!(found.contains("set to 1970-01-01T00:00:00Z") && found.contains("<when>1970-01-01T00:00:00Z</when>"));
+    }
+}

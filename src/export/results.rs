@@ -1,0 +1,259 @@
+//! What an output folder holds, as exports need it.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Matrix3, Point3, SMatrix, Vector3};
+use serde::Deserialize;
+
+use super::{Clock, ExportError};
+use crate::camera::Camera;
+use crate::io::{IoError, RunFolder, json};
+use crate::math::{Rigid3, Sim3};
+use crate::scene::{
+    Frame, FrameId, Ground, ImageId, MapOrigin, MapPlace, MetricAxes, MetricFrame, ObjectPose, Reconstruction,
+    TimeBase, Trajectories, Unit,
+};
+use crate::telemetry::{Geodetic, LocalFrame};
+
+/// A frame whose camera is known.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// The frame.
+    pub frame: Frame,
+    /// Its image in the background's model.
+    pub image: ImageId,
+    /// Its intrinsics.
+    pub camera: Camera,
+    /// World (the background's frame) to camera.
+    pub cam_from_world: Rigid3,
+}
+
+/// What an output folder holds.
+#[derive(Clone, Debug)]
+pub struct Results {
+    /// File or folder name of the input.
+    pub title: String,
+    /// Where the input was.
+    pub input: PathBuf,
+    /// Width and height of the frames, pixels.
+    pub size: (u32, u32),
+    /// What the times of the frames count.
+    pub time_base: TimeBase,
+    /// The frames with a known camera, ascending.
+    pub views: Vec<View>,
+    /// Where the vehicles were.
+    pub trajectories: Trajectories,
+    /// The background.
+    pub background: Reconstruction,
+    /// Ground points and planes; `None` where none were looked for.
+    pub ground: Option<Ground>,
+}
+
+/// What `run.json` tells.
+#[derive(Deserialize)]
+struct Told {
+    input: ToldInput,
+}
+
+#[derive(Deserialize)]
+struct ToldInput {
+    path: PathBuf,
+    info: ToldInfo,
+    times: TimeBase,
+}
+
+#[derive(Deserialize)]
+struct ToldInfo {
+    width: u32,
+    height: u32,
+    fps: Option<f64>,
+}
+
+impl Results {
+    /// Reads an output folder.
+    ///
+    /// * `frames` – the frames of the run with their times, where they are known; else the times are those of the
+    ///   trajectories, and of other frames what the nominal rate says.
+    ///
+    /// # Errors
+    /// A folder without a result, or a file of it that is damaged.
+    pub fn read(folder: &RunFolder, frames: Option<&[Frame]>) -> Result<Self, ExportError> {
+        let no_result = || ExportError::NoResult { path: folder.root().to_owned() };
+        let trajectories = folder.read_trajectories().map_err(|error| absent_or(error, no_result))?;
+        let Told { input } = json::read(&folder.run_json()).map_err(|error| absent_or(error, no_result))?;
+        let background = folder.read_background()?;
+        let times = Times::new(frames, &trajectories, &input);
+        Ok(Self {
+            views: views(&background, &times),
+            ground: there(folder.read_ground())?,
+            background,
+            ..Self::of_trajectories(input, trajectories)
+        })
+    }
+
+    /// Reads an output folder without its models: no cameras, no ground.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub(super) fn read_trajectories(folder: &RunFolder) -> Result<Self, ExportError> {
+        let no_result = || ExportError::NoResult { path: folder.root().to_owned() };
+        let trajectories = folder.read_trajectories().map_err(|error| absent_or(error, no_result))?;
+        let Told { input } = json::read(&folder.run_json()).map_err(|error| absent_or(error, no_result))?;
+        Ok(Self::of_trajectories(input, trajectories))
+    }
+
+    fn of_trajectories(input: ToldInput, trajectories: Trajectories) -> Self {
+        Self {
+            title: name_of(&input.path),
+            size: (input.info.width, input.info.height),
+            time_base: input.times,
+            views: Vec::new(),
+            trajectories,
+            background: Reconstruction::default(),
+            ground: None,
+            input: input.path,
+        }
+    }
+
+    /// The times as other programs count them.
+    pub fn clock(&self) -> Clock {
+        Clock::of(self.trajectories.metric.as_ref(), self.time_base)
+    }
+
+    /// How metres follow; `None` where they are unknown.
+    pub fn metric_frame(&self) -> Option<&MetricFrame> {
+        self.trajectories.metric.as_ref()?.frame.as_ref()
+    }
+
+    /// Takes points of the background's frame into that of the exports: metres, z up, where they are known, else the
+    /// background's own.
+    pub fn export_from_world(&self) -> Sim3 {
+        self.metric_frame().map_or_else(Sim3::identity, MetricFrame::metric_from_world)
+    }
+
+    /// The unit of the exports' lengths, in words.
+    pub fn unit(&self) -> &'static str {
+        match (self.metric_frame(), self.trajectories.unit) {
+            (Some(_), _) | (_, Unit::Metre) => "metres",
+            (None, Unit::Background) => "units of the background's reconstruction",
+        }
+    }
+
+    /// What the axes of the exports are, in words.
+    pub fn axes(&self) -> &'static str {
+        match self.metric_frame().map(|frame| frame.axes) {
+            Some(MetricAxes::EastNorthUp) => "x east, y north, z up",
+            Some(MetricAxes::Up) => "z up, x and y of no meaning on a map",
+            None => "those of the background's reconstruction",
+        }
+    }
+
+    /// The metric frame and its origin on the map; `None` where the map is not known.
+    pub fn map(&self) -> Option<(&MetricFrame, MapOrigin)> {
+        let frame = self.metric_frame().filter(|frame| frame.axes == MetricAxes::EastNorthUp)?;
+        Some((frame, frame.origin?))
+    }
+
+    /// Whether heights on the map are absolute ones.
+    pub fn knows_height(&self) -> bool {
+        self.map().is_some_and(|(_, origin)| origin.knows_height)
+    }
+
+    /// Why there is no map, for people.
+    pub fn why_no_map(&self) -> String {
+        let metric = self.trajectories.metric.as_ref();
+        let reason = metric.filter(|metric| metric.frame.is_none()).and_then(|metric| metric.reason.clone());
+        reason.unwrap_or_else(|| match metric {
+            Some(metric) if metric.frame.is_some() => "nothing says where on the map the metres lie".to_owned(),
+            _ => "metres are unknown".to_owned(),
+        })
+    }
+
+    /// Where a point of the background is on the map; `None` where the map is not known.
+    pub fn place(&self, point_in_world: Point3<f64>) -> Option<MapPlace> {
+        let (frame, origin) = self.map()?;
+        let origin =
+            Geodetic { longitude_deg: origin.longitude, latitude_deg: origin.latitude, height_m: origin.height_m };
+        let found = LocalFrame::at(origin).to_geodetic(frame.metric_from_world() * point_in_world);
+        let numbers = [found.longitude_deg, found.latitude_deg, found.height_m];
+        numbers.iter().all(|number| number.is_finite()).then(|| MapPlace {
+            longitude: found.longitude_deg,
+            latitude: found.latitude_deg,
+            height_m: found.height_m,
+            place_std_m: place_std_m(frame, point_in_world),
+        })
+    }
+
+    /// Where an object is on the map in one frame: as the results say, else by its position.
+    pub fn place_of(&self, pose: &ObjectPose) -> Option<MapPlace> {
+        let said = pose.metric.and_then(|metric| metric.place);
+        said.or_else(|| self.place(Point3::from(pose.position)))
+    }
+}
+
+/// Standard deviations along the metric axes of where a point of the background is, metres: what the similarity's
+/// covariance C makes of a small change at the point, J C Jᵀ with J = [d, −[d]×, I] and d the way from the anchor.
+fn place_std_m(frame: &MetricFrame, point_in_world: Point3<f64>) -> [f64; 3] {
+    let metric_from_world = frame.metric_from_world();
+    let d = metric_from_world * point_in_world - metric_from_world * Point3::from(frame.anchor);
+    let mut jacobian = SMatrix::<f64, 3, 7>::zeros();
+    jacobian.set_column(0, &d);
+    jacobian.fixed_view_mut::<3, 3>(0, 1).copy_from(&-d.cross_matrix());
+    jacobian.fixed_view_mut::<3, 3>(0, 4).copy_from(&Matrix3::identity());
+    let covariance = SMatrix::<f64, 7, 7>::from_fn(|row, column| frame.covariance[row][column]);
+    let variances: Vector3<f64> = (jacobian * covariance * jacobian.transpose()).diagonal();
+    variances.map(|variance| variance.max(0.0).sqrt()).into()
+}
+
+/// The times of frames by image name.
+struct Times<'a> {
+    known: HashMap<&'a str, (FrameId, f64)>,
+    fps: Option<f64>,
+}
+
+impl<'a> Times<'a> {
+    fn new(frames: Option<&'a [Frame]>, trajectories: &'a Trajectories, input: &ToldInput) -> Self {
+        let poses = trajectories.objects.iter().flat_map(|object| &object.poses);
+        let mut known: HashMap<_, _> = poses.map(|pose| (pose.name.as_str(), (pose.frame, pose.time_s))).collect();
+        let frames = frames.unwrap_or_default().iter();
+        known.extend(frames.map(|frame| (frame.name.as_str(), (frame.id, frame.time_s))));
+        Self { known, fps: input.info.fps.filter(|fps| *fps > 0.0 && input.times == TimeBase::Seconds) }
+    }
+
+    fn frame(&self, name: &str, image: ImageId) -> Frame {
+        let by_rate = || {
+            let index = f64::from(image.frame().0);
+            (image.frame(), self.fps.map_or(index, |fps| index / fps))
+        };
+        let (id, time_s) = self.known.get(name).copied().unwrap_or_else(by_rate);
+        Frame { id, name: name.to_owned(), time_s }
+    }
+}
+
+/// The registered images whose intrinsics are known, in order of their frames.
+fn views(background: &Reconstruction, times: &Times) -> Vec<View> {
+    let view = |(id, image): (&ImageId, &crate::scene::Image)| {
+        let camera = *background.projecting_camera(image)?;
+        let frame = times.frame(&image.name, *id);
+        Some((frame.id, View { frame, image: *id, camera, cam_from_world: image.cam_from_world }))
+    };
+    let by_frame: BTreeMap<FrameId, View> = background.images.iter().filter_map(view).collect();
+    by_frame.into_values().collect()
+}
+
+fn absent_or(error: IoError, absent: impl FnOnce() -> ExportError) -> ExportError {
+    if error.is_not_found() { absent() } else { error.into() }
+}
+
+/// What a file holds, if it is there.
+fn there<T>(read: Result<T, IoError>) -> Result<Option<T>, IoError> {
+    match read {
+        Err(error) if error.is_not_found() => Ok(None),
+        read => read.map(Some),
+    }
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
+}

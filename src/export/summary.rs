@@ -1,0 +1,333 @@
+//! Many runs in one table: a row per vehicle of every run, and a row for each run or vehicle that has no result, with
+//! the reason.
+//!
+//! A folder that is not an output folder is searched for such folders, in the order of their names; links and hidden
+//! folders are passed over. Nothing that is wrong with one run touches the others.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use nalgebra::Point3;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::geojson::vehicle_properties;
+use super::table::{FACT_COLUMNS, fact_cells, text};
+use super::{ExportError, Facts, Results};
+use crate::io::{RunFolder, json as json_file};
+use crate::scene::{MapPlace, ObjectId, ObjectTrajectory};
+
+/// Folders in folders are searched so deep.
+const MAX_DEPTH: usize = 6;
+
+/// Columns before and after those of a vehicle's figures.
+const BEFORE: [&str; 2] = ["run", "input"];
+const AFTER: [&str; 7] = ["metres", "metres_reason", "date", "longitude", "latitude", "place_std_m", "missing"];
+
+/// One line of the table.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Row {
+    /// The output folder.
+    pub run: PathBuf,
+    /// What it was made from, where that can be read.
+    pub input: Option<PathBuf>,
+    /// The vehicle's figures; `None` where the row speaks of a run without a result or a vehicle without a way.
+    pub facts: Option<Facts>,
+    /// The vehicle and its class, of one without a way.
+    pub unplaced: Option<(ObjectId, String)>,
+    /// On what the metres rest; `None` in results that do not say.
+    pub metres: Option<&'static str>,
+    /// What there is to say of them.
+    pub metres_reason: Option<String>,
+    /// When the vehicle was first seen, where dates are known.
+    pub date: Option<String>,
+    /// Where it was then; `None` where the map is not known.
+    #[serde(skip)]
+    pub place: Option<MapPlace>,
+    /// What is missing, and why.
+    pub missing: Option<String>,
+}
+
+/// All rows.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Summary {
+    /// In the order in which the folders were given, and by name below them.
+    pub rows: Vec<Row>,
+    /// Output folders that were read.
+    pub num_runs: usize,
+    /// Folders that could not be read.
+    pub unreadable: Vec<PathBuf>,
+}
+
+/// What `run.json` tells of how a run went.
+#[derive(Deserialize)]
+struct Told {
+    input: ToldInput,
+    #[serde(default)]
+    warnings: Vec<String>,
+    #[serde(default)]
+    error: Option<String>,
+}
+
+#[derive(Deserialize)]
+struct ToldInput {
+    path: PathBuf,
+}
+
+impl Summary {
+    /// Reads output folders, and folders of such folders.
+    pub fn of(folders: &[PathBuf]) -> Self {
+        let mut summary = Self::default();
+        for folder in folders {
+            let runs = runs_below(folder, 0);
+            if runs.is_empty() {
+                summary.refuse(folder, nothing_in(folder));
+            }
+            runs.iter().for_each(|run| summary.add(run));
+        }
+        summary
+    }
+
+    /// As comma-separated values.
+    ///
+    /// # Errors
+    /// None but those of memory.
+    pub fn to_csv(&self) -> Result<Vec<u8>, csv::Error> {
+        let columns = [&BEFORE[..], &FACT_COLUMNS[..], &AFTER[..]].concat();
+        text(&columns, self.rows.iter().map(Row::cells))
+    }
+
+    /// As GeoJSON: a point for each row, where its vehicle was first seen; no geometry where that is not known.
+    pub fn to_geojson(&self) -> Value {
+        let features: Vec<Value> = self.rows.iter().map(Row::feature).collect();
+        json!({ "type": "FeatureCollection", "features": features })
+    }
+
+    fn refuse(&mut self, folder: &Path, reason: String) {
+        self.unreadable.push(folder.to_owned());
+        self.rows.push(Row { missing: Some(reason), ..Row::new(folder, None) });
+    }
+
+    fn add(&mut self, run: &Path) {
+        let folder = RunFolder::at(run);
+        let told: Told = match json_file::read(&folder.run_json()) {
+            Ok(told) => told,
+            Err(error) => return self.refuse(run, with_causes(&error)),
+        };
+        match Results::read_trajectories(&folder) {
+            Ok(results) => self.add_results(&folder, &told, &results),
+            Err(ExportError::NoResult { .. }) => {
+                self.num_runs += 1;
+                let reason = told.error.unwrap_or_else(|| "the run has not come to its trajectories".to_owned());
+                self.rows.push(Row { missing: Some(reason), ..Row::new(run, Some(told.input.path)) });
+            }
+            Err(error) => self.refuse(run, with_causes(&error)),
+        }
+    }
+
+    fn add_results(&mut self, folder: &RunFolder, told: &Told, results: &Results) {
+        self.num_runs += 1;
+        let before = self.rows.len();
+        let blank = Row { input: Some(told.input.path.clone()), ..Row::of_metres(folder.root(), results) };
+        let placed = results.trajectories.objects.iter().map(|object| blank.of_vehicle(results, object));
+        self.rows.extend(placed);
+        let tracked = folder.read_tracked().unwrap_or_default();
+        let has_way = |id: ObjectId| results.trajectories.objects.iter().any(|object| object.id == id);
+        for object in tracked.iter().filter(|object| !has_way(object.id)) {
+            let unplaced = Some((object.id, object.class.clone()));
+            self.rows.push(Row { unplaced, missing: Some(why_no_way(object.id, told)), ..blank.clone() });
+        }
+        if self.rows.len() == before {
+            let reason = told.error.clone().unwrap_or_else(|| "no vehicle was found".to_owned());
+            self.rows.push(Row { missing: Some(reason), ..blank });
+        }
+    }
+}
+
+impl Row {
+    fn new(run: &Path, input: Option<PathBuf>) -> Self {
+        Self {
+            run: run.to_owned(),
+            input,
+            facts: None,
+            unplaced: None,
+            metres: None,
+            metres_reason: None,
+            date: None,
+            place: None,
+            missing: None,
+        }
+    }
+
+    fn of_metres(run: &Path, results: &Results) -> Self {
+        let metric = results.trajectories.metric.as_ref();
+        Self {
+            metres: metric.map(|metric| metric.verdict.name()),
+            metres_reason: metric.and_then(|metric| metric.reason.clone()),
+            ..Self::new(run, None)
+        }
+    }
+
+    fn of_vehicle(&self, results: &Results, object: &ObjectTrajectory) -> Self {
+        let first = object.poses.first();
+        let said = |pose: &crate::scene::ObjectPose| pose.metric.and_then(|metric| metric.place);
+        let place = first.and_then(|pose| said(pose).or_else(|| results.place(Point3::from(pose.position))));
+        Self {
+            facts: Some(Facts::of(object, results.time_base, results.metric_frame())),
+            date: first.and_then(|pose| results.clock().date(pose.time_s)),
+            place,
+            ..self.clone()
+        }
+    }
+
+    fn cells(&self) -> Vec<String> {
+        let path = |path: Option<&PathBuf>| path.map(|path| path.display().to_string()).unwrap_or_default();
+        let mut cells = vec![path(Some(&self.run)), path(self.input.as_ref())];
+        match (&self.facts, &self.unplaced) {
+            (Some(facts), _) => cells.extend(fact_cells(facts)),
+            (None, unplaced) => {
+                let mut empty = vec![String::new(); FACT_COLUMNS.len()];
+                if let Some((id, class)) = unplaced {
+                    (empty[0], empty[1]) = (id.to_string(), class.clone());
+                }
+                cells.extend(empty);
+            }
+        }
+        let degrees = |value: fn(&MapPlace) -> f64| {
+            self.place.as_ref().map(|place| format!("{:.9}", value(place))).unwrap_or_default()
+        };
+        cells.extend([
+            self.metres.unwrap_or_default().to_owned(),
+            self.metres_reason.clone().unwrap_or_default(),
+            self.date.clone().unwrap_or_default(),
+            degrees(|place| place.longitude),
+            degrees(|place| place.latitude),
+            self.place.map(|place| format!("{:.4}", horizontal_std_m(&place))).unwrap_or_default(),
+            self.missing.clone().unwrap_or_default(),
+        ]);
+        cells
+    }
+
+    fn feature(&self) -> Value {
+        let geometry =
+            self.place.map(|place| json!({ "type": "Point", "coordinates": [place.longitude, place.latitude] }));
+        let mut properties = json!({
+            "run": self.run,
+            "input": self.input,
+            "metres": self.metres,
+            "metres_reason": self.metres_reason,
+            "date": self.date,
+            "place_std_m": self.place.map(|place| horizontal_std_m(&place)),
+            "missing": self.missing,
+        });
+        if let Some(all) = properties.as_object_mut() {
+            if let Some((id, class)) = &self.unplaced {
+                all.insert("vehicle".into(), json!(id));
+                all.insert("class".into(), json!(class));
+            }
+            all.extend(self.facts.iter().flat_map(vehicle_properties));
+        }
+        json!({ "type": "Feature", "geometry": geometry, "properties": properties })
+    }
+}
+
+fn horizontal_std_m(place: &MapPlace) -> f64 {
+    place.place_std_m[0].hypot(place.place_std_m[1])
+}
+
+/// Output folders at and below a path, by name.
+fn runs_below(folder: &Path, depth: usize) -> Vec<PathBuf> {
+    let run = RunFolder::at(folder);
+    if run.run_json().is_file() || run.trajectories().is_file() {
+        return vec![folder.to_owned()];
+    }
+    if depth == MAX_DEPTH {
+        return Vec::new();
+    }
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let is_folder = |entry: &fs::DirEntry| {
+        // A link may lead in a circle.
+        entry.file_type().is_ok_and(|kind| kind.is_dir()) && !entry.file_name().as_encoded_bytes().starts_with(b".")
+    };
+    let mut below: Vec<PathBuf> = entries.filter(is_folder).map(|entry| entry.path()).collect();
+    below.sort();
+    below.iter().flat_map(|folder| runs_below(folder, depth + 1)).collect()
+}
+
+fn nothing_in(folder: &Path) -> String {
+    match fs::read_dir(folder) {
+        Err(error) => format!("cannot be read: {error}; check the path"),
+        Ok(_) => "holds no output folder of `tractrix run`".to_owned(),
+    }
+}
+
+/// Why a vehicle that was followed has no way: as the run warned, else what is known.
+fn why_no_way(id: ObjectId, told: &Told) -> String {
+    let begins = ["cannot be ", "is left out", "has no trajectory"].map(|what| format!("object {id} {what}"));
+    let own = |warning: &&String| begins.iter().any(|begin| warning.starts_with(begin.as_str()));
+    let warned = told.warnings.iter().find(own).and_then(|warning| warning.split_once(": "));
+    warned.map_or_else(|| "it was followed, but has no trajectory".to_owned(), |(_, reason)| reason.to_owned())
+}
+
+/// An error with its causes, as one line.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let mut said = error.to_string();
+    let mut cause = error.source();
+    while let Some(next) = cause {
+        let more = next.to_string();
+        if !said.contains(&more) {
+            said = format!("{said}: {more}");
+        }
+        cause = next.source();
+    }
+    said
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::testing::{results, with_metres, write_run};
+
+    fn records(summary: &Summary) -> Vec<csv::StringRecord> {
+        let text = summary.to_csv().unwrap();
+        let mut reader = csv::Reader::from_reader(text.as_slice());
+        assert_eq!(reader.headers().unwrap().len(), BEFORE.len() + FACT_COLUMNS.len() + AFTER.len());
+        reader.records().map(Result::unwrap).collect()
+    }
+
+    #[test]
+    fn good_and_broken_runs_stand_in_one_table() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        write_run(&at("runs/b"), &with_metres(results()));
+        write_run(&at("runs/deep/a"), &results());
+        write_run(&at("runs/c"), &results());
+        fs::write(at("runs/c/trajectories.json"), "{\"version\": 1").unwrap();
+        write_run(&at("runs/d"), &results());
+        fs::remove_file(at("runs/d/trajectories.json")).unwrap();
+        let summary = Summary::of(&[at("runs"), at("gone")]);
+        let rows = records(&summary);
+        let names: Vec<_> = summary.rows.iter().map(|row| row.run.strip_prefix(folder.path()).unwrap()).collect();
+        let names: Vec<_> = names.iter().map(|name| name.to_str().unwrap()).collect();
+        assert_eq!(names, ["runs/b", "runs/b", "runs/c", "runs/d", "runs/deep/a", "runs/deep/a", "gone"]);
+        assert_eq!((summary.num_runs, summary.unreadable.len()), (3, 2));
+        let missing = |row: usize| rows[row].iter().last().unwrap().to_owned();
+        assert!(missing(2).contains("trajectories.json") && missing(3).contains("has not come to its trajectories"));
+        assert!(missing(0).is_empty() && missing(6).contains("cannot be read"));
+        let features = summary.to_geojson();
+        assert_eq!(features["features"][0]["geometry"]["type"], "Point");
+        assert_eq!(features["features"][0]["properties"]["mean_speed_m_s"], 8.0);
+        assert_eq!(features["features"][4]["geometry"], Value::Null);
+        assert_eq!(Summary::of(&[at("runs"), at("gone")]), summary);
+    }
+
+    #[test]
+    fn a_vehicle_without_a_way_has_the_reason_of_the_run() {
+        let warnings =
+            vec!["object 12 is left out: far".to_owned(), "object 1 cannot be reconstructed: dark".to_owned()];
+        let told = Told { input: ToldInput { path: "a.mp4".into() }, warnings, error: None };
+        assert_eq!(why_no_way(ObjectId(1), &told), "dark");
+        assert_eq!(why_no_way(ObjectId(12), &told), "far");
+        assert_eq!(why_no_way(ObjectId(2), &told), "it was followed, but has no trajectory");
+    }
+}

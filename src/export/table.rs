@@ -1,0 +1,339 @@
+//! Tables: comma-separated values with one line of column names, whose endings are the units.
+//!
+//! `_units` is the unit of length of the background's reconstruction, `_m` metres, `_s` seconds, `_deg` degrees. What
+//! is not known is an empty cell. Metres have four decimals, longitude and latitude nine: a tenth of a millimetre.
+
+use std::path::Path;
+
+use nalgebra::Point3;
+
+use super::facts::raw_speed;
+use super::{Clock, ExportError, Facts, Results, View};
+use crate::io::{IoError, atomic};
+use crate::scene::{Estimate, MapPlace, MetricPose, Motion, ObjectTrajectory, TimeBase};
+
+/// Columns of what is said of a vehicle as a whole; [`fact_cells`] goes with them.
+pub(super) const FACT_COLUMNS: [&str; 24] = [
+    "vehicle",
+    "class",
+    "confidence",
+    "verdict",
+    "doubt",
+    "frames",
+    "first_frame",
+    "last_frame",
+    "first_time_s",
+    "last_time_s",
+    "duration_s",
+    "path_units",
+    "path_m",
+    "path_std_m",
+    "mean_speed_m_s",
+    "mean_speed_std_m_s",
+    "max_speed_m_s",
+    "max_speed_std_m_s",
+    "length_m",
+    "length_std_m",
+    "width_m",
+    "width_std_m",
+    "height_m",
+    "height_std_m",
+];
+
+const SCALE_COLUMNS: [&str; 5] =
+    ["scale_ratio", "scale_ratio_std", "metres_verdict", "metres_per_unit", "metres_per_unit_std"];
+
+const POSE_COLUMNS: [&str; 37] = [
+    "vehicle",
+    "class",
+    "frame",
+    "image",
+    "time_s",
+    "date",
+    "x_units",
+    "y_units",
+    "z_units",
+    "speed_units_s",
+    "x_m",
+    "y_m",
+    "z_m",
+    "x_std_m",
+    "y_std_m",
+    "z_std_m",
+    "x_smoothed_m",
+    "y_smoothed_m",
+    "z_smoothed_m",
+    "x_smoothed_std_m",
+    "y_smoothed_std_m",
+    "z_smoothed_std_m",
+    "speed_m_s",
+    "speed_std_m_s",
+    "raw_speed_m_s",
+    "acceleration_m_s2",
+    "acceleration_std_m_s2",
+    "heading_deg",
+    "heading_std_deg",
+    "yaw_rate_deg_s",
+    "yaw_rate_std_deg_s",
+    "distance_to_camera_m",
+    "distance_to_camera_std_m",
+    "longitude",
+    "latitude",
+    "height_m",
+    "place_std_m",
+];
+
+const CAMERA_COLUMNS: [&str; 21] = [
+    "frame",
+    "image",
+    "time_s",
+    "date",
+    "x_units",
+    "y_units",
+    "z_units",
+    "qw",
+    "qx",
+    "qy",
+    "qz",
+    "focal_x_px",
+    "focal_y_px",
+    "x_m",
+    "y_m",
+    "z_m",
+    "longitude",
+    "latitude",
+    "height_m",
+    "place_std_m",
+    "place_std_up_m",
+];
+
+/// One row per vehicle.
+pub(super) fn vehicles(path: &Path, results: &Results) -> Result<(), ExportError> {
+    let metric = results.trajectories.metric.as_ref();
+    let frame = results.metric_frame();
+    let columns = [&FACT_COLUMNS[..], &SCALE_COLUMNS[..]].concat();
+    let row = |object: &ObjectTrajectory| {
+        let scale = [
+            object.scale.ratio.to_string(),
+            exact(object.scale.std),
+            metric.map(|metric| metric.verdict.name().to_owned()).unwrap_or_default(),
+            exact(frame.map(|frame| frame.scale)),
+            exact(frame.map(|frame| frame.std.scale)),
+        ];
+        [fact_cells(&Facts::of(object, results.time_base, frame)), scale.to_vec()].concat()
+    };
+    write(path, &columns, results.trajectories.objects.iter().map(row))
+}
+
+/// What is said of a vehicle as a whole.
+pub(super) fn fact_cells(facts: &Facts) -> Vec<String> {
+    let size = facts.dimensions;
+    let mut cells = vec![
+        facts.vehicle.to_string(),
+        facts.class.clone(),
+        facts.confidence.to_string(),
+        facts.verdict.unwrap_or_default().to_owned(),
+        facts.doubt.clone().unwrap_or_default(),
+        facts.num_frames.to_string(),
+        facts.first_frame.map(|frame| frame.0.to_string()).unwrap_or_default(),
+        facts.last_frame.map(|frame| frame.0.to_string()).unwrap_or_default(),
+        exact(facts.first_time_s),
+        exact(facts.last_time_s),
+        exact(facts.duration_s),
+        facts.path_units.to_string(),
+    ];
+    let estimates =
+        [facts.path_m, facts.mean_speed_m_s, facts.max_speed_m_s, size.length_m, size.width_m, size.height_m];
+    cells.extend(estimates.into_iter().flat_map(estimate));
+    cells
+}
+
+/// One row per vehicle and frame.
+pub(super) fn trajectories(path: &Path, results: &Results) -> Result<(), ExportError> {
+    let clock = results.clock();
+    let rows = results
+        .trajectories
+        .objects
+        .iter()
+        .flat_map(|object| (0..object.poses.len()).map(move |index| pose_cells(results, &clock, object, index)));
+    write(path, &POSE_COLUMNS, rows)
+}
+
+fn pose_cells(results: &Results, clock: &Clock, object: &ObjectTrajectory, index: usize) -> Vec<String> {
+    let pose = &object.poses[index];
+    let times = clock.time_and_date(pose.time_s);
+    let [x, y, z] = pose.position.map(|value| value.to_string());
+    let speed = raw_speed(&object.poses, index).filter(|_| results.time_base == TimeBase::Seconds);
+    let mut cells = vec![object.id.to_string(), object.class.clone(), pose.frame.0.to_string(), pose.name.clone()];
+    cells.extend(times);
+    cells.extend([x, y, z, exact(speed)]);
+    cells.extend(metric_cells(pose.metric.as_ref()));
+    let place = results.place_of(pose);
+    cells.extend(place_cells(place));
+    cells.push(metres(place.map(|place| place.place_std_m[0].hypot(place.place_std_m[1]))));
+    cells
+}
+
+/// What is known in metres.
+fn metric_cells(pose: Option<&MetricPose>) -> Vec<String> {
+    let motion = pose.and_then(|pose| pose.motion);
+    let of_pose = |get: fn(&MetricPose) -> f64| metres(pose.map(get));
+    let of_motion = |get: fn(&Motion) -> Option<f64>| metres(motion.as_ref().and_then(get));
+    vec![
+        of_pose(|p| p.position_m[0]),
+        of_pose(|p| p.position_m[1]),
+        of_pose(|p| p.position_m[2]),
+        of_pose(|p| p.position_std_m[0]),
+        of_pose(|p| p.position_std_m[1]),
+        of_pose(|p| p.position_std_m[2]),
+        of_motion(|m| Some(m.smoothed_position_m[0])),
+        of_motion(|m| Some(m.smoothed_position_m[1])),
+        of_motion(|m| Some(m.smoothed_position_m[2])),
+        of_motion(|m| Some(m.smoothed_position_std_m[0])),
+        of_motion(|m| Some(m.smoothed_position_std_m[1])),
+        of_motion(|m| Some(m.smoothed_position_std_m[2])),
+        of_motion(|m| Some(m.speed_m_s)),
+        of_motion(|m| Some(m.speed_std_m_s)),
+        of_motion(|m| Some(m.raw_speed_m_s)),
+        of_motion(|m| Some(m.acceleration_m_s2)),
+        of_motion(|m| Some(m.acceleration_std_m_s2)),
+        of_motion(|m| m.heading_deg),
+        of_motion(|m| m.heading_std_deg),
+        of_motion(|m| m.yaw_rate_deg_s),
+        of_motion(|m| m.yaw_rate_std_deg_s),
+        of_pose(|p| p.distance_to_camera_m),
+        of_pose(|p| p.distance_to_camera_std_m),
+    ]
+}
+
+/// One row per frame of the camera.
+pub(super) fn camera(path: &Path, results: &Results) -> Result<(), ExportError> {
+    let clock = results.clock();
+    write(path, &CAMERA_COLUMNS, results.views.iter().map(|view| view_cells(results, &clock, view)))
+}
+
+fn view_cells(results: &Results, clock: &Clock, view: &View) -> Vec<String> {
+    let center = view.cam_from_world.center();
+    let turn = view.cam_from_world.rotation.inverse();
+    let mut cells = vec![view.frame.id.0.to_string(), view.frame.name.clone()];
+    cells.extend(clock.time_and_date(view.frame.time_s));
+    cells.extend([center.x, center.y, center.z, turn.w, turn.i, turn.j, turn.k].map(|value| value.to_string()));
+    cells.extend(view.camera.focal.map(|focal| focal.to_string()));
+    let in_metres = results.metric_frame().map(|frame| frame.metric_from_world() * center);
+    cells.extend([0, 1, 2].map(|axis| metres(in_metres.map(|point: Point3<f64>| point[axis]))));
+    let place = results.place(center);
+    cells.extend(place_cells(place));
+    cells.push(metres(place.map(|place| place.place_std_m[0].hypot(place.place_std_m[1]))));
+    cells.push(metres(place.map(|place| place.place_std_m[2])));
+    cells
+}
+
+fn place_cells(place: Option<MapPlace>) -> [String; 3] {
+    let degrees = |value: Option<f64>| value.map(|value| format!("{value:.9}")).unwrap_or_default();
+    [
+        degrees(place.map(|place| place.longitude)),
+        degrees(place.map(|place| place.latitude)),
+        metres(place.map(|place| place.height_m)),
+    ]
+}
+
+impl Clock {
+    /// Two cells: the time of the video, empty where nobody stated a rate, and the date, where that is known.
+    fn time_and_date(&self, time_s: f64) -> [String; 2] {
+        let time = if *self == Self::Frames { String::new() } else { time_s.to_string() };
+        [time, self.date(time_s).unwrap_or_default()]
+    }
+}
+
+fn estimate(estimate: Option<Estimate>) -> [String; 2] {
+    [metres(estimate.map(|estimate| estimate.value)), metres(estimate.map(|estimate| estimate.std))]
+}
+
+/// Four decimals.
+fn metres(value: Option<f64>) -> String {
+    value.map(|value| format!("{value:.4}")).unwrap_or_default()
+}
+
+/// As many digits as tell the number from all others.
+fn exact(value: Option<f64>) -> String {
+    value.map(|value| value.to_string()).unwrap_or_default()
+}
+
+/// Writes a table; every row has as many cells as there are columns.
+fn write(path: &Path, columns: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Result<(), ExportError> {
+    let text = text(columns, rows).map_err(|error| IoError::content(path, error.to_string()))?;
+    Ok(atomic::write(path, &text)?)
+}
+
+/// A table as text.
+pub(super) fn text(columns: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Result<Vec<u8>, csv::Error> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(columns)?;
+    for row in rows {
+        writer.write_record(row)?;
+    }
+    writer.into_inner().map_err(|error| error.into_error().into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::testing::{results, with_metres};
+
+    fn read(write: fn(&Path, &Results) -> Result<(), ExportError>, results: &Results) -> Vec<Vec<(String, String)>> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("table.csv");
+        write(&path, results).unwrap();
+        let mut reader = csv::Reader::from_path(&path).unwrap();
+        let columns = reader.headers().unwrap().clone();
+        let named = |row: csv::StringRecord| {
+            columns.iter().zip(row.iter()).map(|(name, cell)| (name.to_owned(), cell.to_owned())).collect()
+        };
+        reader.records().map(|row| named(row.unwrap())).collect()
+    }
+
+    fn cell<'a>(row: &'a [(String, String)], column: &str) -> &'a str {
+        &row.iter().find(|(name, _)| name == column).unwrap_or_else(|| panic!("no column {column}")).1
+    }
+
+    #[test]
+    fn every_frame_has_a_row_that_reads_back() {
+        let results = with_metres(results());
+        let rows = read(trajectories, &results);
+        let poses: usize = results.trajectories.objects.iter().map(|object| object.poses.len()).sum();
+        assert_eq!(rows.len(), poses);
+        let (row, pose) = (&rows[0], &results.trajectories.objects[0].poses[0]);
+        assert_eq!((cell(row, "vehicle"), cell(row, "class"), cell(row, "image")), ("1", "car", pose.name.as_str()));
+        assert_eq!(cell(row, "x_units").parse(), Ok(pose.position[0]));
+        let metric = pose.metric.unwrap();
+        assert_eq!(cell(row, "y_m"), format!("{:.4}", metric.position_m[1]));
+        assert_eq!(cell(row, "speed_m_s"), format!("{:.4}", metric.motion.unwrap().speed_m_s));
+        assert_eq!(cell(row, "latitude"), format!("{:.9}", metric.place.unwrap().latitude));
+        assert_eq!(cell(row, "date"), "2024-06-01T12:00:00Z");
+    }
+
+    #[test]
+    fn vehicles_and_camera_have_their_figures() {
+        let results = with_metres(results());
+        let rows = read(vehicles, &results);
+        assert_eq!(rows.len(), 2);
+        assert!((cell(&rows[0], "mean_speed_m_s").parse::<f64>().unwrap() - 8.0).abs() < 1e-3);
+        assert_eq!((cell(&rows[0], "length_m"), cell(&rows[0], "width_m")), ("4.3000", ""));
+        assert_eq!((cell(&rows[0], "metres_verdict"), cell(&rows[0], "metres_per_unit_std")), ("telemetry", "0.04"));
+        let rows = read(camera, &results);
+        assert_eq!(rows.len(), results.views.len());
+        assert!(cell(&rows[0], "place_std_m").parse::<f64>().unwrap() > 0.0);
+    }
+
+    #[test]
+    fn without_metres_their_cells_are_empty() {
+        let results = results();
+        let rows = read(trajectories, &results);
+        for column in ["x_m", "speed_m_s", "longitude", "date", "place_std_m"] {
+            assert_eq!(cell(&rows[0], column), "", "{column}");
+        }
+        assert!(cell(&rows[0], "speed_units_s").parse::<f64>().unwrap() > 0.0);
+        assert_eq!(cell(&read(camera, &results)[0], "x_m"), "");
+        assert_eq!(cell(&read(vehicles, &results)[0], "metres_verdict"), "");
+    }
+}

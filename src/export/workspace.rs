@@ -1,0 +1,103 @@
+//! A workspace of COLMAP's: `images/`, `masks/` and `sparse/0`, ready for `image_undistorter` and densification.
+//!
+//! The pictures are those of the registered frames, upright and at the size of the model, under its names. A mask has
+//! the picture's name and `.png` behind it, and is 0 where something is that moves or may move, a little more so that
+//! outlines are off, and 255 elsewhere.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+use ::image::codecs::jpeg::JpegEncoder;
+use ::image::{ImageFormat, RgbImage};
+
+use super::annotate::masks_of;
+use super::write::Pictures;
+use super::{ExportError, Results, View};
+use crate::io::{ExportFolder, IoError, RunFolder, colmap, masks};
+use crate::scene::{FrameId, Mask, Movement, ObjectId};
+
+/// JPEG quality: next to nothing is lost.
+const QUALITY: u8 = 96;
+/// How far masks are widened, as a share of the longer side.
+const MARGIN: f64 = 0.004;
+
+/// Fills an empty folder.
+///
+/// # Errors
+/// Names that are no file names; an input that is gone or has other pictures; a frame that cannot be decoded.
+pub(super) fn write(folder: &Path, results: &Results, pictures: &Pictures) -> Result<(), ExportError> {
+    check_names(folder, results)?;
+    let standing = standing(pictures.folder())?;
+    let views: BTreeMap<FrameId, &View> = results.views.iter().map(|view| (view.frame.id, view)).collect();
+    let mut missing: BTreeSet<&str> = results.views.iter().map(|view| view.frame.name.as_str()).collect();
+    for found in pictures.source()?.frames_at(views.keys().copied().collect())? {
+        let (frame, picture) = found?;
+        let Some(view) = views.get(&frame.id).filter(|view| view.frame.name == frame.name) else {
+            return Err(pictures.other(format!("frame {} is called {}", frame.id.0, frame.name)));
+        };
+        if picture.dimensions() != (view.camera.width, view.camera.height) {
+            pictures.check_size(&picture, results)?;
+        }
+        save(&folder.join(ExportFolder::IMAGES).join(&frame.name), &picture)?;
+        let path = folder.join(ExportFolder::MASKS).join(RunFolder::mask_name(&frame));
+        masks::write_mask(&path, &still(pictures.folder(), &view.frame, picture.dimensions(), &standing)?)?;
+        missing.remove(view.frame.name.as_str());
+        pictures.step();
+    }
+    if let Some(name) = missing.first() {
+        return Err(pictures.other(format!("{} of its frames are missing, such as {name}", missing.len())));
+    }
+    Ok(colmap::write_binary(&folder.join(ExportFolder::SPARSE).join("0"), &results.background)?)
+}
+
+/// That every image of the model is a file name: models from elsewhere have folders in theirs.
+fn check_names(folder: &Path, results: &Results) -> Result<(), ExportError> {
+    let is_file_name = |name: &str| !name.starts_with('.') && !name.contains(['/', '\0']) && !name.is_empty();
+    match results.background.images.values().find(|image| !is_file_name(&image.name)) {
+        None => Ok(()),
+        Some(image) => Err(IoError::content(folder, format!("the image name {:?} is no file name", image.name)).into()),
+    }
+}
+
+/// The objects that stood still all the time: they belong to the background.
+fn standing(folder: &RunFolder) -> Result<BTreeSet<ObjectId>, ExportError> {
+    let tracked = match folder.read_tracked() {
+        Err(error) if error.is_not_found() => Vec::new(),
+        tracked => tracked?,
+    };
+    let still = tracked.iter().filter(|object| object.movement.state == Movement::Standing);
+    Ok(still.map(|object| object.id).collect())
+}
+
+/// Where nothing moves.
+fn still(
+    folder: &RunFolder,
+    frame: &crate::scene::Frame,
+    (width, height): (u32, u32),
+    standing: &BTreeSet<ObjectId>,
+) -> Result<Mask, ExportError> {
+    let mut moving = Mask::empty(width, height);
+    for (id, mask) in masks_of(folder, frame, (width, height))? {
+        if !standing.contains(&id) {
+            moving.union_with(&mask);
+        }
+    }
+    let margin_px = (MARGIN * f64::from(width.max(height))).ceil() as u32;
+    Ok(moving.dilated(margin_px).complement())
+}
+
+/// Writes a picture in the format that its name says: PNG, else JPEG.
+fn save(path: &Path, picture: &RgbImage) -> Result<(), ExportError> {
+    let failed = |error: ::image::ImageError| IoError::content(path, format!("cannot be written: {error}"));
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(IoError::system("create", folder))?;
+    }
+    let is_png = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
+    if is_png {
+        return Ok(picture.save_with_format(path, ImageFormat::Png).map_err(failed)?);
+    }
+    let file = BufWriter::new(File::create(path).map_err(IoError::system("write", path))?);
+    Ok(JpegEncoder::new_with_quality(file, QUALITY).encode_image(picture).map_err(failed)?)
+}

@@ -1,0 +1,275 @@
+//! From formats that were asked for to files.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::{ExportError, Format, Need, Results, Target};
+use super::{annotate, geojson, gltf, gpx, kml, poses, table, workspace};
+use crate::image::RgbImage;
+use crate::io::{ExportFolder, RunFolder};
+use crate::video::Source;
+
+/// The pictures that the results are of.
+pub struct Pictures<'a> {
+    folder: &'a RunFolder,
+    source: Result<&'a Source, String>,
+    on_step: &'a dyn Fn(),
+}
+
+impl<'a> Pictures<'a> {
+    /// Of a run.
+    ///
+    /// * `source` – the input, opened as the run opened it, or why it cannot be.
+    /// * `on_step` – told of every picture that is done.
+    pub fn new(folder: &'a RunFolder, source: Result<&'a Source, String>, on_step: &'a dyn Fn()) -> Self {
+        Self { folder, source, on_step }
+    }
+
+    pub(super) fn folder(&self) -> &RunFolder {
+        self.folder
+    }
+
+    pub(super) fn source(&self) -> Result<&'a Source, ExportError> {
+        self.source.as_ref().copied().map_err(|reason| ExportError::NoPictures { reason: reason.clone() })
+    }
+
+    pub(super) fn step(&self) {
+        (self.on_step)();
+    }
+
+    /// Pictures per second, if that is known.
+    pub(super) fn rate(&self) -> Option<f64> {
+        let source = self.source.as_ref().ok()?;
+        Some(source.info().fps? / f64::from(source.every()))
+    }
+
+    /// The error about an input that is not the one that the results are of.
+    pub(super) fn other(&self, problem: impl Into<String>) -> ExportError {
+        let path = self.source.as_ref().map_or_else(|_| PathBuf::new(), |source| source.path().to_owned());
+        ExportError::OtherInput { path, problem: problem.into() }
+    }
+
+    /// That a picture is as large as those of the run.
+    pub(super) fn check_size(&self, picture: &RgbImage, results: &Results) -> Result<(), ExportError> {
+        let ((width, height), (expected_width, expected_height)) = (picture.dimensions(), results.size);
+        match (width, height) == results.size {
+            true => Ok(()),
+            false => Err(self.other(format!(
+                "its frames are {width}x{height} pixels, those of the results {expected_width}x{expected_height}"
+            ))),
+        }
+    }
+}
+
+/// A format that was written.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Written {
+    /// Its name.
+    pub format: &'static str,
+    /// Its files, or its folder.
+    pub files: Vec<PathBuf>,
+}
+
+/// A format that could not be made.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct PassedOver {
+    /// Its name.
+    pub format: &'static str,
+    /// Why, and what to do about it.
+    pub reason: String,
+}
+
+/// What was exported.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Exported {
+    /// In the order of [`Format::ALL`].
+    pub written: Vec<Written>,
+    /// What could not be made of these results.
+    pub passed_over: Vec<PassedOver>,
+}
+
+/// Whether formats that cannot be made of the results are passed over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Asked {
+    /// Each by its name: what cannot be made is an error, and nothing is written.
+    ByName,
+    /// For all that there are: what cannot be made is passed over.
+    ForAll,
+}
+
+/// Writes results in formats.
+///
+/// # Errors
+/// A format that cannot be made of these results, where it was asked for by name: then nothing is written; a file that
+/// cannot be read or written.
+pub fn write(
+    results: &Results,
+    formats: &[Format],
+    asked: Asked,
+    pictures: &Pictures,
+    target: impl FnOnce() -> Result<Target, ExportError>,
+) -> Result<Exported, ExportError> {
+    let mut exported = Exported::default();
+    let mut possible = Vec::new();
+    for &format in formats {
+        match obstacle(format, results, pictures) {
+            None => possible.push(format),
+            Some(error) if asked == Asked::ByName => return Err(error),
+            Some(error) => {
+                exported.passed_over.push(PassedOver { format: format.name(), reason: error.to_string() });
+            }
+        }
+    }
+    let target = target()?;
+    for format in possible {
+        let files = one(format, results, pictures, &target)?;
+        exported.written.push(Written { format: format.name(), files });
+    }
+    Ok(exported)
+}
+
+fn obstacle(format: Format, results: &Results, pictures: &Pictures) -> Option<ExportError> {
+    let of_pictures = || (format.need() == Need::Pictures).then(|| pictures.source().err()).flatten();
+    format.obstacle(results).or_else(of_pictures)
+}
+
+/// Writes one format; gives its files.
+fn one(format: Format, results: &Results, pictures: &Pictures, target: &Target) -> Result<Vec<PathBuf>, ExportError> {
+    use ExportFolder as Names;
+    type Writer = fn(&Path, &Results) -> Result<(), ExportError>;
+    let files: &[(&str, Writer)] = match format {
+        Format::Csv => &[
+            (Names::VEHICLES, table::vehicles),
+            (Names::TRAJECTORIES, table::trajectories),
+            (Names::CAMERA, table::camera),
+        ],
+        Format::GeoJson => &[(Names::WAYS_ON_MAP, geojson::ways), (Names::PLACES_ON_MAP, geojson::places)],
+        Format::Kml => &[(Names::KML, kml::write)],
+        Format::Gpx => &[(Names::GPX, gpx::write)],
+        Format::Tum => return folder(target, Names::TUM, |path| poses::write_tum(path, results)),
+        Format::Kitti => return folder(target, Names::KITTI, |path| poses::write_kitti(path, results)),
+        Format::Gltf => {
+            let models = gltf::models(pictures.folder(), results)?;
+            return file(target, Names::SCENE, |path| gltf::write(path, results, &models));
+        }
+        Format::Video => return file(target, Names::VIDEO, |path| annotate::write(path, results, pictures)),
+        Format::Colmap => return folder(target, Names::COLMAP, |path| workspace::write(path, results, pictures)),
+    };
+    files.iter().map(|(name, write)| target.put_file(name, |path| write(path, results))).collect()
+}
+
+fn file(
+    target: &Target,
+    name: &str,
+    fill: impl FnOnce(&Path) -> Result<(), ExportError>,
+) -> Result<Vec<PathBuf>, ExportError> {
+    Ok(vec![target.put_file(name, fill)?])
+}
+
+fn folder(
+    target: &Target,
+    name: &str,
+    fill: impl FnOnce(&Path) -> Result<(), ExportError>,
+) -> Result<Vec<PathBuf>, ExportError> {
+    Ok(vec![target.put_folder(name, fill)?])
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::export::testing::{results_of, with_metres, write_run};
+    use crate::io::{FolderError, colmap, masks};
+    use crate::synthetic::showcase::{Showcase, showcase};
+    use crate::synthetic::write_clip;
+    use crate::video::Options;
+
+    /// An output folder, and the video that it is of.
+    fn run(folder: &Path, found: &Showcase) -> (RunFolder, Source) {
+        let run = RunFolder::at(folder.join("out"));
+        write_run(run.root(), &results_of(found));
+        for frame in &found.frames {
+            for (id, mask) in found.masks(frame.id) {
+                masks::write_mask(&run.mask(id, frame), &mask).unwrap();
+            }
+        }
+        let path = folder.join("clip.avi");
+        let pictures: Vec<_> = found.frames.iter().map(|frame| found.picture(frame.id)).collect();
+        write_clip(&path, 15, &pictures).unwrap();
+        (run, Source::open(&path, &Options::default()).unwrap())
+    }
+
+    fn bytes_below(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+        let mut all = BTreeMap::new();
+        for entry in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+            match entry.is_dir() {
+                true if entry.ends_with(RunFolder::STATE) => {}
+                true => all.extend(bytes_below(&entry)),
+                false => drop(all.insert(entry.clone(), std::fs::read(&entry).unwrap())),
+            }
+        }
+        all
+    }
+
+    #[test]
+    fn everything_is_written_twice_the_same_and_nothing_of_others_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let found = showcase(12, 1);
+        let (run, source) = run(folder.path(), &found);
+        let results = with_metres(results_of(&found));
+        let pictures = Pictures::new(&run, Ok(&source), &|| ());
+        let into = folder.path().join("exported");
+        let all = || {
+            let target = || Ok(Target::at(&into, &[("OUT", run.root())])?);
+            write(&results, &Format::ALL, Asked::ForAll, &pictures, target)
+        };
+        let exported = all().unwrap();
+        assert_eq!((exported.written.len(), exported.passed_over.len()), (Format::ALL.len(), 0));
+        assert!(exported.written.iter().flat_map(|written| &written.files).all(|file| file.exists()));
+        let first = bytes_below(&into);
+        all().unwrap();
+        assert!(first == bytes_below(&into), "the same results give the same bytes");
+        let model = colmap::read(&into.join("colmap/sparse/0")).unwrap();
+        assert_eq!(model.images.len(), results.views.len());
+        let frame = &results.views[3].frame;
+        let mask = masks::read_mask(&into.join("colmap/masks").join(RunFolder::mask_name(frame)), (960, 540)).unwrap();
+        let car = &found.masks(frame.id)[0].1;
+        assert_eq!((mask.intersection_px2(car), mask.get(2, 2)), (0, true));
+        std::fs::remove_dir_all(&into).unwrap();
+        std::fs::create_dir(&into).unwrap();
+        std::fs::write(into.join("vehicles.csv"), "mine").unwrap();
+        let refused = all().unwrap_err();
+        assert!(
+            refused.folder().is_some_and(FolderError::is_wrong_use) && refused.to_string().contains("vehicles.csv"),
+            "{refused}"
+        );
+        assert_eq!(std::fs::read_to_string(into.join("vehicles.csv")).unwrap(), "mine");
+    }
+
+    #[test]
+    fn what_cannot_be_made_is_refused_with_the_cure_before_anything_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let found = showcase(12, 1);
+        let (run, _) = run(folder.path(), &found);
+        let results = Results::read(&run, Some(&found.frames)).unwrap();
+        let pictures = Pictures::new(&run, Err("clip.avi: no such file".into()), &|| ());
+        let into = folder.path().join("exported");
+        let refused = |formats: &[Format]| {
+            let target = || Ok(Target::at(&into, &[])?);
+            write(&results, formats, Asked::ByName, &pictures, target).unwrap_err().to_string()
+        };
+        let map = refused(&[Format::Csv, Format::Kml]);
+        assert!(map.contains("--format kml") && map.contains("--telemetry"), "{map}");
+        assert!(refused(&[Format::Video]).contains("--input"));
+        assert!(!into.exists());
+        let exported = write(&results, &Format::ALL, Asked::ForAll, &pictures, || Ok(Target::at(&into, &[])?)).unwrap();
+        let passed: Vec<_> = exported.passed_over.iter().map(|left| left.format).collect();
+        assert_eq!(passed, ["geojson", "kml", "gpx", "video", "colmap"]);
+        assert!(into.join("scene.glb").is_file() && !into.join("camera.gpx").exists());
+        std::fs::remove_file(run.trajectories()).unwrap();
+        let none = Results::read(&run, None).unwrap_err().to_string();
+        assert!(none.contains("no trajectories.json"), "{none}");
+    }
+}

@@ -1,0 +1,172 @@
+//! Lines, plates and words drawn into a picture.
+
+use ::image::RgbImage;
+use nalgebra::Point2;
+use opencv::core::{Mat, Point, Rect, Scalar};
+use opencv::imgproc::{self, FILLED, FONT_HERSHEY_SIMPLEX, LINE_8, LINE_AA};
+
+use super::{ImageError, mat_from_rgb, rgb_from_mat};
+
+/// A picture that is drawn into.
+pub struct Canvas {
+    mat: Mat,
+    width: f64,
+    height: f64,
+}
+
+/// Lines are placed to a sixteenth of a pixel.
+const SUBPIXEL_BITS: i32 = 4;
+/// The sign that the font lacks.
+const PLUS_MINUS: char = '±';
+/// The font at size 1 has capitals of so many pixels.
+const CAPITAL_PX: f64 = 22.0;
+
+impl Canvas {
+    /// A copy of a picture.
+    ///
+    /// # Errors
+    /// [`ImageError`] if OpenCV refuses; the same for all that is drawn.
+    pub fn new(picture: &RgbImage) -> Result<Self, ImageError> {
+        let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
+        Ok(Self { mat: mat_from_rgb(picture)?, width, height })
+    }
+
+    /// A straight line between two places, pixels with the first centre at (0.5, 0.5). One that lies far outside is
+    /// left out.
+    pub fn line(
+        &mut self,
+        from: Point2<f64>,
+        to: Point2<f64>,
+        colour: [u8; 3],
+        width_px: i32,
+    ) -> Result<(), ImageError> {
+        if !self.is_near(from) || !self.is_near(to) {
+            return Ok(());
+        }
+        let fixed = |value: f64| ((value - 0.5) * f64::from(1 << SUBPIXEL_BITS)).round() as i32;
+        let point = |place: Point2<f64>| Point::new(fixed(place.x), fixed(place.y));
+        let (from, to) = (point(from), point(to));
+        Ok(imgproc::line(&mut self.mat, from, to, scalar(colour), width_px.max(1), LINE_AA, SUBPIXEL_BITS)?)
+    }
+
+    /// Whether a place is in the picture or beside it by no more than its size.
+    fn is_near(&self, place: Point2<f64>) -> bool {
+        (-self.width..=2.0 * self.width).contains(&place.x) && (-self.height..=2.0 * self.height).contains(&place.y)
+    }
+
+    /// Words on a plate, moved so that they stay in the picture. Letters outside ASCII become `?`, but for `±`.
+    ///
+    /// * `lower_left` – of the plate, pixels.
+    /// * `capital_px` – height of a capital letter.
+    pub fn words(
+        &mut self,
+        text: &str,
+        lower_left: Point2<f64>,
+        capital_px: f64,
+        plate: [u8; 3],
+    ) -> Result<(), ImageError> {
+        let scale = capital_px / CAPITAL_PX;
+        let thickness = (capital_px / 9.0).round().max(1.0) as i32;
+        let margin = 0.45 * capital_px;
+        let (width, height) = (self.text_width(text, scale, thickness)? + 2.0 * margin, capital_px + 2.2 * margin);
+        let left = lower_left.x.min(self.width - width).max(0.0);
+        let bottom = lower_left.y.min(self.height).max(height);
+        let rect = Rect::new(left as i32, (bottom - height) as i32, width.ceil() as i32, height.ceil() as i32);
+        imgproc::rectangle(&mut self.mat, rect, scalar(plate), FILLED, LINE_8, 0)?;
+        let ink = if is_light(plate) { [20; 3] } else { [255; 3] };
+        let base = Point2::new(left + margin, bottom - 1.1 * margin);
+        self.text(text, base, scale, thickness, ink)
+    }
+
+    fn text_width(&self, text: &str, scale: f64, thickness: i32) -> Result<f64, ImageError> {
+        let mut base_line = 0;
+        let shown = shown(text).replace(PLUS_MINUS, "+");
+        let size = imgproc::get_text_size(&shown, FONT_HERSHEY_SIMPLEX, scale, thickness, &mut base_line)?;
+        Ok(f64::from(size.width))
+    }
+
+    fn text(
+        &mut self,
+        text: &str,
+        base: Point2<f64>,
+        scale: f64,
+        thickness: i32,
+        ink: [u8; 3],
+    ) -> Result<(), ImageError> {
+        let at = |x: f64, y: f64| Point::new(x.round() as i32, y.round() as i32);
+        let shown = shown(text);
+        let plain = shown.replace(PLUS_MINUS, "+");
+        let (font, ink) = (FONT_HERSHEY_SIMPLEX, scalar(ink));
+        imgproc::put_text(&mut self.mat, &plain, at(base.x, base.y), font, scale, ink, thickness, LINE_AA, false)?;
+        // The bar below each plus that is to be one or minus.
+        for (index, _) in shown.match_indices(PLUS_MINUS) {
+            let before = self.text_width(&shown[..index], scale, thickness)?;
+            let sign = self.text_width("+", scale, thickness)?;
+            let (left, right) = (base.x + before + 0.16 * sign, base.x + before + 0.78 * sign);
+            let y = base.y + 0.08 * CAPITAL_PX * scale;
+            imgproc::line(&mut self.mat, at(left, y), at(right, y), ink, thickness, LINE_AA, 0)?;
+        }
+        Ok(())
+    }
+
+    /// The picture with what was drawn.
+    pub fn finish(self) -> Result<RgbImage, ImageError> {
+        rgb_from_mat(&self.mat)
+    }
+}
+
+/// What the font can show.
+fn shown(text: &str) -> String {
+    text.chars().map(|c| if c == PLUS_MINUS || c == ' ' || c.is_ascii_graphic() { c } else { '?' }).collect()
+}
+
+fn scalar([r, g, b]: [u8; 3]) -> Scalar {
+    Scalar::new(f64::from(r), f64::from(g), f64::from(b), 0.0)
+}
+
+/// Whether dark letters are read better on a colour than light ones, by its luma (ITU-R BT.601).
+fn is_light([r, g, b]: [u8; 3]) -> bool {
+    0.299 * f64::from(r) + 0.587 * f64::from(g) + 0.114 * f64::from(b) > 150.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn changed(draw: impl FnOnce(&mut Canvas)) -> usize {
+        let grey = RgbImage::from_pixel(200, 100, ::image::Rgb([100; 3]));
+        let mut canvas = Canvas::new(&grey).unwrap();
+        draw(&mut canvas);
+        let drawn = canvas.finish().unwrap();
+        drawn.pixels().zip(grey.pixels()).filter(|(a, b)| a != b).count()
+    }
+
+    #[test]
+    fn lines_are_drawn_where_they_belong() {
+        let mut canvas = Canvas::new(&RgbImage::new(40, 20)).unwrap();
+        canvas.line(Point2::new(0.5, 10.5), Point2::new(39.5, 10.5), [255, 0, 0], 1).unwrap();
+        let drawn = canvas.finish().unwrap();
+        assert_eq!((drawn.get_pixel(20, 10).0, drawn.get_pixel(20, 5).0), ([255, 0, 0], [0; 3]));
+        let far = |canvas: &mut Canvas| {
+            canvas.line(Point2::new(1e9, f64::NAN), Point2::new(3.0, 3.0), [255; 3], 2).unwrap();
+        };
+        assert_eq!(changed(far), 0);
+    }
+
+    #[test]
+    fn words_stay_in_the_picture_and_the_sign_has_its_bar() {
+        let words = |text: &'static str, x: f64, y: f64| {
+            changed(|canvas| canvas.words(text, Point2::new(x, y), 11.0, [0, 0, 90]).unwrap())
+        };
+        let inside = words("54 km/h", 20.0, 60.0);
+        assert!(inside > 500, "{inside}");
+        assert_eq!(words("54 km/h", 190.0, -5.0), inside);
+        let drawn = |text: &str| {
+            let mut canvas = Canvas::new(&RgbImage::new(200, 100)).unwrap();
+            canvas.words(text, Point2::new(20.0, 60.0), 22.0, [0; 3]).unwrap();
+            canvas.finish().unwrap()
+        };
+        assert_ne!(drawn("4 ± 1"), drawn("4 + 1"));
+        assert_eq!(drawn("Škoda"), drawn("?koda"));
+    }
+}

@@ -1,0 +1,114 @@
+//! What lies where among the files that are exported for other programs.
+//!
+//! They stand in `export/` of an output folder, or in a folder of their own.
+
+use std::path::Path;
+
+use super::run_folder::object_id;
+use super::{Place, RunFolder, colmap};
+
+/// The folder of exported files.
+#[derive(Clone, Copy, Debug)]
+pub struct ExportFolder;
+
+impl ExportFolder {
+    /// The command by which such folders are made, where they stand by themselves.
+    pub const MADE_BY: &str = "tractrix export";
+    /// One row per vehicle.
+    pub const VEHICLES: &str = "vehicles.csv";
+    /// One row per vehicle and frame.
+    pub const TRAJECTORIES: &str = "trajectories.csv";
+    /// One row per frame of the camera.
+    pub const CAMERA: &str = "camera.csv";
+    /// The ways on the map.
+    pub const WAYS_ON_MAP: &str = "trajectories.geojson";
+    /// The places on the map, frame by frame.
+    pub const PLACES_ON_MAP: &str = "positions.geojson";
+    /// The ways on a globe, with times.
+    pub const KML: &str = "trajectories.kml";
+    /// The camera's way.
+    pub const GPX: &str = "camera.gpx";
+    /// The scene in motion.
+    pub const SCENE: &str = "scene.glb";
+    /// The video with what was found drawn into it.
+    pub const VIDEO: &str = "annotated.mp4";
+    /// Poses in TUM's form.
+    pub const TUM: &str = "tum";
+    /// Poses in KITTI's form.
+    pub const KITTI: &str = "kitti";
+    /// A workspace of COLMAP's.
+    pub const COLMAP: &str = "colmap";
+    /// Pictures in that workspace.
+    pub const IMAGES: &str = "images";
+    /// Masks in that workspace.
+    pub const MASKS: &str = "masks";
+    /// Models in that workspace.
+    pub const SPARSE: &str = "sparse";
+    /// What the poses beside it refer to.
+    pub const ABOUT: &str = "about.txt";
+
+    const FILES: [&str; 9] = [
+        Self::VEHICLES,
+        Self::TRAJECTORIES,
+        Self::CAMERA,
+        Self::WAYS_ON_MAP,
+        Self::PLACES_ON_MAP,
+        Self::KML,
+        Self::GPX,
+        Self::SCENE,
+        Self::VIDEO,
+    ];
+
+    /// What an export may put at a path, relative to a folder of its own.
+    pub fn place(relative: &Path) -> Place {
+        let parts: Option<Vec<&str>> = relative.iter().map(|part| part.to_str()).collect();
+        match parts.as_deref() {
+            Some([RunFolder::STATE, ..]) => Place::State,
+            Some(parts) => Self::place_of(parts),
+            None => Place::Elsewhere,
+        }
+    }
+
+    /// The same by the names on the way.
+    pub(super) fn place_of(parts: &[&str]) -> Place {
+        match *parts {
+            [] => Place::Folder,
+            [file] if Self::FILES.contains(&file) => Place::File,
+            [Self::TUM | Self::KITTI | Self::COLMAP] => Place::Folder,
+            [Self::TUM | Self::KITTI, file] if is_pose_file(file) => Place::File,
+            [Self::COLMAP, Self::IMAGES | Self::MASKS | Self::SPARSE] => Place::Folder,
+            [Self::COLMAP, Self::SPARSE, "0"] => Place::Folder,
+            [Self::COLMAP, Self::SPARSE, "0", file] if colmap::is_file_name(file) => Place::File,
+            [Self::COLMAP, Self::IMAGES | Self::MASKS, file] if !file.starts_with('.') => Place::File,
+            _ => Place::Elsewhere,
+        }
+    }
+}
+
+/// `about.txt`, `camera.txt`, `vehicle-3.txt`, `vehicle-3.times.txt`.
+fn is_pose_file(file: &str) -> bool {
+    let Some(stem) = file.strip_suffix(".txt") else { return false };
+    let stem = stem.strip_suffix(".times").unwrap_or(stem);
+    file == ExportFolder::ABOUT || stem == "camera" || stem.strip_prefix("vehicle-").and_then(object_id).is_some()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_export_has_its_place_and_others_have_none() {
+        let place = |path: &str| ExportFolder::place(Path::new(path));
+        for file in ["vehicles.csv", "scene.glb", "tum/vehicle-12.txt", "kitti/camera.times.txt", "kitti/about.txt"] {
+            assert_eq!(place(file), Place::File, "{file}");
+        }
+        for file in ["colmap/images/000001.jpg", "colmap/masks/a.png.png", "colmap/sparse/0/cameras.bin"] {
+            assert_eq!(place(file), Place::File, "{file}");
+        }
+        for other in ["notes.txt", "tum/vehicle-01.txt", "colmap/dense/a", "colmap/sparse/1", "colmap/images/a/b.jpg"] {
+            assert_eq!(place(other), Place::Elsewhere, "{other}");
+        }
+        assert_eq!((place("colmap/sparse/0"), place(".tractrix/lock")), (Place::Folder, Place::State));
+        assert_eq!(RunFolder::place(Path::new("export/tum/camera.txt")), Place::File);
+    }
+}
