@@ -57,6 +57,10 @@ pub(super) enum Command {
     Scale(Box<JobArgs>),
     /// Find metres and places on the map (after `scale`)
     Metric(Box<JobArgs>),
+    /// Run many videos: one of a list for a scheduler, or all of them side by side
+    ///
+    /// Each is a run of its own in a folder of its own. Whatever happened, the same command again does what is left.
+    Batch(Box<super::batch::Args>),
     /// Compare the result of a run with the ground truth of its sequence
     Evaluate(super::evaluate::Args),
     /// Run all sequences of a data set, and sum up how far they are from the truth

@@ -38,10 +38,14 @@ pub(super) struct CommonArgs {
 impl CommonArgs {
     /// The defaults, over them the file, over that --set, and over all these flags.
     pub(super) fn options(&self) -> Result<Options, Failure> {
-        let mut options = match &self.options {
-            Some(path) => read_options(path)?,
-            None => Options::default(),
-        };
+        self.over(Options::default())
+    }
+
+    /// As [`Self::options`], over others than the defaults.
+    pub(super) fn over(&self, mut options: Options) -> Result<Options, Failure> {
+        if let Some(path) = &self.options {
+            options = read_options(path, &options)?;
+        }
         for (key, value) in &self.set {
             options = options.with_value(key, value).map_err(|error| Failure::Usage(error.to_string()))?;
         }
@@ -53,14 +57,14 @@ impl CommonArgs {
     }
 }
 
-fn read_options(path: &Path) -> Result<Options, Failure> {
+fn read_options(path: &Path, below: &Options) -> Result<Options, Failure> {
     let shown = path.display().to_string();
     let text = files::read_text(path).with_context(|| format!("{shown}: cannot be read; check --options"))?;
     let given: serde_json::Value =
         serde_json::from_slice(&text).with_context(|| format!("{shown}: not a tree of options; check --options"))?;
     // A run.json has more than options.
     let options = given.get("options").filter(|_| given.get("stages").is_some()).unwrap_or(&given);
-    Ok(Options::default().with_tree(options).map_err(|error| anyhow::anyhow!("{shown}: {error}"))?)
+    Ok(below.with_tree(options).map_err(|error| anyhow::anyhow!("{shown}: {error}"))?)
 }
 
 fn assignment(text: &str) -> Result<(String, String), String> {

@@ -139,6 +139,29 @@ impl JobArgs {
     fn asks_for_vehicles(&self) -> bool {
         self.detector.is_some() || self.motion.is_some() || self.mask_network.is_some() || self.segment_every.is_some()
     }
+
+    /// Has relative paths begin at a folder: that of the list in which the job stands.
+    pub(super) fn begin_at(&mut self, folder: &Path) {
+        let files = [
+            &mut self.masks,
+            &mut self.segmentation_model,
+            &mut self.flow_model,
+            &mut self.ground_masks,
+            &mut self.ground_model,
+            &mut self.background_model,
+            &mut self.common.options,
+        ];
+        let objects = self.object_model.iter_mut().map(|(_, path)| path);
+        let mut paths: Vec<&mut PathBuf> = files.into_iter().flatten().chain(objects).collect();
+        paths.push(&mut self.input);
+        if let Some(DetectorChoice::File(path)) = &mut self.detector {
+            paths.push(path);
+        }
+        if let Some(IntrinsicsSource::File(path)) = &mut self.intrinsics {
+            paths.push(path);
+        }
+        paths.into_iter().for_each(|path| *path = folder.join(&*path));
+    }
 }
 
 /// The flag as the help of a part of a run shows it: not at all if it is used by later parts alone. It is taken
@@ -158,7 +181,12 @@ pub(super) fn shown_up_to(goal: Stage, flag: clap::Arg) -> clap::Arg {
 
 /// Input and options from the flags, the options file, and the folder of a sequence.
 pub(super) fn resolve(job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), Failure> {
-    let mut options = job.common.options()?;
+    resolve_over(Options::default(), job, goal)
+}
+
+/// As [`resolve`], over others than the default options.
+pub(super) fn resolve_over(options: Options, job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), Failure> {
+    let mut options = job.common.over(options)?;
     apply_flags(job, &mut options);
     let mut input = job.input.clone();
     if input.join("scene.json").is_file() {
@@ -176,7 +204,7 @@ pub(super) fn resolve(job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), 
     Ok((input, options))
 }
 
-fn apply_flags(job: &JobArgs, options: &mut Options) {
+pub(super) fn apply_flags(job: &JobArgs, options: &mut Options) {
     if let Some(folder) = &job.masks {
         options.instances = Instances::Masks(folder.clone());
     } else if let Some(model) = &job.segmentation_model {

@@ -7,6 +7,7 @@
 
 mod args;
 mod bal;
+mod batch;
 mod benchmark;
 mod calibrate;
 mod common;
@@ -101,6 +102,8 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &Talk) -> Result<(), Fail
         | Command::Ground(job)
         | Command::Scale(job)
         | Command::Metric(job) => run::run(job, args.command.goal(), arguments, form, talk),
+        | Command::Scale(job) => run::run(job, args.command.goal(), arguments, form, talk),
+        Command::Batch(own) => batch::run(own, arguments, form, talk),
         Command::Evaluate(own) => evaluate::run(own, form),
         Command::Benchmark(own) => benchmark::run(own, arguments, form, talk),
         Command::Calibrate(own) => calibrate::run(own, arguments, form, talk),

@@ -23,6 +23,8 @@ pub(super) enum Failure {
     Stopped(Signal),
     /// There is a result, which was printed, and it is not what was asked for: exit code 1. As JSON it holds the error.
     Partial(anyhow::Error),
+    /// As [`Self::Partial`], and the same command again would come further: exit code 75.
+    Again(anyhow::Error),
 }
 
 impl Failure {
@@ -30,7 +32,7 @@ impl Failure {
         match self {
             Self::Input(_) | Self::Partial(_) => 1,
             Self::Usage(_) => 2,
-            Self::Busy(_) => TRY_AGAIN,
+            Self::Busy(_) | Self::Again(_) => TRY_AGAIN,
             Self::Stopped(signal) => signal.exit_code(),
         }
     }
@@ -47,13 +49,14 @@ impl Failure {
             Self::Usage(_) => "usage",
             Self::Busy(_) => "busy",
             Self::Stopped(_) => "stopped",
+            Self::Again(_) => "again",
         };
         json!({ "kind": kind, "message": self.to_string() })
     }
 
     /// Prints the failure to stdout where JSON was asked for, unless that holds it already.
     pub(super) fn show_as_json(&self, form: Form) {
-        if form == Form::Json && !matches!(self, Self::Partial(_)) {
+        if form == Form::Json && !matches!(self, Self::Partial(_) | Self::Again(_)) {
             // What cannot be printed cannot be reported either.
             let _ = print_json(&json!({ "error": self.as_json() }));
         }
@@ -65,7 +68,7 @@ impl fmt::Display for Failure {
         match self {
             Self::Usage(text) => text.fmt(f),
             Self::Stopped(_) => PipelineError::Stopped.fmt(f),
-            Self::Input(error) | Self::Partial(error) | Self::Busy(error) => {
+            Self::Input(error) | Self::Partial(error) | Self::Busy(error) | Self::Again(error) => {
                 let mut said = error.to_string();
                 said.fmt(f)?;
                 for cause in error.chain().skip(1).map(ToString::to_string) {

@@ -26,10 +26,16 @@ pub(super) fn run(job: &JobArgs, goal: Stage, arguments: &[OsString], form: Form
         overwrite: if job.overwrite { Overwrite::AnyInput } else { Overwrite::SameInput },
         arguments: &arguments,
     };
+    perform(&task, form, talk)
+}
+
+/// Does a run and prints what came of it.
+pub(super) fn perform(task: &Job, form: Form, talk: &Talk) -> Result<(), Failure> {
+    let goal = task.goal;
     talk.ends_in_order();
-    let summary = pipeline::run(&task, talk)?;
+    let summary = pipeline::run(task, talk)?;
     talk.finish();
-    let folder = RunFolder::at(&job.output);
+    let folder = RunFolder::at(task.output);
     let trajectories = (goal >= Stage::Scale).then(|| folder.read_trajectories()).transpose()?;
     let failure = summary.failure().map(|failure| Failure::Partial(anyhow::anyhow!(failure)));
     let mut value = as_json(&summary, goal, trajectories.as_ref());

@@ -122,6 +122,12 @@ impl OwnedFolder {
         read_manifest(path).is_ok_and(|found| found.is_some_and(|manifest| manifest.made_by == made_by))
     }
 
+    /// Whether a process has a folder at this moment. A process that asks for it in the same moment may be refused.
+    pub fn is_busy(path: &Path) -> bool {
+        let lock = File::open(path.join(STATE).join(LOCK));
+        lock.is_ok_and(|lock| matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)))
+    }
+
     /// Forgets files that are no more, so that a later file of that name counts as somebody else's; clears what a
     /// killed process left unfinished.
     fn tidy(&self, made_by: &str) -> Result<(), FolderError> {

@@ -11,8 +11,8 @@ use sha2::{Digest, Sha256};
 use super::{PipelineError, Stage};
 use crate::limits::files;
 
-/// Hash of anything that can be written as JSON.
-fn of(value: &impl Serialize) -> String {
+/// Hash of anything that can be written as JSON, and of the program's version.
+pub(super) fn of_value(value: &impl Serialize) -> String {
     let text = serde_json::to_vec(&(env!("CARGO_PKG_VERSION"), value))
         .expect("options and hashes have string keys and finite numbers");
     hex(&Sha256::digest(&text))
@@ -21,7 +21,7 @@ fn of(value: &impl Serialize) -> String {
 /// Hash of everything that a stage's result is made from: what it depends on by itself, and the fingerprints of the
 /// stages that it builds on.
 pub(super) fn of_stage(stage: Stage, depends_on: &Value, upstream: &[&str]) -> String {
-    of(&json!([stage, stage.revision(), depends_on, upstream]))
+    of_value(&json!([stage, stage.revision(), depends_on, upstream]))
 }
 
 /// Hash of the content of a file, or of the names and contents of the files directly in a folder, hidden ones aside.

@@ -9,6 +9,7 @@
 
 mod cameras;
 mod detections;
+mod ended;
 mod error;
 mod evaluate;
 mod exports;
@@ -49,6 +50,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
+pub use ended::{Ended, Failed, Identity, Standing, standing};
 pub use error::PipelineError;
 pub use evaluate::{Kept, evaluate, keep_evaluation};
 pub use found_features::found_features;
@@ -149,6 +151,8 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
     let source = cameras::open(job.input, options)?;
     preflight::check_pictures(&source, options)?;
     let workspace = Workspace::open(job.output)?;
+    let identity = Identity::of(job.input, options);
+    workspace.clear_ended()?;
     progress.plan(&Plan::new(&workspace, options, source.info(), goal));
     progress.begin("input", None);
     let content = fingerprint::of_content(source.path());
@@ -164,7 +168,18 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
     // What went wrong first says what to do: on a full disk it names the file that did not fit.
     result?;
     written?;
-    summary(job, run)
+    let summary = summary(job, run)?;
+    leave_record(job, &workspace, identity, &summary)?;
+    Ok(summary)
+}
+
+/// Says that nothing is left to be done, unless there is, or a file has changed since the run began.
+fn leave_record(job: &Job, workspace: &Workspace, of: Identity, summary: &Summary) -> Result<(), PipelineError> {
+    let is_whole = job.goal == Stage::Report && summary.failure().is_none();
+    match is_whole && Identity::of(job.input, job.options) == of {
+        true => workspace.set_ended(&Ended { of, failure: None }),
+        false => Ok(()),
+    }
 }
 
 fn summary(job: &Job, run: Run) -> Result<Summary, PipelineError> {

@@ -163,6 +163,23 @@ impl Workspace {
         Ok(atomic::remove(&self.state(&marker_name(stage)))?)
     }
 
+    /// Takes a file of the run's own away for good.
+    pub(super) fn remove_record(&self, name: &str) -> Result<(), PipelineError> {
+        Ok(atomic::remove(&self.state(name))?)
+    }
+
+    /// Whether a process is at work on an output folder.
+    pub(super) fn is_busy(output: &Path) -> bool {
+        OwnedFolder::is_busy(output)
+    }
+
+    /// Whether a stage is marked as done in an output folder, and all that it made is there.
+    pub(super) fn has_results_of(output: &Path, stage: Stage) -> bool {
+        let path = output.join(RunFolder::STATE).join(marker_name(stage));
+        let marker: Option<Marker> = fs::read(path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+        marker.is_some_and(|marker| marker.outputs.iter().all(|path| output.join(path).exists()))
+    }
+
     /// Whether every part of a marked result is still there.
     pub fn has_outputs(&self, marker: &Marker) -> bool {
         marker.outputs.iter().all(|path| self.root().join(path).exists())

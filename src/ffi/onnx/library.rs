@@ -45,6 +45,18 @@ pub fn probe() -> Result<RuntimeInfo, OnnxError> {
     Ok(runtime()?.info.clone())
 }
 
+/// Whether a library lies where it is looked for, without loading it. What only the system's loader would find does not
+/// count.
+pub fn is_in_place() -> bool {
+    let named = VARIABLES.iter().find_map(|variable| env::var_os(variable).filter(|value| !value.is_empty()));
+    match named {
+        Some(named) => Path::new(&named).exists(),
+        None => candidates(env::current_exe().ok().as_deref(), Path::new(env!("CARGO_MANIFEST_DIR")))
+            .iter()
+            .any(|path| path.components().count() > 1 && path.exists()),
+    }
+}
+
 /// The runtime, loaded by the first call that succeeds; a failure is tried again by the next call.
 pub(super) fn runtime() -> Result<&'static Runtime, OnnxError> {
     let mut slot = RUNTIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);

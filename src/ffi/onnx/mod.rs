@@ -13,7 +13,7 @@ use std::path::PathBuf;
 
 use crate::limits::memory::{MemoryLimit, TooMuch};
 
-pub use self::library::{MINIMUM_VERSION, RuntimeInfo, probe};
+pub use self::library::{MINIMUM_VERSION, RuntimeInfo, is_in_place, probe};
 pub use self::model::{Model, Tensor, TensorInfo};
 
 /// What a network may take of the machine.

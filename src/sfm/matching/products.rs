@@ -3,6 +3,7 @@
 //! Descriptors are bytes of such a length that a scalar product fits sixteen bits (see [`super::super::features`]), so
 //! one instruction multiplies and adds 32 of them. The results are integers: the same on every processor.
 
+#[cfg(target_arch = "x86_64")]
 use pulp::bytemuck;
 
 use super::super::features::DESCRIPTOR_LEN;

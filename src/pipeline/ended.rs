@@ -1,0 +1,251 @@
+//! How the last run of a folder ended, and whether it needs another one, told without reading the input.
+//!
+//! Fingerprints hash the content of all that is read, which for an hour of video takes many seconds. A run therefore
+//! leaves a record, `.tractrix/ended.json`, with the name, size, times and inode of every file that it reads and a hash
+//! of its options. Where they are the same, the fingerprints are; where one differs (a file was copied, touched or
+//! replaced) the record says nothing, and the long way decides. A run takes the record away before it begins, and
+//! leaves one only if no file has changed while it was under way.
+
+use std::fs::{self, Metadata};
+use std::io;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::workspace::Workspace;
+use super::{Instances, Options, PipelineError, Stage, fingerprint};
+use crate::ffi::onnx;
+use crate::io::RunFolder;
+use crate::perception::default_models;
+
+/// The record's file, in the folder for the run's own state.
+const RECORD: &str = "ended.json";
+/// How deep folders that are read are looked into.
+const MAX_DEPTH: usize = 4;
+
+/// What a run is made from, as far as it can be told in a moment.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Identity {
+    /// Hash of the program's version, the options but for threads and memory, and the networks that come with it.
+    pub options: String,
+    /// Hash of name, size, times and inode of every file that is read.
+    pub files: String,
+}
+
+/// How a run ended.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Ended {
+    /// What it was made from.
+    pub of: Identity,
+    /// Why it has no result, where that is so.
+    pub failure: Option<Failed>,
+}
+
+/// Why a run ended without a result.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Failed {
+    /// The program's exit code.
+    pub code: u8,
+    /// What it said.
+    pub reason: String,
+}
+
+/// How a folder stands to a run that is asked for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// Nothing was begun.
+    Absent,
+    /// Another process is at work there.
+    Running,
+    /// All is done, from this input and with these options.
+    Done,
+    /// All is done, but with other options, or the input has changed since, or was copied.
+    Outdated,
+    /// The last run failed, and would again.
+    Failed(Failed),
+    /// Something was begun and did not come to its end.
+    Begun,
+}
+
+impl Identity {
+    /// What a run of `options` on `input` is made from.
+    ///
+    /// A file that cannot be read counts as one that is not there.
+    pub fn of(input: &Path, options: &Options) -> Self {
+        let paths = std::iter::once(input).chain(options.named_paths().into_iter().map(|(_, path)| path));
+        let mut files = Vec::new();
+        paths.for_each(|path| states(path, 0, &mut files));
+        Self { options: fingerprint::of_value(&of_options(options)), files: fingerprint::of_value(&files) }
+    }
+}
+
+/// What the result hangs on besides the files that are named. Threads and memory are no part of it.
+fn of_options(options: &Options) -> Value {
+    let revisions: Vec<u32> = Stage::ALL.into_iter().map(Stage::revision).collect();
+    let options = Options { threads: None, memory_limit: None, ..options.clone() };
+    let networks = (options.instances == Instances::Vehicles).then(shipped);
+    json!({ "revisions": revisions, "networks": networks, "options": options })
+}
+
+/// The networks that come with the program, wherever they lie, and whether there is what runs them.
+fn shipped() -> Value {
+    let of_file = |path: &Path| fs::metadata(path).ok().map(|found| json!([found.len(), found.mtime()]));
+    let files = default_models().ok().map(|models| models.files().map(of_file).to_vec());
+    json!({ "files": files, "runtime": onnx::is_in_place() })
+}
+
+/// Name and state of a file, or of all files in a folder, in the order of their names.
+fn states(path: &Path, depth: usize, found: &mut Vec<Value>) {
+    let name = path.file_name().map(|name| name.to_string_lossy());
+    let state = fs::metadata(path).ok();
+    let is_folder = state.as_ref().is_some_and(Metadata::is_dir);
+    found.push(json!([depth, name, state.filter(|_| !is_folder).map(|state| of_state(&state))]));
+    if is_folder && depth < MAX_DEPTH {
+        let mut inside: Vec<PathBuf> =
+            fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+        inside.sort();
+        inside.iter().for_each(|path| states(path, depth + 1, found));
+    }
+}
+
+fn of_state(state: &Metadata) -> Value {
+    json!([state.len(), state.ino(), state.mtime(), state.mtime_nsec(), state.ctime(), state.ctime_nsec()])
+}
+
+impl Ended {
+    /// How the last run of an output folder ended, if that is known.
+    pub fn of_folder(output: &Path) -> Option<Self> {
+        serde_json::from_slice(&fs::read(record(output)).ok()?).ok()
+    }
+
+    /// Leaves word in an output folder that a run failed, so that whoever collects results knows why.
+    ///
+    /// # Errors
+    /// [`PipelineError`] if the folder is not a run's own, or another process is at work there.
+    pub fn note_failure(output: &Path, of: Identity, failed: Failed) -> Result<(), PipelineError> {
+        Workspace::open(output)?.set_ended(&Self { of, failure: Some(failed) })
+    }
+}
+
+impl Workspace {
+    /// Says how the run ended. All that it made must be in its place before.
+    pub(super) fn set_ended(&self, ended: &Ended) -> Result<(), PipelineError> {
+        self.write_state(RECORD, ended)
+    }
+
+    /// Says that a run is under way. To be called before anything is touched.
+    pub(super) fn clear_ended(&self) -> Result<(), PipelineError> {
+        self.remove_record(RECORD)
+    }
+}
+
+/// How an output folder stands to a run of `options` on `input`.
+///
+/// Reads the record and looks whether results are there; does not read the input, and changes nothing.
+pub fn standing(output: &Path, input: &Path, options: &Options) -> Standing {
+    if !output.join(RunFolder::STATE).is_dir() {
+        return Standing::Absent;
+    }
+    if Workspace::is_busy(output) {
+        return Standing::Running;
+    }
+    let Some(ended) = Ended::of_folder(output) else { return Standing::Begun };
+    let now = Identity::of(input, options);
+    // Who has the results may have given the input away.
+    let is_same = ended.of == now || (ended.of.options == now.options && is_gone(input));
+    match ended.failure {
+        Some(failed) if is_same => Standing::Failed(failed),
+        Some(_) => Standing::Begun,
+        None if !has_results(output) => Standing::Begun,
+        None if is_same => Standing::Done,
+        None => Standing::Outdated,
+    }
+}
+
+fn is_gone(input: &Path) -> bool {
+    matches!(fs::metadata(input), Err(error) if error.kind() == io::ErrorKind::NotFound)
+}
+
+/// Whether every stage is marked as done, and all that it made is there.
+fn has_results(output: &Path) -> bool {
+    Stage::ALL.into_iter().all(|stage| Workspace::has_results_of(output, stage))
+}
+
+fn record(output: &Path) -> PathBuf {
+    output.join(RunFolder::STATE).join(RECORD)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn place() -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let input = folder.path().join("a.mp4");
+        fs::write(&input, b"pictures").unwrap();
+        (folder, input)
+    }
+
+    fn without_vehicles() -> Options {
+        Options { instances: Instances::None, ..Options::default() }
+    }
+
+    #[test]
+    fn a_file_that_was_replaced_is_another_one_although_it_has_the_same_size() {
+        let (folder, input) = place();
+        let options = without_vehicles();
+        let before = Identity::of(&input, &options);
+        assert_eq!(before, Identity::of(&input, &options));
+        let other = folder.path().join("b");
+        fs::write(&other, b"PICTURES").unwrap();
+        fs::rename(&other, &input).unwrap();
+        assert_ne!(before.files, Identity::of(&input, &options).files);
+        assert_eq!(before.options, Identity::of(&input, &options).options);
+    }
+
+    #[test]
+    fn a_picture_that_comes_or_goes_changes_a_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let masks = folder.path().join("deep/masks");
+        fs::create_dir_all(&masks).unwrap();
+        let before = Identity::of(folder.path(), &without_vehicles());
+        fs::write(masks.join("0.png"), b"").unwrap();
+        assert_ne!(before, Identity::of(folder.path(), &without_vehicles()));
+    }
+
+    #[test]
+    fn options_count_and_threads_do_not() {
+        let (_folder, input) = place();
+        let options = without_vehicles();
+        let before = Identity::of(&input, &options);
+        assert_eq!(before, Identity::of(&input, &Options { threads: Some(7), ..options.clone() }));
+        assert_ne!(before, Identity::of(&input, &Options { seed: 9, ..options }));
+    }
+
+    #[test]
+    fn a_failure_stands_until_options_or_input_change() {
+        let (folder, input) = place();
+        let (output, options) = (folder.path().join("out"), without_vehicles());
+        assert_eq!(standing(&output, &input, &options), Standing::Absent);
+        let failed = Failed { code: 1, reason: "a.mp4 is no video".to_owned() };
+        Ended::note_failure(&output, Identity::of(&input, &options), failed.clone()).unwrap();
+        assert_eq!(standing(&output, &input, &options), Standing::Failed(failed));
+        fs::write(&input, b"a repaired video").unwrap();
+        assert_eq!(standing(&output, &input, &options), Standing::Begun);
+        Workspace::open(&output).unwrap().clear_ended().unwrap();
+        assert_eq!(standing(&output, &input, &options), Standing::Begun);
+    }
+
+    #[test]
+    fn who_is_at_work_is_seen_and_a_record_without_results_counts_as_none() {
+        let (folder, input) = place();
+        let (output, options) = (folder.path().join("out"), without_vehicles());
+        let workspace = Workspace::open(&output).unwrap();
+        workspace.set_ended(&Ended { of: Identity::of(&input, &options), failure: None }).unwrap();
+        assert_eq!(standing(&output, &input, &options), Standing::Running);
+        drop(workspace);
+        assert_eq!(standing(&output, &input, &options), Standing::Begun);
+    }
+}
