@@ -3,8 +3,8 @@
 
     python3 scripts/faults KIND [--program FILE] [--seed N] [--number N] [--record]
 
-KIND is one of those that `--help` lists. Every kind prints what failed and a summary; `--record` puts that into the table
-of docs/reliability.md. Needs nothing but Python's standard library; kinds that say so need strace or unshare.
+KIND is one of those that `--help` lists. Every kind prints what failed and a summary; `--record` puts that into the
+table of docs/reliability.md. Needs nothing but Python's standard library; kinds that say so need strace or unshare.
 The folder to work in is made in $TMPDIR, best in memory. Exit code 1 if anything failed.
 """
 
