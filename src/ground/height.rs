@@ -58,8 +58,9 @@ const MAX_FRAMES: usize = 60;
 const NUM_POINTS: usize = 200;
 /// A plane that is known no better at the camera's foot does not count, as a share of the height.
 const MAX_STD: f64 = 0.1;
-/// What planes of one place have in common (drift, cambers, grass), as a share of the height.
-const COMMON_STD: f64 = 0.01;
+/// What planes of one place have in common (drift, cambers, grass), as a share of the height. Of seven rendered flights
+/// (bumpy road, crossing, left curves, overtaking, two of right curves, steep street) heights were 0.4 to 3.3 % short.
+const COMMON_STD: f64 = 0.018;
 
 /// The height of the camera over the ground, and the mean normal of the ground.
 ///

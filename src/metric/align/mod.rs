@@ -149,6 +149,17 @@ pub enum Refusal {
         /// How many it takes.
         least: usize,
     },
+    /// Too few fixes to find out how the clocks go together.
+    #[error(
+        "only {num} positions lie in the time of the video, and nothing says how the log's clock and the video's go \
+         together, which takes {least}: state the offset"
+    )]
+    TooFewForOffset {
+        /// How many lie in it.
+        num: usize,
+        /// How many it takes.
+        least: usize,
+    },
     /// The camera hardly moved, by the receiver's measure.
     #[error(
         "the camera moved too little for its receiver: metres per unit would be known to {percent:.0} % only \
@@ -186,6 +197,10 @@ pub enum Refusal {
 /// Fewer fixes leave nothing to judge the fit by.
 const MIN_FIXES: usize = 4;
 
+/// With fewer a wrong offset fits as well as the right one, and its scale looks sure: six fixes of a wandering receiver
+/// gave scales up to half as large again.
+const MIN_FIXES_FOR_OFFSET: usize = 8;
+
 /// A scale that is known to a quarter, at best, is not known: the arithmetic with logarithms ends here.
 const MAX_LOG_SCALE_STD: f64 = 0.25;
 
@@ -220,6 +235,9 @@ pub fn align_to_fixes(path: &CameraPath, fixes: &[PositionFix], support: &Suppor
     found.sort_by_key(|fit| std::cmp::Reverse(fit.num_fixes));
     let [best, others @ ..] = &found[..] else { return Err(Refusal::NoOverlap { num: 0, of: 0, least: MIN_FIXES }) };
     judge(best, &fixes)?;
+    if support.offset == Offset::Unknown && best.num_fixes < MIN_FIXES_FOR_OFFSET {
+        return Err(Refusal::TooFewForOffset { num: best.num_fixes, least: MIN_FIXES_FOR_OFFSET });
+    }
     if let Some(other) = others.iter().find(|other| contradicts(best, other)) {
         return Err(Refusal::Ambiguous { offset_s: best.offset_s, other_s: other.offset_s });
     }

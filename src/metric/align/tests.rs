@@ -292,6 +292,17 @@ fn jumps_lose_their_weight() {
 }
 
 #[test]
+fn six_fixes_do_not_tell_how_clocks_go_together() {
+    let receiver = Receiver { noise_m: 0.02, wander_m: 0.02, ..RECEIVER };
+    let fixes = log(hasty, 7.0, &receiver, &mut seeded_rng(9, 0));
+    let path = path(hasty, 6.0);
+    let refusal = align_to_fixes(&path, &fixes, &support(Offset::Unknown)).unwrap_err();
+    assert!(matches!(refusal, Refusal::TooFewForOffset { least: 8, .. }), "{refusal}");
+    let stated = Offset::Known { mean_s: 0.7, std_s: 0.2 };
+    assert!(align_to_fixes(&path, &fixes, &support(stated)).is_ok());
+}
+
+#[test]
 fn a_log_of_another_flight_is_refused() {
     let path = path(winding, 60.0);
     fn circling(t: f64) -> Point3<f64> {

@@ -15,9 +15,9 @@ use std::collections::BTreeMap;
 use serde_json::{Value, json};
 
 use super::run::{Outcome, Run};
-use super::{MetricOptions, Options, PipelineError, TelemetryChoice, fingerprint, models, scale};
+use super::{MetricOptions, Options, PipelineError, TelemetryChoice, fingerprint, models, scale, track};
 use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
-use crate::scene::{Metric, MetricFrame, MetricVerdict, ObjectId, Reconstruction, Trajectories};
+use crate::scene::{Metric, MetricFrame, MetricVerdict, Movement, ObjectId, Reconstruction, Trajectories};
 use crate::telemetry;
 use aligned::Aligned;
 pub use log::telemetry_inside;
@@ -26,18 +26,19 @@ use sources::Ground;
 pub(super) use vehicles::Size;
 
 /// What nothing but this stage hangs on: the options of metres, and what the files of telemetry hold.
-pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+pub(super) fn depends_on(run: &Run) -> Value {
     let MetricOptions { telemetry, time_offset, camera_height, scale, known_lengths } = &run.options.metric;
     let files = log::files(run);
-    let contents: Vec<String> = files.iter().map(|file| fingerprint::of_content(file)).collect::<Result<_, _>>()?;
+    // What cannot be read beside a video is no telemetry; what was named has been read before.
+    let contents: Vec<Option<String>> = files.iter().map(|file| fingerprint::of_content(file).ok()).collect();
     let is_looked_for = *telemetry != TelemetryChoice::None;
-    Ok(json!({
+    json!({
         "telemetry": { "is_looked_for": is_looked_for, "files": contents },
         "time_offset": time_offset,
         "camera_height": camera_height,
         "scale": scale,
         "known_lengths": known_lengths,
-    }))
+    })
 }
 
 /// Reads the telemetry that is named, so that what is wrong with it is said before any work.
@@ -64,9 +65,12 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     describe(&found.metric, &mut outcome);
     let mut objects = trajectories.objects;
     if let Some(frame) = &found.metric.frame {
-        let placing = Placing::new(&background, frame, found.map);
+        let placing = Placing::new(&background, frame, found.map, run.info().time_base());
+        let movements: BTreeMap<ObjectId, Movement> =
+            track::objects(run)?.into_iter().map(|object| (object.id, object.movement.state)).collect();
         for trajectory in &mut objects {
-            placing.fill(trajectory);
+            let movement = movements.get(&trajectory.id).copied().unwrap_or(Movement::Undetermined);
+            placing.fill(trajectory, movement);
             trajectory.dimensions = sizes.get(&trajectory.id).map(|size| size.in_metres(frame));
         }
     }

@@ -5,8 +5,11 @@ use std::collections::BTreeMap;
 use nalgebra::Point3;
 
 use crate::metric::{Sighted, metric_pose, place_std_m};
-use crate::scene::{Image, MapPlace, MetricFrame, MetricPose, ObjectPose, ObjectTrajectory, Reconstruction};
+use crate::scene::{
+    Image, MapPlace, MetricFrame, MetricPose, Movement, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase,
+};
 use crate::telemetry::{Geodetic, LocalFrame};
+use crate::trajectory::{CommonStd, Sighting, headings, smooth};
 
 /// All that places objects in metres.
 pub(super) struct Placing<'a> {
@@ -14,6 +17,8 @@ pub(super) struct Placing<'a> {
     map: Option<LocalFrame>,
     images: BTreeMap<&'a str, &'a Image>,
     direction_std: f64,
+    /// Whether the frames have times in seconds, so that there are speeds.
+    times: TimeBase,
 }
 
 /// Deviation of a ratio of which its method states none, as a share: what methods differ by where they work.
@@ -23,20 +28,47 @@ const UNSTATED_RATIO_STD: f64 = 0.1;
 const PIXEL_STD: f64 = 1.0;
 
 impl<'a> Placing<'a> {
-    pub(super) fn new(background: &'a Reconstruction, frame: &'a MetricFrame, map: Option<LocalFrame>) -> Self {
+    pub(super) fn new(
+        background: &'a Reconstruction,
+        frame: &'a MetricFrame,
+        map: Option<LocalFrame>,
+        times: TimeBase,
+    ) -> Self {
         let images: BTreeMap<&str, &Image> =
             background.images.values().map(|image| (image.name.as_str(), image)).collect();
         let focal = background.images.values().next().map_or(1.0, |image| background.camera_of(image).mean_focal());
-        Self { frame, map, images, direction_std: PIXEL_STD / focal }
+        Self { frame, map, images, direction_std: PIXEL_STD / focal, times }
     }
 
-    /// Fills in what is in metres.
-    pub(super) fn fill(&self, trajectory: &mut ObjectTrajectory) {
+    /// Fills in what is in metres; `movement` is what is known of whether the object moved at all.
+    pub(super) fn fill(&self, trajectory: &mut ObjectTrajectory, movement: Movement) {
         let scale = &trajectory.scale;
         let log_ratio_std = scale.std.map_or(UNSTATED_RATIO_STD, |std| std / scale.ratio);
         for pose in &mut trajectory.poses {
             pose.metric = self.metric(pose, log_ratio_std);
         }
+        if self.times == TimeBase::Seconds {
+            let common = CommonStd { ratio: log_ratio_std, scale: self.frame.log_scale_std() };
+            let motions = smooth(&self.sightings(trajectory), &common, movement).unwrap_or_default();
+            let placed = trajectory.poses.iter_mut().filter_map(|pose| pose.metric.as_mut());
+            placed.zip(motions).for_each(|(metric, motion)| metric.motion = Some(motion));
+        }
+    }
+
+    /// Where the object is in metres, in the frames in which that is known.
+    fn sightings(&self, trajectory: &ObjectTrajectory) -> Vec<Sighting> {
+        let metric_from_world = self.frame.metric_from_world();
+        let headings = headings(trajectory);
+        let sighting = |(k, pose): (usize, &ObjectPose)| {
+            let center = self.images.get(pose.name.as_str())?.cam_from_world.center();
+            Some(Sighting {
+                time_s: pose.time_s,
+                position_m: pose.metric?.position_m.into(),
+                camera_m: (metric_from_world * center).coords,
+                forward: headings.get(k).map(|heading| metric_from_world.rotation * heading.into_inner()),
+            })
+        };
+        trajectory.poses.iter().enumerate().filter_map(sighting).collect()
     }
 
     fn metric(&self, pose: &ObjectPose, log_ratio_std: f64) -> Option<MetricPose> {
