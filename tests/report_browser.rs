@@ -144,6 +144,7 @@ fn data<'a>(result: &'a Showcase, strip: Vec<Thumbnail>) -> Data<'a> {
                 [48, 49].map(|f| (FrameId(f), "too few matches with registered frames".into())),
             ),
         },
+        metric: Some(&result.metric),
         ground: Some(&result.ground),
         objects,
         missing: vec![Missing { what: "Metric scale".into(), reason: "no known length was given".into() }],
@@ -352,7 +353,7 @@ fn charts_can_be_moved_through_by_keys() {
         const said = sliders[1].getAttribute('aria-valuetext'); \
         return `${sliders.length} ${document.activeElement === sliders[1]} ${new Set(steps).size} ${steps[0]} \
             ${/seconds, frame .*Car 1/.test(said)}`.replace(/ +/g, ' ');";
-    assert_eq!(found_by(&browser, &page, 1400, script), "6 true 1 1 true");
+    assert_eq!(found_by(&browser, &page, 1400, script), "8 true 1 1 true");
 }
 
 #[test]

@@ -63,6 +63,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
         frames,
         missing: missing(&background_report),
         background: Model { reconstruction: &background, unregistered: background_report.unregistered },
+        metric: trajectories.metric.as_ref(),
         ground: Some(&ground),
         objects: objects(&tracked, &reports, &object_models, &trajectories, &failures, |id, model| {
             ratio_per_frame(&background, model, &ground, id)

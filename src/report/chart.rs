@@ -26,6 +26,10 @@ pub(super) struct Line {
     pub points: Vec<(f64, f64)>,
     /// Dots instead of a line: for values that are no function of their neighbours.
     pub dots: bool,
+    /// (time, low, high) of a band round the line; empty without one.
+    pub band: Vec<(f64, f64, f64)>,
+    /// What the line was made from, drawn thin behind it; empty where there is nothing to show.
+    pub raw: Vec<(f64, f64)>,
 }
 
 /// A horizontal mark across the chart.
@@ -69,6 +73,8 @@ struct DrawnLine {
     colour: String,
     dots: bool,
     path: String,
+    band: String,
+    raw: String,
     range: String,
     /// Time and value, for the reading at the current time.
     samples: Vec<[f64; 2]>,
@@ -176,7 +182,10 @@ fn thinned(line: &Line) -> Line {
         let n = part.len() as f64;
         (part.iter().map(|p| p.0).sum::<f64>() / n, part.iter().map(|p| p.1).sum::<f64>() / n)
     };
-    Line { points: usable.chunks(run).map(mean).collect(), ..line.clone() }
+    let is_finite = |values: &[f64]| values.iter().all(|v| v.is_finite());
+    let raw = line.raw.iter().step_by(run).copied().filter(|(t, v)| is_finite(&[*t, *v])).collect();
+    let band = line.band.iter().step_by(run).copied().filter(|(t, a, b)| is_finite(&[*t, *a, *b])).collect();
+    Line { points: usable.chunks(run).map(mean).collect(), raw, band, ..line.clone() }
 }
 
 fn drawn_line(line: &Line, place: impl Fn(f64, f64) -> (f64, f64), decimals: usize) -> DrawnLine {
@@ -192,15 +201,30 @@ fn drawn_line(line: &Line, place: impl Fn(f64, f64) -> (f64, f64), decimals: usi
         path += if alone { "h0" } else { "" };
         last = t;
     }
+    let corner = |(t, v): (f64, f64)| {
+        let (x, y) = place(t, v);
+        format!("{x:.1} {y:.1}")
+    };
+    let raw = joined(line.raw.iter().copied().map(corner), "");
+    let around = line.band.iter().map(|b| (b.0, b.2)).chain(line.band.iter().rev().map(|b| (b.0, b.1)));
+    let band = joined(around.map(corner), "Z");
     let (low, high) = line.points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p.1), h.max(p.1)));
     DrawnLine {
         label: line.label.clone(),
         colour: line.colour.clone(),
         dots: line.dots,
         path,
+        band,
+        raw,
         range: format!("{} to {}", number(low, decimals + 1), number(high, decimals + 1)),
         samples: line.points.iter().map(|&(t, v)| [significant(t, 7), significant(v, 5)]).collect(),
     }
+}
+
+/// A path through these corners; empty without any.
+fn joined(corners: impl Iterator<Item = String>, end: &str) -> String {
+    let corners: Vec<String> = corners.collect();
+    if corners.is_empty() { String::new() } else { format!("M{}{end}", corners.join("L")) }
 }
 
 /// About five ticks at round numbers, and how many decimals they need.
@@ -318,7 +342,7 @@ mod tests {
     use super::*;
 
     fn line(points: Vec<(f64, f64)>) -> Line {
-        Line { label: "a".into(), colour: "red".into(), points, dots: false }
+        Line { label: "a".into(), colour: "red".into(), points, dots: false, band: Vec::new(), raw: Vec::new() }
     }
 
     fn timeline(end: u32) -> Timeline {
@@ -328,6 +352,17 @@ mod tests {
     fn chart(lines: Vec<Line>) -> Chart {
         let (title, caption, unit) = ("t".into(), "c".into(), "m".into());
         Chart { title, caption, unit, lines, levels: Vec::new(), from_zero: false }
+    }
+
+    #[test]
+    fn bands_and_what_lines_are_made_from_are_drawn_behind_them() {
+        let points: Vec<(f64, f64)> = (0..60).map(|k| (f64::from(k), 10.0)).collect();
+        let band = points.iter().map(|(t, v)| (*t, v - 1.0, v + 1.0)).collect();
+        let with_band = chart(vec![Line { raw: vec![(0.0, f64::NAN), (1.0, 9.0)], band, ..line(points) }]);
+        let drawing = with_band.draw(&Timeline::of_frames(60)).unwrap();
+        let drawn = &drawing.lines[0];
+        assert!(drawn.band.ends_with('Z') && drawn.band.matches('L').count() == 119, "{}", drawn.band);
+        assert!(drawn.raw.starts_with('M') && !drawn.raw.contains("NaN"), "{}", drawn.raw);
     }
 
     #[test]

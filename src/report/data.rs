@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use super::Thumbnail;
 use crate::eval::Evaluation;
 use crate::scene::{
-    Frame, FrameId, Ground, Image, ObjectId, ObjectTrajectory, Reconstruction, TimeBase, TrackedObject,
+    Frame, FrameId, Ground, Image, Metric, ObjectId, ObjectTrajectory, Reconstruction, TimeBase, TrackedObject,
 };
 
 /// Everything the page shows; the pipeline fills it from a finished output folder.
@@ -25,6 +25,8 @@ pub struct Data<'a> {
     pub frames: &'a [Frame],
     /// The background, and why frames are missing from it.
     pub background: Model<'a>,
+    /// How metres follow, if they do.
+    pub metric: Option<&'a Metric>,
     /// Ground points and local planes, if any were found.
     pub ground: Option<&'a Ground>,
     /// Every tracked vehicle, with or without a trajectory.

@@ -16,6 +16,8 @@ pub mod comparison;
 mod data;
 mod evaluation;
 mod measure;
+mod metres;
+mod motion;
 mod overlay;
 mod page;
 mod plan;
@@ -30,6 +32,7 @@ mod words;
 mod testing;
 
 pub use data::{Data, Fact, Missing, Model, Object, Part, Stage};
+pub use metres::metres_in_words;
 pub use overlay::{Label, Thumbnail, object_colour, overlay, strip_frames};
 pub use verdict::Verdict;
 

@@ -3,10 +3,11 @@
 use serde::Serialize;
 
 use super::data::{Data, Object};
+use super::metres::{Ruler, frame as metric_frame};
 use super::overlay::{css_colour, object_colour, spread};
 use super::view::{View, quantile};
-use super::words::round_length;
-use nalgebra::Point3;
+use crate::scene::MetricAxes;
+use nalgebra::{Point3, Vector3};
 
 /// Units of a plan per unit of the view, where the plan shows the whole scene; `page.js` moves markers in them.
 const SCENE_ZOOM: f64 = 10.0;
@@ -28,6 +29,8 @@ pub(super) struct Plan {
     camera: String,
     paths: Vec<PlanPath>,
     bar: ScaleBar,
+    /// An arrow to the north, where that is known.
+    north: Option<String>,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -51,15 +54,47 @@ struct ScaleBar {
 #[derive(Clone, Copy, Debug)]
 struct Paper<'a> {
     view: &'a View,
-    /// What lies at the plan's origin, in the view.
+    turn: Turn,
+    ruler: Ruler,
+    /// What lies at the plan's origin, in the turned view.
     origin: [f64; 2],
     zoom: f64,
+}
+
+/// How the plan is turned against the view: up the page points the first of the two, x and z of a unit vector.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Turn([f64; 2]);
+
+impl Turn {
+    /// As the view is.
+    const NONE: Self = Self([0.0, -1.0]);
+
+    /// The metric frame's second axis, which is north where that is known, points up the page.
+    pub fn of(data: &Data, view: &View) -> Self {
+        let turn = data.metric.and_then(metric_frame).and_then(|frame| {
+            let second = frame.metric_from_world().rotation.inverse() * Vector3::y();
+            let seen = view.view_from_world.rotation * second;
+            let length = seen.x.hypot(seen.z);
+            (length > 1e-3).then(|| Self([seen.x / length, seen.z / length]))
+        });
+        turn.unwrap_or(Self::NONE)
+    }
+
+    /// Rows of the matrix that turns x and z of the view.
+    pub fn rows(self) -> [[f64; 2]; 2] {
+        let [x, z] = self.0;
+        [[-z, x], [-x, -z]]
+    }
+
+    fn apply(self, [x, z]: [f64; 2]) -> [f64; 2] {
+        self.rows().map(|[a, b]| a * x + b * z)
+    }
 }
 
 impl Plan {
     /// The whole scene.
     pub fn scene(data: &Data, view: &View) -> Self {
-        let paper = Paper { view, origin: [0.0; 2], zoom: SCENE_ZOOM };
+        let paper = Paper { zoom: SCENE_ZOOM, ..Paper::new(data, view) };
         let background = data.background.reconstruction;
         let camera: Vec<_> = background.images.values().map(|i| paper.place(i.cam_from_world.center())).collect();
         let mut all = camera.clone();
@@ -74,26 +109,34 @@ impl Plan {
             camera: polyline(&camera),
             paths: data.objects.iter().filter_map(|o| paper.path(o)).collect(),
             bar: paper.scale_bar(view_box),
+            north: north(data, view_box),
         }
     }
 
     /// One object's path alone; `None` without a trajectory.
-    pub fn object(object: &Object, view: &View) -> Option<Self> {
-        let positions = Paper { view, origin: [0.0; 2], zoom: 1.0 }.positions(object);
+    pub fn object(data: &Data, object: &Object, view: &View) -> Option<Self> {
+        let whole = Paper::new(data, view);
+        let positions = whole.positions(object);
         let [x, y, width, height] = frame(&positions, &[], 0.0, 0.0);
         let origin = [x + width / 2.0, y + height / 2.0];
-        let paper = Paper { view, origin, zoom: PATH_SIDE / width.max(height).max(LEAST_SIDE) };
+        let paper = Paper { origin, zoom: PATH_SIDE / width.max(height).max(LEAST_SIDE), ..whole };
         let path = paper.path(object)?;
         let view_box = frame(&paper.positions(object), &[path.start, path.end], 0.25, 0.6);
         let bar = paper.scale_bar(view_box);
-        Some(Self { view_box, points: String::new(), camera: String::new(), paths: vec![path], bar })
+        let north = north(data, view_box);
+        Some(Self { view_box, points: String::new(), camera: String::new(), paths: vec![path], bar, north })
     }
 }
 
-impl Paper<'_> {
+impl<'a> Paper<'a> {
+    fn new(data: &Data, view: &'a View) -> Self {
+        Self { view, turn: Turn::of(data, view), ruler: Ruler::of(data.metric), origin: [0.0; 2], zoom: 1.0 }
+    }
+
     fn place(&self, world: Point3<f64>) -> [f64; 2] {
         let p = self.view.view_from_world * world;
-        [(p.x - self.origin[0]) * self.zoom, (p.z - self.origin[1]) * self.zoom]
+        let [x, y] = self.turn.apply([p.x, p.z]);
+        [(x - self.origin[0]) * self.zoom, (y - self.origin[1]) * self.zoom]
     }
 
     fn positions(&self, object: &Object) -> Vec<[f64; 2]> {
@@ -116,15 +159,26 @@ impl Paper<'_> {
 
     /// A bar of about a quarter of the width, 1, 2 or 5 times a power of ten long, in the lower left corner.
     fn scale_bar(&self, [x, y, width, height]: [f64; 4]) -> ScaleBar {
-        let per_unit = self.view.view_from_world.scale * self.zoom;
+        let per_unit = self.view.view_from_world.scale * self.zoom / self.ruler.factor;
         let rough = width / 4.0 / per_unit;
         let power = 10f64.powf(rough.log10().floor());
         let length = [5.0, 2.0, 1.0].map(|m| m * power).into_iter().find(|l| *l <= rough).unwrap_or(power);
         let (left, bottom, tick) = (x + 0.02 * width, y + 0.98 * height, 0.025 * height);
         let (right, top) = (left + length * per_unit, bottom - tick);
         let path = format!("M{left:.1} {top:.1}V{bottom:.1}H{right:.1}V{top:.1}");
-        ScaleBar { path, label: round_length(length) }
+        ScaleBar { path, label: self.ruler.round_length(length) }
     }
+}
+
+/// An arrow up the page with an N below it, in the upper right corner; `None` where north is not known.
+fn north(data: &Data, [x, y, width, height]: [f64; 4]) -> Option<String> {
+    data.metric.and_then(metric_frame).filter(|frame| frame.axes == MetricAxes::EastNorthUp)?;
+    let size = 0.09 * width.min(height);
+    let (right, top) = (x + 0.97 * width, y + 0.03 * height);
+    let at = |dx: f64, dy: f64| format!("{:.1} {:.1}", right + dx * size, top + dy * size);
+    let arrow = format!("M{}L{}M{}L{}L{}", at(-0.4, 1.2), at(-0.4, 0.0), at(-0.65, 0.4), at(-0.4, 0.0), at(-0.15, 0.4));
+    let letter = format!("M{}L{}L{}L{}", at(-0.65, 2.1), at(-0.65, 1.5), at(-0.15, 2.1), at(-0.15, 1.5));
+    Some(arrow + &letter)
 }
 
 /// Whether a place can be written down.
@@ -181,7 +235,7 @@ mod tests {
         for pose in &mut world.trajectory.poses {
             pose.position = std::array::from_fn(|k| first[k] + 1e-3 * (pose.position[k] - first[k]));
         }
-        let plan = Plan::object(&world.data().objects[0], &view).unwrap();
+        let plan = Plan::object(&world.data(), &world.data().objects[0], &view).unwrap();
         let numbers: Vec<f64> = plan.paths[0].path.split(['M', 'L', ' ']).filter_map(|n| n.parse().ok()).collect();
         let places: Vec<&[f64]> = numbers.chunks(2).collect();
         assert_eq!(*places[0], plan.paths[0].start, "the dot lies where the line begins");
@@ -196,9 +250,9 @@ mod tests {
         let view = View::new(&world.data()).unwrap();
         let first = world.trajectory.poses[0].position;
         world.trajectory.poses.iter_mut().for_each(|pose| pose.position = first);
-        let plan = Plan::object(&world.data().objects[0], &view).unwrap();
+        let plan = Plan::object(&world.data(), &world.data().objects[0], &view).unwrap();
         assert!(plan.view_box.iter().all(|v| v.is_finite()) && plan.view_box[2] > 0.0, "{:?}", plan.view_box);
         world.trajectory.poses.clear();
-        assert!(Plan::object(&world.data().objects[0], &view).is_none());
+        assert!(Plan::object(&world.data(), &world.data().objects[0], &view).is_none());
     }
 }

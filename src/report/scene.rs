@@ -6,7 +6,10 @@ use nalgebra::Point3;
 use serde::Serialize;
 
 use super::data::{Data, Object};
+use super::metres::Ruler;
+use super::motion;
 use super::overlay::{css_colour, object_colour, spread};
+use super::plan::Turn;
 use super::timeline::Timeline;
 use super::view::{RADIUS, View, finite, rounded};
 use crate::scene::{Frame, FrameId, Image, Point3d, Point3dId, Reconstruction};
@@ -23,8 +26,10 @@ const MAX_FRAMES: usize = 1_500;
 /// What `view3d.js` reads.
 #[derive(Debug, Serialize)]
 pub(super) struct Scene {
-    /// Length of one unit of the background in the view.
+    /// Length in the view of what lengths are said in: a metre, or a unit of the background.
     scale: f64,
+    /// Rows of the matrix that turns x and z of the view into the plan's.
+    turn: [[f64; 2]; 2],
     ground: f64,
     radius: f64,
     /// Half width and height of the image plane at distance 1.
@@ -69,8 +74,8 @@ struct SceneObject {
     /// In the object's frame: 32-bit floats, little endian.
     positions: String,
     colours: String,
-    /// Index in `frames`; position; `view_from_object` as scale, w x y z, translation.
-    poses: Vec<(usize, [f64; 3], [f64; 8])>,
+    /// Index in `frames`; position; `view_from_object` as scale, w x y z, translation; what is known of its motion.
+    poses: Vec<(usize, [f64; 3], [f64; 8], Option<String>)>,
 }
 
 impl Scene {
@@ -82,7 +87,8 @@ impl Scene {
         let budget = MAX_OBJECT_POINTS.min(MAX_ALL_OBJECT_POINTS / shown);
         let objects = data.objects.iter().zip(names);
         Self {
-            scale: view.view_from_world.scale,
+            scale: view.view_from_world.scale / Ruler::of(data.metric).factor,
+            turn: Turn::of(data, view).rows(),
             ground: rounded(view.ground),
             radius: RADIUS,
             tangent: tangent(data.background.reconstruction),
@@ -198,7 +204,7 @@ fn scene_object(
         let numbers = [s.scale, q.w, q.i, q.j, q.k, t.x, t.y, t.z];
         let position = view.point(Point3::from(pose.position));
         let usable = numbers.iter().chain(&position).all(|v| v.is_finite());
-        usable.then_some((index, position, numbers))
+        usable.then(|| (index, position, numbers, motion::tooltip(data, pose)))
     });
     let all: Vec<_> = object
         .model

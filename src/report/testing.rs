@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{Data, Model, Object, Stage, Thumbnail};
 use crate::eval::Evaluation;
-use crate::scene::{Frame, FrameId, Ground, ObjectId, ObjectTrajectory, Reconstruction, TimeBase};
+use crate::scene::{Frame, FrameId, Ground, Metric, ObjectId, ObjectTrajectory, Reconstruction, TimeBase};
 pub(super) use crate::synthetic::showcase::UP;
 use crate::synthetic::showcase::{CAR, showcase};
 
@@ -15,6 +15,7 @@ pub(super) struct World {
     pub time_base: TimeBase,
     pub frames: Vec<Frame>,
     pub background: Reconstruction,
+    pub metric: Option<Metric>,
     pub ground: Ground,
     pub model: Reconstruction,
     pub trajectory: ObjectTrajectory,
@@ -32,6 +33,7 @@ pub(super) fn world() -> World {
         time_base: TimeBase::Seconds,
         frames: result.frames,
         background: result.background,
+        metric: None,
         ground: result.ground,
         model: car.model,
         trajectory: car.trajectory,
@@ -42,6 +44,11 @@ pub(super) fn world() -> World {
 }
 
 impl World {
+    /// The same where metres are known.
+    pub fn in_metres() -> Self {
+        Self { metric: Some(showcase(60, 1).metric), ..world() }
+    }
+
     pub fn data(&self) -> Data<'_> {
         let object = Object {
             id: CAR,
@@ -70,6 +77,7 @@ impl World {
             time_base: self.time_base,
             objects: vec![object, lost],
             frames: &self.frames,
+            metric: self.metric.as_ref(),
             ground: Some(&self.ground),
             strip: self.strip.clone(),
             warnings: self.warnings.clone(),
@@ -93,6 +101,7 @@ pub(super) fn nothing(background: &Reconstruction) -> Data<'_> {
         time_base: TimeBase::Seconds,
         frames: &[],
         background: Model { reconstruction: background, unregistered: BTreeMap::from([(FrameId(3), "dark".into())]) },
+        metric: None,
         ground: None,
         objects: Vec::new(),
         missing: Vec::new(),

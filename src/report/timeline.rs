@@ -2,7 +2,7 @@
 
 use super::chart::{Tick, ticks, whole_ticks};
 use super::data::{Data, Fact};
-use super::words::{LENGTH_UNIT, count};
+use super::words::count;
 use crate::scene::{FrameId, TimeBase};
 
 /// Least distance between two moments, so that each has a place of its own.
@@ -93,11 +93,11 @@ impl Timeline {
         }
     }
 
-    /// The unit of speeds.
-    pub fn speed_unit(&self) -> String {
+    /// The unit of speeds, for lengths in a unit.
+    pub fn speed_unit(&self, length: &str) -> String {
         match self.base {
-            TimeBase::Seconds => format!("{LENGTH_UNIT} per second"),
-            TimeBase::Frames => format!("{LENGTH_UNIT} per frame"),
+            TimeBase::Seconds => format!("{length} per second"),
+            TimeBase::Frames => format!("{length} per frame"),
         }
     }
 }
@@ -147,7 +147,7 @@ mod tests {
         assert_eq!(timeline.stamp(FrameId(36)), "frame 36");
         assert_eq!(timeline.range(FrameId(4), FrameId(36)), "frames 4 to 36");
         assert_eq!(
-            (timeline.length().value.as_str(), timeline.speed_unit().as_str()),
+            (timeline.length().value.as_str(), timeline.speed_unit("units").as_str()),
             ("60 frames", "units per frame")
         );
         let labels: Vec<String> = timeline.ticks().into_iter().map(|t| t.label).collect();

@@ -50,16 +50,10 @@ pub(super) fn percent(fraction: f64) -> String {
     with_unit(fraction * 100.0, 2, "%")
 }
 
-/// A length.
-pub(super) fn length(v: f64) -> String {
-    with_unit(v, 3, LENGTH_UNIT)
-}
-
-/// A length that is a round number, as it stands beside a bar.
-pub(super) fn round_length(v: f64) -> String {
+/// A round number, without more decimals than it has.
+pub(super) fn round_figure(v: f64) -> String {
     let decimals = (-v.log10().floor()).clamp(0.0, 9.0) as usize;
-    let unit = if v == 1.0 { LENGTH_UNIT.trim_end_matches('s') } else { LENGTH_UNIT };
-    format!("{v:.decimals$} {unit}")
+    format!("{v:.decimals$}")
 }
 
 /// A number with so many significant digits and its unit.
@@ -121,14 +115,14 @@ mod tests {
         assert_eq!(count(1, "frame"), "1 frame");
         assert_eq!(thousands(1_234_567), "1\u{202f}234\u{202f}567");
         assert_eq!(thousands(12), "12");
-        assert_eq!([round_length(1.0), round_length(0.05)], ["1 unit", "0.05 units"]);
+        assert_eq!([round_figure(1.0), round_figure(0.05)], ["1", "0.05"]);
         assert_eq!([share(999, 1000), share(1, 1000), share(3, 3), share(0, 0)], ["99 %", "1 %", "100 %", "unknown"]);
     }
 
     #[test]
     fn what_is_no_number_is_said_in_words() {
         for v in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            assert_eq!([figure(v, 2), percent(v), length(v)], ["unknown"; 3]);
+            assert_eq!([figure(v, 2), percent(v), with_unit(v, 3, "m")], ["unknown"; 3]);
         }
         assert_eq!([figure(1e-300, 3), figure(-1e300, 3)], ["almost 0", "huge and negative"]);
     }

@@ -14,7 +14,8 @@ use rand::Rng as _;
 use crate::camera::Camera;
 use crate::math::{Rigid3, Rng, Sim3, seeded_rng};
 use crate::scene::{
-    CameraId, Frame, FrameId, Ground, GroundPlane, GroundSource, Image, ImageId, Mask, ObjectId, ObjectPose,
+    CameraId, Dimensions, Estimate, Frame, FrameId, Ground, GroundPlane, GroundSource, Image, ImageId, Mask, Metric,
+    MetricAxes, MetricFrame, MetricPose, MetricShare, MetricStd, MetricVerdict, Motion, ObjectId, ObjectPose,
     ObjectTrajectory, Observation, PlaneBasis, Point3d, Point3dId, Reason, ReasonKind, Reconstruction, ScaleEstimate,
     ScaleMethod, TrackElement, Trust, Verdict,
 };
@@ -46,6 +47,8 @@ pub struct Showcase {
     pub vehicles: Vec<Vehicle>,
     /// Takes metres, z up, into the background's frame.
     pub background_from_metric: Sim3,
+    /// The inverse of it, as telemetry would give it: z up, y north.
+    pub metric: Metric,
     camera: Camera,
 }
 
@@ -82,6 +85,7 @@ pub fn showcase(num_frames: u32, seed: u64) -> Showcase {
         vehicles: Vec::new(),
         frames,
         background,
+        metric: metric(&background_from_metric),
         background_from_metric,
         camera,
     };
@@ -255,7 +259,7 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
             position: position.coords.into(),
             world_from_object,
             speed: None,
-            metric: None,
+            metric: Some(metric_pose(id, *f, num_frames, wrong)),
         });
         result.ground.planes.insert((id, *f), local_plane(&result.background_from_metric, id, s, rng));
     }
@@ -270,9 +274,92 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
     let class = if id == CAR { "car" } else { "van" }.to_owned();
     let confidence = if id == CAR { 0.93 } else { 0.78 };
     let verdict = Some(if degenerate { undetermined() } else { sound() });
-    let trajectory =
-        ObjectTrajectory { id, class, confidence, scale, ground: BTreeMap::new(), verdict, dimensions: None, poses };
+    let trajectory = ObjectTrajectory {
+        id,
+        class,
+        confidence,
+        scale,
+        ground: BTreeMap::new(),
+        verdict,
+        dimensions: Some(dimensions(size_m)),
+        poses,
+    };
     Vehicle { model, trajectory, visible, size_m }
+}
+
+/// What telemetry says of the frame, give or take 2 %.
+fn metric(background_from_metric: &Sim3) -> Metric {
+    let metric_from_background = background_from_metric.inverse();
+    let Sim3 { scale, rotation, translation } = metric_from_background;
+    let frame = MetricFrame {
+        scale,
+        rotation_wxyz: [rotation.w, rotation.i, rotation.j, rotation.k],
+        translation: translation.into(),
+        axes: MetricAxes::EastNorthUp,
+        origin: None,
+        std: MetricStd { scale: 0.02 * scale, tilt_deg: 0.4, heading_deg: Some(1.2), place_m: None },
+        anchor: [0.0; 3],
+        covariance: [[0.0; 7]; 7],
+    };
+    let share = |source: &str, off: f64, std: f64, share: f64| MetricShare {
+        source: source.into(),
+        scale: scale * off,
+        std: std * scale,
+        share,
+    };
+    Metric {
+        verdict: MetricVerdict::Telemetry,
+        reason: None,
+        frame: Some(frame),
+        shares: vec![
+            share("fixes of the receiver", 1.004, 0.021, 0.92),
+            share("sizes of 2 vehicles", 0.95, 0.07, 0.08),
+        ],
+        contradictions: Vec::new(),
+        time_offset_s: Some(0.2),
+        time_offset_std_s: Some(0.1),
+    }
+}
+
+/// What the metres of one pose are, from where the vehicle really is; the van's are as wrong as its scale.
+fn metric_pose(id: ObjectId, frame: FrameId, num_frames: u32, wrong: f64) -> MetricPose {
+    let seconds = f64::from(num_frames.max(2) - 1) / 15.0;
+    let at = |s: f64| metric_from_vehicle(id, s);
+    let s = progress(frame, num_frames);
+    let step = 1e-3;
+    let velocity = (at(s + step).translation - at(s - step).translation) * (wrong / (2.0 * step * seconds));
+    let turn = at(s - step).rotation.rotation_to(&at(s + step).rotation).scaled_axis().z / (2.0 * step * seconds);
+    let heading = 90.0 - at(s).rotation.euler_angles().2.to_degrees();
+    let position: [f64; 3] = (at(s).translation * wrong).into();
+    let distance = (at(s).translation - cam_from_metric(s).center().coords).norm() * wrong;
+    let wobble = 0.6 * (f64::from(frame.0 * 7 % 11) - 5.0);
+    let motion = Motion {
+        smoothed_position_m: position,
+        smoothed_position_std_m: [0.3; 3],
+        speed_m_s: velocity.norm(),
+        speed_std_m_s: (0.02 * velocity.norm()).hypot(0.15),
+        raw_speed_m_s: (velocity.norm() + wobble).max(0.0),
+        acceleration_m_s2: 0.1 * wobble,
+        acceleration_std_m_s2: 0.4,
+        heading_deg: Some(heading.rem_euclid(360.0)),
+        heading_std_deg: Some(0.8),
+        yaw_rate_deg_s: Some(-turn.to_degrees()),
+        yaw_rate_std_deg_s: Some(1.5),
+    };
+    MetricPose {
+        position_m: position,
+        position_std_m: [0.3; 3],
+        distance_to_camera_m: distance,
+        distance_to_camera_std_m: 0.02 * distance,
+        motion: Some(motion),
+        place: None,
+    }
+}
+
+/// All but the height, which nobody saw.
+fn dimensions([length, width, _]: [f64; 3]) -> Dimensions {
+    let known = |value: f64| Some(Estimate { value, std: 0.03 * value });
+    Dimensions { length_m: known(length), width_m: known(width), height_m: None }
 }
 
 fn sound() -> Verdict {

@@ -18,7 +18,7 @@ pub(super) fn charts(data: &Data) -> Vec<Drawing> {
             other.images.iter().filter_map(|image| Some((place(&image.name)?, value(image)?))).collect();
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
         let (label, colour) = (other.subject.name.clone(), colour(k + 1).to_owned());
-        Line { label, colour, points, dots: names.len() < MANY_IMAGES }
+        Line { label, colour, points, dots: names.len() < MANY_IMAGES, band: Vec::new(), raw: Vec::new() }
     };
     let of_others = |value: &dyn Fn(&ImageDifference) -> Option<f64>| {
         comparison.others.iter().enumerate().map(|other| line(other, value)).collect::<Vec<_>>()
@@ -60,6 +60,8 @@ pub(super) fn histograms(comparison: &Comparison) -> Vec<Drawing> {
             colour: colour(k).into(),
             points: shares(&bins(figures), start, step),
             dots: false,
+            band: Vec::new(),
+            raw: Vec::new(),
         };
         sides.iter().enumerate().map(line).collect::<Vec<_>>()
     };

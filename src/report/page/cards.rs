@@ -5,12 +5,14 @@ use serde::Serialize;
 use super::gaps::NO_REASON;
 use crate::report::data::{Data, Fact, Object};
 use crate::report::measure::speeds;
+use crate::report::metres::Ruler;
+use crate::report::motion;
 use crate::report::overlay::{css_colour, object_colour};
 use crate::report::plan::Plan;
 use crate::report::timeline::Timeline;
 use crate::report::verdict::{Verdict, relative_std, said};
 use crate::report::view::{View, quantile};
-use crate::report::words::{UNKNOWN, figure, length, percent, plain, thousands, with_unit};
+use crate::report::words::{UNKNOWN, figure, percent, plain, thousands, with_unit};
 use crate::scene::{
     Finding, MovementFinding, ObjectTrajectory, Outline, ScaleEstimate, ScaleMethod, TimeBase, TrackedObject,
 };
@@ -47,10 +49,10 @@ struct Alternative {
 
 /// One card per vehicle.
 pub(super) fn cards(data: &Data, timeline: &Timeline, names: &[String], view: Option<&View>) -> Vec<Card> {
-    data.objects.iter().zip(names).map(|(object, name)| card(object, timeline, name, view)).collect()
+    data.objects.iter().zip(names).map(|(object, name)| card(data, object, timeline, name, view)).collect()
 }
 
-fn card(object: &Object, timeline: &Timeline, name: &str, view: Option<&View>) -> Card {
+fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Option<&View>) -> Card {
     let verdict = Verdict::of(object.trajectory);
     Card {
         id: object.id.0,
@@ -62,9 +64,9 @@ fn card(object: &Object, timeline: &Timeline, name: &str, view: Option<&View>) -
         reason: reason(object).map(|reason| plain(&reason)),
         against: reasons(object, |finding| finding != Finding::Supports),
         in_favour: reasons(object, |finding| finding == Finding::Supports),
-        facts: facts(object, timeline),
+        facts: facts(data, object, timeline),
         alternatives: object.trajectory.map(|t| alternatives(&t.scale)).unwrap_or_default(),
-        plan: view.and_then(|v| Plan::object(object, v)),
+        plan: view.and_then(|v| Plan::object(data, object, v)),
     }
 }
 
@@ -82,11 +84,15 @@ fn reasons(object: &Object, wanted: impl Fn(Finding) -> bool) -> Vec<String> {
     verdict.iter().flat_map(|verdict| &verdict.reasons).filter(|reason| wanted(reason.finding)).map(said).collect()
 }
 
-fn facts(object: &Object, timeline: &Timeline) -> Vec<Fact> {
+fn facts(data: &Data, object: &Object, timeline: &Timeline) -> Vec<Fact> {
     let mut facts = vec![frames(object)];
     if let Some(trajectory) = object.trajectory {
-        facts.push(way(trajectory, timeline));
-        facts.extend(speed(trajectory, timeline));
+        let ruler = Ruler::of(data.metric);
+        facts.push(way(trajectory, timeline, &ruler));
+        match motion::facts(data, object) {
+            none if none.is_empty() => facts.extend(speed(trajectory, timeline, &ruler)),
+            known => facts.extend(known),
+        }
         facts.push(scale_ratio(&trajectory.scale));
     }
     facts.extend(points(object));
@@ -115,22 +121,22 @@ fn frames(object: &Object) -> Fact {
         .with_note(format!("camera found in {found}"))
 }
 
-fn way(trajectory: &ObjectTrajectory, timeline: &Timeline) -> Fact {
+fn way(trajectory: &ObjectTrajectory, timeline: &Timeline, ruler: &Ruler) -> Fact {
     let poses = &trajectory.poses;
     let when = match (poses.first(), poses.last()) {
         (Some(first), Some(last)) => timeline.range(first.frame, last.frame),
         _ => "in no frame".to_owned(),
     };
-    Fact::new("path length", length(trajectory.path_length())).with_note(when)
+    Fact::new("path length", ruler.length(trajectory.path_length())).with_note(when)
 }
 
 /// Speeds, where they are known in time; per frame they would only repeat the path's length.
-fn speed(trajectory: &ObjectTrajectory, timeline: &Timeline) -> Option<Fact> {
-    let mut speeds: Vec<f64> = speeds(trajectory, timeline).into_iter().map(|(_, v)| v).collect();
+fn speed(trajectory: &ObjectTrajectory, timeline: &Timeline, ruler: &Ruler) -> Option<Fact> {
+    let mut speeds: Vec<f64> = speeds(trajectory, timeline).into_iter().map(|(_, v)| ruler.factor * v).collect();
     if timeline.base != TimeBase::Seconds || speeds.is_empty() {
         return None;
     }
-    let unit = timeline.speed_unit();
+    let unit = timeline.speed_unit(ruler.unit);
     let said = |speeds: &mut [f64], q: f64| with_unit(quantile(speeds, q), 3, &unit);
     let note = format!("95 % of the time below {}", said(&mut speeds, 0.95));
     Some(Fact::new("speed, median", said(&mut speeds, 0.5)).with_note(note))
@@ -192,7 +198,7 @@ mod tests {
 
     fn first_card(world: &testing::World) -> Card {
         let data = world.data();
-        card(&data.objects[0], &Timeline::new(&data), "Car 1", None)
+        card(&data, &data.objects[0], &Timeline::new(&data), "Car 1", None)
     }
 
     #[test]

@@ -6,10 +6,11 @@ use std::collections::BTreeMap;
 use crate::report::chart::{Bars, Chart, Drawing, FrameState, Level, Line};
 use crate::report::data::{Data, Model, Object};
 use crate::report::measure;
+use crate::report::metres::Ruler;
+use crate::report::motion::{self, Quantity};
 use crate::report::overlay::{css_colour, object_colour};
 use crate::report::timeline::Timeline;
-use crate::report::words::LENGTH_UNIT;
-use crate::scene::{Frame, FrameId, GroundPlane, Image, ObjectId, ObjectPose, TimeBase};
+use crate::scene::{Frame, FrameId, GroundPlane, Image, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
 
 /// Objects with a line of their own in the charts and a row of frame bars.
 const MAX_CHARTED: usize = 16;
@@ -57,10 +58,9 @@ pub(super) fn charts(data: &Data, timeline: &Timeline, names: &[String], notes: 
         notes.push(format!("The charts show {shown} of {all} vehicles: those seen longest."));
     }
     let charts = Charts { data, timeline, objects };
-    [charts.camera_height(), charts.object_heights(), charts.speeds(), charts.ratios(), charts.reprojection()]
-        .iter()
-        .filter_map(|chart| chart.draw(timeline))
-        .collect()
+    let [speeds, accelerations, headings] = charts.motion();
+    let all = [speeds, accelerations, headings, charts.camera_height(), charts.object_heights(), charts.ratios()];
+    all.iter().chain(&[charts.reprojection()]).filter_map(|chart| chart.draw(timeline)).collect()
 }
 
 /// What all charts are made from.
@@ -78,6 +78,8 @@ impl Charts<'_> {
             colour: css_colour(object_colour(object.id)),
             points: points(object),
             dots: false,
+            band: Vec::new(),
+            raw: Vec::new(),
         };
         self.objects.iter().map(line).collect()
     }
@@ -100,7 +102,8 @@ impl Charts<'_> {
             self.data.frames.iter().zip(images).filter_map(|(f, i)| Some((f.id, i?))).collect();
         let height = |object: &Object, frame: FrameId, image: &Image| {
             let plane = self.plane(object.id, frame)?;
-            Some((self.timeline.of(frame)?, plane.signed_distance(image.cam_from_world.center())))
+            let height = plane.signed_distance(image.cam_from_world.center());
+            Some((self.timeline.of(frame)?, self.ruler().factor * height))
         };
         let points = |object: &Object| images.iter().filter_map(|(f, image)| height(object, *f, image)).collect();
         Chart {
@@ -108,7 +111,7 @@ impl Charts<'_> {
             caption: "From the camera to the local ground plane beside each vehicle. The size of a vehicle's path is \
                       read off the change of this height: where it stays the same, the size is hard to tell."
                 .into(),
-            unit: LENGTH_UNIT.into(),
+            unit: self.ruler().unit.into(),
             lines: self.lines(points),
             levels: Vec::new(),
             from_zero: false,
@@ -116,35 +119,97 @@ impl Charts<'_> {
     }
 
     fn object_heights(&self) -> Chart {
-        let height =
-            |id: ObjectId, pose: &ObjectPose| Some(self.plane(id, pose.frame)?.signed_distance(pose.position.into()));
+        let height = |id: ObjectId, pose: &ObjectPose| {
+            Some(self.ruler().factor * self.plane(id, pose.frame)?.signed_distance(pose.position.into()))
+        };
         Chart {
             title: "Height of the vehicles over the ground".into(),
             caption:
                 "From each vehicle's centre to its local ground plane. A vehicle keeps its height, so a level line \
                       speaks for the scale ratio; a slope or a step speaks against it."
                     .into(),
-            unit: LENGTH_UNIT.into(),
+            unit: self.ruler().unit.into(),
             lines: self.lines(|object| self.per_pose(object, |pose| height(object.id, pose))),
             levels: Vec::new(),
             from_zero: false,
         }
     }
 
-    fn speeds(&self) -> Chart {
+    fn ruler(&self) -> Ruler {
+        Ruler::of(self.data.metric)
+    }
+
+    /// Speed, acceleration and heading; the first from raw positions, and the others empty, where metres are unknown.
+    fn motion(&self) -> [Chart; 3] {
+        let chart = |title: &str, unit: &str, caption: &str, quantity| Chart {
+            title: title.into(),
+            caption: caption.into(),
+            unit: unit.into(),
+            lines: self.smoothed(quantity),
+            levels: Vec::new(),
+            from_zero: matches!(quantity, Quantity::Speed),
+        };
+        let speeds = chart(
+            "Speed",
+            "km/h",
+            "Along the heading: negative when backing up. Thin: between neighbouring positions. The band is one standard \
+             deviation, that of metres themselves included.",
+            Quantity::Speed,
+        );
+        let accelerations = chart(
+            "Acceleration",
+            "m/s²",
+            "Along the heading: negative when braking. The band is one standard deviation.",
+            Quantity::Acceleration,
+        );
+        let headings = chart(
+            "Heading",
+            "degrees",
+            "Where each vehicle points, clockwise from the top of the plan.",
+            Quantity::Heading,
+        );
+        let is_known = speeds.lines.iter().any(|line| !line.points.is_empty());
+        [if is_known { speeds } else { self.raw_speeds() }, accelerations, headings]
+    }
+
+    /// A line per object with its band; headings, which jump from 360 to 0, as dots without.
+    fn smoothed(&self, quantity: Quantity) -> Vec<Line> {
+        let is_heading = matches!(quantity, Quantity::Heading);
+        let line = |(line, (object, _)): (Line, &(&Object, &String))| {
+            let readings = motion::readings(self.data, object, quantity);
+            let at = |r: &motion::Reading| self.timeline.of(r.pose.frame);
+            let band = readings.iter().filter_map(|r| Some((at(r)?, r.value - r.std, r.value + r.std)));
+            Line {
+                points: readings.iter().filter_map(|r| Some((at(r)?, r.value))).collect(),
+                raw: readings.iter().filter_map(|r| Some((at(r)?, r.raw?))).collect(),
+                band: if is_heading { Vec::new() } else { band.collect() },
+                dots: is_heading,
+                ..line
+            }
+        };
+        self.lines(|_| Vec::new()).into_iter().zip(&self.objects).map(line).collect()
+    }
+
+    fn raw_speeds(&self) -> Chart {
         let title = match self.timeline.base {
             TimeBase::Seconds => "Speed",
             TimeBase::Frames => "Way from frame to frame",
         };
-        let points = |object: &Object| object.trajectory.map(|t| measure::speeds(t, self.timeline)).unwrap_or_default();
+        let ruler = self.ruler();
+        let scaled = |(time, speed): (f64, f64)| (time, ruler.factor * speed);
+        let speeds = |t: &ObjectTrajectory| measure::speeds(t, self.timeline).into_iter().map(scaled).collect();
+        let caption = match self.data.metric.and_then(crate::report::metres::frame) {
+            Some(_) => "Along the trajectory, from frame to frame, not smoothed.",
+            None => {
+                "Along the trajectory, from frame to frame, not smoothed. The size of a unit is not known, so only the \
+                 shape of the curve tells something, not its numbers."
+            }
+        };
         Chart {
             title: title.into(),
-            caption:
-                "Along the trajectory, from frame to frame, not smoothed. The size of a unit is not known, so only the \
-                      shape of the curve tells something, not its numbers."
-                    .into(),
-            unit: self.timeline.speed_unit(),
-            lines: self.lines(points),
+            caption: caption.into(),
+            unit: self.timeline.speed_unit(ruler.unit),
+            lines: self.lines(|object| object.trajectory.map(speeds).unwrap_or_default()),
             levels: Vec::new(),
             from_zero: true,
         }
@@ -183,6 +248,8 @@ impl Charts<'_> {
             colour: CAMERA.into(),
             points: errors(&self.data.background),
             dots: false,
+            band: Vec::new(),
+            raw: Vec::new(),
         };
         let objects = self.lines(|object| object.model.as_ref().map(&errors).unwrap_or_default());
         Chart {

@@ -1,8 +1,9 @@
 //! The key figures of a run.
 
 use crate::report::data::{Data, Fact};
+use crate::report::metres;
 use crate::report::timeline::Timeline;
-use crate::report::words::{LENGTH_UNIT, count, share, thousands, with_unit};
+use crate::report::words::{LENGTH_UNIT, count, percent, share, thousands, with_unit};
 use crate::scene::{Ground, GroundSource, PlaneBasis};
 
 /// The figures, those first that a reader looks for first.
@@ -25,9 +26,20 @@ pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
         facts.push(Fact::new("reprojection error", with_unit(error, 2, "px")).with_note(note));
     }
     facts.push(ground(data));
-    let unit = format!("lengths are in {LENGTH_UNIT}, not in metres");
-    facts.push(Fact::new("unit of length", "arbitrary").with_note(unit));
+    facts.push(unit(data));
     facts
+}
+
+/// In what lengths are said, and how sure that is.
+fn unit(data: &Data) -> Fact {
+    match data.metric.and_then(metres::frame) {
+        Some(frame) => Fact::new("unit of length", "metre").with_note(format!("± {}", percent(frame.log_scale_std()))),
+        None => {
+            let note =
+                format!("lengths are in {LENGTH_UNIT}, not in metres; --camera-height or --telemetry gives metres");
+            Fact::new("unit of length", "arbitrary").with_note(note)
+        }
+    }
 }
 
 fn ground(data: &Data) -> Fact {

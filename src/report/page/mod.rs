@@ -16,13 +16,14 @@ use sha2::{Digest, Sha256};
 use crate::report::ReportError;
 use crate::report::data::{Data, Part};
 use crate::report::evaluation::evaluation_facts;
+use crate::report::metres::{Metres, Ruler};
 use crate::report::plan::Plan;
 use crate::report::scene::Scene;
 use crate::report::summary;
 use crate::report::timeline::Timeline;
 use crate::report::verdict::Verdict;
 use crate::report::view::View;
-use crate::report::words::{self, LENGTH_UNIT};
+use crate::report::words;
 use crate::scene::{ObjectId, TimeBase};
 
 const TEMPLATE: &str = include_str!("report.html");
@@ -71,7 +72,8 @@ fn page_context(data: &Data) -> Value {
         plan => view.as_ref().map(|v| Plan::scene(data, v)),
         scene => scene.as_ref().map(json),
         up_source => view.as_ref().map(|v| v.up_source),
-        unit => LENGTH_UNIT,
+        unit => Ruler::of(data.metric).unit,
+        metres => Metres::new(data.metric),
         strip,
         bars => charts::bars(data, &timeline, &names),
         ticks => timeline.ticks(),

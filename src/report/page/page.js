@@ -75,8 +75,8 @@
 		};
 		if (!frames[index].camera) add("Camera not known here", null, true);
 		for (const object of data?.objects ?? []) {
-			const placed = object.poses.some(([i]) => i === index);
-			if (placed) add(object.name, object.colour, false);
+			const pose = object.poses.find(([i]) => i === index);
+			if (pose) add(pose[3] ? `${object.name}: ${pose[3]}` : object.name, object.colour, false);
 		}
 	};
 
@@ -118,7 +118,8 @@
 	/** Markers of the top view: what print and browsers without WebGL show. */
 	const movePlan = () => {
 		const plan = find("plan");
-		const put = (element, at) => element && (at ? element.setAttribute("d", `M${at[0] * 10} ${at[2] * 10}h0`) : element.removeAttribute("d"));
+		const placed = (at) => data.turn.map(([a, b]) => (a * at[0] + b * at[2]) * 10);
+		const put = (element, at) => element && (at ? element.setAttribute("d", `M${placed(at).join(" ")}h0`) : element.removeAttribute("d"));
 		put(plan.querySelector(".plan-here"), frames[index].camera);
 		for (const object of data.objects) {
 			const pose = object.poses.find(([i]) => i === index);
@@ -210,7 +211,8 @@
 		document.querySelectorAll("[data-layer]").forEach((box) => box.addEventListener("change", () => view.setLayer(box.dataset.layer, box.checked)));
 		document.querySelectorAll("input[data-object]").forEach((box) => box.addEventListener("change", () => view.setObject(Number(box.dataset.object), box.checked)));
 		find("size").addEventListener("input", (event) => view.setPointSize(Number(event.target.value)));
-		find("grid-size").textContent = `${view.gridLength} ${find("grid-size").dataset.unit}`;
+		const unit = find("grid-size").dataset.unit;
+		find("grid-size").textContent = `${view.gridLength} ${view.gridLength === 1 ? unit.replace(/s$/, "") : unit}`;
 		if (matchMedia("(max-width: 640px)").matches) find("layers").open = false;
 		listenToWheel();
 	};

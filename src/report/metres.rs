@@ -1,0 +1,139 @@
+//! Metres of a result, as a reader takes them: in what lengths are said, on what they rest, what contradicts.
+
+use serde::Serialize;
+
+use super::words::{LENGTH_UNIT, figure, percent, round_figure, with_unit};
+use crate::scene::{Metric, MetricContradiction, MetricFrame, MetricShare, MetricVerdict};
+
+/// What lengths are said in.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Ruler {
+    /// Lengths of the background are multiplied by this.
+    pub factor: f64,
+    /// The unit's name.
+    pub unit: &'static str,
+}
+
+impl Ruler {
+    /// Metres, where they are known.
+    pub fn of(metric: Option<&Metric>) -> Self {
+        match metric.and_then(frame) {
+            Some(frame) => Self { factor: frame.scale, unit: "m" },
+            None => Self { factor: 1.0, unit: LENGTH_UNIT },
+        }
+    }
+
+    /// A length of the background, said.
+    pub fn length(&self, units: f64) -> String {
+        with_unit(self.factor * units, 3, self.unit)
+    }
+
+    /// A round length in the ruler's own unit, as it stands beside a bar.
+    pub fn round_length(&self, length: f64) -> String {
+        let unit = if length == 1.0 { self.unit.trim_end_matches('s') } else { self.unit };
+        format!("{} {unit}", round_figure(length))
+    }
+}
+
+/// The transform, where metres are known and are numbers.
+pub(super) fn frame(metric: &Metric) -> Option<&MetricFrame> {
+    metric.frame.as_ref().filter(|frame| frame.scale.is_finite() && frame.scale > 0.0)
+}
+
+/// How to get metres where there are none.
+const CURE: &str = "--camera-height or --telemetry gives metres";
+
+/// On what metres rest and how sure they are, in a sentence; where there are none, why.
+pub fn metres_in_words(metric: Option<&Metric>) -> String {
+    let Some(metric) = metric else { return format!("Lengths are not in metres: {CURE}.") };
+    let Some(frame) = frame(metric) else {
+        let why = metric.reason.as_deref().unwrap_or("nothing tells them").trim_end_matches('.');
+        // A reason that names options names the cure.
+        let cure = if why.contains("--") { String::new() } else { format!("; {CURE}") };
+        return format!("Metres are not known: {why}{cure}.");
+    };
+    let source = match metric.verdict {
+        MetricVerdict::Surveyed => "Metres from what was measured",
+        MetricVerdict::Telemetry => "Metres from telemetry",
+        MetricVerdict::PriorOnly => "Metres from what vehicles are like alone",
+        MetricVerdict::Unknown => "Metres of unknown origin",
+    };
+    let sure = format!("{source}: ± {}", percent(frame.log_scale_std()));
+    match metric.contradictions.first() {
+        Some(first) => format!("{sure}; {} contradicts.", first.source),
+        None => format!("{sure}."),
+    }
+}
+
+/// Metres on the page.
+#[derive(Debug, Serialize)]
+pub(super) struct Metres {
+    /// Whether there are any.
+    known: bool,
+    sentence: String,
+    shares: Vec<Share>,
+    contradictions: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct Share {
+    source: String,
+    scale: String,
+    std: String,
+    share: String,
+}
+
+impl Metres {
+    pub fn new(metric: Option<&Metric>) -> Self {
+        Self {
+            known: metric.and_then(frame).is_some(),
+            sentence: metres_in_words(metric),
+            shares: metric.iter().flat_map(|metric| &metric.shares).map(share).collect(),
+            contradictions: metric.iter().flat_map(|metric| &metric.contradictions).map(contradiction).collect(),
+        }
+    }
+}
+
+fn share(share: &MetricShare) -> Share {
+    Share {
+        source: share.source.clone(),
+        scale: figure(share.scale, 4),
+        std: percent(share.std / share.scale),
+        share: percent(share.share),
+    }
+}
+
+fn contradiction(found: &MetricContradiction) -> String {
+    let MetricContradiction { source, ratio, deviations } = found;
+    format!(
+        "{source} gives {} times as many metres as the others, {} deviations away",
+        figure(*ratio, 3),
+        figure(*deviations, 2)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic::showcase::showcase;
+
+    #[test]
+    fn metres_are_said_in_words() {
+        let mut metric = showcase(4, 1).metric;
+        assert_eq!(metres_in_words(Some(&metric)), "Metres from telemetry: ± 2.0 %.");
+        metric.verdict = MetricVerdict::PriorOnly;
+        let source = "the height of the camera".to_owned();
+        metric.contradictions.push(MetricContradiction { source, ratio: 1.4, deviations: 6.1 });
+        assert_eq!(
+            metres_in_words(Some(&metric)),
+            "Metres from what vehicles are like alone: ± 2.0 %; the height of the camera contradicts."
+        );
+        assert_eq!(Ruler::of(Some(&metric)).length(0.31), "1.00 m");
+        metric.frame = None;
+        metric.reason = Some("no vehicle has a size".into());
+        let said = metres_in_words(Some(&metric));
+        assert_eq!(said, "Metres are not known: no vehicle has a size; --camera-height or --telemetry gives metres.");
+        assert_eq!(Ruler::of(Some(&metric)).round_length(1.0), "1 unit");
+        assert!(metres_in_words(None).contains("--telemetry"));
+    }
+}

@@ -1,0 +1,143 @@
+//! What the metres of a vehicle's poses say, for cards, tooltips and charts.
+
+use super::data::{Data, Fact, Object};
+use super::metres;
+use super::view::quantile;
+use super::words::figure;
+use crate::scene::{Dimensions, Estimate, MetricPose, Motion, ObjectPose, TimeBase};
+
+/// Kilometres per hour in a metre per second.
+const KM_H: f64 = 3.6;
+
+/// The poses of an object that have metres, where the result has any.
+fn poses<'a>(data: &Data, object: &Object<'a>) -> Vec<(&'a ObjectPose, &'a MetricPose)> {
+    if data.metric.and_then(metres::frame).is_none() {
+        return Vec::new();
+    }
+    let poses = object.trajectory.into_iter().flat_map(|trajectory| &trajectory.poses);
+    poses.filter_map(|pose| Some((pose, pose.metric.as_ref()?))).collect()
+}
+
+/// Its motion; without a rate a motion has no meaning.
+fn motion<'a>(data: &Data, metric: &'a MetricPose) -> Option<&'a Motion> {
+    metric.motion.as_ref().filter(|_| data.time_base == TimeBase::Seconds)
+}
+
+/// What is known at one pose, in a few words.
+pub(super) fn tooltip(data: &Data, pose: &ObjectPose) -> Option<String> {
+    data.metric.and_then(metres::frame)?;
+    let metric = pose.metric.as_ref()?;
+    let away = format!("{} m away", figure(metric.distance_to_camera_m, 2));
+    Some(match motion(data, metric) {
+        Some(motion) => format!("{}, {away}", km_h(motion.speed_m_s)),
+        None => away,
+    })
+}
+
+/// "38 km/h".
+fn km_h(speed_m_s: f64) -> String {
+    // Below a tenth nothing but zero is left of it.
+    let rounded = if speed_m_s.abs() * KM_H < 9.95 {
+        (10.0 * KM_H * speed_m_s).round() / 10.0
+    } else {
+        (KM_H * speed_m_s).round()
+    };
+    format!("{rounded} km/h").replacen('-', "−", 1)
+}
+
+/// Size, speeds and distance of a vehicle; none where metres are unknown.
+pub(super) fn facts(data: &Data, object: &Object) -> Vec<Fact> {
+    let poses = poses(data, object);
+    let mut facts = Vec::new();
+    if poses.is_empty() {
+        return facts;
+    }
+    facts.extend(object.trajectory.and_then(|trajectory| trajectory.dimensions.as_ref()).map(size));
+    let motions: Vec<&Motion> = poses.iter().filter_map(|(_, metric)| motion(data, metric)).collect();
+    facts.extend(speed(&motions));
+    let mut distances: Vec<f64> = poses.iter().map(|(_, metric)| metric.distance_to_camera_m).collect();
+    let range = [0.0, 1.0].map(|q| figure(quantile(&mut distances, q), 3));
+    facts.push(Fact::new("distance to the camera", format!("{} to {} m", range[0], range[1])));
+    facts
+}
+
+fn size(size: &Dimensions) -> Fact {
+    let said = |name: &str, estimate: Option<Estimate>| match estimate {
+        Some(Estimate { value, std }) => format!("{name} {value:.2} ± {std:.2} m"),
+        None => format!("{name} not seen"),
+    };
+    let Dimensions { length_m, width_m, height_m } = *size;
+    Fact::new("size", [said("length", length_m), said("width", width_m), said("height", height_m)].join(", "))
+}
+
+fn speed(motions: &[&Motion]) -> Option<Fact> {
+    let mut speeds: Vec<f64> = motions.iter().map(|motion| motion.speed_m_s.abs()).collect();
+    let mut stds: Vec<f64> = motions.iter().map(|motion| motion.speed_std_m_s).collect();
+    (!speeds.is_empty()).then(|| {
+        let [median, most] = [0.5, 1.0].map(|q| km_h(quantile(&mut speeds, q)));
+        let std = figure(KM_H * quantile(&mut stds, 0.5), 2);
+        Fact::new("speed, median", median).with_note(format!("± {std} km/h; at most {most}"))
+    })
+}
+
+/// A quantity over the frames of an object.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Quantity {
+    /// Kilometres per hour, along the heading.
+    Speed,
+    /// Metres per second².
+    Acceleration,
+    /// Degrees.
+    Heading,
+}
+
+/// Value, its deviation, and what it was made from.
+pub(super) struct Reading<'a> {
+    pub pose: &'a ObjectPose,
+    pub value: f64,
+    pub std: f64,
+    pub raw: Option<f64>,
+}
+
+/// A quantity at every pose that has it.
+pub(super) fn readings<'a>(data: &Data, object: &Object<'a>, quantity: Quantity) -> Vec<Reading<'a>> {
+    let reading = |(pose, metric): (&'a ObjectPose, &MetricPose)| {
+        let motion = motion(data, metric)?;
+        let (value, std, raw) = match quantity {
+            Quantity::Speed => {
+                (KM_H * motion.speed_m_s, KM_H * motion.speed_std_m_s, Some(KM_H * motion.raw_speed_m_s))
+            }
+            Quantity::Acceleration => (motion.acceleration_m_s2, motion.acceleration_std_m_s2, None),
+            Quantity::Heading => (motion.heading_deg?, motion.heading_std_deg?, None),
+        };
+        Some(Reading { pose, value, std, raw })
+    };
+    poses(data, object).into_iter().filter_map(reading).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::testing;
+
+    #[test]
+    fn speeds_and_sizes_are_said_only_where_metres_are_known() {
+        let world = testing::World::in_metres();
+        let data = world.data();
+        let said = facts(&data, &data.objects[0]);
+        let value = |label: &str| &said.iter().find(|fact| fact.label == label).unwrap().value;
+        assert!(value("size").starts_with("length 4.30 ± ") && value("size").ends_with("height not seen"), "{said:?}");
+        assert!(value("speed, median").ends_with(" km/h"), "{said:?}");
+        assert!(!readings(&data, &data.objects[0], Quantity::Heading).is_empty());
+        let pose = &world.trajectory.poses[10];
+        assert!(tooltip(&data, pose).unwrap().ends_with(" m away"));
+        let unknown = testing::world();
+        let data = unknown.data();
+        assert!(facts(&data, &data.objects[0]).is_empty() && tooltip(&data, pose).is_none());
+    }
+
+    #[test]
+    fn a_standing_vehicle_is_said_to_stand() {
+        assert_eq!([km_h(0.004), km_h(-2.0), km_h(13.9)], ["0 km/h", "−7.2 km/h", "50 km/h"]);
+    }
+}
