@@ -176,7 +176,7 @@ fn what_is_no_file_is_never_waited_for() {
 }
 
 fn textured(k: u32) -> RgbImage {
-    RgbImage::from_fn(64, 48, |x, y| image::Rgb([(x * 37 ^ y * 91) as u8, (x * y + k) as u8, 90]))
+    RgbImage::from_fn(64, 48, |x, y| image::Rgb([((x * 37) ^ (y * 91)) as u8, (x * y + k) as u8, 90]))
 }
 
 #[test]

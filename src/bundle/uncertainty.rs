@@ -28,7 +28,7 @@ pub struct CenterDeviations {
 ///
 /// Two are computed, and the larger one counts: if every observation errs by itself, with the noise of a pixel taken
 /// from the residuals, σ² = Σ r² / (residuals − unknowns); and if those of a part of the time and of the picture err
-/// together ([`clustered_centers`]), as tracks do that slide.
+/// together (a sandwich over groups of them), as tracks do that slide.
 ///
 /// They are relative to what holds the gauge: the first image, which is exact by definition and left out, and its
 /// distance to the image farthest from it. They know nothing of wrong matches or of intrinsics that are off. `None`

@@ -311,7 +311,7 @@ mod tests {
         let names: Vec<_> = names.iter().map(|name| name.to_str().unwrap()).collect();
         assert_eq!(names, ["runs/b", "runs/b", "runs/c", "runs/d", "runs/deep/a", "runs/deep/a", "gone"]);
         assert_eq!((summary.num_runs, summary.unreadable.len()), (3, 2));
-        let missing = |row: usize| rows[row].iter().last().unwrap().to_owned();
+        let missing = |row: usize| rows[row].iter().next_back().unwrap().to_owned();
         assert!(missing(2).contains("trajectories.json") && missing(3).contains("has not come to its trajectories"));
         assert!(missing(0).is_empty() && missing(6).contains("cannot be read"));
         let features = summary.to_geojson();

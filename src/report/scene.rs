@@ -62,6 +62,9 @@ pub(super) struct Cloud {
     colours: String,
 }
 
+/// Index in `frames`; position; `view_from_object` as scale, w x y z, translation; what is known of its motion.
+type ScenePose = (usize, [f64; 3], [f64; 8], Option<String>);
+
 /// A vehicle in the 3D view.
 #[derive(Debug, Serialize)]
 struct SceneObject {
@@ -74,8 +77,7 @@ struct SceneObject {
     /// In the object's frame: 32-bit floats, little endian.
     positions: String,
     colours: String,
-    /// Index in `frames`; position; `view_from_object` as scale, w x y z, translation; what is known of its motion.
-    poses: Vec<(usize, [f64; 3], [f64; 8], Option<String>)>,
+    poses: Vec<ScenePose>,
 }
 
 impl Scene {

@@ -202,7 +202,7 @@ impl Start {
         let yaw = if self.axis == Axis::Forward { YAW_STD } else { 0.2 };
         let directions: Vec<Vector3<f64>> = sights.iter().map(Sight::direction).collect();
         let reach = |k: usize| {
-            let (axis, side) = (k / 2, if k % 2 == 0 { 1.0 } else { -1.0 });
+            let (axis, side) = (k / 2, if k.is_multiple_of(2) { 1.0 } else { -1.0 });
             let facing = directions.iter().filter(|d| -side * d[axis] > FACING).count();
             let is_seen = facing >= MIN_SIGHTS.max(directions.len() / 10);
             let [at, std] = [self.reach[k] + END * height, END_STD * height];

@@ -82,7 +82,7 @@ fn a_standing_vehicle_stands() {
     for movement in [Movement::Standing, Movement::Undetermined] {
         for motion in smooth(&standing(60), &KNOWN, movement).unwrap() {
             assert!(motion.speed_m_s.abs() < (2.0 * motion.speed_std_m_s).min(0.05), "{movement:?}: {motion:?}");
-            assert!(motion.heading_deg.is_some_and(|h| h < 1.0 || h > 359.0), "{motion:?}");
+            assert!(motion.heading_deg.is_some_and(|h| !(1.0..=359.0).contains(&h)), "{motion:?}");
             assert!((motion.smoothed_position_m[1] - 3.0).abs() < 0.05);
         }
     }
