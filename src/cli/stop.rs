@@ -1,9 +1,9 @@
 //! Signals that ask the program to end: SIGINT (Ctrl-C), SIGTERM and SIGHUP.
 //!
 //! A run ends at the next unit of work, a frame or an object, and tells so; where the unit at hand takes longer than
-//! [`GRACE`], it is dropped. Nothing is ever left half-written, so that dropping is safe, and a second signal does it at
-//! once. Whoever starts programs knows by the exit code whether to start this one again: a person's Ctrl-C is 130, what
-//! the system stopped is [`TRY_AGAIN`].
+//! [`GRACE`], it is dropped. Nothing is ever left half-written, so that dropping is safe, and a second signal does it
+//! at once. Whoever starts programs knows by the exit code whether to start this one again: a person's Ctrl-C is 130,
+//! what the system stopped is [`TRY_AGAIN`].
 //!
 //! A signal that is ignored when the program starts, as `nohup` does with SIGHUP, stays ignored.
 

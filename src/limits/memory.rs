@@ -47,7 +47,10 @@ impl MemoryLimit {
 
 /// Something that memory does not hold.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{what} would take about {}, which is more than the limit of {limit}; --memory-limit sets it", in_words(*needed))]
+#[error(
+    "{what} would take about {}, which is more than the limit of {limit}; --memory-limit sets it",
+    in_words(*needed)
+)]
 pub struct TooMuch {
     /// What it is, with the file and what to do about it.
     pub what: String,

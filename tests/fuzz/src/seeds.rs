@@ -1,0 +1,21 @@
+//! Writes what the fuzz targets begin with: every reader's files, in `corpus/<reader>`.
+
+use std::fs;
+use std::path::Path;
+
+use tractrix_fuzz::readers::{Failed, READERS, written};
+
+fn main() -> Result<(), Failed> {
+    for reader in READERS {
+        let folder = tempfile::tempdir()?;
+        let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(reader);
+        fs::create_dir_all(&corpus)?;
+        let places = written(reader, folder.path())?;
+        for (k, place) in places.iter().enumerate() {
+            // Where there are several files, the first byte says whose place the others take.
+            let which = if places.len() > 1 { vec![u8::try_from(k)?] } else { Vec::new() };
+            fs::write(corpus.join(format!("{k}")), [which, fs::read(place)?].concat())?;
+        }
+    }
+    Ok(())
+}
