@@ -57,14 +57,15 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--number", type=int, help="how many are tried")
     parser.add_argument("--only", action="append", default=[], help="names that begin so")
+    parser.add_argument("--commit", default=commit(), help="what the program was built from [default: what is here]")
     parser.add_argument("--record", action="store_true", help="put the summary into docs/reliability.md")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="faults-") as folder:
         bench = Bench(arguments.program.resolve(), Path(folder), arguments.seed, arguments.number)
         tally: Tally = KINDS[arguments.kind][0](bench, arguments.only)
-    print(tally.row(commit()))
+    print(tally.row(arguments.commit))
     if arguments.record:
-        append_row(tally)
+        append_row(tally, arguments.commit)
     return 1 if tally.failures else 0
 
 

@@ -226,11 +226,11 @@ def commit() -> str:
     return (git("rev-parse", "--short", "HEAD") or "unknown") + ("+" if changed else "")
 
 
-def append_row(tally: Tally) -> None:
+def append_row(tally: Tally, of_commit: str) -> None:
     """Puts a row under the table of docs/reliability.md, in the place of an older one of the same kind and remark."""
     text = TABLE.read_text(encoding="utf-8")
     begin, end = text.index("<!-- rows -->"), text.index("<!-- end of rows -->")
     rows = [row for row in text[begin:end].splitlines()[1:] if row.startswith("|")]
     rows = [row for row in rows if row.split("|")[1:3] != [f" {tally.kind} ", f" {tally.remark} "]]
-    rows.append(tally.row(commit()))
+    rows.append(tally.row(of_commit))
     TABLE.write_text(text[:begin] + "<!-- rows -->\n" + "\n".join(rows) + "\n" + text[end:], encoding="utf-8")

@@ -43,7 +43,7 @@ def _model(graph: bytes) -> bytes:
 
 def yolo(side: int) -> bytes:
     """A network with the layout of YOLO-seg for square pictures of `side`, whose answers are empty of meaning."""
-    boxes, prototypes = [1, 116, 10], [1, 32, 8, 8]
+    boxes, prototypes = [1, 116, 200], [1, 32, 8, 8]
     nodes = [
         _node("ReduceMean", ["images"], "mean"),
         _node("Squeeze", ["mean", "axis"], "flat"),

@@ -65,7 +65,7 @@ class Work:
 
 def with_masks(bench: Bench, *more: str) -> Work:
     """A short run with given masks."""
-    given = ["--masks", DEMO / "masks", "--end", "8f", "--max-dimension", "480", "--threads", "1"]
+    given = ["--masks", DEMO / "masks", "--end", "8f", "--max-dimension", "320", "--threads", "1"]
     return Work(bench, ["run", DEMO / "video.mp4", *given, *more])
 
 
