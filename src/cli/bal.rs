@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::output::{Failure, Form, show};
 use crate::bundle::{Behind, CameraBlock, Gauge, LinearSolver, Options, Problem, Summary, adjust};
 use crate::io::bal;
-use crate::pipeline::process_cpu_s;
+use crate::pipeline::{MOST_THREADS, process_cpu_s};
 
 /// Adjusts a BAL problem (all cameras with their own f, k1, k2) and prints what came out.
 #[derive(clap::Args, Clone, Debug)]
@@ -17,7 +17,7 @@ pub(super) struct Args {
     /// A problem of "Bundle Adjustment in the Large", as text.
     pub(super) problem: PathBuf,
     /// Threads; 0 takes all.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = threads)]
     pub(super) threads: usize,
     /// Most iterations.
     #[arg(long, default_value_t = 50)]
@@ -53,6 +53,12 @@ struct Output {
     num_images: usize,
     num_points: usize,
     summary: Summary,
+}
+
+/// A number of threads that helps anybody.
+fn threads(text: &str) -> Result<usize, String> {
+    let number = text.parse().ok().filter(|number| *number <= MOST_THREADS);
+    number.ok_or_else(|| format!("'{text}' is no number from 0 to {MOST_THREADS}"))
 }
 
 /// Reads, adjusts, prints.

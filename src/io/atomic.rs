@@ -80,6 +80,18 @@ pub fn remove(path: &Path) -> Result<(), IoError> {
     }
 }
 
+/// As [`remove`], of a folder with all that is in it.
+///
+/// # Errors
+/// As [`remove`].
+pub fn remove_folder(path: &Path) -> Result<(), IoError> {
+    match fs::remove_dir_all(path) {
+        Ok(()) => sync_folder(parent(path)),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        Err(error) => Err(IoError::system("remove", path)(error)),
+    }
+}
+
 /// Whether a name is one under which a file is written before it is whole.
 pub(super) fn is_temporary(name: &str) -> bool {
     name.starts_with(TEMPORARY_PREFIX)

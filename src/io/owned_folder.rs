@@ -307,11 +307,12 @@ impl OwnedFolder {
         if relative == Path::new("") || !is_real_folder(&top) {
             return Ok(());
         }
-        for folder in folders_below(&top)?.into_iter().rev() {
+        for folder in folders_below(&top)?.into_iter().rev().chain([top]) {
             // Refused where it is not empty, as it should be.
-            let _ = fs::remove_dir(folder);
+            if fs::remove_dir(&folder).is_ok() {
+                sync_folder(folder.parent().unwrap_or(&self.root))?;
+            }
         }
-        let _ = fs::remove_dir(top);
         Ok(())
     }
 

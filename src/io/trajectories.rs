@@ -193,7 +193,7 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         let wrong = |problem: String| Err(IoError::content(path, format!("object {}: {problem}", object.id)));
         let scale = &object.scale;
         if !is_sensible_ratio(scale.ratio) {
-            return wrong(format!("the scale ratio {} is not positive, or beyond any sense", scale.ratio));
+            return wrong(format!("the scale ratio {:e} is not positive, or beyond any sense", scale.ratio));
         }
         let ratios = scale.alternatives.values().chain(scale.as_reconstructed.iter().flat_map(BTreeMap::values));
         let evidence = scale.shares.iter().flat_map(shares).chain(scale.support.iter().flat_map(lengths));
@@ -271,7 +271,7 @@ fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
     }
     let norm = norm(*rotation_wxyz);
     if let Some(far) = pose.position.iter().chain(translation).find(|c| !is_sensible(c)) {
-        return Some(format!("{far} is further away than anything can be"));
+        return Some(format!("{far:e} is further away than anything can be"));
     }
     let [w, x, y, z] = *rotation_wxyz;
     let norm = Quaternion::new(w, x, y, z).norm();

@@ -11,6 +11,7 @@ use super::{Instances, PipelineError, Stage, cameras, fingerprint, order, pictur
 use crate::io::{IoError, atomic};
 use crate::limits::files;
 use crate::sfm::{FrontEnd, TrackTable};
+use crate::video::VideoError;
 
 pub(super) const PREFIX: &str = "features-";
 pub(super) const BACKGROUND: &str = "background";
@@ -61,11 +62,17 @@ fn follow_background(run: &Run, outcome: &mut Outcome) -> Result<TrackTable, Pip
     let frames = run.frames()?;
     run.progress.begin("features", Some(frames.len() as u64));
     let wanted = frames.iter().map(|frame| frame.id).collect();
+    let mut num_decoded = 0u64;
     pictures::for_each(run, run.source.frames_at(wanted)?, outcome, |frame, picture| {
         let mask = masking.background(&frame, picture.dimensions())?;
         let camera = camera_of.get(&frame.id).copied().unwrap_or_default();
+        num_decoded += 1;
         Ok(background.push_of(camera, &frame, &picture, &mask)?)
     })?;
+    if num_decoded == 0 {
+        // No result, which later runs would take over: memory may have been short.
+        return Err(VideoError::NoFrames { path: run.input().to_owned() }.into());
+    }
     Ok(background.finish(run.options.seed)?)
 }
 

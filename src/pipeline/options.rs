@@ -382,8 +382,8 @@ impl Options {
     }
 }
 
-/// More are no help to anybody, and to start them would take the memory that the work needs.
-const MOST_THREADS: usize = 1024;
+/// More threads are no help to anybody, and to start them would take the memory that the work needs.
+pub const MOST_THREADS: usize = 1024;
 
 /// Pictures have some ten thousand pixels a side at the most; whatever camera took them, intrinsics are of that order.
 fn check_intrinsics(values: &[f64]) -> Checked {

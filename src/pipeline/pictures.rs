@@ -9,6 +9,10 @@ use crate::video::Frames;
 
 /// Hands every picture to `work`, each a step of the stage's progress. A frame that cannot be decoded is left out, and
 /// the first stage that meets it says so.
+///
+/// # Errors
+/// What `work` says; that the machine is at fault where a frame cannot be decoded: what comes of that must not be taken
+/// for a result by the next run.
 pub(super) fn for_each(
     run: &Run,
     frames: Frames,
@@ -18,6 +22,7 @@ pub(super) fn for_each(
     for item in frames {
         match item {
             Ok((frame, picture)) => work(frame, picture)?,
+            Err(error) if error.is_of_machine() => return Err(error.into()),
             Err(error) => {
                 let text = error.to_string();
                 if !run.has_warned(&text) {

@@ -221,12 +221,7 @@ impl Workspace {
 
     /// Removes a folder of the run's own, if it is there.
     pub fn remove_state(&self, path: &Path) -> Result<(), PipelineError> {
-        match fs::remove_dir_all(path) {
-            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                Err(IoError::system("remove", path)(source).into())
-            }
-            _ => Ok(()),
-        }
+        Ok(atomic::remove_folder(path)?)
     }
 }
 

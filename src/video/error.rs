@@ -18,6 +18,13 @@ pub(super) fn regular(path: &Path) -> Result<(), VideoError> {
     })
 }
 
+impl VideoError {
+    /// Whether the machine is at fault, and not the input: another time the same frame may be decoded.
+    pub fn is_of_machine(&self) -> bool {
+        matches!(self, Self::Thread(_) | Self::Ffmpeg(FfmpegError::Memory))
+    }
+}
+
 /// What can be wrong with a video or a folder of images.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
@@ -148,6 +155,9 @@ pub enum VideoError {
     /// A picture could not be resized or converted.
     #[error(transparent)]
     Image(#[from] ImageError),
+    /// No thread can be had to decode on.
+    #[error("a thread to decode on cannot be started: {0}; there are too many, or memory does not suffice")]
+    Thread(io::Error),
     /// FFmpeg failed where input has no part in it, as far as can be told.
     #[error("FFmpeg: {0}")]
     Ffmpeg(#[from] FfmpegError),

@@ -134,7 +134,10 @@ impl Decoder for FileDecoder {
 
     fn picture(&mut self) -> Result<RgbImage, VideoError> {
         let (path, frame) = (|| self.path.clone(), self.next.saturating_sub(1));
-        let failed = |error: FfmpegError| VideoError::Frame { path: path(), frame, reason: error.to_string() };
+        let failed = |error: FfmpegError| match error {
+            FfmpegError::Memory => VideoError::Ffmpeg(error),
+            _ => VideoError::Frame { path: path(), frame, reason: error.to_string() },
+        };
         let picture = self.video.picture().map_err(failed)?;
         let found = picture.dimensions();
         if found != self.size {

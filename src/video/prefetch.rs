@@ -24,14 +24,17 @@ pub struct Frames {
 
 impl Frames {
     /// Decodes on a thread of its own; `only`, if given, names the frames whose pictures are wanted.
+    ///
+    /// # Errors
+    /// [`VideoError::Thread`].
     pub(super) fn start(
         mut decoder: Box<dyn Decoder>,
         mut selection: Selection,
         only: Option<BTreeSet<FrameId>>,
-    ) -> Self {
+    ) -> Result<Self, VideoError> {
         let (sender, items) = sync_channel(AHEAD);
         let last = only.as_ref().map(|ids| ids.last().copied());
-        let thread = thread::spawn(move || {
+        let work = move || {
             while let Some(frame) = next_chosen(decoder.as_mut(), &mut selection) {
                 if last.is_some_and(|last| last.is_none_or(|last| frame.id > last)) {
                     return;
@@ -44,8 +47,9 @@ impl Frames {
                     return; // The caller has lost interest.
                 }
             }
-        });
-        Self { items: Some(items), thread: Some(thread) }
+        };
+        let thread = thread::Builder::new().name("decoder".into()).spawn(work).map_err(VideoError::Thread)?;
+        Ok(Self { items: Some(items), thread: Some(thread) })
     }
 }
 

@@ -211,7 +211,7 @@ impl Source {
     /// # Errors
     /// Those of opening the file again; what is wrong with single frames comes from the iterator.
     pub fn frames(&self) -> Result<Frames, VideoError> {
-        Ok(Frames::start(self.decoder()?, Selection::new(&self.options), None))
+        Frames::start(self.decoder()?, Selection::new(&self.options), None)
     }
 
     /// Decodes those of the chosen frames that are asked for, in order.
@@ -219,7 +219,7 @@ impl Source {
     /// # Errors
     /// As [`Source::frames`].
     pub fn frames_at(&self, ids: BTreeSet<FrameId>) -> Result<Frames, VideoError> {
-        Ok(Frames::start(self.decoder()?, Selection::new(&self.options), Some(ids)))
+        Frames::start(self.decoder()?, Selection::new(&self.options), Some(ids))
     }
 
     fn decoder(&self) -> Result<Box<dyn Decoder>, VideoError> {
