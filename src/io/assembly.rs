@@ -5,7 +5,7 @@ use std::path::Path;
 
 use nalgebra::{Matrix3, Point2, Point3, Quaternion, Rotation3, UnitQuaternion};
 
-use super::IoError;
+use super::{IoError, extent};
 use crate::scene::{CameraId, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
 /// A rotation from its matrix; `None` if the matrix is none to 10⁻⁵.
@@ -56,7 +56,7 @@ fn mean(values: &[f64]) -> f64 {
     if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
 }
 
-/// Refuses what no file can hold: numbers that are not finite.
+/// Refuses what no file can hold and nobody can mean: numbers that are not finite, and coordinates beyond any sense.
 pub fn check_finite(path: &Path, model: &Reconstruction) -> Result<(), IoError> {
     let refuse = |what: String| Err(IoError::content(path, format!("{what} is not finite")));
     for (id, camera) in &model.cameras {
@@ -75,7 +75,10 @@ pub fn check_finite(path: &Path, model: &Reconstruction) -> Result<(), IoError> 
             return refuse(format!("point {}", id.0));
         }
     }
-    Ok(())
+    match extent::beyond(model) {
+        Some(problem) => Err(IoError::content(path, problem)),
+        None => Ok(()),
+    }
 }
 
 /// Refuses a camera that nothing can be projected with, for a format that has pinholes alone.
