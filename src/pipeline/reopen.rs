@@ -1,12 +1,34 @@
 //! The input of a run that is over, for what is made of its results afterwards.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use super::report::Told;
-use super::{PipelineError, cameras};
+use serde::Deserialize;
+
+use super::{FeatureKind, FrameOrder, Instances, Options, PipelineError, cameras};
 use crate::io::{RunFolder, json};
 use crate::scene::Frame;
-use crate::video::Source;
+use crate::video::{self, Source};
+
+/// What `run.json` tells of the input and how it was read; the other options change from version to version.
+#[derive(Deserialize)]
+struct Told {
+    input: ToldInput,
+    options: ToldOptions,
+}
+
+#[derive(Deserialize)]
+struct ToldInput {
+    path: PathBuf,
+}
+
+#[derive(Deserialize)]
+struct ToldOptions {
+    video: video::Options,
+    instances: Instances,
+    features: FeatureKind,
+    order: FrameOrder,
+    background_model: Option<PathBuf>,
+}
 
 /// Opens the input as the run in `output` opened it.
 ///
@@ -16,7 +38,9 @@ use crate::video::Source;
 /// A folder without `run.json`; an input that is not there or cannot be read.
 pub fn reopen(output: &Path, input: Option<&Path>) -> Result<Source, PipelineError> {
     let told: Told = json::read(&RunFolder::at(output).run_json())?;
-    cameras::open(input.unwrap_or(&told.input.path), &told.options)
+    let ToldOptions { video, instances, features, order, background_model } = told.options;
+    let options = Options { video, instances, features, order, background_model, ..Options::default() };
+    cameras::open(input.unwrap_or(&told.input.path), &options)
 }
 
 /// The frames of the run in `output` with their times; `None` where its own files do not tell them any more.

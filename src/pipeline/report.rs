@@ -32,15 +32,15 @@ pub(super) fn renew(workspace: &Workspace) -> Result<(), PipelineError> {
 
 /// What `run.json` tells of a run.
 #[derive(Deserialize)]
-pub(super) struct Told {
+struct Told {
     arguments: Vec<String>,
-    pub(super) input: ToldInput,
-    pub(super) options: Options,
+    input: ToldInput,
+    options: Options,
 }
 
 #[derive(Deserialize)]
-pub(super) struct ToldInput {
-    pub(super) path: PathBuf,
+struct ToldInput {
+    path: PathBuf,
 }
 
 pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
