@@ -145,11 +145,7 @@ fn say(found: &Telemetry, outcome: &mut Outcome) {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     outcome.figure("telemetry", serde_json::json!({ "file": name, "found": whence, "num_fixes": log.fixes.len() }));
     if let Some(first) = log.passed_over.first() {
-        outcome.warn(format!(
-            "{}: passed over were {}, the first: {first}",
-            path.display(),
-            places(log.num_passed_over)
-        ));
+        outcome.warn(format!("{}: {} passed over, the first: {first}", path.display(), places(log.num_passed_over)));
     }
 }
 
