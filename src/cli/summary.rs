@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use crate::pipeline::{Summary, Vehicle};
 use crate::report::Verdict;
-use crate::scene::{Movement, ObjectId, ObjectTrajectory, TimeBase, Trajectories, Unit};
+use crate::scene::{Dimensions, Movement, ObjectId, ObjectTrajectory, TimeBase, Trajectories, Unit};
 
 /// One paragraph per vehicle; where a run ends before the trajectories, nothing.
 pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String {
@@ -61,6 +61,9 @@ fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, metres: Option<Metres>, t
         format!("  {id}: {class}, placed in {placed} of {}{}\n", count(visible, "frame"), span(found, times));
     // Writing to a string cannot fail.
     let _ = writeln!(text, "     path: {}{}", length(found.path_length(), metres), speed(found, metres, times));
+    if let Some(size) = found.dimensions.as_ref().and_then(size) {
+        let _ = writeln!(text, "     size: {size}");
+    }
     let _ = writeln!(text, "     {}", sureness(found));
     for reason in doubts(found) {
         let _ = writeln!(text, "     - {reason}");
@@ -128,6 +131,14 @@ fn with_three_digits(value: f64) -> String {
     format!("{value:.decimals$}")
 }
 
+/// Length, width and height, as far as they were seen.
+fn size(size: &Dimensions) -> Option<String> {
+    let parts = [("long", size.length_m), ("wide", size.width_m), ("high", size.height_m)];
+    let said = parts.iter().filter_map(|(what, found)| Some((what, (*found)?)));
+    let said: Vec<String> = said.map(|(what, e)| format!("{:.2} ± {:.2} m {what}", e.value, e.std)).collect();
+    (!said.is_empty()).then(|| said.join(", "))
+}
+
 /// The mean speed, where it has a meaning.
 fn speed(found: &ObjectTrajectory, metres: Option<Metres>, times: TimeBase) -> String {
     let (Some(first), Some(last)) = (found.poses.first(), found.poses.last()) else { return String::new() };
@@ -177,7 +188,7 @@ mod tests {
     use super::*;
     use crate::math::Sim3;
     use crate::pipeline::ModelReport;
-    use crate::scene::{self, FrameId, ObjectPose, Reason, ReasonKind, ScaleEstimate, ScaleMethod, Trust};
+    use crate::scene::{self, Estimate, FrameId, ObjectPose, Reason, ReasonKind, ScaleEstimate, ScaleMethod, Trust};
 
     fn pose(frame: u32) -> ObjectPose {
         ObjectPose {
@@ -246,6 +257,14 @@ mod tests {
         let text = as_text(&summary([(1, vehicle("", 10, None))], TimeBase::Seconds), &found);
         assert!(text.starts_with("1 vehicle with a trajectory\n  1: vehicle, "), "{text}");
         assert!(text.contains("path: 0.5 m, on average 0.5 m/s (2 km/h)"), "{text}");
+    }
+
+    #[test]
+    fn what_was_seen_of_a_size_is_said() {
+        let length_m = Some(Estimate { value: 4.312, std: 0.118 });
+        let seen = Dimensions { length_m, width_m: None, height_m: None };
+        assert_eq!(size(&seen).as_deref(), Some("4.31 ± 0.12 m long"));
+        assert_eq!(size(&Dimensions::default()), None);
     }
 
     #[test]

@@ -128,7 +128,7 @@ mod tests {
             metres_in_words(Some(&metric)),
             "Metres from what vehicles are like alone: ± 2.0 %; the height of the camera contradicts."
         );
-        assert_eq!(Ruler::of(Some(&metric)).length(0.31), "1.00 m");
+        assert_eq!(Ruler::of(Some(&metric)).length(0.62), "2.00 m");
         metric.frame = None;
         metric.reason = Some("no vehicle has a size".into());
         let said = metres_in_words(Some(&metric));
