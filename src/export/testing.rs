@@ -10,7 +10,7 @@ use crate::io::{RunFolder, atomic, colmap, trajectories};
 use crate::math::Sim3;
 use crate::scene::{
     Dimensions, Estimate, Frame, ImageId, MapOrigin, Metric, MetricAxes, MetricFrame, MetricPose, MetricShare,
-    MetricStd, MetricVerdict, Motion, ObjectId, ObjectPose, Reconstruction, TimeBase, Trajectories, Unit,
+    MetricStd, MetricVerdict, Motion, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Trajectories, Unit,
 };
 use crate::synthetic::showcase::{Showcase, showcase};
 
@@ -30,11 +30,16 @@ pub(super) fn results_of(found: &Showcase) -> Results {
         trajectories: Trajectories {
             unit: Unit::Background,
             metric: None,
-            objects: found.vehicles.iter().map(|vehicle| vehicle.trajectory.clone()).collect(),
+            objects: found.vehicles.iter().map(|vehicle| without_metres(&vehicle.trajectory)).collect(),
         },
         background: found.background.clone(),
         ground: Some(found.ground.clone()),
     }
+}
+
+fn without_metres(trajectory: &ObjectTrajectory) -> ObjectTrajectory {
+    let poses = trajectory.poses.iter().map(|pose| ObjectPose { metric: None, ..pose.clone() }).collect();
+    ObjectTrajectory { dimensions: None, poses, ..trajectory.clone() }
 }
 
 fn view_of(found: &Showcase, frame: &Frame) -> Option<View> {

@@ -75,6 +75,8 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
         }
     }
     let all = Trajectories { unit: trajectories.unit, metric: Some(found.metric), objects };
+    // What was exported has the metres of before.
+    run.workspace.remove(&run.workspace.exports())?;
     let path = run.workspace.trajectories();
     run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
     outcome.outputs.push(path);
@@ -145,10 +147,12 @@ fn sentence(fused: &Fused, frame: &MetricFrame) -> String {
     let basis = match fused.verdict {
         MetricVerdict::Surveyed => "metres rest on what was measured",
         MetricVerdict::Telemetry => "metres rest on the receiver's positions",
+        MetricVerdict::PriorOnly if fused.shares.len() > 1 => "metres rest mostly on what vehicles are like",
         MetricVerdict::PriorOnly => "metres rest on what vehicles are like, and on nothing that was measured here",
         MetricVerdict::Unknown => "metres are unknown",
     };
-    format!("{basis}: known to ± {percent:.1} % (standard deviation), which all lengths have in common")
+    let discord = if fused.contradictions.is_empty() { "" } else { "; sources contradict one another" };
+    format!("{basis}: known to ± {percent:.1} % (standard deviation), which all lengths have in common{discord}")
 }
 
 fn warn_of_contradictions(fused: &Fused, outcome: &mut Outcome) {
