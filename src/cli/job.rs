@@ -149,6 +149,7 @@ impl JobArgs {
             &mut self.ground_masks,
             &mut self.ground_model,
             &mut self.background_model,
+            &mut self.telemetry,
             &mut self.common.options,
         ];
         let objects = self.object_model.iter_mut().map(|(_, path)| path);

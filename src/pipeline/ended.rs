@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::workspace::Workspace;
-use super::{Instances, Options, PipelineError, Stage, fingerprint};
+use super::{Instances, Options, PipelineError, Stage, TelemetryChoice, fingerprint, metric};
 use crate::ffi::onnx;
 use crate::io::RunFolder;
 use crate::perception::default_models;
@@ -77,6 +77,9 @@ impl Identity {
         let paths = std::iter::once(input).chain(options.named_paths().into_iter().map(|(_, path)| path));
         let mut files = Vec::new();
         paths.for_each(|path| states(path, 0, &mut files));
+        if options.metric.telemetry == TelemetryChoice::Auto && !input.is_dir() {
+            metric::logs_beside(input).iter().for_each(|path| states(path, 0, &mut files));
+        }
         Self { options: fingerprint::of_value(&of_options(options)), files: fingerprint::of_value(&files) }
     }
 }
@@ -203,6 +206,14 @@ mod tests {
         fs::rename(&other, &input).unwrap();
         assert_ne!(before.files, Identity::of(&input, &options).files);
         assert_eq!(before.options, Identity::of(&input, &options).options);
+    }
+
+    #[test]
+    fn a_log_that_is_put_beside_a_video_changes_what_is_found() {
+        let (folder, input) = place();
+        let before = Identity::of(&input, &without_vehicles());
+        fs::write(folder.path().join("a.SRT"), b"1").unwrap();
+        assert_ne!(before, Identity::of(&input, &without_vehicles()));
     }
 
     #[test]

@@ -48,6 +48,7 @@ impl Item {
     /// Wrong use, with the line; a file that is named and is not there.
     pub(super) fn new(args: &Args, list: &List, index: usize) -> Result<Self, Failure> {
         let entry = list.entry(index)?;
+        lacks_tab(entry).map_or(Ok(()), |wrong| Err(at(&list.path, entry.line, &wrong)))?;
         let in_line = |failure: Failure| match failure {
             Failure::Usage(wrong) => at(&list.path, entry.line, &wrong),
             other => other,
@@ -122,6 +123,13 @@ fn parse(entry: &Entry, args: &Args, folder: &Path) -> Result<JobArgs, String> {
     Ok(job)
 }
 
+/// That options were written after a blank, and so count as a part of the video's name.
+fn lacks_tab(entry: &Entry) -> Option<String> {
+    let name = entry.input.to_string_lossy();
+    (name.contains(" --") && !entry.input.exists())
+        .then(|| format!("there is no '{name}'; between a video and its options stands a tab"))
+}
+
 /// What clap says, without how its command line would be right.
 fn first_line(error: &clap::Error) -> String {
     let said = error.render().to_string();
@@ -176,7 +184,13 @@ mod tests {
 
     #[test]
     fn what_cannot_be_meant_is_said_with_its_line() {
-        for line in ["a.mp4\t--no-such-flag", "a.mp4\t--output there", "a.mp4\tb.mp4", "a.mp4\t--set nothing=1"] {
+        for line in [
+            "a.mp4 --seed 3",
+            "a.mp4\t--no-such-flag",
+            "a.mp4\t--output there",
+            "a.mp4\tb.mp4",
+            "a.mp4\t--set nothing=1",
+        ] {
             let Err(Failure::Usage(said)) = item(line, "") else { panic!("{line} is refused") };
             assert!(said.contains("list.txt: line 1: ") && !said.contains('\n'), "{said}");
         }

@@ -41,7 +41,7 @@ pub(super) fn files(run: &Run) -> Vec<PathBuf> {
 }
 
 /// The files beside a video with its stem and the extension of a log, in the order of [`EXTENSIONS`].
-fn beside(video: &Path) -> Vec<PathBuf> {
+pub(in crate::pipeline) fn beside(video: &Path) -> Vec<PathBuf> {
     let (Some(folder), Some(stem)) = (video.parent(), video.file_stem()) else { return Vec::new() };
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
@@ -49,8 +49,8 @@ fn beside(video: &Path) -> Vec<PathBuf> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
         EXTENSIONS.iter().position(|known| *known == extension).filter(|_| path.file_stem() == Some(stem))
     };
-    let paths = entries.map(|entry| entry.path()).filter(|path| path.is_file() && path != video);
-    let mut found: Vec<(usize, PathBuf)> = paths.filter_map(|path| Some((rank(&path)?, path))).collect();
+    let ranked = entries.filter_map(|entry| Some((rank(&entry.path())?, entry.path())));
+    let mut found: Vec<(usize, PathBuf)> = ranked.filter(|(_, path)| path.is_file() && path != video).collect();
     found.sort();
     found.into_iter().map(|(_, path)| path).collect()
 }

@@ -20,6 +20,7 @@ use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
 use crate::scene::{Metric, MetricFrame, MetricVerdict, Movement, ObjectId, Reconstruction, Trajectories};
 use crate::telemetry;
 use aligned::Aligned;
+pub(super) use log::beside as logs_beside;
 pub use log::telemetry_inside;
 use placed::Placing;
 use sources::Ground;
