@@ -29,8 +29,8 @@ def judged(outcome: Outcome) -> str | None:
         return f"ended with {outcome.code}"
     if outcome.peak_mib > MOST_MIB:
         return f"took {outcome.peak_mib:.0f} MiB"
-    words = outcome.stderr.replace("NaN is not", "")
-    return "says NaN" if "NaN" in words else None
+    # A word that was given may be said again.
+    return "says NaN" if "NaN" in outcome.stderr.replace('"NaN"', "") else None
 
 
 def damaged_video(bench: Bench, only: list[str]) -> Tally:
