@@ -10,7 +10,8 @@ use crate::io::{RunFolder, atomic, colmap, trajectories};
 use crate::math::Sim3;
 use crate::scene::{
     Dimensions, Estimate, Frame, ImageId, MapOrigin, Metric, MetricAxes, MetricFrame, MetricPose, MetricShare,
-    MetricStd, MetricVerdict, Motion, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Trajectories, Unit,
+    MetricStd, MetricVerdict, Motion, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Trajectories,
+    Unit,
 };
 use crate::synthetic::showcase::{Showcase, showcase};
 
