@@ -34,7 +34,9 @@ fn arguments(place: &Place, output: &str) -> Vec<OsString> {
 }
 
 fn started(place: &Place, output: &str) -> Child {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tractrix"));
+    // Who starts the tests may have signals ignored, and a program that is started so goes on ignoring them.
+    let mut command = Command::new("env");
+    command.arg("--default-signal=INT,TERM,HUP").arg(env!("CARGO_BIN_EXE_tractrix"));
     command.args(arguments(place, output)).args(["--progress", "plain"]);
     command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
 }

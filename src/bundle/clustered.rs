@@ -8,10 +8,10 @@ use super::levenberg_marquardt::with_threads;
 use super::options::Options;
 use super::problem::{BundleError, Problem};
 
-/// Covariances of camera centres where observations err together within groups of points: with the scores s_g = Σ Jᵀ (r −
-/// Q z) of the reduced system over the points of each, S⁻¹ (Σ s_g s_gᵀ) S⁻¹ (the sandwich of P. Huber, *The behavior of
-/// maximum likelihood estimates under nonstandard conditions*, 1967; eq. 18). Residuals count as they are, whatever the
-/// noise is believed to be.
+/// Covariances of camera centres where observations err together within groups of points: with the scores s_g = Σ Jᵀ (r
+/// − Q z) of the reduced system over the points of each, S⁻¹ (Σ s_g s_gᵀ) S⁻¹ (the sandwich of P. Huber, *The behavior
+/// of maximum likelihood estimates under nonstandard conditions*, 1967; eq. 18). Residuals count as they are, whatever
+/// the noise is believed to be.
 ///
 /// * `group_of_point` – by point of the problem: its group, below `num_groups`.
 ///

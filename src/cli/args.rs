@@ -77,7 +77,7 @@ pub(super) enum Command {
     Compare(super::compare::Args),
     /// Write a reconstruction in another format
     Convert(super::convert::Args),
-    /// Write results in files that other programs open: tables, maps, poses, a scene, an annotated video
+    /// Write results as tables, maps, poses, a scene in motion, an annotated video
     Export(super::export::Args),
     /// Join the results of many runs in one table
     ///

@@ -11,7 +11,8 @@ use crate::telemetry::{self, Log, Summary, TelemetryError};
 /// Says what is understood of a file of telemetry: format, fixes, times, ranges, and what was passed over.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
-    /// DJI's subtitles, GPX, NMEA, CSV, a video with a text track, a photograph, or a folder of them (docs/telemetry.md)
+    /// DJI's subtitles, GPX, NMEA, CSV, a video with a text track, a photograph, or a folder of them
+    /// (docs/telemetry.md)
     pub(super) file: PathBuf,
 }
 

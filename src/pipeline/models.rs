@@ -204,8 +204,8 @@ pub(super) fn focal_deviation(run: &Run) -> Result<Option<f64>, PipelineError> {
     Ok(background_report(run)?.focal_deviation())
 }
 
-/// The one place where structure from motion is called. `silhouettes` tell maps of an object apart; `watch` is told which
-/// share of it is done.
+/// The one place where structure from motion is called. `silhouettes` tell maps of an object apart; `watch` is told
+/// which share of it is done.
 pub(super) fn reconstruct(
     run: &Run,
     mut table: sfm::TrackTable,

@@ -105,8 +105,8 @@ impl Stage {
         match self {
             // Results are in a place of their own; tracks of image points come in two stages, and are found again
             // behind gaps; planes and focal lengths have deviations; the last adjustment settles; one vehicle keeps one
-            // id; a fixed camera is told from a climbing one, and heights are less sure far away; trajectories are kept for
-            // the stage `metric`.
+            // id; a fixed camera is told from a climbing one, and heights are less sure far away; trajectories are kept
+            // for the stage `metric`.
             Self::Scale => 5,
             Self::Objects | Self::Features | Self::Ground => 3,
             Self::Background | Self::Track | Self::Follow => 2,

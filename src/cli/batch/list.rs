@@ -13,6 +13,7 @@ use anyhow::Context;
 
 use super::words;
 use crate::cli::output::Failure;
+use crate::limits::files;
 
 /// What a file's name ends in that is a video, in lower case.
 const VIDEOS: [&str; 18] = [
@@ -55,6 +56,7 @@ impl List {
         let (folder, entries) = match path.is_dir() {
             true => (path.to_owned(), videos_in(path)?),
             false => {
+                files::check(path).with_context(|| format!("{}: cannot be read", path.display()))?;
                 let bytes = fs::read(path).with_context(|| format!("{}: cannot be read", path.display()))?;
                 let folder = path.parent().unwrap_or(Path::new("")).to_owned();
                 (folder.clone(), entries(&bytes, &folder).map_err(|(line, wrong)| at(path, line, &wrong))?)

@@ -138,8 +138,8 @@ fn find(
 }
 
 /// Why metres are unknown.
-const NOTHING: &str = "nothing gives metres: there is no telemetry that fits, no length is known, and no vehicle is of a \
-                       class whose sizes are known (give --telemetry FILE, --camera-height METRES, --known-length \
+const NOTHING: &str = "nothing gives metres: there is no telemetry that fits, no length is known, and no vehicle is of \
+                       a class whose sizes are known (give --telemetry FILE, --camera-height METRES, --known-length \
                        ID:length=METRES or --scale METRES)";
 
 /// On what the metres rest, and how well they are known.

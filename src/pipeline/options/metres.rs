@@ -27,8 +27,8 @@ pub enum TelemetryChoice {
 pub struct MetricOptions {
     /// Which telemetry is taken.
     pub telemetry: TelemetryChoice,
-    /// Time of the telemetry minus time of the video, with its standard deviation: `"0.7±0.1"`. The time of a log with a
-    /// clock counts from its first fix. `null`: 0 for logs that belong to a video, else it is found.
+    /// Time of the telemetry minus time of the video, with its standard deviation: `"0.7±0.1"`. The time of a log with
+    /// a clock counts from its first fix. `null`: 0 for logs that belong to a video, else it is found.
     #[schemars(with = "Option<String>", extend("unit" = "seconds, as text"))]
     pub time_offset: Option<TimeOffset>,
     /// Height of the camera over the ground, on average over the video, with its standard deviation: `"1.45±0.05"`.

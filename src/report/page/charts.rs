@@ -152,8 +152,8 @@ impl Charts<'_> {
         let speeds = chart(
             "Speed",
             "km/h",
-            "Along the heading: negative when backing up. Thin: between neighbouring positions. The band is one standard \
-             deviation, that of metres themselves included.",
+            "Along the heading: negative when backing up. Thin: between neighbouring positions. The band is one \
+             standard deviation, that of metres themselves included.",
             Quantity::Speed,
         );
         let accelerations = chart(

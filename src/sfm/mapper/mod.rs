@@ -263,8 +263,8 @@ pub fn reconstruct(
 }
 
 /// As [`reconstruct`]; of maps that explain less than good tracks let a map explain, the one whose points lie within
-/// the `silhouettes` is taken. `watch` is told now and then which share of the work is done, as far as that can be told: starts
-/// that turn out to be needed set it back.
+/// the `silhouettes` is taken. `watch` is told now and then which share of the work is done, as far as that can be
+/// told: starts that turn out to be needed set it back.
 ///
 /// # Errors
 /// As [`reconstruct`].

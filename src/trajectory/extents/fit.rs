@@ -101,8 +101,8 @@ fn cost(residuals: &[f64], value: &Unknowns, expected: &Expected, weight: f64) -
     weight * lines + reaches + (value - expected.value).component_div(&expected.std).norm_squared()
 }
 
-/// Fits a body to the sights; `weight` is the share of an independent observation that a line is. `None` where it cannot
-/// be seen by all of them, or nothing is determined.
+/// Fits a body to the sights; `weight` is the share of an independent observation that a line is. `None` where it
+/// cannot be seen by all of them, or nothing is determined.
 pub(super) fn fit(template: &Template, sights: &[Sight], expected: &Expected, weight: f64) -> Option<Fit> {
     let corners = template.corners();
     let mut value = expected.value;

@@ -1,9 +1,9 @@
 //! What bodies of vehicles look like, as far as their outlines are concerned: convex hulls of a few corners.
 //!
-//! Coordinates are shares: of the length from the middle forwards, of the width from the middle plane, and of the height
-//! of the roof above the ground. The lower body, roofs and bonnets of cars lie between those of drawings of current cars
-//! and of the six car bodies of the rendered sequences (docs/maths/extents.md).
-//! Mirrors belong to an outline and not to the width.
+//! Coordinates are shares: of the length from the middle forwards, of the width from the middle plane, and of the
+//! height of the roof above the ground. The lower body, roofs and bonnets of cars lie between those of drawings of
+//! current cars and of the six car bodies of the rendered sequences (docs/maths/extents.md). Mirrors belong to an
+//! outline and not to the width.
 
 use nalgebra::Vector3;
 
