@@ -154,6 +154,7 @@ impl Chart {
     /// Low and high end of the value axis: nearly all values, so that one wild value does not flatten the rest.
     fn range(&self, lines: &[Line]) -> (f64, f64) {
         let mut values: Vec<f64> = lines.iter().flat_map(|l| l.points.iter().map(|p| p.1)).collect();
+        values.extend(lines.iter().flat_map(|l| l.band.iter().flat_map(|(_, low, high)| [*low, *high])));
         let (q1, q3) = (quantile(&mut values, 0.05), quantile(&mut values, 0.95));
         let slack = (q3 - q1).max(1e-12);
         let inside: Vec<f64> = values.iter().copied().filter(|v| *v >= q1 - slack && *v <= q3 + slack).collect();
