@@ -309,7 +309,7 @@ fn error_of(arguments: &[&str], expected_code: i32) -> serde_json::Value {
 
 #[test]
 fn errors_are_json_where_json_is_asked_for() {
-    let cases: [(&[&str], i32, &str); 9] = [
+    let cases: [(&[&str], i32, &str); 12] = [
         (&["run", "none.mp4", "--masks", "none", "--output", "out"], 1, "input"),
         (&["run", "none.mp4", "--masks", "a", "--detector", "none", "--output", "out"], 2, "usage"),
         (&["run", "none.mp4", "--output", "out", "--fly"], 2, "usage"),
@@ -318,6 +318,9 @@ fn errors_are_json_where_json_is_asked_for() {
         (&["compare", "none", "none"], 1, "input"),
         (&["convert", "none", "out"], 1, "input"),
         (&["bal", "none"], 1, "input"),
+        (&["export", "none", "--format", "csv"], 1, "input"),
+        (&["export", "none", "--format", "xlsx"], 2, "usage"),
+        (&["summary", "none"], 1, "input"),
         (&["doctor", "--segmentation-model", "none.onnx"], 1, "input"),
     ];
     for (arguments, code, kind) in cases {

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
+use serde_json::Value;
 
 use super::output::{Failure, Form, print, print_json};
 use crate::export::summary::Summary;
@@ -50,12 +51,22 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
         (None, Form::Text) => print(&String::from_utf8_lossy(&text))?,
         (None, Form::Json | Form::Nothing) => {}
     }
+    let failure = failure(&summary);
     match form {
-        Form::Json => print_json(&summary)?,
+        Form::Json => print_json(&as_json(&summary, failure.as_ref())?)?,
         Form::Text if args.output.is_some() => print(&line(&summary))?,
         Form::Text | Form::Nothing => {}
     }
-    failure(&summary).map_or(Ok(()), Err)
+    failure.map_or(Ok(()), Err)
+}
+
+/// The rows, and the error if there is one.
+fn as_json(summary: &Summary, failure: Option<&Failure>) -> Result<Value, serde_json::Error> {
+    let mut value = serde_json::to_value(summary)?;
+    if let Some(failure) = failure {
+        value["error"] = failure.as_json();
+    }
+    Ok(value)
 }
 
 fn keep(path: &Path, text: &[u8], overwrite: bool) -> Result<(), Failure> {

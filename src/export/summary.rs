@@ -42,7 +42,6 @@ pub struct Row {
     /// When the vehicle was first seen, where dates are known.
     pub date: Option<String>,
     /// Where it was then; `None` where the map is not known.
-    #[serde(skip)]
     pub place: Option<MapPlace>,
     /// What is missing, and why.
     pub missing: Option<String>,
