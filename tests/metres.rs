@@ -115,7 +115,8 @@ fn a_log_and_a_height_give_metres_and_do_nothing_else_anew() {
     let named: Vec<&str> =
         found["metric"]["contradictions"].as_array().unwrap().iter().map(|c| c["source"].as_str().unwrap()).collect();
     assert!(named.contains(&"camera height") && stderr.contains("contradicts"), "{named:?} {stderr}");
-    assert!(found["metric"]["std"]["scale"].as_f64().unwrap() > 0.1 * found["metric"]["scale"].as_f64().unwrap());
+    let share = found["metric"]["std"]["scale"].as_f64().unwrap() / found["metric"]["scale"].as_f64().unwrap();
+    assert!(share > 0.04, "sources that contradict one another make nobody sure: {share}");
 }
 
 #[test]

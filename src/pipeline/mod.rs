@@ -153,7 +153,6 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
     preflight::check_pictures(&source, options)?;
     let workspace = Workspace::open(job.output)?;
     let identity = Identity::of(job.input, options);
-    workspace.clear_ended()?;
     progress.plan(&Plan::new(&workspace, options, source.info(), goal));
     progress.begin("input", None);
     let content = fingerprint::of_content(source.path());
@@ -161,6 +160,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
     let content = content?;
     let path = std::fs::canonicalize(source.path()).unwrap_or_else(|_| source.path().to_owned());
     workspace.claim(InputIdentity { path, content: content.clone() }, job.overwrite)?;
+    workspace.clear_ended()?;
     let muted = Muted(progress);
     let mut run = Run::new(options, &workspace, &source, job.arguments, progress);
     let result = stages(&mut run, goal, &content, &muted);
