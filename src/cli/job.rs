@@ -278,12 +278,10 @@ pub(super) fn apply_sequence(sequence: &Sequence, options: &mut Options) -> Resu
 
 /// Says which file is missing before any work starts.
 fn check_paths(options: &Options) -> Result<(), Failure> {
-    for (flag, path) in options.named_paths() {
-        let found = fs::metadata(path).and_then(|found| if found.is_dir() { Ok(()) } else { files::check(path) });
-        found.with_context(|| format!("{}: cannot be read; check {flag}", path.display()))?;
     // Telemetry is read whole before work begins, and what is wrong with it is said then.
     for (flag, path) in options.named_paths().into_iter().filter(|(flag, _)| *flag != "--telemetry") {
-        fs::metadata(path).with_context(|| format!("{}: cannot be read; check {flag}", path.display()))?;
+        let found = fs::metadata(path).and_then(|found| if found.is_dir() { Ok(()) } else { files::check(path) });
+        found.with_context(|| format!("{}: cannot be read; check {flag}", path.display()))?;
     }
     Ok(())
 }

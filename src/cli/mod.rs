@@ -102,7 +102,6 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &Talk) -> Result<(), Fail
         | Command::Ground(job)
         | Command::Scale(job)
         | Command::Metric(job) => run::run(job, args.command.goal(), arguments, form, talk),
-        | Command::Scale(job) => run::run(job, args.command.goal(), arguments, form, talk),
         Command::Batch(own) => batch::run(own, arguments, form, talk),
         Command::Evaluate(own) => evaluate::run(own, form),
         Command::Benchmark(own) => benchmark::run(own, arguments, form, talk),

@@ -269,12 +269,10 @@ fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
     if !pose.metric.as_ref().is_none_or(has_finite_numbers) {
         return Some("a number in metres is not finite".into());
     }
-    let norm = norm(*rotation_wxyz);
     if let Some(far) = pose.position.iter().chain(translation).find(|c| !is_sensible(c)) {
         return Some(format!("{far:e} is further away than anything can be"));
     }
-    let [w, x, y, z] = *rotation_wxyz;
-    let norm = Quaternion::new(w, x, y, z).norm();
+    let norm = norm(*rotation_wxyz);
     if (norm - 1.0).abs() > MAX_UNIT_ERROR {
         return Some(format!("the quaternion has length {norm}, not 1"));
     }

@@ -39,7 +39,6 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let frames = run.frames()?;
     // The file of trajectories is made anew without metres, which the stage `metric` writes into it.
     run.workspace.clear_marker(Stage::Metric)?;
-    // It speaks of the trajectories that are replaced.
     // They speak of the trajectories that are replaced.
     run.workspace.remove(&run.workspace.evaluation())?;
     run.workspace.remove(&run.workspace.exports())?;
