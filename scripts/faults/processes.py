@@ -207,6 +207,7 @@ STAGES = [
     "objects",
     "ground",
     "scale",
+    "metric",
     "report",
 ]
 
