@@ -1,6 +1,7 @@
 //! Conversions between the `image` crate's buffers and OpenCV's matrices.
 
 use ::image::{GrayImage, RgbImage};
+use nalgebra::Matrix2x3;
 use opencv::boxed_ref::BoxedRef;
 use opencv::core::{CV_8UC1, CV_8UC3, Mat, MatTraitConst, MatTraitConstManual, Vec3b};
 use opencv::imgproc;
@@ -27,6 +28,12 @@ pub fn mat_from_gray(image: &GrayImage) -> Result<Mat, ImageError> {
 /// A three-channel 8-bit matrix (red, green, blue) with the pixels of `image`.
 pub fn mat_from_rgb(image: &RgbImage) -> Result<Mat, ImageError> {
     Ok(borrowed_rgb(image)?.try_clone()?)
+}
+
+/// A 2 × 3 matrix as OpenCV takes affine maps.
+pub fn mat_from_affine(map: &Matrix2x3<f64>) -> Result<Mat, ImageError> {
+    let rows: Vec<f64> = map.transpose().iter().copied().collect();
+    Ok(Mat::new_rows_cols_with_data::<f64>(2, 3, &rows)?.try_clone()?)
 }
 
 /// A one-channel 8-bit matrix from row-major bytes, such as those of a mask.

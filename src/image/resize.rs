@@ -1,10 +1,11 @@
 //! Other sizes and grey.
 
 use ::image::{GrayImage, RgbImage};
-use opencv::core::{Mat, MatTraitConst, Size, ToInputArray};
+use nalgebra::{Matrix2x3, Vector2};
+use opencv::core::{BORDER_REPLICATE, Mat, MatTraitConst, Scalar, Size, ToInputArray};
 use opencv::imgproc;
 
-use super::{ImageError, borrowed_gray, borrowed_rgb, gray_from_mat, rgb_from_mat};
+use super::{ImageError, borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_affine, rgb_from_mat};
 
 /// The luma of a colour image, as OpenCV weighs it (0.299 R + 0.587 G + 0.114 B).
 pub fn gray_from_rgb(image: &RgbImage) -> Result<GrayImage, ImageError> {
@@ -31,6 +32,26 @@ pub fn resize_gray(image: &GrayImage, width: u32, height: u32) -> Result<GrayIma
         return Ok(image.clone());
     }
     gray_from_mat(&resized(&borrowed_gray(image)?, width, height)?)
+}
+
+/// A grey image under an affine map, linearly interpolated; what lies beside it looks like its border.
+///
+/// * `source_from_target` – 2 × 3, pixels whose corner is at (0, 0) in both.
+pub fn warp_gray(
+    image: &GrayImage,
+    source_from_target: &Matrix2x3<f64>,
+    width: u32,
+    height: u32,
+) -> Result<GrayImage, ImageError> {
+    let size = Size::new(i32::try_from(width)?, i32::try_from(height)?);
+    // OpenCV counts from the middle of the first pixel.
+    let middle = Vector2::repeat(0.5);
+    let mut map = *source_from_target;
+    map.set_column(2, &(source_from_target * middle.push(1.0) - middle));
+    let (flags, mut out) = (imgproc::INTER_LINEAR | imgproc::WARP_INVERSE_MAP, Mat::default());
+    let map = mat_from_affine(&map)?;
+    imgproc::warp_affine(&borrowed_gray(image)?, &mut out, &map, size, flags, BORDER_REPLICATE, Scalar::default())?;
+    gray_from_mat(&out)
 }
 
 /// The size of an image of `width` × `height` whose longer side is at most `max_side`: never larger than it is, never a
@@ -65,6 +86,14 @@ mod tests {
         let image = GrayImage::from_fn(4, 2, |x, _| ::image::Luma([if x < 2 { 10 } else { 90 }]));
         assert_eq!(resize_gray(&image, 2, 1).unwrap().into_raw(), [10, 90]);
         assert_eq!(resize_gray(&image, 4, 2).unwrap(), image);
+    }
+
+    #[test]
+    fn a_quarter_turn_moves_every_pixel_to_its_place() {
+        let image = GrayImage::from_raw(3, 2, vec![1, 2, 3, 4, 5, 6]).unwrap();
+        // Target (x, y) shows source (y, 2 - x).
+        let turn = Matrix2x3::new(0.0, 1.0, 0.0, -1.0, 0.0, 2.0);
+        assert_eq!(warp_gray(&image, &turn, 2, 3).unwrap().into_raw(), [4, 1, 5, 2, 6, 3]);
     }
 
     #[test]

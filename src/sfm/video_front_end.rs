@@ -12,6 +12,7 @@
 
 mod bridge;
 mod following;
+mod key_view;
 mod live;
 mod looks;
 mod memory;

@@ -8,9 +8,10 @@
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Vector2, Vector3};
 
+use super::key_view::KeyView;
 use super::live::{Live, whitening};
 use super::looks::{Look, Looks};
-use super::memory::{FEW_POINTS, KeyView};
+use super::memory::FEW_POINTS;
 use crate::camera::Camera;
 use crate::image::GrayImage;
 use crate::math::{Neighbors, Rigid3, seeded_rng};

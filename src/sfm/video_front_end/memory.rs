@@ -8,10 +8,11 @@
 
 use std::collections::BTreeSet;
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::Point2;
 
 use super::SfmError;
 use super::bridge::{self, FoundAgain, Now};
+use super::key_view::KeyView;
 use super::live::Live;
 use super::looks::Looks;
 use crate::camera::Camera;
@@ -25,13 +26,16 @@ const BROKEN_LINK: f64 = 0.3;
 const WEAK_LINK: f64 = 0.3;
 /// Fewer points than these tie no views together.
 pub const FEW_POINTS: usize = 8;
-/// Points of a key view of which a picture is kept: more tie no better.
-const MAX_SIGHTS: usize = 300;
 /// Key views that are kept; beyond, every other one is forgotten, so that cost and memory are bounded.
 const MAX_KEYS: usize = 256;
 /// Key views a short time ago with which a view is compared, and of those the ones in which points are looked for.
 const NEAR_KEYS: usize = 8;
 const NEAR_CHOSEN: usize = 2;
+/// Share of the points of another key view from which on one shows much, and how many of those are tilted.
+const SHOWS_MUCH: f64 = 0.5;
+const TILTED_KEYS: usize = 3;
+/// Key views of which the picture is kept, so that memory is bounded.
+const PICTURES: usize = 32;
 /// Views from one look back to the next, and the most of them, as long as what is seen is tied to no earlier view.
 const LOOK_EVERY: usize = 3;
 const LOOKS_BACK: usize = 20;
@@ -45,40 +49,8 @@ const TIE_VIEWS: usize = 8;
 const GLANCE_FEATURES: usize = 400;
 const GLANCE_MATCHES: usize = 12;
 
-/// A point as a view showed it.
-pub struct Sight {
-    pub track: usize,
-    /// Where it was, pixels.
-    pub center: Point2<f32>,
-    /// The picture round it.
-    picture: GrayImage,
-    /// Where the picture's corner lay.
-    corner: Vector2<f32>,
-}
-
-impl Sight {
-    /// `None` for a point too near to the image's border.
-    fn new(gray: &GrayImage, track: usize, center: Point2<f32>, radius: u32) -> Option<Self> {
-        let (x, y) = (center.x.floor() as i64 - i64::from(radius), center.y.floor() as i64 - i64::from(radius));
-        let (x, y, side) = (u32::try_from(x).ok()?, u32::try_from(y).ok()?, 2 * radius + 1);
-        let fits = x + side <= gray.width() && y + side <= gray.height();
-        let picture = || ::image::imageops::crop_imm(gray, x, y, side, side).to_image();
-        fits.then(|| Self { track, center, picture: picture(), corner: Vector2::new(x as f32, y as f32) })
-    }
-
-    /// The patch round the point as the view showed it.
-    pub fn patch(&self, radius: i32) -> Option<super::Patch> {
-        super::Patch::cut(&self.picture, self.center - self.corner, radius)
-    }
-}
-
-/// A view that is remembered.
-pub struct KeyView {
-    view: usize,
-    pub looks: Looks,
-    pub sights: Vec<Sight>,
-    /// Points that it showed; not all of them have a sight.
-    num_points: usize,
+fn shows_much(num_points: usize, most: usize) -> bool {
+    num_points as f64 >= SHOWS_MUCH * most as f64
 }
 
 /// The view before, in case that the next one shows hardly any of its points.
@@ -129,29 +101,49 @@ impl Memory {
             return Ok(Vec::new());
         }
         if let Some(last) = self.last.take().filter(|last| is_broken && !self.is_key(last.view)) {
-            let mut looks = Looks::new(&last.gray, &last.mask)?;
-            looks.squeeze(&last.gray, &last.mask)?;
-            self.keep(last.view, looks, &last.gray, &last.points);
+            self.keep(last.view, Looks::new(&last.gray, &last.mask)?, &last.gray, &last.points);
         }
         let mut looks = Looks::new(gray, mask)?;
-        if is_broken {
-            looks.squeeze(gray, mask)?;
+        let chosen = self.chosen(view, &looks.plain.features, &alive);
+        let mut found = self.points_of(&chosen, &Now { camera: &self.camera, looks: &looks, gray, mask }, &alive);
+        if found.is_empty() && (is_broken || self.apart_since.is_some()) {
+            let chosen = self.chosen_to_tilt(view, &alive);
+            self.tilt(&chosen, &mut looks)?;
+            found = self.points_of(&chosen, &Now { camera: &self.camera, looks: &looks, gray, mask }, &alive);
         }
-        let now = Now { camera: &self.camera, looks: &looks, gray, mask };
-        let mut found: Vec<FoundAgain> = Vec::new();
-        for chosen in self.chosen(view, &looks.plain.features, &alive) {
-            let key = &self.keys[chosen.key];
-            let is_known = |track: usize| alive.contains(&track) || found.iter().any(|f| f.track == track);
-            let more = bridge::find(key, &now, self.patch_radius, is_known, chosen.follow_for);
-            tracing::trace!(view, key = key.view, matches = chosen.num_matches, found = more.len(), "looked back");
-            if !more.is_empty() {
-                self.tied_at = chosen.follow_for.map(|_| view).or(self.tied_at);
-                self.apart_since = self.apart_since.filter(|first| key.view >= *first);
-            }
-            found.extend(more);
-        }
+        self.note_ties(view, &found);
         self.described = Some(looks);
-        Ok(found)
+        Ok(found.into_iter().flat_map(|(_, points)| points).collect())
+    }
+
+    fn tilt(&mut self, chosen: &[Chosen], now: &mut Looks) -> Result<(), SfmError> {
+        let keys = chosen.iter().map(|chosen| chosen.key);
+        keys.into_iter().try_for_each(|key| self.keys[key].looks.tilt())?;
+        if chosen.is_empty() { Ok(()) } else { now.tilt() }
+    }
+
+    /// The points of key views that are found again, by key view.
+    fn points_of(&self, chosen: &[Chosen], now: &Now<'_>, alive: &BTreeSet<usize>) -> Vec<(Chosen, Vec<FoundAgain>)> {
+        let mut known = alive.clone();
+        let mut all = Vec::new();
+        for chosen in chosen {
+            let key = &self.keys[chosen.key];
+            let found = bridge::find(key, now, self.patch_radius, |track| known.contains(&track), chosen.follow_for);
+            tracing::trace!(key = key.view, matches = chosen.num_matches, found = found.len(), "looked back");
+            if !found.is_empty() {
+                known.extend(found.iter().map(|point| point.track));
+                all.push((*chosen, found));
+            }
+        }
+        all
+    }
+
+    fn note_ties(&mut self, view: usize, found: &[(Chosen, Vec<FoundAgain>)]) {
+        for (chosen, _) in found {
+            let key_view = self.keys[chosen.key].view;
+            self.tied_at = chosen.follow_for.map(|_| view).or(self.tied_at);
+            self.apart_since = self.apart_since.filter(|first| key_view >= *first);
+        }
     }
 
     /// To be called with all points of a view, those that are new among them.
@@ -213,10 +205,10 @@ impl Memory {
         }
         // Two pixels more: for differences, and for a centre between pixels.
         let radius = self.patch_radius.unsigned_abs() + 2;
-        let step = points.len().div_ceil(MAX_SIGHTS).max(1);
-        let seen = points.iter().step_by(step);
-        let sights = seen.filter_map(|(track, center)| Sight::new(gray, *track, *center, radius)).collect();
-        self.keys.push(KeyView { view, looks, sights, num_points: points.len() });
+        self.keys.push(KeyView::new(view, looks, gray, points, radius));
+        if let Some(old) = self.keys.len().checked_sub(PICTURES).and_then(|old| self.keys.get_mut(old)) {
+            old.looks.forget_picture();
+        }
         if self.keys.len() > MAX_KEYS {
             let mut index = 0;
             self.keys.retain(|_| {
@@ -229,13 +221,10 @@ impl Memory {
     /// The key views in which points are looked for: of those a short time ago the ones that match best, and of those
     /// long ago the first that matches half as well as the best.
     fn chosen(&self, view: usize, features: &Features, alive: &BTreeSet<usize>) -> Vec<Chosen> {
-        let is_far = |key: &KeyView| view - key.view >= COMES_BACK_AFTER;
-        let num_far = self.keys.iter().take_while(|key| is_far(key)).count();
-        let before_gap =
-            self.keys.iter().take_while(|key| self.apart_since.is_none_or(|first| key.view < first)).count();
-        let near = num_far.max(before_gap.saturating_sub(NEAR_KEYS))..before_gap.max(num_far);
-        let mut chosen: Vec<Chosen> = near
-            .filter(|key| !Self::is_tied(&self.keys[*key], alive))
+        let num_far = self.num_far(view);
+        let mut chosen: Vec<Chosen> = self
+            .near(view, alive)
+            .into_iter()
             .map(|key| Chosen { key, num_matches: self.num_matches(key, features), follow_for: None })
             .filter(|chosen| chosen.num_matches >= FEW_POINTS)
             .collect();
@@ -245,6 +234,35 @@ impl Memory {
             chosen.extend(self.place_long_ago(num_far, features));
         }
         chosen
+    }
+
+    /// Where too little matches as it is, the last key views that show much are compared as seen from elsewhere; once
+    /// as much is seen again, since what looks through leaves or comes in at the border matches too much by chance.
+    fn chosen_to_tilt(&self, view: usize, alive: &BTreeSet<usize>) -> Vec<Chosen> {
+        let near = self.near(view, alive);
+        let most = near.iter().map(|key| self.keys[*key].num_points).max().unwrap_or(0);
+        if !shows_much(alive.len(), most) {
+            return Vec::new();
+        }
+        let last = near.into_iter().rev().filter(|key| shows_much(self.keys[*key].num_points, most)).take(TILTED_KEYS);
+        last.map(|key| Chosen { key, num_matches: 0, follow_for: None }).collect()
+    }
+
+    /// How many key views were seen long ago.
+    fn num_far(&self, view: usize) -> usize {
+        self.keys.iter().take_while(|key| view - key.view >= COMES_BACK_AFTER).count()
+    }
+
+    /// Key views a short time ago that are not tied to what is alive: the last ones, and the last of those that show
+    /// much. What disappears behind leaves leaves a row of key views that show hardly anything.
+    fn near(&self, view: usize, alive: &BTreeSet<usize>) -> BTreeSet<usize> {
+        let num_far = self.num_far(view);
+        let is_before_gap = |key: &&KeyView| self.apart_since.is_none_or(|first| key.view < first);
+        let keys = num_far..self.keys.iter().take_while(is_before_gap).count().max(num_far);
+        let most = self.keys[keys.clone()].iter().map(|key| key.num_points).max().unwrap_or(0);
+        let last = keys.clone().rev().take(NEAR_KEYS);
+        let rich = keys.rev().filter(|key| shows_much(self.keys[*key].num_points, most)).take(NEAR_KEYS);
+        last.chain(rich).filter(|key| !Self::is_tied(&self.keys[*key], alive)).collect()
     }
 
     fn place_long_ago(&self, num_far: usize, features: &Features) -> Option<Chosen> {
@@ -266,6 +284,7 @@ impl Memory {
 }
 
 /// A key view in which points are looked for.
+#[derive(Clone, Copy)]
 struct Chosen {
     /// Its index.
     key: usize,
