@@ -5,15 +5,21 @@
 //! and the tyres stand flush with the body's lower parts, whose points are there. So the ground lies where those
 //! points, moved straight down, touch that line.
 
+mod silhouette;
+#[cfg(test)]
+mod tests;
+
 use std::collections::BTreeMap;
 
-use nalgebra::{Point2, Point3, Unit, Vector2, Vector3};
+use nalgebra::{Point3, Unit, Vector2, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use self::silhouette::Silhouette;
+
 use crate::limits::{Checked, OptionError, within};
 use crate::math::median;
-use crate::scene::{FrameId, Image, Mask, Reconstruction};
+use crate::scene::{FrameId, Image, Reconstruction};
 
 /// What a vehicle looks like; lengths are shares of the height over which its points spread.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -96,57 +102,8 @@ fn check_height(key: &str, [mean, std]: [f64; 2]) -> Checked {
     inside(within(key, std, 1e-6..=10.0), "the standard deviation")
 }
 
-/// The outline of an object in one frame.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Silhouette {
-    /// Corners of the convex hull of the mask's pixel centres, in order.
-    pub hull: Vec<Point2<f64>>,
-}
-
-impl Silhouette {
-    /// Fewest pixels that have an outline.
-    const MIN_AREA_PX2: usize = 50;
-    /// How far an outline lies outside the outermost centres of the mask's pixels, on average over directions.
-    const BORDER_PX: f64 = 0.3;
-
-    /// The outline of a mask; `None` for one that is tiny or that the border of the picture cuts.
-    pub fn of(mask: &Mask) -> Option<Self> {
-        let bounds = mask.bounding_box()?;
-        let cut = bounds.x0 == 0 || bounds.y0 == 0 || bounds.x1 >= mask.width() || bounds.y1 >= mask.height();
-        if cut || mask.area_px2() < Self::MIN_AREA_PX2 {
-            return None;
-        }
-        let width = mask.width() as usize;
-        let rows = mask.pixels().chunks_exact(width).enumerate().filter_map(|(y, row)| {
-            let first = row.iter().position(|inside| *inside)?;
-            let last = row.iter().rposition(|inside| *inside)?;
-            Some([first, last].map(|x| Point2::new(x as f64 + 0.5, y as f64 + 0.5)))
-        });
-        Some(Self { hull: convex_hull(rows.flatten().collect()) })
-    }
-}
-
-/// Corners of the convex hull (monotone chain: A. Andrew, *Another efficient algorithm for convex hulls in two
-/// dimensions*, 1979).
-fn convex_hull(mut points: Vec<Point2<f64>>) -> Vec<Point2<f64>> {
-    points.sort_by(|a, b| (a.x, a.y).partial_cmp(&(b.x, b.y)).unwrap_or(std::cmp::Ordering::Equal));
-    let chain = |points: &mut dyn Iterator<Item = &Point2<f64>>| {
-        let mut corners: Vec<Point2<f64>> = Vec::new();
-        for p in points {
-            while let [.., a, b] = corners[..]
-                && (b - a).perp(&(p - a)) <= 0.0
-            {
-                corners.pop();
-            }
-            corners.push(*p);
-        }
-        corners.pop();
-        corners
-    };
-    let mut hull = chain(&mut points.iter());
-    hull.extend(chain(&mut points.iter().rev()));
-    hull
-}
+/// Share of the lowest points that lie within an outline which shows them.
+const LEAST_INSIDE: f64 = 0.9;
 
 /// Where the ground is, in the frame of a reconstruction whose z axis points up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -191,7 +148,7 @@ pub fn contact(
     let (low, high) = (quantile(&heights, 0.01)?, quantile(&heights, 0.99)?);
     let extent = high - low;
     let limit = low + options.lowest_part * extent;
-    let feet: Vec<Point3<f64>> = points.iter().filter(|p| p.z < limit).map(|p| Point3::new(p.x, p.y, 0.0)).collect();
+    let feet: Vec<Point3<f64>> = points.iter().filter(|p| p.z < limit).copied().collect();
     let center = Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len() as f64);
     let view = LowerEdge { object, feet: &feet, middle: Point3::new(center.x, center.y, low), extent, options };
     let ahead = forward.and_then(|forward| Vector3::new(forward.x, forward.y, 0.0).try_normalize(1e-3));
@@ -199,6 +156,7 @@ pub fn contact(
     let Some(ahead) = ahead else { return Some(lowest) };
     let seen: Vec<(&Image, &Silhouette)> =
         object.images.iter().filter_map(|(id, image)| Some((image, silhouettes.get(&id.frame())?))).collect();
+    let seen = view.not_hidden(seen);
     Some(view.of_sides(&seen, &ahead).or_else(|| view.of_ends(&seen, &ahead, lowest.std)).unwrap_or(lowest))
 }
 
@@ -209,7 +167,7 @@ fn quantile(sorted: &[f64], q: f64) -> Option<f64> {
 /// What every frame is asked.
 struct LowerEdge<'a> {
     object: &'a Reconstruction,
-    /// The lowest points, at height zero.
+    /// The lowest points.
     feet: &'a [Point3<f64>],
     /// The middle of the vehicle, as low as its points go.
     middle: Point3<f64>,
@@ -221,6 +179,20 @@ struct LowerEdge<'a> {
 impl LowerEdge<'_> {
     /// By how many pixels the lower edge of a mask is off, in all frames alike: shadows.
     const MASK_PX: f64 = 1.0;
+
+    /// The frames in which the lowest points lie within the outline, which in others something before them has cut; all
+    /// where these are too few.
+    fn not_hidden<'a>(&self, seen: Vec<(&'a Image, &'a Silhouette)>) -> Vec<(&'a Image, &'a Silhouette)> {
+        let shows_feet = |(image, outline): &&(&Image, &Silhouette)| {
+            let camera = self.object.camera_of(image);
+            let pixel = |foot: &&Point3<f64>| camera.pixel_from_cam(image.cam_from_world * **foot);
+            let is_inside = |foot: &&Point3<f64>| pixel(foot).is_some_and(|p| outline.contains(p, Self::MASK_PX));
+            let num_inside = self.feet.iter().filter(is_inside).count();
+            num_inside as f64 >= LEAST_INSIDE * self.feet.len() as f64
+        };
+        let clear: Vec<_> = seen.iter().filter(shows_feet).copied().collect();
+        if clear.len() >= self.options.min_frames { clear } else { seen }
+    }
 
     /// The ground below the two tyres of the side that is seen; `None` where too few frames show a side.
     fn of_sides(&self, seen: &[(&Image, &Silhouette)], ahead: &Vector3<f64>) -> Option<Contact> {
@@ -284,107 +256,12 @@ impl LowerEdge<'_> {
         // u · (x, y) / z = support is linear in the height: the plane through the camera and the edge.
         let plane = Vector3::new(u.x, u.y, -support);
         let slope = plane.dot(&(image.cam_from_world.rotation * Vector3::z()));
-        let touching = |foot: &Point3<f64>| -plane.dot(&(image.cam_from_world * (foot + shift)).coords) / slope;
+        let touching = |foot: &Point3<f64>| {
+            let level = Point3::new(foot.x, foot.y, 0.0);
+            -plane.dot(&(image.cam_from_world * (level + shift)).coords) / slope
+        };
         let mut heights: Vec<f64> = self.feet.iter().map(touching).collect();
         heights.sort_by(f64::total_cmp);
         quantile(&heights, self.options.within).filter(|z| z.is_finite())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use nalgebra::{Matrix3, Rotation3};
-
-    use super::*;
-    use crate::math::Rigid3;
-    use crate::scene::{CameraId, ImageId, Point3d, Point3dId};
-    use crate::synthetic::drive::{Options, drive};
-
-    fn rectangle(width: u32, height: u32, [x0, y0, x1, y1]: [u32; 4]) -> Mask {
-        Mask::from_fn(width, height, |x, y| (x0..x1).contains(&x) && (y0..y1).contains(&y))
-    }
-
-    #[test]
-    fn outlines_are_hulls_of_whole_masks() {
-        let mut mask = rectangle(40, 30, [5, 6, 25, 16]);
-        let found = Silhouette::of(&mask).unwrap();
-        let corners = [[5.5, 6.5], [24.5, 6.5], [24.5, 15.5], [5.5, 15.5]].map(|[x, y]| Point2::new(x, y));
-        assert_eq!(found.hull.len(), 4);
-        assert!(corners.iter().all(|corner| found.hull.contains(corner)), "{found:?}");
-        // A dent does not show.
-        mask.set(15, 6, false);
-        assert_eq!(Silhouette::of(&mask), Some(found));
-        for cut in [[0, 6, 25, 16], [5, 0, 25, 16], [5, 6, 40, 16], [5, 6, 25, 30], [5, 6, 9, 9]] {
-            assert_eq!(Silhouette::of(&rectangle(40, 30, cut)), None, "{cut:?}");
-        }
-        assert_eq!(Silhouette::of(&Mask::empty(40, 30)), None);
-    }
-
-    /// The synthetic vehicle seen from the side, its wheels not reconstructed but part of its outline.
-    #[test]
-    fn the_ground_is_where_the_outline_says() {
-        let options = Options { object_unit_m: 1.0, ..Options::default() };
-        let (whole, body) = (drive(&options, 2), drive(&Options { has_wheels: false, ..options }, 2));
-        // Same seed, same frame: z up with the ground at zero.
-        let to_vehicle = |world: &crate::synthetic::drive::Drive| {
-            let mut object = world.object.clone();
-            let first = object.images.keys().next().unwrap().frame();
-            let metric = world.background_from_metric.inverse() * world.world_from_object[&first];
-            object.transform(&metric);
-            object
-        };
-        let (whole, body) = (to_vehicle(&whole), to_vehicle(&body));
-        let silhouettes = whole.images.iter().map(|(id, image)| {
-            let camera = whole.camera_of(image);
-            let seen = whole.points.values().filter_map(|p| camera.pixel_from_cam(image.cam_from_world * p.position));
-            (id.frame(), Silhouette { hull: seen.collect() })
-        });
-        let silhouettes = silhouettes.collect();
-        let options = ContactOptions { side: [0.0, 0.03], lowest: [0.0, 0.07], ..ContactOptions::default() };
-        let forward = Some(Vector3::x_axis());
-        let seen = contact(&body, &silhouettes, forward, &options).unwrap();
-        let guessed = contact(&body, &silhouettes, None, &options).unwrap();
-        assert!(seen.num_frames > 20 && seen.z.abs() < 0.15, "{seen:?}");
-        assert!(guessed.num_frames == 0 && guessed.z > 0.25 && guessed.std > seen.std, "{guessed:?}");
-        assert_eq!(contact(&Reconstruction::default(), &silhouettes, forward, &options), None);
-    }
-
-    /// A box on four tyres, seen from behind by a low camera.
-    fn from_behind(distance: f64) -> (Reconstruction, BTreeMap<FrameId, Silhouette>) {
-        let corners = |xs: [f64; 2], ys: [f64; 2], zs: [f64; 2]| {
-            let all = xs.into_iter().flat_map(move |x| ys.into_iter().map(move |y| (x, y)));
-            all.flat_map(move |(x, y)| zs.into_iter().map(move |z| Point3::new(x, y, z))).collect::<Vec<_>>()
-        };
-        let body = corners([-2.0, 2.0], [-0.8, 0.8], [0.3, 1.5]);
-        let tyres = corners([-1.3, 1.3], [-0.75, 0.75], [0.0, 0.6]);
-        let mut model = Reconstruction::default();
-        let camera = crate::camera::Camera::with_focal(960, 540, 800.0);
-        model.cameras.insert(CameraId(1), camera);
-        for (k, position) in body.iter().enumerate() {
-            let point = Point3d { position: *position, rgb: [0; 3], error_px: 0.5, track: Vec::new() };
-            model.points.insert(Point3dId(k as u64 + 1), point);
-        }
-        let forward = Rotation3::from_matrix_unchecked(Matrix3::new(0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0));
-        let mut silhouettes = BTreeMap::new();
-        for k in 0..8 {
-            let center = Point3::new(-distance - 0.3 * f64::from(k), 0.1, 1.4);
-            let cam_from_world = Rigid3::from_rotation_and_center(forward.into(), center);
-            let seen = body.iter().chain(&tyres).filter_map(|p| camera.pixel_from_cam(cam_from_world * *p));
-            silhouettes.insert(FrameId(k), Silhouette { hull: seen.collect() });
-            let image = Image { name: k.to_string(), camera: CameraId(1), cam_from_world, observations: Vec::new() };
-            model.images.insert(ImageId::from(FrameId(k)), image);
-        }
-        (model, silhouettes)
-    }
-
-    #[test]
-    fn from_behind_the_tyres_of_the_rear_show_the_ground() {
-        let found = |distance: f64| {
-            let (model, silhouettes) = from_behind(distance);
-            contact(&model, &silhouettes, Some(Vector3::x_axis()), &ContactOptions::default()).unwrap()
-        };
-        let [near, far] = [found(15.0), found(30.0)];
-        assert!(near.num_frames == 8 && near.z.abs() < 2.0 * near.std && near.std < 0.045, "{near:?}");
-        assert!(far.num_frames == 8 && far.z.abs() < 2.0 * far.std && far.std > 1.1 * near.std, "{far:?}");
     }
 }

@@ -1,0 +1,66 @@
+//! Outlines of masks, as convex hulls.
+
+use nalgebra::Point2;
+
+use crate::scene::Mask;
+
+/// The outline of an object in one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Silhouette {
+    /// Corners of the convex hull of the mask's pixel centres, in order.
+    pub hull: Vec<Point2<f64>>,
+}
+
+impl Silhouette {
+    /// Fewest pixels that have an outline.
+    const MIN_AREA_PX2: usize = 50;
+    /// How far an outline lies outside the outermost centres of the mask's pixels, on average over directions.
+    pub(super) const BORDER_PX: f64 = 0.3;
+
+    /// The outline of a mask; `None` for one that is tiny or that the border of the picture cuts.
+    pub fn of(mask: &Mask) -> Option<Self> {
+        let bounds = mask.bounding_box()?;
+        let cut = bounds.x0 == 0 || bounds.y0 == 0 || bounds.x1 >= mask.width() || bounds.y1 >= mask.height();
+        if cut || mask.area_px2() < Self::MIN_AREA_PX2 {
+            return None;
+        }
+        let width = mask.width() as usize;
+        let rows = mask.pixels().chunks_exact(width).enumerate().filter_map(|(y, row)| {
+            let first = row.iter().position(|inside| *inside)?;
+            let last = row.iter().rposition(|inside| *inside)?;
+            Some([first, last].map(|x| Point2::new(x as f64 + 0.5, y as f64 + 0.5)))
+        });
+        Some(Self { hull: convex_hull(rows.flatten().collect()) })
+    }
+
+    /// Whether a pixel lies within the outline, or `margin` pixels beside it at the most.
+    pub(super) fn contains(&self, pixel: Point2<f64>, margin: f64) -> bool {
+        let next = self.hull.iter().cycle().skip(1);
+        self.hull.iter().zip(next).all(|(a, b)| {
+            let side = b - a;
+            side.perp(&(pixel - a)) >= -margin * side.norm()
+        })
+    }
+}
+
+/// Corners of the convex hull (monotone chain: A. Andrew, *Another efficient algorithm for convex hulls in two
+/// dimensions*, 1979).
+pub(super) fn convex_hull(mut points: Vec<Point2<f64>>) -> Vec<Point2<f64>> {
+    points.sort_by(|a, b| (a.x, a.y).partial_cmp(&(b.x, b.y)).unwrap_or(std::cmp::Ordering::Equal));
+    let chain = |points: &mut dyn Iterator<Item = &Point2<f64>>| {
+        let mut corners: Vec<Point2<f64>> = Vec::new();
+        for p in points {
+            while let [.., a, b] = corners[..]
+                && (b - a).perp(&(p - a)) <= 0.0
+            {
+                corners.pop();
+            }
+            corners.push(*p);
+        }
+        corners.pop();
+        corners
+    };
+    let mut hull = chain(&mut points.iter());
+    hull.extend(chain(&mut points.iter().rev()));
+    hull
+}
