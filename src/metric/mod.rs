@@ -29,4 +29,4 @@ pub use known::{KnownLength, KnownLengthError};
 pub use level::{Level, frame_on_ground, frame_on_map};
 pub use measured::{Measured, MeasuredError, TimeOffset, TimeOffsetError};
 pub use placing::{Sighted, metric_pose, place_std_m};
-pub use vehicles::{Dimension, Extent, VehicleClass, vehicle_sizes};
+pub use vehicles::{Dimension, Extent, OddVehicle, Oddity, VehicleClass, VehicleSizes, vehicle_sizes};

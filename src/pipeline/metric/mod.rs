@@ -118,7 +118,9 @@ fn find(
     let mut sources: Vec<Source> = aligned.iter().map(Aligned::source).collect();
     sources.extend(sources::measured(run, &ground, outcome));
     sources.extend(vehicles::known(run, sizes, outcome));
-    sources.extend(vehicles::alike(trajectories, sizes));
+    let alike = vehicles::alike(trajectories, sizes);
+    alike.warn(outcome);
+    sources.extend(alike.source.clone());
     let Some(fused) = fuse(&sources) else { return Ok(Found::unknown(NOTHING)) };
     warn_of_contradictions(&fused, outcome);
     let frame = match &aligned {
@@ -130,7 +132,7 @@ fn find(
         reason: Some(sentence(&fused, &frame)),
         frame: Some(frame),
         shares: fused.shares,
-        contradictions: fused.contradictions,
+        contradictions: fused.contradictions.into_iter().chain(alike.contradictions()).collect(),
         time_offset_s: aligned.as_ref().map(|aligned| aligned.clock_offset_s()),
         time_offset_std_s: aligned.as_ref().map(|aligned| aligned.alignment.offset_std_s),
     };

@@ -5,8 +5,13 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::super::run::{Outcome, Run};
-use crate::metric::{Dimension, Extent, Kind, KnownLength, Measured, Source, VehicleClass, vehicle_sizes};
-use crate::scene::{Dimensions, Estimate, MetricFrame, ObjectId, ObjectTrajectory, Trajectories};
+use crate::metric::{
+    Dimension, Extent, Kind, KnownLength, Measured, OddVehicle, Oddity, Source, VehicleClass, VehicleSizes,
+    vehicle_sizes,
+};
+use crate::scene::{
+    Dimensions, Estimate, MetricContradiction, MetricFrame, ObjectId, ObjectTrajectory, Trajectories, Trust,
+};
 
 /// How large an object is, in units of the background; `None` for what it was never seen from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -66,27 +71,87 @@ fn of_length(known: &KnownLength, sizes: &BTreeMap<ObjectId, Size>) -> Result<So
     Ok(Source { name: format!("{name} of vehicle {object}"), kind: Kind::Surveyed, log_scale, std })
 }
 
-/// What vehicles are like, as one source; `None` where none is of a class whose members are alike.
-pub(super) fn alike(trajectories: &Trajectories, sizes: &BTreeMap<ObjectId, Size>) -> Option<Source> {
-    let usable = trajectories.objects.iter().filter(|trajectory| !trajectory.is_ruled_out());
-    let extents: Vec<Extent> = usable.flat_map(|trajectory| extents(trajectory, sizes)).collect();
-    let (log_scale, std) = vehicle_sizes(&extents)?;
-    Some(Source { name: "what vehicles are like".to_owned(), kind: Kind::Prior, log_scale, std })
+/// What vehicles are like, and which of them are odd.
+#[derive(Debug, Default)]
+pub(super) struct Alike {
+    /// As one source; `None` where no vehicle is of a class whose members are alike.
+    pub(super) source: Option<Source>,
+    odd: Vec<OddVehicle>,
+}
+
+/// Asks the vehicles that can be trusted; only where these say nothing, the doubtful ones.
+pub(super) fn alike(trajectories: &Trajectories, sizes: &BTreeMap<ObjectId, Size>) -> Alike {
+    let usable = || trajectories.objects.iter().filter(|trajectory| !trajectory.is_ruled_out());
+    let ask = |vehicles: Vec<&ObjectTrajectory>| {
+        let extents: Vec<Extent> = vehicles.into_iter().flat_map(|trajectory| extents(trajectory, sizes)).collect();
+        Alike::of(vehicle_sizes(&extents))
+    };
+    let trusted = ask(usable().filter(|trajectory| !is_doubtful(trajectory)).collect());
+    if trusted.source.is_some() {
+        return trusted;
+    }
+    let doubtful = ask(usable().filter(|trajectory| is_doubtful(trajectory)).collect());
+    Alike { source: doubtful.source, odd: [trusted.odd, doubtful.odd].concat() }
+}
+
+fn is_doubtful(trajectory: &ObjectTrajectory) -> bool {
+    trajectory.verdict.as_ref().is_some_and(|verdict| verdict.state >= Trust::Doubtful)
+}
+
+impl Alike {
+    fn of(found: VehicleSizes) -> Self {
+        let name = "what vehicles are like".to_owned();
+        let source = |(log_scale, std)| Source { name, kind: Kind::Prior, log_scale, std };
+        Self { source: found.log_scale.map(source), odd: found.odd }
+    }
+
+    /// Says which vehicles are odd.
+    pub(super) fn warn(&self, outcome: &mut Outcome) {
+        for OddVehicle { vehicle, oddity, deviations } in &self.odd {
+            outcome.warn(match oddity {
+                Oddity::Shape => format!(
+                    "vehicle {vehicle} has not the proportions of its class ({deviations:.1} standard deviations off \
+                     any vehicle of it): its size is not asked for metres"
+                ),
+                Oddity::Scale(ratio) => format!(
+                    "the size of vehicle {vehicle} contradicts those of the others: it gives {ratio:.3} times their \
+                     metres per unit, which is {deviations:.1} standard deviations off"
+                ),
+            });
+        }
+    }
+
+    /// The vehicles that contradict the others, as the result has contradictions.
+    pub(super) fn contradictions(&self) -> impl Iterator<Item = MetricContradiction> {
+        self.odd.iter().filter_map(|&OddVehicle { vehicle, oddity, deviations }| match oddity {
+            Oddity::Shape => None,
+            Oddity::Scale(ratio) => {
+                Some(MetricContradiction { source: format!("size of vehicle {vehicle}"), ratio, deviations })
+            }
+        })
+    }
 }
 
 fn extents(trajectory: &ObjectTrajectory, sizes: &BTreeMap<ObjectId, Size>) -> Vec<Extent> {
     let Some(size) = sizes.get(&trajectory.id) else { return Vec::new() };
     let Some(class) = VehicleClass::from_label(&trajectory.class) else { return Vec::new() };
+    let ratio_std = trajectory.scale.std.unwrap_or(0.0) / trajectory.scale.ratio;
     let extent = |dimension| {
         let Estimate { value, std } = size.of(dimension)?;
-        Some(Extent { vehicle: trajectory.id.0, class, dimension, value, std })
+        // The deviation of a size has that of the ratio in it.
+        let std = (std * std - (ratio_std * value).powi(2)).max(0.0).sqrt().max(MIN_STD * value);
+        Some(Extent { vehicle: trajectory.id.0, class, dimension, value, std, ratio_std })
     };
     [Dimension::Length, Dimension::Width, Dimension::Height].into_iter().filter_map(extent).collect()
 }
 
+/// No extent is known better, as a share.
+const MIN_STD: f64 = 1e-3;
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::{ScaleEstimate, ScaleMethod, Unit, Verdict};
 
     fn sizes() -> BTreeMap<ObjectId, Size> {
         let length = Some(Estimate { value: 2.0, std: 0.02 });
@@ -105,5 +170,34 @@ mod tests {
         let of = |text: &str| of_length(&text.parse().unwrap(), &sizes()).unwrap_err();
         assert!(of("3:width=1.8").contains("the width of vehicle 3 was never seen"));
         assert!(of("4:length=4.4").contains("vehicle 4 has no trajectory"));
+    }
+
+    /// A car 4.3 units long that can be trusted so far, with its size.
+    fn car(id: u32, factor: f64, state: Trust) -> (ObjectTrajectory, (ObjectId, Size)) {
+        let trajectory = ObjectTrajectory {
+            id: ObjectId(id),
+            class: "car".to_owned(),
+            confidence: 1.0,
+            scale: ScaleEstimate::new(1.0, ScaleMethod::Joint),
+            ground: BTreeMap::new(),
+            verdict: Some(Verdict { state, reasons: Vec::new() }),
+            dimensions: None,
+            poses: Vec::new(),
+        };
+        let extent = |units: f64| Some(Estimate { value: factor * units, std: 0.02 * factor * units });
+        (trajectory, (ObjectId(id), Size { length: extent(4.3), width: extent(1.8), height: extent(1.48) }))
+    }
+
+    #[test]
+    fn doubtful_vehicles_are_asked_last() {
+        let ask = |cars: Vec<(ObjectTrajectory, (ObjectId, Size))>| {
+            let (objects, sizes): (Vec<_>, Vec<_>) = cars.into_iter().unzip();
+            let all = Trajectories { unit: Unit::Background, metric: None, objects };
+            alike(&all, &sizes.into_iter().collect()).source
+        };
+        let (good, doubtful) = (|| car(1, 1.0, Trust::Fair), || car(2, 1.5, Trust::Doubtful));
+        assert_eq!(ask(vec![good(), doubtful()]), ask(vec![good()]));
+        assert!(ask(vec![doubtful()]).is_some());
+        assert!(ask(vec![car(3, 1.0, Trust::NotToBeTrusted)]).is_none());
     }
 }

@@ -1,0 +1,290 @@
+//! What vehicles are like: lengths, widths and heights of a class as a source of metres.
+//!
+//! A class is made of segments, whose vehicles are alike: the logarithms of a vehicle's dimensions are normal round those
+//! of its segment, with a part that the dimensions of one vehicle share (large or small) and a part of each. Each
+//! vehicle gives the logarithm of metres per unit as a mixture over the segments of its class ([`single`]). Vehicles that
+//! no segment explains, and such as contradict the others, are left out and named; the rest are one by their inverse
+//! variances, and what all vehicles of a place have in common is added. docs/maths/metric.md, eq. 8, has the equations.
+
+mod segments;
+mod single;
+
+use std::collections::BTreeMap;
+
+use self::single::{Answer, answer};
+
+/// A class whose vehicles are alike.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum VehicleClass {
+    /// Cars, sport utility vehicles and small vans.
+    Car,
+    /// Lorries from delivery trucks to articulated ones.
+    Truck,
+    /// Buses and coaches.
+    Bus,
+    /// Motorcycles and scooters, without their riders.
+    Motorcycle,
+}
+
+/// A dimension of a vehicle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Dimension {
+    /// Between its bumpers.
+    Length,
+    /// Between its sides, without mirrors.
+    Width,
+    /// Above the ground, without racks.
+    Height,
+}
+
+impl Dimension {
+    /// The name in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Length => "length",
+            Self::Width => "width",
+            Self::Height => "height",
+        }
+    }
+
+    /// Its place in an array of length, width and height.
+    fn index(self) -> usize {
+        self as usize
+    }
+}
+
+/// A dimension that was measured, in units of the background.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    /// Which vehicle: extents of one vehicle share whether it is large or small.
+    pub vehicle: u32,
+    /// Its class.
+    pub class: VehicleClass,
+    /// What was measured.
+    pub dimension: Dimension,
+    /// Units.
+    pub value: f64,
+    /// Standard deviation, units, without that of the scale ratio.
+    pub std: f64,
+    /// Standard deviation of the vehicle's scale ratio as a share of it, which its extents have in common.
+    pub ratio_std: f64,
+}
+
+impl Extent {
+    fn is_usable(&self) -> bool {
+        let is_positive = |x: f64| x.is_finite() && x > 0.0;
+        is_positive(self.value) && is_positive(self.std) && self.ratio_std.is_finite()
+    }
+}
+
+/// What the sizes of vehicles say of metres per unit.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct VehicleSizes {
+    /// Logarithm of metres per unit and its standard deviation; `None` where no vehicle says anything.
+    pub log_scale: Option<(f64, f64)>,
+    /// Vehicles that contradict what is expected, in the order in which they were found.
+    pub odd: Vec<OddVehicle>,
+}
+
+/// A vehicle whose size contradicts what is expected.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OddVehicle {
+    /// Which one.
+    pub vehicle: u32,
+    /// What is odd about it.
+    pub oddity: Oddity,
+    /// By how many standard deviations.
+    pub deviations: f64,
+}
+
+/// What is odd about a vehicle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Oddity {
+    /// No vehicle of its class has its proportions. It is left out.
+    Shape,
+    /// By its size a unit is this many times as long as by the sizes of the others. It is left out where two others
+    /// are left to say so.
+    Scale(f64),
+}
+
+/// Share of the variance of the logarithm that the dimensions of one vehicle have in common.
+const SHARED_BY_VEHICLE: f64 = 0.4;
+
+/// Deviation of what the vehicles of one place have in common: cars of KITTI (Karlsruhe, 2011) and of nuScenes (Boston
+/// and Singapore, 2018) differ by 17 % in length, 18 % in width and 12 % in height of their boxes, half of which the
+/// labels' different margins explain.
+const SHARED_BY_PLACE: f64 = 0.035;
+
+impl VehicleClass {
+    /// The class of a label of COCO or of the rendered sequences; `None` of one whose members are not alike.
+    pub fn from_label(label: &str) -> Option<Self> {
+        match label {
+            "car" => Some(Self::Car),
+            "truck" => Some(Self::Truck),
+            "bus" => Some(Self::Bus),
+            "motorcycle" => Some(Self::Motorcycle),
+            _ => None,
+        }
+    }
+}
+
+/// Proportions that are further from those of every segment are no vehicle's of the class.
+const MAX_MISFIT: f64 = 4.0;
+
+/// Vehicles that are further from the others contradict them.
+const MAX_DEVIATIONS: f64 = 3.0;
+
+/// Metres per unit from all extents together. Extents that are not positive and finite count as none.
+pub fn vehicle_sizes(extents: &[Extent]) -> VehicleSizes {
+    let mut by_vehicle: BTreeMap<u32, Vec<Extent>> = BTreeMap::new();
+    for extent in extents.iter().filter(|extent| extent.is_usable()) {
+        by_vehicle.entry(extent.vehicle).or_default().push(*extent);
+    }
+    let answers = by_vehicle.values().filter_map(|extents| answer(extents));
+    let (mut answers, misshapen): (Vec<Answer>, Vec<Answer>) = answers.partition(|a| a.misfit <= MAX_MISFIT);
+    let misshapen = misshapen.iter().map(|a| OddVehicle::new(a.vehicle, Oddity::Shape, a.misfit));
+    let mut odd: Vec<OddVehicle> = misshapen.collect();
+    odd.extend(take_outliers(&mut answers));
+    VehicleSizes { log_scale: together(&answers), odd }
+}
+
+impl OddVehicle {
+    fn new(vehicle: u32, oddity: Oddity, deviations: f64) -> Self {
+        Self { vehicle, oddity, deviations }
+    }
+}
+
+/// Takes out the vehicle that contradicts the others most, as long as three are left; of two that contradict each other
+/// nobody knows which is wrong: both are named and stay.
+fn take_outliers(answers: &mut Vec<Answer>) -> Vec<OddVehicle> {
+    let mut odd = Vec::new();
+    loop {
+        let mut found: Vec<(usize, OddVehicle)> =
+            (0..answers.len()).filter_map(|k| against_others(answers, k).map(|odd| (k, odd))).collect();
+        found.sort_by(|(_, a), (_, b)| b.deviations.total_cmp(&a.deviations));
+        match found.first() {
+            Some(&(k, worst)) if answers.len() > 2 => {
+                odd.push(worst);
+                answers.remove(k);
+            }
+            _ => {
+                odd.extend(found.into_iter().map(|(_, one)| one));
+                return odd;
+            }
+        }
+    }
+}
+
+/// The `k`-th against the mean of the others; `None` where they agree.
+fn against_others(answers: &[Answer], k: usize) -> Option<OddVehicle> {
+    let others: Vec<Answer> = (0..answers.len()).filter(|&j| j != k).map(|j| answers[j]).collect();
+    let (log_scale, std) = mean(&others)?;
+    let apart = answers[k].log_scale - log_scale;
+    let deviations = apart.abs() / std.hypot(answers[k].std);
+    let odd = OddVehicle::new(answers[k].vehicle, Oddity::Scale(apart.exp()), deviations);
+    (deviations > MAX_DEVIATIONS).then_some(odd)
+}
+
+/// Mean by inverse variances, whose deviation grows with the disagreement, and what a place has in common.
+fn together(answers: &[Answer]) -> Option<(f64, f64)> {
+    let (log_scale, std) = mean(answers)?;
+    Some((log_scale, std.hypot(SHARED_BY_PLACE)))
+}
+
+/// Mean by inverse variances; its deviation has Birge's factor (`docs/maths/metric.md`, eq. 7).
+fn mean(answers: &[Answer]) -> Option<(f64, f64)> {
+    let weight: f64 = answers.iter().map(|a| a.std.powi(-2)).sum();
+    let log_scale = answers.iter().map(|a| a.log_scale * a.std.powi(-2)).sum::<f64>() / weight;
+    let chi2: f64 = answers.iter().map(|a| ((a.log_scale - log_scale) / a.std).powi(2)).sum();
+    let freedom = answers.len().saturating_sub(1).max(1) as f64;
+    let std = ((chi2 / freedom).max(1.0) / weight).sqrt();
+    (log_scale.is_finite() && std.is_finite()).then_some((log_scale, std))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// All that an outline shows of a car of this length, width and height at half a metre per unit.
+    fn car(vehicle: u32, [length, width, height]: [f64; 3]) -> Vec<Extent> {
+        let of = |dimension, metres: f64| {
+            let value = 2.0 * metres;
+            Extent { vehicle, class: VehicleClass::Car, dimension, value, std: 0.03 * value, ratio_std: 0.005 }
+        };
+        vec![of(Dimension::Length, length), of(Dimension::Width, width), of(Dimension::Height, height)]
+    }
+
+    /// Cars of five segments, metres.
+    const SIZES: [[f64; 3]; 5] =
+        [[2.70, 1.66, 1.56], [3.57, 1.63, 1.49], [4.28, 1.79, 1.49], [4.87, 1.86, 1.47], [5.30, 1.90, 1.99]];
+
+    /// The error of the scale and its deviation.
+    fn error(extents: &[Extent]) -> (f64, f64) {
+        let (log_scale, std) = vehicle_sizes(extents).log_scale.unwrap();
+        (log_scale - 0.5f64.ln(), std)
+    }
+
+    #[test]
+    fn proportions_say_how_large_a_car_is() {
+        for metres in SIZES {
+            let (error, std) = error(&car(1, metres));
+            assert!(error.abs() < 0.06 && (0.045..0.10).contains(&std), "{metres:?}: {error} {std}");
+        }
+    }
+
+    #[test]
+    fn three_cars_know_more_than_one_and_a_place_does_not_average_out() {
+        let one = car(1, [4.47, 1.83, 1.50]);
+        let (_, alone) = error(&one);
+        let three: Vec<Extent> =
+            [one, car(2, [3.95, 1.70, 1.48]), car(3, [4.75, 1.88, 1.67])].into_iter().flatten().collect();
+        let (error_of_three, narrow) = error(&three);
+        assert!(error_of_three.abs() < 0.06 && narrow < 0.06 && narrow < alone, "{error_of_three} {narrow}");
+        let many: Vec<Extent> = (0..200).flat_map(|vehicle| car(vehicle, [4.3, 1.79, 1.55])).collect();
+        assert!(error(&many).1 > 0.9 * SHARED_BY_PLACE);
+    }
+
+    #[test]
+    fn vehicles_seen_from_behind_say_less() {
+        let mean_std = |first: usize| -> f64 {
+            let of = |metres: &[f64; 3]| error(&car(1, *metres)[first..]).1;
+            SIZES.iter().map(of).sum::<f64>() / SIZES.len() as f64
+        };
+        let (all, behind) = (mean_std(0), mean_std(1));
+        assert!(behind > 1.1 * all && behind < 0.15, "{all} {behind}");
+        let broken = Extent { value: f64::NAN, ..car(1, SIZES[0])[0] };
+        assert_eq!(vehicle_sizes(&[broken]), VehicleSizes::default());
+        assert_eq!(VehicleClass::from_label("boat"), None);
+    }
+
+    #[test]
+    fn what_has_the_shape_of_no_car_is_left_out() {
+        let mast = car(11, [3.0, 2.0, 4.3]);
+        let alone = vehicle_sizes(&mast);
+        assert_eq!((alone.log_scale, alone.odd[0].oddity), (None, Oddity::Shape));
+        let both = vehicle_sizes(&[car(1, [4.47, 1.83, 1.50]), mast].concat());
+        assert_eq!(both.log_scale, vehicle_sizes(&car(1, [4.47, 1.83, 1.50])).log_scale);
+        assert_eq!(both.odd.iter().map(|odd| odd.vehicle).collect::<Vec<_>>(), [11]);
+    }
+
+    #[test]
+    fn a_car_of_another_scale_is_left_out_if_two_others_say_so_and_else_widens() {
+        let scaled = |vehicle, factor: f64| car(vehicle, [4.3, 1.79, 1.5].map(|metres| factor * metres));
+        let three = vehicle_sizes(&[scaled(1, 1.0), scaled(2, 1.02), scaled(3, 1.6)].concat());
+        assert_eq!(three.odd.iter().map(|odd| odd.vehicle).collect::<Vec<_>>(), [3]);
+        assert!(matches!(three.odd[0].oddity, Oddity::Scale(ratio) if (ratio - 1.0 / 1.58).abs() < 0.03));
+        let two = vehicle_sizes(&[scaled(1, 1.0), scaled(3, 1.6)].concat());
+        assert_eq!(two.odd.len(), 2);
+        assert!(two.log_scale.unwrap().1 > 0.2, "{two:?}");
+    }
+
+    #[test]
+    fn the_scale_ratio_moves_all_extents_of_a_vehicle() {
+        let loose = |mut extents: Vec<Extent>| {
+            extents.iter_mut().for_each(|extent| extent.ratio_std = 0.1);
+            extents
+        };
+        let (_, std) = error(&loose(car(1, [4.3, 1.79, 1.5])));
+        assert!(std > 0.1 && std < 0.13, "{std}");
+    }
+}

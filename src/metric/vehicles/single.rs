@@ -1,0 +1,68 @@
+//! What one vehicle says of metres per unit: a mixture over the segments of its class (docs/maths/metric.md, eq. 8).
+
+use nalgebra::{DMatrix, DVector};
+
+use super::segments::{self, Segment};
+use super::{Extent, SHARED_BY_VEHICLE};
+
+/// What the extents of one vehicle say together.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Answer {
+    /// Which vehicle.
+    pub(super) vehicle: u32,
+    /// Logarithm of metres per unit.
+    pub(super) log_scale: f64,
+    /// Its standard deviation, without what all vehicles of a place have in common.
+    pub(super) std: f64,
+    /// How far its proportions are from those of the nearest segment, standard deviations.
+    pub(super) misfit: f64,
+}
+
+/// What one segment makes of the extents.
+struct Member {
+    log_weight: f64,
+    log_scale: f64,
+    variance: f64,
+    chi2: f64,
+}
+
+/// The answer of one vehicle; `None` without extents. All extents are positive and finite.
+pub(super) fn answer(extents: &[Extent]) -> Option<Answer> {
+    let first = extents.first()?;
+    let members: Vec<Member> = segments::of(first.class).iter().filter_map(|s| member(s, extents)).collect();
+    let highest = members.iter().map(|m| m.log_weight).fold(f64::NEG_INFINITY, f64::max);
+    let weights: Vec<f64> = members.iter().map(|m| (m.log_weight - highest).exp()).collect();
+    let total: f64 = weights.iter().sum();
+    let mean = |value: &dyn Fn(&Member) -> f64| -> f64 {
+        members.iter().zip(&weights).map(|(m, weight)| weight / total * value(m)).sum()
+    };
+    let log_scale = mean(&|m| m.log_scale);
+    let spread = mean(&|m| m.variance + (m.log_scale - log_scale).powi(2));
+    let chi2 = members.iter().map(|m| m.chi2).fold(f64::INFINITY, f64::min);
+    let freedom = extents.len().saturating_sub(1).max(1) as f64;
+    // Proportions that differ by more than the deviations explain make the answer less sure (Birge).
+    let variance = spread * (chi2 / freedom).max(1.0) + first.ratio_std.powi(2);
+    let answer = Answer { vehicle: first.vehicle, log_scale, std: variance.sqrt(), misfit: chi2.sqrt() };
+    [answer.log_scale, answer.std, answer.misfit].iter().all(|x| x.is_finite()).then_some(answer)
+}
+
+/// Generalised least squares with one unknown.
+fn member(segment: &Segment, extents: &[Extent]) -> Option<Member> {
+    let n = extents.len();
+    let spread = |k: usize| segment.spread[extents[k].dimension.index()];
+    let logs = DVector::from_fn(n, |k, _| segment.median_m[extents[k].dimension.index()].ln() - extents[k].value.ln());
+    let covariance = DMatrix::from_fn(n, n, |j, k| {
+        let shared = SHARED_BY_VEHICLE * spread(j) * spread(k);
+        let own = (1.0 - SHARED_BY_VEHICLE) * spread(j).powi(2) + (extents[j].std / extents[j].value).powi(2);
+        if j == k { shared + own } else { shared }
+    });
+    let cholesky = covariance.cholesky()?;
+    let weights = cholesky.solve(&DVector::repeat(n, 1.0));
+    let information = weights.sum();
+    let log_scale = weights.dot(&logs) / information;
+    let residuals = logs.add_scalar(-log_scale);
+    let chi2 = residuals.dot(&cholesky.solve(&residuals)).max(0.0);
+    let log_determinant: f64 = cholesky.l_dirty().diagonal().iter().map(|d| 2.0 * d.ln()).sum();
+    let log_weight = segment.share.ln() - 0.5 * (chi2 + log_determinant + information.ln());
+    (information > 0.0).then_some(Member { log_weight, log_scale, variance: information.recip(), chi2 })
+}
