@@ -42,10 +42,13 @@ pub struct CommonStd {
 /// Fewest sightings that have a motion.
 const MIN_SIGHTINGS: usize = 4;
 /// Errors of positions as shares of the distance to the camera: along the line of sight and across it, new in every
-/// frame; and along it, wandering. Chosen on thirteen rendered sequences; docs/maths/smoother.md.
+/// frame; and along it and across it, wandering. Chosen on fifteen rendered sequences; docs/maths/smoother.md.
 const ALONG: f64 = 5e-4;
 const ACROSS: f64 = 1e-4;
-const WANDER: f64 = 2e-3;
+const WANDER: f64 = 1.5e-3;
+const WANDER_ACROSS: f64 = 1.2e-3;
+/// Times after which these have forgotten where they were, seconds.
+const WANDER_S: [f64; 4] = [1.0, 3.0, 3.0, 3.0];
 /// First position, speed and acceleration: metres, m/s, m/s².
 const FIRST: [f64; 3] = [10.0, 40.0, 5.0];
 /// Spectral density of the jerk of a vehicle in traffic, m²/s⁵, and its vertical part.
@@ -56,6 +59,7 @@ const REST: f64 = 0.02;
 /// Errors of headings, radians: new in every frame, and wandering.
 const YAW: f64 = 1e-3;
 const YAW_WANDER: f64 = 1e-2;
+const YAW_WANDER_S: [f64; 1] = [1.0];
 /// First heading, yaw rate and its change: radians, rad/s, rad/s².
 const FIRST_YAW: [f64; 3] = [1.0, 1.0, 1.0];
 /// Spectral density of the third derivative of the heading, rad²/s⁵.
@@ -75,7 +79,7 @@ pub fn smooth(sightings: &[Sighting], common: &CommonStd, movement: Movement) ->
     }
     let origin = sightings[0].position_m;
     let observed: Vec<Observed> = sightings.iter().map(|s| s.observed(&origin)).collect();
-    let moving = Kind { first: FIRST, usual_jerk: JERK, last_axis: VERTICAL };
+    let moving = Kind { first: FIRST, usual_jerk: JERK, last_axis: VERTICAL, wander_s: &WANDER_S };
     let rest = moving.at_rest(REST);
     let stands = match movement {
         Movement::Moving => false,
@@ -109,7 +113,7 @@ impl Sighting {
             time_s: self.time_s,
             value: dynamic(&(self.position_m - origin)),
             noise: DMatrix::from_iterator(3, 3, noise.iter().copied()),
-            wander: dynamic(&(sight * (WANDER * distance))),
+            wander: wander(&sight, distance),
         }
     }
 
@@ -121,6 +125,15 @@ impl Sighting {
 
 fn dynamic(v: &Vector3<f64>) -> DVector<f64> {
     DVector::from_column_slice(v.as_slice())
+}
+
+/// What wanders: one error along the line of sight, three of fixed axes as far as they lie across it.
+fn wander(sight: &Vector3<f64>, distance: f64) -> DMatrix<f64> {
+    let across = (Matrix3::identity() - sight * sight.transpose()) * (WANDER_ACROSS * distance);
+    let mut columns = DMatrix::zeros(3, 4);
+    columns.column_mut(0).copy_from(&(sight * (WANDER * distance)));
+    columns.columns_mut(1, 3).copy_from(&across);
+    columns
 }
 
 /// The heading under white jerk; `None` unless the model points somewhere in every frame.
@@ -136,10 +149,10 @@ fn headings(sightings: &[Sighting]) -> Option<Track> {
             time_s: sighting.time_s,
             value: DVector::from_element(1, unwrapped),
             noise: DMatrix::from_element(1, 1, YAW * YAW),
-            wander: DVector::from_element(1, YAW_WANDER),
+            wander: DMatrix::from_element(1, 1, YAW_WANDER),
         });
     }
-    track(&observed, &Kind { first: FIRST_YAW, usual_jerk: YAW_JERK, last_axis: 1.0 })
+    track(&observed, &Kind { first: FIRST_YAW, usual_jerk: YAW_JERK, last_axis: 1.0, wander_s: &YAW_WANDER_S })
 }
 
 /// Everything that was smoothed.

@@ -1,7 +1,6 @@
 //! One quantity of several axes under white jerk: where it was at every time, with its first two derivatives.
 //!
-//! What is observed is the quantity, plus an error that wanders slowly along one direction (see [`Observed`]), plus
-//! white noise. How strong the jerk is and how much larger the errors are than stated, the likelihood decides.
+//! What is observed is the quantity, plus errors that wander slowly (see [`Observed`]), plus white noise. How strong the jerk is and how much larger the errors are than stated, the likelihood decides.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -14,8 +13,9 @@ pub(super) struct Observed {
     pub(super) value: DVector<f64>,
     /// Covariance of what is new in every observation.
     pub(super) noise: DMatrix<f64>,
-    /// By how much, and in which direction, the error that wanders moves the value: one standard deviation.
-    pub(super) wander: DVector<f64>,
+    /// By how much, and in which direction, each error that wanders moves the value: one standard deviation, a column
+    /// each.
+    pub(super) wander: DMatrix<f64>,
 }
 
 /// What is known beforehand of how a quantity changes.
@@ -27,6 +27,8 @@ pub(super) struct Kind {
     pub(super) usual_jerk: f64,
     /// That of the last axis as a share of the others'.
     pub(super) last_axis: f64,
+    /// Times after which the errors that wander have forgotten where they were, seconds.
+    pub(super) wander_s: &'static [f64],
 }
 
 /// What is found by the likelihood.
@@ -46,8 +48,6 @@ pub(super) struct Track {
     steps: Vec<Step>,
 }
 
-/// Time after which an error that wanders has forgotten where it was, seconds.
-const WANDER_S: f64 = 1.0;
 /// Jerks that are tried, as multiples of the usual one.
 const JERKS: [f64; 11] = [1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0];
 /// Errors that are tried, as multiples of those that are stated.
@@ -67,12 +67,17 @@ impl Kind {
         Self { first: [self.first[0], speed, 1e-3 * speed], usual_jerk: 1e-6 * speed * speed, ..self }
     }
 
+    fn size(&self, axes: usize) -> usize {
+        3 * axes + self.wander_s.len()
+    }
+
     fn first(&self, observed: &Observed) -> Gaussian {
         let axes = observed.value.len();
-        let mut mean = DVector::zeros(3 * axes + 1);
+        let size = self.size(axes);
+        let mut mean = DVector::zeros(size);
         mean.rows_mut(0, axes).copy_from(&observed.value);
-        let variances = (0..3 * axes).map(|k| self.first[k / axes].powi(2)).chain([1.0]);
-        let covariance = DMatrix::from_diagonal(&DVector::from_iterator(3 * axes + 1, variances));
+        let variance = |k: usize| self.first.get(k / axes).map_or(1.0, |std| std * std);
+        let covariance = DMatrix::from_diagonal(&DVector::from_fn(size, |k, _| variance(k)));
         Gaussian { mean, covariance }
     }
 
@@ -83,11 +88,11 @@ impl Kind {
         all.iter().enumerate().map(step).collect()
     }
 
-    /// States are the value, its first and its second derivative, axis by axis, and the error that wanders, in
+    /// States are the value, its first and its second derivative, axis by axis, and the errors that wander, in
     /// deviations.
     fn step(&self, seen: &Observed, dt: f64, level: Level, weight: f64) -> Step {
         let axes = seen.value.len();
-        let size = 3 * axes + 1;
+        let size = self.size(axes);
         let mut transition = DMatrix::identity(size, size);
         let mut process = DMatrix::zeros(size, size);
         let powers = [dt.powi(5) / 20.0, dt.powi(4) / 8.0, dt.powi(3) / 6.0, dt.powi(3) / 3.0, dt * dt / 2.0, dt];
@@ -104,12 +109,14 @@ impl Kind {
                 process[(column, row)] = level.jerk * share * power;
             }
         }
-        let kept = (-dt / WANDER_S).exp();
-        transition[(size - 1, size - 1)] = kept;
-        process[(size - 1, size - 1)] = 1.0 - kept * kept;
+        for (k, wander_s) in self.wander_s.iter().enumerate() {
+            let (at, kept) = (3 * axes + k, (-dt / wander_s).exp());
+            transition[(at, at)] = kept;
+            process[(at, at)] = 1.0 - kept * kept;
+        }
         let mut observation = DMatrix::zeros(axes, size);
         observation.view_mut((0, 0), (axes, axes)).fill_with_identity();
-        observation.set_column(size - 1, &seen.wander);
+        observation.columns_mut(3 * axes, self.wander_s.len()).copy_from(&seen.wander);
         Step { transition, process, observation, noise: &seen.noise * (level.noise * level.noise / weight) }
     }
 
@@ -155,7 +162,7 @@ pub(super) fn track(all: &[Observed], kind: &Kind) -> Option<Track> {
         let states = chain::smooth(&first, &kind.steps(all, &weights, level), &values)?;
         let weight = |(seen, state): (&Observed, &Gaussian)| {
             let axes = seen.value.len();
-            let wander = state.mean[3 * axes];
+            let wander = state.mean.rows(3 * axes, kind.wander_s.len());
             let off = &seen.value - state.mean.rows(0, axes) - &seen.wander * wander;
             let square = seen.noise.clone().cholesky().map_or(0.0, |c| off.dot(&c.solve(&off)));
             (STUDENT + axes as f64) / (STUDENT + square / level.noise.powi(2))
