@@ -167,7 +167,8 @@ impl Track {
     ) -> Self {
         let region = fresh.region.clone();
         let mut track = Self::bare(provisional, Origin::Boxes, region, fresh.appearance.clone(), now);
-        track.ledger.look();
+        // Its life begins with the first of the boxes that waited: those frames were looked at as well.
+        (0..=sight.earlier.len()).for_each(|_| track.ledger.look());
         track.note(sight, now);
         track.confirm_mask(fresh, outline, now);
         track
