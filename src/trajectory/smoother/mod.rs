@@ -64,9 +64,9 @@ const YAW_WANDER_S: [f64; 1] = [1.0];
 const FIRST_YAW: [f64; 3] = [1.0, 1.0, 1.0];
 /// Spectral density of the third derivative of the heading, rad²/s⁵.
 const YAW_JERK: f64 = 0.05;
-/// Deviation of the model's forward axis, radians: the same in all frames.
+/// Deviation of the forward axis of a model that went far, radians: the same in all frames.
 const FORWARD: f64 = 0.02;
-/// How many deviations a speed must be from zero to show a heading.
+/// How many deviations a speed or a way must be from zero to show a heading.
 const CLEAR: f64 = 3.0;
 
 /// The motion at every sighting; `None` where there are fewer than four, or numbers that are not finite.
@@ -89,8 +89,10 @@ pub fn smooth(sightings: &[Sighting], common: &CommonStd, movement: Movement) ->
     let positions = track(&observed, if stands { &rest } else { &moving })?;
     let along_sight = |s: &Sighting| dynamic(&(common.ratio * (s.position_m - s.camera_m)));
     let moved = positions.response(&sightings.iter().map(along_sight).collect::<Vec<_>>())?;
-    let headings = headings(sightings);
-    let all = Smoothed { sightings, origin, positions, moved, headings, scale_std: common.scale };
+    let forward_std = forward_std(sightings).filter(|_| !stands);
+    let headings = forward_std.and_then(|_| headings(sightings));
+    let forward_std = forward_std.unwrap_or(FORWARD);
+    let all = Smoothed { sightings, origin, positions, moved, headings, forward_std, scale_std: common.scale };
     let motions: Vec<Motion> = (0..sightings.len()).map(|k| all.motion(k)).collect();
     motions.iter().all(is_finite).then_some(motions)
 }
@@ -136,6 +138,17 @@ fn wander(sight: &Vector3<f64>, distance: f64) -> DMatrix<f64> {
     columns
 }
 
+/// Deviation of the model's forward axis, radians, which the vehicle's motion shows; `None` unless that is beyond the
+/// errors of the positions that show it: of a vehicle that hardly moved the axis is noise.
+fn forward_std(sightings: &[Sighting]) -> Option<f64> {
+    let first = &sightings[0];
+    let way = |s: &Sighting| (s.position_m - first.position_m).norm();
+    let furthest = sightings.iter().max_by(|a, b| way(a).total_cmp(&way(b)))?;
+    let off = |s: &Sighting| WANDER * (s.position_m - s.camera_m).norm();
+    let error = off(first).hypot(off(furthest));
+    (way(furthest) > CLEAR * error).then(|| FORWARD.hypot(error / way(furthest)))
+}
+
 /// The heading under white jerk; `None` unless the model points somewhere in every frame.
 fn headings(sightings: &[Sighting]) -> Option<Track> {
     let mut before: Option<f64> = None;
@@ -163,6 +176,7 @@ struct Smoothed<'a> {
     /// What the scale ratio's deviation does to the states of `positions`.
     moved: Vec<DVector<f64>>,
     headings: Option<Track>,
+    forward_std: f64,
     scale_std: f64,
 }
 
@@ -227,7 +241,7 @@ impl Smoothed<'_> {
         if let Some(Track { states, .. }) = &self.headings {
             let std = |i: usize| states[k].covariance[(i, i)].max(0.0).sqrt();
             let rate = Some([states[k].mean[1], std(1)]);
-            return Some(Heading { yaw: states[k].mean[0], std: std(0).hypot(FORWARD), rate });
+            return Some(Heading { yaw: states[k].mean[0], std: std(0).hypot(self.forward_std), rate });
         }
         let level = velocity.xy().norm();
         (level > CLEAR * speed_std).then(|| Heading {

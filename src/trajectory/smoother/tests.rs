@@ -82,10 +82,26 @@ fn a_standing_vehicle_stands() {
     for movement in [Movement::Standing, Movement::Undetermined] {
         for motion in smooth(&standing(60), &KNOWN, movement).unwrap() {
             assert!(motion.speed_m_s.abs() < (2.0 * motion.speed_std_m_s).min(0.05), "{movement:?}: {motion:?}");
-            assert!(motion.heading_deg.is_some_and(|h| !(1.0..=359.0).contains(&h)), "{motion:?}");
+            assert!(motion.heading_deg.is_none() && motion.yaw_rate_deg_s.is_none(), "{motion:?}");
             assert!((motion.smoothed_position_m[1] - 3.0).abs() < 0.05);
         }
     }
+}
+
+#[test]
+fn a_heading_is_as_sure_as_the_way_that_shows_it() {
+    let heading_std = |factor: f64| {
+        let mut drive = circle(60, 6);
+        let (origin, camera) = (drive[0].position_m, drive[0].camera_m);
+        for sighting in &mut drive {
+            sighting.position_m = origin + (sighting.position_m - origin) * factor;
+            sighting.camera_m = camera;
+        }
+        smooth(&drive, &KNOWN, Movement::Moving).unwrap()[30].heading_std_deg
+    };
+    let (far, near) = (heading_std(1.0).unwrap(), heading_std(0.01).unwrap());
+    assert!(near > 2.0 * far, "{near} {far}");
+    assert_eq!(heading_std(0.001), None);
 }
 
 #[test]
