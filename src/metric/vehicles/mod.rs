@@ -103,7 +103,7 @@ pub enum Oddity {
     /// No vehicle of its class has its proportions. It is left out.
     Shape,
     /// By its size a unit is this many times as long as by the sizes of the others. It is left out where two others
-    /// are left to say so.
+    /// are left to say so, or where but one of its extents is known.
     Scale(f64),
 }
 
@@ -154,25 +154,30 @@ impl OddVehicle {
     }
 }
 
-/// Takes out the vehicle that contradicts the others most, as long as three are left; of two that contradict each other
-/// nobody knows which is wrong: both are named and stay.
+/// Takes out the vehicle that contradicts the others most, as long as three are left. Of two that contradict each other
+/// the one whose proportions nobody could test is taken out; else nobody knows which is wrong, and both are named and
+/// stay.
 fn take_outliers(answers: &mut Vec<Answer>) -> Vec<OddVehicle> {
     let mut odd = Vec::new();
     loop {
         let mut found: Vec<(usize, OddVehicle)> =
             (0..answers.len()).filter_map(|k| against_others(answers, k).map(|odd| (k, odd))).collect();
         found.sort_by(|(_, a), (_, b)| b.deviations.total_cmp(&a.deviations));
-        match found.first() {
-            Some(&(k, worst)) if answers.len() > 2 => {
-                odd.push(worst);
-                answers.remove(k);
-            }
-            _ => {
-                odd.extend(found.into_iter().map(|(_, one)| one));
-                return odd;
-            }
-        }
+        let taken = if answers.len() > 2 { found.first() } else { untested(answers, &found) };
+        let Some(&(k, worst)) = taken else {
+            odd.extend(found.into_iter().map(|(_, one)| one));
+            return odd;
+        };
+        odd.push(worst);
+        answers.remove(k);
     }
+}
+
+/// The only one of which no more than one extent is known.
+fn untested<'a>(answers: &[Answer], found: &'a [(usize, OddVehicle)]) -> Option<&'a (usize, OddVehicle)> {
+    let is_untested = |k: usize| answers[k].num_extents == 1;
+    let mut untested = found.iter().filter(|(k, _)| is_untested(*k));
+    untested.next().filter(|_| untested.next().is_none())
 }
 
 /// The `k`-th against the mean of the others; `None` where they agree.
@@ -273,6 +278,8 @@ mod tests {
         let three = vehicle_sizes(&[scaled(1, 1.0), scaled(2, 1.02), scaled(3, 1.6)].concat());
         assert_eq!(three.odd.iter().map(|odd| odd.vehicle).collect::<Vec<_>>(), [3]);
         assert!(matches!(three.odd[0].oddity, Oddity::Scale(ratio) if (ratio - 1.0 / 1.58).abs() < 0.03));
+        let height_alone = vehicle_sizes(&[scaled(1, 1.0), scaled(3, 3.0)[2..].to_vec()].concat());
+        assert_eq!(height_alone.log_scale, vehicle_sizes(&scaled(1, 1.0)).log_scale);
         let two = vehicle_sizes(&[scaled(1, 1.0), scaled(3, 1.6)].concat());
         assert_eq!(two.odd.len(), 2);
         assert!(two.log_scale.unwrap().1 > 0.2, "{two:?}");

@@ -14,6 +14,8 @@ pub(super) struct Answer {
     pub(super) log_scale: f64,
     /// Its standard deviation, without what all vehicles of a place have in common.
     pub(super) std: f64,
+    /// How many of its extents are known.
+    pub(super) num_extents: usize,
     /// How far its proportions are from those of the nearest segment, standard deviations.
     pub(super) misfit: f64,
 }
@@ -42,7 +44,8 @@ pub(super) fn answer(extents: &[Extent]) -> Option<Answer> {
     let freedom = extents.len().saturating_sub(1).max(1) as f64;
     // Proportions that differ by more than the deviations explain make the answer less sure (Birge).
     let variance = spread * (chi2 / freedom).max(1.0) + first.ratio_std.powi(2);
-    let answer = Answer { vehicle: first.vehicle, log_scale, std: variance.sqrt(), misfit: chi2.sqrt() };
+    let num_extents = extents.len();
+    let answer = Answer { vehicle: first.vehicle, log_scale, std: variance.sqrt(), num_extents, misfit: chi2.sqrt() };
     [answer.log_scale, answer.std, answer.misfit].iter().all(|x| x.is_finite()).then_some(answer)
 }
 
