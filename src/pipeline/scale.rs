@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::{Value, json};
 
 use super::metric::Size;
+use super::models::ModelReport;
 use super::run::{Outcome, Run};
 use super::track;
 use super::{PipelineError, Stage, exports, ground, models, objects};
@@ -33,72 +34,125 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     run.progress.begin("scale", None);
     let (background, _) = models::background(run)?;
-    let focal_std = models::focal_deviation(run)?;
-    let ground = ground::ground(run)?;
     let reports = objects::reports(run)?;
-    let frames = run.frames()?;
-    // The file of trajectories is made anew without metres, which the stage `metric` writes into it.
-    run.workspace.clear_marker(Stage::Metric)?;
-    // They speak of the trajectories that are replaced.
-    run.workspace.remove(&run.workspace.evaluation())?;
-    run.workspace.remove(&run.workspace.exports())?;
-    run.workspace.remove(&run.workspace.point_clouds())?;
-    run.workspace
-        .keep_objects(&run.workspace.objects(), |id| reports.get(&id).is_some_and(|report| report.failure.is_none()))?;
+    clear(run, &reports)?;
     outcome.outputs.push(exports::background(run, &background)?);
-    let mut found: Vec<Placed> = Vec::new();
-    let mut failures = BTreeMap::new();
-    let mut sizes = BTreeMap::new();
-    let with_model = reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id).collect();
-    let silhouettes = silhouettes(run, frames, &with_model)?;
-    let no_silhouettes = BTreeMap::new();
-    let tracked_objects = track::objects(run)?;
-    for tracked in &tracked_objects {
-        let Some(report) = reports.get(&tracked.id) else { continue };
-        let Some(object) = objects::as_reconstructed(run, tracked.id, report)? else { continue };
-        let planes = planes(&ground, tracked.id);
-        let seen = silhouettes.get(&tracked.id).unwrap_or(&no_silhouettes);
-        let placed = trajectory::place(
-            &Evidence {
-                description: description(tracked),
-                origin: if report.given { ModelOrigin::Given } else { ModelOrigin::Reconstructed },
-                background: &background,
-                object: &object,
-                planes: &planes,
-                silhouettes: seen,
-                frames,
-                focal_std,
-            },
-            &run.options.scale,
-        );
-        models::store(run, &run.workspace.object(tracked.id), &placed.object)?;
-        outcome.outputs.push(run.workspace.object(tracked.id));
-        describe_adjustment(tracked.id, &placed.adjustment, &mut outcome);
-        match placed.trajectory {
-            Ok(trajectory) => {
-                outcome.outputs.push(exports::object(run, &trajectory, &placed.object)?);
-                if let Some(reason) = &trajectory.scale.reason {
-                    outcome.warn(format!("object {}: its scale ratio is not to be trusted: {reason}", tracked.id));
-                }
-                sizes.insert(tracked.id, size(&trajectory, &placed.object, &background, &planes, seen));
-                found.push(Placed { trajectory, tracked, object: placed.object, planes });
-            }
-            Err(reason) => {
-                outcome.warn(format!("object {} has no trajectory: {reason}", tracked.id));
-                failures.insert(tracked.id.to_string(), reason.to_string());
-            }
+    let tracked = track::objects(run)?;
+    let scene = Scene::read(run, &background, &reports)?;
+    let mut found = Found::default();
+    for tracked in &tracked {
+        if let Some(report) = reports.get(&tracked.id) {
+            scene.place(tracked, report, &mut found, &mut outcome)?;
         }
     }
-    outcome.figure("num_trajectories", found.len());
-    let objects = judged(found, &background, run.info().time_base(), &mut outcome);
-    let (path, all) = (run.workspace.trajectories(), Trajectories { unit: Unit::Background, metric: None, objects });
+    outcome.figure("num_trajectories", found.placed.len());
+    let objects = judged(found.placed, &background, run.info().time_base(), &mut outcome);
+    let all = Trajectories { unit: Unit::Background, metric: None, objects };
+    let path = run.workspace.trajectories();
     crate::io::trajectories::write(&run.workspace.state(IN_UNITS), &all)?;
     run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
-    run.workspace.write_state(FAILURES, &failures)?;
-    run.workspace.write_state(SIZES, &sizes)?;
+    run.workspace.write_state(FAILURES, &found.failures)?;
+    run.workspace.write_state(SIZES, &found.sizes)?;
     let states = [IN_UNITS, FAILURES, SIZES].map(|name| run.workspace.state(name));
     outcome.outputs.extend(states.into_iter().chain([path]));
     Ok(outcome)
+}
+
+/// Takes away what speaks of the trajectories that are replaced.
+fn clear(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result<(), PipelineError> {
+    // The file of trajectories is made anew without metres, which the stage `metric` writes into it.
+    run.workspace.clear_marker(Stage::Metric)?;
+    run.workspace.remove(&run.workspace.evaluation())?;
+    run.workspace.remove(&run.workspace.exports())?;
+    run.workspace.remove(&run.workspace.point_clouds())?;
+    let has_model = |id| reports.get(&id).is_some_and(|report| report.failure.is_none());
+    run.workspace.keep_objects(&run.workspace.objects(), has_model)
+}
+
+/// What the objects are placed in.
+struct Scene<'a, 'r> {
+    run: &'a Run<'r>,
+    background: &'a Reconstruction,
+    ground: Ground,
+    frames: &'a [Frame],
+    focal_std: Option<f64>,
+    silhouettes: BTreeMap<ObjectId, BTreeMap<FrameId, Silhouette>>,
+}
+
+/// What became of the objects.
+#[derive(Default)]
+struct Found<'a> {
+    placed: Vec<Placed<'a>>,
+    failures: BTreeMap<String, String>,
+    sizes: BTreeMap<ObjectId, Size>,
+}
+
+impl<'a, 'r> Scene<'a, 'r> {
+    fn read(
+        run: &'a Run<'r>,
+        background: &'a Reconstruction,
+        reports: &BTreeMap<ObjectId, ModelReport>,
+    ) -> Result<Self, PipelineError> {
+        let frames = run.frames()?;
+        let with_model = reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id).collect();
+        Ok(Self {
+            run,
+            background,
+            ground: ground::ground(run)?,
+            frames,
+            focal_std: models::focal_deviation(run)?,
+            silhouettes: silhouettes(run, frames, &with_model)?,
+        })
+    }
+
+    /// Places one object that has a model.
+    fn place(
+        &self,
+        tracked: &'a TrackedObject,
+        report: &ModelReport,
+        found: &mut Found<'a>,
+        outcome: &mut Outcome,
+    ) -> Result<(), PipelineError> {
+        let run = self.run;
+        let Some(object) = objects::as_reconstructed(run, tracked.id, report)? else { return Ok(()) };
+        let planes = planes(&self.ground, tracked.id);
+        let unseen = BTreeMap::new();
+        let silhouettes = self.silhouettes.get(&tracked.id).unwrap_or(&unseen);
+        let evidence = Evidence {
+            description: description(tracked),
+            origin: if report.given { ModelOrigin::Given } else { ModelOrigin::Reconstructed },
+            background: self.background,
+            object: &object,
+            planes: &planes,
+            silhouettes,
+            frames: self.frames,
+            focal_std: self.focal_std,
+        };
+        let placed = trajectory::place(&evidence, &run.options.scale);
+        models::store(run, &run.workspace.object(tracked.id), &placed.object)?;
+        outcome.outputs.push(run.workspace.object(tracked.id));
+        describe_adjustment(tracked.id, &placed.adjustment, outcome);
+        match placed.trajectory {
+            Ok(trajectory) => {
+                outcome.outputs.push(exports::object(run, &trajectory, &placed.object)?);
+                warn_of_scale(&trajectory, outcome);
+                let size = size(&trajectory, &placed.object, self.background, &planes, silhouettes);
+                found.sizes.insert(tracked.id, size);
+                found.placed.push(Placed { trajectory, tracked, object: placed.object, planes });
+            }
+            Err(reason) => {
+                outcome.warn(format!("object {} has no trajectory: {reason}", tracked.id));
+                found.failures.insert(tracked.id.to_string(), reason.to_string());
+            }
+        }
+        Ok(())
+    }
+}
+
+fn warn_of_scale(trajectory: &ObjectTrajectory, outcome: &mut Outcome) {
+    if let Some(reason) = &trajectory.scale.reason {
+        outcome.warn(format!("object {}: its scale ratio is not to be trusted: {reason}", trajectory.id));
+    }
 }
 
 /// How large an object is, in units of the background.
