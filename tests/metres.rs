@@ -150,3 +150,20 @@ fn logs_that_are_no_use_cost_nothing_but_their_metres() {
         assert_eq!(found, expected, "{content}");
     }
 }
+
+#[test]
+fn a_log_of_another_clock_says_so() {
+    let place = Place::new(NUM_FRAMES);
+    let log = place.path("log.csv");
+    write_log(&log, |position| position);
+    let later = |row: &str| match row.split_once(',') {
+        Some((time, rest)) if time != "time" => format!("{},{rest}", time.parse::<f64>().unwrap() + 5000.0),
+        _ => row.to_owned(),
+    };
+    let rows: Vec<String> = fs::read_to_string(&log).unwrap().lines().map(later).collect();
+    fs::write(&log, rows.join("\n") + "\n").unwrap();
+    let (code, stderr) = run(&place, "out", &["--telemetry", &log.display().to_string()]);
+    // Whether so short a way tells its time or not: nothing is taken in silence.
+    assert!(code == 0 && stderr.contains("log.csv: "), "{stderr}");
+    assert!(stderr.contains("was recorded at another") || stderr.contains("no metres"), "{stderr}");
+}

@@ -94,11 +94,27 @@ fn try_align(
         let support = support(background, frames, telemetry, ground, offset, epoch_s, outcome);
         match align_to_fixes(&path, &fixes, &support) {
             Ok(alignment) if !is_finite(&alignment) => return Err("the fit has no bounds".to_owned()),
-            Ok(alignment) => return Ok(Aligned { alignment, map, knows_height, epoch_s, origin: telemetry.origin }),
+            Ok(alignment) => {
+                let aligned = Aligned { alignment, map, knows_height, epoch_s, origin: telemetry.origin };
+                warn_of_other_clock(telemetry, &aligned, refusal.as_ref(), outcome);
+                return Ok(aligned);
+            }
             Err(reason) => refusal = refusal.or(Some(reason)),
         }
     }
     Err(refusal.as_ref().map_or_else(String::new, Refusal::to_string))
+}
+
+/// Says where the log fits only at another time than it states.
+fn warn_of_other_clock(telemetry: &Telemetry, aligned: &Aligned, refusal: Option<&Refusal>, outcome: &mut Outcome) {
+    let Some(reason) = refusal else { return };
+    outcome.warn(format!(
+        "{}: at the time that it states it does not fit the video ({reason}); by its way it was recorded at another: its \
+         clock is taken to be {:.1} s ahead of the video's (give --time-offset SECONDS if that is wrong, --no-telemetry if it \
+         is the log of another flight)",
+        telemetry.path.display(),
+        aligned.clock_offset_s()
+    ));
 }
 
 fn is_finite(alignment: &Alignment) -> bool {
