@@ -15,6 +15,8 @@
 //! another flight is refused: [`Refusal`].
 
 mod covariance;
+#[cfg(test)]
+mod flights;
 mod refine;
 mod search;
 mod start;
