@@ -146,7 +146,10 @@ def true_size(sequence: Path) -> dict[str, float]:
 def motion_row(name: str, found: list[Output]) -> str:
     """Raw and smoothed speed as shares of the mean speed, and yaw rates; over all seeds."""
     mean_speed = np.mean([np.abs(o.speed.true).mean() for o in found])
-    share = lambda values: 100 * float(np.sqrt(np.mean(np.square(values)))) / mean_speed
+
+    def share(values: list[float]) -> float:
+        return 100 * float(np.sqrt(np.mean(np.square(values)))) / mean_speed
+
     row = f"| {name} | {len(found)} | {share([o.raw_speed.rms() for o in found]):.1f} % "
     row += f"| {share([o.speed.rms() for o in found]):.1f} %, {share([o.speed.std.mean() for o in found]):.1f} % "
     row += f"| {100 * np.mean([o.speed.within(1) for o in found]):.0f} %, "
@@ -163,8 +166,10 @@ def extents_row(name: str, found: Output, truth: dict[str, float]) -> str:
     cells = []
     for dimension in DIMENSIONS:
         value, std = found.extents.get(dimension, (None, None))
-        off = "not seen" if value is None else f"{100 * (value / truth[dimension] - 1):+.1f} % ± {100 * std / value:.1f}"
-        cells.append(off)
+        if value is None:
+            cells.append("not seen")
+            continue
+        cells.append(f"{100 * (value / truth[dimension] - 1):+.1f} % ± {100 * std / value:.1f}")
     return f"| {name} | " + " | ".join(cells) + " |"
 
 

@@ -1,9 +1,9 @@
 //! Flights of a minute as drones fly them, and reconstructions that drift: how well metres come out of a log.
 //!
-//! A flight goes along legs of three to nine seconds at 2 to 8 m/s, turns by up to 120° between them with a second's lag,
-//! climbs and sinks, and sways by a few decimetres in the wind. Its reconstruction has errors that add up along the way: the
-//! scale by 0.5 % and the heading by 0.3° in a minute (standard deviations of random walks). The truth is the similarity
-//! that fits all centres best.
+//! A flight goes along legs of three to nine seconds at 2 to 8 m/s, turns by up to 120° between them with a second's
+//! lag, climbs and sinks, and sways by a few decimetres in the wind. Its reconstruction has errors that add up along
+//! the way: the scale by 0.5 % and the heading by 0.3° in a minute (standard deviations of random walks). The truth is
+//! the similarity that fits all centres best.
 
 use nalgebra::{Vector2, vector};
 use rand::Rng as _;
@@ -110,8 +110,8 @@ fn trial(rate_hz: f64, offset: Offset, seed: u64) -> Option<[f64; 4]> {
     Some([error, found.log_scale_std(), found.offset_s - OFFSET_S, found.offset_std_s])
 }
 
-/// Prints a row of docs/benchmarks/metres.md; gives the root mean square errors of scale and offset, and how many scales
-/// lie within one deviation.
+/// Prints a row of docs/benchmarks/metres.md; gives the root mean square errors of scale and offset, and how many
+/// scales lie within one deviation.
 fn row(name: &str, rate_hz: f64, offset: Offset, num: u64) -> [f64; 3] {
     let found: Vec<[f64; 4]> = (0..num).filter_map(|seed| trial(rate_hz, offset, seed)).collect();
     let n = found.len() as f64;

@@ -1,10 +1,11 @@
 //! What vehicles are like: lengths, widths and heights of a class as a source of metres.
 //!
-//! A class is made of segments, whose vehicles are alike: the logarithms of a vehicle's dimensions are normal round those
-//! of its segment, with a part that the dimensions of one vehicle share (large or small) and a part of each. Each
-//! vehicle gives the logarithm of metres per unit as a mixture over the segments of its class ([`single`]). Vehicles that
-//! no segment explains, and such as contradict the others, are left out and named; the rest are one by their inverse
-//! variances, and what all vehicles of a place have in common is added. docs/maths/metric.md, eq. 8, has the equations.
+//! A class is made of segments, whose vehicles are alike: the logarithms of a vehicle's dimensions are normal round
+//! those of its segment, with a part that the dimensions of one vehicle share (large or small) and a part of each.
+//! Each vehicle gives the logarithm of metres per unit as a mixture over the segments of its class ([`single`]).
+//! Vehicles that no segment explains, and such as contradict the others, are left out and named; the rest are one by
+//! their inverse variances, and what all vehicles of a place have in common is added. docs/maths/metric.md, eq. 8, has
+//! the equations.
 
 mod segments;
 mod single;

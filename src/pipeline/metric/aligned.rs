@@ -109,9 +109,9 @@ fn try_align(
 fn warn_of_other_clock(telemetry: &Telemetry, aligned: &Aligned, refusal: Option<&Refusal>, outcome: &mut Outcome) {
     let Some(reason) = refusal else { return };
     outcome.warn(format!(
-        "{}: at the time that it states it does not fit the video ({reason}); by its way it was recorded at another: its \
-         clock is taken to be {:.1} s ahead of the video's (give --time-offset SECONDS if that is wrong, --no-telemetry if it \
-         is the log of another flight)",
+        "{}: at the time that it states it does not fit the video ({reason}); by its way it was recorded at another: \
+         its clock is taken to be {:.1} s ahead of the video's (give --time-offset SECONDS if that is wrong, \
+         --no-telemetry if it is the log of another flight)",
         telemetry.path.display(),
         aligned.clock_offset_s()
     ));

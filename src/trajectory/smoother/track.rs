@@ -1,6 +1,7 @@
 //! One quantity of several axes under white jerk: where it was at every time, with its first two derivatives.
 //!
-//! What is observed is the quantity, plus errors that wander slowly (see [`Observed`]), plus white noise. How strong the jerk is and how much larger the errors are than stated, the likelihood decides.
+//! What is observed is the quantity, plus errors that wander slowly (see [`Observed`]), plus white noise. How strong
+//! the jerk is and how much larger the errors are than stated, the likelihood decides.
 
 use nalgebra::{DMatrix, DVector};
 
