@@ -49,7 +49,7 @@ pub(super) struct JobArgs {
     /// What finds the pixels of a vehicle: `default` (comes with the program), or `none` (coarse, by colours)
     #[arg(long, value_name = "default|none", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) mask_network: Option<MaskChoice>,
-    /// Ask the mask network every N-th frame; optical flow carries the masks between [default: four times a second]
+    /// Ask the mask network every N-th frame; optical flow carries the masks between [default: every 0.4 seconds]
     #[arg(long, value_name = "N", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) segment_every: Option<u32>,
     /// ONNX model for optical flow [default: OpenCV's DIS]

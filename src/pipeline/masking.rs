@@ -4,7 +4,7 @@ use super::detections::DetectionFolder;
 use super::given_masks::MaskFolder;
 use super::run::Run;
 use super::{Instances, PipelineError, segment};
-use crate::scene::{BoxDetection, Frame, Mask};
+use crate::scene::{BoxDetection, Frame, FrameId, Mask};
 
 /// Where something is that may move by itself.
 enum Movable {
@@ -14,8 +14,8 @@ enum Movable {
     Given(MaskFolder),
     /// What a network found; also what is not tracked: a parked car may leave, and a person walks.
     Masks(DetectionFolder),
-    /// The same as boxes.
-    Boxes(segment::BoxFolder),
+    /// The same as boxes, in the frames at which the detector looked, ascending.
+    Boxes(segment::BoxFolder, Vec<FrameId>),
 }
 
 /// Gives the background's masks of frames.
@@ -33,7 +33,11 @@ impl Masking {
             Instances::None => Movable::Nothing,
             Instances::Masks(folder) => Movable::Given(MaskFolder::open(folder, run.frames()?, run.info())?),
             Instances::Model(_) => Movable::Masks(segment::finished(run)),
-            Instances::Vehicles => Movable::Boxes(segment::finished_boxes(run)),
+            Instances::Vehicles => {
+                let boxes = segment::finished_boxes(run);
+                let looked = run.frames()?.iter().filter(|frame| boxes.has(frame)).map(|frame| frame.id).collect();
+                Movable::Boxes(boxes, looked)
+            }
         };
         Ok(Self { movable, dilation_px })
     }
@@ -49,9 +53,24 @@ impl Masking {
             Movable::Nothing => {}
             Movable::Given(folder) => return Ok(folder.labels(frame.id)?.map_or(movable, |labels| labels.any())),
             Movable::Masks(folder) => folder.read(frame.id)?.iter().for_each(|found| movable.union_with(&found.mask)),
-            Movable::Boxes(folder) => folder.read(frame.id)?.iter().for_each(|found| fill(&mut movable, found)),
+            Movable::Boxes(folder, looked) => {
+                for near in nearest(looked, frame.id) {
+                    folder.read(near)?.iter().for_each(|found| fill(&mut movable, found));
+                }
+            }
         }
         Ok(movable)
+    }
+}
+
+/// A frame itself if it is among those that were looked at, else the ones before and after it: what moves between two
+/// looks lies between two boxes that overlap or nearly do.
+///
+/// * `looked` – ascending.
+fn nearest(looked: &[FrameId], frame: FrameId) -> Vec<FrameId> {
+    match looked.binary_search(&frame) {
+        Ok(_) => vec![frame],
+        Err(after) => looked[after.saturating_sub(1)..looked.len().min(after + 1)].to_vec(),
     }
 }
 
@@ -76,5 +95,15 @@ mod tests {
         let rect = Rect { x0: 3.5, y0: -2.0, x1: 9.0, y1: 1.2 };
         fill(&mut mask, &BoxDetection { class: "car".into(), confidence: 0.5, rect, finder: Finder::Detector });
         assert_eq!(mask, Mask::from_fn(6, 4, |x, y| x >= 3 && y < 2));
+    }
+
+    #[test]
+    fn between_two_looks_both_count() {
+        let looked = [2, 4, 9].map(FrameId);
+        assert_eq!(nearest(&looked, FrameId(4)), [FrameId(4)]);
+        assert_eq!(nearest(&looked, FrameId(3)), [FrameId(2), FrameId(4)]);
+        assert_eq!(nearest(&looked, FrameId(0)), [FrameId(2)]);
+        assert_eq!(nearest(&looked, FrameId(11)), [FrameId(9)]);
+        assert_eq!(nearest(&[], FrameId(1)), []);
     }
 }

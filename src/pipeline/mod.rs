@@ -36,6 +36,7 @@ mod preflight;
 mod progress;
 mod reopen;
 mod report;
+mod rhythm;
 mod run;
 mod run_json;
 mod scale;

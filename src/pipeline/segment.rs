@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 
 use super::detections::{DetectionFolder, FrameFolder};
 use super::networks::Networks;
+use super::rhythm::Rhythm;
 use super::run::{Outcome, Run};
 use super::{Instances, PipelineError, Stage, fingerprint, pictures};
 use crate::perception::{Segmenter, load_segmenter};
@@ -29,7 +30,8 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
         }),
         Instances::Vehicles => {
             let detector = Networks::of(run).fingerprint_of_detector()?;
-            json!({ "detector": detector, "options": run.options.detector })
+            let every = Rhythm::of(run)?.detector;
+            json!({ "detector": detector, "options": run.options.detector, "every": every })
         }
     })
 }
@@ -66,7 +68,7 @@ fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, Pip
     let path = run.workspace.keep_only(MASKS, &fingerprint::folder_name(MASKS, fingerprint))?;
     let store = masks_in(run, path.clone());
     let mut segmenter = load(run, model)?;
-    let Split { open, done } = split(run, |frame| store.has(frame))?;
+    let Split { open, done } = split(run, run.frames()?.iter(), |frame| store.has(frame));
     let mut found = done.iter().map(|frame| store.count(*frame)).sum::<Result<u64, _>>()?;
     pictures::for_each(run, run.source.frames_at(open)?, &mut outcome, |frame, picture| {
         let detections = segmenter.segment(&picture)?;
@@ -93,7 +95,9 @@ fn find_boxes(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     networks.doubts.iter().for_each(|doubt| outcome.warn(doubt.clone()));
     let Some(mut detector) = networks.load_detector(run)? else { return Ok(outcome) };
     let store = BoxFolder::new(path);
-    let Split { open, done } = split(run, |frame| store.has(frame))?;
+    let rhythm = Rhythm::of(run)?;
+    let looked = run.frames()?.iter().enumerate().filter(|(index, _)| rhythm.is_detected(*index));
+    let Split { open, done } = split(run, looked.map(|(_, frame)| frame), |frame| store.has(frame));
     let mut found = done.iter().map(|frame| store.count(*frame)).sum::<Result<u64, _>>()?;
     pictures::for_each(run, run.source.frames_at(open)?, &mut outcome, |frame, picture| {
         let boxes = detector.detect(&picture)?;
@@ -104,16 +108,16 @@ fn find_boxes(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     Ok(outcome)
 }
 
-/// The frames of a run: those that a run that was stopped did, and the others.
+/// The frames to look at: those that a run that was stopped did, and the others.
 struct Split {
     open: BTreeSet<FrameId>,
     done: Vec<FrameId>,
 }
 
-fn split(run: &Run, is_done: impl Fn(&Frame) -> bool) -> Result<Split, PipelineError> {
-    let (done, open): (Vec<&Frame>, Vec<&Frame>) = run.frames()?.iter().partition(|frame| is_done(frame));
+fn split<'a>(run: &Run, frames: impl Iterator<Item = &'a Frame>, is_done: impl Fn(&Frame) -> bool) -> Split {
+    let (done, open): (Vec<&Frame>, Vec<&Frame>) = frames.partition(|frame| is_done(frame));
     run.progress.begin("segment", Some(open.len() as u64));
     tracing::debug!("{} of {} frames were looked at before", done.len(), done.len() + open.len());
     let ids = |frames: Vec<&Frame>| frames.into_iter().map(|frame| frame.id).collect::<Vec<_>>();
-    Ok(Split { open: ids(open).into_iter().collect(), done: ids(done) })
+    Split { open: ids(open).into_iter().collect(), done: ids(done) }
 }

@@ -15,6 +15,7 @@ use serde_json::{Value, json};
 
 use self::found::{Finds, Followed};
 use super::networks::Networks;
+use super::rhythm::Rhythm;
 use super::run::{Outcome, Run};
 use super::{Instances, PipelineError, fingerprint};
 use crate::io::{RunFolder, masks};
@@ -38,7 +39,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
             "following": following()?,
             "masks": Networks::of(run).fingerprint_of_masks()?,
             "prompt": options.prompt,
-            "every": options.vehicles.segment_every,
+            "every": Rhythm::of(run)?.masks,
         }),
     })
 }

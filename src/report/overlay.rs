@@ -10,8 +10,8 @@ use crate::scene::{FrameId, Mask, ObjectId};
 const THUMBNAIL_SIDE: u32 = 400;
 /// JPEG quality of a strip picture.
 const THUMBNAIL_QUALITY: u8 = 74;
-/// Pictures in the strip: at about 18 KiB each they stay below 2 MiB as base64.
-const MAX_THUMBNAILS: usize = 72;
+/// Pictures in the strip: at about 18 KiB each they stay below 1 MiB as base64.
+const MAX_THUMBNAILS: usize = 36;
 /// How much of the object's colour the inside of a mask takes.
 const TINT: f32 = 0.38;
 
@@ -185,7 +185,7 @@ mod tests {
     fn the_strip_is_thinned_and_keeps_both_ends() {
         let frames: Vec<_> = (0..1000).map(FrameId).collect();
         let chosen = strip_frames(&frames);
-        assert_eq!((chosen.len(), chosen[0], chosen[71]), (72, FrameId(0), FrameId(999)));
+        assert_eq!((chosen.len(), chosen[0], chosen[35]), (36, FrameId(0), FrameId(999)));
         assert!(chosen.windows(2).all(|w| w[0] < w[1]));
         assert_eq!(strip_frames(&frames[..5]).len(), 5);
         assert!(strip_frames(&[]).is_empty());

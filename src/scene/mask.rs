@@ -105,7 +105,7 @@ impl Mask {
     pub fn bounding_box(&self) -> Option<BoundingBox> {
         let mut found: Option<BoundingBox> = None;
         for (y, row) in (0..self.height).zip(self.pixels.chunks_exact((self.width as usize).max(1))) {
-            let Some(first) = row.iter().position(|&p| p) else { continue };
+            let Some(first) = row.contains(&true).then(|| row.iter().position(|&p| p)).flatten() else { continue };
             let last = row.iter().rposition(|&p| p).unwrap_or(first);
             let (x0, x1) = (first as u32, last as u32 + 1);
             found = Some(match found {
@@ -144,14 +144,34 @@ impl Mask {
 
     /// Grown by `radius_px` in the maximum norm: a pixel is set if any within the square round it is.
     pub fn dilated(&self, radius_px: u32) -> Self {
-        let (w, h, r) = (self.width as usize, self.height as usize, radius_px as usize);
-        if r == 0 || w == 0 || h == 0 {
-            return self.clone();
+        let Some(from) = self.bounding_box().filter(|_| radius_px > 0) else { return self.clone() };
+        let to = BoundingBox {
+            x0: from.x0.saturating_sub(radius_px),
+            y0: from.y0.saturating_sub(radius_px),
+            x1: from.x1.saturating_add(radius_px).min(self.width),
+            y1: from.y1.saturating_add(radius_px).min(self.height),
+        };
+        let mut out = Self::empty(self.width, self.height);
+        // Separable: along rows, then along columns, of which one row is looked at after the other.
+        let columns = to.x0 as usize..to.x1 as usize;
+        for y in from.y0..from.y1 {
+            let row = self.row(y);
+            spread(&self.pixels[row.start + columns.start..row.start + columns.end], radius_px as usize, |x| {
+                out.pixels[row.start + columns.start + x] = true;
+            });
         }
-        // Separable: a running "last set" distance along rows, then along columns.
-        let rows = spread(&self.pixels, h, w, w, 1, r);
-        let pixels = spread(&rows, w, h, 1, w, r);
-        Self { width: self.width, height: self.height, pixels }
+        let part = |y: u32| self.row(y).start + columns.start..self.row(y).start + columns.end;
+        let rows: Vec<_> = (to.y0..to.y1).map(part).collect();
+        let wide = out.pixels.clone();
+        smear(&wide, &mut out.pixels, rows.iter().cloned(), radius_px);
+        smear(&wide, &mut out.pixels, rows.into_iter().rev(), radius_px);
+        out
+    }
+
+    /// Where a row lies among the pixels.
+    fn row(&self, y: u32) -> std::ops::Range<usize> {
+        let start = y as usize * self.width as usize;
+        start..start + self.width as usize
     }
 
     /// Shrunk by `radius_px` in the maximum norm; pixels beyond the frame's border count as set.
@@ -160,27 +180,29 @@ impl Mask {
     }
 }
 
-/// Spreads set entries by `radius` along lines of `len` entries `step` apart; lines start `stride` apart.
-fn spread(pixels: &[bool], lines: usize, len: usize, stride: usize, step: usize, radius: usize) -> Vec<bool> {
-    let mut out = vec![false; pixels.len()];
-    for line in 0..lines {
-        let at = |k: usize| line * stride + k * step;
-        let mut reach = 0;
-        for k in 0..len {
-            if pixels[at(k)] {
-                reach = k + radius + 1;
-            }
-            out[at(k)] |= k < reach;
-        }
-        let mut reach = len;
-        for k in (0..len).rev() {
-            if pixels[at(k)] {
-                reach = k.saturating_sub(radius);
-            }
-            out[at(k)] |= k >= reach && reach < len;
+/// Calls `set` for every place in a row within `radius` of a set one.
+fn spread(row: &[bool], radius: usize, mut set: impl FnMut(usize)) {
+    let mut next = 0;
+    for x in (0..row.len()).filter(|&x| row[x]) {
+        let end = x.saturating_add(radius).saturating_add(1).min(row.len());
+        (next.max(x.saturating_sub(radius))..end).for_each(&mut set);
+        next = end;
+    }
+}
+
+/// Sets in each row what is set in one of the `radius` rows before it.
+///
+/// * `rows` – where they lie among the pixels, one after the other; all of one length.
+fn smear(pixels: &[bool], out: &mut [bool], rows: impl Iterator<Item = std::ops::Range<usize>>, radius: u32) {
+    let mut left: Vec<u32> = Vec::new();
+    for row in rows {
+        left.resize(row.len(), 0);
+        for ((left, &is_set), out) in left.iter_mut().zip(&pixels[row.clone()]).zip(&mut out[row]) {
+            *left = if is_set { radius.saturating_add(1) } else { *left };
+            *out |= *left > 0;
+            *left = left.saturating_sub(1);
         }
     }
-    out
 }
 
 /// One number per pixel: 0 is background, k is object k (or class k).
@@ -241,6 +263,19 @@ mod tests {
         let corner = Mask::from_fn(5, 5, |x, y| (x, y) == (4, 0)).dilated(1);
         assert_eq!(corner.bounding_box(), Some(BoundingBox { x0: 3, y0: 0, x1: 5, y1: 2 }));
         assert_eq!(corner.area_px2(), 4);
+    }
+
+    #[test]
+    fn dilation_sets_what_is_near_and_nothing_else() {
+        for (width, height, radius) in [(23, 17, 1), (23, 17, 3), (5, 30, 7), (9, 1, 2), (1, 9, 40), (12, 12, u32::MAX)]
+        {
+            let mask = Mask::from_fn(width, height, |x, y| (x * 7 + y * 13) % 31 == 3);
+            let is_near = |x: u32, y: u32| {
+                let set = |u: u32, v: u32| mask.get(u.into(), v.into()) && u.abs_diff(x).max(v.abs_diff(y)) <= radius;
+                (0..height).any(|v| (0..width).any(|u| set(u, v)))
+            };
+            assert_eq!(mask.dilated(radius), Mask::from_fn(width, height, is_near), "{width} × {height}, {radius}");
+        }
     }
 
     #[test]

@@ -10,10 +10,11 @@ use opencv::video::{
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::parts::{crop, nothing, parts, put};
 use super::{Field, FlowEstimator, FlowOptions, at_frame_size, check_sizes, consistent};
 use crate::image::{borrowed_gray, gray_from_rgb, resize_gray, scale_to_fit};
 use crate::perception::PerceptionError;
-use crate::scene::Flow;
+use crate::scene::{Flow, Rect};
 
 /// DIS divides its input by powers of two and fails below this side.
 const MIN_SIDE: u32 = 32;
@@ -50,10 +51,22 @@ impl DisFlow {
         Ok(Self { options: options.clone(), algorithm: DISOpticalFlow::create(preset)? })
     }
 
-    /// A frame as DIS takes it.
-    fn prepare(&self, image: &RgbImage) -> Result<GrayImage, PerceptionError> {
-        let (width, height) = scale_to_fit(image.width(), image.height(), self.options.max_dimension);
+    /// A frame, or a part of one, as DIS takes it.
+    ///
+    /// * `longer_px` – the longer side of the frame.
+    fn prepare(&self, image: &RgbImage, longer_px: u32) -> Result<GrayImage, PerceptionError> {
+        let most = u64::from(self.options.max_dimension) * u64::from(image.width().max(image.height()));
+        let most = most.div_ceil(u64::from(longer_px.max(1))) as u32;
+        let (width, height) = scale_to_fit(image.width(), image.height(), most);
         Ok(resize_gray(&gray_from_rgb(image)?, width.max(MIN_SIDE), height.max(MIN_SIDE))?)
+    }
+
+    /// The flow between two pictures of one size, at the size of the estimate, and where it is consistent.
+    fn both_ways(&mut self, from: &GrayImage, to: &GrayImage) -> Result<(Field, Vec<bool>), PerceptionError> {
+        let forward = self.estimate(from, to)?;
+        let backward = self.estimate(to, from)?;
+        let ok = consistent(&forward, &backward, &self.options);
+        Ok((forward, ok))
     }
 
     fn estimate(&mut self, from: &GrayImage, to: &GrayImage) -> Result<Field, PerceptionError> {
@@ -71,11 +84,23 @@ impl FlowEstimator for DisFlow {
         if width == 0 || height == 0 {
             return Ok(Flow { width, height, displacement: Vec::new(), consistent: Vec::new() });
         }
-        let (from, to) = (self.prepare(from)?, self.prepare(to)?);
-        let forward = self.estimate(&from, &to)?;
-        let backward = self.estimate(&to, &from)?;
-        let ok = consistent(&forward, &backward, &self.options);
+        let longer_px = width.max(height);
+        let (from, to) = (self.prepare(from, longer_px)?, self.prepare(to, longer_px)?);
+        let (forward, ok) = self.both_ways(&from, &to)?;
         Ok(at_frame_size(&forward, &ok, width, height))
+    }
+
+    fn flow_near(&mut self, from: &RgbImage, to: &RgbImage, boxes: &[Rect]) -> Result<Flow, PerceptionError> {
+        check_sizes(from, to)?;
+        let (width, height) = from.dimensions();
+        let mut flow = nothing((width, height));
+        for part in parts(boxes, (width, height)) {
+            let prepared = |image: &RgbImage| self.prepare(&crop(image, part), width.max(height));
+            let (from, to) = (prepared(from)?, prepared(to)?);
+            let (forward, ok) = self.both_ways(&from, &to)?;
+            put(&mut flow, part, &forward, &ok);
+        }
+        Ok(flow)
     }
 }
 
@@ -101,6 +126,23 @@ mod tests {
         assert!((dx - 3.0).abs() < 0.3 && (dy + 2.0).abs() < 0.3, "{dx} {dy}");
         let share = flow.consistent.iter().filter(|&&c| c).count() as f64 / flow.consistent.len() as f64;
         assert!(share > 0.9, "{share}");
+    }
+
+    #[test]
+    fn flow_near_a_box_is_that_of_the_frame_and_elsewhere_there_is_none() {
+        let (from, to) = (texture(400, 300, 0.0, 0.0), texture(400, 300, 3.0, -2.0));
+        let options = FlowOptions { preset: DisPreset::Medium, ..FlowOptions::default() };
+        let near = Rect { x0: 60.0, y0: 60.0, x1: 120.0, y1: 110.0 };
+        let mut dis = DisFlow::new(&options).unwrap();
+        let flow = dis.flow_near(&from, &to, &[near]).unwrap();
+        let [dx, dy] = flow.at(90, 85);
+        assert!((dx - 3.0).abs() < 0.3 && (dy + 2.0).abs() < 0.3, "{dx} {dy}");
+        assert!(flow.is_consistent(90, 85) && !flow.is_consistent(300, 200) && flow.consistent.len() == 400 * 300);
+        // A larger frame is shrunk as a whole frame would be.
+        let small = FlowOptions { max_dimension: 200, ..options };
+        let [dx, dy] = DisFlow::new(&small).unwrap().flow_near(&from, &to, &[near]).unwrap().at(90, 85);
+        assert!((dx - 3.0).abs() < 0.6 && (dy + 2.0).abs() < 0.6, "{dx} {dy}");
+        assert!(!dis.flow_near(&from, &to, &[]).unwrap().consistent.contains(&true));
     }
 
     #[test]

@@ -7,6 +7,7 @@
 
 mod dis;
 mod network;
+mod parts;
 
 use std::path::Path;
 
@@ -20,7 +21,7 @@ use super::tensor::Plane;
 use super::{INPUT_SIZES, PerceptionError};
 use crate::ffi::onnx::Resources;
 use crate::limits::{Checked, within};
-use crate::scene::Flow;
+use crate::scene::{Flow, Rect};
 
 /// Estimates where the pixels of one frame lie in another.
 pub trait FlowEstimator {
@@ -29,6 +30,18 @@ pub trait FlowEstimator {
     /// # Errors
     /// [`PerceptionError::SizeMismatch`] if the frames differ in size; whatever the estimator runs into.
     fn flow(&mut self, from: &RgbImage, to: &RgbImage) -> Result<Flow, PerceptionError>;
+
+    /// The flow in and near some boxes of the first frame. Elsewhere it may be left out: no pixel is consistent there.
+    ///
+    /// # Errors
+    /// As [`FlowEstimator::flow`].
+    fn flow_near(&mut self, from: &RgbImage, to: &RgbImage, boxes: &[Rect]) -> Result<Flow, PerceptionError> {
+        if boxes.is_empty() {
+            check_sizes(from, to)?;
+            return Ok(parts::nothing(from.dimensions()));
+        }
+        self.flow(from, to)
+    }
 }
 
 /// Options of optical flow.

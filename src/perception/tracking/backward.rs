@@ -17,9 +17,9 @@ use super::boxes::View;
 use super::region::Region;
 use super::track::{Moment, Presence, Track, leaves};
 use super::tracker::{Sighting, Tracker};
-use super::{Look, TrackSummary, TrackedMask, TrackerOptions};
+use super::{Correction, Look, TrackSummary, TrackedMask, TrackerOptions};
 use crate::perception::{PerceptionError, Prompter};
-use crate::scene::{Flow, Frame, FrameId, Mask, ObjectId};
+use crate::scene::{Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
 /// A mask of which more than this share belongs to another object shows that one.
 const MET: f64 = 0.5;
@@ -72,6 +72,16 @@ impl BackwardTracker {
         !self.tracker.tracks.is_empty()
     }
 
+    /// The places in which flow is of use.
+    pub fn places(&self) -> Vec<Rect> {
+        self.tracker.places()
+    }
+
+    /// As [`Tracker::take_corrections`]: masks of frames that were given before, which are later ones.
+    pub fn take_corrections(&mut self) -> Vec<Correction> {
+        self.tracker.take_corrections()
+    }
+
     /// Takes the next earlier frame.
     ///
     /// * `known` – the masks that objects have in this frame until now, by lasting id.
@@ -97,7 +107,7 @@ impl BackwardTracker {
         let seen = self.tracker.follow_boxes(&view, Vec::new(), prompter)?;
         let known: Vec<(ObjectId, Region)> =
             known.iter().filter_map(|(object, mask)| Some((*object, Region::from_mask(mask)?))).collect();
-        let masks = self.cut(&seen, &known, image.dimensions());
+        let masks = self.cut(&seen, frame.id, &known, image.dimensions());
         self.end_tracks(&seen, &known, frame.id, image.dimensions());
         self.start(image, &known, now);
         self.tracker.last_frame = Some((frame.id, frame.time_s, image.dimensions()));
@@ -135,14 +145,21 @@ impl BackwardTracker {
     }
 
     /// The masks of the frame, without the pixels that are known to be others'.
-    fn cut(&self, seen: &[Sighting], known: &[(ObjectId, Region)], size: (u32, u32)) -> Vec<TrackedMask> {
+    fn cut(
+        &mut self,
+        seen: &[Sighting],
+        frame: FrameId,
+        known: &[(ObjectId, Region)],
+        size: (u32, u32),
+    ) -> Vec<TrackedMask> {
         let is_free = |x: u32, y: u32| known.iter().all(|(_, region)| !region.contains(x, y));
         let cut = |s: &Sighting| {
             let is_met = who_is_met(&self.tracker.tracks[s.track_idx], &s.region, known).is_some();
             let region = s.region.filtered(is_free).filter(|_| !is_met)?;
             Some(Sighting { region, ..*s })
         };
-        self.tracker.report(seen.iter().filter_map(cut).collect(), size)
+        let cut = seen.iter().filter_map(cut).collect();
+        self.tracker.report(cut, frame, known.to_vec(), size)
     }
 
     /// Ends the tracks that were not seen, and those whose place is another's.

@@ -49,7 +49,11 @@ fn frames_that_nobody_looked_at_are_not_missed() {
             let flow = (t > 0).then(|| world.flow(t));
             let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
             let look = match t % every {
-                0 => Look::Boxes { found: world.boxes(t, Finder::Detector), prompter: Some(&mut prompter) },
+                0 => Look::Boxes {
+                    found: world.boxes(t, Finder::Detector),
+                    by: LookedBy::Detector,
+                    prompter: Some(&mut prompter),
+                },
                 _ => Look::NotLooked,
             };
             let masks = tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
@@ -59,6 +63,48 @@ fn frames_that_nobody_looked_at_are_not_missed() {
         assert_eq!((tracks.len(), tracks[0].num_looks, tracks[0].found.detector), (1, 40 / every, 40 / every));
         assert_eq!((tracks[0].found.carried, tracks[0].last), (40 - 40 / every, FrameId(39)));
     }
+}
+
+#[test]
+fn a_new_mask_corrects_the_frames_that_are_nearer_to_it_than_to_the_last_one() {
+    let world = one_car();
+    // The first mask lacks a quarter of the car.
+    let narrow = |t: usize, answer: Prompted| {
+        let end = answer.mask.bounding_box().map_or(0, |b| if t == 0 { b.x1 - b.width() / 4 } else { b.x1 });
+        let mask = Mask::from_fn(WIDTH, HEIGHT, |x, y| x < end && answer.mask.get(x.into(), y.into()));
+        Some(Prompted { mask, ..answer })
+    };
+    let mut tracker = Tracker::new(TrackerOptions::default());
+    let mut corrected = Vec::new();
+    for t in 0..=8 {
+        let flow = (t > 0).then(|| world.flow(t));
+        let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &narrow };
+        let prompter = t.is_multiple_of(8).then_some(&mut prompter as &mut dyn Prompter);
+        let look = Look::Boxes { found: world.boxes(t, Finder::Detector), by: LookedBy::Detector, prompter };
+        let masks = tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
+        assert_eq!(masks[0].mask.iou(&world.mask(t, 0)) > 0.9, t == 8, "frame {t}");
+        corrected.extend(tracker.take_corrections());
+    }
+    assert_eq!(corrected.iter().map(|c| c.frame.0).collect::<Vec<_>>(), [7, 6, 5]);
+    assert!(corrected.iter().all(|c| c.mask == world.mask(c.frame.0 as usize, 0)));
+}
+
+#[test]
+fn a_detector_that_looks_now_and_then_is_judged_by_its_looks() {
+    let world = one_car();
+    let mut tracker = Tracker::new(TrackerOptions::default());
+    for t in 0..40 {
+        let flow = (t > 0).then(|| world.flow(t));
+        let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
+        let prompter = t.is_multiple_of(4).then_some(&mut prompter as &mut dyn Prompter);
+        let look = match t % 2 {
+            0 => Look::Boxes { found: world.boxes(t, Finder::Detector), by: LookedBy::Detector, prompter },
+            _ => Look::Boxes { found: Vec::new(), by: LookedBy::Motion, prompter },
+        };
+        tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
+    }
+    let [track] = &tracker.finish()[..] else { panic!("one track") };
+    assert_eq!((track.num_looks, track.num_detector_looks, track.found.detector), (40, 20, 20));
 }
 
 #[test]
@@ -256,7 +302,8 @@ fn a_prompter_that_answers_out_of_shape_is_refused() {
     let small = |_: usize, answer: Prompted| Some(Prompted { mask: Mask::full(5, 5), ..answer });
     let mut tracker = Tracker::new(TrackerOptions::default());
     let mut prompter = world::WorldPrompter { world: &world, t: 0, num_asked: 0, spoil: &small };
-    let look = Look::Boxes { found: world.boxes(0, Finder::Detector), prompter: Some(&mut prompter) };
+    let found = world.boxes(0, Finder::Detector);
+    let look = Look::Boxes { found, by: LookedBy::Detector, prompter: Some(&mut prompter) };
     let wrong = tracker.advance(&World::frame(0), &world.image(0), look, None);
     assert!(matches!(wrong, Err(crate::perception::PerceptionError::SizeMismatch { .. })));
 }

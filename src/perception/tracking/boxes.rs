@@ -218,6 +218,10 @@ impl Tracker {
             return (!is_worn_out).then(|| self.keep_carried(track_idx, meeting, Asked::InVain, view));
         };
         let (track, sight) = (&mut self.tracks[track_idx], meeting.sight(track_idx));
+        if let Some(carried) = meeting.carried(track_idx) {
+            let retraced = track.way.retraced(&fresh.region, carried, view.image.dimensions());
+            self.retraced.extend(retraced.into_iter().map(|(frame, region)| (frame, track.provisional, region)));
+        }
         note(track, sight, IsNew::Yes, view.now);
         track.renew(&fresh, outline, &meeting.predictions[track_idx], view.now, view.elapsed_s);
         Some(sight.map_or(Evidence::Prompted { quality: fresh.quality }, detected))

@@ -20,6 +20,8 @@ pub(super) struct Carried {
     pub(super) displacement: [f64; 2],
     /// Share of its pixels whose flow was of use.
     pub(super) share: f64,
+    /// How it moved here.
+    pub(super) motion: Affine,
 }
 
 impl Carried {
@@ -80,7 +82,8 @@ pub(super) fn carry(region: &Region, flow: &Flow) -> Option<Carried> {
         })
         .collect();
     let region = splat(&targets, closing_radius(region.area()), flow.width, flow.height)?;
-    Some(Carried { whole: region.clone(), region, cover: Cover::default(), displacement, share })
+    let motion = Affine::shift(displacement);
+    Some(Carried { whole: region.clone(), region, cover: Cover::default(), displacement, share, motion })
 }
 
 /// An object as it was in the frame before.
@@ -113,10 +116,11 @@ pub(super) fn carry_whole(object: &Seen<'_>, flow: &Flow, pictures: Option<Pictu
     // What is hidden now has no flow of use, and none is asked of it.
     let hidden = 1.0 - region.area() as f64 / carried.area() as f64;
     let share = moving.pixels.len() as f64 / (object.region.area() as f64 * (1.0 - hidden)).max(1.0);
-    Some(Carried { region, whole, cover, displacement, share: share.min(1.0) })
+    Some(Carried { region, whole, cover, displacement, share: share.min(1.0), motion })
 }
 
 /// x' = a + A (x − origin), in pixels.
+#[derive(Clone, Debug)]
 pub(super) struct Affine {
     origin: [f64; 2],
     /// Per coordinate of the target: constant, factor of x, factor of y.
@@ -134,7 +138,7 @@ impl Affine {
     const MAX_RESIDUAL_MEDIANS: f64 = 2.5;
     const MAX_RESIDUAL_PX: f64 = 0.5;
 
-    fn shift([dx, dy]: [f64; 2]) -> Self {
+    pub(super) fn shift([dx, dy]: [f64; 2]) -> Self {
         Self { origin: [0.0; 2], rows: [[dx, 1.0, 0.0], [dy, 0.0, 1.0]] }
     }
 
@@ -188,22 +192,25 @@ impl Affine {
         a * d - b * c
     }
 
+    /// First this motion, then another.
+    pub(super) fn then(&self, next: &Self) -> Self {
+        let [[e, a, b], [f, c, d]] = self.rows;
+        let constants = next.at([e, f]);
+        let row = |k: usize| {
+            let [_, p, q] = next.rows[k];
+            [constants[k], p * a + q * c, p * b + q * d]
+        };
+        Self { origin: self.origin, rows: [row(0), row(1)] }
+    }
+
     /// The pixels whose centres come from a region; `None` if none lies in the frame.
     fn apply(&self, region: &Region, width: u32, height: u32) -> Option<Region> {
-        let Rect { x0, y0, x1, y1 } = region.rect();
-        let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]].map(|corner| self.at(corner));
-        let least = |c: usize| corners.iter().map(|p| p[c]).fold(f64::INFINITY, f64::min).floor().max(0.0) as u32;
-        let most = |c: usize| corners.iter().map(|p| p[c]).fold(f64::NEG_INFINITY, f64::max).ceil().max(0.0) as u32;
-        let bounds = BoundingBox { x0: least(0), y0: least(1), x1: most(0).min(width), y1: most(1).min(height) };
-        if bounds.x0 >= bounds.x1 || bounds.y0 >= bounds.y1 {
-            return None;
-        }
-        let from_region = |(x, y): (u32, u32)| {
-            let [u, v] = self.source(f64::from(x) + 0.5, f64::from(y) + 0.5);
-            u >= 0.0 && v >= 0.0 && region.contains(u as u32, v as u32)
-        };
-        let targets = (bounds.y0..bounds.y1).flat_map(|y| (bounds.x0..bounds.x1).map(move |x| (x, y)));
-        Region::from_pixels(bounds, &targets.map(from_region).collect::<Vec<bool>>())
+        moved(region, (width, height), |corner| self.at(corner), |centre| self.source(centre[0], centre[1]))
+    }
+
+    /// The pixels whose centres go to a region; `None` if none lies in the frame.
+    pub(super) fn pulled(&self, region: &Region, width: u32, height: u32) -> Option<Region> {
+        moved(region, (width, height), |corner| self.source(corner[0], corner[1]), |centre| self.at(centre))
     }
 
     /// Where a target position comes from.
@@ -213,6 +220,32 @@ impl Affine {
         let determinant = self.determinant();
         [self.origin[0] + (d * u - b * v) / determinant, self.origin[1] + (a * v - c * u) / determinant]
     }
+}
+
+/// The pixels whose centres come from a region; `None` if none lies in the frame.
+///
+/// * `there` – where a position of the region goes.
+/// * `back` – where a position comes from.
+fn moved(
+    region: &Region,
+    (width, height): (u32, u32),
+    there: impl Fn([f64; 2]) -> [f64; 2],
+    back: impl Fn([f64; 2]) -> [f64; 2],
+) -> Option<Region> {
+    let Rect { x0, y0, x1, y1 } = region.rect();
+    let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]].map(there);
+    let least = |c: usize| corners.iter().map(|p| p[c]).fold(f64::INFINITY, f64::min).floor().max(0.0) as u32;
+    let most = |c: usize| corners.iter().map(|p| p[c]).fold(f64::NEG_INFINITY, f64::max).ceil().max(0.0) as u32;
+    let bounds = BoundingBox { x0: least(0), y0: least(1), x1: most(0).min(width), y1: most(1).min(height) };
+    if bounds.x0 >= bounds.x1 || bounds.y0 >= bounds.y1 {
+        return None;
+    }
+    let from_region = |(x, y): (u32, u32)| {
+        let [u, v] = back([f64::from(x) + 0.5, f64::from(y) + 0.5]);
+        u >= 0.0 && v >= 0.0 && region.contains(u as u32, v as u32)
+    };
+    let targets = (bounds.y0..bounds.y1).flat_map(|y| (bounds.x0..bounds.x1).map(move |x| (x, y)));
+    Region::from_pixels(bounds, &targets.map(from_region).collect::<Vec<bool>>())
 }
 
 /// Gaps up to twice this radius are closed: those between pixels that moved apart, and parts without texture.
@@ -362,6 +395,22 @@ mod tests {
         assert_eq!(grown.region, block(10, 10, 22, 22));
         let leaving = flow(60, 40, |_, _| Some([100.0, 0.0]));
         assert!(whole(&block(30, 10, 20, 20), &leaving).is_none());
+    }
+
+    #[test]
+    fn motions_one_after_the_other_are_one_and_lead_back() {
+        let first = Affine { origin: [20.0, 15.0], rows: [[24.0, 1.1, 0.1], [14.0, -0.05, 1.0]] };
+        let second = Affine { origin: [10.0, 5.0], rows: [[8.0, 0.9, 0.0], [6.5, 0.02, 1.05]] };
+        let both = first.then(&second);
+        for point in [[3.0, 4.0], [31.0, 22.5]] {
+            let (one, two) = (both.at(point), second.at(first.at(point)));
+            assert!((one[0] - two[0]).abs() < 1e-9 && (one[1] - two[1]).abs() < 1e-9, "{one:?} {two:?}");
+        }
+        let region = block(20, 10, 20, 12);
+        let there = both.apply(&region, 60, 40).unwrap();
+        assert!(there.iou(&region) < 0.9);
+        assert!(both.pulled(&there, 60, 40).unwrap().iou(&region) > 0.9);
+        assert_eq!(Affine::shift([5.0, -2.0]).pulled(&block(15, 8, 9, 9), 60, 40), Some(block(10, 10, 9, 9)));
     }
 
     #[test]

@@ -230,6 +230,7 @@ impl TrackSummary {
             mean_area_px2: mean((self.mean_area_px2, self.num_detected), (later.mean_area_px2, later.num_detected)),
             found: self.found.plus(&later.found),
             num_looks: self.num_looks + later.num_looks,
+            num_detector_looks: self.num_detector_looks + later.num_detector_looks,
             class_confidence: mean((self.class_confidence, named(self)), (later.class_confidence, named(later))),
             mask_quality: quality,
             outline: self.outline.max(later.outline),

@@ -1,5 +1,6 @@
 //! What a track rests on, counted.
 
+use super::LookedBy;
 use super::choice::Fresh;
 use super::sights::Finding;
 use crate::scene::{FoundIn, Outline};
@@ -11,6 +12,8 @@ pub(super) struct Ledger {
     pub(super) outline: Outline,
     /// Looks until the last mask that can be trusted, and those since.
     looks: [usize; 2],
+    /// The same of the detector's looks.
+    detector_looks: [usize; 2],
     /// Frames without a box since then, with a new mask and with a carried one.
     unboxed_since: [usize; 2],
     sum_class_confidence: f64,
@@ -20,8 +23,9 @@ pub(super) struct Ledger {
 }
 
 impl Ledger {
-    pub(super) fn look(&mut self) {
+    pub(super) fn look(&mut self, by: LookedBy) {
         self.looks[1] += 1;
+        self.detector_looks[1] += usize::from(by == LookedBy::Detector);
     }
 
     /// Counts what found the object in one frame.
@@ -49,7 +53,9 @@ impl Ledger {
 
     /// What was counted since the last mask that can be trusted belongs to the object.
     pub(super) fn trust(&mut self) {
-        self.looks = [self.looks[0] + self.looks[1], 0];
+        for looks in [&mut self.looks, &mut self.detector_looks] {
+            *looks = [looks[0] + looks[1], 0];
+        }
         let [prompted, carried] = std::mem::take(&mut self.unboxed_since);
         self.found.prompted += prompted;
         self.found.carried += carried;
@@ -57,6 +63,10 @@ impl Ledger {
 
     pub(super) fn num_looks(&self) -> usize {
         self.looks[0]
+    }
+
+    pub(super) fn num_detector_looks(&self) -> usize {
+        self.detector_looks[0]
     }
 
     /// Mean confidence of the detector's boxes; 0 without any.

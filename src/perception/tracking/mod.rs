@@ -22,6 +22,8 @@
 //! - Of the new masks and the carried one an object gets the one that fits its size, colours, place and box best
 //!   (`choice.rs`). No two objects get the same. A mask may fail twice in a row; then the object counts as lost once
 //!   its mask is older than [`TrackerOptions::max_carried`] frames.
+//! - When a new mask comes, it is carried back to the frames that are nearer to it than to the last one
+//!   (`retrace.rs`): [`Tracker::take_corrections`].
 //! - Pixels of a carried mask that show something which comes before the object are taken out of it (`cover.rs`), and
 //!   the outline of the whole object is carried besides: masks are asked for in its box, too, until all of it is seen
 //!   again.
@@ -46,6 +48,7 @@ mod cover;
 pub mod joining;
 mod ledger;
 mod region;
+mod retrace;
 mod sights;
 mod support;
 #[cfg(test)]
@@ -59,6 +62,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use self::backward::{BackwardTracker, End, Extension};
+pub use self::retrace::Correction;
 pub use self::support::{Sighted, Unsupported, support};
 pub use self::tracker::Tracker;
 use crate::limits::{Checked, ordered, some_of, within};
@@ -73,11 +77,22 @@ pub enum Look<'a> {
     Boxes {
         /// What was found; may be empty.
         found: Vec<BoxDetection>,
+        /// Who looked for them.
+        by: LookedBy,
         /// Whom to ask for the masks of boxes; `None` where masks are carried from earlier frames.
         prompter: Option<&'a mut dyn Prompter>,
     },
     /// Nobody looked.
     NotLooked,
+}
+
+/// Who looked for boxes in a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LookedBy {
+    /// The detector, and motion besides.
+    Detector,
+    /// Motion alone: the detector passed the frame over.
+    Motion,
 }
 
 /// What a mask rests on.
@@ -135,6 +150,8 @@ pub struct TrackSummary {
     pub found: FoundIn,
     /// Frames of its life that somebody looked at.
     pub num_looks: usize,
+    /// Those at which the detector looked.
+    pub num_detector_looks: usize,
     /// Mean confidence of the detector's boxes, 0 to 1; 0 if there is none.
     pub class_confidence: f64,
     /// Mean quality of the masks that were asked for, 0 to 1; `None` if the masks are a segmentation network's own.

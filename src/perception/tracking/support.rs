@@ -66,7 +66,7 @@ pub enum Unsupported {
         confidence: f64,
         /// Frames in which motion found it.
         num_moving: usize,
-        /// Frames that somebody looked at.
+        /// Frames at which the detector looked.
         num_looks: usize,
         /// Whether it moves, by its own points.
         movement: Movement,
@@ -114,14 +114,14 @@ pub fn support(summary: &TrackSummary, sighted: &Sighted) -> Result<(), Unsuppor
         num_named: summary.found.by_detector(),
         confidence: summary.class_confidence,
         num_moving: summary.found.by_motion(),
-        num_looks: summary.num_looks,
+        num_looks: summary.num_detector_looks,
         movement,
     })
 }
 
 fn is_named(summary: &TrackSummary, movement: Movement) -> bool {
     let (named, confidence) = (summary.found.by_detector(), summary.class_confidence);
-    let is_share = |share: f64| named as f64 >= share * summary.num_looks as f64;
+    let is_share = |share: f64| named as f64 >= share * summary.num_detector_looks as f64;
     let is_likely = match movement {
         // That its points stand counts for less where motion found it all along.
         Movement::Standing if !moves_often(summary) => {
@@ -164,6 +164,7 @@ mod tests {
             mean_area_px2: 500.0,
             found,
             num_looks,
+            num_detector_looks: num_looks,
             class_confidence,
             mask_quality: Some(0.9),
             outline: Outline::Network,

@@ -8,8 +8,9 @@ use super::choice::Fresh;
 use super::cover::Cover;
 use super::ledger::Ledger;
 use super::region::Region;
+use super::retrace::Way;
 use super::sights::{Finding, Sight};
-use super::{After, TrackSummary, TrackerOptions};
+use super::{After, LookedBy, TrackSummary, TrackerOptions};
 use crate::scene::{BoundingBox, FrameId, Gap, ObjectId, Outline, Sameness};
 
 /// Share of the way that velocity and looks move towards each new measurement.
@@ -104,6 +105,8 @@ pub(super) struct Track {
     pub(super) whole: Region,
     /// What hides it.
     pub(super) cover: Cover,
+    /// Its way since its last new mask.
+    pub(super) way: Way,
     pub(super) appearance: Option<Appearance>,
     /// Side of a square as large as the object's box while all of it was seen, pixels.
     size: f64,
@@ -152,7 +155,7 @@ impl Track {
     pub(super) fn start(provisional: ObjectId, candidate: &Candidate, now: Moment) -> Self {
         let region = candidate.region.clone();
         let mut track = Self::bare(provisional, Origin::Masks, region, candidate.appearance.clone(), now);
-        track.ledger.look();
+        track.ledger.look(LookedBy::Detector);
         track.count(candidate, now);
         track
     }
@@ -168,7 +171,7 @@ impl Track {
         let region = fresh.region.clone();
         let mut track = Self::bare(provisional, Origin::Boxes, region, fresh.appearance.clone(), now);
         // Its life begins with the first of the boxes that waited: those frames were looked at as well.
-        (0..=sight.earlier.len()).for_each(|_| track.ledger.look());
+        (0..=sight.earlier.len()).for_each(|_| track.ledger.look(LookedBy::Detector));
         track.note(sight, now);
         track.confirm_mask(fresh, outline, now);
         track
@@ -204,6 +207,7 @@ impl Track {
             presence: Presence::Detected,
             whole: region.clone(),
             cover: Cover::default(),
+            way: Way::default(),
             region,
             appearance,
             size,
@@ -260,8 +264,8 @@ impl Track {
     }
 
     /// Counts a look at the frame, whatever it showed.
-    pub(super) fn look(&mut self) {
-        self.ledger.look();
+    pub(super) fn look(&mut self, by: LookedBy) {
+        self.ledger.look(by);
     }
 
     /// Counts a frame with a mask that no box of the frame shows.
@@ -281,6 +285,7 @@ impl Track {
         if let Some(carried) = prediction.carried.as_ref().filter(|_| !self.is_lost()) {
             self.learn_velocity(carried.displacement, prediction.background, elapsed_s);
         }
+        self.way.forget();
         self.size = fresh.region.size().max(self.size * (1.0 - SHRINK_RATE));
         self.region = fresh.region.clone();
         self.learn_whole(prediction.carried.as_ref());
@@ -313,6 +318,7 @@ impl Track {
     pub(super) fn carry_between(&mut self, prediction: &Prediction, asked: Asked, now: Moment, elapsed_s: f64) {
         let Some(carried) = &prediction.carried else { return };
         self.carry(carried, prediction.background, elapsed_s);
+        self.way.go(now.frame, carried);
         self.num_failed += usize::from(asked == Asked::InVain);
         if self.num_failed == 0 {
             self.trust(now);
@@ -382,6 +388,7 @@ impl Track {
             self.presence = Presence::Lost(now.time_s);
         }
         (self.whole, self.cover) = (moved.clone(), Cover::default());
+        self.way.forget();
         self.region = moved;
     }
 
@@ -544,6 +551,7 @@ impl Track {
             mean_area_px2: self.mean_area(),
             found: self.ledger.found,
             num_looks: self.ledger.num_looks(),
+            num_detector_looks: self.ledger.num_detector_looks(),
             class_confidence: self.ledger.class_confidence(),
             mask_quality: self.ledger.mask_quality(),
             outline: self.ledger.outline,

@@ -8,11 +8,12 @@ use super::boxes::View;
 use super::carry::{Seen, background_displacement, carry, carry_whole};
 use super::cover::Pictures;
 use super::region::Region;
+use super::retrace::{Correction, Reported};
 use super::sights::Sight;
 use super::track::{Candidate, Moment, Origin, Prediction, Presence, Recognised, Track, compatible, leaves};
-use super::{Evidence, Look, TrackSummary, TrackedMask, TrackerOptions};
+use super::{Evidence, Look, LookedBy, TrackSummary, TrackedMask, TrackerOptions};
 use crate::perception::PerceptionError;
-use crate::scene::{Detection, Flow, Frame, FrameId, Mask, ObjectId};
+use crate::scene::{Detection, Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
 /// A carried mask must keep at least this share of its pixels after nearer objects took theirs.
 const MIN_VISIBLE: f64 = 0.3;
@@ -33,6 +34,11 @@ pub struct Tracker {
     pub(super) last_frame: Option<(FrameId, f64, (u32, u32))>,
     /// The picture of the last frame.
     pub(super) last_picture: Option<RgbImage>,
+    /// What was reported of the latest frames.
+    pub(super) reported: Reported,
+    /// Masks of this frame's objects in earlier frames, carried back from new ones.
+    pub(super) retraced: Vec<(FrameId, ObjectId, Region)>,
+    corrections: Vec<Correction>,
 }
 
 /// What became of a track in the current frame.
@@ -55,6 +61,9 @@ impl Tracker {
             num_looks: 0,
             last_frame: None,
             last_picture: None,
+            reported: Reported::default(),
+            retraced: Vec::new(),
+            corrections: Vec::new(),
         }
     }
 
@@ -79,16 +88,21 @@ impl Tracker {
         let elapsed_s = self.check(frame, image, &look, flow)?;
         let now = Moment { count: self.num_looks, frame: frame.id, time_s: frame.time_s };
         let view = View { image, flow, now, elapsed_s };
-        if !matches!(look, Look::NotLooked) {
+        let by = match look {
+            Look::NotLooked => None,
+            Look::Masks(_) => Some(LookedBy::Detector),
+            Look::Boxes { by, .. } => Some(by),
+        };
+        if let Some(by) = by {
             self.num_looks += 1;
-            self.tracks.iter_mut().for_each(Track::look);
+            self.tracks.iter_mut().for_each(|track| track.look(by));
         }
         let sightings = match look {
             Look::Masks(detections) => self.follow_masks(&view, detections),
-            Look::Boxes { found, prompter } => self.follow_boxes(&view, found, prompter)?,
+            Look::Boxes { found, prompter, .. } => self.follow_boxes(&view, found, prompter)?,
             Look::NotLooked => self.follow_boxes(&view, Vec::new(), None)?,
         };
-        let masks = self.report(sightings, image.dimensions());
+        let masks = self.report(sightings, frame.id, Vec::new(), image.dimensions());
         self.settle(now, image.dimensions());
         self.last_frame = Some((frame.id, frame.time_s, image.dimensions()));
         self.last_picture = Some(image.clone());
@@ -115,6 +129,17 @@ impl Tracker {
         let carried = self.carry_on(&unseen, &predictions, &sightings, image, now, elapsed_s);
         sightings.extend(carried);
         sightings
+    }
+
+    /// The places in which flow is of use: those of all that is followed or waits.
+    pub fn places(&self) -> Vec<Rect> {
+        let followed = self.tracks.iter().map(|track| track.whole.rect());
+        followed.chain(self.waiting.iter().map(|sight| sight.rect)).collect()
+    }
+
+    /// Masks of earlier frames that are better known since the last call; they take the place of those reported then.
+    pub fn take_corrections(&mut self) -> Vec<Correction> {
+        std::mem::take(&mut self.corrections)
     }
 
     /// Ends all tracks. Returns the confirmed ones, ascending by lasting id.
@@ -345,8 +370,16 @@ impl Tracker {
     }
 
     /// The masks of the frame: each pixel goes to one object, to a detected one before a prompted one before a carried
-    /// one, and to the surer first.
-    pub(super) fn report(&self, mut sightings: Vec<Sighting>, (width, height): (u32, u32)) -> Vec<TrackedMask> {
+    /// one, and to the surer first. Masks that were carried back to earlier frames become corrections.
+    ///
+    /// * `known` – what else has pixels in the frame.
+    pub(super) fn report(
+        &mut self,
+        mut sightings: Vec<Sighting>,
+        frame: FrameId,
+        known: Vec<(ObjectId, Region)>,
+        (width, height): (u32, u32),
+    ) -> Vec<TrackedMask> {
         let rank = |s: &Sighting| match s.evidence {
             Evidence::Detected { confidence } => confidence,
             Evidence::Prompted { quality } => quality - 1.0,
@@ -355,15 +388,21 @@ impl Tracker {
         sightings.sort_by(|a, b| rank(b).total_cmp(&rank(a)).then(a.track_idx.cmp(&b.track_idx)));
         let mut taken = Mask::empty(width, height);
         let mut masks = Vec::with_capacity(sightings.len());
+        let mut reported = known;
         for sighting in sightings {
             let free = |x: u32, y: u32| !taken.get(i64::from(x), i64::from(y));
             let Some(region) = sighting.region.filtered(free) else { continue };
             let mask = region.to_mask(width, height);
             taken.union_with(&mask);
             let object = self.tracks[sighting.track_idx].provisional;
+            reported.push((object, region));
             masks.push(TrackedMask { object, mask, evidence: sighting.evidence });
         }
         masks.sort_by_key(|m| m.object);
+        self.reported.remember(frame, reported);
+        for (frame, object, region) in std::mem::take(&mut self.retraced) {
+            self.corrections.extend(self.reported.correct(frame, object, &region, (width, height)));
+        }
         masks
     }
 

@@ -2,7 +2,7 @@
 
 use ::image::{Rgb, RgbImage};
 
-use super::{BackwardTracker, Extension, Look, TrackSummary, TrackedMask, Tracker, TrackerOptions};
+use super::{BackwardTracker, Extension, Look, LookedBy, TrackSummary, TrackedMask, Tracker, TrackerOptions};
 use crate::perception::{PerceptionError, Prompted, Prompter};
 use crate::scene::{BoxDetection, Detection, Finder, Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
@@ -180,7 +180,7 @@ impl World {
             let flow = (t > 0).then(|| self.flow(t));
             let mut prompter = WorldPrompter { world: self, t, num_asked: 0, spoil };
             let prompter = t.is_multiple_of(every).then_some(&mut prompter as &mut dyn Prompter);
-            let look = Look::Boxes { found: boxes(t), prompter };
+            let look = Look::Boxes { found: boxes(t), by: LookedBy::Detector, prompter };
             frames.push(tracker.advance(&Self::frame(t), &self.image(t), look, flow.as_ref()).unwrap());
         }
         (frames, tracker.finish())

@@ -93,7 +93,7 @@ pub struct VehicleOptions {
     /// What finds the pixels of their boxes.
     pub mask_network: MaskChoice,
     /// Every so many frames the mask network is asked anew; between, masks are carried by optical flow. Without a
-    /// number as many frames as there are in a quarter of a second, but from 2 to 10.
+    /// number as many frames as there are in 0.4 seconds, but from 2 to 12.
     #[schemars(extend("unit" = "frames"))]
     pub segment_every: Option<u32>,
 }
@@ -117,13 +117,6 @@ impl VehicleOptions {
     pub fn check(&self) -> Checked {
         self.segment_every.map_or(Ok(()), |every| within("segment_every", every, 1..=1000))
     }
-
-    /// Every how many frames the mask network is asked, where frames follow one another after `step_s` seconds.
-    pub(in crate::pipeline) fn frames_between_masks(&self, step_s: Option<f64>) -> usize {
-        const INTERVAL_S: f64 = 0.25;
-        let usual = step_s.filter(|step| *step > 0.0).map_or(2.0, |step| (INTERVAL_S / step).round().clamp(2.0, 10.0));
-        self.segment_every.map_or(usual as usize, |every| every as usize)
-    }
 }
 
 #[cfg(test)]
@@ -131,12 +124,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn masks_are_asked_for_as_often_as_the_frames_are_apart() {
-        let every = |step_s| VehicleOptions::default().frames_between_masks(step_s);
-        assert_eq!([Some(0.04), Some(0.1), Some(1.0), Some(0.001), None].map(every), [6, 3, 2, 10, 2]);
-        let chosen = VehicleOptions { segment_every: Some(25), ..VehicleOptions::default() };
-        assert_eq!(chosen.frames_between_masks(Some(0.1)), 25);
-        assert!(VehicleOptions { segment_every: Some(0), ..chosen }.check().is_err());
+    fn masks_are_asked_for_now_and_then_at_least() {
+        assert!(VehicleOptions { segment_every: Some(0), ..VehicleOptions::default() }.check().is_err());
     }
 
     #[test]

@@ -11,7 +11,7 @@ use ::image::RgbImage;
 
 use super::found::{Finds, Followed};
 use crate::io::{RunFolder, masks};
-use crate::perception::{BackwardTracker, Evidence, Extension, FlowEstimator, TrackSummary, TrackedMask};
+use crate::perception::{BackwardTracker, Correction, Evidence, Extension, FlowEstimator, TrackSummary, TrackedMask};
 use crate::pipeline::run::{Outcome, Run};
 use crate::pipeline::{PipelineError, pictures};
 use crate::scene::{Frame, FrameId, ObjectId, TrackedObject};
@@ -88,10 +88,15 @@ fn follow_back(
     let mut later: Option<&RgbImage> = None;
     for (frame, picture) in window.iter().rev() {
         let known = super::masks_in(run, folder, &objects, frame)?;
-        let carried = later.filter(|_| tracker.is_following()).map(|later| flow.flow(later, picture)).transpose()?;
+        let near = |later| flow.flow_near(later, picture, &tracker.places());
+        let carried = later.filter(|_| tracker.is_following()).map(near).transpose()?;
         let prompter = finds.prompter_backward(frame);
         let earlier = tracker.advance(frame, picture, &known, prompter, carried.as_ref())?;
         found.extend(earlier.into_iter().map(|mask| (frame.clone(), mask)));
+        for Correction { frame, object, mask } in tracker.take_corrections() {
+            let known = found.iter_mut().find(|(known, found)| known.id == frame && found.object == object);
+            known.into_iter().for_each(|(_, found)| found.mask = mask.clone());
+        }
         later = Some(picture);
     }
     let extensions: BTreeMap<ObjectId, Extension> = tracker.finish().into_iter().map(|e| (e.object, e)).collect();

@@ -7,10 +7,10 @@ use ::image::RgbImage;
 
 use super::kept::{Kept, Pass};
 use crate::io::{IoError, RunFolder, masks};
-use crate::math::upper_median;
-use crate::perception::{Look, Prompter, TrackSummary, TrackedMask, Tracker};
+use crate::perception::{Correction, Look, LookedBy, Prompter, TrackSummary, TrackedMask, Tracker};
 use crate::pipeline::detections::{DetectionFolder, FrameFolder};
 use crate::pipeline::networks::Networks;
+use crate::pipeline::rhythm::Rhythm;
 use crate::pipeline::run::{Outcome, Run};
 use crate::pipeline::{PipelineError, motion, pictures, segment};
 use crate::scene::{BoxDetection, Frame, FrameId, ObjectId, TrackedObject};
@@ -19,14 +19,8 @@ use crate::scene::{BoxDetection, Frame, FrameId, ObjectId, TrackedObject};
 pub(super) enum Finds {
     /// Masks in every frame.
     Masks(DetectionFolder),
-    /// Boxes in every frame, and whom to ask for masks in every `every`-th of them and in the last.
-    Boxes {
-        detected: segment::BoxFolder,
-        moving: FrameFolder<BoxDetection>,
-        prompter: Kept,
-        every: usize,
-        num_frames: usize,
-    },
+    /// Boxes, and whom to ask for masks in some frames.
+    Boxes { detected: segment::BoxFolder, moving: FrameFolder<BoxDetection>, prompter: Kept, rhythm: Rhythm },
 }
 
 impl Finds {
@@ -46,18 +40,17 @@ impl Finds {
                  (`tractrix doctor` says why)",
             );
         }
-        let every = run.options.vehicles.frames_between_masks(step_s(run.frames()?));
-        let (detected, moving, num_frames) = (segment::finished_boxes(run), motion::boxes(run), run.frames()?.len());
-        Ok(Self::Boxes { detected, moving, prompter, every, num_frames })
+        let (detected, moving) = (segment::finished_boxes(run), motion::boxes(run));
+        Ok(Self::Boxes { detected, moving, prompter, rhythm: Rhythm::of(run)? })
     }
 
     /// Whom to ask for masks in a frame that is looked at once more, from the end on; nobody in frames between.
     pub(super) fn prompter_backward(&mut self, frame: &Frame) -> Option<&mut dyn Prompter> {
         match self {
             Self::Masks(_) => None,
-            Self::Boxes { prompter, every, .. } => {
+            Self::Boxes { prompter, rhythm, .. } => {
                 prompter.begin(frame.id, Pass::Backward);
-                (frame.id.0 as usize).is_multiple_of(*every).then_some(prompter as &mut dyn Prompter)
+                (frame.id.0 as usize).is_multiple_of(rhythm.masks).then_some(prompter as &mut dyn Prompter)
             }
         }
     }
@@ -66,20 +59,15 @@ impl Finds {
     fn look(&mut self, index: usize, frame: &Frame) -> Result<Look<'_>, PipelineError> {
         Ok(match self {
             Self::Masks(folder) => Look::Masks(folder.read(frame.id)?),
-            Self::Boxes { detected, moving, prompter, every, num_frames } => {
+            Self::Boxes { detected, moving, prompter, rhythm } => {
                 let mut found = detected.read(frame.id)?;
                 found.extend(moving.read(frame.id)?);
                 prompter.begin(frame.id, Pass::Forward);
-                let is_key = index.is_multiple_of(*every) || index + 1 == *num_frames;
-                Look::Boxes { found, prompter: if is_key { Some(prompter) } else { None } }
+                let by = if rhythm.is_detected(index) { LookedBy::Detector } else { LookedBy::Motion };
+                Look::Boxes { found, by, prompter: if rhythm.is_asked(index) { Some(prompter) } else { None } }
             }
         })
     }
-}
-
-/// Median time from one frame to the next, seconds; `None` for a single frame.
-fn step_s(frames: &[Frame]) -> Option<f64> {
-    upper_median(frames.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect())
 }
 
 /// An object that was followed, and what the tracker knows of it.
@@ -96,6 +84,7 @@ pub(super) fn follow(
     outcome: &mut Outcome,
 ) -> Result<Vec<Followed>, PipelineError> {
     let frames = run.frames()?;
+    let names: BTreeMap<FrameId, &Frame> = frames.iter().map(|frame| (frame.id, frame)).collect();
     let mut flow = super::load_flow_estimator(run)?;
     let mut tracker = Tracker::new(run.options.tracker.clone());
     let mut previous: Option<RgbImage> = None;
@@ -103,17 +92,22 @@ pub(super) fn follow(
     let mut index = 0;
     run.progress.begin("track", Some(frames.len() as u64));
     pictures::for_each(run, run.source.frames()?, outcome, |frame, picture| {
-        let carried = previous.as_ref().map(|previous| flow.flow(previous, &picture)).transpose()?;
+        let near = |previous| flow.flow_near(previous, &picture, &tracker.places());
+        let carried = previous.as_ref().map(near).transpose()?;
         let look = finds.look(index, &frame)?;
         for TrackedMask { object, mask, .. } in tracker.advance(&frame, &picture, look, carried.as_ref())? {
             masks::write_mask(&provisional(folder, object).join(RunFolder::mask_name(&frame)), &mask)?;
             seen.entry(object).or_default().insert(frame.id);
         }
+        for Correction { frame, object, mask } in tracker.take_corrections() {
+            if let Some(frame) = names.get(&frame) {
+                masks::write_mask(&provisional(folder, object).join(RunFolder::mask_name(frame)), &mask)?;
+            }
+        }
         previous = Some(picture);
         index += 1;
         Ok(())
     })?;
-    let names: BTreeMap<FrameId, &Frame> = frames.iter().map(|frame| (frame.id, frame)).collect();
     let summaries = tracker.finish();
     let objects =
         summaries.into_iter().map(|summary| settle(folder, summary, &mut seen, &names)).collect::<Result<_, _>>()?;
