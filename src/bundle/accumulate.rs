@@ -1,13 +1,13 @@
-//! What the points of one part add to the reduced system (eq. 10).
+//! What the points of one piece add to the reduced system (eq. 10).
 //!
-//! A part sums into blocks of its own, so that a thread never waits for another nor reads what another has just
-//! written; [`super::schur::Reduced::assemble`] adds the parts up in order.
+//! A piece sums into blocks of its own, so that a thread never waits for another nor reads what another has just
+//! written; [`super::schur::Reduced::add`] adds the pieces up in order.
 
 use std::ops::Range;
 
 use super::camera_sums::{CAMERA_DIM, CameraSums, add_border};
 use super::layout::{Layout, NONE};
-use super::linearize::{Part, Piece};
+use super::linearize::{OnePoint, Piece};
 use super::pattern::Pattern;
 use super::residual::Residual;
 use super::simd::Fused;
@@ -32,7 +32,7 @@ impl<const D: usize> ViewTerms<D> {
     }
 }
 
-/// Sums over the points of one part, for the views that see any of them and those between.
+/// Sums over the points of one piece, for the views that see any of them and those between.
 pub(super) struct Sums<const D: usize> {
     /// Views that it reaches.
     pub view_range: Range<usize>,
@@ -42,6 +42,12 @@ pub(super) struct Sums<const D: usize> {
     pub views: Vec<ViewTerms<D>>,
     pub border: Vec<[[f64; CAMERA_DIM]; D]>,
     pub cameras: CameraSums,
+}
+
+/// Makes a list of so many zeros.
+fn zeros<T: Clone>(list: &mut Vec<T>, len: usize, zero: T) {
+    list.clear();
+    list.resize(len, zero);
 }
 
 /// Views that see the points of a piece, and those between.
@@ -54,37 +60,36 @@ pub(super) fn reach(layout: &Layout, piece: &Piece) -> Range<usize> {
 }
 
 impl<const D: usize> Sums<D> {
-    pub fn new(layout: &Layout, pattern: &Pattern, piece: &Piece) -> Self {
-        let view_range = reach(layout, piece);
-        let block_range = pattern.start[view_range.start]..pattern.start[view_range.end];
-        let num_shared = layout.shared.len();
+    /// Of nothing.
+    pub fn new(layout: &Layout) -> Self {
         Self {
-            blocks: vec![[[0.0; D]; D]; block_range.len()],
-            views: vec![ViewTerms::ZERO; view_range.len()],
-            border: vec![[[0.0; CAMERA_DIM]; D]; view_range.len() * num_shared],
-            cameras: CameraSums::new(num_shared * CAMERA_DIM),
-            view_range,
-            block_range,
+            blocks: Vec::new(),
+            views: Vec::new(),
+            border: Vec::new(),
+            cameras: CameraSums::new(layout.shared.len() * CAMERA_DIM),
+            view_range: 0..0,
+            block_range: 0..0,
         }
     }
 
-    /// Forgets everything.
-    pub fn clear(&mut self) {
-        self.blocks.fill([[0.0; D]; D]);
-        self.views.fill(ViewTerms::ZERO);
-        self.border.fill([[0.0; CAMERA_DIM]; D]);
+    /// Forgets everything and makes room for a piece.
+    pub fn begin(&mut self, layout: &Layout, pattern: &Pattern, piece: &Piece) {
+        self.view_range = reach(layout, piece);
+        self.block_range = pattern.start[self.view_range.start]..pattern.start[self.view_range.end];
+        zeros(&mut self.blocks, self.block_range.len(), [[0.0; D]; D]);
+        zeros(&mut self.views, self.view_range.len(), ViewTerms::ZERO);
+        zeros(&mut self.border, self.view_range.len() * layout.shared.len(), [[0.0; CAMERA_DIM]; D]);
         self.cameras.clear();
     }
 
     /// Adds one point, whose observations are linearised and eliminated. Observations are sorted by view, those without
     /// a view block last.
     #[inline(always)]
-    pub fn add_point<F: Fused>(&mut self, layout: &Layout, pattern: &Pattern, part: &Part<D>, point: usize) {
+    pub fn add_point<F: Fused>(&mut self, layout: &Layout, pattern: &Pattern, one: &OnePoint<D>, point: usize) {
         let obs = layout.obs_of_point(point);
-        let first = obs.start - part.piece.obs.start;
-        let residuals = &part.residuals[first..first + obs.len()];
+        let residuals = &one.residuals[..obs.len()];
         let views = &layout.obs_block[obs.clone()];
-        let half_step = &part.points[point - part.piece.points.start].half_step;
+        let half_step = &one.terms.half_step;
         let num_shared = layout.shared.len();
         for (k, (mine, j)) in residuals.iter().zip(views).enumerate() {
             if *j == NONE {
@@ -96,7 +101,7 @@ impl<const D: usize> Sums<D> {
             add_own::<D, F>(&mut self.blocks[own], &mut self.views[view], mine, half_step);
             if num_shared > 0 {
                 let border = &mut self.border[view * num_shared..(view + 1) * num_shared];
-                add_border::<D, F>(layout, part, obs.start + k, point, border);
+                add_border::<D, F>(layout, one, k, point, border);
             }
             if layout.point_fixed[point] {
                 continue;

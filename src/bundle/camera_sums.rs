@@ -1,28 +1,27 @@
 //! The shared cameras' part of the reduced system: a dense block, and a border towards the views (eq. 10).
 
 use super::layout::{Layout, NONE};
-use super::linearize::{Part, Piece};
+use super::linearize::OnePoint;
 use super::priors::PriorTerms;
 use super::simd::Fused;
 
 /// Freedoms reserved for a shared camera.
 pub(super) const CAMERA_DIM: usize = 6;
 
-/// One observation's part of the blocks between its view and all shared cameras that see its point.
+/// The part of the k-th observation of a point in the blocks between its view and all shared cameras that see the point.
 #[inline(always)]
 pub(super) fn add_border<const D: usize, F: Fused>(
     layout: &Layout,
-    part: &Part<D>,
-    o: usize,
+    one: &OnePoint<D>,
+    k: usize,
     point: usize,
     border: &mut [[[f64; CAMERA_DIM]; D]],
 ) {
-    let place = o - part.piece.obs.start;
-    let residual = &part.residuals[place];
-    let in_point = o - layout.obs_of_point(point).start;
+    let residual = &one.residuals[k];
+    let own = layout.obs_slot[one.first_obs + k] as usize;
     for slot in layout.slots_of_point(point) {
-        let mut b = if layout.obs_slot[o] as usize == slot { part.d_shared[in_point] } else { [[0.0; CAMERA_DIM]; 2] };
-        let y = &part.slot_eliminated[slot - part.piece.slots.start];
+        let mut b = if own == slot { one.d_shared[k] } else { [[0.0; CAMERA_DIM]; 2] };
+        let y = &one.slot_eliminated[slot - one.first_slot];
         for (row, q) in b.iter_mut().zip(&residual.eliminated) {
             for c in 0..CAMERA_DIM {
                 row[c] -= F::mul_add(q[0], y[0][c], F::mul_add(q[1], y[1][c], q[2] * y[2][c]));
@@ -59,12 +58,11 @@ impl CameraSums {
         }
     }
 
-    /// Adds one point of a part, whose observations are linearised and eliminated.
-    pub fn add_point<const D: usize>(&mut self, layout: &Layout, part: &Part<D>, point: usize) {
-        let Piece { points, obs, slots } = &part.piece;
+    /// Adds one point, whose observations are linearised and eliminated.
+    pub fn add_point<const D: usize>(&mut self, layout: &Layout, one: &OnePoint<D>, point: usize) {
         for (k, o) in layout.obs_of_point(point).enumerate().filter(|(_, o)| layout.obs_slot[*o] != NONE) {
             let first = layout.slots[layout.obs_slot[o] as usize] as usize * CAMERA_DIM;
-            let (d, value) = (&part.d_shared[k], &part.residuals[o - obs.start].value);
+            let (d, value) = (&one.d_shared[k], &one.residuals[k].value);
             for r in 0..CAMERA_DIM {
                 let g = d[0][r] * value[0] + d[1][r] * value[1];
                 self.gradient[first + r] += g;
@@ -78,15 +76,15 @@ impl CameraSums {
         if layout.point_fixed[point] {
             return;
         }
-        let z = &part.points[point - points.start].half_step;
+        let z = &one.terms.half_step;
         for slot in layout.slots_of_point(point) {
-            let y = &part.slot_eliminated[slot - slots.start];
+            let y = &one.slot_eliminated[slot - one.first_slot];
             let first = layout.slots[slot] as usize * CAMERA_DIM;
             for r in 0..CAMERA_DIM {
                 self.reduced[first + r] -= y[0][r] * z[0] + y[1][r] * z[1] + y[2][r] * z[2];
             }
             for other in layout.slots_of_point(point) {
-                let w = &part.slot_eliminated[other - slots.start];
+                let w = &one.slot_eliminated[other - one.first_slot];
                 let column = layout.slots[other] as usize * CAMERA_DIM;
                 for r in 0..CAMERA_DIM {
                     for c in 0..CAMERA_DIM {

@@ -50,18 +50,18 @@ impl<const D: usize> System<'_, D> {
     /// Σ Jᵀ (r − Q z) over the observations of each group's points, less their mean, which is 0 at the minimum.
     fn scores(&self, group_of_point: &[usize], num_groups: usize) -> Vec<Vec<f64>> {
         let mut scores = vec![vec![0.0; self.reduced.size()]; num_groups];
-        for part in self.lin.parts.iter().map(|share| &share.part) {
-            for place in part.piece.points.clone() {
-                let score = &mut scores[group_of_point[self.layout.points[place] as usize]];
-                let z = Vector3::from(part.points[place - part.piece.points.start].half_step);
-                for o in self.layout.obs_of_point(place).filter(|o| self.layout.obs_block[*o] != NONE) {
-                    let residual = &part.residuals[o - part.piece.obs.start];
-                    let first = self.layout.obs_block[o] as usize * D;
-                    for row in 0..2 {
-                        let left = residual.value[row] - Vector3::from(residual.eliminated[row]).dot(&z);
-                        for (k, d) in residual.d_view[row].iter().enumerate() {
-                            score[first + k] += d * left;
-                        }
+        let mut one = self.one_point();
+        for place in 0..self.layout.points.len() {
+            self.work_out(&mut one, place);
+            let score = &mut scores[group_of_point[self.layout.points[place] as usize]];
+            let z = Vector3::from(one.terms.half_step);
+            let seen = self.layout.obs_of_point(place).zip(&one.residuals);
+            for (o, residual) in seen.filter(|(o, _)| self.layout.obs_block[*o] != NONE) {
+                let first = self.layout.obs_block[o] as usize * D;
+                for row in 0..2 {
+                    let left = residual.value[row] - Vector3::from(residual.eliminated[row]).dot(&z);
+                    for (k, d) in residual.d_view[row].iter().enumerate() {
+                        score[first + k] += d * left;
                     }
                 }
             }

@@ -7,11 +7,12 @@ use nalgebra::{Matrix3, Matrix6, Vector3};
 use super::camera_sums::CAMERA_DIM;
 use super::layout::{IntrinsicsUse, Layout, NONE, POSE_DIM};
 use super::levenberg_marquardt::with_threads;
-use super::linearize::{Linearization, Part, Pass};
+use super::linearize::{Linearization, OnePoint, Pass};
 use super::options::{LinearSolver, Options};
 use super::priors;
 use super::problem::{BundleError, Problem};
 use super::schur::Reduced;
+use super::simd::Two;
 use super::solver::Solver;
 use super::state::State;
 
@@ -74,7 +75,8 @@ pub fn covariances(problem: &Problem, options: &Options, wanted: &Wanted) -> Res
 pub(super) struct System<'a, const D: usize> {
     pub problem: &'a Problem,
     pub layout: &'a Layout,
-    pub lin: Linearization<D>,
+    pass: Pass<'a>,
+    state: State,
     pub reduced: Reduced<D>,
     pub solver: Solver,
 }
@@ -87,18 +89,28 @@ impl<'a, const D: usize> System<'a, D> {
         parallel: bool,
     ) -> Result<Self, BundleError> {
         let state = State::new(problem, layout);
-        let pass = Pass { layout, loss: options.loss, parallel };
+        let pass = Pass { layout, observations: &problem.observations, loss: options.loss, parallel };
         let mut reduced = Reduced::new(layout);
         let mut lin = Linearization::<D>::new(&pass, &reduced.pattern);
-        lin.evaluate(&pass, &reduced.pattern, &state, 0.0);
-        reduced.assemble(&pass, &lin, &priors::terms(problem, layout, &state), 0.0);
+        lin.evaluate(&pass, &state, 0.0, &mut reduced);
+        reduced.finish(&priors::terms(problem, layout, &state), 0.0);
         let choice = match options.linear_solver {
             LinearSolver::Iterative => LinearSolver::Auto,
             other => other,
         };
         let mut solver = Solver::new(choice, &reduced, parallel);
         solver.factor(&reduced).map_err(|pivot| BundleError::Singular { pivot })?;
-        Ok(Self { problem, layout, lin, reduced, solver })
+        Ok(Self { problem, layout, pass, state, reduced, solver })
+    }
+
+    /// Room to work on any point.
+    pub fn one_point(&self) -> OnePoint<D> {
+        OnePoint::new(self.layout, 0..self.layout.points.len())
+    }
+
+    /// Works out residuals, Jacobians and elimination of a point.
+    pub fn work_out(&self, one: &mut OnePoint<D>, point: usize) {
+        one.work_out::<Two>(&self.pass, &self.state, point, 0.0);
     }
 
     fn covariances(mut self, wanted: &Wanted) -> Result<Covariances, BundleError> {
@@ -176,17 +188,15 @@ impl<'a, const D: usize> System<'a, D> {
         let none = BundleError::NoCovariance { what: "point", index: point };
         let place = u32::try_from(point).ok().and_then(|point| places.get(&point)).copied();
         let place = place.filter(|place| !self.layout.point_fixed[*place]).ok_or(none)?;
-        let share = self.lin.parts.iter().find(|share| share.part.piece.points.contains(&place));
-        let Some(part) = share.map(|share| &share.part) else {
-            return Err(BundleError::NoCovariance { what: "point", index: point });
-        };
-        let terms = part.points[place - part.piece.points.start];
+        let mut one = OnePoint::new(self.layout, place..place + 1);
+        self.work_out(&mut one, place);
+        let terms = one.terms;
         let size = self.reduced.size();
         let singular = BundleError::Singular { pivot: size + 3 * place };
         if terms.is_held() {
             return Err(singular);
         }
-        let coupling = coupling(self.layout, part, place, size);
+        let coupling = coupling(self.layout, &one, place, size);
         let mut solved = coupling.clone();
         self.solver.solve_columns(&mut solved);
         let dot = |r: usize, c: usize| -> f64 {
@@ -207,10 +217,10 @@ impl<'a, const D: usize> System<'a, D> {
 }
 
 /// Mᵀ = (Σ Qᵀ J)ᵀ over the observations of a point: three columns of the size of the reduced system (eq. 17).
-fn coupling<const D: usize>(layout: &Layout, part: &Part<D>, place: usize, size: usize) -> Vec<f64> {
+fn coupling<const D: usize>(layout: &Layout, one: &OnePoint<D>, place: usize, size: usize) -> Vec<f64> {
     let mut columns = vec![0.0; 3 * size];
-    for o in layout.obs_of_point(place).filter(|o| layout.obs_block[*o] != NONE) {
-        let residual = &part.residuals[o - part.piece.obs.start];
+    let seen = layout.obs_of_point(place).zip(&one.residuals);
+    for (o, residual) in seen.filter(|(o, _)| layout.obs_block[*o] != NONE) {
         let first = layout.obs_block[o] as usize * D;
         for k in 0..3 {
             for c in 0..D {
@@ -221,7 +231,7 @@ fn coupling<const D: usize>(layout: &Layout, part: &Part<D>, place: usize, size:
     }
     for slot in layout.slots_of_point(place) {
         let first = layout.num_blocks() * D + layout.slots[slot] as usize * CAMERA_DIM;
-        let y = &part.slot_eliminated[slot - part.piece.slots.start];
+        let y = &one.slot_eliminated[slot - one.first_slot];
         for k in 0..3 {
             for c in 0..CAMERA_DIM {
                 columns[k * size + first + c] += y[k][c];

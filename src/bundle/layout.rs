@@ -9,7 +9,7 @@ use nalgebra::Point3;
 use super::options::{Behind, Gauge, Options};
 use super::parallel::in_order;
 use super::problem::{CameraBlock, PointPrior, Problem};
-use super::whitening::Whitening;
+use super::ties::anchors;
 use crate::camera::NUM_INTRINSICS;
 
 /// Marks an absent index.
@@ -96,32 +96,22 @@ pub(super) struct Layout {
     pub point_fixed: Vec<bool>,
     /// What is known of each of these; empty if nothing is known of any.
     pub point_priors: Vec<KnownPoint>,
-    /// Per observation: its pose.
-    pub obs_pose: Vec<u32>,
+    /// Per observation: its index in the problem. What was measured is not held twice.
+    pub obs: Vec<u32>,
     /// Per observation: view block of its pose, or [`NONE`].
     pub obs_block: Vec<u32>,
-    /// Per observation: place of its point in [`Layout::points`].
-    pub obs_point: Vec<u32>,
-    /// Per observation: measured pixel.
-    pub obs_pixel: Vec<[f64; 2]>,
-    /// Per observation: one over its standard deviation.
-    pub obs_whitening: Vec<Whitening>,
     /// Per observation: its shared camera in [`Layout::slots`], or [`NONE`].
     pub obs_slot: Vec<u32>,
     /// First slot of each point, and the end of the last. A slot is a pair of a point and a shared camera that sees it.
     pub slot_start: Vec<u32>,
     /// Shared camera of each slot.
     pub slots: Vec<u32>,
-    /// Pose of each view block, ascending.
+    /// Pose of each view block: ascending, those that tie far views last ([`super::ties`]).
     pub pose_of_block: Vec<u32>,
     /// View block of each pose, or [`NONE`].
     pub block_of_pose: Vec<u32>,
     /// Which freedoms of each block move: the pose's six, then the intrinsics.
     pub pose_mask: Vec<[bool; POSE_DIM]>,
-    /// First entry of each block in [`Layout::block_obs`], and the end of the last.
-    pub block_start: Vec<u32>,
-    /// Observations of each block, in the order of their points.
-    pub block_obs: Vec<u32>,
     /// Free intrinsics of each camera.
     pub columns: Vec<Columns>,
     /// Use of each camera's intrinsics.
@@ -145,14 +135,13 @@ impl Layout {
         layout.scale_pair = gauge.scale_pair;
         layout.sort_observations(problem, used);
         layout.place_priors(problem);
-        layout.index_blocks();
         layout.index_slots(problem);
         layout
     }
 
     /// Number of observations used.
     pub fn num_obs(&self) -> usize {
-        self.obs_pose.len()
+        self.obs.len()
     }
 
     /// Number of view blocks.
@@ -168,11 +157,6 @@ impl Layout {
     /// Slots of a point.
     pub fn slots_of_point(&self, point: usize) -> std::ops::Range<usize> {
         self.slot_start[point] as usize..self.slot_start[point + 1] as usize
-    }
-
-    /// Observations of a view block.
-    pub fn obs_of_block(&self, block: usize) -> &[u32] {
-        &self.block_obs[self.block_start[block] as usize..self.block_start[block + 1] as usize]
     }
 
     /// Largest number of freedoms in a view block.
@@ -212,7 +196,11 @@ impl Layout {
             .collect();
         let mut block_of_pose = vec![NONE; problem.poses.len()];
         let (mut pose_of_block, mut pose_mask) = (Vec::new(), Vec::new());
-        for (index, pose) in problem.poses.iter().enumerate().filter(|(index, _)| observed[*index]) {
+        let anchors = anchors(problem, used);
+        let in_order = (0..problem.poses.len()).filter(|index| observed[*index]);
+        let (last, first): (Vec<usize>, Vec<usize>) = in_order.partition(|index| anchors[*index]);
+        for index in first.into_iter().chain(last) {
+            let pose = &problem.poses[index];
             let mask = gauge.mask(index, pose.fixed);
             if mask != [false; POSE_DIM] || intrinsics_use[pose.camera] == IntrinsicsUse::Fused {
                 block_of_pose[index] = pose_of_block.len() as u32;
@@ -225,19 +213,14 @@ impl Layout {
             point_start: Vec::new(),
             point_fixed: Vec::new(),
             point_priors: Vec::new(),
-            obs_pose: Vec::new(),
+            obs: Vec::new(),
             obs_block: Vec::new(),
-            obs_point: Vec::new(),
-            obs_pixel: Vec::new(),
-            obs_whitening: Vec::new(),
             obs_slot: Vec::new(),
             slot_start: Vec::new(),
             slots: Vec::new(),
             pose_of_block,
             block_of_pose,
             pose_mask,
-            block_start: Vec::new(),
-            block_obs: Vec::new(),
             columns,
             intrinsics_use,
             shared,
@@ -269,18 +252,10 @@ impl Layout {
                 Some(*end)
             }))
             .collect();
-        let sorted: Vec<u32> = self.points.iter().flat_map(|p| obs_of(*p)).copied().collect();
+        self.obs = self.points.iter().flat_map(|p| obs_of(*p)).copied().collect();
         self.point_fixed = self.points.iter().map(|p| problem.points[*p as usize].fixed).collect();
-        let observation = |o: &u32| &problem.observations[*o as usize];
-        self.obs_pose = sorted.iter().map(|o| observation(o).pose).collect();
-        self.obs_block = self.obs_pose.iter().map(|pose| self.block_of_pose[*pose as usize]).collect();
-        self.obs_pixel = sorted.iter().map(|o| observation(o).pixel.coords.into()).collect();
-        self.obs_whitening = sorted.iter().map(|o| observation(o).whitening).collect();
-        self.obs_point = Vec::with_capacity(sorted.len());
-        for point in 0..self.points.len() {
-            let count = self.obs_of_point(point).len();
-            self.obs_point.extend(std::iter::repeat_n(point as u32, count));
-        }
+        let pose_of = |o: &u32| problem.observations[*o as usize].pose as usize;
+        self.obs_block = self.obs.iter().map(|o| self.block_of_pose[pose_of(o)]).collect();
     }
 
     fn place_priors(&mut self, problem: &Problem) {
@@ -294,13 +269,6 @@ impl Layout {
         self.point_priors = self.points.iter().map(|point| known[*point as usize]).collect();
     }
 
-    fn index_blocks(&mut self) {
-        let with_block: Vec<u32> = (0..self.num_obs() as u32).filter(|o| self.obs_block[*o as usize] != NONE).collect();
-        let (sorted, start) = counting_sort(&with_block, self.num_blocks(), |o| self.obs_block[o as usize] as usize);
-        self.block_obs = sorted;
-        self.block_start = start;
-    }
-
     fn index_slots(&mut self, problem: &Problem) {
         self.obs_slot = vec![NONE; if self.shared.is_empty() { 0 } else { self.num_obs() }];
         self.slot_start = vec![0; self.points.len() + 1];
@@ -310,7 +278,7 @@ impl Layout {
         for point in 0..self.points.len() {
             let first = self.slots.len();
             for o in self.obs_of_point(point) {
-                let camera = problem.poses[self.obs_pose[o] as usize].camera;
+                let camera = problem.poses[problem.observations[self.obs[o] as usize].pose as usize].camera;
                 if let IntrinsicsUse::Shared(shared) = self.intrinsics_use[camera] {
                     let place = self.slots[first..].iter().position(|s| *s == shared).unwrap_or_else(|| {
                         self.slots.push(shared);

@@ -51,12 +51,16 @@ pub(super) fn with_threads<T: Send>(threads: usize, work: impl FnOnce(bool) -> T
 fn dispatch(problem: &mut Problem, options: &Options, parallel: bool) -> Summary {
     let start = Instant::now();
     let layout = Layout::new(problem, options, parallel);
+    // They are read while the rest is written.
+    let observations = std::mem::take(&mut problem.observations);
+    let pass = Pass { layout: &layout, observations: &observations, loss: options.loss, parallel };
     // One compiled copy for each of the common sizes: poses alone, with f k1 k2, with all intrinsics.
     let mut summary = match layout.largest_block() {
-        ..=6 => Run::<6>::new(problem, options, &layout, parallel).minimize(start),
-        7..=9 => Run::<9>::new(problem, options, &layout, parallel).minimize(start),
-        _ => Run::<12>::new(problem, options, &layout, parallel).minimize(start),
+        ..=6 => Run::<6>::new(problem, options, pass).minimize(start),
+        7..=9 => Run::<9>::new(problem, options, pass).minimize(start),
+        _ => Run::<12>::new(problem, options, pass).minimize(start),
     };
+    problem.observations = observations;
     summary.total_s = start.elapsed().as_secs_f64();
     summary
 }
@@ -101,11 +105,11 @@ enum Outcome {
 }
 
 impl<'a, const D: usize> Run<'a, D> {
-    fn new(problem: &'a mut Problem, options: &'a Options, layout: &'a Layout, parallel: bool) -> Self {
-        let pass = Pass { layout, loss: options.loss, parallel };
+    fn new(problem: &'a mut Problem, options: &'a Options, pass: Pass<'a>) -> Self {
+        let layout = pass.layout;
         let state = State::new(problem, layout);
         let reduced = Reduced::new(layout);
-        let solver = Solver::new(options.linear_solver, &reduced, parallel);
+        let solver = Solver::new(options.linear_solver, &reduced, pass.parallel);
         Self {
             trial: state.clone(),
             lin: Linearization::new(&pass, &reduced.pattern),
@@ -152,14 +156,14 @@ impl<'a, const D: usize> Run<'a, D> {
             }
         };
         self.summary.final_cost = cost;
-        self.summary.num_behind = count_behind(self.layout, &self.state);
+        self.summary.num_behind = count_behind(&self.pass, &self.state);
         self.state.write(self.problem, self.layout);
         self.summary
     }
 
     fn linearize(&mut self) -> f64 {
         let start = Instant::now();
-        let cost = self.lin.evaluate(&self.pass, &self.reduced.pattern, &self.state, self.damping);
+        let cost = self.lin.evaluate(&self.pass, &self.state, self.damping, &mut self.reduced);
         self.summary.linearize_s += start.elapsed().as_secs_f64();
         cost + priors::cost(self.problem, &self.state)
     }
@@ -205,7 +209,7 @@ impl<'a, const D: usize> Run<'a, D> {
     fn solve(&mut self) -> bool {
         let start = Instant::now();
         let priors = priors::terms(self.problem, self.layout, &self.state);
-        self.reduced.assemble(&self.pass, &self.lin, &priors, self.damping);
+        self.reduced.finish(&priors, self.damping);
         let assembled = Instant::now();
         self.summary.schur_s += (assembled - start).as_secs_f64();
         let solved = self.solver.solve(&self.reduced, &mut self.step).is_ok();
@@ -216,7 +220,8 @@ impl<'a, const D: usize> Run<'a, D> {
     /// Moves the trial state.
     fn try_step(&mut self) -> Tried {
         let in_range = self.trial.move_cameras(&self.state, self.problem, self.layout, &self.step, D);
-        let of_points = try_step(&self.lin, &self.pass, &self.step, self.damping, &self.state, &mut self.trial);
+        let of_points =
+            try_step::<D>(&self.lin.pieces, &self.pass, &self.step, self.damping, &self.state, &mut self.trial);
         let predicted = 0.5 * (of_points.decrease + self.predicted_by_cameras());
         let step_sq = of_points.step_sq + self.step.iter().map(|v| v * v).sum::<f64>();
         let trial_cost =

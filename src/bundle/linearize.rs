@@ -1,9 +1,9 @@
 //! Linearisation: residuals and Jacobians, elimination of the points, and their sums in the reduced system.
 //!
-//! The points are cut in a few parts. A part keeps everything that belongs to its points, and a thread goes through it
-//! point by point from the projection to the reduced system, while the point's Jacobians are still in the nearest
-//! cache. The cut depends on the problem alone and sums are taken in the order of the parts, so that nothing depends on
-//! the number of threads.
+//! The points are cut in a few pieces. A thread goes through a piece point by point from the projection to the reduced
+//! system, while the point's Jacobians are still in the nearest cache, and forgets them: the step of the points
+//! ([`super::trial`]) works them out once more. So an observation takes no memory beyond its index. The cut depends on
+//! the problem alone and sums are taken in the order of the pieces, so that nothing depends on the number of threads.
 
 use std::ops::Range;
 
@@ -12,18 +12,23 @@ use super::layout::{Layout, NONE, POSE_DIM};
 use super::parallel::in_order;
 use super::pattern::Pattern;
 use super::point::PointTerms;
+use super::problem::Observation;
 use super::residual::{Derivatives, Residual, linearize};
+use super::schur::Reduced;
 use super::simd::{Fused, Task, wide};
 use super::state::State;
 use crate::math::RobustLoss;
 
-/// Most parts.
-const MAX_PARTS: usize = 8;
-/// Least work in a part, in rank-2 updates of one block: less is not worth a task.
+/// Pieces that are worked on at a time at most, each with sums of its own.
+const MAX_DESKS: usize = 8;
+/// There may be so many pieces more for every so many blocks of the reduced system: then the sums of those that are
+/// worked on at a time stay small.
+const BLOCKS_PER_WAVE: usize = 1 << 17;
+/// Least work in a piece, in rank-2 updates of one block: less is not worth a task.
 const PART_WORK: usize = 15_000;
 /// Work that linearising one observation is worth, likewise.
 const OBSERVATION_WORK: usize = 5;
-/// Rank-2 updates for which a part may have one more block to clear and to add up.
+/// Rank-2 updates for which a piece may have one more block to clear and to add up.
 const WORK_PER_BLOCK: usize = 60;
 
 /// A run of points and what belongs to them.
@@ -34,7 +39,7 @@ pub(super) struct Piece {
     pub slots: Range<usize>,
 }
 
-/// Cuts the points in parts of about the same work: as many as there can be without each losing too much by blocks of
+/// Cuts the points in pieces of about the same work: as many as there can be without each losing too much by blocks of
 /// the reduced system that others have, too, and without these taking more memory than the system itself.
 pub(super) fn pieces(layout: &Layout, pattern: &Pattern) -> Vec<Piece> {
     let work: Vec<usize> = (0..layout.points.len())
@@ -45,7 +50,7 @@ pub(super) fn pieces(layout: &Layout, pattern: &Pattern) -> Vec<Piece> {
         })
         .collect();
     let total = work.last().copied().unwrap_or(0);
-    let mut count = MAX_PARTS;
+    let mut count = MAX_DESKS * (1 + pattern.len() / BLOCKS_PER_WAVE);
     while count > 1 {
         let pieces = cut(layout, &work, count);
         let blocks = |piece: &Piece| {
@@ -78,28 +83,36 @@ fn cut(layout: &Layout, work: &[usize], count: usize) -> Vec<Piece> {
     out
 }
 
-/// What a linearisation knows of the observations and points of one piece.
-pub(super) struct Part<const D: usize> {
-    pub piece: Piece,
+/// What is known of the point that is being worked on: residuals, Jacobians, elimination. They are worked out anew
+/// wherever they are needed: kept for all points, they would take more memory than all else.
+pub(super) struct OnePoint<const D: usize> {
+    /// First observation of the point.
+    pub first_obs: usize,
+    /// Its first slot.
+    pub first_slot: usize,
+    /// By its observations; behind these are those of other points.
     pub residuals: Vec<Residual<D>>,
-    /// Jₚ of every observation of the point that is being worked on.
+    /// Jₚ of its observations.
     d_points: Vec<[[f64; 3]; 2]>,
-    /// Its derivatives by shared intrinsics; empty without shared cameras.
+    /// Derivatives by shared intrinsics; empty without shared cameras.
     pub d_shared: Vec<[[f64; 6]; 2]>,
-    /// L⁻¹ Jₚᵀ J_c of every slot, summed over the slot's observations (eq. 9).
+    /// L⁻¹ Jₚᵀ J_c of its slots, summed over a slot's observations (eq. 9).
     pub slot_eliminated: Vec<[[f64; 6]; 3]>,
-    pub points: Vec<PointTerms>,
+    /// Its normal equations.
+    pub terms: PointTerms,
 }
 
-/// One part and its sums.
-pub(super) struct Share<const D: usize> {
-    pub part: Part<D>,
-    pub sums: Sums<D>,
+/// Where a thread works on one piece after the other.
+struct Desk<const D: usize> {
+    point: OnePoint<D>,
+    sums: Sums<D>,
 }
 
-/// All parts, in order.
+/// The passes over all points.
 pub(super) struct Linearization<const D: usize> {
-    pub parts: Vec<Share<D>>,
+    /// In order.
+    pub pieces: Vec<Piece>,
+    desks: Vec<Desk<D>>,
     /// The largest entry of the gradients of points that move.
     pub largest_point_gradient: f64,
 }
@@ -108,98 +121,114 @@ pub(super) struct Linearization<const D: usize> {
 #[derive(Clone, Copy)]
 pub(super) struct Pass<'a> {
     pub layout: &'a Layout,
+    /// Those of the problem, in its order.
+    pub observations: &'a [Observation],
     pub loss: RobustLoss,
     pub parallel: bool,
 }
 
-impl<const D: usize> Linearization<D> {
-    pub fn new(pass: &Pass, pattern: &Pattern) -> Self {
-        // Made by the threads that will use them: memory belongs to who touches it first.
-        let share =
-            |piece: Piece| Share { sums: Sums::new(pass.layout, pattern, &piece), part: Part::new(pass.layout, piece) };
-        Self { parts: in_order(pass.parallel, pieces(pass.layout, pattern), share), largest_point_gradient: 0.0 }
-    }
-
-    /// Residuals, Jacobians and the points' normal equations at a state (eqs. 1–6), their elimination with damping λ,
-    /// and the sums for the reduced system. Returns the cost. Another damping is another evaluation: what it could
-    /// reuse would take as much memory again as all that is kept.
-    pub fn evaluate(&mut self, pass: &Pass, pattern: &Pattern, state: &State, damping: f64) -> f64 {
-        let work = |share: &mut Share<D>| wide(Evaluate { pass, pattern, state, damping, share });
-        let found = in_order(pass.parallel, self.parts.iter_mut().collect(), work);
-        self.largest_point_gradient = found.iter().fold(0.0, |m, part| m.max(part.largest_gradient));
-        0.5 * found.iter().map(|part| part.cost).sum::<f64>()
-    }
-
-    #[cfg(test)]
-    fn of_obs(&self, o: usize) -> (&Part<D>, usize) {
-        let share = self.parts.iter().find(|share| share.part.piece.obs.contains(&o));
-        let part = &share.expect("every observation is in a part").part;
-        (part, o - part.piece.obs.start)
-    }
-
-    /// Residual of an observation.
-    #[cfg(test)]
-    pub fn residual(&self, o: usize) -> &Residual<D> {
-        let (part, place) = self.of_obs(o);
-        &part.residuals[place]
+impl Pass<'_> {
+    /// What was measured, by the order of the layout.
+    #[inline(always)]
+    pub fn measured(&self, o: usize) -> &Observation {
+        &self.observations[self.layout.obs[o] as usize]
     }
 }
 
-impl<const D: usize> Part<D> {
-    fn new(layout: &Layout, piece: Piece) -> Self {
+impl<const D: usize> Linearization<D> {
+    pub fn new(pass: &Pass, pattern: &Pattern) -> Self {
+        let pieces = pieces(pass.layout, pattern);
+        let count = if pass.parallel { pieces.len().clamp(1, MAX_DESKS) } else { 1 };
+        // Made by the threads that will use them: memory belongs to who touches it first.
+        let desk =
+            |_| Desk { sums: Sums::new(pass.layout), point: OnePoint::new(pass.layout, 0..pass.layout.points.len()) };
+        let desks = in_order(pass.parallel, (0..count).collect(), desk);
+        Self { pieces, desks, largest_point_gradient: 0.0 }
+    }
+
+    /// Residuals, Jacobians and the points' normal equations at a state (eqs. 1–6), their elimination with damping λ,
+    /// and the sums in the reduced system. Returns the cost. Another damping is another evaluation.
+    pub fn evaluate(&mut self, pass: &Pass, state: &State, damping: f64, reduced: &mut Reduced<D>) -> f64 {
+        reduced.clear();
+        self.largest_point_gradient = 0.0;
+        let mut cost = 0.0;
+        for wave in self.pieces.chunks(self.desks.len()) {
+            let pattern = &reduced.pattern;
+            let work = |(piece, desk)| wide(Evaluate { pass, pattern, state, damping, piece, desk });
+            let found = in_order(pass.parallel, wave.iter().zip(&mut self.desks).collect(), work);
+            for (desk, part) in self.desks.iter().zip(found) {
+                reduced.add(&desk.sums, pass.parallel);
+                cost += part.cost;
+                self.largest_point_gradient = self.largest_point_gradient.max(part.largest_gradient);
+            }
+        }
+        0.5 * cost
+    }
+}
+
+impl<const D: usize> OnePoint<D> {
+    /// With room for each of some points.
+    pub fn new(layout: &Layout, points: Range<usize>) -> Self {
         let none = Residual { value: [0.0; 2], d_view: [[0.0; D]; 2], eliminated: [[0.0; 3]; 2] };
-        let longest = piece.points.clone().map(|point| layout.obs_of_point(point).len()).max().unwrap_or(0);
+        let longest = points.clone().map(|point| layout.obs_of_point(point).len()).max().unwrap_or(0);
+        let most_slots = points.map(|point| layout.slots_of_point(point).len()).max().unwrap_or(0);
         Self {
-            residuals: vec![none; piece.obs.len()],
+            first_obs: 0,
+            first_slot: 0,
+            residuals: vec![none; longest],
             d_points: vec![[[0.0; 3]; 2]; longest],
             d_shared: vec![[[0.0; 6]; 2]; if layout.shared.is_empty() { 0 } else { longest }],
-            slot_eliminated: vec![[[0.0; 6]; 3]; piece.slots.len()],
-            points: vec![PointTerms::default(); piece.points.len()],
-            piece,
+            slot_eliminated: vec![[[0.0; 6]; 3]; most_slots],
+            terms: PointTerms::default(),
         }
     }
 
-    /// Residuals, Jacobians and normal equations of one point; returns Σ ρ.
+    /// Works out everything of a point at a state; returns Σ ρ.
     #[inline(always)]
-    fn linearize_point<F: Fused>(&mut self, pass: &Pass, state: &State, point: usize) -> f64 {
+    pub fn work_out<F: Fused>(&mut self, pass: &Pass, state: &State, point: usize, damping: f64) -> f64 {
+        self.first_obs = pass.layout.obs_of_point(point).start;
+        self.first_slot = pass.layout.slots_of_point(point).start;
+        let cost = self.linearize::<F>(pass, state, point);
+        self.eliminate::<F>(pass.layout, point, damping);
+        cost
+    }
+
+    /// Residuals, Jacobians and normal equations; returns Σ ρ.
+    #[inline(always)]
+    fn linearize<F: Fused>(&mut self, pass: &Pass, state: &State, point: usize) -> f64 {
         let layout = pass.layout;
         let mut terms = PointTerms::default();
         let mut cost = 0.0;
         for (k, o) in layout.obs_of_point(point).enumerate() {
-            let view = &state.views[layout.obs_pose[o] as usize];
+            let measured = pass.measured(o);
+            let view = &state.views[measured.pose as usize];
             let is_shared = layout.obs_slot.get(o).is_some_and(|slot| *slot != NONE);
             let d_shared = if is_shared { self.d_shared.get_mut(k) } else { None };
             let derivatives = Derivatives { d_point: &mut self.d_points[k], d_shared };
-            let (pixel, whitening) = (&layout.obs_pixel[o], &layout.obs_whitening[o]);
-            let (rho, mut residual) =
-                linearize::<D, F>(view, &state.points[point], pixel, whitening, &pass.loss, derivatives);
+            let (rho, mut residual) = linearize::<D, F>(view, &state.points[point], measured, &pass.loss, derivatives);
             hold_masked(layout, layout.obs_block[o], &mut residual.d_view);
             cost += rho;
             terms.add::<F>(&self.d_points[k], residual.value);
-            self.residuals[o - self.piece.obs.start] = residual;
+            self.residuals[k] = residual;
         }
         if let Some(known) = layout.point_priors.get(point) {
             terms.add_prior(known, &state.points[point]);
             cost += known.cost(&state.points[point]);
         }
-        self.points[point - self.piece.points.start] = terms;
+        self.terms = terms;
         cost
     }
 
-    /// Elimination of one point (eq. 9).
+    /// Elimination of the point (eq. 9).
     #[inline(always)]
-    fn eliminate_point<F: Fused>(&mut self, layout: &Layout, point: usize, damping: f64) {
-        let first_slot = self.piece.slots.start;
-        for slot in layout.slots_of_point(point) {
-            self.slot_eliminated[slot - first_slot] = [[0.0; 6]; 3];
-        }
-        let terms = &mut self.points[point - self.piece.points.start];
-        terms.eliminate(layout.point_fixed[point], damping);
+    fn eliminate<F: Fused>(&mut self, layout: &Layout, point: usize, damping: f64) {
+        self.slot_eliminated[..layout.slots_of_point(point).len()].fill([[0.0; 6]; 3]);
+        self.terms.eliminate(layout.point_fixed[point], damping);
         for (k, o) in layout.obs_of_point(point).enumerate() {
-            let q = self.d_points[k].map(|row| terms.forward_solve(&row));
-            self.residuals[o - self.piece.obs.start].eliminated = q;
+            let q = self.d_points[k].map(|row| self.terms.forward_solve(&row));
+            self.residuals[k].eliminated = q;
             if layout.obs_slot.get(o).is_some_and(|slot| *slot != NONE) {
-                let y = &mut self.slot_eliminated[layout.obs_slot[o] as usize - first_slot];
+                let y = &mut self.slot_eliminated[layout.obs_slot[o] as usize - self.first_slot];
                 let d = &self.d_shared[k];
                 for r in 0..3 {
                     for c in 0..6 {
@@ -227,7 +256,7 @@ fn hold_masked<const D: usize>(layout: &Layout, block: u32, d_view: &mut [[f64; 
     }
 }
 
-/// What a part finds on the way.
+/// What a piece finds on the way.
 struct Evaluated {
     /// Σ ρ.
     cost: f64,
@@ -240,7 +269,8 @@ struct Evaluate<'a, const D: usize> {
     pattern: &'a Pattern,
     state: &'a State,
     damping: f64,
-    share: &'a mut Share<D>,
+    piece: &'a Piece,
+    desk: &'a mut Desk<D>,
 }
 
 impl<const D: usize> Task for Evaluate<'_, D> {
@@ -248,21 +278,20 @@ impl<const D: usize> Task for Evaluate<'_, D> {
 
     #[inline(always)]
     fn run<F: Fused>(self) -> Evaluated {
-        let Self { pass, pattern, state, damping, share } = self;
-        let Share { part, sums } = share;
+        let Self { pass, pattern, state, damping, piece, desk } = self;
+        let Desk { point: one, sums } = desk;
         let layout = pass.layout;
-        sums.clear();
+        sums.begin(layout, pattern, piece);
         let mut found = Evaluated { cost: 0.0, largest_gradient: 0.0 };
-        for point in part.piece.points.clone() {
-            found.cost += part.linearize_point::<F>(pass, state, point);
+        for point in piece.points.clone() {
+            found.cost += one.work_out::<F>(pass, state, point, damping);
             if !layout.point_fixed[point] {
-                let gradient = part.points[point - part.piece.points.start].gradient;
+                let gradient = one.terms.gradient;
                 found.largest_gradient = gradient.iter().fold(found.largest_gradient, |m, g| m.max(g.abs()));
             }
-            part.eliminate_point::<F>(layout, point, damping);
-            sums.add_point::<F>(layout, pattern, part, point);
+            sums.add_point::<F>(layout, pattern, one, point);
             if !layout.shared.is_empty() {
-                sums.cameras.add_point(layout, part, point);
+                sums.cameras.add_point(layout, one, point);
             }
         }
         found
@@ -286,7 +315,7 @@ mod tests {
     fn parts_cover_all_points_once_and_are_alike() {
         let layout = layout(20, 3000);
         let pieces = pieces(&layout, &Pattern::new(&layout));
-        assert!(pieces.len() > 1 && pieces.len() <= MAX_PARTS, "{}", pieces.len());
+        assert!(pieces.len() > 1 && pieces.len() <= MAX_DESKS, "{}", pieces.len());
         let ends = |of: fn(&Piece) -> &Range<usize>| {
             pieces.iter().fold(0, |end, piece| {
                 assert_eq!(of(piece).start, end);

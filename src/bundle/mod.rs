@@ -47,6 +47,7 @@ mod simd;
 mod solver;
 mod state;
 mod summary;
+mod ties;
 mod trial;
 mod uncertainty;
 mod whitening;

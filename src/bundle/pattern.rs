@@ -8,6 +8,8 @@ const ALL_PAIRS_LIMIT: usize = 64;
 /// Where at least this part of the envelope is taken by blocks, the views lie in a band in their own order, and no
 /// other order makes less fill.
 const BAND_FILL: f64 = 0.5;
+/// The same where views that tie far ones are a border behind the band, of which a part stays empty.
+const BORDERED_FILL: f64 = 0.25;
 
 /// Which pairs of views have a block.
 pub(super) struct Pattern {
@@ -21,6 +23,8 @@ pub(super) struct Pattern {
     place_start: Vec<usize>,
     /// Place within its panel of the block of each row from `first_row`, or [`NONE`].
     place: Vec<u32>,
+    /// The part of the envelope that blocks take where the views lie in a band.
+    least_fill: f64,
 }
 
 impl Pattern {
@@ -35,6 +39,7 @@ impl Pattern {
             first_row: vec![0; n],
             place_start: vec![0; n],
             place: (0..n as u32).collect(),
+            least_fill: BAND_FILL,
         }
     }
 
@@ -56,20 +61,25 @@ impl Pattern {
             place_start.push(len);
             len += j + 1 - *first as usize;
         }
-        let mut pattern = Self { start: vec![0], rows: Vec::new(), first_row, place_start, place: vec![NONE; len] };
+        let least_fill = if layout.pose_of_block.is_sorted() { BAND_FILL } else { BORDERED_FILL };
+        let place = vec![NONE; len];
+        let mut pattern = Self { start: vec![0], rows: Vec::new(), first_row, place_start, place, least_fill };
+        let (points, start) = points_of_blocks(layout);
         for j in 0..n {
-            pattern.mark_panel(layout, j);
+            pattern.mark_panel(layout, j, &points[start[j] as usize..start[j + 1] as usize]);
         }
         pattern
     }
 
-    fn mark_panel(&mut self, layout: &Layout, j: usize) {
+    /// Marks the views of the points that view j sees.
+    fn mark_panel(&mut self, layout: &Layout, j: usize, points: &[u32]) {
         let first = self.first_row[j] as usize;
         let place = &mut self.place[self.place_start[j]..][..j + 1 - first];
         place[j - first] = 0;
-        for o in layout.obs_of_block(j) {
-            let start = layout.obs_of_point(layout.obs_point[*o as usize] as usize).start;
-            for i in &layout.obs_block[start..*o as usize] {
+        for point in points {
+            // Sorted by view, those without a block last.
+            let views = &layout.obs_block[layout.obs_of_point(*point as usize)];
+            for i in views.iter().take_while(|i| **i as usize <= j) {
                 place[*i as usize - first] = 0;
             }
         }
@@ -79,6 +89,11 @@ impl Pattern {
             self.rows.push((first + row) as u32);
         }
         self.start.push(self.rows.len());
+    }
+
+    /// The first view that sees a common point with view j, or j.
+    pub fn first_row(&self, j: usize) -> usize {
+        self.first_row[j] as usize
     }
 
     /// Blocks of panel j.
@@ -105,7 +120,7 @@ impl Pattern {
 
     /// Whether the views lie in a band in their own order, as those of a video do.
     pub fn is_band(&self) -> bool {
-        self.len() as f64 >= BAND_FILL * self.envelope() as f64
+        self.len() as f64 >= self.least_fill * self.envelope() as f64
     }
 
     /// Place of block (i, j), i ≤ j, of two views that see a common point.
@@ -113,4 +128,26 @@ impl Pattern {
     pub fn place(&self, i: usize, j: usize) -> usize {
         self.start[j] + self.place[self.place_start[j] + i - self.first_row[j] as usize] as usize
     }
+}
+
+/// The points that each view block sees, ascending, and where those of each block begin.
+fn points_of_blocks(layout: &Layout) -> (Vec<u32>, Vec<u32>) {
+    let mut start = vec![0u32; layout.num_blocks() + 1];
+    for block in layout.obs_block.iter().filter(|block| **block != NONE) {
+        start[*block as usize + 1] += 1;
+    }
+    for k in 1..start.len() {
+        start[k] += start[k - 1];
+    }
+    let mut next = start.clone();
+    let mut points = vec![0; start.last().map_or(0, |end| *end as usize)];
+    for point in 0..layout.points.len() {
+        let views = &layout.obs_block[layout.obs_of_point(point)];
+        for block in views.iter().take_while(|block| **block != NONE) {
+            let place = &mut next[*block as usize];
+            points[*place as usize] = point as u32;
+            *place += 1;
+        }
+    }
+    (points, start)
 }

@@ -3,6 +3,7 @@
 use nalgebra::{Point3, Vector2};
 
 use super::layout::POSE_DIM;
+use super::problem::Observation;
 use super::simd::Fused;
 use super::state::View;
 use super::whitening::Whitening;
@@ -38,11 +39,11 @@ pub(super) fn point_in_cam(view: &View, point: &[f64; 3]) -> [f64; 3] {
 
 /// The residual alone, whitened but not weighted by the loss.
 #[inline(always)]
-pub(super) fn plain_residual(view: &View, point: &[f64; 3], pixel: &[f64; 2], whitening: &Whitening) -> [f64; 2] {
+pub(super) fn plain_residual(view: &View, point: &[f64; 3], measured: &Observation) -> [f64; 2] {
     let [x, y, z] = point_in_cam(view, point);
     let inverse_z = 1.0 / z;
     let seen = view.camera.pixel_from_normalized(Vector2::new(x * inverse_z, y * inverse_z));
-    whitening.apply([seen.x - pixel[0], seen.y - pixel[1]])
+    measured.whitening.apply([seen.x - measured.pixel.x, seen.y - measured.pixel.y])
 }
 
 /// ρ(‖r‖²) of a residual.
@@ -71,14 +72,14 @@ pub(super) fn robust_cost_and_root(loss: &RobustLoss, residual: &[f64; 2]) -> (f
 pub(super) fn linearize<const D: usize, F: Fused>(
     view: &View,
     point: &[f64; 3],
-    pixel: &[f64; 2],
-    whitening: &Whitening,
+    measured: &Observation,
     loss: &RobustLoss,
     mut derivatives: Derivatives,
 ) -> (f64, Residual<D>) {
     let p = point_in_cam(view, point);
     let projection = view.camera.project(Point3::new(p[0], p[1], p[2]));
-    let plain = whitening.apply([projection.pixel.x - pixel[0], projection.pixel.y - pixel[1]]);
+    let (pixel, whitening) = (&measured.pixel, &measured.whitening);
+    let plain = whitening.apply([projection.pixel.x - pixel.x, projection.pixel.y - pixel.y]);
     let (cost, root) = robust_cost_and_root(loss, &plain);
     let weight = Whitening(whitening.0.map(|w| w * root));
     let mut out =

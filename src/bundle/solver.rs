@@ -1,12 +1,15 @@
-//! Solving the reduced camera system: dense Cholesky, sparse supernodal Cholesky, or conjugate gradients.
+//! Solving the reduced camera system: Cholesky of a dense matrix, of a band or of a sparse matrix, or conjugate
+//! gradients.
 
 mod dense;
 mod iterative;
+mod skyline;
 mod sparse;
 
 use dense::DenseSolver;
 use faer::Par;
 use iterative::IterativeSolver;
+use skyline::SkylineSolver;
 use sparse::SparseSolver;
 
 use super::options::LinearSolver;
@@ -28,6 +31,7 @@ const PARALLEL_SIZE: usize = 1_000;
 #[allow(clippy::large_enum_variant)]
 pub(super) enum Solver {
     Dense(DenseSolver),
+    Skyline(SkylineSolver),
     Sparse(SparseSolver),
     Iterative(IterativeSolver),
 }
@@ -60,6 +64,9 @@ impl Solver {
     }
 
     fn sparse<const D: usize>(reduced: &Reduced<D>) -> Self {
+        if reduced.pattern.is_band() {
+            return Self::Skyline(SkylineSolver::new(reduced));
+        }
         // The symbolic factorisation fails only where memory runs out; the iterative solver needs none.
         match SparseSolver::new(reduced) {
             Some(solver) => Self::Sparse(solver),
@@ -72,6 +79,7 @@ impl Solver {
         right_hand_side(reduced, step);
         match self {
             Self::Dense(solver) => solver.factor(reduced).map(|()| solver.solve(step)),
+            Self::Skyline(solver) => solver.factor(reduced).map(|()| solver.solve(step)),
             Self::Sparse(solver) => solver.factor(reduced).map(|()| solver.solve(step)),
             Self::Iterative(solver) => solver.solve(reduced, step),
         }
@@ -83,6 +91,7 @@ impl Solver {
     pub fn factor<const D: usize>(&mut self, reduced: &Reduced<D>) -> Result<(), usize> {
         match self {
             Self::Dense(solver) => solver.factor(reduced),
+            Self::Skyline(solver) => solver.factor(reduced),
             Self::Sparse(solver) => solver.factor(reduced),
             Self::Iterative(_) => Err(0),
         }
@@ -92,6 +101,7 @@ impl Solver {
     pub fn solve_columns(&mut self, columns: &mut [f64]) {
         match self {
             Self::Dense(solver) => solver.solve(columns),
+            Self::Skyline(solver) => solver.solve(columns),
             Self::Sparse(solver) => solver.solve(columns),
             Self::Iterative(_) => {}
         }
@@ -103,5 +113,91 @@ fn right_hand_side<const D: usize>(reduced: &Reduced<D>, out: &mut [f64]) {
     let values = reduced.views.iter().flat_map(|v| v.reduced).chain(reduced.camera_reduced.iter().copied());
     for (cell, value) in out.iter_mut().zip(values) {
         *cell = -value;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::layout::Layout;
+    use super::super::linearize::{Linearization, Pass};
+    use super::super::options::{Behind, Options};
+    use super::super::priors;
+    use super::super::problem::{CameraBlock, Problem};
+    use super::super::state::State;
+    use super::*;
+    use crate::synthetic::scene::{self, Path, static_scene};
+
+    const DAMPING: f64 = 1e-3;
+
+    /// A flight over so many images with one camera.
+    fn flight(num_images: u32) -> Problem {
+        let num_points = 12 * num_images;
+        let options =
+            scene::Options { path: Path::Flight, num_images, num_points, noise_px: 0.5, ..scene::Options::default() };
+        Problem::from_reconstruction(&static_scene(&options), |_, camera| CameraBlock::free_focal_and_radial(*camera))
+    }
+
+    fn reduced(problem: &Problem, layout: &Layout) -> Reduced<6> {
+        let state = State::new(problem, layout);
+        let (observations, loss) = (&problem.observations, Options::default().loss);
+        let pass = Pass { layout, observations, loss, parallel: false };
+        let mut reduced = Reduced::new(layout);
+        Linearization::new(&pass, &reduced.pattern).evaluate(&pass, &state, DAMPING, &mut reduced);
+        reduced.finish(&priors::terms(problem, layout, &state), DAMPING);
+        reduced
+    }
+
+    /// The steps of all direct solvers are the same; returns the share of the envelope that the blocks take.
+    fn compare(problem: &Problem, layout: &Layout) -> f64 {
+        let reduced = reduced(problem, layout);
+        let solved = |mut solver: Solver| {
+            let mut step = vec![0.0; reduced.size()];
+            solver.solve(&reduced, &mut step).unwrap();
+            step
+        };
+        let dense = solved(Solver::Dense(DenseSolver::new(reduced.size(), Par::Seq)));
+        let largest = dense.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        let others =
+            [Solver::Skyline(SkylineSolver::new(&reduced)), Solver::Sparse(SparseSolver::new(&reduced).unwrap())];
+        for other in others.map(solved) {
+            for (a, b) in dense.iter().zip(&other) {
+                assert!((a - b).abs() < 1e-6 * largest, "{a} {b}");
+            }
+        }
+        reduced.pattern.len() as f64 / reduced.pattern.envelope() as f64
+    }
+
+    #[test]
+    fn direct_solvers_agree_on_a_band() {
+        for num_images in [3, 64, 101] {
+            let problem = flight(num_images);
+            compare(&problem, &Layout::new(&problem, &Options::default(), false));
+        }
+    }
+
+    #[test]
+    fn a_place_that_comes_back_becomes_a_border() {
+        let mut problem = flight(300);
+        let of_place: Vec<_> = problem.observations.iter().filter(|o| o.pose == 16).copied().collect();
+        let again = of_place.iter().flat_map(|o| (280..290).map(move |pose| super::super::Observation { pose, ..*o }));
+        problem.observations.extend(again);
+        let options = Options { behind: Behind::Project, ..Options::default() };
+        let fill = |problem: &Problem| {
+            let layout = Layout::new(problem, &options, false);
+            let is_border = !layout.pose_of_block.is_sorted();
+            (is_border, compare(problem, &layout))
+        };
+        problem.thin_ties(96);
+        let (is_border, share) = fill(&problem);
+        assert!(is_border && share > 0.3, "{share}");
+    }
+
+    #[test]
+    fn what_is_not_positive_definite_is_refused() {
+        let problem = flight(80);
+        let mut reduced = reduced(&problem, &Layout::new(&problem, &Options::default(), false));
+        let last = reduced.pattern.panel(40).end - 1;
+        reduced.blocks[last][2][2] = -1.0;
+        assert_eq!(SkylineSolver::new(&reduced).factor(&reduced), Err(40 * 6 + 2));
     }
 }

@@ -1,7 +1,7 @@
 //! The step of the points, and the cost where it leads.
 
 use super::layout::{Layout, NONE};
-use super::linearize::{Linearization, Part, Pass, Share};
+use super::linearize::{OnePoint, Pass, Piece};
 use super::parallel::in_order;
 use super::residual::{plain_residual, point_in_cam, robust_cost, robust_cost_and_root};
 use super::simd::{Fused, Task, wide};
@@ -21,9 +21,9 @@ pub(super) struct Trial {
 }
 
 /// Moves the points for a step of the reduced system (eq. 11) from those of `from` to `to`, whose cameras have moved
-/// already.
+/// already. What the elimination knew of them at `from` with the same damping is worked out once more.
 pub(super) fn try_step<const D: usize>(
-    lin: &Linearization<D>,
+    pieces: &[Piece],
     pass: &Pass,
     step: &[f64],
     damping: f64,
@@ -32,16 +32,14 @@ pub(super) fn try_step<const D: usize>(
 ) -> Trial {
     let State { views, points, .. } = to;
     let mut rest = points.as_mut_slice();
-    let mut items = Vec::with_capacity(lin.parts.len());
-    for share in &lin.parts {
-        let (mine, others) = rest.split_at_mut(share.part.piece.points.len());
+    let mut items = Vec::with_capacity(pieces.len());
+    for piece in pieces {
+        let (mine, others) = rest.split_at_mut(piece.points.len());
         rest = others;
-        items.push((share, mine));
+        items.push((piece, mine));
     }
-    let work = |(share, points): (&Share<D>, &mut [[f64; 3]])| {
-        let part = &share.part;
-        let from = &from.points[part.piece.points.clone()];
-        wide(MovePoints { pass, part, step, damping, views, from, points })
+    let work = |(piece, points): (&Piece, &mut [[f64; 3]])| {
+        wide(MovePoints::<D> { pass, piece, step, damping, views, from, points })
     };
     let mut total = Trial::default();
     for part in in_order(pass.parallel, items, work) {
@@ -64,21 +62,20 @@ fn finite_or_infinite(cost: f64) -> f64 {
 }
 
 /// Observations whose point lies behind its camera.
-pub(super) fn count_behind(layout: &Layout, state: &State) -> usize {
-    let behind = |o: &usize| {
-        let view = &state.views[layout.obs_pose[*o] as usize];
-        point_in_cam(view, &state.points[layout.obs_point[*o] as usize])[2] <= 0.0
-    };
-    (0..layout.num_obs()).filter(behind).count()
+pub(super) fn count_behind(pass: &Pass, state: &State) -> usize {
+    let behind =
+        |position: &[f64; 3], o: usize| point_in_cam(&state.views[pass.measured(o).pose as usize], position)[2] <= 0.0;
+    let count = |(point, position)| pass.layout.obs_of_point(point).filter(|o| behind(position, *o)).count();
+    state.points.iter().enumerate().map(count).sum()
 }
 
 struct MovePoints<'a, const D: usize> {
     pass: &'a Pass<'a>,
-    part: &'a Part<D>,
+    piece: &'a Piece,
     step: &'a [f64],
     damping: f64,
     views: &'a [View],
-    from: &'a [[f64; 3]],
+    from: &'a State,
     points: &'a mut [[f64; 3]],
 }
 
@@ -87,21 +84,23 @@ impl<const D: usize> Task for MovePoints<'_, D> {
 
     #[inline(always)]
     fn run<F: Fused>(self) -> Trial {
-        let Self { pass, part, step, damping, views, from, points } = self;
+        let Self { pass, piece, step, damping, views, from, points } = self;
         let mut out = Trial::default();
-        for (place, point) in part.piece.points.clone().enumerate() {
-            let terms = &part.points[place];
+        let mut one = OnePoint::<D>::new(pass.layout, piece.points.clone());
+        for (place, point) in piece.points.clone().enumerate() {
+            let before = from.points[point];
+            one.work_out::<F>(pass, from, point, damping);
             let mut delta = [0.0; 3];
-            if !terms.is_held() {
-                delta = back_substitute::<D, F>(pass.layout, part, step, point);
-                out.decrease += terms.predicted_decrease(&delta, damping);
+            if !one.terms.is_held() {
+                delta = back_substitute::<D, F>(pass.layout, &one, step, point);
+                out.decrease += one.terms.predicted_decrease(&delta, damping);
             }
-            let moved = std::array::from_fn(|k| from[place][k] + delta[k]);
-            let (position, cost) = settled::<D, F>(pass, part, views, point, moved);
+            let moved = std::array::from_fn(|k| before[k] + delta[k]);
+            let (position, cost) = settled::<D, F>(pass, &one, views, point, moved);
             points[place] = position;
             out.cost += cost;
             for k in 0..3 {
-                out.step_sq += (position[k] - from[place][k]).powi(2);
+                out.step_sq += (position[k] - before[k]).powi(2);
                 out.norm_sq += position[k] * position[k];
             }
         }
@@ -114,21 +113,20 @@ impl<const D: usize> Task for MovePoints<'_, D> {
 #[inline(always)]
 fn settled<const D: usize, F: Fused>(
     pass: &Pass,
-    part: &Part<D>,
+    one: &OnePoint<D>,
     views: &[View],
     point: usize,
     position: [f64; 3],
 ) -> ([f64; 3], f64) {
-    let layout = pass.layout;
-    let terms = &part.points[point - part.piece.points.start];
+    let (layout, terms) = (pass.layout, &one.terms);
     // L⁻¹ Jₚᵀ r', from Q = Jₚ L⁻ᵀ.
     let (mut cost, mut half_step) = (0.0, [0.0; 3]);
-    for o in layout.obs_of_point(point) {
-        let view = &views[layout.obs_pose[o] as usize];
-        let r = plain_residual(view, &position, &layout.obs_pixel[o], &layout.obs_whitening[o]);
+    for (o, residual) in layout.obs_of_point(point).zip(&one.residuals) {
+        let measured = pass.measured(o);
+        let r = plain_residual(&views[measured.pose as usize], &position, measured);
         let (rho, root) = robust_cost_and_root(&pass.loss, &r);
         cost += rho;
-        let [a, b] = &part.residuals[o - part.piece.obs.start].eliminated;
+        let [a, b] = &residual.eliminated;
         for k in 0..3 {
             half_step[k] = F::mul_add(a[k], r[0] * root, F::mul_add(b[k], r[1] * root, half_step[k]));
         }
@@ -151,13 +149,16 @@ fn settled<const D: usize, F: Fused>(
 
 /// Step of one point (eq. 11).
 #[inline(always)]
-fn back_substitute<const D: usize, F: Fused>(layout: &Layout, part: &Part<D>, step: &[f64], point: usize) -> [f64; 3] {
-    let terms = &part.points[point - part.piece.points.start];
-    let mut t = terms.half_step;
-    for o in layout.obs_of_point(point) {
+fn back_substitute<const D: usize, F: Fused>(
+    layout: &Layout,
+    one: &OnePoint<D>,
+    step: &[f64],
+    point: usize,
+) -> [f64; 3] {
+    let mut t = one.terms.half_step;
+    for (o, residual) in layout.obs_of_point(point).zip(&one.residuals) {
         let block = layout.obs_block[o];
         if block != NONE {
-            let residual = &part.residuals[o - part.piece.obs.start];
             let d: &[f64] = &step[block as usize * D..][..D];
             let moved = residual.d_view.map(|row| dot::<D, F>(&row, d));
             for k in 0..3 {
@@ -169,10 +170,10 @@ fn back_substitute<const D: usize, F: Fused>(layout: &Layout, part: &Part<D>, st
     for slot in layout.slots_of_point(point) {
         let first = layout.num_blocks() * D + layout.slots[slot] as usize * 6;
         for k in 0..3 {
-            t[k] += dot::<6, F>(&part.slot_eliminated[slot - part.piece.slots.start][k], &step[first..first + 6]);
+            t[k] += dot::<6, F>(&one.slot_eliminated[slot - one.first_slot][k], &step[first..first + 6]);
         }
     }
-    terms.back_solve(&t).map(|v| -v)
+    one.terms.back_solve(&t).map(|v| -v)
 }
 
 #[inline(always)]
@@ -205,8 +206,8 @@ fn cost_of_point(pass: &Pass, views: &[View], point: usize, position: &[f64; 3])
     let layout = pass.layout;
     let mut sum = layout.point_priors.get(point).map_or(0.0, |known| known.cost(position));
     for o in layout.obs_of_point(point) {
-        let view = &views[layout.obs_pose[o] as usize];
-        let r = plain_residual(view, position, &layout.obs_pixel[o], &layout.obs_whitening[o]);
+        let measured = pass.measured(o);
+        let r = plain_residual(&views[measured.pose as usize], position, measured);
         sum += robust_cost(&pass.loss, &r);
     }
     sum

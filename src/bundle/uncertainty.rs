@@ -10,6 +10,11 @@ use super::options::{Behind, Options};
 use super::problem::{BundleError, CameraBlock, Problem};
 use crate::scene::{ImageId, Reconstruction};
 
+/// With more images than this, places that come back would fill the system of equations.
+const MANY_IMAGES: usize = 400;
+/// Images farther apart than this, in the order of their ids, see a place another time.
+const FAR: usize = 96;
+
 /// Standard deviations of camera centres.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CenterDeviations {
@@ -30,6 +35,9 @@ pub struct CenterDeviations {
 /// from the residuals, σ² = Σ r² / (residuals − unknowns); and if those of a part of the time and of the picture err
 /// together (a sandwich over groups of them), as tracks do that slide.
 ///
+/// In models of more than 400 images, points that are seen again after more than 96 images count with a part of what was
+/// seen before ([`Problem::thin_ties`]).
+///
 /// They are relative to what holds the gauge: the first image, which is exact by definition and left out, and its
 /// distance to the image farthest from it. They know nothing of wrong matches or of intrinsics that are off. `None`
 /// where there are no more residuals than unknowns.
@@ -37,9 +45,12 @@ pub struct CenterDeviations {
 /// # Errors
 /// As [`covariances`].
 pub fn center_deviations(model: &Reconstruction, num_images: usize) -> Result<Option<CenterDeviations>, BundleError> {
-    let problem = Problem::from_reconstruction(model, |_, camera| CameraBlock::fixed(*camera));
+    let mut problem = Problem::from_reconstruction(model, |_, camera| CameraBlock::fixed(*camera));
     problem.check()?;
     let Some(pixel_px) = pixel_deviation(&problem) else { return Ok(None) };
+    if problem.poses.len() > MANY_IMAGES {
+        problem.thin_ties(FAR);
+    }
     let observed: std::collections::BTreeSet<usize> = problem.observations.iter().map(|o| o.pose as usize).collect();
     let mut free: Vec<usize> = observed.into_iter().collect();
     if free.len() < 2 {

@@ -31,12 +31,11 @@ impl SparseSolver {
         let size = reduced.size();
         let (column_start, rows) = structure(reduced);
         let pattern = SymbolicSparseColMatRef::new_checked(size, size, &column_start, None, &rows);
-        let order = if reduced.pattern.is_band() { SymmetricOrdering::Identity } else { SymmetricOrdering::Amd };
         let params = CholeskySymbolicParams {
             supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
             ..Default::default()
         };
-        let symbolic = factorize_symbolic_cholesky(pattern, Side::Upper, order, params).ok()?;
+        let symbolic = factorize_symbolic_cholesky(pattern, Side::Upper, SymmetricOrdering::Amd, params).ok()?;
         let llt: Spec<LltParams, f64> = Spec::new(Auto::<f64>::auto());
         let scratch = MemBuffer::new(symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, llt));
         let solve_scratch = MemBuffer::new(symbolic.solve_in_place_scratch::<f64>(1, Par::Seq));

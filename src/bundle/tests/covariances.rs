@@ -3,8 +3,7 @@
 use nalgebra::{DMatrix, Matrix3, Point2, SMatrix};
 
 use super::super::layout::{Layout, NONE};
-use super::super::linearize::{Linearization, Pass};
-use super::super::pattern::Pattern;
+use super::super::linearize::{OnePoint, Pass};
 use super::super::residual::{Derivatives, linearize};
 use super::super::simd::Two;
 use super::super::state::State;
@@ -14,29 +13,29 @@ use super::*;
 fn whole_inverse(problem: &Problem, options: &Options) -> (Layout, DMatrix<f64>) {
     let layout = Layout::new(problem, options, false);
     let state = State::new(problem, &layout);
-    let pass = Pass { layout: &layout, loss: options.loss, parallel: false };
-    let pattern = Pattern::new(&layout);
-    let mut lin = Linearization::<6>::new(&pass, &pattern);
-    lin.evaluate(&pass, &pattern, &state, 0.0);
+    let pass = Pass { layout: &layout, observations: &problem.observations, loss: options.loss, parallel: false };
+    let mut one = OnePoint::<6>::new(&layout, 0..layout.points.len());
     let (cameras, shared) = (layout.num_blocks() * 6, layout.shared.len() * 6);
     let size = cameras + shared + layout.points.len() * 3;
     let mut jacobian = DMatrix::zeros(layout.num_obs() * 2, size);
-    for o in 0..layout.num_obs() {
+    let points = (0..layout.points.len()).flat_map(|point| layout.obs_of_point(point).map(move |o| (o, point)));
+    for (o, point) in points {
         let (mut d_point, mut d_shared) = ([[0.0; 3]; 2], [[0.0; 6]; 2]);
-        let (view, point) = (&state.views[layout.obs_pose[o] as usize], &state.points[layout.obs_point[o] as usize]);
+        let measured = pass.measured(o);
+        let view = &state.views[measured.pose as usize];
         let derivatives = Derivatives { d_point: &mut d_point, d_shared: (shared > 0).then_some(&mut d_shared) };
-        let (pixel, whitening) = (&layout.obs_pixel[o], &layout.obs_whitening[o]);
-        linearize::<6, Two>(view, point, pixel, whitening, &options.loss, derivatives);
+        linearize::<6, Two>(view, &state.points[point], measured, &options.loss, derivatives);
+        one.work_out::<Two>(&pass, &state, point, 0.0);
         for i in 0..2 {
             let mut row = jacobian.row_mut(2 * o + i);
             if layout.obs_block[o] != NONE {
                 let first = layout.obs_block[o] as usize * 6;
-                (0..6).for_each(|k| row[first + k] = lin.residual(o).d_view[i][k]);
+                (0..6).for_each(|k| row[first + k] = one.residuals[o - one.first_obs].d_view[i][k]);
             }
             if shared > 0 {
                 (0..6).for_each(|k| row[cameras + k] = d_shared[i][k]);
             }
-            let first = cameras + shared + layout.obs_point[o] as usize * 3;
+            let first = cameras + shared + point * 3;
             (0..3).for_each(|k| row[first + k] = d_point[i][k]);
         }
     }

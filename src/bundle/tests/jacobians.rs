@@ -1,9 +1,9 @@
 //! Every derivative against finite differences.
 
-use nalgebra::{Point3, UnitQuaternion, Vector3};
+use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
 
 use super::super::layout::{Columns, Layout};
-use super::super::linearize::{Linearization, Pass};
+use super::super::linearize::{Linearization, OnePoint, Pass};
 use super::super::plane_prior;
 use super::super::priors;
 use super::super::residual::{Derivatives, linearize, plain_residual};
@@ -51,7 +51,8 @@ fn reprojection() {
 
 fn check_reprojection(camera: &Camera) {
     let point = [0.7, -0.4, 0.9];
-    let (pixel, whitening) = ([600.0, 200.0], Whitening([1.7, -0.4, 0.9]));
+    let whitening = Whitening([1.7, -0.4, 0.9]);
+    let measured = Observation { whitening, ..Observation::new(0, 0, Point2::new(600.0, 200.0)) };
     let tied = Columns { len: 3, source: [0, 4, 5, 0, 0, 0], aspect: 820.0 / 800.0 };
     let all = Columns { len: 6, source: [0, 1, 2, 3, 4, 5], aspect: 0.0 };
     for loss in [RobustLoss::Squared, RobustLoss::Huber { scale: 2.0 }, RobustLoss::Cauchy { scale: 3.0 }] {
@@ -60,14 +61,14 @@ fn check_reprojection(camera: &Camera) {
                 let view = View::new(&pose(), camera, columns);
                 let (mut d_point, mut d_shared) = ([[0.0; 3]; 2], [[0.0; 6]; 2]);
                 let derivatives = Derivatives { d_point: &mut d_point, d_shared: shared.then_some(&mut d_shared) };
-                let (_, r) = linearize::<12, One>(&view, &point, &pixel, &whitening, &loss, derivatives);
-                let plain = plain_residual(&view, &point, &pixel, &whitening);
+                let (_, r) = linearize::<12, One>(&view, &point, &measured, &loss, derivatives);
+                let plain = plain_residual(&view, &point, &measured);
                 let weight = loss.evaluate(plain[0] * plain[0] + plain[1] * plain[1])[1].sqrt();
                 let moved = |d: &[f64; 15]| {
                     let camera = move_camera(camera, &columns, &d[6..12]);
                     let view = View::new(&perturb(&pose(), &d[..6]), &camera, columns);
                     let point = std::array::from_fn(|k| point[k] + d[12 + k]);
-                    plain_residual(&view, &point, &pixel, &whitening).map(|v| v * weight).to_vec()
+                    plain_residual(&view, &point, &measured).map(|v| v * weight).to_vec()
                 };
                 let intrinsics =
                     if shared { d_shared } else { r.d_view.map(|row| std::array::from_fn(|k| row[6 + k])) };
@@ -91,11 +92,12 @@ fn instruction_sets_agree() {
     let of = |fused: bool| {
         let mut d_point = [[0.0; 3]; 2];
         let derivatives = Derivatives { d_point: &mut d_point, d_shared: None };
-        let (point, pixel, loss) = ([0.7, -0.4, 0.9], [600.0, 200.0], RobustLoss::Squared);
+        let (point, loss) = ([0.7, -0.4, 0.9], RobustLoss::Squared);
+        let measured = Observation::new(0, 0, Point2::new(600.0, 200.0));
         let r = if fused {
-            linearize::<6, One>(&view, &point, &pixel, &Whitening::IDENTITY, &loss, derivatives).1
+            linearize::<6, One>(&view, &point, &measured, &loss, derivatives).1
         } else {
-            linearize::<6, Two>(&view, &point, &pixel, &Whitening::IDENTITY, &loss, derivatives).1
+            linearize::<6, Two>(&view, &point, &measured, &loss, derivatives).1
         };
         [r.d_view[0].to_vec(), r.d_view[1].to_vec(), d_point.as_flattened().to_vec()].concat()
     };
@@ -180,13 +182,13 @@ fn the_gradient_is_that_of_the_cost() {
 fn compare_gradients(problem: &Problem, options: &Options) {
     let layout = Layout::new(problem, options, false);
     let state = State::new(problem, &layout);
-    let pass = Pass { layout: &layout, loss: options.loss, parallel: false };
+    let pass = Pass { layout: &layout, observations: &problem.observations, loss: options.loss, parallel: false };
     let mut reduced = Reduced::<12>::new(&layout);
     let mut lin = Linearization::<12>::new(&pass, &reduced.pattern);
-    let with_derivatives = lin.evaluate(&pass, &reduced.pattern, &state, 1e-4);
+    let with_derivatives = lin.evaluate(&pass, &state, 1e-4, &mut reduced);
     let plain = cost(&pass, &state);
     assert!((with_derivatives - plain).abs() < 1e-12 * plain);
-    reduced.assemble(&pass, &lin, &priors::terms(problem, &layout, &state), 1e-4);
+    reduced.finish(&priors::terms(problem, &layout, &state), 1e-4);
     let total = |state: &State| cost(&pass, state) + priors::cost(problem, state);
     let gradient: Vec<f64> =
         reduced.views.iter().flat_map(|v| v.gradient).chain(reduced.camera_gradient.clone()).collect();
@@ -206,14 +208,16 @@ fn compare_gradients(problem: &Problem, options: &Options) {
         };
         close((at(1e-6) - at(-1e-6)) / 2e-6, *analytic, &format!("camera freedom {k}"));
     }
-    for (p, terms) in lin.parts.iter().flat_map(|share| &share.part.points).enumerate() {
+    let mut one = OnePoint::<12>::new(&layout, 0..layout.points.len());
+    for p in 0..layout.points.len() {
+        one.work_out::<Two>(&pass, &state, p, 1e-4);
         for k in 0..3 {
             let at = |h: f64| {
                 let mut moved = state.clone();
                 moved.points[p][k] += h;
                 total(&moved)
             };
-            close((at(1e-6) - at(-1e-6)) / 2e-6, terms.gradient[k], &format!("point {p}"));
+            close((at(1e-6) - at(-1e-6)) / 2e-6, one.terms.gradient[k], &format!("point {p}"));
         }
     }
     assert!(gradient.iter().any(|g| g.abs() > 1.0));

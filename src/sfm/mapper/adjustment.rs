@@ -1,7 +1,5 @@
 //! From a map to a bundle adjustment problem and back.
 
-use std::collections::BTreeMap;
-
 use super::lens;
 use super::map::Map;
 use super::{Noise, Options};
@@ -78,8 +76,9 @@ pub fn adjust(
 ) -> Result<Vec<bool>, SfmError> {
     let (tracks, free_views) = taking_part(map, scope, options);
     let mut freedom = intrinsics.of_cameras(map);
-    let (mut problem, mut parts) = build_with(map, &tracks, &free_views, &freedom, noise);
     let local = matches!(scope, Scope::Around(_));
+    let ties = if local || !options.ordered { Ties::All } else { Ties::Thinned { gap: options.max_track_views } };
+    let (mut problem, mut parts) = build_with(map, &tracks, &free_views, &freedom, noise, ties);
     let bundle_options = bundle::Options {
         loss: options.loss(noise),
         max_iterations: if local { 10 } else { 30 },
@@ -88,7 +87,7 @@ pub fn adjust(
     };
     let mut summary = bundle::adjust(&mut problem, &bundle_options)?;
     while hold_odd_lenses(&mut freedom, &problem) {
-        (problem, parts) = build_with(map, &tracks, &free_views, &freedom, noise);
+        (problem, parts) = build_with(map, &tracks, &free_views, &freedom, noise, ties);
         summary = bundle::adjust(&mut problem, &bundle_options)?;
         tracing::debug!("intrinsics are not determined by {} views; held", problem.poses.len());
     }
@@ -141,6 +140,18 @@ pub(super) struct Parts {
     tracks: Vec<usize>,
 }
 
+/// Which observations of points count that were lost and found again.
+#[derive(Clone, Copy)]
+enum Ties {
+    /// All.
+    All,
+    /// A part of what was seen before, where they were lost for more than so many views ([`Problem::thin_ties`]).
+    Thinned {
+        /// Views.
+        gap: usize,
+    },
+}
+
 /// The problem of adjusting some points and views.
 pub(super) fn build(
     map: &Map<'_>,
@@ -148,8 +159,10 @@ pub(super) fn build(
     free_views: &[bool],
     intrinsics: Freedom,
     noise: Noise,
+    options: &Options,
 ) -> (Problem, Parts) {
-    build_with(map, tracks, free_views, &intrinsics.of_cameras(map), noise)
+    let ties = if options.ordered { Ties::Thinned { gap: options.max_track_views } } else { Ties::All };
+    build_with(map, tracks, free_views, &intrinsics.of_cameras(map), noise, ties)
 }
 
 /// The same with a freedom for each camera.
@@ -159,33 +172,43 @@ fn build_with(
     free_views: &[bool],
     freedom: &[Freedom],
     noise: Noise,
+    ties: Ties,
 ) -> (Problem, Parts) {
     let mut problem = Problem::default();
     let block = |(&camera, freedom): (&Camera, &Freedom)| CameraBlock { camera, free: freedom.mask(), tie_focal: true };
     problem.cameras = map.cameras.iter().zip(freedom).map(block).collect();
     let adjusted = (0..freedom.len()).filter(|&camera| freedom[camera] != Freedom::Nothing);
     problem.priors.intrinsics = adjusted.map(|camera| lens::prior(camera, map, noise)).collect();
-    let mut parts = Parts { views: Vec::new(), tracks: Vec::new() };
-    let mut pose_of_view = BTreeMap::new();
-    for track in (0..tracks.len()).filter(|&t| tracks[t]) {
+    let parts = parts(map, tracks);
+    let mut pose_of_view = vec![0; free_views.len()];
+    for (pose, &view) in (0..).zip(&parts.views) {
+        let Some(cam_from_world) = map.poses[view] else { continue };
+        let camera = map.table.views[view].camera;
+        problem.poses.push(PoseBlock { cam_from_world, camera, fixed: !free_views[view] });
+        pose_of_view[view] = pose;
+    }
+    for &track in &parts.tracks {
         let Some(point) = map.point(track) else { continue };
         let point_index = problem.points.len() as u32;
         problem.points.push(PointBlock { position: point.position, fixed: false });
-        parts.tracks.push(track);
-        for (slot, view, pixel) in map.observations(track) {
-            let Some(cam_from_world) = map.poses[view] else { continue };
-            let pose = *pose_of_view.entry(view).or_insert_with(|| {
-                let camera = map.table.views[view].camera;
-                problem.poses.push(PoseBlock { cam_from_world, camera, fixed: !free_views[view] });
-                parts.views.push(view);
-                problem.poses.len() - 1
-            });
+        for (slot, view, pixel) in map.observations(track).filter(|(_, view, _)| map.poses[*view].is_some()) {
             let whitening = map.table.whitening(map.table.tracks[track][slot]);
-            let seen = Observation::new(pose as u32, point_index, pixel);
+            let seen = Observation::new(pose_of_view[view], point_index, pixel);
             problem.observations.push(Observation { whitening, ..seen });
         }
     }
+    if let Ties::Thinned { gap } = ties {
+        problem.thin_ties(gap);
+    }
     (problem, parts)
+}
+
+/// The known points among some tracks, and the registered views that see them, both ascending.
+fn parts(map: &Map<'_>, tracks: &[bool]) -> Parts {
+    let tracks: Vec<usize> = (0..tracks.len()).filter(|&t| tracks[t] && map.point(t).is_some()).collect();
+    let mut seen = vec![false; map.poses.len()];
+    tracks.iter().flat_map(|&track| map.observations(track)).for_each(|(_, view, _)| seen[view] = true);
+    Parts { views: map.registered().filter(|&view| seen[view]).collect(), tracks }
 }
 
 fn take_over(map: &mut Map<'_>, problem: &Problem, parts: &Parts) {

@@ -196,7 +196,7 @@ impl<'a> Probe<'a> {
     }
 
     fn trial(&self, map: &Map<'_>, freedom: Freedom) -> Problem {
-        adjustment::build(map, &self.tracks, &self.free_views, freedom, self.noise).0
+        adjustment::build(map, &self.tracks, &self.free_views, freedom, self.noise, self.options).0
     }
 
     fn adjusted(&self, mut problem: Problem) -> Result<Adjusted, SfmError> {

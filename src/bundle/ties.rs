@@ -1,0 +1,158 @@
+//! Points that tie views far from one another, as where a video comes back to a place.
+//!
+//! Such a point couples all views of one visit with all of the other, and every further visit fills more of the reduced
+//! system, until it is dense. Two things keep it sparse:
+//!
+//! - *thinning* ([`Problem::thin_ties`]): of every visit but a point's last one only every sixteenth view counts, the
+//!   same for all points. The tie stays; what else these observations told is told by the other points of those views;
+//! - *the order*: those few views, the [`anchors`], come last in the reduced system. What is left without them is a
+//!   band, and its Cholesky factor fills nothing but the rows of the anchors.
+
+use super::problem::Problem;
+
+/// Of an earlier visit the views count whose numbers can be halved so often: one in sixteen.
+const MOST_HALVINGS: u32 = 4;
+/// Fewer poses than this are not worth an order of their own.
+const FEW_POSES: usize = 256;
+/// Farther apart than this, in poses, views are tied.
+const FAR: u32 = 96;
+/// If more than this part of all poses were anchors, they would be no border but half of the system.
+const MOST_ANCHORS: f64 = 0.2;
+
+impl Problem {
+    /// Leaves out observations of points that were lost for more than `gap` poses and seen again: of what was seen
+    /// before, one view in sixteen counts, and of a visit that has none of these, one in eight, or in four, or in two.
+    /// Poses are in order of time.
+    pub fn thin_ties(&mut self, gap: usize) {
+        let used: Vec<u32> = (0..self.observations.len() as u32).collect();
+        let mut kept = vec![true; used.len()];
+        let pose = |o: u32| self.observations[o as usize].pose;
+        for seen in Visits::of(self, &used).of_points() {
+            for visit in earlier_visits(seen, pose, u32::try_from(gap).unwrap_or(u32::MAX)) {
+                let most = visit.iter().map(|o| halvings(pose(*o))).max().unwrap_or(0);
+                visit.iter().filter(|o| halvings(pose(**o)) < most).for_each(|o| kept[*o as usize] = false);
+            }
+        }
+        let mut kept = kept.into_iter();
+        self.observations.retain(|_| kept.next().unwrap_or(true));
+    }
+}
+
+/// How often a number can be halved, up to the most that counts.
+fn halvings(pose: u32) -> u32 {
+    pose.trailing_zeros().min(MOST_HALVINGS)
+}
+
+/// By pose: whether it is one of the few that tie far ones to an earlier place. None in small problems, and none where
+/// there would be so many that they form no border.
+pub(super) fn anchors(problem: &Problem, used: &[u32]) -> Vec<bool> {
+    let mut anchors = vec![false; problem.poses.len()];
+    if problem.poses.len() < FEW_POSES {
+        return anchors;
+    }
+    let pose = |o: u32| problem.observations[o as usize].pose;
+    for seen in Visits::of(problem, used).of_points() {
+        for o in earlier_visits(seen, pose, FAR).flatten() {
+            anchors[pose(*o) as usize] = true;
+        }
+    }
+    let count = anchors.iter().filter(|is| **is).count();
+    if count as f64 > MOST_ANCHORS * problem.poses.len() as f64 {
+        anchors.fill(false);
+    }
+    anchors
+}
+
+/// The observations of every point, in the order of their poses.
+struct Visits {
+    sorted: Vec<u32>,
+    start: Vec<u32>,
+}
+
+impl Visits {
+    fn of(problem: &Problem, used: &[u32]) -> Self {
+        let mut start = vec![0u32; problem.points.len() + 1];
+        let point = |o: u32| problem.observations[o as usize].point as usize;
+        used.iter().for_each(|o| start[point(*o) + 1] += 1);
+        for k in 1..start.len() {
+            start[k] += start[k - 1];
+        }
+        let mut next = start.clone();
+        let mut sorted = vec![0; used.len()];
+        for o in used {
+            let place = &mut next[point(*o)];
+            sorted[*place as usize] = *o;
+            *place += 1;
+        }
+        for pair in start.windows(2) {
+            sorted[pair[0] as usize..pair[1] as usize].sort_by_key(|o| problem.observations[*o as usize].pose);
+        }
+        Self { sorted, start }
+    }
+
+    fn of_points(&self) -> impl Iterator<Item = &[u32]> {
+        self.start.windows(2).map(|pair| &self.sorted[pair[0] as usize..pair[1] as usize])
+    }
+}
+
+/// The visits of a point but the last: runs of its observations, sorted by pose, without a gap wider than `gap`.
+fn earlier_visits(seen: &[u32], pose: impl Fn(u32) -> u32 + Copy, gap: u32) -> impl Iterator<Item = &[u32]> {
+    let mut visits = seen.chunk_by(move |a, b| pose(*b) - pose(*a) <= gap).peekable();
+    std::iter::from_fn(move || visits.next().filter(|_| visits.peek().is_some()))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Point2, Point3};
+
+    use super::super::problem::{CameraBlock, Observation, PointBlock, PoseBlock};
+    use super::*;
+    use crate::camera::Camera;
+    use crate::math::Rigid3;
+
+    /// Points that are seen in these poses each, of so many.
+    fn seen(num_poses: usize, points: &[Vec<u32>]) -> Problem {
+        let pose = PoseBlock { cam_from_world: Rigid3::identity(), camera: 0, fixed: false };
+        let point = PointBlock { position: Point3::new(0.0, 0.0, 1.0), fixed: false };
+        let observations = (0..).zip(points).flat_map(|(point, poses)| {
+            poses.iter().rev().map(move |pose| Observation::new(*pose, point, Point2::origin()))
+        });
+        Problem {
+            cameras: vec![CameraBlock::fixed(Camera::prior(960, 540))],
+            poses: vec![pose; num_poses],
+            points: vec![point; points.len()],
+            observations: observations.collect(),
+            ..Problem::default()
+        }
+    }
+
+    fn poses_of(problem: &Problem, point: u32) -> Vec<u32> {
+        let own = problem.observations.iter().filter(|o| o.point == point);
+        own.map(|o| o.pose).rev().collect()
+    }
+
+    #[test]
+    fn of_earlier_visits_one_view_in_sixteen_is_left() {
+        let visits = [(20..60).collect::<Vec<u32>>(), (300..330).collect(), (500..540).collect()];
+        let mut problem = seen(600, &[visits.concat(), (20..60).collect(), vec![6, 7, 300, 302]]);
+        problem.thin_ties(100);
+        let last: Vec<u32> = (500..540).collect();
+        assert_eq!(poses_of(&problem, 0), [vec![32, 48, 304, 320], last].concat());
+        assert_eq!(poses_of(&problem, 1).len(), 40);
+        assert_eq!(poses_of(&problem, 2), [6, 300, 302]);
+    }
+
+    #[test]
+    fn anchors_are_the_few_views_of_earlier_visits() {
+        let mut problem = seen(600, &[(0..40).chain(300..340).collect(), (30..90).collect()]);
+        let used = |problem: &Problem| (0..problem.observations.len() as u32).collect::<Vec<_>>();
+        problem.thin_ties(96);
+        let found = anchors(&problem, &used(&problem));
+        assert_eq!((0..600).filter(|pose| found[*pose]).collect::<Vec<_>>(), [0, 16, 32]);
+        // As many as make no border, and problems that are small, keep their order.
+        let many = seen(600, &[(0..200).chain(300..340).collect()]);
+        assert!(!anchors(&many, &used(&many)).contains(&true));
+        let small = seen(200, &[vec![0, 150]]);
+        assert!(!anchors(&small, &used(&small)).contains(&true));
+    }
+}
