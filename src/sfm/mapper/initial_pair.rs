@@ -26,6 +26,9 @@ pub struct InitialPair {
 
 /// So many views are tried as partners; of longer sequences they are chosen evenly.
 const MAX_VIEWS: usize = 48;
+/// Views that are tried lie no farther apart, however long the video is: tracks end after 96, and views farther apart
+/// than those live have nothing in common.
+const MAX_STEP: usize = 24;
 /// Median displacement of the common points below which two views count as one: whatever geometry fits is noise.
 const MIN_DISPLACEMENT_PX: f64 = 0.5;
 /// Pairs whose geometry is estimated.
@@ -88,7 +91,7 @@ type PairTracks = ([usize; 2], Vec<usize>);
 
 /// Tracks that two views have in common, for pairs with enough of them.
 fn common_tracks(table: &TrackTable, min_common: usize) -> Vec<PairTracks> {
-    let step = table.views.len().div_ceil(MAX_VIEWS).max(1);
+    let step = table.views.len().div_ceil(MAX_VIEWS).clamp(1, MAX_STEP);
     let mut common: BTreeMap<[usize; 2], Vec<usize>> = BTreeMap::new();
     for (index, track) in table.tracks.iter().enumerate() {
         let views: Vec<usize> = track.iter().map(|f| f.view as usize).filter(|v| v % step == 0).collect();
@@ -194,6 +197,8 @@ fn distinct(pairs: impl Iterator<Item = InitialPair>) -> Vec<InitialPair> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::ImageId;
+    use crate::sfm::tracks::{Feature, View};
 
     #[test]
     fn the_next_start_lies_elsewhere() {
@@ -206,5 +211,21 @@ mod tests {
             [[10, 20], [10, 30], [40, 50], [12, 22], [41, 49]]
         );
         assert_eq!(distinct(best_first.map(pair).into_iter()).len(), 3);
+    }
+
+    #[test]
+    fn a_video_of_any_length_has_pairs() {
+        let view = |k: u32| View {
+            image: ImageId(k),
+            name: String::new(),
+            camera: 0,
+            pixels: Vec::new(),
+            rgb: Vec::new(),
+            whitening: Vec::new(),
+        };
+        let track = |first: u32| (first..first + 80).map(|view| Feature { view, feature: 0 }).collect();
+        let table = TrackTable { views: (0..6000).map(view).collect(), tracks: (0..5900).map(track).collect() };
+        let pairs = common_tracks(&table, 50);
+        assert!(pairs.len() > 200 && pairs.iter().all(|([a, b], tracks)| b - a < 80 && tracks.len() >= 50));
     }
 }
