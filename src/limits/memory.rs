@@ -7,6 +7,7 @@ use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::sync::OnceLock;
 
 use serde::{Deserialize, Serialize};
 
@@ -104,8 +105,14 @@ impl From<MemoryLimit> for String {
     }
 }
 
-/// The share of the machine's memory, and of the control group's, that may be taken, bytes.
+/// The share of the machine's memory, and of the control group's, that may be taken, bytes: as it was when it was first
+/// asked for, since every file that is read asks.
 pub fn of_machine() -> u64 {
+    static FOUND: OnceLock<u64> = OnceLock::new();
+    *FOUND.get_or_init(look)
+}
+
+fn look() -> u64 {
     let meminfo = fs::read_to_string("/proc/meminfo").unwrap_or_default();
     let groups = fs::read_to_string("/proc/self/cgroup").unwrap_or_default();
     let there_is = total(&meminfo).into_iter().chain(limits_of_groups(&groups, Path::new("/sys/fs/cgroup"))).min();
