@@ -4,13 +4,14 @@
 //!
 //! READER is one of those in `tests/common/readers.rs`, or `all`, which gives each its share of the time. Without FILEs
 //! the reader's files are written there. What was read is written as a COLMAP model and read again. Run it under
-//! `ulimit -v` to have memory that is asked for and not used count as well, and with `TMPDIR` in memory: every case is
-//! a file.
+//! `ulimit -v` to have memory that is asked for and not used count as well, and with `TMPDIR` in memory (`/dev/shm`):
+//! every case is a file.
 //!
 //! Prints how many files were read, accepted and refused, panics, the slowest file, and the largest resident memory;
 //! exit code 1 after a panic. With `--keep` panics are shown, and the files that panicked, and the slowest, stay.
 
-use std::fs;
+use std::fs::{self, File};
+use std::os::unix::fs::FileExt;
 use std::panic::catch_unwind;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -22,6 +23,9 @@ use tractrix::math::seeded_rng;
 
 #[path = "../tests/common/readers.rs"]
 mod readers;
+
+/// How often one file is damaged before another one is, each time from its whole content.
+const TIMES_EACH: u32 = 32;
 
 fn main() -> Result<ExitCode, Failed> {
     let arguments = Arguments::parse()?;
@@ -66,18 +70,20 @@ impl Arguments {
         let (mut rng, mut tally) = (seeded_rng(self.seed, 0), Tally::default());
         let end = Instant::now() + Duration::from_secs(self.seconds);
         while Instant::now() < end {
-            let (place, whole) = &files[rng.random_range(0..files.len())];
-            fs::write(place, damaged(whole, &files[rng.random_range(0..files.len())].1, &mut rng))?;
-            let start = Instant::now();
-            let outcome = catch_unwind(|| read(reader, &files[0].0));
-            tally.add(outcome.ok(), start.elapsed(), place, self.keep.as_deref())?;
-            fs::write(place, whole)?;
+            let target = &files[rng.random_range(0..files.len())];
+            for _ in 0..TIMES_EACH {
+                target.put(&damaged(&target.whole, &files[rng.random_range(0..files.len())].whole, &mut rng))?;
+                let start = Instant::now();
+                let outcome = catch_unwind(|| read(reader, &files[0].place));
+                tally.add(outcome.ok(), start.elapsed(), &target.place, self.keep.as_deref())?;
+            }
+            target.put(&target.whole)?;
         }
         Ok(tally)
     }
 
-    /// The files that are damaged, in `folder`, each with its whole content; the first is the one that is read.
-    fn corpus(&self, reader: &str, folder: &Path) -> Result<Vec<(PathBuf, Vec<u8>)>, Failed> {
+    /// The files that are damaged, in `folder`; the first is the one that is read.
+    fn corpus(&self, reader: &str, folder: &Path) -> Result<Vec<Target>, Failed> {
         let mut places: Vec<PathBuf> = Vec::new();
         for file in &self.files {
             let place = folder.join(file.file_name().ok_or("a FILE without a name")?);
@@ -87,7 +93,27 @@ impl Arguments {
         if places.is_empty() {
             places = written(reader, folder)?;
         }
-        places.into_iter().map(|place| Ok((place.clone(), fs::read(place)?))).collect()
+        places.into_iter().map(Target::new).collect()
+    }
+}
+
+/// A file that is damaged. It stays open: opening it for every case costs more than reading it.
+struct Target {
+    place: PathBuf,
+    file: File,
+    whole: Vec<u8>,
+}
+
+impl Target {
+    fn new(place: PathBuf) -> Result<Self, Failed> {
+        let (file, whole) = (File::options().write(true).open(&place)?, fs::read(&place)?);
+        Ok(Self { place, file, whole })
+    }
+
+    /// Gives the file another content.
+    fn put(&self, content: &[u8]) -> std::io::Result<()> {
+        self.file.write_all_at(content, 0)?;
+        self.file.set_len(content.len() as u64)
     }
 }
 
