@@ -10,7 +10,10 @@ use crate::scene::Frame;
 /// Something that gives frames in order of their index. Stepping is cheap beside making the picture.
 pub(super) trait Decoder: Send {
     /// Steps to the next frame; `None` at the end, or where nothing further can be decoded.
-    fn step(&mut self) -> Option<Frame>;
+    ///
+    /// # Errors
+    /// Where the machine is at fault ([`VideoError::is_of_machine`]): the frame may be there another time.
+    fn step(&mut self) -> Result<Option<Frame>, VideoError>;
 
     /// The picture of the frame last stepped to: upright, at the size asked for.
     fn picture(&mut self) -> Result<RgbImage, VideoError>;
@@ -25,13 +28,16 @@ pub(super) trait Decoder: Send {
 }
 
 /// Steps to the next frame that is chosen.
-pub(super) fn next_chosen(decoder: &mut dyn Decoder, selection: &mut Selection) -> Option<Frame> {
-    loop {
-        let frame = decoder.step()?;
+///
+/// # Errors
+/// Those of [`Decoder::step`].
+pub(super) fn next_chosen(decoder: &mut dyn Decoder, selection: &mut Selection) -> Result<Option<Frame>, VideoError> {
+    while let Some(frame) = decoder.step()? {
         match selection.choose(&frame) {
-            Choice::Take => return Some(frame),
+            Choice::Take => return Ok(Some(frame)),
             Choice::Skip => {}
-            Choice::Stop => return None,
+            Choice::Stop => break,
         }
     }
+    Ok(None)
 }

@@ -68,14 +68,14 @@ impl Video {
     }
 
     /// Goes to the next picture and gives the time that is stated for it, seconds; `None` at the end.
-    fn advance(&mut self) -> Option<Option<f64>> {
-        if !self.decoder.advance(&mut self.file, &mut self.packet) {
-            return None;
+    fn advance(&mut self) -> Result<Option<Option<f64>>, FfmpegError> {
+        if !self.decoder.advance(&mut self.file, &mut self.packet)? {
+            return Ok(None);
         }
-        Some(self.decoder.time().map(|ticks| {
+        Ok(Some(self.decoder.time().map(|ticks| {
             let origin = *self.origin.get_or_insert(ticks);
             self.stream.time_base.seconds(ticks.saturating_sub(origin))
-        }))
+        })))
     }
 
     /// The picture, upright.
@@ -91,7 +91,7 @@ impl Video {
 
     /// Size of the first picture, upright; `None` if there is none.
     pub(super) fn first_size(mut self) -> Result<Option<(u32, u32)>, VideoError> {
-        match self.advance() {
+        match self.advance()? {
             Some(_) => Ok(Some(self.picture()?.dimensions())),
             None => Ok(None),
         }
@@ -125,11 +125,12 @@ impl FileDecoder {
 }
 
 impl Decoder for FileDecoder {
-    fn step(&mut self) -> Option<Frame> {
-        let stated_s = self.video.advance()?;
+    fn step(&mut self) -> Result<Option<Frame>, VideoError> {
+        let Some(stated_s) = self.video.advance()? else { return Ok(None) };
         let id = self.next;
-        self.next = id.checked_add(1)?;
-        Some(Frame { id: FrameId(id), name: format!("{id:06}.jpg"), time_s: self.clock.advance(stated_s) })
+        let Some(next) = id.checked_add(1) else { return Ok(None) };
+        self.next = next;
+        Ok(Some(Frame { id: FrameId(id), name: format!("{id:06}.jpg"), time_s: self.clock.advance(stated_s) }))
     }
 
     fn picture(&mut self) -> Result<RgbImage, VideoError> {

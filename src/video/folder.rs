@@ -365,11 +365,11 @@ impl FolderDecoder {
 }
 
 impl Decoder for FolderDecoder {
-    fn step(&mut self) -> Option<Frame> {
-        let entry = self.entries.next()?;
+    fn step(&mut self) -> Result<Option<Frame>, VideoError> {
+        let Some(entry) = self.entries.next() else { return Ok(None) };
         let (id, name) = (entry.id, entry.name.clone());
         self.current = Some(entry);
-        Some(Frame { id: FrameId(id), name, time_s: f64::from(id) * self.seconds_per_frame })
+        Ok(Some(Frame { id: FrameId(id), name, time_s: f64::from(id) * self.seconds_per_frame }))
     }
 
     fn picture(&mut self) -> Result<RgbImage, VideoError> {

@@ -35,7 +35,11 @@ impl Frames {
         let (sender, items) = sync_channel(AHEAD);
         let last = only.as_ref().map(|ids| ids.last().copied());
         let work = move || {
-            while let Some(frame) = next_chosen(decoder.as_mut(), &mut selection) {
+            while let Some(stepped) = next_chosen(decoder.as_mut(), &mut selection).transpose() {
+                let frame = match stepped {
+                    Ok(frame) => frame,
+                    Err(error) => return drop(sender.send(Err(error))),
+                };
                 if last.is_some_and(|last| last.is_none_or(|last| frame.id > last)) {
                     return;
                 }

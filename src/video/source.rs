@@ -196,7 +196,8 @@ impl Source {
     pub fn scan(&self) -> Result<Scan, VideoError> {
         let mut decoder = self.decoder()?;
         let mut selection = Selection::new(&self.options);
-        let frames: Vec<Frame> = std::iter::from_fn(|| next_chosen(decoder.as_mut(), &mut selection)).collect();
+        let frames: Vec<Frame> = std::iter::from_fn(|| next_chosen(decoder.as_mut(), &mut selection).transpose())
+            .collect::<Result<_, _>>()?;
         if frames.is_empty() {
             return Err(self.nothing_chosen()?);
         }
@@ -236,7 +237,7 @@ impl Source {
 
     fn nothing_chosen(&self) -> Result<VideoError, VideoError> {
         let mut decoder = self.decoder()?;
-        let frames: Vec<Frame> = std::iter::from_fn(|| decoder.step()).collect();
+        let frames: Vec<Frame> = std::iter::from_fn(|| decoder.step().transpose()).collect::<Result<_, _>>()?;
         let place = |frame: &Frame| match self.info.time_base() {
             TimeBase::Seconds => format!("{:.3} s", frame.time_s),
             TimeBase::Frames => format!("frame {}", frame.id.0),

@@ -42,7 +42,7 @@ pub fn subtitles(path: &Path) -> Result<Vec<Subtitle>, VideoError> {
     file.keep_only(index);
     let mut packet = Packet::new()?;
     let mut found = Vec::new();
-    while file.read(&mut packet) {
+    while file.read(&mut packet)? {
         let Some(time) = packet.time().filter(|_| packet.stream() == index) else { continue };
         let text = text(packet.data(), coding);
         if !text.is_empty() {

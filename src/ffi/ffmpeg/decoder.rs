@@ -6,7 +6,7 @@ use std::ptr;
 use ffmpeg_sys_the_third as sys;
 
 use super::media_file::stated;
-use super::{FfmpegError, MediaFile, Packet, checked, words};
+use super::{FfmpegError, MediaFile, Packet, checked, is_short_of_memory, words};
 
 /// Failures in a row after which a decoder that is being emptied is taken to be empty.
 const MAX_FAILURES: u32 = 1000;
@@ -64,28 +64,35 @@ impl Decoder {
 
     /// Goes to the next picture, reading from `file`, whose other streams are passed over. `false` after the last one,
     /// or where nothing more can be decoded; damaged packets are skipped.
-    pub fn advance(&mut self, file: &mut MediaFile, packet: &mut Packet) -> bool {
+    ///
+    /// # Errors
+    /// [`FfmpegError::Memory`]: a picture that is lost for lack of memory is not lost for good.
+    pub fn advance(&mut self, file: &mut MediaFile, packet: &mut Packet) -> Result<bool, FfmpegError> {
         let mut num_failures = 0;
         loop {
             // SAFETY: context and frame are allocated, and the context is open.
             match checked(unsafe { sys::avcodec_receive_frame(self.context, self.frame) }) {
-                Ok(_) => return true,
-                Err(sys::AVERROR_EOF) => return false,
+                Ok(_) => return Ok(true),
+                Err(sys::AVERROR_EOF) => return Ok(false),
+                Err(code) if is_short_of_memory(code) => return Err(FfmpegError::Memory),
                 Err(_) if self.is_drained => num_failures += 1,
-                Err(_) => self.feed(file, packet),
+                Err(_) => self.feed(file, packet)?,
             }
             if num_failures > MAX_FAILURES {
-                return false;
+                return Ok(false);
             }
         }
     }
 
     /// Hands the next packet to the decoder, or tells it that there is none. A packet that it refuses is lost.
-    fn feed(&mut self, file: &mut MediaFile, packet: &mut Packet) {
-        self.is_drained = !file.read(packet);
+    fn feed(&mut self, file: &mut MediaFile, packet: &mut Packet) -> Result<(), FfmpegError> {
+        self.is_drained = !file.read(packet)?;
         let next = if self.is_drained { ptr::null() } else { packet.packet.cast_const() };
         // SAFETY: the context is open; the packet is allocated, or null for the end.
-        unsafe { sys::avcodec_send_packet(self.context, next) };
+        match checked(unsafe { sys::avcodec_send_packet(self.context, next) }) {
+            Err(code) if is_short_of_memory(code) => Err(FfmpegError::Memory),
+            _ => Ok(()),
+        }
     }
 
     /// The time stamp of the picture, in ticks of its stream: the one stated, else what FFmpeg makes of its neighbours.

@@ -327,7 +327,7 @@ mod tests {
         let mut decoder = Decoder::new(&file, 0).unwrap();
         let (mut packet, mut converter) = (Packet::new().unwrap(), RgbConverter::new().unwrap());
         let mut times = Vec::new();
-        while decoder.advance(&mut file, &mut packet) {
+        while decoder.advance(&mut file, &mut packet).unwrap() {
             times.push(stream.time_base.seconds(decoder.time().unwrap()));
             let found = converter.convert(&decoder).unwrap();
             assert_eq!(found.dimensions(), (64, 48));

@@ -7,7 +7,7 @@ use std::ptr;
 
 use ffmpeg_sys_the_third as sys;
 
-use super::{FfmpegError, checked, words};
+use super::{FfmpegError, checked, is_short_of_memory, words};
 
 /// Errors in a row after which a file is taken to be at its end.
 const MAX_READ_ERRORS: u32 = 64;
@@ -200,7 +200,10 @@ impl MediaFile {
     }
 
     /// Reads the next packet of any stream that is kept; `false` at the end, or where nothing more can be read.
-    pub fn read(&mut self, packet: &mut Packet) -> bool {
+    ///
+    /// # Errors
+    /// [`FfmpegError::Memory`].
+    pub fn read(&mut self, packet: &mut Packet) -> Result<bool, FfmpegError> {
         let mut num_errors = 0;
         loop {
             // SAFETY: context and packet are allocated; what the packet held is given back first.
@@ -209,12 +212,13 @@ impl MediaFile {
                 sys::av_read_frame(self.context, packet.packet)
             };
             match checked(code) {
-                Ok(_) => return true,
-                Err(sys::AVERROR_EOF) => return false,
+                Ok(_) => return Ok(true),
+                Err(sys::AVERROR_EOF) => return Ok(false),
+                Err(code) if is_short_of_memory(code) => return Err(FfmpegError::Memory),
                 Err(_) => num_errors += 1,
             }
             if num_errors > MAX_READ_ERRORS {
-                return false;
+                return Ok(false);
             }
         }
     }

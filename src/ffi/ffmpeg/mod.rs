@@ -85,7 +85,34 @@ fn words(code: c_int) -> String {
     text.to_string_lossy().into_owned()
 }
 
+/// Memory that is there wherever decoding can go on, bytes: a picture of 4K, and what its decoder keeps besides.
+const SPARE_BYTES: usize = 64 << 20;
+
+/// Whether FFmpeg failed because the machine has no memory. Damaged files ask for more than there can be and fail with
+/// the same code: what tells them apart is whether there is memory for less.
+fn is_short_of_memory(code: c_int) -> bool {
+    code == sys::AVERROR(rustix::io::Errno::NOMEM.raw_os_error()) && !has_memory(SPARE_BYTES)
+}
+
+fn has_memory(bytes: usize) -> bool {
+    // What nobody looks at is not allocated at all.
+    let mut trial = Vec::<u8>::new();
+    std::hint::black_box(&mut trial).try_reserve_exact(bytes).is_ok()
+}
+
 /// What a call of FFmpeg's gave, which counts errors below zero.
 fn checked(code: c_int) -> Result<c_int, c_int> {
     if code < 0 { Err(code) } else { Ok(code) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn damage_is_not_taken_for_a_lack_of_memory() {
+        assert!(has_memory(1 << 20) && !has_memory(isize::MAX as usize));
+        assert!(!is_short_of_memory(sys::AVERROR(rustix::io::Errno::NOMEM.raw_os_error())), "there is enough");
+        assert!(!is_short_of_memory(sys::AVERROR_EOF));
+    }
 }
