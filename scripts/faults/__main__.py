@@ -5,7 +5,8 @@
 
 KIND is one of those that `--help` lists. Every kind prints what failed and a summary; `--record` puts that into the
 table of docs/reliability.md. Needs nothing but Python's standard library; kinds that say so need strace or unshare.
-The folder to work in is made in $TMPDIR, best in memory. Exit code 1 if anything failed.
+The folder to work in is made in $TMPDIR, best in memory. Ctrl-C ends a kind early: what was tried until then counts.
+Exit code 1 if anything failed.
 """
 
 from __future__ import annotations
@@ -62,7 +63,12 @@ def main() -> int:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="faults-") as folder:
         bench = Bench(arguments.program.resolve(), Path(folder), arguments.seed, arguments.number)
-        tally: Tally = KINDS[arguments.kind][0](bench, arguments.only)
+        try:
+            tally: Tally = KINDS[arguments.kind][0](bench, arguments.only)
+        except KeyboardInterrupt:
+            if not Tally.latest:
+                raise
+            tally = Tally.latest
     print(tally.row(arguments.commit))
     if arguments.record:
         append_row(tally, arguments.commit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -17,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import ClassVar
 
 ROOT = Path(__file__).resolve().parents[2]
 DEMO = ROOT / "dataset" / "demo"
@@ -86,13 +88,18 @@ def run(
         )
         expired = threading.Event()
 
+        def send(number: int) -> None:
+            # It may have ended a moment ago.
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process.pid, number)
+
         def end() -> None:
             expired.set()
-            os.kill(process.pid, signal.SIGKILL)
+            send(signal.SIGKILL)
 
         timers = [threading.Timer(time_limit_s, end)]
         if after:
-            timers.append(threading.Timer(after[0], os.kill, (process.pid, after[1])))
+            timers.append(threading.Timer(after[0], send, (after[1],)))
         for timer in timers:
             timer.start()
         _, status, usage = os.wait4(process.pid, 0)
@@ -184,12 +191,18 @@ def leftovers(output: Path) -> list[str]:
 class Tally:
     """What was tried of a kind, and what failed."""
 
+    latest: ClassVar[Tally | None] = None
+
     kind: str
     seed: int
     tried: int = 0
     failures: list[str] = field(default_factory=list)
     peak_mib: float = 0.0
     remark: str = ""
+
+    def __post_init__(self) -> None:
+        """The last one that was begun is known, for those who stop a kind before its end."""
+        Tally.latest = self
 
     def add(self, name: str, problem: str | None, outcome: Outcome | None = None) -> None:
         """Counts a case; `problem` says what is wrong with it."""

@@ -5,15 +5,36 @@
 pub mod readers;
 
 use std::cell::RefCell;
-use std::fs;
+use std::fs::{self, File};
+use std::io;
+use std::os::unix::fs::FileExt;
 use std::path::PathBuf;
 
 use tempfile::TempDir;
 
-/// A reader's files, each with its whole content.
+/// A reader's files.
 struct Corpus {
     _folder: TempDir,
-    files: Vec<(PathBuf, Vec<u8>)>,
+    files: Vec<Place>,
+}
+
+/// A file that stays open, with its whole content.
+struct Place {
+    path: PathBuf,
+    file: File,
+    whole: Vec<u8>,
+}
+
+impl Place {
+    fn new(path: PathBuf) -> io::Result<Self> {
+        let (file, whole) = (File::options().write(true).open(&path)?, fs::read(&path)?);
+        Ok(Self { path, file, whole })
+    }
+
+    fn put(&self, content: &[u8]) {
+        let put = self.file.write_all_at(content, 0).and_then(|()| self.file.set_len(content.len() as u64));
+        put.expect("the file can be written to");
+    }
 }
 
 thread_local! {
@@ -24,7 +45,7 @@ impl Corpus {
     fn new(reader: &str) -> Self {
         let folder = TempDir::new().expect("a folder for the files");
         let places = readers::written(reader, folder.path()).expect("the reader's files are written");
-        let files = places.into_iter().map(|place| (place.clone(), fs::read(&place).expect("it was just written")));
+        let files = places.into_iter().map(|path| Place::new(path).expect("it was just written"));
         Self { files: files.collect(), _folder: folder }
     }
 }
@@ -38,9 +59,10 @@ pub fn once(reader: &str, bytes: &[u8]) {
             Some((first, rest)) if several => (usize::from(*first) % corpus.files.len(), rest),
             _ => (0, bytes),
         };
-        let (place, whole) = &corpus.files[at];
-        fs::write(place, bytes).expect("the folder can be written to");
-        readers::read(reader, &corpus.files[0].0);
-        fs::write(place, whole).expect("the folder can be written to");
+        corpus.files[at].put(bytes);
+        readers::read(reader, &corpus.files[0].path);
+        if several {
+            corpus.files[at].put(&corpus.files[at].whole);
+        }
     });
 }

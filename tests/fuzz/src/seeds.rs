@@ -3,6 +3,8 @@
 use std::fs;
 use std::path::Path;
 
+// For the counters that the library was compiled with.
+use libfuzzer_sys as _;
 use tractrix_fuzz::readers::{Failed, READERS, written};
 
 fn main() -> Result<(), Failed> {
