@@ -330,3 +330,42 @@ fn no_link_in_the_folder_leads_the_program_out_of_it() {
         fs::remove_dir_all(&elsewhere).unwrap();
     }
 }
+
+/// Paths of all numbers of a tree of options, as JSON pointers.
+fn numbers(tree: &serde_json::Value, path: &str) -> Vec<String> {
+    match tree {
+        serde_json::Value::Number(_) => vec![path.to_owned()],
+        serde_json::Value::Object(map) => {
+            map.iter().flat_map(|(key, value)| numbers(value, &format!("{path}/{key}"))).collect()
+        }
+        serde_json::Value::Array(list) => {
+            list.iter().enumerate().flat_map(|(k, value)| numbers(value, &format!("{path}/{k}"))).collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+#[test]
+fn no_number_of_the_options_is_without_a_range() {
+    let place = Place::new(1);
+    let file = place.path("options.json");
+    let (code, text, stderr) = outcome(tractrix().args(["options", "--json"]));
+    assert_eq!(code, 0, "{stderr}");
+    let tree: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let all = numbers(&tree, "");
+    assert!(all.len() > 100, "{all:?}");
+    // Any number will do to draw others from.
+    for path in all.iter().filter(|path| path.as_str() != "/seed") {
+        let is_whole = tree.pointer(path).unwrap().is_u64();
+        let extremes = if is_whole { [u64::MAX.into(), (-1).into()] } else { [1e308.into(), (-1e308).into()] };
+        for value in extremes {
+            let value: serde_json::Value = value;
+            let mut changed = tree.clone();
+            *changed.pointer_mut(path).unwrap() = value.clone();
+            fs::write(&file, changed.to_string()).unwrap();
+            let (code, _, stderr) = outcome(tractrix().args(["options", "--json", "--options"]).arg(&file));
+            let key = path.split('/').rfind(|key| key.parse::<usize>().is_err()).unwrap();
+            assert!(matches!(code, 1 | 2) && stderr.contains(key), "{path} = {value}: {code}: {stderr}");
+        }
+    }
+}

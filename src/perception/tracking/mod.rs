@@ -257,10 +257,13 @@ impl TrackerOptions {
         some_of("track_classes", &self.track_classes)?;
         within("start_confidence", self.start_confidence, 0.0..=1.0)?;
         within("start_motion", self.start_motion, 0.0..=1.0)?;
+        within("min_area_px2", self.min_area_px2, 0..=1 << 30)?;
         within("min_overlap", self.min_overlap, 0.0..=1.0)?;
         within("duplicate_overlap", self.duplicate_overlap, 0.0..=1.0)?;
         within("min_detections", self.min_detections, 1..=1_000_000)?;
         ordered(("min_detections", self.min_detections), ("confirm_window", self.confirm_window))?;
+        within("confirm_window", self.confirm_window, 1..=1_000_000)?;
+        within("max_carried", self.max_carried, 0..=1_000_000)?;
         within("min_carried_share", self.min_carried_share, 0.0..=1.0)?;
         within("max_lost_secs", self.max_lost_secs, 0.0..=1e9)?;
         within("min_similarity", self.min_similarity, 0.0..=1.0)
