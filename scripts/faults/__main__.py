@@ -5,13 +5,14 @@
 
 KIND is one of those that `--help` lists. Every kind prints what failed and a summary; `--record` puts that into the
 table of docs/reliability.md. Needs nothing but Python's standard library; kinds that say so need strace or unshare.
-The folder to work in is made in $TMPDIR, best in memory. Ctrl-C ends a kind early: what was tried until then counts.
-Exit code 1 if anything failed.
+The folder to work in is made in $TMPDIR, best in memory. Ctrl-C and SIGTERM end a kind early: what was tried until then
+counts. Exit code 1 if anything failed.
 """
 
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -61,6 +62,9 @@ def main() -> int:
     parser.add_argument("--commit", default=commit(), help="what the program was built from [default: what is here]")
     parser.add_argument("--record", action="store_true", help="put the summary into docs/reliability.md")
     arguments = parser.parse_args()
+    # Those who start this in the background may have signals ignored, and the program under trial would ignore them, too.
+    for ends in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ends, signal.default_int_handler)
     with tempfile.TemporaryDirectory(prefix="faults-") as folder:
         bench = Bench(arguments.program.resolve(), Path(folder), arguments.seed, arguments.number)
         try:
@@ -69,6 +73,7 @@ def main() -> int:
             if not Tally.latest:
                 raise
             tally = Tally.latest
+            tally.remark = ", ".join(filter(None, [tally.remark, "not all of them"]))
     print(tally.row(arguments.commit))
     if arguments.record:
         append_row(tally, arguments.commit)
