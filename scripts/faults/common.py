@@ -101,6 +101,7 @@ def run(
         if after:
             timers.append(threading.Timer(after[0], send, (after[1],)))
         for timer in timers:
+            timer.daemon = True
             timer.start()
         _, status, usage = os.wait4(process.pid, 0)
         for timer in timers:
