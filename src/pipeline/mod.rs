@@ -66,6 +66,7 @@ pub use options::{
 use progress::Muted;
 pub use progress::{Plan, Planned, Progress, Silent};
 pub use reopen::{known_frames, reopen};
+pub use report::link_exports;
 pub use run::StageRecord;
 pub use stage::Stage;
 pub use workspace::{Marker, Overwrite, Workspace};

@@ -30,6 +30,14 @@ pub(super) fn renew(workspace: &Workspace) -> Result<(), PipelineError> {
     work(&run).map(drop)
 }
 
+/// Makes the page of an output folder anew, so that it links to what was exported.
+///
+/// # Errors
+/// As [`renew`]; another run is at work on the folder.
+pub fn link_exports(output: &Path) -> Result<(), PipelineError> {
+    renew(&Workspace::open(output)?)
+}
+
 /// What `run.json` tells of a run.
 #[derive(Deserialize)]
 struct Told {
@@ -156,6 +164,7 @@ fn parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>, trajectories: &Tr
     if folder.evaluation().exists() {
         parts.push(whole(folder.evaluation(), "how the result compares with the truth"));
     }
+    parts.extend(exported(&folder.exports()).into_iter().map(|(path, holds)| whole(path, &holds)));
     for id in reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id) {
         parts.push(part(Some(id), folder.object(id), "cameras and points, as COLMAP has them"));
         parts.push(part(Some(id), folder.as_reconstructed(id), "the same before it was adjusted with the ground"));
@@ -164,6 +173,36 @@ fn parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>, trajectories: &Tr
         parts.push(part(Some(id), folder.object_points(id), "points along the whole path, to look at"));
     }
     parts
+}
+
+/// What `tractrix export` wrote, by name, with its size and what opens it.
+fn exported(folder: &Path) -> Vec<(PathBuf, String)> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut found: Vec<(PathBuf, String)> = entries
+        .filter_map(|entry| {
+            let opens = opened_by(&entry.file_name().to_string_lossy())?;
+            let size = entry.metadata().ok().filter(std::fs::Metadata::is_file).map(|file| file.len());
+            let said = size.map_or_else(String::new, |bytes| format!(" ({} kB)", bytes.div_ceil(1000)));
+            Some((entry.path(), format!("exported: {opens}{said}")))
+        })
+        .collect();
+    found.sort();
+    found
+}
+
+/// What an export is for; `None` for what no export is called.
+fn opened_by(name: &str) -> Option<&'static str> {
+    Some(match name.rsplit_once('.').map_or(name, |(_, extension)| extension) {
+        "csv" => "a table, for spreadsheets, pandas and R",
+        "geojson" => "places on the map, for QGIS and GDAL",
+        "kml" => "places on the map with times, for Google Earth",
+        "gpx" => "the camera's way, for GPS programs",
+        "glb" => "the scene in motion, for Blender and glTF viewers",
+        "mp4" => "the video with identities, speeds and paths, for any player",
+        "tum" | "kitti" => "poses, for evo",
+        "colmap" => "a workspace, for densification in COLMAP",
+        _ => return None,
+    })
 }
 
 /// The link from the page to a file or folder beside it.
@@ -240,4 +279,18 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
             .push(Fact::new("Cameras", background.cameras.len().to_string()).with_note("the first one's focal length"));
     }
     Ok(facts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exports_say_what_opens_them() {
+        let names =
+            ["vehicles.csv", "trajectories.geojson", "trajectories.kml", "camera.gpx", "scene.glb", "annotated.mp4"];
+        assert!(names.into_iter().chain(["tum", "kitti", "colmap"]).all(|name| opened_by(name).is_some()));
+        assert_eq!(opened_by("notes.txt"), None);
+        assert!(exported(Path::new("no such folder")).is_empty());
+    }
 }
