@@ -85,8 +85,19 @@ pub(super) fn run(args: &Args, form: Form, talk: &Talk) -> Result<(), Failure> {
     for left in &exported.passed_over {
         tracing::warn!("{}", left.reason);
     }
+    if args.output.is_none() {
+        link_from_page(args);
+    }
     let output = Output { output: args.output.clone().unwrap_or_else(|| folder.exports()), exported };
     show(form, &output, || output.as_text())
+}
+
+/// The page of the run links to what lies beside it.
+fn link_from_page(args: &Args) {
+    if let Err(error) = pipeline::link_exports(&args.run) {
+        let page = args.run.join("report.html");
+        tracing::warn!("{} does not link to the exports: {error}", page.display());
+    }
 }
 
 fn target(args: &Args, folder: &RunFolder) -> Result<Target, ExportError> {
