@@ -12,7 +12,7 @@ pub(super) const CELL: u32 = 16;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct PromptOptions {
-    /// Longer side of the encoder's input, a multiple of 16. The cost grows with its square; below 448 the masks get
+    /// Longer side of the encoder's input, a multiple of 16. The cost grows with its square; below 384 the masks get
     /// worse quickly.
     #[schemars(extend("unit" = "pixels"))]
     pub input_size: u32,
@@ -49,8 +49,8 @@ pub struct PromptOptions {
 impl Default for PromptOptions {
     fn default() -> Self {
         Self {
-            input_size: 448,
-            window: 2.5,
+            input_size: 384,
+            window: 2.1,
             min_window: 64,
             min_shared: 0.25,
             margin: 0.15,

@@ -201,7 +201,7 @@ mod tests {
 
     #[test]
     fn every_box_of_some_area_is_looked_at_once() {
-        let options = PromptOptions::default();
+        let options = PromptOptions { window: 2.5, ..PromptOptions::default() };
         let boxes: Vec<Rect> = (0..40)
             .map(|k| rect(f64::from(k * 131 % 400), f64::from(k * 67 % 250), f64::from(4 + k * 7 % 60), 15.0))
             .collect();
