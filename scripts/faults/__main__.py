@@ -62,7 +62,7 @@ def main() -> int:
     parser.add_argument("--commit", default=commit(), help="what the program was built from [default: what is here]")
     parser.add_argument("--record", action="store_true", help="put the summary into docs/reliability.md")
     arguments = parser.parse_args()
-    # Those who start this in the background may have signals ignored, and the program under trial would ignore them, too.
+    # Who starts this in the background may have signals ignored, and the program under trial would ignore them, too.
     for ends in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ends, signal.default_int_handler)
     with tempfile.TemporaryDirectory(prefix="faults-") as folder:

@@ -8,7 +8,8 @@ use super::simd::Fused;
 /// Freedoms reserved for a shared camera.
 pub(super) const CAMERA_DIM: usize = 6;
 
-/// The part of the k-th observation of a point in the blocks between its view and all shared cameras that see the point.
+/// The part of the k-th observation of a point in the blocks between its view and all shared cameras that see the
+/// point.
 #[inline(always)]
 pub(super) fn add_border<const D: usize, F: Fused>(
     layout: &Layout,

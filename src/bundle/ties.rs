@@ -21,9 +21,9 @@ const FAR: u32 = 96;
 const MOST_ANCHORS: f64 = 0.2;
 
 impl Problem {
-    /// Leaves out observations of points that were lost for more than `gap` poses and seen again: their last visit counts,
-    /// and of the first one view in sixteen, or, where it has none of these, one in eight, or in four, or in two. Poses
-    /// are in order of time.
+    /// Leaves out observations of points that were lost for more than `gap` poses and seen again: their last visit
+    /// counts, and of the first one view in sixteen, or, where it has none of these, one in eight, or in four, or in
+    /// two. Poses are in order of time.
     pub fn thin_ties(&mut self, gap: usize) {
         let used: Vec<u32> = (0..self.observations.len() as u32).collect();
         let mut kept = vec![true; used.len()];

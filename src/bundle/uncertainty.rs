@@ -35,8 +35,8 @@ pub struct CenterDeviations {
 /// from the residuals, σ² = Σ r² / (residuals − unknowns); and if those of a part of the time and of the picture err
 /// together (a sandwich over groups of them), as tracks do that slide.
 ///
-/// In models of more than 400 images, points that are seen again after more than 96 images count with a part of what was
-/// seen before ([`Problem::thin_ties`]).
+/// In models of more than 400 images, points that are seen again after more than 96 images count with a part of what
+/// was seen before ([`Problem::thin_ties`]).
 ///
 /// They are relative to what holds the gauge: the first image, which is exact by definition and left out, and its
 /// distance to the image farthest from it. They know nothing of wrong matches or of intrinsics that are off. `None`

@@ -1,15 +1,16 @@
 //! Cholesky of a band, in the order of the views.
 //!
-//! S = L Lᵀ fills nothing outside the envelope of S, from the first block of each row to its diagonal. Neighbouring views
-//! make one *stripe* of L, a dense matrix that begins where the first of them begins, and stripe J follows from those
-//! before it, block by block:
+//! S = L Lᵀ fills nothing outside the envelope of S, from the first block of each row to its diagonal. Neighbouring
+//! views make one *stripe* of L, a dense matrix that begins where the first of them begins, and stripe J follows from
+//! those before it, block by block:
 //!
 //! ```text
 //! L_JI = (S_JI − Σ_{K<I} L_JK L_IKᵀ) L_II⁻ᵀ,    L_JJ L_JJᵀ = S_JJ − Σ_{K<J} L_JK L_JKᵀ
 //! ```
 //!
-//! (A. George, J. Liu, *Computer Solution of Large Sparse Positive Definite Systems*, 1981, chapter 4). S is written into
-//! the place of L, so that the system takes no memory beyond that of its envelope. Shared cameras are the last stripe.
+//! (A. George, J. Liu, *Computer Solution of Large Sparse Positive Definite Systems*, 1981, chapter 4). S is written
+//! into the place of L, so that the system takes no memory beyond that of its envelope. Shared cameras are the last
+//! stripe.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{self, LltError, LltParams, LltRegularization};
