@@ -33,7 +33,7 @@ pub(super) fn renew(workspace: &Workspace) -> Result<(), PipelineError> {
 /// Makes the page of an output folder anew, so that it links to what was exported.
 ///
 /// # Errors
-/// As [`renew`]; another run is at work on the folder.
+/// The input is no longer where it was, the run is not finished, or another run is at work on the folder.
 pub fn link_exports(output: &Path) -> Result<(), PipelineError> {
     renew(&Workspace::open(output)?)
 }
