@@ -24,8 +24,8 @@ const fn cars(share: f64, median_m: [f64; 3]) -> Segment {
     Segment { share, median_m, spread: CARS }
 }
 
-/// Means of models that sell well in Europe, right to about a per cent, and shares of registrations; which ones they are
-/// is in `docs/maths/metric.md`.
+/// Means of models that sell well in Europe, right to about a per cent, and shares of registrations; which ones they
+/// are is in `docs/maths/metric.md`.
 const CAR: [Segment; 10] = [
     cars(0.01, [2.67, 1.52, 1.51]), // two seats
     cars(0.08, [3.59, 1.63, 1.49]), // city cars
