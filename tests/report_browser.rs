@@ -389,5 +389,5 @@ fn a_thousand_frames_stay_within_the_size_limit() {
         .collect();
     let page = report::render(&data(&result, long)).expect("the report renders");
     assert!(page.len() < 6 << 20, "{} bytes", page.len());
-    assert!(page.contains("The frame strip shows 72 of 1000 frames"));
+    assert!(page.contains("The frame strip shows 36 of 1000 frames"));
 }
