@@ -67,9 +67,10 @@ impl Looks {
         Ok(())
     }
 
-    /// Lets go of what only [`tilt`](Self::tilt) needs.
-    pub fn forget_picture(&mut self) {
+    /// Lets go of the tilted pictures, and of what they are made from: the view is too long ago to be tilted again.
+    pub fn forget_tilted(&mut self) {
         self.window = None;
+        self.tilted = Vec::new();
     }
 
     /// Which looks are compared with which.

@@ -34,7 +34,7 @@ const NEAR_CHOSEN: usize = 2;
 /// Share of the points of another key view from which on one shows much, and how many of those are tilted.
 const SHOWS_MUCH: f64 = 0.5;
 const TILTED_KEYS: usize = 3;
-/// Key views of which the picture is kept, so that memory is bounded.
+/// Key views that can be tilted, so that memory is bounded: nine sets of features each.
 const PICTURES: usize = 32;
 /// Views from one look back to the next, and the most of them, as long as what is seen is tied to no earlier view.
 const LOOK_EVERY: usize = 3;
@@ -207,7 +207,7 @@ impl Memory {
         let radius = self.patch_radius.unsigned_abs() + 2;
         self.keys.push(KeyView::new(view, looks, gray, points, radius));
         if let Some(old) = self.keys.len().checked_sub(PICTURES).and_then(|old| self.keys.get_mut(old)) {
-            old.looks.forget_picture();
+            old.looks.forget_tilted();
         }
         if self.keys.len() > MAX_KEYS {
             let mut index = 0;
