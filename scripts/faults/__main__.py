@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import defects
 import inputs
 import links
+import power
 import processes
 import resources
 from common import ROOT, Bench, Tally, append_row, commit
@@ -36,6 +37,7 @@ KINDS = {
     "crash-points": (processes.crash_points, "SIGKILL at every rename, unlink and mkdir (strace)"),
     "failing-calls": (processes.failing_calls, "writes, synchronisations and renames that fail (strace)"),
     "order": (processes.order, "what reaches the disk before what (strace)"),
+    "power": (power.power, "power failures at --number moments, by what had reached the disk (strace)"),
     "disk": (resources.disk, "file systems that are too small (unshare)"),
     "memory": (resources.memory, "too little address space"),
     "descriptors": (resources.descriptors, "too few descriptors"),

@@ -230,7 +230,10 @@ class Disk:
         elif opened and name in ("fsync", "fdatasync"):
             self.dirty.discard(opened.group(1))
         elif name in ("mkdir", "mkdirat", "unlink", "unlinkat", "rmdir") and paths:
-            self.wrote(os.path.dirname(paths[-1]))
+            # What a folder is emptied by names it by an open descriptor.
+            path = os.path.join(opened.group(1) if opened else "", paths[-1])
+            self.dirty.discard(path)
+            self.wrote(os.path.dirname(path))
         elif name in ("rename", "renameat", "renameat2") and len(paths) > 1:
             self.renamed(paths[0], paths[1])
 
@@ -268,7 +271,7 @@ def order(bench: Bench, only: list[str]) -> Tally:
     for more in ([], ["--every", "2"]):
         outcome = run([*traced, bench.program, *work.command(output), *more])
         disk = Disk(str(output))
-        for line in _whole_lines(log.read_text("utf-8", "replace")):
+        for line in whole_lines(log.read_text("utf-8", "replace")):
             found = CALL.match(line)
             if found and int(found.group(3)) >= 0:
                 disk.see(found.group(1), found.group(2))
@@ -280,7 +283,7 @@ def order(bench: Bench, only: list[str]) -> Tally:
     return tally
 
 
-def _whole_lines(text: str) -> list[str]:
+def whole_lines(text: str) -> list[str]:
     """The calls of all threads, those that strace had to break put together again at their ends."""
     begun: dict[str, str] = {}
     whole = []
