@@ -6,7 +6,7 @@ use std::ptr;
 use ffmpeg_sys_the_third as sys;
 
 use super::media_file::stated;
-use super::{FfmpegError, MediaFile, Packet, checked, is_short_of_memory, words};
+use super::{FfmpegError, MediaFile, Packet, checked, is_short_of_memory, lacks_memory, words};
 
 /// Failures in a row after which a decoder that is being emptied is taken to be empty.
 const MAX_FAILURES: u32 = 1000;
@@ -21,6 +21,9 @@ pub struct Decoder {
     context: *mut sys::AVCodecContext,
     pub(super) frame: *mut sys::AVFrame,
     is_drained: bool,
+    /// Packets handed over, and pictures that came of them.
+    num_packets: u64,
+    num_pictures: u64,
 }
 
 // SAFETY: context and frame are owned; the decoder's own threads are FFmpeg's concern.
@@ -45,7 +48,8 @@ impl Decoder {
         }
         // SAFETY: both calls allocate, or return null; what is allocated is freed by `drop`.
         let decoder = unsafe {
-            Self { context: sys::avcodec_alloc_context3(codec), frame: sys::av_frame_alloc(), is_drained: false }
+            let (context, frame) = (sys::avcodec_alloc_context3(codec), sys::av_frame_alloc());
+            Self { context, frame, is_drained: false, num_packets: 0, num_pictures: 0 }
         };
         if decoder.context.is_null() || decoder.frame.is_null() {
             return Err(FfmpegError::Memory);
@@ -72,7 +76,13 @@ impl Decoder {
         loop {
             // SAFETY: context and frame are allocated, and the context is open.
             match checked(unsafe { sys::avcodec_receive_frame(self.context, self.frame) }) {
-                Ok(_) => return Ok(true),
+                Ok(_) => {
+                    self.num_pictures += 1;
+                    return Ok(true);
+                }
+                Err(sys::AVERROR_EOF) if self.num_pictures < self.num_packets && lacks_memory() => {
+                    return Err(FfmpegError::Memory);
+                }
                 Err(sys::AVERROR_EOF) => return Ok(false),
                 Err(code) if is_short_of_memory(code) => return Err(FfmpegError::Memory),
                 Err(_) if self.is_drained => num_failures += 1,
@@ -87,6 +97,7 @@ impl Decoder {
     /// Hands the next packet to the decoder, or tells it that there is none. A packet that it refuses is lost.
     fn feed(&mut self, file: &mut MediaFile, packet: &mut Packet) -> Result<(), FfmpegError> {
         self.is_drained = !file.read(packet)?;
+        self.num_packets += u64::from(!self.is_drained);
         let next = if self.is_drained { ptr::null() } else { packet.packet.cast_const() };
         // SAFETY: the context is open; the packet is allocated, or null for the end.
         match checked(unsafe { sys::avcodec_send_packet(self.context, next) }) {

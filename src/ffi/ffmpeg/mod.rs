@@ -16,6 +16,7 @@ mod media_file;
 use std::ffi::{CStr, c_int};
 
 use ffmpeg_sys_the_third as sys;
+use rustix::io::Errno;
 
 pub use self::colour::RgbConverter;
 pub use self::decoder::Decoder;
@@ -88,10 +89,16 @@ fn words(code: c_int) -> String {
 /// Memory that is there wherever decoding can go on, bytes: a picture of 4K, and what its decoder keeps besides.
 const SPARE_BYTES: usize = 64 << 20;
 
-/// Whether FFmpeg failed because the machine has no memory. Damaged files ask for more than there can be and fail with
-/// the same code: what tells them apart is whether there is memory for less.
+/// Whether FFmpeg failed because the machine has no memory. Its code does not tell: decoders go on with the next
+/// picture when memory was short further down, and damaged files, which ask for more than there can be, fail with the
+/// code for it. What tells is whether there is memory for less.
 fn is_short_of_memory(code: c_int) -> bool {
-    code == sys::AVERROR(rustix::io::Errno::NOMEM.raw_os_error()) && !has_memory(SPARE_BYTES)
+    code != sys::AVERROR_EOF && code != sys::AVERROR(Errno::AGAIN.raw_os_error()) && lacks_memory()
+}
+
+/// Whether there is too little memory to go on decoding.
+fn lacks_memory() -> bool {
+    !has_memory(SPARE_BYTES)
 }
 
 fn has_memory(bytes: usize) -> bool {
@@ -112,7 +119,7 @@ mod tests {
     #[test]
     fn damage_is_not_taken_for_a_lack_of_memory() {
         assert!(has_memory(1 << 20) && !has_memory(isize::MAX as usize));
-        assert!(!is_short_of_memory(sys::AVERROR(rustix::io::Errno::NOMEM.raw_os_error())), "there is enough");
+        assert!(!is_short_of_memory(sys::AVERROR(Errno::NOMEM.raw_os_error())), "there is enough");
         assert!(!is_short_of_memory(sys::AVERROR_EOF));
     }
 }
