@@ -19,6 +19,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import damage
 import defects
 import inputs
 import links
@@ -44,6 +45,8 @@ KINDS = {
     "file-sizes": (resources.file_sizes, "a limit of the size of files"),
     "rights": (resources.rights, "places that cannot be written to"),
     "damaged-video": (inputs.damaged_video, "videos with damage of eight kinds; --number videos"),
+    "damaged-network": (damage.networks, "networks and their descriptions, damaged; --number of them"),
+    "damaged-folder": (damage.folders, "files of a finished folder, damaged; --number of them"),
     "pictures": (inputs.odd_pictures, "frames and masks of odd kinds, sizes and names"),
     "options": (inputs.options, "every number of the options at every extreme; --number cases"),
     "links": (links.links, "a link in the place of everything that a run leaves"),
