@@ -369,3 +369,43 @@ fn no_number_of_the_options_is_without_a_range() {
         }
     }
 }
+
+/// As an archive of somebody else's folder may hold them.
+#[test]
+fn own_files_that_are_damaged_are_named_with_a_cure_and_lead_nowhere() {
+    let place = Place::new(NUM_FRAMES);
+    finished(&place, "out");
+    let (state, whole) = (place.path("out/.tractrix"), result(&place.path("out")));
+    let refused = |more: &[&str], word: &str| {
+        let (code, _, stderr) = outcome(tractrix().args(arguments(&place, "out")).args(more));
+        assert!(code == 1 && stderr.contains(word) && !stderr.contains("panicked"), "{code}: {stderr}");
+        let named = stderr.split("; delete ").nth(1).and_then(|rest| rest.split(", and the stage").next());
+        PathBuf::from(named.expect("it says what to delete"))
+    };
+
+    let list = state.join("frames-list.json");
+    let mut frames = json(&list);
+    frames[3]["name"] = "../../../../escaped.png".into();
+    fs::write(&list, frames.to_string()).unwrap();
+    fs::remove_file(state.join("track.json")).unwrap();
+    let named = refused(&[], "no name of a frame");
+    assert!(!everything(place.folder.path()).keys().any(|path| path.ends_with("escaped.png.png")));
+    assert_eq!(named, list);
+    fs::remove_file(named).unwrap();
+    finished(&place, "out");
+
+    let is_features = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().starts_with("features-");
+    let mut features = fs::read_dir(&state).unwrap().map(|entry| entry.unwrap().path()).filter(is_features);
+    let folder = features.find(|path| path.is_dir()).unwrap();
+    let file = folder.join("background.bin");
+    let mut table: tractrix::sfm::TrackTable = postcard::from_bytes(&fs::read(&file).unwrap()).unwrap();
+    table.tracks[0][0].view = 99;
+    fs::write(&file, postcard::to_stdvec(&table).unwrap()).unwrap();
+    let other = ["--set", "background.mapper.max_error_px=2.5"];
+    assert_eq!(refused(&other, "track 0"), folder);
+    fs::remove_file(&file).unwrap();
+    assert_eq!(refused(&other, "missing"), folder);
+    fs::remove_dir_all(&folder).unwrap();
+    finished(&place, "out");
+    assert!(result(&place.path("out")) == whole, "some files differ");
+}

@@ -417,3 +417,43 @@ def unknown_object(bench: Bench) -> tuple[Outcome, str | None]:
 def interrupted(bench: Bench) -> tuple[Outcome, str | None]:
     outcome = bench.run(*bench.command(bench.path("out"), frames=60), after=(0.8, 2))
     return outcome, refused(outcome, "same command goes on", codes=(130,))
+
+
+def copied(bench: Bench) -> Path:
+    """A copy of a finished run."""
+    out = bench.path("copied")
+    shutil.copytree(finished(bench), out)
+    return out
+
+
+@case("own files: a feature's view that is not there")
+def foreign_view(bench: Bench) -> tuple[Outcome, str | None]:
+    output = copied(bench)
+    file = next((output / ".tractrix").glob("features-*/background.bin"))
+    content = bytearray(file.read_bytes())
+    # The last feature of the last track: its view is the last one, and the number of the feature has one byte or two.
+    content[max(content.rfind(7, len(content) - 3), 0)] = 0x7F
+    file.write_bytes(content)
+    outcome = bench.run(*bench.command(output, "--set", "background.mapper.max_error_px=2.5"))
+    return outcome, refused(outcome, "background.bin", f"delete {file.parent}", codes=(FAILED,))
+
+
+@case("own files: one is deleted")
+def deleted_features(bench: Bench) -> tuple[Outcome, str | None]:
+    output = copied(bench)
+    file = next((output / ".tractrix").glob("features-*/background.bin"))
+    file.unlink()
+    outcome = bench.run(*bench.command(output, "--set", "background.mapper.max_error_px=2.5"))
+    return outcome, refused(outcome, "missing", f"delete {file.parent}", codes=(FAILED,))
+
+
+@case("own files: a frame's name that leads out of the folder")
+def name_leads_out(bench: Bench) -> tuple[Outcome, str | None]:
+    output, escaped = copied(bench), bench.path("escaped.jpg.png")
+    state = output / ".tractrix"
+    frames = json.loads((state / "frames-list.json").read_text())
+    frames[3]["name"] = "../" * 12 + str(bench.folder / "escaped.jpg")[1:]
+    (state / "frames-list.json").write_text(json.dumps(frames))
+    (state / "track.json").unlink()
+    outcome = bench.run(*bench.command(output))
+    return outcome, "a file was written outside" if escaped.exists() else refused(outcome, "no name of a frame")

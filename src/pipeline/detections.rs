@@ -4,10 +4,10 @@
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::PipelineError;
+use super::own_file::{self, Content, damaged};
 use crate::io::{IoError, atomic};
 use crate::scene::{Detection, Frame, FrameId, Mask};
 
@@ -18,7 +18,7 @@ pub(super) struct FrameFolder<T> {
     things: PhantomData<T>,
 }
 
-impl<T: Serialize + DeserializeOwned> FrameFolder<T> {
+impl<T: Serialize + Content> FrameFolder<T> {
     pub(super) fn new(folder: PathBuf) -> Self {
         Self { folder, things: PhantomData }
     }
@@ -50,7 +50,7 @@ impl<T: Serialize + DeserializeOwned> FrameFolder<T> {
     pub(super) fn read(&self, frame: FrameId) -> Result<Vec<T>, PipelineError> {
         let path = self.path(frame);
         let Some(bytes) = bytes_of(&path)? else { return Ok(Vec::new()) };
-        postcard::from_bytes(&bytes).map_err(|e| damaged(&path, e))
+        own_file::taken(&bytes).map_err(|e| damaged(&path, e))
     }
 }
 
@@ -60,6 +60,12 @@ struct Stored {
     class: String,
     confidence: f64,
     runs: Vec<u32>,
+}
+
+impl Content for Stored {
+    fn flaw(&self) -> Option<String> {
+        own_file::share(self.confidence)
+    }
 }
 
 /// The detections of a run, by frame.
@@ -107,10 +113,6 @@ fn bytes_of(path: &Path) -> Result<Option<Vec<u8>>, PipelineError> {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(IoError::system("read", path)(error).into()),
     }
-}
-
-fn damaged(path: &Path, reason: impl ToString) -> PipelineError {
-    PipelineError::State { path: path.to_owned(), reason: reason.to_string() }
 }
 
 /// A mask as run lengths, clear pixels first.

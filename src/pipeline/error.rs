@@ -1,9 +1,9 @@
 //! Why a run cannot start or go on.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use crate::io::{FolderError, IoError};
+use crate::io::{FolderError, IoError, RunFolder};
 use crate::limits::OptionError;
 use crate::limits::memory::TooMuch;
 use crate::perception::PerceptionError;
@@ -40,7 +40,10 @@ pub enum PipelineError {
     #[error("stopped; the same command goes on where it was")]
     Stopped,
     /// A file of the run's own is damaged.
-    #[error("{path}: {reason}; delete it, and the stage that made it runs again", path = path.display())]
+    #[error(
+        "{path}: {reason}; delete {whole}, and the stage that made it runs again",
+        path = path.display(), whole = whole_of(path).display()
+    )]
     State {
         /// The file.
         path: PathBuf,
@@ -109,4 +112,10 @@ impl PipelineError {
         matches!(self, Self::Option(_) | Self::Telemetry(_))
             || matches!(self, Self::Folder(error) if error.is_wrong_use())
     }
+}
+
+/// What a stage made together with a file of the run's own: a file or folder directly in the run's state.
+fn whole_of(path: &Path) -> &Path {
+    let is_state = |folder: &Path| folder.file_name().is_some_and(|name| name == RunFolder::STATE);
+    path.ancestors().find(|part| part.parent().is_some_and(is_state)).unwrap_or(path)
 }

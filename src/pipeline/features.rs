@@ -7,9 +7,8 @@ use serde_json::{Value, json};
 
 use super::masking::Masking;
 use super::run::{Outcome, Run};
-use super::{Instances, PipelineError, Stage, cameras, fingerprint, order, pictures};
-use crate::io::{IoError, atomic};
-use crate::limits::files;
+use super::{Instances, PipelineError, Stage, cameras, fingerprint, order, own_file, pictures};
+use crate::io::atomic;
 use crate::sfm::{FrontEnd, TrackTable};
 use crate::video::VideoError;
 
@@ -102,9 +101,7 @@ impl TrackStore {
     }
 
     pub(super) fn read(&self, target: &str) -> Result<TrackTable, PipelineError> {
-        let path = self.path(target);
-        let bytes = files::read(&path).map_err(IoError::system("read", &path))?;
-        postcard::from_bytes(&bytes).map_err(|e| PipelineError::State { path, reason: e.to_string() })
+        own_file::read(&self.path(target))
     }
 
     pub(super) fn path(&self, target: &str) -> PathBuf {

@@ -75,6 +75,7 @@ mod tests {
         let element = |image, observation_idx| TrackElement { image: ImageId(image), observation_idx };
         assert_eq!(found.tracks, [vec![element(4, 2), element(7, 0)]]);
         std::fs::write(state.join("background.bin"), [255; 7]).unwrap();
-        assert!(found_features(folder.path()).unwrap_err().to_string().contains("delete it"));
+        let said = found_features(folder.path()).unwrap_err().to_string();
+        assert!(said.contains(&format!("delete {}, and", state.display())), "{said}");
     }
 }

@@ -31,6 +31,7 @@ mod networks;
 mod objects;
 mod options;
 mod order;
+mod own_file;
 mod pictures;
 mod preflight;
 mod progress;

@@ -216,6 +216,9 @@ pub(super) fn reconstruct(
 ) -> Result<(Reconstruction, ModelReport), PipelineError> {
     let (threads, seed) = (run.options.threads, run.options.seed);
     let (cameras, known): (Vec<Camera>, Vec<sfm::Intrinsics>) = cameras.iter().copied().unzip();
+    if let Some(view) = table.views.iter().find(|view| view.camera >= cameras.len()) {
+        return Err(sfm::SfmError::NoCamera { camera: view.camera, count: cameras.len() }.into());
+    }
     let (mut model, report) = on_threads(threads, || {
         // Only videos have long tracks, and one camera.
         let of_video = known.first().copied().unwrap_or(sfm::Intrinsics::Refined);

@@ -14,11 +14,10 @@ use serde_json::{Value, json};
 use super::detections::FrameFolder;
 use super::order;
 use super::run::{Outcome, Run};
-use super::{Instances, MotionChoice, PipelineError, Stage, fingerprint, models, pictures};
+use super::{Instances, MotionChoice, PipelineError, Stage, fingerprint, models, own_file, pictures};
 use crate::ground::dominant_plane_points;
 use crate::image::gray_from_rgb;
-use crate::io::{IoError, atomic};
-use crate::limits::files;
+use crate::io::atomic;
 use crate::perception::PerceptionError;
 use crate::perception::motion::{
     GroundModel, Mover, PointFollower, PointTrack, Surroundings, TrackLabel, View, classify, movers,
@@ -195,7 +194,5 @@ pub(super) fn points(run: &Run) -> Result<Points, PipelineError> {
     if !is_wanted(run)? {
         return Ok(Points::default());
     }
-    let path = folder(run).join(POINTS);
-    let bytes = files::read(&path).map_err(IoError::system("read", &path))?;
-    postcard::from_bytes(&bytes).map_err(|e| PipelineError::State { path, reason: e.to_string() })
+    own_file::read(&folder(run).join(POINTS))
 }

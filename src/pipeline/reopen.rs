@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::{FeatureKind, FrameOrder, Instances, Options, PipelineError, cameras};
+use super::{FeatureKind, FrameOrder, Instances, Options, PipelineError, cameras, own_file};
 use crate::io::{RunFolder, json};
 use crate::scene::Frame;
 use crate::video::{self, Source};
@@ -45,5 +45,6 @@ pub fn reopen(output: &Path, input: Option<&Path>) -> Result<Source, PipelineErr
 
 /// The frames of the run in `output` with their times; `None` where its own files do not tell them any more.
 pub fn known_frames(output: &Path) -> Option<Vec<Frame>> {
-    json::read(&output.join(RunFolder::STATE).join("frames-list.json")).ok()
+    let frames = json::read(&output.join(RunFolder::STATE).join("frames-list.json")).ok()?;
+    own_file::checked(frames).ok()
 }

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::meter::Meter;
 use super::workspace::{Marker, Workspace};
-use super::{Options, PipelineError, Progress, Stage, fingerprint};
+use super::{Options, PipelineError, Progress, Stage, fingerprint, own_file};
 use crate::scene::Frame;
 use crate::video::{Info, Source};
 
@@ -89,6 +89,8 @@ impl<'a> Run<'a> {
     pub(super) fn frames(&self) -> Result<&[Frame], PipelineError> {
         if self.frames.get().is_none() {
             let frames: Vec<Frame> = self.workspace.read_state("frames-list.json")?;
+            let frames = own_file::checked(frames)
+                .map_err(|flaw| own_file::damaged(&self.workspace.state("frames-list.json"), flaw))?;
             let _ = self.frames.set(frames);
         }
         Ok(self.frames.get().map_or(&[], Vec::as_slice))

@@ -1,6 +1,6 @@
 //! Tracks: which features of which views show the same point.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
@@ -23,6 +23,17 @@ pub struct View {
     pub rgb: Vec<[u8; 3]>,
     /// How exactly each is located, relative to one another; empty for all alike.
     pub whitening: Vec<Whitening>,
+}
+
+impl View {
+    /// Whether numbers are missing, or are none.
+    fn is_flawed(&self) -> bool {
+        let (count, num_known) = (self.pixels.len(), self.whitening.len());
+        let is_number = |pixel: &Point2<f64>| pixel.iter().all(|side| side.is_finite());
+        let are_whitenings = self.whitening.iter().all(|known| known.0.iter().all(|part| part.is_finite()));
+        let fits = self.rgb.len() == count && (num_known == 0 || num_known == count) && self.camera < u32::MAX as usize;
+        !(fits && are_whitenings && self.pixels.iter().all(is_number))
+    }
 }
 
 /// A feature of a view, by index.
@@ -61,6 +72,22 @@ impl TrackTable {
     pub fn whitening(&self, feature: Feature) -> Whitening {
         let known = self.views[feature.view as usize].whitening.get(feature.feature as usize);
         known.copied().unwrap_or(Whitening::IDENTITY)
+    }
+
+    /// What contradicts itself in a table that was read from a file, in words: features that are not there, or that lie
+    /// nowhere; tracks that do not go from view to view; two views of one image.
+    pub fn flaw(&self) -> Option<String> {
+        let mut images = BTreeSet::new();
+        let is_wrong = |view: &&View| view.is_flawed() || !images.insert(view.image);
+        if let Some(view) = self.views.iter().find(is_wrong) {
+            return Some(format!("the features of {} contradict themselves", view.name));
+        }
+        let is_there = |seen: &Feature| {
+            self.views.get(seen.view as usize).is_some_and(|view| (seen.feature as usize) < view.pixels.len())
+        };
+        let is_whole = |track: &Track| track.iter().all(is_there) && track.is_sorted_by(|a, b| a.view < b.view);
+        let broken = self.tracks.iter().position(|track| !is_whole(track));
+        broken.map(|k| format!("track {k} leads through features that are not there"))
     }
 
     /// Position of a feature.

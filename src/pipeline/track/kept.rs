@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::io::atomic;
 use crate::perception::{PerceptionError, Prompted, Prompter};
 use crate::pipeline::detections::{mask_of_runs, runs_of_mask};
+use crate::pipeline::own_file::{self, Content};
 use crate::scene::{FrameId, Rect};
 
 /// Which way the frames are gone through.
@@ -45,6 +46,13 @@ struct Answer {
     runs: Vec<u32>,
 }
 
+impl Content for Asked {
+    fn flaw(&self) -> Option<String> {
+        let boxes = self.boxes.iter().any(own_file::is_wrong).then(|| "a box has no size".to_owned());
+        boxes.or_else(|| self.answers.iter().flatten().find_map(|answer| own_file::share(answer.quality)))
+    }
+}
+
 impl Kept {
     pub(super) fn new(prompter: Box<dyn Prompter>, folder: PathBuf) -> Self {
         Self { prompter, folder, frame: FrameId(0), pass: Pass::Forward, num_asked: 0 }
@@ -65,7 +73,7 @@ impl Kept {
 
     /// What was answered before; a file that is damaged or of other boxes is none.
     fn recall(&self, size: (u32, u32), boxes: &[Rect]) -> Option<Vec<Option<Prompted>>> {
-        let asked: Asked = postcard::from_bytes(&std::fs::read(self.path()).ok()?).ok()?;
+        let asked: Asked = own_file::read(&self.path()).ok()?;
         if asked.boxes != boxes || asked.answers.len() != boxes.len() {
             return None;
         }

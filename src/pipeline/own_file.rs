@@ -1,0 +1,218 @@
+//! Files of the run's own, as they are read again. What later stages take for granted is checked here: a disk may have
+//! failed, or another hand changed them.
+
+use std::io::ErrorKind;
+use std::path::{Component, Path};
+
+use serde::de::DeserializeOwned;
+
+use super::PipelineError;
+use super::motion::Points;
+use crate::io::{IoError, is_sensible};
+use crate::limits::files;
+use crate::perception::motion::PointTrack;
+use crate::scene::{BoxDetection, Frame, Rect};
+use crate::sfm::TrackTable;
+
+/// What a file of the run's own holds.
+pub(super) trait Content: DeserializeOwned {
+    /// What of it no run has written, in words.
+    fn flaw(&self) -> Option<String>;
+}
+
+impl<T: Content> Content for Vec<T> {
+    fn flaw(&self) -> Option<String> {
+        self.iter().find_map(Content::flaw)
+    }
+}
+
+/// Reads a file in postcard's format.
+///
+/// # Errors
+/// [`PipelineError::State`] for one that is damaged or missing, [`IoError::System`] for one that cannot be read.
+pub(super) fn read<T: Content>(path: &Path) -> Result<T, PipelineError> {
+    let bytes = match files::read(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Err(damaged(path, "it is missing")),
+        read => read.map_err(IoError::system("read", path))?,
+    };
+    taken(&bytes).map_err(|reason| damaged(path, reason))
+}
+
+/// The content of such a file; what is wrong with it, in words.
+pub(super) fn taken<T: Content>(bytes: &[u8]) -> Result<T, String> {
+    let content: T = postcard::from_bytes(bytes).map_err(|error| error.to_string())?;
+    checked(content)
+}
+
+/// The content, if a run may have written it.
+pub(super) fn checked<T: Content>(content: T) -> Result<T, String> {
+    content.flaw().map_or(Ok(content), Err)
+}
+
+pub(super) fn damaged(path: &Path, reason: impl ToString) -> PipelineError {
+    PipelineError::State { path: path.to_owned(), reason: reason.to_string() }
+}
+
+impl Content for TrackTable {
+    fn flaw(&self) -> Option<String> {
+        TrackTable::flaw(self)
+    }
+}
+
+impl Content for Points {
+    fn flaw(&self) -> Option<String> {
+        if self.labels.len() != self.tracks.len() {
+            return Some(format!("{} points have {} labels", self.tracks.len(), self.labels.len()));
+        }
+        let is_wrong = |track: &PointTrack| {
+            let end = u64::from(track.first) + track.pixels.len() as u64;
+            end > self.frames.len() as u64 || !track.pixels.as_flattened().iter().all(|side| side.is_finite())
+        };
+        let found = self.tracks.iter().position(is_wrong);
+        found.map(|k| format!("point {k} lies in frames, or at places, that are not there"))
+    }
+}
+
+impl Content for BoxDetection {
+    fn flaw(&self) -> Option<String> {
+        is_wrong(&self.rect)
+            .then(|| "a box has sides that are no numbers".to_owned())
+            .or_else(|| share(self.confidence))
+    }
+}
+
+/// Whether sides of a box are no numbers that can be meant.
+pub(super) fn is_wrong(rect: &Rect) -> bool {
+    ![rect.x0, rect.y0, rect.x1, rect.y1].iter().all(is_sensible)
+}
+
+/// What is wrong with how sure a network is.
+pub(super) fn share(confidence: f64) -> Option<String> {
+    (!confidence.is_finite()).then(|| format!("a confidence is {confidence:e}"))
+}
+
+impl Content for Frame {
+    /// Frames give files their names: they lead nowhere but down.
+    fn flaw(&self) -> Option<String> {
+        let leads_down = |part| matches!(part, Component::Normal(_));
+        let is_name = !self.name.is_empty() && Path::new(&self.name).components().all(leads_down);
+        if !is_name || self.name.contains(['\0', '\n', '\r']) {
+            return Some(format!("{:?} is no name of a frame", self.name));
+        }
+        (!self.time_s.is_finite()).then(|| format!("{}: its time is no number", self.name))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point2;
+    use proptest::prelude::*;
+    use rand::Rng as _;
+    use serde::Serialize;
+
+    use super::*;
+    use crate::math::{Rng, seeded_rng};
+    use crate::perception::motion::{TrackLabel, Verdict};
+    use crate::scene::{Finder, FrameId, ImageId};
+    use crate::sfm::tracks::{Feature, View};
+
+    fn table() -> TrackTable {
+        let view = |k: u32| View {
+            image: ImageId(k + 1),
+            name: format!("{k:06}.jpg"),
+            camera: 0,
+            pixels: (0..5).map(|i| Point2::new(f64::from(i), 2.5)).collect(),
+            rgb: vec![[9; 3]; 5],
+            whitening: Vec::new(),
+        };
+        let track = |feature| (0..4).map(|view| Feature { view, feature }).collect();
+        TrackTable { views: (0..4).map(view).collect(), tracks: (0..5).map(track).collect() }
+    }
+
+    fn points() -> Points {
+        let label =
+            TrackLabel { verdict: Verdict::Undetermined, strength: 1.0, deviation_px: 0.5, relative_height: None };
+        let track = |first| PointTrack { first, pixels: vec![[1.5, 2.5]; 3] };
+        Points { frames: (0..6).map(FrameId).collect(), tracks: (0..4).map(track).collect(), labels: vec![label; 4] }
+    }
+
+    fn boxes() -> Vec<BoxDetection> {
+        let rect = Rect { x0: 1.0, y0: 2.0, x1: 30.0, y1: 40.0 };
+        vec![BoxDetection { class: "car".into(), confidence: 0.5, rect, finder: Finder::Detector }; 3]
+    }
+
+    /// A copy with one to four bytes that are others, too few or too many.
+    fn hurt(whole: &[u8], rng: &mut Rng) -> Vec<u8> {
+        let mut bytes = whole.to_vec();
+        for _ in 0..rng.random_range(1..=4) {
+            let at = rng.random_range(0..bytes.len().max(1)).min(bytes.len().saturating_sub(1));
+            match rng.random_range(0..5) {
+                0 => bytes.truncate(at),
+                1 => bytes.insert(at, rng.random()),
+                2 if !bytes.is_empty() => bytes[at] ^= 1 << rng.random_range(0..8),
+                3 if !bytes.is_empty() => bytes[at] = [0, 1, 127, 255][rng.random_range(0..4)],
+                _ => bytes.extend_from_within(at..),
+            }
+        }
+        bytes
+    }
+
+    /// What is taken of damaged bytes, if anything is.
+    fn taken_of<T: Content + Serialize>(whole: &T, seed: u64) -> Option<T> {
+        let bytes = postcard::to_stdvec(whole).unwrap();
+        assert!(taken::<T>(&bytes).is_ok(), "as it was written");
+        taken(&hurt(&bytes, &mut seeded_rng(seed, 0))).ok()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+
+        #[test]
+        fn of_damaged_files_what_is_taken_can_be_used(seed in any::<u64>()) {
+            if let Some(table) = taken_of(&table(), seed) {
+                let features = table.tracks.iter().flatten();
+                prop_assert!(features.map(|&seen| table.pixel(seen)).all(|pixel| pixel.x.is_finite()));
+                prop_assert!(table.tracks.iter().all(|track| track.is_sorted_by_key(|seen| seen.view)));
+            }
+            if let Some(points) = taken_of(&points(), seed) {
+                for (track, _) in points.tracks.iter().zip(&points.labels) {
+                    let last = track.end().checked_sub(1).filter(|_| !track.pixels.is_empty());
+                    prop_assert!(last.is_none_or(|k| track.at(k).is_some() && points.frames.get(k as usize).is_some()));
+                }
+            }
+            for found in taken_of(&boxes(), seed).into_iter().flatten() {
+                prop_assert!(found.rect.width().is_finite() && found.confidence.is_finite());
+            }
+        }
+    }
+
+    #[test]
+    fn what_no_run_writes_is_named() {
+        let flaw = |change: &dyn Fn(&mut TrackTable)| {
+            let mut table = table();
+            change(&mut table);
+            Content::flaw(&table).unwrap()
+        };
+        assert!(flaw(&|t| t.tracks[2][3].feature = 5).contains("track 2"));
+        assert!(flaw(&|t| t.tracks[1][0].view = 9).contains("track 1"));
+        assert!(flaw(&|t| t.tracks[0].swap(0, 1)).contains("track 0"));
+        assert!(flaw(&|t| t.views[3].pixels[0].x = f64::NAN).contains("000003.jpg"));
+        assert!(flaw(&|t| t.views[1].rgb.truncate(2)).contains("000001.jpg"));
+        assert!(flaw(&|t| t.views[1].image = ImageId(1)).contains("000001.jpg"));
+        let (mut short, mut late) = (points(), points());
+        short.labels.truncate(1);
+        late.tracks[3].first = u32::MAX;
+        assert!(short.flaw().unwrap().contains("labels") && late.flaw().unwrap().contains("point 3"));
+        let mut endless = boxes();
+        endless[1].rect.x1 = f64::INFINITY;
+        assert!(endless.flaw().is_some());
+    }
+
+    #[test]
+    fn names_of_frames_lead_nowhere_but_down() {
+        let flaw = |name: &str| Frame { id: FrameId(0), name: name.into(), time_s: 0.0 }.flaw();
+        assert!(["000000.jpg", "left/1.png"].iter().all(|name| flaw(name).is_none()));
+        assert!(["", "../1.png", "/etc/1.png", "a/../../1.png", "a\n.png"].iter().all(|name| flaw(name).is_some()));
+        assert!(Frame { id: FrameId(0), name: "a".into(), time_s: f64::NAN }.flaw().is_some());
+    }
+}
