@@ -2,7 +2,8 @@
 //!
 //!     damage_files READER SECONDS [FILE...] [--seed N] [--keep DIR]
 //!
-//! READER is one of those in `tests/common/readers.rs`, or `all`, which gives each its share of the time. Without FILEs
+//! READER is one of those in `tests/common/readers.rs`, or `all`, which gives each so much time; compiled with the
+//! feature `telemetry`, logs are among them. Without FILEs
 //! the reader's files are written there. What was read is written as a COLMAP model and read again. Run it under
 //! `ulimit -v` to have memory that is asked for and not used count as well, and with `TMPDIR` in memory (`/dev/shm`):
 //! every case is a file.
@@ -18,7 +19,7 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use rand::Rng as _;
-use readers::{Failed, READERS, damaged, read, written};
+use readers::{Failed, damaged, read, readers as all, written};
 use tractrix::math::seeded_rng;
 
 #[path = "../tests/common/readers.rs"]
@@ -32,7 +33,7 @@ fn main() -> Result<ExitCode, Failed> {
     if arguments.keep.is_none() {
         std::panic::set_hook(Box::new(|_| {}));
     }
-    let readers = if arguments.reader == "all" { READERS.to_vec() } else { vec![arguments.reader.as_str()] };
+    let readers = if arguments.reader == "all" { all() } else { vec![arguments.reader.as_str()] };
     let (mut num_read, mut num_panics) = (0, 0);
     for reader in &readers {
         let tally = arguments.rounds(reader)?;

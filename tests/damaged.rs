@@ -7,14 +7,14 @@ mod readers;
 use std::fs;
 
 use rand::Rng as _;
-use readers::{READERS, damaged, read, written};
+use readers::{damaged, read, readers as all, written};
 use tractrix::math::seeded_rng;
 
 #[test]
 fn no_reader_panics_on_damaged_files() {
     const SEED: u64 = 3;
     const ROUNDS: usize = 150;
-    for (stream, reader) in (0..).zip(READERS) {
+    for (stream, reader) in (0..).zip(all()) {
         let folder = tempfile::tempdir().unwrap();
         let places = written(reader, folder.path()).unwrap();
         let whole: Vec<Vec<u8>> = places.iter().map(|place| fs::read(place).unwrap()).collect();

@@ -18,6 +18,8 @@ pub(super) struct Clock {
 const FALLBACK_FPS: f64 = 25.0;
 /// Intervals that set the pace.
 const NUM_RECENT: usize = 7;
+/// The latest time that is believed, seconds: thirty years. Beyond it times of frames are too coarse to rise.
+const LATEST_S: f64 = 1e9;
 /// Intervals that differ by less than this share are one rate; containers round to ticks.
 const STEADY: f64 = 0.05;
 
@@ -29,7 +31,7 @@ impl Clock {
 
     /// The time of the next frame, from what the container says.
     pub(super) fn advance(&mut self, stated_s: Option<f64>) -> f64 {
-        let rises = |time: &f64| time.is_finite() && *time >= 0.0 && self.last_s.is_none_or(|last| *time > last);
+        let rises = |time: &f64| (0.0..=LATEST_S).contains(time) && self.last_s.is_none_or(|last| *time > last);
         if let Some(stated_s) = stated_s.filter(rises) {
             if let Some(last) = self.last_s.filter(|_| self.num_trailing == 0) {
                 self.recent_s.truncate(NUM_RECENT - 1);
@@ -41,7 +43,8 @@ impl Clock {
         }
         self.num_rebuilt += 1;
         self.num_trailing += 1;
-        let time_s = self.last_s.map_or(0.0, |last| last + self.step_s());
+        // A step may be less than what a late time can show.
+        let time_s = self.last_s.map_or(0.0, |last| (last + self.step_s()).max(last.next_up()));
         self.last_s = Some(time_s);
         time_s
     }
@@ -68,7 +71,22 @@ impl Clock {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
+
+    proptest! {
+        #[test]
+        fn times_rise_and_are_numbers_whatever_is_stated(
+            fps in proptest::option::of(1e-3..1000.0),
+            stated in prop::collection::vec(proptest::option::of(prop_oneof![0.0..10.0, any::<f64>()]), 1..60),
+        ) {
+            let mut clock = Clock::new(fps);
+            let times: Vec<f64> = stated.into_iter().map(|stated_s| clock.advance(stated_s)).collect();
+            prop_assert!(times.iter().all(|time| time.is_finite()) && times.is_sorted_by(|a, b| a < b), "{times:?}");
+            prop_assert!(clock.num_guessed() as usize <= times.len());
+        }
+    }
 
     #[test]
     fn stamps_rise_whatever_the_container_says() {

@@ -52,9 +52,12 @@ enum Mp4Index {
 fn mp4_index(file: &mut File) -> Option<Mp4Index> {
     /// With one of these an MP4 or MOV file begins.
     const FIRST_BOXES: [&[u8; 4]; 6] = [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"];
+    /// More than any file has on its outermost level, fragments of a day included.
+    const MOST_BOXES: usize = 1 << 20;
     let end = file.seek(SeekFrom::End(0)).ok()?;
     let mut at = 0;
-    while let Some((name, size)) = box_at(file, at) {
+    for _ in 0..MOST_BOXES {
+        let Some((name, size)) = box_at(file, at) else { break };
         if at == 0 && !FIRST_BOXES.contains(&&name) {
             return None;
         }

@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::BufReader;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 use ::image::metadata::Orientation;
@@ -22,6 +23,9 @@ fn film_side_mm(width: u32, height: u32) -> f64 {
         35.3
     }
 }
+
+/// Focal lengths that lenses have, in longer sides of the picture: from 4 mm on film to 3.6 m.
+const LENSES: RangeInclusive<f64> = 0.1..=100.0;
 
 /// More than rounding of the sides does to the shape of small pictures.
 const SHAPE_TOLERANCE: f64 = 0.02;
@@ -51,8 +55,13 @@ pub(super) fn camera(exif: &Exif) -> Vec<String> {
 ///
 /// Nothing of a picture that was cut out of another, which shows in its proportions. From `FocalLengthIn35mmFilm`, else
 /// from `FocalLength` and the sensor's pixel pitch, provided that the picture still has the size that the camera gave
-/// it.
+/// it. A focal length that no lens has is none.
 pub(super) fn focal_px(exif: &Exif, width: u32, height: u32) -> Option<f64> {
+    let longer_px = f64::from(width.max(height));
+    stated_px(exif, width, height).filter(|focal_px| LENSES.contains(&(focal_px / longer_px)))
+}
+
+fn stated_px(exif: &Exif, width: u32, height: u32) -> Option<f64> {
     let longer_px = f64::from(width.max(height));
     if was_cut(exif, width, height) {
         return None;
@@ -95,8 +104,10 @@ fn number(exif: &Exif, tag: Tag) -> Option<f64> {
 mod tests {
     use exif::experimental::Writer;
     use exif::{Field, Rational};
+    use rand::Rng as _;
 
     use super::*;
+    use crate::math::seeded_rng;
 
     fn block(fields: &[(Tag, Value)]) -> Exif {
         let fields: Vec<Field> =
@@ -144,6 +155,34 @@ mod tests {
         assert_eq!(focal_px(&exif, 2000, 1500), Some(36.0 / 34.61 * 2000.0));
         assert_eq!(focal_px(&exif, 1500, 2000), Some(36.0 / 34.61 * 2000.0));
         assert_eq!(focal_px(&exif, 2000, 1000), None);
+    }
+
+    #[test]
+    fn of_damaged_blocks_what_is_said_is_a_number() {
+        let rational = |num, denom| Value::Rational(vec![Rational { num, denom }]);
+        let fields = [
+            (Tag::Make, Value::Ascii(vec![b"maker".to_vec()])),
+            (Tag::Orientation, Value::Short(vec![6])),
+            (Tag::FocalLength, rational(88, 10)),
+            (Tag::FocalPlaneXResolution, rational(4000, 1)),
+            (Tag::PixelXDimension, Value::Long(vec![4000])),
+            (Tag::PixelYDimension, Value::Long(vec![3000])),
+        ];
+        let whole = block(&fields).buf().to_vec();
+        let (mut rng, mut num_read) = (seeded_rng(4, 0), 0);
+        for _ in 0..20_000 {
+            let mut bytes = whole.clone();
+            for _ in 0..rng.random_range(1..=3) {
+                let at = rng.random_range(0..bytes.len());
+                bytes[at] = if rng.random() { rng.random() } else { [0, 255][rng.random_range(0..2)] };
+            }
+            bytes.truncate(rng.random_range(0..8 * whole.len()));
+            let Ok(exif) = exif::Reader::new().read_raw(bytes) else { continue };
+            num_read += 1;
+            assert!(focal_px(&exif, 4000, 3000).is_none_or(|focal| focal.is_finite() && focal > 0.0));
+            let _ = (orientation(&exif), camera(&exif));
+        }
+        assert!(num_read > 1000, "{num_read}");
     }
 
     #[test]

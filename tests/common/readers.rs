@@ -12,10 +12,21 @@ use tractrix::io::{Sequence, bal, colmap, ground, masks, ply, tracks, trajectori
 use tractrix::math::Rng;
 use tractrix::scene::{LabelMap, TriangleMesh};
 
+#[path = "logs.rs"]
+mod logs;
+
 pub type Failed = Box<dyn std::error::Error>;
 
-/// All readers, by name.
-pub const READERS: [&str; 16] = [
+/// All readers, by name; those of logs where the room `telemetry` is compiled.
+pub fn readers() -> Vec<&'static str> {
+    let logs: &[&str] = if cfg!(feature = "telemetry") { &LOGS } else { &[] };
+    [&READERS[..], logs].concat()
+}
+
+/// Where a camera was: subtitles, tracks, sentences, tables, and the EXIF blocks of photographs.
+const LOGS: [&str; 5] = ["subtitles", "gpx", "nmea", "table", "photograph"];
+
+const READERS: [&str; 16] = [
     "colmap-text",
     "colmap-binary",
     "openmvg",
@@ -69,6 +80,7 @@ pub fn written(reader: &str, folder: &Path) -> Result<Vec<PathBuf>, Failed> {
         "nvm" => (Format::Nvm, "model.nvm"),
         "bundler" => (Format::Bundler, "bundle.out"),
         "tum" | "kitti" => return camera_path(reader, folder),
+        log if LOGS.contains(&log) => return logs::written(log, folder),
         _ => return by_hand(reader, folder),
     };
     if matches!(format, Format::Nvm | Format::Bundler) {
@@ -116,7 +128,7 @@ fn by_hand(reader: &str, folder: &Path) -> Result<Vec<PathBuf>, Failed> {
         "sequence" => "scene.json",
         "bal" => "problem.txt",
         "trajectories" | "tracks" | "ground" => "file.json",
-        _ => return Err(format!("{reader} is none of {}", READERS.join(", ")).into()),
+        _ => return Err(format!("{reader} is none of {}", readers().join(", ")).into()),
     };
     let path = folder.join(name);
     match reader {
@@ -153,6 +165,7 @@ pub fn read(reader: &str, place: &Path) -> bool {
             masks::read_mask_of_any_size(place).is_ok()
         }
         "sequence" => place.parent().is_some_and(|folder| Sequence::open(folder).is_ok()),
+        log if LOGS.contains(&log) => logs::read(place),
         _ => model::read(place).is_ok_and(|(model, _)| comes_back(place, &model)),
     }
 }

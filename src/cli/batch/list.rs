@@ -175,6 +175,8 @@ fn check_name(name: &str) -> Result<(), String> {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     fn list(text: &[u8]) -> Result<List, Failure> {
@@ -227,6 +229,21 @@ mod tests {
             assert!(refusal(text).contains(word), "{}", refusal(text));
         }
         assert!(refusal(&[b'a'; 300]).contains("too long"));
+    }
+
+    proptest! {
+        #[test]
+        fn of_any_bytes_every_job_has_a_line_and_a_name(
+            bytes in prop::collection::vec(
+                prop_oneof![any::<u8>(), prop::sample::select(b"a/.\t\n\r #'\"-=".to_vec())], 0..80
+            ),
+        ) {
+            let num_lines = bytes.split(|&byte| byte == b'\n').count();
+            if let Ok(list) = list(&bytes) {
+                let is_whole = |entry: &Entry| (1..=num_lines).contains(&entry.line) && check_name(&entry.name).is_ok();
+                prop_assert!(!list.entries.is_empty() && list.entries.iter().all(is_whole), "{list:?}");
+            }
+        }
     }
 
     #[test]

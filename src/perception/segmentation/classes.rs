@@ -183,7 +183,19 @@ fn quoted(text: &str, quote: char) -> Option<(String, &str)> {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
+
+    proptest! {
+        #[test]
+        fn names_of_any_text_are_read_or_are_none(
+            text in "[{]?([0-9]{1,2}|[:'\"\\\\a\u{e9} ,]|[0-9]: 'car', ){0,20}[}]?",
+        ) {
+            let num_quotes = text.matches(['\'', '"']).count();
+            prop_assert!(parse_names(&text).is_none_or(|names| 2 * names.len() <= num_quotes));
+        }
+    }
 
     #[test]
     fn names_are_read_in_every_form() {

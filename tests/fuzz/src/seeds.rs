@@ -5,10 +5,10 @@ use std::path::Path;
 
 // For the counters that the library was compiled with.
 use libfuzzer_sys as _;
-use tractrix_fuzz::readers::{Failed, READERS, written};
+use tractrix_fuzz::readers::{Failed, readers, written};
 
 fn main() -> Result<(), Failed> {
-    for reader in READERS {
+    for reader in readers() {
         let folder = tempfile::tempdir()?;
         let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(reader);
         fs::create_dir_all(&corpus)?;

@@ -1,0 +1,109 @@
+//! Small logs of where a camera was, one of every format that the room `telemetry` reads, and what holds of every log
+//! that is read.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::Failed;
+
+/// Subtitles in four of the forms that drones write.
+const SUBTITLES: &str = "1\n00:00:00,000 --> 00:00:00,033\n<font size=\"36\">SrtCnt : 1, DiffTime : 33ms\n2022-08-07 \
+    13:40:40,774,808\n[iso : 100] [latitude: 41.424724] [longitude: 2.234156] [altitude: 117.0] </font>\n\n2\n\
+    00:00:00,033 --> 00:00:00,066\n2022-08-07 13:40:40,808,164\n[latitude: 41.424725] [longitude: 2.234147] [rel_alt: \
+    1.0 abs_alt: 2.5]\n\n3\n00:00:01,000 --> 00:00:02,000\nHOME(149.0251,-20.2532) 2017.08.05 14:11:51\n\
+    GPS(149.0251,-20.2533,16) BAROMETER:1.9\nISO:100\n\n4\n00:00:02,000 --> 00:00:03,000\nF/5.6, SS 400, GPS (-58.8, \
+    -34.2, 15), HOME (-58.8, -34.2, -57.98m), D 6.7m, H 85.8m, H.S 2.8m/s, V.S 0.0m/s, F.PRY (2.7\u{b0}, -7.0\u{b0}, \
+    110.1\u{b0}), G.PRY (-24.4\u{b0}, 0.0\u{b0}, 1.4\u{b0})\n";
+const GPX: &str = "<?xml version=\"1.0\"?><gpx version=\"1.1\"><trk><trkseg><trkpt lat=\"48.1\" lon=\"9.7\">\
+    <ele>5</ele><time>2024-05-06T07:08:09Z</time></trkpt><trkpt lat=\"48.2\" lon=\"9.8\">\
+    <time>2024-05-06T07:08:10+00:00</time>\
+    <extensions><speed>3.5</speed></extensions></trkpt></trkseg></trk></gpx>";
+const NMEA: &str = "$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\n$GPRMC,123519,A,\
+    4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W\n$GPVTG,084.4,T,081.3,M,022.4,N,041.5,K\n";
+const TABLE: &str = "time_s,latitude,longitude,altitude [ft],speed(km/h)\n0.0,48.5,9.25,1000,36\n1.0,48.5001,\
+    9.25,1001,37\n2.0,48\u{b0}30'0\"N,9.2502,1002,38\n";
+
+/// Writes one into a folder.
+pub fn written(log: &str, folder: &Path) -> Result<Vec<PathBuf>, Failed> {
+    let (name, content) = match log {
+        "subtitles" => ("flight.srt", SUBTITLES.as_bytes().to_vec()),
+        "gpx" => ("ride.gpx", GPX.as_bytes().to_vec()),
+        "nmea" => ("ride.nmea", NMEA.as_bytes().to_vec()),
+        "table" => ("flight.csv", TABLE.as_bytes().to_vec()),
+        _ => ("photograph.jpg", photograph()),
+    };
+    let path = folder.join(name);
+    fs::write(&path, content)?;
+    Ok(vec![path])
+}
+
+/// A JPEG of nothing but an EXIF block with a position (TIFF 6.0, Exif 2.32).
+fn photograph() -> Vec<u8> {
+    /// Before the first directory.
+    const HEAD: u32 = 8;
+    let rationals = |numbers: &[(u32, u32)]| {
+        numbers.iter().flat_map(|(a, b)| [a.to_le_bytes(), b.to_le_bytes()].concat()).collect::<Vec<u8>>()
+    };
+    let camera = |gps: u32| {
+        [(0x10f, 2, b"maker\0".to_vec()), (0x112, 3, vec![6, 0]), (0x8825, 4, gps.to_le_bytes().to_vec())].to_vec()
+    };
+    let position = [
+        (1, 2, b"N\0".to_vec()),
+        (2, 5, rationals(&[(46, 1), (50, 1), (3339, 100)])),
+        (3, 2, b"W\0".to_vec()),
+        (4, 5, rationals(&[(91, 1), (59, 1), (4042, 100)])),
+        (5, 1, vec![0]),
+        (6, 5, rationals(&[(198_309, 1000)])),
+        (7, 5, rationals(&[(16, 1), (31, 1), (595, 10)])),
+        (0x1d, 2, b"2016:06:23\0".to_vec()),
+    ];
+    let gps = HEAD + directory(HEAD, &camera(0)).len() as u32;
+    let block = [b"Exif\0\0II*\0\x08\0\0\0", &directory(HEAD, &camera(gps))[..], &directory(gps, &position)].concat();
+    let length = (block.len() as u16 + 2).to_be_bytes();
+    [b"\xff\xd8\xff\xe1", &length[..], &block, b"\xff\xd9"].concat()
+}
+
+/// A directory of TIFF that lies `at` so many bytes behind the head: tags, types, and values in ascending order.
+fn directory(at: u32, entries: &[(u16, u16, Vec<u8>)]) -> Vec<u8> {
+    let mut table = (entries.len() as u16).to_le_bytes().to_vec();
+    let mut values: Vec<u8> = Vec::new();
+    let behind = at + 2 + 12 * entries.len() as u32 + 4;
+    for (tag, kind, value) in entries {
+        let size = match kind {
+            3 => 2,
+            4 => 4,
+            5 => 8,
+            _ => 1,
+        };
+        table.extend([tag.to_le_bytes(), kind.to_le_bytes()].concat());
+        table.extend((value.len() as u32 / size).to_le_bytes());
+        let mut field = value.clone();
+        if value.len() > 4 {
+            field = (behind + values.len() as u32).to_le_bytes().to_vec();
+            values.extend(value);
+        }
+        field.resize(4, 0);
+        table.extend(field);
+    }
+    [table, vec![0; 4], values].concat()
+}
+
+/// Whether the reader takes what lies there.
+#[cfg(feature = "telemetry")]
+pub fn read(place: &Path) -> bool {
+    let Ok(log) = tractrix::telemetry::read(place) else { return false };
+    assert!(!log.fixes.is_empty());
+    for fix in &log.fixes {
+        assert!(fix.longitude_deg.abs() <= 180.0 && fix.latitude_deg.abs() <= 90.0, "{fix:?}");
+        let numbers = [fix.video_s, fix.clock_s, fix.gps_height_m, fix.relative_height_m, fix.speed_m_s];
+        assert!(numbers.into_iter().flatten().all(f64::is_finite), "{fix:?}");
+    }
+    let said = log.summary().as_text();
+    assert!(!said.contains("NaN") && !said.contains(" inf"), "{said}");
+    true
+}
+
+#[cfg(not(feature = "telemetry"))]
+pub fn read(_: &Path) -> bool {
+    false
+}
