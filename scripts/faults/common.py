@@ -240,11 +240,17 @@ def commit() -> str:
     return (git("rev-parse", "--short", "HEAD") or "unknown") + ("+" if changed else "")
 
 
+def _same(row: str) -> list[str]:
+    """Kind, remark and seed of a row."""
+    cells = [cell.strip() for cell in row.split("|")]
+    return [*cells[1:3], cells[6]]
+
+
 def append_row(tally: Tally, of_commit: str) -> None:
-    """Puts a row under the table of docs/reliability.md, in the place of an older one of the same kind and remark."""
+    """Puts a row under the table of docs/reliability.md, in the place of an older one of the same kind and seed."""
     text = TABLE.read_text(encoding="utf-8")
     begin, end = text.index("<!-- rows -->"), text.index("<!-- end of rows -->")
     rows = [row for row in text[begin:end].splitlines()[1:] if row.startswith("|")]
-    rows = [row for row in rows if row.split("|")[1:3] != [f" {tally.kind} ", f" {tally.remark} "]]
-    rows.append(tally.row(of_commit))
+    new = tally.row(of_commit)
+    rows = [*(row for row in rows if _same(row) != _same(new)), new]
     TABLE.write_text(text[:begin] + "<!-- rows -->\n" + "\n".join(rows) + "\n" + text[end:], encoding="utf-8")
