@@ -3,7 +3,8 @@
 //! A file is written under a temporary name in the folder where it belongs (a rename is atomic only within one file
 //! system), flushed, synchronised, renamed, and then the folder is synchronised, since power can fail at any moment. A
 //! process that is killed can leave a temporary file behind, never half of a real one; [`remove_leftovers`] clears
-//! them. Whole folders, and files among those of others, are [`OwnedFolder`](super::OwnedFolder)'s matter.
+//! them. What is prepared in a folder without a place (`UNPLACED`) is synchronised once, as a whole, by who gives it
+//! one. Whole folders, and files among those of others, are [`OwnedFolder`](super::OwnedFolder)'s matter.
 
 use std::fs::{self, File, Permissions};
 use std::io::{BufWriter, Write};
@@ -17,6 +18,10 @@ use super::IoError;
 
 /// How temporary names begin; nothing else in an output folder does.
 const TEMPORARY_PREFIX: &str = ".tractrix-";
+
+/// How a folder's name begins in which something is prepared that has no place yet: after a power failure it is not
+/// looked at.
+pub(super) const UNPLACED: &str = ".tractrix-new-";
 
 /// Writes a whole file, replacing one that is there. Missing folders above it are made.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<(), IoError> {
@@ -63,9 +68,20 @@ fn beside(path: &Path) -> Result<NamedTempFile, IoError> {
 }
 
 fn put(file: NamedTempFile, path: &Path) -> Result<(), IoError> {
-    file.as_file().sync_all().map_err(IoError::system("write", path))?;
+    if has_place(path) {
+        file.as_file().sync_all().map_err(IoError::system("write", path))?;
+    }
     file.persist(path).map_err(|e| IoError::system("replace", path)(e.error))?;
-    sync_folder(parent(path))
+    sync_placed(parent(path))
+}
+
+fn has_place(path: &Path) -> bool {
+    !path.components().any(|part| part.as_os_str().as_encoded_bytes().starts_with(UNPLACED.as_bytes()))
+}
+
+/// Synchronises a folder, if what is in it has its place.
+fn sync_placed(folder: &Path) -> Result<(), IoError> {
+    if has_place(folder) { sync_folder(folder) } else { Ok(()) }
 }
 
 /// Removes a file, if it is there, so that it does not come back after a power failure.
@@ -113,7 +129,7 @@ pub fn create_folders(folder: &Path) -> Result<(), IoError> {
         // Another thread may have been faster.
         Err(_) if folder.is_dir() => Ok(()),
         Err(error) => Err(IoError::system("create", folder)(error)),
-        Ok(()) => sync_folder(above),
+        Ok(()) => sync_placed(above),
     }
 }
 
@@ -205,6 +221,15 @@ mod tests {
         assert_eq!(remove_leftovers(folder.path()).unwrap(), 3);
         assert_eq!(names(folder.path()), ["deep", "kept"]);
         assert!(names(&folder.path().join("deep/er")).is_empty());
+    }
+
+    #[test]
+    fn only_what_has_a_place_is_synchronised_by_itself() {
+        assert!(
+            ["out/run.json", "out/.tractrix/frames.json", "tmp/.tractrix-x1"].map(Path::new).map(has_place)
+                == [true; 3]
+        );
+        assert!(!has_place(Path::new("out/.tractrix/tmp/.tractrix-new-x1y2/new/1/000000.jpg.png")));
     }
 
     #[test]

@@ -203,6 +203,7 @@ impl OwnedFolder {
         let scratch = self.scratch()?;
         let fresh = scratch.path().join(relative.file_name().unwrap_or_default());
         fill(&fresh)?;
+        sync_folder(&fresh).map_err(FolderError::from)?;
         self.list([relative.clone()])?;
         self.move_in(&fresh, &relative)?;
         Ok(())
@@ -376,7 +377,7 @@ impl OwnedFolder {
         let folder = self.root.join(STATE).join(SCRATCH);
         self.check_way(&Path::new(STATE).join(SCRATCH))?;
         fs::create_dir_all(&folder).map_err(|source| FolderError::System { path: folder.clone(), source })?;
-        let made = Builder::new().prefix("").tempdir_in(&folder);
+        let made = Builder::new().prefix(atomic::UNPLACED).tempdir_in(&folder);
         made.map_err(|source| FolderError::System { path: folder, source })
     }
 
