@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use super::kept::KEPT_BYTES;
 use super::layout::Layout;
 use super::linearize::{Linearization, Pass};
 use super::options::Options;
@@ -112,7 +113,7 @@ impl<'a, const D: usize> Run<'a, D> {
         let solver = Solver::new(options.linear_solver, &reduced, pass.parallel);
         Self {
             trial: state.clone(),
-            lin: Linearization::new(&pass, &reduced.pattern),
+            lin: Linearization::new(&pass, &reduced.pattern).keep_within(layout, KEPT_BYTES),
             step: vec![0.0; reduced.size()],
             norm: (state.cameras_norm_sq() + state.points_norm_sq()).sqrt(),
             damping: options.initial_damping,
@@ -220,8 +221,7 @@ impl<'a, const D: usize> Run<'a, D> {
     /// Moves the trial state.
     fn try_step(&mut self) -> Tried {
         let in_range = self.trial.move_cameras(&self.state, self.problem, self.layout, &self.step, D);
-        let of_points =
-            try_step::<D>(&self.lin.pieces, &self.pass, &self.step, self.damping, &self.state, &mut self.trial);
+        let of_points = try_step(&self.lin, &self.pass, &self.step, self.damping, &self.state, &mut self.trial);
         let predicted = 0.5 * (of_points.decrease + self.predicted_by_cameras());
         let step_sq = of_points.step_sq + self.step.iter().map(|v| v * v).sum::<f64>();
         let trial_cost =

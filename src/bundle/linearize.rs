@@ -1,13 +1,15 @@
 //! Linearisation: residuals and Jacobians, elimination of the points, and their sums in the reduced system.
 //!
 //! The points are cut in a few pieces. A thread goes through a piece point by point from the projection to the reduced
-//! system, while the point's Jacobians are still in the nearest cache, and forgets them: the step of the points
-//! ([`super::trial`]) works them out once more. So an observation takes no memory beyond its index. The cut depends on
-//! the problem alone and sums are taken in the order of the pieces, so that nothing depends on the number of threads.
+//! system, while the point's Jacobians are still in the nearest cache. What the step of the points ([`super::trial`])
+//! needs of them is kept where it fits ([`super::kept`]), else forgotten and worked out once more: then an observation
+//! takes no memory beyond its index. The cut depends on the problem alone and sums are taken in the order of the
+//! pieces, so that nothing depends on the number of threads.
 
 use std::ops::Range;
 
 use super::accumulate::{Sums, reach};
+use super::kept::{Eliminated, Kept};
 use super::layout::{Layout, NONE, POSE_DIM};
 use super::parallel::in_order;
 use super::pattern::Pattern;
@@ -83,8 +85,7 @@ fn cut(layout: &Layout, work: &[usize], count: usize) -> Vec<Piece> {
     out
 }
 
-/// What is known of the point that is being worked on: residuals, Jacobians, elimination. They are worked out anew
-/// wherever they are needed: kept for all points, they would take more memory than all else.
+/// What is known of the point that is being worked on: residuals, Jacobians, elimination.
 pub(super) struct OnePoint<const D: usize> {
     /// First observation of the point.
     pub first_obs: usize,
@@ -112,6 +113,8 @@ struct Desk<const D: usize> {
 pub(super) struct Linearization<const D: usize> {
     /// In order.
     pub pieces: Vec<Piece>,
+    /// What is kept of each piece.
+    pub kept: Vec<Option<Kept<D>>>,
     desks: Vec<Desk<D>>,
     /// The largest entry of the gradients of points that move.
     pub largest_point_gradient: f64,
@@ -143,7 +146,15 @@ impl<const D: usize> Linearization<D> {
         let desk =
             |_| Desk { sums: Sums::new(pass.layout), point: OnePoint::new(pass.layout, 0..pass.layout.points.len()) };
         let desks = in_order(pass.parallel, (0..count).collect(), desk);
-        Self { pieces, desks, largest_point_gradient: 0.0 }
+        let kept = pieces.iter().map(|_| None).collect();
+        Self { pieces, kept, desks, largest_point_gradient: 0.0 }
+    }
+
+    /// Keeps from now on what the step of the points needs, if it takes at most so many bytes.
+    pub fn keep_within(mut self, layout: &Layout, most_bytes: usize) -> Self {
+        let fits = Kept::<D>::bytes(layout) <= most_bytes;
+        self.kept = self.pieces.iter().map(|_| fits.then(Kept::new)).collect();
+        self
     }
 
     /// Residuals, Jacobians and the points' normal equations at a state (eqs. 1–6), their elimination with damping λ,
@@ -152,10 +163,13 @@ impl<const D: usize> Linearization<D> {
         reduced.clear();
         self.largest_point_gradient = 0.0;
         let mut cost = 0.0;
-        for wave in self.pieces.chunks(self.desks.len()) {
+        let at_a_time = self.desks.len();
+        for (wave, kept) in self.pieces.chunks(at_a_time).zip(self.kept.chunks_mut(at_a_time)) {
             let pattern = &reduced.pattern;
-            let work = |(piece, desk)| wide(Evaluate { pass, pattern, state, damping, piece, desk });
-            let found = in_order(pass.parallel, wave.iter().zip(&mut self.desks).collect(), work);
+            let work = |((piece, kept), desk): ((_, &mut Option<Kept<D>>), _)| {
+                wide(Evaluate { pass, pattern, state, damping, piece, desk, kept: kept.as_mut() })
+            };
+            let found = in_order(pass.parallel, wave.iter().zip(kept).zip(&mut self.desks).collect(), work);
             for (desk, part) in self.desks.iter().zip(found) {
                 reduced.add(&desk.sums, pass.parallel);
                 cost += part.cost;
@@ -191,6 +205,16 @@ impl<const D: usize> OnePoint<D> {
         let cost = self.linearize::<F>(pass, state, point);
         self.eliminate::<F>(pass.layout, point, damping);
         cost
+    }
+
+    /// What the step of the point that was worked out needs.
+    #[inline(always)]
+    pub fn eliminated(&self, layout: &Layout, point: usize) -> Eliminated<'_, D> {
+        Eliminated {
+            residuals: &self.residuals[..layout.obs_of_point(point).len()],
+            slots: &self.slot_eliminated[..layout.slots_of_point(point).len()],
+            terms: &self.terms,
+        }
     }
 
     /// Residuals, Jacobians and normal equations; returns Σ ρ.
@@ -271,6 +295,7 @@ struct Evaluate<'a, const D: usize> {
     damping: f64,
     piece: &'a Piece,
     desk: &'a mut Desk<D>,
+    kept: Option<&'a mut Kept<D>>,
 }
 
 impl<const D: usize> Task for Evaluate<'_, D> {
@@ -278,10 +303,13 @@ impl<const D: usize> Task for Evaluate<'_, D> {
 
     #[inline(always)]
     fn run<F: Fused>(self) -> Evaluated {
-        let Self { pass, pattern, state, damping, piece, desk } = self;
+        let Self { pass, pattern, state, damping, piece, desk, mut kept } = self;
         let Desk { point: one, sums } = desk;
         let layout = pass.layout;
         sums.begin(layout, pattern, piece);
+        if let Some(kept) = &mut kept {
+            kept.begin(piece);
+        }
         let mut found = Evaluated { cost: 0.0, largest_gradient: 0.0 };
         for point in piece.points.clone() {
             found.cost += one.work_out::<F>(pass, state, point, damping);
@@ -292,6 +320,9 @@ impl<const D: usize> Task for Evaluate<'_, D> {
             sums.add_point::<F>(layout, pattern, one, point);
             if !layout.shared.is_empty() {
                 sums.cameras.add_point(layout, one, point);
+            }
+            if let Some(kept) = &mut kept {
+                kept.push(one.eliminated(layout, point));
             }
         }
         found

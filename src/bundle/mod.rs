@@ -30,6 +30,7 @@ mod accumulate;
 mod camera_sums;
 mod clustered;
 mod covariance;
+mod kept;
 mod layout;
 mod levenberg_marquardt;
 mod linearize;

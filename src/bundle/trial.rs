@@ -1,7 +1,8 @@
 //! The step of the points, and the cost where it leads.
 
+use super::kept::{Eliminated, Kept, Source};
 use super::layout::{Layout, NONE};
-use super::linearize::{OnePoint, Pass, Piece};
+use super::linearize::{Linearization, Pass, Piece};
 use super::parallel::in_order;
 use super::residual::{plain_residual, point_in_cam, robust_cost, robust_cost_and_root};
 use super::simd::{Fused, Task, wide};
@@ -21,9 +22,9 @@ pub(super) struct Trial {
 }
 
 /// Moves the points for a step of the reduced system (eq. 11) from those of `from` to `to`, whose cameras have moved
-/// already. What the elimination knew of them at `from` with the same damping is worked out once more.
+/// already. The linearisation was that at `from` with the same damping.
 pub(super) fn try_step<const D: usize>(
-    pieces: &[Piece],
+    lin: &Linearization<D>,
     pass: &Pass,
     step: &[f64],
     damping: f64,
@@ -32,14 +33,14 @@ pub(super) fn try_step<const D: usize>(
 ) -> Trial {
     let State { views, points, .. } = to;
     let mut rest = points.as_mut_slice();
-    let mut items = Vec::with_capacity(pieces.len());
-    for piece in pieces {
+    let mut items = Vec::with_capacity(lin.pieces.len());
+    for (piece, kept) in lin.pieces.iter().zip(&lin.kept) {
         let (mine, others) = rest.split_at_mut(piece.points.len());
         rest = others;
-        items.push((piece, mine));
+        items.push((piece, kept.as_ref(), mine));
     }
-    let work = |(piece, points): (&Piece, &mut [[f64; 3]])| {
-        wide(MovePoints::<D> { pass, piece, step, damping, views, from, points })
+    let work = |(piece, kept, points): (_, _, &mut [[f64; 3]])| {
+        wide(MovePoints::<D> { pass, piece, kept, step, damping, views, from, points })
     };
     let mut total = Trial::default();
     for part in in_order(pass.parallel, items, work) {
@@ -72,6 +73,7 @@ pub(super) fn count_behind(pass: &Pass, state: &State) -> usize {
 struct MovePoints<'a, const D: usize> {
     pass: &'a Pass<'a>,
     piece: &'a Piece,
+    kept: Option<&'a Kept<D>>,
     step: &'a [f64],
     damping: f64,
     views: &'a [View],
@@ -84,19 +86,19 @@ impl<const D: usize> Task for MovePoints<'_, D> {
 
     #[inline(always)]
     fn run<F: Fused>(self) -> Trial {
-        let Self { pass, piece, step, damping, views, from, points } = self;
+        let Self { pass, piece, kept, step, damping, views, from, points } = self;
         let mut out = Trial::default();
-        let mut one = OnePoint::<D>::new(pass.layout, piece.points.clone());
+        let mut source = Source::new(pass.layout, piece, kept);
         for (place, point) in piece.points.clone().enumerate() {
             let before = from.points[point];
-            one.work_out::<F>(pass, from, point, damping);
+            let one = source.point::<F>(pass, piece, from, point, damping);
             let mut delta = [0.0; 3];
             if !one.terms.is_held() {
-                delta = back_substitute::<D, F>(pass.layout, &one, step, point);
+                delta = back_substitute::<D, F>(pass.layout, one, step, point);
                 out.decrease += one.terms.predicted_decrease(&delta, damping);
             }
             let moved = std::array::from_fn(|k| before[k] + delta[k]);
-            let (position, cost) = settled::<D, F>(pass, &one, views, point, moved);
+            let (position, cost) = settled::<D, F>(pass, one, views, point, moved);
             points[place] = position;
             out.cost += cost;
             for k in 0..3 {
@@ -113,15 +115,15 @@ impl<const D: usize> Task for MovePoints<'_, D> {
 #[inline(always)]
 fn settled<const D: usize, F: Fused>(
     pass: &Pass,
-    one: &OnePoint<D>,
+    one: Eliminated<D>,
     views: &[View],
     point: usize,
     position: [f64; 3],
 ) -> ([f64; 3], f64) {
-    let (layout, terms) = (pass.layout, &one.terms);
+    let (layout, terms) = (pass.layout, one.terms);
     // L⁻¹ Jₚᵀ r', from Q = Jₚ L⁻ᵀ.
     let (mut cost, mut half_step) = (0.0, [0.0; 3]);
-    for (o, residual) in layout.obs_of_point(point).zip(&one.residuals) {
+    for (o, residual) in layout.obs_of_point(point).zip(one.residuals) {
         let measured = pass.measured(o);
         let r = plain_residual(&views[measured.pose as usize], &position, measured);
         let (rho, root) = robust_cost_and_root(&pass.loss, &r);
@@ -151,12 +153,12 @@ fn settled<const D: usize, F: Fused>(
 #[inline(always)]
 fn back_substitute<const D: usize, F: Fused>(
     layout: &Layout,
-    one: &OnePoint<D>,
+    one: Eliminated<D>,
     step: &[f64],
     point: usize,
 ) -> [f64; 3] {
     let mut t = one.terms.half_step;
-    for (o, residual) in layout.obs_of_point(point).zip(&one.residuals) {
+    for (o, residual) in layout.obs_of_point(point).zip(one.residuals) {
         let block = layout.obs_block[o];
         if block != NONE {
             let d: &[f64] = &step[block as usize * D..][..D];
@@ -167,10 +169,10 @@ fn back_substitute<const D: usize, F: Fused>(
             }
         }
     }
-    for slot in layout.slots_of_point(point) {
+    for (slot, eliminated) in layout.slots_of_point(point).zip(one.slots) {
         let first = layout.num_blocks() * D + layout.slots[slot] as usize * 6;
         for k in 0..3 {
-            t[k] += dot::<6, F>(&one.slot_eliminated[slot - one.first_slot][k], &step[first..first + 6]);
+            t[k] += dot::<6, F>(&eliminated[k], &step[first..first + 6]);
         }
     }
     one.terms.back_solve(&t).map(|v| -v)

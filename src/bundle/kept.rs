@@ -1,0 +1,172 @@
+//! What is kept of a linearisation for the step of the points, where there is room for it.
+//!
+//! The step of a point needs its residuals' derivatives by the views, its elimination and its normal equations once
+//! more ([`super::trial`]). Of a small problem they are kept, one piece after the other in flat lists: reading 170 bytes
+//! an observation takes less time than working them out. A large problem would need more memory for them than for all
+//! else, so that they are worked out anew. The numbers are the same, bit for bit.
+
+use super::layout::Layout;
+use super::linearize::{OnePoint, Pass, Piece};
+use super::point::PointTerms;
+use super::residual::Residual;
+use super::simd::Fused;
+use super::state::State;
+
+/// Bytes that may be kept: some 350,000 observations, a map of 300 to 400 frames.
+pub(super) const KEPT_BYTES: usize = 64 << 20;
+
+/// What the step of a point needs to know of it.
+#[derive(Clone, Copy)]
+pub(super) struct Eliminated<'a, const D: usize> {
+    /// Of its observations.
+    pub residuals: &'a [Residual<D>],
+    /// L⁻¹ Jₚᵀ J_c of its slots (eq. 9).
+    pub slots: &'a [[[f64; 6]; 3]],
+    /// Its normal equations.
+    pub terms: &'a PointTerms,
+}
+
+/// What is kept of the points of one piece, in their order.
+pub(super) struct Kept<const D: usize> {
+    residuals: Vec<Residual<D>>,
+    slots: Vec<[[f64; 6]; 3]>,
+    terms: Vec<PointTerms>,
+}
+
+impl<const D: usize> Kept<D> {
+    /// Of nothing.
+    pub fn new() -> Self {
+        Self { residuals: Vec::new(), slots: Vec::new(), terms: Vec::new() }
+    }
+
+    /// Bytes that it takes to keep all points.
+    pub fn bytes(layout: &Layout) -> usize {
+        layout.num_obs() * size_of::<Residual<D>>()
+            + layout.slots.len() * size_of::<[[f64; 6]; 3]>()
+            + layout.points.len() * size_of::<PointTerms>()
+    }
+
+    /// Forgets everything and makes room for a piece.
+    pub fn begin(&mut self, piece: &Piece) {
+        self.residuals.clear();
+        self.slots.clear();
+        self.terms.clear();
+        self.residuals.reserve_exact(piece.obs.len());
+        self.slots.reserve_exact(piece.slots.len());
+        self.terms.reserve_exact(piece.points.len());
+    }
+
+    /// Keeps the piece's next point.
+    #[inline(always)]
+    pub fn push(&mut self, one: Eliminated<D>) {
+        self.residuals.extend_from_slice(one.residuals);
+        self.slots.extend_from_slice(one.slots);
+        self.terms.push(*one.terms);
+    }
+
+    #[inline(always)]
+    fn point(&self, layout: &Layout, piece: &Piece, point: usize) -> Eliminated<'_, D> {
+        let (obs, slots) = (layout.obs_of_point(point), layout.slots_of_point(point));
+        Eliminated {
+            residuals: &self.residuals[obs.start - piece.obs.start..obs.end - piece.obs.start],
+            slots: &self.slots[slots.start - piece.slots.start..slots.end - piece.slots.start],
+            terms: &self.terms[point - piece.points.start],
+        }
+    }
+}
+
+/// Where the step of the points has it from.
+pub(super) enum Source<'a, const D: usize> {
+    /// From the linearisation.
+    Kept(&'a Kept<D>),
+    /// Each point is worked out once more.
+    Anew(Box<OnePoint<D>>),
+}
+
+impl<'a, const D: usize> Source<'a, D> {
+    pub fn new(layout: &Layout, piece: &Piece, kept: Option<&'a Kept<D>>) -> Self {
+        kept.map_or_else(|| Self::Anew(Box::new(OnePoint::new(layout, piece.points.clone()))), Self::Kept)
+    }
+
+    /// A point of the piece, as it was at the state and with the damping of the linearisation.
+    #[inline(always)]
+    pub fn point<F: Fused>(
+        &mut self,
+        pass: &Pass,
+        piece: &Piece,
+        from: &State,
+        point: usize,
+        damping: f64,
+    ) -> Eliminated<'_, D> {
+        match self {
+            Self::Kept(kept) => kept.point(pass.layout, piece, point),
+            Self::Anew(one) => {
+                one.work_out::<F>(pass, from, point, damping);
+                one.eliminated(pass.layout, point)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::levenberg_marquardt::with_threads;
+    use super::super::linearize::Linearization;
+    use super::super::options::Options;
+    use super::super::priors;
+    use super::super::problem::{CameraBlock, PointPrior, Problem};
+    use super::super::schur::Reduced;
+    use super::super::trial::{Trial, try_step};
+    use super::*;
+    use crate::math::RobustLoss;
+    use crate::synthetic::scene::{self, disturb, static_scene};
+
+    const DAMPING: f64 = 1e-3;
+
+    /// A noisy world in several pieces, with a point that is held and one that is known.
+    fn problem(camera_per_image: bool) -> Problem {
+        let options = scene::Options { camera_per_image, num_images: 20, num_points: 3000, ..Default::default() };
+        let mut start = static_scene(&options);
+        disturb(&mut start, 0.01, 0.05, 5);
+        let free = |camera| CameraBlock { camera, free: [true; 6], tie_focal: false };
+        let mut problem = Problem::from_reconstruction(&start, |_, camera| free(*camera));
+        problem.points[7].fixed = true;
+        let position = problem.points[3].position;
+        problem.priors.points.push(PointPrior { point: 3, position, sigma: 0.02 });
+        problem
+    }
+
+    /// The second of two steps of the points, with so many bytes to keep things in.
+    fn second_step(problem: &Problem, most_bytes: usize, parallel: bool) -> (Trial, Vec<[f64; 3]>) {
+        let options = Options { loss: RobustLoss::Cauchy { scale: 2.0 }, ..Options::default() };
+        let layout = Layout::new(problem, &options, parallel);
+        let pass = Pass { layout: &layout, observations: &problem.observations, loss: options.loss, parallel };
+        let (mut state, mut reduced) = (State::new(problem, &layout), Reduced::<12>::new(&layout));
+        let mut lin = Linearization::new(&pass, &reduced.pattern).keep_within(&layout, most_bytes);
+        assert!(lin.pieces.len() > 1 && lin.kept.iter().all(|kept| kept.is_some() == (most_bytes > 0)));
+        let step: Vec<f64> = (0..reduced.size()).map(|k| 1e-4 * (k as f64).sin()).collect();
+        let mut last = Trial::default();
+        for _ in 0..2 {
+            lin.evaluate(&pass, &state, DAMPING, &mut reduced);
+            reduced.finish(&priors::terms(problem, &layout, &state), DAMPING);
+            let mut moved = state.clone();
+            moved.move_cameras(&state, problem, &layout, &step, 12);
+            last = try_step(&lin, &pass, &step, DAMPING, &state, &mut moved);
+            state = moved;
+        }
+        (last, state.points)
+    }
+
+    #[test]
+    fn what_is_kept_is_what_would_be_worked_out_anew() {
+        for camera_per_image in [false, true] {
+            let problem = problem(camera_per_image);
+            let anew = second_step(&problem, 0, false);
+            assert!(anew.0.cost.is_finite() && anew.0.decrease != 0.0, "{:?}", anew.0);
+            for (bytes, threads) in [(KEPT_BYTES, 1), (KEPT_BYTES, 3), (0, 3)] {
+                let step = with_threads(threads, |parallel| second_step(&problem, bytes, parallel)).unwrap();
+                assert!(step == anew, "{bytes} bytes, {threads} threads: {:?}, {:?}", step.0, anew.0);
+            }
+        }
+    }
+}
