@@ -1,14 +1,16 @@
 //! Stage `features`: tracks of image points on the background. Besides, how such tracks lie on disk.
 
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde_json::{Value, json};
 
+use super::followed::{self, Follower};
 use super::masking::Masking;
 use super::run::{Outcome, Run};
+use super::strip::Keeper;
 use super::{Instances, PipelineError, Stage, cameras, fingerprint, order, own_file, pictures};
-use crate::io::atomic;
+use crate::image::RgbImage;
+use crate::scene::Frame;
 use crate::sfm::{FrontEnd, TrackTable};
 use crate::video::VideoError;
 
@@ -40,7 +42,9 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let mut outcome = Outcome::default();
     let store = TrackStore::fresh(run, PREFIX, fingerprint)?;
     if run.options.background_model.is_none() {
-        let table = follow_background(run, &mut outcome)?;
+        let mut beside = Beside { points: Follower::beside_features(run)?, strip: Keeper::beside_features(run)? };
+        let table = follow_background(run, &mut beside, &mut outcome)?;
+        beside.write(run, &store)?;
         outcome.figure("background_tracks", table.tracks.len());
         store.write(BACKGROUND, &table)?;
     }
@@ -48,7 +52,31 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     Ok(outcome)
 }
 
-fn follow_background(run: &Run, outcome: &mut Outcome) -> Result<TrackTable, PipelineError> {
+/// What later stages of the same run would decode the pictures for once more.
+struct Beside {
+    points: Option<Follower>,
+    strip: Option<Keeper>,
+}
+
+impl Beside {
+    fn push(&mut self, frame: &Frame, picture: &RgbImage) -> Result<(), PipelineError> {
+        if let Some(strip) = &mut self.strip {
+            strip.push(frame, picture);
+        }
+        self.points.as_mut().map_or(Ok(()), |points| points.push(frame, picture))
+    }
+
+    fn write(self, run: &Run, store: &TrackStore) -> Result<(), PipelineError> {
+        if let Some(strip) = &self.strip {
+            strip.write(&store.folder)?;
+        }
+        let write = |points: Follower| own_file::write(&store.path(&followed::name(run)), &points.finish());
+        self.points.map_or(Ok(()), write)
+    }
+}
+
+/// Tracks of the background, and what is made on the way.
+fn follow_background(run: &Run, beside: &mut Beside, outcome: &mut Outcome) -> Result<TrackTable, PipelineError> {
     let initial = cameras::initial(run)?;
     if let Some(open) = cameras::not_covered(run, &initial) {
         outcome.warn(open);
@@ -66,6 +94,7 @@ fn follow_background(run: &Run, outcome: &mut Outcome) -> Result<TrackTable, Pip
         let mask = masking.background(&frame, picture.dimensions())?;
         let camera = camera_of.get(&frame.id).copied().unwrap_or_default();
         num_decoded += 1;
+        beside.push(&frame, &picture)?;
         Ok(background.push_of(camera, &frame, &picture, &mask)?)
     })?;
     if num_decoded == 0 {
@@ -97,7 +126,7 @@ impl TrackStore {
     }
 
     pub(super) fn write(&self, target: &str, table: &TrackTable) -> Result<(), PipelineError> {
-        write(&self.path(target), table)
+        own_file::write(&self.path(target), table)
     }
 
     pub(super) fn read(&self, target: &str) -> Result<TrackTable, PipelineError> {
@@ -106,40 +135,5 @@ impl TrackStore {
 
     pub(super) fn path(&self, target: &str) -> PathBuf {
         self.folder.join(format!("{target}.bin"))
-    }
-}
-
-/// Piece by piece: the tracks of a long video are not to lie in memory twice.
-fn write(path: &Path, table: &TrackTable) -> Result<(), PipelineError> {
-    let written = atomic::write_with(path, |out| {
-        let mut out = KeepsError { out, error: None };
-        let done = postcard::to_io(table, &mut out);
-        let failed = done.err().map(std::io::Error::other);
-        out.error.or(failed).map_or(Ok(()), Err)
-    });
-    Ok(written?)
-}
-
-/// Keeps what went wrong, of which [`postcard`] says only that something did.
-struct KeepsError<'a> {
-    out: &'a mut dyn Write,
-    error: Option<std::io::Error>,
-}
-
-impl Write for KeepsError<'_> {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.out.write(bytes)
-    }
-
-    fn write_all(&mut self, bytes: &[u8]) -> std::io::Result<()> {
-        self.out.write_all(bytes).map_err(|e| {
-            let kind = e.kind();
-            self.error = Some(e);
-            kind.into()
-        })
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        self.out.flush()
     }
 }

@@ -16,6 +16,7 @@ mod exports;
 mod features;
 mod fingerprint;
 mod follow;
+mod followed;
 mod found_features;
 mod frames;
 mod given_masks;
@@ -43,6 +44,7 @@ mod run_json;
 mod scale;
 mod segment;
 mod stage;
+mod strip;
 mod threads;
 mod track;
 mod workspace;
@@ -220,6 +222,7 @@ impl Job<'_> {
 }
 
 fn stages<'a>(run: &mut Run<'a>, goal: Stage, input: &str, muted: &'a Muted<'a>) -> Result<(), PipelineError> {
+    run.goal = goal;
     preflight::check_camera(run)?;
     for stage in Stage::ALL.into_iter().filter(|stage| *stage <= goal) {
         one_stage(run, stage, input)?;

@@ -1,36 +1,31 @@
 //! Stage `motion`: what moves against the background.
 //!
-//! Points are followed all over the picture and held against the background's cameras and the ground. What the stage
-//! leaves are boxes of what moves, frame by frame, and the points themselves with what is known of each: the next stage
-//! asks whether the objects moved whose masks it has.
+//! Points are followed all over the picture and held against the background's cameras and the ground. Following needs
+//! pictures alone, so that the stage `features` does it where it goes through them all ([`super::followed`]). What this
+//! stage leaves are boxes of what moves, frame by frame, and what is known of each point: the next stage asks whether
+//! the objects moved whose masks it has.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Point3;
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::detections::FrameFolder;
-use super::order;
+use super::followed::{self, Followed};
 use super::run::{Outcome, Run};
-use super::{Instances, MotionChoice, PipelineError, Stage, fingerprint, models, own_file, pictures};
+use super::{Instances, MotionChoice, PipelineError, Stage, fingerprint, models, own_file};
 use crate::ground::dominant_plane_points;
-use crate::image::gray_from_rgb;
-use crate::io::atomic;
-use crate::perception::PerceptionError;
-use crate::perception::motion::{
-    GroundModel, Mover, PointFollower, PointTrack, Surroundings, TrackLabel, View, classify, movers,
-};
+use crate::perception::motion::{GroundModel, Mover, PointTrack, Surroundings, TrackLabel, View, classify, movers};
 use crate::scene::{BoxDetection, Finder, Frame, FrameId, ImageId, Reconstruction};
 
 const PREFIX: &str = "motion-";
-const POINTS: &str = "points.bin";
+const LABELS: &str = "labels.bin";
 /// What motion finds has no other name.
 const CLASS: &str = "vehicle";
 
 /// The points of a run and what is known of each.
-#[derive(Debug, Default, Serialize, Deserialize)]
+#[derive(Debug, Default)]
 pub(super) struct Points {
     /// The frames that tracks count, from 0: those that could be decoded.
     pub(super) frames: Vec<FrameId>,
@@ -39,7 +34,7 @@ pub(super) struct Points {
 }
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
-    if !is_wanted(run)? {
+    if !followed::is_wanted(run)? {
         return Ok(json!("none"));
     }
     Ok(json!({
@@ -50,11 +45,6 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     }))
 }
 
-/// Whether anything is looked for, in pictures that follow one another.
-fn is_wanted(run: &Run) -> Result<bool, PipelineError> {
-    Ok(order::found(run)?.in_time && run.options.instances != Instances::None)
-}
-
 /// Whether motion is to find vehicles, besides saying which of them move.
 fn finds(run: &Run) -> bool {
     run.options.instances == Instances::Vehicles && run.options.vehicles.motion == MotionChoice::On
@@ -62,12 +52,12 @@ fn finds(run: &Run) -> bool {
 
 pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    if !is_wanted(run)? {
+    if !followed::is_wanted(run)? {
         return Ok(outcome);
     }
     let folder = run.workspace.keep_only(PREFIX, &fingerprint::folder_name(PREFIX, fingerprint))?;
     let (background, _) = models::background(run)?;
-    let (frames, tracks) = follow(run, &mut outcome)?;
+    let Followed { frames, tracks } = followed::points(run, &folder, &mut outcome)?;
     let world = World::new(run, &background, &frames, &mut outcome);
     let labels = classify(&tracks, &world.surroundings(run), &run.options.motion.evidence);
     let found = match finds(run) {
@@ -77,26 +67,9 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     outcome.figure("num_points", tracks.len());
     outcome.figure("num_movers", found.len());
     write_boxes(&folder, &frames, &found)?;
-    write_points(&folder.join(POINTS), &Points { frames: ids(&frames), tracks, labels })?;
+    own_file::write(&folder.join(LABELS), &labels)?;
     outcome.outputs.push(folder);
     Ok(outcome)
-}
-
-fn ids(frames: &[Frame]) -> Vec<FrameId> {
-    frames.iter().map(|frame| frame.id).collect()
-}
-
-/// Follows points through all frames; gives those that could be decoded, which the tracks count.
-fn follow(run: &Run, outcome: &mut Outcome) -> Result<(Vec<Frame>, Vec<PointTrack>), PipelineError> {
-    let mut seen = Vec::new();
-    let mut follower = PointFollower::new(&run.options.motion.follower, (run.info().width, run.info().height));
-    run.progress.begin("motion", Some(run.frames()?.len() as u64));
-    pictures::for_each(run, run.source.frames()?, outcome, |frame, picture| {
-        follower.push(&gray_from_rgb(&picture).map_err(PerceptionError::from)?)?;
-        seen.push(frame);
-        Ok(())
-    })?;
-    Ok((seen, follower.finish()))
 }
 
 /// The background as motion is held against it.
@@ -111,7 +84,7 @@ pub(super) struct World {
 /// The background as later stages hold frames against it; `None` where frames do not follow one another in time, or
 /// motion is not looked at.
 pub(super) fn world(run: &Run, frames: &[Frame]) -> Result<Option<World>, PipelineError> {
-    if !is_wanted(run)? {
+    if !followed::is_wanted(run)? {
         return Ok(None);
     }
     let (background, _) = models::background(run)?;
@@ -174,12 +147,6 @@ fn write_boxes(folder: &Path, frames: &[Frame], found: &[Mover]) -> Result<(), P
     Ok(())
 }
 
-fn write_points(path: &Path, points: &Points) -> Result<(), PipelineError> {
-    let bytes = postcard::to_stdvec(points)
-        .map_err(|e| PipelineError::State { path: path.to_owned(), reason: e.to_string() })?;
-    Ok(atomic::write(path, &bytes)?)
-}
-
 fn folder(run: &Run) -> PathBuf {
     run.workspace.state(&fingerprint::folder_name(PREFIX, run.fingerprint(Stage::Motion)))
 }
@@ -191,8 +158,13 @@ pub(super) fn boxes(run: &Run) -> FrameFolder<BoxDetection> {
 
 /// The points and what is known of them; none where motion was not looked at. The stage must be done.
 pub(super) fn points(run: &Run) -> Result<Points, PipelineError> {
-    if !is_wanted(run)? {
+    if !followed::is_wanted(run)? {
         return Ok(Points::default());
     }
-    own_file::read(&folder(run).join(POINTS))
+    let folder = folder(run);
+    let Followed { frames, tracks } = followed::kept_points(run, &folder)?;
+    let path = folder.join(LABELS);
+    let points =
+        Points { frames: frames.into_iter().map(|frame| frame.id).collect(), tracks, labels: own_file::read(&path)? };
+    own_file::flaw_of_labels(&points).map_or(Ok(points), |flaw| Err(own_file::damaged(&path, flaw)))
 }

@@ -1,16 +1,18 @@
 //! Files of the run's own, as they are read again. What later stages take for granted is checked here: a disk may have
 //! failed, or another hand changed them.
 
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Write};
 use std::path::{Component, Path};
 
+use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::PipelineError;
+use super::followed::Followed;
 use super::motion::Points;
-use crate::io::{IoError, is_sensible};
+use crate::io::{IoError, atomic, is_sensible};
 use crate::limits::files;
-use crate::perception::motion::PointTrack;
+use crate::perception::motion::{PointTrack, TrackLabel};
 use crate::scene::{BoxDetection, Frame, Rect};
 use crate::sfm::TrackTable;
 
@@ -38,6 +40,44 @@ pub(super) fn read<T: Content>(path: &Path) -> Result<T, PipelineError> {
     taken(&bytes).map_err(|reason| damaged(path, reason))
 }
 
+/// Writes such a file, piece by piece: the tracks of a long video are not to lie in memory twice.
+///
+/// # Errors
+/// What the system says of the file.
+pub(super) fn write(path: &Path, value: &impl Serialize) -> Result<(), PipelineError> {
+    let written = atomic::write_with(path, |out| {
+        let mut out = KeepsError { out, error: None };
+        let done = postcard::to_io(value, &mut out);
+        let failed = done.err().map(std::io::Error::other);
+        out.error.or(failed).map_or(Ok(()), Err)
+    });
+    Ok(written?)
+}
+
+/// Keeps what went wrong, of which [`postcard`] says only that something did.
+struct KeepsError<'a> {
+    out: &'a mut dyn Write,
+    error: Option<std::io::Error>,
+}
+
+impl Write for KeepsError<'_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.out.write(bytes)
+    }
+
+    fn write_all(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        self.out.write_all(bytes).map_err(|e| {
+            let kind = e.kind();
+            self.error = Some(e);
+            kind.into()
+        })
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.out.flush()
+    }
+}
+
 /// The content of such a file; what is wrong with it, in words.
 pub(super) fn taken<T: Content>(bytes: &[u8]) -> Result<T, String> {
     let content: T = postcard::from_bytes(bytes).map_err(|error| error.to_string())?;
@@ -59,18 +99,32 @@ impl Content for TrackTable {
     }
 }
 
-impl Content for Points {
+impl Content for Followed {
     fn flaw(&self) -> Option<String> {
-        if self.labels.len() != self.tracks.len() {
-            return Some(format!("{} points have {} labels", self.tracks.len(), self.labels.len()));
-        }
-        let is_wrong = |track: &PointTrack| {
-            let end = u64::from(track.first) + track.pixels.len() as u64;
-            end > self.frames.len() as u64 || !track.pixels.as_flattened().iter().all(|side| side.is_finite())
-        };
-        let found = self.tracks.iter().position(is_wrong);
-        found.map(|k| format!("point {k} lies in frames, or at places, that are not there"))
+        self.frames.iter().find_map(Content::flaw).or_else(|| flaw_of_points(&self.tracks, self.frames.len()))
     }
+}
+
+/// They belong to points, with which [`flaw_of_labels`] holds them.
+impl Content for TrackLabel {
+    fn flaw(&self) -> Option<String> {
+        None
+    }
+}
+
+/// What is wrong with points and their labels, in words.
+pub(super) fn flaw_of_labels(points: &Points) -> Option<String> {
+    let (labels, tracks) = (points.labels.len(), points.tracks.len());
+    (labels != tracks).then(|| format!("{tracks} points have {labels} labels"))
+}
+
+fn flaw_of_points(tracks: &[PointTrack], num_frames: usize) -> Option<String> {
+    let is_wrong = |track: &PointTrack| {
+        let end = u64::from(track.first) + track.pixels.len() as u64;
+        end > num_frames as u64 || !track.pixels.as_flattened().iter().all(|side| side.is_finite())
+    };
+    let found = tracks.iter().position(is_wrong);
+    found.map(|k| format!("point {k} lies in frames, or at places, that are not there"))
 }
 
 impl Content for BoxDetection {
@@ -112,7 +166,6 @@ mod tests {
 
     use super::*;
     use crate::math::{Rng, seeded_rng};
-    use crate::perception::motion::{TrackLabel, Verdict};
     use crate::scene::{Finder, FrameId, ImageId};
     use crate::sfm::tracks::{Feature, View};
 
@@ -129,11 +182,10 @@ mod tests {
         TrackTable { views: (0..4).map(view).collect(), tracks: (0..5).map(track).collect() }
     }
 
-    fn points() -> Points {
-        let label =
-            TrackLabel { verdict: Verdict::Undetermined, strength: 1.0, deviation_px: 0.5, relative_height: None };
+    fn points() -> Followed {
+        let frame = |k| Frame { id: FrameId(k), name: format!("{k:06}.jpg"), time_s: f64::from(k) };
         let track = |first| PointTrack { first, pixels: vec![[1.5, 2.5]; 3] };
-        Points { frames: (0..6).map(FrameId).collect(), tracks: (0..4).map(track).collect(), labels: vec![label; 4] }
+        Followed { frames: (0..6).map(frame).collect(), tracks: (0..4).map(track).collect() }
     }
 
     fn boxes() -> Vec<BoxDetection> {
@@ -175,7 +227,7 @@ mod tests {
                 prop_assert!(table.tracks.iter().all(|track| track.is_sorted_by_key(|seen| seen.view)));
             }
             if let Some(points) = taken_of(&points(), seed) {
-                for (track, _) in points.tracks.iter().zip(&points.labels) {
+                for track in &points.tracks {
                     let last = track.end().checked_sub(1).filter(|_| !track.pixels.is_empty());
                     prop_assert!(last.is_none_or(|k| track.at(k).is_some() && points.frames.get(k as usize).is_some()));
                 }
@@ -199,10 +251,11 @@ mod tests {
         assert!(flaw(&|t| t.views[3].pixels[0].x = f64::NAN).contains("000003.jpg"));
         assert!(flaw(&|t| t.views[1].rgb.truncate(2)).contains("000001.jpg"));
         assert!(flaw(&|t| t.views[1].image = ImageId(1)).contains("000001.jpg"));
-        let (mut short, mut late) = (points(), points());
-        short.labels.truncate(1);
+        let mut late = points();
         late.tracks[3].first = u32::MAX;
-        assert!(short.flaw().unwrap().contains("labels") && late.flaw().unwrap().contains("point 3"));
+        assert!(late.flaw().unwrap().contains("point 3"));
+        let unlabelled = Points { frames: vec![FrameId(0); 6], tracks: points().tracks, labels: Vec::new() };
+        assert!(flaw_of_labels(&unlabelled).unwrap().contains("labels"));
         let mut endless = boxes();
         endless[1].rect.x1 = f64::INFINITY;
         assert!(endless.flaw().is_some());

@@ -1,6 +1,6 @@
 //! Stage `report`: the page to look at, from what all stages left behind.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
@@ -8,8 +8,7 @@ use serde::Deserialize;
 use super::models::{self, ModelReport};
 use super::options::CameraOrigin;
 use super::run::{Outcome, Run};
-use super::track;
-use super::{Options, PipelineError, Silent, Workspace, cameras, ground, objects, scale};
+use super::{Options, PipelineError, Silent, Workspace, cameras, ground, objects, scale, strip, track};
 use crate::eval::Evaluation;
 use crate::io::json;
 use crate::report::{self, Data, Fact, Missing, Model, Object, Part, Thumbnail};
@@ -220,16 +219,13 @@ fn missing(background: &ModelReport) -> Vec<Missing> {
 
 /// Pictures of evenly spread frames, with the masks over them.
 fn strip(run: &Run, tracked: &[TrackedObject]) -> Result<Vec<Thumbnail>, PipelineError> {
-    let ids: Vec<FrameId> = run.frames()?.iter().map(|frame| frame.id).collect();
-    let wanted: BTreeSet<FrameId> = report::strip_frames(&ids).into_iter().collect();
-    let mut strip = Vec::new();
-    // A frame that cannot be decoded was reported by the stage that needed it; here it is one picture less.
-    for (frame, picture) in run.source.frames_at(wanted)?.flatten() {
+    let mut thumbnails = Vec::new();
+    for (frame, picture) in strip::pictures(run)? {
         let masks = track::masks_of(run, tracked, &frame)?;
         let masks: Vec<_> = masks.iter().map(|(id, mask)| (*id, mask)).collect();
-        strip.push(Thumbnail::new(frame.id, &picture, &masks)?);
+        thumbnails.push(Thumbnail::new(frame.id, &picture, &masks)?);
     }
-    Ok(strip)
+    Ok(thumbnails)
 }
 
 fn stages(run: &Run) -> Vec<report::Stage> {

@@ -58,6 +58,8 @@ pub(super) struct Run<'a> {
     pub(super) source: &'a Source,
     pub(super) arguments: &'a [String],
     pub(super) progress: &'a dyn Progress,
+    /// The last stage that is to be done.
+    pub(super) goal: Stage,
     pub(super) records: Vec<StageRecord>,
     /// What is odd about what was given, before any stage.
     warnings: Vec<String>,
@@ -74,7 +76,8 @@ impl<'a> Run<'a> {
         progress: &'a dyn Progress,
     ) -> Self {
         let (records, warnings, frames, said_anew) = (Vec::new(), Vec::new(), OnceCell::new(), Cell::new(false));
-        Self { options, workspace, source, arguments, progress, records, warnings, frames, said_anew }
+        let goal = Stage::Report;
+        Self { options, workspace, source, arguments, progress, goal, records, warnings, frames, said_anew }
     }
 
     pub(super) fn input(&self) -> &Path {

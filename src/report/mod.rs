@@ -33,7 +33,7 @@ mod testing;
 
 pub use data::{Data, Fact, Missing, Model, Object, Part, Stage};
 pub use metres::metres_in_words;
-pub use overlay::{Label, Thumbnail, object_colour, overlay, strip_frames};
+pub use overlay::{Label, Thumbnail, object_colour, overlay, shrunk, strip_frames};
 pub use verdict::Verdict;
 
 use std::path::{Path, PathBuf};

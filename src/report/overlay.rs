@@ -104,12 +104,8 @@ impl Thumbnail {
     /// # Errors
     /// [`ReportError::Picture`] if the picture is empty.
     pub fn new(frame: FrameId, picture: &RgbImage, masks: &[(ObjectId, &Mask)]) -> Result<Self, ReportError> {
-        let (width, height) = thumbnail_size(picture.width(), picture.height());
-        let small = if (width, height) == picture.dimensions() {
-            overlay(picture, masks)
-        } else {
-            overlay(&imageops::thumbnail(picture, width, height), masks)
-        };
+        let small = overlay(&shrunk(picture), masks);
+        let (width, height) = small.dimensions();
         let mut jpeg = Vec::new();
         JpegEncoder::new_with_quality(&mut jpeg, THUMBNAIL_QUALITY)
             .encode_image(&small)
@@ -117,6 +113,12 @@ impl Thumbnail {
         let labels = masks.iter().filter_map(|&(id, mask)| label(id, mask)).collect();
         Ok(Self { frame, width, height, jpeg, labels })
     }
+}
+
+/// A picture at the size of the strip; what is small already stays as it is.
+pub fn shrunk(picture: &RgbImage) -> RgbImage {
+    let (width, height) = thumbnail_size(picture.width(), picture.height());
+    if (width, height) == picture.dimensions() { picture.clone() } else { imageops::thumbnail(picture, width, height) }
 }
 
 fn thumbnail_size(width: u32, height: u32) -> (u32, u32) {
@@ -178,6 +180,7 @@ mod tests {
         assert_eq!(thumbnail.labels, [Label { object: ObjectId(3), x: 0.75, y: 0.5 }]);
         let decoded = image::load_from_memory(&thumbnail.jpeg).unwrap().to_rgb8();
         assert_eq!(decoded.dimensions(), (400, 225));
+        assert_eq!(Thumbnail::new(FrameId(7), &shrunk(&picture), &[(ObjectId(3), &mask)]).unwrap(), thumbnail);
         assert!(Thumbnail::new(FrameId(0), &RgbImage::new(0, 0), &[]).is_err());
     }
 

@@ -19,7 +19,7 @@ mod memory;
 #[cfg(test)]
 mod tests;
 
-use nalgebra::{Matrix2, Point2};
+use nalgebra::{Matrix2, Point2, Vector2};
 use opencv::core::{Mat, Point2f, Size, Vector};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -28,9 +28,9 @@ use super::patch::{Patch, Warp};
 use super::tracks::{Feature, Track, TrackTable, View};
 use super::{SfmError, Target};
 use crate::camera::Camera;
-use crate::image::{GrayImage, RgbImage, gray_from_rgb, mat_from_bytes, mat_from_gray};
+use crate::image::{GrayImage, RgbImage, borrowed_gray, gray_from_rgb, mat_from_gray};
 use crate::limits::{Checked, within};
-use crate::scene::{Frame, Mask};
+use crate::scene::{BoundingBox, Frame, Mask};
 use live::{Live, whitening};
 use memory::Memory;
 
@@ -214,23 +214,8 @@ impl VideoFrontEnd {
         for point in &self.live {
             clear_disc(&mut free, point.warp.center, reach);
         }
-        if wanted == 0 || free.bounding_box().is_none() {
-            return Ok(());
-        }
-        let mut corners = Vector::<Point2f>::new();
-        opencv::imgproc::good_features_to_track(
-            &mat_from_gray(gray)?,
-            &mut corners,
-            wanted as i32,
-            self.options.quality,
-            self.options.min_distance_px,
-            &mat_from_bytes(gray.width(), gray.height(), &free.to_bytes())?,
-            3,
-            false,
-            0.04,
-        )?;
-        for corner in corners {
-            let center = from_opencv(corner);
+        let Some(bounds) = free.bounding_box().filter(|_| wanted > 0) else { return Ok(()) };
+        for center in self.corners(gray, &free, bounds, wanted)? {
             if let Some(patch) = Patch::cut(gray, center, self.options.patch_radius_px) {
                 let track = self.table.tracks.len();
                 self.table.tracks.push(Track::new());
@@ -240,6 +225,39 @@ impl VideoFrontEnd {
             }
         }
         Ok(())
+    }
+
+    /// The strongest corners of the pixels that are set, all of which lie within some bounds: of a small object no more
+    /// than its surroundings are looked at.
+    fn corners(
+        &self,
+        gray: &GrayImage,
+        free: &Mask,
+        bounds: BoundingBox,
+        wanted: usize,
+    ) -> Result<Vec<Point2<f32>>, SfmError> {
+        /// What the strength of a corner depends on.
+        const MARGIN_PX: u32 = 8;
+        let (x0, y0) = (bounds.x0.saturating_sub(MARGIN_PX), bounds.y0.saturating_sub(MARGIN_PX));
+        let x1 = bounds.x1.saturating_add(MARGIN_PX).min(gray.width());
+        let y1 = bounds.y1.saturating_add(MARGIN_PX).min(gray.height());
+        let cropped = |image: &GrayImage| ::image::imageops::crop_imm(image, x0, y0, x1 - x0, y1 - y0).to_image();
+        let free = GrayImage::from_raw(free.width(), free.height(), free.to_bytes()).unwrap_or_default();
+        let (crop, free) = (cropped(gray), cropped(&free));
+        let mut corners = Vector::<Point2f>::new();
+        opencv::imgproc::good_features_to_track(
+            &borrowed_gray(&crop)?,
+            &mut corners,
+            wanted as i32,
+            self.options.quality,
+            self.options.min_distance_px,
+            &borrowed_gray(&free)?,
+            3,
+            false,
+            0.04,
+        )?;
+        let in_picture = |corner| from_opencv(corner) + Vector2::new(x0 as f32, y0 as f32);
+        Ok(corners.into_iter().map(in_picture).collect())
     }
 
     fn record(&mut self, frame: &Frame, image: &RgbImage) {

@@ -1,10 +1,11 @@
 //! Points followed through all frames, all over the picture.
 //!
 //! Pyramidal Lucas-Kanade (J.-Y. Bouguet, 2000; OpenCV) there and back. A point that has been followed before starts at
-//! where its last step leads, and needs no coarse pictures, in which a small vehicle is one with the road; what is lost
-//! so, and what is new, is looked for through the whole pyramid. New points are the strongest corners (J. Shi, C.
-//! Tomasi,
-//! *Good Features to Track*, 1994) of the cells of a grid in which no point is.
+//! where its last step leads, and needs no coarse pictures, in which a small vehicle is one with the road; what is new
+//! is looked for through the whole pyramid, and what is lost, too, where the picture moves otherwise than before. New
+//! points are the strongest corners (J. Shi, C. Tomasi, *Good Features to Track*, 1994) of the cells of a grid in which
+//! no point is. A cell whose point did not last rests for some frames: of ten new points four do not last, most of them
+//! again and again in the same cells.
 
 use opencv::core::{Mat, MatTraitConst, Point2f, Size, TermCriteria, Vector};
 use opencv::prelude::*;
@@ -46,7 +47,14 @@ pub struct PointFollower {
     live: Vec<Live>,
     done: Vec<PointTrack>,
     num_frames: u32,
+    /// Per cell of the grid the first frame in which it may start a point again.
+    rested: Vec<u32>,
 }
+
+/// Where at least so many of the points are found where their last steps lead, the others are hidden.
+const MIN_NEAR: f64 = 0.5;
+/// Frames for which a cell rests.
+const REST: u32 = 2;
 
 /// A point that is being followed; positions in pixels of the working size, first pixel centre at (0, 0) as in OpenCV.
 struct Live {
@@ -80,7 +88,11 @@ impl PointFollower {
     pub fn new(options: &FollowerOptions, size: (u32, u32)) -> Self {
         let work = scale_to_fit(size.0, size.1, options.max_side_px);
         let options = options.clone();
-        Self { options, size, work, previous: None, live: Vec::new(), done: Vec::new(), num_frames: 0 }
+        let (previous, live, done, rested) = (None, Vec::new(), Vec::new(), Vec::new());
+        let mut follower = Self { options, size, work, previous, live, done, num_frames: 0, rested };
+        let (cols, rows) = follower.grid();
+        follower.rested = vec![0; cols * rows];
+        follower
     }
 
     /// Takes the next frame. Frames must follow one another as in the source.
@@ -131,7 +143,9 @@ impl PointFollower {
         let mut found = vec![None; live.len()];
         let known: Vec<usize> = (0..live.len()).filter(|&k| live[k].predicted().is_some()).collect();
         self.step(previous, next, &live, &known, Start::Predicted, &mut found)?;
-        let open: Vec<usize> = (0..live.len()).filter(|&k| found[k].is_none()).collect();
+        let num_near = found.iter().flatten().count();
+        let is_hidden = |k: usize| live[k].predicted().is_some() && num_near as f64 >= MIN_NEAR * known.len() as f64;
+        let open: Vec<usize> = (0..live.len()).filter(|&k| found[k].is_none() && !is_hidden(k)).collect();
         self.step(previous, next, &live, &open, Start::Anywhere, &mut found)?;
         for (mut point, found) in live.into_iter().zip(found) {
             match found {
@@ -139,10 +153,21 @@ impl PointFollower {
                     point.positions.push(position);
                     self.live.push(point);
                 }
-                None => self.end(point),
+                None => {
+                    self.rest_after(&point);
+                    self.end(point);
+                }
             }
         }
         Ok(())
+    }
+
+    /// Lets the cell of a point rest that was lost too soon.
+    fn rest_after(&mut self, point: &Live) {
+        if point.positions.len() < self.options.min_track_length {
+            let cell = self.cell(point.last());
+            self.rested[cell] = self.num_frames + REST;
+        }
     }
 
     /// Follows some of the points there and back, and notes where those went that came back.
@@ -244,8 +269,9 @@ impl PointFollower {
         let corners = self.corners(&strength)?;
         let least = self.options.quality * quantile(corners.iter().map(|c| c.1).collect(), 0.9);
         let taken = self.taken_cells();
+        let is_free = |p: Point2f| !taken[self.cell(p)] && self.rested[self.cell(p)] <= self.num_frames;
         let mut new: Vec<(Point2f, f32)> =
-            corners.into_iter().filter(|(p, s)| *s > least && *s > 1e-6 && !taken[self.cell(*p)]).collect();
+            corners.into_iter().filter(|(p, s)| *s > least && *s > 1e-6 && is_free(*p)).collect();
         new.sort_by(|a, b| b.1.total_cmp(&a.1));
         let room = self.options.max_points.saturating_sub(self.live.len());
         let first = self.num_frames;
@@ -311,3 +337,6 @@ fn quantile(mut values: Vec<f32>, share: f64) -> f32 {
     let k = ((values.len() - 1) as f64 * share) as usize;
     *values.select_nth_unstable_by(k, f32::total_cmp).1
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,94 @@
+//! Points followed all over the pictures, for the stage `motion`.
+//!
+//! Following needs nothing but pictures. The stage `features` goes through all of them anyway, and where `motion`
+//! comes after it in the same run the points are followed on the way: a video is decoded once for both. What they
+//! became lies beside the tracks of `features`, under a name that tells the options; where it is not, `motion` follows
+//! by itself, to the same result.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::run::{Outcome, Run};
+use super::{Instances, PipelineError, Stage, features, fingerprint, order, own_file, pictures};
+use crate::image::{RgbImage, gray_from_rgb};
+use crate::perception::PerceptionError;
+use crate::perception::motion::{PointFollower, PointTrack};
+use crate::scene::Frame;
+
+/// Points and the frames that their tracks count, from 0: those that could be decoded.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub(super) struct Followed {
+    pub(super) frames: Vec<Frame>,
+    pub(super) tracks: Vec<PointTrack>,
+}
+
+/// Whether anything is looked for, in pictures that follow one another.
+pub(super) fn is_wanted(run: &Run) -> Result<bool, PipelineError> {
+    Ok(order::found(run)?.in_time && run.options.instances != Instances::None)
+}
+
+/// Follows points from picture to picture.
+pub(super) struct Follower {
+    points: PointFollower,
+    frames: Vec<Frame>,
+}
+
+impl Follower {
+    /// Nothing seen yet.
+    pub(super) fn new(run: &Run) -> Self {
+        let size = (run.info().width, run.info().height);
+        Self { points: PointFollower::new(&run.options.motion.follower, size), frames: Vec::new() }
+    }
+
+    /// One that works beside the stage `features`, if `motion` comes after it in this run.
+    pub(super) fn beside_features(run: &Run) -> Result<Option<Self>, PipelineError> {
+        Ok((run.goal >= Stage::Motion && is_wanted(run)?).then(|| Self::new(run)))
+    }
+
+    /// Takes the next frame.
+    pub(super) fn push(&mut self, frame: &Frame, picture: &RgbImage) -> Result<(), PipelineError> {
+        self.points.push(&gray_from_rgb(picture).map_err(PerceptionError::from)?)?;
+        self.frames.push(frame.clone());
+        Ok(())
+    }
+
+    /// What became of all points.
+    pub(super) fn finish(self) -> Followed {
+        Followed { frames: self.frames, tracks: self.points.finish() }
+    }
+}
+
+/// Name of the file, without its ending.
+pub(super) fn name(run: &Run) -> String {
+    fingerprint::folder_name("points-", &fingerprint::of_value(&run.options.motion.follower))
+}
+
+/// What the stage `features` left, if it did; else points are followed now, and kept in `folder`.
+pub(super) fn points(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<Followed, PipelineError> {
+    let beside = beside_features(run);
+    if beside.is_file() {
+        return own_file::read(&beside);
+    }
+    let mut follower = Follower::new(run);
+    run.progress.begin("motion", Some(run.frames()?.len() as u64));
+    pictures::for_each(run, run.source.frames()?, outcome, |frame, picture| follower.push(&frame, &picture))?;
+    let followed = follower.finish();
+    own_file::write(&folder.join(file_name(run)), &followed)?;
+    Ok(followed)
+}
+
+/// What [`points`] gave; `folder` is where it may be kept.
+pub(super) fn kept_points(run: &Run, folder: &Path) -> Result<Followed, PipelineError> {
+    let beside = beside_features(run);
+    own_file::read(&if beside.is_file() { beside } else { folder.join(file_name(run)) })
+}
+
+fn beside_features(run: &Run) -> PathBuf {
+    let folder = fingerprint::folder_name(features::PREFIX, run.fingerprint(Stage::Features));
+    run.workspace.state(&folder).join(file_name(run))
+}
+
+fn file_name(run: &Run) -> String {
+    format!("{}.bin", name(run))
+}
