@@ -1,9 +1,9 @@
 //! What is kept of a linearisation for the step of the points, where there is room for it.
 //!
 //! The step of a point needs its residuals' derivatives by the views, its elimination and its normal equations once
-//! more ([`super::trial`]). Of a small problem they are kept, one piece after the other in flat lists: reading 170 bytes
-//! an observation takes less time than working them out. A large problem would need more memory for them than for all
-//! else, so that they are worked out anew. The numbers are the same, bit for bit.
+//! more ([`super::trial`]). Of a small problem they are kept, one piece after the other in flat lists: reading 170
+//! bytes an observation takes less time than working them out. A large problem would need more memory for them than
+//! for all else, so that they are worked out anew. The numbers are the same, bit for bit.
 
 use super::layout::Layout;
 use super::linearize::{OnePoint, Pass, Piece};
