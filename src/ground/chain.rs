@@ -1,11 +1,12 @@
 //! The chain of fallbacks: what is taken for the ground below an object, and how sure it is.
 //!
 //! First come the ground points round the object: labelled ones where there are enough, else those found without
-//! labels. In a drive with a camera that is fixed to a vehicle the road below that camera ([`Mount`]) is a second
-//! source: it judges the ground found without labels, which has to agree with it, and it is taken where fewer points
-//! than asked for are there and it is surer. Where the points of all frames bear it out it is taken wherever it is the
-//! steadier: few points make a plane that trembles from frame to frame. Frames that are left get the dominant plane of
-//! the whole place, with a deviation that says how uneven the place is.
+//! labels. Where it drives, the points on its path correct what they say ([`super::driven`]). In a drive with a camera
+//! that is fixed to a vehicle the road below that camera ([`Mount`]) is a second source: it judges the ground found
+//! without labels, which has to agree with it, and it is taken where fewer points than asked for are there and it is
+//! surer. Where the points of all frames bear it out it is taken wherever it is the steadier: few points make a plane
+//! that trembles from frame to frame. Frames that are left get the dominant plane of the whole place, with a deviation
+//! that says how uneven the place is.
 
 use std::collections::BTreeMap;
 
@@ -13,6 +14,7 @@ use nalgebra::Point2;
 
 use super::Options;
 use super::dominant::DominantPlane;
+use super::driven::on_driven_ground;
 use super::local::{LocalPlanes, local_planes, lowest_foot, object_pixels};
 use super::mount::Mount;
 use super::road::Road;
@@ -46,10 +48,13 @@ impl GroundChain<'_> {
             self.dominant.filter(|ground| self.mount.is_none_or(|mount| mount.agrees(self.background, ground)));
         let labelled = local(self.labelled).with_basis(PlaneBasis::LabelledPoints);
         let num_frames = (labelled.planes.len() + labelled.skipped.len()) as f64;
-        let mut found = match dominant {
-            Some(ground) if (labelled.planes.len() as f64) < ENOUGH * num_frames => local(&ground.point_ids),
-            _ => labelled,
+        let (mut found, points) = match dominant {
+            Some(ground) if (labelled.planes.len() as f64) < ENOUGH * num_frames => {
+                (local(&ground.point_ids), ground.point_ids.as_slice())
+            }
+            _ => (labelled, self.labelled),
         };
+        found.planes = on_driven_ground(self.background, points, model, found.planes, options);
         if let Some(mount) = self.mount {
             self.prefer_surer(&mut found, mount, model, options);
         }

@@ -169,7 +169,7 @@ fn plane_of_frame(
 
 /// How far the ground below an object is from the plane of the points round it, as a share of their distances: kerbs
 /// and cambers do not average out.
-const UNEVENNESS: f64 = 0.5;
+pub(super) const UNEVENNESS: f64 = 0.5;
 
 /// Where the lowest of the rays through the given pixels meets a plane, which is given by its normal and the camera's
 /// height over it; `None` where the horizon lies below all of them.

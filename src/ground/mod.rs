@@ -7,12 +7,14 @@
 
 mod chain;
 mod dominant;
+mod driven;
 #[cfg(test)]
 mod fixed_camera_tests;
 mod height;
 mod labels;
 mod local;
 mod mount;
+mod path;
 mod plane;
 mod road;
 mod sighting;

@@ -23,6 +23,8 @@ pub enum GroundSource {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PlaneBasis {
+    /// Points that the object itself drives over, in other frames than this.
+    Path,
     /// Points round the object that labels call ground.
     LabelledPoints,
     /// Points round the object that were found to be ground without labels.
@@ -35,11 +37,12 @@ pub enum PlaneBasis {
 
 impl PlaneBasis {
     /// Every link, the surest first.
-    pub const ALL: [Self; 4] = [Self::LabelledPoints, Self::Points, Self::Mount, Self::Dominant];
+    pub const ALL: [Self; 5] = [Self::Path, Self::LabelledPoints, Self::Points, Self::Mount, Self::Dominant];
 
     /// The name in files.
     pub fn name(self) -> &'static str {
         match self {
+            Self::Path => "path",
             Self::LabelledPoints => "labelled-points",
             Self::Points => "points",
             Self::Mount => "mount",
@@ -50,6 +53,7 @@ impl PlaneBasis {
     /// In words, for people.
     pub fn words(self) -> &'static str {
         match self {
+            Self::Path => "ground that the object itself drives over",
             Self::LabelledPoints => "labelled ground round the object",
             Self::Points => "ground round the object, found without labels",
             Self::Mount => "one plane below a camera fixed to a vehicle",

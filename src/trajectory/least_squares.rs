@@ -112,7 +112,7 @@ pub fn least_squares(views: &Views, options: &LeastSquaresOptions) -> Result<Lea
     }
     let found = series.summary(&fit, weights);
     // Where heights are wrong by so much from the beginning to the end, the spread of the a_i is wrong by it, too.
-    let left_open = views.grazing_std(found.ratio) / found.excitation;
+    let left_open = views.grazing_std(found.ratio).hypot(views.plane_std) / found.excitation;
     let std = if left_open.is_finite() { found.std.hypot(left_open) } else { found.std };
     Ok(LeastSquares { std, ..found })
 }

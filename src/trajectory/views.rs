@@ -1,12 +1,12 @@
 //! Views: cameras with their local ground planes, reduced to the numbers that the scale equations need.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Point3, Vector3};
 
 use super::ScaleError;
 use crate::math::median;
-use crate::scene::{FrameId, GroundPlane, Image, Reconstruction};
+use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction};
 
 /// By how much an object's height over its planes wanders, as a share of [`View::lever`]: the most that `joint` takes
 /// it to be (`sigma_distance`).
@@ -63,6 +63,9 @@ pub struct Views {
     pub num_paired: usize,
     /// Frames with a plane.
     pub num_planes: usize,
+    /// By how much planes that rest on different things may lie one over the other (standard deviation, units of the
+    /// background); 0 where all rest on the same.
+    pub plane_std: f64,
 }
 
 impl Views {
@@ -80,7 +83,7 @@ impl Views {
             .collect();
         let is_finite = |p: &Point3<f64>| p.coords.iter().all(|x| x.is_finite());
         let points = object.points.values().map(|point| point.position).filter(is_finite).collect();
-        Self { views, points, num_paired: paired.len(), num_planes: planes.len() }
+        Self { views, points, num_paired: paired.len(), num_planes: planes.len(), plane_std: change_of_basis(planes) }
     }
 
     /// Standard deviation of the object's height over its planes that goes on for many frames and grows with the
@@ -106,4 +109,11 @@ impl Views {
         }
         Ok(())
     }
+}
+
+/// The median deviation of planes that rest on different things, 0 of such that rest on the same.
+fn change_of_basis(planes: &BTreeMap<FrameId, GroundPlane>) -> f64 {
+    let bases: BTreeSet<PlaneBasis> = planes.values().map(|plane| plane.basis).collect();
+    let stds = planes.values().map(|plane| plane.height_std).filter(|std| std.is_finite() && bases.len() > 1);
+    median(stds.collect()).unwrap_or(0.0)
 }

@@ -1,0 +1,195 @@
+//! The way a vehicle took over the ground, from planes that are nearly right.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Point3, Vector3};
+
+use crate::math::median;
+use crate::scene::{FrameId, GroundPlane, Reconstruction};
+
+/// A place of the vehicle.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    pub frame: FrameId,
+    /// The point on the ground below the middle of what is seen of it.
+    pub foot: Point3<f64>,
+    /// Unit normal of the ground, to the camera's side.
+    pub up: Vector3<f64>,
+    /// Where the path leads, a unit vector in the ground; `None` where the vehicle hardly moves.
+    pub along: Option<Vector3<f64>>,
+    /// How high the camera is over the ground.
+    pub camera_height: f64,
+    /// What a pixel is at the vehicle, in units of the background.
+    pub pixel: f64,
+}
+
+/// All places of a vehicle in the background's frame, and how broad it is.
+#[derive(Clone, Debug)]
+pub(super) struct Path {
+    /// In the order of the frames.
+    pub places: Vec<Place>,
+    /// What the vehicle covers to the left of its path, least and most, in units of the background.
+    pub band: [f64; 2],
+    /// How high the vehicle is, in units of the background.
+    pub height: f64,
+}
+
+/// By how much the lowest points of a vehicle lie over the ground, as a share of the height over which its points
+/// spread (`trajectory::ContactOptions::lowest`).
+const CLEARANCE: f64 = 0.17;
+/// Fewest points of a vehicle whose shape is taken for known.
+const MIN_POINTS: usize = 10;
+/// Fewest places in which a vehicle moves.
+const MIN_PLACES: usize = 5;
+/// Median absolute deviations from the median beyond which a point is none of the vehicle's.
+const MAX_DEVIATION: f64 = 6.0;
+/// Heights of the vehicle over which the direction of its path is taken.
+const STEP: f64 = 2.0;
+/// The least width of what it covers, in heights of the vehicle.
+const LEAST_WIDTH: f64 = 0.6;
+/// Places at which its width is measured.
+const NUM_MEASURED: usize = 50;
+
+impl Path {
+    /// The path of an object with the given planes; `None` for one that does not move by more than about its own
+    /// length, or of which too little is known.
+    pub(super) fn of(
+        background: &Reconstruction,
+        model: &Reconstruction,
+        planes: &BTreeMap<FrameId, GroundPlane>,
+        min_track: usize,
+    ) -> Option<Self> {
+        let paired = background.paired_images(model);
+        let seen: Vec<_> = paired
+            .into_iter()
+            .filter_map(|(frame, image, own)| Some((frame, image, own, planes.get(&frame)?)))
+            .collect();
+        let normals = seen.iter().map(|(_, image, own, plane)| {
+            own.cam_from_world.rotation.inverse() * (image.cam_from_world.rotation * plane.normal)
+        });
+        let body = Body::of(model, normals.sum::<Vector3<f64>>().try_normalize(1e-9)?, min_track)?;
+        let ratios = seen.iter().map(|(_, image, own, plane)| {
+            let camera_height = own.cam_from_world.center().coords.dot(&body.up) - body.ground;
+            plane.signed_distance(image.cam_from_world.center()) / camera_height
+        });
+        let ratio = median(ratios.filter(|r| r.is_finite() && *r > 0.0).collect())?;
+        let height = ratio * body.height;
+        let foot = body.foot();
+        let mut places: Vec<Place> = seen
+            .iter()
+            .map(|(frame, image, own, plane)| {
+                let in_cam = (own.cam_from_world * foot).coords * ratio;
+                let camera = background.camera_of(image);
+                Place {
+                    frame: *frame,
+                    foot: image.cam_from_world.inverse() * Point3::from(in_cam),
+                    up: plane.normal,
+                    along: None,
+                    camera_height: plane.signed_distance(image.cam_from_world.center()),
+                    pixel: in_cam.norm() / camera.mean_focal(),
+                }
+            })
+            .collect();
+        let feet: Vec<Point3<f64>> = places.iter().map(|place| place.foot).collect();
+        for (k, place) in places.iter_mut().enumerate() {
+            place.along = direction(&feet, k, STEP * height).and_then(|d| level(&d, &place.up));
+        }
+        let moving: Vec<usize> = (0..places.len()).filter(|&k| places[k].along.is_some()).collect();
+        if moving.len() < MIN_PLACES {
+            return None;
+        }
+        let measured = moving.iter().step_by(moving.len().div_ceil(NUM_MEASURED)).map(|&k| {
+            let (_, image, own, _) = seen[k];
+            let left = places[k].left().unwrap_or_else(Vector3::zeros);
+            let from_foot = |x: &Point3<f64>| {
+                let in_cam = Point3::from((own.cam_from_world * *x).coords * ratio);
+                image.cam_from_world.inverse() * in_cam - places[k].foot
+            };
+            body.extent(|x| left.dot(&from_foot(x)))
+        });
+        let (least, most): (Vec<f64>, Vec<f64>) = measured.unzip();
+        let band = at_least_as_wide([median(least)?, median(most)?], LEAST_WIDTH * height);
+        let is_finite = height.is_finite() && feet.iter().all(|foot| foot.coords.iter().all(|x| x.is_finite()));
+        is_finite.then_some(Self { places, band, height })
+    }
+
+    /// Whether the vehicle, at the place nearest to a point, passes over it.
+    pub(super) fn covers(&self, place: &Place, point: &Point3<f64>, reach: f64) -> bool {
+        let (Some(along), Some(left)) = (place.along, place.left()) else { return false };
+        let away = point - place.foot;
+        let is_level = place.up.dot(&away).abs() <= self.height;
+        (self.band[0]..=self.band[1]).contains(&left.dot(&away)) && along.dot(&away).abs() <= reach && is_level
+    }
+}
+
+impl Place {
+    /// Unit vector in the ground, to the left of the path.
+    pub(super) fn left(&self) -> Option<Vector3<f64>> {
+        Some(self.up.cross(&self.along?))
+    }
+}
+
+/// What is needed of a vehicle's model, in the model's frame.
+struct Body {
+    points: Vec<Point3<f64>>,
+    up: Vector3<f64>,
+    /// Height of the ground along `up`, about.
+    ground: f64,
+    /// How high it is over the ground.
+    height: f64,
+}
+
+impl Body {
+    fn of(model: &Reconstruction, up: Vector3<f64>, min_track: usize) -> Option<Self> {
+        let stable = model.points.values().filter(|point| point.track.len() >= min_track);
+        let mut points: Vec<Point3<f64>> =
+            stable.map(|point| point.position).filter(|p| p.coords.iter().all(|x| x.is_finite())).collect();
+        for axis in 0..3 {
+            let middle = median(points.iter().map(|p| p[axis]).collect())?;
+            let spread = median(points.iter().map(|p| (p[axis] - middle).abs()).collect())?;
+            points.retain(|p| (p[axis] - middle).abs() <= MAX_DEVIATION * spread);
+        }
+        if points.len() < MIN_POINTS {
+            return None;
+        }
+        let [low, high] = quantiles(points.iter().map(|p| up.dot(&p.coords)).collect(), [0.01, 0.99]);
+        let ground = low - CLEARANCE * (high - low);
+        (high > low).then_some(Self { points, up, ground, height: high - ground })
+    }
+
+    /// Below the mean of its points, on the ground.
+    fn foot(&self) -> Point3<f64> {
+        let mean = self.points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / self.points.len() as f64;
+        Point3::from(mean - self.up * (self.up.dot(&mean) - self.ground))
+    }
+
+    /// From where to where its points reach, but for a twentieth at each end.
+    fn extent(&self, of_point: impl Fn(&Point3<f64>) -> f64) -> (f64, f64) {
+        let [least, most] = quantiles(self.points.iter().map(of_point).collect(), [0.05, 0.95]);
+        (least, most)
+    }
+}
+
+/// Quantiles of some numbers, of which there must be one.
+fn quantiles(mut values: Vec<f64>, shares: [f64; 2]) -> [f64; 2] {
+    values.sort_by(f64::total_cmp);
+    shares.map(|share| values[(share * (values.len() - 1) as f64).round() as usize])
+}
+
+/// From the last place at least `step` behind to the first at least `step` ahead; at the ends, what there is of it.
+fn direction(feet: &[Point3<f64>], k: usize, step: f64) -> Option<Vector3<f64>> {
+    let is_far = |foot: &&Point3<f64>| (**foot - feet[k]).norm() >= step;
+    let ahead = feet[k..].iter().find(is_far).or(feet.last())?;
+    let behind = feet[..=k].iter().rev().find(is_far).or(feet.first())?;
+    Some(ahead - behind).filter(|way| way.norm() >= step)
+}
+
+/// The unit vector in the ground along a direction.
+fn level(direction: &Vector3<f64>, up: &Vector3<f64>) -> Option<Vector3<f64>> {
+    (direction - up * up.dot(direction)).try_normalize(1e-12)
+}
+
+fn at_least_as_wide([least, most]: [f64; 2], width: f64) -> [f64; 2] {
+    let missing = ((width - (most - least)) / 2.0).max(0.0);
+    [least - missing, most + missing]
+}
