@@ -46,7 +46,7 @@ pub struct ContactOptions {
     /// Fewest frames that show a side, or an end.
     #[schemars(extend("unit" = "frames"))]
     pub min_frames: usize,
-    /// By how much outlines put the ground too high, as tyres do not quite stand flush, and how much that varies.
+    /// How far the tyres stand back from the outermost lower points of the side, and how much that varies.
     #[schemars(extend("unit" = "shares of the height: mean, standard deviation"))]
     pub side: [f64; 2],
     /// How far the tyres stand back from the front or the rear, and how much that varies.
@@ -58,7 +58,7 @@ pub struct ContactOptions {
 }
 
 impl Default for ContactOptions {
-    /// Of ten rendered sequences with five vehicles; see decision 6.
+    /// Of rendered sequences with five vehicles; see decisions 6, 13 and 19.
     fn default() -> Self {
         Self {
             min_track: 6,
@@ -67,7 +67,7 @@ impl Default for ContactOptions {
             within: 0.95,
             least_side_view: 0.5,
             min_frames: 5,
-            side: [0.035, 0.03],
+            side: [0.08, 0.05],
             most_end_view: 0.26,
             overhang: [0.75, 0.25],
             lowest: [0.17, 0.07],
@@ -104,6 +104,9 @@ fn check_height(key: &str, [mean, std]: [f64; 2]) -> Checked {
 
 /// Share of the lowest points that lie within an outline which shows them.
 const LEAST_INSIDE: f64 = 0.9;
+
+/// The share of the lowest points by which it is told how far the outermost stand out: by so much these are unsure.
+const INNER: f64 = 0.9;
 
 /// Where the ground is, in the frame of a reconstruction whose z axis points up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -196,32 +199,38 @@ impl LowerEdge<'_> {
 
     /// The ground below the two tyres of the side that is seen; `None` where too few frames show a side.
     fn of_sides(&self, seen: &[(&Image, &Silhouette)], ahead: &Vector3<f64>) -> Option<Contact> {
-        let [bias, std] = self.options.side;
-        let shows = |image: &Image| {
-            self.sight(image).is_some_and(|s| s.perp(&ahead.xy()).abs() >= self.options.least_side_view)
-        };
-        let sides = seen.iter().filter(|(image, _)| shows(image));
-        let found: Vec<f64> =
-            sides.filter_map(|(image, outline)| self.ground(image, outline, ahead, &Vector3::zeros())).collect();
-        let num_frames = found.len();
-        let z = median(found).filter(|_| num_frames >= self.options.min_frames)?;
-        Some(Contact { z: z - bias * self.extent, std: std * self.extent, num_frames })
+        let shows = |sight: &Vector2<f64>| sight.perp(&ahead.xy()).abs() >= self.options.least_side_view;
+        let across = Vector3::new(-ahead.y, ahead.x, 0.0);
+        let below = |within| self.below_tyres(seen, shows, [ahead, &across], self.options.side, within);
+        let (outermost, inner) = (below(self.options.within)?, below(INNER.min(self.options.within))?);
+        Some(Contact { std: outermost.std.hypot(outermost.z - inner.z), ..outermost })
     }
 
-    /// The ground below the two tyres of the front or the rear that is seen: these stand back from the outermost points
-    /// by the overhang. `None` where too few frames look along the vehicle, or where that is less sure than `limit`.
+    /// The ground below the two tyres of the front or the rear that is seen. `None` where too few frames look along the
+    /// vehicle, or where that is less sure than `limit`.
     fn of_ends(&self, seen: &[(&Image, &Silhouette)], ahead: &Vector3<f64>, limit: f64) -> Option<Contact> {
-        let [overhang, overhang_std] = self.options.overhang;
+        let shows = |sight: &Vector2<f64>| sight.perp(&ahead.xy()).abs() <= self.options.most_end_view;
         let across = Vector3::new(-ahead.y, ahead.x, 0.0);
+        let tyres = self.below_tyres(seen, shows, [&across, ahead], self.options.overhang, self.options.within);
+        tyres.filter(|contact| contact.std <= limit)
+    }
+
+    /// The ground below two tyres on a line along the first axis, which stand back along the second from the outermost
+    /// points by a share of the height, in the frames that show them; `None` where these are too few.
+    fn below_tyres(
+        &self,
+        seen: &[(&Image, &Silhouette)],
+        shows: impl Fn(&Vector2<f64>) -> bool,
+        [line, away]: [&Vector3<f64>; 2],
+        [setback, setback_std]: [f64; 2],
+        within: f64,
+    ) -> Option<Contact> {
         let mut found: Vec<(f64, f64)> = Vec::new();
         for (image, outline) in seen {
-            let Some(sight) = self.sight(image).filter(|s| s.perp(&ahead.xy()).abs() <= self.options.most_end_view)
-            else {
-                continue;
-            };
-            let back = ahead * (sight.dot(&ahead.xy()).signum() * self.extent);
-            let below = |overhang: f64| self.ground(image, outline, &across, &(back * overhang));
-            let (Some(z), Some(other)) = (below(overhang), below(overhang + overhang_std)) else { continue };
+            let Some(sight) = self.sight(image).filter(&shows) else { continue };
+            let back = away * (sight.dot(&away.xy()).signum() * self.extent);
+            let below = |setback: f64| self.ground(image, outline, line, &(back * setback), within);
+            let (Some(z), Some(other)) = (below(setback), below(setback + setback_std)) else { continue };
             let pixel =
                 (self.middle - image.cam_from_world.center()).norm() / self.object.camera_of(image).mean_focal();
             found.push((z, (other - z).hypot(Self::MASK_PX * pixel)));
@@ -229,8 +238,7 @@ impl LowerEdge<'_> {
         let num_frames = found.len();
         let (heights, stds): (Vec<f64>, Vec<f64>) = found.into_iter().unzip();
         let z = median(heights).filter(|_| num_frames >= self.options.min_frames)?;
-        let std = median(stds)?;
-        (std <= limit).then_some(Contact { z, std, num_frames })
+        Some(Contact { z, std: median(stds)?, num_frames })
     }
 
     /// Unit direction from the camera to the vehicle, seen from above.
@@ -240,7 +248,14 @@ impl LowerEdge<'_> {
     }
 
     /// The height at which the feet, moved by `shift`, touch the outline's lower edge, which runs along `axis`.
-    fn ground(&self, image: &Image, silhouette: &Silhouette, axis: &Vector3<f64>, shift: &Vector3<f64>) -> Option<f64> {
+    fn ground(
+        &self,
+        image: &Image,
+        silhouette: &Silhouette,
+        axis: &Vector3<f64>,
+        shift: &Vector3<f64>,
+        within: f64,
+    ) -> Option<f64> {
         let camera = self.object.camera_of(image);
         let undistorted = |point: Point3<f64>| {
             let p = image.cam_from_world * point;
@@ -262,6 +277,6 @@ impl LowerEdge<'_> {
         };
         let mut heights: Vec<f64> = self.feet.iter().map(touching).collect();
         heights.sort_by(f64::total_cmp);
-        quantile(&heights, self.options.within).filter(|z| z.is_finite())
+        quantile(&heights, within).filter(|z| z.is_finite())
     }
 }

@@ -48,12 +48,12 @@ fn the_ground_is_where_the_outline_says() {
         (id.frame(), Silhouette { hull: seen.collect() })
     });
     let silhouettes = silhouettes.collect();
-    let options = ContactOptions { side: [0.0, 0.03], lowest: [0.0, 0.07], ..ContactOptions::default() };
+    let options = ContactOptions { side: [0.0, 0.05], lowest: [0.0, 0.07], ..ContactOptions::default() };
     let forward = Some(Vector3::x_axis());
     let seen = contact(&body, &silhouettes, forward, &options).unwrap();
     let guessed = contact(&body, &silhouettes, None, &options).unwrap();
-    assert!(seen.num_frames > 20 && seen.z.abs() < 0.15, "{seen:?}");
-    assert!(guessed.num_frames == 0 && guessed.z > 0.25 && guessed.std > seen.std, "{guessed:?}");
+    assert!(seen.num_frames > 20 && seen.z.abs() < 0.15 && seen.std < 0.12, "{seen:?}");
+    assert!(guessed.num_frames == 0 && guessed.z > 0.25, "{guessed:?}");
     assert_eq!(contact(&Reconstruction::default(), &silhouettes, forward, &options), None);
 }
 
