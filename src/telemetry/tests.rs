@@ -57,6 +57,17 @@ fn every_seed_is_understood() {
 }
 
 #[test]
+fn a_log_that_lasts_for_no_time_has_no_rate() {
+    let log = read_text(
+        b"1\n00:00:00,000 --> 00:00:00,033\n[latitude: 41.424724] [longitude: 2.234156]\n\n2\n00:00:00,1e-320 --> \
+          00:00:02,000\n[latitude: 41.424725] [longitude: 2.234147]\n",
+    )
+    .unwrap();
+    check(&log);
+    assert_eq!((log.fixes.len(), log.summary().rate_hz), (2, None));
+}
+
+#[test]
 fn a_file_cut_anywhere_is_used_as_far_as_it_goes() {
     for seed in SEEDS {
         let whole = read_text(seed.as_bytes()).unwrap().fixes.len();
