@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Point3, Vector3};
 
 use crate::math::median;
-use crate::scene::{FrameId, GroundPlane, Reconstruction};
+use crate::scene::{FrameId, GroundPlane, Image, Reconstruction};
 
 /// A place of the vehicle.
 #[derive(Clone, Copy, Debug)]
@@ -59,56 +59,22 @@ impl Path {
         planes: &BTreeMap<FrameId, GroundPlane>,
         min_track: usize,
     ) -> Option<Self> {
-        let paired = background.paired_images(model);
-        let seen: Vec<_> = paired
-            .into_iter()
-            .filter_map(|(frame, image, own)| Some((frame, image, own, planes.get(&frame)?)))
+        let paired = background.paired_images(model).into_iter();
+        let seen: Vec<Seen> = paired
+            .filter_map(|(frame, image, own)| Some(Seen { frame, image, own, plane: planes.get(&frame)? }))
             .collect();
-        let normals = seen.iter().map(|(_, image, own, plane)| {
-            own.cam_from_world.rotation.inverse() * (image.cam_from_world.rotation * plane.normal)
-        });
-        let body = Body::of(model, normals.sum::<Vector3<f64>>().try_normalize(1e-9)?, min_track)?;
-        let ratios = seen.iter().map(|(_, image, own, plane)| {
-            let camera_height = own.cam_from_world.center().coords.dot(&body.up) - body.ground;
-            plane.signed_distance(image.cam_from_world.center()) / camera_height
-        });
+        let up = seen.iter().map(Seen::up_in_model).sum::<Vector3<f64>>().try_normalize(1e-9)?;
+        let body = Body::of(model, up, min_track)?;
+        let ratios = seen.iter().map(|seen| seen.ratio(&body));
         let ratio = median(ratios.filter(|r| r.is_finite() && *r > 0.0).collect())?;
         let height = ratio * body.height;
         let foot = body.foot();
-        let mut places: Vec<Place> = seen
-            .iter()
-            .map(|(frame, image, own, plane)| {
-                let in_cam = (own.cam_from_world * foot).coords * ratio;
-                let camera = background.camera_of(image);
-                Place {
-                    frame: *frame,
-                    foot: image.cam_from_world.inverse() * Point3::from(in_cam),
-                    up: plane.normal,
-                    along: None,
-                    camera_height: plane.signed_distance(image.cam_from_world.center()),
-                    pixel: in_cam.norm() / camera.mean_focal(),
-                }
-            })
-            .collect();
+        let mut places: Vec<Place> = seen.iter().map(|seen| seen.place(background, &foot, ratio)).collect();
         let feet: Vec<Point3<f64>> = places.iter().map(|place| place.foot).collect();
         for (k, place) in places.iter_mut().enumerate() {
             place.along = direction(&feet, k, STEP * height).and_then(|d| level(&d, &place.up));
         }
-        let moving: Vec<usize> = (0..places.len()).filter(|&k| places[k].along.is_some()).collect();
-        if moving.len() < MIN_PLACES {
-            return None;
-        }
-        let measured = moving.iter().step_by(moving.len().div_ceil(NUM_MEASURED)).map(|&k| {
-            let (_, image, own, _) = seen[k];
-            let left = places[k].left().unwrap_or_else(Vector3::zeros);
-            let from_foot = |x: &Point3<f64>| {
-                let in_cam = Point3::from((own.cam_from_world * *x).coords * ratio);
-                image.cam_from_world.inverse() * in_cam - places[k].foot
-            };
-            body.extent(|x| left.dot(&from_foot(x)))
-        });
-        let (least, most): (Vec<f64>, Vec<f64>) = measured.unzip();
-        let band = at_least_as_wide([median(least)?, median(most)?], LEAST_WIDTH * height);
+        let band = at_least_as_wide(covered(&seen, &places, &body, ratio)?, LEAST_WIDTH * height);
         let is_finite = height.is_finite() && feet.iter().all(|foot| foot.coords.iter().all(|x| x.is_finite()));
         is_finite.then_some(Self { places, band, height })
     }
@@ -127,6 +93,66 @@ impl Place {
     pub(super) fn left(&self) -> Option<Vector3<f64>> {
         Some(self.up.cross(&self.along?))
     }
+}
+
+/// A frame that both models have, with its plane.
+#[derive(Clone, Copy)]
+struct Seen<'a> {
+    frame: FrameId,
+    /// In the background.
+    image: &'a Image,
+    /// In the vehicle's model.
+    own: &'a Image,
+    plane: &'a GroundPlane,
+}
+
+impl Seen<'_> {
+    /// The plane's normal in the vehicle's frame.
+    fn up_in_model(&self) -> Vector3<f64> {
+        self.own.cam_from_world.rotation.inverse() * (self.image.cam_from_world.rotation * self.plane.normal)
+    }
+
+    fn camera_height(&self) -> f64 {
+        self.plane.signed_distance(self.image.cam_from_world.center())
+    }
+
+    /// The size with which the camera stands as high over the vehicle's ground as over the plane.
+    fn ratio(&self, body: &Body) -> f64 {
+        self.camera_height() / (self.own.cam_from_world.center().coords.dot(&body.up) - body.ground)
+    }
+
+    /// A point of the vehicle of that size, in the background.
+    fn in_background(&self, point: &Point3<f64>, ratio: f64) -> Point3<f64> {
+        self.image.cam_from_world.inverse() * Point3::from((self.own.cam_from_world * *point).coords * ratio)
+    }
+
+    /// Where the vehicle is, not yet where it goes.
+    fn place(&self, background: &Reconstruction, foot: &Point3<f64>, ratio: f64) -> Place {
+        let foot = self.in_background(foot, ratio);
+        let distance = (foot - self.image.cam_from_world.center()).norm();
+        Place {
+            frame: self.frame,
+            foot,
+            up: self.plane.normal,
+            along: None,
+            camera_height: self.camera_height(),
+            pixel: distance / background.camera_of(self.image).mean_focal(),
+        }
+    }
+}
+
+/// What the vehicle covers to the left of its path, least and most; `None` where it hardly moves.
+fn covered(seen: &[Seen], places: &[Place], body: &Body, ratio: f64) -> Option<[f64; 2]> {
+    let moving: Vec<_> = seen.iter().zip(places).filter_map(|(seen, at)| Some((seen, at.foot, at.left()?))).collect();
+    if moving.len() < MIN_PLACES {
+        return None;
+    }
+    let measured = moving.iter().step_by(moving.len().div_ceil(NUM_MEASURED)).map(|(seen, foot, left)| {
+        let from_foot = |point: &Point3<f64>| left.dot(&(seen.in_background(point, ratio) - foot));
+        body.extent(from_foot)
+    });
+    let (least, most): (Vec<f64>, Vec<f64>) = measured.unzip();
+    Some([median(least)?, median(most)?])
 }
 
 /// What is needed of a vehicle's model, in the model's frame.
