@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
 
-use crate::math::median;
+use crate::math::{median, quantile};
 use crate::scene::{FrameId, GroundPlane, Image, Reconstruction};
 
 /// A place of the vehicle.
@@ -147,7 +147,7 @@ fn covered(seen: &[Seen], places: &[Place], body: &Body, ratio: f64) -> Option<[
     if moving.len() < MIN_PLACES {
         return None;
     }
-    let measured = moving.iter().step_by(moving.len().div_ceil(NUM_MEASURED)).map(|(seen, foot, left)| {
+    let measured = moving.iter().step_by(moving.len().div_ceil(NUM_MEASURED)).filter_map(|(seen, foot, left)| {
         let from_foot = |point: &Point3<f64>| left.dot(&(seen.in_background(point, ratio) - foot));
         body.extent(from_foot)
     });
@@ -167,18 +167,12 @@ struct Body {
 
 impl Body {
     fn of(model: &Reconstruction, up: Vector3<f64>, min_track: usize) -> Option<Self> {
-        let stable = model.points.values().filter(|point| point.track.len() >= min_track);
-        let mut points: Vec<Point3<f64>> =
-            stable.map(|point| point.position).filter(|p| p.coords.iter().all(|x| x.is_finite())).collect();
-        for axis in 0..3 {
-            let middle = median(points.iter().map(|p| p[axis]).collect())?;
-            let spread = median(points.iter().map(|p| (p[axis] - middle).abs()).collect())?;
-            points.retain(|p| (p[axis] - middle).abs() <= MAX_DEVIATION * spread);
-        }
+        let points = model.solid_points(min_track, MAX_DEVIATION);
         if points.len() < MIN_POINTS {
             return None;
         }
-        let [low, high] = quantiles(points.iter().map(|p| up.dot(&p.coords)).collect(), [0.01, 0.99]);
+        let mut heights: Vec<f64> = points.iter().map(|p| up.dot(&p.coords)).collect();
+        let (low, high) = (quantile(&mut heights, 0.01)?, quantile(&mut heights, 0.99)?);
         let ground = low - CLEARANCE * (high - low);
         (high > low).then_some(Self { points, up, ground, height: high - ground })
     }
@@ -190,16 +184,10 @@ impl Body {
     }
 
     /// From where to where its points reach, but for a twentieth at each end.
-    fn extent(&self, of_point: impl Fn(&Point3<f64>) -> f64) -> (f64, f64) {
-        let [least, most] = quantiles(self.points.iter().map(of_point).collect(), [0.05, 0.95]);
-        (least, most)
+    fn extent(&self, of_point: impl Fn(&Point3<f64>) -> f64) -> Option<(f64, f64)> {
+        let mut values: Vec<f64> = self.points.iter().map(of_point).collect();
+        Some((quantile(&mut values, 0.05)?, quantile(&mut values, 0.95)?))
     }
-}
-
-/// Quantiles of some numbers, of which there must be one.
-fn quantiles(mut values: Vec<f64>, shares: [f64; 2]) -> [f64; 2] {
-    values.sort_by(f64::total_cmp);
-    shares.map(|share| values[(share * (values.len() - 1) as f64).round() as usize])
 }
 
 /// From the last place at least `step` behind to the first at least `step` ahead; at the ends, what there is of it.

@@ -18,4 +18,4 @@ pub use random::{Rng, seeded_rng};
 pub use rigid3::Rigid3;
 pub use robust_loss::RobustLoss;
 pub use sim3::Sim3;
-pub use statistics::{median, upper_median};
+pub use statistics::{median, quantile, upper_median};

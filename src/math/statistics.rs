@@ -1,4 +1,5 @@
-//! Medians. Which of the two a place uses decides its last digits: they are not to be exchanged.
+//! Medians and other quantiles. Which of the two medians a place uses decides its last digits: they are not to be
+//! exchanged.
 
 /// The median; of an even count the mean of the middle two. `None` of nothing. Values must be finite.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
@@ -13,6 +14,13 @@ pub fn upper_median(mut values: Vec<f64>) -> Option<f64> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
+/// The value below which a share of all values lies, nearest rank: always one of the values, whose order changes. `None`
+/// of nothing.
+pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
+    let rank = (share * values.len().checked_sub(1)? as f64).round() as usize;
+    Some(*values.select_nth_unstable_by(rank, f64::total_cmp).1)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -25,5 +33,12 @@ mod tests {
         assert_eq!(upper_median(vec![4.0, 1.0, 2.0, 3.0]), Some(3.0));
         assert_eq!((median(vec![7.0]), upper_median(vec![7.0])), (Some(7.0), Some(7.0)));
         assert_eq!((median(Vec::new()), upper_median(Vec::new())), (None, None));
+    }
+
+    #[test]
+    fn a_quantile_is_one_of_the_values() {
+        let mut values = [5.0, 1.0, 4.0, 2.0, 3.0];
+        assert_eq!([0.0, 0.3, 0.5, 1.0].map(|share| quantile(&mut values, share)), [1.0, 2.0, 3.0, 5.0].map(Some));
+        assert_eq!(quantile(&mut [], 0.5), None);
     }
 }

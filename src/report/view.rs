@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::data::{Data, Object};
-use crate::math::Sim3;
+use crate::math::{self, Sim3};
 use crate::scene::{Point3d, Reconstruction};
 
 /// Radius of camera path and trajectories in the view's frame.
@@ -169,11 +169,7 @@ fn bounds(points: &[Point3<f64>]) -> (Point3<f64>, f64) {
 
 /// A quantile, nearest rank; 0 for no values.
 pub(super) fn quantile(values: &mut [f64], q: f64) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let rank = ((values.len() - 1) as f64 * q).round() as usize;
-    *values.select_nth_unstable_by(rank, f64::total_cmp).1
+    math::quantile(values, q).unwrap_or(0.0)
 }
 
 /// How far the shown volume reaches: most of the points, but not those at the horizon.

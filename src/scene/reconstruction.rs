@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::FrameId;
 use crate::camera::{Camera, Model};
-use crate::math::{Rigid3, Sim3};
+use crate::math::{Rigid3, Sim3, median};
 
 macro_rules! id {
     ($(#[$doc:meta])* $name:ident($inner:ty)) => {
@@ -176,6 +176,20 @@ impl Reconstruction {
             .values()
             .fold((0.0, 0usize), |(sum, count), p| (sum + p.error_px * p.track.len() as f64, count + p.track.len()));
         (count > 0).then(|| sum / count as f64)
+    }
+
+    /// The places of an object's points that tell its shape: in at least `min_track` images, and along no axis further
+    /// from the median than `max_deviation` times the median absolute deviation.
+    pub fn solid_points(&self, min_track: usize, max_deviation: f64) -> Vec<Point3<f64>> {
+        let seen = self.points.values().filter(|point| point.track.len() >= min_track);
+        let mut points: Vec<Point3<f64>> =
+            seen.map(|point| point.position).filter(|p| p.coords.iter().all(|x| x.is_finite())).collect();
+        for axis in 0..3 {
+            let Some(middle) = median(points.iter().map(|p| p[axis]).collect()) else { break };
+            let spread = median(points.iter().map(|p| (p[axis] - middle).abs()).collect()).unwrap_or(0.0);
+            points.retain(|p| (p[axis] - middle).abs() <= max_deviation * spread);
+        }
+        points
     }
 
     /// Takes out points; the features that observed them stay.

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 pub use self::silhouette::Silhouette;
 
 use crate::limits::{Checked, OptionError, within};
-use crate::math::median;
+use crate::math::{median, quantile};
 use crate::scene::{FrameId, Image, Reconstruction};
 
 /// What a vehicle looks like; lengths are shares of the height over which its points spread.
@@ -124,15 +124,7 @@ pub(super) fn solid_points(object: &Reconstruction, options: &ContactOptions) ->
     // Of an object that is seen for a moment there is nothing better than what is seen longest.
     let longest = object.points.values().map(|point| point.track.len()).max().unwrap_or(0);
     let min_track = options.min_track.min(longest);
-    let seen = object.points.values().filter(|point| point.track.len() >= min_track);
-    let mut points: Vec<Point3<f64>> =
-        seen.map(|point| point.position).filter(|p| p.coords.iter().all(|x| x.is_finite())).collect();
-    for axis in 0..3 {
-        let Some(center) = median(points.iter().map(|p| p[axis]).collect()) else { break };
-        let spread = median(points.iter().map(|p| (p[axis] - center).abs()).collect()).unwrap_or(0.0);
-        points.retain(|p| (p[axis] - center).abs() <= options.max_deviation * spread);
-    }
-    points
+    object.solid_points(min_track, options.max_deviation)
 }
 
 /// Finds the ground under a vehicle; `None` for a model without points that count.
@@ -147,8 +139,7 @@ pub fn contact(
 ) -> Option<Contact> {
     let points = solid_points(object, options);
     let mut heights: Vec<f64> = points.iter().map(|p| p.z).collect();
-    heights.sort_by(f64::total_cmp);
-    let (low, high) = (quantile(&heights, 0.01)?, quantile(&heights, 0.99)?);
+    let (low, high) = (quantile(&mut heights, 0.01)?, quantile(&mut heights, 0.99)?);
     let extent = high - low;
     let limit = low + options.lowest_part * extent;
     let feet: Vec<Point3<f64>> = points.iter().filter(|p| p.z < limit).copied().collect();
@@ -161,10 +152,6 @@ pub fn contact(
         object.images.iter().filter_map(|(id, image)| Some((image, silhouettes.get(&id.frame())?))).collect();
     let seen = view.not_hidden(seen);
     Some(view.of_sides(&seen, &ahead).or_else(|| view.of_ends(&seen, &ahead, lowest.std)).unwrap_or(lowest))
-}
-
-fn quantile(sorted: &[f64], q: f64) -> Option<f64> {
-    sorted.get((q * sorted.len().saturating_sub(1) as f64).round() as usize).copied()
 }
 
 /// What every frame is asked.
@@ -276,7 +263,6 @@ impl LowerEdge<'_> {
             -plane.dot(&(image.cam_from_world * (level + shift)).coords) / slope
         };
         let mut heights: Vec<f64> = self.feet.iter().map(touching).collect();
-        heights.sort_by(f64::total_cmp);
-        quantile(&heights, within).filter(|z| z.is_finite())
+        quantile(&mut heights, within).filter(|z| z.is_finite())
     }
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Vector2, Vector3};
 
-use crate::math::Rigid3;
+use crate::math::{Rigid3, quantile};
 use crate::scene::{Image, Reconstruction};
 use crate::trajectory::Silhouette;
 
@@ -61,7 +61,7 @@ impl Sight {
             let angle = f64::from(k) * std::f64::consts::TAU / f64::from(DIRECTIONS);
             let normal = Vector2::new(angle.cos(), angle.sin());
             let support = support(&hull, &normal) + border;
-            (quantile(&inside, &normal)? <= support + HIDDEN * std).then_some(Touch { normal, support })
+            (reach(&inside, &normal)? <= support + HIDDEN * std).then_some(Touch { normal, support })
         });
         let touches: Vec<Touch> = touches.collect();
         (touches.iter().all(|touch| touch.support.is_finite()) && std.is_finite()).then_some(Self {
@@ -89,10 +89,8 @@ pub(super) fn support(points: &[Vector2<f64>], normal: &Vector2<f64>) -> f64 {
 }
 
 /// How far nearly all points reach in a direction.
-fn quantile(points: &[Vector2<f64>], normal: &Vector2<f64>) -> Option<f64> {
-    let mut along: Vec<f64> = points.iter().map(|p| normal.dot(p)).collect();
-    along.sort_by(f64::total_cmp);
-    along.get((INSIDE * along.len().saturating_sub(1) as f64).round() as usize).copied()
+fn reach(points: &[Vector2<f64>], normal: &Vector2<f64>) -> Option<f64> {
+    quantile(&mut points.iter().map(|p| normal.dot(p)).collect::<Vec<_>>(), INSIDE)
 }
 
 /// How large a hull is: the larger side of the rectangle around it.

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Point3, Vector3};
 
 use super::Candidate;
-use crate::math::median;
+use crate::math::{median, quantile};
 use crate::scene::{GroundPlane, Image, ObjectPose, Reconstruction};
 use crate::trajectory::heading::forward_axis;
 use crate::trajectory::object_center;
@@ -103,34 +103,25 @@ fn finite_points(object: &Reconstruction) -> Vec<Point3<f64>> {
 fn over_ground(candidate: &Candidate, points: &[Point3<f64>]) -> Vec<[f64; 3]> {
     let of_frame = |pose: &ObjectPose| {
         let plane: &GroundPlane = candidate.planes.get(&pose.frame)?;
-        let heights: Vec<f64> =
+        let mut heights: Vec<f64> =
             points.iter().map(|point| plane.signed_distance(pose.world_from_object * *point)).collect();
-        let sorted = sorted(heights)?;
-        Some([quantile(&sorted, BOTTOM), quantile(&sorted, 0.5), quantile(&sorted, TOP)])
+        let [bottom, middle, top] = [BOTTOM, 0.5, TOP].map(|share| finite_quantile(&mut heights, share));
+        Some([bottom?, middle?, top?])
     };
     candidate.trajectory.poses.iter().filter_map(of_frame).collect()
 }
 
-/// Ascending; `None` of nothing, or of something that is no number.
-fn sorted(mut values: Vec<f64>) -> Option<Vec<f64>> {
-    if values.is_empty() || values.iter().any(|value| !value.is_finite()) {
-        return None;
-    }
-    values.sort_by(f64::total_cmp);
-    Some(values)
-}
-
-/// Of values in ascending order, at least one.
-fn quantile(sorted: &[f64], share: f64) -> f64 {
-    sorted[(share * (sorted.len() - 1) as f64).round() as usize]
+/// `None` of nothing, or of something that is no number.
+fn finite_quantile(values: &mut [f64], share: f64) -> Option<f64> {
+    values.iter().all(|value| value.is_finite()).then(|| quantile(values, share))?
 }
 
 /// Twice the distance from the middle within which nearly all points lie, in the frame of the points.
 fn length(points: &[Point3<f64>]) -> Option<f64> {
     let along = |axis: usize| median(points.iter().map(|point| point[axis]).collect());
     let middle = Point3::new(along(0)?, along(1)?, along(2)?);
-    let distances = sorted(points.iter().map(|point| (point - middle).norm()).collect())?;
-    Some(2.0 * quantile(&distances, EXTENT))
+    let mut distances: Vec<f64> = points.iter().map(|point| (point - middle).norm()).collect();
+    Some(2.0 * finite_quantile(&mut distances, EXTENT)?)
 }
 
 /// Longer side of the box round the points that an image sees, pixels; `None` for fewer than three.
