@@ -8,19 +8,23 @@
 //! Channel order is red, green, blue in both worlds unless a name says `bgr`.
 
 mod canvas;
+mod corners;
 mod degrade;
 mod opencv_mat;
 mod resize;
+mod window;
 
 use std::num::TryFromIntError;
 
 pub use self::canvas::{Canvas, Plate};
+pub use self::corners::CornerStrength;
 pub use self::degrade::{blurred, noisy};
 pub use self::opencv_mat::{
     borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_affine, mat_from_bytes, mat_from_f32, mat_from_gray,
     mat_from_rgb, rgb_from_bgr_mat, rgb_from_mat,
 };
 pub use self::resize::{gray_from_rgb, resize_gray, resize_rgb, scale_to_fit, warp_gray};
+pub use self::window::window_of_radius;
 pub use ::image::{GrayImage, RgbImage};
 
 /// What can go wrong with pixel buffers.

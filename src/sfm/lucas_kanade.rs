@@ -1,14 +1,15 @@
 //! Points followed from one picture to another and back, by pyramidal Lucas-Kanade (OpenCV).
 
-use opencv::core::{Point2f, Size, TermCriteria, ToInputArray, Vector};
+use opencv::core::{Point2f, TermCriteria, ToInputArray, Vector};
 use opencv::video::OPTFLOW_USE_INITIAL_FLOW;
 
 use super::SfmError;
+use crate::image::window_of_radius;
 
 /// How points are followed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LucasKanade {
-    /// Half the side of the window, pixels.
+    /// Half the side of the window, pixels; its shape is that of [`window_of_radius`].
     pub window_radius_px: i32,
     /// Levels of the pyramid above the image.
     pub pyramid_levels: i32,
@@ -63,7 +64,6 @@ impl LucasKanade {
         points: &Vector<Point2f>,
         guesses: Option<Vector<Point2f>>,
     ) -> Result<(Vector<Point2f>, Vector<u8>), SfmError> {
-        let side = 2 * self.window_radius_px + 1;
         let flags = if guesses.is_some() { OPTFLOW_USE_INITIAL_FLOW } else { 0 };
         let (mut moved, mut status, mut error) = (guesses.unwrap_or_default(), Vector::new(), Vector::<f32>::new());
         opencv::video::calc_optical_flow_pyr_lk(
@@ -73,7 +73,7 @@ impl LucasKanade {
             &mut moved,
             &mut status,
             &mut error,
-            Size::new(side, side),
+            window_of_radius(self.window_radius_px),
             self.pyramid_levels,
             TermCriteria::new(3, 20, 0.03)?,
             flags,

@@ -11,6 +11,7 @@
 //! `bridge`).
 
 mod bridge;
+mod corners;
 mod following;
 mod key_view;
 mod live;
@@ -20,7 +21,7 @@ mod memory;
 mod tests;
 
 use nalgebra::{Matrix2, Point2, Vector2};
-use opencv::core::{Mat, Point2f, Size, Vector};
+use opencv::core::{Mat, Point2f, Vector};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -28,7 +29,7 @@ use super::patch::{Patch, Warp};
 use super::tracks::{Feature, Track, TrackTable, View};
 use super::{SfmError, Target};
 use crate::camera::Camera;
-use crate::image::{GrayImage, RgbImage, borrowed_gray, gray_from_rgb, mat_from_gray};
+use crate::image::{CornerStrength, GrayImage, RgbImage, gray_from_rgb, mat_from_gray, window_of_radius};
 use crate::limits::{Checked, within};
 use crate::scene::{BoundingBox, Frame, Mask};
 use live::{Live, whitening};
@@ -183,12 +184,11 @@ impl VideoFrontEnd {
     }
 
     fn pyramid(&self, gray: &GrayImage) -> Result<Vector<Mat>, SfmError> {
-        let side = 2 * self.options.window_radius_px + 1;
         let mut pyramid = Vector::<Mat>::new();
         opencv::video::build_optical_flow_pyramid_def(
             &mat_from_gray(gray)?,
             &mut pyramid,
-            Size::new(side, side),
+            window_of_radius(self.options.window_radius_px),
             self.options.pyramid_levels,
         )?;
         Ok(pyramid)
@@ -215,7 +215,7 @@ impl VideoFrontEnd {
             clear_disc(&mut free, point.warp.center, reach);
         }
         let Some(bounds) = free.bounding_box().filter(|_| wanted > 0) else { return Ok(()) };
-        for center in self.corners(gray, &free, bounds, wanted)? {
+        for center in self.corners(gray, &free, bounds, wanted) {
             if let Some(patch) = Patch::cut(gray, center, self.options.patch_radius_px) {
                 let track = self.table.tracks.len();
                 self.table.tracks.push(Track::new());
@@ -229,35 +229,18 @@ impl VideoFrontEnd {
 
     /// The strongest corners of the pixels that are set, all of which lie within some bounds: of a small object no more
     /// than its surroundings are looked at.
-    fn corners(
-        &self,
-        gray: &GrayImage,
-        free: &Mask,
-        bounds: BoundingBox,
-        wanted: usize,
-    ) -> Result<Vec<Point2<f32>>, SfmError> {
+    fn corners(&self, gray: &GrayImage, free: &Mask, bounds: BoundingBox, wanted: usize) -> Vec<Point2<f32>> {
         /// What the strength of a corner depends on.
         const MARGIN_PX: u32 = 8;
         let (x0, y0) = (bounds.x0.saturating_sub(MARGIN_PX), bounds.y0.saturating_sub(MARGIN_PX));
         let x1 = bounds.x1.saturating_add(MARGIN_PX).min(gray.width());
         let y1 = bounds.y1.saturating_add(MARGIN_PX).min(gray.height());
-        let cropped = |image: &GrayImage| ::image::imageops::crop_imm(image, x0, y0, x1 - x0, y1 - y0).to_image();
-        let free = GrayImage::from_raw(free.width(), free.height(), free.to_bytes()).unwrap_or_default();
-        let (crop, free) = (cropped(gray), cropped(&free));
-        let mut corners = Vector::<Point2f>::new();
-        opencv::imgproc::good_features_to_track(
-            &borrowed_gray(&crop)?,
-            &mut corners,
-            wanted as i32,
-            self.options.quality,
-            self.options.min_distance_px,
-            &borrowed_gray(&free)?,
-            3,
-            false,
-            0.04,
-        )?;
-        let in_picture = |corner| from_opencv(corner) + Vector2::new(x0 as f32, y0 as f32);
-        Ok(corners.into_iter().map(in_picture).collect())
+        let crop = ::image::imageops::crop_imm(gray, x0, y0, x1 - x0, y1 - y0).to_image();
+        let (pixels, width) = (free.pixels(), free.width() as usize);
+        let is_free = |x: usize, y: usize| pixels[(y + y0 as usize) * width + x + x0 as usize];
+        let VideoOptions { quality, min_distance_px, .. } = self.options;
+        let found = corners::strongest(&CornerStrength::of(&crop), is_free, wanted, quality, min_distance_px);
+        found.into_iter().map(|corner| corner + Vector2::new(x0 as f32, y0 as f32)).collect()
     }
 
     fn record(&mut self, frame: &Frame, image: &RgbImage) {
@@ -288,10 +271,11 @@ const TYPICAL_DIFFERENCE: f32 = 0.05;
 fn clear_disc(mask: &mut Mask, center: Point2<f32>, reach: i64) {
     let (cx, cy) = (center.x as i64, center.y as i64);
     for y in (cy - reach).max(0)..=(cy + reach).min(i64::from(mask.height()) - 1) {
-        for x in (cx - reach).max(0)..=(cx + reach).min(i64::from(mask.width()) - 1) {
-            if (x - cx).pow(2) + (y - cy).pow(2) <= reach * reach {
-                mask.set(x as u32, y as u32, false);
-            }
+        let half = (reach * reach - (y - cy).pow(2)).isqrt();
+        let row = y as usize * mask.width() as usize;
+        let (first, end) = ((cx - half).max(0) as usize, (cx + half + 1).clamp(0, i64::from(mask.width())) as usize);
+        if first < end {
+            mask.pixels_mut()[row + first..row + end].fill(false);
         }
     }
 }

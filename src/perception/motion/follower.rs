@@ -8,12 +8,11 @@
 //! again and again in the same cells.
 
 use opencv::core::{Mat, MatTraitConst, Point2f, Size, TermCriteria, Vector};
-use opencv::prelude::*;
 use opencv::video::OPTFLOW_USE_INITIAL_FLOW;
 use serde::{Deserialize, Serialize};
 
 use super::FollowerOptions;
-use crate::image::{GrayImage, borrowed_gray, resize_gray, scale_to_fit};
+use crate::image::{CornerStrength, GrayImage, borrowed_gray, resize_gray, scale_to_fit, window_of_radius};
 use crate::perception::PerceptionError;
 
 /// Where one point was seen, in frames that follow one another without a gap.
@@ -110,7 +109,7 @@ impl PointFollower {
             self.follow(&previous, &pyramid)?;
         }
         self.drop_crowded();
-        self.find_new(&picture)?;
+        self.find_new(&CornerStrength::of(&picture));
         self.previous = Some(pyramid);
         self.num_frames += 1;
         Ok(())
@@ -134,8 +133,7 @@ impl PointFollower {
     }
 
     fn window(&self) -> Size {
-        let side = 2 * self.options.window_radius_px + 1;
-        Size::new(side, side)
+        window_of_radius(self.options.window_radius_px)
     }
 
     fn follow(&mut self, previous: &Vector<Mat>, next: &Vector<Mat>) -> Result<(), PerceptionError> {
@@ -257,16 +255,8 @@ impl PointFollower {
     }
 
     /// Starts a point at the strongest corner of every cell that has none.
-    fn find_new(&mut self, picture: &GrayImage) -> Result<(), PerceptionError> {
-        let mut strength = Mat::default();
-        opencv::imgproc::corner_min_eigen_val(
-            &borrowed_gray(picture)?,
-            &mut strength,
-            3,
-            3,
-            opencv::core::BORDER_DEFAULT,
-        )?;
-        let corners = self.corners(&strength)?;
+    fn find_new(&mut self, strength: &CornerStrength) {
+        let corners = self.corners(strength);
         let least = self.options.quality * quantile(corners.iter().map(|c| c.1).collect(), 0.9);
         let taken = self.taken_cells();
         let is_free = |p: Point2f| !taken[self.cell(p)] && self.rested[self.cell(p)] <= self.num_frames;
@@ -276,25 +266,26 @@ impl PointFollower {
         let room = self.options.max_points.saturating_sub(self.live.len());
         let first = self.num_frames;
         self.live.extend(new.into_iter().take(room).map(|(p, _)| Live { first, positions: vec![p] }));
-        Ok(())
     }
 
     /// The strongest place of every cell with its strength, row by row.
-    fn corners(&self, strength: &Mat) -> Result<Vec<(Point2f, f32)>, PerceptionError> {
+    fn corners(&self, strength: &CornerStrength) -> Vec<(Point2f, f32)> {
         let (cols, rows) = self.grid();
         let mut best = vec![(Point2f::default(), 0.0f32); cols * rows];
-        let border = self.options.window_radius_px.max(2);
-        for y in border..strength.rows() - border {
-            let row = strength.at_row::<f32>(y)?;
-            for x in border..strength.cols() - border {
-                let (value, place) = (row[x as usize], Point2f::new(x as f32, y as f32));
-                let cell = &mut best[self.cell(place)];
-                if value > cell.1 {
-                    *cell = (place, value);
+        let border = self.options.window_radius_px.max(2) as usize;
+        let spacing = self.options.spacing_px as usize;
+        for y in border..strength.num_rows().saturating_sub(border) {
+            let cells = &mut best[y / spacing * cols..][..cols];
+            let row = &strength.row(y)[..strength.num_cols().saturating_sub(border)];
+            for (col, (values, cell)) in row.chunks(spacing).zip(cells).enumerate() {
+                for (x, value) in (col * spacing..).zip(values) {
+                    if *value > cell.1 && x >= border {
+                        *cell = (Point2f::new(x as f32, y as f32), *value);
+                    }
                 }
             }
         }
-        Ok(best)
+        best
     }
 
     fn taken_cells(&self) -> Vec<bool> {
