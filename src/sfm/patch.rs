@@ -53,9 +53,8 @@ impl Patch {
     ///
     /// `None` when it reaches over the image's border or has too little structure to fix a position.
     pub fn cut(image: &GrayImage, center: Point2<f32>, radius: i32) -> Option<Self> {
-        let identity = Warp { shape: Matrix2::identity(), center };
         // One more on each side, for central differences.
-        let wide = sample(image, &identity, radius + 1)?;
+        let wide = square(image, center, radius + 1)?;
         let side = (2 * radius + 1) as usize;
         let at = |x: usize, y: usize| wide[y * (side + 2) + x];
         let values: Vec<f32> = (0..side * side).map(|i| at(i % side + 1, i / side + 1)).collect();
@@ -102,13 +101,37 @@ impl Patch {
         Arch::new().dispatch(Alignment { patch: self, image, start })
     }
 
+    /// In as little of the image as the patch and its way need.
     #[inline(always)]
     fn align_here(&self, image: &GrayImage, start: &Warp) -> Option<Aligned> {
+        let [x0, y0, x1, y1] = extent(start, self.radius);
+        // As far as it may go, and a few pixels more for the shape.
+        let spread = (x1 - x0).max(y1 - y0) + self.radius as f32 + 4.0;
+        if spread <= SMALL as f32 {
+            self.align_within::<SMALL>(image, start)
+        } else if spread <= LARGE as f32 {
+            self.align_within::<LARGE>(image, start)
+        } else {
+            self.align_within::<LARGEST>(image, start)
+        }
+    }
+
+    #[inline(always)]
+    fn align_within<const SIDE: usize>(&self, image: &GrayImage, start: &Warp) -> Option<Aligned> {
         const MAX_ITERATIONS: usize = 15;
-        const CONVERGED_PX: f32 = 0.005;
+        const CONVERGED_PX: f32 = 0.01;
         let mut warp = *start;
+        let mut around = Surroundings::<SIDE>::new(image, start, self.radius)?;
+        let mut correlation = 0.0;
         for _ in 0..MAX_ITERATIONS {
-            let seen = self.compare(image, &warp)?;
+            let seen = match around.picture(&warp, self.radius) {
+                Some(picture) => self.compare(&picture)?,
+                None => {
+                    around = Surroundings::new(image, &warp, self.radius)?;
+                    self.compare(&around.picture(&warp, self.radius)?)?
+                }
+            };
+            correlation = seen.correlation;
             let gradient = (seen.jacobian - self.sum_jacobian * seen.mean) / seen.deviation - self.sum_template;
             let step = self.inverse_hessian * gradient;
             warp = composed_with_inverse(&warp, &step)?;
@@ -119,8 +142,7 @@ impl Patch {
                 break;
             }
         }
-        let correlation = self.compare(image, &warp)?.correlation;
-        // Of two patches of zero mean and unit variance.
+        // That before the last step, which was too short to matter. Of two patches of zero mean and unit variance.
         let difference = (2.0 - 2.0 * correlation).max(0.0);
         Some(Aligned { warp, correlation, covariance: self.covariance(&warp.shape, difference) })
     }
@@ -133,11 +155,10 @@ impl Patch {
         shape * position * shape.transpose()
     }
 
-    /// What the image shows under a warp, in one pass over the patch; `None` where it reaches over the border, or
-    /// shows no structure. Grey values count from the template's mean, which keeps the sums small.
+    /// What a picture shows, in one pass over the patch; `None` where it shows no structure. Grey values count from the
+    /// template's mean, which keeps the sums small.
     #[inline(always)]
-    fn compare(&self, image: &GrayImage, warp: &Warp) -> Option<Seen> {
-        let picture = Picture::new(image, warp, self.radius)?;
+    fn compare<const SIDE: usize>(&self, picture: &Picture<'_, SIDE>) -> Option<Seen> {
         let side = (2 * self.radius + 1) as usize;
         let (padded, num_pixels) = (padded(side), (side * side) as f32);
         let [mut sum, mut sum_sq, mut products] = [[0.0f32; LANES]; 3];
@@ -212,65 +233,112 @@ struct Seen {
 /// Values that are worked on at once.
 const LANES: usize = 8;
 
+/// Sides of the part of an image that a patch is looked for in, pixels. A patch that is spread over more is none.
+const SMALL: usize = 32;
+const LARGE: usize = 64;
+const LARGEST: usize = 512;
+
 /// Length of a row with what fills it up.
 fn padded(side: usize) -> usize {
     side.div_ceil(LANES) * LANES
 }
 
+/// The part of an image in which a patch is looked for, as numbers: to convert pixels once for every sample takes
+/// longer than all else. The compiler knows the length of the rows and needs no look at bounds.
+struct Surroundings<const SIDE: usize> {
+    values: Vec<[f32; SIDE]>,
+    /// Array indices of the first value in the image.
+    corner: [usize; 2],
+    /// Columns and rows that lie in the image.
+    size: [usize; 2],
+}
+
+impl<const SIDE: usize> Surroundings<SIDE> {
+    /// `None` if the patch does not lie inside the image under the warp, or is spread over too many pixels.
+    #[inline(always)]
+    fn new(image: &GrayImage, warp: &Warp, radius: i32) -> Option<Self> {
+        let sides = [image.width() as usize, image.height() as usize];
+        let [x0, y0, x1, y1] = extent(warp, radius);
+        let is_inside = x0 >= 0.0 && y0 >= 0.0 && x1 < sides[0] as f32 - 1.0 && y1 < sides[1] as f32 - 1.0;
+        if !is_inside || (x1 - x0).max(y1 - y0) > (SIDE - 4) as f32 {
+            return None;
+        }
+        let first = |from: f32, to: f32| (0.5 * (from + to - SIDE as f32)).max(0.0) as usize;
+        let corner = [first(x0, x1), first(y0, y1)];
+        let size = [0, 1].map(|axis| (sides[axis] - corner[axis]).min(SIDE));
+        let mut values = vec![[0.0; SIDE]; SIDE];
+        let rows = image.as_raw().chunks_exact(sides[0]).skip(corner[1]);
+        for (values, row) in values.iter_mut().zip(rows) {
+            let row = &row[corner[0]..corner[0] + size[0]];
+            values.iter_mut().zip(row).for_each(|(value, grey)| *value = f32::from(*grey));
+        }
+        Some(Self { values, corner, size })
+    }
+
+    /// The patch under a warp; `None` if it does not lie inside.
+    #[inline(always)]
+    fn picture(&self, warp: &Warp, radius: i32) -> Option<Picture<'_, SIDE>> {
+        let [x0, y0, x1, y1] = extent(warp, radius);
+        let ([left, top], [cols, rows]) = (self.corner.map(|at| at as f32), self.size.map(|side| side as f32));
+        let holds = x0 >= left && y0 >= top && x1 < left + cols - 1.0 && y1 < top + rows - 1.0;
+        let values = self.values.as_slice().try_into().ok().filter(|_| holds)?;
+        Some(Picture { values, origin: warp.center - Vector2::new(0.5 + left, 0.5 + top), shape: warp.shape })
+    }
+}
+
+/// The box round a warped square of `2 radius + 1` pixels a side, in array indices: the first pixel centre is at 0.5.
+#[inline(always)]
+fn extent(warp: &Warp, radius: i32) -> [f32; 4] {
+    let reach = |row: usize| radius as f32 * (warp.shape[(row, 0)].abs() + warp.shape[(row, 1)].abs());
+    let ([x, y], [across, down]) = ([warp.center.x - 0.5, warp.center.y - 0.5], [reach(0), reach(1)]);
+    [x - across, y - down, x + across, y + down]
+}
+
 /// An image under a warp that it holds whole.
-struct Picture<'a> {
-    pixels: &'a [u8],
-    width: usize,
-    height: usize,
+struct Picture<'a, const SIDE: usize> {
+    values: &'a [[f32; SIDE]; SIDE],
     /// The patch's centre, in array indices.
     origin: Point2<f32>,
     shape: Matrix2<f32>,
 }
 
-impl<'a> Picture<'a> {
-    /// `None` if a square of `2 radius + 1` pixels a side does not lie inside.
-    #[inline(always)]
-    fn new(image: &'a GrayImage, warp: &Warp, radius: i32) -> Option<Self> {
-        let (width, height) = (image.width() as usize, image.height() as usize);
-        // The first pixel centre is at 0.5.
-        let origin = warp.center - Vector2::new(0.5, 0.5);
-        let reach = radius as f32;
-        let inside = |sx: f32, sy: f32| {
-            let p = origin + warp.shape * Vector2::new(sx * reach, sy * reach);
-            p.x >= 0.0 && p.y >= 0.0 && p.x < width as f32 - 1.0 && p.y < height as f32 - 1.0
-        };
-        let holds = inside(-1.0, -1.0) && inside(1.0, -1.0) && inside(-1.0, 1.0) && inside(1.0, 1.0);
-        holds.then(|| Self { pixels: image.as_raw(), width, height, origin, shape: warp.shape })
-    }
-
+impl<const SIDE: usize> Picture<'_, SIDE> {
     /// Bilinear samples along a row of the patch, from a column on. What lies beyond the patch may be anything.
     #[inline(always)]
     fn sample(&self, row: f32, column: f32) -> [f32; LANES] {
         let start = self.origin + self.shape * Vector2::new(column, row);
         // Fixed point: conversions of floating-point numbers to indices take longer than all else.
-        let fixed = |value: f32| (value * ONE) as i64;
-        let (step_x, step_y) = (fixed(self.shape[(0, 0)]), fixed(self.shape[(1, 0)]));
-        let (mut x, mut y) = (fixed(start.x), fixed(start.y));
-        let mut values = [0.0; LANES];
-        for value in &mut values {
-            // The patch's corners lie inside; rounding may still step over the border.
-            let index = |place: i64, last: usize| ((place >> BITS).max(0) as usize).min(last);
-            let (u, v) = (index(x, self.width - 2), index(y, self.height - 2));
-            let part = |place: i64| (place & ((1 << BITS) - 1)) as i32 as f32 * (1.0 / ONE);
-            let first = v * self.width + u;
-            let near = &self.pixels[first..first + self.width + 2];
-            let [a, b, c, d] = [near[0], near[1], near[self.width], near[self.width + 1]].map(f32::from);
-            let (top, bottom) = (a + part(x) * (b - a), c + part(x) * (d - c));
-            *value = top + part(y) * (bottom - top);
-            (x, y) = (x + step_x, y + step_y);
+        let fixed = |value: f32| (value * ONE) as i32;
+        let (first, step) = ([start.x, start.y].map(fixed), [self.shape[(0, 0)], self.shape[(1, 0)]].map(fixed));
+        // The patch's corners lie inside; rounding, and what fills up a row, may still step over the border.
+        let last = (SIDE * SIDE - SIDE - 2) as u32;
+        let (mut index, mut part) = ([0u32; LANES], [[0.0f32; LANES]; 2]);
+        for k in 0..LANES {
+            let place = |axis: usize| first[axis].wrapping_add(step[axis].wrapping_mul(k as i32));
+            let (x, y) = (place(0), place(1));
+            index[k] = ((y >> BITS).wrapping_mul(SIDE as i32).wrapping_add(x >> BITS) as u32).min(last);
+            part[0][k] = (x & MASK) as f32 * (1.0 / ONE);
+            part[1][k] = (y & MASK) as f32 * (1.0 / ONE);
         }
-        values
+        let values = self.values.as_flattened();
+        let mut near = [[0.0f32; LANES]; 4];
+        for k in 0..LANES {
+            let index = index[k] as usize;
+            (near[0][k], near[1][k]) = (values[index], values[index + 1]);
+            (near[2][k], near[3][k]) = (values[index + SIDE], values[index + SIDE + 1]);
+        }
+        std::array::from_fn(|k| {
+            let top = near[0][k] + part[0][k] * (near[1][k] - near[0][k]);
+            let bottom = near[2][k] + part[0][k] * (near[3][k] - near[2][k]);
+            top + part[1][k] * (bottom - top)
+        })
     }
 }
 
-/// Bits behind the point of a position in fixed point.
-const BITS: u32 = 20;
+/// Bits behind the point of a position in fixed point; positions lie within [`LARGEST`].
+const BITS: u32 = 18;
 const ONE: f32 = (1 << BITS) as f32;
+const MASK: i32 = (1 << BITS) - 1;
 
 /// Grey values of standard deviation below this are noise, not structure.
 const MIN_DEVIATION: f32 = 1.0;
@@ -292,16 +360,25 @@ fn mean_and_deviation(values: &[f32]) -> (f32, f32) {
     (mean, (values.iter().map(|v| (v - mean) * (v - mean)).sum::<f32>() / n).sqrt())
 }
 
-/// Bilinear samples of a warped square, row-major; `None` if any lies outside.
-fn sample(image: &GrayImage, warp: &Warp, radius: i32) -> Option<Vec<f32>> {
-    let picture = Picture::new(image, warp, radius)?;
-    let side = (2 * radius + 1) as usize;
+/// Bilinear samples of a square of `2 radius + 1` pixels a side, row-major; `None` if any lies outside.
+fn square(image: &GrayImage, center: Point2<f32>, radius: i32) -> Option<Vec<f32>> {
+    let (width, side) = (image.width() as usize, (2 * radius + 1) as usize);
+    let [x, y] = [center.x, center.y].map(|at| at - 0.5 - radius as f32);
+    let reach = (side - 1) as f32;
+    let is_inside = x >= 0.0 && y >= 0.0 && x + reach < width as f32 - 1.0 && y + reach < image.height() as f32 - 1.0;
+    if !is_inside {
+        return None;
+    }
+    let (first, [u, v]) = (y as usize * width + x as usize, [x.fract(), y.fract()]);
     let mut out = Vec::with_capacity(side * side);
-    for row in -radius..=radius {
-        for first in (0..side).step_by(LANES) {
-            let values = picture.sample(row as f32, (first as i32 - radius) as f32);
-            out.extend(&values[..LANES.min(side - first)]);
-        }
+    for row in 0..side {
+        let top = &image.as_raw()[first + row * width..][..side + 1];
+        let bottom = &image.as_raw()[first + (row + 1) * width..][..side + 1];
+        out.extend(top.windows(2).zip(bottom.windows(2)).map(|(top, bottom)| {
+            let [a, b, c, d] = [top[0], top[1], bottom[0], bottom[1]].map(f32::from);
+            let (top, bottom) = (a + u * (b - a), c + u * (d - c));
+            top + v * (bottom - top)
+        }));
     }
     Some(out)
 }
