@@ -8,7 +8,7 @@ use super::clock::Clock;
 use super::decode::Decoder;
 use super::error::regular;
 use super::{VideoError, diagnosis};
-use crate::ffi::ffmpeg::{self, FfmpegError, MediaFile, Packet, RgbConverter, Stream, StreamKind};
+use crate::ffi::ffmpeg::{self, FfmpegError, MediaFile, Packet, Purpose, RgbConverter, Stream, StreamKind};
 use crate::image::resize_rgb;
 use crate::scene::{Frame, FrameId};
 
@@ -43,7 +43,7 @@ impl Video {
     /// # Errors
     /// What [`diagnosis`] finds, where FFmpeg does not take the file or there is no such stream;
     /// [`VideoError::NoDecoder`]; [`VideoError::Ffmpeg`].
-    pub(super) fn open(path: &Path) -> Result<Self, VideoError> {
+    pub(super) fn open(path: &Path, purpose: Purpose) -> Result<Self, VideoError> {
         let refused = |error| match error {
             FfmpegError::Open(_) => diagnosis::why_not(path),
             FfmpegError::NoDecoder(coding) => VideoError::NoDecoder { path: path.to_owned(), coding },
@@ -53,7 +53,7 @@ impl Video {
         let mut file = MediaFile::open(path).map_err(refused)?;
         let stream = diagnosis::moving_pictures(&file, path)?;
         file.keep_only(stream.index);
-        let decoder = ffmpeg::Decoder::new(&file, stream.index).map_err(refused)?;
+        let decoder = ffmpeg::Decoder::new(&file, stream.index, purpose).map_err(refused)?;
         let (packet, converter) = (Packet::new()?, RgbConverter::new()?);
         Ok(Self { file, stream, decoder, packet, converter, origin: stream.start })
     }
@@ -117,8 +117,13 @@ pub(super) struct FileDecoder {
 }
 
 impl FileDecoder {
-    pub(super) fn open(path: &Path, size: (u32, u32), target: (u32, u32)) -> Result<Self, VideoError> {
-        let video = Video::open(path)?;
+    pub(super) fn open(
+        path: &Path,
+        purpose: Purpose,
+        size: (u32, u32),
+        target: (u32, u32),
+    ) -> Result<Self, VideoError> {
+        let video = Video::open(path, purpose)?;
         let clock = Clock::new(video.container().fps);
         Ok(Self { path: path.to_owned(), video, clock, next: 0, size, target })
     }

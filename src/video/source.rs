@@ -13,6 +13,7 @@ use super::file::{FileDecoder, Video};
 use super::folder::{self, FolderDecoder, Listing, Taken};
 use super::options::Selection;
 use super::{Frames, Options, VideoError};
+use crate::ffi::ffmpeg::Purpose;
 use crate::image::scale_to_fit;
 use crate::limits::files;
 use crate::scene::{Frame, FrameId, TimeBase};
@@ -194,7 +195,7 @@ impl Source {
     /// # Errors
     /// [`VideoError::NothingChosen`] if the options leave no frame; those of opening the file again.
     pub fn scan(&self) -> Result<Scan, VideoError> {
-        let mut decoder = self.decoder()?;
+        let mut decoder = self.decoder(Purpose::Times)?;
         let mut selection = Selection::new(&self.options);
         let frames: Vec<Frame> = std::iter::from_fn(|| next_chosen(decoder.as_mut(), &mut selection).transpose())
             .collect::<Result<_, _>>()?;
@@ -212,7 +213,7 @@ impl Source {
     /// # Errors
     /// Those of opening the file again; what is wrong with single frames comes from the iterator.
     pub fn frames(&self) -> Result<Frames, VideoError> {
-        Frames::start(self.decoder()?, Selection::new(&self.options), None)
+        Frames::start(self.decoder(Purpose::Pictures)?, Selection::new(&self.options), None)
     }
 
     /// Decodes those of the chosen frames that are asked for, in order.
@@ -220,10 +221,10 @@ impl Source {
     /// # Errors
     /// As [`Source::frames`].
     pub fn frames_at(&self, ids: BTreeSet<FrameId>) -> Result<Frames, VideoError> {
-        Frames::start(self.decoder()?, Selection::new(&self.options), Some(ids))
+        Frames::start(self.decoder(Purpose::Pictures)?, Selection::new(&self.options), Some(ids))
     }
 
-    fn decoder(&self) -> Result<Box<dyn Decoder>, VideoError> {
+    fn decoder(&self, purpose: Purpose) -> Result<Box<dyn Decoder>, VideoError> {
         let info = &self.info;
         let target = (info.width, info.height);
         Ok(match &self.listing {
@@ -231,12 +232,12 @@ impl Source {
                 let targets = self.cameras.iter().map(|camera| (camera.width, camera.height)).collect();
                 Box::new(FolderDecoder::new(listing, self.options.fps, targets))
             }
-            None => Box::new(FileDecoder::open(&self.path, (info.source_width, info.source_height), target)?),
+            None => Box::new(FileDecoder::open(&self.path, purpose, (info.source_width, info.source_height), target)?),
         })
     }
 
     fn nothing_chosen(&self) -> Result<VideoError, VideoError> {
-        let mut decoder = self.decoder()?;
+        let mut decoder = self.decoder(Purpose::Times)?;
         let frames: Vec<Frame> = std::iter::from_fn(|| decoder.step().transpose()).collect::<Result<_, _>>()?;
         let place = |frame: &Frame| match self.info.time_base() {
             TimeBase::Seconds => format!("{:.3} s", frame.time_s),
@@ -304,7 +305,7 @@ fn only_camera(info: &Info) -> PictureCamera {
 
 fn file_info(path: &Path, options: &Options) -> Result<Info, VideoError> {
     let no_frames = || VideoError::NoFrames { path: path.to_owned() };
-    let video = Video::open(path)?;
+    let video = Video::open(path, Purpose::Pictures)?;
     let container = video.container();
     let (source_width, source_height) = video.first_size()?.ok_or_else(no_frames)?;
     let (width, height) = target_size((source_width, source_height), options);

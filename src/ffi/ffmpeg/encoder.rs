@@ -298,7 +298,7 @@ impl Drop for Encoder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ffi::ffmpeg::{Decoder, MediaFile, Packet, RgbConverter};
+    use crate::ffi::ffmpeg::{Decoder, MediaFile, Packet, Purpose, RgbConverter};
 
     fn picture(k: u8) -> RgbImage {
         RgbImage::from_fn(65, 48, |x, _| ::image::Rgb(if x < 32 { [20 * k, 40, 90] } else { [200, 10 * k, 30] }))
@@ -324,7 +324,7 @@ mod tests {
         assert_eq!(std::fs::read(&path).unwrap(), std::fs::read(&again).unwrap());
         let mut file = MediaFile::open(&path).unwrap();
         let stream = file.streams()[0];
-        let mut decoder = Decoder::new(&file, 0).unwrap();
+        let mut decoder = Decoder::new(&file, 0, Purpose::Pictures).unwrap();
         let (mut packet, mut converter) = (Packet::new().unwrap(), RgbConverter::new().unwrap());
         let mut times = Vec::new();
         while decoder.advance(&mut file, &mut packet).unwrap() {

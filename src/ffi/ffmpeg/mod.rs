@@ -19,7 +19,7 @@ use ffmpeg_sys_the_third as sys;
 use rustix::io::Errno;
 
 pub use self::colour::RgbConverter;
-pub use self::decoder::Decoder;
+pub use self::decoder::{Decoder, Purpose};
 pub use self::encoder::Encoder;
 pub use self::media_file::{MediaFile, Packet, Stream, StreamKind, TextCoding, TimeBase};
 
