@@ -33,15 +33,36 @@ pub(super) struct Plane<'a> {
 impl Plane<'_> {
     /// Linear interpolation at a position in cells; beyond the outermost centres the border value holds.
     pub(super) fn sample(&self, x: f32, y: f32) -> f32 {
-        let x = (x - 0.5).clamp(0.0, (self.width - 1) as f32);
-        let y = (y - 0.5).clamp(0.0, (self.height - 1) as f32);
+        Between::new(x, y, self.width, self.height).value(self.values)
+    }
+}
+
+/// A place between the samples of planes of one size.
+pub(super) struct Between {
+    /// Indices of the samples round it: above left and right, below left and right.
+    near: [usize; 4],
+    /// How far it is from the first of them, cells across and down.
+    part: [f32; 2],
+}
+
+impl Between {
+    /// At a position in cells; beyond the outermost centres it is at the border.
+    #[inline(always)]
+    pub(super) fn new(x: f32, y: f32, width: usize, height: usize) -> Self {
+        let x = (x - 0.5).clamp(0.0, (width - 1) as f32);
+        let y = (y - 0.5).clamp(0.0, (height - 1) as f32);
         let (x0, y0) = (x as usize, y as usize);
-        let (x1, y1) = ((x0 + 1).min(self.width - 1), (y0 + 1).min(self.height - 1));
-        let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-        let at = |x: usize, y: usize| self.values[y * self.width + x];
-        let top = at(x0, y0) + fx * (at(x1, y0) - at(x0, y0));
-        let bottom = at(x0, y1) + fx * (at(x1, y1) - at(x0, y1));
-        top + fy * (bottom - top)
+        let (x1, y1) = ((x0 + 1).min(width - 1), (y0 + 1).min(height - 1));
+        let near = [y0 * width + x0, y0 * width + x1, y1 * width + x0, y1 * width + x1];
+        Self { near, part: [x - x0 as f32, y - y0 as f32] }
+    }
+
+    /// What a plane has there, by linear interpolation.
+    #[inline(always)]
+    pub(super) fn value(&self, values: &[f32]) -> f32 {
+        let [a, b, c, d] = self.near.map(|k| values[k]);
+        let (top, bottom) = (a + self.part[0] * (b - a), c + self.part[0] * (d - c));
+        top + self.part[1] * (bottom - top)
     }
 }
 

@@ -176,7 +176,25 @@ impl Mask {
 
     /// Shrunk by `radius_px` in the maximum norm; pixels beyond the frame's border count as set.
     pub fn eroded(&self, radius_px: u32) -> Self {
-        self.complement().dilated(radius_px).complement()
+        let Some(set) = self.bounding_box().filter(|_| radius_px > 0) else { return self.clone() };
+        // Nothing is set beyond the box, which one pixel more on each side says as well as all of them.
+        let (x0, y0) = (set.x0.saturating_sub(1), set.y0.saturating_sub(1));
+        let (x1, y1) = ((set.x1 + 1).min(self.width), (set.y1 + 1).min(self.height));
+        let part = |mask: &Self, y: u32| mask.row(y).start + x0 as usize..mask.row(y).start + x1 as usize;
+        let mut unset = Self::empty(x1 - x0, y1 - y0);
+        for y in y0..y1 {
+            let own = unset.row(y - y0);
+            unset.pixels[own].copy_from_slice(&self.pixels[part(self, y)]);
+        }
+        unset.pixels.iter_mut().for_each(|set| *set = !*set);
+        let unset = unset.dilated(radius_px);
+        let mut out = Self::empty(self.width, self.height);
+        for y in y0..y1 {
+            let to = part(&out, y);
+            let from = &unset.pixels[unset.row(y - y0)];
+            out.pixels[to].iter_mut().zip(from).for_each(|(to, from)| *to = !from);
+        }
+        out
     }
 }
 
@@ -275,6 +293,26 @@ mod tests {
                 (0..height).any(|v| (0..width).any(|u| set(u, v)))
             };
             assert_eq!(mask.dilated(radius), Mask::from_fn(width, height, is_near), "{width} × {height}, {radius}");
+        }
+    }
+
+    #[test]
+    fn erosion_keeps_what_lies_deep_and_nothing_else() {
+        for (width, height, radius) in
+            [(23, 17, 1), (40, 30, 2), (5, 30, 3), (9, 1, 1), (12, 12, u32::MAX), (30, 20, 0)]
+        {
+            let disc =
+                |x: u32, y: u32| (x as i32 - 15).pow(2) + (y as i32 - 9).pow(2) < 90 && (x * 7 + y * 13) % 41 != 3;
+            let whole = |_, _| true;
+            let corner = |x: u32, y: u32| x < 4 && y < 6;
+            let masks = [Mask::from_fn(width, height, disc), Mask::from_fn(width, height, whole)];
+            for mask in masks.into_iter().chain([Mask::from_fn(width, height, corner), Mask::empty(width, height)]) {
+                let is_near = |x: u32, y: u32, u: u32, v: u32| u.abs_diff(x).max(v.abs_diff(y)) <= radius;
+                let is_deep = |x: u32, y: u32| {
+                    (0..height).all(|v| (0..width).all(|u| !is_near(x, y, u, v) || mask.get(u.into(), v.into())))
+                };
+                assert_eq!(mask.eroded(radius), Mask::from_fn(width, height, is_deep), "{width} × {height}, {radius}");
+            }
         }
     }
 

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::dis::{DisFlow, DisPreset};
 pub use self::network::OnnxFlow;
-use super::tensor::Plane;
+use super::tensor::Between;
 use super::{INPUT_SIZES, PerceptionError};
 use crate::ffi::onnx::Resources;
 use crate::limits::{Checked, within};
@@ -122,8 +122,8 @@ impl Field {
 
     /// Displacement at a position in pixels, first centre at (0.5, 0.5).
     fn sample(&self, x: f32, y: f32) -> [f32; 2] {
-        let plane = |values| Plane { width: self.width, height: self.height, values };
-        [plane(&self.dx).sample(x, y), plane(&self.dy).sample(x, y)]
+        let between = Between::new(x, y, self.width, self.height);
+        [between.value(&self.dx), between.value(&self.dy)]
     }
 }
 
