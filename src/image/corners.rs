@@ -157,7 +157,7 @@ impl Products {
 
 #[cfg(test)]
 mod tests {
-    use opencv::core::{BORDER_DEFAULT, Mat, MatTraitConst};
+    use opencv::core::{BORDER_DEFAULT, Mat, MatTraitConstManual};
     use rand::Rng as _;
 
     use super::*;
