@@ -119,7 +119,7 @@ impl Patch {
     #[inline(always)]
     fn align_within<const SIDE: usize>(&self, image: &GrayImage, start: &Warp) -> Option<Aligned> {
         const MAX_ITERATIONS: usize = 15;
-        const CONVERGED_PX: f32 = 0.01;
+        const CONVERGED_PX: f32 = 0.005;
         let mut warp = *start;
         let mut around = Surroundings::<SIDE>::new(image, start, self.radius)?;
         let mut correlation = 0.0;
