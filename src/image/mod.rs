@@ -24,7 +24,7 @@ pub use self::opencv_mat::{
     mat_from_rgb, rgb_from_bgr_mat, rgb_from_mat,
 };
 pub use self::resize::{gray_from_rgb, resize_gray, resize_rgb, scale_to_fit, warp_gray};
-pub use self::window::window_of_radius;
+pub use self::window::{border_for_radius, window_of_radius};
 pub use ::image::{GrayImage, RgbImage};
 
 /// What can go wrong with pixel buffers.

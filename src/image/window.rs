@@ -16,6 +16,12 @@ pub fn window_of_radius(radius_px: i32) -> Size {
     Size::new(width, height.max(3))
 }
 
+/// The border that a pyramid needs for the windows of all radii up to one: a smaller one may be higher.
+pub fn border_for_radius(radius_px: i32) -> Size {
+    let windows = (1..=radius_px.max(1)).map(window_of_radius);
+    windows.fold(Size::default(), |border, one| Size::new(border.width.max(one.width), border.height.max(one.height)))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -28,5 +34,18 @@ mod tests {
             let ((width, height), square) = (of(radius), (2 * radius + 1).pow(2));
             assert!(width % AT_ONCE == 0 && (width * height - square).abs() <= width / 2 + 1, "{radius}");
         }
+    }
+
+    #[test]
+    fn a_border_has_room_for_the_windows_of_smaller_targets() {
+        for radius in 1..=40 {
+            let border = border_for_radius(radius);
+            let windows = (1..=radius).map(window_of_radius);
+            assert!(
+                windows.into_iter().all(|one| one.width <= border.width && one.height <= border.height),
+                "{radius}"
+            );
+        }
+        assert_eq!(border_for_radius(7), Size::new(16, 15));
     }
 }

@@ -17,6 +17,7 @@ mod key_view;
 mod live;
 mod looks;
 mod memory;
+mod reach;
 #[cfg(test)]
 mod tests;
 
@@ -29,11 +30,12 @@ use super::patch::{Patch, Warp};
 use super::tracks::{Feature, Track, TrackTable, View};
 use super::{SfmError, Target};
 use crate::camera::Camera;
-use crate::image::{CornerStrength, GrayImage, RgbImage, gray_from_rgb, mat_from_gray, window_of_radius};
+use crate::image::{CornerStrength, GrayImage, RgbImage, border_for_radius, gray_from_rgb, mat_from_gray};
 use crate::limits::{Checked, within};
 use crate::scene::{BoundingBox, Frame, Mask};
 use live::{Live, whitening};
 use memory::Memory;
+use reach::{Extent, Reach};
 
 /// Where a point that was followed before is looked for first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -138,6 +140,11 @@ impl VideoOptions {
 pub struct VideoFrontEnd {
     options: VideoOptions,
     previous: Option<Vector<Mat>>,
+    /// Where the target was in the last frame.
+    extent: Option<Extent>,
+    /// How far round a point is looked in the frame at hand, and how far the target has gone to it.
+    reach: Reach,
+    shift: Option<Vector2<f32>>,
     live: Vec<Live>,
     memory: Memory,
     table: TrackTable,
@@ -147,7 +154,9 @@ impl VideoFrontEnd {
     /// Nothing seen yet. `camera` serves to verify points that are found again; a guess will do.
     pub fn new(options: VideoOptions, camera: Camera) -> Self {
         let memory = Memory::new(camera, options.patch_radius_px);
-        Self { options, previous: None, live: Vec::new(), memory, table: TrackTable::default() }
+        let reach = Reach::new(&options, None);
+        let (live, table) = (Vec::new(), TrackTable::default());
+        Self { options, previous: None, extent: None, reach, shift: None, live, memory, table }
     }
 
     /// Adds the next frame, looking only where the mask is set.
@@ -156,7 +165,11 @@ impl VideoFrontEnd {
     /// [`SfmError::OpenCv`] if OpenCV fails.
     pub fn push(&mut self, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), SfmError> {
         let gray = gray_from_rgb(image)?;
-        let mask = mask.eroded(self.options.border_px);
+        let extent = Extent::of(mask);
+        self.reach = Reach::new(&self.options, extent);
+        self.shift = reach::shift(&self.options, self.extent, extent);
+        self.extent = extent;
+        let mask = mask.eroded(self.reach.border_px);
         let pyramid = self.pyramid(&gray)?;
         if let Some(previous) = self.previous.take() {
             self.follow(&previous, &pyramid, &gray, &mask)?;
@@ -188,7 +201,7 @@ impl VideoFrontEnd {
         opencv::video::build_optical_flow_pyramid_def(
             &mat_from_gray(gray)?,
             &mut pyramid,
-            window_of_radius(self.options.window_radius_px),
+            border_for_radius(self.options.window_radius_px),
             self.options.pyramid_levels,
         )?;
         Ok(pyramid)
@@ -210,13 +223,13 @@ impl VideoFrontEnd {
     fn find_new(&mut self, gray: &GrayImage, mask: &Mask) -> Result<(), SfmError> {
         let wanted = self.options.max_points.saturating_sub(self.live.len());
         let mut free = mask.clone();
-        let reach = self.options.min_distance_px.ceil() as i64;
+        let reach = self.reach.min_distance_px.ceil() as i64;
         for point in &self.live {
             clear_disc(&mut free, point.warp.center, reach);
         }
         let Some(bounds) = free.bounding_box().filter(|_| wanted > 0) else { return Ok(()) };
         for center in self.corners(gray, &free, bounds, wanted) {
-            if let Some(patch) = Patch::cut(gray, center, self.options.patch_radius_px) {
+            if let Some(patch) = Patch::cut(gray, center, self.reach.patch_radius_px) {
                 let track = self.table.tracks.len();
                 self.table.tracks.push(Track::new());
                 let warp = Warp { shape: Matrix2::identity(), center };
@@ -238,8 +251,8 @@ impl VideoFrontEnd {
         let crop = ::image::imageops::crop_imm(gray, x0, y0, x1 - x0, y1 - y0).to_image();
         let (pixels, width) = (free.pixels(), free.width() as usize);
         let is_free = |x: usize, y: usize| pixels[(y + y0 as usize) * width + x + x0 as usize];
-        let VideoOptions { quality, min_distance_px, .. } = self.options;
-        let found = corners::strongest(&CornerStrength::of(&crop), is_free, wanted, quality, min_distance_px);
+        let (quality, apart) = (self.options.quality, self.reach.min_distance_px);
+        let found = corners::strongest(&CornerStrength::of(&crop), is_free, wanted, quality, apart);
         found.into_iter().map(|corner| corner + Vector2::new(x0 as f32, y0 as f32)).collect()
     }
 

@@ -58,10 +58,10 @@ impl VideoFrontEnd {
     }
 
     /// Where Lucas-Kanade finds the points that live: first those that have moved before, where their last step leads,
-    /// and through the whole pyramid what is new or lost so.
+    /// or those of a small target, where its mask has gone; and through the whole pyramid what is new or lost so.
     fn looked_for(&self, previous: &Vector<Mat>, pyramid: &Vector<Mat>) -> Result<Vec<Option<Followed>>, SfmError> {
         let tracker = LucasKanade {
-            window_radius_px: self.options.window_radius_px,
+            window_radius_px: self.reach.window_radius_px,
             pyramid_levels: self.options.pyramid_levels,
             min_eigenvalue: 1e-4,
         };
@@ -69,7 +69,7 @@ impl VideoFrontEnd {
         let mut found: Vec<Option<Followed>> = vec![None; self.live.len()];
         let prediction = |live: &Live| match self.options.first_look {
             FirstLook::Predicted => live.predicted(),
-            FirstLook::Pyramid => None,
+            FirstLook::Pyramid => self.shift.map(|shift| live.warp.center + shift),
         };
         let (moving, predicted): (Vec<usize>, Vec<Point2f>) =
             self.live.iter().enumerate().filter_map(|(k, live)| Some((k, to_opencv(prediction(live)?)))).unzip();

@@ -1,0 +1,114 @@
+//! How a target's size decides how far round a point is looked, and where it is looked for.
+//!
+//! A patch shows its point only as far as it lies on the target. Round a corner of a vehicle of thirty pixels a patch
+//! of fifteen is half road, which slides along below it: the track ends after a few frames, or drifts with the road. In
+//! the coarse pictures of a pyramid such a vehicle has four pixels, and what Lucas-Kanade finds there is the road's
+//! motion. So small targets get smaller patches and windows, points that lie nearer to one another,
+//! and their points are looked for first where their mask has gone.
+
+use nalgebra::{Point2, Vector2};
+
+use super::VideoOptions;
+use crate::scene::Mask;
+
+/// Sides of a target, as the root of its area, in half the side of a patch: two patches fit across it.
+const SIDE_IN_RADII: f64 = 5.0;
+/// Half the side of the smallest patch that still tells a position.
+const MIN_RADIUS_PX: i32 = 3;
+/// Share of a target's side that points keep from one another, and from the outline, at the most.
+const SPACING: f64 = 0.1;
+/// Smallest distance of two points, and from the outline: what lies nearer to it is road as often as not.
+const MIN_SPACING_PX: f64 = 2.0;
+const MIN_BORDER_PX: u32 = 1;
+
+/// Where a target is, and how large.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    /// The middle of its pixels.
+    pub middle: Point2<f32>,
+    /// The side of a square of its area, pixels.
+    pub side_px: f64,
+}
+
+impl Extent {
+    /// `None` for an empty mask.
+    pub fn of(mask: &Mask) -> Option<Self> {
+        let bounds = mask.bounding_box()?;
+        let (mut count, mut sum) = (0u64, [0u64; 2]);
+        for y in bounds.y0..bounds.y1 {
+            let row = y as usize * mask.width() as usize;
+            let pixels = &mask.pixels()[row + bounds.x0 as usize..row + bounds.x1 as usize];
+            for (x, _) in (bounds.x0..).zip(pixels).filter(|(_, is_set)| **is_set) {
+                count += 1;
+                sum = [sum[0] + u64::from(x), sum[1] + u64::from(y)];
+            }
+        }
+        let middle = sum.map(|sum| (sum as f64 / count as f64 + 0.5) as f32);
+        Some(Self { middle: middle.into(), side_px: (count as f64).sqrt() })
+    }
+}
+
+/// What `options` ask for, as far as a target is large enough for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reach {
+    pub window_radius_px: i32,
+    pub patch_radius_px: i32,
+    pub min_distance_px: f64,
+    pub border_px: u32,
+}
+
+impl Reach {
+    /// Of a target of a size; of none, what `options` say.
+    pub fn new(options: &VideoOptions, extent: Option<Extent>) -> Self {
+        let side_px = extent.map_or(f64::INFINITY, |extent| extent.side_px);
+        let most_radius_px = ((side_px / SIDE_IN_RADII).min(1000.0) as i32).max(MIN_RADIUS_PX);
+        let spacing_px = SPACING * side_px;
+        Self {
+            window_radius_px: options.window_radius_px.min(most_radius_px),
+            patch_radius_px: options.patch_radius_px.min(most_radius_px),
+            min_distance_px: options.min_distance_px.min(spacing_px.max(MIN_SPACING_PX)),
+            border_px: options.border_px.min((spacing_px.min(1000.0) as u32).max(MIN_BORDER_PX)),
+        }
+    }
+}
+
+/// How far a target has gone between two frames; `None` for one that fills the window of the coarsest pictures, whose
+/// motion these show.
+pub fn shift(options: &VideoOptions, from: Option<Extent>, to: Option<Extent>) -> Option<Vector2<f32>> {
+    let coarsest_px = f64::from(options.window_radius_px) * 2f64.powi(options.pyramid_levels);
+    let (from, to) = (from?, to?);
+    (from.side_px.max(to.side_px) < coarsest_px).then(|| to.middle - from.middle)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mask_has_a_middle_and_a_side() {
+        let mask = Mask::from_fn(60, 40, |x, y| (10..30).contains(&x) && (20..25).contains(&y));
+        let found = Extent::of(&mask).unwrap();
+        assert_eq!((found.middle, found.side_px), (Point2::new(20.0, 22.5), 10.0));
+        assert_eq!(Extent::of(&Mask::empty(60, 40)), None);
+    }
+
+    #[test]
+    fn small_targets_are_looked_at_closely_and_large_ones_as_they_were() {
+        let options = VideoOptions::object();
+        let reach = |side_px| Reach::new(&options, Some(Extent { middle: Point2::origin(), side_px }));
+        let large = Reach::new(&options, None);
+        assert_eq!(large.patch_radius_px, options.patch_radius_px);
+        assert_eq!((reach(60.0), large.min_distance_px, large.border_px), (large, 4.0, 2));
+        assert_eq!(reach(21.0), Reach { window_radius_px: 4, patch_radius_px: 4, min_distance_px: 2.1, border_px: 2 });
+        assert_eq!((reach(15.0).border_px, reach(1.0).patch_radius_px), (1, 3));
+    }
+
+    #[test]
+    fn only_small_targets_are_looked_for_where_their_mask_went() {
+        let options = VideoOptions::object();
+        let at = |x, side_px| Some(Extent { middle: Point2::new(x, 5.0), side_px });
+        assert_eq!(shift(&options, at(3.0, 20.0), at(10.0, 21.0)), Some(Vector2::new(7.0, 0.0)));
+        assert_eq!(shift(&options, at(3.0, 100.0), at(10.0, 100.0)), None);
+        assert_eq!(shift(&options, None, at(10.0, 20.0)), None);
+    }
+}
