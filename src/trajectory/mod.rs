@@ -45,6 +45,7 @@ mod least_squares;
 mod mirror;
 mod place;
 mod smoother;
+mod standing;
 mod verdict;
 mod views;
 
@@ -61,5 +62,6 @@ pub use joint::{Grounded, Joint, JointOptions, joint};
 pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
 pub use place::{Adjustment, AdjustmentFigures, Evidence, ModelOrigin, Placed, place};
 pub use smoother::{CommonStd, Sighting, smooth};
+pub use standing::{Sight, standing};
 pub use verdict::{Candidate, verdicts};
 pub use views::{View, Views};
