@@ -15,8 +15,7 @@ use crate::bundle;
 use crate::camera::Camera;
 use crate::io::colmap;
 use crate::scene::{CameraId, FrameId, Reconstruction};
-use crate::sfm::silhouette::Silhouettes;
-use crate::sfm::{self, mapper};
+use crate::sfm::{self, Beside, mapper};
 
 /// How a model came about.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -134,7 +133,7 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
             let num_frames = table.views.len() as u64;
             run.progress.begin("background", Some(num_frames));
             let mut watch = |share: f64| run.progress.reach((share * num_frames as f64) as u64);
-            reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, None, &mut watch)?
+            reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, Beside::default(), &mut watch)?
         }
     };
     if let Some(failure) = &mut report.failure {
@@ -204,14 +203,14 @@ pub(super) fn focal_deviation(run: &Run) -> Result<Option<f64>, PipelineError> {
     Ok(background_report(run)?.focal_deviation())
 }
 
-/// The one place where structure from motion is called. `silhouettes` tell maps of an object apart; `watch` is told
+/// The one place where structure from motion is called. `beside` is what is known besides the tracks; `watch` is told
 /// which share of it is done.
 pub(super) fn reconstruct(
     run: &Run,
     mut table: sfm::TrackTable,
     cameras: &[(Camera, sfm::Intrinsics)],
     options: &mapper::Options,
-    silhouettes: Option<&Silhouettes>,
+    beside: Beside<'_>,
     watch: &mut (dyn FnMut(f64) + Send),
 ) -> Result<(Reconstruction, ModelReport), PipelineError> {
     let (threads, seed) = (run.options.threads, run.options.seed);
@@ -223,7 +222,7 @@ pub(super) fn reconstruct(
         // Only videos have long tracks, and one camera.
         let of_video = known.first().copied().unwrap_or(sfm::Intrinsics::Refined);
         sfm::cut_long_tracks(&mut table, &cameras, of_video, options, seed);
-        sfm::reconstruct_watched(&table, &cameras, known, options, seed, silhouettes, watch)
+        sfm::reconstruct_watched(&table, &cameras, known, options, seed, beside, watch)
     })??;
     if model.is_empty() {
         // Even an empty model says which cameras it would have had.

@@ -5,6 +5,8 @@
 //! which of the two is done: a run that is killed in the pass does it again for the objects that have not been through
 //! it.
 
+mod footing;
+
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
@@ -18,8 +20,9 @@ use super::{PipelineError, follow, order};
 use crate::camera::Camera;
 use crate::io::colmap;
 use crate::scene::{BoundingBox, Frame, ImageId, Mask, ObjectId, Reconstruction, TrackedObject};
-use crate::sfm;
 use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes, Silhouettes};
+use crate::sfm::{self, Beside};
+use footing::Footing;
 
 const REPORTS: &str = "objects-report.json";
 /// Why there is no model where it is not the object's fault.
@@ -40,6 +43,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
         "models": given?,
         "only": run.options.only_objects,
         "options": objects.mapper,
+        "ground": run.options.ground,
         "seed": run.options.seed,
     });
     Ok(models::with_model_files(depends_on, run))
@@ -51,6 +55,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
     let (background, _) = models::background(run)?;
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
+    let place = Place { camera, footing: Footing::new(run, &background) };
     // The frames of every object, and then all frames once more for the masks.
     let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
     run.progress.begin("objects", Some((num_views + run.frames()?.len()) as u64));
@@ -60,7 +65,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
         run.go_on()?;
         let (before, of_this) = (num_done, object.frames.len());
         let mut watch = |share: f64| run.progress.reach(before + (share * of_this as f64) as u64);
-        markers.insert(object.id, one_object(run, object, &tracked, camera, fingerprint, &mut watch)?);
+        markers.insert(object.id, one_object(run, object, &tracked, &place, fingerprint, &mut watch)?);
         num_done += of_this as u64;
         run.progress.reach(num_done);
     }
@@ -146,12 +151,19 @@ fn marker_name(id: ObjectId) -> String {
     format!("object-{id}.json")
 }
 
+/// What objects are seen in.
+struct Place<'a> {
+    /// `None` without a background.
+    camera: Option<Camera>,
+    footing: Footing<'a>,
+}
+
 /// One object's reconstruction, which is still to be compared with the masks; or its model that was given.
 fn one_object(
     run: &Run,
     object: &TrackedObject,
     tracked: &[TrackedObject],
-    camera: Option<Camera>,
+    place: &Place<'_>,
     fingerprint: &str,
     watch: &mut (dyn FnMut(f64) + Send),
 ) -> Result<ObjectMarker, PipelineError> {
@@ -163,7 +175,7 @@ fn one_object(
     let given = run.options.object_models.get(&id);
     let failed =
         |failure: String| (Reconstruction::default(), ModelReport { failure: Some(failure), ..ModelReport::default() });
-    let (model, mut report) = match (given, camera) {
+    let (model, mut report) = match (given, place.camera) {
         (Some(path), _) => given_models::read(path, Target::Object, run)?,
         (None, _) if object.left_out.is_some() => failed(object.left_out.clone().unwrap_or_default()),
         (None, Some(camera)) => {
@@ -171,7 +183,9 @@ fn one_object(
             let options = order::sfm_options(run)?.1.mapper;
             let silhouettes = table.has_gaps().then(|| silhouettes(run, object, tracked)).transpose()?;
             let cameras = [(camera, sfm::Intrinsics::Fixed)];
-            models::reconstruct(run, table, &cameras, &options, silhouettes.as_ref(), watch)?
+            let poses = place.footing.poses(id, &table, &camera, options.weak_perspective_px);
+            let beside = Beside { silhouettes: silhouettes.as_ref(), poses: poses.as_ref() };
+            models::reconstruct(run, table, &cameras, &options, beside, watch)?
         }
         (None, None) => failed(NO_BACKGROUND.to_owned()),
     };

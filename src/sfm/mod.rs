@@ -45,7 +45,9 @@ use serde::{Deserialize, Serialize};
 use crate::limits::{Checked, under};
 pub use error::SfmError;
 pub use front_end::{FrontEnd, FrontEndOptions};
-pub use mapper::{Intrinsics, KnownIntrinsics, Report, cut_long_tracks, reconstruct, reconstruct_watched};
+pub use mapper::{
+    Beside, Intrinsics, KnownIntrinsics, KnownPoses, Report, cut_long_tracks, reconstruct, reconstruct_watched,
+};
 pub use pictures::reconstruct_pictures;
 use sift_front_end::{Pairing, SiftOptions};
 pub use tracks::TrackTable;

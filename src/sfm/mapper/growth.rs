@@ -1,6 +1,7 @@
 //! Growing a map from its first pair.
 
 mod finish;
+mod known_poses;
 mod leaps;
 mod loops;
 mod new_camera;
@@ -18,6 +19,7 @@ use crate::scene::Reconstruction;
 use crate::sfm::SfmError;
 use crate::sfm::resection::{self, Resection};
 use crate::sfm::triangulation::Limits;
+pub use known_poses::KnownPoses;
 pub use submaps::SubMap;
 pub use unjoined::without_joints;
 

@@ -28,6 +28,7 @@ mod view_graph;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use growth::KnownPoses;
 pub use known::{Intrinsics, KnownIntrinsics};
 pub use long_tracks::cut_long_tracks;
 pub use motion::Remark;
@@ -110,6 +111,10 @@ pub struct Options {
     /// Starts that are tried at most while none registers nearly all views: each costs a whole reconstruction.
     #[schemars(extend("unit" = "starts"))]
     pub max_starts: usize,
+    /// By how much the nearer end of a target is larger in the picture than its farther one, up to which a map starts
+    /// from poses that are known otherwise as well, where there are any: two views of so weak a perspective leave open
+    /// how far they turned. 0 for never.
+    pub weak_perspective_px: f64,
     /// Whether views are in time order, so that a failed one can be tried from its neighbours. Frames in no order
     /// (`order`) set it to false.
     pub ordered: bool,
@@ -142,6 +147,7 @@ impl Options {
             growth_points_per_view: 250,
             min_starts: 1,
             max_starts: 3,
+            weak_perspective_px: 0.0,
             ordered: true,
             max_track_views: 96,
         }
@@ -159,6 +165,7 @@ impl Options {
             min_angle_deg: 1.0,
             min_starts: 3,
             max_starts: 5,
+            weak_perspective_px: 15.0,
             ..Self::background()
         }
     }
@@ -186,6 +193,7 @@ impl Options {
         within("min_starts", self.min_starts, 1..=1000)?;
         within("max_starts", self.max_starts, 1..=1000)?;
         ordered(("min_starts", self.min_starts), ("max_starts", self.max_starts))?;
+        within("weak_perspective_px", self.weak_perspective_px, 0.0..=1e6)?;
         within("max_track_views", self.max_track_views, 4..=1_000_000_000)
     }
 
@@ -235,6 +243,16 @@ enum Noise {
     },
 }
 
+/// What is known of a target besides its tracks.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Beside<'a> {
+    /// Of an object: of maps that explain less than good tracks let a map explain, the one whose points lie within them
+    /// is taken.
+    pub silhouettes: Option<&'a Silhouettes>,
+    /// Poses of the views, roughly. A map starts from them, too, and maps whose views turn otherwise are worth less.
+    pub poses: Option<&'a KnownPoses>,
+}
+
 /// Builds the map that explains the tracks best.
 ///
 /// A start on few points or on one plane (a car's tail) may grow into a map that is bent at one frame, whose residuals
@@ -259,12 +277,11 @@ pub fn reconstruct(
     options: &Options,
     seed: u64,
 ) -> Result<(Reconstruction, Report), SfmError> {
-    reconstruct_watched(table, cameras, intrinsics, options, seed, None, &mut |_| {})
+    reconstruct_watched(table, cameras, intrinsics, options, seed, Beside::default(), &mut |_| {})
 }
 
-/// As [`reconstruct`]; of maps that explain less than good tracks let a map explain, the one whose points lie within
-/// the `silhouettes` is taken. `watch` is told now and then which share of the work is done, as far as that can be
-/// told: starts that turn out to be needed set it back.
+/// As [`reconstruct`], with what is known `beside` the tracks. `watch` is told now and then which share of the work is
+/// done, as far as that can be told: starts that turn out to be needed set it back.
 ///
 /// # Errors
 /// As [`reconstruct`].
@@ -274,12 +291,12 @@ pub fn reconstruct_watched(
     intrinsics: impl Into<KnownIntrinsics>,
     options: &Options,
     seed: u64,
-    silhouettes: Option<&Silhouettes>,
+    beside: Beside<'_>,
     watch: &mut dyn FnMut(f64),
 ) -> Result<(Reconstruction, Report), SfmError> {
     options.check()?;
     let (options, known) = (&options.at_focal(cameras), intrinsics.into());
-    let task = Task { table, cameras, known: &known, options, silhouettes };
+    let task = Task { table, cameras, known: &known, options, beside };
     let starts = task.grow_from_starts(seed, watch)?;
     let Some(mut growth) = starts.best else {
         let report = Report::without_start(table, starts.pairs.len(), starts.tried, &starts.survey);
@@ -290,7 +307,7 @@ pub fn reconstruct_watched(
     }
     growth.join_left_over(&|rest, cameras, known| {
         // Of views that are left over, no other map says what the silhouettes have to tell apart.
-        let task = Task { table: rest, cameras, known, options, silhouettes: None };
+        let task = Task { table: rest, cameras, known, options, beside: Beside::default() };
         Ok(task.grow_from_starts(seed, &mut |_| {})?.best.as_ref().map(SubMap::of))
     })?;
     let (map, mut report) = growth.into_result();

@@ -4,10 +4,9 @@ use super::growth::{self, Growth, SubMap};
 use super::initial_pair::{self, InitialPair};
 use super::map::Map;
 use super::motion::Survey;
-use super::{KnownIntrinsics, Options};
+use super::{Beside, KnownIntrinsics, Options};
 use crate::camera::Camera;
 use crate::sfm::SfmError;
-use crate::sfm::silhouette::Silhouettes;
 use crate::sfm::tracks::TrackTable;
 
 /// What a map is made of.
@@ -18,8 +17,7 @@ pub struct Task<'a> {
     pub cameras: &'a [Camera],
     pub known: &'a KnownIntrinsics,
     pub options: &'a Options,
-    /// Of the object, where it is one and maps of it may have to be told apart.
-    pub silhouettes: Option<&'a Silhouettes>,
+    pub beside: Beside<'a>,
 }
 
 /// What came of the pairs that could start a map.
@@ -30,6 +28,9 @@ pub struct Starts<'a> {
     pub tried: usize,
     pub survey: Survey,
 }
+
+/// Share of the views that a good map has.
+const GOOD_SHARE: f64 = 0.95;
 
 /// Rounds of starts that are made at most.
 const MAX_ROUNDS: u64 = 4;
@@ -43,9 +44,12 @@ impl<'a> Task<'a> {
         // Of a start, growing takes about so much, the last adjustments the rest.
         const GROWTH_SHARE: f64 = 0.7;
         let Self { table, cameras, known, options, .. } = *self;
-        let (pairs, survey) = initial_pair::ranked(table, cameras, known, options, seed);
         let usable = table.views.iter().filter(|v| !v.pixels.is_empty()).count();
-        let mut best: Option<(f64, Growth<'a>)> = None;
+        let mut best = self.grow_from_known_poses(seed)?;
+        if let Some((_, growth)) = best.take_if(|(_, growth)| self.needs_no_other(growth, usable)) {
+            return Ok(Starts { best: Some(growth), pairs: Vec::new(), tried: 1, survey: Survey::default() });
+        }
+        let (pairs, survey) = initial_pair::ranked(table, cameras, known, options, seed);
         let mut num_starts = 0;
         let apart = initial_pair::far_from_one_another(pairs.clone(), table.views.len());
         for pair in apart.iter().take(options.max_starts) {
@@ -67,13 +71,36 @@ impl<'a> Task<'a> {
                 }
             }
             watch((before + 1.0) / all_starts);
-            const GOOD_SHARE: f64 = 0.95;
             let is_good = |growth: &Growth| growth.num_registered() as f64 >= GOOD_SHARE * usable as f64;
             if num_starts >= options.min_starts && best.as_ref().is_some_and(|(_, growth)| is_good(growth)) {
                 break;
             }
         }
         Ok(Starts { best: best.map(|(_, growth)| growth), pairs, tried: num_starts, survey })
+    }
+
+    /// The map that grows from what is known of the poses, with its worth; `None` where that is nothing, or where no
+    /// points hold.
+    fn grow_from_known_poses(&self, seed: u64) -> Result<Option<(f64, Growth<'a>)>, SfmError> {
+        let Some(known) = self.beside.poses else { return Ok(None) };
+        let map = Map::new(self.table, self.cameras).knowing(self.known.clone());
+        let mut growth = Growth::new(map, self.options, seed);
+        if !growth.start_from(known)? {
+            return Ok(None);
+        }
+        growth.grow(&mut |_| {})?;
+        growth.finish()?;
+        let worth = self.worth(&growth);
+        tracing::debug!("from known poses: {} views, worth {worth:.0}", growth.num_registered());
+        Ok(Some((worth, growth)))
+    }
+
+    /// Whether a map that grew from known poses has nearly all views, explains what right tracks let a map explain, and
+    /// still agrees with what was known.
+    fn needs_no_other(&self, growth: &Growth, num_usable: usize) -> bool {
+        const AGREES: f64 = 0.7;
+        let agrees = self.beside.poses.is_some_and(|known| growth.agreement(known) >= AGREES);
+        agrees && growth.num_registered() as f64 >= GOOD_SHARE * num_usable as f64 && self.is_healthy(growth)
     }
 
     /// The best of this map and of others, grown from other random choices and without trust in what was found again,
@@ -89,7 +116,7 @@ impl<'a> Task<'a> {
         let cut = Task { table: &cut, ..*self };
         let mut best = (self.worth(&first), first);
         for round in 0..MAX_ROUNDS {
-            if self.is_healthy(best.0) {
+            if self.is_healthy(&best.1) {
                 break;
             }
             let seed = seed.wrapping_add(round.wrapping_mul(ROUND_STRIDE));
@@ -118,16 +145,22 @@ impl<'a> Task<'a> {
     }
 
     /// How many observations a map explains, less those of points that its silhouettes contradict.
-    fn worth(&self, growth: &Growth) -> f64 {
-        let within = self.silhouettes.map_or(1.0, |silhouettes| silhouettes.share_within(&growth.reconstruction()));
+    fn explained(&self, growth: &Growth) -> f64 {
+        let silhouettes = self.beside.silhouettes;
+        let within = silhouettes.map_or(1.0, |silhouettes| silhouettes.share_within(&growth.reconstruction()));
         growth.num_explained() * within
     }
 
-    /// Whether a map is worth what it is with right tracks: maps of rendered vehicles explain 0.93 and more of the
+    /// The same, the less the more its views turn otherwise than is known.
+    fn worth(&self, growth: &Growth) -> f64 {
+        self.explained(growth) * self.beside.poses.map_or(1.0, |known| growth.agreement(known))
+    }
+
+    /// Whether a map explains what it does with right tracks: maps of rendered vehicles explain 0.93 and more of the
     /// observations, one that was bent by wheels of which the wrong ones were joined 0.2.
-    fn is_healthy(&self, worth: f64) -> bool {
+    fn is_healthy(&self, growth: &Growth) -> bool {
         const HEALTHY_SHARE: f64 = 0.93;
-        let share = worth / self.table.num_observations().max(1) as f64;
+        let share = self.explained(growth) / self.table.num_observations().max(1) as f64;
         tracing::debug!("{share:.2} of the observations are explained");
         share >= HEALTHY_SHARE
     }

@@ -4,6 +4,7 @@ use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
 use rand::Rng as _;
 use rand_distr::{Distribution, Normal};
 
+mod far_vehicle;
 mod joints;
 mod lens;
 mod long_video;

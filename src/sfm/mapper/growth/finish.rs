@@ -206,7 +206,7 @@ impl Growth<'_> {
     }
 
     /// Takes out views that filtering has left with too few observations to hold a pose.
-    fn drop_unsupported_views(&mut self) -> Result<(), SfmError> {
+    pub(super) fn drop_unsupported_views(&mut self) -> Result<(), SfmError> {
         let mut support = vec![0usize; self.map.poses.len()];
         for track in 0..self.map.table.tracks.len() {
             for (_, view, _) in self.map.observations(track) {
