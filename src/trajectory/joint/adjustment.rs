@@ -82,6 +82,22 @@ impl<'a> Adjustment<'a> {
         Self { wander: self.options.sigma_distance[1], ..self.clone() }
     }
 
+    pub(super) fn options(&self) -> &'a JointOptions {
+        self.options
+    }
+
+    /// Standard deviation of an image position before it is made to count less, pixels.
+    pub(super) fn noise_px(&self) -> f64 {
+        self.noise_px
+    }
+
+    /// What image positions of a noise, and planes, cost where they agree best; planes are little believed, whatever
+    /// the object's distance to them wanders by.
+    pub(super) fn cost(&self, contact: &Contact, noise_px: f64) -> Result<f64, ScaleError> {
+        let mut doubted = Self { noise_px, ..self.in_doubt() };
+        doubted.round(contact)
+    }
+
     /// Where the outlines put the ground.
     pub(super) fn contact(&self) -> Result<Contact, ScaleError> {
         contact(&self.object, self.grounded.silhouettes, self.forward(), &self.contact_options).ok_or_else(|| {
@@ -96,13 +112,14 @@ impl<'a> Adjustment<'a> {
         forward_axis(&poses(background, &self.object, 1.0, frames))
     }
 
-    /// One adjustment; outlines say that the ground is at `contact`.
-    pub(super) fn round(&mut self, contact: &Contact) -> Result<(), ScaleError> {
+    /// One adjustment; outlines say that the ground is at `contact`. Returns what it costs in the end.
+    pub(super) fn round(&mut self, contact: &Contact) -> Result<f64, ScaleError> {
         let mut problem = self.problem(contact);
         let options = self.bundle_options(&problem);
-        bundle::adjust(&mut problem, &options).map_err(|error| ScaleError::Adjustment(error.to_string()))?;
+        let adjusted = bundle::adjust(&mut problem, &options);
+        let summary = adjusted.map_err(|error| ScaleError::Adjustment(error.to_string()))?;
         problem.store(&mut self.object);
-        Ok(())
+        Ok(summary.final_cost)
     }
 
     fn bundle_options(&self, problem: &Problem) -> bundle::Options {

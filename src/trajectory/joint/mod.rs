@@ -166,58 +166,82 @@ pub struct Joint {
 /// image positions and ground contradict one another.
 pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Joint, ScaleError> {
     views.require(3)?;
-    let tilt = |views: &Views| mean_normal(views).map_or(0.0, |(_, angle)| angle);
-    if tilt(views) > options.joint.suspicious_tilt {
-        let object = mirrored(grounded.object);
-        let other = Views::new(grounded.background, &object, grounded.planes);
-        if tilt(&other) < 0.5 * tilt(views)
-            && let Ok(found) = adjusted(&Grounded { object: &object, ..*grounded }, &other, options, true)
-        {
-            return Ok(found);
-        }
+    let as_it_is = Settled::of(grounded, views, options);
+    if mean_normal(views).is_none_or(|(_, tilt)| tilt <= options.joint.suspicious_tilt) {
+        return as_it_is?.finished(grounded, false);
     }
-    adjusted(grounded, views, options, false)
+    let object = mirrored(grounded.object);
+    let other = Grounded { object: &object, ..*grounded };
+    let mirrored = Settled::of(&other, &Views::new(grounded.background, &object, grounded.planes), options);
+    match (as_it_is, mirrored) {
+        (Ok(first), Ok(second)) if second.is_likelier_than(&first) => second.finished(&other, true),
+        (Err(_), Ok(second)) => second.finished(&other, true),
+        (first, _) => first?.finished(grounded, false),
+    }
 }
 
-fn adjusted(grounded: &Grounded, views: &Views, options: &Options, is_mirrored: bool) -> Result<Joint, ScaleError> {
-    let mut adjustment = Adjustment::new(grounded, views, options)?;
-    let options = &options.joint;
-    let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
-    let mut last = adjustment.contact()?;
-    for _ in 0..options.max_rounds {
-        adjustment.round(&last)?;
-        let contact = adjustment.contact()?;
-        let moved = (contact.z - last.z).abs();
-        last = contact;
-        if moved < 0.05 * contact.std {
-            break;
+/// An adjustment that has come to its end.
+struct Settled<'a> {
+    adjustment: Adjustment<'a>,
+    contact: Contact,
+    error_px: [f64; 2],
+}
+
+impl<'a> Settled<'a> {
+    fn of(grounded: &'a Grounded<'a>, views: &Views, options: &'a Options) -> Result<Self, ScaleError> {
+        let mut adjustment = Adjustment::new(grounded, views, options)?;
+        let options = &options.joint;
+        let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
+        let mut contact = adjustment.contact()?;
+        for _ in 0..options.max_rounds {
+            adjustment.round(&contact)?;
+            let last = std::mem::replace(&mut contact, adjustment.contact()?);
+            if (contact.z - last.z).abs() < 0.05 * contact.std {
+                break;
+            }
         }
+        let after_px =
+            median_error_px(&adjustment.object).filter(|px| px.is_finite()).ok_or(ScaleError::NoObservations)?;
+        if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {
+            return Err(ScaleError::GroundContradicts { before_px, after_px });
+        }
+        Ok(Self { adjustment, contact, error_px: [before_px, after_px] })
     }
-    let after_px = median_error_px(&adjustment.object).filter(|px| px.is_finite()).ok_or(ScaleError::NoObservations)?;
-    if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {
-        return Err(ScaleError::GroundContradicts { before_px, after_px });
+
+    /// Whether image positions and planes together contradict it less than another one, weighed alike.
+    fn is_likelier_than(&self, other: &Self) -> bool {
+        let noise_px = self.adjustment.noise_px().min(other.adjustment.noise_px());
+        let cost = |settled: &Self| settled.adjustment.cost(&settled.contact, noise_px).unwrap_or(f64::INFINITY);
+        let (own, of_other) = (cost(self), cost(other));
+        tracing::debug!("the mirror image costs {own:.2}, the object as it is {of_other:.2}");
+        own < of_other
     }
-    let shares = shares(&adjustment, &last)?;
-    let object_from_ground = adjustment.back_to(grounded.object).ok_or(ScaleError::NoSimilarity)?;
-    let mut object = adjustment.object;
-    object.transform(&object_from_ground);
-    let radius = object_radius(&object);
-    let covariances = point_covariances(&object);
-    let deviations = draw_onto_surface(&mut object, &covariances, radius);
-    let uncertain = uncertain_points(&deviations, options.max_deviation * radius, options.least_share);
-    object.remove_points(&uncertain);
-    set_errors(&mut object);
-    let ratio = 1.0 / object_from_ground.scale;
-    Ok(Joint {
-        object,
-        ratio,
-        std: shares.total() * ratio,
-        shares,
-        contact: last,
-        mirrored: is_mirrored,
-        error_px: [before_px, after_px],
-        num_uncertain: uncertain.len(),
-    })
+
+    fn finished(self, grounded: &Grounded, is_mirrored: bool) -> Result<Joint, ScaleError> {
+        let Self { adjustment, contact: last, error_px } = self;
+        let options = adjustment.options();
+        let shares = shares(&adjustment, &last)?;
+        let object_from_ground = adjustment.back_to(grounded.object).ok_or(ScaleError::NoSimilarity)?;
+        let mut object = adjustment.object;
+        object.transform(&object_from_ground);
+        let radius = object_radius(&object);
+        let covariances = point_covariances(&object);
+        let deviations = draw_onto_surface(&mut object, &covariances, radius);
+        let uncertain = uncertain_points(&deviations, options.max_deviation * radius, options.least_share);
+        object.remove_points(&uncertain);
+        set_errors(&mut object);
+        let ratio = 1.0 / object_from_ground.scale;
+        Ok(Joint {
+            object,
+            ratio,
+            std: shares.total() * ratio,
+            shares,
+            contact: last,
+            mirrored: is_mirrored,
+            error_px,
+            num_uncertain: uncertain.len(),
+        })
+    }
 }
 
 /// Where the standard deviation of the ratio comes from, as far as the adjustment itself knows.
