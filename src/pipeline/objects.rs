@@ -19,7 +19,7 @@ use super::track;
 use super::{PipelineError, follow, order};
 use crate::camera::Camera;
 use crate::io::colmap;
-use crate::scene::{BoundingBox, Frame, ImageId, Mask, ObjectId, Reconstruction, TrackedObject};
+use crate::scene::{BoundingBox, Frame, Image, ImageId, Mask, ObjectId, Reconstruction, TrackedObject};
 use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes, Silhouettes};
 use crate::sfm::{self, Beside};
 use footing::Footing;
@@ -254,12 +254,29 @@ fn check_silhouettes(
         let outside = votes.outside(&SilhouetteOptions::default());
         model.remove_points(&outside);
         marker.report.num_outside_masks = outside.len();
+        drop_bare_views(&mut model, &mut marker.report);
         marker.report.describe_points(&model);
         models::store(run, &run.workspace.as_reconstructed(id), &model)?;
         marker.is_checked = true;
         marker.write(run, id)?;
     }
     run.workspace.remove_state(&folder)
+}
+
+/// Takes out the views to which too few points are left: nothing holds their poses, and an adjustment with the ground
+/// would end at them.
+fn drop_bare_views(model: &mut Reconstruction, report: &mut ModelReport) {
+    // Three leave four poses.
+    const HOLD_A_POSE: usize = 4;
+    let num_seen = |image: &Image| image.observations.iter().filter(|seen| seen.point.is_some()).count();
+    let bare: Vec<ImageId> =
+        model.images.iter().filter(|(_, image)| num_seen(image) < HOLD_A_POSE).map(|(id, _)| *id).collect();
+    for id in &bare {
+        let reason = "the points that it sees lie outside the masks of other frames".to_owned();
+        report.unregistered.insert(id.frame(), reason);
+    }
+    model.remove_images(&bare);
+    report.num_registered = model.images.len();
 }
 
 /// Compares reconstructions with the masks of all frames.

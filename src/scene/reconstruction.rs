@@ -205,6 +205,21 @@ impl Reconstruction {
         }
     }
 
+    /// Takes out images with their observations, and points that fewer than two others observe.
+    pub fn remove_images(&mut self, ids: &[ImageId]) {
+        for id in ids {
+            let Some(image) = self.images.remove(id) else { continue };
+            for point in image.observations.iter().filter_map(|seen| seen.point) {
+                if let Some(point) = self.points.get_mut(&point) {
+                    point.track.retain(|element| element.image != *id);
+                }
+            }
+        }
+        let lost: Vec<Point3dId> =
+            self.points.iter().filter(|(_, point)| point.track.len() < 2).map(|(id, _)| *id).collect();
+        self.remove_points(if ids.is_empty() { &[] } else { &lost });
+    }
+
     /// Moves everything by a similarity of the world frame.
     pub fn transform(&mut self, target_from_world: &Sim3) {
         for image in self.images.values_mut() {
@@ -213,5 +228,27 @@ impl Reconstruction {
         for point in self.points.values_mut() {
             point.position = *target_from_world * point.position;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic::drive::{Options, drive};
+
+    #[test]
+    fn images_go_with_their_observations() {
+        let whole = drive(&Options { num_frames: 8, ..Options::default() }, 1).object;
+        let mut model = whole.clone();
+        model.remove_images(&[]);
+        assert_eq!(model, whole);
+        let gone: Vec<ImageId> = whole.images.keys().copied().take(5).collect();
+        model.remove_images(&gone);
+        assert_eq!(model.images.len(), 3);
+        assert!(!model.points.is_empty() && model.points.len() < whole.points.len());
+        let is_there = |element: &TrackElement| model.images.contains_key(&element.image);
+        assert!(model.points.values().all(|point| point.track.len() >= 2 && point.track.iter().all(is_there)));
+        let seen = model.images.values().flat_map(|image| &image.observations).filter_map(|seen| seen.point);
+        assert!(seen.into_iter().all(|id| model.points.contains_key(&id)));
     }
 }
