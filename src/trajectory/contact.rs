@@ -67,7 +67,7 @@ impl Default for ContactOptions {
             within: 0.95,
             least_side_view: 0.5,
             min_frames: 5,
-            side: [0.08, 0.05],
+            side: [0.08, 0.035],
             most_end_view: 0.26,
             overhang: [0.75, 0.25],
             lowest: [0.17, 0.07],

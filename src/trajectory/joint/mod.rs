@@ -254,9 +254,12 @@ fn shares(adjustment: &Adjustment, contact: &Contact) -> Result<ScaleShares, Sca
     let doubted = adjustment.in_doubt();
     let all = doubted.relative_std(contact)?;
     let of_contact_known = doubted.relative_std(&Contact { std: KNOWN * contact.std, ..*contact })?;
+    let tracks = spread::over_tracks(adjustment).unwrap_or(of_contact_known);
+    let frames = spread::over_frames(adjustment).unwrap_or(of_contact_known);
+    let [tracks, frames] = spread::counted_once([tracks, frames]);
     Ok(ScaleShares {
-        tracks: spread::over_tracks(adjustment).unwrap_or(of_contact_known),
-        frames: spread::over_frames(adjustment).unwrap_or(of_contact_known),
+        tracks,
+        frames,
         plane: adjustment.common_height_std(),
         contact: (all * all - of_contact_known * of_contact_known).max(0.0).sqrt(),
         ..ScaleShares::default()

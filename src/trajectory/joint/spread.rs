@@ -42,6 +42,14 @@ pub(super) fn over_frames(adjustment: &Adjustment) -> Option<f64> {
     jackknife((0..GROUPS).filter_map(|group| log_size(adjustment, without(group))))
 }
 
+/// Two standard deviations by which the same evidence was left out in two ways, so that their squares add up to that of
+/// the larger: an error that is common to neither groups of tracks nor stretches of frames is in both.
+pub(super) fn counted_once(stds: [f64; 2]) -> [f64; 2] {
+    let [first, second] = stds;
+    let both = first.hypot(second);
+    if both > 0.0 && both.is_finite() { stds.map(|std| std * (first.max(second) / both)) } else { stds }
+}
+
 /// The logarithm of the size with which an object comes out that has fewer frames or points.
 fn log_size(adjustment: &Adjustment, object: Reconstruction) -> Option<f64> {
     let mut part = adjustment.with(object);
@@ -79,6 +87,15 @@ fn without_images(object: &Reconstruction, gone: &BTreeSet<ImageId>) -> Reconstr
 mod tests {
     use super::*;
     use crate::synthetic::drive::{Options, drive};
+
+    #[test]
+    fn what_was_left_out_in_two_ways_counts_once() {
+        let [tracks, frames] = counted_once([0.3, 0.4]);
+        assert!((tracks.hypot(frames) - 0.4).abs() < 1e-12 && (tracks / frames - 0.75).abs() < 1e-12);
+        assert_eq!(counted_once([0.0, 0.2]), [0.0, 0.2]);
+        assert_eq!(counted_once([0.0, 0.0]), [0.0, 0.0]);
+        assert!(counted_once([f64::INFINITY, 0.1]).iter().any(|std| std.is_infinite()));
+    }
 
     #[test]
     fn the_jackknife_of_a_mean_is_its_standard_error() {
