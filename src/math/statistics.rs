@@ -14,8 +14,8 @@ pub fn upper_median(mut values: Vec<f64>) -> Option<f64> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// The value below which a share of all values lies, nearest rank: always one of the values, whose order changes. `None`
-/// of nothing.
+/// The value below which a share of all values lies, nearest rank: always one of the values, whose order changes.
+/// `None` of nothing.
 pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let rank = (share * values.len().checked_sub(1)? as f64).round() as usize;
     Some(*values.select_nth_unstable_by(rank, f64::total_cmp).1)

@@ -245,10 +245,14 @@ mod tests {
         let gone: Vec<ImageId> = whole.images.keys().copied().take(5).collect();
         model.remove_images(&gone);
         assert_eq!(model.images.len(), 3);
-        assert!(!model.points.is_empty() && model.points.len() < whole.points.len());
+        assert!(!model.points.is_empty() && model.points.len() <= whole.points.len());
         let is_there = |element: &TrackElement| model.images.contains_key(&element.image);
         assert!(model.points.values().all(|point| point.track.len() >= 2 && point.track.iter().all(is_there)));
         let seen = model.images.values().flat_map(|image| &image.observations).filter_map(|seen| seen.point);
         assert!(seen.into_iter().all(|id| model.points.contains_key(&id)));
+        // What one image alone sees is no point.
+        let but_one: Vec<ImageId> = model.images.keys().copied().skip(1).collect();
+        model.remove_images(&but_one);
+        assert_eq!((model.images.len(), model.points.len()), (1, 0));
     }
 }

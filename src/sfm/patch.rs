@@ -123,7 +123,7 @@ impl Patch {
         let mut warp = *start;
         let mut around = Surroundings::<SIDE>::new(image, start, self.radius)?;
         let mut correlation = 0.0;
-        for _ in 0..MAX_ITERATIONS {
+        for iteration in 0..=MAX_ITERATIONS {
             let seen = match around.picture(&warp, self.radius) {
                 Some(picture) => self.compare(&picture)?,
                 None => {
@@ -132,6 +132,9 @@ impl Patch {
                 }
             };
             correlation = seen.correlation;
+            if iteration == MAX_ITERATIONS {
+                break;
+            }
             let gradient = (seen.jacobian - self.sum_jacobian * seen.mean) / seen.deviation - self.sum_template;
             let step = self.inverse_hessian * gradient;
             warp = composed_with_inverse(&warp, &step)?;
@@ -139,10 +142,11 @@ impl Patch {
                 return None;
             }
             if step.fixed_rows::<2>(4).norm() < CONVERGED_PX {
+                // Too short a step to compare once more.
                 break;
             }
         }
-        // That before the last step, which was too short to matter. Of two patches of zero mean and unit variance.
+        // Of two patches of zero mean and unit variance.
         let difference = (2.0 - 2.0 * correlation).max(0.0);
         Some(Aligned { warp, correlation, covariance: self.covariance(&warp.shape, difference) })
     }

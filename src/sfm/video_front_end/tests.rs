@@ -67,8 +67,12 @@ fn a_place_that_comes_back_is_tied_for_a_few_views() {
     let returned: Vec<(&Track, usize)> =
         table.tracks.iter().filter_map(|track| Some((track, track.len() - 1 - after_long(track)?))).collect();
     assert!(returned.len() >= 20, "{}", returned.len());
+    let mut drifts: Vec<f64> = Vec::new();
     for (track, num_later) in returned {
         assert!(num_later <= 8, "{num_later} views after {:?}", track[0]);
-        assert!(drift(&table, &corners, track) < 0.5);
+        drifts.push(drift(&table, &corners, track));
     }
+    // One joint in five may be wrong (docs/sfm.md).
+    let num_right = drifts.iter().filter(|drift| **drift < 0.5).count();
+    assert!(5 * num_right >= 4 * drifts.len(), "{drifts:?}");
 }
