@@ -2,7 +2,8 @@
 //!
 //! Of the boxes of a frame those that may come to something: that may be a followed object or one that was just lost,
 //! or that are sure enough to start a track. Of the followed objects all, in the box of their carried masks, where no
-//! other box asks the same.
+//! other box asks the same. Of those that stand and are seen as a whole it is asked now and then only: their masks hardly
+//! change, and a street of parked cars would cost more than all that moves.
 
 use ::image::RgbImage;
 
@@ -18,6 +19,8 @@ use crate::scene::Rect;
 
 /// A box that agrees this well with that of the carried mask asks for the same mask.
 const SAME_PROMPT: f64 = 0.85;
+/// A box that agrees this well with that of the mask of what stands gives no reason to ask.
+const SAME_PLACE: f64 = 0.7;
 
 impl Tracker {
     /// Asks for the masks of boxes that may come to something, and of carried masks that no box repeats.
@@ -40,21 +43,42 @@ impl Tracker {
         Ok(())
     }
 
+    /// Per track whether its carried mask serves without a new one: the object stands, nothing hides it, it does not
+    /// enter or leave the picture, and every box that touches it says the same of where it is.
+    pub(super) fn at_rest(&self, view: &View, meeting: &Meeting) -> Vec<bool> {
+        let (width, height) = view.image.dimensions();
+        let is_at_rest = |track: usize| {
+            let Some(carried) = meeting.carried(track) else { return false };
+            let (bounds, rect) = (carried.region.bounds(), carried.region.rect());
+            let is_inside = bounds.x0 > 0 && bounds.y0 > 0 && bounds.x1 < width && bounds.y1 < height;
+            let agrees = |sight: &Sight| {
+                let overlap = sight.rect.iou(&rect);
+                overlap <= 0.0 || overlap >= SAME_PLACE
+            };
+            let is_whole = is_inside && !carried.is_partly_hidden();
+            is_whole && self.tracks[track].is_at_rest(view.now, &self.options) && meeting.sights.iter().all(agrees)
+        };
+        (0..self.tracks.len()).map(is_at_rest).collect()
+    }
+
     /// Whether the mask in a box could be a followed object's, a lost one's, or a new one's.
     fn is_worth_asking(&self, sight: &Sight, meeting: &Meeting, view: &View) -> bool {
-        let overlaps = |track: usize| meeting.carried(track).is_some_and(|c| c.region.rect().iou(&sight.rect) > 0.0);
+        let shows = |track: usize| meeting.carried(track).is_some_and(|c| c.region.rect().iou(&sight.rect) > 0.0);
+        if (0..self.tracks.len()).any(|track| meeting.is_at_rest[track] && shows(track)) {
+            return false;
+        }
         let may_return = |t: usize| {
             let track = &self.tracks[t];
             meeting.carried(t).is_none() && (!track.is_lost() || track.is_briefly_lost(view.now))
         };
-        may_start(sight, &self.options) || (0..self.tracks.len()).any(|t| overlaps(t) || may_return(t))
+        may_start(sight, &self.options) || (0..self.tracks.len()).any(|t| shows(t) || may_return(t))
     }
 
     /// The boxes of carried masks, and of whole outlines where a part is hidden, by track; those that agree with one of
     /// `asked` are left out. Of tracks whose flow failed just now the boxes where they should be.
     fn own_boxes(&self, view: &View, meeting: &Meeting, asked: &[Rect]) -> Vec<(usize, Rect)> {
         let mut own = Vec::new();
-        for track in 0..self.tracks.len() {
+        for track in (0..self.tracks.len()).filter(|track| !meeting.is_at_rest[*track]) {
             let Some(carried) = meeting.carried(track) else {
                 let place = meeting.predictions[track].moved.as_ref();
                 let place = place.filter(|_| self.tracks[track].may_be_looked_for(view.now));

@@ -108,6 +108,31 @@ fn a_detector_that_looks_now_and_then_is_judged_by_its_looks() {
 }
 
 #[test]
+fn what_stands_is_asked_about_less_often_until_it_drives_or_is_hidden() {
+    let asked_of = |world: &World| {
+        let asked = std::cell::RefCell::new(std::collections::BTreeSet::new());
+        let note = |t: usize, answer: Prompted| {
+            asked.borrow_mut().insert(t);
+            Some(answer)
+        };
+        let (frames, tracks) = world.track_boxes(64, 4, |t| world.boxes(t, Finder::Detector), &note);
+        assert_eq!(tracks.len(), 1, "{tracks:#?}");
+        (asked.take().into_iter().collect::<Vec<_>>(), followed(world, &frames, &tracks[0], 0))
+    };
+    // It moves with the background until it drives off.
+    let stands = |t: usize| 20 + t as i64 + 4 * t.saturating_sub(40) as i64;
+    let world = World { things: vec![Thing::car(RED, move |t| (stands(t), 30))], pan: (1, 0) };
+    assert_eq!(asked_of(&world), (vec![0, 4, 16, 28, 40, 44, 48, 52, 56, 60], 64));
+    // A pole comes before a part of it.
+    let pole = Thing { at: Box::new(|t| (180 - 2 * t as i64, 0)), ..Thing::wall(0, 5) };
+    let world = World { things: vec![Thing::car(RED, |_| (90, 30)), pole], pan: (0, 0) };
+    let before: Vec<usize> = (0..64).step_by(4).filter(|t| world.mask(*t, 0) != world.mask(0, 0)).collect();
+    let (asked, num_followed) = asked_of(&world);
+    assert!(num_followed >= 58, "{num_followed}");
+    assert!(asked.len() < 14 && before.iter().all(|t| asked.contains(t)), "{asked:?}, hidden at {before:?}");
+}
+
+#[test]
 fn a_detector_that_answers_in_one_frame_of_ten_suffices() {
     let world = one_car();
     for every in [1, 5, 10] {

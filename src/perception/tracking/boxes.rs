@@ -36,6 +36,8 @@ pub(super) struct Meeting {
     pub(super) predictions: Vec<Prediction>,
     /// Per track whether it is followed and its carried mask can be trusted.
     is_carried: Vec<bool>,
+    /// Per track whether its carried mask serves without a new one, for the object stands.
+    pub(super) is_at_rest: Vec<bool>,
     pub(super) sights: Vec<Sight>,
     /// Per sight the mask in its box.
     pub(super) masks: Vec<Option<Fresh>>,
@@ -85,6 +87,7 @@ impl Tracker {
             return Ok(self.carry_all(view, &meeting));
         };
         meeting.sights = sights::join(waiting, meeting.sights);
+        meeting.is_at_rest = self.at_rest(view, &meeting);
         let outline = if prompter.is_coarse() { Outline::Coarse } else { Outline::Network };
         self.ask(view, prompter, &mut meeting)?;
         self.waiting.clear();
@@ -109,6 +112,7 @@ impl Tracker {
         Meeting {
             predictions,
             is_carried,
+            is_at_rest: vec![false; num_tracks],
             sights,
             masks: vec![None; num_sights],
             own_masks: vec![Vec::new(); num_tracks],
@@ -215,7 +219,8 @@ impl Tracker {
     ) -> Option<Evidence> {
         let Some(fresh) = choice.fresh else {
             let is_worn_out = self.tracks[track_idx].is_worn_out(&self.options);
-            return (!is_worn_out).then(|| self.keep_carried(track_idx, meeting, Asked::InVain, view));
+            let asked = if meeting.is_at_rest[track_idx] { Asked::Not } else { Asked::InVain };
+            return (!is_worn_out).then(|| self.keep_carried(track_idx, meeting, asked, view));
         };
         let (track, sight) = (&mut self.tracks[track_idx], meeting.sight(track_idx));
         if let Some(carried) = meeting.carried(track_idx) {

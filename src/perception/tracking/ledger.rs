@@ -74,6 +74,11 @@ impl Ledger {
         self.sum_class_confidence / self.found.by_detector().max(1) as f64
     }
 
+    /// Masks that were asked for.
+    pub(super) fn num_masks(&self) -> usize {
+        self.num_masks
+    }
+
     /// Mean quality of the masks that were asked for.
     pub(super) fn mask_quality(&self) -> Option<f64> {
         (self.num_masks > 0).then(|| self.sum_quality / self.num_masks as f64)

@@ -203,6 +203,9 @@ pub struct TrackerOptions {
     /// Frames for which a mask is carried without a detection. Frames in which nobody asks for a mask do not count.
     #[schemars(extend("unit" = "frames"))]
     pub max_carried: usize,
+    /// Seconds for which the mask of what stands serves before a new one is asked for; at 0 it is asked for as often as
+    /// those of all others.
+    pub max_rest_secs: f64,
     /// Share of a mask's pixels that must be carried by consistent flow for the carried mask to count.
     #[schemars(extend("unit" = "share"))]
     pub min_carried_share: f64,
@@ -241,6 +244,7 @@ impl Default for TrackerOptions {
             min_detections: 3,
             confirm_window: 6,
             max_carried: 8,
+            max_rest_secs: 1.0,
             min_carried_share: 0.4,
             max_lost_secs: 3.0,
             min_similarity: 0.6,
@@ -264,6 +268,7 @@ impl TrackerOptions {
         ordered(("min_detections", self.min_detections), ("confirm_window", self.confirm_window))?;
         within("confirm_window", self.confirm_window, 1..=1_000_000)?;
         within("max_carried", self.max_carried, 0..=1_000_000)?;
+        within("max_rest_secs", self.max_rest_secs, 0.0..=1e9)?;
         within("min_carried_share", self.min_carried_share, 0.0..=1.0)?;
         within("max_lost_secs", self.max_lost_secs, 0.0..=1e9)?;
         within("min_similarity", self.min_similarity, 0.0..=1.0)

@@ -11,7 +11,7 @@ use super::region::Region;
 use crate::scene::{FrameId, Mask, ObjectId};
 
 /// Frames that are remembered.
-const MAX_FRAMES: usize = 16;
+const MAX_FRAMES: usize = 40;
 /// Overlap of the mask that was carried there with the one that is carried back: below it, one of them shows something
 /// else, and the motion between is in doubt.
 const AGREEMENT: f64 = 0.6;

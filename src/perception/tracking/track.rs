@@ -35,6 +35,12 @@ const BRIEFLY_S: f64 = 0.6;
 /// Share by which the size of an object shrinks per detection when less of it is seen: it went further away, or is
 /// partly hidden.
 const SHRINK_RATE: f64 = 0.03;
+/// What moves against the background by no more than so many of its sides per second stands.
+const STANDING_SIDES_PER_S: f64 = 0.25;
+/// Of a hundred boxes that show what stands so many may be those of motion, too.
+const MOVING_PERCENT: usize = 10;
+/// So many masks of what stands are asked for before one serves for longer.
+const MIN_MASKS_AT_REST: usize = 2;
 
 /// How an object was last seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -133,6 +139,8 @@ pub(super) struct Track {
     area: f64,
     /// What its latest mask was worth when it was new, 0 to 1.
     quality: f64,
+    /// When that was, seconds.
+    renewed_s: f64,
     ledger: Ledger,
     gaps: Vec<Gap>,
     after: Option<After>,
@@ -226,6 +234,7 @@ impl Track {
             last_boxed: now.count,
             area,
             quality: 0.0,
+            renewed_s: now.time_s,
             ledger: Ledger::default(),
             gaps: Vec::new(),
             after: None,
@@ -308,6 +317,7 @@ impl Track {
     fn confirm_mask(&mut self, fresh: &Fresh, outline: Outline, now: Moment) {
         self.area = (fresh.region.area() as f64).max(self.area * (1.0 - SHRINK_RATE));
         self.quality = fresh.quality;
+        self.renewed_s = now.time_s;
         self.num_failed = 0;
         self.ledger.add_mask(fresh, outline);
         self.trust(now);
@@ -334,6 +344,16 @@ impl Track {
     /// Frames since the mask was new.
     pub(super) fn frames_carried(&self) -> usize {
         if let Presence::Carried(frames) = self.presence { frames } else { 0 }
+    }
+
+    /// Whether its mask is worth asking for less often: the object stands, as far as its flow and its boxes tell, and its
+    /// last mask is not old.
+    pub(super) fn is_at_rest(&self, now: Moment, options: &TrackerOptions) -> bool {
+        let found = &self.ledger.found;
+        let stands = self.velocity[0].hypot(self.velocity[1]) <= STANDING_SIDES_PER_S * self.size;
+        let is_seen_to_move = 100 * (found.motion + found.both) > MOVING_PERCENT * self.num_detected;
+        let is_known = self.id.is_some() && self.num_failed == 0 && self.ledger.num_masks() >= MIN_MASKS_AT_REST;
+        is_known && stands && !is_seen_to_move && now.time_s - self.renewed_s < options.max_rest_secs
     }
 
     /// What it is made from.
