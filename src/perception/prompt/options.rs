@@ -12,8 +12,8 @@ pub(super) const CELL: u32 = 16;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct PromptOptions {
-    /// Longer side of the encoder's input, a multiple of 16. The cost grows with its square; below 384 the masks get
-    /// worse quickly.
+    /// Longer side of the encoder's input, a multiple of 16. The cost grows with its square. What counts is how
+    /// large the box is in it: below 170 pixels (`input_size` through `window`) the masks get worse quickly.
     #[schemars(extend("unit" = "pixels"))]
     pub input_size: u32,
     /// How much of the frame is encoded for a box: the box and a margin all round, together so many times as long as
@@ -49,9 +49,9 @@ pub struct PromptOptions {
 impl Default for PromptOptions {
     fn default() -> Self {
         Self {
-            input_size: 384,
-            window: 2.1,
-            min_window: 64,
+            input_size: 336,
+            window: 1.84,
+            min_window: 56,
             min_shared: 0.25,
             margin: 0.15,
             min_quality: 0.75,
