@@ -8,7 +8,9 @@ use serde_json::{Value, json};
 use super::run::Run;
 use super::{DetectorChoice, MaskChoice, Options, PipelineError, fingerprint};
 use crate::ffi::onnx;
-use crate::perception::{DefaultModels, Detector, GrabCut, Prompter, default_models, load_detector, load_prompter};
+use crate::perception::{
+    DefaultModels, Detector, GrabCut, Prompter, default_descriptions, default_models, load_detector, load_prompter,
+};
 
 /// What is there of what the options choose.
 #[derive(Clone, Debug, Default)]
@@ -62,6 +64,28 @@ impl Networks {
         })
     }
 
+    /// Refuses a detector that cannot be used.
+    ///
+    /// # Errors
+    /// As [`Self::load_detector`].
+    pub(super) fn check_detector(&self, run: &Run) -> Result<(), PipelineError> {
+        match came_with_the_program(self.detector.as_slice())? {
+            true => Ok(()),
+            false => self.load_detector(run).map(drop),
+        }
+    }
+
+    /// Refuses a mask network that cannot be used.
+    ///
+    /// # Errors
+    /// As [`Self::load_prompter`].
+    pub(super) fn check_prompter(&self, run: &Run) -> Result<(), PipelineError> {
+        match came_with_the_program(self.masks.as_ref().map_or(&[], |parts| &parts[..]))? {
+            true => Ok(()),
+            false => self.load_prompter(run).map(drop),
+        }
+    }
+
     /// What the detector's boxes hang on.
     pub(super) fn fingerprint_of_detector(&self) -> Result<Value, PipelineError> {
         Ok(json!(self.detector.as_deref().map(fingerprint::of_content).transpose()?))
@@ -72,6 +96,19 @@ impl Networks {
         let parts = self.masks.iter().flatten().map(|path| fingerprint::of_content(path));
         Ok(json!(parts.collect::<Result<Vec<_>, _>>()?))
     }
+}
+
+/// Whether files are, byte for byte, networks that come with the program: those can be used, and loading them to see it
+/// would take half a second.
+fn came_with_the_program(files: &[PathBuf]) -> Result<bool, PipelineError> {
+    let shipped = default_descriptions()?;
+    for file in files {
+        let hash = fingerprint::of_content(file)?;
+        if shipped.iter().all(|description| description.sha256 != hash) {
+            return Ok(false);
+        }
+    }
+    Ok(true)
 }
 
 /// The networks that come with the program, if they and what runs them are there.
