@@ -47,6 +47,7 @@ pub struct Growth<'a> {
     apart: Vec<Option<Reason>>,
     /// Registered views at the last global adjustment.
     adjusted_at: usize,
+    is_from_known_poses: bool,
 }
 
 #[derive(Clone, Copy)]
@@ -74,7 +75,13 @@ impl<'a> Growth<'a> {
             refused,
             apart,
             adjusted_at: 0,
+            is_from_known_poses: false,
         }
+    }
+
+    /// Whether it began with poses that were known beforehand, and not with a pair of views.
+    pub fn is_from_known_poses(&self) -> bool {
+        self.is_from_known_poses
     }
 
     /// Starts from a pair; `false` when its points do not hold after adjustment.

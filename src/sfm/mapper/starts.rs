@@ -1,6 +1,6 @@
 //! Which pair a map starts from, and which of several maps is taken.
 
-use super::growth::{self, Growth, SubMap};
+use super::growth::{self, Growth};
 use super::initial_pair::{self, InitialPair};
 use super::map::Map;
 use super::motion::Survey;
@@ -41,14 +41,24 @@ const ROUND_STRIDE: u64 = 0x9E37_79B9_7F4A_7C15;
 impl<'a> Task<'a> {
     /// Grows a map from one pair after the other, until one is good.
     pub fn grow_from_starts(&self, seed: u64, watch: &mut dyn FnMut(f64)) -> Result<Starts<'a>, SfmError> {
+        let mut best = self.grow_from_known_poses(seed)?;
+        if let Some((_, growth)) = best.take_if(|(_, growth)| self.needs_no_other(growth)) {
+            return Ok(Starts { best: Some(growth), pairs: Vec::new(), tried: 1, survey: Survey::default() });
+        }
+        self.grow_from_pairs(best, seed, watch)
+    }
+
+    /// Grows a map from one pair after the other, until one is good, and takes the best of them and of one that is there.
+    fn grow_from_pairs(
+        &self,
+        mut best: Option<(f64, Growth<'a>)>,
+        seed: u64,
+        watch: &mut dyn FnMut(f64),
+    ) -> Result<Starts<'a>, SfmError> {
         // Of a start, growing takes about so much, the last adjustments the rest.
         const GROWTH_SHARE: f64 = 0.7;
         let Self { table, cameras, known, options, .. } = *self;
-        let usable = table.views.iter().filter(|v| !v.pixels.is_empty()).count();
-        let mut best = self.grow_from_known_poses(seed)?;
-        if let Some((_, growth)) = best.take_if(|(_, growth)| self.needs_no_other(growth, usable)) {
-            return Ok(Starts { best: Some(growth), pairs: Vec::new(), tried: 1, survey: Survey::default() });
-        }
+        let usable = self.num_usable();
         let (pairs, survey) = initial_pair::ranked(table, cameras, known, options, seed);
         let mut num_starts = 0;
         let apart = initial_pair::far_from_one_another(pairs.clone(), table.views.len());
@@ -71,7 +81,8 @@ impl<'a> Task<'a> {
                 }
             }
             watch((before + 1.0) / all_starts);
-            let is_good = |growth: &Growth| growth.num_registered() as f64 >= GOOD_SHARE * usable as f64;
+            let has_most = |growth: &Growth| growth.num_registered() as f64 >= GOOD_SHARE * usable as f64;
+            let is_good = |growth: &Growth| growth.is_from_known_poses() || has_most(growth);
             if num_starts >= options.min_starts && best.as_ref().is_some_and(|(_, growth)| is_good(growth)) {
                 break;
             }
@@ -97,17 +108,24 @@ impl<'a> Task<'a> {
 
     /// Whether a map that grew from known poses has nearly all views, explains what right tracks let a map explain, and
     /// still agrees with what was known.
-    fn needs_no_other(&self, growth: &Growth, num_usable: usize) -> bool {
+    fn needs_no_other(&self, growth: &Growth) -> bool {
         const AGREES: f64 = 0.7;
         let agrees = self.beside.poses.is_some_and(|known| growth.agreement(known) >= AGREES);
-        agrees && growth.num_registered() as f64 >= GOOD_SHARE * num_usable as f64 && self.is_healthy(growth)
+        agrees && growth.num_registered() as f64 >= GOOD_SHARE * self.num_usable() as f64 && self.is_healthy(growth)
+    }
+
+    /// Views in which there is something.
+    fn num_usable(&self) -> usize {
+        self.table.views.iter().filter(|view| !view.pixels.is_empty()).count()
     }
 
     /// The best of this map and of others, grown from other random choices and without trust in what was found again,
     /// until one explains what good tracks let a map explain.
     ///
     /// Where few points tie two parts of a video, chance says which of several maps comes out, bent more or less; they
-    /// differ in what they explain and in what leaves the silhouettes.
+    /// differ in what they explain and in what leaves the silhouettes. A map that grew from known poses owes nothing to
+    /// chance: another round would give it once more, and where pairs of views gave nothing better they are not asked
+    /// again.
     pub fn best_of_rounds(&self, first: Growth<'a>, seed: u64) -> Result<Growth<'a>, SfmError> {
         if !self.table.has_gaps() {
             return Ok(first);
@@ -116,15 +134,19 @@ impl<'a> Task<'a> {
         let cut = Task { table: &cut, ..*self };
         let mut best = (self.worth(&first), first);
         for round in 0..MAX_ROUNDS {
-            if self.is_healthy(&best.1) {
+            if self.is_healthy(&best.1) || (round > 0 && best.1.is_from_known_poses()) {
                 break;
             }
             let seed = seed.wrapping_add(round.wrapping_mul(ROUND_STRIDE));
             let again = match round {
                 0 => None,
-                _ => self.grow_from_starts(seed, &mut |_| {})?.best,
+                _ => self.grow_from_pairs(None, seed, &mut |_| {})?.best,
             };
-            let unjoined = self.joined_later(&cut, seed)?;
+            let found = match round {
+                0 => cut.grow_from_starts(seed, &mut |_| {})?.best,
+                _ => cut.grow_from_pairs(None, seed, &mut |_| {})?.best,
+            };
+            let unjoined = found.map(|found| self.joined_later(&found, seed)).transpose()?;
             for other in again.into_iter().chain(unjoined) {
                 let worth = self.worth(&other);
                 if worth > best.0 {
@@ -135,13 +157,12 @@ impl<'a> Task<'a> {
         Ok(best.1)
     }
 
-    /// The map of tracks that are cut at their gaps, and then of all of them; `None` where nothing starts one.
-    fn joined_later(&self, cut: &Task<'_>, seed: u64) -> Result<Option<Growth<'a>>, SfmError> {
-        let Some(found) = cut.grow_from_starts(seed, &mut |_| {})?.best else { return Ok(None) };
+    /// The map of all tracks that a map of those that are cut at their gaps becomes.
+    fn joined_later(&self, found: &Growth<'_>, seed: u64) -> Result<Growth<'a>, SfmError> {
         let map = Map::new(self.table, self.cameras).knowing(self.known.clone());
         let mut whole = Growth::new(map, self.options, seed);
-        whole.adopt(&SubMap::of(&found))?;
-        Ok(Some(whole))
+        whole.adopt(found)?;
+        Ok(whole)
     }
 
     /// How many observations a map explains, less those of points that its silhouettes contradict.

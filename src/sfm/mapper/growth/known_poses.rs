@@ -29,6 +29,7 @@ impl Growth<'_> {
     /// Starts from poses of many views; `false` where too few points hold after adjustment.
     pub fn start_from(&mut self, known: &KnownPoses) -> Result<bool, SfmError> {
         const ROUNDS: usize = 3;
+        self.is_from_known_poses = true;
         for (view, pose) in known.poses.iter().enumerate().take(self.map.poses.len()) {
             if self.map.visibility(view).0 >= self.options.min_resection_inliers {
                 self.map.poses[view] = *pose;

@@ -13,8 +13,9 @@ use crate::sfm::tracks::{Feature, Track, TrackTable};
 impl Growth<'_> {
     /// Takes over the views of a map of the same pictures, which nothing of this one has to fit, and what of its own
     /// tracks fits them.
-    pub fn adopt(&mut self, other: &SubMap) -> Result<(), SfmError> {
-        self.take_over(other, &Sim3::identity(), &[])
+    pub fn adopt(&mut self, other: &Growth<'_>) -> Result<(), SfmError> {
+        self.is_from_known_poses = other.is_from_known_poses;
+        self.take_over(&SubMap::of(other), &Sim3::identity(), &[])
     }
 }
 
