@@ -2,8 +2,8 @@
 //!
 //! Of the boxes of a frame those that may come to something: that may be a followed object or one that was just lost,
 //! or that are sure enough to start a track. Of the followed objects all, in the box of their carried masks, where no
-//! other box asks the same. Of those that stand and are seen as a whole it is asked now and then only: their masks hardly
-//! change, and a street of parked cars would cost more than all that moves.
+//! other box asks the same. Of those that stand and are seen as a whole it is asked now and then only: their masks
+//! hardly change, and a street of parked cars would cost more than all that moves.
 
 use ::image::RgbImage;
 

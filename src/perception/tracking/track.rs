@@ -346,8 +346,8 @@ impl Track {
         if let Presence::Carried(frames) = self.presence { frames } else { 0 }
     }
 
-    /// Whether its mask is worth asking for less often: the object stands, as far as its flow and its boxes tell, and its
-    /// last mask is not old.
+    /// Whether its mask is worth asking for less often: the object stands, as far as its flow and its boxes tell, and
+    /// its last mask is not old.
     pub(super) fn is_at_rest(&self, now: Moment, options: &TrackerOptions) -> bool {
         let found = &self.ledger.found;
         let stands = self.velocity[0].hypot(self.velocity[1]) <= STANDING_SIDES_PER_S * self.size;

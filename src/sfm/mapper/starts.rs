@@ -48,7 +48,8 @@ impl<'a> Task<'a> {
         self.grow_from_pairs(best, seed, watch)
     }
 
-    /// Grows a map from one pair after the other, until one is good, and takes the best of them and of one that is there.
+    /// Grows a map from one pair after the other, until one is good, and takes the best of them and of one that is
+    /// there.
     fn grow_from_pairs(
         &self,
         mut best: Option<(f64, Growth<'a>)>,
