@@ -9,8 +9,10 @@ rendered by a process of its own.
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import sys
+from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -36,10 +38,32 @@ def finished(folder: Path) -> bool:
     return (folder / "scene.json").is_file()
 
 
-def render(folder: Path, trajectory: str, vehicle: str, passed: list[str]) -> bool:
-    """Renders one sequence in a process of its own; whether that worked."""
+def free_processors(passed: list[str]) -> deque[int]:
+    """Processors to give to the renders, one each; none where a render has several threads.
+
+    Blender's own pool has a thread for every processor that it may use, whatever --threads says, and those that have
+    nothing to do ask for work all the time: a render that may use one processor only takes half the CPU time.
+    """
+    threads = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    threads.add_argument("--threads", type=int, default=0)
+    one = threads.parse_known_args(passed)[0].threads == 1
+    return deque(sorted(os.sched_getaffinity(0)) if one and hasattr(os, "sched_getaffinity") else [])
+
+
+def render(folder: Path, trajectory: str, vehicle: str, passed: list[str], processors: deque[int]) -> bool:
+    """Renders one sequence in a process of its own, on a processor of its own if one is free; whether that worked."""
     names = ["--trajectory", trajectory, "--vehicle", vehicle, "--output", str(folder)]
-    return subprocess.run([sys.executable, str(SCRIPT), *names, *passed]).returncode == 0
+    try:
+        own = processors.popleft()
+    except IndexError:
+        own = None
+    process = subprocess.Popen([sys.executable, str(SCRIPT), *names, *passed])
+    if own is not None:
+        os.sched_setaffinity(process.pid, {own})
+    worked = process.wait() == 0
+    if own is not None:
+        processors.append(own)
+    return worked
 
 
 def main() -> None:
@@ -62,7 +86,8 @@ def main() -> None:
     if arguments.list:
         return
     with ThreadPoolExecutor(max(1, arguments.processes)) as pool:
-        good = list(pool.map(lambda item: render(*item, passed), missing))
+        processors = free_processors(passed)
+        good = list(pool.map(lambda item: render(*item, passed, processors), missing))
     failed = [folder.name for (folder, *_), worked in zip(missing, good) if not worked]
     if failed:
         sys.exit(f"not rendered: {', '.join(failed)}")

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
 import unittest
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import render_all  # noqa: E402
 from tractrix_dataset import drives, labels, mesh, plan, seeds  # noqa: E402
 from tractrix_dataset.paths import Path as Way  # noqa: E402
 from tractrix_dataset.validate import _ground_heights, silhouette  # noqa: E402
@@ -139,6 +142,24 @@ class Checks(unittest.TestCase):
         tidied = labels.tidy(image)
         self.assertEqual(tidied[2, 2], labels.GROUND)
         self.assertEqual(tidied[6, 6], labels.OTHER)
+
+    @unittest.skipUnless(hasattr(os, "sched_setaffinity"), "processes cannot be bound to a processor here")
+    def test_renders_with_one_thread_have_a_processor_of_their_own(self) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            script = Path(folder) / "render.py"
+            script.write_text(
+                "import os, sys, time, pathlib\n"
+                "time.sleep(0.5)\n"
+                "pathlib.Path(sys.argv[6]).write_text(str(len(os.sched_getaffinity(0))))\n"
+            )
+            out = Path(folder) / "out"
+            with mock.patch.object(render_all, "SCRIPT", script):
+                for passed, wanted in [(["--threads", "1"], 1), (["--threads", "4"], len(os.sched_getaffinity(0)))]:
+                    processors = render_all.free_processors(passed)
+                    before = len(processors)
+                    self.assertTrue(render_all.render(out, "bridge", "van", passed, processors))
+                    self.assertEqual(int(out.read_text()), wanted)
+                    self.assertEqual(len(processors), before)
 
 
 if __name__ == "__main__":
