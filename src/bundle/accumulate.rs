@@ -42,6 +42,10 @@ pub(super) struct Sums<const D: usize> {
     pub views: Vec<ViewTerms<D>>,
     pub border: Vec<[[f64; CAMERA_DIM]; D]>,
     pub cameras: CameraSums,
+    /// Observations of the piece.
+    pub obs_range: Range<usize>,
+    /// JᵀQ of each, for a system that is not formed; else empty.
+    pub coupling: Vec<[[f64; 3]; D]>,
 }
 
 /// Makes a list of so many zeros.
@@ -69,6 +73,8 @@ impl<const D: usize> Sums<D> {
             cameras: CameraSums::new(layout.shared.len() * CAMERA_DIM),
             view_range: 0..0,
             block_range: 0..0,
+            obs_range: 0..0,
+            coupling: Vec::new(),
         }
     }
 
@@ -80,12 +86,17 @@ impl<const D: usize> Sums<D> {
         zeros(&mut self.views, self.view_range.len(), ViewTerms::ZERO);
         zeros(&mut self.border, self.view_range.len() * layout.shared.len(), [[0.0; CAMERA_DIM]; D]);
         self.cameras.clear();
+        self.obs_range = piece.obs.clone();
+        self.coupling.clear();
     }
 
     /// Adds one point, whose observations are linearised and eliminated. Observations are sorted by view, those without
     /// a view block last.
     #[inline(always)]
     pub fn add_point<F: Fused>(&mut self, layout: &Layout, pattern: &Pattern, one: &OnePoint<D>, point: usize) {
+        if pattern.is_of_single_views() {
+            return self.couple_point::<F>(layout, one, point);
+        }
         let obs = layout.obs_of_point(point);
         let residuals = &one.residuals[..obs.len()];
         let views = &layout.obs_block[obs.clone()];
@@ -118,6 +129,30 @@ impl<const D: usize> Sums<D> {
             }
         }
     }
+
+    /// Adds one point to a system that is not formed: to the blocks of its views, which it stays in, and to the coupling.
+    #[inline(always)]
+    fn couple_point<F: Fused>(&mut self, layout: &Layout, one: &OnePoint<D>, point: usize) {
+        let views = &layout.obs_block[layout.obs_of_point(point)];
+        for (residual, j) in one.residuals.iter().zip(views) {
+            let mut block = [[0.0; 3]; D];
+            if *j != NONE {
+                let view = *j as usize - self.view_range.start;
+                let ([a, b], [p, q]) = (&residual.d_view, &residual.eliminated);
+                add_gradients::<D, F>(&mut self.views[view], residual, &one.terms.half_step);
+                add_weighted::<D, F>(
+                    &mut self.blocks[view],
+                    &residual.d_view,
+                    [[1.0, 0.0], [0.0, 1.0]],
+                    &residual.d_view,
+                );
+                for (r, row) in block.iter_mut().enumerate() {
+                    *row = std::array::from_fn(|c| F::mul_add(a[r], p[c], b[r] * q[c]));
+                }
+            }
+            self.coupling.push(block);
+        }
+    }
 }
 
 /// One observation's part of its view's own block, gradients and diagonal (eqs. 7, 10): Jᵀ(I − QQᵀ)J and Jᵀ(r − Qz).
@@ -128,16 +163,27 @@ fn add_own<const D: usize, F: Fused>(
     residual: &Residual<D>,
     z: &[f64; 3],
 ) {
+    add_gradients::<D, F>(view, residual, z);
+    let [p, q] = &residual.eliminated;
+    let mixed = -dot(p, q);
+    add_weighted::<D, F>(own, &residual.d_view, [[1.0 - dot(p, p), mixed], [mixed, 1.0 - dot(q, q)]], &residual.d_view);
+}
+
+#[inline(always)]
+fn dot(u: &[f64; 3], v: &[f64; 3]) -> f64 {
+    u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+}
+
+/// One observation's part of its view's gradients and diagonal.
+#[inline(always)]
+fn add_gradients<const D: usize, F: Fused>(view: &mut ViewTerms<D>, residual: &Residual<D>, z: &[f64; 3]) {
     let ([a, b], [p, q], [r, s]) = (&residual.d_view, &residual.eliminated, residual.value);
-    let dot = |u: &[f64; 3], v: &[f64; 3]| u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
     let (t, u) = (r - dot(p, z), s - dot(q, z));
     for k in 0..D {
         view.gradient[k] = F::mul_add(a[k], r, F::mul_add(b[k], s, view.gradient[k]));
         view.reduced[k] = F::mul_add(a[k], t, F::mul_add(b[k], u, view.reduced[k]));
         view.diagonal[k] = F::mul_add(a[k], a[k], F::mul_add(b[k], b[k], view.diagonal[k]));
     }
-    let mixed = -dot(p, q);
-    add_weighted::<D, F>(own, &residual.d_view, [[1.0 - dot(p, p), mixed], [mixed, 1.0 - dot(q, q)]], &residual.d_view);
 }
 
 /// Subtracts one pair's Jᵢᵀ Qᵢ Qⱼᵀ Jⱼ (eq. 8).

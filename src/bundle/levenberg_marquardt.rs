@@ -5,7 +5,7 @@ use std::time::Instant;
 use super::kept::KEPT_BYTES;
 use super::layout::Layout;
 use super::linearize::{Linearization, Pass};
-use super::options::Options;
+use super::options::{LinearSolver, Options};
 use super::point::damping_scale;
 use super::priors;
 use super::problem::{BundleError, Problem};
@@ -109,7 +109,10 @@ impl<'a, const D: usize> Run<'a, D> {
     fn new(problem: &'a mut Problem, options: &'a Options, pass: Pass<'a>) -> Self {
         let layout = pass.layout;
         let state = State::new(problem, layout);
-        let reduced = Reduced::new(layout);
+        let reduced = match options.linear_solver {
+            LinearSolver::Auto => Reduced::for_steps(layout),
+            _ => Reduced::new(layout),
+        };
         let solver = Solver::new(options.linear_solver, &reduced, pass.parallel);
         Self {
             trial: state.clone(),

@@ -47,7 +47,8 @@ pub(super) fn pieces(layout: &Layout, pattern: &Pattern) -> Vec<Piece> {
     let work: Vec<usize> = (0..layout.points.len())
         .scan(0, |sum, point| {
             let count = layout.obs_of_point(point).len();
-            *sum += count * OBSERVATION_WORK + count * (count + 1) / 2;
+            let pairs = if pattern.is_of_single_views() { count } else { count * (count + 1) / 2 };
+            *sum += count * OBSERVATION_WORK + pairs;
             Some(*sum)
         })
         .collect();

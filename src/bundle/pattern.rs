@@ -25,11 +25,26 @@ pub(super) struct Pattern {
     place: Vec<u32>,
     /// The part of the envelope that blocks take where the views lie in a band.
     least_fill: f64,
+    /// Whether there are no pairs of different views, whatever the points say.
+    of_single_views: bool,
 }
 
 impl Pattern {
     pub fn new(layout: &Layout) -> Self {
         if layout.num_blocks() <= ALL_PAIRS_LIMIT { Self::all_pairs(layout.num_blocks()) } else { Self::seen(layout) }
+    }
+
+    /// Every view with itself alone, for a system that is not formed.
+    pub fn of_single_views(n: usize) -> Self {
+        Self {
+            start: (0..=n).collect(),
+            rows: (0..n as u32).collect(),
+            first_row: (0..n as u32).collect(),
+            place_start: (0..n).collect(),
+            place: vec![0; n],
+            least_fill: BAND_FILL,
+            of_single_views: true,
+        }
     }
 
     fn all_pairs(n: usize) -> Self {
@@ -40,6 +55,7 @@ impl Pattern {
             place_start: vec![0; n],
             place: (0..n as u32).collect(),
             least_fill: BAND_FILL,
+            of_single_views: false,
         }
     }
 
@@ -63,7 +79,8 @@ impl Pattern {
         }
         let least_fill = if layout.pose_of_block.is_sorted() { BAND_FILL } else { BORDERED_FILL };
         let place = vec![NONE; len];
-        let mut pattern = Self { start: vec![0], rows: Vec::new(), first_row, place_start, place, least_fill };
+        let (start, rows) = (vec![0], Vec::new());
+        let mut pattern = Self { start, rows, first_row, place_start, place, least_fill, of_single_views: false };
         let (points, start) = points_of_blocks(layout);
         for j in 0..n {
             pattern.mark_panel(layout, j, &points[start[j] as usize..start[j + 1] as usize]);
@@ -116,6 +133,11 @@ impl Pattern {
     /// Number of blocks in the envelope: from the first of each panel to its diagonal.
     pub fn envelope(&self) -> usize {
         self.first_row.iter().enumerate().map(|(j, first)| j + 1 - *first as usize).sum()
+    }
+
+    /// Whether there are no pairs of different views, whatever the points say.
+    pub fn is_of_single_views(&self) -> bool {
+        self.of_single_views
     }
 
     /// Whether the views lie in a band in their own order, as those of a video do.

@@ -6,6 +6,7 @@
 
 use super::accumulate::{Sums, ViewTerms};
 use super::camera_sums::{CAMERA_DIM, CameraSums};
+use super::coupling::Coupling;
 use super::layout::Layout;
 use super::parallel::in_order;
 use super::pattern::Pattern;
@@ -20,6 +21,9 @@ pub(super) struct Reduced<const D: usize> {
     pub pattern: Pattern,
     /// Blocks (i, j) by panels; `[r][c]` couples freedom r of view i with freedom c of view j.
     pub blocks: Vec<[[f64; D]; D]>,
+    /// Where there is one, S is not formed: there are only the blocks (i, i), and those are the views' own, from which
+    /// no point has been eliminated.
+    pub coupling: Option<Coupling<D>>,
     /// One per view.
     pub views: Vec<ViewTerms<D>>,
     /// Blocks (view, shared camera), by view.
@@ -37,12 +41,25 @@ pub(super) struct Reduced<const D: usize> {
 }
 
 impl<const D: usize> Reduced<D> {
+    /// Of a system that is formed.
     pub fn new(layout: &Layout) -> Self {
-        let pattern = Pattern::new(layout);
+        Self::with(layout, Pattern::new(layout), None)
+    }
+
+    /// Of a system for steps alone, which is not formed where that costs more than it is worth.
+    pub fn for_steps(layout: &Layout) -> Self {
+        match Coupling::where_it_pays(layout) {
+            Some(coupling) => Self::with(layout, Pattern::of_single_views(layout.num_blocks()), Some(coupling)),
+            None => Self::new(layout),
+        }
+    }
+
+    fn with(layout: &Layout, pattern: Pattern, coupling: Option<Coupling<D>>) -> Self {
         let cameras = layout.shared.len() * CAMERA_DIM;
         Self {
             blocks: vec![[[0.0; D]; D]; pattern.len()],
             pattern,
+            coupling,
             views: vec![ViewTerms::ZERO; layout.num_blocks()],
             border: vec![[[0.0; CAMERA_DIM]; D]; layout.num_blocks() * layout.shared.len()],
             cameras: CameraSums::new(cameras),
@@ -76,6 +93,9 @@ impl<const D: usize> Reduced<D> {
             into.add(from);
         }
         add_blocks(&mut self.border[sums.view_range.start * num_shared..], &sums.border);
+        if let Some(coupling) = &mut self.coupling {
+            coupling.blocks[sums.obs_range.clone()].copy_from_slice(&sums.coupling);
+        }
         self.cameras.merge(&sums.cameras);
     }
 

@@ -1,11 +1,13 @@
 //! Solving the reduced camera system: Cholesky of a dense matrix, of a band or of a sparse matrix, or conjugate
 //! gradients.
 
+mod by_points;
 mod dense;
 mod iterative;
 mod skyline;
 mod sparse;
 
+use by_points::PointsSolver;
 use dense::DenseSolver;
 use faer::Par;
 use iterative::IterativeSolver;
@@ -34,11 +36,18 @@ pub(super) enum Solver {
     Skyline(SkylineSolver),
     Sparse(SparseSolver),
     Iterative(IterativeSolver),
+    /// Of a system that is not formed.
+    Points(PointsSolver),
 }
 
 impl Solver {
     pub fn new<const D: usize>(choice: LinearSolver, reduced: &Reduced<D>, parallel: bool) -> Self {
         let size = reduced.size();
+        if let Some(coupling) = &reduced.coupling {
+            tracing::trace!(size, points = coupling.num_points, "reduced system is not formed");
+            let par = if parallel && 3 * coupling.num_points >= PARALLEL_SIZE { Par::rayon(0) } else { Par::Seq };
+            return Self::Points(PointsSolver::new(coupling, par));
+        }
         let par = if parallel && size >= PARALLEL_SIZE { Par::rayon(0) } else { Par::Seq };
         match choice {
             LinearSolver::Iterative => Self::Iterative(IterativeSolver::new(size)),
@@ -82,28 +91,32 @@ impl Solver {
             Self::Skyline(solver) => solver.factor(reduced).map(|()| solver.solve(step)),
             Self::Sparse(solver) => solver.factor(reduced).map(|()| solver.solve(step)),
             Self::Iterative(solver) => solver.solve(reduced, step),
+            Self::Points(solver) => match &reduced.coupling {
+                Some(coupling) => solver.solve(reduced, coupling, step),
+                None => Err(0),
+            },
         }
     }
 }
 
 impl Solver {
-    /// Factorises S for [`Solver::solve_columns`]; nothing to do for the iterative solver.
+    /// Factorises S for [`Solver::solve_columns`]; the iterative solver and that of a system that is not formed cannot.
     pub fn factor<const D: usize>(&mut self, reduced: &Reduced<D>) -> Result<(), usize> {
         match self {
             Self::Dense(solver) => solver.factor(reduced),
             Self::Skyline(solver) => solver.factor(reduced),
             Self::Sparse(solver) => solver.factor(reduced),
-            Self::Iterative(_) => Err(0),
+            Self::Iterative(_) | Self::Points(_) => Err(0),
         }
     }
 
-    /// Solves S X = `columns` in place with the last factor; a no-operation for the iterative solver.
+    /// Solves S X = `columns` in place with the last factor; nothing where there is none.
     pub fn solve_columns(&mut self, columns: &mut [f64]) {
         match self {
             Self::Dense(solver) => solver.solve(columns),
             Self::Skyline(solver) => solver.solve(columns),
             Self::Sparse(solver) => solver.solve(columns),
-            Self::Iterative(_) => {}
+            Self::Iterative(_) | Self::Points(_) => {}
         }
     }
 }
@@ -122,7 +135,9 @@ mod tests {
     use super::super::linearize::{Linearization, Pass};
     use super::super::options::{Behind, Options};
     use super::super::priors;
-    use super::super::problem::{CameraBlock, Problem};
+    use nalgebra::Vector2;
+
+    use super::super::problem::{CameraBlock, Observation, PointPrior, PosePrior, Problem};
     use super::super::state::State;
     use super::*;
     use crate::synthetic::scene::{self, Path, static_scene};
@@ -138,10 +153,13 @@ mod tests {
     }
 
     fn reduced(problem: &Problem, layout: &Layout) -> Reduced<6> {
+        summed(problem, layout, Reduced::new(layout))
+    }
+
+    fn summed(problem: &Problem, layout: &Layout, mut reduced: Reduced<6>) -> Reduced<6> {
         let state = State::new(problem, layout);
         let (observations, loss) = (&problem.observations, Options::default().loss);
         let pass = Pass { layout, observations, loss, parallel: false };
-        let mut reduced = Reduced::new(layout);
         Linearization::new(&pass, &reduced.pattern).evaluate(&pass, &state, DAMPING, &mut reduced);
         reduced.finish(&priors::terms(problem, layout, &state), DAMPING);
         reduced
@@ -179,7 +197,7 @@ mod tests {
     fn a_place_that_comes_back_becomes_a_border() {
         let mut problem = flight(300);
         let of_place: Vec<_> = problem.observations.iter().filter(|o| o.pose == 16).copied().collect();
-        let again = of_place.iter().flat_map(|o| (280..290).map(move |pose| super::super::Observation { pose, ..*o }));
+        let again = of_place.iter().flat_map(|o| (280..290).map(move |pose| Observation { pose, ..*o }));
         problem.observations.extend(again);
         let options = Options { behind: Behind::Project, ..Options::default() };
         let fill = |problem: &Problem| {
@@ -190,6 +208,42 @@ mod tests {
         problem.thin_ties(96);
         let (is_border, share) = fill(&problem);
         assert!(is_border && share > 0.3, "{share}");
+    }
+
+    /// Forty points in a hundred views, one of them held, one known, one seen twice in a picture, and a pose that is known.
+    fn few_points() -> Problem {
+        let options = scene::Options { num_images: 100, num_points: 40, noise_px: 0.5, ..Default::default() };
+        let mut problem =
+            Problem::from_reconstruction(&static_scene(&options), |_, camera| CameraBlock::fixed(*camera));
+        problem.points[7].fixed = true;
+        problem.priors.points.push(PointPrior { point: 3, position: problem.points[3].position, sigma: 0.02 });
+        let cam_from_world = problem.poses[9].cam_from_world;
+        problem.priors.poses.push(PosePrior { pose: 9, cam_from_world, sigma_rotation: 0.01, sigma_center: 0.1 });
+        let twice = problem.observations[30];
+        problem.observations.push(Observation { pixel: twice.pixel + Vector2::new(0.4, -0.3), ..twice });
+        problem
+    }
+
+    #[test]
+    fn a_system_that_is_not_formed_gives_the_same_step() {
+        let problem = few_points();
+        let layout = Layout::new(&problem, &Options::default(), false);
+        let formed = reduced(&problem, &layout);
+        let mut dense = vec![0.0; formed.size()];
+        Solver::Dense(DenseSolver::new(formed.size(), Par::Seq)).solve(&formed, &mut dense).unwrap();
+        let unformed = summed(&problem, &layout, Reduced::for_steps(&layout));
+        assert_eq!(unformed.blocks.len(), 100);
+        let mut by_points = vec![0.0; unformed.size()];
+        let mut solver = Solver::new(LinearSolver::Auto, &unformed, false);
+        assert!(matches!(solver, Solver::Points(_)));
+        // Once more: nothing is left of the last time.
+        for _ in 0..2 {
+            solver.solve(&unformed, &mut by_points).unwrap();
+        }
+        let largest = dense.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        for (k, (a, b)) in dense.iter().zip(&by_points).enumerate() {
+            assert!((a - b).abs() < 1e-8 * largest, "{k}: {a} {b}");
+        }
     }
 
     #[test]

@@ -8,8 +8,8 @@ use faer::{Auto, MatMut, MatRef, Par, Spec};
 use crate::bundle::camera_sums::CAMERA_DIM;
 use crate::bundle::schur::Reduced;
 
-/// Lower triangle by columns, factorised in place.
-pub(in crate::bundle) struct DenseSolver {
+/// A symmetric matrix and its Cholesky factor: the lower triangle by columns, factorised in place.
+pub(super) struct DenseCholesky {
     size: usize,
     /// Distance of columns: not a power of two, whose columns would share cache sets.
     stride: usize,
@@ -18,7 +18,7 @@ pub(in crate::bundle) struct DenseSolver {
     scratch: MemBuffer,
 }
 
-impl DenseSolver {
+impl DenseCholesky {
     pub fn new(size: usize, par: Par) -> Self {
         let stride = size.div_ceil(8).max(1) * 8 + 8;
         let params: Spec<LltParams, f64> = Spec::new(Auto::<f64>::auto());
@@ -26,10 +26,13 @@ impl DenseSolver {
         Self { size, stride, values: vec![0.0; stride * size], par, scratch }
     }
 
-    /// Factorises S; `Err` holds the first pivot that is not positive.
-    pub fn factor<const D: usize>(&mut self, reduced: &Reduced<D>) -> Result<(), usize> {
-        self.copy_views(reduced);
-        self.copy_border(reduced);
+    /// A column, of which the entries from the diagonal on count.
+    pub fn column(&mut self, k: usize) -> &mut [f64] {
+        &mut self.values[k * self.stride..][..self.size]
+    }
+
+    /// Factorises what the columns hold; `Err` holds the first pivot that is not positive.
+    pub fn factor(&mut self) -> Result<(), usize> {
         if self.size == 0 {
             return Ok(());
         }
@@ -43,12 +46,39 @@ impl DenseSolver {
         }
     }
 
+    /// Solves in place with the last factor, for any number of columns.
+    pub fn solve(&mut self, columns: &mut [f64]) {
+        if self.size == 0 {
+            return;
+        }
+        let count = columns.len() / self.size;
+        let factor = MatRef::from_column_major_slice_with_stride(&self.values, self.size, self.size, self.stride);
+        let rhs = MatMut::from_column_major_slice_mut(columns, self.size, count);
+        solve::solve_in_place(factor, rhs, Par::Seq, MemStack::new(&mut self.scratch));
+    }
+}
+
+/// The whole of S.
+pub(in crate::bundle) struct DenseSolver(DenseCholesky);
+
+impl DenseSolver {
+    pub fn new(size: usize, par: Par) -> Self {
+        Self(DenseCholesky::new(size, par))
+    }
+
+    /// Factorises S; `Err` holds the first pivot that is not positive.
+    pub fn factor<const D: usize>(&mut self, reduced: &Reduced<D>) -> Result<(), usize> {
+        self.copy_views(reduced);
+        self.copy_border(reduced);
+        self.0.factor()
+    }
+
     /// Block (i, j) of the upper triangle lies transposed at rows j, columns i of the lower one.
     fn copy_views<const D: usize>(&mut self, reduced: &Reduced<D>) {
         let views = reduced.views.len();
         for i in 0..views {
             for r in 0..D {
-                let column = &mut self.values[(i * D + r) * self.stride..][..self.stride];
+                let column = self.0.column(i * D + r);
                 for j in i..views {
                     let rows = &mut column[j * D..(j + 1) * D];
                     match reduced.pattern.find(i, j) {
@@ -65,26 +95,20 @@ impl DenseSolver {
         let num_shared = n / CAMERA_DIM;
         for i in 0..views {
             for r in 0..D {
-                let column = &mut self.values[(i * D + r) * self.stride + views * D..][..n];
+                let column = &mut self.0.column(i * D + r)[views * D..][..n];
                 for (camera, rows) in column.chunks_exact_mut(CAMERA_DIM).enumerate() {
                     rows.copy_from_slice(&reduced.border[i * num_shared + camera][r]);
                 }
             }
         }
         for r in 0..n {
-            let column = &mut self.values[(views * D + r) * self.stride + views * D..][..n];
+            let column = &mut self.0.column(views * D + r)[views * D..][..n];
             column.copy_from_slice(&reduced.camera_block[r * n..(r + 1) * n]);
         }
     }
 
     /// Solves in place with the last factor, for any number of columns.
     pub fn solve(&mut self, columns: &mut [f64]) {
-        if self.size == 0 {
-            return;
-        }
-        let count = columns.len() / self.size;
-        let factor = MatRef::from_column_major_slice_with_stride(&self.values, self.size, self.size, self.stride);
-        let rhs = MatMut::from_column_major_slice_mut(columns, self.size, count);
-        solve::solve_in_place(factor, rhs, Par::Seq, MemStack::new(&mut self.scratch));
+        self.0.solve(columns);
     }
 }
