@@ -130,7 +130,8 @@ impl<const D: usize> Sums<D> {
         }
     }
 
-    /// Adds one point to a system that is not formed: to the blocks of its views, which it stays in, and to the coupling.
+    /// Adds one point to a system that is not formed: to the blocks of its views, in which it stays, and to the
+    /// coupling.
     #[inline(always)]
     fn couple_point<F: Fused>(&mut self, layout: &Layout, one: &OnePoint<D>, point: usize) {
         let views = &layout.obs_block[layout.obs_of_point(point)];

@@ -1,8 +1,8 @@
 //! How views and points are coupled, for problems in which few points are seen in many views (eqs. 8a–8b).
 //!
-//! A vehicle far ahead has fifty points in two hundred frames. Then the reduced camera system is as good as full and much
-//! larger than that of the points, and it is cheaper not to form it: the views' own blocks and the coupling of every
-//! view with every point that it sees are enough to solve it ([`super::solver`]).
+//! A vehicle far ahead has fifty points in two hundred frames. Then the reduced camera system is as good as full and
+//! much larger than that of the points, and it is cheaper not to form it: the views' own blocks and the coupling of
+//! every view with every point that it sees are enough to solve it ([`super::solver`]).
 
 use super::layout::{Layout, NONE};
 

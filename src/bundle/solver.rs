@@ -210,7 +210,7 @@ mod tests {
         assert!(is_border && share > 0.3, "{share}");
     }
 
-    /// Forty points in a hundred views, one of them held, one known, one seen twice in a picture, and a pose that is known.
+    /// Forty points in a hundred views: one is held, one known, one seen twice in a picture, and a pose is known.
     fn few_points() -> Problem {
         let options = scene::Options { num_images: 100, num_points: 40, noise_px: 0.5, ..Default::default() };
         let mut problem =

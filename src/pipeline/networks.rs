@@ -69,7 +69,7 @@ impl Networks {
     /// # Errors
     /// As [`Self::load_detector`].
     pub(super) fn check_detector(&self, run: &Run) -> Result<(), PipelineError> {
-        match came_with_the_program(self.detector.as_slice())? {
+        match came_with_the_program(self.detector.as_slice(), "boxes")? {
             true => Ok(()),
             false => self.load_detector(run).map(drop),
         }
@@ -80,7 +80,7 @@ impl Networks {
     /// # Errors
     /// As [`Self::load_prompter`].
     pub(super) fn check_prompter(&self, run: &Run) -> Result<(), PipelineError> {
-        match came_with_the_program(self.masks.as_ref().map_or(&[], |parts| &parts[..]))? {
+        match came_with_the_program(self.masks.as_ref().map_or(&[], |parts| &parts[..]), "box-masks")? {
             true => Ok(()),
             false => self.load_prompter(run).map(drop),
         }
@@ -98,13 +98,13 @@ impl Networks {
     }
 }
 
-/// Whether files are, byte for byte, networks that come with the program: those can be used, and loading them to see it
-/// would take half a second.
-fn came_with_the_program(files: &[PathBuf]) -> Result<bool, PipelineError> {
+/// Whether files are, byte for byte, networks for a task that come with the program: those can be used, and loading
+/// them to see it would take half a second.
+fn came_with_the_program(files: &[PathBuf], task: &str) -> Result<bool, PipelineError> {
     let shipped = default_descriptions()?;
     for file in files {
         let hash = fingerprint::of_content(file)?;
-        if shipped.iter().all(|description| description.sha256 != hash) {
+        if !shipped.iter().any(|description| description.task == task && description.sha256 == hash) {
             return Ok(false);
         }
     }
@@ -134,6 +134,17 @@ mod tests {
         let [detector, masks] = &networks.doubts[..] else { panic!("two doubts: {:?}", networks.doubts) };
         assert!(detector.contains("motion alone") && masks.contains("colours alone"));
         assert!(networks.doubts.iter().all(|doubt| doubt.ends_with("no such folder")));
+    }
+
+    #[test]
+    fn a_shipped_network_is_known_for_its_own_task_alone() {
+        let Ok(DefaultModels { detector, mask_encoder, mask_decoder }) = default_models() else {
+            println!("skipped: no networks beside the program");
+            return;
+        };
+        let known = |file: &PathBuf, task| came_with_the_program(std::slice::from_ref(file), task).unwrap();
+        assert!(known(&detector, "boxes") && known(&mask_encoder, "box-masks") && known(&mask_decoder, "box-masks"));
+        assert!(!known(&mask_decoder, "boxes") && !known(&detector, "box-masks"));
     }
 
     #[test]
