@@ -1,6 +1,7 @@
 //! All estimators on one object, and a verdict.
 
 use std::collections::BTreeMap;
+use std::f64::consts::FRAC_1_SQRT_2;
 
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -112,9 +113,6 @@ const FOCAL_SENSITIVITY: f64 = 1.0;
 /// alike, and says nothing of their motion.
 const FOCAL_ALLOWANCE: f64 = 3.0;
 
-/// Fewest frames in which least squares can tell the drift of an object from its camera's climb.
-const MIN_FRAMES_TO_DISAGREE: usize = 20;
-
 /// The answer of an adjustment with the ground, with a verdict, and what the others say of the adjusted reconstruction.
 ///
 /// * `views` – of [`Joint::object`].
@@ -125,7 +123,7 @@ pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, fo
     alternatives.insert(ScaleMethod::Joint, found.ratio);
     let shares = ScaleShares {
         focal: FOCAL_SENSITIVITY * focal_std.unwrap_or(0.0),
-        disagreement: disagreement(found, views, answers.all_frames.as_ref().ok()),
+        disagreement: disagreement(found, answers.all_frames.as_ref().ok()),
         ..found.shares
     };
     let relative_std = shares.total();
@@ -150,6 +148,14 @@ pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, fo
 fn why_unsure(shares: &ScaleShares, accepted: f64) -> Option<String> {
     if shares.given_focal() <= accepted {
         return focal_leaves_open(shares, accepted);
+    }
+    if shares.disagreement > FRAC_1_SQRT_2 * shares.given_focal() {
+        return Some(format!(
+            "the adjustment with the ground and least squares over all frames contradict one another, so that the \
+             ratio is known to ± {} only, where at most ± {} is accepted",
+            whole_percent(shares.given_focal()),
+            whole_percent(accepted)
+        ));
     }
     Some(format!(
         "neither the camera's height over the ground, which changes too little, nor the outlines of the object \
@@ -197,8 +203,8 @@ pub(super) fn with_focal(scale: ScaleEstimate, focal_std: Option<f64>, accepted:
 /// What the difference to least squares on the same model says of the deviation: half of its square beyond what both
 /// explain (two estimates with a random effect; R. DerSimonian and N. Laird, *Meta-analysis in clinical trials*, 1986).
 /// Least squares is taken to be half as sure as it says (decision 7).
-fn disagreement(found: &Joint, views: &Views, all_frames: Option<&LeastSquares>) -> f64 {
-    let Some(other) = all_frames.filter(|_| views.views.len() >= MIN_FRAMES_TO_DISAGREE) else { return 0.0 };
+fn disagreement(found: &Joint, all_frames: Option<&LeastSquares>) -> f64 {
+    let Some(other) = all_frames else { return 0.0 };
     let (difference, own) = (other.ratio / found.ratio - 1.0, 2.0 * other.std / found.ratio);
     let excess = difference * difference - own * own - found.shares.total().powi(2);
     if excess > 0.0 && excess.is_finite() { (0.5 * excess).sqrt() } else { 0.0 }
@@ -389,6 +395,9 @@ mod tests {
         assert_eq!((why(0.05, 0.0), why(0.05, 0.2)), (None, None));
         assert!(why(0.05, 0.4).unwrap().contains("--intrinsics"));
         assert!(why(0.2, 0.4).unwrap().contains("outlines") && why(f64::NAN, 0.0).is_some());
+        let torn = ScaleShares { contact: 0.05, disagreement: 0.2, ..ScaleShares::default() };
+        let said = why_unsure(&torn, 0.1).unwrap();
+        assert!(said.contains("contradict one another") && said.contains("± 21 %"), "{said}");
     }
 
     #[test]

@@ -111,7 +111,10 @@ pub(super) fn agreement(scale: &ScaleEstimate, answers: &[Answer]) -> Option<Rea
     let said = said.join(", ");
     match (beyond(CONTRADICTS), beyond(CONTRADICTS_BY_FAR)) {
         _ if telling.is_empty() => None,
-        (0, _) => Some(Reason::supports(Agreement, format!("other methods agree within their errors: {said}"))),
+        (0, _) => {
+            let finding = format!("other methods agree within their errors and its own ({}): {said}", percent(own));
+            Some(Reason::supports(Agreement, finding))
+        }
         (1, _) => Some(Reason::doubts(Agreement, HALF, format!("another method contradicts the ratio: {said}"))),
         (_, 0..2) => Some(Reason::doubts(Agreement, 1.0, format!("the methods contradict one another: {said}"))),
         _ => Some(Reason::refutes(Agreement, format!("the methods contradict one another by far: {said}"))),
