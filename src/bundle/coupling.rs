@@ -122,27 +122,18 @@ fn work_of_views<const D: usize>(layout: &Layout) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::options::Options;
-    use super::super::problem::{CameraBlock, Problem};
     use super::*;
-    use crate::synthetic::scene::{self, static_scene};
-
-    fn layout(num_images: u32, num_points: u32) -> Layout {
-        let truth = static_scene(&scene::Options { num_images, num_points, ..Default::default() });
-        let problem = Problem::from_reconstruction(&truth, |_, camera| CameraBlock::fixed(*camera));
-        Layout::new(&problem, &Options::default(), false)
-    }
 
     #[test]
     fn it_is_for_few_points_in_many_views() {
-        assert!(Coupling::<6>::where_it_pays(&layout(120, 40)).is_some());
-        assert!(Coupling::<6>::where_it_pays(&layout(120, 400)).is_none());
-        assert!(Coupling::<6>::where_it_pays(&layout(20, 30)).is_none());
+        assert!(Coupling::<6>::where_it_pays(&Layout::of_world(120, 40)).is_some());
+        assert!(Coupling::<6>::where_it_pays(&Layout::of_world(120, 400)).is_none());
+        assert!(Coupling::<6>::where_it_pays(&Layout::of_world(20, 30)).is_none());
     }
 
     #[test]
     fn every_observation_with_a_view_is_in_one_pair() {
-        let layout = layout(60, 25);
+        let layout = Layout::of_world(60, 25);
         let coupling = Coupling::<6>::new(&layout);
         let mut seen = vec![0; layout.num_obs()];
         for view in 0..coupling.num_views() {

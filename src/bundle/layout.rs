@@ -292,6 +292,17 @@ impl Layout {
     }
 }
 
+#[cfg(test)]
+impl Layout {
+    /// Of an exact world in which one camera that is known takes all pictures.
+    pub fn of_world(num_images: u32, num_points: u32) -> Self {
+        use crate::synthetic::scene::{self, static_scene};
+        let truth = static_scene(&scene::Options { num_images, num_points, ..Default::default() });
+        let problem = Problem::from_reconstruction(&truth, |_, camera| CameraBlock::fixed(*camera));
+        Self::new(&problem, &Options::default(), false)
+    }
+}
+
 /// Stable; returns the sorted items and where each key starts (one more entry than keys).
 fn counting_sort(items: &[u32], num_keys: usize, key: impl Fn(u32) -> usize) -> (Vec<u32>, Vec<u32>) {
     let mut start = vec![0u32; num_keys + 1];

@@ -333,19 +333,12 @@ impl<const D: usize> Task for Evaluate<'_, D> {
 #[cfg(test)]
 mod tests {
     use super::super::options::Options;
-    use super::super::problem::{CameraBlock, Problem};
+    use super::super::problem::Problem;
     use super::*;
-    use crate::synthetic::scene::{self, static_scene};
-
-    fn layout(num_images: u32, num_points: u32) -> Layout {
-        let truth = static_scene(&scene::Options { num_images, num_points, ..Default::default() });
-        let problem = Problem::from_reconstruction(&truth, |_, camera| CameraBlock::fixed(*camera));
-        Layout::new(&problem, &Options::default(), false)
-    }
 
     #[test]
     fn parts_cover_all_points_once_and_are_alike() {
-        let layout = layout(20, 3000);
+        let layout = Layout::of_world(20, 3000);
         let pieces = pieces(&layout, &Pattern::new(&layout));
         assert!(pieces.len() > 1 && pieces.len() <= MAX_DESKS, "{}", pieces.len());
         let ends = |of: fn(&Piece) -> &Range<usize>| {
@@ -363,7 +356,7 @@ mod tests {
 
     #[test]
     fn small_problems_are_one_part_and_empty_ones_none() {
-        let small = layout(5, 40);
+        let small = Layout::of_world(5, 40);
         assert_eq!(pieces(&small, &Pattern::new(&small)).len(), 1);
         let empty = Layout::new(&Problem::default(), &Options::default(), false);
         assert!(pieces(&empty, &Pattern::new(&empty)).is_empty());
