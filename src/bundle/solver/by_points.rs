@@ -3,7 +3,7 @@
 use faer::Par;
 
 use super::dense::DenseCholesky;
-use crate::bundle::coupling::Coupling;
+use crate::bundle::coupling::{Coupling, Pair};
 use crate::bundle::schur::Reduced;
 use crate::bundle::simd::{Fused, Task, wide};
 
@@ -88,27 +88,36 @@ impl<const D: usize> Task for Scale<'_, D> {
                     }
                 }
             }
-            for (place, pair) in pairs.iter().enumerate() {
-                for c in 0..3 {
-                    let first = 3 * place;
-                    products.clear();
-                    products.resize(width - first, 0.0);
-                    for row in z.chunks_exact(width) {
-                        let own = row[first + c];
-                        for (sum, other) in products.iter_mut().zip(&row[first..]) {
-                            *sum = F::mul_add(own, *other, *sum);
-                        }
-                    }
-                    let column = matrix.column(3 * pair.point as usize + c);
-                    for (other, product) in pairs[place..].iter().zip(products.as_chunks::<3>().0) {
-                        let cells = &mut column[3 * other.point as usize..][..3];
-                        (0..3).for_each(|k| cells[k] -= product[k]);
-                    }
-                }
-            }
+            subtract_products::<F>(matrix, pairs, z, &mut products);
             factors.extend_from_slice(factor.as_flattened());
         }
         Ok(())
+    }
+}
+
+/// Subtracts ZᵀZ of one view, column by column, in the lower triangle.
+///
+/// * `products` – room for a column, whatever it holds.
+#[inline(always)]
+fn subtract_products<F: Fused>(matrix: &mut DenseCholesky, pairs: &[Pair], z: &[f64], products: &mut Vec<f64>) {
+    let width = 3 * pairs.len();
+    for (place, pair) in pairs.iter().enumerate() {
+        for c in 0..3 {
+            let first = 3 * place;
+            products.clear();
+            products.resize(width - first, 0.0);
+            for row in z.chunks_exact(width) {
+                let own = row[first + c];
+                for (sum, other) in products.iter_mut().zip(&row[first..]) {
+                    *sum = F::mul_add(own, *other, *sum);
+                }
+            }
+            let column = matrix.column(3 * pair.point as usize + c);
+            for (other, product) in pairs[place..].iter().zip(products.as_chunks::<3>().0) {
+                let cells = &mut column[3 * other.point as usize..][..3];
+                (0..3).for_each(|k| cells[k] -= product[k]);
+            }
+        }
     }
 }
 
