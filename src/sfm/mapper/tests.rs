@@ -10,6 +10,7 @@ mod lens;
 mod long_video;
 mod motion;
 mod repetition;
+mod rounds;
 mod several_cameras;
 mod submaps;
 

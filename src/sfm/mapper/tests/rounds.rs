@@ -1,0 +1,28 @@
+//! More starts where a map explains too little.
+
+use super::super::growth::Growth;
+use super::super::map::Map;
+use super::super::starts::Task;
+use super::super::{initial_pair, motion};
+use super::*;
+
+/// The views of a map that is made better, from one that has not grown beyond its first pair.
+fn views_after_rounds(poses: Option<&KnownPoses>) -> usize {
+    let (world, options) = (world(20, 150), Options::object());
+    let table = tracks(&world, 0.2, 0, &mut seeded_rng(3, 1));
+    assert!(!table.has_gaps());
+    let (cameras, known) = ([world.camera], KnownIntrinsics::from(Intrinsics::Fixed));
+    let beside = Beside { silhouettes: None, poses };
+    let task = Task { table: &table, cameras: &cameras, known: &known, options: &options, beside };
+    let (pairs, _): (_, motion::Survey) = initial_pair::ranked(&table, &cameras, &known, &options, 0);
+    let mut growth = Growth::new(Map::new(&table, &cameras).knowing(known.clone()), &options, 0);
+    assert!(growth.start(&pairs[0]).unwrap());
+    task.best_of_rounds(growth, 0).unwrap().num_registered()
+}
+
+#[test]
+fn a_map_that_explains_little_is_grown_again_where_nothing_else_tells() {
+    assert_eq!(views_after_rounds(None), 20);
+    let poses = KnownPoses { poses: vec![None; 20], error_px: 5.0 };
+    assert_eq!(views_after_rounds(Some(&poses)), 2);
+}
