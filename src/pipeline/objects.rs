@@ -266,8 +266,8 @@ fn check_silhouettes(
 /// Takes out the views to which too few points are left: nothing holds their poses, and an adjustment with the ground
 /// would end at them.
 fn drop_bare_views(model: &mut Reconstruction, report: &mut ModelReport) {
-    // Three leave four poses.
-    const HOLD_A_POSE: usize = 4;
+    // Three leave four poses, and of four or five it cannot be told which one is wrong.
+    const HOLD_A_POSE: usize = 6;
     let num_seen = |image: &Image| image.observations.iter().filter(|seen| seen.point.is_some()).count();
     let bare: Vec<ImageId> =
         model.images.iter().filter(|(_, image)| num_seen(image) < HOLD_A_POSE).map(|(id, _)| *id).collect();

@@ -30,6 +30,15 @@ fn start(all_frames: &Result<LeastSquares, ScaleError>, views: &Views) -> Result
     }
 }
 
+/// The poses that see enough points to be known; all where there are none.
+fn well_seen(problem: &Problem) -> Vec<usize> {
+    const POINTS: usize = 8;
+    let mut counts = vec![0; problem.poses.len()];
+    problem.observations.iter().for_each(|observation| counts[observation.pose as usize] += 1);
+    let enough: Vec<usize> = (0..counts.len()).filter(|&pose| counts[pose] >= POINTS).collect();
+    if enough.is_empty() { (0..counts.len()).collect() } else { enough }
+}
+
 /// An object's reconstruction with the ground at z = 0, in the background's unit.
 #[derive(Clone)]
 pub(super) struct Adjustment<'a> {
@@ -80,6 +89,11 @@ impl<'a> Adjustment<'a> {
     /// The same, as little believed as can be: how little an object wanders in a few frames is no proof.
     pub(super) fn in_doubt(&self) -> Self {
         Self { wander: self.options.sigma_distance[1], ..self.clone() }
+    }
+
+    /// Whether it is believed as little as can be.
+    pub(super) fn is_in_doubt(&self) -> bool {
+        self.wander >= self.options.sigma_distance[1]
     }
 
     pub(super) fn options(&self) -> &'a JointOptions {
@@ -211,12 +225,14 @@ impl<'a> Adjustment<'a> {
     }
 
     /// Standard deviation of the object's size, relative to it: that of its distance from the camera, since its size in
-    /// the picture is known exactly. The median of a few frames.
+    /// the picture is known exactly. The median of a few frames that see it well.
     pub(super) fn relative_std(&self, contact: &Contact) -> Result<f64, ScaleError> {
         const FRAMES: usize = 5;
         let problem = self.problem(contact);
-        let count = problem.poses.len();
-        let poses: BTreeSet<usize> = (0..FRAMES).map(|k| k * count.saturating_sub(1) / (FRAMES - 1)).collect();
+        let candidates = well_seen(&problem);
+        let last = candidates.len().saturating_sub(1);
+        let poses: BTreeSet<usize> =
+            (0..FRAMES).filter_map(|k| candidates.get(k * last / (FRAMES - 1)).copied()).collect();
         let wanted = Wanted { poses: poses.iter().copied().collect(), ..Wanted::default() };
         let options = self.bundle_options(&problem);
         let failed = |error: BundleError| match error {
@@ -246,5 +262,25 @@ impl<'a> Adjustment<'a> {
             .collect();
         let (from, to): (Vec<_>, Vec<_>) = solid.into_iter().unzip();
         umeyama(&from, &to).filter(|found| found.scale > 0.0 && found.scale.is_finite())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic::drive::{self, drive};
+
+    #[test]
+    fn views_of_few_points_are_not_asked_how_sure_they_are() {
+        let mut object = drive(&drive::Options { num_frames: 8, ..drive::Options::default() }, 1).object;
+        let last = object.images.values_mut().last().unwrap();
+        last.observations.iter_mut().skip(7).for_each(|seen| seen.point = None);
+        let problem =
+            |object: &Reconstruction| Problem::from_reconstruction(object, |_, camera| CameraBlock::fixed(*camera));
+        assert_eq!(well_seen(&problem(&object)), [0, 1, 2, 3, 4, 5, 6]);
+        for image in object.images.values_mut() {
+            image.observations.iter_mut().skip(7).for_each(|seen| seen.point = None);
+        }
+        assert_eq!(well_seen(&problem(&object)).len(), 8);
     }
 }
