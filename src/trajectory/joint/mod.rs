@@ -180,8 +180,16 @@ pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Jo
     }
 }
 
+/// By how much more than expected stretches of frames may differ: √(χ²/4), 5 % of four degrees of freedom.
+const LARGEST_SPREAD: f64 = 1.54;
+
+/// Fewest frames whose stretches tell: four to each.
+const FRAMES_THAT_TELL: usize = 20;
+
 /// An adjustment that has come to its end.
 struct Settled<'a> {
+    /// What it began with.
+    start: Adjustment<'a>,
     adjustment: Adjustment<'a>,
     contact: Contact,
     error_px: [f64; 2],
@@ -189,8 +197,13 @@ struct Settled<'a> {
 
 impl<'a> Settled<'a> {
     fn of(grounded: &'a Grounded<'a>, views: &Views, options: &'a Options) -> Result<Self, ScaleError> {
-        let mut adjustment = Adjustment::new(grounded, views, options)?;
-        let options = &options.joint;
+        Self::from(Adjustment::new(grounded, views, options)?)
+    }
+
+    /// Adjusts in turns with the contact until that stays.
+    fn from(start: Adjustment<'a>) -> Result<Self, ScaleError> {
+        let mut adjustment = start.clone();
+        let options = adjustment.options();
         let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
         let mut contact = adjustment.contact()?;
         for _ in 0..options.max_rounds {
@@ -205,7 +218,26 @@ impl<'a> Settled<'a> {
         if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {
             return Err(ScaleError::GroundContradicts { before_px, after_px });
         }
-        Ok(Self { adjustment, contact, error_px: [before_px, after_px] })
+        Ok(Self { start, adjustment, contact, error_px: [before_px, after_px] })
+    }
+
+    /// The same; but with planes that are believed least where stretches of frames differ by more than these would make
+    /// them: planes and reconstruction agree because both drift (docs/maths/scale.md). With it comes by how much
+    /// stretches differ, the more of both, where that can be told.
+    ///
+    /// The square of the jackknife of K stretches, over the variance that is expected, is χ²/(K − 1) with K − 1 degrees
+    /// of freedom; one in twenty is above the limit by chance.
+    fn reconsidered(self) -> Result<(Self, Option<f64>), ScaleError> {
+        let frames = spread::over_frames(&self.adjustment);
+        let expected = self.adjustment.in_doubt().relative_std(&self.contact.known())?;
+        let tells = self.adjustment.object.images.len() >= FRAMES_THAT_TELL && !self.adjustment.is_in_doubt();
+        let Some(differ_by) = frames.filter(|frames| tells && *frames > LARGEST_SPREAD * expected) else {
+            return Ok((self, frames));
+        };
+        tracing::debug!("planes are believed least: stretches of frames differ by {differ_by:.4}, not {expected:.4}");
+        let doubted = Self::from(self.start.in_doubt())?;
+        let frames = spread::over_frames(&doubted.adjustment).map(|frames| frames.max(differ_by));
+        Ok((doubted, frames))
     }
 
     /// Whether image positions and planes together contradict it less than another one, weighed alike.
@@ -218,9 +250,9 @@ impl<'a> Settled<'a> {
     }
 
     fn finished(self, grounded: &Grounded, is_mirrored: bool) -> Result<Joint, ScaleError> {
-        let Self { adjustment, contact: last, error_px } = self;
+        let (Self { adjustment, contact: last, error_px, .. }, frames) = self.reconsidered()?;
         let options = adjustment.options();
-        let shares = shares(&adjustment, &last)?;
+        let shares = shares(&adjustment, &last, frames)?;
         let object_from_ground = adjustment.back_to(grounded.object).ok_or(ScaleError::NoSimilarity)?;
         let mut object = adjustment.object;
         object.transform(&object_from_ground);
@@ -249,13 +281,14 @@ impl<'a> Settled<'a> {
 /// The part of the contact is what is left of the adjustment's own variance when the contact is known. For the rest
 /// that variance is too small, since it takes errors for independent; only where groups cannot be left out it stands
 /// in.
-fn shares(adjustment: &Adjustment, contact: &Contact) -> Result<ScaleShares, ScaleError> {
-    const KNOWN: f64 = 1e-3;
+///
+/// * `frames` – what leaving out stretches of frames says.
+fn shares(adjustment: &Adjustment, contact: &Contact, frames: Option<f64>) -> Result<ScaleShares, ScaleError> {
     let doubted = adjustment.in_doubt();
     let all = doubted.relative_std(contact)?;
-    let of_contact_known = doubted.relative_std(&Contact { std: KNOWN * contact.std, ..*contact })?;
+    let of_contact_known = doubted.relative_std(&contact.known())?;
     let tracks = spread::over_tracks(adjustment).unwrap_or(of_contact_known);
-    let frames = spread::over_frames(adjustment).unwrap_or(of_contact_known);
+    let frames = frames.unwrap_or(of_contact_known);
     let [tracks, frames] = spread::counted_once([tracks, frames]);
     Ok(ScaleShares {
         tracks,
