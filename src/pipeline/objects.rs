@@ -272,7 +272,8 @@ fn drop_bare_views(model: &mut Reconstruction, report: &mut ModelReport) {
     let bare: Vec<ImageId> =
         model.images.iter().filter(|(_, image)| num_seen(image) < HOLD_A_POSE).map(|(id, _)| *id).collect();
     for id in &bare {
-        let reason = "the points that it sees lie outside the masks of other frames".to_owned();
+        let reason =
+            format!("fewer than {HOLD_A_POSE} of the points that it sees lie within the masks of other frames");
         report.unregistered.insert(id.frame(), reason);
     }
     model.remove_images(&bare);

@@ -197,11 +197,11 @@ struct Settled<'a> {
 
 impl<'a> Settled<'a> {
     fn of(grounded: &'a Grounded<'a>, views: &Views, options: &'a Options) -> Result<Self, ScaleError> {
-        Self::from(Adjustment::new(grounded, views, options)?)
+        Self::beginning_with(Adjustment::new(grounded, views, options)?)
     }
 
     /// Adjusts in turns with the contact until that stays.
-    fn from(start: Adjustment<'a>) -> Result<Self, ScaleError> {
+    fn beginning_with(start: Adjustment<'a>) -> Result<Self, ScaleError> {
         let mut adjustment = start.clone();
         let options = adjustment.options();
         let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
@@ -235,9 +235,9 @@ impl<'a> Settled<'a> {
             return Ok((self, frames));
         };
         tracing::debug!("planes are believed least: stretches of frames differ by {differ_by:.4}, not {expected:.4}");
-        let doubted = Self::from(self.start.in_doubt())?;
-        let frames = spread::over_frames(&doubted.adjustment).map(|frames| frames.max(differ_by));
-        Ok((doubted, frames))
+        let Ok(doubted) = Self::beginning_with(self.start.in_doubt()) else { return Ok((self, frames)) };
+        let frames = spread::over_frames(&doubted.adjustment).map_or(differ_by, |frames| frames.max(differ_by));
+        Ok((doubted, Some(frames)))
     }
 
     /// Whether image positions and planes together contradict it less than another one, weighed alike.
