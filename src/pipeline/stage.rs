@@ -103,13 +103,11 @@ impl Stage {
     /// not taken over.
     pub(super) fn revision(self) -> u32 {
         match self {
-            // Results are in a place of their own; tracks of image points come in two stages, and are found again
-            // behind gaps; planes and focal lengths have deviations; the last adjustment settles; one vehicle keeps one
-            // id; a fixed camera is told from a climbing one, and heights are less sure far away; trajectories are kept
-            // for the stage `metric`; cells of the motion's grid rest whose points were lost.
-            Self::Scale => 5,
-            Self::Objects | Self::Features | Self::Ground => 3,
-            Self::Background | Self::Motion | Self::Track | Self::Follow => 2,
+            // Last raised, all from `Segment` to `Scale`, after decisions 19 to 25 (docs/decisions).
+            Self::Scale => 6,
+            Self::Objects | Self::Features | Self::Ground => 4,
+            Self::Background | Self::Motion | Self::Track | Self::Follow => 3,
+            Self::Segment => 2,
             _ => 1,
         }
     }

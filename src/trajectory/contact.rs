@@ -105,6 +105,9 @@ fn check_height(key: &str, [mean, std]: [f64; 2]) -> Checked {
 /// Share of the lowest points that lie within an outline which shows them.
 const LEAST_INSIDE: f64 = 0.9;
 
+/// The share of the frames that say where the ground is: the surest.
+const SUREST: f64 = 0.5;
+
 /// The share of the lowest points by which it is told how far the outermost stand out: by so much these are unsure.
 const INNER: f64 = 0.9;
 
@@ -210,7 +213,8 @@ impl LowerEdge<'_> {
     }
 
     /// The ground below two tyres on a line along the first axis, which stand back along the second from the outermost
-    /// points by a share of the height, in the frames that show them; `None` where these are too few.
+    /// points by a share of the height, in the frames that show them; `None` where these are too few. The surest of
+    /// them say it: those that look flat, so that the setback hardly matters, and from near.
     fn below_tyres(
         &self,
         seen: &[(&Image, &Silhouette)],
@@ -230,6 +234,8 @@ impl LowerEdge<'_> {
             found.push((z, (other - z).hypot(Self::MASK_PX * pixel)));
         }
         let num_frames = found.len();
+        found.sort_by(|a, b| a.1.total_cmp(&b.1));
+        found.truncate(((SUREST * num_frames as f64).ceil() as usize).max(self.options.min_frames));
         let (heights, stds): (Vec<f64>, Vec<f64>) = found.into_iter().unzip();
         let z = median(heights).filter(|_| num_frames >= self.options.min_frames)?;
         Some(Contact { z, std: median(stds)?, num_frames })

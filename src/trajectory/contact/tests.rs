@@ -82,14 +82,33 @@ fn outlines_whose_lower_part_is_hidden_do_not_lift_the_ground() {
     assert_eq!(found(&silhouettes).num_frames, 8);
 }
 
-/// A box on four tyres, seen from behind by a low camera.
+/// A box on four tyres, 0.8 wide to either side, seen from behind by a low camera.
 fn from_behind(distance: f64) -> (Reconstruction, BTreeMap<FrameId, Silhouette>) {
+    let forward = Rotation3::from_matrix_unchecked(Matrix3::new(0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0));
+    let poses = (0..8).map(|k| {
+        let center = Point3::new(-distance - 0.3 * f64::from(k), 0.1, 1.4);
+        Rigid3::from_rotation_and_center(forward.into(), center)
+    });
+    box_on_tyres(poses, 0.75)
+}
+
+/// The same from its left side, at the heights over the ground, 20 away; its tyres stand at y = ±0.6.
+fn from_the_side(heights: impl Iterator<Item = f64>) -> (Reconstruction, BTreeMap<FrameId, Silhouette>) {
+    let poses = heights.map(|height| {
+        let center = Point3::new(0.1, 20.0, height);
+        let cam_from_world = Rotation3::face_towards(&-center.coords, &-Vector3::z()).inverse();
+        Rigid3::from_rotation_and_center(cam_from_world.into(), center)
+    });
+    box_on_tyres(poses, 0.6)
+}
+
+fn box_on_tyres(poses: impl Iterator<Item = Rigid3>, tyres_y: f64) -> (Reconstruction, BTreeMap<FrameId, Silhouette>) {
     let corners = |xs: [f64; 2], ys: [f64; 2], zs: [f64; 2]| {
         let all = xs.into_iter().flat_map(move |x| ys.into_iter().map(move |y| (x, y)));
         all.flat_map(move |(x, y)| zs.into_iter().map(move |z| Point3::new(x, y, z))).collect::<Vec<_>>()
     };
     let body = corners([-2.0, 2.0], [-0.8, 0.8], [0.3, 1.5]);
-    let tyres = corners([-1.3, 1.3], [-0.75, 0.75], [0.0, 0.6]);
+    let tyres = corners([-1.3, 1.3], [-tyres_y, tyres_y], [0.0, 0.6]);
     let mut model = Reconstruction::default();
     let camera = crate::camera::Camera::with_focal(960, 540, 800.0);
     model.cameras.insert(CameraId(1), camera);
@@ -97,17 +116,29 @@ fn from_behind(distance: f64) -> (Reconstruction, BTreeMap<FrameId, Silhouette>)
         let point = Point3d { position: *position, rgb: [0; 3], error_px: 0.5, track: Vec::new() };
         model.points.insert(Point3dId(k as u64 + 1), point);
     }
-    let forward = Rotation3::from_matrix_unchecked(Matrix3::new(0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0));
     let mut silhouettes = BTreeMap::new();
-    for k in 0..8 {
-        let center = Point3::new(-distance - 0.3 * f64::from(k), 0.1, 1.4);
-        let cam_from_world = Rigid3::from_rotation_and_center(forward.into(), center);
+    for (k, cam_from_world) in (0..).zip(poses) {
         let seen = body.iter().chain(&tyres).filter_map(|p| camera.pixel_from_cam(cam_from_world * *p));
         silhouettes.insert(FrameId(k), Silhouette { hull: convex_hull(seen.collect()) });
         let image = Image { name: k.to_string(), camera: CameraId(1), cam_from_world, observations: Vec::new() };
         model.images.insert(ImageId::from(FrameId(k)), image);
     }
     (model, silhouettes)
+}
+
+/// Tyres that stand back further than usual lift the ground in views from above; in those from low they hardly do.
+#[test]
+fn views_from_low_say_where_the_ground_is() {
+    let found = |heights: &[f64]| {
+        let (model, silhouettes) = from_the_side(heights.iter().copied());
+        contact(&model, &silhouettes, Some(Vector3::x_axis()), &ContactOptions::default()).unwrap()
+    };
+    let (low, high) = ([1.5; 12], [20.0; 11]);
+    let (flat, steep) = (found(&low), found(&high));
+    assert!(flat.z.abs() < flat.std && steep.z > 0.06 && steep.std > flat.std, "{flat:?}, {steep:?}");
+    let both = found(&[&high[..], &low[..]].concat());
+    assert_eq!(both.num_frames, 23);
+    assert!((both.z - flat.z).abs() < 1e-9 && (both.std - flat.std).abs() < 1e-9, "{both:?}, {flat:?}");
 }
 
 #[test]
