@@ -46,6 +46,7 @@ mod mirror;
 mod place;
 mod smoother;
 mod standing;
+mod steadiness;
 mod verdict;
 mod views;
 

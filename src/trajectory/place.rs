@@ -8,6 +8,7 @@
 use std::collections::BTreeMap;
 
 use super::estimate::{estimate_scale, joint_estimate, ratios_of, with_focal};
+use super::steadiness::Steadiness;
 use super::{Body, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views, assemble, joint};
 use crate::scene::{Frame, FrameId, GroundPlane, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod, Unit};
 
@@ -118,7 +119,8 @@ impl Evidence<'_> {
 
     /// The object after an adjustment; `as_it_was` are the views of the model before.
     fn adjusted(&self, found: Joint, as_it_was: &Views, options: &Options) -> Placed {
-        let views = Views::new(self.background, &found.object, self.planes);
+        let steadiness = Steadiness::of(self.background, &found.object, self.planes, found.ratio);
+        let views = Views::new(self.background, &found.object, &steadiness.telling(self.planes));
         let as_reconstructed = Some(ratios_of(as_it_was, options));
         let scale = ScaleEstimate { as_reconstructed, ..joint_estimate(&views, &found, options, self.focal_std) };
         let adjustment = Adjustment::Done(AdjustmentFigures::from(&found));

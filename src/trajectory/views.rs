@@ -10,7 +10,7 @@ use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction};
 
 /// By how much an object's height over its planes wanders, as a share of [`View::lever`]: the most that `joint` takes
 /// it to be (`sigma_distance`).
-const WANDER: f64 = 0.008;
+pub(super) const WANDER: f64 = 0.008;
 
 /// One camera with its local ground plane. With it the distance of object point j to the plane is h + r a_j
 /// (eq. ground_plane_distance with eq. object_to_background_coordinates put in).

@@ -11,6 +11,7 @@ use crate::math::{RobustLoss, Sim3, median, umeyama};
 use crate::scene::{FrameId, Image, Reconstruction};
 use crate::trajectory::assemble::poses;
 use crate::trajectory::mirror::mean_normal;
+use crate::trajectory::steadiness::Steadiness;
 use crate::trajectory::{
     Contact, ContactOptions, LeastSquares, Options, ScaleError, Views, contact, forward_axis, intersection,
     least_squares, object_center,
@@ -53,6 +54,8 @@ pub(super) struct Adjustment<'a> {
     wander: f64,
     /// The median of that height, units of the background.
     camera_height: f64,
+    /// How well the planes go together.
+    steadiness: Steadiness,
 }
 
 impl<'a> Adjustment<'a> {
@@ -77,8 +80,13 @@ impl<'a> Adjustment<'a> {
         let mut residuals = Vec::new();
         for_each_residual(&object, |_, residual| residuals.extend([residual.x.abs(), residual.y.abs()]));
         let noise_px = 1.4826 * median(residuals).ok_or(ScaleError::NoObservations)?;
+        let noise_px = noise_px.max(1e-3);
         let contact_options = grounded.body.contact(&options.contact);
-        Ok(Self { grounded, options, contact_options, object, noise_px: noise_px.max(1e-3), wander, camera_height })
+        let steadiness = Steadiness::of(grounded.background, grounded.object, grounded.planes, ratio);
+        if !steadiness.outlying.is_empty() {
+            tracing::debug!("planes that stand out from their neighbours': {:?}", steadiness.outlying);
+        }
+        Ok(Self { grounded, options, contact_options, object, noise_px, wander, camera_height, steadiness })
     }
 
     /// The same knowledge of another object, in the same frame.
@@ -159,21 +167,22 @@ impl<'a> Adjustment<'a> {
         problem
     }
 
-    /// Plane i below the middle of the vehicle.
+    /// Plane i below the middle of the vehicle, but those that stand out from their neighbours'.
     fn planes(&self) -> Vec<PlanePrior> {
         let Grounded { background, planes, .. } = self.grounded;
         let middle = object_center(&self.object);
         let pose_of: BTreeMap<&str, usize> =
             self.object.images.values().map(|image| image.name.as_str()).zip(0..).collect();
         let known = |(frame, in_background, in_object): (FrameId, &Image, &Image)| {
-            let plane = planes.get(&frame)?;
+            let plane = planes.get(&frame).filter(|_| !self.steadiness.outlying.contains(&frame))?;
+            let own_std = plane.own_height_std().max(self.steadiness.own_std(frame));
             Some(PlanePrior {
                 pose: *pose_of.get(in_object.name.as_str())?,
                 normal_in_cam: in_background.cam_from_world.rotation * plane.normal,
                 camera_height: plane.signed_distance(in_background.cam_from_world.center()),
                 point: Point3::new(middle.x, middle.y, 0.0),
                 up: Vector3::z(),
-                sigma_distance: self.sigma_distance(in_object, &middle).max(plane.own_height_std()),
+                sigma_distance: self.sigma_distance(in_object, &middle).max(own_std),
                 sigma_tilt: self.options.sigma_tilt.max(plane.tilt_std),
                 loss: RobustLoss::Squared,
             })
@@ -268,7 +277,35 @@ impl<'a> Adjustment<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::synthetic::drive::{self, drive};
+    use crate::synthetic::drive::{self, Drive, drive};
+
+    #[test]
+    fn planes_that_stand_out_are_not_believed_and_those_that_differ_are_less() {
+        const HEIGHT: f64 = 12.0;
+        let mut world = drive(&drive::Options { camera_height_m: HEIGHT, ..drive::Options::default() }, 5);
+        let unit = drive::Options::default().background_unit_m;
+        for (frame, plane) in &mut world.planes {
+            let by_m = match frame.0 {
+                20..23 => 3.0,
+                40.. => [0.2, -0.2][frame.0 as usize % 2],
+                _ => 0.0,
+            };
+            plane.point += plane.normal * (by_m / unit);
+        }
+        let Drive { background, object, planes, frames, .. } = &world;
+        let silhouettes = BTreeMap::new();
+        let body = crate::trajectory::Body::Car;
+        let grounded = Grounded { background, object, planes, silhouettes: &silhouettes, frames, body };
+        let views = Views::new(background, object, planes);
+        let options = Options::default();
+        let found = Adjustment::new(&grounded, &views, &options).unwrap().planes();
+        assert_eq!(found.len(), planes.len() - 3);
+        let sigmas = |poses: std::ops::Range<usize>| {
+            let within = found.iter().filter(|plane| poses.contains(&plane.pose));
+            median(within.map(|plane| plane.sigma_distance * unit).collect()).unwrap()
+        };
+        assert!(sigmas(0..15) < 0.01 * HEIGHT && sigmas(45..60) > 0.2, "{} {}", sigmas(0..15), sigmas(45..60));
+    }
 
     #[test]
     fn views_of_few_points_are_not_asked_how_sure_they_are() {

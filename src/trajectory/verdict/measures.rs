@@ -6,9 +6,10 @@ use nalgebra::{Point3, Vector3};
 
 use super::Candidate;
 use crate::math::{median, quantile};
-use crate::scene::{GroundPlane, Image, ObjectPose, Reconstruction};
+use crate::scene::{FrameId, GroundPlane, Image, ObjectPose, Reconstruction};
 use crate::trajectory::heading::forward_axis;
 use crate::trajectory::object_center;
+use crate::trajectory::steadiness::Steadiness;
 
 /// Of the points over the ground, the share that lies below what counts as the vehicle's top.
 const TOP: f64 = 0.95;
@@ -16,6 +17,9 @@ const TOP: f64 = 0.95;
 const BOTTOM: f64 = 0.02;
 /// The same for its length: points beyond are strays.
 const EXTENT: f64 = 0.95;
+/// Standard deviation of a plane's own height, as a share of that of the vehicle's top, beyond which it cannot tell
+/// whether this one rises or sinks.
+const KNOWN: f64 = 0.08;
 /// Half of the time over which a path is smoothed, seconds, and the least number of neighbours on either side.
 const HALF_WINDOW_S: f64 = 0.5;
 const LEAST_NEIGHBOURS: usize = 2;
@@ -27,7 +31,7 @@ pub(super) struct Measures {
     pub(super) height: Option<f64>,
     /// Height of its bottom over the ground, likewise.
     pub(super) bottom: Option<f64>,
-    /// Height of its middle over the ground, frame by frame in order of time.
+    /// Height of its middle over the ground, frame by frame in order of time, where the plane can tell.
     pub(super) middles: Vec<f64>,
     /// Longest extent: twice the distance within which nearly all points lie from their middle.
     pub(super) length: Option<f64>,
@@ -66,14 +70,15 @@ impl Measures {
         let (poses, object) = (&candidate.trajectory.poses, candidate.object);
         let points: Vec<Point3<f64>> = finite_points(object);
         let over_ground = over_ground(candidate, &points);
-        let column = |k: usize| over_ground.iter().map(|heights| heights[k]).collect::<Vec<f64>>();
+        let column = |k: usize| over_ground.iter().map(|(_, heights)| heights[k]).collect::<Vec<f64>>();
+        let height = median(column(2));
         let places: Vec<Vector3<f64>> = poses.iter().map(|pose| Vector3::from(pose.position)).collect();
         let steps: Vec<f64> = places.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
         let smooth = smoothed(poses, &places);
         Self {
-            height: median(column(2)),
+            height,
             bottom: median(column(0)),
-            middles: column(1),
+            middles: middles(candidate, &over_ground, height.unwrap_or(0.0)),
             length: length(&points).map(|length| length * candidate.trajectory.scale.ratio),
             stretch: length(&points).and_then(|length| stretch(object, length)),
             pixels: median(object.images.values().filter_map(longer_side).collect()),
@@ -100,15 +105,27 @@ fn finite_points(object: &Reconstruction) -> Vec<Point3<f64>> {
 }
 
 /// Heights of bottom, middle and top over the ground, for every frame with a plane.
-fn over_ground(candidate: &Candidate, points: &[Point3<f64>]) -> Vec<[f64; 3]> {
+fn over_ground(candidate: &Candidate, points: &[Point3<f64>]) -> Vec<(FrameId, [f64; 3])> {
     let of_frame = |pose: &ObjectPose| {
         let plane: &GroundPlane = candidate.planes.get(&pose.frame)?;
         let mut heights: Vec<f64> =
             points.iter().map(|point| plane.signed_distance(pose.world_from_object * *point)).collect();
         let [bottom, middle, top] = [BOTTOM, 0.5, TOP].map(|share| finite_quantile(&mut heights, share));
-        Some([bottom?, middle?, top?])
+        Some((pose.frame, [bottom?, middle?, top?]))
     };
     candidate.trajectory.poses.iter().filter_map(of_frame).collect()
+}
+
+/// Heights of the middle over the planes that can tell whether the vehicle rises or sinks: those that are known well
+/// enough, and do not stand out from their neighbours'.
+fn middles(candidate: &Candidate, over_ground: &[(FrameId, [f64; 3])], height: f64) -> Vec<f64> {
+    let Candidate { trajectory, object, background, planes, .. } = candidate;
+    let outlying = Steadiness::of(background, object, planes, trajectory.scale.ratio).outlying;
+    let tells = |frame: &FrameId| {
+        let own = planes.get(frame).map_or(0.0, GroundPlane::own_height_std);
+        !(own > KNOWN * height || outlying.contains(frame))
+    };
+    over_ground.iter().filter(|(frame, _)| tells(frame)).map(|(_, [_, middle, _])| *middle).collect()
 }
 
 /// `None` of nothing, or of something that is no number.

@@ -220,6 +220,27 @@ fn too_fast_backwards_and_jumping_paths_are_said() {
 }
 
 #[test]
+fn planes_that_are_wrong_or_unsure_do_not_make_it_rise_and_sink() {
+    let with_planes = |change: &dyn Fn(u32, &mut GroundPlane, f64)| {
+        let mut car = car(1, 1.0, &usual());
+        let size = height(&car);
+        car.world.planes.iter_mut().for_each(|(frame, plane)| change(frame.0, plane, size));
+        let verdict = judge(&[car]).remove(0);
+        verdict.against().any(|reason| reason.says.contains("rises and sinks"))
+    };
+    let lift = |plane: &mut GroundPlane, by: f64| plane.point += plane.normal * by;
+    assert!(!with_planes(&|frame, plane, size| if (20..23).contains(&frame) {
+        lift(plane, 1.5 * size)
+    }));
+    let wave = |frame: u32| (f64::from(frame) * std::f64::consts::PI / 20.0).sin();
+    assert!(with_planes(&|frame, plane, size| lift(plane, 0.3 * size * wave(frame))));
+    assert!(!with_planes(&|frame, plane, size| {
+        lift(plane, 0.3 * size * wave(frame));
+        plane.height_std = 0.3 * size;
+    }));
+}
+
+#[test]
 fn frames_without_seconds_have_no_speed_and_nothing_panics_on_little() {
     let single = car(1, 1.0, &usual());
     let of = |trajectory: &ObjectTrajectory, object: &Reconstruction| {
