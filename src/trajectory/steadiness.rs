@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::{Point3, Vector3};
 
 use super::object_center;
-use super::views::WANDER;
+use super::views::{WANDER, lever};
 use crate::math::median;
 use crate::scene::{FrameId, GroundPlane, Image, Reconstruction};
 
@@ -100,10 +100,8 @@ impl<'a> Place<'a> {
         is_finite.then_some(place)
     }
 
-    /// What errors of angles are multiplied by: see [`View::lever`](super::View::lever).
     fn lever(&self) -> f64 {
-        let height = self.plane.signed_distance(self.camera).abs();
-        height.max(0.5 * (self.position - self.camera).norm())
+        lever(self.plane.signed_distance(self.camera), (self.position - self.camera).norm())
     }
 }
 

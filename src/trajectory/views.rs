@@ -8,9 +8,15 @@ use super::ScaleError;
 use crate::math::median;
 use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction};
 
-/// By how much an object's height over its planes wanders, as a share of [`View::lever`]: the most that `joint` takes
+/// By how much an object's height over its planes wanders, as a share of its [`lever`]: the most that `joint` takes
 /// it to be (`sigma_distance`).
 pub(super) const WANDER: f64 = 0.008;
+
+/// [`View::lever`] of numbers. What an angle is wrong by lifts the object in proportion to its distance, so that a
+/// vehicle far ahead of a low camera is off by much more than one below a drone.
+pub(super) fn lever(camera_height: f64, distance: f64) -> f64 {
+    camera_height.abs().max(0.5 * distance)
+}
 
 /// One camera with its local ground plane. With it the distance of object point j to the plane is h + r a_j
 /// (eq. ground_plane_distance with eq. object_to_background_coordinates put in).
@@ -38,11 +44,10 @@ impl View {
         }
     }
 
-    /// The length of which errors of the object's height over its plane are a share: the camera's height over it, or
-    /// half of the object's distance where that is more. What an angle is wrong by lifts the object in proportion to
-    /// its distance, so that a vehicle far ahead of a low camera is off by much more than one below a drone.
+    /// The length of which errors of the object's height over its plane are a share, for one of its points: the
+    /// camera's height over it, or half of the distance where that is more (docs/maths/scale.md, eq. 6a).
     pub fn lever(&self, point_in_object: &Point3<f64>, ratio: f64) -> f64 {
-        self.camera_height.abs().max(0.5 * ratio.abs() * (point_in_object - self.center_in_object).norm())
+        lever(self.camera_height, ratio.abs() * (point_in_object - self.center_in_object).norm())
     }
 
     /// a_j = n · v_j = (R(o)ᵀ R(b) n) · (o_j − c(o)): how far point j lies above (below: negative) the camera along the

@@ -12,6 +12,7 @@ use crate::scene::{FrameId, Image, Reconstruction};
 use crate::trajectory::assemble::poses;
 use crate::trajectory::mirror::mean_normal;
 use crate::trajectory::steadiness::Steadiness;
+use crate::trajectory::views::lever;
 use crate::trajectory::{
     Contact, ContactOptions, LeastSquares, Options, ScaleError, Views, contact, forward_axis, intersection,
     least_squares, object_center,
@@ -196,13 +197,10 @@ impl<'a> Adjustment<'a> {
         found
     }
 
-    /// Standard deviation of a plane's distance to the vehicle, by what is seen of it over all frames: a share of the
-    /// camera's height, or of half the vehicle's distance where that is more (see [`View::lever`]).
-    ///
-    /// [`View::lever`]: crate::trajectory::View::lever
+    /// Standard deviation of a plane's distance to the vehicle, by what is seen of it over all frames.
     fn sigma_distance(&self, image: &Image, middle: &Point3<f64>) -> f64 {
         let distance = (middle - image.cam_from_world.center()).norm();
-        (self.wander * self.camera_height.max(0.5 * distance)).max(f64::MIN_POSITIVE)
+        (self.wander * lever(self.camera_height, distance)).max(f64::MIN_POSITIVE)
     }
 
     /// Standard deviation of the ground's height that all frames have in common, as a share of the camera's height.
