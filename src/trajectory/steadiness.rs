@@ -54,13 +54,13 @@ impl Steadiness {
         let steps: Vec<f64> = all.clone().map(step).collect();
         let sigma = typical(&steps);
         let stands_out = |k: &usize| steps[*k].abs() > STANDS_OUT * sigma.max(WANDER * places[*k].lever());
-        let own_std = |k: usize| typical(&steps[near(k)]).max(steps[k].abs());
-        let is_vague = |k: &usize| own_std(*k).max(places[*k].plane.own_height_std()) > WANDER * places[*k].lever();
+        let own_stds: Vec<f64> = all.clone().map(|k| typical(&steps[near(k)]).max(steps[k].abs())).collect();
+        let is_vague = |k: &usize| own_stds[*k].max(places[*k].plane.own_height_std()) > WANDER * places[*k].lever();
         let frames = |which: &dyn Fn(&usize) -> bool| all.clone().filter(which).map(|k| places[k].frame).collect();
         Self {
             outlying: frames(&stands_out),
             vague: frames(&is_vague),
-            own_stds: all.clone().map(|k| (places[k].frame, own_std(k))).collect(),
+            own_stds: all.clone().map(|k| (places[k].frame, own_stds[k])).collect(),
         }
     }
 
