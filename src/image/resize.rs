@@ -26,6 +26,16 @@ pub fn resize_rgb(image: &RgbImage, width: u32, height: u32) -> Result<RgbImage,
     rgb_from_mat(&resized(&borrowed_rgb(image)?, width, height)?)
 }
 
+/// The same at a tenth of the cost where it shrinks by little: linearly interpolated, which passes no pixel over until
+/// the sides are less than two thirds.
+pub fn resize_rgb_quickly(image: &RgbImage, width: u32, height: u32) -> Result<RgbImage, ImageError> {
+    let shrinks_much = 3 * width < 2 * image.width() || 3 * height < 2 * image.height();
+    if shrinks_much || (width, height) == image.dimensions() {
+        return resize_rgb(image, width, height);
+    }
+    rgb_from_mat(&resized_by(&borrowed_rgb(image)?, width, height, imgproc::INTER_LINEAR)?)
+}
+
 /// A grey image at another size; as [`resize_rgb`].
 pub fn resize_gray(image: &GrayImage, width: u32, height: u32) -> Result<GrayImage, ImageError> {
     if (width, height) == image.dimensions() {
@@ -69,9 +79,17 @@ pub fn scale_to_fit(width: u32, height: u32, max_side: u32) -> (u32, u32) {
 }
 
 fn resized(mat: &(impl MatTraitConst + ToInputArray), width: u32, height: u32) -> Result<Mat, ImageError> {
+    let shrinks = i64::from(width) < i64::from(mat.cols()) && i64::from(height) < i64::from(mat.rows());
+    resized_by(mat, width, height, if shrinks { imgproc::INTER_AREA } else { imgproc::INTER_LINEAR })
+}
+
+fn resized_by(
+    mat: &(impl MatTraitConst + ToInputArray),
+    width: u32,
+    height: u32,
+    method: i32,
+) -> Result<Mat, ImageError> {
     let size = Size::new(i32::try_from(width)?, i32::try_from(height)?);
-    let shrinks = size.width < mat.cols() && size.height < mat.rows();
-    let method = if shrinks { imgproc::INTER_AREA } else { imgproc::INTER_LINEAR };
     let mut out = Mat::default();
     imgproc::resize(mat, &mut out, size, 0.0, 0.0, method)?;
     Ok(out)
@@ -86,6 +104,22 @@ mod tests {
         let image = GrayImage::from_fn(4, 2, |x, _| ::image::Luma([if x < 2 { 10 } else { 90 }]));
         assert_eq!(resize_gray(&image, 2, 1).unwrap().into_raw(), [10, 90]);
         assert_eq!(resize_gray(&image, 4, 2).unwrap(), image);
+    }
+
+    #[test]
+    fn shrinking_a_little_keeps_places_and_passes_no_line_over() {
+        // A ramp, and one bright column.
+        let ramp = RgbImage::from_fn(120, 90, |x, _| ::image::Rgb([2 * x as u8; 3]));
+        let small = resize_rgb_quickly(&ramp, 90, 68).unwrap();
+        assert_eq!(small.dimensions(), (90, 68));
+        let expected = |x: u32| 2.0 * ((f64::from(x) + 0.5) / 0.75 - 0.5);
+        assert!((1..89).all(|x| (f64::from(small.get_pixel(x, 30).0[0]) - expected(x)).abs() <= 1.5));
+        for column in 20..40 {
+            let line = RgbImage::from_fn(120, 90, |x, _| ::image::Rgb([if x == column { 240 } else { 0 }; 3]));
+            let small = resize_rgb_quickly(&line, 81, 61).unwrap();
+            assert!((0..81).map(|x| u32::from(small.get_pixel(x, 30).0[0])).sum::<u32>() >= 40, "column {column}");
+        }
+        assert_eq!(resize_rgb_quickly(&ramp, 60, 45).unwrap(), resize_rgb(&ramp, 60, 45).unwrap());
     }
 
     #[test]

@@ -74,6 +74,11 @@ impl Rect {
         Self { x0: self.x0 - margin, y0: self.y0 - margin, x1: self.x1 + margin, y1: self.y1 + margin }
     }
 
+    /// The same place in a picture that is so many times as wide and as high.
+    pub fn scaled(&self, [across, down]: [f64; 2]) -> Self {
+        Self { x0: across * self.x0, y0: down * self.y0, x1: across * self.x1, y1: down * self.y1 }
+    }
+
     /// The part of the box that lies in a picture.
     #[must_use]
     pub fn clipped(&self, width: u32, height: u32) -> Self {

@@ -1,9 +1,11 @@
 //! Placing a view of the frame in a network's input without changing its aspect.
 
+use std::borrow::Cow;
+
 use ::image::RgbImage;
 
 use super::views::View;
-use crate::image::{ImageError, resize_rgb};
+use crate::image::{ImageError, resize_rgb_quickly};
 
 /// The grey that fills what the view leaves free, as YOLO networks are trained with.
 const PAD: u8 = 114;
@@ -39,15 +41,14 @@ impl Letterbox {
         input: (u32, u32),
         anchor: Anchor,
     ) -> Result<(Self, RgbImage), ImageError> {
-        let crop = ::image::imageops::crop_imm(frame, view.x0, view.y0, view.width, view.height);
-        let crop = if view == View::whole(frame.width(), frame.height()) { frame.clone() } else { crop.to_image() };
-        let ratio = f64::min(
-            f64::from(input.0) / f64::from(view.width.max(1)),
-            f64::from(input.1) / f64::from(view.height.max(1)),
-        );
-        let fit = |side: u32, limit: u32| ((f64::from(side) * ratio).round() as u32).clamp(1, limit.max(1));
-        let (width, height) = (fit(view.width, input.0), fit(view.height, input.1));
-        let resized = resize_rgb(&crop, width, height)?;
+        let crop = match view == View::whole(frame.width(), frame.height()) {
+            true => Cow::Borrowed(frame),
+            false => {
+                Cow::Owned(::image::imageops::crop_imm(frame, view.x0, view.y0, view.width, view.height).to_image())
+            }
+        };
+        let (width, height) = fitted((view.width, view.height), input);
+        let resized = resize_rgb_quickly(&crop, width, height)?;
         let (left, top) = match anchor {
             Anchor::Centre => ((input.0 - width) / 2, (input.1 - height) / 2),
             Anchor::TopLeft => (0, 0),
@@ -71,6 +72,13 @@ impl Letterbox {
     pub(super) fn frame_from_input(&self, x: f32, y: f32) -> [f32; 2] {
         [(x - self.pad[0]) / self.scale[0] + self.origin[0], (y - self.pad[1]) / self.scale[1] + self.origin[1]]
     }
+}
+
+/// The size at which a picture just fits into an input, both (width, height).
+pub(super) fn fitted((width, height): (u32, u32), input: (u32, u32)) -> (u32, u32) {
+    let ratio = f64::min(f64::from(input.0) / f64::from(width.max(1)), f64::from(input.1) / f64::from(height.max(1)));
+    let fit = |side: u32, limit: u32| ((f64::from(side) * ratio).round() as u32).clamp(1, limit.max(1));
+    (fit(width, input.0), fit(height, input.1))
 }
 
 #[cfg(test)]

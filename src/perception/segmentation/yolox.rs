@@ -5,13 +5,16 @@
 //! The row x, y, w, h, o, p₁ ... of the cell in column i and row j says, in pixels of the input: an object with its
 //! centre at (s (i + x), s (j + y)), of the size s eʷ × s eʰ, of class c with the score o · p_c.
 
+use std::borrow::Cow;
+
 use ::image::RgbImage;
 
 use super::classes::class_names;
-use super::letterbox::{Anchor, Letterbox};
+use super::letterbox::{Anchor, Letterbox, fitted};
 use super::views::View;
 use super::{Detector, DetectorOptions};
 use crate::ffi::onnx::{Model, Tensor};
+use crate::image::resize_rgb_quickly;
 use crate::perception::PerceptionError;
 use crate::perception::description::{ChannelOrder, Preprocessing};
 use crate::perception::tensor::tensor_from_image;
@@ -86,13 +89,20 @@ impl Yolox {
         sizes
     }
 
-    /// What the network finds in the frame at one size of its input; boxes in pixels of the frame.
-    fn look_at(&mut self, image: &RgbImage, input: (u32, u32)) -> Result<Vec<BoxDetection>, PerceptionError> {
-        let frame = image.dimensions();
-        let (boxed, pixels) = Letterbox::place_at(image, View::whole(frame.0, frame.1), input, Anchor::TopLeft)?;
+    /// What the network finds in a picture at one size of its input; boxes in pixels of the frame that it shows.
+    fn look_at(
+        &mut self,
+        picture: &RgbImage,
+        frame: (u32, u32),
+        input: (u32, u32),
+    ) -> Result<Vec<BoxDetection>, PerceptionError> {
+        let size = picture.dimensions();
+        let (boxed, pixels) = Letterbox::place_at(picture, View::whole(size.0, size.1), input, Anchor::TopLeft)?;
         let output = self.run(&pixels)?;
         let found = decode(&output.values, input, &self.wanted, self.options.confidence);
-        Ok(found.into_iter().filter_map(|detection| in_frame(detection, &boxed, frame)).collect())
+        let in_picture = found.into_iter().filter_map(|detection| in_frame(detection, &boxed, size));
+        let enlarged = [f64::from(frame.0) / f64::from(size.0), f64::from(frame.1) / f64::from(size.1)];
+        Ok(in_picture.map(|found| BoxDetection { rect: found.rect.scaled(enlarged), ..found }).collect())
     }
 
     /// Runs the network; one row per cell.
@@ -130,8 +140,14 @@ impl Detector for Yolox {
             return Ok(Vec::new());
         }
         let mut found = Vec::new();
-        for input in self.input_sizes(frame) {
-            found.extend(self.look_at(image, input)?);
+        let mut picture = Cow::Borrowed(image);
+        // The largest first: to halve what was made for it takes a tenth of shrinking the frame once more.
+        for input in self.input_sizes(frame).into_iter().rev() {
+            let (width, height) = fitted(picture.dimensions(), input);
+            if (width, height) != picture.dimensions() {
+                picture = Cow::Owned(resize_rgb_quickly(&picture, width, height)?);
+            }
+            found.extend(self.look_at(&picture, frame, input)?);
         }
         Ok(surest(found, self.options.nms_iou))
     }
