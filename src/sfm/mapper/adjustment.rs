@@ -11,6 +11,8 @@ use crate::sfm::SfmError;
 pub enum Scope {
     /// All views and points.
     Everything,
+    /// The same, as far as it takes to measure the noise and to tell which observations are wrong.
+    Roughly,
     /// All views, and in each about so many points: the longest tracks of every part of the image.
     Selected {
         /// Points per view.
@@ -18,6 +20,17 @@ pub enum Scope {
     },
     /// A view, those that share most points with it, and the points that these see; the others are held.
     Around(usize),
+}
+
+impl Scope {
+    /// When an adjustment ends: after so many iterations, or at so small a share of the cost.
+    fn limits(&self) -> (usize, f64) {
+        match self {
+            Self::Everything | Self::Selected { .. } => (30, 1e-6),
+            Self::Roughly => (30, 1e-4),
+            Self::Around(_) => (10, 1e-4),
+        }
+    }
 }
 
 /// Which intrinsics are adjusted.
@@ -77,14 +90,15 @@ pub fn adjust(
     let (tracks, free_views) = taking_part(map, scope, options);
     let mut freedom = intrinsics.of_cameras(map);
     let local = matches!(scope, Scope::Around(_));
-    let ties = if local || !options.ordered { Ties::All } else { Ties::Thinned { gap: options.max_track_views } };
-    let (mut problem, mut parts) = build_with(map, &tracks, &free_views, &freedom, noise, ties);
-    let bundle_options = bundle::Options {
-        loss: options.loss(noise),
-        max_iterations: if local { 10 } else { 30 },
-        function_tolerance: if local { 1e-4 } else { 1e-6 },
-        ..bundle::Options::default()
+    let ties = match (local, options.ordered) {
+        (true, _) => Ties::FewHeld,
+        (false, true) => Ties::Thinned { gap: options.max_track_views },
+        (false, false) => Ties::All,
     };
+    let (mut problem, mut parts) = build_with(map, &tracks, &free_views, &freedom, noise, ties);
+    let (max_iterations, function_tolerance) = scope.limits();
+    let loss = options.loss(noise);
+    let bundle_options = bundle::Options { loss, max_iterations, function_tolerance, ..bundle::Options::default() };
     let mut summary = bundle::adjust(&mut problem, &bundle_options)?;
     while hold_odd_lenses(&mut freedom, &problem) {
         (problem, parts) = build_with(map, &tracks, &free_views, &freedom, noise, ties);
@@ -122,7 +136,9 @@ pub(super) fn taking_part(map: &Map<'_>, scope: &Scope, options: &Options) -> (V
     let mut tracks = vec![false; map.table.tracks.len()];
     let mut free_views = vec![true; map.poses.len()];
     match scope {
-        Scope::Everything => tracks.iter_mut().enumerate().for_each(|(t, used)| *used = map.point(t).is_some()),
+        Scope::Everything | Scope::Roughly => {
+            tracks.iter_mut().enumerate().for_each(|(t, used)| *used = map.point(t).is_some())
+        }
         Scope::Selected { per_view } => select_tracks(map, *per_view, &mut tracks),
         Scope::Around(view) => {
             free_views = neighbourhood(map, *view, options.local_views);
@@ -140,17 +156,22 @@ pub(super) struct Parts {
     tracks: Vec<usize>,
 }
 
-/// Which observations of points count that were lost and found again.
+/// Which observations of points count.
 #[derive(Clone, Copy)]
 enum Ties {
     /// All.
     All,
+    /// In views that are free all, in those that are held [`MOST_HELD`] of each point at the most, evenly spread.
+    FewHeld,
     /// A part of what was seen before, where they were lost for more than so many views ([`Problem::thin_ties`]).
     Thinned {
         /// Views.
         gap: usize,
     },
 }
+
+/// Views that hold a point in a local adjustment. More would hold it no better, and take most of the time.
+const MOST_HELD: usize = 8;
 
 /// The problem of adjusting some points and views.
 pub(super) fn build(
@@ -191,7 +212,17 @@ fn build_with(
         let Some(point) = map.point(track) else { continue };
         let point_index = problem.points.len() as u32;
         problem.points.push(PointBlock { position: point.position, fixed: false });
-        for (slot, view, pixel) in map.observations(track).filter(|(_, view, _)| map.poses[*view].is_some()) {
+        let seen = || map.observations(track).filter(|(_, view, _)| map.poses[*view].is_some());
+        let one_in = match ties {
+            Ties::FewHeld => seen().filter(|(_, view, _)| !free_views[*view]).count().div_ceil(MOST_HELD).max(1),
+            Ties::All | Ties::Thinned { .. } => 1,
+        };
+        let mut num_held = 0;
+        for (slot, view, pixel) in seen() {
+            num_held += usize::from(!free_views[view]);
+            if !free_views[view] && num_held % one_in != 0 {
+                continue;
+            }
             let whitening = map.table.whitening(map.table.tracks[track][slot]);
             let seen = Observation::new(pose_of_view[view], point_index, pixel);
             problem.observations.push(Observation { whitening, ..seen });

@@ -135,6 +135,12 @@ impl<'a> Growth<'a> {
         self.map.clone().into_reconstruction()
     }
 
+    /// The map itself.
+    #[cfg(test)]
+    pub fn map(&self) -> &Map<'a> {
+        &self.map
+    }
+
     /// The map and what became of every view.
     pub fn into_result(self) -> (Map<'a>, Report) {
         let stretches = match self.options.ordered {

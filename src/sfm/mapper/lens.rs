@@ -13,7 +13,7 @@
 use super::adjustment::{self, Freedom, Scope};
 use super::map::Map;
 use super::{Noise, Options};
-use crate::bundle::{self, IntrinsicsPrior, Problem};
+use crate::bundle::{self, BundleError, IntrinsicsPrior, Problem, Wanted};
 use crate::camera::Camera;
 use crate::math::RobustLoss;
 use crate::sfm::SfmError;
@@ -22,6 +22,9 @@ use crate::sfm::SfmError;
 /// them together: what the model of the lens or of the shutter leaves out, points that slide with the view. Such errors
 /// do not average out.
 const COMMON_ERROR_FACTOR: f64 = 5.0;
+
+/// Less noise is rounding, of tracks without any.
+const MIN_SIGMA_PX: f64 = 1e-6;
 
 /// A pull towards the guess, in units of observations with common errors ([`COMMON_ERROR_FACTOR`]): it counts where
 /// these leave a parameter open.
@@ -117,8 +120,6 @@ pub(super) fn focal_evidence(
     options: &Options,
 ) -> Result<FocalEvidence, SfmError> {
     const CHANGE: f64 = 0.03;
-    // Less is rounding, of tracks without noise.
-    const MIN_SIGMA_PX: f64 = 1e-6;
     let sigma_px = sigma_px.max(MIN_SIGMA_PX);
     let nothing = FocalEvidence { together: f64::INFINITY, in_groups: f64::INFINITY, shift: 0.0 };
     let Some(&first) = asked.first() else { return Ok(nothing) };
@@ -151,6 +152,31 @@ pub(super) fn focal_evidence(
         in_groups: spread.sqrt() / curvature,
         shift: -(weight * slope + stiffness * off) / (weight * curvature + stiffness),
     })
+}
+
+/// Standard deviation of ln f of a camera if all observations err together, from the normal equations where the map
+/// stands: what [`focal_evidence`] finds by adjusting three times over, as far as the problem is linear. Infinite where
+/// the motion leaves it open.
+pub(super) fn focal_deviation_here(
+    map: &Map<'_>,
+    camera: usize,
+    sigma_px: f64,
+    options: &Options,
+) -> Result<f64, SfmError> {
+    let sigma_px = sigma_px.max(MIN_SIGMA_PX);
+    let probe = Probe::new(map, sigma_px, options);
+    let mut problem = probe.trial(map, Freedom::FocalAndRadial);
+    problem.priors.intrinsics.retain(|prior| prior.camera != camera);
+    let bundle_options = bundle::Options { loss: options.loss(probe.noise), ..bundle::Options::default() };
+    let wanted = Wanted { cameras: vec![camera], ..Wanted::default() };
+    match bundle::covariances(&problem, &bundle_options, &wanted) {
+        Ok(found) => {
+            let variance = found.cameras[0][(0, 0)] / map.cameras[camera].mean_focal().powi(2);
+            Ok(COMMON_ERROR_FACTOR * sigma_px * variance.max(0.0).sqrt())
+        }
+        Err(BundleError::Singular { .. } | BundleError::NoCovariance { .. }) => Ok(f64::INFINITY),
+        Err(error) => Err(error.into()),
+    }
 }
 
 /// How much the first coefficient of distortion explains, in units of the common errors squared, where it is the only

@@ -105,7 +105,8 @@ pub struct Options {
     pub growth_points_per_view: usize,
     /// Starts that are made in any case, far from one another, to keep the map that explains the tracks best. Objects
     /// need several, since on one plane (a car's tail) a map may bend at residuals hardly larger than those of the
-    /// right one.
+    /// right one. Where two of them give maps that explain alike, and as much as right tracks let a map explain, there
+    /// is no third.
     #[schemars(extend("unit" = "starts"))]
     pub min_starts: usize,
     /// Starts that are tried at most while none registers nearly all views: each costs a whole reconstruction.

@@ -40,6 +40,10 @@ const HEALTHY_SHARE: f64 = 0.93;
 /// the vehicle was hidden explains 0.73, those of two large cars in real footage 0.85 and 0.93.
 const PLAUSIBLE_SHARE: f64 = 0.8;
 
+/// Two starts whose worths differ by no more than this share of them gave the same map: bent ones are each bent in
+/// another way.
+const SAME_WORTH: f64 = 0.003;
+
 /// Rounds of starts that are made at most.
 const MAX_ROUNDS: u64 = 4;
 
@@ -70,6 +74,7 @@ impl<'a> Task<'a> {
         let usable = self.num_usable();
         let (pairs, survey) = initial_pair::ranked(table, cameras, known, options, seed);
         let mut num_starts = 0;
+        let mut worths: Vec<f64> = Vec::new();
         let apart = initial_pair::far_from_one_another(pairs.clone(), table.views.len());
         for pair in apart.iter().take(options.max_starts) {
             let all_starts = options.min_starts.max(num_starts + 1) as f64;
@@ -85,6 +90,7 @@ impl<'a> Task<'a> {
                 growth.finish()?;
                 let worth = self.worth(&growth);
                 tracing::debug!("start {num_starts}: {} views, worth {worth:.0}", growth.num_registered());
+                worths.push(worth);
                 if best.as_ref().is_none_or(|(b, _)| worth > *b) {
                     best = Some((worth, growth));
                 }
@@ -92,6 +98,13 @@ impl<'a> Task<'a> {
             watch((before + 1.0) / all_starts);
             let has_most = |growth: &Growth| growth.num_registered() as f64 >= GOOD_SHARE * usable as f64;
             let is_good = |growth: &Growth| growth.is_from_known_poses() || has_most(growth);
+            let agree = |(worth, growth): &(f64, Growth)| {
+                let same = worths.iter().filter(|other| **other >= (1.0 - SAME_WORTH) * worth).count();
+                same > 1 && has_most(growth) && self.explains(growth, HEALTHY_SHARE)
+            };
+            if best.as_ref().is_some_and(agree) {
+                break;
+            }
             if num_starts >= options.min_starts && best.as_ref().is_some_and(|(_, growth)| is_good(growth)) {
                 break;
             }

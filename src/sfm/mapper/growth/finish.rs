@@ -48,27 +48,36 @@ impl Growth<'_> {
         const MAX_ROUNDS: usize = 3;
         const SETTLED_SHARE: f64 = 0.002;
         self.noise = Noise::Unknown;
+        self.decide_lens()?;
         for _ in 0..MAX_ROUNDS {
             // At those of the last round: at wide limits all outliers would come back.
             let limits = self.limits();
             self.map.triangulate_all(&limits);
             self.map.update_observations(&limits);
-            self.adjust(&Scope::Everything, self.freedom)?;
+            self.adjust(&Scope::Roughly, self.freedom)?;
             self.noise = self.map.noise();
             let limits = self.limits();
             let changed = self.map.update_observations(&limits);
-            let unknown: Vec<usize> = self.map.unknown_cameras().collect();
-            if !unknown.is_empty() && !self.lens_decided {
-                self.freedom = self.final_freedom(&unknown)?;
-                self.lens_decided = true;
-                continue;
-            }
             let total: usize = (0..self.map.table.tracks.len()).map(|t| self.map.observations(t).count()).sum();
             if changed as f64 <= SETTLED_SHARE * total as f64 {
                 break;
             }
         }
         self.adjust(&Scope::Everything, self.freedom).map(drop)
+    }
+
+    /// Decides once which intrinsics are adjusted, where any are looked for, on the points of the map as it grew.
+    fn decide_lens(&mut self) -> Result<(), SfmError> {
+        let unknown: Vec<usize> = self.map.unknown_cameras().collect();
+        if unknown.is_empty() || self.lens_decided {
+            return Ok(());
+        }
+        self.noise = self.map.noise();
+        let limits = self.limits();
+        self.map.update_observations(&limits);
+        self.freedom = self.final_freedom(&unknown)?;
+        self.lens_decided = true;
+        Ok(())
     }
 
     /// Which intrinsics the motion determines, of all cameras that are looked for alike, once the noise is known and
@@ -82,7 +91,10 @@ impl Growth<'_> {
         // Three standard deviations.
         const SIGNIFICANT: f64 = 9.0;
         let Noise::Measured { sigma_px } = self.noise else { return Ok(Freedom::at_first(&self.map)) };
-        let deviation = lens::focal_evidence(&self.map, unknown, sigma_px, self.options)?.together;
+        let deviation = match *unknown {
+            [camera] => lens::focal_deviation_here(&self.map, camera, sigma_px, self.options)?,
+            _ => lens::focal_evidence(&self.map, unknown, sigma_px, self.options)?.together,
+        };
         tracing::debug!("focal length known to {:.3} %", 100.0 * deviation);
         if deviation <= LOOSE {
             return Ok(Freedom::WithPrincipalPoint);

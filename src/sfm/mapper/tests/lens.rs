@@ -1,6 +1,7 @@
 //! What is said of a focal length that had to be found.
 
 use super::*;
+use crate::sfm::mapper::lens::{focal_deviation_here, focal_evidence};
 
 /// A camera that flies straight ahead through points on all sides.
 fn forward_flight(num_views: u32, step: f64) -> World {
@@ -52,4 +53,26 @@ fn intrinsics_that_are_given_have_no_deviation() {
     let table = tracks(&world, 0.2, 0, &mut seeded_rng(3, 0));
     let (_, report) = reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 1).unwrap();
     assert_eq!(report.focal_deviation(), None);
+}
+
+#[test]
+fn the_normal_equations_say_of_a_focal_length_what_three_adjustments_say() {
+    for world in [world(40, 600), forward_flight(12, 0.3)] {
+        let table = tracks(&world, 0.3, 30, &mut seeded_rng(12, 0));
+        let (cameras, known) = ([Camera::with_focal(960, 540, 990.0)], KnownIntrinsics::from(Intrinsics::Refined));
+        let options = Options::background();
+        let task = starts::Task {
+            table: &table,
+            cameras: &cameras,
+            known: &known,
+            options: &options,
+            beside: Beside::default(),
+        };
+        let growth = task.grow_from_starts(1, &mut |_| {}).unwrap().best.unwrap();
+        let Noise::Measured { sigma_px } = growth.map().noise() else { panic!("a map has a noise") };
+        let here = focal_deviation_here(growth.map(), 0, sigma_px, &options).unwrap();
+        let adjusted = focal_evidence(growth.map(), &[0], sigma_px, &options).unwrap().together;
+        // Beyond a factor of e nothing is known, by how much does not matter.
+        assert!((here.min(1.0) / adjusted.min(1.0)).ln().abs() < 0.25, "{here} {adjusted}");
+    }
 }

@@ -26,3 +26,17 @@ fn a_map_that_explains_little_is_grown_again_where_nothing_else_tells() {
     let poses = KnownPoses { poses: vec![None; 20], error_px: 5.0 };
     assert_eq!(views_after_rounds(Some(&poses)), 2);
 }
+
+#[test]
+fn two_starts_that_agree_need_no_third() {
+    let (world, options) = (world(30, 200), Options::object());
+    let starts = |outliers: usize| {
+        let table = tracks(&world, 0.2, outliers, &mut seeded_rng(3, 1));
+        let (cameras, known) = ([world.camera], KnownIntrinsics::from(Intrinsics::Fixed));
+        let task =
+            Task { table: &table, cameras: &cameras, known: &known, options: &options, beside: Beside::default() };
+        task.grow_from_starts(0, &mut |_| {}).unwrap().tried
+    };
+    // Where a third of the tracks is wrong, no map explains what right tracks let a map explain.
+    assert_eq!((starts(0), starts(100)), (2, options.min_starts));
+}
