@@ -31,8 +31,8 @@ pub use self::segmentation::{
 };
 pub use self::shipped::{DefaultModels, default_descriptions, default_models};
 pub use self::tracking::{
-    After, BackwardTracker, Correction, End, Evidence, Extension, Look, LookedBy, Sighted, TrackSummary, TrackedMask,
-    Tracker, TrackerOptions, Unsupported, joining, support,
+    After, BackwardTracker, Correction, End, Evidence, Extension, FoundBox, Look, LookedBy, PassedOver, Sighted,
+    TrackSummary, TrackedMask, Tracker, TrackerOptions, Unsupported, joining, support,
 };
 
 /// Longer sides of pictures, pixels, that networks are asked about: below, there is nothing to see; beyond, memory

@@ -44,6 +44,7 @@ mod run_json;
 mod scale;
 mod segment;
 mod stage;
+mod standing;
 mod strip;
 mod threads;
 mod track;

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use super::detections::FrameFolder;
 use super::followed::{self, Followed};
 use super::run::{Outcome, Run};
-use super::{Instances, MotionChoice, PipelineError, Stage, fingerprint, models, own_file};
+use super::{Instances, MotionChoice, PipelineError, Stage, fingerprint, models, own_file, standing};
 use crate::ground::dominant_plane_points;
 use crate::perception::motion::{GroundModel, Mover, PointTrack, Surroundings, TrackLabel, View, classify, movers};
 use crate::scene::{BoxDetection, Finder, Frame, FrameId, ImageId, Reconstruction};
@@ -66,6 +66,9 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     };
     outcome.figure("num_points", tracks.len());
     outcome.figure("num_movers", found.len());
+    if finds(run) {
+        standing::write(run, &folder, &frames, &tracks, &labels)?;
+    }
     write_boxes(&folder, &frames, &found)?;
     own_file::write(&folder.join(LABELS), &labels)?;
     outcome.outputs.push(folder);
@@ -147,7 +150,7 @@ fn write_boxes(folder: &Path, frames: &[Frame], found: &[Mover]) -> Result<(), P
     Ok(())
 }
 
-fn folder(run: &Run) -> PathBuf {
+pub(super) fn folder(run: &Run) -> PathBuf {
     run.workspace.state(&fingerprint::folder_name(PREFIX, run.fingerprint(Stage::Motion)))
 }
 

@@ -103,11 +103,11 @@ impl Stage {
     /// not taken over.
     pub(super) fn revision(self) -> u32 {
         match self {
-            // Last raised, all from `Segment` to `Scale`, after decisions 19 to 25 (docs/decisions).
+            // Last raised with decision 27 (docs/decisions): `Segment`, `Background`, `Motion`, `Track`, `Objects`.
             Self::Scale => 6,
-            Self::Objects | Self::Features | Self::Ground => 4,
-            Self::Background | Self::Motion | Self::Track | Self::Follow => 3,
-            Self::Segment => 2,
+            Self::Objects => 5,
+            Self::Features | Self::Ground | Self::Background | Self::Motion | Self::Track => 4,
+            Self::Segment | Self::Follow => 3,
             _ => 1,
         }
     }

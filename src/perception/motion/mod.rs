@@ -17,6 +17,7 @@ mod groups;
 mod judge;
 mod movers;
 mod noise;
+mod standing;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
@@ -30,6 +31,7 @@ pub use self::follower::{PointFollower, PointTrack};
 pub use self::ground::GroundModel;
 pub use self::judge::{Judgement, MovementReason, judge};
 pub use self::movers::{Mover, movers};
+pub use self::standing::shows_standing;
 use crate::camera::Camera;
 use crate::limits::{Checked, under, within};
 use crate::math::Rigid3;

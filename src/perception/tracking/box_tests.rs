@@ -1,6 +1,6 @@
 //! What happens to objects of which boxes are known, and masks only in some frames.
 
-use super::world::{HEIGHT, Thing, WIDTH, World};
+use super::world::{HEIGHT, Thing, WIDTH, World, found_boxes};
 use super::*;
 use crate::perception::Prompted;
 use crate::scene::{Finder, Rect};
@@ -50,7 +50,7 @@ fn frames_that_nobody_looked_at_are_not_missed() {
             let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
             let look = match t % every {
                 0 => Look::Boxes {
-                    found: world.boxes(t, Finder::Detector),
+                    found: found_boxes(world.boxes(t, Finder::Detector)),
                     by: LookedBy::Detector,
                     prompter: Some(&mut prompter),
                 },
@@ -80,7 +80,8 @@ fn a_new_mask_corrects_the_frames_that_are_nearer_to_it_than_to_the_last_one() {
         let flow = (t > 0).then(|| world.flow(t));
         let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &narrow };
         let prompter = t.is_multiple_of(8).then_some(&mut prompter as &mut dyn Prompter);
-        let look = Look::Boxes { found: world.boxes(t, Finder::Detector), by: LookedBy::Detector, prompter };
+        let look =
+            Look::Boxes { found: found_boxes(world.boxes(t, Finder::Detector)), by: LookedBy::Detector, prompter };
         let masks = tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
         assert_eq!(masks[0].mask.iou(&world.mask(t, 0)) > 0.9, t == 8, "frame {t}");
         corrected.extend(tracker.take_corrections());
@@ -98,7 +99,7 @@ fn a_detector_that_looks_now_and_then_is_judged_by_its_looks() {
         let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
         let prompter = t.is_multiple_of(4).then_some(&mut prompter as &mut dyn Prompter);
         let look = match t % 2 {
-            0 => Look::Boxes { found: world.boxes(t, Finder::Detector), by: LookedBy::Detector, prompter },
+            0 => Look::Boxes { found: found_boxes(world.boxes(t, Finder::Detector)), by: LookedBy::Detector, prompter },
             _ => Look::Boxes { found: Vec::new(), by: LookedBy::Motion, prompter },
         };
         tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
@@ -327,7 +328,7 @@ fn a_prompter_that_answers_out_of_shape_is_refused() {
     let small = |_: usize, answer: Prompted| Some(Prompted { mask: Mask::full(5, 5), ..answer });
     let mut tracker = Tracker::new(TrackerOptions::default());
     let mut prompter = world::WorldPrompter { world: &world, t: 0, num_asked: 0, spoil: &small };
-    let found = world.boxes(0, Finder::Detector);
+    let found = found_boxes(world.boxes(0, Finder::Detector));
     let look = Look::Boxes { found, by: LookedBy::Detector, prompter: Some(&mut prompter) };
     let wrong = tracker.advance(&World::frame(0), &world.image(0), look, None);
     assert!(matches!(wrong, Err(crate::perception::PerceptionError::SizeMismatch { .. })));
@@ -409,4 +410,25 @@ fn frames_must_come_backward() {
     assert!(matches!(again, Err(crate::perception::PerceptionError::FrameOrder { .. })));
     let other = tracker.advance(&World::frame(4), &::image::RgbImage::new(9, 9), &[], None, None);
     assert!(matches!(other, Err(crate::perception::PerceptionError::SizeMismatch { .. })));
+}
+
+#[test]
+fn what_stands_starts_a_track_only_where_the_detector_is_sure() {
+    let world = one_car();
+    let tracked = |confidence: f64, stands: bool| {
+        let mut tracker = Tracker::new(TrackerOptions::default());
+        for t in 0..12 {
+            let flow = (t > 0).then(|| world.flow(t));
+            let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
+            let boxes = world.boxes(t, Finder::Detector).into_iter();
+            let found = boxes.map(|found| FoundBox { found: BoxDetection { confidence, ..found }, stands }).collect();
+            let look = Look::Boxes { found, by: LookedBy::Detector, prompter: Some(&mut prompter) };
+            tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
+        }
+        let passed_over = tracker.passed_over();
+        (tracker.finish().len(), passed_over)
+    };
+    assert_eq!(tracked(0.5, false), (1, PassedOver::default()));
+    assert_eq!(tracked(0.6, true), (1, PassedOver::default()));
+    assert_eq!(tracked(0.5, true), (0, PassedOver { num_boxes: 12, max_confidence: 0.5 }));
 }

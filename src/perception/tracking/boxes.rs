@@ -10,9 +10,9 @@ use super::region::Region;
 use super::sights::{self, Finding, Sight};
 use super::track::{Asked, Moment, Prediction, Track};
 use super::tracker::{MAX_COVERED, Sighting, Tracker};
-use super::{Evidence, TrackerOptions};
+use super::{Evidence, FoundBox, TrackerOptions};
 use crate::perception::{PerceptionError, Prompter};
-use crate::scene::{BoxDetection, Flow, ObjectId, Outline, Rect};
+use crate::scene::{Flow, ObjectId, Outline, Rect};
 
 /// Overlap of boxes (intersection over union) that says as much as masks that overlap a little.
 const MIN_BOX_OVERLAP: f64 = 0.4;
@@ -75,7 +75,7 @@ impl Tracker {
     pub(super) fn follow_boxes(
         &mut self,
         view: &View,
-        found: Vec<BoxDetection>,
+        found: Vec<FoundBox>,
         prompter: Option<&mut dyn Prompter>,
     ) -> Result<Vec<Sighting>, PerceptionError> {
         let mut meeting = self.meet(view, found);
@@ -92,6 +92,7 @@ impl Tracker {
         self.ask(view, prompter, &mut meeting)?;
         self.waiting.clear();
         self.associate_boxes(&mut meeting);
+        self.count_passed_over(&meeting);
         let mut seen = self.choose(view, &meeting, outline);
         self.look_for(view, &meeting, outline, &mut seen);
         seen.extend(self.find_again(view, &mut meeting, outline, &seen));
@@ -100,8 +101,19 @@ impl Tracker {
         Ok(seen)
     }
 
+    /// Counts the boxes that would start a track if they did not stand.
+    fn count_passed_over(&mut self, meeting: &Meeting) {
+        for sight in meeting.left().into_iter().map(|s| &meeting.sights[s]) {
+            if sight.stands() && !may_start(sight, &self.options) && sight.confidence() >= self.options.start_confidence
+            {
+                self.passed_over.num_boxes += 1;
+                self.passed_over.max_confidence = self.passed_over.max_confidence.max(sight.confidence());
+            }
+        }
+    }
+
     /// Where all tracks should be, and what boxes show.
-    fn meet(&self, view: &View, found: Vec<BoxDetection>) -> Meeting {
+    fn meet(&self, view: &View, found: Vec<FoundBox>) -> Meeting {
         let predictions = self.predict(&[], view.flow, view.image, view.elapsed_s);
         let is_carried: Vec<bool> =
             self.tracks.iter().zip(&predictions).map(|(track, p)| self.is_trusted(track, p, view.image)).collect();
@@ -312,12 +324,15 @@ impl Tracker {
     }
 }
 
-/// Whether a box is sure enough to be an object: by its class, by its motion, or by both.
+/// Whether a box is sure enough to be an object: by its class, by its motion, or by both. What stands has but its
+/// class.
 pub(super) fn may_start(sight: &Sight, options: &TrackerOptions) -> bool {
+    let least =
+        if sight.stands() { options.start_standing.max(options.start_confidence) } else { options.start_confidence };
     let surest = |of: fn(&Finding) -> Option<f64>| sight.findings().filter_map(of).fold(0.0, f64::max);
     let (detector, motion) = (surest(|found| found.detector), surest(|found| found.motion));
     let is_both = detector > 0.0 && motion >= options.start_confidence;
-    is_both || detector >= options.start_confidence || motion >= options.start_motion
+    is_both || detector >= least || motion >= options.start_motion
 }
 
 /// Whether a frame's mask is new.

@@ -13,6 +13,7 @@ use ::image::RgbImage;
 use super::TrackSummary;
 use super::appearance::Appearance;
 use super::region::Region;
+use super::support::MIN_FRAMES;
 use super::track::compatible;
 use crate::scene::{FrameId, Gap, Mask, Sameness};
 
@@ -202,9 +203,10 @@ impl Colours {
     }
 }
 
-/// Whether two objects may be one by their classes.
+/// Whether two objects may be one by their classes, as far as both were named often enough.
 pub fn may_be_one(a: &TrackSummary, b: &TrackSummary) -> bool {
-    compatible(&a.class, &b.class)
+    let is_named = |summary: &TrackSummary| summary.found.by_detector() >= MIN_FRAMES;
+    !(is_named(a) && is_named(b)) || compatible(&a.class, &b.class)
 }
 
 impl TrackSummary {
@@ -242,8 +244,10 @@ impl TrackSummary {
 
 #[cfg(test)]
 mod tests {
+    use super::super::support::tests::summary;
     use super::*;
     use crate::math::seeded_rng;
+    use crate::scene::FoundIn;
     use rand::Rng as _;
 
     const SURE: Sameness = Sameness {
@@ -253,6 +257,17 @@ mod tests {
         num_points: Some(20),
         num_matches: Some(30),
     };
+
+    #[test]
+    fn a_class_that_was_named_once_separates_nothing() {
+        let of = |class: &str, named: usize| {
+            let found = FoundIn { detector: named, motion: 40, ..FoundIn::default() };
+            TrackSummary { class: class.into(), ..summary(found, 0.5, 60) }
+        };
+        assert!(may_be_one(&of("motorcycle", 1), &of("truck", 20)));
+        assert!(may_be_one(&of("car", 20), &of("truck", 20)));
+        assert!(!may_be_one(&of("motorcycle", 3), &of("truck", 20)));
+    }
 
     fn pair(before: usize, after: usize, evidence: Sameness) -> Pair {
         Pair { before, after, gap_s: 1.0, evidence }

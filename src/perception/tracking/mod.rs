@@ -76,7 +76,7 @@ pub enum Look<'a> {
     /// Boxes of a detector, of motion, or of both.
     Boxes {
         /// What was found; may be empty.
-        found: Vec<BoxDetection>,
+        found: Vec<FoundBox>,
         /// Who looked for them.
         by: LookedBy,
         /// Whom to ask for the masks of boxes; `None` where masks are carried from earlier frames.
@@ -84,6 +84,33 @@ pub enum Look<'a> {
     },
     /// Nobody looked.
     NotLooked,
+}
+
+/// A box that was found in a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundBox {
+    /// What was found, and by whom.
+    pub found: BoxDetection,
+    /// Whether the points in it say that it shows something that stands
+    /// ([`shows_standing`](crate::perception::motion::shows_standing)).
+    pub stands: bool,
+}
+
+impl From<BoxDetection> for FoundBox {
+    /// A box of which no points say anything.
+    fn from(found: BoxDetection) -> Self {
+        Self { found, stands: false }
+    }
+}
+
+/// Boxes of a detector that started no track, since they show something that stands
+/// ([`TrackerOptions::start_standing`]).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PassedOver {
+    /// How many, in the frames in which masks are asked for.
+    pub num_boxes: usize,
+    /// How sure the detector was of the surest of them, 0 to 1.
+    pub max_confidence: f64,
 }
 
 /// Who looked for boxes in a frame.
@@ -182,6 +209,10 @@ pub struct TrackerOptions {
     /// A track starts with a detection of at least this confidence; weaker ones only continue tracks.
     #[schemars(extend("unit" = "score, 0 to 1"))]
     pub start_confidence: f64,
+    /// The same for what stands by the points in its box. What is named less surely gets no trajectory if it goes on
+    /// standing, and a mask for nothing; when it drives off, motion finds it, and it is followed back from there.
+    #[schemars(extend("unit" = "score, 0 to 1"))]
+    pub start_standing: f64,
     /// A track starts with what only moves if motion is at least so sure of it: trees, poles and reflections move, too.
     #[schemars(extend("unit" = "0 to 1"))]
     pub start_motion: f64,
@@ -237,6 +268,7 @@ impl Default for TrackerOptions {
         Self {
             track_classes: VEHICLES.map(str::to_owned).to_vec(),
             start_confidence: 0.35,
+            start_standing: support::SURE_OF_STANDING,
             start_motion: 0.85,
             min_area_px2: 40,
             min_overlap: 0.2,
@@ -260,6 +292,7 @@ impl TrackerOptions {
     pub fn check(&self) -> Checked {
         some_of("track_classes", &self.track_classes)?;
         within("start_confidence", self.start_confidence, 0.0..=1.0)?;
+        within("start_standing", self.start_standing, 0.0..=1.0)?;
         within("start_motion", self.start_motion, 0.0..=1.0)?;
         within("min_area_px2", self.min_area_px2, 0..=1 << 30)?;
         within("min_overlap", self.min_overlap, 0.0..=1.0)?;

@@ -1,6 +1,6 @@
 //! Boxes of one frame that mean one object.
 
-use super::TrackerOptions;
+use super::{FoundBox, TrackerOptions};
 use crate::scene::{BoxDetection, Finder, Rect};
 
 /// Two boxes of a detector that overlap by more than this (intersection over union) mean one object.
@@ -22,15 +22,17 @@ pub(super) struct Finding {
     pub(super) detector: Option<f64>,
     /// Motion's confidence, if it found it.
     pub(super) motion: Option<f64>,
+    /// Whether the points in the box say that it stands.
+    pub(super) stands: bool,
 }
 
 impl Finding {
-    fn of(found: BoxDetection) -> Self {
+    fn of(FoundBox { found, stands }: FoundBox) -> Self {
         let (detector, motion) = match found.finder {
             Finder::Detector => (Some(found.confidence), None),
             Finder::Motion => (None, Some(found.confidence)),
         };
-        Self { class: found.class, detector, motion }
+        Self { class: found.class, detector, motion, stands }
     }
 
     /// The confidence of whatever is surer.
@@ -75,6 +77,11 @@ impl Sight {
         self.now.iter().chain(&self.earlier)
     }
 
+    /// Whether it stands, by the points in any of its boxes; what motion found does not.
+    pub(super) fn stands(&self) -> bool {
+        self.findings().any(|finding| finding.stands) && self.findings().all(|finding| finding.motion.is_none())
+    }
+
     /// The class of the surest finding of a detector; `None` where only motion found it.
     pub(super) fn class(&self) -> Option<&str> {
         let named = self.findings().filter_map(|f| Some((f.detector?, f.class.as_str())));
@@ -86,24 +93,22 @@ impl Sight {
 ///
 /// * `followed` – boxes of objects that are followed: a box of motion that covers several of them, or several boxes of
 ///   the detector, speaks for each, and is none of its own.
-pub(super) fn merge(
-    found: Vec<BoxDetection>,
-    followed: &[Rect],
-    options: &TrackerOptions,
-    size: (u32, u32),
-) -> Vec<Sight> {
-    let usable = |found: BoxDetection| {
+pub(super) fn merge(found: Vec<FoundBox>, followed: &[Rect], options: &TrackerOptions, size: (u32, u32)) -> Vec<Sight> {
+    let usable = |FoundBox { found, stands }: FoundBox| {
         let Rect { x0, y0, x1, y1 } = found.rect;
         let is_number = [x0, y0, x1, y1, found.confidence].iter().all(|v| v.is_finite());
         let rect = found.rect.clipped(size.0, size.1);
         let counts = found.finder == Finder::Motion || options.track_classes.contains(&found.class);
-        (counts && is_number && rect.area_px2() >= 1.0).then_some(BoxDetection { rect, ..found })
+        let found = BoxDetection { rect, ..found };
+        (counts && is_number && rect.area_px2() >= 1.0).then_some(FoundBox { found, stands })
     };
-    let mut found: Vec<BoxDetection> = found.into_iter().filter_map(usable).collect();
-    found.sort_by(|a, b| a.finder.cmp(&b.finder).then(b.confidence.total_cmp(&a.confidence)));
+    let mut found: Vec<FoundBox> = found.into_iter().filter_map(usable).collect();
+    found.sort_by(|FoundBox { found: a, .. }, FoundBox { found: b, .. }| {
+        a.finder.cmp(&b.finder).then(b.confidence.total_cmp(&a.confidence))
+    });
     let mut sights: Vec<Sight> = Vec::new();
     for found in found {
-        match found.finder {
+        match found.found.finder {
             Finder::Detector => add_detected(&mut sights, found),
             Finder::Motion => add_moving(&mut sights, found, followed),
         }
@@ -111,16 +116,18 @@ pub(super) fn merge(
     sights
 }
 
-fn add_detected(sights: &mut Vec<Sight>, found: BoxDetection) {
-    if sights.iter().all(|sight| sight.rect.iou(&found.rect) <= SAME_OBJECT) {
-        sights.push(Sight::new(found.rect, Finding::of(found)));
+fn add_detected(sights: &mut Vec<Sight>, found: FoundBox) {
+    let rect = found.found.rect;
+    if sights.iter().all(|sight| sight.rect.iou(&rect) <= SAME_OBJECT) {
+        sights.push(Sight::new(rect, Finding::of(found)));
     }
 }
 
-fn add_moving(sights: &mut Vec<Sight>, found: BoxDetection, followed: &[Rect]) {
-    let overlap = |sight: &Sight| sight.rect.iou(&found.rect).max(inside(&found.rect, &sight.rect) - INSIDE);
+fn add_moving(sights: &mut Vec<Sight>, found: FoundBox, followed: &[Rect]) {
+    let (rect, confidence) = (found.found.rect, found.found.confidence);
+    let overlap = |sight: &Sight| sight.rect.iou(&rect).max(inside(&rect, &sight.rect) - INSIDE);
     let best = (0..sights.len()).max_by(|&a, &b| overlap(&sights[a]).total_cmp(&overlap(&sights[b])).then(b.cmp(&a)));
-    let is_covered = |rect: &Rect| inside(rect, &found.rect) > INSIDE && rect.iou(&found.rect) < SAME_OBJECT;
+    let is_covered = |other: &Rect| inside(other, &rect) > INSIDE && other.iou(&rect) < SAME_OBJECT;
     let seen: Vec<Rect> = sights.iter().map(|sight| sight.rect).collect();
     let unseen = |rect: &&Rect| seen.iter().all(|s| s.iou(rect) < SAME_MOVER && inside(s, rect) < INSIDE);
     let alone: Vec<Rect> = followed.iter().filter(unseen).copied().filter(is_covered).collect();
@@ -128,16 +135,16 @@ fn add_moving(sights: &mut Vec<Sight>, found: BoxDetection, followed: &[Rect]) {
     if covered.len() + alone.len() > 1 {
         for sight in covered {
             if let Some(finding) = &mut sights[sight].now {
-                finding.add_motion(found.confidence);
+                finding.add_motion(confidence);
             }
         }
         sights.extend(alone.into_iter().map(|rect| Sight::new(rect, Finding::of(found.clone()))));
         return;
     }
-    let same = |s: &usize| sights[*s].rect.iou(&found.rect) > SAME_MOVER || inside(&found.rect, &seen[*s]) > INSIDE;
+    let same = |s: &usize| sights[*s].rect.iou(&rect) > SAME_MOVER || inside(&rect, &seen[*s]) > INSIDE;
     match best.filter(same).and_then(|s| sights[s].now.as_mut()) {
-        Some(finding) => finding.add_motion(found.confidence),
-        None => sights.push(Sight::new(found.rect, Finding::of(found))),
+        Some(finding) => finding.add_motion(confidence),
+        None => sights.push(Sight::new(rect, Finding::of(found))),
     }
 }
 
@@ -190,7 +197,7 @@ mod tests {
     }
 
     fn merged(found: Vec<BoxDetection>, followed: &[Rect]) -> Vec<Sight> {
-        merge(found, followed, &TrackerOptions::default(), SIZE)
+        merge(found.into_iter().map(FoundBox::from).collect(), followed, &TrackerOptions::default(), SIZE)
     }
 
     #[test]

@@ -11,7 +11,7 @@ use super::TrackSummary;
 use crate::scene::Movement;
 
 /// Frames with a box that any support needs: two may be chance.
-const MIN_FRAMES: usize = 3;
+pub(super) const MIN_FRAMES: usize = 3;
 /// Mean confidence from which the detector's word holds, however seldom it comes: networks that see a kind of picture
 /// rarely answer in one frame of ten.
 const SURE: f64 = 0.5;
@@ -21,7 +21,7 @@ const LIKELY: f64 = 0.3;
 const OFTEN: f64 = 0.3;
 /// Mean confidence that the detector needs for what stands: roofs, containers and stalls look like vehicles from afar,
 /// and nothing but the class speaks for a parked one.
-const SURE_OF_STANDING: f64 = 0.55;
+pub(super) const SURE_OF_STANDING: f64 = 0.55;
 /// Share of looks in which it must name what stands, unless it is very sure.
 const OFTEN_STANDING: f64 = 0.5;
 /// Mean confidence from which it is.
@@ -147,11 +147,11 @@ fn is_moving(summary: &TrackSummary, movement: Movement) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::scene::{FoundIn, FrameId, ObjectId, Outline};
 
-    fn summary(found: FoundIn, class_confidence: f64, num_looks: usize) -> TrackSummary {
+    pub fn summary(found: FoundIn, class_confidence: f64, num_looks: usize) -> TrackSummary {
         TrackSummary {
             id: ObjectId(1),
             provisional: ObjectId(1),

@@ -10,6 +10,7 @@ use super::ledger::Ledger;
 use super::region::Region;
 use super::retrace::Way;
 use super::sights::{Finding, Sight};
+use super::support::MIN_FRAMES;
 use super::{After, LookedBy, TrackSummary, TrackerOptions};
 use crate::scene::{BoundingBox, FrameId, Gap, ObjectId, Outline, Sameness};
 
@@ -249,7 +250,8 @@ impl Track {
         self.sum_confidence += candidate.confidence;
         self.sum_area += candidate.region.area() as f64;
         self.num_detected += 1;
-        self.ledger.note(&Finding { class: String::new(), detector: Some(candidate.confidence), motion: None });
+        let detector = Some(candidate.confidence);
+        self.ledger.note(&Finding { class: String::new(), detector, motion: None, stands: false });
         self.trust(now);
     }
 
@@ -545,9 +547,10 @@ impl Track {
         (self.id.is_some(), self.num_detected)
     }
 
-    /// Whether a box may show this object by its class. Motion knows no class.
+    /// Whether a box may show this object by its class. Motion knows no class, and a detector that named the object
+    /// once or twice may have been wrong.
     pub(super) fn may_be(&self, class: Option<&str>) -> bool {
-        let is_named = self.class_votes.values().any(|votes| *votes > 0.0);
+        let is_named = self.ledger.found.by_detector() >= MIN_FRAMES;
         class.is_none_or(|class| !is_named || compatible(self.class(), class))
     }
 

@@ -11,7 +11,7 @@ use super::region::Region;
 use super::retrace::{Correction, Reported};
 use super::sights::Sight;
 use super::track::{Candidate, Moment, Origin, Prediction, Presence, Recognised, Track, compatible, leaves};
-use super::{Evidence, Look, LookedBy, TrackSummary, TrackedMask, TrackerOptions};
+use super::{Evidence, Look, LookedBy, PassedOver, TrackSummary, TrackedMask, TrackerOptions};
 use crate::perception::PerceptionError;
 use crate::scene::{Detection, Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
@@ -39,6 +39,7 @@ pub struct Tracker {
     /// Masks of this frame's objects in earlier frames, carried back from new ones.
     pub(super) retraced: Vec<(FrameId, ObjectId, Region)>,
     corrections: Vec<Correction>,
+    pub(super) passed_over: PassedOver,
 }
 
 /// What became of a track in the current frame.
@@ -64,6 +65,7 @@ impl Tracker {
             reported: Reported::default(),
             retraced: Vec::new(),
             corrections: Vec::new(),
+            passed_over: PassedOver::default(),
         }
     }
 
@@ -140,6 +142,11 @@ impl Tracker {
     /// Masks of earlier frames that are better known since the last call; they take the place of those reported then.
     pub fn take_corrections(&mut self) -> Vec<Correction> {
         std::mem::take(&mut self.corrections)
+    }
+
+    /// What stands and was not followed, until now.
+    pub fn passed_over(&self) -> PassedOver {
+        self.passed_over
     }
 
     /// Ends all tracks. Returns the confirmed ones, ascending by lasting id.
@@ -322,7 +329,7 @@ impl Tracker {
     /// Adds a new track; where a lost object may have come up again, it remembers which.
     pub(super) fn add(&mut self, mut track: Track, appearance: Option<&Appearance>, now: Moment) {
         let recognised = |lost: &Track| {
-            let may_be = lost.may_be_succeeded(now) && compatible(lost.class(), track.class());
+            let may_be = lost.may_be_succeeded(now) && lost.may_be(Some(track.class()));
             let found = lost.recognise(&track.region, appearance, now, self.options.min_similarity);
             found.filter(|_| may_be)
         };

@@ -2,7 +2,7 @@
 
 use ::image::{Rgb, RgbImage};
 
-use super::{BackwardTracker, Extension, Look, LookedBy, TrackSummary, TrackedMask, Tracker, TrackerOptions};
+use super::{BackwardTracker, Extension, FoundBox, Look, LookedBy, TrackSummary, TrackedMask, Tracker, TrackerOptions};
 use crate::perception::{PerceptionError, Prompted, Prompter};
 use crate::scene::{BoxDetection, Detection, Finder, Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
@@ -154,6 +154,10 @@ impl WorldPrompter<'_> {
 }
 
 /// The box of a thing as a detector or motion gives it.
+pub(super) fn found_boxes(boxes: Vec<BoxDetection>) -> Vec<FoundBox> {
+    boxes.into_iter().map(FoundBox::from).collect()
+}
+
 pub(super) fn box_of(detection: &Detection, finder: Finder) -> Option<BoxDetection> {
     let rect = Rect::from(detection.mask.bounding_box()?);
     let class = if finder == Finder::Motion { "vehicle".to_owned() } else { detection.class.clone() };
@@ -180,7 +184,7 @@ impl World {
             let flow = (t > 0).then(|| self.flow(t));
             let mut prompter = WorldPrompter { world: self, t, num_asked: 0, spoil };
             let prompter = t.is_multiple_of(every).then_some(&mut prompter as &mut dyn Prompter);
-            let look = Look::Boxes { found: boxes(t), by: LookedBy::Detector, prompter };
+            let look = Look::Boxes { found: found_boxes(boxes(t)), by: LookedBy::Detector, prompter };
             frames.push(tracker.advance(&Self::frame(t), &self.image(t), look, flow.as_ref()).unwrap());
         }
         (frames, tracker.finish())

@@ -7,12 +7,14 @@ use ::image::RgbImage;
 
 use super::kept::{Kept, Pass};
 use crate::io::{IoError, RunFolder, masks};
-use crate::perception::{Correction, Look, LookedBy, Prompter, TrackSummary, TrackedMask, Tracker};
+use crate::perception::{
+    Correction, FoundBox, Look, LookedBy, PassedOver, Prompter, TrackSummary, TrackedMask, Tracker,
+};
 use crate::pipeline::detections::{DetectionFolder, FrameFolder};
 use crate::pipeline::networks::Networks;
 use crate::pipeline::rhythm::Rhythm;
 use crate::pipeline::run::{Outcome, Run};
-use crate::pipeline::{PipelineError, motion, pictures, segment};
+use crate::pipeline::{PipelineError, motion, pictures, segment, standing};
 use crate::scene::{BoxDetection, Frame, FrameId, ObjectId, TrackedObject};
 
 /// Where what was found in the frames comes from.
@@ -56,12 +58,12 @@ impl Finds {
     }
 
     /// What is known of the `index`-th frame.
-    fn look(&mut self, index: usize, frame: &Frame) -> Result<Look<'_>, PipelineError> {
+    fn look(&mut self, run: &Run, index: usize, frame: &Frame) -> Result<Look<'_>, PipelineError> {
         Ok(match self {
             Self::Masks(folder) => Look::Masks(folder.read(frame.id)?),
             Self::Boxes { detected, moving, prompter, rhythm } => {
-                let mut found = detected.read(frame.id)?;
-                found.extend(moving.read(frame.id)?);
+                let mut found = standing::boxes(run, detected, frame.id)?;
+                found.extend(moving.read(frame.id)?.into_iter().map(FoundBox::from));
                 prompter.begin(frame.id, Pass::Forward);
                 let by = if rhythm.is_detected(index) { LookedBy::Detector } else { LookedBy::Motion };
                 Look::Boxes { found, by, prompter: if rhythm.is_asked(index) { Some(prompter) } else { None } }
@@ -94,7 +96,7 @@ pub(super) fn follow(
     pictures::for_each(run, run.source.frames()?, outcome, |frame, picture| {
         let near = |previous| flow.flow_near(previous, &picture, &tracker.places());
         let carried = previous.as_ref().map(near).transpose()?;
-        let look = finds.look(index, &frame)?;
+        let look = finds.look(run, index, &frame)?;
         for TrackedMask { object, mask, .. } in tracker.advance(&frame, &picture, look, carried.as_ref())? {
             masks::write_mask(&provisional(folder, object).join(RunFolder::mask_name(&frame)), &mask)?;
             seen.entry(object).or_default().insert(frame.id);
@@ -108,6 +110,7 @@ pub(super) fn follow(
         index += 1;
         Ok(())
     })?;
+    say_passed_over(tracker.passed_over(), run, outcome);
     let summaries = tracker.finish();
     let objects =
         summaries.into_iter().map(|summary| settle(folder, summary, &mut seen, &names)).collect::<Result<_, _>>()?;
@@ -115,6 +118,18 @@ pub(super) fn follow(
         run.workspace.remove_state(&provisional(folder, dropped))?;
     }
     Ok(objects)
+}
+
+/// Says what is not followed although a detector names it.
+fn say_passed_over(PassedOver { num_boxes, max_confidence }: PassedOver, run: &Run, outcome: &mut Outcome) {
+    if num_boxes > 0 {
+        outcome.figure("num_standing_boxes", num_boxes);
+        outcome.warn(format!(
+            "{num_boxes} boxes of the detector are not followed: what they show stands, and it is at most \
+             {max_confidence:.2} sure that these are vehicles (option tracker.start_standing = {})",
+            run.options.tracker.start_standing
+        ));
+    }
 }
 
 fn provisional(folder: &Path, id: ObjectId) -> PathBuf {
