@@ -10,21 +10,21 @@
 mod canvas;
 mod corners;
 mod degrade;
+mod lucas_kanade;
 mod opencv_mat;
 mod resize;
-mod window;
 
 use std::num::TryFromIntError;
 
 pub use self::canvas::{Canvas, Plate};
 pub use self::corners::CornerStrength;
 pub use self::degrade::{blurred, noisy};
+pub use self::lucas_kanade::{Found, LucasKanade, Pyramid, Returned};
 pub use self::opencv_mat::{
     borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_affine, mat_from_bytes, mat_from_f32, mat_from_gray,
     mat_from_rgb, rgb_from_bgr_mat, rgb_from_mat,
 };
 pub use self::resize::{gray_from_rgb, resize_gray, resize_rgb, resize_rgb_quickly, scale_to_fit, warp_gray};
-pub use self::window::{border_for_radius, window_of_radius};
 pub use ::image::{GrayImage, RgbImage};
 
 /// What can go wrong with pixel buffers.

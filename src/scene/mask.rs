@@ -105,7 +105,10 @@ impl Mask {
     pub fn bounding_box(&self) -> Option<BoundingBox> {
         let mut found: Option<BoundingBox> = None;
         for (y, row) in (0..self.height).zip(self.pixels.chunks_exact((self.width as usize).max(1))) {
-            let Some(first) = row.contains(&true).then(|| row.iter().position(|&p| p)).flatten() else { continue };
+            if !any(row) {
+                continue;
+            }
+            let Some(first) = row.iter().position(|&p| p) else { continue };
             let last = row.iter().rposition(|&p| p).unwrap_or(first);
             let (x0, x1) = (first as u32, last as u32 + 1);
             found = Some(match found {
@@ -196,6 +199,11 @@ impl Mask {
         }
         out
     }
+}
+
+/// Whether any pixel of a row is set, many of which are looked at at once.
+fn any(row: &[bool]) -> bool {
+    row.chunks(64).any(|pixels| pixels.iter().fold(false, |any, &pixel| any | pixel))
 }
 
 /// Calls `set` for every place in a row within `radius` of a set one.

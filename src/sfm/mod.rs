@@ -36,7 +36,6 @@ pub mod video_front_end;
 
 mod error;
 mod front_end;
-mod lucas_kanade;
 mod pictures;
 
 use schemars::JsonSchema;

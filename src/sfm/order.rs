@@ -1,10 +1,10 @@
 //! Whether pictures follow one another as the frames of a video do.
 
+use nalgebra::Point2;
 use opencv::core::{Mat, Point2f, Vector};
 
 use super::SfmError;
-use super::lucas_kanade::{Followed, LucasKanade};
-use crate::image::{GrayImage, borrowed_gray, resize_gray, scale_to_fit};
+use crate::image::{GrayImage, LucasKanade, Pyramid, Returned, borrowed_gray, resize_gray, scale_to_fit};
 
 /// Share of the corners of one picture that pyramidal Lucas-Kanade finds in the next, no farther away than a twentieth
 /// of the longer side, and back again within a pixel at 480 pixels; 0 where there are no corners.
@@ -28,10 +28,9 @@ pub fn followed_share(first: &GrayImage, second: &GrayImage) -> Result<f64, SfmE
     if first.dimensions() != second.dimensions() {
         return Ok(0.0);
     }
-    let (first, second) = (borrowed_gray(&first)?, borrowed_gray(&second)?);
     let mut corners = Vector::<Point2f>::new();
     opencv::imgproc::good_features_to_track(
-        &first,
+        &borrowed_gray(&first)?,
         &mut corners,
         MAX_CORNERS,
         0.01,
@@ -44,13 +43,14 @@ pub fn followed_share(first: &GrayImage, second: &GrayImage) -> Result<f64, SfmE
     if corners.is_empty() {
         return Ok(0.0);
     }
-    let tracker = LucasKanade { window_radius_px: 7, pyramid_levels: 3, min_eigenvalue: 1e-3 };
-    let followed = tracker.there_and_back(&first, &second, &corners)?;
-    let is_near = |(start, followed): &(Point2f, Option<Followed>)| {
-        followed.is_some_and(|f| {
-            let motion_px = (start.x - f.position.x).hypot(start.y - f.position.y);
-            f.round_trip_px <= MAX_ROUND_TRIP_PX && motion_px <= MAX_MOTION_PX
-        })
+    // OpenCV counts from the centre of the first pixel.
+    let corners: Vec<Point2<f32>> = corners.iter().map(|corner| Point2::new(corner.x + 0.5, corner.y + 0.5)).collect();
+    const TRACKER: LucasKanade =
+        LucasKanade { window_radius_px: 7, num_smaller: 3, max_steps: 20, converged_px: 0.03, min_eigenvalue: 1e-3 };
+    let pyramids = (Pyramid::new(first, TRACKER.num_smaller)?, Pyramid::new(second, TRACKER.num_smaller)?);
+    let followed = TRACKER.there_and_back(&pyramids.0, &pyramids.1, &corners, &corners);
+    let is_near = |(start, followed): &(&Point2<f32>, Option<Returned>)| {
+        followed.is_some_and(|f| f.round_trip_px <= MAX_ROUND_TRIP_PX && (f.position - *start).norm() <= MAX_MOTION_PX)
     };
     let count = corners.iter().zip(followed).filter(is_near).count();
     Ok(count as f64 / corners.len() as f64)

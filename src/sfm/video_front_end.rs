@@ -3,7 +3,7 @@
 //!
 //! A point is found where both eigenvalues of the structure tensor are large (J. Shi, C. Tomasi, *Good Features to
 //! Track*, CVPR 1994), predicted in the next frame by pyramidal Lucas-Kanade with a forward-backward check
-//! (`following`; OpenCV), and then aligned with the patch that was cut when it was found ([`super::patch`]), which
+//! (`following`), and then aligned with the patch that was cut when it was found ([`super::patch`]), which
 //! keeps long tracks from drifting. A point that Lucas-Kanade loses is looked for once more where its neighbours'
 //! motion leads. Every position comes with how exactly the patch fixes it ([`Whitening`](crate::bundle::Whitening)).
 //!
@@ -22,7 +22,6 @@ mod reach;
 mod tests;
 
 use nalgebra::{Matrix2, Point2, Vector2};
-use opencv::core::{Mat, Point2f, Vector};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -30,7 +29,7 @@ use super::patch::{Patch, Warp};
 use super::tracks::{Feature, Track, TrackTable, View};
 use super::{SfmError, Target};
 use crate::camera::Camera;
-use crate::image::{CornerStrength, GrayImage, RgbImage, border_for_radius, gray_from_rgb, mat_from_gray};
+use crate::image::{CornerStrength, GrayImage, Pyramid, RgbImage, gray_from_rgb};
 use crate::limits::{Checked, within};
 use crate::scene::{BoundingBox, Frame, Mask};
 use live::{Live, whitening};
@@ -139,7 +138,7 @@ impl VideoOptions {
 /// Follows points frame by frame.
 pub struct VideoFrontEnd {
     options: VideoOptions,
-    previous: Option<Vector<Mat>>,
+    previous: Option<Pyramid>,
     /// Where the target was in the last frame.
     extent: Option<Extent>,
     /// How far round a point is looked in the frame at hand, and how far the target has gone to it.
@@ -170,13 +169,14 @@ impl VideoFrontEnd {
         self.shift = reach::shift(&self.options, self.extent, extent);
         self.extent = extent;
         let mask = mask.eroded(self.reach.border_px);
-        let pyramid = self.pyramid(&gray)?;
+        let pyramid = Pyramid::new(gray, self.options.pyramid_levels.max(0) as usize)?;
         if let Some(previous) = self.previous.take() {
-            self.follow(&previous, &pyramid, &gray, &mask)?;
+            self.follow(&previous, &pyramid, &mask);
         }
-        self.find_again(&gray, &mask)?;
-        self.find_new(&gray, &mask)?;
-        self.memory.remember(self.table.views.len(), gray, mask, &self.live);
+        let gray = pyramid.picture();
+        self.find_again(gray, &mask)?;
+        self.find_new(gray, &mask)?;
+        self.memory.remember(self.table.views.len(), gray.clone(), mask, &self.live);
         self.record(frame, image);
         self.previous = Some(pyramid);
         Ok(())
@@ -194,17 +194,6 @@ impl VideoFrontEnd {
         let min_length = self.options.min_track_length.min(self.table.views.len()).max(2);
         self.table.tracks.retain(|track| track.len() >= min_length);
         self.table
-    }
-
-    fn pyramid(&self, gray: &GrayImage) -> Result<Vector<Mat>, SfmError> {
-        let mut pyramid = Vector::<Mat>::new();
-        opencv::video::build_optical_flow_pyramid_def(
-            &mat_from_gray(gray)?,
-            &mut pyramid,
-            border_for_radius(self.options.window_radius_px),
-            self.options.pyramid_levels,
-        )?;
-        Ok(pyramid)
     }
 
     /// Goes on with points that were lost in earlier frames and are seen here. Where a newer point lies at the same
@@ -291,13 +280,4 @@ fn clear_disc(mask: &mut Mask, center: Point2<f32>, reach: i64) {
             mask.pixels_mut()[row + first..row + end].fill(false);
         }
     }
-}
-
-/// OpenCV counts from the centre of the first pixel.
-fn to_opencv(p: Point2<f32>) -> Point2f {
-    Point2f::new(p.x - 0.5, p.y - 0.5)
-}
-
-fn from_opencv(p: Point2f) -> Point2<f32> {
-    Point2::new(p.x + 0.5, p.y + 0.5)
 }

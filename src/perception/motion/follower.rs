@@ -1,18 +1,17 @@
 //! Points followed through all frames, all over the picture.
 //!
-//! Pyramidal Lucas-Kanade (J.-Y. Bouguet, 2000; OpenCV) there and back. A point that has been followed before starts at
+//! Pyramidal Lucas-Kanade there and back. A point that has been followed before starts at
 //! where its last step leads, and needs no coarse pictures, in which a small vehicle is one with the road; what is new
 //! is looked for through the whole pyramid, and what is lost, too, where the picture moves otherwise than before. New
 //! points are the strongest corners (J. Shi, C. Tomasi, *Good Features to Track*, 1994) of the cells of a grid in which
 //! no point is. A cell whose point did not last rests for some frames: of ten new points four do not last, most of them
 //! again and again in the same cells.
 
-use opencv::core::{Mat, MatTraitConst, Point2f, Size, TermCriteria, Vector};
-use opencv::video::OPTFLOW_USE_INITIAL_FLOW;
+use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
 use super::FollowerOptions;
-use crate::image::{CornerStrength, GrayImage, borrowed_gray, resize_gray, scale_to_fit, window_of_radius};
+use crate::image::{CornerStrength, GrayImage, LucasKanade, Pyramid, resize_gray, scale_to_fit};
 use crate::perception::PerceptionError;
 
 /// Where one point was seen, in frames that follow one another without a gap.
@@ -42,7 +41,7 @@ pub struct PointFollower {
     options: FollowerOptions,
     size: (u32, u32),
     work: (u32, u32),
-    previous: Option<Vector<Mat>>,
+    previous: Option<Pyramid>,
     live: Vec<Live>,
     done: Vec<PointTrack>,
     num_frames: u32,
@@ -55,19 +54,19 @@ const MIN_NEAR: f64 = 0.5;
 /// Frames for which a cell rests.
 const REST: u32 = 2;
 
-/// A point that is being followed; positions in pixels of the working size, first pixel centre at (0, 0) as in OpenCV.
+/// A point that is being followed; positions in pixels of the working size.
 struct Live {
     first: u32,
-    positions: Vec<Point2f>,
+    positions: Vec<Point2<f32>>,
 }
 
 impl Live {
-    fn last(&self) -> Point2f {
+    fn last(&self) -> Point2<f32> {
         self.positions.last().copied().unwrap_or_default()
     }
 
     /// Where the last step leads; `None` for a point that has made none.
-    fn predicted(&self) -> Option<Point2f> {
+    fn predicted(&self) -> Option<Point2<f32>> {
         let [.., before, last] = self.positions.as_slice() else { return None };
         Some(*last + (*last - *before))
     }
@@ -104,12 +103,12 @@ impl PointFollower {
             return Err(PerceptionError::SizeMismatch { what, expected: self.size, found: picture.dimensions() });
         }
         let picture = resize_gray(picture, self.work.0, self.work.1)?;
-        let pyramid = self.pyramid(&picture)?;
+        let pyramid = Pyramid::new(picture, self.options.pyramid_levels.max(0) as usize)?;
         if let Some(previous) = self.previous.take() {
-            self.follow(&previous, &pyramid)?;
+            self.follow(&previous, &pyramid);
         }
         self.drop_crowded();
-        self.find_new(&CornerStrength::of(&picture));
+        self.find_new(&CornerStrength::of(pyramid.picture()));
         self.previous = Some(pyramid);
         self.num_frames += 1;
         Ok(())
@@ -124,27 +123,15 @@ impl PointFollower {
         self.done
     }
 
-    fn pyramid(&self, picture: &GrayImage) -> Result<Vector<Mat>, PerceptionError> {
-        let mut pyramid = Vector::new();
-        let levels = self.options.pyramid_levels;
-        let picture = borrowed_gray(picture)?.try_clone()?;
-        opencv::video::build_optical_flow_pyramid_def(&picture, &mut pyramid, self.window(), levels)?;
-        Ok(pyramid)
-    }
-
-    fn window(&self) -> Size {
-        window_of_radius(self.options.window_radius_px)
-    }
-
-    fn follow(&mut self, previous: &Vector<Mat>, next: &Vector<Mat>) -> Result<(), PerceptionError> {
+    fn follow(&mut self, previous: &Pyramid, next: &Pyramid) {
         let live = std::mem::take(&mut self.live);
         let mut found = vec![None; live.len()];
         let known: Vec<usize> = (0..live.len()).filter(|&k| live[k].predicted().is_some()).collect();
-        self.step(previous, next, &live, &known, Start::Predicted, &mut found)?;
+        self.step(previous, next, &live, &known, Start::Predicted, &mut found);
         let num_near = found.iter().flatten().count();
         let is_hidden = |k: usize| live[k].predicted().is_some() && num_near as f64 >= MIN_NEAR * known.len() as f64;
         let open: Vec<usize> = (0..live.len()).filter(|&k| found[k].is_none() && !is_hidden(k)).collect();
-        self.step(previous, next, &live, &open, Start::Anywhere, &mut found)?;
+        self.step(previous, next, &live, &open, Start::Anywhere, &mut found);
         for (mut point, found) in live.into_iter().zip(found) {
             match found {
                 Some(position) => {
@@ -157,7 +144,6 @@ impl PointFollower {
                 }
             }
         }
-        Ok(())
     }
 
     /// Lets the cell of a point rest that was lost too soon.
@@ -171,69 +157,39 @@ impl PointFollower {
     /// Follows some of the points there and back, and notes where those went that came back.
     fn step(
         &self,
-        previous: &Vector<Mat>,
-        next: &Vector<Mat>,
+        previous: &Pyramid,
+        next: &Pyramid,
         live: &[Live],
         chosen: &[usize],
         start: Start,
-        found: &mut [Option<Point2f>],
-    ) -> Result<(), PerceptionError> {
-        if chosen.is_empty() {
-            return Ok(());
-        }
-        let from: Vector<Point2f> = chosen.iter().map(|&k| live[k].last()).collect();
+        found: &mut [Option<Point2<f32>>],
+    ) {
+        let from: Vec<Point2<f32>> = chosen.iter().map(|&k| live[k].last()).collect();
         let guess = |k: usize| if start == Start::Predicted { live[k].predicted() } else { None };
-        let guesses = chosen.iter().map(|&k| guess(k).unwrap_or_else(|| live[k].last())).collect();
-        let there = self.lucas_kanade(previous, next, &from, guesses, start)?;
-        let moved: Vector<Point2f> = there.iter().map(|(p, _)| *p).collect();
-        let steps = there.iter().zip(chosen).zip(&from);
-        let guesses_back = steps.map(|(((p, _), &k), from)| *p + from - guess(k).unwrap_or(from)).collect();
-        let back = self.lucas_kanade(next, previous, &moved, guesses_back, start)?;
-        for ((((position, ok), (returned, ok_back)), from), &k) in there.iter().zip(&back).zip(&from).zip(chosen) {
-            let error = (*returned - from).norm();
-            let is_back = *ok && *ok_back && error <= f64::from(self.options.max_round_trip_px);
-            if is_back && self.is_inside(*position) {
-                found[k] = Some(*position);
-            }
+        let guesses: Vec<_> = chosen.iter().map(|&k| guess(k).unwrap_or_else(|| live[k].last())).collect();
+        let method = self.method();
+        let method = if start == Start::Predicted { method.near() } else { method };
+        for (&k, returned) in chosen.iter().zip(method.there_and_back(previous, next, &from, &guesses)) {
+            found[k] = returned.and_then(|returned| {
+                let is_same = returned.round_trip_px <= self.options.max_round_trip_px
+                    && returned.difference <= self.options.max_difference;
+                (is_same && self.is_inside(returned.position)).then_some(returned.position)
+            });
         }
-        Ok(())
     }
 
-    /// Where the points of one picture are in another, and whether they were found.
-    fn lucas_kanade(
-        &self,
-        from: &Vector<Mat>,
-        to: &Vector<Mat>,
-        points: &Vector<Point2f>,
-        mut moved: Vector<Point2f>,
-        start: Start,
-    ) -> Result<Vec<(Point2f, bool)>, PerceptionError> {
-        let (levels, flags) = match start {
-            Start::Predicted => (1.min(self.options.pyramid_levels), OPTFLOW_USE_INITIAL_FLOW),
-            Start::Anywhere => (self.options.pyramid_levels, OPTFLOW_USE_INITIAL_FLOW),
-        };
-        let (mut status, mut error) = (Vector::<u8>::new(), Vector::<f32>::new());
-        let stop = TermCriteria::new(3, 12, 0.03)?;
-        opencv::video::calc_optical_flow_pyr_lk(
-            from,
-            to,
-            points,
-            &mut moved,
-            &mut status,
-            &mut error,
-            self.window(),
-            levels,
-            stop,
-            flags,
-            1e-4,
-        )?;
-        let max_difference = self.options.max_difference;
-        let seen = moved.iter().zip(status.iter().zip(&error));
-        Ok(seen.map(|(p, (status, error))| (p, status != 0 && error <= max_difference)).collect())
+    fn method(&self) -> LucasKanade {
+        LucasKanade {
+            window_radius_px: self.options.window_radius_px.max(1) as usize,
+            num_smaller: self.options.pyramid_levels.max(0) as usize,
+            max_steps: 12,
+            converged_px: 0.03,
+            min_eigenvalue: 1e-4,
+        }
     }
 
-    fn is_inside(&self, position: Point2f) -> bool {
-        let inside = |x: f32, side: u32| x >= 1.0 && x <= side as f32 - 2.0;
+    fn is_inside(&self, position: Point2<f32>) -> bool {
+        let inside = |x: f32, side: u32| x >= 1.5 && x <= side as f32 - 1.5;
         inside(position.x, self.work.0) && inside(position.y, self.work.1)
     }
 
@@ -259,8 +215,8 @@ impl PointFollower {
         let corners = self.corners(strength);
         let least = self.options.quality * quantile(corners.iter().map(|c| c.1).collect(), 0.9);
         let taken = self.taken_cells();
-        let is_free = |p: Point2f| !taken[self.cell(p)] && self.rested[self.cell(p)] <= self.num_frames;
-        let mut new: Vec<(Point2f, f32)> =
+        let is_free = |p: Point2<f32>| !taken[self.cell(p)] && self.rested[self.cell(p)] <= self.num_frames;
+        let mut new: Vec<(Point2<f32>, f32)> =
             corners.into_iter().filter(|(p, s)| *s > least && *s > 1e-6 && is_free(*p)).collect();
         new.sort_by(|a, b| b.1.total_cmp(&a.1));
         let room = self.options.max_points.saturating_sub(self.live.len());
@@ -269,9 +225,9 @@ impl PointFollower {
     }
 
     /// The strongest place of every cell with its strength, row by row.
-    fn corners(&self, strength: &CornerStrength) -> Vec<(Point2f, f32)> {
+    fn corners(&self, strength: &CornerStrength) -> Vec<(Point2<f32>, f32)> {
         let (cols, rows) = self.grid();
-        let mut best = vec![(Point2f::default(), 0.0f32); cols * rows];
+        let mut best = vec![(Point2::origin(), 0.0f32); cols * rows];
         let border = self.options.window_radius_px.max(2) as usize;
         let spacing = self.options.spacing_px as usize;
         for y in border..strength.num_rows().saturating_sub(border) {
@@ -280,7 +236,7 @@ impl PointFollower {
             for (col, (values, cell)) in row.chunks(spacing).zip(cells).enumerate() {
                 for (x, value) in (col * spacing..).zip(values) {
                     if *value > cell.1 && x >= border {
-                        *cell = (Point2f::new(x as f32, y as f32), *value);
+                        *cell = (Point2::new(x as f32 + 0.5, y as f32 + 0.5), *value);
                     }
                 }
             }
@@ -302,7 +258,7 @@ impl PointFollower {
         (cells(self.work.0), cells(self.work.1))
     }
 
-    fn cell(&self, p: Point2f) -> usize {
+    fn cell(&self, p: Point2<f32>) -> usize {
         let (cols, rows) = self.grid();
         let spacing = self.options.spacing_px as f32;
         let at = |x: f32, cells: usize| ((x.max(0.0) / spacing) as usize).min(cells - 1);
@@ -315,7 +271,7 @@ impl PointFollower {
             return;
         }
         let scale = [self.size.0 as f32 / self.work.0 as f32, self.size.1 as f32 / self.work.1 as f32];
-        let pixels = point.positions.iter().map(|p| [(p.x + 0.5) * scale[0], (p.y + 0.5) * scale[1]]).collect();
+        let pixels = point.positions.iter().map(|p| [p.x * scale[0], p.y * scale[1]]).collect();
         self.done.push(PointTrack { first: point.first, pixels });
     }
 }

@@ -221,13 +221,22 @@ fn best(
     frame: (u32, u32),
     options: &PromptOptions,
 ) -> Option<Prompted> {
+    let mut best: Option<Offer> = None;
     let planes = answers.logits.chunks_exact(answers.width * answers.height);
-    let offers = planes.zip(&answers.scores).filter_map(|(values, &score)| {
+    for (values, &score) in planes.zip(&answers.scores) {
         let plane = Plane { width: answers.width, height: answers.height, values };
-        offer(&plane, f64::from(score), placement, rect, frame, options)
-    });
-    let best = offers.reduce(|best, next| if next.quality > best.quality { next } else { best })?;
-    Some(Prompted { mask: best.mask.in_frame(frame), quality: best.quality })
+        let quality = f64::from(score).clamp(0.0, 1.0) * stability(&plane);
+        // It only falls by how well the mask fits its box, which takes most of the time to find out.
+        let is_worse = best.as_ref().is_some_and(|best| quality <= best.quality);
+        if quality >= options.min_quality && !is_worse {
+            let next = offer(&plane, quality, placement, rect, frame, options);
+            best = match (best, next) {
+                (Some(best), Some(next)) if next.quality <= best.quality => Some(best),
+                (best, next) => next.or(best),
+            };
+        }
+    }
+    best.map(|best| Prompted { mask: best.mask.in_frame(frame), quality: best.quality })
 }
 
 /// One mask that could be the object's.
@@ -266,9 +275,11 @@ impl Local {
 
 /// The mask that a plane of logits says, if it passes the gates: enough of what is marked lies at the box, it fills
 /// neither too little nor too much of it, and its quality suffices.
+///
+/// * `quality` – of a mask that fits its box.
 fn offer(
     plane: &Plane<'_>,
-    score: f64,
+    quality: f64,
     placement: &Placement,
     rect: &Rect,
     frame: (u32, u32),
@@ -279,7 +290,7 @@ fn offer(
     let marked_px2 = marked.area_px2() as f64;
     let local = Local { window, mask: one_part(&marked) };
     let fill = local.mask.area_px2() as f64 / rect.area_px2();
-    let quality = score.clamp(0.0, 1.0) * stability(plane) * agreement(&local.rect()?, rect);
+    let quality = quality * agreement(&local.rect()?, rect);
     let passes = marked_px2 >= options.min_inside * everywhere_px2(plane, placement)
         && (options.min_fill..=options.max_fill).contains(&fill)
         && quality >= options.min_quality;

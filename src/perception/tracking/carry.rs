@@ -55,6 +55,12 @@ struct Moving {
     displacement: [f64; 2],
 }
 
+/// Of a difference in pixels, which is far from the ends of what a number can be: `hypot`, which minds these, takes
+/// ten times as long.
+pub(super) fn length([x, y]: [f64; 2]) -> f64 {
+    (x * x + y * y).sqrt()
+}
+
 /// The pixels of a region whose flow is consistent and that of the whole; `None` if there is none.
 fn moving(region: &Region, flow: &Flow) -> Option<Moving> {
     let consistent: Vec<(u32, u32)> = region.iter().filter(|&(x, y)| flow.is_consistent(x, y)).collect();
@@ -62,7 +68,7 @@ fn moving(region: &Region, flow: &Flow) -> Option<Moving> {
     let displacement = [upper_median(component(0))?, upper_median(component(1))?];
     let deviation = |x: u32, y: u32| {
         let d = flow.at(x, y);
-        (f64::from(d[0]) - displacement[0]).hypot(f64::from(d[1]) - displacement[1])
+        length([f64::from(d[0]) - displacement[0], f64::from(d[1]) - displacement[1]])
     };
     let spread = upper_median(consistent.iter().map(|&(x, y)| deviation(x, y)).collect())?;
     let limit = MAX_DEVIATION_PX.max(MAX_DEVIATION_SPREADS * spread);
@@ -153,7 +159,7 @@ impl Affine {
         for _ in 1..Self::ROUNDS {
             let residual = |(from, to): &([f64; 2], [f64; 2])| {
                 let [x, y] = fitted.at(*from);
-                (x - to[0]).hypot(y - to[1])
+                length([x - to[0], y - to[1]])
             };
             let median = upper_median(pairs.iter().map(residual).collect())?;
             let limit = Self::MAX_RESIDUAL_PX.max(Self::MAX_RESIDUAL_MEDIANS * median);

@@ -8,7 +8,7 @@
 
 use ::image::RgbImage;
 
-use super::carry::Affine;
+use super::carry::{Affine, length};
 use super::region::Region;
 use crate::scene::{BoundingBox, Flow, Mask};
 
@@ -116,7 +116,7 @@ fn landing(object: &Moved<'_>, flow: &Flow, pictures: Pictures<'_>, x: u32, y: u
         return None;
     }
     let [own_x, own_y] = object.motion.at([from_x, from_y]);
-    if (own_x - from_x - dx).hypot(own_y - from_y - dy) < MIN_DIFFERENCE_PX {
+    if length([own_x - from_x - dx, own_y - from_y - dy]) < MIN_DIFFERENCE_PX {
         return None;
     }
     let at = (u as u32, v as u32);

@@ -1,15 +1,12 @@
 //! From one frame to the next: where the points that live are predicted, and aligned.
 
 use nalgebra::{Point2, Vector2};
-use opencv::core::{Mat, Point2f, Vector};
 
 use super::live::Live;
-use super::{FirstLook, VideoFrontEnd, from_opencv, to_opencv};
-use crate::image::GrayImage;
+use super::{FirstLook, VideoFrontEnd};
+use crate::image::{LucasKanade, Pyramid, Returned};
 use crate::math::Neighbors;
 use crate::scene::Mask;
-use crate::sfm::SfmError;
-use crate::sfm::lucas_kanade::{Followed, LucasKanade};
 
 /// Where fewer of the points are found near where their last steps lead, the picture shows another place or moves
 /// otherwise than before, and what is found there is chance.
@@ -17,23 +14,15 @@ const MIN_NEAR: f64 = 0.5;
 
 impl VideoFrontEnd {
     /// Follows the points that live into the next frame, and forgets those that are not seen there.
-    pub(super) fn follow(
-        &mut self,
-        previous: &Vector<Mat>,
-        pyramid: &Vector<Mat>,
-        gray: &GrayImage,
-        mask: &Mask,
-    ) -> Result<(), SfmError> {
-        if self.live.is_empty() {
-            return Ok(());
-        }
-        let followed = self.looked_for(previous, pyramid)?;
+    pub(super) fn follow(&mut self, previous: &Pyramid, pyramid: &Pyramid, mask: &Mask) {
+        let gray = pyramid.picture();
+        let followed = self.looked_for(previous, pyramid);
         let max_round_trip_px = self.options.max_round_trip_px;
         let (mut moves, mut lost) = (Vec::new(), Vec::new());
         for (mut point, followed) in std::mem::take(&mut self.live).into_iter().zip(followed) {
             let start = point.warp.center;
             let returned = followed.filter(|f| f.round_trip_px <= max_round_trip_px);
-            if returned.is_some_and(|f| point.align(from_opencv(f.position), gray, self.options.min_correlation)) {
+            if returned.is_some_and(|f| point.align(f.position, gray, self.options.min_correlation)) {
                 moves.push([start, point.warp.center]);
                 self.live.push(point);
             } else {
@@ -54,39 +43,37 @@ impl VideoFrontEnd {
             });
             !is_over && mask.contains(center.x, center.y)
         });
-        Ok(())
     }
 
     /// Where Lucas-Kanade finds the points that live: first those that have moved before, where their last step leads,
     /// or those of a small target, where its mask has gone; and through the whole pyramid what is new or lost so.
-    fn looked_for(&self, previous: &Vector<Mat>, pyramid: &Vector<Mat>) -> Result<Vec<Option<Followed>>, SfmError> {
+    fn looked_for(&self, previous: &Pyramid, pyramid: &Pyramid) -> Vec<Option<Returned>> {
         let tracker = LucasKanade {
-            window_radius_px: self.reach.window_radius_px,
-            pyramid_levels: self.options.pyramid_levels,
+            window_radius_px: self.reach.window_radius_px.max(1) as usize,
+            num_smaller: self.options.pyramid_levels.max(0) as usize,
+            max_steps: 20,
+            converged_px: 0.03,
             min_eigenvalue: 1e-4,
         };
-        let starts = |chosen: &[usize]| chosen.iter().map(|&k| to_opencv(self.live[k].warp.center)).collect();
-        let mut found: Vec<Option<Followed>> = vec![None; self.live.len()];
+        let starts = |chosen: &[usize]| chosen.iter().map(|&k| self.live[k].warp.center).collect::<Vec<_>>();
+        let mut found: Vec<Option<Returned>> = vec![None; self.live.len()];
         let prediction = |live: &Live| match self.options.first_look {
             FirstLook::Predicted => live.predicted(),
             FirstLook::Pyramid => self.shift.map(|shift| live.warp.center + shift),
         };
-        let (moving, predicted): (Vec<usize>, Vec<Point2f>) =
-            self.live.iter().enumerate().filter_map(|(k, live)| Some((k, to_opencv(prediction(live)?)))).unzip();
-        let is_back = |f: &Followed| f.round_trip_px <= self.options.max_round_trip_px;
-        if !moving.is_empty() {
-            let near = tracker.there_and_back_near(previous, pyramid, &starts(&moving), &predicted.into())?;
-            let num_back = near.iter().flatten().filter(|f| is_back(f)).count();
-            if num_back as f64 >= MIN_NEAR * moving.len() as f64 {
-                moving.into_iter().zip(near).for_each(|(k, followed)| found[k] = followed);
-            }
+        let (moving, predicted): (Vec<usize>, Vec<Point2<f32>>) =
+            self.live.iter().enumerate().filter_map(|(k, live)| Some((k, prediction(live)?))).unzip();
+        let is_back = |f: &Returned| f.round_trip_px <= self.options.max_round_trip_px;
+        let near = tracker.near().there_and_back(previous, pyramid, &starts(&moving), &predicted);
+        let num_back = near.iter().flatten().filter(|f| is_back(f)).count();
+        if num_back as f64 >= MIN_NEAR * moving.len() as f64 {
+            moving.into_iter().zip(near).for_each(|(k, followed)| found[k] = followed);
         }
         let open: Vec<usize> = (0..found.len()).filter(|&k| !found[k].as_ref().is_some_and(is_back)).collect();
-        if !open.is_empty() {
-            let anywhere = tracker.there_and_back(previous, pyramid, &starts(&open))?;
-            open.into_iter().zip(anywhere).for_each(|(k, followed)| found[k] = followed);
-        }
-        Ok(found)
+        let starts = starts(&open);
+        let anywhere = tracker.there_and_back(previous, pyramid, &starts, &starts);
+        open.into_iter().zip(anywhere).for_each(|(k, followed)| found[k] = followed);
+        found
     }
 }
 
