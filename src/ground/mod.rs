@@ -18,6 +18,7 @@ mod path;
 mod plane;
 mod road;
 mod sighting;
+mod supports;
 mod way_plane;
 
 use schemars::JsonSchema;

@@ -14,6 +14,7 @@ use thiserror::Error;
 use super::Options;
 use super::dominant::DominantPlane;
 use super::sighting::sightings;
+use super::supports::Places;
 use super::way_plane::{Axes, Fit, Track, best_sample, refined};
 use crate::math::{median, seeded_rng};
 use crate::scene::{FrameId, Image, Point3dId, Reconstruction};
@@ -221,12 +222,13 @@ fn possible_climb(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> 
     let along = |frame: FrameId| 2.0 * f64::from(frame.0 - first) / f64::from((last - first).max(1)) - 1.0;
     let steadily = |climb: f64| move |frame: FrameId| 1.0 + climb * along(frame);
     let up_and_down = |climb: f64| move |frame: FrameId| 1.0 + climb * (2.0 * along(frame).powi(2) - 1.0);
+    let places = Places::new(tracks, fit);
     let steps = i32::from(NUM_CLIMBS);
     let climbs: Vec<f64> = (-steps..=steps).map(|k| CLIMB_STEP * f64::from(k)).collect();
     let mut tried: Vec<(f64, f64)> = Vec::new();
     for climb in climbs {
-        tried.push((climb.abs(), support_of_course(tracks, fit, steadily(climb))));
-        tried.push((climb.abs(), support_of_course(tracks, fit, up_and_down(climb))));
+        tried.push((climb.abs(), support_of_course(tracks, &places, fit, steadily(climb))));
+        tried.push((climb.abs(), support_of_course(tracks, &places, fit, up_and_down(climb))));
     }
     let best = tried.iter().map(|(_, support)| *support).fold(0.0, f64::max);
     let possible = tried.into_iter().filter(|(_, support)| *support >= best - CLIMB_POINTS);
@@ -234,24 +236,26 @@ fn possible_climb(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> 
 }
 
 /// The most support (eq. 5) that a plane gets whose distance from the camera follows `course`, up to a factor.
-fn support_of_course(tracks: &[Track], fit: &Fit, course: impl Fn(FrameId) -> f64) -> f64 {
+fn support_of_course(tracks: &[Track], places: &Places, fit: &Fit, course: impl Fn(FrameId) -> f64) -> f64 {
     const MAX_TRIED: usize = 60;
-    let height_at = |track: &Track| (fit.height - fit.over(&track.places[0].0)) / course(track.places[0].1);
+    let slope = fit.slope();
+    let height_at = |track: &Track| -slope(&track.places[0].0) / course(track.places[0].1);
     let is_possible = |height: &f64| (0.5..2.0).contains(&(height / fit.height));
     let possible: Vec<f64> = tracks.iter().map(height_at).filter(is_possible).collect();
-    let support =
-        |height: f64| tracks.iter().map(|track| track.score(fit, |frame| height * course(frame)).0).sum::<f64>();
     let tried = possible.iter().step_by(possible.len().div_ceil(MAX_TRIED).max(1));
-    tried.chain([&fit.height]).map(|height| support(*height)).fold(0.0, f64::max)
+    let mut heights: Vec<f64> = tried.copied().chain([fit.height]).collect();
+    heights.sort_by(f64::total_cmp);
+    places.supports(&heights, course).into_iter().fold(0.0, f64::max)
 }
 
 /// The height, up to twice or half of the mean, at which the most points of a part lie on the plane. All points take
 /// part: those on the plane of the whole way would confirm it.
 fn height_of_part(tracks: &[&Track], fit: &Fit) -> Option<f64> {
     const MAX_TRIED: usize = 200;
-    let tried = tracks.iter().step_by(tracks.len().div_ceil(MAX_TRIED));
-    let heights = tried.map(|track| fit.height - fit.over(&track.places[0].0));
-    let possible = heights.filter(|height| (0.5..2.0).contains(&(height / fit.height)));
-    let support = |height: f64| tracks.iter().map(|track| track.score(fit, |_| height).0).sum::<f64>();
-    possible.map(|height| (support(height), height)).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, height)| height)
+    let slope = fit.slope();
+    let tried = tracks.iter().step_by(tracks.len().div_ceil(MAX_TRIED)).map(|track| -slope(&track.places[0].0));
+    let mut heights: Vec<f64> = tried.filter(|height| (0.5..2.0).contains(&(height / fit.height))).collect();
+    heights.sort_by(f64::total_cmp);
+    let supports = Places::new(tracks.iter().copied(), fit).supports(&heights, |_| 1.0);
+    supports.into_iter().zip(heights).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, height)| height)
 }
