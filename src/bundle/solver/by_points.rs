@@ -88,36 +88,70 @@ impl<const D: usize> Task for Scale<'_, D> {
                     }
                 }
             }
-            subtract_products::<F>(matrix, pairs, z, &mut products);
+            subtract_products::<D, F>(matrix, pairs, z, &mut products);
             factors.extend_from_slice(factor.as_flattened());
         }
         Ok(())
     }
 }
 
-/// Subtracts ZᵀZ of one view, column by column, in the lower triangle.
+/// Columns of ZᵀZ that are worked out at a time: what fits the registers beside the three that they are multiplied with.
+const WIDTH: usize = 12;
+
+/// Subtracts ZᵀZ of one view, by three columns at a time, in the lower triangle.
 ///
-/// * `products` – room for a column, whatever it holds.
+/// * `products` – room for three columns, whatever it holds.
 #[inline(always)]
-fn subtract_products<F: Fused>(matrix: &mut DenseCholesky, pairs: &[Pair], z: &[f64], products: &mut Vec<f64>) {
+fn subtract_products<const D: usize, F: Fused>(
+    matrix: &mut DenseCholesky,
+    pairs: &[Pair],
+    z: &[f64],
+    products: &mut Vec<[f64; 3]>,
+) {
     let width = 3 * pairs.len();
     for (place, pair) in pairs.iter().enumerate() {
+        let first = 3 * place;
+        let own: [[f64; 3]; D] = std::array::from_fn(|r| std::array::from_fn(|c| z[r * width + first + c]));
+        products.clear();
+        products.resize(width - first, [0.0; 3]);
+        let (whole, rest) = products.as_chunks_mut::<WIDTH>();
+        for (chunk, sums) in whole.iter_mut().enumerate() {
+            multiply::<D, WIDTH, F>(&own, z, width, first + chunk * WIDTH, sums);
+        }
+        let start = width - rest.len();
+        for (chunk, sums) in rest.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+            multiply::<D, 3, F>(&own, z, width, start + 3 * chunk, sums);
+        }
         for c in 0..3 {
-            let first = 3 * place;
-            products.clear();
-            products.resize(width - first, 0.0);
-            for row in z.chunks_exact(width) {
-                let own = row[first + c];
-                for (sum, other) in products.iter_mut().zip(&row[first..]) {
-                    *sum = F::mul_add(own, *other, *sum);
-                }
-            }
             let column = matrix.column(3 * pair.point as usize + c);
             for (other, product) in pairs[place..].iter().zip(products.as_chunks::<3>().0) {
                 let cells = &mut column[3 * other.point as usize..][..3];
-                (0..3).for_each(|k| cells[k] -= product[k]);
+                (0..3).for_each(|k| cells[k] -= product[k][c]);
             }
         }
+    }
+}
+
+/// The products of N columns of Z, from `from` on, with three others.
+#[inline(always)]
+fn multiply<const D: usize, const N: usize, F: Fused>(
+    own: &[[f64; 3]; D],
+    z: &[f64],
+    width: usize,
+    from: usize,
+    out: &mut [[f64; 3]; N],
+) {
+    let mut sums = [[0.0; N]; 3];
+    for (r, own) in own.iter().enumerate() {
+        let row: &[f64] = &z[r * width + from..][..N];
+        for (sums, factor) in sums.iter_mut().zip(own) {
+            for (sum, value) in sums.iter_mut().zip(row) {
+                *sum = F::mul_add(*factor, *value, *sum);
+            }
+        }
+    }
+    for (k, out) in out.iter_mut().enumerate() {
+        *out = std::array::from_fn(|c| sums[c][k]);
     }
 }
 

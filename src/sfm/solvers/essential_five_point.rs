@@ -4,7 +4,7 @@
 //! of the five epipolar constraints as x X + y Y + z Z + W; the ten cubic constraints `det E = 0` and
 //! `2 E Eᵀ E − tr(E Eᵀ) E = 0` are eliminated to a 3 × 3 matrix of polynomials in z, whose determinant has degree ten.
 
-use nalgebra::{DMatrix, Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use crate::math::polynomial::real_roots;
 
@@ -55,17 +55,13 @@ pub fn essential_five_point(rays1: &[Vector3<f64>; 5], rays2: &[Vector3<f64>; 5]
 
 /// Four matrices that span the solutions of the five linear constraints.
 fn null_space(rays1: &[Vector3<f64>; 5], rays2: &[Vector3<f64>; 5]) -> Option<[Matrix3<f64>; 4]> {
-    // Padded to 9 × 9, so that the decomposition gives all right singular vectors.
-    let mut system = DMatrix::<f64>::zeros(9, 9);
-    for (row, (a, b)) in rays1.iter().zip(rays2).enumerate() {
-        for i in 0..3 {
-            for j in 0..3 {
-                system[(row, 3 * i + j)] = b[i] * a[j];
-            }
-        }
+    let mut gram = SMatrix::<f64, 9, 9>::zeros();
+    for (a, b) in rays1.iter().zip(rays2) {
+        let row = SVector::<f64, 9>::from_fn(|i, _| b[i / 3] * a[i % 3]);
+        gram += row * row.transpose();
     }
-    let eigen = (system.transpose() * &system).symmetric_eigen();
-    let mut order: Vec<usize> = (0..9).collect();
+    let eigen = gram.symmetric_eigen();
+    let mut order: [usize; 9] = std::array::from_fn(|i| i);
     order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
     if !(eigen.eigenvalues[order[4]] > 1e-12 * eigen.eigenvalues[order[8]]) {
         return None;
@@ -79,26 +75,37 @@ fn null_space(rays1: &[Vector3<f64>; 5], rays2: &[Vector3<f64>; 5]) -> Option<[M
 struct Cubic([f64; 20]);
 
 impl Cubic {
-    fn linear([x, y, z, one]: [f64; 4]) -> Self {
-        let mut c = [0.0; 20];
-        (c[12], c[15], c[18], c[19]) = (x, y, z, one);
-        Self(c)
-    }
+    const ZERO: Self = Self([0.0; 20]);
 
     fn scaled_sum(self, factor: f64, other: &Self) -> Self {
         Self(std::array::from_fn(|k| self.0[k] + factor * other.0[k]))
     }
 
-    fn times(&self, other: &Self) -> Self {
-        let mut product = [0.0; 20];
-        for (i, a) in self.0.iter().enumerate().filter(|(_, a)| **a != 0.0) {
-            for (j, b) in other.0.iter().enumerate().filter(|(_, b)| **b != 0.0) {
-                product[PRODUCTS[i][j] as usize] += a * b;
+    /// Adds `factor` times the product of a polynomial of degree two with a linear one.
+    fn add_product(&mut self, factor: f64, quadratic: &Self, linear: &Linear) {
+        for (i, a) in QUADRATIC.into_iter().map(|i| (i, factor * quadratic.0[i])) {
+            for (j, b) in LINEAR.into_iter().zip(linear) {
+                self.0[PRODUCTS[i][j] as usize] += a * b;
             }
         }
-        Self(product)
+    }
+
+    /// The same with two linear ones.
+    fn add_linear_product(&mut self, factor: f64, first: &Linear, second: &Linear) {
+        for (i, a) in LINEAR.into_iter().zip(first) {
+            for (j, b) in LINEAR.into_iter().zip(second) {
+                self.0[PRODUCTS[i][j] as usize] += factor * a * b;
+            }
+        }
     }
 }
+
+/// Coefficients of x, y, z and 1.
+type Linear = [f64; 4];
+/// Where those are among [`MONOMIALS`].
+const LINEAR: [usize; 4] = [12, 15, 18, 19];
+/// The monomials of degree two and less.
+const QUADRATIC: [usize; 10] = [5, 7, 9, 11, 12, 14, 15, 17, 18, 19];
 
 /// Index of the product of two monomials; 255 where its degree is above three.
 const PRODUCTS: [[u8; 20]; 20] = {
@@ -126,16 +133,13 @@ const PRODUCTS: [[u8; 20]; 20] = {
 
 /// The ten cubic constraints as rows of coefficients.
 fn constraints(basis: &[Matrix3<f64>; 4]) -> Constraints {
-    let zero = Cubic([0.0; 20]);
-    let e: [[Cubic; 3]; 3] =
-        std::array::from_fn(|i| std::array::from_fn(|j| Cubic::linear(std::array::from_fn(|k| basis[k][(i, j)]))));
-    let product = |a: &Cubic, b: &Cubic| a.times(b);
-    let mut gram = [[zero; 3]; 3];
+    let e: [[Linear; 3]; 3] =
+        std::array::from_fn(|i| std::array::from_fn(|j| std::array::from_fn(|k| basis[k][(i, j)])));
+    let mut gram = [[Cubic::ZERO; 3]; 3];
     for i in 0..3 {
-        for j in 0..3 {
-            for k in 0..3 {
-                gram[i][j] = gram[i][j].scaled_sum(1.0, &product(&e[i][k], &e[j][k]));
-            }
+        for j in 0..=i {
+            (0..3).for_each(|k| gram[i][j].add_linear_product(1.0, &e[i][k], &e[j][k]));
+            gram[j][i] = gram[i][j];
         }
     }
     let trace = gram[0][0].scaled_sum(1.0, &gram[1][1]).scaled_sum(1.0, &gram[2][2]);
@@ -143,21 +147,21 @@ fn constraints(basis: &[Matrix3<f64>; 4]) -> Constraints {
         row[i] = row[i].scaled_sum(-0.5, &trace);
     }
     let mut rows = Constraints::zeros();
-    let mut put = |row: usize, c: &Cubic| {
-        for k in 0..20 {
-            rows[(row, k)] = c.0[k];
-        }
-    };
+    let mut put = |row: usize, c: &Cubic| (0..20).for_each(|k| rows[(row, k)] = c.0[k]);
     for i in 0..3 {
         for j in 0..3 {
-            let sum = (0..3).fold(zero, |sum, k| sum.scaled_sum(1.0, &product(&gram[i][k], &e[k][j])));
+            let mut sum = Cubic::ZERO;
+            (0..3).for_each(|k| sum.add_product(1.0, &gram[i][k], &e[k][j]));
             put(3 * i + j, &sum);
         }
     }
-    let minor = |a: usize, b: usize| product(&e[1][a], &e[2][b]).scaled_sum(-1.0, &product(&e[1][b], &e[2][a]));
-    let determinant = product(&e[0][0], &minor(1, 2))
-        .scaled_sum(-1.0, &product(&e[0][1], &minor(0, 2)))
-        .scaled_sum(1.0, &product(&e[0][2], &minor(0, 1)));
+    let mut determinant = Cubic::ZERO;
+    for (a, [b, c], sign) in [(0, [1, 2], 1.0), (1, [0, 2], -1.0), (2, [0, 1], 1.0)] {
+        let mut minor = Cubic::ZERO;
+        minor.add_linear_product(1.0, &e[1][b], &e[2][c]);
+        minor.add_linear_product(-1.0, &e[1][c], &e[2][b]);
+        determinant.add_product(sign, &minor, &e[0][a]);
+    }
     put(9, &determinant);
     rows
 }
