@@ -37,12 +37,14 @@ pub struct Options {
     pub min_iterations: usize,
     /// Samples drawn at most.
     pub max_iterations: usize,
+    /// Inliers below which a model is of no use: no more samples are drawn than it takes to find one of so many.
+    pub least_inliers: usize,
 }
 
 impl Options {
     /// The usual effort at a given threshold.
     pub fn with_max_error(max_error: f64) -> Self {
-        Self { max_error, confidence: 0.9999, min_iterations: 30, max_iterations: 5000 }
+        Self { max_error, confidence: 0.9999, min_iterations: 30, max_iterations: 5000, least_inliers: 0 }
     }
 }
 
@@ -67,7 +69,7 @@ pub fn ransac<E: Estimator>(estimator: &E, options: &Options, rng: &mut Rng) -> 
     let mut best: Option<Consensus<E::Model>> = None;
     let mut models = Vec::new();
     let mut sample = vec![0; E::SAMPLE_SIZE];
-    let mut needed = options.max_iterations;
+    let mut needed = needed_iterations(options.least_inliers, num_data, E::SAMPLE_SIZE, options);
     let mut iteration = 0;
     while iteration < needed.max(options.min_iterations).min(options.max_iterations) {
         iteration += 1;
@@ -79,7 +81,8 @@ pub fn ransac<E: Estimator>(estimator: &E, options: &Options, rng: &mut Rng) -> 
             let Some(score) = score_below(estimator, model, max_sq, limit) else { continue };
             let candidate = Consensus { model: model.clone(), inliers: inliers_of(estimator, model, max_sq), score };
             let candidate = locally_optimized(estimator, candidate, max_sq);
-            needed = needed_iterations(candidate.inliers.len(), num_data, E::SAMPLE_SIZE, options);
+            let found = candidate.inliers.len().max(options.least_inliers);
+            needed = needed_iterations(found, num_data, E::SAMPLE_SIZE, options);
             best = Some(candidate);
         }
     }
@@ -205,6 +208,38 @@ mod tests {
         assert!(found.inliers.len() >= 60);
         assert_eq!(found.inliers, run().inliers);
         assert_eq!(found.model, run().model);
+    }
+
+    #[test]
+    fn what_is_of_no_use_is_not_looked_for() {
+        struct Counted(Line, std::cell::Cell<usize>);
+        impl Estimator for Counted {
+            type Model = [f64; 2];
+            const SAMPLE_SIZE: usize = 2;
+            fn num_data(&self) -> usize {
+                self.0.num_data()
+            }
+            fn fit(&self, sample: &[usize], models: &mut Vec<[f64; 2]>) {
+                self.1.set(self.1.get() + 1);
+                self.0.fit(sample, models);
+            }
+            fn error_sq(&self, model: &[f64; 2], datum: usize) -> f64 {
+                self.0.error_sq(model, datum)
+            }
+            fn refine(&self, model: &[f64; 2], inliers: &[usize]) -> Option<[f64; 2]> {
+                self.0.refine(model, inliers)
+            }
+        }
+        // A sixth of the data lies on the line.
+        let samples = |least_inliers: usize| {
+            let counted = Counted(noisy_line(300), Default::default());
+            let options = Options { least_inliers, ..Options::with_max_error(0.05) };
+            let found = ransac(&counted, &options, &mut seeded_rng(3, 0)).map_or(0, |found| found.inliers.len());
+            (counted.1.get(), found)
+        };
+        let ((all, found), (few, _)) = (samples(0), samples(180));
+        assert!(found >= 60 && all > 200 && few < 40, "{found} {all} {few}");
+        assert_eq!(samples(60).1, found);
     }
 
     #[test]

@@ -38,12 +38,22 @@ pub struct Correspondences<'a> {
 ///
 /// `None` when no essential matrix is supported by more than its own sample.
 pub fn estimate(pairs: &Correspondences<'_>, max_error: f64, rng: &mut Rng) -> Option<TwoViewGeometry> {
-    let options = robust::Options::with_max_error(max_error);
+    estimate_with(pairs, max_error, 0, rng)
+}
+
+/// The same where a pose with fewer than `least_inliers` is of no use: it may be another one than the best, or none.
+pub fn estimate_with(
+    pairs: &Correspondences<'_>,
+    max_error: f64,
+    least_inliers: usize,
+    rng: &mut Rng,
+) -> Option<TwoViewGeometry> {
+    let options = robust::Options { least_inliers, ..robust::Options::with_max_error(max_error) };
     let essential = robust::ransac(&EssentialEstimator(pairs), &options, rng)?;
     let (cam2_from_cam1, inliers) = pose_in_front(pairs, &essential)?;
     let angles = inliers.iter().filter_map(|&i| ray_angle(pairs, &cam2_from_cam1, i)).collect();
     // A share is asked for, not a model: where no plane dominates, more samples would only say so more slowly.
-    let few = robust::Options { max_iterations: 200, ..options };
+    let few = robust::Options { max_iterations: 200, least_inliers: 0, ..options };
     let homography = robust::ransac(&HomographyEstimator(pairs), &few, rng);
     let homography_inliers = homography.as_ref().map_or(0, |h| h.inliers.len());
     Some(TwoViewGeometry {

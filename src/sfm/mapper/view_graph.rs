@@ -136,18 +136,17 @@ impl ViewGraph {
         let fits = known.iter().filter(|&&t| views.iter().all(|&v| self.fits(map, t, v))).count();
         let is_share = |share: f64, of: &[usize]| fits as f64 >= share * of.len() as f64;
         let agrees = Some(Opinion { views, agreeing: fits, contradicting: 0 });
-        let contradicts = |points: usize| {
-            (points >= MIN_COMMON.max(2 * fits)).then_some(Opinion { views, agreeing: 0, contradicting: points })
-        };
+        let needed = MIN_COMMON.max(2 * fits);
+        let contradicts =
+            |points: usize| (points >= needed).then_some(Opinion { views, agreeing: 0, contradicting: points });
         if known.len() >= MIN_COMMON && is_share(AGREEING_SHARE, &common) {
             return agrees;
         }
         if known.len() >= MIN_COMMON && !is_share(CONTRADICTING_SHARE, &known) {
             return contradicts(self.epipolar_inliers(map, views, &known));
         }
-        if let Some(found) =
-            self.motion_by_itself(map, views, &common).filter(|found| contradicted_by(map, views, found))
-        {
+        let by_itself = self.motion_by_itself(map, views, &common, needed);
+        if let Some(found) = by_itself.filter(|found| contradicted_by(map, views, found)) {
             return contradicts(found.inliers.len());
         }
         agrees.filter(|_| known.len() >= MIN_COMMON && is_share(AGREEING_SHARE, &known))
@@ -169,9 +168,17 @@ impl ViewGraph {
         })
     }
 
-    /// The motion between two views that most of the tracks agree on.
-    fn motion_by_itself(&self, map: &Map<'_>, views: [usize; 2], tracks: &[usize]) -> Option<TwoViewGeometry> {
-        self.on_pair(map, views, tracks, self.thresholds.max_error_px, two_view::estimate)
+    /// The motion between two views that most of the tracks agree on, where these are as many as `needed`.
+    fn motion_by_itself(
+        &self,
+        map: &Map<'_>,
+        views: [usize; 2],
+        tracks: &[usize],
+        needed: usize,
+    ) -> Option<TwoViewGeometry> {
+        self.on_pair(map, views, tracks, self.thresholds.max_error_px, |pairs, max_error, rng| {
+            two_view::estimate_with(pairs, max_error, needed, rng)
+        })
     }
 
     fn on_pair<T>(
