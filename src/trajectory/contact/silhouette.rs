@@ -21,16 +21,21 @@ impl Silhouette {
     pub fn of(mask: &Mask) -> Option<Self> {
         let bounds = mask.bounding_box()?;
         let cut = bounds.x0 == 0 || bounds.y0 == 0 || bounds.x1 >= mask.width() || bounds.y1 >= mask.height();
-        if cut || mask.area_px2() < Self::MIN_AREA_PX2 {
+        let [left, top, right, bottom] = [bounds.x0, bounds.y0, bounds.x1, bounds.y1].map(|at| at as usize);
+        let rows = || {
+            let rows = mask.pixels().chunks_exact(mask.width() as usize).enumerate();
+            rows.take(bottom).skip(top).map(|(y, row)| (y, &row[left..right]))
+        };
+        let area_px2: usize = rows().map(|(_, row)| row.iter().filter(|inside| **inside).count()).sum();
+        if cut || area_px2 < Self::MIN_AREA_PX2 {
             return None;
         }
-        let width = mask.width() as usize;
-        let rows = mask.pixels().chunks_exact(width).enumerate().filter_map(|(y, row)| {
+        let ends = rows().filter_map(|(y, row)| {
             let first = row.iter().position(|inside| *inside)?;
             let last = row.iter().rposition(|inside| *inside)?;
-            Some([first, last].map(|x| Point2::new(x as f64 + 0.5, y as f64 + 0.5)))
+            Some([first, last].map(|x| Point2::new((left + x) as f64 + 0.5, y as f64 + 0.5)))
         });
-        Some(Self { hull: convex_hull(rows.flatten().collect()) })
+        Some(Self { hull: convex_hull(ends.flatten().collect()) })
     }
 
     /// Whether a pixel lies within the outline, or `margin` pixels beside it at the most.

@@ -21,6 +21,11 @@ use crate::trajectory::{
 /// Standard deviation, relative to it, up to which the ratio of all frames is a better start than contact.
 const SURE: f64 = 0.1;
 
+/// Shares of the cost at which adjustments end: of the whole object, and of one without some of its tracks or frames,
+/// which begins where the whole one ended. At 1e-5 their sizes vary as they do at 1e-6, at 1e-4 the surest less.
+const TO_THE_END: f64 = 1e-6;
+const OF_A_PART: f64 = 1e-5;
+
 /// The ratio to begin with: of all frames where the camera's climb determines it, else where the object meets the
 /// ground.
 fn start(all_frames: &Result<LeastSquares, ScaleError>, views: &Views) -> Result<f64, ScaleError> {
@@ -57,6 +62,8 @@ pub(super) struct Adjustment<'a> {
     camera_height: f64,
     /// How well the planes go together.
     steadiness: Steadiness,
+    /// Share of the cost at which an adjustment ends.
+    tolerance: f64,
 }
 
 impl<'a> Adjustment<'a> {
@@ -87,12 +94,23 @@ impl<'a> Adjustment<'a> {
         if !steadiness.outlying.is_empty() {
             tracing::debug!("planes that stand out from their neighbours': {:?}", steadiness.outlying);
         }
-        Ok(Self { grounded, options, contact_options, object, noise_px, wander, camera_height, steadiness })
+        Ok(Self {
+            grounded,
+            options,
+            contact_options,
+            object,
+            noise_px,
+            wander,
+            camera_height,
+            steadiness,
+            tolerance: TO_THE_END,
+        })
     }
 
-    /// The same knowledge of another object, in the same frame.
-    pub(super) fn with(&self, object: Reconstruction) -> Self {
-        Self { object, ..self.clone() }
+    /// The same knowledge of a part of the object, which is adjusted as far as it takes to see by how much its size
+    /// differs.
+    pub(super) fn of_part(&self, object: Reconstruction) -> Self {
+        Self { object, tolerance: OF_A_PART, ..self.clone() }
     }
 
     /// The same, as little believed as can be: how little an object wanders in a few frames is no proof.
@@ -138,9 +156,20 @@ impl<'a> Adjustment<'a> {
     /// One adjustment; outlines say that the ground is at `contact`. Returns what it costs in the end.
     pub(super) fn round(&mut self, contact: &Contact) -> Result<f64, ScaleError> {
         let mut problem = self.problem(contact);
-        let options = self.bundle_options(&problem);
+        let options = bundle::Options { function_tolerance: self.tolerance, ..self.bundle_options(&problem) };
         let adjusted = bundle::adjust(&mut problem, &options);
         let summary = adjusted.map_err(|error| ScaleError::Adjustment(error.to_string()))?;
+        tracing::trace!(
+            views = problem.poses.len(),
+            points = problem.points.len(),
+            observations = problem.observations.len(),
+            iterations = summary.iterations,
+            cost = summary.final_cost,
+            linearize_s = summary.linearize_s,
+            solve_s = summary.solve_s,
+            total_s = summary.total_s,
+            "adjusted with the ground"
+        );
         problem.store(&mut self.object);
         Ok(summary.final_cost)
     }

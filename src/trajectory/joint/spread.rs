@@ -52,7 +52,7 @@ pub(super) fn counted_once(stds: [f64; 2]) -> [f64; 2] {
 
 /// The logarithm of the size with which an object comes out that has fewer frames or points.
 fn log_size(adjustment: &Adjustment, object: Reconstruction) -> Option<f64> {
-    let mut part = adjustment.with(object);
+    let mut part = adjustment.of_part(object);
     let contact: Contact = part.contact().ok()?;
     part.round(&contact).ok()?;
     let found = part.back_to(&adjustment.object)?;
