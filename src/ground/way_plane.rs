@@ -105,11 +105,7 @@ impl Track {
 
     /// Mean of the scores of MSAC (eq. 5), and the share of places plainly below, of a plane whose height may differ
     /// from frame to frame.
-    pub(super) fn score(
-        &self,
-        slope: &impl Fn(&Vector3<f64>) -> f64,
-        height: impl Fn(FrameId) -> f64,
-    ) -> (f64, f64) {
+    pub(super) fn score(&self, slope: &impl Fn(&Vector3<f64>) -> f64, height: impl Fn(FrameId) -> f64) -> (f64, f64) {
         let each = self.places.iter().zip(&self.tolerances).map(|((place, frame), tolerance)| {
             let off = (slope(place) + height(*frame)) / tolerance.off;
             (tolerance.sureness * (1.0 - off * off).max(0.0), f64::from(off < -3.0))

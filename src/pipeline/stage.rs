@@ -103,9 +103,9 @@ impl Stage {
     /// not taken over.
     pub(super) fn revision(self) -> u32 {
         match self {
-            // Last raised with decision 27 (docs/decisions): `Segment`, `Background`, `Motion`, `Track`, `Objects`.
-            Self::Scale => 6,
-            Self::Objects => 5,
+            // Last raised with decision 28 (docs/decisions): `Objects`, `Scale`.
+            Self::Scale => 7,
+            Self::Objects => 6,
             Self::Features | Self::Ground | Self::Background | Self::Motion | Self::Track => 4,
             Self::Segment | Self::Follow => 3,
             _ => 1,

@@ -74,7 +74,7 @@ impl<'a> Task<'a> {
         let usable = self.num_usable();
         let (pairs, survey) = initial_pair::ranked(table, cameras, known, options, seed);
         let mut num_starts = 0;
-        let mut worths: Vec<f64> = Vec::new();
+        let mut worths: Vec<f64> = best.iter().map(|(worth, _)| *worth).collect();
         let apart = initial_pair::far_from_one_another(pairs.clone(), table.views.len());
         for pair in apart.iter().take(options.max_starts) {
             let all_starts = options.min_starts.max(num_starts + 1) as f64;
@@ -128,14 +128,16 @@ impl<'a> Task<'a> {
         Ok(Some((worth, growth)))
     }
 
-    /// Whether a map that grew from known poses has nearly all views, explains what right tracks let a map explain, and
-    /// still agrees with what was known.
+    /// Whether a map that grew from known poses has nearly all views, explains what may be asked of it, and still agrees
+    /// with what was known: what right tracks let a map explain, and less of tracks without gaps, of which none is joined
+    /// wrongly.
     fn needs_no_other(&self, growth: &Growth) -> bool {
         const AGREES: f64 = 0.7;
+        let enough = if self.table.has_gaps() { HEALTHY_SHARE } else { PLAUSIBLE_SHARE };
         let agrees = self.beside.poses.is_some_and(|known| growth.agreement(known) >= AGREES);
         agrees
             && growth.num_registered() as f64 >= GOOD_SHARE * self.num_usable() as f64
-            && self.explains(growth, HEALTHY_SHARE)
+            && self.explains(growth, enough)
     }
 
     /// Views in which there is something.
@@ -145,6 +147,8 @@ impl<'a> Task<'a> {
 
     /// The best of this map and of others, grown from other random choices and without trust in what was found again,
     /// until one explains what good tracks let a map explain.
+    ///
+    /// A round that gives the best map once more is the last: what came out of two rounds comes out of others, too.
     ///
     /// Where few points tie two parts of a video, chance says which of several maps comes out, bent more or less; they
     /// differ in what they explain and in what leaves the silhouettes. A map that grew from known poses owes nothing to
@@ -177,11 +181,17 @@ impl<'a> Task<'a> {
                 (Some(cut), _) => cut.grow_from_pairs(None, seed, &mut |_| {})?.best,
             };
             let unjoined = found.map(|found| self.joined_later(&found, seed)).transpose()?;
+            let mut is_found_again = false;
             for other in again.into_iter().chain(unjoined) {
                 let worth = self.worth(&other);
+                tracing::debug!("round {round}: worth {worth:.0} beside {:.0}", best.0);
+                is_found_again |= (worth - best.0).abs() <= SAME_WORTH * best.0;
                 if worth > best.0 {
                     best = (worth, other);
                 }
+            }
+            if is_found_again {
+                break;
             }
         }
         Ok(best.1)

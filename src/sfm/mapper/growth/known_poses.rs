@@ -41,7 +41,8 @@ impl Growth<'_> {
         for _ in 0..ROUNDS {
             self.map.triangulate_all(&wide);
             self.map.update_observations(&wide);
-            self.adjust(&Scope::Everything, Freedom::Nothing)?;
+            // The adjustments that follow run to their end; these only tell which observations are wrong.
+            self.adjust(&Scope::Roughly, Freedom::Nothing)?;
             wide.max_error_px = limits.max_error_px.max(0.5 * wide.max_error_px);
         }
         self.map.triangulate_all(&limits);
