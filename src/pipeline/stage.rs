@@ -103,11 +103,12 @@ impl Stage {
     /// not taken over.
     pub(super) fn revision(self) -> u32 {
         match self {
-            // Last raised with decision 28 (docs/decisions): `Objects`, `Scale`.
+            // Last raised with decision 28 (docs/decisions): `Objects`, `Scale`; and 29: `Features`, `Motion`, `Follow`.
             Self::Scale => 7,
             Self::Objects => 6,
-            Self::Features | Self::Ground | Self::Background | Self::Motion | Self::Track => 4,
-            Self::Segment | Self::Follow => 3,
+            Self::Features | Self::Motion => 5,
+            Self::Ground | Self::Background | Self::Track | Self::Follow => 4,
+            Self::Segment => 3,
             _ => 1,
         }
     }

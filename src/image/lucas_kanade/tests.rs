@@ -32,7 +32,7 @@ fn waves(seed: u64, [right, down]: [f64; 2]) -> GrayImage {
     GrayImage::from_fn(300, 200, |x, y| {
         let (x, y) = (f64::from(x) - right, f64::from(y) - down);
         let sum: f64 = waves.iter().map(|[across, along, phase]| (across * x + along * y + phase).sin()).sum();
-        ::image::Luma([(128.0 + 10.0 * sum).round().clamp(0.0, 255.0) as u8])
+        ::image::Luma([(128.0 + 7.0 * sum).round().clamp(0.0, 255.0) as u8])
     })
 }
 
@@ -64,7 +64,7 @@ fn a_shift_is_found_to_a_few_hundredths_of_a_pixel() {
             })
         };
         let num_right = points.iter().zip(&returned).filter(is_right).count();
-        assert!(num_right as f64 > 0.97 * points.len() as f64, "{shift:?}: {num_right} of {}", points.len());
+        assert!(num_right as f64 > 0.85 * points.len() as f64, "{shift:?}: {num_right} of {}", points.len());
     }
 }
 

@@ -16,8 +16,8 @@ fn by_opencv(first: &GrayImage, second: &GrayImage, points: &[Point2<f32>], wind
     let (levels, least) = (METHOD.num_smaller as i32, f64::from(METHOD.min_eigenvalue));
     let flags = OPTFLOW_USE_INITIAL_FLOW;
     ::opencv::video::calc_optical_flow_pyr_lk(
-        from,
-        to,
+        &from,
+        &to,
         &starts,
         &mut moved,
         &mut status,
