@@ -1,8 +1,8 @@
 //! How many points lie on planes of one inclination, for many heights at once (eq. 5 of `docs/maths/ground.md`).
 //!
 //! What a place adds is a parabola in the height between two heights, and nothing beyond. A sum of parabolas is one, so
-//! that one pass through the places serves all heights: each adds its coefficients at the first height that it supports,
-//! and takes them back behind the last.
+//! that one pass through the places serves all heights: each adds its coefficients at the first height that it
+//! supports, and takes them back behind the last.
 
 use super::way_plane::{Fit, Track};
 use crate::scene::FrameId;

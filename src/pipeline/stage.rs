@@ -103,7 +103,8 @@ impl Stage {
     /// not taken over.
     pub(super) fn revision(self) -> u32 {
         match self {
-            // Last raised with decision 28 (docs/decisions): `Objects`, `Scale`; and 29: `Features`, `Motion`, `Follow`.
+            // Last raised with decisions 28 (docs/decisions), `Objects` and `Scale`, and 29, `Features`, `Motion` and
+            // `Follow`.
             Self::Scale => 7,
             Self::Objects => 6,
             Self::Features | Self::Motion => 5,

@@ -95,7 +95,8 @@ impl<const D: usize> Task for Scale<'_, D> {
     }
 }
 
-/// Columns of ZᵀZ that are worked out at a time: what fits the registers beside the three that they are multiplied with.
+/// Columns of ZᵀZ that are worked out at a time: what fits the registers beside the three that they are multiplied
+/// with.
 const WIDTH: usize = 12;
 
 /// Subtracts ZᵀZ of one view, by three columns at a time, in the lower triangle.

@@ -2,9 +2,9 @@
 //! the Lucas Kanade Feature Tracker*, 2000).
 //!
 //! A window round the point is held against the other picture, from the smallest pictures to the largest. With its
-//! gradient g and the difference e of what is seen, a step is the solution of Σ g gᵀ d = −Σ g e (least squares). It does
-//! what OpenCV's does, with the same limits, in vectors as wide as the processor has, which takes half the time; and
-//! gradients are worked out where points are, not in whole pictures.
+//! gradient g and the difference e of what is seen, a step is the solution of Σ g gᵀ d = −Σ g e (least squares). It
+//! does what OpenCV's does, with the same limits, in vectors as wide as the processor has, which takes half the time;
+//! and gradients are worked out where points are, not in whole pictures.
 
 mod area;
 mod pyramid;
