@@ -13,12 +13,21 @@ impl Problem {
         model: &Reconstruction,
         camera_block: impl Fn(CameraId, &Camera) -> CameraBlock,
     ) -> Self {
+        Self::from_images(model, camera_block, 1)
+    }
+
+    /// The same of one image in so many, with all points.
+    pub(super) fn from_images(
+        model: &Reconstruction,
+        camera_block: impl Fn(CameraId, &Camera) -> CameraBlock,
+        one_in: usize,
+    ) -> Self {
         let camera_idx = places(model.cameras.keys());
         let point_idx = places(model.points.keys());
         let cameras = model.cameras.iter().map(|(id, camera)| camera_block(*id, camera)).collect();
         let points = model.points.values().map(|p| PointBlock { position: p.position, fixed: false }).collect();
         let (mut poses, mut observations) = (Vec::new(), Vec::new());
-        for image in model.images.values() {
+        for image in model.images.values().step_by(one_in) {
             let camera = camera_idx.get(&image.camera).map_or(usize::MAX, |idx| *idx as usize);
             let seen = image.observations.iter().filter_map(|o| Some((point_idx.get(&o.point?)?, o.pixel)));
             observations.extend(seen.map(|(point, pixel)| Observation::new(poses.len() as u32, *point, pixel)));

@@ -15,6 +15,12 @@ const MANY_IMAGES: usize = 400;
 /// Images farther apart than this, in the order of their ids, see a place another time.
 const FAR: usize = 96;
 
+/// Of longer videos every second image counts, or every third, and so on, so that about so many are left: the system of
+/// equations must not grow with the video. Tracks keep at least [`LEAST_LEFT`] images in the mean.
+const MOST_IMAGES: usize = 800;
+/// See [`MOST_IMAGES`].
+const LEAST_LEFT: usize = 4;
+
 /// Standard deviations of camera centres.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CenterDeviations {
@@ -38,6 +44,9 @@ pub struct CenterDeviations {
 /// In models of more than 400 images, points that are seen again after more than 96 images count with a part of what
 /// was seen before ([`Problem::thin_ties`]).
 ///
+/// Of long videos one image in so many counts; errors that are each observation's own then average out over fewer, and
+/// are scaled by the root of that, those that are common to a group are not.
+///
 /// They are relative to what holds the gauge: the first image, which is exact by definition and left out, and its
 /// distance to the image farthest from it. They know nothing of wrong matches or of intrinsics that are off. `None`
 /// where there are no more residuals than unknowns.
@@ -45,11 +54,15 @@ pub struct CenterDeviations {
 /// # Errors
 /// As [`covariances`].
 pub fn center_deviations(model: &Reconstruction, num_images: usize) -> Result<Option<CenterDeviations>, BundleError> {
-    let mut problem = Problem::from_reconstruction(model, |_, camera| CameraBlock::fixed(*camera));
+    let one_in = one_in(model);
+    let mut problem = Problem::from_images(model, |_, camera| CameraBlock::fixed(*camera), one_in);
+    if one_in > 1 {
+        leave_single_observations_out(&mut problem);
+    }
     problem.check()?;
     let Some(pixel_px) = pixel_deviation(&problem) else { return Ok(None) };
     if problem.poses.len() > MANY_IMAGES {
-        problem.thin_ties(FAR);
+        problem.thin_ties(FAR / one_in);
     }
     let observed: std::collections::BTreeSet<usize> = problem.observations.iter().map(|o| o.pose as usize).collect();
     let mut free: Vec<usize> = observed.into_iter().collect();
@@ -63,17 +76,31 @@ pub fn center_deviations(model: &Reconstruction, num_images: usize) -> Result<Op
     let farthest = farthest.unwrap_or(held);
     let count = num_images.min(free.len());
     let poses: Vec<usize> = (0..count).map(|k| free[k * (free.len() - 1) / (count - 1).max(1)]).collect();
-    let ids: Vec<ImageId> = model.images.keys().copied().collect();
+    let ids: Vec<ImageId> = model.images.keys().copied().step_by(one_in).collect();
     let options = Options { threads: 1, behind: Behind::Project, ..Options::default() };
     let found = covariances(&problem, &options, &Wanted { poses: poses.clone(), ..Wanted::default() })?;
     let (group_of_point, num_groups) = groups(&problem);
     let clustered = clustered_centers(&problem, &options, &poses, &group_of_point, num_groups)?;
     let deviation = |(alone, clustered): (&super::PoseCovariance, &Matrix3<f64>)| {
-        let alone = pixel_px * alone.center.trace().max(0.0).sqrt();
+        let alone = pixel_px * (alone.center.trace().max(0.0) / one_in as f64).sqrt();
         alone.max(clustered.trace().max(0.0).sqrt())
     };
     let centers = poses.iter().map(|pose| ids[*pose]).zip(found.poses.iter().zip(&clustered).map(deviation)).collect();
     Ok(Some(CenterDeviations { pixel_px, held: ids[held], farthest: ids[farthest], centers }))
+}
+
+/// Of how many images one counts.
+fn one_in(model: &Reconstruction) -> usize {
+    let num_seen: usize = model.points.values().map(|point| point.track.len()).sum();
+    let mean_track = num_seen / model.points.len().max(1);
+    (model.images.len() / MOST_IMAGES).min(mean_track / LEAST_LEFT).max(1)
+}
+
+/// Points that one image alone sees have no depth.
+fn leave_single_observations_out(problem: &mut Problem) {
+    let mut counts = vec![0u32; problem.points.len()];
+    problem.observations.iter().for_each(|o| counts[o.point as usize] += 1);
+    problem.observations.retain(|o| counts[o.point as usize] > 1);
 }
 
 /// By point the group with which it may err together, a part of the time and of the picture; and how many there are.
@@ -106,7 +133,10 @@ fn pixel_deviation(problem: &Problem) -> Option<f64> {
         (problem.cameras[pose.camera].camera.project(point_in_cam).pixel - o.pixel).norm_squared()
     };
     let sum: f64 = problem.observations.iter().map(residual_sq).filter(|sq| sq.is_finite()).sum();
-    let unknowns = (problem.poses.len() * 6 + problem.points.len() * 3).saturating_sub(7);
+    let mut is_seen = vec![false; problem.points.len()];
+    problem.observations.iter().for_each(|o| is_seen[o.point as usize] = true);
+    let num_points = is_seen.into_iter().filter(|seen| *seen).count();
+    let unknowns = (problem.poses.len() * 6 + num_points * 3).saturating_sub(7);
     let redundancy = (2 * problem.observations.len()).checked_sub(unknowns).filter(|r| *r > 0)?;
     Some((sum / redundancy as f64).sqrt())
 }

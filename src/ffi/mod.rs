@@ -3,5 +3,7 @@
 pub mod environment;
 #[cfg(feature = "video")]
 pub mod ffmpeg;
+#[cfg(feature = "pipeline")]
+pub mod memory;
 #[cfg(feature = "perception")]
 pub mod onnx;

@@ -13,6 +13,8 @@ use super::memory;
 
 /// UTF-8's byte order mark, which some editors put before a text.
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+/// The same as a character.
+pub const BYTE_ORDER_CHAR: char = '\u{feff}';
 
 /// Opens a regular file.
 ///
@@ -35,17 +37,27 @@ pub fn check(path: &Path) -> io::Result<()> {
     check_type(fs::metadata(path)?.file_type())
 }
 
-/// Reads a regular file whole.
+/// Opens a regular file that memory would hold.
 ///
 /// # Errors
 /// As [`open`]; [`io::ErrorKind::FileTooLarge`] for a file that this machine's memory does not hold.
-pub fn read(path: &Path) -> io::Result<Vec<u8>> {
-    let mut file = open(path)?;
+pub fn open_within_memory(path: &Path) -> io::Result<File> {
+    let file = open(path)?;
     let (size, limit) = (file.metadata()?.len(), memory::of_machine());
     if size > limit {
         let reason = format!("it has {}, memory holds {}", memory::in_words(size), memory::in_words(limit));
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, reason));
     }
+    Ok(file)
+}
+
+/// Reads a regular file whole.
+///
+/// # Errors
+/// As [`open_within_memory`].
+pub fn read(path: &Path) -> io::Result<Vec<u8>> {
+    let mut file = open_within_memory(path)?;
+    let size = file.metadata()?.len();
     let mut content = Vec::new();
     content.try_reserve_exact(usize::try_from(size).unwrap_or(usize::MAX)).map_err(io::Error::from)?;
     file.read_to_end(&mut content)?;

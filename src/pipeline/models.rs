@@ -222,7 +222,7 @@ pub(super) fn reconstruct(
         // Only videos have long tracks, and one camera.
         let of_video = known.first().copied().unwrap_or(sfm::Intrinsics::Refined);
         sfm::cut_long_tracks(&mut table, &cameras, of_video, options, seed);
-        sfm::reconstruct_watched(&table, &cameras, known, options, seed, beside, watch)
+        sfm::reconstruct_consuming(table, &cameras, known, options, seed, beside, watch)
     })??;
     if model.is_empty() {
         // Even an empty model says which cameras it would have had.

@@ -1,7 +1,7 @@
 //! Files of the run's own, as they are read again. What later stages take for granted is checked here: a disk may have
 //! failed, or another hand changed them.
 
-use std::io::{ErrorKind, Write};
+use std::io::{BufReader, ErrorKind, Read, Write};
 use std::path::{Component, Path};
 
 use serde::Serialize;
@@ -28,17 +28,27 @@ impl<T: Content> Content for Vec<T> {
     }
 }
 
-/// Reads a file in postcard's format.
+/// Reads a file in postcard's format, piece by piece: beside the tracks of a long video their file would take as much
+/// memory again.
 ///
 /// # Errors
 /// [`PipelineError::State`] for one that is damaged or missing, [`IoError::System`] for one that cannot be read.
 pub(super) fn read<T: Content>(path: &Path) -> Result<T, PipelineError> {
-    let bytes = match files::read(path) {
+    let file = match files::open_within_memory(path) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Err(damaged(path, "it is missing")),
-        read => read.map_err(IoError::system("read", path))?,
+        opened => opened.map_err(IoError::system("read", path))?,
     };
-    taken(&bytes).map_err(|reason| damaged(path, reason))
+    let mut reader = KeepsError { inner: BufReader::new(file), error: None };
+    let mut word = vec![0; LONGEST_WORD];
+    let content = postcard::from_io((&mut reader, &mut word)).map(|(content, _)| content);
+    if let Some(error) = reader.error {
+        return Err(IoError::system("read", path)(error).into());
+    }
+    content.map_err(|error| error.to_string()).and_then(checked).map_err(|reason| damaged(path, reason))
 }
+
+/// Room for the longest name in such a file.
+const LONGEST_WORD: usize = 1 << 20;
 
 /// Writes such a file, piece by piece: the tracks of a long video are not to lie in memory twice.
 ///
@@ -46,7 +56,7 @@ pub(super) fn read<T: Content>(path: &Path) -> Result<T, PipelineError> {
 /// What the system says of the file.
 pub(super) fn write(path: &Path, value: &impl Serialize) -> Result<(), PipelineError> {
     let written = atomic::write_with(path, |out| {
-        let mut out = KeepsError { out, error: None };
+        let mut out = KeepsError { inner: out, error: None };
         let done = postcard::to_io(value, &mut out);
         let failed = done.err().map(std::io::Error::other);
         out.error.or(failed).map_or(Ok(()), Err)
@@ -55,26 +65,47 @@ pub(super) fn write(path: &Path, value: &impl Serialize) -> Result<(), PipelineE
 }
 
 /// Keeps what went wrong, of which [`postcard`] says only that something did.
-struct KeepsError<'a> {
-    out: &'a mut dyn Write,
+struct KeepsError<T> {
+    inner: T,
     error: Option<std::io::Error>,
 }
 
-impl Write for KeepsError<'_> {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.out.write(bytes)
-    }
-
-    fn write_all(&mut self, bytes: &[u8]) -> std::io::Result<()> {
-        self.out.write_all(bytes).map_err(|e| {
-            let kind = e.kind();
-            self.error = Some(e);
+impl<T> KeepsError<T> {
+    /// Keeps an error, but for that of a file that is over.
+    fn keep<R>(&mut self, result: std::io::Result<R>) -> std::io::Result<R> {
+        result.map_err(|error| {
+            let kind = error.kind();
+            if kind != ErrorKind::UnexpectedEof {
+                self.error = Some(error);
+            }
             kind.into()
         })
     }
+}
+
+impl<T: Write> Write for KeepsError<T> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.inner.write(bytes)
+    }
+
+    fn write_all(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        let written = self.inner.write_all(bytes);
+        self.keep(written)
+    }
 
     fn flush(&mut self) -> std::io::Result<()> {
-        self.out.flush()
+        self.inner.flush()
+    }
+}
+
+impl<T: Read> Read for KeepsError<T> {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        self.inner.read(bytes)
+    }
+
+    fn read_exact(&mut self, bytes: &mut [u8]) -> std::io::Result<()> {
+        let read = self.inner.read_exact(bytes);
+        self.keep(read)
     }
 }
 

@@ -9,6 +9,7 @@ use serde_json::Value;
 use super::meter::Meter;
 use super::workspace::{Marker, Workspace};
 use super::{Options, PipelineError, Progress, Stage, fingerprint, own_file};
+use crate::ffi::memory;
 use crate::scene::Frame;
 use crate::video::{Info, Source};
 
@@ -149,6 +150,7 @@ impl<'a> Run<'a> {
         self.progress.end();
         let Outcome { warnings, figures, outputs } = outcome?;
         let cost = meter.read();
+        memory::give_back();
         let outputs =
             outputs.iter().map(|path| path.strip_prefix(self.workspace.root()).unwrap_or(path).to_owned()).collect();
         let marker = Marker { fingerprint, cost, warnings, figures, outputs };

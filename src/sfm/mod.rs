@@ -45,7 +45,8 @@ use crate::limits::{Checked, under};
 pub use error::SfmError;
 pub use front_end::{FrontEnd, FrontEndOptions};
 pub use mapper::{
-    Beside, Intrinsics, KnownIntrinsics, KnownPoses, Report, cut_long_tracks, reconstruct, reconstruct_watched,
+    Beside, Intrinsics, KnownIntrinsics, KnownPoses, Report, cut_long_tracks, reconstruct, reconstruct_consuming,
+    reconstruct_watched,
 };
 pub use pictures::reconstruct_pictures;
 use sift_front_end::{Pairing, SiftOptions};

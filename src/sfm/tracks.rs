@@ -26,6 +26,11 @@ pub struct View {
 }
 
 impl View {
+    /// How exactly a feature is located.
+    pub fn whitening_of(&self, feature: u32) -> Whitening {
+        self.whitening.get(feature as usize).copied().unwrap_or(Whitening::IDENTITY)
+    }
+
     /// Whether numbers are missing, or are none.
     fn is_flawed(&self) -> bool {
         let (count, num_known) = (self.pixels.len(), self.whitening.len());
@@ -70,8 +75,7 @@ impl TrackTable {
 
     /// How exactly a feature is located.
     pub fn whitening(&self, feature: Feature) -> Whitening {
-        let known = self.views[feature.view as usize].whitening.get(feature.feature as usize);
-        known.copied().unwrap_or(Whitening::IDENTITY)
+        self.views[feature.view as usize].whitening_of(feature.feature)
     }
 
     /// What contradicts itself in a table that was read from a file, in words: features that are not there, or that lie

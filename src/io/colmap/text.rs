@@ -1,7 +1,9 @@
-//! The text files: fields separated by blanks, `#` before comments, two lines per image.
+//! The text files: fields separated by blanks, `#` before comments, two lines per image. Of a file one line is in memory
+//! at a time: text takes more room than what it says.
 
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::fs::File;
+use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::path::Path;
 use std::str::FromStr;
 
@@ -15,9 +17,10 @@ use crate::math::Rigid3;
 use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
 pub fn read_cameras(path: &Path) -> Result<Cameras, IoError> {
-    let content = read_file(path)?;
+    let mut lines = Lines::open(path)?;
     let (mut cameras, mut forms) = Cameras::default();
-    for mut line in records(path, &content) {
+    while lines.go_to_record()? {
+        let mut line = lines.line();
         let id = CameraId(line.number("camera id")?);
         let name = line.word("camera model")?;
         let model = Model::by_name(name).ok_or_else(|| camera_model::unknown(path, id, name))?;
@@ -37,22 +40,23 @@ pub fn read_cameras(path: &Path) -> Result<Cameras, IoError> {
 }
 
 pub fn read_images(path: &Path) -> Result<BTreeMap<ImageId, Image>, IoError> {
-    let content = read_file(path)?;
+    let mut lines = Lines::open(path)?;
     let mut images = BTreeMap::new();
-    let mut lines = numbered(path, &content);
     // The second line of an image may be empty, so only the first is searched for.
-    while let Some(mut line) = lines.find(Line::is_record) {
+    while lines.go_to_record()? {
+        let mut line = lines.line();
         let id = ImageId(line.number("image id")?);
+        if images.contains_key(&id) {
+            return Err(line.error("image id", format!("{} occurs twice", id.0)));
+        }
         let quaternion = [line.finite("qw")?, line.finite("qx")?, line.finite("qy")?, line.finite("qz")?];
         let rotation = unit_quaternion(quaternion).map_err(|problem| line.error("qw qx qy qz", problem))?;
         let translation = Vector3::new(line.finite("tx")?, line.finite("ty")?, line.finite("tz")?);
         let camera = CameraId(line.number("camera id")?);
         let name = line.rest("name")?;
-        let observations = lines.next().map_or(Ok(Vec::new()), observations)?;
+        let observations = if lines.go_on()? { observations(lines.line())? } else { Vec::new() };
         let cam_from_world = Rigid3::new(rotation, translation);
-        if images.insert(id, Image { name, camera, cam_from_world, observations }).is_some() {
-            return Err(line.error("image id", format!("{} occurs twice", id.0)));
-        }
+        images.insert(id, Image { name, camera, cam_from_world, observations });
     }
     Ok(images)
 }
@@ -68,13 +72,15 @@ fn observations(mut line: Line<'_>) -> Result<Vec<Observation>, IoError> {
         };
         observations.push(Observation { pixel, point });
     }
+    observations.shrink_to_fit();
     Ok(observations)
 }
 
 pub fn read_points(path: &Path) -> Result<BTreeMap<Point3dId, Point3d>, IoError> {
-    let content = read_file(path)?;
+    let mut lines = Lines::open(path)?;
     let mut points = BTreeMap::new();
-    for mut line in records(path, &content) {
+    while lines.go_to_record()? {
+        let mut line = lines.line();
         let id = Point3dId(line.number("point id")?);
         let position = Point3::new(line.finite("x")?, line.finite("y")?, line.finite("z")?);
         let rgb = [line.number("red")?, line.number("green")?, line.number("blue")?];
@@ -84,6 +90,7 @@ pub fn read_points(path: &Path) -> Result<BTreeMap<Point3dId, Point3d>, IoError>
             let image = ImageId(line.number("image id of a track")?);
             track.push(TrackElement { image, observation_idx: line.number("observation index of a track")? });
         }
+        track.shrink_to_fit();
         if points.insert(id, Point3d { position, rgb, error_px, track }).is_some() {
             return Err(line.error("point id", format!("{} occurs twice", id.0)));
         }
@@ -136,6 +143,16 @@ pub fn write_points(out: &mut dyn Write, model: &Reconstruction) -> std::io::Res
     Ok(())
 }
 
+/// A file that is read line by line.
+struct Lines<'a> {
+    path: &'a Path,
+    reader: BufReader<File>,
+    /// The line read last.
+    text: String,
+    /// Its number, from 1; 0 before the first.
+    number: usize,
+}
+
 /// A line of a file and how far it is read.
 struct Line<'a> {
     path: &'a Path,
@@ -144,18 +161,40 @@ struct Line<'a> {
     rest: &'a str,
 }
 
-fn read_file(path: &Path) -> Result<String, IoError> {
-    let bytes = files::read_text(path).map_err(IoError::system("read", path))?;
-    String::from_utf8(bytes).map_err(|_| IoError::content(path, "is not a text file (UTF-8)"))
-}
+impl<'a> Lines<'a> {
+    fn open(path: &'a Path) -> Result<Self, IoError> {
+        let file = files::open_within_memory(path).map_err(IoError::system("read", path))?;
+        Ok(Self { path, reader: BufReader::new(file), text: String::new(), number: 0 })
+    }
 
-fn numbered<'a>(path: &'a Path, content: &'a str) -> impl Iterator<Item = Line<'a>> {
-    content.lines().enumerate().map(move |(idx, text)| Line { path, number: idx + 1, rest: text.trim() })
-}
+    /// Reads the next line; `false` behind the last.
+    fn go_on(&mut self) -> Result<bool, IoError> {
+        self.text.clear();
+        let length = self.reader.read_line(&mut self.text).map_err(|error| match error.kind() {
+            ErrorKind::InvalidData => IoError::content(self.path, "is not a text file (UTF-8)"),
+            _ => IoError::system("read", self.path)(error),
+        })?;
+        if self.number == 0 && self.text.starts_with(files::BYTE_ORDER_CHAR) {
+            self.text.drain(..files::BYTE_ORDER_CHAR.len_utf8());
+        }
+        self.number += 1;
+        Ok(length > 0)
+    }
 
-/// The lines that are neither empty nor comments.
-fn records<'a>(path: &'a Path, content: &'a str) -> impl Iterator<Item = Line<'a>> {
-    numbered(path, content).filter(Line::is_record)
+    /// Reads on to the next line that is neither empty nor a comment.
+    fn go_to_record(&mut self) -> Result<bool, IoError> {
+        while self.go_on()? {
+            if self.line().is_record() {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// The line read last.
+    fn line(&self) -> Line<'_> {
+        Line { path: self.path, number: self.number, rest: self.text.trim() }
+    }
 }
 
 impl<'a> Line<'a> {

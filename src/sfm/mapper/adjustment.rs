@@ -1,5 +1,7 @@
 //! From a map to a bundle adjustment problem and back.
 
+use std::ops::Range;
+
 use super::lens;
 use super::map::Map;
 use super::{Noise, Options};
@@ -20,12 +22,28 @@ pub enum Scope {
     },
     /// A view, those that share most points with it, and the points that these see; the others are held.
     Around(usize),
+    /// Some views of a long video, and the points that these see.
+    Stretch(Stretch),
+}
+
+/// Views that are adjusted while the others are held.
+#[derive(Clone, Debug)]
+pub struct Stretch {
+    /// Those that are free.
+    pub views: Range<usize>,
+    /// What was seen in these counts, free or held; in others it is left out.
+    pub counted: Range<usize>,
+    /// Points per view, as in [`Scope::Selected`]; `None` for all.
+    pub per_view: Option<usize>,
+    /// When it ends; see [`Scope::limits`].
+    pub limits: (usize, f64),
 }
 
 impl Scope {
     /// When an adjustment ends: after so many iterations, or at so small a share of the cost.
-    fn limits(&self) -> (usize, f64) {
+    pub fn limits(&self) -> (usize, f64) {
         match self {
+            Self::Stretch(stretch) => stretch.limits,
             Self::Everything | Self::Selected { .. } => (30, 1e-6),
             Self::Roughly => (30, 1e-4),
             Self::Around(_) => (10, 1e-4),
@@ -90,18 +108,19 @@ pub fn adjust(
     let (tracks, free_views) = taking_part(map, scope, options);
     let mut freedom = intrinsics.of_cameras(map);
     let local = matches!(scope, Scope::Around(_));
-    let ties = match (local, options.ordered) {
-        (true, _) => Ties::FewHeld,
-        (false, true) => Ties::Thinned { gap: options.max_track_views },
-        (false, false) => Ties::All,
+    let ties = match (scope, options.ordered) {
+        (Scope::Around(_), _) => Ties::FewHeld,
+        (Scope::Stretch(stretch), _) => Ties::Counted(stretch.counted.clone()),
+        (_, true) => Ties::Thinned { gap: options.max_track_views },
+        (_, false) => Ties::All,
     };
-    let (mut problem, mut parts) = build_with(map, &tracks, &free_views, &freedom, noise, ties);
+    let (mut problem, mut parts) = build_with(map, &tracks, &free_views, &freedom, noise, &ties);
     let (max_iterations, function_tolerance) = scope.limits();
     let loss = options.loss(noise);
     let bundle_options = bundle::Options { loss, max_iterations, function_tolerance, ..bundle::Options::default() };
     let mut summary = bundle::adjust(&mut problem, &bundle_options)?;
     while hold_odd_lenses(&mut freedom, &problem) {
-        (problem, parts) = build_with(map, &tracks, &free_views, &freedom, noise, ties);
+        (problem, parts) = build_with(map, &tracks, &free_views, &freedom, noise, &ties);
         summary = bundle::adjust(&mut problem, &bundle_options)?;
         tracing::debug!("intrinsics are not determined by {} views; held", problem.poses.len());
     }
@@ -139,7 +158,11 @@ pub(super) fn taking_part(map: &Map<'_>, scope: &Scope, options: &Options) -> (V
         Scope::Everything | Scope::Roughly => {
             tracks.iter_mut().enumerate().for_each(|(t, used)| *used = map.point(t).is_some())
         }
-        Scope::Selected { per_view } => select_tracks(map, *per_view, &mut tracks),
+        Scope::Selected { per_view } => select_tracks(map, *per_view, map.registered(), &mut tracks),
+        Scope::Stretch(stretch) => {
+            free_views = (0..map.poses.len()).map(|view| stretch.views.contains(&view)).collect();
+            select_of_stretch(map, stretch, &mut tracks);
+        }
         Scope::Around(view) => {
             free_views = neighbourhood(map, *view, options.local_views);
             for v in (0..free_views.len()).filter(|&v| free_views[v]) {
@@ -157,7 +180,7 @@ pub(super) struct Parts {
 }
 
 /// Which observations of points count.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 enum Ties {
     /// All.
     All,
@@ -168,6 +191,14 @@ enum Ties {
         /// Views.
         gap: usize,
     },
+    /// Those in some views.
+    Counted(Range<usize>),
+}
+
+impl Ties {
+    fn counts(&self, view: usize) -> bool {
+        !matches!(self, Self::Counted(views) if !views.contains(&view))
+    }
 }
 
 /// Views that hold a point in a local adjustment. More would hold it no better, and take most of the time.
@@ -183,7 +214,20 @@ pub(super) fn build(
     options: &Options,
 ) -> (Problem, Parts) {
     let ties = if options.ordered { Ties::Thinned { gap: options.max_track_views } } else { Ties::All };
-    build_with(map, tracks, free_views, &intrinsics.of_cameras(map), noise, ties)
+    build_with(map, tracks, free_views, &intrinsics.of_cameras(map), noise, &ties)
+}
+
+/// The problem of a stretch.
+pub(super) fn build_stretch(
+    map: &Map<'_>,
+    stretch: &Stretch,
+    intrinsics: Freedom,
+    noise: Noise,
+    options: &Options,
+) -> Problem {
+    let (tracks, free_views) = taking_part(map, &Scope::Stretch(stretch.clone()), options);
+    let ties = Ties::Counted(stretch.counted.clone());
+    build_with(map, &tracks, &free_views, &intrinsics.of_cameras(map), noise, &ties).0
 }
 
 /// The same with a freedom for each camera.
@@ -193,14 +237,14 @@ fn build_with(
     free_views: &[bool],
     freedom: &[Freedom],
     noise: Noise,
-    ties: Ties,
+    ties: &Ties,
 ) -> (Problem, Parts) {
     let mut problem = Problem::default();
     let block = |(&camera, freedom): (&Camera, &Freedom)| CameraBlock { camera, free: freedom.mask(), tie_focal: true };
     problem.cameras = map.cameras.iter().zip(freedom).map(block).collect();
     let adjusted = (0..freedom.len()).filter(|&camera| freedom[camera] != Freedom::Nothing);
     problem.priors.intrinsics = adjusted.map(|camera| lens::prior(camera, map, noise)).collect();
-    let parts = parts(map, tracks);
+    let parts = parts(map, tracks, ties);
     let mut pose_of_view = vec![0; free_views.len()];
     for (pose, &view) in (0..).zip(&parts.views) {
         let Some(cam_from_world) = map.poses[view] else { continue };
@@ -212,10 +256,11 @@ fn build_with(
         let Some(point) = map.point(track) else { continue };
         let point_index = problem.points.len() as u32;
         problem.points.push(PointBlock { position: point.position, fixed: false });
-        let seen = || map.observations(track).filter(|(_, view, _)| map.poses[*view].is_some());
+        let counts = |view: usize| map.poses[view].is_some() && ties.counts(view);
+        let seen = || map.observations(track).filter(|(_, view, _)| counts(*view));
         let one_in = match ties {
             Ties::FewHeld => seen().filter(|(_, view, _)| !free_views[*view]).count().div_ceil(MOST_HELD).max(1),
-            Ties::All | Ties::Thinned { .. } => 1,
+            Ties::All | Ties::Thinned { .. } | Ties::Counted(_) => 1,
         };
         let mut num_held = 0;
         for (slot, view, pixel) in seen() {
@@ -229,17 +274,17 @@ fn build_with(
         }
     }
     if let Ties::Thinned { gap } = ties {
-        problem.thin_ties(gap);
+        problem.thin_ties(*gap);
     }
     (problem, parts)
 }
 
 /// The known points among some tracks, and the registered views that see them, both ascending.
-fn parts(map: &Map<'_>, tracks: &[bool]) -> Parts {
+fn parts(map: &Map<'_>, tracks: &[bool], ties: &Ties) -> Parts {
     let tracks: Vec<usize> = (0..tracks.len()).filter(|&t| tracks[t] && map.point(t).is_some()).collect();
     let mut seen = vec![false; map.poses.len()];
     tracks.iter().flat_map(|&track| map.observations(track)).for_each(|(_, view, _)| seen[view] = true);
-    Parts { views: map.registered().filter(|&view| seen[view]).collect(), tracks }
+    Parts { views: map.registered().filter(|&view| seen[view] && ties.counts(view)).collect(), tracks }
 }
 
 fn take_over(map: &mut Map<'_>, problem: &Problem, parts: &Parts) {
@@ -270,13 +315,26 @@ fn neighbourhood(map: &Map<'_>, view: usize, count: usize) -> Vec<bool> {
     chosen
 }
 
-/// Marks, for every registered view, the longest tracks in each cell of a grid over its image, until it has enough.
-fn select_tracks(map: &Map<'_>, per_view: usize, selected: &mut [bool]) {
+/// Marks the points that a stretch sees, and that count at least twice.
+fn select_of_stretch(map: &Map<'_>, stretch: &Stretch, tracks: &mut [bool]) {
+    let views: Vec<usize> = map.registered().filter(|view| stretch.views.contains(view)).collect();
+    match stretch.per_view {
+        Some(per_view) => select_tracks(map, per_view, views.into_iter(), tracks),
+        None => views.iter().for_each(|&v| map.visible(v).iter().for_each(|s| tracks[s.track as usize] = true)),
+    }
+    let counted = |track: usize| map.observations(track).filter(|(_, view, _)| stretch.counted.contains(view));
+    for (track, used) in tracks.iter_mut().enumerate().filter(|(_, used)| **used) {
+        *used = counted(track).nth(1).is_some() && counted(track).any(|(_, view, _)| stretch.views.contains(&view));
+    }
+}
+
+/// Marks, for every one of some registered views, the longest tracks in each cell of a grid over its image, until it
+/// has enough.
+fn select_tracks(map: &Map<'_>, per_view: usize, views: impl Iterator<Item = usize>, selected: &mut [bool]) {
     const GRID: [usize; 2] = [8, 6];
     let per_cell = (per_view / (GRID[0] * GRID[1])).max(1);
     let length: Vec<usize> = (0..selected.len()).map(|track| map.observations(track).count()).collect();
-    let registered: Vec<usize> = map.registered().collect();
-    for view in registered {
+    for view in views {
         let camera = map.camera_of(view);
         let mut cells: Vec<Vec<usize>> = vec![Vec::new(); GRID[0] * GRID[1]];
         for s in map.visible(view) {

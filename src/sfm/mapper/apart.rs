@@ -10,7 +10,7 @@ const MIN_VIEWS: usize = 4;
 pub fn stretches(map: &Map<'_>, min_common: usize) -> Vec<Option<[usize; 2]>> {
     let num_views = map.poses.len();
     let mut common = vec![0usize; num_views];
-    for track in &map.table.tracks {
+    for track in map.table.tracks.iter() {
         track
             .windows(2)
             .filter(|pair| pair[1].view == pair[0].view + 1)

@@ -1,5 +1,7 @@
 //! Growing a map from its first pair.
 
+use std::ops::Range;
+
 mod finish;
 mod known_poses;
 mod leaps;
@@ -13,7 +15,7 @@ use super::apart;
 use super::initial_pair::InitialPair;
 use super::map::{Map, Slot};
 use super::motion::{self, Remark};
-use super::{Noise, Options, Reason, Report, lens};
+use super::{Noise, Options, Reason, Report, lens, windows};
 use crate::math::{Rigid3, seeded_rng};
 use crate::scene::Reconstruction;
 use crate::sfm::SfmError;
@@ -47,6 +49,8 @@ pub struct Growth<'a> {
     apart: Vec<Option<Reason>>,
     /// Registered views at the last global adjustment.
     adjusted_at: usize,
+    /// From the first to the last of them.
+    adjusted_views: Range<usize>,
     is_from_known_poses: bool,
 }
 
@@ -58,7 +62,8 @@ struct Attempt {
 
 impl<'a> Growth<'a> {
     /// An empty map.
-    pub fn new(map: Map<'a>, options: &'a Options, seed: u64) -> Self {
+    pub fn new(mut map: Map<'a>, options: &'a Options, seed: u64) -> Self {
+        map.look_for_places_that_come_back(options.max_track_views);
         let num_views = map.poses.len();
         let (failed, refused, apart) = (vec![None; num_views], vec![None; num_views], vec![None; num_views]);
         Self {
@@ -75,6 +80,7 @@ impl<'a> Growth<'a> {
             refused,
             apart,
             adjusted_at: 0,
+            adjusted_views: 0..0,
             is_from_known_poses: false,
         }
     }
@@ -111,7 +117,7 @@ impl<'a> Growth<'a> {
             // Everything that can be seen was tried: a global adjustment may open new points, then once more.
             let before = self.map.num_registered();
             if before > self.adjusted_at {
-                self.adjust_globally()?;
+                self.adjust_grown()?;
             }
             self.retry_between_neighbours();
             if self.map.num_registered() == before && self.next_view().is_none() {
@@ -174,7 +180,17 @@ impl<'a> Growth<'a> {
     }
 
     fn adjust(&mut self, scope: &Scope, intrinsics: Freedom) -> Result<Vec<bool>, SfmError> {
+        if self.is_long() && !matches!(scope, Scope::Around(_)) {
+            if intrinsics != Freedom::Nothing {
+                windows::refine_lens(&mut self.map, intrinsics, self.noise, self.options)?;
+            }
+            return windows::sweep(&mut self.map, scope, self.noise, self.options);
+        }
         adjustment::adjust(&mut self.map, scope, intrinsics, self.noise, self.options)
+    }
+
+    fn is_long(&self) -> bool {
+        windows::is_long(&self.map, self.options)
     }
 
     fn limits(&self) -> Limits {
@@ -246,12 +262,36 @@ impl<'a> Growth<'a> {
     fn settle(&mut self, view: usize) -> Result<(), SfmError> {
         let limits = self.limits();
         self.map.triangulate_seen_by(view, &limits);
-        let has_grown = self.map.num_registered() as f64 >= self.options.global_growth * self.adjusted_at as f64;
-        if has_grown || self.is_only_one_of_camera(view) {
-            return self.adjust_globally();
+        if self.has_grown() || self.is_only_one_of_camera(view) {
+            return self.adjust_grown();
         }
         self.adjust(&Scope::Around(view), Freedom::Nothing)?;
         Ok(())
+    }
+
+    fn has_grown(&self) -> bool {
+        let (before, now) = (self.adjusted_at, self.map.num_registered());
+        now as f64 >= self.options.global_growth * before as f64 || (now >= before + windows::STEP && self.is_long())
+    }
+
+    /// Adjusts everything; of a long map, what it has grown by.
+    fn adjust_grown(&mut self) -> Result<(), SfmError> {
+        if !self.is_long() || self.adjusted_views.is_empty() {
+            return self.adjust_globally();
+        }
+        let limits = self.limits();
+        for views in windows::ends(&self.map, &self.adjusted_views) {
+            let used = windows::adjust_end(&mut self.map, views.clone(), self.noise, self.options)?;
+            self.map.renew(views, &limits, &used);
+        }
+        self.note_adjusted();
+        Ok(())
+    }
+
+    fn note_adjusted(&mut self) {
+        self.adjusted_at = self.map.num_registered();
+        let (first, last) = (self.map.registered().next(), self.map.registered().last());
+        self.adjusted_views = first.unwrap_or(0)..last.map_or(0, |last| last + 1);
     }
 
     fn adjust_globally(&mut self) -> Result<(), SfmError> {
@@ -261,7 +301,7 @@ impl<'a> Growth<'a> {
         self.map.retriangulate(&limits, &used);
         self.map.triangulate_all(&limits);
         self.map.update_observations(&limits);
-        self.adjusted_at = self.map.num_registered();
+        self.note_adjusted();
         Ok(())
     }
 

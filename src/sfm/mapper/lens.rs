@@ -10,10 +10,11 @@
 //! estimates under nonstandard conditions*, 1967, for the profile). It is so whatever the errors within a group have in
 //! common: that a track slides, that a part of the picture is bent.
 
-use super::adjustment::{self, Freedom, Scope};
+use super::adjustment::{self, Freedom, Scope, Stretch};
 use super::map::Map;
+use super::windows::{self, LensEvidence};
 use super::{Noise, Options};
-use crate::bundle::{self, BundleError, IntrinsicsPrior, Problem, Wanted};
+use crate::bundle::{self, IntrinsicsPrior, Problem};
 use crate::camera::Camera;
 use crate::math::RobustLoss;
 use crate::sfm::SfmError;
@@ -125,15 +126,15 @@ pub(super) fn focal_evidence(
     let Some(&first) = asked.first() else { return Ok(nothing) };
     let probe = Probe::new(map, sigma_px, options);
     let held = |change: f64| {
-        let mut trial = probe.trial(map, Freedom::FocalAndRadial);
-        // Of the others' focal lengths what is known beforehand counts as before.
-        trial.priors.intrinsics.retain(|prior| !asked.contains(&prior.camera));
-        for &camera in asked {
-            let block = &mut trial.cameras[camera];
-            block.camera.focal = block.camera.focal.map(|f| f * change.exp());
-            (block.free[0], block.free[1]) = (false, false);
-        }
-        probe.adjusted(trial)
+        probe.adjusted(map, Freedom::FocalAndRadial, &|trial| {
+            // Of the others' focal lengths what is known beforehand counts as before.
+            trial.priors.intrinsics.retain(|prior| !asked.contains(&prior.camera));
+            for &camera in asked {
+                let block = &mut trial.cameras[camera];
+                block.camera.focal = block.camera.focal.map(|f| f * change.exp());
+                (block.free[0], block.free[1]) = (false, false);
+            }
+        })
     };
     let (less, here, more) = (held(-CHANGE)?, held(0.0)?, held(CHANGE)?);
     let curvature = (more.cost + less.cost - 2.0 * here.cost) / CHANGE.powi(2);
@@ -165,41 +166,53 @@ pub(super) fn focal_deviation_here(
 ) -> Result<f64, SfmError> {
     let sigma_px = sigma_px.max(MIN_SIGMA_PX);
     let probe = Probe::new(map, sigma_px, options);
-    let mut problem = probe.trial(map, Freedom::FocalAndRadial);
-    problem.priors.intrinsics.retain(|prior| prior.camera != camera);
     let bundle_options = bundle::Options { loss: options.loss(probe.noise), ..bundle::Options::default() };
-    let wanted = Wanted { cameras: vec![camera], ..Wanted::default() };
-    match bundle::covariances(&problem, &bundle_options, &wanted) {
-        Ok(found) => {
-            let variance = found.cameras[0][(0, 0)] / map.cameras[camera].mean_focal().powi(2);
-            Ok(COMMON_ERROR_FACTOR * sigma_px * variance.max(0.0).sqrt())
-        }
-        Err(BundleError::Singular { .. } | BundleError::NoCovariance { .. }) => Ok(f64::INFINITY),
-        Err(error) => Err(error.into()),
+    let mut told: Option<LensEvidence> = None;
+    for part in &probe.parts {
+        let mut problem = probe.trial(map, part, Freedom::FocalAndRadial);
+        problem.priors.intrinsics.retain(|prior| prior.camera != camera);
+        told.get_or_insert_with(|| LensEvidence::none(camera, &problem)).add(&problem, &bundle_options)?;
     }
+    let deviation_px = told.and_then(|told| told.first_deviation()).unwrap_or(f64::INFINITY);
+    Ok(COMMON_ERROR_FACTOR * sigma_px * deviation_px / map.cameras[camera].mean_focal())
 }
 
 /// How much the first coefficient of distortion explains, in units of the common errors squared, where it is the only
 /// one.
 pub(super) fn first_radial_gain(map: &Map<'_>, sigma_px: f64, options: &Options) -> Result<f64, SfmError> {
     let probe = Probe::new(map, sigma_px, options);
-    let cost = |freedom| {
-        let mut trial = probe.trial(map, freedom);
+    let without_radial = |trial: &mut Problem| {
         trial.priors.intrinsics.clear();
         let adjusted = trial.cameras.iter_mut().filter(|block| block.free[0]);
         adjusted.for_each(|block| block.camera.radial = [0.0; 2]);
-        Ok::<_, SfmError>(probe.adjusted(trial)?.cost)
     };
+    let cost = |freedom| Ok::<_, SfmError>(probe.adjusted(map, freedom, &without_radial)?.cost);
     let gain = cost(Freedom::Focal)? - cost(Freedom::FocalAndFirstRadial)?;
     Ok(2.0 * gain / (COMMON_ERROR_FACTOR * sigma_px).powi(2))
 }
 
 /// Adjustments on trial, of some points in every part of every view.
 struct Probe<'a> {
-    tracks: Vec<bool>,
-    free_views: Vec<bool>,
+    /// One, but of long videos, which are asked in stretches, each by itself.
+    parts: Vec<Part>,
     noise: Noise,
     options: &'a Options,
+}
+
+/// What is adjusted at once.
+enum Part {
+    All { tracks: Vec<bool>, free_views: Vec<bool> },
+    Stretch { stretch: Stretch, time: [f64; 2] },
+}
+
+impl Part {
+    /// When it begins, and how long it is, as shares of the whole.
+    fn time(&self) -> [f64; 2] {
+        match self {
+            Self::All { .. } => [0.0, 1.0],
+            Self::Stretch { time, .. } => *time,
+        }
+    }
 }
 
 /// A problem after adjustment.
@@ -216,26 +229,48 @@ const NUM_GROUPS: usize = GROUPS[0] * GROUPS[1] * GROUPS[2];
 
 impl<'a> Probe<'a> {
     fn new(map: &Map<'_>, sigma_px: f64, options: &'a Options) -> Self {
-        let scope = Scope::Selected { per_view: options.growth_points_per_view };
-        let (tracks, free_views) = adjustment::taking_part(map, &scope, options);
-        Self { tracks, free_views, noise: Noise::Measured { sigma_px }, options }
+        let stretches = if windows::is_long(map, options) { windows::apart(map, options) } else { Vec::new() };
+        let length = map.poses.len().max(1) as f64;
+        let in_time = |stretch: Stretch| {
+            let time = [stretch.views.start, stretch.views.len()].map(|views| views as f64 / length);
+            Part::Stretch { stretch, time }
+        };
+        let mut parts: Vec<Part> = stretches.into_iter().map(in_time).collect();
+        if parts.is_empty() {
+            let scope = Scope::Selected { per_view: options.growth_points_per_view };
+            let (tracks, free_views) = adjustment::taking_part(map, &scope, options);
+            parts.push(Part::All { tracks, free_views });
+        }
+        Self { parts, noise: Noise::Measured { sigma_px }, options }
     }
 
-    fn trial(&self, map: &Map<'_>, freedom: Freedom) -> Problem {
-        adjustment::build(map, &self.tracks, &self.free_views, freedom, self.noise, self.options).0
+    fn trial(&self, map: &Map<'_>, part: &Part, freedom: Freedom) -> Problem {
+        match part {
+            Part::All { tracks, free_views } => {
+                adjustment::build(map, tracks, free_views, freedom, self.noise, self.options).0
+            }
+            Part::Stretch { stretch, .. } => adjustment::build_stretch(map, stretch, freedom, self.noise, self.options),
+        }
     }
 
-    fn adjusted(&self, mut problem: Problem) -> Result<Adjusted, SfmError> {
+    /// All parts after adjustment, each from what `change` makes of it.
+    fn adjusted(&self, map: &Map<'_>, freedom: Freedom, change: &dyn Fn(&mut Problem)) -> Result<Adjusted, SfmError> {
         let loss = self.options.loss(self.noise);
         let bundle_options =
             bundle::Options { loss, max_iterations: 20, function_tolerance: 1e-5, ..bundle::Options::default() };
-        let cost = bundle::adjust(&mut problem, &bundle_options)?.final_cost;
-        Ok(Adjusted { cost, by_group: costs_by_group(&problem, loss) })
+        let mut total = Adjusted { cost: 0.0, by_group: vec![0.0; NUM_GROUPS] };
+        for part in &self.parts {
+            let mut problem = self.trial(map, part, freedom);
+            change(&mut problem);
+            total.cost += bundle::adjust(&mut problem, &bundle_options)?.final_cost;
+            add_costs_by_group(&problem, loss, part.time(), &mut total.by_group);
+        }
+        Ok(total)
     }
 }
 
-/// ½ Σ ρ of the points of each group; a point belongs where the middle of its observations lies.
-fn costs_by_group(problem: &Problem, loss: RobustLoss) -> Vec<f64> {
+/// Adds ½ Σ ρ of the points of each group; a point belongs where the middle of its observations lies.
+fn add_costs_by_group(problem: &Problem, loss: RobustLoss, [start, length]: [f64; 2], costs: &mut [f64]) {
     let mut points = vec![(0.0, [0.0; 3], 0.0); problem.points.len()];
     for o in &problem.observations {
         let pose = &problem.poses[o.pose as usize];
@@ -245,15 +280,14 @@ fn costs_by_group(problem: &Problem, loss: RobustLoss) -> Vec<f64> {
         *cost += 0.5 * loss.evaluate(o.whitening.norm_sq(error))[0];
         *count += 1.0;
         let [width, height] = [camera.width, camera.height].map(f64::from);
-        let at = [o.pixel.x / width, o.pixel.y / height, f64::from(o.pose) / problem.poses.len() as f64];
+        let time = start + length * f64::from(o.pose) / problem.poses.len() as f64;
+        let at = [o.pixel.x / width, o.pixel.y / height, time];
         place.iter_mut().zip(at).for_each(|(sum, at)| *sum += at);
     }
-    let mut costs = vec![0.0; NUM_GROUPS];
     for (cost, place, count) in points.into_iter().filter(|(cost, ..)| cost.is_finite()) {
         let cell = |k: usize| ((place[k] / f64::max(count, 1.0) * GROUPS[k] as f64) as usize).min(GROUPS[k] - 1);
         costs[(cell(2) * GROUPS[1] + cell(1)) * GROUPS[0] + cell(0)] += cost;
     }
-    costs
 }
 
 /// Whether a lens like this is built: a field of view between 9 and 157 degrees over the longer side, and distortion

@@ -4,6 +4,7 @@ mod joints;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use nalgebra::{Point2, Point3};
 
@@ -13,7 +14,7 @@ use crate::camera::Camera;
 use crate::math::{Rigid3, upper_median};
 use crate::scene::{CameraId, Image, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 use crate::sfm::resection::PixelsAndPoints;
-use crate::sfm::tracks::TrackTable;
+use crate::sfm::tracks::{self, Feature, Track, TrackTable};
 use crate::sfm::triangulation::{self, Limits, View, widest_angle};
 
 /// A track whose point is known.
@@ -25,10 +26,38 @@ pub struct MapPoint {
     pub active: Vec<bool>,
 }
 
+/// What is reconstructed. Its tracks are a copy where joints had to be taken apart; its views, which take most of the
+/// room, never are.
+#[derive(Clone)]
+pub struct Table<'a> {
+    /// As in [`TrackTable`].
+    pub views: &'a [tracks::View],
+    /// As in [`TrackTable`].
+    pub tracks: Cow<'a, [Track]>,
+}
+
+impl<'a> Table<'a> {
+    fn of(table: &'a TrackTable) -> Self {
+        Self { views: &table.views, tracks: Cow::Borrowed(&table.tracks) }
+    }
+
+    /// Position of a feature.
+    pub fn pixel(&self, feature: Feature) -> Point2<f64> {
+        self.views[feature.view as usize].pixels[feature.feature as usize]
+    }
+
+    /// How exactly a feature is located.
+    pub fn whitening(&self, feature: Feature) -> Whitening {
+        self.views[feature.view as usize].whitening_of(feature.feature)
+    }
+}
+
 /// Features of each view that belong to tracks.
-fn slots_of_view(table: &TrackTable) -> Vec<Vec<Slot>> {
-    let mut slots = vec![Vec::new(); table.views.len()];
-    for (track, features) in (0..).zip(&table.tracks) {
+fn slots_of_view(table: &Table<'_>) -> Vec<Vec<Slot>> {
+    let mut counts = vec![0; table.views.len()];
+    table.tracks.iter().flatten().for_each(|feature| counts[feature.view as usize] += 1);
+    let mut slots: Vec<Vec<Slot>> = counts.into_iter().map(Vec::with_capacity).collect();
+    for (track, features) in (0..).zip(table.tracks.iter()) {
         for (slot, feature) in (0..).zip(features) {
             slots[feature.view as usize].push(Slot { track, slot });
         }
@@ -48,8 +77,8 @@ pub struct Slot {
 /// Poses and points found so far.
 #[derive(Clone)]
 pub struct Map<'a> {
-    /// What is reconstructed; a copy where joints of tracks had to be taken apart.
-    pub table: Cow<'a, TrackTable>,
+    /// What is reconstructed.
+    pub table: Table<'a>,
     /// Intrinsics.
     pub cameras: Vec<Camera>,
     /// Intrinsics as they were at the start.
@@ -64,11 +93,14 @@ pub struct Map<'a> {
     slots_of_view: Vec<Vec<Slot>>,
     /// How many of them have a known point.
     num_visible: Vec<usize>,
+    /// Whether places come back, so that views far from one another see common points.
+    pub comes_back: bool,
 }
 
 impl<'a> Map<'a> {
     /// Nothing known yet.
     pub fn new(table: &'a TrackTable, cameras: &[Camera]) -> Self {
+        let table = Table::of(table);
         Self {
             cameras: cameras.to_vec(),
             guess: cameras.to_vec(),
@@ -76,8 +108,9 @@ impl<'a> Map<'a> {
             poses: vec![None; table.views.len()],
             points: vec![None; table.tracks.len()],
             num_visible: vec![0; table.views.len()],
-            slots_of_view: slots_of_view(table),
-            table: Cow::Borrowed(table),
+            slots_of_view: slots_of_view(&table),
+            comes_back: false,
+            table,
         }
     }
 
@@ -237,25 +270,50 @@ impl<'a> Map<'a> {
     /// Adds the registered views that see known points and fit, and takes out observations that do not, points with
     /// fewer than two observations, and points without an angle. Returns how many observations changed.
     pub fn update_observations(&mut self, limits: &Limits) -> usize {
-        let mut changed = 0;
+        (0..self.points.len()).map(|track| self.update_point(track, limits)).sum()
+    }
+
+    /// The same of one point.
+    fn update_point(&mut self, track: usize, limits: &Limits) -> usize {
         let max_sq = limits.max_error_px * limits.max_error_px;
-        for track in 0..self.points.len() {
-            let Some(point) = &self.points[track] else { continue };
-            let position = point.position;
-            let fits = |slot: usize| self.view_at(track, slot).is_some_and(|v| v.error_sq(position) <= max_sq);
-            let active: Vec<bool> = (0..point.active.len()).map(fits).collect();
-            changed += active.iter().zip(&point.active).filter(|(a, b)| a != b).count();
-            let centers = (0..active.len())
-                .filter(|&slot| active[slot])
-                .filter_map(|slot| self.pose_at(track, slot).map(Rigid3::center));
-            let enough = active.iter().filter(|&&a| a).count() >= 2;
-            if enough && widest_angle(position, centers) >= limits.min_angle {
-                self.points[track] = Some(MapPoint { position, active });
-            } else {
-                self.set_point(track, None);
-            }
+        let Some(point) = &self.points[track] else { return 0 };
+        let position = point.position;
+        let fits = |slot: usize| self.view_at(track, slot).is_some_and(|v| v.error_sq(position) <= max_sq);
+        let active: Vec<bool> = (0..point.active.len()).map(fits).collect();
+        let changed = active.iter().zip(&point.active).filter(|(a, b)| a != b).count();
+        let centers = (0..active.len())
+            .filter(|&slot| active[slot])
+            .filter_map(|slot| self.pose_at(track, slot).map(Rigid3::center));
+        let enough = active.iter().filter(|&&a| a).count() >= 2;
+        if enough && widest_angle(position, centers) >= limits.min_angle {
+            self.points[track] = Some(MapPoint { position, active });
+        } else {
+            self.set_point(track, None);
         }
         changed
+    }
+
+    /// Triangulates anew what some views see, leaving out points for which `keep` holds (they were adjusted already),
+    /// and adds and takes out observations of all that they see.
+    pub fn renew(&mut self, views: Range<usize>, limits: &Limits, keep: &[bool]) {
+        let mut tracks: Vec<usize> =
+            self.slots_of_view[views].iter().flatten().map(|slot| slot.track as usize).collect();
+        tracks.sort_unstable();
+        tracks.dedup();
+        for track in tracks {
+            if !keep[track] {
+                self.set_point(track, None);
+                self.triangulate(track, limits);
+            }
+            self.update_point(track, limits);
+        }
+    }
+
+    /// Looks whether points were lost for more than so many views and found again, more than chance would have it.
+    pub fn look_for_places_that_come_back(&mut self, gap: usize) {
+        const FEW: usize = 20;
+        let is_far = |pair: &[Feature]| (pair[1].view - pair[0].view) as usize > gap;
+        self.comes_back = self.table.tracks.iter().filter(|track| track.windows(2).any(is_far)).nth(FEW).is_some();
     }
 
     fn set_point(&mut self, track: usize, point: Option<MapPoint>) {
@@ -303,10 +361,13 @@ impl<'a> Map<'a> {
     }
 
     /// Robust noise of the observations: the median distance to the projection, as the standard deviation of a
-    /// coordinate under Gaussian noise (a Rayleigh median is 1.177 σ).
+    /// coordinate under Gaussian noise (a Rayleigh median is 1.177 σ). Of long videos a part of the tracks, all over
+    /// them, tells as much as all.
     pub fn noise(&self) -> Noise {
         const RAYLEIGH_MEDIAN: f64 = 1.177_41;
+        const ENOUGH_TRACKS: usize = 20_000;
         let errors: Vec<f64> = (0..self.points.len())
+            .step_by((self.points.len() / ENOUGH_TRACKS).max(1))
             .filter_map(|track| Some((track, self.points[track].as_ref()?.position)))
             .flat_map(|(track, position)| {
                 self.observations(track)
@@ -318,33 +379,22 @@ impl<'a> Map<'a> {
 
     /// The result, in COLMAP's terms: registered views with all their features, points with their observations.
     pub fn into_reconstruction(self) -> Reconstruction {
-        let camera_id = |camera: usize| CameraId(camera as u32 + 1);
+        let views = self.table.views;
+        self.into_found().with_views(views.iter().cloned())
+    }
+
+    /// What was found, without the views that it was found in.
+    pub fn into_found(mut self) -> Found {
+        self.slots_of_view = Vec::new();
         let cameras = self.cameras.iter().enumerate().map(|(i, c)| (camera_id(i), *c)).collect();
-        let mut images = BTreeMap::new();
-        for (view, pose) in self.poses.iter().enumerate() {
-            let (Some(pose), source) = (pose, &self.table.views[view]) else { continue };
-            let observations = source.pixels.iter().map(|&pixel| Observation { pixel, point: None }).collect();
-            let image = Image {
-                name: source.name.clone(),
-                camera: camera_id(source.camera),
-                cam_from_world: *pose,
-                observations,
-            };
-            images.insert(source.image, image);
-        }
         let mut points = BTreeMap::new();
         for track in 0..self.points.len() {
             if let Some(point) = self.colmap_point(track) {
-                let id = Point3dId(points.len() as u64 + 1);
-                for element in &point.track {
-                    if let Some(image) = images.get_mut(&element.image) {
-                        image.observations[element.observation_idx as usize].point = Some(id);
-                    }
-                }
-                points.insert(id, point);
+                points.insert(Point3dId(points.len() as u64 + 1), point);
             }
+            self.points[track] = None;
         }
-        Reconstruction { cameras, images, points, ..Reconstruction::default() }
+        Found { cameras, poses: self.poses, points }
     }
 
     fn colmap_point(&self, track: usize) -> Option<Point3d> {
@@ -364,5 +414,37 @@ impl<'a> Map<'a> {
         let n = elements.len();
         let rgb = rgb_sum.map(|sum| (sum / (n as u32).max(1)) as u8);
         (n >= 2).then(|| Point3d { position, rgb, error_px: error_sum / n as f64, track: elements })
+    }
+}
+
+fn camera_id(camera: usize) -> CameraId {
+    CameraId(camera as u32 + 1)
+}
+
+/// A map without its views.
+pub struct Found {
+    cameras: BTreeMap<CameraId, Camera>,
+    poses: Vec<Option<Rigid3>>,
+    points: BTreeMap<Point3dId, Point3d>,
+}
+
+impl Found {
+    /// The whole, with the views that it was found in: each may go as soon as its features are taken over.
+    pub fn with_views(self, views: impl Iterator<Item = tracks::View>) -> Reconstruction {
+        let mut images = BTreeMap::new();
+        for (pose, view) in self.poses.iter().zip(views) {
+            let Some(cam_from_world) = *pose else { continue };
+            let observations = view.pixels.iter().map(|&pixel| Observation { pixel, point: None }).collect();
+            let image = Image { name: view.name, camera: camera_id(view.camera), cam_from_world, observations };
+            images.insert(view.image, image);
+        }
+        for (&id, point) in &self.points {
+            for element in &point.track {
+                if let Some(image) = images.get_mut(&element.image) {
+                    image.observations[element.observation_idx as usize].point = Some(id);
+                }
+            }
+        }
+        Reconstruction { cameras: self.cameras, images, points: self.points, ..Reconstruction::default() }
     }
 }

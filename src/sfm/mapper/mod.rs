@@ -24,6 +24,7 @@ mod starts;
 #[cfg(test)]
 mod tests;
 mod view_graph;
+mod windows;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -43,6 +44,7 @@ use crate::limits::{Checked, ordered, within};
 use crate::math::RobustLoss;
 use crate::scene::Reconstruction;
 use growth::SubMap;
+use map::Found;
 use starts::Task;
 
 /// How a map is built.
@@ -295,13 +297,56 @@ pub fn reconstruct_watched(
     beside: Beside<'_>,
     watch: &mut dyn FnMut(f64),
 ) -> Result<(Reconstruction, Report), SfmError> {
+    let (found, report) = found(table, cameras, intrinsics.into(), options, seed, beside, watch)?;
+    Ok(with_views(found, report, table.views.iter().cloned()))
+}
+
+/// As [`reconstruct_watched`], of tracks that are not needed any more: those of a long video and the map that is made of
+/// them do not lie in memory together.
+///
+/// # Errors
+/// As [`reconstruct`].
+pub fn reconstruct_consuming(
+    table: TrackTable,
+    cameras: &[Camera],
+    intrinsics: impl Into<KnownIntrinsics>,
+    options: &Options,
+    seed: u64,
+    beside: Beside<'_>,
+    watch: &mut dyn FnMut(f64),
+) -> Result<(Reconstruction, Report), SfmError> {
+    let (found, report) = found(&table, cameras, intrinsics.into(), options, seed, beside, watch)?;
+    let TrackTable { views, tracks } = table;
+    drop(tracks);
+    Ok(with_views(found, report, views.into_iter()))
+}
+
+fn with_views(
+    found: Option<Found>,
+    mut report: Report,
+    views: impl Iterator<Item = super::tracks::View>,
+) -> (Reconstruction, Report) {
+    let reconstruction = found.map(|found| found.with_views(views)).unwrap_or_default();
+    report.mean_error_px = reconstruction.mean_reprojection_error_px();
+    (reconstruction, report)
+}
+
+fn found(
+    table: &TrackTable,
+    cameras: &[Camera],
+    known: KnownIntrinsics,
+    options: &Options,
+    seed: u64,
+    beside: Beside<'_>,
+    watch: &mut dyn FnMut(f64),
+) -> Result<(Option<Found>, Report), SfmError> {
     options.check()?;
-    let (options, known) = (&options.at_focal(cameras), intrinsics.into());
+    let options = &options.at_focal(cameras);
     let task = Task { table, cameras, known: &known, options, beside };
     let starts = task.grow_from_starts(seed, watch)?;
     let Some(mut growth) = starts.best else {
         let report = Report::without_start(table, starts.pairs.len(), starts.tried, &starts.survey);
-        return Ok((Reconstruction::default(), report));
+        return Ok((None, report));
     };
     if options.ordered && options.min_starts > 1 {
         growth = task.best_of_rounds(growth, seed)?;
@@ -312,8 +357,6 @@ pub fn reconstruct_watched(
         Ok(task.grow_from_starts(seed, &mut |_| {})?.best.as_ref().map(SubMap::of))
     })?;
     let (map, mut report) = growth.into_result();
-    let reconstruction = map.into_reconstruction();
     report.num_starts = starts.tried;
-    report.mean_error_px = reconstruction.mean_reprojection_error_px();
-    Ok((reconstruction, report))
+    Ok((Some(map.into_found()), report))
 }

@@ -18,7 +18,7 @@
 //! with the number of its points; a view that has more against it than for it is taken out, the worst first, and what
 //! it was blamed for is taken back.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 
 use nalgebra::Vector2;
 
@@ -59,8 +59,10 @@ pub struct Thresholds {
 
 /// The pairs of views that share most points.
 pub struct ViewGraph {
-    /// Views and the tracks that they have in common.
-    pairs: Vec<([usize; 2], Vec<u32>)>,
+    pairs: BTreeSet<[usize; 2]>,
+    /// By view, ascending. What two views have in common is looked up when it is needed: that of all pairs of a long
+    /// video would take as much room as its tracks.
+    tracks_of: Vec<Vec<u32>>,
     thresholds: Thresholds,
     seed: u64,
 }
@@ -73,7 +75,7 @@ impl ViewGraph {
         for (index, track) in tracks.iter().enumerate() {
             track.iter().for_each(|f| tracks_of[f.view as usize].push(index as u32));
         }
-        let mut chosen: BTreeMap<[usize; 2], Vec<u32>> = BTreeMap::new();
+        let mut pairs = BTreeSet::new();
         let mut shared = vec![0usize; tracks_of.len()];
         for (view, own) in tracks_of.iter().enumerate() {
             shared.fill(0);
@@ -84,14 +86,16 @@ impl ViewGraph {
             let mut partners: Vec<usize> = (0..shared.len()).filter(is_partner).collect();
             partners.sort_by_key(|&other| (usize::MAX - shared[other], other));
             for other in partners.into_iter().take(MAX_PARTNERS) {
-                chosen.entry([view.min(other), view.max(other)]).or_default();
+                pairs.insert([view.min(other), view.max(other)]);
             }
         }
-        for ([a, b], common) in &mut chosen {
-            let seen_by_b = |&&track: &&u32| tracks_of[*b].binary_search(&track).is_ok();
-            common.extend(tracks_of[*a].iter().filter(seen_by_b));
-        }
-        Self { pairs: chosen.into_iter().collect(), thresholds, seed }
+        Self { pairs, tracks_of, thresholds, seed }
+    }
+
+    /// Tracks that two views have in common.
+    fn common(&self, [a, b]: [usize; 2]) -> Vec<u32> {
+        let seen_by_b = |track: &&u32| self.tracks_of[b].binary_search(track).is_ok();
+        self.tracks_of[a].iter().filter(seen_by_b).copied().collect()
     }
 
     /// What pairs of registered views say; of those of one view only, where one is given.
@@ -101,9 +105,10 @@ impl ViewGraph {
         };
         self.pairs
             .iter()
-            .filter(|(views, _)| wanted(views))
-            .filter_map(|(views, tracks)| {
-                let said = [self.opinion(map, *views, tracks), self.fine_opinion(map, *views, tracks)];
+            .filter(|views| wanted(views))
+            .filter_map(|views| {
+                let tracks = self.common(*views);
+                let said = [self.opinion(map, *views, &tracks), self.fine_opinion(map, *views, &tracks)];
                 // What speaks against the map goes before what speaks for it.
                 said.into_iter().flatten().max_by_key(|opinion| (opinion.contradicting, opinion.agreeing))
             })

@@ -37,6 +37,7 @@ impl Growth<'_> {
         }
         self.map.update_observations(&self.limits());
         let num_apart = self.map.take_joints_apart();
+        self.map.look_for_places_that_come_back(self.options.max_track_views);
         tracing::debug!("{num_apart} tracks do not go on where they were found again");
         Ok(())
     }

@@ -17,7 +17,7 @@ use crate::camera::Camera;
 use crate::math::{Rigid3, Sim3, seeded_rng};
 use crate::sfm::SfmError;
 use crate::sfm::mapper::adjustment::Scope;
-use crate::sfm::mapper::map::Slot;
+use crate::sfm::mapper::map::{Slot, Table};
 use crate::sfm::mapper::{Intrinsics, KnownIntrinsics, Noise, Reason};
 use crate::sfm::tracks::{Feature, TrackTable};
 use crate::sfm::triangulation;
@@ -281,7 +281,7 @@ impl Growth<'_> {
 }
 
 /// The table of some views only, given in ascending order.
-fn table_of(table: &TrackTable, views: &[usize]) -> TrackTable {
+fn table_of(table: &Table<'_>, views: &[usize]) -> TrackTable {
     let mut index = vec![None; table.views.len()];
     (0u32..).zip(views).for_each(|(k, &view)| index[view] = Some(k));
     let kept = |feature: &Feature| Some(Feature { view: index[feature.view as usize]?, ..*feature });

@@ -19,10 +19,10 @@ impl Map<'_> {
             }
         }
         for (track, parts) in &apart {
-            let features = std::mem::take(&mut self.table.to_mut().tracks[*track]);
+            let features = std::mem::take(&mut self.table.tracks.to_mut()[*track]);
             let is_apart = |slot: usize| parts.iter().any(|part| part.contains(&slot));
             let kept = |slot: &usize| !is_apart(*slot);
-            let tracks = &mut self.table.to_mut().tracks;
+            let tracks = self.table.tracks.to_mut();
             tracks[*track] = (0..features.len()).filter(kept).map(|slot| features[slot]).collect();
             tracks.extend(parts.iter().map(|part| features[part.clone()].to_vec()));
             if let Some(point) = &mut self.points[*track] {

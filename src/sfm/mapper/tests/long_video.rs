@@ -61,3 +61,26 @@ fn where_the_camera_stands_no_track_is_cut() {
     // 0.1 px at 900 px focal length and 15 units distance are 1.7 thousandths; hundreds of points average that down.
     assert!(error < 0.002, "{error}");
 }
+
+#[test]
+fn more_views_than_are_adjusted_at_once_are_as_exact() {
+    // Without turns the motion would not tell the focal length.
+    let turned = |pose: &Rigid3| {
+        let center = pose.center();
+        let turn = Vector3::new((0.5 * center.x).sin(), (0.3 * center.x).cos(), (0.9 * center.x).sin()) * 0.1;
+        Rigid3::from_rotation_and_center(UnitQuaternion::from_scaled_axis(turn), center)
+    };
+    let poses: Vec<Rigid3> = flight([1000, 0, 0]).iter().map(turned).collect();
+    let shifted = |part: u32| landscape_along(25.0).into_iter().map(move |p| p + 25.0 * f64::from(part) * Vector3::x());
+    let points: Vec<_> = (0..4).flat_map(shifted).collect();
+    let mut table = seen_by_all(&camera(), &poses, &points, 0.2);
+    let (options, guess) = (Options::background(), Camera::prior(960, 540));
+    cut_long_tracks(&mut table, &[guess], Intrinsics::Refined, &options, 1);
+    let (found, report) = reconstruct(&table, &[guess], Intrinsics::Refined, &options, 1).unwrap();
+    assert_eq!(report.num_registered(), 1000);
+    let focal = found.cameras.values().next().unwrap().mean_focal();
+    let deviation = report.focal_deviation().unwrap();
+    assert!((focal / 900.0 - 1.0).abs() < 3.0 * deviation && deviation < 0.01, "{focal} {deviation}");
+    let error = center_error(&found, &World { camera: camera(), poses, points: Vec::new() });
+    assert!(error < 0.05, "{error}");
+}
