@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 mod finish;
+mod hinges;
 mod known_poses;
 mod leaps;
 mod loops;

@@ -1,6 +1,6 @@
 //! Which pair a map starts from, and which of several maps is taken.
 
-use super::growth::{self, Growth};
+use super::growth::{self, Growth, KnownPoses};
 use super::initial_pair::{self, InitialPair};
 use super::map::Map;
 use super::motion::Survey;
@@ -46,6 +46,9 @@ const SAME_WORTH: f64 = 0.003;
 
 /// Rounds of starts that are made at most.
 const MAX_ROUNDS: u64 = 4;
+
+/// Folds of a map that are taken out at most.
+const MAX_FOLDS: usize = 3;
 
 /// Between the seeds of two rounds: far from those that people give.
 const ROUND_STRIDE: u64 = 0x9E37_79B9_7F4A_7C15;
@@ -116,15 +119,20 @@ impl<'a> Task<'a> {
     /// points hold.
     fn grow_from_known_poses(&self, seed: u64) -> Result<Option<(f64, Growth<'a>)>, SfmError> {
         let Some(known) = self.beside.poses else { return Ok(None) };
+        self.grow_from(known, seed)
+    }
+
+    /// The map that grows from poses, with its worth; `None` where no points hold.
+    fn grow_from(&self, poses: &KnownPoses, seed: u64) -> Result<Option<(f64, Growth<'a>)>, SfmError> {
         let map = Map::new(self.table, self.cameras).knowing(self.known.clone());
         let mut growth = Growth::new(map, self.options, seed);
-        if !growth.start_from(known)? {
+        if !growth.start_from(poses)? {
             return Ok(None);
         }
         growth.grow(&mut |_| {})?;
         growth.finish()?;
         let worth = self.worth(&growth);
-        tracing::debug!("from known poses: {} views, worth {worth:.0}", growth.num_registered());
+        tracing::debug!("from poses: {} views, worth {worth:.0}", growth.num_registered());
         Ok(Some((worth, growth)))
     }
 
@@ -195,6 +203,23 @@ impl<'a> Task<'a> {
             }
         }
         Ok(best.1)
+    }
+
+    /// A video's map without its folds: the shorter side of each is grown anew from the longer one, and what comes of it
+    /// is taken where it lies flatter and explains about as much.
+    pub fn without_folds(&self, mut best: Growth<'a>, seed: u64) -> Result<Growth<'a>, SfmError> {
+        for _ in 0..MAX_FOLDS {
+            let Some(hinge) = best.hinge() else { break };
+            let Some((worth, other)) = self.grow_from(&best.longer_side(&hinge), seed)? else { break };
+            let before = self.worth(&best);
+            tracing::debug!("{hinge:?}, worth {before:.0}; {worth:.0} without it, with {:?}", other.hinge());
+            let is_flatter = other.hinge().is_none_or(|left| left.turn < hinge.turn && left.views != hinge.views);
+            if !is_flatter || worth < (1.0 - SAME_WORTH) * before {
+                break;
+            }
+            best = other;
+        }
+        Ok(best)
     }
 
     /// The map of all tracks that a map of those that are cut at their gaps becomes.
