@@ -148,7 +148,9 @@ impl<const D: usize> Sums<D> {
                     &residual.d_view,
                 );
                 for (r, row) in block.iter_mut().enumerate() {
-                    *row = std::array::from_fn(|c| F::mul_add(a[r], p[c], b[r] * q[c]));
+                    for (c, value) in row.iter_mut().enumerate() {
+                        *value = F::mul_add(a[r], p[c], b[r] * q[c]);
+                    }
                 }
             }
             self.coupling.push(block);

@@ -250,7 +250,8 @@ impl<const D: usize> OnePoint<D> {
         self.slot_eliminated[..layout.slots_of_point(point).len()].fill([[0.0; 6]; 3]);
         self.terms.eliminate(layout.point_fixed[point], damping);
         for (k, o) in layout.obs_of_point(point).enumerate() {
-            let q = self.d_points[k].map(|row| self.terms.forward_solve(&row));
+            let [a, b] = &self.d_points[k];
+            let q = [self.terms.forward_solve(a), self.terms.forward_solve(b)];
             self.residuals[k].eliminated = q;
             if layout.obs_slot.get(o).is_some_and(|slot| *slot != NONE) {
                 let y = &mut self.slot_eliminated[layout.obs_slot[o] as usize - self.first_slot];

@@ -81,14 +81,15 @@ pub(super) fn linearize<const D: usize, F: Fused>(
     let (pixel, whitening) = (&measured.pixel, &measured.whitening);
     let plain = whitening.apply([projection.pixel.x - pixel.x, projection.pixel.y - pixel.y]);
     let (cost, root) = robust_cost_and_root(loss, &plain);
-    let weight = Whitening(whitening.0.map(|w| w * root));
+    let [xx, xy, yy] = whitening.0;
+    let weight = Whitening([xx * root, xy * root, yy * root]);
     let mut out =
         Residual { value: [plain[0] * root, plain[1] * root], d_view: [[0.0; D]; 2], eliminated: [[0.0; 3]; 2] };
     let r = &view.rotation;
-    let whitened: [[f64; 2]; 3] =
-        std::array::from_fn(|k| weight.apply([projection.d_point[(0, k)], projection.d_point[(1, k)]]));
+    let column = |k: usize| weight.apply([projection.d_point[(0, k)], projection.d_point[(1, k)]]);
+    let whitened = [column(0), column(1), column(2)];
     for i in 0..2 {
-        let d = whitened.map(|column| column[i]);
+        let d = [whitened[0][i], whitened[1][i], whitened[2][i]];
         // Eq. 3: ∂p/∂ω = −[p]ₓ, so a row d becomes p × d; ∂p/∂v = I.
         let row = &mut out.d_view[i];
         row[0] = F::mul_add(p[1], d[2], -(p[2] * d[1]));
@@ -101,15 +102,15 @@ pub(super) fn linearize<const D: usize, F: Fused>(
     }
     let columns = &view.columns;
     if columns.len > 0 {
-        let intrinsic = |i: usize, k: usize| {
+        let room = if derivatives.d_shared.is_some() { 6 } else { D - POSE_DIM };
+        for k in 0..columns.len.min(room) {
             let source = columns.source[k];
-            let tied = |i: usize| if source == 0 { columns.aspect * projection.d_intrinsics[(i, 1)] } else { 0.0 };
-            weight.apply([0, 1].map(|i| projection.d_intrinsics[(i, source)] + tied(i)))[i]
-        };
-        for i in 0..2 {
+            let aspect = if source == 0 { columns.aspect } else { 0.0 };
+            let by = |i: usize| projection.d_intrinsics[(i, source)] + aspect * projection.d_intrinsics[(i, 1)];
+            let [first, second] = weight.apply([by(0), by(1)]);
             match &mut derivatives.d_shared {
-                Some(shared) => (0..columns.len.min(6)).for_each(|k| shared[i][k] = intrinsic(i, k)),
-                None => (0..columns.len.min(D - POSE_DIM)).for_each(|k| out.d_view[i][POSE_DIM + k] = intrinsic(i, k)),
+                Some(shared) => (shared[0][k], shared[1][k]) = (first, second),
+                None => (out.d_view[0][POSE_DIM + k], out.d_view[1][POSE_DIM + k]) = (first, second),
             }
         }
     }

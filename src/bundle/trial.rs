@@ -97,7 +97,7 @@ impl<const D: usize> Task for MovePoints<'_, D> {
                 delta = back_substitute::<D, F>(pass.layout, one, step, point);
                 out.decrease += one.terms.predicted_decrease(&delta, damping);
             }
-            let moved = std::array::from_fn(|k| before[k] + delta[k]);
+            let moved = [before[0] + delta[0], before[1] + delta[1], before[2] + delta[2]];
             let (position, cost) = settled::<D, F>(pass, one, views, point, moved);
             points[place] = position;
             out.cost += cost;
@@ -144,7 +144,7 @@ fn settled<const D: usize, F: Fused>(
         return (position, cost);
     }
     let step = terms.back_solve(&half_step);
-    let refined = std::array::from_fn(|k| position[k] - step[k]);
+    let refined = [position[0] - step[0], position[1] - step[1], position[2] - step[2]];
     let refined_cost = cost_of_point(pass, views, point, &refined);
     if refined_cost < cost { (refined, refined_cost) } else { (position, cost) }
 }
@@ -162,7 +162,7 @@ fn back_substitute<const D: usize, F: Fused>(
         let block = layout.obs_block[o];
         if block != NONE {
             let d: &[f64] = &step[block as usize * D..][..D];
-            let moved = residual.d_view.map(|row| dot::<D, F>(&row, d));
+            let moved = [dot::<D, F>(&residual.d_view[0], d), dot::<D, F>(&residual.d_view[1], d)];
             for k in 0..3 {
                 let q = [residual.eliminated[0][k], residual.eliminated[1][k]];
                 t[k] = F::mul_add(q[0], moved[0], F::mul_add(q[1], moved[1], t[k]));
@@ -175,7 +175,8 @@ fn back_substitute<const D: usize, F: Fused>(
             t[k] += dot::<6, F>(&eliminated[k], &step[first..first + 6]);
         }
     }
-    one.terms.back_solve(&t).map(|v| -v)
+    let [x, y, z] = one.terms.back_solve(&t);
+    [-x, -y, -z]
 }
 
 #[inline(always)]

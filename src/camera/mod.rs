@@ -152,7 +152,7 @@ impl Camera {
     }
 
     /// As [`Camera::pixel_from_cam`], with derivatives. `point_in_cam.z` must not be zero; its sign is not looked at.
-    #[inline]
+    #[inline(always)]
     pub fn project(&self, point_in_cam: Point3<f64>) -> Projection {
         let ([fx, fy], [k1, k2]) = (self.focal, self.radial);
         let inverse_z = 1.0 / point_in_cam.z;

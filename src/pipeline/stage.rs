@@ -103,12 +103,12 @@ impl Stage {
     /// not taken over.
     pub(super) fn revision(self) -> u32 {
         match self {
-            // Last raised with decisions 28 (docs/decisions), `Objects` and `Scale`, and 29, `Features`, `Motion` and
-            // `Follow`.
-            Self::Scale => 7,
-            Self::Objects => 6,
-            Self::Features | Self::Motion => 5,
-            Self::Ground | Self::Background | Self::Track | Self::Follow => 4,
+            // Last raised with decisions 29 (docs/decisions), `Features`, `Motion` and `Follow`, and 30, `Background`, and
+            // where folds are taken out, `Objects` and `Scale`.
+            Self::Scale => 8,
+            Self::Objects => 7,
+            Self::Features | Self::Motion | Self::Background => 5,
+            Self::Ground | Self::Track | Self::Follow => 4,
             Self::Segment => 3,
             _ => 1,
         }

@@ -52,14 +52,16 @@ pub(super) struct Measures {
     pub(super) step: f64,
     /// The step that stands out most.
     pub(super) jump: Jump,
+    /// The turn that stands out most, radians.
+    pub(super) turn: Jump,
     /// Typical speed, units of the background per unit of time.
     pub(super) speed: Option<f64>,
 }
 
-/// A step that is longer than those beside it.
+/// A step, or a turn, that is larger than those beside it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Jump {
-    /// By how much it is longer than the longest of the four beside it, each for the time it takes; 0 for none.
+    /// By how much it is larger than the largest of the four beside it, each for the time it takes; 0 for none.
     pub(super) beyond: f64,
     /// The frames before and after.
     pub(super) frames: [u32; 2],
@@ -86,7 +88,8 @@ impl Measures {
             reach: places.iter().map(|place| (place - places[0]).norm()).fold(0.0, f64::max),
             backwards: backwards(poses),
             jitter: median(places.iter().zip(&smooth).map(|(place, smooth)| (place - smooth).norm()).collect()),
-            jump: jump(poses),
+            jump: jump(poses, ObjectPose::distance_to),
+            turn: jump(poses, |a, b| a.world_from_object.rotation.angle_to(&b.world_from_object.rotation)),
             speed: speed(poses, &steps),
             step: median(steps).unwrap_or(0.0),
         }
@@ -194,9 +197,11 @@ fn backwards(poses: &[ObjectPose]) -> Option<f64> {
 }
 
 /// The step that stands out most.
-fn jump(poses: &[ObjectPose]) -> Jump {
+///
+/// * `between` – how far it is from one pose to another.
+fn jump(poses: &[ObjectPose], between: impl Fn(&ObjectPose, &ObjectPose) -> f64) -> Jump {
     let duration = |pair: &[ObjectPose]| f64::from((pair[1].frame.0 - pair[0].frame.0).max(1));
-    let steps: Vec<(f64, f64)> = poses.windows(2).map(|pair| (pair[0].distance_to(&pair[1]), duration(pair))).collect();
+    let steps: Vec<(f64, f64)> = poses.windows(2).map(|pair| (between(&pair[0], &pair[1]), duration(pair))).collect();
     let jump = |k: usize| {
         let beside = (k.saturating_sub(2)..(k + 3).min(steps.len())).filter(|&i| i != k);
         let expected = beside.map(|i| steps[i].0 / steps[i].1).fold(0.0, f64::max) * steps[k].1;

@@ -17,13 +17,16 @@ const JITTER_OF_STEP: f64 = 0.25;
 const BACKWARDS: [f64; 2] = [0.05, 0.2];
 /// Length of a step beyond those beside it, in heights of the vehicle; a vehicle is two to three of them long.
 const JUMP: [f64; 2] = [1.5, 6.0];
+/// Turn from one frame to the next beyond those beside it, radians. Vehicles that are right have up to 0.06, those whose
+/// model is folded or turned over 0.35 and more.
+const TURN: [f64; 2] = [0.17, 0.52];
 
 pub(super) fn reasons(measures: &Measures) -> Vec<Reason> {
     if measures.in_heights(measures.reach).is_none_or(|reach| reach < GOES_NOWHERE) {
         return Vec::new();
     }
-    let odd: Vec<Reason> =
-        [zigzag(measures), jitter(measures), backwards(measures), jumps(measures)].into_iter().flatten().collect();
+    let odd = [zigzag(measures), jitter(measures), backwards(measures), jumps(measures), turns(measures)];
+    let odd: Vec<Reason> = odd.into_iter().flatten().collect();
     match odd.is_empty() {
         true => vec![Reason::supports(Path, "its path is smooth and leads where it points")],
         false => odd,
@@ -49,6 +52,18 @@ fn jumps(measures: &Measures) -> Option<Reason> {
     let said =
         || format!("its path jumps by {} times its height between the frames {before} and {after}", times(heights));
     if beyond < measures.step { None } else { graded(heights, JUMP, said) }
+}
+
+fn turns(measures: &Measures) -> Option<Reason> {
+    let Jump { beyond, frames: [before, after] } = measures.turn;
+    let said = || {
+        format!(
+            "it turns by {:.0}° more between the frames {before} and {after} than beside them, which no vehicle does: its \
+             model is folded or turned over there",
+            beyond.to_degrees()
+        )
+    };
+    graded(beyond, TURN, said)
 }
 
 fn backwards(measures: &Measures) -> Option<Reason> {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::scale::{Answer, agreement, deviation};
 use super::*;
@@ -217,6 +217,23 @@ fn too_fast_backwards_and_jumping_paths_are_said() {
     moved(&mut back, |k| -way * (k.saturating_sub(50) as f64) * 2.0 / last as f64);
     let verdict = judge(&[back]).remove(0);
     assert!(verdict.against().any(|reason| reason.says.contains("backwards")), "{verdict:#?}");
+}
+
+#[test]
+fn a_model_that_is_folded_is_not_trusted() {
+    let turned = |degrees: f64| {
+        let mut car = car(1, 1.0, &usual());
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), degrees.to_radians());
+        for pose in &mut car.trajectory.poses[50..] {
+            pose.world_from_object.rotation *= turn;
+        }
+        let verdict = judge(&[car]).remove(0);
+        let says = verdict.reasons.iter().find(|reason| reason.says.contains("folded")).map(|reason| reason.finding);
+        (says, verdict.state == Trust::NotToBeTrusted)
+    };
+    assert_eq!(turned(0.0), (None, false));
+    assert_eq!(turned(20.0), (Some(Finding::Doubts), false));
+    assert_eq!(turned(60.0), (Some(Finding::Refutes), true));
 }
 
 #[test]
