@@ -350,8 +350,8 @@ fn found(
     };
     if options.ordered && options.min_starts > 1 {
         growth = task.best_of_rounds(growth, seed)?;
+        growth = task.without_folds(growth, seed)?;
     }
-    growth = task.without_folds(growth, seed)?;
     growth.join_left_over(&|rest, cameras, known| {
         // Of views that are left over, no other map says what the silhouettes have to tell apart.
         let task = Task { table: rest, cameras, known, options, beside: Beside::default() };
