@@ -2,8 +2,8 @@
 //!
 //! The compiler targets the oldest processor of its architecture; [`wide`] compiles its task a second time for AVX2
 //! with fused multiply-add and chooses at run time. Everything below must be inlined into the task to profit: where a
-//! closure is not, as those that `map` and `from_fn` of arrays take are not always, a multiplication with an addition is
-//! a function call.
+//! closure is not, as those that `map` and `from_fn` of arrays take are not always, a multiplication with an addition
+//! is a function call.
 
 use pulp::{Arch, Simd, WithSimd};
 

@@ -103,8 +103,8 @@ impl Stage {
     /// not taken over.
     pub(super) fn revision(self) -> u32 {
         match self {
-            // Last raised with decisions 29 (docs/decisions), `Features`, `Motion` and `Follow`, and 30, `Background`, and
-            // where folds are taken out, `Objects` and `Scale`.
+            // Last raised with decisions (docs/decisions) 29, `Features`, `Motion` and `Follow`, 30, `Background`, and
+            // 31, `Objects` and `Scale`.
             Self::Scale => 8,
             Self::Objects => 7,
             Self::Features | Self::Motion | Self::Background => 5,

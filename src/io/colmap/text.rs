@@ -1,5 +1,5 @@
-//! The text files: fields separated by blanks, `#` before comments, two lines per image. Of a file one line is in memory
-//! at a time: text takes more room than what it says.
+//! The text files: fields separated by blanks, `#` before comments, two lines per image. Of a file one line is in
+//! memory at a time: text takes more room than what it says.
 
 use std::collections::BTreeMap;
 use std::fs::File;

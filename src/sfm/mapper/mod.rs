@@ -301,8 +301,8 @@ pub fn reconstruct_watched(
     Ok(with_views(found, report, table.views.iter().cloned()))
 }
 
-/// As [`reconstruct_watched`], of tracks that are not needed any more: those of a long video and the map that is made of
-/// them do not lie in memory together.
+/// As [`reconstruct_watched`], of tracks that are not needed any more: those of a long video and the map that is made
+/// of them do not lie in memory together.
 ///
 /// # Errors
 /// As [`reconstruct`].

@@ -205,8 +205,8 @@ impl<'a> Task<'a> {
         Ok(best.1)
     }
 
-    /// A video's map without its folds: the shorter side of each is grown anew from the longer one, and what comes of it
-    /// is taken where it lies flatter and explains about as much.
+    /// A video's map without its folds: the shorter side of each is grown anew from the longer one, and what comes of
+    /// it is taken where it lies flatter and explains about as much.
     pub fn without_folds(&self, mut best: Growth<'a>, seed: u64) -> Result<Growth<'a>, SfmError> {
         for _ in 0..MAX_FOLDS {
             let Some(hinge) = best.hinge() else { break };

@@ -17,8 +17,8 @@ const JITTER_OF_STEP: f64 = 0.25;
 const BACKWARDS: [f64; 2] = [0.05, 0.2];
 /// Length of a step beyond those beside it, in heights of the vehicle; a vehicle is two to three of them long.
 const JUMP: [f64; 2] = [1.5, 6.0];
-/// Turn from one frame to the next beyond those beside it, radians. Vehicles that are right have up to 0.06, those whose
-/// model is folded or turned over 0.35 and more.
+/// Turn from one frame to the next beyond those beside it, radians. Vehicles that are right have up to 0.06, those
+/// whose model is folded or turned over 0.35 and more.
 const TURN: [f64; 2] = [0.17, 0.52];
 
 pub(super) fn reasons(measures: &Measures) -> Vec<Reason> {
@@ -58,8 +58,8 @@ fn turns(measures: &Measures) -> Option<Reason> {
     let Jump { beyond, frames: [before, after] } = measures.turn;
     let said = || {
         format!(
-            "it turns by {:.0}° more between the frames {before} and {after} than beside them, which no vehicle does: its \
-             model is folded or turned over there",
+            "it turns by {:.0}° more between the frames {before} and {after} than beside them, which no vehicle does: \
+             its model is folded or turned over there",
             beyond.to_degrees()
         )
     };
