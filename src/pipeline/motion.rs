@@ -56,9 +56,9 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
         return Ok(outcome);
     }
     let folder = run.workspace.keep_only(PREFIX, &fingerprint::folder_name(PREFIX, fingerprint))?;
-    let (background, _) = models::background(run)?;
     let Followed { frames, tracks } = followed::points(run, &folder, &mut outcome)?;
-    let world = World::new(run, &background, &frames, &mut outcome);
+    // Of a long video the background takes as much room as what comes now.
+    let world = World::new(run, &models::background(run)?.0, &frames, &mut outcome);
     let labels = classify(&tracks, &world.surroundings(run), &run.options.motion.evidence);
     let found = match finds(run) {
         true => movers(&tracks, &labels, &world.surroundings(run), &run.options.motion),
