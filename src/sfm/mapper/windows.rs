@@ -44,8 +44,8 @@ pub fn is_long(map: &Map<'_>, options: &Options) -> bool {
     options.ordered && map.cameras.len() == 1 && !map.comes_back && map.num_registered() > LONG
 }
 
-/// Adjusts the poses and points of a long map, every view in two windows; returns for every
-/// track whether its point took part.
+/// Adjusts the poses and points of a long map, every view in two windows; returns for every track whether its point
+/// took part.
 pub fn sweep(map: &mut Map<'_>, scope: &Scope, noise: Noise, options: &Options) -> Result<Vec<bool>, SfmError> {
     let views: Vec<usize> = map.registered().collect();
     let mut adjusted = vec![false; map.table.tracks.len()];

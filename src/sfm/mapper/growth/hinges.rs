@@ -27,8 +27,9 @@ impl Growth<'_> {
     /// The sharpest fold of a video's map.
     pub fn hinge(&self) -> Option<Hinge> {
         let views: Vec<usize> = if self.options.ordered { self.map.registered().collect() } else { Vec::new() };
-        let place = sharpest_fold(&self.turns(&views))?;
-        Some(Hinge { views: [views[place], views[place + 1]], turn: self.turns(&views[place..place + 2])[0] })
+        let turns = self.turns(&views);
+        let place = sharpest_fold(&turns)?;
+        Some(Hinge { views: [views[place], views[place + 1]], turn: turns[place] })
     }
 
     /// What the camera turns from each of some registered views to the next, radians per frame.
