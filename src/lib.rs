@@ -70,3 +70,6 @@ pub mod telemetry;
 pub mod trajectory;
 #[cfg(feature = "video")]
 pub mod video;
+
+/// Version of this build: that of the package, and, unless it is a tagged release, `+` and a hash of its sources.
+pub const VERSION: &str = env!("TRACTRIX_VERSION");

@@ -13,7 +13,7 @@ const EXIT_CODES: &str = "Exit codes: 0 done, 1 failed on the input, 2 wrong use
 
 /// Three-dimensional trajectories of the vehicles in one video from a moving camera.
 #[derive(Debug, Parser)]
-#[command(name = "tractrix", version, max_term_width = 100, after_help = EXIT_CODES)]
+#[command(name = "tractrix", version = crate::VERSION, max_term_width = 100, after_help = EXIT_CODES)]
 pub(super) struct Args {
     /// What to do
     #[command(subcommand)]

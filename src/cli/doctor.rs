@@ -72,7 +72,7 @@ impl Finding {
 
 pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     let mut findings = vec![
-        Finding::good("tractrix", format!("{} ({})", env!("CARGO_PKG_VERSION"), std::env::consts::ARCH)),
+        Finding::good("tractrix", format!("{} ({})", crate::VERSION, std::env::consts::ARCH)),
         processors(),
         memory(),
         opencv_library(),

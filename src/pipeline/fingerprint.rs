@@ -11,10 +11,14 @@ use sha2::{Digest, Sha256};
 use super::{PipelineError, Stage};
 use crate::limits::files;
 
-/// Hash of anything that can be written as JSON, and of the program's version.
+/// Hash of anything that can be written as JSON, and of the code: a program built from other sources has another one.
 pub(super) fn of_value(value: &impl Serialize) -> String {
-    let text = serde_json::to_vec(&(env!("CARGO_PKG_VERSION"), value))
-        .expect("options and hashes have string keys and finite numbers");
+    of_value_in(crate::VERSION, value)
+}
+
+fn of_value_in(version: &str, value: &impl Serialize) -> String {
+    let text =
+        serde_json::to_vec(&(version, value)).expect("options and hashes have string keys and finite numbers");
     hex(&Sha256::digest(&text))
 }
 
@@ -96,6 +100,14 @@ fn hex(bytes: &[u8]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_program_of_other_sources_has_other_fingerprints() {
+        let of = |version: &str| of_value_in(version, &json!([Stage::Scale, { "ratio": 1.5 }]));
+        assert_eq!(of("0.1.0+0123456789ab"), of("0.1.0+0123456789ab"));
+        assert_ne!(of("0.1.0+0123456789ab"), of("0.1.0+ba9876543210"));
+        assert_eq!(of(crate::VERSION), of_value(&json!([Stage::Scale, { "ratio": 1.5 }])));
+    }
 
     #[test]
     fn content_counts_and_place_does_not() {

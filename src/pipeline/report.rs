@@ -64,7 +64,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let data = Data {
         title: run.input().file_name().map_or_else(|| "input".into(), |name| name.to_string_lossy().into_owned()),
         input: input_facts(run, &background)?,
-        version: env!("CARGO_PKG_VERSION").to_owned(),
+        version: crate::VERSION.to_owned(),
         arguments: run.arguments.to_vec(),
         time_base: run.info().time_base(),
         frames,

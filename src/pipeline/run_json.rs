@@ -21,7 +21,7 @@ pub(super) fn write(run: &Run, error: Option<&str>) -> Result<(), PipelineError>
         stages.insert(record.stage.name().to_owned(), stage);
     }
     let document = json!({
-        "version": env!("CARGO_PKG_VERSION"),
+        "version": crate::VERSION,
         "arguments": run.arguments,
         "input": { "path": run.input().display().to_string(), "info": run.info(), "times": run.info().time_base() },
         "options": run.options,

@@ -99,8 +99,8 @@ impl Stage {
         found
     }
 
-    /// To be raised when a stage's results change although its options do not, so that results of older programs are
-    /// not taken over.
+    /// Revision of a stage's results, for releases: raised when they change although the options do not, so that results
+    /// of an older release are not reused. In every other build the hash of the sources ([`crate::VERSION`]) does that.
     pub(super) fn revision(self) -> u32 {
         match self {
             // Last raised with decisions (docs/decisions) 29, `Features`, `Motion` and `Follow`, 30, `Background`, and

@@ -99,7 +99,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) 
     let mut benchmark = Benchmark {
         version: VERSION,
         label: args.label.clone(),
-        program: env!("CARGO_PKG_VERSION").into(),
+        program: crate::VERSION.into(),
         arguments: arguments.clone(),
         num_sequences: sequences.len(),
         sequences: Vec::new(),

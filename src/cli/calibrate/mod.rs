@@ -85,7 +85,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) 
     };
     let mut calibration = Calibration {
         version: VERSION,
-        program: env!("CARGO_PKG_VERSION").into(),
+        program: crate::VERSION.into(),
         arguments: arguments.clone(),
         cases: Vec::new(),
         spreads: Vec::new(),

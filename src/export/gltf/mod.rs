@@ -82,7 +82,7 @@ fn container(path: &Path, document: &Value, buffer: &[u8]) -> Result<Vec<u8>, Ex
 fn asset(results: &Results) -> Value {
     json!({
         "version": "2.0",
-        "generator": concat!("tractrix ", env!("CARGO_PKG_VERSION")),
+        "generator": format!("tractrix {}", crate::VERSION),
         "extras": { "unit": results.unit(), "input": results.title },
     })
 }

@@ -68,7 +68,7 @@ fn page_context(data: &Data) -> Value {
     context! {
         title => names.join(" · "),
         sentences => comparison.others.iter().map(|other| sentence(other, comparison)).collect::<Vec<_>>(),
-        version => env!("CARGO_PKG_VERSION"),
+        version => crate::VERSION,
         arguments => data.arguments.join(" "),
         sides,
         table => comparison.table(),
