@@ -20,8 +20,7 @@ fn trajectory_error_m(flags: &[&str]) -> f64 {
     command.arg("run").arg(clip.join("video.mp4")).arg("--output").arg(&out).args(flags);
     let (code, _, stderr) = outcome(&mut command);
     assert_eq!(code, 0, "{stderr}");
-    let (code, stdout, stderr) =
-        outcome(tractrix().arg("evaluate").arg(&out).arg("--truth").arg(&clip).arg("--json"));
+    let (code, stdout, stderr) = outcome(tractrix().arg("evaluate").arg(&out).arg("--truth").arg(&clip).arg("--json"));
     assert_eq!(code, 0, "{stderr}");
     let evaluation: serde_json::Value = serde_json::from_str(&stdout).unwrap();
     evaluation["trajectory"]["mean_m"].as_f64().unwrap()
@@ -48,6 +47,7 @@ fn the_clip_with_masks_ground_and_intrinsics_given_stays_accurate() {
     let path = |name: &str| clip.join(name).display().to_string();
     let intrinsics = fs::read_to_string(clip.join("intrinsics.txt")).unwrap();
     let (masks, ground) = (path("masks"), path("semantic"));
-    let given = ["--masks", &masks, "--ground-masks", &ground, "--ground-label", "3", "--intrinsics", intrinsics.trim()];
+    let given =
+        ["--masks", &masks, "--ground-masks", &ground, "--ground-label", "3", "--intrinsics", intrinsics.trim()];
     assert_accurate(&given);
 }

@@ -148,3 +148,67 @@ fn no_line_is_wider_than_the_code() {
     };
     report(&files.iter().flat_map(wide).collect::<Vec<_>>());
 }
+
+/// First words of a doc summary that begins with a clause instead of an imperative or a noun phrase.
+const CLAUSES: [&str; 4] = ["What ", "Whether ", "How ", "By how much "];
+/// Words that engineers do not use in the sense in which the code used them (docs/glossary.md).
+const BANNED: [&str; 8] = ["anew", "beside", "once more", "told", "said", "passed over", "hangs on", "stands for"];
+/// Doc summaries and comment lines that still break the rules. A number here may only fall.
+const CLAUSES_LEFT: usize = 0;
+const BANNED_LEFT: usize = 0;
+
+/// Doc summaries of a source that begin with a clause: the first line of every block of `///` or `//!`.
+fn clauses(source: &str) -> usize {
+    let doc = |line: &str| {
+        let line = line.trim_start();
+        line.strip_prefix("///").or_else(|| line.strip_prefix("//!")).map(|text| text.trim_start().to_owned())
+    };
+    let mut before = None;
+    let mut count = 0;
+    for line in source.lines() {
+        let text = doc(line);
+        if before.is_none() && text.as_ref().is_some_and(|text| CLAUSES.iter().any(|clause| text.starts_with(clause))) {
+            count += 1;
+        }
+        before = text;
+    }
+    count
+}
+
+/// Banned words in the comments of a source.
+fn banned(source: &str) -> usize {
+    let comments = source.lines().filter_map(|line| line.split_once("//").map(|(_, comment)| comment.to_lowercase()));
+    let words = |comment: &str, word: &str| {
+        let is_letter = |c: char| c.is_alphanumeric() || c == '_';
+        let bounded =
+            |at: usize| !comment[..at].ends_with(is_letter) && !comment[at + word.len()..].starts_with(is_letter);
+        comment.match_indices(word).filter(|&(at, _)| bounded(at)).count()
+    };
+    comments.map(|comment| BANNED.iter().map(|word| words(&comment, word)).sum::<usize>()).sum()
+}
+
+#[test]
+fn comments_use_plain_english() {
+    let (mut num_clauses, mut num_banned) = (0, 0);
+    let mut worst: Vec<(usize, String)> = Vec::new();
+    for path in texts_of(&["src"]).into_iter().filter(|path| path.extension().is_some_and(|end| end == "rs")) {
+        let source = read(&path);
+        let (clauses, banned) = (clauses(&source), banned(&source));
+        num_clauses += clauses;
+        num_banned += banned;
+        worst.push((clauses + banned, shown(&path)));
+    }
+    worst.sort();
+    let worst: Vec<_> = worst.iter().rev().take(10).collect();
+    assert_eq!(
+        num_clauses, CLAUSES_LEFT,
+        "doc summaries that begin with {CLAUSES:?}; lower or meet the budget: {worst:?}"
+    );
+    assert_eq!(num_banned, BANNED_LEFT, "banned words in comments: {BANNED:?}; lower or meet the budget: {worst:?}");
+}
+
+#[test]
+fn clauses_and_banned_words_are_counted() {
+    assert_eq!(clauses("/// What it is.\n/// How it is.\nfn a() {}\n/// Whether so.\nfn b() {}\n/// The whole.\n"), 2);
+    assert_eq!(banned("let said = 1; // Done anew, beside it.\n/// Besides, retold.\n"), 2);
+}

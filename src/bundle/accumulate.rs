@@ -1,4 +1,4 @@
-//! What the points of one piece add to the reduced system (eq. 10).
+//! Contribution of the points of one piece to the reduced system (eq. 10).
 //!
 //! A piece sums into blocks of its own, so that a thread never waits for another nor reads what another has just
 //! written; [`super::schur::Reduced::add`] adds the pieces up in order.

@@ -1,4 +1,4 @@
-//! How views and points are coupled, for problems in which few points are seen in many views (eqs. 8a–8b).
+//! Coupling of views and points, for problems in which few points have many views (eqs. 8a–8b).
 //!
 //! A vehicle far ahead has fifty points in two hundred frames. Then the reduced camera system is as good as full and
 //! much larger than that of the points, and it is cheaper not to form it: the views' own blocks and the coupling of
@@ -18,7 +18,7 @@ pub(super) struct Pair {
     pub point: u32,
     /// First observation.
     pub first_obs: u32,
-    /// How many: more than one where a picture shows a point twice.
+    /// Number of observations: more than one where an image shows a point twice.
     pub num_obs: u32,
 }
 
@@ -30,7 +30,7 @@ pub(super) struct Coupling<const D: usize> {
     pairs: Vec<Pair>,
     /// First pair of each view, and the end of the last.
     start: Vec<usize>,
-    /// How many points there are.
+    /// Number of points.
     pub num_points: usize,
 }
 

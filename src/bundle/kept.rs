@@ -1,4 +1,4 @@
-//! What is kept of a linearisation for the step of the points, where there is room for it.
+//! Parts of a linearization that are kept for the step of the points, where memory allows.
 //!
 //! The step of a point needs its residuals' derivatives by the views, its elimination and its normal equations once
 //! more ([`super::trial`]). Of a small problem they are kept, one piece after the other in flat lists: reading 170
@@ -15,7 +15,7 @@ use super::state::State;
 /// Bytes that may be kept: some 350,000 observations, a map of 300 to 400 frames.
 pub(super) const KEPT_BYTES: usize = 64 << 20;
 
-/// What the step of a point needs to know of it.
+/// Data of one point that its step needs.
 #[derive(Clone, Copy)]
 pub(super) struct Eliminated<'a, const D: usize> {
     /// Of its observations.
@@ -26,7 +26,7 @@ pub(super) struct Eliminated<'a, const D: usize> {
     pub terms: &'a PointTerms,
 }
 
-/// What is kept of the points of one piece, in their order.
+/// Data of the points of one piece, in their order.
 pub(super) struct Kept<const D: usize> {
     residuals: Vec<Residual<D>>,
     slots: Vec<[[f64; 6]; 3]>,

@@ -24,7 +24,7 @@ pub(super) const POSE_DIM: usize = 6;
 /// Free intrinsics of a camera as columns of a Jacobian.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Columns {
-    /// How many.
+    /// Number of parameters.
     pub len: usize,
     /// Which of fx, fy, cx, cy, k1, k2 each one is.
     pub source: [usize; NUM_INTRINSICS],
@@ -48,7 +48,7 @@ impl Columns {
     }
 }
 
-/// How a camera's free intrinsics enter the reduced system.
+/// Role of a camera's free intrinsics in the reduced system.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum IntrinsicsUse {
     Fixed,
@@ -75,7 +75,7 @@ impl KnownPoint {
         self.weight = total;
     }
 
-    /// How far a position is from the known place.
+    /// Offset of a position from the known one.
     pub fn offset(&self, position: &[f64; 3]) -> [f64; 3] {
         std::array::from_fn(|k| position[k] - self.position[k])
     }
@@ -92,9 +92,9 @@ pub(super) struct Layout {
     pub points: Vec<u32>,
     /// First observation of each of these, and the end of the last.
     pub point_start: Vec<u32>,
-    /// Whether each of these is held.
+    /// True for each point that is held.
     pub point_fixed: Vec<bool>,
-    /// What is known of each of these; empty if nothing is known of any.
+    /// Prior of each point; empty if no point has one.
     pub point_priors: Vec<KnownPoint>,
     /// Per observation: its index in the problem. What was measured is not held twice.
     pub obs: Vec<u32>,
@@ -170,7 +170,7 @@ impl Layout {
         POSE_DIM + fused.max().unwrap_or(0)
     }
 
-    /// Whether anything can move.
+    /// Returns true if any parameter can change.
     pub fn has_freedom(&self) -> bool {
         self.num_obs() > 0
             && (self.num_blocks() > 0 || !self.shared.is_empty() || self.point_fixed.iter().any(|fixed| !fixed))
@@ -351,7 +351,7 @@ fn observed_poses(problem: &Problem, used: &[u32]) -> Vec<bool> {
     observed
 }
 
-/// What [`Gauge::Auto`] holds.
+/// Parameters that [`Gauge::Auto`] holds.
 struct GaugeChoice {
     held_pose: Option<usize>,
     scale_pair: Option<(usize, usize)>,

@@ -98,7 +98,7 @@ struct Tried {
     norm: f64,
 }
 
-/// What became of a trial step.
+/// Outcome of a trial step.
 enum Outcome {
     Accepted,
     Rejected,

@@ -86,7 +86,7 @@ fn cut(layout: &Layout, work: &[usize], count: usize) -> Vec<Piece> {
     out
 }
 
-/// What is known of the point that is being worked on: residuals, Jacobians, elimination.
+/// Data of the point that is being processed: residuals, Jacobians, elimination.
 pub(super) struct OnePoint<const D: usize> {
     /// First observation of the point.
     pub first_obs: usize,
@@ -114,7 +114,7 @@ struct Desk<const D: usize> {
 pub(super) struct Linearization<const D: usize> {
     /// In order.
     pub pieces: Vec<Piece>,
-    /// What is kept of each piece.
+    /// Kept data of each piece.
     pub kept: Vec<Option<Kept<D>>>,
     desks: Vec<Desk<D>>,
     /// The largest entry of the gradients of points that move.
@@ -132,7 +132,7 @@ pub(super) struct Pass<'a> {
 }
 
 impl Pass<'_> {
-    /// What was measured, by the order of the layout.
+    /// Measurement, by the order of the layout.
     #[inline(always)]
     pub fn measured(&self, o: usize) -> &Observation {
         &self.observations[self.layout.obs[o] as usize]
@@ -208,7 +208,7 @@ impl<const D: usize> OnePoint<D> {
         cost
     }
 
-    /// What the step of the point that was worked out needs.
+    /// Data that the step of the current point needs.
     #[inline(always)]
     pub fn eliminated(&self, layout: &Layout, point: usize) -> Eliminated<'_, D> {
         Eliminated {
@@ -282,7 +282,7 @@ fn hold_masked<const D: usize>(layout: &Layout, block: u32, d_view: &mut [[f64; 
     }
 }
 
-/// What a piece finds on the way.
+/// Results of a piece.
 struct Evaluated {
     /// Σ ρ.
     cost: f64,

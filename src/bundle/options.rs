@@ -1,11 +1,11 @@
-//! What a caller can choose.
+//! Options of an adjustment.
 
 use serde::{Deserialize, Serialize};
 
 use super::BundleError;
 use crate::math::RobustLoss;
 
-/// How the reduced camera system is solved.
+/// Solver of the reduced camera system.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum LinearSolver {
     /// Dense for few cameras or where most pairs of cameras see common points, sparse otherwise.
@@ -19,7 +19,7 @@ pub enum LinearSolver {
     Iterative,
 }
 
-/// What is done about the seven freedoms (rotation, translation, scale) that the images cannot see.
+/// Treatment of the seven gauge freedoms (rotation, translation, scale), which images do not determine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Gauge {
     /// Hold just enough: where no pose is fixed the first one is held, and where fewer than two poses and no points are
@@ -30,7 +30,7 @@ pub enum Gauge {
     Free,
 }
 
-/// What is done with an observation whose point lies behind its camera at the start.
+/// Treatment of an observation whose point lies behind its camera at the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Behind {
     /// It is left out and counted in [`super::Summary::num_ignored`].
@@ -57,11 +57,11 @@ pub struct Options {
     pub initial_damping: f64,
     /// Threads; 0 uses the rayon pool of the caller.
     pub threads: usize,
-    /// How the reduced camera system is solved.
+    /// Solver of the reduced camera system.
     pub linear_solver: LinearSolver,
-    /// What holds the gauge.
+    /// Choice of the gauge.
     pub gauge: Gauge,
-    /// What happens to points behind a camera at the start.
+    /// Treatment of points behind a camera at the start.
     pub behind: Behind,
 }
 

@@ -25,7 +25,7 @@ pub(super) struct Pattern {
     place: Vec<u32>,
     /// The part of the envelope that blocks take where the views lie in a band.
     least_fill: f64,
-    /// Whether there are no pairs of different views, whatever the points say.
+    /// True if there are no pairs of different views, whatever the points are.
     of_single_views: bool,
 }
 
@@ -135,12 +135,12 @@ impl Pattern {
         self.first_row.iter().enumerate().map(|(j, first)| j + 1 - *first as usize).sum()
     }
 
-    /// Whether there are no pairs of different views, whatever the points say.
+    /// Returns true if there are no pairs of different views, whatever the points are.
     pub fn is_of_single_views(&self) -> bool {
         self.of_single_views
     }
 
-    /// Whether the views lie in a band in their own order, as those of a video do.
+    /// Returns true if the views form a band in their own order, as those of a video do.
     pub fn is_band(&self) -> bool {
         self.len() as f64 >= self.least_fill * self.envelope() as f64
     }

@@ -51,7 +51,7 @@ impl PointTerms {
         self.half_step = self.forward_solve(&self.gradient);
     }
 
-    /// Whether the point stays where it is.
+    /// Returns true if the point is held.
     #[inline(always)]
     pub fn is_held(&self) -> bool {
         self.factor[0] == 0.0

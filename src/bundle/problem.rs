@@ -1,4 +1,4 @@
-//! What varies, what is held, and what was observed.
+//! Parameters that vary, parameters that are held, and observations.
 
 use nalgebra::{Point2, Point3, Vector3};
 use thiserror::Error;
@@ -27,7 +27,7 @@ pub struct Problem {
 pub struct CameraBlock {
     /// The intrinsics.
     pub camera: Camera,
-    /// Whether fx, fy, cx, cy, k1, k2 (in this order) are free.
+    /// True for each of fx, fy, cx, cy, k1, k2 (in this order) that is free.
     pub free: [bool; NUM_INTRINSICS],
     /// One focal length: fx is free if `free[0]`, and fy follows with the ratio fy / fx that it has at the start;
     /// `free[1]` is not looked at.
@@ -75,7 +75,7 @@ pub struct Observation {
     pub point: u32,
     /// Pixels, first pixel centre at (0.5, 0.5).
     pub pixel: Point2<f64>,
-    /// How exactly the position is known; the identity gives costs in squared pixels.
+    /// Whitening of the position's error; the identity gives costs in squared pixels.
     pub whitening: Whitening,
 }
 
@@ -100,7 +100,7 @@ pub struct Priors {
 }
 
 impl Priors {
-    /// Whether any prior ties the world to a frame of its own, so that the gauge is not free.
+    /// Returns true if a prior ties the world to a given frame, so that the gauge is not free.
     pub(super) fn hold_gauge(&self) -> bool {
         !self.poses.is_empty() || !self.planes.is_empty() || !self.points.is_empty()
     }
@@ -224,7 +224,7 @@ pub enum BundleError {
     /// The threads could not be started.
     #[error("could not start {threads} threads: {message}")]
     Threads {
-        /// How many.
+        /// Number of threads.
         threads: usize,
         /// The system's words.
         message: String,

@@ -19,7 +19,7 @@ pub(super) struct Residual<const D: usize> {
     pub eliminated: [[f64; 3]; 2],
 }
 
-/// What else a linearisation yields.
+/// Derivatives that a linearization yields besides.
 pub(super) struct Derivatives<'a> {
     /// Jₚ, two rows.
     pub d_point: &'a mut [[f64; 3]; 2],

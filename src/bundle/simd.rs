@@ -9,7 +9,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 /// A task that can run with any instruction set.
 pub(super) trait Task {
-    /// What it returns.
+    /// Return type.
     type Output;
     /// Does it; `F` tells whether multiplication and addition are one instruction.
     fn run<F: Fused>(self) -> Self::Output;

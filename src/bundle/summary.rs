@@ -1,4 +1,4 @@
-//! What an adjustment did.
+//! Summary of an adjustment.
 
 use serde::{Deserialize, Serialize};
 
@@ -56,7 +56,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Whether one of the tolerances ended the iterations.
+    /// Returns true if one of the tolerances ended the iterations.
     pub fn converged(&self) -> bool {
         !matches!(self.termination, Termination::MaxIterations | Termination::NoProgress)
     }

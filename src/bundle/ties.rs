@@ -43,7 +43,7 @@ impl Problem {
     }
 }
 
-/// How often a number can be halved, up to the most that counts.
+/// Number of times a number can be halved, up to the maximum that counts.
 fn halvings(pose: u32) -> u32 {
     pose.trailing_zeros().min(MOST_HALVINGS)
 }

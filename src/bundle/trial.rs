@@ -8,7 +8,7 @@ use super::residual::{plain_residual, point_in_cam, robust_cost, robust_cost_and
 use super::simd::{Fused, Task, wide};
 use super::state::{State, View};
 
-/// What a trial step promises and what it costs.
+/// Predicted decrease and cost of a trial step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Trial {
     /// The points' part of twice the predicted decrease (eq. 13).

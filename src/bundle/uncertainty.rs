@@ -1,4 +1,4 @@
-//! How sure the camera positions of a reconstruction are.
+//! Standard deviations of a reconstruction's camera positions.
 
 use std::collections::BTreeMap;
 

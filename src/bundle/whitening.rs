@@ -1,4 +1,4 @@
-//! How exactly a feature is located, in each direction.
+//! Accuracy of a feature's position, in each direction.
 
 use nalgebra::{Matrix2, SymmetricEigen, Vector2};
 use serde::{Deserialize, Serialize};
@@ -38,7 +38,7 @@ impl Whitening {
         x * x + y * y
     }
 
-    /// Whether all entries are finite and W is positive definite.
+    /// Returns true if all entries are finite and W is positive definite.
     pub fn is_valid(&self) -> bool {
         let [xx, xy, yy] = self.0;
         self.0.iter().all(|v| v.is_finite()) && xx > 0.0 && xx * yy - xy * xy > 0.0

@@ -24,13 +24,13 @@ impl HigherTerms {
     /// Those of a lens that k₁ and k₂ describe.
     pub const ZERO: Self = Self { k3: 0.0, tangential: [0.0; 2] };
 
-    /// Whether there are none.
+    /// Returns true if all terms are zero.
     #[inline(always)]
     pub fn are_zero(&self) -> bool {
         *self == Self::ZERO
     }
 
-    /// What follows k₁ and k₂ in a line of figures: k₃, then "p" and p₁, p₂; nothing if there are none.
+    /// Figures that follow k₁ and k₂ in a line: k₃, then "p" and p₁, p₂; empty if all are zero.
     pub fn in_figures(&self) -> String {
         let Self { k3, tangential: [p1, p2] } = self;
         if self.are_zero() { String::new() } else { format!(" {k3:.5} p {p1:.5} {p2:.5}") }

@@ -189,7 +189,7 @@ impl Camera {
         projection
     }
 
-    /// What the higher terms add to the derivatives. Apart, so that the common case stays short.
+    /// Adds the derivatives of the higher terms. Separate, so that the common case stays short.
     #[cold]
     #[inline(never)]
     fn add_higher(&self, projection: &mut Projection, normalized: Vector2<f64>, d_point: &Matrix2x3<f64>) {
@@ -258,7 +258,7 @@ impl Camera {
         Vector3::new(normalized.x, normalized.y, 1.0).normalize()
     }
 
-    /// Whether a pixel position lies in the image.
+    /// Returns true if a pixel position lies in the image.
     pub fn contains(&self, pixel: Point2<f64>) -> bool {
         pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < f64::from(self.width) && pixel.y < f64::from(self.height)
     }

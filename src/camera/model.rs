@@ -91,7 +91,7 @@ impl Model {
         smallest.into_iter().find(|model| model.params_of(camera).is_some()).unwrap_or(Self::FullOpenCv)
     }
 
-    /// Whether there are pictures of this model that a pinhole with radial and tangential distortion does not describe.
+    /// Returns true if the model describes images that a pinhole with radial and tangential distortion cannot.
     pub fn is_foreign(self) -> bool {
         !matches!(
             self,

@@ -1,4 +1,4 @@
-//! Whether stated deviations mean what they say: many runs, the error of each in its own standard deviations.
+//! Calibration of reported standard deviations: many runs, the error of each in its own standard deviations.
 //!
 //! The error of a run is ln(r / r_ref), which is the relative error where it is small and treats "half as large" and
 //! "twice as large" alike; the stated deviation is std / r. If deviations are those of a normal distribution, 68.3 % of
@@ -14,7 +14,7 @@ use super::spread::Spread;
 use crate::math::median;
 use crate::scene::Trust;
 
-/// What a calibration found.
+/// Result of a calibration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
     /// Version of this format.
@@ -37,7 +37,7 @@ pub struct Case {
     pub sequence: String,
     /// Name of the variant.
     pub variant: String,
-    /// What the variant changes; variants that change the same differ in `level` alone.
+    /// Quantity that the variant changes; variants of one kind differ in `level` alone.
     pub kind: String,
     /// By how much.
     pub level: f64,
@@ -45,7 +45,7 @@ pub struct Case {
     pub error: Option<f64>,
     /// std / r as the run states it.
     pub relative_std: Option<f64>,
-    /// Whether the run says that the motion leaves the ratio undetermined.
+    /// True if the run marks the ratio as undetermined.
     pub degenerate: bool,
     /// The run's verdict on the trajectory.
     pub verdict: Option<Trust>,
@@ -111,10 +111,10 @@ impl Share {
     }
 }
 
-/// How well the deviations of some runs are calibrated.
+/// Calibration of a group of runs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// What the runs have in common.
+    /// Common property of the runs.
     pub name: String,
     /// Runs.
     pub num: usize,
@@ -137,7 +137,7 @@ pub struct Row {
     pub num_sure_and_wrong: usize,
 }
 
-/// How far runs of real clips lie apart, in deviations.
+/// Differences between runs of real clips, in standard deviations.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SpreadRow {
     /// Vehicles that two runs place.

@@ -7,7 +7,7 @@ use super::figures::Outcome;
 use super::registration::Registration;
 use crate::math::{Rigid3, Sim3, umeyama};
 
-/// How far the estimated cameras are from the true ones.
+/// Errors of the estimated cameras.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CameraErrors {
     /// Root mean square distance of centres, metres, after the similarity that is best for centres alone: the usual

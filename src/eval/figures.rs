@@ -51,7 +51,7 @@ pub struct Evaluation {
     pub sequence: String,
     /// Type of the target vehicle, if known.
     pub vehicle: Option<String>,
-    /// How many frames have a pose.
+    /// Numbers of frames with a pose.
     pub registered: RegisteredFrames,
     /// Background reconstruction to true world.
     pub registration: Outcome<Registration>,
@@ -69,25 +69,25 @@ pub struct Evaluation {
     pub trajectory: Outcome<TrajectoryError>,
     /// Trajectory error at the reference ratio: what the two reconstructions alone cost.
     pub trajectory_at_reference: Outcome<TrajectoryError>,
-    /// What every estimator of the run would have given on the models that the trajectory refers to (`objects/<id>`).
+    /// Results of every estimator of the run on the models that the trajectory refers to (`objects/<id>`).
     pub alternatives: BTreeMap<ScaleMethod, Alternative>,
     /// The same on the target as structure from motion left it (`as-reconstructed/<id>`); `None` where nothing was
     /// adjusted after that.
     pub as_reconstructed: Option<Outcome<AsReconstructedFigures>>,
 }
 
-/// What there would be if the target's reconstruction had not been adjusted with the ground.
+/// Figures of the target's reconstruction before its adjustment with the ground.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AsReconstructedFigures {
     /// The ratio that a perfect estimator would find.
     pub reference_ratio: f64,
     /// Mean trajectory error at that ratio, metres.
     pub error_at_reference_m: f64,
-    /// What every estimator would have given.
+    /// Results of every estimator.
     pub alternatives: BTreeMap<ScaleMethod, Alternative>,
 }
 
-/// How many frames have a pose.
+/// Numbers of frames with a pose.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RegisteredFrames {
     /// Frames of the sequence.
@@ -142,7 +142,7 @@ pub struct ScaleFigures {
     pub std: Option<f64>,
     /// The method that gave it.
     pub method: ScaleMethod,
-    /// Whether the run says that it cannot be trusted.
+    /// True if the run marks the ratio as undetermined.
     pub degenerate: bool,
     /// Why it cannot.
     pub reason: Option<String>,
@@ -160,7 +160,7 @@ impl Evaluation {
     }
 }
 
-/// What one estimator would have given.
+/// Result of one estimator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Alternative {
     /// Its scale ratio.

@@ -1,4 +1,4 @@
-//! What an evaluation needs, as values: every map is keyed by the frame of the truth.
+//! Input of an evaluation, as values: every map is keyed by the frame of the truth.
 
 use std::collections::BTreeMap;
 
@@ -33,7 +33,7 @@ pub struct TruthFrame {
     pub world_from_object: Rigid3,
     /// Pixels at which the target is seen.
     pub target_px2: usize,
-    /// How much of its outline is seen, 0 to 1, where the sequence says so.
+    /// Visible share of its outline, 0 to 1, where the sequence states it.
     pub visible_share: Option<f64>,
 }
 
@@ -66,11 +66,11 @@ pub struct ObjectInput {
 pub struct AsReconstructed {
     /// Its reconstruction.
     pub model: Model,
-    /// What the estimators that leave it as it is say of it.
+    /// Ratios by the estimators that leave the model unchanged.
     pub ratios: Ratios,
 }
 
-/// What is looked at of a reconstruction.
+/// Data of a reconstruction that an evaluation uses.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Model {
     /// Camera poses.

@@ -35,7 +35,7 @@ pub struct Registration {
     pub initial_scale: InitialScale,
 }
 
-/// How the initial scale was found.
+/// Source of the initial scale.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum InitialScale {

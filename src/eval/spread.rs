@@ -1,4 +1,4 @@
-//! How far two runs of the same clip lie apart, where no truth is known.
+//! Difference between two runs of the same clip, where no truth is known.
 //!
 //! The unit of each run is arbitrary: that of the second is taken to the first by the spreads of the camera centres
 //! that both have. A vehicle of one run is that of the other which is seen in the same direction. What is compared is
@@ -18,7 +18,7 @@ const LEAST_FRAMES: usize = 3;
 /// Angle between the directions in which the same vehicle is seen, radians: half a degree.
 const SAME_DIRECTION: f64 = 0.009;
 
-/// What a run found.
+/// Result of a run.
 #[derive(Clone, Debug)]
 pub struct Found {
     /// Its cameras.
@@ -42,7 +42,7 @@ pub struct Spread {
     pub difference: f64,
     /// √(σ₁² + σ₂²); `None` where one of the runs states none.
     pub relative_std: Option<f64>,
-    /// Whether one of the runs calls its ratio undetermined.
+    /// True if one of the runs marks its ratio as undetermined.
     pub degenerate: bool,
     /// The worse one of the two verdicts.
     pub verdict: Option<Trust>,

@@ -21,7 +21,7 @@ use super::road::Road;
 use crate::math::median;
 use crate::scene::{FrameId, GroundPlane, Image, ObjectId, PlaneBasis, Point3dId, Reconstruction};
 
-/// What is known of the ground of a place.
+/// Knowledge of the ground at a position.
 #[derive(Clone, Copy, Debug)]
 pub struct GroundChain<'a> {
     /// The background.
@@ -81,7 +81,7 @@ impl GroundChain<'_> {
         }
     }
 
-    /// How far planes of points lie from the road, below the object.
+    /// Distances of planes of points from the road, below the object.
     fn gaps(
         &self,
         points: &BTreeMap<FrameId, GroundPlane>,
@@ -149,7 +149,7 @@ impl GroundChain<'_> {
     }
 }
 
-/// How far the road lies above a plane of points in one frame, with the deviations that both have for the frame alone
+/// Height of the road above a plane of points in one frame, with the standard deviations of both for the frame alone
 /// and for all frames.
 struct Gap {
     height: f64,
@@ -169,7 +169,7 @@ impl Gaps {
         median(self.0.iter().map(value).collect()).unwrap_or(f64::INFINITY)
     }
 
-    /// Whether points lie on the road: on average, and from frame to frame.
+    /// Returns true if the points lie on the road: on average, and from frame to frame.
     fn bear_out(&self) -> bool {
         let middle = self.median_of(|gap| gap.height);
         let spread = 1.4826 * self.median_of(|gap| (gap.height - middle).abs());

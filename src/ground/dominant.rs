@@ -150,7 +150,7 @@ impl Cameras {
         if 2 * num_positive >= self.centers.len() { 1.0 } else { -1.0 }
     }
 
-    /// How well a plane fits the cameras as their ground, 0 to 1 (eq. 9 and 10).
+    /// Score of a plane as the ground of the cameras, 0 to 1 (eq. 9 and 10).
     ///
     /// 0 if more than one camera in ten lies below it, if the cameras are rolled against it by more than the limit, or
     /// if they hang upside down over it. Else it grows with the part of "up in the image" that is along the normal: of
@@ -202,8 +202,8 @@ fn grow(candidates: &[Candidate], is_ground: &mut [bool], normal: &Vector3<f64>,
     }
 }
 
-/// Whether the plane through the nearest ground points meets a point, near enough for it to say anything there
-/// (eq. 12).
+/// Returns true if the plane through the nearest ground points contains a point, near enough to be valid there (eq.
+/// 12).
 fn joins(candidate: &Candidate, nearest: &[Candidate], normal: &Vector3<f64>, least_cos: f64) -> bool {
     let Some(local) = least_squares_plane(nearest) else { return false };
     let spread = nearest.iter().map(|c| (c.position - local.point).norm_squared()).sum::<f64>() / nearest.len() as f64;

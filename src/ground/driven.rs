@@ -18,7 +18,7 @@ use super::path::{Path, Place};
 use crate::math::{Neighbors, median};
 use crate::scene::{FrameId, GroundPlane, PlaneBasis, Point3dId, Reconstruction};
 
-/// How often the path is found and planes from it: planes that are nearly right put the path some decimetres aside.
+/// Rounds of finding the path and planes from it: nearly right planes put the path some decimeters aside.
 const NUM_ROUNDS: usize = 2;
 /// In heights of the vehicle: within that all points on the path count, ...
 const NEAR: f64 = 2.0;
@@ -26,16 +26,16 @@ const NEAR: f64 = 2.0;
 const FAR: f64 = 6.0;
 /// Most points of a plane.
 const MAX_POINTS: usize = 500;
-/// What the plane of the points round a vehicle may be tilted by: the deviation of its slopes.
+/// Standard deviation of the slopes of a plane of the points round a vehicle.
 const TILT: f64 = 0.026;
-/// By how much the ground may rise or fall from a place to a point on the path.
+/// Maximum grade of the ground between a position and a point on the path.
 const GRADE: f64 = 0.05;
 /// Fewest frames whose planes are found from the path.
 const MIN_FRAMES: usize = 5;
 /// The most by which they may differ from the others, as a share of the camera's height: else one of the two is no
 /// ground.
 const MAX_GAP: f64 = 0.25;
-/// How much rougher a plane may be than half of those of the path: beyond that it lies across a kerb.
+/// Maximum roughness of a plane, relative to the median of the path's planes: beyond that it lies across a kerb.
 const MAX_ROUGHNESS: f64 = 3.0;
 /// Pixels up to which every plane is smooth enough.
 const SMOOTH_PX: f64 = 1.0;
@@ -79,7 +79,7 @@ struct Driven<'a> {
 /// A plane through points on the path, below the vehicle.
 struct Fit {
     plane: GroundPlane,
-    /// How far it lies above the other plane there.
+    /// Height over the other plane there.
     above: f64,
     /// Root mean square residual, pixels.
     roughness: f64,

@@ -23,7 +23,7 @@ pub struct CameraHeight {
     pub spread: f64,
     /// Unit vector: mean normal of the planes, towards the camera.
     pub up_in_world: Vector3<f64>,
-    /// By how much the normals differ from it (root mean square), radians.
+    /// Root-mean-square angle between the normals and it, radians.
     pub tilt_spread: f64,
     /// Frames with a plane below the camera.
     pub num_frames: usize,
@@ -58,7 +58,7 @@ const MAX_FRAMES: usize = 60;
 const NUM_POINTS: usize = 200;
 /// A plane that is known no better at the camera's foot does not count, as a share of the height.
 const MAX_STD: f64 = 0.1;
-/// What planes of one place have in common (drift, cambers, grass), as a share of the height. Of seven rendered flights
+/// Common error of the planes of one place (drift, cambers, grass), as a share of the height. Of seven rendered flights
 /// (bumpy road, crossing, left curves, overtaking, two of right curves, steep street) heights were 0.4 to 3.3 % short.
 const COMMON_STD: f64 = 0.018;
 

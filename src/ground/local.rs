@@ -38,7 +38,7 @@ pub enum SkipReason {
 pub struct SkippedFrame {
     /// The frame.
     pub frame: FrameId,
-    /// What was missing.
+    /// Missing input.
     pub reason: SkipReason,
 }
 
@@ -167,7 +167,7 @@ fn plane_of_frame(
     })
 }
 
-/// How far the ground below an object is from the plane of the points round it, as a share of their distances: kerbs
+/// Distance of the ground below an object from the plane of the points round it, as a share of their distances: kerbs
 /// and cambers do not average out.
 pub(super) const UNEVENNESS: f64 = 0.5;
 

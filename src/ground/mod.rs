@@ -33,7 +33,7 @@ pub use local::{LocalPlanes, SkipReason, SkippedFrame, local_planes};
 pub use mount::{Mount, MountFailure, find_mount};
 pub use plane::PlaneFailure;
 
-/// How the ground is found.
+/// Options of the ground estimation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {

@@ -77,7 +77,7 @@ pub struct Mount {
     pub roll_std: f64,
     /// Standard deviation of the inclination along the way, radians.
     pub pitch_std: f64,
-    /// How much the height differs between parts of the way, as a share of it: springs, and drift of scale.
+    /// Variation of the height between parts of the trajectory, as a share of it: springs, and drift of scale.
     pub wander: f64,
     /// Points on the road.
     pub num_points: usize,
@@ -100,8 +100,8 @@ impl Mount {
         }
     }
 
-    /// Whether the ground that was found without labels is that on which the camera's vehicle drives, and not a bank
-    /// beside the road: by its inclination, and by the camera's height over it.
+    /// Returns true if the ground found without labels is the road that the camera's vehicle drives on, and not a bank
+    /// beside the road, judged by its inclination and by the camera's height over it.
     pub(super) fn agrees(&self, background: &Reconstruction, ground: &DominantPlane) -> bool {
         let off = |image: &Image| {
             let normal = image.cam_from_world.rotation.inverse() * self.normal_in_cam;
@@ -215,8 +215,9 @@ fn wander(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> Option<f
     (off.len() >= 3).then(|| 1.4826 * median(off).unwrap_or(0.0))
 }
 
-/// How much the height may change over the way, steadily or up and down again, so that nearly as many points lie on the
-/// plane below the camera as at best: a share of the height (eq. 17a). A few points on a part of the way fit many.
+/// Maximum change of the height over the trajectory, steadily or up and down again, so that nearly as many points lie
+/// on the plane below the camera as at best: a share of the height (eq. 17a). A few points on a part of the trajectory
+/// fit many.
 fn possible_climb(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> f64 {
     let (first, last) = (images[0].0.0, images[images.len() - 1].0.0);
     let along = |frame: FrameId| 2.0 * f64::from(frame.0 - first) / f64::from((last - first).max(1)) - 1.0;

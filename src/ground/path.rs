@@ -17,9 +17,9 @@ pub(super) struct Place {
     pub up: Vector3<f64>,
     /// Where the path leads, a unit vector in the ground; `None` where the vehicle hardly moves.
     pub along: Option<Vector3<f64>>,
-    /// How high the camera is over the ground.
+    /// Height of the camera over the ground.
     pub camera_height: f64,
-    /// What a pixel is at the vehicle, in units of the background.
+    /// Size of a pixel at the vehicle, in units of the background.
     pub pixel: f64,
 }
 
@@ -28,14 +28,14 @@ pub(super) struct Place {
 pub(super) struct Path {
     /// In the order of the frames.
     pub places: Vec<Place>,
-    /// What the vehicle covers to the left of its path, least and most, in units of the background.
+    /// Lateral range that the vehicle covers to the left of its path, minimum and maximum, in units of the background.
     pub band: [f64; 2],
-    /// How high the vehicle is, in units of the background.
+    /// Height of the vehicle, in units of the background.
     pub height: f64,
 }
 
-/// By how much the lowest points of a vehicle lie over the ground, as a share of the height over which its points
-/// spread (`trajectory::ContactOptions::lowest`).
+/// Height of a vehicle's lowest points over the ground, as a share of the height over which its points spread
+/// (`trajectory::ContactOptions::lowest`).
 const CLEARANCE: f64 = 0.17;
 /// Fewest points of a vehicle whose shape is taken for known.
 const MIN_POINTS: usize = 10;
@@ -79,7 +79,7 @@ impl Path {
         is_finite.then_some(Self { places, band, height })
     }
 
-    /// Whether the vehicle, at the place nearest to a point, passes over it.
+    /// Returns true if the vehicle, at the position nearest to a point, passes over it.
     pub(super) fn covers(&self, place: &Place, point: &Point3<f64>, reach: f64) -> bool {
         let (Some(along), Some(left)) = (place.along, place.left()) else { return false };
         let away = point - place.foot;
@@ -141,7 +141,7 @@ impl Seen<'_> {
     }
 }
 
-/// What the vehicle covers to the left of its path, least and most; `None` where it hardly moves.
+/// Lateral range that the vehicle covers to the left of its path; `None` where it hardly moves.
 fn covered(seen: &[Seen], places: &[Place], body: &Body, ratio: f64) -> Option<[f64; 2]> {
     let moving: Vec<_> = seen.iter().zip(places).filter_map(|(seen, at)| Some((seen, at.foot, at.left()?))).collect();
     if moving.len() < MIN_PLACES {
@@ -155,13 +155,13 @@ fn covered(seen: &[Seen], places: &[Place], body: &Body, ratio: f64) -> Option<[
     Some([median(least)?, median(most)?])
 }
 
-/// What is needed of a vehicle's model, in the model's frame.
+/// Dimensions of a vehicle's model, in the model's frame.
 struct Body {
     points: Vec<Point3<f64>>,
     up: Vector3<f64>,
     /// Height of the ground along `up`, about.
     ground: f64,
-    /// How high it is over the ground.
+    /// Height over the ground.
     height: f64,
 }
 

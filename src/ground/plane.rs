@@ -49,7 +49,7 @@ pub(super) struct Plane {
     pub sureness: Sureness,
 }
 
-/// How well points determine their plane (eq. 13).
+/// Accuracy of a plane that points determine (eq. 13).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sureness {
     /// Variance of the height at the plane's point.

@@ -12,8 +12,8 @@ use super::local::lowest_foot;
 use super::mount::Mount;
 use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction};
 
-/// How much lanes differ in their slope across: a quarter of the usual crossfall of a carriageway, whose lanes are
-/// mostly inclined alike.
+/// Differences of lanes in their cross slope: a quarter of the usual crossfall of a carriageway, whose lanes are mostly
+/// inclined alike.
 const CROSSFALL: f64 = 0.005;
 /// Change of a road's slope along it that is usual, per height of the camera, squared mean: a radius of 1.9 km for a
 /// camera at 1.3 m.
@@ -24,7 +24,7 @@ const BEND_SPAN: f64 = 10.0;
 const SPRING_TILT: f64 = 0.005;
 /// Reach of the places that are averaged, in heights of the camera.
 const REACH: f64 = 5.0;
-/// How far ahead an object counts whose lowest ray does not meet the road, in heights of the camera.
+/// Maximum distance of an object whose lowest ray does not meet the road, in heights of the camera.
 const FAR: f64 = 60.0;
 
 /// The camera's way over the road.

@@ -1,4 +1,4 @@
-//! How many points lie on planes of one inclination, for many heights at once (eq. 5 of `docs/maths/ground.md`).
+//! Numbers of points on planes of one inclination, for many heights at once (eq. 5 of `docs/maths/ground.md`).
 //!
 //! What a place adds is a parabola in the height between two heights, and nothing beyond. A sum of parabolas is one, so
 //! that one pass through the places serves all heights: each adds its coefficients at the first height that it
@@ -12,9 +12,9 @@ struct Place {
     frame: FrameId,
     /// The height of the camera over a plane through it.
     height: f64,
-    /// By how much it may lie off the plane.
+    /// Maximum distance from the plane.
     tolerance: f64,
-    /// What it adds where it lies on the plane.
+    /// Weight where it lies on the plane.
     weight: f64,
 }
 

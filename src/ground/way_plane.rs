@@ -45,12 +45,12 @@ pub(super) struct Fit {
 }
 
 impl Fit {
-    /// How far a place lies over the plane.
+    /// Height of a position over the plane.
     pub(super) fn over(&self, place: &Vector3<f64>) -> f64 {
         self.slope()(place) + self.height
     }
 
-    /// How far a place lies along the normal, as the camera sees it.
+    /// Position along the normal, as the camera sees it.
     pub(super) fn slope(&self) -> impl Fn(&Vector3<f64>) -> f64 + use<> {
         let (roll, pitch) = (self.roll, self.pitch);
         let shrink = 1.0 / (1.0 + roll * roll + pitch * pitch).sqrt();
@@ -71,14 +71,14 @@ pub(super) struct Track {
     pub tolerances: Vec<Tolerance>,
 }
 
-/// How exactly a place has to lie on a plane.
+/// Tolerance of a position's distance from a plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Tolerance {
     /// Up to this distance it lies on it (eq. 1).
     pub off: f64,
     /// Standard deviation of its height.
     pub std: f64,
-    /// How much it tells that it does, from that deviation: 1 for an exact one.
+    /// Information of that distance: 1 for an exact one.
     pub sureness: f64,
 }
 
@@ -149,7 +149,7 @@ pub(super) fn best_sample(tracks: &[Track], max_samples: usize, rng: &mut Rng) -
     best.map(|(_, fit)| fit)
 }
 
-/// What a plane is worth (eq. 15); `None` as soon as that is plainly no more than `least`.
+/// Score of a plane (eq. 15); `None` as soon as it cannot exceed `least`.
 ///
 /// * `rest` – by point, what it and those behind it can add at most.
 fn value_above(tracks: &[Track], rest: &[f64], fit: &Fit, least: f64) -> Option<f64> {

@@ -1,4 +1,4 @@
-//! How a camera's attitude in a log turns the frame of the background.
+//! Rotation of the background's frame by a camera's attitude in a log.
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 

@@ -41,7 +41,7 @@ impl CameraPath {
         &self.centers
     }
 
-    /// Whether the path says where the camera was at a time: inside, and not in a gap.
+    /// Returns true if the path has a position at a time: inside, and not in a gap.
     pub fn covers(&self, time_s: f64) -> bool {
         let (start, end) = self.span_s();
         if !(start..=end).contains(&time_s) {

@@ -15,7 +15,7 @@ pub struct PositionFix {
     pub horizontal_std_m: f64,
     /// Standard deviation of `up_m`, metres.
     pub vertical_std_m: f64,
-    /// What the last digit of the position stands for, metres.
+    /// Resolution of the position, meters: the value of its last digit.
     pub rounding_m: f64,
 }
 
@@ -43,7 +43,7 @@ pub(super) struct Group {
     pub(super) times_s: Vec<f64>,
     /// Mean of the positions; up is 0 where it is unknown.
     pub(super) position_m: Point3<f64>,
-    /// Whether `position_m.z` means anything.
+    /// True if `position_m.z` is valid.
     pub(super) has_up: bool,
     /// Variance of what is new in every fix, horizontal and vertical, of the mean.
     pub(super) noise_m2: [f64; 2],

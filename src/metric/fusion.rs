@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::scene::{MetricContradiction, MetricShare, MetricVerdict};
 
-/// What a source rests on.
+/// Kind of evidence of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
@@ -16,7 +16,7 @@ pub enum Kind {
     Surveyed,
     /// A receiver's fixes.
     Telemetry,
-    /// What vehicles are like.
+    /// Typical sizes of vehicles.
     Prior,
 }
 
@@ -25,7 +25,7 @@ pub enum Kind {
 pub struct Source {
     /// Its name, for people and in files: `telemetry`, `camera height`, …
     pub name: String,
-    /// What it rests on.
+    /// Kind of evidence.
     pub kind: Kind,
     /// Logarithm of metres per unit.
     pub log_scale: f64,
@@ -42,7 +42,7 @@ pub struct Fused {
     pub std: f64,
     /// On what they rest.
     pub verdict: MetricVerdict,
-    /// What each source contributed, in the order in which they were given.
+    /// Contributions of the sources, in the order in which they were given.
     pub shares: Vec<MetricShare>,
     /// The sources that contradict the others, the worst first.
     pub contradictions: Vec<MetricContradiction>,

@@ -14,7 +14,7 @@ use crate::scene::ObjectId;
 pub struct KnownLength {
     /// The object.
     pub object: ObjectId,
-    /// What of it is known.
+    /// Known dimension.
     pub dimension: Dimension,
     /// Metres.
     pub length: Measured,
@@ -28,7 +28,7 @@ pub enum KnownLengthError {
         "“{text}” is no known length; write it as ID:length=4.47±0.02, with length, width or height and an id from 1"
     )]
     Form {
-        /// What was written.
+        /// Text as written.
         text: String,
     },
     /// A wheel base.

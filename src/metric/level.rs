@@ -7,14 +7,14 @@ use super::{Alignment, Fused};
 use crate::math::Sim3;
 use crate::scene::{MapOrigin, MetricAxes, MetricFrame, MetricStd};
 
-/// What takes the place of a map: the vertical and a place on the ground.
+/// Substitute for a map: the vertical and a position on the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Level {
     /// Unit vector, in the frame of the background.
     pub up_in_world: Vector3<f64>,
     /// Standard deviation of its tilt, radians.
     pub tilt_std: f64,
-    /// What the second axis follows, as far as it is level: where the camera looks at first.
+    /// Direction that the second axis follows, projected to the horizontal: the first viewing direction.
     pub ahead_in_world: Vector3<f64>,
     /// The origin of the metric frame, in units of the background.
     pub origin_in_world: Point3<f64>,

@@ -69,7 +69,7 @@ impl From<Measured> for String {
     }
 }
 
-/// What is written before and after the sign of a deviation.
+/// Parts of a text before and after the sign of a standard deviation.
 fn parts(text: &str) -> (&str, Option<&str>) {
     let parts = text.split_once('±').or_else(|| text.split_once("+-")).or_else(|| text.split_once("+/-"));
     parts.map_or((text, None), |(value, std)| (value, Some(std)))
@@ -102,7 +102,7 @@ pub struct TimeOffsetError {
     text: String,
 }
 
-/// What receivers are late, seconds: so well an offset is known whose deviation nobody states.
+/// Latency of receivers, seconds: the standard deviation of an offset that is given without one.
 const RECEIVER_LATENCY_S: f64 = 0.2;
 
 /// Clocks are not compared better than to a frame of a fast video, seconds.

@@ -1,4 +1,4 @@
-//! What is seen of the background's frame, in metres.
+//! Motion of objects in the background's frame, in meters.
 //!
 //! An object's point is at x = c + r v (`docs/maths/scale.md`): its ratio r moves it along the ray from the camera's
 //! centre c, the metres per unit move it in proportion to the same ray, and the image position is what is left across

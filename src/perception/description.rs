@@ -1,4 +1,4 @@
-//! What cannot be seen from a network's inputs and outputs: its preprocessing and its classes.
+//! Properties of a network that its inputs and outputs do not show: its preprocessing and its classes.
 
 use std::path::{Path, PathBuf};
 
@@ -22,7 +22,8 @@ pub enum ChannelOrder {
     Bgr,
 }
 
-/// How 8-bit pixels v become a network's input: `(v - mean) / std * scale`, channel by channel in the order given.
+/// Conversion of 8-bit pixels v to a network's input: `(v - mean) / std * scale`, channel by channel in the given
+/// order.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Preprocessing {
@@ -69,7 +70,7 @@ impl TensorPattern {
 pub struct ModelDescription {
     /// A name for people.
     pub name: String,
-    /// What it is for: `instances`, `boxes`, `box-masks`, `ground` or `flow`.
+    /// Task: `instances`, `boxes`, `box-masks`, `ground` or `flow`.
     pub task: String,
     /// Its file in the folder `models`, if it comes with the program.
     pub file: String,
@@ -79,7 +80,7 @@ pub struct ModelDescription {
     pub licence: String,
     /// SHA-256 of the file that was looked at; of the program's own file if it comes with it.
     pub sha256: String,
-    /// What was changed between the origin and the file that comes with the program.
+    /// Changes between the original and the file that comes with the program.
     pub changes: String,
     /// Anything that a user should know.
     pub note: String,
@@ -87,14 +88,14 @@ pub struct ModelDescription {
     pub inputs: Vec<TensorPattern>,
     /// The outputs that are used, for recognition; a network may have others.
     pub outputs: Vec<TensorPattern>,
-    /// How pixels become its input.
+    /// Conversion of pixels to its input.
     pub preprocessing: Option<Preprocessing>,
     /// Class names by class number.
     pub classes: Vec<String>,
 }
 
 impl ModelDescription {
-    /// Whether a network has the inputs and outputs described here.
+    /// Returns true if a network has the inputs and outputs described here.
     fn fits(&self, model: &Model) -> bool {
         let all = |patterns: &[TensorPattern], tensors: &[TensorInfo]| {
             patterns.iter().all(|p| tensors.iter().any(|t| p.fits(t)))

@@ -1,4 +1,4 @@
-//! What can go wrong with perception.
+//! Errors of perception.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use crate::ffi::onnx::{OnnxError, TensorInfo};
 use crate::image::ImageError;
 use crate::scene::FrameId;
 
-/// What can go wrong with perception; each message names the file or value at fault and what to do.
+/// Errors of perception; each message names the file or value at fault and the remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum PerceptionError {
     /// The network or its runtime could not be used.
@@ -27,7 +27,7 @@ pub enum PerceptionError {
     UnknownLayout {
         /// The model file.
         path: PathBuf,
-        /// What the network was to do.
+        /// Task of the network.
         task: &'static str,
         /// Its inputs.
         inputs: Vec<TensorInfo>,
@@ -43,7 +43,7 @@ pub enum PerceptionError {
     NoClassNames {
         /// The model file.
         path: PathBuf,
-        /// How many classes it has.
+        /// Number of its classes.
         num_classes: usize,
         /// Where the names can be given.
         sidecar: PathBuf,
@@ -87,7 +87,7 @@ pub enum PerceptionError {
     Description {
         /// The description file.
         path: PathBuf,
-        /// What is wrong, with the line.
+        /// Problem, with the line.
         reason: String,
     },
     /// An option contradicts another, or cannot be worked with.
@@ -96,7 +96,7 @@ pub enum PerceptionError {
     /// Things that belong to one frame differ in size.
     #[error("{what} is {found:?} pixels large, but the frame is {expected:?}; both must agree")]
     SizeMismatch {
-        /// What has the wrong size.
+        /// Subject with the wrong size.
         what: String,
         /// Width and height of the frame.
         expected: (u32, u32),

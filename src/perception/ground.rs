@@ -150,7 +150,7 @@ impl GroundSegmenter for Semantic {
     }
 }
 
-/// By how much the best ground class beats the best other one, cell by cell.
+/// Margin of the best ground class over the best other one, cell by cell.
 struct Margin {
     width: usize,
     height: usize,

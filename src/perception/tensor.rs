@@ -41,7 +41,7 @@ impl Plane<'_> {
 pub(super) struct Between {
     /// Indices of the samples round it: above left and right, below left and right.
     near: [usize; 4],
-    /// How far it is from the first of them, cells across and down.
+    /// Offset from the first of them, cells across and down.
     part: [f32; 2],
 }
 
@@ -57,7 +57,7 @@ impl Between {
         Self { near, part: [x - x0 as f32, y - y0 as f32] }
     }
 
-    /// What a plane has there, by linear interpolation.
+    /// Value of a plane there, by linear interpolation.
     #[inline(always)]
     pub(super) fn value(&self, values: &[f32]) -> f32 {
         let [a, b, c, d] = self.near.map(|k| values[k]);

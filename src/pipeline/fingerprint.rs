@@ -17,8 +17,7 @@ pub(super) fn of_value(value: &impl Serialize) -> String {
 }
 
 fn of_value_in(version: &str, value: &impl Serialize) -> String {
-    let text =
-        serde_json::to_vec(&(version, value)).expect("options and hashes have string keys and finite numbers");
+    let text = serde_json::to_vec(&(version, value)).expect("options and hashes have string keys and finite numbers");
     hex(&Sha256::digest(&text))
 }
 

@@ -9,9 +9,9 @@ use rand::Rng as _;
 
 use crate::math::Rng;
 
-/// What RANSAC needs to know of a problem.
+/// Problem to be solved by RANSAC.
 pub trait Estimator {
-    /// What is estimated.
+    /// Estimated model.
     type Model: Clone;
     /// Size of a minimal sample.
     const SAMPLE_SIZE: usize;
@@ -26,7 +26,7 @@ pub trait Estimator {
     fn refine(&self, model: &Self::Model, inliers: &[usize]) -> Option<Self::Model>;
 }
 
-/// How hard to try.
+/// Effort of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
     /// Residual up to which a datum is an inlier, in the unit of the estimator's residual.

@@ -33,12 +33,12 @@ impl Rect {
         self.width() * self.height()
     }
 
-    /// Whether a point lies in the box.
+    /// Returns true if a point lies in the box.
     pub fn contains(&self, x: f64, y: f64) -> bool {
         (self.x0..self.x1).contains(&x) && (self.y0..self.y1).contains(&y)
     }
 
-    /// What both boxes cover; of no area where they do not meet.
+    /// Intersection of two boxes; of zero area where they do not overlap.
     #[must_use]
     pub fn intersection(&self, other: &Self) -> Self {
         Self {
@@ -93,7 +93,7 @@ impl From<BoundingBox> for Rect {
     }
 }
 
-/// What found an object in a frame.
+/// Source of a detection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Finder {
@@ -108,11 +108,11 @@ pub enum Finder {
 pub struct BoxDetection {
     /// Class name; `vehicle` where only motion found it.
     pub class: String,
-    /// How sure it is, 0 to 1.
+    /// Confidence, 0 to 1.
     pub confidence: f64,
     /// Where it is.
     pub rect: Rect,
-    /// What found it.
+    /// Source of the detection.
     pub finder: Finder,
 }
 

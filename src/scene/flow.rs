@@ -19,7 +19,7 @@ impl Flow {
         self.displacement[(y * self.width + x) as usize]
     }
 
-    /// Whether the displacement at an integer pixel passed the forward-backward check.
+    /// Returns true if the displacement at an integer pixel passed the forward-backward check.
     pub fn is_consistent(&self, x: u32, y: u32) -> bool {
         self.consistent[(y * self.width + x) as usize]
     }

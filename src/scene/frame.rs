@@ -22,7 +22,7 @@ impl fmt::Display for ObjectId {
     }
 }
 
-/// What the times of an input's frames count.
+/// Unit of the times of an input's frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TimeBase {
@@ -32,7 +32,7 @@ pub enum TimeBase {
     Frames,
 }
 
-/// What is known of a frame besides its pixels.
+/// Properties of a frame besides its pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Frame {
     /// Index in the source.

@@ -19,7 +19,7 @@ pub enum GroundSource {
     Geometric,
 }
 
-/// What a local plane rests on: the links of the chain of fallbacks, the surest first.
+/// Basis of a local plane: the links of the chain of fallbacks, the most reliable first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PlaneBasis {
@@ -77,7 +77,7 @@ pub struct GroundPlane {
     pub num_inliers: usize,
     /// Root mean square distance of the inliers, in units of the background.
     pub rms: f64,
-    /// What it rests on.
+    /// Basis of the plane.
     pub basis: PlaneBasis,
     /// Standard deviation of its height below the object, along the normal, in units of the background.
     pub height_std: f64,

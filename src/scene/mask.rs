@@ -77,7 +77,7 @@ impl Mask {
         self.pixels.iter().map(|&p| if p { 255 } else { 0 }).collect()
     }
 
-    /// Whether a pixel is set; outside the frame none is.
+    /// Returns true if a pixel is set; outside the frame none is.
     pub fn get(&self, x: i64, y: i64) -> bool {
         x >= 0
             && y >= 0
@@ -86,7 +86,7 @@ impl Mask {
             && self.pixels[y as usize * self.width as usize + x as usize]
     }
 
-    /// Whether the pixel that holds an image position (first pixel centre at 0.5, 0.5) is set.
+    /// Returns true if the pixel at an image position is set (center of the first pixel at 0.5, 0.5).
     pub fn contains(&self, x: f64, y: f64) -> bool {
         self.get(x.floor() as i64, y.floor() as i64)
     }

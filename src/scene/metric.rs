@@ -35,7 +35,7 @@ impl MetricVerdict {
     }
 }
 
-/// What a source contributed to the metres per unit.
+/// Contribution of one source to the meters per unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MetricShare {
     /// The source, for people.
@@ -59,7 +59,7 @@ pub struct MetricContradiction {
     pub deviations: f64,
 }
 
-/// What the axes of the metric frame are. The third points up in both.
+/// Axes of the metric frame. The third points up in both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MetricAxes {
@@ -78,7 +78,7 @@ pub struct MapOrigin {
     pub latitude: f64,
     /// Height, metres; see `knows_height`.
     pub height_m: f64,
-    /// Whether heights are absolute ones of the receiver; else they count from take-off or from an unknown level.
+    /// True if heights are the receiver's absolute ones; otherwise they count from take-off or an unknown level.
     pub knows_height: bool,
 }
 
@@ -91,11 +91,11 @@ pub struct MetricFrame {
     pub rotation_wxyz: [f64; 4],
     /// Metres.
     pub translation: [f64; 3],
-    /// What the axes are.
+    /// Axes of the frame.
     pub axes: MetricAxes,
     /// Where they lie on the map; `None` where nothing says so.
     pub origin: Option<MapOrigin>,
-    /// How sure all this is.
+    /// Standard deviations.
     pub std: MetricStd,
     /// The point of the background, in its units, at which `covariance` is taken.
     pub anchor: [f64; 3],
@@ -141,7 +141,7 @@ pub struct Metric {
     /// The transform; `None` where metres are unknown.
     #[serde(flatten)]
     pub frame: Option<MetricFrame>,
-    /// What each source contributed.
+    /// Contributions of all sources.
     pub shares: Vec<MetricShare>,
     /// The sources that contradict the others, the worst first.
     pub contradictions: Vec<MetricContradiction>,
@@ -160,7 +160,7 @@ pub struct Estimate {
     pub std: f64,
 }
 
-/// How large an object is, metres; `None` for what it was never seen from.
+/// Size of an object, meters; `None` for a dimension that was never visible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Dimensions {
     /// Between its ends, along the direction in which it points.
@@ -183,7 +183,7 @@ pub struct MetricPose {
     pub distance_to_camera_m: f64,
     /// Its standard deviation.
     pub distance_to_camera_std_m: f64,
-    /// What the smoother makes of all frames together; `None` where there are too few.
+    /// Smoothed motion at this frame; `None` where there are too few frames.
     #[serde(flatten)]
     pub motion: Option<Motion>,
     /// Where it is on the map; `None` where the map is not known.

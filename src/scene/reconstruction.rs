@@ -89,7 +89,7 @@ pub struct Point3d {
     pub track: Vec<TrackElement>,
 }
 
-/// How the file that a camera came from describes it.
+/// Form in which the file of origin describes a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CameraForm {
     /// In a model that [`Camera`] covers, whatever the values are.
@@ -106,8 +106,8 @@ pub enum CameraForm {
 pub struct Reconstruction {
     /// Intrinsics by id.
     pub cameras: BTreeMap<CameraId, Camera>,
-    /// How the cameras that came from a file were described there, so that they can be written in the same way. Those
-    /// that this program found have no entry.
+    /// Forms in which the files of origin describe their cameras, so that they are written in the same way. Cameras
+    /// that this program estimated have no entry.
     pub camera_forms: BTreeMap<CameraId, CameraForm>,
     /// Registered images by id, which orders them in time for a video.
     pub images: BTreeMap<ImageId, Image>,
@@ -116,7 +116,7 @@ pub struct Reconstruction {
 }
 
 impl Reconstruction {
-    /// Whether anything is registered.
+    /// Returns true if no image is registered.
     pub fn is_empty(&self) -> bool {
         self.images.is_empty()
     }
@@ -126,7 +126,7 @@ impl Reconstruction {
         &self.cameras[&image.camera]
     }
 
-    /// Whether points can be projected with a camera of this reconstruction.
+    /// Returns true if points can be projected with a camera of this reconstruction.
     pub fn can_project(&self, camera: CameraId) -> bool {
         !matches!(self.camera_forms.get(&camera), Some(CameraForm::Foreign(..) | CameraForm::Unknown))
     }

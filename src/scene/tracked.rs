@@ -63,7 +63,7 @@ impl fmt::Display for FoundIn {
     }
 }
 
-/// How the outlines of an object's masks were found, the best first.
+/// Source of the outlines of an object's masks, the best first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outline {
@@ -76,7 +76,7 @@ pub enum Outline {
     Coarse,
 }
 
-/// Whether an object moved against the background while it was seen.
+/// Motion of an object against the background while it was visible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Movement {
@@ -84,7 +84,7 @@ pub enum Movement {
     Moving,
     /// It stood still all the time.
     Standing,
-    /// What was seen does not tell.
+    /// The observations do not decide.
     Undetermined,
 }
 
@@ -99,23 +99,23 @@ impl Movement {
     }
 }
 
-/// Whether an object moved, and why that is said.
+/// Motion state of an object, with the reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MovementFinding {
-    /// Whether it moved.
+    /// Motion state.
     pub state: Movement,
-    /// What says so, in words.
+    /// Reason, in words.
     pub reason: String,
 }
 
-/// What says that two sights show one object. What could not be looked at is `None`.
+/// Evidence that two detections show one object. `None` marks evidence that is not available.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Sameness {
-    /// How far the second is from where the first leads to expect it, as a share of what is tolerated: 0 to 1.
+    /// Distance of the second from its prediction by the first, as a share of the tolerance: 0 to 1.
     pub place: Option<f64>,
     /// Similarity of their colours (Bhattacharyya coefficient), 0 to 1.
     pub colours: Option<f64>,
-    /// How large the second is beside the first, once the distance to the camera is allowed for: ratio of areas.
+    /// Ratio of areas, second to first, corrected for the distance to the camera.
     pub size: Option<f64>,
     /// Points that both show, each in the same place of the object.
     pub num_points: Option<usize>,
@@ -144,7 +144,7 @@ pub struct Gap {
     pub last: FrameId,
     /// The first frame after it.
     pub first: FrameId,
-    /// What says that it is the same object after it.
+    /// Evidence that it is the same object afterwards.
     pub evidence: Sameness,
 }
 
@@ -153,7 +153,7 @@ pub struct Gap {
 pub struct Apart {
     /// The other one, which is seen later.
     pub object: ObjectId,
-    /// What is known of both.
+    /// Evidence that both are one object.
     pub evidence: Sameness,
     /// Why they are kept apart, in words.
     pub reason: String,
@@ -168,14 +168,14 @@ pub struct TrackedObject {
     pub class: String,
     /// Mean score of what found it, 0 to 1; 1 for given masks.
     pub confidence: f64,
-    /// What found it.
+    /// Sources of its detections.
     pub found_in: FoundIn,
-    /// How its outline was found.
+    /// Source of its outline.
     pub outline: Outline,
-    /// How good its masks are by the mask network's own figure: the expected intersection over union with the truth, 0
-    /// to 1. `None` where nothing says.
+    /// Mask quality by the mask network's own estimate: the expected intersection over union with the truth, 0 to 1.
+    /// `None` if unknown.
     pub mask_quality: Option<f64>,
-    /// Whether it moved.
+    /// Motion state.
     pub movement: MovementFinding,
     /// Why it is not reconstructed, where that is decided already: neither class nor motion supports it.
     pub left_out: Option<String>,

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{Dimensions, FrameId, Metric, MetricPose, ObjectId, PlaneBasis, Verdict};
 use crate::math::Sim3;
 
-/// How a scale ratio was found; the names are those of the contract.
+/// Method of estimating a scale ratio; the names are those of the contract.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ScaleMethod {
@@ -47,18 +47,18 @@ pub struct ScaleEstimate {
     pub std: Option<f64>,
     /// The method that gave `ratio`.
     pub method: ScaleMethod,
-    /// Whether the motion leaves r undetermined: `ratio` is then a number to look at, not to trust.
+    /// True if the motion leaves r undetermined: `ratio` is then not to be used.
     pub degenerate: bool,
     /// Why it is degenerate.
     pub reason: Option<String>,
-    /// What every method that gave an answer says of the model that the trajectory refers to.
+    /// Ratios by all methods that gave one, for the model that the trajectory refers to.
     pub alternatives: Ratios,
-    /// What the methods say of the object as it was reconstructed; `None` where that is the same model, because nothing
-    /// was adjusted after structure from motion.
+    /// Ratios by all methods for the object before its adjustment with the ground; `None` if that is the same model,
+    /// because nothing was adjusted after structure from motion.
     pub as_reconstructed: Option<Ratios>,
     /// Where `std` comes from; `None` where the method gives none.
     pub shares: Option<ScaleShares>,
-    /// What the ratio rests on; `None` in files that do not say.
+    /// Evidence for the ratio; `None` in files that do not state it.
     pub support: Option<ScaleSupport>,
 }
 
@@ -93,7 +93,7 @@ pub struct ScaleShares {
     pub contact: f64,
     /// Of the camera's focal length; 0 where it is known.
     pub focal: f64,
-    /// What is left of the disagreement with the other methods that the rest does not explain.
+    /// Disagreement with the other methods that the rest does not explain.
     pub disagreement: f64,
 }
 
@@ -110,7 +110,7 @@ impl ScaleShares {
     }
 }
 
-/// What a scale ratio rests on.
+/// Evidence for a scale ratio.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScaleSupport {
     /// Points of the object's model.
@@ -121,8 +121,8 @@ pub struct ScaleSupport {
     pub frames_with_outline: usize,
     /// Median angle between the planes' normals and the object's upright direction, radians.
     pub tilt: f64,
-    /// By how much the object's distance to the ground varies (standard deviation over the frames), as a share of the
-    /// camera's height over the ground.
+    /// Standard deviation of the object's distance to the ground over the frames, as a share of the camera's height
+    /// above ground.
     pub ground_residual: f64,
     /// The largest difference to another method's ratio of the same model, as a share of the ratio; `None` where no
     /// other has an answer.
@@ -185,9 +185,9 @@ pub struct ObjectTrajectory {
     pub scale: ScaleEstimate,
     /// On what its ground planes rest, and in how many frames.
     pub ground: BTreeMap<PlaneBasis, usize>,
-    /// How far it can be trusted; `None` where nobody judged it.
+    /// Verdict; `None` if the trajectory was not judged.
     pub verdict: Option<Verdict>,
-    /// How large it is in metres; `None` where they are unknown.
+    /// Size in meters; `None` where meters are unknown.
     pub dimensions: Option<Dimensions>,
     /// Ascending in time; frames without both cameras are absent.
     pub poses: Vec<ObjectPose>,
@@ -200,14 +200,14 @@ impl ObjectTrajectory {
         self.poses.windows(2).map(|pair| pair[0].distance_to(&pair[1])).filter(|step| step.is_finite()).sum()
     }
 
-    /// Whether it must not be measured with: its scale is undetermined, or something else rules it out.
+    /// Returns true if it must not be used for measurements: its scale is undetermined, or it is rejected.
     pub fn is_ruled_out(&self) -> bool {
         self.scale.degenerate || self.verdict.as_ref().is_some_and(Verdict::is_refuted)
     }
 }
 
 impl ObjectPose {
-    /// How far the object's centre is from where it is in another frame.
+    /// Distance of the object's center from its position in another frame.
     pub fn distance_to(&self, other: &Self) -> f64 {
         self.position.iter().zip(&other.position).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
     }
@@ -218,7 +218,7 @@ impl ObjectPose {
 pub struct Trajectories {
     /// The unit of every length but those that are named after theirs.
     pub unit: Unit,
-    /// How metres follow; `None` in files that do not say.
+    /// Metric scale; `None` in files that do not state it.
     pub metric: Option<Metric>,
     /// Ascending by id.
     pub objects: Vec<ObjectTrajectory>,

@@ -1,8 +1,8 @@
-//! How far a trajectory can be trusted, and what says so.
+//! Verdicts on trajectories, with their reasons.
 
 use serde::{Deserialize, Serialize};
 
-/// How far a trajectory can be trusted, the best first.
+/// Trust in a trajectory, the best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Trust {
@@ -38,37 +38,37 @@ impl Trust {
     }
 }
 
-/// What was looked at.
+/// Subject of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ReasonKind {
-    /// Whether the motion determines the scale ratio at all.
+    /// Determinacy of the scale ratio by the motion.
     Determined,
     /// The standard deviation of the scale ratio.
     Deviation,
-    /// What other methods say of the scale ratio.
+    /// Agreement of other methods on the scale ratio.
     Agreement,
-    /// How many points the object has, and in how many frames it has a place.
+    /// Number of the object's points, and of frames in which it has a position.
     Amount,
     /// Its size in the picture.
     Pixels,
-    /// What found it, and how surely.
+    /// Source and confidence of its detections.
     Detection,
-    /// Whether it moves, by its own points and by its path.
+    /// Motion, by its own points and by its trajectory.
     Movement,
-    /// Whether it stands on the ground, and stays there.
+    /// Contact with the ground, and its constancy.
     Ground,
-    /// Whether a vehicle has such proportions.
+    /// Proportions, compared with those of vehicles.
     Shape,
     /// Its size beside that of the other vehicles.
     Size,
     /// Its speed, measured with its own size.
     Speed,
-    /// Whether its path is one that a vehicle can drive.
+    /// Drivability of its trajectory.
     Path,
 }
 
-/// What one look came to.
+/// Outcome of one check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Finding {
@@ -83,14 +83,14 @@ pub enum Finding {
 /// One thing that speaks for or against a trajectory.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Reason {
-    /// What was looked at.
+    /// Subject.
     pub kind: ReasonKind,
-    /// What it came to.
+    /// Outcome.
     pub finding: Finding,
-    /// What was seen, in words, with its figure.
+    /// Observation in words, with its figure.
     pub says: String,
-    /// How much it counts, 0 to 1: doubts that sum up to 1 make a trajectory doubtful, and one that refutes counts 1.
-    /// What supports it counts nothing: it takes no doubt away.
+    /// Weight, 0 to 1: doubts that sum to 1 make a trajectory doubtful; one that refutes weighs 1. Support weighs
+    /// nothing: it cancels no doubt.
     pub weight: f64,
 }
 
@@ -111,22 +111,22 @@ impl Reason {
     }
 }
 
-/// How far a trajectory can be trusted, and why.
+/// Verdict on a trajectory, with its reasons.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Verdict {
-    /// What all reasons come to.
+    /// Trust that follows from all reasons.
     pub state: Trust,
-    /// What refutes it first, then what doubts it, the gravest first, then what supports it.
+    /// Reasons: refuting ones, then doubts by falling weight, then support.
     pub reasons: Vec<Reason>,
 }
 
 impl Verdict {
-    /// What speaks against the trajectory, the gravest first.
+    /// Reasons against the trajectory, by falling weight.
     pub fn against(&self) -> impl Iterator<Item = &Reason> {
         self.reasons.iter().filter(|reason| reason.finding != Finding::Supports)
     }
 
-    /// Whether it rules the trajectory out.
+    /// Returns true if a reason rules the trajectory out.
     pub fn is_refuted(&self) -> bool {
         self.state == Trust::NotToBeTrusted
     }

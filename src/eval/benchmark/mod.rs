@@ -25,7 +25,7 @@ use crate::scene::{ModelState, ScaleMethod};
 pub struct Benchmark {
     /// Version of this format.
     pub version: u32,
-    /// What to call these results beside others.
+    /// Label of these results in comparisons.
     pub label: String,
     /// Version of the program that made them.
     pub program: String,
@@ -50,11 +50,11 @@ pub struct Entry {
     pub trajectory: String,
     /// Why there is no trajectory of the target, where there is none.
     pub failure: Option<String>,
-    /// How many frames have a pose.
+    /// Numbers of frames with a pose.
     pub registered: Option<RegisteredFrames>,
     /// Root mean square distance of the background's camera centres from the true ones.
     pub camera_rmse_m: Option<f64>,
-    /// What the run says of its scale ratio.
+    /// The run's scale ratio.
     pub scale: Option<ScaleFigures>,
     /// Why the run does not trust its scale ratio, where it does not.
     pub verdict: Option<String>,
@@ -67,16 +67,16 @@ pub struct Entry {
     /// The same on the target as structure from motion left it; `None` where the target was not adjusted with the
     /// ground.
     pub floor_as_reconstructed_m: Option<f64>,
-    /// What every estimator gave, by its name: `joint` on the target that it has adjusted, the others on the target as
+    /// Result of every estimator, by its name: `joint` on the target that it adjusted, the others on the target as
     /// structure from motion left it, which is what `--scale-method` with their name gives.
     pub estimators: BTreeMap<ScaleMethod, Answer>,
-    /// What the run cost when its stages were done.
+    /// Cost of the run when its stages were done.
     pub cost: Option<Cost>,
-    /// What the run warned of.
+    /// Warnings of the run.
     pub warnings: Vec<String>,
 }
 
-/// What one estimator gave.
+/// Result of one estimator.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
     /// Which of the target's models it speaks of.
@@ -96,7 +96,7 @@ impl Answer {
     }
 }
 
-/// What a run cost.
+/// Cost of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Cost {
     /// Elapsed time, seconds.
@@ -123,7 +123,7 @@ pub enum Estimator {
     ReferenceAsReconstructed,
 }
 
-/// What is looked at of an answer.
+/// Quantity of a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
     /// Mean distance of the placed points to the true mesh, metres.
@@ -207,7 +207,7 @@ impl Benchmark {
         methods.all(|method| method == first).then_some(first)
     }
 
-    /// Whether a target anywhere was adjusted after structure from motion.
+    /// Returns true if any target was adjusted after structure from motion.
     pub fn has_adjusted(&self) -> bool {
         self.sequences.iter().any(|entry| entry.floor_as_reconstructed_m.is_some())
     }

@@ -13,7 +13,7 @@ pub struct Summary {
     pub rows: Vec<Row>,
 }
 
-/// What one estimator reached.
+/// Results of one estimator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Which estimator.

@@ -40,7 +40,7 @@ const MIN_WIDTH: f64 = 1e-3;
 pub struct Alignment {
     /// From the other's frame and unit to the reference's.
     pub reference_from_other: Sim3,
-    /// What it was computed from.
+    /// Data it was computed from.
     pub basis: Basis,
     /// Common cameras that it was computed from.
     pub num_kept: usize,
@@ -48,7 +48,7 @@ pub struct Alignment {
     pub lost: Vec<String>,
 }
 
-/// What a similarity was computed from.
+/// Data that a similarity was computed from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Basis {
@@ -58,7 +58,7 @@ pub enum Basis {
     CentersAndDirections,
 }
 
-/// What [`align`] found.
+/// Result of [`align`].
 pub(super) struct Aligned {
     pub reference_from_other: Sim3,
     pub basis: Basis,

@@ -1,4 +1,4 @@
-//! Whether the deviations that follow from a model's own observations hold against the reference.
+//! Coverage of the standard deviations that follow from a model's own observations.
 //!
 //! The covariance of a bundle adjustment is relative to what holds its gauge: the first image, and one coordinate of
 //! the image farthest from it. So the reference is moved to where it agrees with the model in exactly these, and every
@@ -19,7 +19,7 @@ const MOST_IMAGES: usize = 200;
 /// Fewer say nothing.
 const FEWEST_IMAGES: usize = 5;
 
-/// How many camera centres lie within the deviations that their model's observations give.
+/// Numbers of camera centers within the standard deviations that their model's observations give.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Coverage {
     /// Images that were looked at: evenly spread, 200 at most.

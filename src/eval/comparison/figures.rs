@@ -28,9 +28,9 @@ pub struct ModelFigures {
     pub mean_track_length: Option<f64>,
     /// Reprojection errors, recomputed from cameras, points and observations; `None` without observations.
     pub reprojection: Option<Reprojection>,
-    /// How many points are seen in 2, 3, … images.
+    /// Numbers of points with 2, 3, … observations.
     pub track_lengths: Vec<usize>,
-    /// How many observations have an error of 0 to 0.1 px, 0.1 to 0.2 px, …
+    /// Numbers of observations with an error of 0 to 0.1 px, 0.1 to 0.2 px, …
     pub errors: Vec<usize>,
 }
 
@@ -112,7 +112,7 @@ pub(super) fn error_of_image(model: &Reconstruction, image: &Image) -> Option<f6
     (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
 }
 
-/// How many values there are of 0, 1, …; the last bin holds all that are larger.
+/// Histogram of values 0, 1, …; the last bin holds all larger ones.
 fn binned(values: Vec<usize>, num_bins: usize) -> Vec<usize> {
     let mut bins = vec![0; num_bins];
     for value in values {

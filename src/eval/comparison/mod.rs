@@ -32,15 +32,15 @@ use pairing::Pairing;
 /// One reconstruction that takes part.
 #[derive(Clone, Debug)]
 pub struct Side {
-    /// What it is called.
+    /// Name.
     pub name: String,
-    /// What was reconstructed.
+    /// Reconstruction.
     pub model: Reconstruction,
-    /// What it cost, if known.
+    /// Cost, if known.
     pub cost: Option<Cost>,
 }
 
-/// What a reconstruction cost.
+/// Cost of a reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cost {
     /// Time of all processors together, seconds.
@@ -68,7 +68,7 @@ pub struct Comparison {
     pub version: u32,
     /// The unit of every length.
     pub unit: LengthUnit,
-    /// What made two images the same.
+    /// Criterion by which images were matched.
     pub match_by: MatchBy,
     /// The one that sets frame and unit.
     pub reference: Subject,
@@ -79,11 +79,11 @@ pub struct Comparison {
 /// One reconstruction and what is known of it alone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Subject {
-    /// What it is called.
+    /// Name.
     pub name: String,
     /// Size and quality.
     pub figures: ModelFigures,
-    /// What it cost; null where nobody wrote it down.
+    /// Cost; null if it was not recorded.
     pub cost: Option<Cost>,
 }
 
@@ -98,11 +98,11 @@ pub struct Against {
     pub only_in_reference: Vec<String>,
     /// Names of images that are registered here alone.
     pub only_in_other: Vec<String>,
-    /// How it lies in the reference's frame.
+    /// Alignment with the reference.
     pub alignment: Outcome<Alignment>,
     /// Differences between the common cameras, once aligned.
     pub cameras: Outcome<CameraDifferences>,
-    /// Whether the deviations of the centres hold that follow from this one's own observations.
+    /// Coverage of the standard deviations of the camera centers that follow from its own observations.
     pub coverage: Outcome<Coverage>,
     /// Relative poses.
     pub relative: Outcome<RelativePoses>,
@@ -156,7 +156,7 @@ pub struct ImageDifference {
     pub center: Option<f64>,
     /// Angle between the cameras, degrees; null where the two could not be aligned.
     pub rotation_deg: Option<f64>,
-    /// Whether the similarity was computed without it, since it lies elsewhere.
+    /// True if the similarity was computed without it, as an outlier.
     pub lost: bool,
     /// Observations of points, in the reference and in the other.
     pub num_observations: [usize; 2],
@@ -165,7 +165,7 @@ pub struct ImageDifference {
 }
 
 impl Comparison {
-    /// Whether at least one of the others could be aligned.
+    /// Returns true if at least one of the others could be aligned.
     pub fn has_result(&self) -> bool {
         self.others.iter().any(|other| other.alignment.as_ref().is_ok())
     }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::scene::{Image, ImageId, Reconstruction};
 
-/// What makes two images the same.
+/// Criterion by which images of two models are matched.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MatchBy {
@@ -49,7 +49,7 @@ impl Pairing {
     }
 }
 
-/// What pairs are sorted by: the image's name, but for the order, whose keys are in order already.
+/// Sort key of pairs: the image's name; for matching by order, the key itself, which is sorted already.
 fn key_of<'a>(model: &'a Reconstruction, id: ImageId, key: &'a str, by: MatchBy) -> &'a str {
     if by == MatchBy::Order { key } else { &model.images[&id].name }
 }

@@ -17,7 +17,7 @@ const DURATION_S: f64 = 60.0;
 const STEP_S: f64 = 0.1;
 /// Time between what the pilot asks for and what the drone does, seconds.
 const LAG_S: f64 = 1.0;
-/// What a reconstruction drifts by in a minute: logarithm of the scale, and heading in radians.
+/// Drift of a reconstruction per minute: logarithm of the scale, and heading in radians.
 const DRIFT: [f64; 2] = [5e-3, 5e-3];
 /// Deviation of camera centres as a share of the way, as the pipeline states it.
 const STATED_DRIFT: f64 = 0.002;

@@ -29,7 +29,7 @@ use super::fix::distinct;
 use super::{CameraPath, PositionFix};
 use crate::math::Sim3;
 
-/// What is known of the time between the log's clock and the video's: log = video + offset.
+/// Prior on the offset between the log's clock and the video's: log = video + offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Offset {
     /// The log was written with the video, or clocks were compared.
@@ -57,7 +57,7 @@ pub struct Gravity {
     pub std: f64,
 }
 
-/// How the background's frame is turned, from the camera's attitude in a log.
+/// Rotation of the background's frame, from the camera's attitude in a log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orientation {
     /// East, north, up from the background's axes.
@@ -68,7 +68,7 @@ pub struct Orientation {
     pub heading_std: f64,
 }
 
-/// What is known besides the fixes.
+/// Information besides the fixes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Support {
     /// Time between the clocks.
@@ -93,7 +93,7 @@ pub struct Alignment {
     pub metric_from_world: Sim3,
     /// Mean of the path: the point at which `covariance` is taken.
     pub anchor_in_world: Point3<f64>,
-    /// How sure it is.
+    /// Covariance.
     pub covariance: Covariance,
     /// Log = video + this, seconds.
     pub offset_s: f64,
@@ -144,11 +144,11 @@ pub enum Refusal {
          to another flight, or its clock to another zone"
     )]
     NoOverlap {
-        /// How many lie in it.
+        /// Number of fixes in it.
         num: usize,
-        /// How many there are.
+        /// Number of fixes.
         of: usize,
-        /// How many it takes.
+        /// Number required.
         least: usize,
     },
     /// Too few fixes to find out how the clocks go together.
@@ -157,9 +157,9 @@ pub enum Refusal {
          together, which takes {least}: state the offset"
     )]
     TooFewForOffset {
-        /// How many lie in it.
+        /// Number of fixes in it.
         num: usize,
-        /// How many it takes.
+        /// Number required.
         least: usize,
     },
     /// The camera hardly moved, by the receiver's measure.
@@ -246,7 +246,7 @@ pub fn align_to_fixes(path: &CameraPath, fixes: &[PositionFix], support: &Suppor
     Ok(best.alignment())
 }
 
-/// Whether a fit is one.
+/// Accepts or refuses a fit.
 fn judge(best: &refine::Refined, fixes: &[PositionFix]) -> Result<(), Refusal> {
     if best.rejected_share > MAX_REJECTED_SHARE || best.noise_factor > MAX_NOISE_FACTOR {
         let rejected_percent = 100.0 * best.rejected_share;

@@ -58,14 +58,14 @@ impl Refined {
         self.covariance[(7, 7)].sqrt()
     }
 
-    /// What fits are compared by: the residuals per group, as if those that jump were at the limit.
+    /// Cost by which fits are compared: the residuals per group, those of outliers set to the limit.
     pub(super) fn badness(&self) -> f64 {
         let rejected = self.rejected_share * REJECTED * REJECTED;
         (self.chi2 / self.num_groups as f64 + rejected) * self.noise_factor.max(1.0).powi(2)
     }
 
-    /// By how much fits of this many groups are better or worse than others by chance: three deviations of χ² over its
-    /// degrees of freedom.
+    /// Difference by chance between fits of this many groups: three standard deviations of χ² over its degrees of
+    /// freedom.
     pub(super) fn badness_by_chance(&self) -> f64 {
         3.0 * (2.0 / (3.0 * self.num_groups as f64)).sqrt()
     }
@@ -120,7 +120,7 @@ struct Fit<'a> {
     noise: [f64; 2],
 }
 
-/// What differs from what is known besides the fixes, with its weight.
+/// Weighted residuals of the priors.
 struct PriorResiduals {
     gravity: Option<(Vector3<f64>, f64)>,
     attitude: Option<(Vector3<f64>, Matrix3<f64>)>,

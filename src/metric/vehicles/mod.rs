@@ -1,4 +1,4 @@
-//! What vehicles are like: lengths, widths and heights of a class as a source of metres.
+//! Typical vehicle sizes: lengths, widths and heights of a class as a source of meters.
 //!
 //! A class is made of segments, whose vehicles are alike: the logarithms of a vehicle's dimensions are normal round
 //! those of its segment, with a part that the dimensions of one vehicle share (large or small) and a part of each.
@@ -61,7 +61,7 @@ pub struct Extent {
     pub vehicle: u32,
     /// Its class.
     pub class: VehicleClass,
-    /// What was measured.
+    /// Measured dimension.
     pub dimension: Dimension,
     /// Units.
     pub value: f64,
@@ -78,7 +78,7 @@ impl Extent {
     }
 }
 
-/// What the sizes of vehicles say of metres per unit.
+/// Meters per unit by the sizes of vehicles.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VehicleSizes {
     /// Logarithm of metres per unit and its standard deviation; `None` where no vehicle says anything.
@@ -92,13 +92,13 @@ pub struct VehicleSizes {
 pub struct OddVehicle {
     /// Which one.
     pub vehicle: u32,
-    /// What is odd about it.
+    /// Anomaly.
     pub oddity: Oddity,
     /// By how many standard deviations.
     pub deviations: f64,
 }
 
-/// What is odd about a vehicle.
+/// Anomaly of a vehicle's size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Oddity {
     /// No vehicle of its class has its proportions. It is left out.

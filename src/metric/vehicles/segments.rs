@@ -1,4 +1,4 @@
-//! How large vehicles are: of each class the segments of its market, with their shares.
+//! Sizes of vehicles: of each class the segments of its market, with their shares.
 //!
 //! A class of a detector is no normal distribution: `car` goes from two-seaters to vans. Cars of one segment are alike,
 //! and their proportions say which segment a car is of.

@@ -1,11 +1,11 @@
-//! What one vehicle says of metres per unit: a mixture over the segments of its class (docs/maths/metric.md, eq. 8).
+//! Meters per unit by one vehicle: a mixture over the segments of its class (docs/maths/metric.md, eq. 8).
 
 use nalgebra::{DMatrix, DVector};
 
 use super::segments::{self, Segment};
 use super::{Extent, SHARED_BY_VEHICLE};
 
-/// What the extents of one vehicle say together.
+/// Joint estimate from the extents of one vehicle.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Answer {
     /// Which vehicle.
@@ -14,13 +14,13 @@ pub(super) struct Answer {
     pub(super) log_scale: f64,
     /// Its standard deviation, without what all vehicles of a place have in common.
     pub(super) std: f64,
-    /// How many of its extents are known.
+    /// Number of known extents.
     pub(super) num_extents: usize,
-    /// How far its proportions are from those of the nearest segment, standard deviations.
+    /// Distance of its proportions from those of the nearest segment, standard deviations.
     pub(super) misfit: f64,
 }
 
-/// What one segment makes of the extents.
+/// Likelihood of the extents under one segment.
 struct Member {
     log_weight: f64,
     log_scale: f64,

@@ -19,7 +19,7 @@ use crate::scene::{Flow, Rect};
 /// DIS divides its input by powers of two and fails below this side.
 const MIN_SIDE: u32 = 32;
 
-/// How carefully DIS works; each step costs about five times the one before.
+/// Quality of DIS; each step costs about five times the one before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum DisPreset {

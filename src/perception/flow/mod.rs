@@ -48,7 +48,7 @@ pub trait FlowEstimator {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct FlowOptions {
-    /// How carefully DIS works.
+    /// Quality of DIS.
     pub preset: DisPreset,
     /// Frames with a longer side are shrunk to this many pixels for the estimate; the flow is given at full size.
     #[schemars(extend("unit" = "pixels"))]

@@ -28,8 +28,8 @@ const ROUNDS: i32 = 3;
 const SEED: i32 = 1;
 /// Boxes with a shorter side below this have too few pixels for two mixtures of five Gaussians.
 const MIN_SIDE_PX: f64 = 4.0;
-/// What overlap with the truth may be hoped for where the mask's own box is the box asked for; 0.80 in rendered
-/// sequences from boxes moved by a tenth.
+/// Expected overlap with the truth where the mask's own box is the box prompt; 0.80 in rendered sequences with boxes
+/// moved by a tenth.
 const TRUST: f64 = 0.8;
 
 /// A stand-in for the mask network that needs no network.
@@ -129,7 +129,7 @@ fn first_labels(rect: &Rect, (width, height): (u32, u32)) -> Result<Option<Mat>,
     Ok(Some(mat_from_bytes(width, height, &labels)?))
 }
 
-/// Whether a point lies in the ellipse in the middle of a box.
+/// Returns true if a point lies in the ellipse in the middle of a box.
 fn in_core(rect: &Rect, x: f64, y: f64) -> bool {
     let from_middle = |at: f64, first: f64, last: f64| (2.0 * at - first - last) / (CORE * (last - first));
     let (u, v) = (from_middle(x, rect.x0, rect.x1), from_middle(y, rect.y0, rect.y1));

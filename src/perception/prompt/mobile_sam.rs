@@ -202,7 +202,7 @@ fn wrong_output(model: &Model, found: Option<Tensor>, expected: &str) -> Percept
     }
 }
 
-/// What the decoder offers for one box.
+/// Outputs of the decoder for one box.
 struct Answers {
     /// Width and height of a mask's logits, cells.
     width: usize,
@@ -311,7 +311,7 @@ fn stability(plane: &Plane<'_>) -> f64 {
     above(STABILITY_OFFSET) / above(-STABILITY_OFFSET).max(1.0)
 }
 
-/// How much is marked in the whole input, in pixels of the frame.
+/// Area of the mask in the whole input, in pixels of the frame.
 fn everywhere_px2(plane: &Plane<'_>, placement: &Placement) -> f64 {
     let cells = plane.values.iter().filter(|&&logit| logit > 0.0).count();
     cells as f64 * LOGIT_STEP * LOGIT_STEP / placement.area_scale()

@@ -19,7 +19,7 @@ use crate::scene::{Mask, Rect};
 pub struct Prompted {
     /// Its pixels, at the frame's resolution.
     pub mask: Mask,
-    /// How good the mask is, in the words of what made it: the expected intersection over union, 0 to 1.
+    /// Mask quality by the segmenter's own estimate: the expected intersection over union, 0 to 1.
     pub quality: f64,
 }
 
@@ -32,14 +32,14 @@ pub trait Prompter {
     /// When the network cannot be run or answers in a shape that its family does not allow.
     fn masks(&mut self, image: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<Prompted>>, PerceptionError>;
 
-    /// Whether the masks are coarse: good for finding the object, not for its outline.
+    /// Returns true if the masks are coarse: good for finding the object, not for its outline.
     fn is_coarse(&self) -> bool;
 }
 
 /// Boxes that overlap so much agree: those of detectors are off by a tenth of their sides.
 const AGREEMENT: f64 = 0.75;
 
-/// How well the box round a mask and the box asked for agree, 0 to 1.
+/// Agreement of the box round a mask with the box prompt, 0 to 1.
 fn agreement(found: &Rect, asked: &Rect) -> f64 {
     (found.iou(asked) / AGREEMENT).min(1.0)
 }

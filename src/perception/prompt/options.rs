@@ -1,4 +1,4 @@
-//! What a mask of a box may be, and what it may cost.
+//! Limits on the mask of a box, and on its cost.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,8 +16,8 @@ pub struct PromptOptions {
     /// large the box is in it: below 170 pixels (`input_size` through `window`) the masks get worse quickly.
     #[schemars(extend("unit" = "pixels"))]
     pub input_size: u32,
-    /// How much of the frame is encoded for a box: the box and a margin all round, together so many times as long as
-    /// its longer side. More of it leaves less of the input to the object.
+    /// Side of the window that is encoded for a box prompt, as a multiple of the box's longer side. A larger one leaves
+    /// less of the input to the object.
     #[schemars(extend("unit" = "longer sides of the box"))]
     pub window: f64,
     /// No part of the frame that is encoded is smaller than this: what is enlarged further does not get clearer.

@@ -51,7 +51,7 @@ impl Window {
         Rect { x0, y0, x1: x0 + f64::from(self.width), y1: y0 + f64::from(self.height) }
     }
 
-    /// Whether a box, grown by a margin as far as the frame allows, lies in the window.
+    /// Returns true if a box, grown by a margin as far as the frame allows, lies in the window.
     fn holds(&self, rect: &Rect, margin: f64, frame: (u32, u32)) -> bool {
         let grown = rect.grown(margin).clipped(frame.0, frame.1);
         self.rect().intersection(&grown) == grown

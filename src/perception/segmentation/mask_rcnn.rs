@@ -25,7 +25,7 @@ use crate::scene::{Detection, Mask};
 /// A pasted mask ends within this share of its box's sides beside the box (one cell of 28), and one pixel.
 const PASTED_MARGIN: f32 = 1.0 / 28.0;
 
-/// Whether a network's inputs and outputs are those of the family.
+/// Returns true if a network's inputs and outputs are those of the family.
 pub(super) fn recognise(model: &Model) -> bool {
     let [input] = model.inputs() else { return false };
     let is_image = match input.shape[..] {
@@ -152,7 +152,7 @@ enum Spread {
     Input,
 }
 
-/// What the network says of one view, its shapes checked.
+/// Outputs of the network for one view, with checked shapes.
 #[derive(Debug)]
 struct Answer {
     /// [n, 4], corners in input pixels.

@@ -44,7 +44,7 @@ pub trait Detector {
     fn detect(&mut self, image: &RgbImage) -> Result<Vec<BoxDetection>, PerceptionError>;
 }
 
-/// Whether a frame that is larger than the network's input is also looked at piece by piece.
+/// Treatment of frames that are larger than the network's input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tiling {
@@ -71,7 +71,7 @@ pub struct SegmentationOptions {
     /// Names of the classes that are reported: everything that may move by itself, for nothing of it may serve as
     /// background.
     pub classes: Vec<String>,
-    /// Whether large frames are also looked at in tiles.
+    /// Tiling of large frames.
     pub tiling: Tiling,
     /// Overlap of neighbouring tiles: larger than the objects that the tiles are to find.
     #[schemars(extend("unit" = "share of a tile's side"))]
@@ -82,7 +82,7 @@ pub struct SegmentationOptions {
     pub input_size: u32,
 }
 
-/// What moves by itself, in the words of COCO, Cityscapes and the common drone data sets.
+/// Classes that move by themselves, in the words of COCO, Cityscapes and the common drone data sets.
 const MOVABLE: [&str; 25] = [
     "car",
     "truck",

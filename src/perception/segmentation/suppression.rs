@@ -10,11 +10,11 @@ pub(super) struct Candidate<M> {
     pub(super) corners: [f32; 4],
     pub(super) class_idx: usize,
     pub(super) confidence: f32,
-    /// Whether it ends at a tile's border inside the frame.
+    /// True if it ends at a tile's border inside the frame.
     pub(super) cut: bool,
     /// Index of the view that it was found in.
     pub(super) view_idx: usize,
-    /// What its mask is made of.
+    /// Data of its mask.
     pub(super) mask: M,
 }
 
@@ -51,7 +51,7 @@ pub(super) fn suppress<M>(mut candidates: Vec<Candidate<M>>, max_iou: f32) -> Ve
     kept
 }
 
-/// Whether a candidate shows the same object as one that is kept already.
+/// Returns true if a candidate shows the same object as one that is kept already.
 fn repeats<M>(candidate: &Candidate<M>, kept: &Candidate<M>, max_iou: f32) -> bool {
     let both = intersection(candidate.corners, kept.corners);
     let (a, b) = (area(candidate.corners), area(kept.corners));

@@ -18,8 +18,8 @@ impl View {
         Self { x0: 0, y0: 0, width, height }
     }
 
-    /// Whether a box (x0, y0, x1, y1) in frame pixels ends at a border of the view that is not one of the frame: such
-    /// an object is cut, and another view may see more of it.
+    /// Returns true if a box (x0, y0, x1, y1) in frame pixels ends at a border of the view that is not one of the
+    /// frame: such an object is truncated, and another view may see more of it.
     pub(super) fn cuts(&self, corners: [f32; 4], frame: (u32, u32)) -> bool {
         /// A box within this many pixels of the border ends there.
         const NEAR_PX: f32 = 3.0;

@@ -21,7 +21,7 @@ use crate::scene::{Detection, Mask};
 /// Sides of an input that the network leaves open are multiples of this (its coarsest stride).
 const STRIDE: u32 = 32;
 
-/// Whether a network's inputs and outputs are those of the family.
+/// Returns true if a network's inputs and outputs are those of the family.
 pub(super) fn recognise(model: &Model) -> bool {
     let [input] = model.inputs() else { return false };
     let [boxes, prototypes] = model.outputs() else { return false };

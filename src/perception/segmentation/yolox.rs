@@ -29,7 +29,7 @@ const NUM_BOX_COLUMNS: usize = 5;
 /// At most this many objects per frame, the best ones.
 const MAX_OBJECTS: usize = 300;
 
-/// Whether a network's inputs and outputs are those of the family.
+/// Returns true if a network's inputs and outputs are those of the family.
 pub(super) fn recognise(model: &Model) -> bool {
     let ([input], [output]) = (model.inputs(), model.outputs()) else { return false };
     let image = input.shape.len() == 4 && input.shape[1].is_none_or(|channels| channels == 3);
@@ -89,7 +89,7 @@ impl Yolox {
         sizes
     }
 
-    /// What the network finds in a picture at one size of its input; boxes in pixels of the frame that it shows.
+    /// Detects objects in an image at one size of the network's input; boxes in pixels of the frame.
     fn look_at(
         &mut self,
         picture: &RgbImage,
@@ -128,7 +128,8 @@ impl Yolox {
     }
 }
 
-/// Whether no box has a side below a cell's: logarithms of sides are negative somewhere, sides in pixels nowhere.
+/// Returns true if no box has a side below a cell's: logarithms of sides are negative somewhere, sides in pixels
+/// nowhere.
 fn is_decoded(output: &Tensor) -> bool {
     output.values.chunks_exact(output.shape[2]).all(|row| row[2] >= 0.0 && row[3] >= 0.0)
 }
@@ -153,7 +154,7 @@ impl Detector for Yolox {
     }
 }
 
-/// What the rows of an output say; boxes in pixels of the input (width, height). `wanted` has one entry per class.
+/// Decodes the rows of an output; boxes in pixels of the input (width, height). `wanted` has one entry per class.
 fn decode(values: &[f32], input: (u32, u32), wanted: &[Option<String>], min_confidence: f64) -> Vec<BoxDetection> {
     let mut found = Vec::new();
     let mut rows = values.chunks_exact(NUM_BOX_COLUMNS + wanted.len());

@@ -1,4 +1,4 @@
-//! What an object looks like: a histogram of its colours.
+//! Appearance of an object: a histogram of its colors.
 
 use ::image::RgbImage;
 
