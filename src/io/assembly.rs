@@ -1,4 +1,4 @@
-//! What readers and writers of reconstructions share.
+//! Code shared by readers and writers of reconstructions.
 
 use std::fmt;
 use std::path::Path;
@@ -107,7 +107,7 @@ pub fn unsupported_camera(path: &Path, id: CameraId, what: &str, format: &str) -
     }
 }
 
-/// What a format had no place for, in words.
+/// Data that a format cannot hold, in words.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Losses(Vec<String>);
 

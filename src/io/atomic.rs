@@ -16,11 +16,10 @@ use tempfile::{Builder, NamedTempFile};
 
 use super::IoError;
 
-/// How temporary names begin; nothing else in an output folder does.
+/// Prefix of temporary names; nothing else in an output folder has it.
 const TEMPORARY_PREFIX: &str = ".tractrix-";
 
-/// How a folder's name begins in which something is prepared that has no place yet: after a power failure it is not
-/// looked at.
+/// Prefix of a folder in which something is prepared that has no final place yet: after a power failure it is ignored.
 pub(super) const UNPLACED: &str = ".tractrix-new-";
 
 /// Writes a whole file, replacing one that is there. Missing folders above it are made.
@@ -108,7 +107,7 @@ pub fn remove_folder(path: &Path) -> Result<(), IoError> {
     }
 }
 
-/// Whether a name is one under which a file is written before it is whole.
+/// Returns true if a name is one under which an incomplete file is written.
 pub(super) fn is_temporary(name: &str) -> bool {
     name.starts_with(TEMPORARY_PREFIX)
 }

@@ -30,7 +30,7 @@ use crate::camera::Camera;
 use crate::math::Rigid3;
 use crate::scene::{CameraId, Image, ImageId, Reconstruction};
 
-/// How the file begins.
+/// First line of the file.
 pub const MAGIC: &str = "# Bundle file v0.3";
 
 const FORMAT: &str = "Bundler's format";

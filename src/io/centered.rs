@@ -1,4 +1,4 @@
-//! What the formats share that count places from the middle of a picture and know nothing of its size: NVM and Bundler.
+//! Code shared by the formats with positions from the image's center and without its size: NVM and Bundler.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -106,7 +106,7 @@ pub fn places(model: &Reconstruction) -> BTreeMap<ImageId, usize> {
     model.images.keys().enumerate().map(|(place, id)| (*id, place)).collect()
 }
 
-/// What these formats have no place for.
+/// Data that these formats cannot hold.
 pub fn losses(model: &Reconstruction) -> Losses {
     let is_off = |camera: &&Camera| camera.principal != [f64::from(camera.width) / 2.0, f64::from(camera.height) / 2.0];
     Losses::default()

@@ -1,4 +1,4 @@
-//! What can be wrong with a file.
+//! Errors of files.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ pub enum IoError {
     /// The operating system refuses.
     #[error("cannot {action} {}", path.display())]
     System {
-        /// What was tried: `read`, `write`, `replace`, …
+        /// Attempted action: `read`, `write`, `replace`, …
         action: &'static str,
         /// The file or folder.
         path: PathBuf,
@@ -24,7 +24,7 @@ pub enum IoError {
         line: usize,
         /// The field at fault.
         field: String,
-        /// What is wrong with it.
+        /// Problem.
         problem: String,
     },
     /// A binary file breaks off, or holds an impossible value.
@@ -36,7 +36,7 @@ pub enum IoError {
         offset: usize,
         /// The field at fault.
         field: String,
-        /// What is wrong with it.
+        /// Problem.
         problem: String,
     },
     /// The file is whole, but its content does not hold together.
@@ -44,7 +44,7 @@ pub enum IoError {
     Content {
         /// The file or folder.
         path: PathBuf,
-        /// What is wrong, and with which entry.
+        /// Problem, with its entry.
         problem: String,
     },
     /// The file is valid, but uses something that this program does not do.
@@ -52,9 +52,9 @@ pub enum IoError {
     Unsupported {
         /// The file.
         path: PathBuf,
-        /// What it uses.
+        /// Unsupported feature.
         what: String,
-        /// What to do about it.
+        /// Remedy.
         cure: String,
     },
     /// A picture of another size than the frame that it belongs to.
@@ -84,7 +84,7 @@ impl IoError {
         Self::Content { path: path.to_path_buf(), problem: problem.into() }
     }
 
-    /// Whether the file or folder is simply not there.
+    /// Returns true if the file or folder does not exist.
     pub fn is_not_found(&self) -> bool {
         matches!(self, Self::System { source, .. } if source.kind() == std::io::ErrorKind::NotFound)
     }

@@ -1,4 +1,4 @@
-//! What lies where among the files that are exported for other programs.
+//! Layout of the files that are exported for other programs.
 //!
 //! They stand in `export/` of an output folder, or in a folder of their own.
 
@@ -44,7 +44,7 @@ impl ExportFolder {
     pub const MASKS: &str = "masks";
     /// Models in that workspace.
     pub const SPARSE: &str = "sparse";
-    /// What the poses beside it refer to.
+    /// Description of the frame of the poses next to it.
     pub const ABOUT: &str = "about.txt";
 
     const FILES: [&str; 9] = [
@@ -59,7 +59,7 @@ impl ExportFolder {
         Self::VIDEO,
     ];
 
-    /// What an export may put at a path, relative to a folder of its own.
+    /// Role of a path of an export, relative to its own folder.
     pub fn place(relative: &Path) -> Place {
         let parts: Option<Vec<&str>> = relative.iter().map(|part| part.to_str()).collect();
         match parts.as_deref() {

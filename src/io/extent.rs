@@ -1,4 +1,4 @@
-//! How far away anything may be.
+//! Limits of coordinates.
 
 use crate::scene::Reconstruction;
 
@@ -6,12 +6,12 @@ use crate::scene::Reconstruction;
 /// there on squares and cubes of distances lose all meaning, and in the end are no numbers any more.
 pub const LARGEST: f64 = 1e15;
 
-/// Whether a coordinate is a number that can be meant.
+/// Returns true if a coordinate is finite and within the limit.
 pub fn is_sensible(coordinate: &f64) -> bool {
     coordinate.abs() <= LARGEST
 }
 
-/// Whether a ratio of lengths is a number that can be meant.
+/// Returns true if a ratio of lengths is positive, finite and within the limit.
 pub fn is_sensible_ratio(ratio: f64) -> bool {
     (1.0 / LARGEST..=LARGEST).contains(&ratio)
 }

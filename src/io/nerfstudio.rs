@@ -44,7 +44,7 @@ struct Frame {
     transform_matrix: [[f64; 4]; 4],
 }
 
-/// What is not said is said at the top, or is zero.
+/// Intrinsics; a missing value is taken from the top level, or is zero.
 #[derive(Clone, Default, PartialEq, Deserialize, Serialize)]
 struct Intrinsics {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -78,7 +78,7 @@ struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// What a frame says, and for the rest what stands at the top.
+    /// Values of a frame, and for the rest those of the top level.
     fn or(&self, top: &Self) -> Self {
         Self {
             camera_model: self.camera_model.clone().or_else(|| top.camera_model.clone()),

@@ -32,10 +32,10 @@ use crate::camera::{Camera, HigherTerms};
 use crate::math::{Rigid3, median};
 use crate::scene::{CameraId, Image, ImageId, Reconstruction};
 
-/// How the file begins.
+/// First line of the file.
 pub const MAGIC: &str = "NVM_V3";
 
-/// How far the distortion that is written may lie from the lens, pixels.
+/// Maximum error of the distortion that is written against the lens, pixels.
 const MAX_FIT_ERROR_PX: f64 = 0.5;
 
 const FORMAT: &str = "the NVM format";
@@ -71,7 +71,7 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     Ok(model)
 }
 
-/// Whether no place lies left of or above the origin, as about half of those do that are counted from the middle.
+/// Returns true if no position is left of or above the origin, as about half are that count from the center.
 fn count_from_the_corner(points: &[Centered]) -> bool {
     const FEWEST: usize = 16;
     let mut places = points.iter().flat_map(|point| &point.seen).map(|(_, place)| place);
@@ -250,7 +250,7 @@ mod tests {
         assert!(write(&path, &strong).unwrap_err().to_string().contains("one term"));
     }
 
-    /// What VisualSFM writes besides: places from the corner, without a size.
+    /// Files of VisualSFM with positions from the corner, without a size.
     #[test]
     fn places_from_the_corner_are_noticed() {
         let lens = |f: f64, width| Camera { radial: [0.0; 2], ..Camera::with_focal(width, 540, f) };

@@ -58,7 +58,7 @@ pub struct SequenceFrame {
     pub cam_from_world: Rigid3,
     /// The target's pose.
     pub world_from_object: Rigid3,
-    /// How much of the target's outline is seen, 0 to 1, if stated.
+    /// Visible share of the target's outline, 0 to 1, if stated.
     pub visible_share: Option<f64>,
 }
 
@@ -135,7 +135,7 @@ impl Sequence {
         Some(self.folder.join("video.mp4")).filter(|path| path.is_file())
     }
 
-    /// What a run takes for input: the folder of pictures if it is there, else the video.
+    /// Input of a run: the image folder if it exists, otherwise the video.
     ///
     /// # Errors
     /// A sequence without frames, or with neither pictures nor video.

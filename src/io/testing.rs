@@ -1,4 +1,4 @@
-//! What tests of formats share: where files are, a model with odd things in it, and when two models agree.
+//! Shared parts of tests of formats: file paths, an unusual model, and a comparison of models.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

@@ -1,4 +1,4 @@
-//! What can go wrong in structure from motion, besides geometry: degenerate geometry is an answer, not an error.
+//! Errors of structure from motion other than degenerate geometry, which is an answer.
 
 /// An error of this room.
 #[derive(Debug, thiserror::Error)]
@@ -18,7 +18,7 @@ pub enum SfmError {
     /// The pictures do not give a start; nothing is wrong with how they were given.
     #[error("nothing could be reconstructed: {reason}")]
     Failed {
-        /// What was missing.
+        /// Missing input.
         reason: String,
     },
     /// A frame is said to be of a camera that was not given.
@@ -26,7 +26,7 @@ pub enum SfmError {
     NoCamera {
         /// Its place in the list, from 0.
         camera: usize,
-        /// How many were given.
+        /// Number given.
         count: usize,
     },
     /// A mask has another size than its image.

@@ -21,7 +21,7 @@ pub use super::sift::DESCRIPTOR_LEN;
 /// descriptors is beyond sixteen bits: (175² + √128 · 175 + 32) < 2¹⁵.
 pub const DESCRIPTOR_NORM: f32 = 175.0;
 
-/// How features are found.
+/// Options of feature detection.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FeatureOptions {
@@ -31,7 +31,7 @@ pub struct FeatureOptions {
     /// Lowe's contrast threshold over the three layers of an octave; lower finds more on plain surfaces.
     #[schemars(extend("unit" = "share of the range of grey"))]
     pub contrast_threshold: f64,
-    /// Whether the search begins at twice the image's size: more and smaller features, at several times the cost.
+    /// True to begin at twice the image's size: more and smaller features, at several times the cost.
     pub doubled: bool,
     /// Masks whose box is shorter than this on its longer side are enlarged before detection, up to four times: small
     /// objects have too few features at their own size.
@@ -85,7 +85,7 @@ impl Features {
         self.pixels.len()
     }
 
-    /// Whether there is none.
+    /// Returns true if there is none.
     pub fn is_empty(&self) -> bool {
         self.pixels.is_empty()
     }

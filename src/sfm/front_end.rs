@@ -13,8 +13,8 @@ use crate::image::RgbImage;
 use crate::limits::Checked;
 use crate::scene::{Frame, Mask};
 
-/// How tracks are made. `features` of the pipeline, where it is not `auto`, goes before the kind that is set here, and
-/// frames in no order are always worked on by SIFT; options of the kind that is taken stay as they are set here.
+/// Front end that makes tracks. `features` of the pipeline, where it is not `auto`, overrides this kind, and unordered
+/// frames always use SIFT; options of the kind that is used stay as set here.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum FrontEndOptions {

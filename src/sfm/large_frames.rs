@@ -25,7 +25,7 @@ pub struct AnySizeFrontEnd {
     at_work: Option<(Box<VideoFrontEnd>, Reduction)>,
 }
 
-/// How frames are made smaller.
+/// Reduction of large frames.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Reduction {
     None,

@@ -53,16 +53,16 @@ use sift_front_end::{Pairing, SiftOptions};
 pub use tracks::TrackTable;
 use video_front_end::VideoOptions;
 
-/// What is reconstructed.
+/// Target of a reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
-    /// What does not move: most of the picture, with many points.
+    /// The static background: most of the image, with many points.
     Background,
     /// One vehicle: a small part of the picture, with few points.
     Object,
 }
 
-/// How one target is reconstructed.
+/// Options of the reconstruction of one target.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Options {

@@ -1,4 +1,4 @@
-//! Whether pictures follow one another as the frames of a video do.
+//! Test whether images are consecutive frames of a video.
 
 use nalgebra::Point2;
 use opencv::core::{Mat, Point2f, Vector};

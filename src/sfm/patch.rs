@@ -159,8 +159,8 @@ impl Patch {
         shape * position * shape.transpose()
     }
 
-    /// What a picture shows, in one pass over the patch; `None` where it shows no structure. Grey values count from the
-    /// template's mean, which keeps the sums small.
+    /// Compares an image with the template, in one pass over the patch; `None` where it has no structure. Gray values
+    /// count from the template's mean, which keeps the sums small.
     #[inline(always)]
     fn compare<const SIDE: usize>(&self, picture: &Picture<'_, SIDE>) -> Option<Seen> {
         let side = (2 * self.radius + 1) as usize;
@@ -222,7 +222,7 @@ impl WithSimd for Alignment<'_> {
     }
 }
 
-/// What an image shows under a warp.
+/// Image under a warp.
 struct Seen {
     /// Of the grey values, less the template's.
     mean: f32,

@@ -25,7 +25,7 @@ use crate::scene::{Frame, Mask};
 pub enum Pairing {
     /// Each with the next ones, and with those 2, 4, 8, … beyond: for frames of a video.
     Sequential {
-        /// How many next ones.
+        /// Number of following frames.
         #[schemars(extend("unit" = "views"))]
         window: usize,
     },
@@ -33,7 +33,7 @@ pub enum Pairing {
     Exhaustive,
 }
 
-/// How tracks are made.
+/// Options of the SIFT front end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SiftOptions {
@@ -141,7 +141,7 @@ impl SiftFrontEnd {
         }
     }
 
-    /// How many cameras took the frames.
+    /// Number of cameras of the frames.
     pub fn num_cameras(&self) -> usize {
         self.cameras.len()
     }

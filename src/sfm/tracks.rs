@@ -21,17 +21,17 @@ pub struct View {
     pub pixels: Vec<Point2<f64>>,
     /// Colours at the features.
     pub rgb: Vec<[u8; 3]>,
-    /// How exactly each is located, relative to one another; empty for all alike.
+    /// Whitening of each feature's position error, relative to one another; empty if all are alike.
     pub whitening: Vec<Whitening>,
 }
 
 impl View {
-    /// How exactly a feature is located.
+    /// Whitening of a feature's position error.
     pub fn whitening_of(&self, feature: u32) -> Whitening {
         self.whitening.get(feature as usize).copied().unwrap_or(Whitening::IDENTITY)
     }
 
-    /// Whether numbers are missing, or are none.
+    /// Returns true if numbers are missing or not finite.
     fn is_flawed(&self) -> bool {
         let (count, num_known) = (self.pixels.len(), self.whitening.len());
         let is_number = |pixel: &Point2<f64>| pixel.iter().all(|side| side.is_finite());
@@ -68,18 +68,18 @@ impl TrackTable {
         self.tracks.iter().map(Vec::len).sum()
     }
 
-    /// Whether any track was lost and found again in a later view.
+    /// Returns true if any track has a gap.
     pub fn has_gaps(&self) -> bool {
         self.tracks.iter().any(|track| track.windows(2).any(|pair| pair[1].view > pair[0].view + 1))
     }
 
-    /// How exactly a feature is located.
+    /// Whitening of a feature's position error.
     pub fn whitening(&self, feature: Feature) -> Whitening {
         self.views[feature.view as usize].whitening_of(feature.feature)
     }
 
-    /// What contradicts itself in a table that was read from a file, in words: features that are not there, or that lie
-    /// nowhere; tracks that do not go from view to view; two views of one image.
+    /// Contradiction in a table that was read from a file, in words: features that do not exist or are not finite;
+    /// tracks whose views do not ascend; two views of one image.
     pub fn flaw(&self) -> Option<String> {
         let mut images = BTreeSet::new();
         let is_wrong = |view: &&View| view.is_flawed() || !images.insert(view.image);

@@ -15,7 +15,7 @@ pub struct View<'a> {
     pub cam_from_world: &'a Rigid3,
     /// Where the point is seen.
     pub pixel: Point2<f64>,
-    /// How exactly.
+    /// Whitening of its error.
     pub whitening: Whitening,
 }
 

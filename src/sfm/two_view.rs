@@ -73,8 +73,8 @@ pub fn verify(pairs: &Correspondences<'_>, max_error: f64, rng: &mut Rng) -> Vec
     robust::ransac(&EssentialEstimator(pairs), &options, rng).map(|c| c.inliers).unwrap_or_default()
 }
 
-/// How many correspondences agree with the epipolar geometry of a motion that is known otherwise; `None` for a motion
-/// without a translation, which has none.
+/// Number of correspondences that agree with the epipolar geometry of a given motion; `None` for a motion without a
+/// translation, which has none.
 pub fn num_explained(pairs: &Correspondences<'_>, cam2_from_cam1: &Rigid3, max_error: f64) -> Option<usize> {
     let direction = cam2_from_cam1.translation.try_normalize(f64::EPSILON)?;
     let essential = essential_from_pose(&Rigid3::new(cam2_from_cam1.rotation, direction));

@@ -46,7 +46,7 @@ pub enum FirstLook {
     Pyramid,
 }
 
-/// How points are found and followed.
+/// Options of the video front end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct VideoOptions {
@@ -141,7 +141,7 @@ pub struct VideoFrontEnd {
     previous: Option<Pyramid>,
     /// Where the target was in the last frame.
     extent: Option<Extent>,
-    /// How far round a point is looked in the frame at hand, and how far the target has gone to it.
+    /// Search range round a point in the current frame, and displacement of the target to it.
     reach: Reach,
     shift: Option<Vector2<f32>>,
     live: Vec<Live>,
@@ -232,7 +232,7 @@ impl VideoFrontEnd {
     /// The strongest corners of the pixels that are set, all of which lie within some bounds: of a small object no more
     /// than its surroundings are looked at.
     fn corners(&self, gray: &GrayImage, free: &Mask, bounds: BoundingBox, wanted: usize) -> Vec<Point2<f32>> {
-        /// What the strength of a corner depends on.
+        /// Border that the strength of a corner depends on.
         const MARGIN_PX: u32 = 8;
         let (x0, y0) = (bounds.x0.saturating_sub(MARGIN_PX), bounds.y0.saturating_sub(MARGIN_PX));
         let x1 = bounds.x1.saturating_add(MARGIN_PX).min(gray.width());

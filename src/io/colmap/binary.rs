@@ -13,7 +13,7 @@ use crate::io::bytes::Bytes;
 use crate::math::Rigid3;
 use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
-/// How a binary file says that an observation has no point.
+/// Mark in a binary file of an observation without a point.
 const NO_POINT: u64 = u64::MAX;
 
 /// Fewest bytes that one camera, image, observation, point or track element takes.

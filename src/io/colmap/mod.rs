@@ -74,7 +74,7 @@ pub const TEXT_FILES: [&str; 5] = ["cameras.txt", "images.txt", "points3D.txt", 
 /// Names of a model's files as binary.
 pub const BINARY_FILES: [&str; 5] = ["cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin"];
 
-/// Whether a file is called like one of a model's.
+/// Returns true if a file has the name of one of a model's.
 pub fn is_file_name(name: &str) -> bool {
     TEXT_FILES.contains(&name) || BINARY_FILES.contains(&name)
 }
@@ -93,12 +93,12 @@ pub fn read_cameras(path: &Path) -> Result<BTreeMap<CameraId, Camera>, IoError> 
     foreign.map_or(Ok(cameras), Err)
 }
 
-/// Whether a folder holds a COLMAP model, as far as its file names tell.
+/// Returns true if a folder holds a COLMAP model, by its file names.
 pub fn is_model(folder: &Path) -> bool {
     folder.join("cameras.bin").exists() || folder.join("cameras.txt").exists()
 }
 
-/// How a model is written.
+/// Encoding of a model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Encoding {
     /// As text, unless the name of an image has a blank in it: COLMAP's own reader of text cuts such names.
@@ -210,7 +210,7 @@ fn sees(model: &Reconstruction, image: ImageId, observation_idx: u32, point: Poi
     observations.and_then(|o| o.get(observation_idx as usize)).is_some_and(|o| o.point == Some(point))
 }
 
-/// What a file cannot hold is an error before anything is written.
+/// Checks that the files can hold the model, before anything is written.
 fn check_writable(folder: &Path, model: &Reconstruction) -> Result<(), IoError> {
     check_finite(folder, model)?;
     if let Some((id, _)) = model.camera_forms.iter().find(|(_, form)| **form == CameraForm::Unknown) {

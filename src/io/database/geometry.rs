@@ -18,7 +18,7 @@ use crate::scene::{ImageId, Reconstruction};
 const MAX_ERROR_PX: f64 = 4.0;
 const PLANAR_SHARE: f64 = 0.8;
 
-/// What COLMAP calls the configuration of a pair, with its number.
+/// COLMAP's configuration of a pair, with its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Configuration {
     /// An essential matrix.
@@ -29,7 +29,7 @@ pub enum Configuration {
     PlanarOrPanoramic = 6,
 }
 
-/// What is known of two images.
+/// Geometry of two images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TwoViewGeometry {
     pub configuration: Configuration,

@@ -10,7 +10,7 @@ use super::Format;
 use crate::io::{IoError, RunFolder, colmap};
 use crate::limits::files;
 
-/// What can be given, in words.
+/// Formats that can be read, in words.
 const READABLE: &str = "a COLMAP folder, an output folder, OpenMVG's sfm_data.json, OpenSfM's reconstruction.json, \
                         nerfstudio's transforms.json, an .nvm, a Bundler file, or a camera path of TUM or KITTI";
 
@@ -88,7 +88,7 @@ fn start_of(path: &Path) -> Result<Vec<u8>, IoError> {
     Ok(files::without_mark(start))
 }
 
-/// What a JSON file is by the keys at its top.
+/// Format of a JSON file, by its top-level keys.
 fn of_json(path: &Path) -> Result<Format, IoError> {
     let keys = top_keys(path)?;
     let has = |names: &[&str]| names.iter().all(|name| keys.iter().any(|key| key == name));
@@ -132,7 +132,7 @@ fn top_keys(path: &Path) -> Result<Vec<String>, IoError> {
     })
 }
 
-/// What another file is by its first bytes and its name.
+/// Format of another file, by its first bytes and its name.
 fn of_text(path: &Path, start: &str) -> Result<Format, IoError> {
     let ends = |extension: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
     if let Some(format) = plain_text(start) {

@@ -155,7 +155,7 @@ pub fn files_of(output: &Path, format: Format) -> Vec<PathBuf> {
     }
 }
 
-/// What is read of the model at a place that [`detect`] gave: a folder of COLMAP's as a whole, or files that are there.
+/// Files that are read of a model at a path that [`detect`] gave: the whole COLMAP folder, or the files that exist.
 pub fn files_read(place: &Path, format: Format) -> Vec<PathBuf> {
     let beside = match format {
         Format::OpenSfm => opensfm::files(place)[1..].to_vec(),

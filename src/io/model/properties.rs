@@ -1,4 +1,4 @@
-//! What holds for every model and every format: it comes back, and damage never panics.
+//! Properties of every model and format: a round trip preserves it, and damage never panics.
 
 use proptest::prelude::*;
 

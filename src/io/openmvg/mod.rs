@@ -27,7 +27,7 @@ const PIXEL_OFFSET: f64 = 0.5;
 /// The bit that marks the first use of a type or pointer in cereal's files.
 const FIRST_USE: u32 = 1 << 31;
 
-/// How cereal marks a pointer to exactly the type that the reader expects.
+/// Mark of cereal for a pointer of exactly the type that the reader expects.
 const SAME_TYPE: u32 = 1 << 30;
 
 /// The key that means "none".

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::io::IoError;
 
-/// How numbers are stored.
+/// Encoding of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
     Ascii,

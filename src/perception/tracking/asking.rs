@@ -61,7 +61,7 @@ impl Tracker {
         (0..self.tracks.len()).map(is_at_rest).collect()
     }
 
-    /// Whether the mask in a box could be a followed object's, a lost one's, or a new one's.
+    /// Returns true if the mask in a box could belong to a followed, a lost or a new object.
     fn is_worth_asking(&self, sight: &Sight, meeting: &Meeting, view: &View) -> bool {
         let shows = |track: usize| meeting.carried(track).is_some_and(|c| c.region.rect().iou(&sight.rect) > 0.0);
         if (0..self.tracks.len()).any(|track| meeting.is_at_rest[track] && shows(track)) {

@@ -38,7 +38,7 @@ pub enum End {
     Met(ObjectId),
 }
 
-/// How far back an object was followed.
+/// Backward extension of an object's track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Extension {
     /// Which object.
@@ -67,7 +67,7 @@ impl BackwardTracker {
         Self { tracker: Tracker::new(options), starts: objects.iter().map(start).collect(), finished: Vec::new() }
     }
 
-    /// Whether any object is followed at the moment. Where none is, flow and masks need not be computed.
+    /// Returns true if any object is being followed; otherwise flow and masks need not be computed.
     pub fn is_following(&self) -> bool {
         !self.tracker.tracks.is_empty()
     }
@@ -115,7 +115,7 @@ impl BackwardTracker {
         Ok(masks)
     }
 
-    /// How far back each object was followed, ascending by id. Objects whose first frame never came are left out.
+    /// Extensions of all objects, ascending by id. Objects whose first frame never came are omitted.
     pub fn finish(mut self) -> Vec<Extension> {
         let left = self.tracker.tracks.iter().map(|track| extension(track, End::Start));
         self.finished.extend(left);
@@ -221,7 +221,7 @@ fn who_is_met(track: &Track, region: &Region, known: &[(ObjectId, Region)]) -> O
     (share(&most) > MET).then_some(most.0)
 }
 
-/// Whether a lost object was at the border of the picture.
+/// Returns true if a lost object was at the image border.
 fn leaves_at_rim(track: &Track, width: u32, height: u32) -> bool {
     let b = track.region.bounds();
     let at_rim = b.x0 == 0 || b.y0 == 0 || b.x1 >= width || b.y1 >= height;

@@ -1,4 +1,4 @@
-//! What happens to objects of which boxes are known, and masks only in some frames.
+//! Tests of objects with known boxes, and masks in some frames only.
 
 use super::world::{HEIGHT, Thing, WIDTH, World, found_boxes};
 use super::*;

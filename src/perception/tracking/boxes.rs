@@ -31,7 +31,7 @@ pub(super) struct View<'a> {
     pub(super) elapsed_s: f64,
 }
 
-/// What a frame holds for every track, and who meets whom.
+/// Detections of a frame, and their association with tracks.
 pub(super) struct Meeting {
     pub(super) predictions: Vec<Prediction>,
     /// Per track whether it is followed and its carried mask can be trusted.
@@ -132,7 +132,7 @@ impl Tracker {
         }
     }
 
-    /// Whether the carried mask of a followed object may be the object's.
+    /// Returns true if the propagated mask of a followed object may be the object's.
     fn is_trusted(&self, track: &Track, prediction: &Prediction, image: &RgbImage) -> bool {
         prediction.carried.as_ref().filter(|_| !track.is_lost()).is_some_and(|carried| {
             carried.share >= self.options.min_carried_share
@@ -324,8 +324,8 @@ impl Tracker {
     }
 }
 
-/// Whether a box is sure enough to be an object: by its class, by its motion, or by both. What stands has but its
-/// class.
+/// Returns true if a box is reliable enough to start a track: by its class, by its motion, or by both. A stationary
+/// object has only its class.
 pub(super) fn may_start(sight: &Sight, options: &TrackerOptions) -> bool {
     let least =
         if sight.stands() { options.start_standing.max(options.start_confidence) } else { options.start_confidence };
@@ -335,7 +335,7 @@ pub(super) fn may_start(sight: &Sight, options: &TrackerOptions) -> bool {
     is_both || detector >= least || motion >= options.start_motion
 }
 
-/// Whether a frame's mask is new.
+/// Novelty of a frame's mask.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum IsNew {
     Yes,
@@ -386,19 +386,19 @@ fn uncovered(fresh: Fresh, carried: &Carried) -> Option<Fresh> {
     (2 * region.area() > fresh.region.area()).then_some(Fresh { region, ..fresh })
 }
 
-/// Whether the colours of a region are those of a track; what cannot be told counts as alike.
+/// Returns true if the colors of a region match those of a track; unknown ones count as a match.
 fn looks_like(track: &Track, image: &RgbImage, region: &Region, min_similarity: f64) -> bool {
     let looks = track.appearance.as_ref().zip(Appearance::of(image, region));
     looks.is_none_or(|(before, now)| before.similarity(&now) >= min_similarity)
 }
 
-/// Whether a mask shows the object of another.
+/// Returns true if a mask shows the object of another track.
 fn is_taken(region: &Region, seen: &[Sighting]) -> bool {
     let same = |s: &Sighting| region.iou(&s.region) > 0.5 || region.covered_by(&s.region) > SAME_MASK;
     seen.iter().any(same)
 }
 
-/// Whether a mask shows part of an object that is followed, or swallows one.
+/// Returns true if a mask shows part of a followed object, or contains one.
 fn is_explained(region: &Region, seen: &[Sighting]) -> bool {
     let known = |s: &Sighting| region.covered_by(&s.region) > MAX_COVERED || s.region.covered_by(region) > SWALLOWED;
     seen.iter().any(known)

@@ -14,20 +14,20 @@ pub(super) struct Carried {
     pub(super) region: Region,
     /// The outline of the whole object, whatever hides a part of it.
     pub(super) whole: Region,
-    /// What hides it.
+    /// Occluded part.
     pub(super) cover: Cover,
     /// Median displacement, pixels.
     pub(super) displacement: [f64; 2],
     /// Share of its pixels whose flow was of use.
     pub(super) share: f64,
-    /// How it moved here.
+    /// Motion from the frame before.
     pub(super) motion: Affine,
 }
 
 impl Carried {
     /// Share of the outline below which an object is partly hidden.
     const MOSTLY_SEEN: f64 = 0.9;
-    /// What is left of a nearly hidden object serves no one.
+    /// Minimum visible share of an object that is mostly occluded.
     const LEAST_SEEN: f64 = 0.06;
 
     pub(super) fn is_partly_hidden(&self) -> bool {
@@ -98,7 +98,7 @@ pub(super) struct Seen<'a> {
     pub(super) region: &'a Region,
     /// The outline of all of it.
     pub(super) whole: &'a Region,
-    /// What hid it.
+    /// Part that was occluded.
     pub(super) cover: &'a Cover,
 }
 
@@ -299,8 +299,8 @@ fn fill_holes(mask: &mut Mask) {
     *mask = outside.complement();
 }
 
-/// How the background moves round a box: the median flow of the ring round it, without what `occupied` says belongs to
-/// an object. `None` where hardly any pixel serves.
+/// Background motion round a box: the median flow of the ring round it, without pixels that `occupied` assigns to an
+/// object. `None` where too few pixels remain.
 pub(super) fn background_displacement(flow: &Flow, bounds: BoundingBox, occupied: &Mask) -> Option<[f64; 2]> {
     /// Pixels needed for a median that means something.
     const MIN_SAMPLES: usize = 12;

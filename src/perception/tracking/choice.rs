@@ -24,12 +24,12 @@ pub(super) const MIN_SCORE: f64 = 0.25;
 #[derive(Clone, Debug)]
 pub(super) struct Fresh {
     pub(super) region: Region,
-    /// What the network expects of it, 0 to 1.
+    /// Mask quality by the network's own estimate, 0 to 1.
     pub(super) quality: f64,
     pub(super) appearance: Option<Appearance>,
 }
 
-/// What is known of an object before its mask in this frame is.
+/// Expectation of an object before its mask in this frame is known.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Expected<'a> {
     /// Its mask by optical flow.
@@ -43,13 +43,14 @@ pub(super) struct Expected<'a> {
     pub(super) appearance: Option<&'a Appearance>,
 }
 
-/// How well a new mask fits what is expected, 0 to 1.
+/// Agreement of a new mask with the expectation, 0 to 1.
 pub(super) fn score(fresh: &Fresh, expected: &Expected) -> f64 {
     let quality = fresh.quality.clamp(0.0, 1.0);
     quality * fit(&fresh.region, fresh.appearance.as_ref(), expected)
 }
 
-/// How well a carried mask fits what is expected, 0 to 1; `quality` is that of the mask that was carried for `frames`.
+/// Agreement of a propagated mask with the expectation, 0 to 1; `quality` is that of the mask that was propagated for
+/// `frames`.
 pub(super) fn score_carried(region: &Region, quality: f64, frames: usize, expected: &Expected) -> f64 {
     let wear = (1.0 - WEAR_PER_FRAME).powi(i32::try_from(frames).unwrap_or(i32::MAX));
     quality.clamp(0.0, 1.0) * wear * fit(region, expected.appearance, expected)

@@ -1,4 +1,4 @@
-//! What comes before an object: the pixels of its outline that show something else.
+//! Occluders of an object: the pixels of its outline that show something else.
 //!
 //! A mask that is carried as a whole would lie on the occluder. An occluder is told by its own motion: pixels from
 //! outside the mask, or from what is known to lie before it, whose flow is consistent and not the object's, and which
@@ -23,7 +23,7 @@ pub(super) struct Pictures<'a> {
 const MIN_DIFFERENCE_PX: f64 = 1.5;
 /// Mean difference of colours that the object's own pixel leaves where it is covered, grey levels.
 const MIN_CONTRAST: f64 = 12.0;
-/// By how much the occluder's pixel explains the colours better.
+/// Margin by which the occluder's pixel must explain the colors better.
 const BETTER: f64 = 0.5;
 /// Pixels round an object in which occluders are looked for, besides half its size.
 const REACH_PX: u32 = 48;
@@ -34,7 +34,7 @@ const MIN_RADIUS: f64 = 0.025;
 /// Share of the outline that an occluder takes at least.
 const MIN_SHARE: f64 = 0.03;
 
-/// What an object's outline holds in a frame.
+/// Occluded pixels of an object's outline in a frame.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cover {
     /// Pixels that show an occluder; `None` if there are none.
@@ -51,12 +51,12 @@ pub(super) struct Moved<'a> {
     pub(super) visible: &'a Region,
     /// All of its outline, carried.
     pub(super) whole: &'a Region,
-    /// How it moves.
+    /// Motion.
     pub(super) motion: &'a Affine,
 }
 
 impl Cover {
-    /// What lies before an object in a frame.
+    /// Occluded pixels of an object in the next frame.
     ///
     /// * `self` – the same in the frame before.
     pub(super) fn advance(&self, object: &Moved<'_>, flow: &Flow, pictures: Pictures<'_>) -> Self {
@@ -81,7 +81,7 @@ impl Cover {
         Self { region, suspect }
     }
 
-    /// What is left of a mask; `None` if nothing is.
+    /// Visible part of a mask; `None` if there is none.
     pub(super) fn cut(&self, mask: &Region) -> Option<Region> {
         match &self.region {
             Some(cover) => mask.filtered(|x, y| !cover.contains(x, y)),
@@ -89,7 +89,7 @@ impl Cover {
         }
     }
 
-    /// Whether a pixel of the frame before may show what comes before the object.
+    /// Returns true if a pixel of the frame before may show an occluder of the object.
     fn may_show_other(&self, object: &Moved<'_>, x: u32, y: u32) -> bool {
         let known = [&self.region, &self.suspect].into_iter().flatten().any(|region| region.contains(x, y));
         known || !object.before.contains(x, y)
@@ -124,7 +124,7 @@ fn landing(object: &Moved<'_>, flow: &Flow, pictures: Pictures<'_>, x: u32, y: u
     (!object.visible.contains(at.0, at.1) || is_explained(object, pictures, (x, y), at)).then_some(at)
 }
 
-/// Whether an occluder's pixel explains the colours at a place, and the object's does not.
+/// Returns true if an occluder's pixel explains the colors at a position, and the object's does not.
 fn is_explained(object: &Moved<'_>, pictures: Pictures<'_>, from: (u32, u32), at: (u32, u32)) -> bool {
     let [own_x, own_y] = object.motion.source(f64::from(at.0) + 0.5, f64::from(at.1) + 0.5);
     if own_x < 0.0 || own_y < 0.0 {

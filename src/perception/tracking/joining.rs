@@ -31,7 +31,7 @@ const FEW_POINTS: usize = 4;
 const SURE_PLACE: f64 = 0.5;
 const SURE_COLOURS: f64 = 0.8;
 const SURE_GAP_S: f64 = 1.5;
-/// By how much the better of two continuations must be better.
+/// Margin by which the better of two continuations must be better.
 const MARGIN: f64 = 0.5;
 
 /// A piece of a track: the first and the last frame in which it is seen.
@@ -46,11 +46,11 @@ pub struct Pair {
     pub after: usize,
     /// Time from the last sight of the one to the first of the other, seconds.
     pub gap_s: f64,
-    /// What is known of both.
+    /// Evidence that both are one object.
     pub evidence: Sameness,
 }
 
-/// What becomes of pairs.
+/// Outcomes of all pairs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Joints {
     /// Pairs that are one object; no piece is twice the earlier or twice the later one.
@@ -59,7 +59,7 @@ pub struct Joints {
     pub apart: Vec<(Pair, String)>,
 }
 
-/// Whether two pieces are one object; how much speaks for it.
+/// Score of two tracks being one object.
 ///
 /// # Errors
 /// What speaks against it, in words.
@@ -121,7 +121,7 @@ pub fn join(spans: &[Span], pairs: &[Pair]) -> Joints {
     joints
 }
 
-/// Whether two pairs have one piece in common, on the same side, and the others are seen at the same time.
+/// Returns true if two pairs share one track, on the same side, and the others are visible at the same time.
 fn is_rival(spans: &[Span], a: &Pair, b: &Pair) -> bool {
     let meet = |p: usize, q: usize| match (spans.get(p), spans.get(q)) {
         (Some(p), Some(q)) => p.0 <= q.1 && q.0 <= p.1,
@@ -132,7 +132,7 @@ fn is_rival(spans: &[Span], a: &Pair, b: &Pair) -> bool {
     forks || merges
 }
 
-/// How many matches of two views keep their arrangement: the most that one shift, turn and change of size explains.
+/// Number of matches of two views that keep their arrangement: the most that one similarity explains.
 ///
 /// Every pair of matches proposes one; the views of one object turn by less than 60° in the picture and change their
 /// size by less than a factor of 2.5. Matches made by chance do not agree.
@@ -203,14 +203,14 @@ impl Colours {
     }
 }
 
-/// Whether two objects may be one by their classes, as far as both were named often enough.
+/// Returns true if two objects may be one by their classes, as far as both were classified often enough.
 pub fn may_be_one(a: &TrackSummary, b: &TrackSummary) -> bool {
     let is_named = |summary: &TrackSummary| summary.found.by_detector() >= MIN_FRAMES;
     !(is_named(a) && is_named(b)) || compatible(&a.class, &b.class)
 }
 
 impl TrackSummary {
-    /// What is known of an object of which `later` is a piece that was seen after this one.
+    /// Summary of the object of which this and `later` are consecutive tracks.
     pub fn joined(&self, later: &Self, gap: Gap) -> Self {
         let mean = |a: (f64, usize), b: (f64, usize)| (a.0 * a.1 as f64 + b.0 * b.1 as f64) / (a.1 + b.1).max(1) as f64;
         let named = |track: &Self| track.found.by_detector();

@@ -1,4 +1,4 @@
-//! What a track rests on, counted.
+//! Counts of the evidence for a track.
 
 use super::LookedBy;
 use super::choice::Fresh;
@@ -51,7 +51,7 @@ impl Ledger {
         self.outline = self.outline.max(outline);
     }
 
-    /// What was counted since the last mask that can be trusted belongs to the object.
+    /// Moves the counts since the last reliable mask into the object's own.
     pub(super) fn trust(&mut self) {
         for looks in [&mut self.looks, &mut self.detector_looks] {
             *looks = [looks[0] + looks[1], 0];

@@ -69,13 +69,13 @@ use crate::limits::{Checked, ordered, some_of, within};
 use crate::perception::Prompter;
 use crate::scene::{BoxDetection, Detection, FoundIn, FrameId, Gap, Mask, ObjectId, Outline, Sameness};
 
-/// What is known of a frame before the tracker sees it.
+/// Input of the tracker for one frame.
 pub enum Look<'a> {
     /// An instance segmentation network looked at it.
     Masks(Vec<Detection>),
     /// Boxes of a detector, of motion, or of both.
     Boxes {
-        /// What was found; may be empty.
+        /// Detections; may be empty.
         found: Vec<FoundBox>,
         /// Who looked for them.
         by: LookedBy,
@@ -89,10 +89,9 @@ pub enum Look<'a> {
 /// A box that was found in a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundBox {
-    /// What was found, and by whom.
+    /// Detection, with its source.
     pub found: BoxDetection,
-    /// Whether the points in it say that it shows something that stands
-    /// ([`shows_standing`](crate::perception::motion::shows_standing)).
+    /// True if its points show that it is stationary ([`shows_standing`](crate::perception::motion::shows_standing)).
     pub stands: bool,
 }
 
@@ -107,9 +106,9 @@ impl From<BoxDetection> for FoundBox {
 /// ([`TrackerOptions::start_standing`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PassedOver {
-    /// How many, in the frames in which masks are asked for.
+    /// Number of them, in the frames in which masks are segmented.
     pub num_boxes: usize,
-    /// How sure the detector was of the surest of them, 0 to 1.
+    /// Maximum confidence of the detector, 0 to 1.
     pub max_confidence: f64,
 }
 
@@ -122,7 +121,7 @@ pub enum LookedBy {
     Motion,
 }
 
-/// What a mask rests on.
+/// Evidence for a mask.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Evidence {
@@ -133,7 +132,7 @@ pub enum Evidence {
     },
     /// A mask asked for in the place to which that of an earlier frame was carried; no box of this frame shows it.
     Prompted {
-        /// How good the mask is, in the words of what made it, 0 to 1.
+        /// Mask quality by the segmenter's own estimate, 0 to 1.
         quality: f64,
     },
     /// The mask of an earlier frame, carried by optical flow.
@@ -147,11 +146,11 @@ pub struct TrackedMask {
     pub object: ObjectId,
     /// Its pixels; the masks of one frame do not overlap.
     pub mask: Mask,
-    /// What the mask rests on.
+    /// Evidence for the mask.
     pub evidence: Evidence,
 }
 
-/// What is known of an object when all frames are through.
+/// Summary of an object over all frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrackSummary {
     /// Lasting id: dense from 1 in the order in which the objects were confirmed.
@@ -173,7 +172,7 @@ pub struct TrackSummary {
     pub num_carried: usize,
     /// Mean number of pixels of its detected masks.
     pub mean_area_px2: f64,
-    /// What found it.
+    /// Sources of its detections.
     pub found: FoundIn,
     /// Frames of its life that somebody looked at.
     pub num_looks: usize,
@@ -183,7 +182,7 @@ pub struct TrackSummary {
     pub class_confidence: f64,
     /// Mean quality of the masks that were asked for, 0 to 1; `None` if the masks are a segmentation network's own.
     pub mask_quality: Option<f64>,
-    /// How well its masks follow its outline.
+    /// Quality of its outlines.
     pub outline: Outline,
     /// Where it was lost for a moment and found again, ascending.
     pub gaps: Vec<Gap>,
@@ -191,12 +190,12 @@ pub struct TrackSummary {
     pub after: Option<After>,
 }
 
-/// What an object may be the continuation of.
+/// Track that an object may continue.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct After {
     /// Provisional id of the one that was lost.
     pub provisional: ObjectId,
-    /// What says that both are one, by the picture alone.
+    /// Evidence that both are one object, from the images alone.
     pub evidence: Sameness,
 }
 

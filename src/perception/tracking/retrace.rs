@@ -82,7 +82,7 @@ fn is_hidden(carried: &Carried) -> bool {
     carried.cover.region.is_some() || carried.is_partly_hidden()
 }
 
-/// What was reported of the latest frames.
+/// Masks reported for the latest frames.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Reported(VecDeque<(FrameId, Vec<(ObjectId, Region)>)>);
 

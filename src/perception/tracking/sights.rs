@@ -13,7 +13,7 @@ const INSIDE: f64 = 0.7;
 /// A box waits for a mask for at most so many frames.
 const MAX_WAITING_FRAMES: usize = 40;
 
-/// What found an object in one frame.
+/// Source of an object's detection in one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Finding {
     /// The detector's class; `vehicle` where motion alone found it.
@@ -22,7 +22,7 @@ pub(super) struct Finding {
     pub(super) detector: Option<f64>,
     /// Motion's confidence, if it found it.
     pub(super) motion: Option<f64>,
-    /// Whether the points in the box say that it stands.
+    /// True if the points in the box show that it is stationary.
     pub(super) stands: bool,
 }
 
@@ -49,9 +49,9 @@ impl Finding {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Sight {
     pub(super) rect: Rect,
-    /// What found it in this frame; `None` if it waits since an earlier one.
+    /// Source of its detection in this frame; `None` if it waits since an earlier one.
     pub(super) now: Option<Finding>,
-    /// What found it in earlier frames in which nobody asked for its mask.
+    /// Sources of its detections in earlier frames without segmentation.
     pub(super) earlier: Vec<Finding>,
     /// Frames for which it waits.
     age: usize,
@@ -77,7 +77,7 @@ impl Sight {
         self.now.iter().chain(&self.earlier)
     }
 
-    /// Whether it stands, by the points in any of its boxes; what motion found does not.
+    /// Returns true if the points in any of its boxes show that it is stationary; a detection by motion is not.
     pub(super) fn stands(&self) -> bool {
         self.findings().any(|finding| finding.stands) && self.findings().all(|finding| finding.motion.is_none())
     }

@@ -35,16 +35,16 @@ const MIN_MASKS: usize = 6;
 /// looks flat.
 const LEAST_FLAT_SHARE: f64 = 0.03;
 
-/// What the masks of an object say besides who found it.
+/// Evidence of an object's masks besides the sources of its detections.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighted {
     /// Frames in which it has a mask.
     pub num_frames: usize,
     /// Mean share of the picture that its masks cover.
     pub mean_share: f64,
-    /// What the points in its masks say against the background.
+    /// Motion state by the points in its masks.
     pub movement: Movement,
-    /// Whether none of them rises over the ground ([`Judgement::is_flat`](crate::perception::motion::Judgement)).
+    /// True if none of them rises over the ground ([`Judgement::is_flat`](crate::perception::motion::Judgement)).
     pub is_flat: bool,
 }
 
@@ -68,7 +68,7 @@ pub enum Unsupported {
         num_moving: usize,
         /// Frames at which the detector looked.
         num_looks: usize,
-        /// Whether it moves, by its own points.
+        /// Motion state by its own points.
         movement: Movement,
     },
 }
@@ -95,7 +95,7 @@ impl fmt::Display for Unsupported {
     }
 }
 
-/// Whether an object has enough masks, is more than a piece of the ground, and is supported by a class or by motion.
+/// Checks that an object has enough masks, is more than a patch of ground, and is supported by a class or by motion.
 ///
 /// # Errors
 /// [`Unsupported`] says what it lacks.

@@ -1,4 +1,4 @@
-//! What happens to objects in a flat world with exact masks and flow.
+//! Tests of objects in a flat world with exact masks and flow.
 
 use super::world::{HEIGHT, Thing, WIDTH, World};
 use super::*;

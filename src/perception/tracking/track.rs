@@ -36,14 +36,14 @@ const BRIEFLY_S: f64 = 0.6;
 /// Share by which the size of an object shrinks per detection when less of it is seen: it went further away, or is
 /// partly hidden.
 const SHRINK_RATE: f64 = 0.03;
-/// What moves against the background by no more than so many of its sides per second stands.
+/// Maximum speed of a stationary object against the background, in sides of its box per second.
 const STANDING_SIDES_PER_S: f64 = 0.25;
 /// Of a hundred boxes that show what stands so many may be those of motion, too.
 const MOVING_PERCENT: usize = 10;
 /// So many masks of what stands are asked for before one serves for longer.
 const MIN_MASKS_AT_REST: usize = 2;
 
-/// How an object was last seen.
+/// Presence of an object when it was last visible.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Presence {
     /// Detected in the last frame.
@@ -63,7 +63,7 @@ pub(super) struct Candidate {
     pub(super) appearance: Option<Appearance>,
 }
 
-/// What a track is made from.
+/// Kind of input of a track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Origin {
     /// Masks of a segmentation network, which looks at every frame.
@@ -87,7 +87,7 @@ pub(super) struct Prediction {
     pub(super) carried: Option<Carried>,
     /// Its mask moved by the background's flow and its own velocity.
     pub(super) moved: Option<Region>,
-    /// How the background moved at its place, pixels.
+    /// Background motion at its position, pixels.
     pub(super) background: [f64; 2],
 }
 
@@ -110,7 +110,7 @@ pub(super) struct Track {
     pub(super) region: Region,
     /// The outline of all of it, whatever hides a part.
     pub(super) whole: Region,
-    /// What hides it.
+    /// Occluded part.
     pub(super) cover: Cover,
     /// Its way since its last new mask.
     pub(super) way: Way,
@@ -138,20 +138,20 @@ pub(super) struct Track {
     last_boxed: usize,
     /// Pixels of the object while all of it was seen.
     area: f64,
-    /// What its latest mask was worth when it was new, 0 to 1.
+    /// Quality of its latest mask when it was new, 0 to 1.
     quality: f64,
     /// When that was, seconds.
     renewed_s: f64,
     ledger: Ledger,
     gaps: Vec<Gap>,
     after: Option<After>,
-    /// Whether another track may be its continuation.
+    /// True if another track may be its continuation.
     is_succeeded: bool,
     /// Share of its outline that was seen when it was lost.
     seen_share: f64,
 }
 
-/// How much a mask looks as that of a lost object should.
+/// Similarity of a mask to that expected of a lost object.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Recognised {
     /// 0 to 1.
@@ -255,7 +255,7 @@ impl Track {
         self.trust(now);
     }
 
-    /// What was carried since the last mask that can be trusted belongs to the object too.
+    /// Accepts the masks that were propagated since the last reliable one.
     fn trust(&mut self, now: Moment) {
         self.num_carried += self.carried_since;
         self.carried_since = 0;
@@ -337,7 +337,7 @@ impl Track {
         }
     }
 
-    /// Whether so many masks failed that the carried one is worth nothing.
+    /// Returns true if so many masks failed that the propagated one is unusable.
     pub(super) fn is_worn_out(&self, options: &TrackerOptions) -> bool {
         let frames = self.frames_carried();
         self.num_failed > MAX_FAILED_PROMPTS && frames >= options.max_carried
@@ -348,8 +348,8 @@ impl Track {
         if let Presence::Carried(frames) = self.presence { frames } else { 0 }
     }
 
-    /// Whether its mask is worth asking for less often: the object stands, as far as its flow and its boxes tell, and
-    /// its last mask is not old.
+    /// Returns true if its mask may be segmented less often: the object is stationary by its flow and its boxes, and
+    /// its last mask is recent.
     pub(super) fn is_at_rest(&self, now: Moment, options: &TrackerOptions) -> bool {
         let found = &self.ledger.found;
         let stands = self.velocity[0].hypot(self.velocity[1]) <= STANDING_SIDES_PER_S * self.size;
@@ -358,7 +358,7 @@ impl Track {
         is_known && stands && !is_seen_to_move && now.time_s - self.renewed_s < options.max_rest_secs
     }
 
-    /// What it is made from.
+    /// Kind of input.
     pub(super) fn origin(&self) -> Origin {
         self.origin
     }
@@ -430,8 +430,8 @@ impl Track {
         [background[0] + self.velocity[0] * elapsed_s, background[1] + self.velocity[1] * elapsed_s]
     }
 
-    /// Whether enough detections lie close together for a lasting id. Boxes need not lie close together: the masks
-    /// between them, each renewed from the one before, say that they show one object.
+    /// Returns true if enough detections confirm the track. Boxes need not be close together in time: the masks between
+    /// them, each propagated from the one before, tie them together.
     pub(super) fn earns_id(&self, options: &TrackerOptions) -> bool {
         if self.origin == Origin::Boxes {
             return self.id.is_none() && self.num_detected >= options.min_detections;
@@ -442,7 +442,7 @@ impl Track {
         self.id.is_none() && latest.is_some_and(close)
     }
 
-    /// Whether the track is over: a tentative one that was not confirmed soon, a lost one that stays away.
+    /// Returns true if the track ends: a tentative one that was not confirmed in time, a lost one that did not return.
     pub(super) fn is_over(&self, now: Moment, options: &TrackerOptions) -> bool {
         let gap = now.count - self.last_detected.count;
         match self.presence {
@@ -455,7 +455,7 @@ impl Track {
         }
     }
 
-    /// Whether a detection may be this lost object by its place, size and looks; the score if so, 0 to 1.
+    /// Score of a detection being this lost object by its position, size and appearance, 0 to 1; `None` if it is not.
     pub(super) fn recognise(
         &self,
         region: &Region,
@@ -481,14 +481,14 @@ impl Track {
         fits.then_some(Recognised { score: 0.5 * similarity + 0.5 * nearness, evidence })
     }
 
-    /// Whether it is lost for so short a time that nothing else can have come to its place.
+    /// Returns true if it has been lost too briefly for another object to have taken its position.
     pub(super) fn is_briefly_lost(&self, now: Moment) -> bool {
         let is_brief = now.time_s - self.last_detected.time_s <= BRIEFLY_S;
         self.is_lost() && is_brief && self.seen_share >= MOSTLY_SEEN
     }
 
-    /// Whether a mask may be asked for where the object should be, for its flow failed just now. Where something has
-    /// come before most of it, the answer would show that.
+    /// Returns true if the predicted position may be segmented, because its flow has just failed. Where most of it is
+    /// occluded, the mask would show the occluder.
     pub(super) fn may_be_looked_for(&self, now: Moment) -> bool {
         let seen_share = if self.is_lost() { self.seen_share } else { self.share_of_whole() };
         seen_share >= LEAST_SEEN && now.time_s - self.last_detected.time_s <= BRIEFLY_S
@@ -499,7 +499,7 @@ impl Track {
         (self.region.area() as f64 / self.whole.area().max(1) as f64).min(1.0)
     }
 
-    /// Whether a mask in the place where the object should be shows it.
+    /// Returns true if a mask at the predicted position shows the object.
     ///
     /// * `place` – its whole outline there.
     pub(super) fn is_shown_by(&self, fresh: &Fresh, place: &Region) -> bool {
@@ -509,7 +509,7 @@ impl Track {
         is_alike && is_large && fresh.region.covered_by(place) >= MOSTLY_INSIDE
     }
 
-    /// Whether something that comes up may be this object, which was lost for longer.
+    /// Returns true if a new object may be this one, which was lost for longer.
     pub(super) fn may_be_succeeded(&self, now: Moment) -> bool {
         self.id.is_some() && self.is_lost() && !self.is_succeeded && !self.is_briefly_lost(now)
     }
@@ -537,18 +537,18 @@ impl Track {
         self.area
     }
 
-    /// What its latest mask was worth when it was new, 0 to 1.
+    /// Quality of its latest mask when it was new, 0 to 1.
     pub(super) fn quality(&self) -> f64 {
         self.quality
     }
 
-    /// How much speaks for the track: confirmed ones before others, then by boxes.
+    /// Rank of the track: confirmed ones first, then by number of boxes.
     pub(super) fn rank(&self) -> (bool, usize) {
         (self.id.is_some(), self.num_detected)
     }
 
-    /// Whether a box may show this object by its class. Motion knows no class, and a detector that named the object
-    /// once or twice may have been wrong.
+    /// Returns true if a box may show this object by its class. Motion has no class, and a detector that classified the
+    /// object once or twice may have been wrong.
     pub(super) fn may_be(&self, class: Option<&str>) -> bool {
         let is_named = self.ledger.found.by_detector() >= MIN_FRAMES;
         class.is_none_or(|class| !is_named || compatible(self.class(), class))
@@ -584,7 +584,7 @@ impl Track {
     }
 }
 
-/// Whether a mask was asked for in a frame to which one was carried.
+/// Outcome of segmentation in a frame to which a mask was propagated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Asked {
     /// Nobody asked.
@@ -596,8 +596,8 @@ pub(super) enum Asked {
 /// Classes that a network may confuse for one object; only one of a group is tracked per place.
 const TWO_WHEELERS: [&str; 6] = ["motorcycle", "motor", "motorbike", "bicycle", "rider", "person"];
 
-/// Whether two class names may belong to one object: networks confuse cars, vans, trucks and buses with one another,
-/// and motorcycles with bicycles, but not one group with the other.
+/// Returns true if two class names may belong to one object: networks confuse cars, vans, trucks and buses with one
+/// another, and motorcycles with bicycles, but not one group with the other.
 pub(super) fn compatible(a: &str, b: &str) -> bool {
     TWO_WHEELERS.contains(&a) == TWO_WHEELERS.contains(&b)
 }
@@ -606,7 +606,7 @@ fn difference(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
     [a[0] - b[0], a[1] - b[1]]
 }
 
-/// Whether a box moved by a displacement has its centre outside the frame: the object is leaving.
+/// Returns true if a box moved by a displacement has its center outside the frame: the object is leaving.
 pub(super) fn leaves(bounds: BoundingBox, displacement: [f64; 2], width: u32, height: u32) -> bool {
     let x = f64::from(bounds.x0 + bounds.x1) / 2.0 + displacement[0];
     let y = f64::from(bounds.y0 + bounds.y1) / 2.0 + displacement[1];

@@ -34,7 +34,7 @@ pub struct Tracker {
     pub(super) last_frame: Option<(FrameId, f64, (u32, u32))>,
     /// The picture of the last frame.
     pub(super) last_picture: Option<RgbImage>,
-    /// What was reported of the latest frames.
+    /// Masks reported for the latest frames.
     pub(super) reported: Reported,
     /// Masks of this frame's objects in earlier frames, carried back from new ones.
     pub(super) retraced: Vec<(FrameId, ObjectId, Region)>,
@@ -42,7 +42,7 @@ pub struct Tracker {
     pub(super) passed_over: PassedOver,
 }
 
-/// What became of a track in the current frame.
+/// Outcome of a track in the current frame.
 pub(super) struct Sighting {
     pub(super) track_idx: usize,
     pub(super) evidence: Evidence,
@@ -144,7 +144,7 @@ impl Tracker {
         std::mem::take(&mut self.corrections)
     }
 
-    /// What stands and was not followed, until now.
+    /// Stationary objects that were not followed so far.
     pub fn passed_over(&self) -> PassedOver {
         self.passed_over
     }

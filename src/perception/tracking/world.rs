@@ -126,7 +126,7 @@ impl World {
 pub(super) struct WorldPrompter<'a> {
     pub(super) world: &'a World,
     pub(super) t: usize,
-    /// How many boxes it was asked about.
+    /// Number of box prompts so far.
     pub(super) num_asked: usize,
     /// Changes an answer.
     pub(super) spoil: &'a dyn Fn(usize, Prompted) -> Option<Prompted>,

@@ -9,7 +9,7 @@ use crate::bundle::{self, CameraBlock, Observation, PointBlock, PoseBlock, Probl
 use crate::camera::{Camera, NUM_INTRINSICS};
 use crate::sfm::SfmError;
 
-/// What is adjusted.
+/// Parameters that are adjusted.
 pub enum Scope {
     /// All views and points.
     Everything,
@@ -31,7 +31,7 @@ pub enum Scope {
 pub struct Stretch {
     /// Those that are free.
     pub views: Range<usize>,
-    /// What was seen in these counts, free or held; in others it is left out.
+    /// Views whose observations count, free or held; those of other views are excluded.
     pub counted: Range<usize>,
     /// Points per view, as in [`Scope::Selected`]; `None` for all.
     pub per_view: Option<usize>,

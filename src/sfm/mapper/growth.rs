@@ -33,16 +33,16 @@ pub struct Growth<'a> {
     options: &'a Options,
     seed: u64,
     noise: Noise,
-    /// What adjustments of everything move.
+    /// Parameters that global adjustments change.
     freedom: Freedom,
-    /// Whether that was decided by what the motion determines.
+    /// True once the motion has decided that.
     lens_decided: bool,
     pair: Option<InitialPair>,
     /// By view: known points seen and inliers at the last failed try.
     failed: Vec<Option<Attempt>>,
     /// By camera: standard deviation of ln f, where it is not held and was asked for.
     focal_deviations: Vec<Option<f64>>,
-    /// Whether views were taken out by the view graph since the last adjustment of everything.
+    /// True if the view graph removed views since the last global adjustment.
     reviewed: bool,
     /// By view: the points for and against the best pose that was found, where the view graph refused it.
     refused: Vec<Option<(usize, usize)>>,
@@ -86,7 +86,7 @@ impl<'a> Growth<'a> {
         }
     }
 
-    /// Whether it began with poses that were known beforehand, and not with a pair of views.
+    /// Returns true if it began with pose priors and not with a pair of views.
     pub fn is_from_known_poses(&self) -> bool {
         self.is_from_known_poses
     }
@@ -127,12 +127,12 @@ impl<'a> Growth<'a> {
         }
     }
 
-    /// How much of all observations the map explains; see [`Map::num_explained`].
+    /// Number of observations that the map explains; see [`Map::num_explained`].
     pub fn num_explained(&self) -> f64 {
         self.map.num_explained(self.options.max_error_px)
     }
 
-    /// How many views it has.
+    /// Number of registered views.
     pub fn num_registered(&self) -> usize {
         self.map.num_registered()
     }

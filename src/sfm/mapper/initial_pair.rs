@@ -126,7 +126,7 @@ fn promising(table: &TrackTable, cameras: &[Camera], common: Vec<PairTracks>, su
     front.into_iter().chain(spread).map(|(_, (_, pair))| pair).collect()
 }
 
-/// Whether two views count as one by their common tracks.
+/// Returns true if the common tracks of two views show no parallax between them.
 pub fn is_still(table: &TrackTable, cameras: &[Camera], tracks: &[usize], views: [usize; 2]) -> bool {
     median_displacement(table, cameras, tracks, views).is_none_or(|median| median < MIN_DISPLACEMENT_PX)
 }

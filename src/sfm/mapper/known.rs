@@ -1,8 +1,8 @@
-//! What is known of the intrinsics of each camera, before a map is built.
+//! Prior knowledge of the intrinsics of each camera.
 
 use serde::{Deserialize, Serialize};
 
-/// What is known of the intrinsics.
+/// Prior knowledge of intrinsics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Intrinsics {
@@ -55,7 +55,7 @@ impl From<Vec<Intrinsics>> for KnownIntrinsics {
 }
 
 impl KnownIntrinsics {
-    /// What is known of a camera.
+    /// Prior knowledge of a camera.
     pub fn of(&self, camera: usize) -> Intrinsics {
         match self {
             Self::OfAll(known) => *known,
@@ -63,7 +63,7 @@ impl KnownIntrinsics {
         }
     }
 
-    /// What is known of the less known one of two cameras.
+    /// Prior knowledge of the less known of two cameras.
     pub(super) fn of_pair(&self, cameras: [usize; 2]) -> Intrinsics {
         let [first, second] = cameras.map(|camera| self.of(camera));
         if first.guess_deviation() < second.guess_deviation() { second } else { first }

@@ -1,4 +1,4 @@
-//! What the motion tells of the lens, and what is known of lenses beforehand.
+//! Intrinsics from the motion, with their priors.
 //!
 //! The focal length of a map has a posterior: what the observations tell, and a prior round the guess. Both are terms
 //! of the same sum, so that a weak motion ends near the guess and a strong one does not feel it.
@@ -19,9 +19,8 @@ use crate::camera::Camera;
 use crate::math::RobustLoss;
 use crate::sfm::SfmError;
 
-/// How much worse than their residuals say observations are believed to be, where something may be wrong with all of
-/// them together: what the model of the lens or of the shutter leaves out, points that slide with the view. Such errors
-/// do not average out.
+/// Factor on the residuals' noise for errors common to all observations: those of the model of the lens or of the
+/// shutter, and points that slide with the view. Such errors do not average out.
 const COMMON_ERROR_FACTOR: f64 = 5.0;
 
 /// Less noise is rounding, of tracks without any.
@@ -69,7 +68,7 @@ fn off_guess(map: &Map<'_>, camera_idx: usize) -> f64 {
     (map.cameras[camera_idx].mean_focal() / map.guess[camera_idx].mean_focal()).ln()
 }
 
-/// What the observations alone tell of the focal length.
+/// Focal length by the observations alone.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FocalEvidence {
     /// Standard deviation of ln f if all observations err together ([`COMMON_ERROR_FACTOR`]); infinite where the motion
@@ -77,8 +76,8 @@ pub(super) struct FocalEvidence {
     pub together: f64,
     /// The same if they err together within groups only (the sandwich above).
     in_groups: f64,
-    /// How far the observations that were asked, some in every part of every view, would shift ln f from where all have
-    /// it; with the prior.
+    /// Shift of ln f that the used observations, some in every part of every view, would cause from its present value;
+    /// with the prior.
     shift: f64,
 }
 
@@ -177,8 +176,7 @@ pub(super) fn focal_deviation_here(
     Ok(COMMON_ERROR_FACTOR * sigma_px * deviation_px / map.cameras[camera].mean_focal())
 }
 
-/// How much the first coefficient of distortion explains, in units of the common errors squared, where it is the only
-/// one.
+/// Gain of the first coefficient of distortion, in units of the common errors squared, where it is the only one.
 pub(super) fn first_radial_gain(map: &Map<'_>, sigma_px: f64, options: &Options) -> Result<f64, SfmError> {
     let probe = Probe::new(map, sigma_px, options);
     let without_radial = |trial: &mut Problem| {
@@ -199,7 +197,7 @@ struct Probe<'a> {
     options: &'a Options,
 }
 
-/// What is adjusted at once.
+/// Parameters that are adjusted together.
 enum Part {
     All { tracks: Vec<bool>, free_views: Vec<bool> },
     Stretch { stretch: Stretch, time: [f64; 2] },
@@ -290,8 +288,8 @@ fn add_costs_by_group(problem: &Problem, loss: RobustLoss, [start, length]: [f64
     }
 }
 
-/// Whether a lens like this is built: a field of view between 9 and 157 degrees over the longer side, and distortion
-/// that keeps the picture's order from the middle to the corner.
+/// Returns true if such a lens is plausible: a field of view between 9 and 157 degrees over the longer side, and
+/// distortion that is monotonic from the center to the corner.
 pub(super) fn is_plausible(camera: &Camera) -> bool {
     let side = f64::from(camera.width.max(camera.height));
     let focal_ok = (0.1 * side..=6.0 * side).contains(&camera.mean_focal());

@@ -26,8 +26,8 @@ pub struct MapPoint {
     pub active: Vec<bool>,
 }
 
-/// What is reconstructed. Its tracks are a copy where joints had to be taken apart; its views, which take most of the
-/// room, never are.
+/// Tracks to be reconstructed. Its tracks are a copy where tracks had to be split at gaps; its views, which take most
+/// of the memory, never are.
 #[derive(Clone)]
 pub struct Table<'a> {
     /// As in [`TrackTable`].
@@ -46,7 +46,7 @@ impl<'a> Table<'a> {
         self.views[feature.view as usize].pixels[feature.feature as usize]
     }
 
-    /// How exactly a feature is located.
+    /// Whitening of a feature's position error.
     pub fn whitening(&self, feature: Feature) -> Whitening {
         self.views[feature.view as usize].whitening_of(feature.feature)
     }
@@ -77,13 +77,13 @@ pub struct Slot {
 /// Poses and points found so far.
 #[derive(Clone)]
 pub struct Map<'a> {
-    /// What is reconstructed.
+    /// Tracks to be reconstructed.
     pub table: Table<'a>,
     /// Intrinsics.
     pub cameras: Vec<Camera>,
     /// Intrinsics as they were at the start.
     pub guess: Vec<Camera>,
-    /// How well they were known.
+    /// Prior knowledge of the intrinsics.
     pub known: KnownIntrinsics,
     /// World to camera, by view; `None` where not registered.
     pub poses: Vec<Option<Rigid3>>,
@@ -91,9 +91,9 @@ pub struct Map<'a> {
     points: Vec<Option<MapPoint>>,
     /// Features of each view that belong to tracks.
     slots_of_view: Vec<Vec<Slot>>,
-    /// How many of them have a known point.
+    /// Number of its features with a known point, by view.
     num_visible: Vec<usize>,
-    /// Whether places come back, so that views far from one another see common points.
+    /// True if there are loop closures, so that views far apart in time share points.
     pub comes_back: bool,
 }
 
@@ -165,7 +165,7 @@ impl<'a> Map<'a> {
         }
     }
 
-    /// How many features of a view belong to tracks, and how many of those have a known point.
+    /// Numbers of a view's features that belong to tracks, and of those with a known point.
     pub fn visibility(&self, view: usize) -> (usize, usize) {
         (self.slots_of_view[view].len(), self.num_visible[view])
     }
@@ -346,8 +346,8 @@ impl<'a> Map<'a> {
         })
     }
 
-    /// How many of all observations the map explains: each counts from 1, where it fits exactly, to 0 at `max_error`
-    /// (in units of the whitening) or where its point or view is not known.
+    /// Number of observations that the map explains: each counts from 1, where it fits exactly, to 0 at `max_error` (in
+    /// units of the whitening) or where its point or view is unknown.
     pub fn num_explained(&self, max_error: f64) -> f64 {
         let misfit = |track: usize, position: Point3<f64>, slot: usize| {
             self.view_at(track, slot).map_or(1.0, |view| (view.error_sq(position) / max_error.powi(2)).min(1.0))
@@ -383,7 +383,7 @@ impl<'a> Map<'a> {
         self.into_found().with_views(views.iter().cloned())
     }
 
-    /// What was found, without the views that it was found in.
+    /// Result of the reconstruction, without the views.
     pub fn into_found(mut self) -> Found {
         self.slots_of_view = Vec::new();
         let cameras = self.cameras.iter().enumerate().map(|(i, c)| (camera_id(i), *c)).collect();

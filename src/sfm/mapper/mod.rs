@@ -47,7 +47,7 @@ use growth::SubMap;
 use map::Found;
 use starts::Task;
 
-/// How a map is built.
+/// Options of the mapper.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Options {
@@ -114,11 +114,10 @@ pub struct Options {
     /// Starts that are tried at most while none registers nearly all views: each costs a whole reconstruction.
     #[schemars(extend("unit" = "starts"))]
     pub max_starts: usize,
-    /// By how much the nearer end of a target is larger in the picture than its farther one, up to which a map starts
-    /// from poses that are known otherwise as well, where there are any: two views of so weak a perspective leave open
-    /// how far they turned. 0 for never.
+    /// Perspective foreshortening, in pixels, below which the map is also initialized from pose priors, where there are
+    /// any: two views of so weak a perspective leave their rotation undetermined. 0 for never.
     pub weak_perspective_px: f64,
-    /// Whether views are in time order, so that a failed one can be tried from its neighbours. Frames in no order
+    /// True if views are in time order, so that a failed one can be retried from its neighbors. Unordered frames
     /// (`order`) set it to false.
     pub ordered: bool,
     /// Views in time order after which a track is cut in two: three seconds of most videos. Longer ones fill the system
@@ -209,7 +208,7 @@ impl Options {
         Self { min_angle_deg: self.min_angle_deg * USUAL_FOCAL_PX / longest, ..self.clone() }
     }
 
-    /// What counts as an observation at a noise.
+    /// Limits of inlier observations at a noise.
     fn limits(&self, noise: Noise) -> Limits {
         let max_error_px = match noise {
             Noise::Measured { sigma_px } if self.ordered => {
@@ -230,7 +229,7 @@ impl Options {
     }
 }
 
-/// How far observations lie from their points' projections.
+/// Noise of observations: residuals of the points' projections.
 ///
 /// Features of different front ends, videos and objects differ tenfold in it, and a loss or a threshold that is wide
 /// for the data lets systematic errors in: on the shared rendered sequence measured limits took the camera error of the
@@ -246,7 +245,7 @@ enum Noise {
     },
 }
 
-/// What is known of a target besides its tracks.
+/// Prior knowledge of a target besides its tracks.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Beside<'a> {
     /// Of an object: of maps that explain less than good tracks let a map explain, the one whose points lie within them

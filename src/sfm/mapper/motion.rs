@@ -18,7 +18,7 @@ use super::Intrinsics;
 use super::map::Map;
 use crate::sfm::two_view::TwoViewGeometry;
 
-/// What two views tell of the motion between them.
+/// Motion between two views, as far as they determine it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PairMotion {
     /// Points stay where they are.
@@ -36,7 +36,7 @@ pub fn of_pair(geometry: &TwoViewGeometry, intrinsics: Intrinsics) -> PairMotion
     if turn { PairMotion::Turn } else { PairMotion::Other }
 }
 
-/// Whether a homography between normalised positions is a rotation, for the focal length that was given or for any.
+/// Returns true if a homography between normalized positions is a rotation, for the given or for any focal length.
 fn is_turn(homography: &Matrix3<f64>, intrinsics: Intrinsics) -> bool {
     // Of a plane that is seen under two directions it differs by about their angle: this is half a degree.
     const TOLERANCE: f64 = 0.008;
@@ -100,13 +100,13 @@ impl Survey {
     }
 }
 
-/// What weakens a map.
+/// Weakness of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum Remark {
     /// All points lie near one plane.
     PlanarScene {
-        /// Whether the focal length was to be found on it.
+        /// True if the focal length was to be estimated from it.
         intrinsics_refined: bool,
     },
     /// The camera moves along its line of sight.
@@ -157,7 +157,7 @@ pub fn remarks_on(map: &Map<'_>) -> Vec<Remark> {
     out
 }
 
-/// Whether nine points in ten lie within a hundredth of the median distance of a plane.
+/// Returns true if nine points in ten lie within a hundredth of the median distance of a plane.
 fn is_planar(map: &Map<'_>) -> bool {
     const MAX_THICKNESS: f64 = 0.01;
     const SHARE: f64 = 0.9;
@@ -194,7 +194,7 @@ fn is_planar(map: &Map<'_>) -> bool {
     thickness <= MAX_THICKNESS * distance
 }
 
-/// Whether nearly all steps from view to view go along the line of sight.
+/// Returns true if nearly all steps from view to view go along the line of sight.
 fn is_forward(map: &Map<'_>) -> bool {
     const MAX_ANGLE: f64 = 0.2;
     const SHARE: f64 = 0.9;

@@ -1,4 +1,4 @@
-//! What became of every view.
+//! Outcome of every view.
 
 use std::fmt;
 
@@ -54,9 +54,9 @@ pub enum Reason {
         views: usize,
         /// Tracks that it shares with the largest map.
         shared: usize,
-        /// How many of them agree on how the two maps lie to one another.
+        /// Number of tracks that agree on the alignment of the two maps.
         agreeing: usize,
-        /// How many would have to.
+        /// Number required.
         needed: usize,
     },
     /// Nothing was reconstructed at all.
@@ -98,7 +98,7 @@ impl fmt::Display for Reason {
     }
 }
 
-/// What became of one view.
+/// Outcome of one view.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Outcome {
     /// The image.
@@ -109,7 +109,7 @@ pub struct Outcome {
     pub failure: Option<Reason>,
 }
 
-/// How a reconstruction went.
+/// Summary of a reconstruction.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// Every view, in the order of the table.
@@ -132,7 +132,7 @@ pub struct Report {
     /// `None` where it was held, or no registered view is of this camera, or many cameras have more views.
     #[serde(default)]
     pub focal_deviations: Vec<Option<f64>>,
-    /// What weakens the map, in the motion and in the scene.
+    /// Weaknesses of the map, in the motion and in the scene.
     #[serde(default)]
     pub remarks: Vec<Remark>,
     /// Why nothing was reconstructed, where nothing was.

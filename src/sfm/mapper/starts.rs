@@ -9,7 +9,7 @@ use crate::camera::Camera;
 use crate::sfm::SfmError;
 use crate::sfm::tracks::TrackTable;
 
-/// What a map is made of.
+/// Input of an initialization attempt.
 #[derive(Clone, Copy)]
 pub struct Task<'a> {
     pub table: &'a TrackTable,
@@ -20,7 +20,7 @@ pub struct Task<'a> {
     pub beside: Beside<'a>,
 }
 
-/// What came of the pairs that could start a map.
+/// Outcomes of the initial pairs.
 pub struct Starts<'a> {
     /// The map that explains the tracks best.
     pub best: Option<Growth<'a>>,
@@ -230,7 +230,7 @@ impl<'a> Task<'a> {
         Ok(whole)
     }
 
-    /// How many observations a map explains, less those of points that its silhouettes contradict.
+    /// Number of observations that a map explains, less those of points that contradict its silhouettes.
     fn explained(&self, growth: &Growth) -> f64 {
         let silhouettes = self.beside.silhouettes;
         let within = silhouettes.map_or(1.0, |silhouettes| silhouettes.share_within(&growth.reconstruction()));
@@ -242,7 +242,7 @@ impl<'a> Task<'a> {
         self.explained(growth) * self.beside.poses.map_or(1.0, |known| growth.agreement(known))
     }
 
-    /// Whether a map explains so much of the observations.
+    /// Returns true if a map explains this share of the observations.
     fn explains(&self, growth: &Growth, enough: f64) -> bool {
         let share = self.explained(growth) / self.table.num_observations().max(1) as f64;
         tracing::debug!("{share:.2} of the observations are explained");

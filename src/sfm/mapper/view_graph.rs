@@ -1,4 +1,4 @@
-//! Whether registered views agree with what pairs of views say by themselves.
+//! Consistency of registered views with the relative motions of pairs of views.
 //!
 //! On repeated structure (the windows of a façade, the two sides of a symmetric building) a view can be registered at
 //! the wrong copy: enough points agree, and bundle adjustment cannot carry it away. Its true neighbours know better:
@@ -37,7 +37,7 @@ const CONTRADICTING_SHARE: f64 = 0.3;
 /// At the noise of the map, its epipolar geometry explains less than this share of what the pair's own one does.
 const FINE_SHARE: f64 = 0.5;
 
-/// What a pair of registered views says of the map.
+/// Verdict of a pair of registered views on the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Opinion {
     /// The views.
@@ -98,7 +98,7 @@ impl ViewGraph {
         self.tracks_of[a].iter().filter(seen_by_b).copied().collect()
     }
 
-    /// What pairs of registered views say; of those of one view only, where one is given.
+    /// Verdicts of pairs of registered views; only of those of one view, where it is given.
     pub fn opinions(&self, map: &Map<'_>, of: Option<usize>) -> Vec<Opinion> {
         let wanted = |views: &[usize; 2]| {
             of.is_none_or(|view| views.contains(&view)) && views.iter().all(|&v| map.poses[v].is_some())
@@ -115,8 +115,8 @@ impl ViewGraph {
             .collect()
     }
 
-    /// Whether the epipolar geometry of the map explains, at its noise, the tracks of two views, or far fewer of them
-    /// than the one that the two find by themselves.
+    /// Compares the epipolar geometry of the map with the one that two views have by themselves, by the tracks that
+    /// each explains at the map's noise.
     fn fine_opinion(&self, map: &Map<'_>, views: [usize; 2], tracks: &[u32]) -> Option<Opinion> {
         let max_error_px = self.thresholds.fine_px?;
         let common: Vec<usize> = tracks.iter().map(|&t| t as usize).collect();
@@ -165,7 +165,7 @@ impl ViewGraph {
             .is_some_and(|pixel| (pixel - map.table.pixel(*feature)).norm() <= self.thresholds.max_error_px)
     }
 
-    /// How many of the tracks one epipolar geometry of the two views explains.
+    /// Number of tracks that one epipolar geometry of the two views explains.
     fn epipolar_inliers(&self, map: &Map<'_>, views: [usize; 2], tracks: &[usize]) -> usize {
         let max_error_px = self.thresholds.max_error_px;
         self.on_pair(map, views, tracks, max_error_px, |pairs, max_error, rng| {
@@ -207,9 +207,9 @@ impl ViewGraph {
     }
 }
 
-/// Whether the motion that two views find by themselves is another than that of the map: in its turn, or in its
-/// direction where the views see their points under an angle that tells it. On a plane, where two motions explain the
-/// same points, nothing is said.
+/// Returns true if the relative motion that two views have by themselves differs from that of the map: in its rotation,
+/// or in its direction where the triangulation angle determines it. On a plane, where two motions explain the same
+/// points, there is no verdict.
 fn contradicted_by(map: &Map<'_>, [a, b]: [usize; 2], found: &TwoViewGeometry) -> bool {
     const MAX_TURN_DEG: f64 = 3.0;
     const MAX_DIRECTION_DEG: f64 = 25.0;

@@ -38,8 +38,7 @@ const WINDOW: usize = 400;
 /// Views from one window to the next, and so those that a view waits for before it is final.
 pub const STEP: usize = 200;
 
-/// Whether a map is adjusted in windows: that of a video of one camera and many views, none of which sees points of
-/// views far away.
+/// Returns true if a map is adjusted in windows: that of a video of one camera and many views, without loop closures.
 pub fn is_long(map: &Map<'_>, options: &Options) -> bool {
     options.ordered && map.cameras.len() == 1 && !map.comes_back && map.num_registered() > LONG
 }
@@ -67,7 +66,7 @@ pub fn sweep(map: &mut Map<'_>, scope: &Scope, noise: Noise, options: &Options) 
     Ok(adjusted)
 }
 
-/// What a long map has grown by at its ends since it had these views, with as many views before it.
+/// Ranges by which a long map has grown at its ends since it had these views, with as many views before them.
 pub fn ends(map: &Map<'_>, known: &Range<usize>) -> Vec<Range<usize>> {
     let views: Vec<usize> = map.registered().collect();
     let num_before = views.partition_point(|view| *view < known.start);
@@ -156,7 +155,7 @@ impl Carrier {
     }
 }
 
-/// What stretches of a map tell of a lens together.
+/// Evidence of stretches of a map for the lens.
 pub struct LensEvidence {
     camera: usize,
     /// Which of fx, fy, cx, cy, k1, k2 are free.

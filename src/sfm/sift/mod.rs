@@ -22,14 +22,14 @@ const LAYERS: usize = 3;
 /// Blur of the first layer of every octave, in its own pixels.
 const SIGMA: f32 = 1.6;
 
-/// What is looked for.
+/// Options of detection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
     /// Keypoints kept at the most, the strongest first.
     pub max_keypoints: usize,
     /// Smallest difference of Gaussians at an extremum, of a picture whose values go from 0 to 1.
     pub min_contrast: f32,
-    /// Whether the first octave is the doubled picture: finds smaller structures, at several times the cost.
+    /// True if the first octave is the doubled image: finds smaller structures, at several times the cost.
     pub doubled: bool,
 }
 

@@ -93,14 +93,14 @@ pub fn find(
     found.into_iter().zip(agrees).filter(|(_, agrees)| *agrees).map(|((_, point), _)| point).collect()
 }
 
-/// How a feature moved, and how it turned and grew.
+/// Displacement, rotation and change of scale of a feature.
 struct Move {
     from: Point2<f32>,
     to: Point2<f32>,
     shape: Matrix2<f32>,
 }
 
-/// How features moved from an earlier view: matches that one epipolar geometry explains, and then all that match along
+/// Motions of features from an earlier view: matches that one epipolar geometry explains, and then all that match along
 /// its lines.
 fn moves_between(before: &Looks, now: &Now<'_>) -> Vec<Move> {
     let pairs = before.pairs_with(now.looks);
@@ -193,7 +193,7 @@ fn best_alignment(patch: &Patch, predictions: &[Warp], now: &Now<'_>) -> Option<
     best
 }
 
-/// How the picture moves between two views, from matches.
+/// Image motion between two views, from matches.
 struct Field<'a> {
     moves: &'a [Move],
     tree: Neighbors<2>,

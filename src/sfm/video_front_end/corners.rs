@@ -47,7 +47,7 @@ pub fn strongest(
     kept.corners.into_iter().map(|[x, y]| Point2::new(x as f32 + 0.5, y as f32 + 0.5)).collect()
 }
 
-/// Whether none of the eight neighbours is stronger.
+/// Returns true if none of the eight neighbors is stronger.
 fn is_peak(strength: &CornerStrength, x: usize, y: usize) -> bool {
     let value = strength.row(y)[x];
     (y - 1..=y + 1).all(|v| strength.row(v)[x - 1..=x + 1].iter().all(|other| *other <= value))

@@ -77,7 +77,7 @@ impl VideoFrontEnd {
     }
 }
 
-/// How the image moves between two frames, from points that were followed.
+/// Image motion between two frames, from tracked points.
 struct Motion {
     shifts: Vec<Vector2<f32>>,
     tree: Option<Neighbors<2>>,

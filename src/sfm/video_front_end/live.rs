@@ -12,7 +12,7 @@ pub struct Live {
     pub patch: Patch,
     pub warp: Warp,
     pub whitening: Whitening,
-    /// How it moved from the view before the last to the last; `None` where it was not followed so.
+    /// Displacement from the view before the last to the last; `None` where it was not tracked.
     pub step: Option<Vector2<f32>>,
     /// For how many views it is followed yet; `None` for as long as it is seen.
     pub views_left: Option<usize>,
@@ -40,8 +40,8 @@ impl Live {
     }
 }
 
-/// How exactly a position with this covariance (see [`Patch::covariance`]) is known, relative to that of a good corner:
-/// on rendered video the errors against the truth are 0.05 px times these relative deviations, from 0.5 to 20.
+/// Whitening of a position with this covariance (see [`Patch::covariance`]), relative to that of a good corner: on
+/// rendered video the errors against the truth are 0.05 px times these relative standard deviations, from 0.5 to 20.
 pub fn whitening(covariance: Matrix2<f32>) -> Whitening {
     const TYPICAL_PX: f64 = 0.05;
     Whitening::from_covariance(covariance.cast::<f64>() / (TYPICAL_PX * TYPICAL_PX), 0.5, 20.0)

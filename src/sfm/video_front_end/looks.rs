@@ -37,7 +37,7 @@ impl Look {
     }
 }
 
-/// What a view looks like.
+/// Appearance of a view.
 pub struct Looks {
     pub plain: Look,
     tilted: Vec<Look>,

@@ -1,4 +1,4 @@
-//! What earlier views showed, so that points that were lost are found again.
+//! Re-detection: the appearance of earlier views, to find lost points again.
 //!
 //! Some views are kept as *key views*: their SIFT features, and small pictures of their points. A view becomes one
 //! where few of its points are those of the last key view, or where hardly any point lives on from the view before,
@@ -71,7 +71,7 @@ pub struct Memory {
     tied_at: Option<usize>,
     /// The first view of what is seen now, as long as nothing ties it to the views before.
     apart_since: Option<usize>,
-    /// What the view at hand looks like, if it is to be a key view.
+    /// Appearance of the current view, if it becomes a keyframe.
     described: Option<Looks>,
 }
 
@@ -159,7 +159,7 @@ impl Memory {
         self.keys.last().is_some_and(|key| key.view == view)
     }
 
-    /// Whether hardly any point of the view before lives on.
+    /// Returns true if hardly any point of the view before is still tracked.
     fn is_broken(&self, alive: &BTreeSet<usize>) -> bool {
         self.last.as_ref().is_some_and(|last| {
             let live_on = last.points.iter().filter(|(track, _)| alive.contains(track)).count();
@@ -167,15 +167,15 @@ impl Memory {
         })
     }
 
-    /// Whether too few points live on from the view before to tie anything.
+    /// Returns true if too few points of the view before are still tracked to tie the views together.
     fn is_cut(&self, alive: &BTreeSet<usize>) -> bool {
         self.last
             .as_ref()
             .is_some_and(|last| last.points.iter().filter(|(track, _)| alive.contains(track)).count() < FEW_POINTS)
     }
 
-    /// Whether it is time to look back once more for what ties this view to those before a gap. What comes up from
-    /// behind something shows another part at first than what was seen last.
+    /// Returns true if re-detection is due, to tie this view to those before a gap. An object that reappears from an
+    /// occlusion shows another part at first than before it.
     fn is_due(&self, view: usize, alive: &BTreeSet<usize>) -> bool {
         self.apart_since.is_some_and(|first| {
             let since = view - first;
@@ -183,13 +183,13 @@ impl Memory {
         })
     }
 
-    /// Whether a key view shows enough of the points alive to be tied to them: it would match best, and tie nothing
+    /// Returns true if a keyframe has enough of the points that are tracked now: it would match best, and tie nothing
     /// new.
     fn is_tied(key: &KeyView, alive: &BTreeSet<usize>) -> bool {
         key.sights.iter().filter(|sight| alive.contains(&sight.track)).count() >= FEW_POINTS
     }
 
-    /// Whether the points of the last key view are hardly those that are alive.
+    /// Returns true if few of the last keyframe's points are still tracked.
     fn is_weak(&self, alive: &BTreeSet<usize>) -> bool {
         let Some(key) = self.keys.last() else { return alive.len() >= FEW_POINTS };
         let common = key.sights.iter().filter(|sight| alive.contains(&sight.track)).count() as f64;
@@ -248,7 +248,7 @@ impl Memory {
         last.map(|key| Chosen { key, num_matches: 0, follow_for: None }).collect()
     }
 
-    /// How many key views were seen long ago.
+    /// Number of keyframes long ago.
     fn num_far(&self, view: usize) -> usize {
         self.keys.iter().take_while(|key| view - key.view >= COMES_BACK_AFTER).count()
     }

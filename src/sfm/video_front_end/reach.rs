@@ -1,4 +1,4 @@
-//! How a target's size decides how far round a point is looked, and where it is looked for.
+//! Search range and position of a point, by its target's size.
 //!
 //! A patch shows its point only as far as it lies on the target. Round a corner of a vehicle of thirty pixels a patch
 //! of fifteen is half road, which slides along below it: the track ends after a few frames, or drifts with the road. In
@@ -48,7 +48,7 @@ impl Extent {
     }
 }
 
-/// What `options` ask for, as far as a target is large enough for it.
+/// Search range that `options` ask for, as far as a target is large enough for it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reach {
     pub window_radius_px: i32,
@@ -72,7 +72,7 @@ impl Reach {
     }
 }
 
-/// How far a target has gone between two frames; `None` for one that fills the window of the coarsest pictures, whose
+/// Displacement of a target between two frames; `None` for one that fills the window of the coarsest images, whose
 /// motion these show.
 pub fn shift(options: &VideoOptions, from: Option<Extent>, to: Option<Extent>) -> Option<Vector2<f32>> {
     let coarsest_px = f64::from(options.window_radius_px) * 2f64.powi(options.pyramid_levels);

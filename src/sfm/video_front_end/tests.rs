@@ -36,7 +36,7 @@ fn followed(corners: &[[u32; 2]], hidden: Option<u32>) -> TrackTable {
     front_end.finish()
 }
 
-/// How far the features of a track are from where the texture shows its first one, pixels: the largest.
+/// Maximum distance of a track's features from the texture's true positions, pixels.
 fn drift(table: &TrackTable, corners: &[[u32; 2]], track: &Track) -> f64 {
     let place = |f: &Feature| {
         let [x, y] = corners[f.view as usize].map(f64::from);

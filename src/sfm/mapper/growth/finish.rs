@@ -30,7 +30,7 @@ impl Growth<'_> {
         self.judge_focal_length()
     }
 
-    /// How sure the focal length is, of the map as it stays.
+    /// Estimates the standard deviation of the focal length of the final map.
     fn judge_focal_length(&mut self) -> Result<(), SfmError> {
         let Noise::Measured { sigma_px } = self.map.noise() else { return Ok(()) };
         for camera in lens::asked_cameras(&self.map) {
@@ -145,8 +145,8 @@ impl Growth<'_> {
         Ok(())
     }
 
-    /// How exactly pairs of views have to agree with the map. Frames of a video are placed by their neighbours in time,
-    /// and asked less.
+    /// Required agreement of pairs of views with the map. Frames of a video are registered next to their neighbors in
+    /// time, and need less.
     fn thresholds_of_pairs(&self) -> Thresholds {
         const SIGMAS: f64 = 4.0;
         const LEAST_PX: f64 = 0.5;

@@ -19,7 +19,7 @@ const ROUND_IT: usize = 5;
 pub struct Hinge {
     /// Two registered views, one after the other.
     pub views: [usize; 2],
-    /// What the camera turns between them, radians per frame.
+    /// Rotation of the camera between them, radians per frame.
     pub turn: f64,
 }
 
@@ -32,7 +32,7 @@ impl Growth<'_> {
         Some(Hinge { views: [views[place], views[place + 1]], turn: turns[place] })
     }
 
-    /// What the camera turns from each of some registered views to the next, radians per frame.
+    /// Rotations of the camera from each registered view to the next, radians per frame.
     fn turns(&self, views: &[usize]) -> Vec<f64> {
         let turn = |pair: &[usize]| {
             let (from, to) = (self.map.poses[pair[0]]?, self.map.poses[pair[1]]?);

@@ -21,7 +21,7 @@ const TURN: f64 = 0.2;
 pub struct KnownPoses {
     /// Camera from target, by view.
     pub poses: Vec<Option<Rigid3>>,
-    /// By how much they may put a point beside where it is seen, pixels.
+    /// Error of a point's image position that follows from their uncertainty, pixels.
     pub error_px: f64,
 }
 
@@ -52,8 +52,8 @@ impl Growth<'_> {
         Ok(self.map.num_points() >= self.options.min_initial_inliers / 2)
     }
 
-    /// How well the turns between the views agree with what is known of them: 1 where they are the same, less the more
-    /// they differ.
+    /// Agreement of the rotations between the views with the pose priors: 1 where they are equal, less the more they
+    /// differ.
     pub fn agreement(&self, known: &KnownPoses) -> f64 {
         let off = self.turned_from(known).unwrap_or(0.0);
         tracing::debug!("turned from known poses by {:.1} deg", off.to_degrees());

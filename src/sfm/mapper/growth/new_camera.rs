@@ -15,12 +15,12 @@ use crate::sfm::resection::{self, PixelsAndPoints, Resection};
 const STEPS: i32 = 6;
 
 impl Growth<'_> {
-    /// Whether a view's camera is to be found and no other view has told anything of it.
+    /// Returns true if a view's camera is to be estimated and it is the camera's first view.
     pub(super) fn is_first_of_camera(&self, view: usize) -> bool {
         self.is_looked_for(view) && self.num_views_of_camera_of(view) == 0
     }
 
-    /// Whether a registered view is all that there is of a camera that is to be found.
+    /// Returns true if a registered view is the only one of a camera that is to be estimated.
     pub(super) fn is_only_one_of_camera(&self, view: usize) -> bool {
         self.map.cameras.len() > 1 && self.is_looked_for(view) && self.num_views_of_camera_of(view) == 1
     }

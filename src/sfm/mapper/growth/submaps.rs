@@ -43,7 +43,7 @@ pub struct SubMap {
     poses: Vec<Option<Rigid3>>,
     /// Intrinsics, by camera of the whole table.
     cameras: Vec<Camera>,
-    /// What it knows of features: the points that they show.
+    /// Points by the features that show them.
     points: BTreeMap<Feature, Point3<f64>>,
     noise: Noise,
 }
@@ -78,7 +78,7 @@ impl SubMap {
     }
 }
 
-/// How many tracks two maps share, how many of them agree on how the maps lie, and how many must.
+/// Numbers of tracks that two maps share, of those that agree on their alignment, and of those required.
 #[derive(Clone, Copy)]
 struct Agreement {
     shared: usize,
@@ -120,18 +120,18 @@ impl Growth<'_> {
         Ok(found.filter(|sub| sub.num_views() >= MIN_VIEWS).map(|sub| sub.of_larger(&open, num_views)))
     }
 
-    /// Whether this map has a view of a camera.
+    /// Returns true if this map has a view of a camera.
     fn has_camera(&self, camera: usize) -> bool {
         self.map.registered().any(|view| self.map.table.views[view].camera == camera)
     }
 
-    /// What is known of the intrinsics once this map stands: those of its own cameras stay as they are.
+    /// Intrinsics known once this map exists: those of its own cameras stay fixed.
     fn known_by_now(&self) -> KnownIntrinsics {
         let known = |camera| if self.has_camera(camera) { Intrinsics::Fixed } else { self.map.known.of(camera) };
         KnownIntrinsics::from((0..self.map.cameras.len()).map(known).collect::<Vec<_>>())
     }
 
-    /// What did not fit before may fit a map that has grown.
+    /// Tries again to align sub-maps that did not fit before the map grew.
     fn join_again(&mut self, apart: &mut Vec<(SubMap, Agreement)>) -> Result<(), SfmError> {
         let mut still = Vec::new();
         for (sub, _) in std::mem::take(apart) {
@@ -242,7 +242,7 @@ impl Growth<'_> {
         self.finish()
     }
 
-    /// Whether this map, joined from one of a noise and another one, explains both about as well as they did alone.
+    /// Returns true if the merged map explains both maps about as well as they did alone.
     fn holds(&self, sub: &SubMap, noise_before: Noise) -> bool {
         let sigma = |noise: Noise| match noise {
             Noise::Measured { sigma_px } => sigma_px,

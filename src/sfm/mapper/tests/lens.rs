@@ -1,4 +1,4 @@
-//! What is said of a focal length that had to be found.
+//! Estimated focal lengths and their standard deviations.
 
 use super::*;
 use crate::sfm::mapper::lens::{focal_deviation_here, focal_evidence};
@@ -18,7 +18,7 @@ fn ahead(z: f64) -> Point3<f64> {
     Point3::new(0.02 * z.sin(), 0.0, z)
 }
 
-/// How far ln f is off, and the deviation that is stated.
+/// Error of ln f, and its reported standard deviation.
 fn found(world: &World, guess_px: f64, intrinsics: Intrinsics) -> (f64, f64) {
     let table = tracks(world, 0.3, 30, &mut seeded_rng(12, 0));
     let guess = Camera::with_focal(960, 540, guess_px);

@@ -1,4 +1,4 @@
-//! How one map lies to another one, from points that both know or that one knows and the other sees.
+//! Alignment of two maps, from points that both have or that one has and the other observes.
 //!
 //! LO-RANSAC over triples of points that both maps know (S. Umeyama, PAMI 1991), judged by what counts in the end: the
 //! reprojection errors of each map's points in the other map's views. Refined by Gauss-Newton on these errors, on the
