@@ -8,7 +8,7 @@
 //! ```
 //!
 //! (a, b) are the [`HigherTerms`] of k₃, p₁ and p₂, zero for most lenses. They are held wherever a camera is adjusted:
-//! `docs/decisions/011-higher-terms-of-a-lens-are-held.md`. Pixels follow COLMAP: the corner of the image is (0, 0),
+//! `docs/decisions/011-fixed-distortion-terms.md`. Pixels follow COLMAP: the corner of the image is (0, 0),
 //! the centre of the first pixel is (0.5, 0.5). [`Model`] names the models of files and says which of them this one
 //! covers.
 
