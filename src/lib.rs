@@ -63,7 +63,6 @@ pub mod robust;
 pub mod scene;
 #[cfg(feature = "sfm")]
 pub mod sfm;
-#[cfg(any(test, feature = "synthetic"))]
 pub mod synthetic;
 #[cfg(feature = "telemetry")]
 pub mod telemetry;
