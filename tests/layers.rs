@@ -16,7 +16,7 @@ fn root() -> PathBuf {
 /// Room → rooms that it may call.
 fn table() -> BTreeMap<String, BTreeSet<String>> {
     let text = fs::read_to_string(root().join("docs/architecture.md")).unwrap();
-    let section = text.split("\n## ").find(|section| section.starts_with("Rooms")).unwrap_or_default();
+    let section = text.split("\n## ").find(|section| section.starts_with("Modules")).unwrap_or_default();
     let rows = section.lines().filter(|line| line.starts_with("| `"));
     let quoted = |cell: &str| cell.split('`').skip(1).step_by(2).map(str::to_owned).collect::<Vec<_>>();
     rows.map(|row| {
