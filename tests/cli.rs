@@ -298,6 +298,33 @@ fn doctor_says_what_is_there() {
     assert!(text.contains("none.onnx") || text.contains("not found"), "{text}");
 }
 
+#[test]
+fn a_runtime_or_networks_that_a_variable_names_and_that_cannot_be_used_are_an_error() {
+    const VARIABLES: [&str; 3] = ["TRACTRIX_ONNXRUNTIME", "ORT_DYLIB_PATH", "TRACTRIX_MODELS"];
+    let folder = TempDir::new().unwrap();
+    let clip = clip(folder.path(), 3);
+    let no_library = folder.path().join("no-library");
+    std::fs::write(&no_library, "text").unwrap();
+    for (variable, value) in
+        VARIABLES.into_iter().flat_map(|v| [(v, no_library.clone()), (v, folder.path().join("none"))])
+    {
+        let arguments = |command: &str| {
+            let mut started = tractrix();
+            VARIABLES.iter().for_each(|variable| drop(started.env_remove(variable)));
+            started.env(variable, &value).arg(command);
+            started
+        };
+        let (code, text, _) = outcome(&mut arguments("doctor"));
+        assert!(code == 1 && text.contains(variable), "doctor: {code}: {text}");
+        let out = folder.path().join("out");
+        let (code, _, stderr) = outcome(arguments("run").arg(&clip).arg("--output").arg(&out));
+        assert!(code == 1 && stderr.contains(variable) && stderr.contains("unset it"), "run: {code}: {stderr}");
+        // Where no network is needed the variable does not matter.
+        let (code, _, stderr) = outcome(arguments("sfm").arg(&clip).arg("--output").arg(folder.path().join("sfm")));
+        assert!(!stderr.contains(variable), "sfm: {code}: {stderr}");
+    }
+}
+
 /// What stands under "error" in the one JSON object on stdout.
 fn error_of(arguments: &[&str], expected_code: i32) -> serde_json::Value {
     let (code, stdout, stderr) = outcome(tractrix().args(arguments).arg("--json"));

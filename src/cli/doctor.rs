@@ -9,6 +9,7 @@ use serde_json::json;
 use sha2::{Digest, Sha256};
 
 use super::output::{Failure, Form, show};
+use crate::ffi::onnx::OnnxError;
 use crate::ffi::{ffmpeg, onnx};
 use crate::limits::files;
 use crate::perception::{
@@ -87,10 +88,12 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     failure.map_or(Ok(()), Err)
 }
 
-/// Without ONNX Runtime everything but networks works, so that alone is no failure; a model that was named is.
+/// Without ONNX Runtime everything but networks works, so that its absence alone is no failure; a runtime or a model that
+/// was named and cannot be used is.
 fn failure(findings: &[Finding]) -> Option<Failure> {
-    let broken: Vec<&str> = findings.iter().filter(|finding| !finding.ok).map(|finding| finding.name).collect();
-    let fails = broken.iter().any(|name| *name != ONNX);
+    let broken: Vec<&Finding> = findings.iter().filter(|finding| !finding.ok).collect();
+    let fails = broken.iter().any(|finding| finding.name != ONNX || finding.state == State::Wrong);
+    let broken: Vec<&str> = broken.iter().map(|finding| finding.name).collect();
     fails.then(|| Failure::Partial(anyhow::anyhow!("not in order: {}", broken.join(", "))))
 }
 
@@ -129,9 +132,10 @@ fn onnx_runtime() -> Finding {
     let runtime = match onnx::probe() {
         Ok(runtime) => runtime,
         Err(error) => {
+            let state = if matches!(error, OnnxError::NamedRuntime { .. }) { State::Wrong } else { State::Missing };
             return Finding::bad(
                 ONNX,
-                State::Missing,
+                state,
                 error.to_string(),
                 "needed for the program's own networks and for those that are named, without it give --masks; \
                  scripts/fetch-onnxruntime gets it",

@@ -82,6 +82,12 @@ pub enum PerceptionError {
         /// Each place that was tried, with what it lacks.
         tried: Vec<String>,
     },
+    /// The folder that TRACTRIX_MODELS names does not hold the networks that come with the program.
+    #[error("the networks named by TRACTRIX_MODELS cannot be used: {reason}; correct the variable, or unset it")]
+    NamedModels {
+        /// What is missing, with the path.
+        reason: String,
+    },
     /// A model description cannot be read.
     #[error("the model description {} is not valid: {reason}", path.display())]
     Description {
@@ -111,6 +117,13 @@ pub enum PerceptionError {
         /// The frame at fault.
         found: FrameId,
     },
+}
+
+impl PerceptionError {
+    /// Reports that an environment variable names a runtime or networks that cannot be used.
+    pub fn is_of_variable(&self) -> bool {
+        matches!(self, Self::NamedModels { .. } | Self::Onnx(OnnxError::NamedRuntime { .. }))
+    }
 }
 
 fn list(tensors: &[TensorInfo]) -> String {

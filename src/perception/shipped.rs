@@ -1,8 +1,8 @@
 //! The networks that come with the program, and where they lie.
 //!
 //! They are files of a folder `models` that is looked for when a network is needed: where the environment variable
-//! TRACTRIX_MODELS says; beside the executable; where packages put such things; and in the source tree that the
-//! executable was built in. What they are, their licences and hashes stand in `models/models.toml`, which is compiled
+//! TRACTRIX_MODELS says; beside the executable; where packages put such things; and in the source tree whose `target`
+//! holds the executable. What they are, their licences and hashes stand in `models/models.toml`, which is compiled
 //! in.
 
 use std::env;
@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 use super::PerceptionError;
 use super::description::{ModelDescription, known};
+use crate::ffi::environment;
 
 /// The environment variable that names the folder.
 const VARIABLE: &str = "TRACTRIX_MODELS";
@@ -18,8 +19,6 @@ const DETECTOR: &str = "yolox_nano.onnx";
 /// Files of the two parts of the mask network.
 const MASK_ENCODER: &str = "mobile_sam_encoder.onnx";
 const MASK_DECODER: &str = "mobile_sam_decoder.onnx";
-/// Folders above that of the executable in which a source tree is looked for: `target/release/deps` is the deepest.
-const MAX_LEVELS: usize = 5;
 
 /// The networks that come with the program.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -56,10 +55,12 @@ impl DefaultModels {
 ///
 /// # Errors
 /// [`PerceptionError::NoModels`] lists the folders and what each lacks. If TRACTRIX_MODELS names a folder, no other one
-/// is looked into.
+/// is looked into: [`PerceptionError::NamedModels`].
 pub fn default_models() -> Result<DefaultModels, PerceptionError> {
-    let named = env::var_os(VARIABLE).filter(|value| !value.is_empty()).map(PathBuf::from);
-    first_whole(&folders(named, env::current_exe().ok().as_deref(), Path::new(env!("CARGO_MANIFEST_DIR"))))
+    match env::var_os(VARIABLE).filter(|value| !value.is_empty()).map(PathBuf::from) {
+        Some(named) => whole(&named).map_err(|reason| PerceptionError::NamedModels { reason }),
+        None => first_whole(&folders(env::current_exe().ok().as_deref())),
+    }
 }
 
 /// The descriptions of the networks that come with the program, of which each names its file.
@@ -71,32 +72,29 @@ pub fn default_descriptions() -> Result<Vec<ModelDescription>, PerceptionError> 
 }
 
 /// Where the networks may lie, in order.
-fn folders(named: Option<PathBuf>, executable: Option<&Path>, source_tree: &Path) -> Vec<PathBuf> {
-    if let Some(named) = named {
-        return vec![named];
+fn folders(executable: Option<&Path>) -> Vec<PathBuf> {
+    let Some((executable, folder)) = executable.and_then(|path| Some((path, path.parent()?))) else { return Vec::new() };
+    let beside = ["models", "../share/tractrix/models", "../lib/tractrix/models"];
+    let in_tree = environment::source_tree(executable).map(|tree| tree.join("models"));
+    beside.into_iter().map(|path| folder.join(path)).chain(in_tree).collect()
+}
+
+/// The networks in a folder, or what it lacks.
+fn whole(folder: &Path) -> Result<DefaultModels, String> {
+    let models = DefaultModels::of(folder);
+    match models.missing() {
+        None => Ok(models),
+        Some(_) if !folder.is_dir() => Err(format!("{} (no such folder)", folder.display())),
+        Some(file) => Err(format!("{} (no such file)", file.display())),
     }
-    let mut found = Vec::new();
-    if let Some(folder) = executable.and_then(Path::parent) {
-        let beside = ["models", "../share/tractrix/models", "../lib/tractrix/models"];
-        found.extend(beside.map(|path| folder.join(path)));
-        let above = folder.ancestors().skip(1).take(MAX_LEVELS).filter(|above| above.join("Cargo.toml").is_file());
-        found.extend(above.map(|above| above.join("models")));
-    }
-    let built_in = source_tree.join("models");
-    if !found.contains(&built_in) {
-        found.push(built_in);
-    }
-    found
 }
 
 fn first_whole(folders: &[PathBuf]) -> Result<DefaultModels, PerceptionError> {
     let mut tried = Vec::new();
     for folder in folders {
-        let models = DefaultModels::of(folder);
-        match models.missing() {
-            None => return Ok(models),
-            Some(_) if !folder.is_dir() => tried.push(format!("{} (no such folder)", folder.display())),
-            Some(file) => tried.push(format!("{} (no such file)", file.display())),
+        match whole(folder) {
+            Ok(models) => return Ok(models),
+            Err(reason) => tried.push(reason),
         }
     }
     Err(PerceptionError::NoModels { tried })
@@ -107,25 +105,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_folder_that_is_named_is_the_only_one() {
-        let named = folders(Some("/my/models".into()), Some(Path::new("/opt/bin/tractrix")), Path::new("/src"));
-        assert_eq!(named, [Path::new("/my/models")]);
-    }
-
-    #[test]
     fn an_installed_program_looks_beside_itself_and_a_built_one_in_its_source_tree() {
-        let installed = folders(None, Some(Path::new("/opt/tractrix/bin/tractrix")), Path::new("/src"));
+        let installed = folders(Some(Path::new("/opt/tractrix/bin/tractrix")));
         let expected = [
             "/opt/tractrix/bin/models",
             "/opt/tractrix/bin/../share/tractrix/models",
             "/opt/tractrix/bin/../lib/tractrix/models",
-            "/src/models",
         ];
         assert_eq!(installed, expected.map(PathBuf::from));
         let tree = tempfile::tempdir().unwrap();
         std::fs::write(tree.path().join("Cargo.toml"), "").unwrap();
-        let built = folders(None, Some(&tree.path().join("target/release/deps/tests")), Path::new("/src"));
+        let built = folders(Some(&tree.path().join("target/release/deps/tests")));
         assert!(built.contains(&tree.path().join("models")), "{built:?}");
+        let copied = folders(Some(&tree.path().join("bin/tractrix")));
+        assert!(!copied.contains(&tree.path().join("models")), "{copied:?}");
     }
 
     #[test]

@@ -9,7 +9,8 @@ use super::run::Run;
 use super::{DetectorChoice, MaskChoice, Options, PipelineError, fingerprint};
 use crate::ffi::onnx;
 use crate::perception::{
-    DefaultModels, Detector, GrabCut, Prompter, default_descriptions, default_models, load_detector, load_prompter,
+    DefaultModels, Detector, GrabCut, PerceptionError, Prompter, default_descriptions, default_models, load_detector,
+    load_prompter,
 };
 
 /// What is there of what the options choose.
@@ -24,12 +25,26 @@ pub(super) struct Networks {
 }
 
 impl Networks {
-    pub(super) fn of(run: &Run) -> Self {
-        Self::chosen(run.options, shipped())
+    /// The networks that the options of a run choose, as far as they are there.
+    ///
+    /// # Errors
+    /// An environment variable names a runtime or networks that are needed and cannot be used.
+    pub(super) fn of(run: &Run) -> Result<Self, PipelineError> {
+        Ok(Self::chosen(run.options, shipped())?)
     }
 
     /// * `shipped` – the networks that come with the program, or why they cannot be used.
-    fn chosen(options: &Options, shipped: Result<DefaultModels, String>) -> Self {
+    fn chosen(
+        options: &Options,
+        shipped: Result<DefaultModels, PerceptionError>,
+    ) -> Result<Self, PerceptionError> {
+        let vehicles = &options.vehicles;
+        let is_needed =
+            matches!(vehicles.detector, DetectorChoice::Default) || matches!(vehicles.mask_network, MaskChoice::Default);
+        let shipped = match shipped {
+            Err(error) if is_needed && error.is_of_variable() => return Err(error),
+            shipped => shipped.map_err(|error| error.to_string()),
+        };
         let mut networks = Self::default();
         let mut default = |means: &str| {
             shipped.as_ref().map_err(|reason| networks.doubts.push(format!("{means}: {reason}"))).ok().cloned()
@@ -46,7 +61,7 @@ impl Networks {
             MaskChoice::Default => default("masks are made by colours alone, without the mask network")
                 .map(|found| [found.mask_encoder, found.mask_decoder]),
         };
-        Self { detector, masks, ..networks }
+        Ok(Self { detector, masks, ..networks })
     }
 
     /// The detector, where there is one.
@@ -112,24 +127,46 @@ fn came_with_the_program(files: &[PathBuf], task: &str) -> Result<bool, Pipeline
 }
 
 /// The networks that come with the program, if they and what runs them are there.
-fn shipped() -> Result<DefaultModels, String> {
-    let found = default_models().map_err(|error| error.to_string())?;
-    onnx::probe().map_err(|error| error.to_string())?;
-    Ok(found)
+fn shipped() -> Result<DefaultModels, PerceptionError> {
+    match (default_models(), onnx::probe().map_err(PerceptionError::from)) {
+        // What the user has named comes first.
+        (Err(error), _) | (_, Err(error)) if error.is_of_variable() => Err(error),
+        (Err(error), _) | (_, Err(error)) => Err(error),
+        (Ok(models), Ok(_)) => Ok(models),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ffi::onnx::OnnxError;
 
     fn there() -> DefaultModels {
         let [detector, mask_encoder, mask_decoder] = ["d", "e", "f"].map(PathBuf::from);
         DefaultModels { detector, mask_encoder, mask_decoder }
     }
 
+    fn missing() -> PerceptionError {
+        PerceptionError::NoModels { tried: vec!["no such folder".into()] }
+    }
+
+    #[test]
+    fn a_variable_that_names_nothing_is_an_error_where_networks_are_needed() {
+        let models = || PerceptionError::NamedModels { reason: "none".into() };
+        let runtime =
+            || PerceptionError::from(OnnxError::NamedRuntime { variable: "ORT_DYLIB_PATH", reason: "none".into() });
+        let mut options = Options::default();
+        let said = |options: &Options, error| Networks::chosen(options, Err(error)).map_err(|error| error.to_string());
+        assert!(said(&options, models()).unwrap_err().contains("TRACTRIX_MODELS"));
+        options.vehicles.detector = DetectorChoice::None;
+        assert!(said(&options, runtime()).unwrap_err().contains("ORT_DYLIB_PATH"));
+        options.vehicles.mask_network = MaskChoice::None;
+        assert!(said(&options, models()).is_ok() && said(&options, runtime()).is_ok(), "no network is needed");
+    }
+
     #[test]
     fn what_is_missing_is_said_and_stood_in_for() {
-        let networks = Networks::chosen(&Options::default(), Err("no such folder".into()));
+        let networks = Networks::chosen(&Options::default(), Err(missing())).unwrap();
         assert!(networks.detector.is_none() && networks.masks.is_none());
         let [detector, masks] = &networks.doubts[..] else { panic!("two doubts: {:?}", networks.doubts) };
         assert!(detector.contains("motion alone") && masks.contains("colours alone"));
@@ -151,11 +188,11 @@ mod tests {
     fn what_is_not_wanted_is_no_doubt() {
         let mut options = Options::default();
         options.vehicles.detector = DetectorChoice::None;
-        let networks = Networks::chosen(&options, Ok(there()));
+        let networks = Networks::chosen(&options, Ok(there())).unwrap();
         assert!(networks.detector.is_none() && networks.masks.is_some() && networks.doubts.is_empty());
         options.vehicles.detector = DetectorChoice::File("mine.onnx".into());
         options.vehicles.mask_network = MaskChoice::None;
-        let networks = Networks::chosen(&options, Err("no such folder".into()));
+        let networks = Networks::chosen(&options, Err(missing())).unwrap();
         assert_eq!(networks.detector, Some("mine.onnx".into()));
         assert!(networks.masks.is_none() && networks.doubts.is_empty());
     }

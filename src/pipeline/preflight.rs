@@ -74,7 +74,7 @@ pub(super) fn check_files(run: &Run, open: &[Stage]) -> Result<(), PipelineError
 fn segmentation_model(run: &Run) -> Result<(), PipelineError> {
     match &run.options.instances {
         Instances::Model(path) => segment::load(run, path).map(drop),
-        Instances::Vehicles => Networks::of(run).check_detector(run),
+        Instances::Vehicles => Networks::of(run)?.check_detector(run),
         Instances::None | Instances::Masks(_) => Ok(()),
     }
 }
@@ -92,7 +92,7 @@ fn networks_of_tracking(run: &Run) -> Result<(), PipelineError> {
         Instances::Model(_) => track::load_flow_estimator(run).map(drop),
         Instances::Vehicles => {
             track::load_flow_estimator(run)?;
-            Networks::of(run).check_prompter(run)
+            Networks::of(run)?.check_prompter(run)
         }
     }
 }

@@ -29,7 +29,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
             "options": run.options.segmentation,
         }),
         Instances::Vehicles => {
-            let detector = Networks::of(run).fingerprint_of_detector()?;
+            let detector = Networks::of(run)?.fingerprint_of_detector()?;
             let every = Rhythm::of(run)?.detector;
             json!({ "detector": detector, "options": run.options.detector, "every": every })
         }
@@ -91,7 +91,7 @@ fn find_boxes(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     let path = run.workspace.keep_only(BOXES, &fingerprint::folder_name(BOXES, fingerprint))?;
     outcome.outputs.push(path.clone());
-    let networks = Networks::of(run);
+    let networks = Networks::of(run)?;
     networks.doubts.iter().for_each(|doubt| outcome.warn(doubt.clone()));
     let Some(mut detector) = networks.load_detector(run)? else { return Ok(outcome) };
     let store = BoxFolder::new(path);

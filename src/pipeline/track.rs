@@ -37,7 +37,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
         Instances::Model(_) => following()?,
         Instances::Vehicles => json!({
             "following": following()?,
-            "masks": Networks::of(run).fingerprint_of_masks()?,
+            "masks": Networks::of(run)?.fingerprint_of_masks()?,
             "prompt": options.prompt,
             "every": Rhythm::of(run)?.masks,
         }),

@@ -31,10 +31,10 @@ pub use source::{Info, Kind, PictureCamera, Scan, Source};
 pub use start::stated_start;
 pub use subtitles::{Subtitle, subtitles};
 
-/// Silences what OpenCV and FFmpeg print by themselves; what is wrong comes back as a [`VideoError`]. To be called
-/// before the first thread starts. A level that the user set for OpenCV in the environment is left alone.
+/// Silences what OpenCV and FFmpeg print by themselves; what is wrong comes back as a [`VideoError`]. A level that the
+/// user set for OpenCV in the environment is left alone.
 pub fn silence_decoders() {
-    crate::ffi::environment::set_default("OPENCV_LOG_LEVEL", "SILENT");
+    crate::ffi::environment::set_default(c"OPENCV_LOG_LEVEL", c"SILENT");
     crate::ffi::ffmpeg::silence();
     if std::env::var_os("OPENCV_LOG_LEVEL").is_some_and(|level| level == "SILENT") {
         // The library read the environment when it was loaded, before main. Without an effect there is nothing to mend.

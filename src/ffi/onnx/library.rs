@@ -1,6 +1,7 @@
 //! Finding and loading ONNX Runtime.
 
 use std::env;
+use std::ffi::CStr;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -11,6 +12,7 @@ use ort::logging::LogLevel;
 use serde::Serialize;
 
 use super::OnnxError;
+use crate::ffi::environment;
 
 /// The lowest minor version of ONNX Runtime 1.x that serves: the `api-*` feature that this crate asks `ort` for.
 pub const MINIMUM_VERSION: u32 = ort::MINOR_VERSION;
@@ -19,6 +21,9 @@ pub const MINIMUM_VERSION: u32 = ort::MINOR_VERSION;
 const VARIABLES: [&str; 2] = ["TRACTRIX_ONNXRUNTIME", "ORT_DYLIB_PATH"];
 /// The library's file name on Linux.
 const FILE_NAME: &str = "libonnxruntime.so";
+/// Keeps ONNX Runtime from reporting its use: since 1.29 it does so on Linux unless it finds this variable when it is
+/// loaded. `with_telemetry(false)` comes too late: by then an event is on its way.
+const NO_TELEMETRY: (&CStr, &CStr) = (c"ORT_DISABLE_TELEMETRY", c"1");
 
 /// The runtime in use.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -51,7 +56,7 @@ pub fn is_in_place() -> bool {
     let named = VARIABLES.iter().find_map(|variable| env::var_os(variable).filter(|value| !value.is_empty()));
     match named {
         Some(named) => Path::new(&named).exists(),
-        None => candidates(env::current_exe().ok().as_deref(), Path::new(env!("CARGO_MANIFEST_DIR")))
+        None => candidates(env::current_exe().ok().as_deref())
             .iter()
             .any(|path| path.components().count() > 1 && path.exists()),
     }
@@ -81,7 +86,7 @@ fn load() -> Result<PathBuf, OnnxError> {
         }
     }
     let mut tried = Vec::new();
-    for path in candidates(env::current_exe().ok().as_deref(), Path::new(env!("CARGO_MANIFEST_DIR"))) {
+    for path in candidates(env::current_exe().ok().as_deref()) {
         if path.components().count() > 1 && !path.exists() {
             tried.push(format!("{} (no such file)", path.display()));
             continue;
@@ -94,29 +99,22 @@ fn load() -> Result<PathBuf, OnnxError> {
     Err(OnnxError::RuntimeNotFound { tried })
 }
 
-/// Where the library may be: beside the executable, where packages put it, in `third_party` of a folder above it or of
-/// the source tree, and last by its bare name, which the system's loader looks up.
-fn candidates(executable: Option<&Path>, source_tree: &Path) -> Vec<PathBuf> {
-    let in_tree = |root: &Path| root.join("third_party/onnxruntime").join(env::consts::ARCH).join(FILE_NAME);
-    let folder = executable.and_then(Path::parent);
-    let mut found: Vec<PathBuf> = Vec::new();
-    if let Some(folder) = folder {
-        found.push(folder.join(FILE_NAME));
-        found.push(folder.join("../lib").join(FILE_NAME));
-        found.push(folder.join("../lib/tractrix").join(FILE_NAME));
-        // Above target/release/deps (tests) or target/release lies the source tree that was built.
-        found.extend(folder.ancestors().skip(1).take(4).map(in_tree).filter(|path| path.exists()));
-    }
-    found.push(in_tree(source_tree));
+/// Where the library may be: beside the executable, where packages put it, in `third_party` of the source tree whose
+/// `target` holds the executable, and last by its bare name, which the system's loader looks up.
+fn candidates(executable: Option<&Path>) -> Vec<PathBuf> {
     // ort asks for the executable's folder when a path is relative, and would panic without one.
-    if folder.is_some() {
-        found.push(PathBuf::from(FILE_NAME));
-    }
+    let Some((executable, folder)) = executable.and_then(|path| Some((path, path.parent()?))) else { return Vec::new() };
+    let mut found = ["", "../lib", "../lib/tractrix"].map(|place| folder.join(place).join(FILE_NAME)).to_vec();
+    let in_tree = |root: PathBuf| root.join("third_party/onnxruntime").join(env::consts::ARCH).join(FILE_NAME);
+    found.extend(environment::source_tree(executable).map(in_tree));
+    found.push(PathBuf::from(FILE_NAME));
     found
 }
 
-/// Loads a library into the process; only the first that succeeds counts.
+/// Loads a library into the process, which must not report to anybody; only the first that succeeds counts.
 fn try_load(path: &Path) -> Result<(), String> {
+    let (name, value) = NO_TELEMETRY;
+    environment::set(name, value);
     let absolute = if path.components().count() > 1 {
         std::path::absolute(path).map_err(|e| format!("{} ({e})", path.display()))?
     } else {
@@ -182,12 +180,30 @@ mod tests {
 
     #[test]
     fn the_library_is_looked_for_beside_the_program_first_and_by_the_loader_last() {
-        let found = candidates(Some(Path::new("/opt/tractrix/bin/tractrix")), Path::new("/src"));
+        let found = candidates(Some(Path::new("/opt/tractrix/bin/tractrix")));
         assert_eq!(found.first(), Some(&PathBuf::from("/opt/tractrix/bin/libonnxruntime.so")));
         assert!(found.contains(&PathBuf::from("/opt/tractrix/bin/../lib/tractrix/libonnxruntime.so")), "{found:?}");
         assert_eq!(found.last(), Some(&PathBuf::from("libonnxruntime.so")));
-        let in_source = Path::new("/src/third_party/onnxruntime").join(env::consts::ARCH).join("libonnxruntime.so");
-        assert!(found.contains(&in_source));
+        assert_eq!(found.len(), 4, "no folder above an installed program counts: {found:?}");
+    }
+
+    #[test]
+    fn a_program_in_cargos_folder_uses_the_library_of_its_source_tree() {
+        let tree = tempfile::tempdir().unwrap();
+        std::fs::write(tree.path().join("Cargo.toml"), "").unwrap();
+        let library = tree.path().join("third_party/onnxruntime").join(env::consts::ARCH).join(FILE_NAME);
+        assert!(candidates(Some(&tree.path().join("target/release/deps/tests"))).contains(&library));
+        for copied in ["tractrix", "bin/tractrix", "target/tractrix", "a/b/c/tractrix"] {
+            let found = candidates(Some(&tree.path().join(copied)));
+            assert!(!found.contains(&library), "{copied}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn telemetry_is_off_before_a_library_is_loaded() {
+        let (name, value) = NO_TELEMETRY;
+        let _ = try_load(Path::new("/no/such/library.so"));
+        assert_eq!(env::var(name.to_str().unwrap()).unwrap().as_bytes(), value.to_bytes());
     }
 
     #[test]

@@ -35,7 +35,7 @@ impl Finds {
     ///
     /// * `answers` – folder for the masks that were asked for.
     pub(super) fn boxes(run: &Run, answers: PathBuf, outcome: &mut Outcome) -> Result<Self, PipelineError> {
-        let prompter = Kept::new(Networks::of(run).load_prompter(run)?, answers);
+        let prompter = Kept::new(Networks::of(run)?.load_prompter(run)?, answers);
         if prompter.is_coarse() {
             outcome.warn(
                 "masks are coarse: colours alone tell a vehicle from the road beside it, for there is no mask network \
