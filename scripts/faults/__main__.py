@@ -19,37 +19,51 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import batch
+import commands
 import damage
 import defects
+import exports
 import inputs
 import links
+import logs
+import playlists
 import power
 import processes
 import resources
-from common import ROOT, Bench, Tally, append_row, commit
+import streams
+from common import ROOT, Bench, Tally, commit, record
 
 KINDS = {
-    "defects": (defects.work, "every defect that was ever found"),
-    "kills": (processes.kills, "SIGKILL at random moments; --number kills"),
-    "kills-networks": (processes.kills_networks, "the same with the program's networks"),
-    "kills-changes": (processes.kills_changes, "the same while options change"),
-    "signals": (processes.signals, "SIGINT, SIGTERM, SIGHUP, SIGQUIT at several moments"),
+    "defects": (defects.work, "defects found earlier"),
+    "kills": (processes.kills, "SIGKILL at random moments"),
+    "kills-networks": (processes.kills_networks, "the same, with networks"),
+    "kills-changes": (processes.kills_changes, "the same, options changing"),
+    "signals": (processes.signals, "SIGINT, SIGTERM, SIGHUP, SIGQUIT"),
     "locks": (processes.locks, "four processes on one folder"),
-    "crash-points": (processes.crash_points, "SIGKILL at every rename, unlink and mkdir (strace)"),
-    "failing-calls": (processes.failing_calls, "writes, synchronisations and renames that fail (strace)"),
-    "order": (processes.order, "what reaches the disk before what (strace)"),
-    "power": (power.power, "power failures at --number moments, by what had reached the disk (strace)"),
-    "disk": (resources.disk, "file systems that are too small (unshare)"),
-    "memory": (resources.memory, "too little address space"),
-    "descriptors": (resources.descriptors, "too few descriptors"),
-    "file-sizes": (resources.file_sizes, "a limit of the size of files"),
-    "rights": (resources.rights, "places that cannot be written to"),
-    "damaged-video": (inputs.damaged_video, "videos with damage of eight kinds; --number videos"),
-    "damaged-network": (damage.networks, "networks and their descriptions, damaged; --number of them"),
-    "damaged-folder": (damage.folders, "files of a finished folder, damaged; --number of them"),
-    "pictures": (inputs.odd_pictures, "frames and masks of odd kinds, sizes and names"),
-    "options": (inputs.options, "every number of the options at every extreme; --number cases"),
-    "links": (links.links, "a link in the place of everything that a run leaves"),
+    "crash-points": (processes.crash_points, "SIGKILL at each rename, unlink, mkdir (strace)"),
+    "failing-calls": (processes.failing_calls, "failing writes, synchronizations, renames (strace)"),
+    "order": (processes.order, "order of writing (strace)"),
+    "power": (power.power, "power failures (strace)"),
+    "disk": (resources.disk, "full disks (unshare)"),
+    "memory": (resources.memory, "little address space"),
+    "descriptors": (resources.descriptors, "few descriptors"),
+    "file-sizes": (resources.file_sizes, "limited file sizes"),
+    "rights": (resources.rights, "unwritable places"),
+    "damaged-video": (inputs.damaged_video, "damaged videos"),
+    "damaged-network": (damage.networks, "damaged networks"),
+    "damaged-folder": (damage.folders, "damaged results of an earlier run"),
+    "pictures": (inputs.odd_pictures, "odd frames and masks"),
+    "options": (inputs.options, "numeric options at extremes"),
+    "links": (links.links, "links in place of results"),
+    "writes": (commands.writes, "changes outside the output folder (strace)"),
+    "sockets": (commands.sockets, "sockets (strace)"),
+    "playlists": (playlists.playlists, "playlists as videos (strace)"),
+    "telemetry": (logs.telemetry, "damaged and hostile logs (strace)"),
+    "batch": (batch.batch, "changing lists, kills, several at once (strace)"),
+    "export": (exports.export, "kills, damaged folders (strace)"),
+    "summary": (exports.summary, "damaged folders, odd words (strace)"),
+    "streams": (streams.streams, "closed, full, broken streams"),
 }
 
 
@@ -79,9 +93,10 @@ def main() -> int:
                 raise
             tally = Tally.latest
             tally.remark = ", ".join(filter(None, [tally.remark, "not all of them"]))
-    print(tally.row(arguments.commit))
+    row = tally.row(arguments.kind, KINDS[arguments.kind][1], arguments.commit)
+    print(row)
     if arguments.record:
-        append_row(tally, arguments.commit)
+        record(row)
     return 1 if tally.failures else 0
 
 

@@ -16,7 +16,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import ClassVar
 
@@ -66,14 +65,15 @@ def run(
     cwd: Path | None = None,
     limits: Callable[[], None] | None = None,
     time_limit_s: float = TIME_LIMIT_S,
-    environment: dict[str, str] | None = None,
+    environment: dict[str, str | None] | None = None,
     after: tuple[float, int] | None = None,
 ) -> Outcome:
     """Runs a process to its end.
 
     `limits` is called in the process before the program starts; `after` is a number of seconds and a signal to send
-    then.
+    then. Variables of `environment` that are `None` are removed.
     """
+    variables = {**os.environ, **(environment or {})}
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         start = time.monotonic()
         process = subprocess.Popen(
@@ -83,7 +83,7 @@ def run(
             stderr=err,
             cwd=cwd,
             preexec_fn=limits,
-            env={**os.environ, **(environment or {})},
+            env={name: value for name, value in variables.items() if value is not None},
             start_new_session=True,
         )
         expired = threading.Event()
@@ -194,7 +194,6 @@ class Tally:
 
     latest: ClassVar[Tally | None] = None
 
-    kind: str
     seed: int
     tried: int = 0
     failures: list[str] = field(default_factory=list)
@@ -214,20 +213,11 @@ class Tally:
             self.failures.append(f"{name}: {problem}")
             print(f"FAILED {name}: {problem}", flush=True)
 
-    def row(self, commit: str) -> str:
+    def row(self, kind: str, what: str, commit: str) -> str:
         """The row of the table in docs/reliability.md."""
-        today = datetime.now(UTC).date().isoformat()
-        cells = [
-            self.kind,
-            self.remark,
-            f"{self.tried:,}",
-            str(len(self.failures)),
-            f"{self.peak_mib:.0f} MiB",
-            str(self.seed),
-            commit,
-            today,
-        ]
-        return "| " + " | ".join(cells) + " |"
+        tested = ", ".join(filter(None, [what, self.remark]))
+        counts = [f"{self.tried:,}", str(len(self.failures)), f"{self.peak_mib:.0f} MiB", str(self.seed)]
+        return "| " + " | ".join([f"`{kind}`", tested, *counts, commit]) + " |"
 
 
 def commit() -> str:
@@ -240,17 +230,12 @@ def commit() -> str:
     return (git("rev-parse", "--short", "HEAD") or "unknown") + ("+" if changed else "")
 
 
-def _same(row: str) -> list[str]:
-    """Kind, remark and seed of a row."""
-    cells = [cell.strip() for cell in row.split("|")]
-    return [*cells[1:3], cells[6]]
-
-
-def append_row(tally: Tally, of_commit: str) -> None:
-    """Puts a row under the table of docs/reliability.md, in the place of an older one of the same kind and seed."""
-    text = TABLE.read_text(encoding="utf-8")
-    begin, end = text.index("<!-- rows -->"), text.index("<!-- end of rows -->")
-    rows = [row for row in text[begin:end].splitlines()[1:] if row.startswith("|")]
-    new = tally.row(of_commit)
-    rows = [*(row for row in rows if _same(row) != _same(new)), new]
-    TABLE.write_text(text[:begin] + "<!-- rows -->\n" + "\n".join(rows) + "\n" + text[end:], encoding="utf-8")
+def record(row: str) -> None:
+    """Puts a row into the table of docs/reliability.md, in the place of an older one of the same kind."""
+    lines = TABLE.read_text(encoding="utf-8").splitlines()
+    first = next(k for k, line in enumerate(lines) if line.startswith("| Kind |")) + 2
+    end = next(k for k in range(first, len(lines)) if not lines[k].startswith("|"))
+    older = [k for k in range(first, end) if lines[k].split("|")[1] == row.split("|")[1]]
+    start, stop = (older[0], older[0] + 1) if older else (end, end)
+    lines[start:stop] = [row]
+    TABLE.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -45,7 +45,7 @@ def damaged(whole: bytes, rng: random.Random) -> bytes:
 
 def networks(bench: Bench, only: list[str]) -> Tally:
     """Networks, and descriptions beside them, with damage: refused by name, or run."""
-    tally, rng = Tally("damaged networks", bench.seed), random.Random(bench.seed)
+    tally, rng = Tally(bench.seed), random.Random(bench.seed)
     for number in range(bench.number or 100):
         name, flag = rng.choice(sorted(NETWORKS.items()))
         folder = bench.path("networks")
@@ -65,7 +65,7 @@ def folders(bench: Bench, only: list[str]) -> Tally:
 
     Where it says what is to be deleted, that is done, and the run ends as if nothing had been.
     """
-    tally, rng = Tally("damaged folders", bench.seed), random.Random(bench.seed)
+    tally, rng = Tally(bench.seed), random.Random(bench.seed)
     whole = bench.path("whole")
     with_masks(bench).once(whole)
     works = [with_masks(bench, *change).undisturbed() for change in CHANGES]

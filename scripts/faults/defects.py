@@ -31,7 +31,7 @@ def case(name: str) -> Callable[[Case], Case]:
 
 def work(bench: Bench, only: list[str]) -> Tally:
     """Tries all defects, or those whose names begin like one of `only`."""
-    tally = Tally("defects", bench.seed)
+    tally = Tally(bench.seed)
     for name, function in CASES.items():
         if only and not any(name.startswith(wanted) for wanted in only):
             continue

@@ -35,7 +35,7 @@ def judged(outcome: Outcome) -> str | None:
 
 def damaged_video(bench: Bench, only: list[str]) -> Tally:
     """Videos with bits turned, boxes damaged, holes, cuts, shifts and fields that lie."""
-    tally, rng = Tally("damaged videos", bench.seed), random.Random(bench.seed)
+    tally, rng = Tally(bench.seed), random.Random(bench.seed)
     whole = (DEMO / "video.mp4").read_bytes()
     video = bench.folder / "damaged.mp4"
     for number in range(bench.number or 100):
@@ -94,7 +94,7 @@ def damaged(whole: bytes, rng: random.Random) -> tuple[str, bytes]:
 
 def odd_pictures(bench: Bench, only: list[str]) -> Tally:
     """Frames and masks of odd kinds, sizes and names."""
-    tally = Tally("odd pictures", bench.seed)
+    tally = Tally(bench.seed)
     textured = lambda x, y: bytes([(x * 37 ^ y * 91) & 255, (x * y) & 255, 90])  # noqa: E731
     whole = png(160, 120, textured)
     odd: dict[str, Callable[[Path], object]] = {
@@ -148,7 +148,7 @@ EXTREMES = [0, -1, 1, 2, 1e-308, 1e-9, 1e9, 1e308, -1e308, 2**31 - 1, 2**32 - 1,
 
 def options(bench: Bench, only: list[str]) -> Tally:
     """Every number of the options tree at every extreme: refused by name, or a short run that does no harm."""
-    tally, rng = Tally("options", bench.seed), random.Random(bench.seed)
+    tally, rng = Tally(bench.seed), random.Random(bench.seed)
     told = subprocess.run([bench.program, "options", "--json"], capture_output=True, text=True, check=True).stdout
     tree = json.loads(told)
     tree = tree.get("options", tree)

@@ -12,7 +12,7 @@ from processes import with_masks
 
 def links(bench: Bench, only: list[str]) -> Tally:
     """A link in the place of every file and folder that a run leaves, before the next one, with other options."""
-    tally, work = Tally("links", bench.seed), with_masks(bench)
+    tally, work = Tally(bench.seed), with_masks(bench)
     whole = bench.path("whole")
     work.once(whole)
     places = sorted(path.relative_to(whole) for path in whole.rglob("*"))

@@ -14,36 +14,32 @@ Renames are whole or not there, as on every file system with a journal; nothing 
 from __future__ import annotations
 
 import random
-import re
 import shutil
 from pathlib import Path
 
-from common import DONE, Bench, Tally, run
-from processes import Work, whole_lines, with_masks
+import strace
+from common import DONE, Bench, Tally
+from processes import Work, with_masks
 from replay import Call, Disk
 
-CALLS = (
-    "open,openat,creat,write,pwrite64,writev,ftruncate,truncate,fsync,fdatasync,syncfs,sync,rename,renameat,"
-    "renameat2,mkdir,mkdirat,unlink,unlinkat,rmdir,link,linkat,symlink,symlinkat,copy_file_range,sendfile,fallocate"
-)
+# Besides those that name files, which every trace has.
+CALLS = "write,pwrite64,writev,ftruncate,fsync,fdatasync,syncfs,sync,copy_file_range,sendfile,fallocate"
 STATES = ("strict", "names", "ordered")
-CALL = re.compile(r"^(\w+)\((.*)\)\s+= (-?\d+)(?:<[^>]*>)?")
 
 
-def traced(bench: Bench, work: Work, output: Path) -> list[Call]:
+def traced(bench: Bench, work: Work, output: Path, tally: Tally) -> list[Call]:
     """The successful calls of a run by which files change. Descriptors are told by what they are opened for next."""
-    log = bench.path("log.txt")
-    command = ["strace", "-f", "-y", "-qq", "-xx", "-s", str(1 << 24), "-o", log, "-e", f"trace={CALLS}"]
-    outcome = run([*command, bench.program, *work.command(output)])
+    outcome, lines = strace.traced(bench, work.command(output), calls=CALLS, options=["-xx", "-s", str(1 << 24)])
     assert outcome.code == DONE, outcome.stderr
-    found = [CALL.match(line) for line in whole_lines(log.read_text("ascii", "replace"))]
+    tally.add("the trace itself", strace.problem(lines, output), outcome)
+    found = [strace.CALL.match(line) for line in lines]
     calls = [Call(match.group(1), match.group(2), int(match.group(3))) for match in found if match]
     return [call for call in calls if call.result >= 0]
 
 
 def power(bench: Bench, only: list[str]) -> Tally:
     """Power fails at random moments: in a first run, and in one that changes what an earlier one left."""
-    tally, rng = Tally("power failures", bench.seed), random.Random(bench.seed)
+    tally, rng = Tally(bench.seed), random.Random(bench.seed)
     first, other = with_masks(bench).undisturbed(), with_masks(bench, "--every", "2").undisturbed()
     for work, before in ((first, None), (other, first)):
         _fails(bench, work, before, rng, tally)
@@ -56,7 +52,7 @@ def _fails(bench: Bench, work: Work, before: Work | None, rng: random.Random, ta
     if before:
         before.once(output)
         shutil.copytree(output, start, dirs_exist_ok=True)
-    calls = traced(bench, work, output)
+    calls = traced(bench, work, output, tally)
     whole = replayed(calls, output, start)
     assert not whole.differences(output), f"the replay is not what happened: {whole.differences(output)}"
     for _ in range(bench.number or 40):

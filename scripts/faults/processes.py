@@ -11,10 +11,10 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import strace
 from common import DEMO, DONE, INTERRUPTED, TRY_AGAIN, Bench, Outcome, Tally, differences, leftovers, result, run
 
-# How the runs of a kill test differ: nothing, a network's work frame by frame, and options between which they change.
-MASKS: list[str | Path] = []
+# Options between which the runs of a kill test change.
 CHANGES: list[list[str]] = [
     [],
     ["--every", "2"],
@@ -77,16 +77,16 @@ def with_networks(bench: Bench) -> Work:
 
 def kills(bench: Bench, only: list[str]) -> Tally:
     """SIGKILL at random moments, one to six times a trial, until so many are counted: given masks."""
-    return _kills(bench, with_masks(bench).undisturbed(), "masks given")
+    return _kills(bench, with_masks(bench).undisturbed())
 
 
 def kills_networks(bench: Bench, only: list[str]) -> Tally:
     """The same with the program's networks."""
-    return _kills(bench, with_networks(bench).undisturbed(), "own networks")
+    return _kills(bench, with_networks(bench).undisturbed())
 
 
-def _kills(bench: Bench, work: Work, remark: str) -> Tally:
-    tally, rng, trial = Tally("kills", bench.seed, remark=remark), random.Random(bench.seed), 0
+def _kills(bench: Bench, work: Work) -> Tally:
+    tally, rng, trial = Tally(bench.seed), random.Random(bench.seed), 0
     while tally.tried < (bench.number or 100):
         output, trial = bench.path("out"), trial + 1
         moments = [rng.uniform(0.0, work.wall_s) for _ in range(rng.randint(1, 6))]
@@ -110,7 +110,7 @@ def _killed(work: Work, output: Path, moments: list[float], tally: Tally) -> int
 
 def kills_changes(bench: Bench, only: list[str]) -> Tally:
     """A finished folder, other options, and kills while they are applied."""
-    tally, rng = Tally("kills", bench.seed, remark="options changed between"), random.Random(bench.seed)
+    tally, rng = Tally(bench.seed), random.Random(bench.seed)
     works = [with_masks(bench, *change).undisturbed() for change in CHANGES]
     trial = 0
     while tally.tried < (bench.number or 100):
@@ -129,7 +129,7 @@ def kills_changes(bench: Bench, only: list[str]) -> Tally:
 
 def signals(bench: Bench, only: list[str]) -> Tally:
     """SIGINT, SIGTERM, SIGHUP and SIGQUIT at several moments: how soon, with which code, and what comes of it."""
-    tally, work = Tally("signals", bench.seed), with_masks(bench).undisturbed()
+    tally, work = Tally(bench.seed), with_masks(bench).undisturbed()
     codes = {"SIGINT": INTERRUPTED, "SIGTERM": TRY_AGAIN, "SIGHUP": TRY_AGAIN, "SIGQUIT": -signal.SIGQUIT}
     for name, code in codes.items():
         for share in (0.1, 0.3, 0.5, 0.7, 0.9):
@@ -149,22 +149,22 @@ def signals(bench: Bench, only: list[str]) -> Tally:
 
 def crash_points(bench: Bench, only: list[str]) -> Tally:
     """SIGKILL on entering the n-th rename and unlink, for every n: each moment at which a folder could be half done."""
-    tally, work = Tally("crash points", bench.seed), with_masks(bench).undisturbed()
+    tally, work = Tally(bench.seed), with_masks(bench).undisturbed()
     for call in ("rename", "renameat", "renameat2", "unlink", "unlinkat", "mkdir"):
         for place in range(1, (bench.number or 1000) + 1):
             output = bench.path("out")
-            inject = ["-e", f"trace={call}", "-e", f"inject={call}:signal=SIGKILL:when={place}"]
-            traced = run(["strace", "-f", "-qq", "-o", "/dev/null", *inject, bench.program, *work.command(output)])
-            if traced.code == DONE:
+            inject = ["-e", f"inject={call}:signal=SIGKILL:when={place}"]
+            killed, calls = strace.traced(bench, work.command(output), options=inject)
+            if killed.code == DONE:
                 break
             problem, outcome = work.ends_the_same(output)
-            tally.add(f"{call} {place}", problem, outcome)
+            tally.add(f"{call} {place}", problem or strace.problem(calls, output), outcome)
     return tally
 
 
 def failing_calls(bench: Bench, only: list[str]) -> Tally:
     """Calls of the system that fail from some moment on: the disk is full, or broken."""
-    tally, work = Tally("failing calls", bench.seed), with_masks(bench).undisturbed()
+    tally, work = Tally(bench.seed), with_masks(bench).undisturbed()
     rng = random.Random(bench.seed)
     count = _calls(bench, work)
     for call, error in [
@@ -177,9 +177,9 @@ def failing_calls(bench: Bench, only: list[str]) -> Tally:
         most = count.get(call, 0)
         for place in sorted(rng.sample(range(1, most + 1), min(most, bench.number or 8))):
             output = bench.path("out")
-            inject = ["-e", f"trace={call}", "-e", f"inject={call}:error={error}:when={place}"]
-            failed = run(["strace", "-f", "-qq", "-o", "/dev/null", *inject, bench.program, *work.command(output)])
-            problem = None if failed.is_clean else failed.described()
+            inject = ["-e", f"inject={call}:error={error}:when={place}"]
+            failed, calls = strace.traced(bench, work.command(output), calls=call, options=inject)
+            problem = strace.problem(calls, output) if failed.is_clean else failed.described()
             again, outcome = work.ends_the_same(output)
             tally.add(f"{call} {place} of {most}: {error}", problem or again, outcome)
     return tally
@@ -193,7 +193,6 @@ def _calls(bench: Bench, work: Work) -> dict[str, int]:
     return {name: int(number) for number, name in found}
 
 
-CALL = re.compile(r"^(?:\d+\s+)?(\w+)\((.*)\)\s+= (-?\d+)")
 TEXT = re.compile(r'"((?:[^"\\]|\\.)*)"')
 OPENED = re.compile(r"^\d+<([^>]*)>")
 STAGES = [
@@ -262,41 +261,20 @@ class Disk:
 
 def order(bench: Bench, only: list[str]) -> Tally:
     """Reads from strace's log whether every file is on the disk before it takes its name, and all before a marker."""
-    tally, work, log = Tally("order of writing", bench.seed), with_masks(bench), bench.path("log.txt")
-    output = bench.path("out")
-    calls = (
-        "write,pwrite64,writev,ftruncate,fsync,fdatasync,rename,renameat,renameat2,mkdir,mkdirat,unlink,unlinkat,rmdir"
-    )
-    traced = ["strace", "-f", "-y", "-qq", "-s", "4096", "-o", log, "-e", f"trace={calls}"]
+    tally, work, output = Tally(bench.seed), with_masks(bench), bench.path("out")
+    written = "write,pwrite64,writev,ftruncate,fsync,fdatasync"
     for more in ([], ["--every", "2"]):
-        outcome = run([*traced, bench.program, *work.command(output), *more])
+        outcome, calls = strace.traced(bench, [*work.command(output), *more], calls=written)
         disk = Disk(str(output))
-        for line in whole_lines(log.read_text("utf-8", "replace")):
-            found = CALL.match(line)
+        for found in map(strace.CALL.match, calls):
             if found and int(found.group(3)) >= 0:
                 disk.see(found.group(1), found.group(2))
-        for problem in sorted(set(disk.problems)):
+        for problem in sorted({*disk.problems, *filter(None, [strace.problem(calls, output)])}):
             print(f"FAILED {problem}")
             tally.failures.append(problem)
         tally.tried += disk.num_renames
         tally.peak_mib = max(tally.peak_mib, outcome.peak_mib)
     return tally
-
-
-def whole_lines(text: str) -> list[str]:
-    """The calls of all threads, those that strace had to break put together again at their ends."""
-    begun: dict[str, str] = {}
-    whole = []
-    for line in text.splitlines():
-        thread, _, call = line.partition(" ")
-        call = call.strip()
-        if call.endswith("<unfinished ...>"):
-            begun[thread] = call.removesuffix("<unfinished ...>")
-        elif call.startswith("<..."):
-            whole.append(begun.pop(thread, "") + call.partition("resumed>")[2])
-        else:
-            whole.append(call)
-    return whole
 
 
 def _together(work: Work, output: Path, apart_s: float) -> list[int]:
@@ -313,7 +291,7 @@ def _together(work: Work, output: Path, apart_s: float) -> list[int]:
 
 def locks(bench: Bench, only: list[str]) -> Tally:
     """Several processes on one folder: one works, the others say that it is in use and are to be started again."""
-    tally, work = Tally("one folder, four processes", bench.seed), with_masks(bench).undisturbed()
+    tally, work = Tally(bench.seed), with_masks(bench).undisturbed()
     for trial in range(bench.number or 5):
         output = bench.path("out")
         codes = _together(work, output, 0.02 * trial)

@@ -15,7 +15,7 @@ ENDED_BY_SYSTEM = (-6, -9, -11, 127, 134)
 
 def disk(bench: Bench, only: list[str]) -> Tally:
     """File systems that are too small, in bytes and in files; with room they go on."""
-    tally, work = Tally("disk", bench.seed), with_masks(bench).undisturbed()
+    tally, work = Tally(bench.seed), with_masks(bench).undisturbed()
     sizes = [f"size={size}" for size in ("100k", "200k", "300k", "400k", "600k", "800k", "1m", "2m", "8m")]
     for limit in [*sizes, *(f"nr_inodes={number}" for number in (5, 12, 30, 60, 300))]:
         mount = bench.path("small")
@@ -47,7 +47,7 @@ def _twice(bench: Bench, work: Work, mount: Path, limit: str) -> tuple[Outcome, 
 
 def memory(bench: Bench, only: list[str]) -> Tally:
     """Address space that does not suffice: the process may end, but what it leaves must go on."""
-    tally, work = Tally("memory", bench.seed, remark="address space"), with_masks(bench).undisturbed()
+    tally, work = Tally(bench.seed), with_masks(bench).undisturbed()
     for mib in (4096, 2048, 1024, 768, 640, 512, 448, 384, 320, 256, 192, 128, 64):
         output = bench.path("out")
         outcome = work.once(output, limits=address_space(mib))
@@ -59,7 +59,7 @@ def memory(bench: Bench, only: list[str]) -> Tally:
 
 def descriptors(bench: Bench, only: list[str]) -> Tally:
     """Few open files."""
-    tally, work = Tally("descriptors", bench.seed), with_masks(bench).undisturbed()
+    tally, work = Tally(bench.seed), with_masks(bench).undisturbed()
     for number in (1024, 64, 32, 16, 12, 10, 8, 7, 6, 5, 4):
         output = bench.path("out")
         outcome = work.once(
@@ -74,7 +74,7 @@ def descriptors(bench: Bench, only: list[str]) -> Tally:
 
 def file_sizes(bench: Bench, only: list[str]) -> Tally:
     """A limit of the size of files, which the system holds by a signal."""
-    tally, work = Tally("file sizes", bench.seed), with_masks(bench).undisturbed()
+    tally, work = Tally(bench.seed), with_masks(bench).undisturbed()
     for size in (4 << 10, 100 << 10, 400 << 10, 1 << 20):
         output = bench.path("out")
         outcome = work.once(output, limits=lambda size=size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)))
@@ -86,7 +86,7 @@ def file_sizes(bench: Bench, only: list[str]) -> Tally:
 
 def rights(bench: Bench, only: list[str]) -> Tally:
     """Folders that may not be written into, or are no folders."""
-    tally, work = Tally("rights", bench.seed), with_masks(bench).undisturbed()
+    tally, work = Tally(bench.seed), with_masks(bench).undisturbed()
     file = bench.path("file")
     file.write_text("x")
     places = {
