@@ -310,7 +310,9 @@ fn a_runtime_or_networks_that_a_variable_names_and_that_cannot_be_used_are_an_er
     {
         let arguments = |command: &str| {
             let mut started = tractrix();
-            VARIABLES.iter().for_each(|variable| drop(started.env_remove(variable)));
+            for other in VARIABLES {
+                started.env_remove(other);
+            }
             started.env(variable, &value).arg(command);
             started
         };

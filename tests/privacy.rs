@@ -1,8 +1,8 @@
 //! No connection, and no change outside the output folder: every command that a user may run unattended, with the
 //! networks that come with the program, under strace and with empty folders for home, cache and temporary files.
 //!
-//! Where strace is missing, or the system forbids it to trace, the test says so and looks at those folders alone, unless
-//! `TRACTRIX_REQUIRE_STRACE=1`: then it fails.
+//! Where strace is missing, or the system forbids it to trace, the test says so and looks at those folders alone,
+//! unless `TRACTRIX_REQUIRE_STRACE=1`: then it fails.
 
 use std::fs;
 use std::path::{Component, Path, PathBuf};
@@ -15,8 +15,9 @@ const PERSONAL: [(&str, &str); 3] = [("HOME", "home"), ("TMPDIR", "tmp"), ("XDG_
 /// What the program keeps of the environment: where programs, libraries, and its own networks are.
 const KEPT: [&str; 4] = ["PATH", "LD_LIBRARY_PATH", "TRACTRIX_MODELS", "TRACTRIX_ONNXRUNTIME"];
 /// Calls that read. A pair of sockets has no address: the handler of signals wakes a thread of its own process by it.
-const HARMLESS: &str = "access chdir execve faccessat faccessat2 fstatfs getcwd getsockopt getxattr lgetxattr listxattr \
-                        lstat newfstatat readlink readlinkat recvfrom recvmsg sendmsg sendto socketpair stat statfs statx";
+const HARMLESS: &str = "access chdir execve faccessat faccessat2 fstatfs getcwd getsockopt getxattr lgetxattr \
+                        listxattr lstat newfstatat readlink readlinkat recvfrom recvmsg sendmsg sendto socketpair \
+                        stat statfs statx";
 /// Calls that change what they name.
 const CHANGES: &str = "creat mkdir mkdirat rename renameat renameat2 rmdir unlink unlinkat";
 /// A child of `batch` has it in the place of the terminal.

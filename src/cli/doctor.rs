@@ -88,8 +88,8 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     failure.map_or(Ok(()), Err)
 }
 
-/// Without ONNX Runtime everything but networks works, so that its absence alone is no failure; a runtime or a model that
-/// was named and cannot be used is.
+/// Without ONNX Runtime everything but networks works, so that its absence alone is no failure; a runtime or a model
+/// that was named and cannot be used is.
 fn failure(findings: &[Finding]) -> Option<Failure> {
     let broken: Vec<&Finding> = findings.iter().filter(|finding| !finding.ok).collect();
     let fails = broken.iter().any(|finding| finding.name != ONNX || finding.state == State::Wrong);

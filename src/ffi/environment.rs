@@ -19,9 +19,9 @@ unsafe extern "C" {
 
 /// Sets a variable, whatever its value was. Other threads may read the environment meanwhile, in Rust and in C.
 ///
-/// `setenv`, and so `std::env::set_var`, may free the list that a `getenv` of another thread is reading. This publishes a
-/// new list and frees neither the old one nor its strings. Threads that change the environment by other means must not
-/// do so at the same time.
+/// `setenv`, and so `std::env::set_var`, may free the list that a `getenv` of another thread is reading. This publishes
+/// a new list and frees neither the old one nor its strings. Threads that change the environment by other means must
+/// not do so at the same time.
 #[allow(unsafe_code)]
 pub fn set(name: &CStr, value: &CStr) {
     static CHANGE: Mutex<()> = Mutex::new(());
@@ -48,8 +48,8 @@ pub fn set(name: &CStr, value: &CStr) {
     variables.extend(entry.map(CString::into_raw));
     variables.push(ptr::null_mut());
     let variables = Box::leak(variables.into_boxed_slice());
-    // SAFETY: the list has the form that POSIX asks for and lives until the process ends. The store is one of a pointer,
-    // so that `getenv` sees the old list or the new one.
+    // SAFETY: the list has the form that POSIX asks for and lives until the process ends. The store is one of a
+    // pointer, so that `getenv` sees the old list or the new one.
     unsafe { environ.store(variables.as_mut_ptr(), Ordering::Release) }
 }
 

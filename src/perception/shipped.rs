@@ -73,7 +73,9 @@ pub fn default_descriptions() -> Result<Vec<ModelDescription>, PerceptionError> 
 
 /// Where the networks may lie, in order.
 fn folders(executable: Option<&Path>) -> Vec<PathBuf> {
-    let Some((executable, folder)) = executable.and_then(|path| Some((path, path.parent()?))) else { return Vec::new() };
+    let Some((executable, folder)) = executable.and_then(|path| Some((path, path.parent()?))) else {
+        return Vec::new();
+    };
     let beside = ["models", "../share/tractrix/models", "../lib/tractrix/models"];
     let in_tree = environment::source_tree(executable).map(|tree| tree.join("models"));
     beside.into_iter().map(|path| folder.join(path)).chain(in_tree).collect()

@@ -34,13 +34,9 @@ impl Networks {
     }
 
     /// * `shipped` – the networks that come with the program, or why they cannot be used.
-    fn chosen(
-        options: &Options,
-        shipped: Result<DefaultModels, PerceptionError>,
-    ) -> Result<Self, PerceptionError> {
-        let vehicles = &options.vehicles;
-        let is_needed =
-            matches!(vehicles.detector, DetectorChoice::Default) || matches!(vehicles.mask_network, MaskChoice::Default);
+    fn chosen(options: &Options, shipped: Result<DefaultModels, PerceptionError>) -> Result<Self, PerceptionError> {
+        let is_needed = matches!(options.vehicles.detector, DetectorChoice::Default)
+            || matches!(options.vehicles.mask_network, MaskChoice::Default);
         let shipped = match shipped {
             Err(error) if is_needed && error.is_of_variable() => return Err(error),
             shipped => shipped.map_err(|error| error.to_string()),

@@ -103,7 +103,9 @@ fn load() -> Result<PathBuf, OnnxError> {
 /// `target` holds the executable, and last by its bare name, which the system's loader looks up.
 fn candidates(executable: Option<&Path>) -> Vec<PathBuf> {
     // ort asks for the executable's folder when a path is relative, and would panic without one.
-    let Some((executable, folder)) = executable.and_then(|path| Some((path, path.parent()?))) else { return Vec::new() };
+    let Some((executable, folder)) = executable.and_then(|path| Some((path, path.parent()?))) else {
+        return Vec::new();
+    };
     let mut found = ["", "../lib", "../lib/tractrix"].map(|place| folder.join(place).join(FILE_NAME)).to_vec();
     let in_tree = |root: PathBuf| root.join("third_party/onnxruntime").join(env::consts::ARCH).join(FILE_NAME);
     found.extend(environment::source_tree(executable).map(in_tree));
