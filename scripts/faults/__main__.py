@@ -97,7 +97,9 @@ def main() -> int:
     print(row)
     if arguments.record:
         record(row)
-    return 1 if tally.failures else 0
+    if not tally.tried:
+        print("nothing was tried")
+    return 0 if tally.tried and not tally.failures else 1
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from pathlib import Path
 import strace
 from common import DEMO, Bench, Tally
 from damage import damaged
+from defects import MODEST_MIB
 from inputs import HANG_S, judged
 
 NUM_FIXES = 40
@@ -93,7 +94,8 @@ def telemetry(bench: Bench, only: list[str]) -> Tally:
         how = rng.choice(["shown", "shown", "given", "beside"])
         command = {"shown": ["telemetry", log], "given": [*run, "--telemetry", log], "beside": run}[how]
         outcome, calls = strace.traced(bench, command, time_limit_s=HANG_S)
-        problem = judged(outcome) or strace.problem(calls, bench.folder / "out")
+        too_much = f"took {outcome.peak_mib:.0f} MiB" if outcome.peak_mib > MODEST_MIB else None
+        problem = judged(outcome) or too_much or strace.problem(calls, bench.folder / "out")
         problem = problem or ("reads a file that the log names" if str(secret) in strace.opened(calls) else None)
         problem = problem or ("prints an escape" if "\x1b" in outcome.stdout + outcome.stderr else None)
         tally.add(f"{case}: {name}, {how}", problem, outcome)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 from collections.abc import Callable
@@ -57,9 +58,9 @@ def streams(bench: Bench, only: list[str]) -> Tally:
         # A result that cannot be printed is a failure where stdout is what was asked for.
         problem = None if outcome.code in (DONE, FAILED, WRONG_USE) and outcome.is_clean else outcome.described()
         if name == "run":
-            problem = problem or work.ends_the_same(output)[0]
-            reuses = bench.run(*work.command(output), "--json")
-            problem = problem or (None if '"done_before": true' in reuses.stdout else "was not done")
+            again = json.loads(bench.run(*work.command(output), "--json").stdout)
+            not_done = [stage for stage, how in again["stages"].items() if not how["reused"]]
+            problem = problem or (f"was not done: {not_done}" if not_done else work.ends_the_same(output)[0])
         tally.add(f"{name} {' '.join(form)}, {stream} {way}", problem, outcome)
     return tally
 
