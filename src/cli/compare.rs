@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::output::{Failure, Form, show};
 use crate::eval::comparison::{Comparison, Cost, LengthUnit, MatchBy, Side, compare};
-use crate::io::{IoError, RunFolder, Sequence, json, model};
+use crate::io::{IoError, RunFolder, Sequence, json, model, refuse_place_of_results};
 use crate::report::comparison as page;
 use crate::scene::{CameraId, Image, ImageId, Reconstruction};
 
@@ -94,6 +94,7 @@ struct Failed<'a> {
 }
 
 fn check(args: &Args) -> Result<(), Failure> {
+    args.page.as_deref().map_or(Ok(()), refuse_place_of_results)?;
     if args.models.len() + usize::from(args.truth.is_some()) < 2 {
         return Err(Failure::Usage("there is nothing to compare it with: give a second model, or --truth".into()));
     }

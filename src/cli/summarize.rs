@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::output::{Failure, Form, print, print_json};
 use crate::export::summary::Summary;
-use crate::io::{FolderError, atomic};
+use crate::io::{FolderError, atomic, refuse_place_of_results};
 
 /// Joins the results of many runs: one row per vehicle of every run, and what is missing, with the reason.
 #[derive(Clone, Debug, clap::Args)]
@@ -70,6 +70,7 @@ fn as_json(summary: &Summary, failure: Option<&Failure>) -> Result<Value, serde_
 }
 
 fn keep(path: &Path, text: &[u8], overwrite: bool) -> Result<(), Failure> {
+    refuse_place_of_results(path)?;
     if !overwrite && path.symlink_metadata().is_ok() {
         return Err(FolderError::Exists { path: path.to_owned() }.into());
     }

@@ -51,6 +51,6 @@ pub use error::IoError;
 pub use export_folder::ExportFolder;
 #[cfg(feature = "pipeline")]
 pub(crate) use extent::is_sensible;
-pub use owned_folder::{FolderError, InputIdentity, OwnedFolder, Place, refuse_own_input};
+pub use owned_folder::{FolderError, InputIdentity, OwnedFolder, Place, refuse_own_input, refuse_place_of_results};
 pub use run_folder::RunFolder;
 pub use sequence::{GROUND_LABEL, Sequence, SequenceFrame, TARGET_LABEL};

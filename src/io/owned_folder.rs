@@ -16,9 +16,8 @@ mod tests;
 mod tree;
 
 use std::collections::BTreeSet;
-use std::fs::{self, File, OpenOptions, TryLockError};
+use std::fs::{self, File, TryLockError};
 use std::io;
-use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Component, Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -26,13 +25,14 @@ use serde::{Deserialize, Serialize};
 use tempfile::{Builder, TempDir};
 
 pub use error::FolderError;
-pub use survey::refuse_own_input;
+pub use survey::{refuse_own_input, refuse_place_of_results};
 
 use self::manifest::{MANIFEST, Manifest, VERSION, read_manifest};
 use self::survey::{Survey, is_as_good_as_empty};
 use self::tree::{files_below, files_below_if_any, folders_below, is_real_folder};
 use super::atomic::{sync_folder, sync_tree};
 use super::{IoError, RunFolder, atomic};
+use crate::limits::files;
 
 const STATE: &str = RunFolder::STATE;
 const LOCK: &str = "lock";
@@ -91,7 +91,7 @@ impl OwnedFolder {
             Ok(found) if !found.is_dir() => return Err(system(io::ErrorKind::NotADirectory.into())),
             Ok(_) => {}
         }
-        let manifest = read_manifest(path)?;
+        let manifest = read_manifest(path, places)?;
         match manifest.filter(|manifest| manifest.made_by == made_by) {
             Some(manifest) => Survey { root: path, manifest: &manifest, places }.run(),
             None => is_as_good_as_empty(path, made_by),
@@ -109,7 +109,7 @@ impl OwnedFolder {
         // A link to the folder itself is the user's way of naming it; below it no link is followed.
         let root = fs::canonicalize(path).map_err(system)?;
         let lock = lock(&root, path)?;
-        let manifest = read_manifest(&root)?.unwrap_or_default();
+        let manifest = read_manifest(&root, places)?.unwrap_or_default();
         let owned = Self { root, manifest: Mutex::new(manifest), _lock: lock };
         // Once more: somebody may have been faster than the lock.
         Self::inspect(path, made_by, places)?;
@@ -119,12 +119,17 @@ impl OwnedFolder {
 
     /// Whether there is a folder of this command's at a path.
     pub fn is_own(path: &Path, made_by: &str) -> bool {
-        read_manifest(path).is_ok_and(|found| found.is_some_and(|manifest| manifest.made_by == made_by))
+        manifest_of(path, made_by).is_some()
+    }
+
+    /// What the results in a folder of this command's were made from, where its manifest says it.
+    pub fn input_of(path: &Path, made_by: &str) -> Option<InputIdentity> {
+        manifest_of(path, made_by)?.input
     }
 
     /// Whether a process has a folder at this moment. A process that asks for it in the same moment may be refused.
     pub fn is_busy(path: &Path) -> bool {
-        let lock = File::open(path.join(STATE).join(LOCK));
+        let lock = files::open(&path.join(STATE).join(LOCK));
         lock.is_ok_and(|lock| matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
@@ -397,6 +402,12 @@ impl OwnedFolder {
     }
 }
 
+/// The manifest of a command's folder without its files.
+fn manifest_of(path: &Path, made_by: &str) -> Option<Manifest> {
+    let found = read_manifest(path, |_| Place::Elsewhere).ok().flatten();
+    found.filter(|manifest| manifest.made_by == made_by)
+}
+
 /// Makes a folder and those above it.
 fn make(folder: &Path) -> io::Result<()> {
     atomic::create_folders(folder).map_err(|error| match error {
@@ -407,9 +418,7 @@ fn make(folder: &Path) -> io::Result<()> {
 
 fn lock(root: &Path, shown: &Path) -> Result<File, FolderError> {
     let path = root.join(STATE).join(LOCK);
-    let no_link = i32::try_from(rustix::fs::OFlags::NOFOLLOW.bits()).unwrap_or(0);
-    let opened = OpenOptions::new().write(true).create(true).truncate(false).custom_flags(no_link).open(&path);
-    let lock = opened.map_err(|source| FolderError::System { path: path.clone(), source })?;
+    let lock = files::open_own(&path).map_err(|source| FolderError::System { path: path.clone(), source })?;
     match lock.try_lock() {
         Ok(()) => Ok(lock),
         Err(TryLockError::WouldBlock) => Err(FolderError::Busy { path: shown.to_owned() }),

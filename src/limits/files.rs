@@ -9,6 +9,8 @@ use std::io::{self, Read};
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::Path;
 
+use rustix::fs::OFlags;
+
 use super::memory;
 
 /// UTF-8's byte order mark, which some editors put before a text.
@@ -22,9 +24,25 @@ pub const BYTE_ORDER_CHAR: char = '\u{feff}';
 /// What the system says; [`io::ErrorKind::InvalidInput`] names what it is that is no regular file.
 pub fn open(path: &Path) -> io::Result<File> {
     check(path)?;
-    // Should it have become a pipe since, opening it must not wait for somebody who writes.
-    let no_waiting = i32::try_from(rustix::fs::OFlags::NONBLOCK.bits()).unwrap_or(0);
-    let file = OpenOptions::new().read(true).custom_flags(no_waiting).open(path)?;
+    open_at_once(OpenOptions::new().read(true), path, OFlags::empty())
+}
+
+/// Opens a file of the program's own for writing, or makes it; leaves its content. It must be no link.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_own(path: &Path) -> io::Result<File> {
+    match fs::symlink_metadata(path) {
+        Ok(found) if !found.is_symlink() => check_type(found.file_type())?,
+        _ => {}
+    }
+    open_at_once(OpenOptions::new().write(true).create(true).truncate(false), path, OFlags::NOFOLLOW)
+}
+
+/// Opens a regular file. Should it have become a pipe since it was looked at, this does not wait for its other end.
+fn open_at_once(how: &mut OpenOptions, path: &Path, flags: OFlags) -> io::Result<File> {
+    let flags = i32::try_from((flags | OFlags::NONBLOCK).bits()).unwrap_or(0);
+    let file = how.custom_flags(flags).open(path)?;
     check_type(file.metadata()?.file_type())?;
     Ok(file)
 }
@@ -45,7 +63,8 @@ pub fn open_within_memory(path: &Path) -> io::Result<File> {
     let file = open(path)?;
     let (size, limit) = (file.metadata()?.len(), memory::of_machine());
     if size > limit {
-        let reason = format!("it has {}, memory holds {}", memory::in_words(size), memory::in_words(limit));
+        let (size, limit) = (memory::in_words(size), memory::in_words(limit));
+        let reason = format!("it has {size}, the memory limit is {limit}; --memory-limit sets it");
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, reason));
     }
     Ok(file)
@@ -128,6 +147,11 @@ mod tests {
         let pipe = folder.path().join("pipe");
         rustix::fs::mknodat(rustix::fs::CWD, &pipe, rustix::fs::FileType::Fifo, 0o600.into(), 0).unwrap();
         assert!(said(&pipe).contains("a pipe"));
+        for (other, word) in [(&pipe, "a pipe"), (&socket, "a socket")] {
+            let error = open_own(other).unwrap_err().to_string();
+            assert!(error.contains(word), "{error}");
+        }
+        assert!(open_own(&link).is_err() && open_own(&folder.path().join("new")).is_ok());
     }
 
     #[test]

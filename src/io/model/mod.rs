@@ -8,7 +8,10 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use super::assembly::check_finite;
-use super::{FolderError, IoError, Losses, bundler, camera_path, colmap, nerfstudio, nvm, openmvg, opensfm, ply};
+use super::{
+    FolderError, IoError, Losses, bundler, camera_path, colmap, nerfstudio, nvm, openmvg, opensfm, ply,
+    refuse_place_of_results,
+};
 use crate::scene::Reconstruction;
 
 pub use detect::detect;
@@ -131,6 +134,7 @@ pub fn check_target(input: &Path, output: &Path, files: &[PathBuf], overwrite: b
         return Err(FolderError::OwnInput { flag: "IN".to_owned(), input: input.to_owned() });
     }
     for file in files {
+        refuse_place_of_results(file)?;
         let Ok(found) = std::fs::symlink_metadata(file) else { continue };
         let shown = || file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if found.file_type().is_symlink() {

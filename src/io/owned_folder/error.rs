@@ -70,6 +70,17 @@ pub enum FolderError {
         /// The input.
         input: PathBuf,
     },
+    /// A single file that would lie among the results of a run.
+    #[error(
+        "{}: lies where the results in {} are written; nothing was changed; give a path outside that folder",
+        path.display(), folder.display()
+    )]
+    PlaceOfResults {
+        /// The file.
+        path: PathBuf,
+        /// The folder of results.
+        folder: PathBuf,
+    },
     /// A single file that is there.
     #[error(
         "{}: is there already; nothing was changed; give another name, or --overwrite to replace it",
@@ -115,10 +126,16 @@ impl FolderError {
 
     /// Whether the command line asks for what must not be, so that nothing was begun.
     pub fn is_wrong_use(&self) -> bool {
-        use FolderError::{Exists, InTheWay, Link, NotOwn, OtherInput, OwnInput};
+        use FolderError::{Exists, InTheWay, Link, NotOwn, OtherInput, OwnInput, PlaceOfResults};
         matches!(
             self,
-            NotOwn { .. } | InTheWay { .. } | Link { .. } | OtherInput { .. } | OwnInput { .. } | Exists { .. }
+            NotOwn { .. }
+                | InTheWay { .. }
+                | Link { .. }
+                | OtherInput { .. }
+                | OwnInput { .. }
+                | PlaceOfResults { .. }
+                | Exists { .. }
         )
     }
 }

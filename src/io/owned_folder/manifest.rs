@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::{FolderError, InputIdentity, STATE, is_inside};
+use super::{FolderError, InputIdentity, Place, Places, STATE, is_inside};
 use crate::limits::files;
 
 /// Its name in the state folder.
@@ -31,7 +31,9 @@ impl Manifest {
     }
 }
 
-pub(super) fn read_manifest(root: &Path) -> Result<Option<Manifest>, FolderError> {
+/// Reads the manifest of a folder, without names at which the program puts no file: the folder may be a stranger's, and
+/// what is listed can be removed.
+pub(super) fn read_manifest(root: &Path, places: Places) -> Result<Option<Manifest>, FolderError> {
     let state = root.join(STATE);
     for (path, name) in [(state.clone(), STATE.to_owned()), (state.join(MANIFEST), format!("{STATE}/{MANIFEST}"))] {
         if fs::symlink_metadata(&path).is_ok_and(|found| found.file_type().is_symlink()) {
@@ -40,5 +42,9 @@ pub(super) fn read_manifest(root: &Path) -> Result<Option<Manifest>, FolderError
     }
     let Ok(bytes) = files::read(&state.join(MANIFEST)) else { return Ok(None) };
     // One that cannot be read says nothing: the folder is then nobody's, and left alone.
-    Ok(serde_json::from_slice::<Manifest>(&bytes).ok().filter(Manifest::is_sound))
+    let mut manifest = serde_json::from_slice::<Manifest>(&bytes).ok().filter(Manifest::is_sound);
+    if let Some(manifest) = &mut manifest {
+        manifest.files.retain(|file| places(file) == Place::File);
+    }
+    Ok(manifest)
 }

@@ -6,8 +6,8 @@ use std::path::Path;
 
 use super::manifest::Manifest;
 use super::tree::is_real_folder;
-use super::{FolderError, LOCK, Place, Places, STATE};
-use crate::io::atomic;
+use super::{FolderError, LOCK, OwnedFolder, Place, Places, STATE};
+use crate::io::{ExportFolder, RunFolder, atomic};
 
 /// Refuses an input that lies where the program writes in the folder `output`, whatever links and `..` say.
 ///
@@ -25,6 +25,32 @@ pub fn refuse_own_input(output: &Path, places: Places, flag: &str, input: &Path)
         true => Err(FolderError::OwnInput { flag: flag.to_owned(), input: input.to_owned() }),
         false => Ok(()),
     }
+}
+
+/// Refuses a file that is to be written where a run or an export has its results: the next one would find a stranger's
+/// file there.
+///
+/// # Errors
+/// [`FolderError::PlaceOfResults`].
+pub fn refuse_place_of_results(file: &Path) -> Result<(), FolderError> {
+    let absolute = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
+    let Some((there, real)) = absolute.ancestors().find_map(|above| Some((above, fs::canonicalize(above).ok()?)))
+    else {
+        return Ok(());
+    };
+    let real = real.join(absolute.strip_prefix(there).unwrap_or(Path::new("")));
+    let kinds: [(&str, Places); 2] =
+        [(RunFolder::MADE_BY, RunFolder::place), (ExportFolder::MADE_BY, ExportFolder::place)];
+    for folder in real.ancestors().skip(1) {
+        let inside = real.strip_prefix(folder).unwrap_or(&real);
+        let is_in = |(made_by, places): &(&str, Places)| {
+            places(inside) != Place::Elsewhere && OwnedFolder::is_own(folder, made_by)
+        };
+        if kinds.iter().any(is_in) {
+            return Err(FolderError::PlaceOfResults { path: file.to_owned(), folder: folder.to_owned() });
+        }
+    }
+    Ok(())
 }
 
 /// Looks through an own folder for what is not its own and stands where it writes.

@@ -281,3 +281,49 @@ fn a_result_that_cannot_be_made_leaves_the_old_one() {
     assert_eq!(names(folder.path()), ["results/a"]);
     assert!(matches!(open(folder.path()), Err(FolderError::Busy { .. })));
 }
+
+#[test]
+fn a_pipe_in_the_place_of_the_lock_is_refused_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    page(&open(folder.path()).unwrap(), "ours").unwrap();
+    let lock = folder.path().join(".tractrix/lock");
+    fs::remove_file(&lock).unwrap();
+    rustix::fs::mknodat(rustix::fs::CWD, &lock, rustix::fs::FileType::Fifo, 0o600.into(), 0).unwrap();
+    assert!(!OwnedFolder::is_busy(folder.path()));
+    let error = open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("lock") && error.contains("a pipe"), "{error}");
+}
+
+#[test]
+fn a_manifest_of_other_hands_removes_nothing_of_theirs() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = |name: &str| InputIdentity { path: name.into(), content: name.into() };
+    let owned = open(folder.path()).unwrap();
+    owned.claim(input("one.mp4"), false).unwrap();
+    results(&owned, &["a"]).unwrap();
+    drop(owned);
+    let theirs = ["thesis.tex", "results/notes", "deep/er/car.obj"];
+    theirs.iter().for_each(|name| atomic::write(&folder.path().join(name), b"theirs").unwrap());
+    let path = folder.path().join(".tractrix/manifest.json");
+    let mut manifest: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    let listed = manifest["files"].as_array_mut().unwrap();
+    listed.extend(theirs.into_iter().chain(["", "results", ".tractrix/manifest.json"]).map(Into::into));
+    fs::write(&path, manifest.to_string()).unwrap();
+    open(folder.path()).unwrap().claim(input("two.mp4"), true).unwrap();
+    assert_eq!(names(folder.path()), ["deep/er/car.obj", "results/notes", "thesis.tex"]);
+}
+
+#[test]
+fn single_files_are_not_written_among_results() {
+    let place = tempfile::tempdir().unwrap();
+    let run = place.path().join("run");
+    drop(OwnedFolder::open(&run, RunFolder::MADE_BY, RunFolder::place).unwrap());
+    symlink(&run, place.path().join("link")).unwrap();
+    for name in ["run/background/cameras.bin", "run/run.json", "link/export/vehicles.csv", "run/../run/objects/3"] {
+        let error = refuse_place_of_results(&place.path().join(name)).unwrap_err();
+        assert!(error.is_wrong_use() && error.to_string().contains("results"), "{name}: {error}");
+    }
+    for name in ["run/points.ply", "run/mine/background/cameras.bin", "background/cameras.bin", "other/run.json"] {
+        assert!(refuse_place_of_results(&place.path().join(name)).is_ok(), "{name}");
+    }
+}
