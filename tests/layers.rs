@@ -86,6 +86,35 @@ fn unsafe_code_stands_in_ffi_alone() {
     assert!(wrong.is_empty(), "{wrong:?}");
 }
 
+/// Files that open others by themselves: the kernel's own, those that were written a moment ago, and a library that is
+/// run anyway.
+const OPENERS: [&str; 8] = [
+    "cli/doctor.rs",
+    "cli/stop.rs",
+    "export/annotate.rs",
+    "ffi/onnx/library.rs",
+    "io/atomic.rs",
+    "limits/files.rs",
+    "limits/memory.rs",
+    "pipeline/meter.rs",
+];
+
+#[test]
+fn files_are_opened_through_limits_alone() {
+    // Behind a name may be a pipe, a device, or more than memory holds.
+    const OPENING: [[&str; 4]; 5] = [
+        ["File", ":", ":", "open"],
+        ["fs", ":", ":", "read"],
+        ["fs", ":", ":", "read_to_string"],
+        ["ImageReader", ":", ":", "open"],
+        ["image", ":", ":", "open"],
+    ];
+    let opens = |file: &SourceFile| file.tokens.windows(4).any(|w| OPENING.iter().any(|o| w == o));
+    let is_known = |file: &SourceFile| OPENERS.iter().any(|name| file.path.ends_with(name));
+    let wrong: Vec<_> = sources().into_iter().filter(|f| opens(f) && !is_known(f)).map(|file| file.path).collect();
+    assert!(wrong.is_empty(), "use limits::files: {wrong:?}");
+}
+
 /// What a module `sfm::mapper` with this text names.
 fn named(text: &str) -> Vec<String> {
     let module = ["sfm", "mapper"].map(str::to_owned);

@@ -19,7 +19,7 @@ pub(super) struct CommonArgs {
     /// Threads [default: one per core]
     #[arg(long, value_name = "N", help_heading = "General")]
     pub(super) threads: Option<usize>,
-    /// What pictures and networks may take of memory, such as 2GiB [default: four fifths of what there is]
+    /// Memory limit for files that are read, images and networks, such as 2GiB [default: four fifths of what there is]
     #[arg(long, value_name = "SIZE", help_heading = "General")]
     pub(super) memory_limit: Option<MemoryLimit>,
     /// Seed of every random choice [default: 0]

@@ -9,7 +9,7 @@ use anyhow::Context;
 use super::common::CommonArgs;
 use super::output::Failure;
 use crate::io::{IoError, Sequence};
-use crate::limits::files;
+use crate::limits::{files, memory};
 use crate::metric::{KnownLength, Measured, TimeOffset};
 use crate::pipeline::{
     DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskChoice, MetricOptions,
@@ -187,6 +187,19 @@ pub(super) fn resolve(job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), 
 
 /// As [`resolve`], over others than the default options.
 pub(super) fn resolve_over(options: Options, job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), Failure> {
+    let (input, options) = lay_over(options, job, goal)?;
+    check(&options)?;
+    Ok((input, options))
+}
+
+/// Refuses options that cannot be, and files that they name and that are not there.
+pub(super) fn check(options: &Options) -> Result<(), Failure> {
+    options.check().map_err(|error| Failure::Usage(error.to_string()))?;
+    check_paths(options)
+}
+
+/// As [`resolve_over`], without looking whether the files are there that are named.
+pub(super) fn lay_over(options: Options, job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), Failure> {
     let mut options = job.common.over(options)?;
     apply_flags(job, &mut options);
     let mut input = job.input.clone();
@@ -200,8 +213,6 @@ pub(super) fn resolve_over(options: Options, job: &JobArgs, goal: Stage) -> Resu
     if options.video.turning == Turning::Auto && options.instances == Instances::None && input.is_dir() {
         options.video.turning = Turning::AsStored;
     }
-    options.check().map_err(|error| Failure::Usage(error.to_string()))?;
-    check_paths(&options)?;
     Ok((input, options))
 }
 
@@ -286,9 +297,12 @@ fn check_paths(options: &Options) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Has the work done by so many threads, where a number is given.
-pub(super) fn use_threads(threads: Option<usize>) -> Result<(), Failure> {
-    let Some(threads) = threads else { return Ok(()) };
+/// Takes as many threads and as much memory of the machine as the options say, where they do.
+pub(super) fn use_machine(options: &Options) -> Result<(), Failure> {
+    if let Some(limit) = options.memory_limit {
+        memory::limit_process(limit);
+    }
+    let Some(threads) = options.threads else { return Ok(()) };
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("cannot start the threads")?;
     opencv::core::set_num_threads(i32::try_from(threads).unwrap_or(i32::MAX))?;
     Ok(())

@@ -4,7 +4,7 @@ use std::ffi::OsString;
 
 use serde_json::json;
 
-use super::job::{JobArgs, resolve, use_threads};
+use super::job::{JobArgs, resolve, use_machine};
 use super::models;
 use super::output::{Failure, Form, show};
 use super::summary;
@@ -15,7 +15,7 @@ use crate::scene::Trajectories;
 
 pub(super) fn run(job: &JobArgs, goal: Stage, arguments: &[OsString], form: Form, talk: &Talk) -> Result<(), Failure> {
     let (input, options) = resolve(job, goal)?;
-    use_threads(options.threads)?;
+    use_machine(&options)?;
     let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
     let task = Job {
         input: &input,

@@ -8,6 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use serde::{Deserialize, Serialize};
 
@@ -24,7 +25,7 @@ const RANGE: std::ops::RangeInclusive<u64> = 64 << 20..=1 << 50;
 pub struct MemoryLimit(u64);
 
 impl MemoryLimit {
-    /// The share of what there is.
+    /// The share of what there is, or the limit of this process.
     pub fn of_machine() -> Self {
         Self(of_machine())
     }
@@ -105,11 +106,20 @@ impl From<MemoryLimit> for String {
     }
 }
 
+/// The limit of this process, bytes; without one, all that there is.
+static OF_PROCESS: AtomicU64 = AtomicU64::new(u64::MAX);
+
+/// Lowers what this process may take, for all files that it reads. For programs: how much memory there is, is a matter
+/// of the whole process.
+pub fn limit_process(limit: MemoryLimit) {
+    OF_PROCESS.fetch_min(limit.bytes(), Ordering::Relaxed);
+}
+
 /// The share of the machine's memory, and of the control group's, that may be taken, bytes: as it was when it was first
-/// asked for, since every file that is read asks.
+/// asked for, since every file that is read asks. Less where [`limit_process`] says so.
 pub fn of_machine() -> u64 {
     static FOUND: OnceLock<u64> = OnceLock::new();
-    *FOUND.get_or_init(look)
+    (*FOUND.get_or_init(look)).min(OF_PROCESS.load(Ordering::Relaxed))
 }
 
 fn look() -> u64 {

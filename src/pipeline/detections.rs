@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::PipelineError;
 use super::own_file::{self, Content, damaged};
 use crate::io::{IoError, atomic};
+use crate::limits::files;
 use crate::scene::{Detection, Frame, FrameId, Mask};
 
 /// A folder with a list of things per frame.
@@ -108,7 +109,7 @@ impl DetectionFolder {
 
 /// The content of a file; `None` where there is none.
 fn bytes_of(path: &Path) -> Result<Option<Vec<u8>>, PipelineError> {
-    match std::fs::read(path) {
+    match files::read(path) {
         Ok(bytes) => Ok(Some(bytes)),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(IoError::system("read", path)(error).into()),

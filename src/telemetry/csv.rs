@@ -101,11 +101,11 @@ pub(super) fn is_header(line: &str) -> bool {
     has(&places, Column::Longitude) && has(&places, Column::Latitude)
 }
 
-/// Reads what the text holds.
+/// Reads a text into an empty log.
 ///
 /// # Errors
 /// [`TelemetryError::Header`] if a unit of the header is unknown.
-pub(super) fn read(text: &str, path: &Path) -> Result<Log, TelemetryError> {
+pub(super) fn read(text: &str, path: &Path, empty: Log) -> Result<Log, TelemetryError> {
     let header = text.lines().next().unwrap_or_default();
     let delimiter = delimiter(header) as u8;
     if let Some(problem) = unknown_unit(header.split(char::from(delimiter))) {
@@ -113,7 +113,7 @@ pub(super) fn read(text: &str, path: &Path) -> Result<Log, TelemetryError> {
     }
     let mut reader = ::csv::ReaderBuilder::new().delimiter(delimiter).flexible(true).from_reader(text.as_bytes());
     let places = reader.headers().map(|names| places(names.iter())).unwrap_or_default();
-    let mut log = Log::default();
+    let mut log = empty;
     let (mut all_stated, mut any_clock) = (true, false);
     for record in reader.records() {
         let record = match record {
@@ -290,7 +290,7 @@ mod tests {
     use super::*;
 
     fn table(text: &str) -> Log {
-        read(text, Path::new("a.csv")).unwrap()
+        read(text, Path::new("a.csv"), Log::default()).unwrap()
     }
 
     #[test]
@@ -329,7 +329,7 @@ mod tests {
         let lines: Vec<usize> = log.passed_over.iter().map(|passed| passed.line).collect();
         assert_eq!(lines, [2, 3, 4, 5]);
         assert!(log.passed_over[0].reason.contains("degrees and minutes"), "{:?}", log.passed_over);
-        let error = read("lat,lon,height [fathoms]\n", Path::new("a.csv")).unwrap_err().to_string();
+        let error = read("lat,lon,height [fathoms]\n", Path::new("a.csv"), Log::default()).unwrap_err().to_string();
         assert!(error.contains("a.csv, line 1") && error.contains("fathoms") && error.contains("feet"), "{error}");
         assert!(is_header("lat;lon") && !is_header("latitudes,lon") && !is_header("1,2,3"));
     }

@@ -5,6 +5,8 @@ use std::fmt;
 
 use serde::Serialize;
 
+use crate::limits::memory::MemoryLimit;
+
 /// One position of the receiver.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fix {
@@ -183,15 +185,46 @@ pub struct Log {
     pub passed_over: Vec<PassedOver>,
     /// How many were passed over altogether.
     pub num_passed_over: usize,
+    /// How many fixes it holds.
+    pub(super) room: Room,
 }
+
+/// Number of fixes that a log holds while it is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Room {
+    /// Maximum number of fixes.
+    pub(super) most: usize,
+    /// Whether there were more.
+    pub(super) is_exceeded: bool,
+}
+
+impl Default for Room {
+    fn default() -> Self {
+        Self { most: MOST_FIXES, is_exceeded: false }
+    }
+}
+
+impl Room {
+    /// Room for as many fixes as half of a limit holds, twice: they are copied when they are put in order.
+    pub(super) fn within(limit: MemoryLimit) -> Self {
+        let most = usize::try_from(limit.bytes() / 4).unwrap_or(usize::MAX) / size_of::<Fix>();
+        Self { most: most.min(MOST_FIXES), is_exceeded: false }
+    }
+}
+
+/// Ten hours of a drone that writes at 60 Hz.
+const MOST_FIXES: usize = 10 * 3600 * 60;
 
 /// So many reasons are kept: a broken file repeats itself.
 const MAX_REASONS: usize = 100;
 
 impl Log {
-    /// Takes a fix in.
+    /// Adds a fix, if there is room for it.
     pub(super) fn push(&mut self, dialect: &'static str, fix: Fix) {
-        self.fixes.push(Fix { dialect, ..fix });
+        match self.fixes.len() < self.room.most {
+            true => self.fixes.push(Fix { dialect, ..fix }),
+            false => self.room.is_exceeded = true,
+        }
     }
 
     /// Number of fixes by format or dialect.

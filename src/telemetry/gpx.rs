@@ -27,9 +27,9 @@ struct Open {
     fix: String,
 }
 
-/// Reads what the text holds.
-pub(super) fn read(text: &str) -> Log {
-    let mut log = Log { clock: ClockKind::Utc, height_datum: HeightDatum::SeaLevel, ..Log::default() };
+/// Reads a text into an empty log.
+pub(super) fn read(text: &str, empty: Log) -> Log {
+    let mut log = Log { clock: ClockKind::Utc, height_datum: HeightDatum::SeaLevel, ..empty };
     let mut reader = Reader::from_str(text);
     reader.config_mut().check_end_names = false;
     let mut lines = LineCounter { text: text.as_bytes(), at: 0, line: 1 };
@@ -136,6 +136,10 @@ impl LineCounter<'_> {
 mod tests {
     use super::*;
 
+    fn log_of(text: &str) -> Log {
+        read(text, Log::default())
+    }
+
     const TRACK: &str = "<?xml version=\"1.0\"?>\n<gpx version=\"1.1\" creator=\"by hand\">\n<trk><trkseg>\n\
         <trkpt lat=\"48.1234567\" lon=\"9.7654321\"><ele>512.5</ele><time>2024-05-06T07:08:09.5Z</time>\
         <fix>dgps</fix><hdop>2.0</hdop><extensions><speed>3.25</speed></extensions></trkpt>\n\
@@ -144,7 +148,7 @@ mod tests {
 
     #[test]
     fn points_with_what_stands_in_them() {
-        let log = read(TRACK);
+        let log = log_of(TRACK);
         assert_eq!((log.fixes.len(), log.num_passed_over), (2, 2), "{log:?}");
         let first = &log.fixes[0];
         assert_eq!((first.longitude_deg, first.latitude_deg, first.line), (9.7654321, 48.1234567, 4));
@@ -156,10 +160,10 @@ mod tests {
 
     #[test]
     fn half_a_file_is_used_as_far_as_it_goes() {
-        let log = read(&TRACK[..TRACK.find("<trkpt lon").unwrap() + 12]);
+        let log = log_of(&TRACK[..TRACK.find("<trkpt lon").unwrap() + 12]);
         assert_eq!(log.fixes.len(), 1);
         assert_eq!(log.passed_over[0].line, 5, "{:?}", log.passed_over);
-        let log = read(&TRACK[..TRACK.find("</ele>").unwrap()]);
+        let log = log_of(&TRACK[..TRACK.find("</ele>").unwrap()]);
         assert!(log.fixes.is_empty() && log.passed_over[0].reason.contains("breaks off"), "{:?}", log.passed_over);
     }
 }

@@ -41,8 +41,11 @@ impl Kind {
         if text.lines().next().is_some_and(csv::is_header) {
             return Some(Self::Csv);
         }
-        let is_dji = |block: &srt::Subtitle| dji::recognize(&block.lines.join(" ")).is_some();
-        srt::blocks(&text, |_, _| {}).iter().any(is_dji).then_some(Self::Dji)
+        let mut is_dji = false;
+        srt::blocks(&text, |block| {
+            is_dji |= block.is_ok_and(|block| dji::recognize(&block.lines.join(" ")).is_some());
+        });
+        is_dji.then_some(Self::Dji)
     }
 
     /// What it is called in messages.

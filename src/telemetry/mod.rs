@@ -42,7 +42,7 @@ pub use geodesy::{Geodetic, LocalFrame};
 pub use kind::Kind;
 pub use local::{Heights, LocalFixes, TimeBase};
 pub use photographs::read_photographs;
-pub use read::{read, read_bytes, read_subtitles};
+pub use read::{read, read_bytes, read_subtitles, read_within};
 pub use srt::Subtitle;
 pub use summary::{Range, Summary};
 pub use time::clock_s;

@@ -37,9 +37,9 @@ struct Reading {
     all_ellipsoidal: bool,
 }
 
-/// Reads what the text holds.
-pub(super) fn read(text: &str) -> Log {
-    let log = Log { height_datum: HeightDatum::Ellipsoid, ..Log::default() };
+/// Reads a text into an empty log.
+pub(super) fn read(text: &str, empty: Log) -> Log {
+    let log = Log { height_datum: HeightDatum::Ellipsoid, ..empty };
     let mut reading = Reading { log, epoch: None, midnight_s: None, all_ellipsoidal: true };
     for (line, content) in (1..).zip(text.lines()) {
         let understood = check_length(content).and_then(|()| reading.sentence(line, content));
@@ -219,6 +219,10 @@ fn position(longitude: [&str; 2], latitude: [&str; 2]) -> Result<Position, Strin
 mod tests {
     use super::*;
 
+    fn log_of(text: &str) -> Log {
+        read(text, Log::default())
+    }
+
     const LOG: &str = "$GPGGA,235959.00,4807.0380,N,01131.0000,W,4,08,0.9,545.4,M,46.9,M,,\n\
         $GPRMC,235959.00,A,4807.0380,N,01131.0000,W,010.0,084.4,230394,003.1,W\n\
         $GPGST,235959.00,1.0,2.0,1.0,0.0,0.3,0.4,0.7\n\
@@ -229,7 +233,7 @@ mod tests {
 
     #[test]
     fn sentences_of_one_time_make_one_fix() {
-        let log = read(LOG);
+        let log = log_of(LOG);
         assert_eq!((log.fixes.len(), log.num_passed_over), (2, 3), "{log:?}");
         let [first, second] = &log.fixes[..] else { panic!("two fixes") };
         assert!((first.latitude_deg - (48.0 + 7.038 / 60.0)).abs() < 1e-12);
@@ -249,9 +253,9 @@ mod tests {
     #[test]
     fn check_sums_are_checked() {
         let good = "$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47";
-        assert_eq!(read(good).fixes.len(), 1);
-        assert_eq!(read(&good.replace("4807", "4808")).num_passed_over, 1);
-        assert_eq!(read(good).clock, ClockKind::TimeOfDay);
+        assert_eq!(log_of(good).fixes.len(), 1);
+        assert_eq!(log_of(&good.replace("4807", "4808")).num_passed_over, 1);
+        assert_eq!(log_of(good).clock, ClockKind::TimeOfDay);
         assert!(is_sentence(good) && !is_sentence("$GPé,") && !is_sentence("a,b"));
     }
 }

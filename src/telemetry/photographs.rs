@@ -13,6 +13,7 @@ use super::error::TelemetryError;
 use super::fix::{ClockKind, Fix, HeightDatum, Log, Position, Receiver};
 use super::read::bytes_of;
 use super::time;
+use crate::limits::memory::MemoryLimit;
 
 /// The name in reports.
 pub(super) const DIALECT: &str = "exif";
@@ -25,7 +26,10 @@ pub(super) const DIALECT: &str = "exif";
 pub fn read_photographs(paths: &[PathBuf]) -> Result<Log, TelemetryError> {
     let mut log = Log { clock: ClockKind::Utc, height_datum: HeightDatum::SeaLevel, ..Log::default() };
     for (number, path) in (1..).zip(paths) {
-        match bytes_of(path).map_err(|error| error.to_string()).and_then(|bytes| fix(&bytes, number)) {
+        match bytes_of(path, MemoryLimit::of_machine())
+            .map_err(|error| error.to_string())
+            .and_then(|bytes| fix(&bytes, number))
+        {
             Err(reason) => log.pass_over(number, format!("{}: {reason}", path.display())),
             Ok(fix) => {
                 let photograph = path.file_name().map(|name| name.to_string_lossy().into_owned());

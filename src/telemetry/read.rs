@@ -5,11 +5,12 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::error::TelemetryError;
-use super::fix::{ClockKind, Log};
+use super::fix::{ClockKind, Log, Room};
 use super::srt::{self, Subtitle};
 use super::text::decode;
 use super::{Kind, csv, dji, gpx, nmea, order, photographs};
 use crate::limits::files;
+use crate::limits::memory::MemoryLimit;
 
 /// Ten hours of a drone that writes at 60 Hz.
 const MOST_MIB: u64 = 512;
@@ -19,10 +20,18 @@ const MOST_MIB: u64 = 512;
 /// # Errors
 /// [`TelemetryError`] names the file and what can be done.
 pub fn read(path: &Path) -> Result<Log, TelemetryError> {
+    read_within(path, MemoryLimit::of_machine())
+}
+
+/// As [`read`], within a limit of memory.
+///
+/// # Errors
+/// As [`read`]; [`TelemetryError::TooLarge`] and [`TelemetryError::TooMany`] where the limit does not hold the file.
+pub fn read_within(path: &Path, limit: MemoryLimit) -> Result<Log, TelemetryError> {
     if path.is_dir() {
         return photographs::read_photographs(&photographs_in(path)?);
     }
-    read_bytes(&bytes_of(path)?, path)
+    parse(&bytes_of(path, limit)?, path, limit)
 }
 
 /// Reads what a file holds; `path` is its name in messages.
@@ -30,15 +39,20 @@ pub fn read(path: &Path) -> Result<Log, TelemetryError> {
 /// # Errors
 /// As [`read`].
 pub fn read_bytes(bytes: &[u8], path: &Path) -> Result<Log, TelemetryError> {
+    parse(bytes, path, MemoryLimit::of_machine())
+}
+
+fn parse(bytes: &[u8], path: &Path, limit: MemoryLimit) -> Result<Log, TelemetryError> {
     if bytes.iter().all(u8::is_ascii_whitespace) {
         return Err(TelemetryError::Empty { path: path.to_path_buf() });
     }
     let kind = Kind::of(bytes).ok_or_else(|| TelemetryError::Unknown { path: path.to_path_buf() })?;
+    let empty = Log { room: Room::within(limit), ..Log::default() };
     let log = match kind {
-        Kind::Dji => subtitles(&decode(bytes)),
-        Kind::Gpx => gpx::read(&decode(bytes)),
-        Kind::Nmea => nmea::read(&decode(bytes)),
-        Kind::Csv => csv::read(&decode(bytes), path)?,
+        Kind::Dji => subtitles(&decode(bytes), empty),
+        Kind::Gpx => gpx::read(&decode(bytes), empty),
+        Kind::Nmea => nmea::read(&decode(bytes), empty),
+        Kind::Csv => csv::read(&decode(bytes), path, empty)?,
         Kind::Photograph => photographs::read_one(bytes),
     };
     in_order(log, kind, path)
@@ -49,17 +63,21 @@ pub fn read_bytes(bytes: &[u8], path: &Path) -> Result<Log, TelemetryError> {
 /// # Errors
 /// [`TelemetryError::NoFix`] where no entry holds a position.
 pub fn read_subtitles(entries: &[Subtitle], path: &Path) -> Result<Log, TelemetryError> {
-    in_order(dji_log(entries, Log::default()), Kind::Dji, path)
-}
-
-fn subtitles(text: &str) -> Log {
     let mut log = Log::default();
-    let blocks = srt::blocks(text, |line, reason| log.pass_over(line, reason));
-    dji_log(&blocks, log)
+    entries.iter().for_each(|block| dji::read_block(block, &mut log));
+    in_order(with_clock(log), Kind::Dji, path)
 }
 
-fn dji_log(blocks: &[Subtitle], mut log: Log) -> Log {
-    blocks.iter().for_each(|block| dji::read_block(block, &mut log));
+fn subtitles(text: &str, empty: Log) -> Log {
+    let mut log = empty;
+    srt::blocks(text, |block| match block {
+        Ok(block) => dji::read_block(&block, &mut log),
+        Err((line, reason)) => log.pass_over(line, reason),
+    });
+    with_clock(log)
+}
+
+fn with_clock(mut log: Log) -> Log {
     if log.fixes.iter().any(|fix| fix.clock_s.is_some()) {
         // The drone's clock shows the time of wherever its pilot's telephone thinks it is.
         log.clock = ClockKind::Local;
@@ -77,6 +95,10 @@ fn time_by_clock(log: &mut Log) {
 }
 
 fn in_order(mut log: Log, kind: Kind, path: &Path) -> Result<Log, TelemetryError> {
+    if log.room.is_exceeded {
+        return Err(TelemetryError::TooMany { path: path.to_path_buf(), most: log.room.most });
+    }
+    log.room = Room::default();
     order::keep_rising(&mut log);
     log.passed_over.sort_by_key(|passed| passed.line);
     if log.fixes.is_empty() {
@@ -86,19 +108,21 @@ fn in_order(mut log: Log, kind: Kind, path: &Path) -> Result<Log, TelemetryError
     Ok(log)
 }
 
-/// The content of a file of a size that can be telemetry.
-pub(super) fn bytes_of(path: &Path) -> Result<Vec<u8>, TelemetryError> {
+/// The content of a file of a size that can be telemetry. It may have a quarter of the memory limit: as text it is in
+/// memory once more.
+pub(super) fn bytes_of(path: &Path, limit: MemoryLimit) -> Result<Vec<u8>, TelemetryError> {
     let file = files::open(path).map_err(TelemetryError::system(path))?;
     let metadata = file.metadata().map_err(TelemetryError::system(path))?;
-    let size_mib = metadata.len() >> 20;
-    let too_large = |size_mib| TelemetryError::TooLarge { path: path.to_path_buf(), size_mib, most_mib: MOST_MIB };
-    if size_mib >= MOST_MIB {
-        return Err(too_large(size_mib));
+    let most = (MOST_MIB << 20).min(limit.bytes() / 4);
+    let too_large =
+        |size: u64| TelemetryError::TooLarge { path: path.to_path_buf(), size_mib: size >> 20, most_mib: most >> 20 };
+    if metadata.len() >= most {
+        return Err(too_large(metadata.len()));
     }
     // A file that grows states too little: the limit holds for it as well.
     let mut bytes = Vec::new();
-    file.take(MOST_MIB << 20).read_to_end(&mut bytes).map_err(TelemetryError::system(path))?;
-    if bytes.len() as u64 >= MOST_MIB << 20 { Err(too_large(MOST_MIB)) } else { Ok(bytes) }
+    file.take(most).read_to_end(&mut bytes).map_err(TelemetryError::system(path))?;
+    if bytes.len() as u64 >= most { Err(too_large(most)) } else { Ok(bytes) }
 }
 
 fn photographs_in(folder: &Path) -> Result<Vec<PathBuf>, TelemetryError> {

@@ -14,30 +14,32 @@ pub struct Subtitle<'a> {
     pub lines: Vec<&'a str>,
 }
 
-/// Splits a file into its blocks. A new one begins after an empty line and, where that was lost, at a second line with
-/// times. Lines that are too long are handed to `refuse` with their number.
-pub(super) fn blocks<'a>(text: &'a str, mut refuse: impl FnMut(usize, String)) -> Vec<Subtitle<'a>> {
-    let mut blocks = Vec::new();
+/// Lines of one entry that are kept: cameras write a dozen.
+const MOST_LINES: usize = 64;
+
+/// Hands the blocks of a file to `take`, one by one. A new one begins after an empty line and, where that was lost, at
+/// a second line with times. Of lines that are too long, `take` gets the number and the reason.
+pub(super) fn blocks<'a>(text: &'a str, mut take: impl FnMut(Result<Subtitle<'a>, (usize, String)>)) {
     let mut block = Subtitle { line: 1, start_s: None, lines: Vec::new() };
     for (line, content) in (1..).zip(text.lines()) {
         if let Err(reason) = check_length(content) {
-            refuse(line, reason);
+            take(Err((line, reason)));
             continue;
         }
         let content = content.trim();
         let start_s = content.split_once("-->").and_then(|(start, _)| subtitle_s(start));
         let is_next = content.is_empty() || (start_s.is_some() && block.start_s.is_some());
         if is_next {
-            finish(&mut blocks, &mut block);
+            finish(&mut block).into_iter().for_each(|whole| take(Ok(whole)));
         }
         match start_s {
             Some(_) => block = Subtitle { line: line + 1, start_s, lines: Vec::new() },
             None if content.is_empty() || is_counter(content, &block) => block.line = line + 1,
-            None => block.lines.push(content),
+            None if block.lines.len() < MOST_LINES => block.lines.push(content),
+            None => {}
         }
     }
-    finish(&mut blocks, &mut block);
-    blocks
+    finish(&mut block).into_iter().for_each(|whole| take(Ok(whole)));
 }
 
 /// Whether a line is the number before a block's times.
@@ -45,23 +47,28 @@ fn is_counter(content: &str, block: &Subtitle) -> bool {
     block.start_s.is_none() && block.lines.is_empty() && content.bytes().all(|byte| byte.is_ascii_digit())
 }
 
-fn finish<'a>(blocks: &mut Vec<Subtitle<'a>>, block: &mut Subtitle<'a>) {
+/// The block so far, unless it is empty; the next one begins.
+fn finish<'a>(block: &mut Subtitle<'a>) -> Option<Subtitle<'a>> {
     let line = block.line;
     let whole = std::mem::replace(block, Subtitle { line, start_s: None, lines: Vec::new() });
-    if whole.start_s.is_some() || !whole.lines.is_empty() {
-        blocks.push(whole);
-    }
+    (whole.start_s.is_some() || !whole.lines.is_empty()).then_some(whole)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn all(text: &str) -> Vec<Subtitle<'_>> {
+        let mut found = Vec::new();
+        blocks(text, |block| found.push(block.unwrap()));
+        found
+    }
+
     #[test]
     fn blocks_have_times_lines_and_numbers() {
         let text =
             "1\r\n00:00:00,000 --> 00:00:01,000\r\na\r\nb\r\n\r\n\r\n2\n00:00:01,500 --> 00:00:02,000\nc\n\n3\nd\n";
-        let found = blocks(text, |_, _| unreachable!());
+        let found = all(text);
         let expected = [(3, Some(0.0), vec!["a", "b"]), (9, Some(1.5), vec!["c"]), (12, None, vec!["d"])];
         let found: Vec<_> = found.into_iter().map(|block| (block.line, block.start_s, block.lines)).collect();
         assert_eq!(found, expected);
@@ -70,7 +77,7 @@ mod tests {
     #[test]
     fn a_lost_empty_line_does_not_join_two_blocks() {
         let text = "00:00:00,000 --> 00:00:01,000\na\n00:00:01,000 --> 00:00:02,000\nb";
-        let found = blocks(text, |_, _| unreachable!());
+        let found = all(text);
         assert_eq!(found.len(), 2);
         assert_eq!((found[1].line, found[1].lines.as_slice()), (4, ["b"].as_slice()));
     }
@@ -80,7 +87,10 @@ mod tests {
         let long = "x".repeat(1 << 20);
         let mut refused = Vec::new();
         let text = format!("1\n00:00:00,000 --> 00:00:01,000\n{long}\nb");
-        assert_eq!(blocks(&text, |line, reason| refused.push((line, reason)))[0].lines, ["b"]);
+        blocks(&text, |block| match block {
+            Ok(block) => assert_eq!(block.lines, ["b"]),
+            Err(refusal) => refused.push(refusal),
+        });
         assert!(refused[0].0 == 3 && refused[0].1.contains("1048576"), "{refused:?}");
     }
 }

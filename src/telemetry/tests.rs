@@ -4,7 +4,9 @@ use std::path::Path;
 
 use proptest::prelude::*;
 
+use super::fix::Room;
 use super::*;
+use crate::limits::memory::MemoryLimit;
 
 /// One file of each format, written by hand.
 const SEEDS: [&str; 8] = [
@@ -114,6 +116,36 @@ fn reasons_do_not_fill_the_memory() {
 }
 
 #[test]
+fn positions_do_not_fill_the_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let limit: MemoryLimit = "64MiB".parse().unwrap();
+    let most = Room::within(limit).most;
+    assert!(most < 100_000, "{most}");
+    let csv = |number| "time_s,latitude,longitude\n".to_owned() + &"0,4,9\n".repeat(number);
+    let gpx = |number| format!("<gpx><trk>{}</trk></gpx>", "<trkpt lat='4' lon='9'/>".repeat(number));
+    let sentence = |k: usize| {
+        let (hours, minutes, seconds) = (k / 3600, k / 60 % 60, k % 60);
+        format!("$GPGGA,{hours:02}{minutes:02}{seconds:02},4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,\n")
+    };
+    let nmea = |number| (0..number).map(sentence).collect::<String>();
+    let srt = |number| "00:00:00,000 --> 00:00:01,000\nGPS(36.6146,-6.1120,0.0M) BAROMETER:0.3M\n\n".repeat(number);
+    let formats: [&dyn Fn(usize) -> String; 4] = [&csv, &gpx, &nmea, &srt];
+    for (k, text) in formats.into_iter().enumerate() {
+        let path = folder.path().join(k.to_string());
+        std::fs::write(&path, text(most + 1)).unwrap();
+        let error = read_within(&path, limit).unwrap_err();
+        assert!(
+            matches!(&error, TelemetryError::TooMany { .. }) && error.to_string().contains("--memory-limit"),
+            "{error}"
+        );
+        assert!(read_within(&path, MemoryLimit::of_machine()).is_ok(), "{k}");
+    }
+    std::fs::write(folder.path().join("large"), csv(4 << 20)).unwrap();
+    let error = read_within(&folder.path().join("large"), limit).unwrap_err();
+    assert!(matches!(error, TelemetryError::TooLarge { .. }), "{error}");
+}
+
+#[test]
 fn a_clock_that_jumps_costs_the_fixes_that_it_dates_wrong() {
     let rows = ["2.0,48.5,9.2,1,1", "900.0,48.5,9.2,1,1", "3.0,48.5,9.2,1,1", "4.0,48.5,9.2,1,1"];
     let log = read_text(format!("{}{}\n", SEEDS[6], rows.join("\n")).as_bytes()).unwrap();
@@ -124,7 +156,8 @@ fn a_clock_that_jumps_costs_the_fixes_that_it_dates_wrong() {
 #[test]
 fn the_track_of_a_video_reads_like_its_file() {
     let text = SEEDS[0];
-    let entries = srt::blocks(text, |_, _| unreachable!());
+    let mut entries = Vec::new();
+    srt::blocks(text, |block| entries.extend(block));
     let from_track = read_subtitles(&entries, Path::new("a.mp4")).unwrap();
     assert_eq!(from_track, read_text(text.as_bytes()).unwrap());
     let error = read_subtitles(&[], Path::new("a.mp4")).unwrap_err().to_string();

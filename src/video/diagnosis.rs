@@ -6,6 +6,7 @@ use std::path::Path;
 
 use super::VideoError;
 use crate::ffi::ffmpeg::{MediaFile, Stream, StreamKind};
+use crate::limits::files;
 
 /// The first stream of moving pictures.
 ///
@@ -35,7 +36,7 @@ fn in_words(streams: &[Stream]) -> &'static str {
 
 /// What is wrong with a file that FFmpeg does not take.
 pub(super) fn why_not(path: &Path) -> VideoError {
-    match File::open(path).ok().and_then(|mut file| mp4_index(&mut file)) {
+    match files::open(path).ok().and_then(|mut file| mp4_index(&mut file)) {
         Some(Mp4Index::Missing) => VideoError::NoIndex { path: path.to_owned() },
         Some(Mp4Index::Whole) | None => VideoError::NotAVideo { path: path.to_owned() },
     }

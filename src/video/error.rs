@@ -69,6 +69,17 @@ pub enum VideoError {
         /// The input.
         path: PathBuf,
     },
+    /// A text track that memory does not hold.
+    #[error(
+        "{path}: its text track takes more than {limit}, a quarter of the memory limit; --memory-limit sets it",
+        path = path.display(), limit = crate::limits::memory::in_words(*limit)
+    )]
+    TextTooLarge {
+        /// The input.
+        path: PathBuf,
+        /// Bytes that it may take.
+        limit: u64,
+    },
     /// No stream of moving pictures.
     #[error("{path}: has no picture track, {found}; give the video that it belongs to", path = path.display())]
     NoPictures {

@@ -1,12 +1,13 @@
 //! What a photograph's EXIF block says about its camera.
 
-use std::fs::File;
 use std::io::BufReader;
 use std::ops::RangeInclusive;
 use std::path::Path;
 
 use ::image::metadata::Orientation;
 use exif::{Exif, In, Tag, Value};
+
+use crate::limits::files;
 
 /// Longer side of a picture on film, to which `FocalLengthIn35mmFilm` refers, millimetres. Equivalent are focal lengths
 /// that show as much over the diagonal of a sensor as over that of a film frame, 43.27 mm. Of a sensor of 3:2, as film
@@ -32,7 +33,7 @@ const SHAPE_TOLERANCE: f64 = 0.02;
 
 /// The EXIF block of an image file; `None` without one that can be read.
 pub(super) fn read(path: &Path) -> Option<Exif> {
-    exif::Reader::new().read_from_container(&mut BufReader::new(File::open(path).ok()?)).ok()
+    exif::Reader::new().read_from_container(&mut BufReader::new(files::open_within_memory(path).ok()?)).ok()
 }
 
 /// How the stored picture has to be turned to stand upright.

@@ -3,11 +3,12 @@
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
-use std::fs;
+use std::fs::{self, File};
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use ::image::metadata::Orientation;
-use ::image::{DynamicImage, ImageDecoder, ImageReader, RgbImage};
+use ::image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
 
 use super::decode::Decoder;
 use super::source::Cameras;
@@ -18,6 +19,9 @@ use crate::scene::{Frame, FrameId};
 
 /// Extensions that are taken for images, in lower case.
 const EXTENSIONS: [&str; 3] = ["jpg", "jpeg", "png"];
+
+/// File systems take names of 255 bytes, and a mask is called like its image with `.png` behind it.
+const MAX_NAME_BYTES: usize = 255 - ".png".len();
 
 /// An image of a folder whose header is in order.
 #[derive(Clone, Debug)]
@@ -225,6 +229,9 @@ impl Name {
                 "its name begins or ends with a blank, or has a line break in it, which models cannot hold; rename it"
                     .to_owned(),
             ),
+            Ok(_) if name.len() > MAX_NAME_BYTES => {
+                Some(format!("its name has {} bytes, at most {MAX_NAME_BYTES} can be used; rename it", name.len()))
+            }
             Ok(_) => None,
         };
         Self { text, flaw }
@@ -295,7 +302,7 @@ fn described(others: &BTreeMap<String, usize>) -> String {
 
 /// Stored size of an image, from its header, if it seems to be whole.
 fn header(path: &Path) -> Result<(u32, u32), String> {
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(|e| e.to_string())?;
+    let reader = reader(path)?;
     let size = reader.into_decoder().map_err(|e| e.to_string())?.dimensions();
     // A PNG that is cut short fails when it is decoded, a JPEG does not.
     match jpeg::is_cut_short(path).map_err(|e| e.to_string())? {
@@ -397,8 +404,15 @@ impl Decoder for FolderDecoder {
 }
 
 fn decode(path: &Path) -> Result<DynamicImage, String> {
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(|e| e.to_string())?;
-    reader.decode().map_err(|e| e.to_string())
+    reader(path)?.decode().map_err(|e| e.to_string())
+}
+
+/// Opens an image file that memory holds: some decoders read all of it, whatever the size of the image.
+fn reader(path: &Path) -> Result<ImageReader<BufReader<File>>, String> {
+    let file = files::open_within_memory(path).map_err(|e| e.to_string())?;
+    let mut reader = ImageReader::new(BufReader::new(file));
+    ImageFormat::from_path(path).into_iter().for_each(|format| reader.set_format(format));
+    reader.with_guessed_format().map_err(|e| e.to_string())
 }
 
 #[cfg(test)]
@@ -443,5 +457,34 @@ mod tests {
         assert_eq!(names(), ["a/0.png", "a/1.png", "b/0.png"]);
         image.save(root.path().join("top.png")).unwrap();
         assert_eq!(names(), ["top.png"]);
+    }
+
+    #[test]
+    fn names_leave_room_for_those_of_masks() {
+        let root = tempfile::tempdir().unwrap();
+        let name = |length: usize| format!("{}.png", "n".repeat(length - 4));
+        [251, 252, 255].iter().for_each(|length| RgbImage::new(8, 6).save(root.path().join(name(*length))).unwrap());
+        let listing = list(root.path(), Turning::Auto, Cameras::One).unwrap();
+        assert_eq!(listing.entries.iter().map(|entry| entry.name.len()).collect::<Vec<_>>(), [251]);
+        assert!(listing.warnings.len() == 2 && listing.warnings[0].contains("at most 251"), "{:?}", listing.warnings);
+    }
+
+    #[test]
+    fn files_larger_than_memory_are_left_out_unread() {
+        let root = tempfile::tempdir().unwrap();
+        RgbImage::new(8, 6).save(root.path().join("0.png")).unwrap();
+        let heads: [(&str, &[u8]); 3] =
+            [("1.jpg", b"\xff\xd8\xff\xe0"), ("2.jpg", b"\0\0\0\x18ftypheic"), ("3.png", b"\x89PNG\r\n\x1a\n")];
+        for (name, head) in heads {
+            let path = root.path().join(name);
+            fs::write(&path, head).unwrap();
+            // A file of holes, where the file system has such.
+            if File::options().write(true).open(&path).unwrap().set_len(1 << 43).is_err() {
+                return;
+            }
+        }
+        let listing = list(root.path(), Turning::Auto, Cameras::One).unwrap();
+        assert_eq!(listing.entries.len(), 1);
+        assert!(listing.warnings.iter().all(|warning| warning.contains("memory limit")), "{:?}", listing.warnings);
     }
 }

@@ -4,9 +4,10 @@
 //! marker for the end of the image (ITU-T T.81, B.1.1.3). The marker need not stand at the end of the file: cameras
 //! write zeros, previews or whole films after it.
 
-use std::fs::{self, File};
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
+
+use crate::limits::files;
 
 const START: [u8; 2] = [0xff, 0xd8];
 const END: [u8; 2] = [0xff, 0xd9];
@@ -15,7 +16,7 @@ const TAIL_BYTES: i64 = 4096;
 
 /// Whether a file is a JPEG whose picture has no end. Most files are known to be whole from their last bytes.
 pub(super) fn is_cut_short(path: &Path) -> io::Result<bool> {
-    let mut file = File::open(path)?;
+    let mut file = files::open(path)?;
     let mut start = Vec::new();
     file.by_ref().take(2).read_to_end(&mut start)?;
     if start != START {
@@ -25,37 +26,68 @@ pub(super) fn is_cut_short(path: &Path) -> io::Result<bool> {
         file.rewind()?;
     }
     let mut tail = Vec::new();
-    file.read_to_end(&mut tail)?;
+    file.by_ref().take(TAIL_BYTES.unsigned_abs()).read_to_end(&mut tail)?;
     let without_padding = tail.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
-    Ok(!tail[..without_padding].ends_with(&END) && !has_end(&fs::read(path)?))
+    if tail[..without_padding].ends_with(&END) {
+        return Ok(false);
+    }
+    file.seek(SeekFrom::Start(START.len() as u64))?;
+    Ok(!has_end(BufReader::new(file))?)
 }
 
 /// Goes from marker to marker until the end of the image. Segments are skipped by their length, since a preview in one
 /// of them has an end of its own.
-fn has_end(jpeg: &[u8]) -> bool {
-    let mut at = START.len();
-    while let Some(skipped) = jpeg.get(at..).and_then(|rest| rest.iter().position(|&byte| byte == 0xff)) {
-        at += skipped;
-        match jpeg.get(at + 1) {
-            Some(0xd9) => return true,
-            // A fill byte before a marker.
-            Some(0xff) => at += 1,
+///
+/// * `jpeg` – after its start.
+fn has_end(mut jpeg: impl BufRead + Seek) -> io::Result<bool> {
+    while let Some(marker) = next_marker(&mut jpeg)? {
+        match marker {
+            0xd9 => return Ok(true),
             // A byte of the picture's data, a restart, and what else has no length.
-            Some(0x00 | 0x01 | 0xd0..=0xd8) => at += 2,
-            Some(_) => match jpeg.get(at + 2..at + 4) {
-                Some(&[high, low]) => at += 2 + usize::from(u16::from_be_bytes([high, low])),
-                _ => return false,
+            0x00 | 0x01 | 0xd0..=0xd8 => {}
+            _ => match (byte(&mut jpeg)?, byte(&mut jpeg)?) {
+                (Some(high), Some(low)) => {
+                    let length = u16::from_be_bytes([high, low]).saturating_sub(2);
+                    jpeg.seek_relative(i64::from(length))?;
+                }
+                _ => return Ok(false),
             },
-            None => return false,
         }
     }
-    false
+    Ok(false)
+}
+
+/// The byte after the next 0xff, fill bytes aside; `None` at the end.
+fn next_marker(jpeg: &mut impl BufRead) -> io::Result<Option<u8>> {
+    loop {
+        let there = jpeg.fill_buf()?;
+        let (found, length) = (there.iter().position(|&byte| byte == 0xff), there.len());
+        jpeg.consume(found.map_or(length, |at| at + 1));
+        match (found, length) {
+            (_, 0) => return Ok(None),
+            (None, _) => {}
+            (Some(_), _) => loop {
+                match byte(jpeg)? {
+                    Some(0xff) => {}
+                    other => return Ok(other),
+                }
+            },
+        }
+    }
+}
+
+fn byte(from: &mut impl BufRead) -> io::Result<Option<u8>> {
+    let byte = from.fill_buf()?.first().copied();
+    from.consume(usize::from(byte.is_some()));
+    Ok(byte)
 }
 
 #[cfg(test)]
 mod tests {
     use ::image::codecs::jpeg::JpegEncoder;
     use ::image::{Rgb, RgbImage};
+
+    use std::fs;
 
     use super::*;
 

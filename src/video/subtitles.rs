@@ -6,6 +6,7 @@ use super::error::regular;
 use super::file::origin_s;
 use super::{VideoError, diagnosis};
 use crate::ffi::ffmpeg::{FfmpegError, MediaFile, Packet, Stream, StreamKind, TextCoding};
+use crate::limits::memory;
 
 /// A text and when it is to be shown.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,7 +25,8 @@ pub struct Subtitle {
 /// little more time than reading the file.
 ///
 /// # Errors
-/// [`VideoError::NoIndex`], [`VideoError::NotAVideo`] for a file that FFmpeg does not take, [`VideoError::Ffmpeg`].
+/// [`VideoError::NoIndex`], [`VideoError::NotAVideo`] for a file that FFmpeg does not take, [`VideoError::Ffmpeg`],
+/// [`VideoError::TextTooLarge`].
 pub fn subtitles(path: &Path) -> Result<Vec<Subtitle>, VideoError> {
     let refused = |error| match error {
         FfmpegError::Open(_) => diagnosis::why_not(path),
@@ -41,11 +43,17 @@ pub fn subtitles(path: &Path) -> Result<Vec<Subtitle>, VideoError> {
     let origin_s = origin_s(&streams);
     file.keep_only(index);
     let mut packet = Packet::new()?;
-    let mut found = Vec::new();
+    let (mut found, mut taken) = (Vec::new(), 0);
+    // They are copied once more where telemetry is read from them.
+    let limit = memory::of_machine() / 4;
     while file.read(&mut packet)? {
         let Some(time) = packet.time().filter(|_| packet.stream() == index) else { continue };
         let text = text(packet.data(), coding);
         if !text.is_empty() {
+            taken += (size_of::<Subtitle>() + text.capacity()) as u64;
+            if taken > limit {
+                return Err(VideoError::TextTooLarge { path: path.to_owned(), limit });
+            }
             let end_s = time_base.seconds(time.saturating_add(packet.duration())) - origin_s;
             found.push(Subtitle { start_s: time_base.seconds(time) - origin_s, end_s, text });
         }

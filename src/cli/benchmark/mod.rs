@@ -16,7 +16,7 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::common::CommonArgs;
-use super::job::use_threads;
+use super::job::use_machine;
 use super::output::{Failure, Form, show};
 use super::terminal::Talk;
 use crate::eval::benchmark::{Benchmark, Entry, summarise};
@@ -93,7 +93,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) 
         refuse_own_input(&args.output, place, "--compare", path)?;
     }
     let output = OwnedFolder::open(&args.output, "tractrix benchmark", place)?;
-    use_threads(options.threads)?;
+    use_machine(&options)?;
     talk.ends_in_order();
     let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
     let mut benchmark = Benchmark {

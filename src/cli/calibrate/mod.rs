@@ -21,7 +21,7 @@ use self::variant::Variant;
 use super::benchmark::sequences::find;
 use super::benchmark::single::stands_in_every_way;
 use super::common::CommonArgs;
-use super::job::use_threads;
+use super::job::use_machine;
 use super::output::{Failure, Form, show};
 use super::terminal::Talk;
 use crate::eval::calibration::{Calibration, Case, summarise, summarise_spreads};
@@ -73,7 +73,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) 
         None => Vec::new(),
     };
     let output = OwnedFolder::open(&args.output, "tractrix calibrate", place)?;
-    use_threads(options.threads)?;
+    use_machine(&options)?;
     talk.ends_in_order();
     let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
     let setting = Setting {

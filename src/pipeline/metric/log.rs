@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use super::super::TelemetryChoice;
 use super::super::run::{Outcome, Run};
+use crate::limits::memory::MemoryLimit;
 use crate::telemetry::{self, Log, TelemetryError};
-use crate::video::{self, Kind};
+use crate::video::{self, Kind, VideoError};
 
 /// Where telemetry was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,9 +60,9 @@ pub(in crate::pipeline) fn beside(video: &Path) -> Vec<PathBuf> {
 pub(super) fn find(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
     let found = match &run.options.metric.telemetry {
         TelemetryChoice::None => None,
-        TelemetryChoice::File(path) => named(path, outcome),
+        TelemetryChoice::File(path) => named(path, run.options.memory(), outcome),
         TelemetryChoice::Auto if run.info().kind == Kind::Video => {
-            from_files(&beside(run.input()), outcome).or_else(|| inside(run.input(), outcome))
+            from_files(&beside(run.input()), run.options.memory(), outcome).or_else(|| inside(run.input(), outcome))
         }
         TelemetryChoice::Auto => photographs(run),
     };
@@ -71,8 +72,8 @@ pub(super) fn find(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
     found
 }
 
-fn named(path: &Path, outcome: &mut Outcome) -> Option<Telemetry> {
-    match telemetry::read(path) {
+fn named(path: &Path, memory: MemoryLimit, outcome: &mut Outcome) -> Option<Telemetry> {
+    match telemetry::read_within(path, memory) {
         Ok(log) => Some(Telemetry { log, path: path.to_owned(), origin: Origin::Named }),
         Err(error) => {
             outcome.warn(format!("telemetry gives no metres: {}", with_cause(&error)));
@@ -81,13 +82,19 @@ fn named(path: &Path, outcome: &mut Outcome) -> Option<Telemetry> {
     }
 }
 
-fn from_files(paths: &[PathBuf], outcome: &mut Outcome) -> Option<Telemetry> {
-    paths.iter().find_map(|path| match telemetry::read(path) {
+fn from_files(paths: &[PathBuf], memory: MemoryLimit, outcome: &mut Outcome) -> Option<Telemetry> {
+    paths.iter().find_map(|path| match telemetry::read_within(path, memory) {
         Ok(log) => Some(Telemetry { log, path: path.clone(), origin: Origin::Beside }),
         Err(error) => {
             let said = format!("a file beside the video is not taken for telemetry: {}", with_cause(&error));
-            tracing::info!("{said}");
-            outcome.note(said);
+            match error {
+                // It may well be telemetry.
+                TelemetryError::TooLarge { .. } | TelemetryError::TooMany { .. } => outcome.warn(said),
+                _ => {
+                    tracing::info!("{said}");
+                    outcome.note(said);
+                }
+            }
             None
         }
     })
@@ -110,7 +117,13 @@ fn inside(video: &Path, outcome: &mut Outcome) -> Option<Telemetry> {
 /// # Errors
 /// [`TelemetryError::NoFix`] where the track says something else.
 pub fn telemetry_inside(video: &Path) -> Option<Result<Log, TelemetryError>> {
-    let entries = video::subtitles(video).ok().filter(|entries| !entries.is_empty())?;
+    let entries = match video::subtitles(video) {
+        Err(VideoError::TextTooLarge { path, limit }) => {
+            let (size_mib, most_mib) = (limit >> 20, limit >> 20);
+            return Some(Err(TelemetryError::TooLarge { path, size_mib, most_mib }));
+        }
+        other => other.ok().filter(|entries| !entries.is_empty())?,
+    };
     let numbered = (1..).zip(&entries);
     let subtitles: Vec<telemetry::Subtitle> = numbered
         .map(|(line, entry)| telemetry::Subtitle {
@@ -185,7 +198,7 @@ mod tests {
         fs::write(path("a.srt"), "1\n00:00:00,000 --> 00:00:01,000\nHello\n").unwrap();
         fs::write(path("a.csv"), "time,latitude,longitude\n0,47.1,8.5\n1,47.2,8.5\n").unwrap();
         let mut outcome = Outcome::default();
-        let found = from_files(&[path("a.srt"), path("a.csv")], &mut outcome).unwrap();
+        let found = from_files(&[path("a.srt"), path("a.csv")], MemoryLimit::of_machine(), &mut outcome).unwrap();
         assert_eq!((found.path, found.log.fixes.len(), found.origin), (path("a.csv"), 2, Origin::Beside));
         assert!(outcome.warnings.len() == 1 && outcome.warnings[0].contains("a.srt"), "{:?}", outcome.warnings);
     }

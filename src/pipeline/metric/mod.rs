@@ -48,14 +48,13 @@ pub(super) fn depends_on(run: &Run) -> Value {
 /// [`PipelineError::Telemetry`] names the file and the cure.
 pub(super) fn check(options: &Options) -> Result<(), PipelineError> {
     match &options.metric.telemetry {
-        TelemetryChoice::File(path) => Ok(telemetry::read(path).map(drop)?),
+        TelemetryChoice::File(path) => Ok(telemetry::read_within(path, options.memory()).map(drop)?),
         TelemetryChoice::Auto | TelemetryChoice::None => Ok(()),
     }
 }
 
 pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    run.progress.begin("metric", None);
     let (background, _) = models::background(run)?;
     let trajectories = scale::in_units(run)?;
     let sizes = scale::sizes(run)?;
