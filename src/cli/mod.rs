@@ -30,13 +30,17 @@ mod summary;
 mod telemetry;
 mod terminal;
 
+use std::borrow::Cow;
 use std::ffi::OsString;
+use std::io::{self, Write};
 use std::process::ExitCode;
 
 use args::{Args, Command};
 use clap::Parser;
 use output::{Failure, Form};
 use terminal::{Talk, Verbosity};
+
+use crate::limits::text::printable;
 
 /// Runs the program on the arguments of the process.
 pub fn main() -> ExitCode {
@@ -67,7 +71,11 @@ fn ended(failure: &Failure, args: &Args) -> ExitCode {
 
 /// Help and version count as done, anything else as wrong use; clap says which.
 fn not_parsed(error: &clap::Error, arguments: &[OsString]) -> ExitCode {
-    let _ = error.print();
+    let text = error.render().to_string();
+    match printable(&text) {
+        Cow::Borrowed(_) => drop(error.print()),
+        Cow::Owned(spelled) => drop(io::stderr().write_all(spelled.as_bytes())),
+    }
     let wants_json = arguments.iter().take_while(|argument| *argument != "--").any(|argument| argument == "--json");
     if wants_json && error.use_stderr() {
         let failure = Failure::Usage(error.render().to_string().trim().to_owned());

@@ -1,13 +1,14 @@
 //! What leaves the program: results on stdout, in the form that was asked for, and failures with their exit code.
 
 use std::fmt;
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
 
 use serde_json::{Value, json};
 
 use super::stop::{Signal, TRY_AGAIN};
 use crate::export::ExportError;
 use crate::io::FolderError;
+use crate::limits::text::printable;
 use crate::pipeline::PipelineError;
 
 /// Why a command ends without having done what was asked.
@@ -131,16 +132,52 @@ pub(super) fn show(form: Form, value: &impl serde::Serialize, text: impl FnOnce(
 
 /// Prints to stdout. A reader that has gone away (`| head`) is no failure.
 pub(super) fn print(text: &str) -> Result<(), Failure> {
-    let mut stdout = io::stdout().lock();
-    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error.into()),
-        _ => Ok(()),
+    print_all(std::iter::once(Ok(text)))
+}
+
+/// As [`print()`], piece by piece.
+pub(super) fn print_all<T: AsRef<str>>(texts: impl IntoIterator<Item = Result<T, Failure>>) -> Result<(), Failure> {
+    let mut stdout = BufWriter::new(io::stdout().lock());
+    for text in texts {
+        if !is_taken(stdout.write_all(printable(text?.as_ref()).as_bytes()))? {
+            return Ok(());
+        }
+    }
+    is_taken(stdout.flush()).map(drop)
+}
+
+/// Whether a reader of stdout has taken it; a reader that has gone away takes nothing more.
+fn is_taken(written: io::Result<()>) -> Result<bool, Failure> {
+    match written {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// Writes JSON without control characters: `serde_json` leaves some in texts, which it writes piece by piece, each of
+/// whole characters.
+struct Printable<W>(W);
+
+impl<W: Write> Write for Printable<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match std::str::from_utf8(bytes) {
+            Ok(text) => self.0.write_all(printable(text).as_bytes())?,
+            Err(_) => self.0.write_all(bytes)?,
+        }
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.flush()
     }
 }
 
 /// Prints a value as indented JSON.
 pub(super) fn print_json(value: &impl serde::Serialize) -> Result<(), Failure> {
-    print(&(serde_json::to_string_pretty(value)? + "\n"))
+    let mut stdout = Printable(BufWriter::new(io::stdout().lock()));
+    let written = serde_json::to_writer_pretty(&mut stdout, value).map_err(io::Error::from);
+    is_taken(written.and_then(|()| stdout.write_all(b"\n")).and_then(|()| stdout.flush())).map(drop)
 }
 
 #[cfg(test)]
@@ -165,6 +202,15 @@ mod tests {
             failure.to_string().ends_with("make room there, and the same command goes on where it was"),
             "{failure}"
         );
+    }
+
+    #[test]
+    fn json_has_no_control_characters_and_reads_back() {
+        let mut written = Printable(Vec::new());
+        serde_json::to_writer_pretty(&mut written, &json!({ "a\u{9b}": ["\u{1b}[2J", "é\u{7f}"] })).unwrap();
+        let text = String::from_utf8(written.0).unwrap();
+        assert!(!text.chars().any(|letter| letter.is_control() && letter != '\n'), "{text}");
+        assert_eq!(serde_json::from_str::<Value>(&text).unwrap()["a\u{9b}"][1], "é\u{7f}");
     }
 
     #[test]

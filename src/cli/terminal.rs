@@ -15,6 +15,7 @@ use super::course::{Course, Event, Moment};
 use super::forecast::in_words;
 use super::output::{Failure, Form};
 use super::stop::{Signal, Stop};
+use crate::limits::text::printable;
 use crate::pipeline::{Plan, Progress};
 
 /// The environment variable that sets what is logged, in `tracing`'s filter language.
@@ -171,7 +172,8 @@ fn start_logging(voice: Voice, verbosity: Verbosity) {
     let with_colours = io::stderr().is_terminal() && voice.shown != Shown::Json;
     let subscriber = tracing_subscriber::fmt().with_env_filter(filter).with_writer(voice).with_target(false);
     // Only a second start in one process fails, and then the first one's settings hold.
-    let _ = subscriber.without_time().with_ansi(with_colours).try_init();
+    // What cannot be written must not be reported either: that panics where stderr is gone.
+    let _ = subscriber.without_time().with_ansi(with_colours).log_internal_errors(false).try_init();
 }
 
 /// Says how far the stage under way is, again and again, until the sender is gone.
@@ -242,7 +244,7 @@ struct Voice {
 impl Voice {
     fn line(&self, line: &str) {
         self.bar.suspend(|| {
-            let _ = writeln!(io::stderr().lock(), "{line}");
+            let _ = writeln!(io::stderr().lock(), "{}", printable(line));
         });
     }
 
@@ -307,7 +309,9 @@ impl Write for Voice {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match self.shown {
             Shown::Json => self.say("message", String::from_utf8_lossy(bytes).trim()),
-            _ => self.bar.suspend(|| io::stderr().write_all(bytes))?,
+            _ => {
+                let _ = self.bar.suspend(|| io::stderr().write_all(bytes));
+            }
         }
         Ok(bytes.len())
     }

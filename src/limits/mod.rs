@@ -1,5 +1,5 @@
 //! What may come from outside: limits of options, with errors that name the option, which files are opened ([`files`]),
-//! and how much memory may be taken ([`memory`]).
+//! how much memory may be taken ([`memory`]), and which letters are shown ([`text`]).
 //!
 //! A room checks its own options with these and names each by its key. Whoever nests the options of others puts the key
 //! before which they stand ([`under`]), so that an error names the whole path in the tree of options.
@@ -8,6 +8,7 @@ pub mod files;
 pub mod memory;
 #[cfg(test)]
 pub(crate) mod testing;
+pub mod text;
 
 use std::fmt::Debug;
 use std::ops::RangeInclusive;

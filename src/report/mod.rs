@@ -86,6 +86,8 @@ fn write_page(path: &Path, text: &str) -> Result<(), ReportError> {
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let mut file = builder.prefix(".report-").suffix(".part").tempfile_in(folder).map_err(failed)?;
+    // HTML has no control characters; names of files can.
+    let text = text.replace(|letter: char| letter.is_control() && !matches!(letter, '\n' | '\t' | '\r'), "\u{fffd}");
     std::io::Write::write_all(&mut file, text.as_bytes()).map_err(failed)?;
     file.as_file().sync_all().map_err(failed)?;
     file.persist(path).map_err(|e| failed(e.error))?;
