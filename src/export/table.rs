@@ -265,14 +265,20 @@ fn write(path: &Path, columns: &[&str], rows: impl Iterator<Item = Vec<String>>)
     Ok(atomic::write(path, &text)?)
 }
 
-/// A table as text.
+/// A table as text. Texts that a spreadsheet would take for a formula begin with an apostrophe.
 pub(super) fn text(columns: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Result<Vec<u8>, csv::Error> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(columns)?;
     for row in rows {
-        writer.write_record(row)?;
+        writer.write_record(row.into_iter().map(without_formula))?;
     }
     writer.into_inner().map_err(|error| error.into_error().into())
+}
+
+/// A cell that no spreadsheet computes. Numbers stay as they are.
+fn without_formula(cell: String) -> String {
+    let is_formula = cell.starts_with(['=', '+', '-', '@', '\t', '\r', '\n']) && cell.parse::<f64>().is_err();
+    if is_formula { format!("'{cell}") } else { cell }
 }
 
 #[cfg(test)]
@@ -335,5 +341,20 @@ mod tests {
         assert!(cell(&rows[0], "speed_units_s").parse::<f64>().unwrap() > 0.0);
         assert_eq!(cell(&read(camera, &results)[0], "x_m"), "");
         assert_eq!(cell(&read(vehicles, &results)[0], "metres_verdict"), "");
+    }
+
+    #[test]
+    fn texts_are_no_formulas_and_numbers_stay() {
+        let cells =
+            ["=1+1", "+cmd|' /C calc'!A0", "-2+3.jpg", "@SUM(1)", "\t=1", "-2.5", "-1e-7", "+4", "", "a=b", "'"];
+        let row = || cells.map(str::to_owned).to_vec();
+        let written = text(&cells, std::iter::once(row())).unwrap();
+        let read: Vec<String> = ::csv::Reader::from_reader(&written[..])
+            .records()
+            .flat_map(|record| record.unwrap().iter().map(str::to_owned).collect::<Vec<_>>())
+            .collect();
+        let quoted = ["'=1+1", "'+cmd|' /C calc'!A0", "'-2+3.jpg", "'@SUM(1)", "'\t=1"];
+        assert_eq!(read[..5], quoted);
+        assert_eq!(read[5..], cells[5..]);
     }
 }
