@@ -539,6 +539,22 @@ fn progress_is_shown_as_it_is_asked_for() {
 }
 
 #[test]
+fn every_stage_is_announced_and_no_count_exceeds_its_total() {
+    let folder = TempDir::new().unwrap();
+    drive::write(folder.path(), 12);
+    let mut command = tractrix();
+    command.arg("run").arg(folder.path().join("images")).arg("--masks").arg(folder.path().join("masks"));
+    command.arg("--output").arg(folder.path().join("out")).args(["--intrinsics", &drive::intrinsics(), "--fps", "12"]);
+    let (code, _, stderr) = outcome(command.args(["--progress", "json"]));
+    assert_eq!(code, 0, "{stderr}");
+    let lines: Vec<serde_json::Value> = stderr.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let begun = lines.iter().filter(|line| line["event"] == "begins").filter_map(|line| line["index"].as_u64());
+    assert_eq!(begun.collect::<Vec<_>>(), (1..=12).collect::<Vec<_>>());
+    let is_over = |line: &serde_json::Value| line["done"].as_u64() > line["total"].as_u64().or(Some(u64::MAX));
+    assert!(!lines.iter().any(is_over), "{stderr}");
+}
+
+#[test]
 fn a_run_that_is_stopped_says_how_it_goes_on() {
     let folder = TempDir::new().unwrap();
     drive::write(folder.path(), 24);

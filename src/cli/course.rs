@@ -20,6 +20,9 @@ struct Current {
     /// `None` for what comes before the first stage.
     stage: Option<Stage>,
     started: Instant,
+    /// Begin of the part under way, and its last step.
+    part_started: Instant,
+    stepped: Instant,
     done: u64,
     total: Option<u64>,
 }
@@ -69,11 +72,13 @@ impl Course {
     /// A stage begins, or its next part does.
     pub(super) fn begin(&mut self, name: &str, total: Option<u64>) -> Option<Moment> {
         let is_new = self.current.as_ref().is_none_or(|current| current.name != name);
+        let now = Instant::now();
         let started = match &self.current {
             Some(current) if !is_new => current.started,
-            _ => Instant::now(),
+            _ => now,
         };
-        self.current = Some(Current { name: name.to_owned(), stage: Stage::named(name), started, done: 0, total });
+        let (part_started, stepped, stage) = (now, now, Stage::named(name));
+        self.current = Some(Current { name: name.to_owned(), stage, started, part_started, stepped, done: 0, total });
         self.moment(if is_new { Event::Begins } else { Event::GoesOn })
     }
 
@@ -82,10 +87,13 @@ impl Course {
         self.reach(done + 1)
     }
 
-    /// So many steps are done, or more were before; gives how many.
+    /// So many steps are done, or more were before, and never more than there are; gives how many.
     pub(super) fn reach(&mut self, done: u64) -> u64 {
         let Some(current) = &mut self.current else { return done };
-        current.done = current.done.max(done);
+        let done = done.min(current.total.unwrap_or(u64::MAX));
+        if done > current.done {
+            (current.done, current.stepped) = (done, Instant::now());
+        }
         current.done
     }
 
@@ -116,7 +124,9 @@ impl Course {
         let current = self.current.as_ref()?;
         let share = current.total.filter(|total| *total > 0).map(|total| current.done as f64 / total as f64);
         let elapsed_s = current.started.elapsed().as_secs_f64();
-        let left_s = |stage| self.forecast.left_s(&Position { stage, elapsed_s, share });
+        let before_s = (current.part_started - current.started).as_secs_f64();
+        let part_s = (current.stepped - current.part_started).as_secs_f64();
+        let left_s = |stage| self.forecast.left_s(&Position { stage, elapsed_s, before_s, part_s, share });
         Some(Moment {
             name: current.name.clone(),
             event,
@@ -213,5 +223,8 @@ mod tests {
         let mut course = course();
         course.begin("segment", None);
         assert_eq!(course.begin("segment", Some(3)).unwrap().event, Event::GoesOn);
+        assert_eq!((course.reach(2), course.step(), course.step(), course.reach(146)), (2, 3, 3, 3));
+        let moment = course.begin("segment", Some(2)).unwrap();
+        assert_eq!((moment.event, moment.done, moment.total), (Event::GoesOn, 0, Some(2)));
     }
 }

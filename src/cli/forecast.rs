@@ -1,9 +1,11 @@
 //! How long a run has still to go.
 //!
 //! Every stage has an expected time. How much longer or shorter than that the finished stages took sets the pace, and
-//! the stage under way is judged by its own steps as well: of `T` elapsed seconds at the share `f` of its steps, with
-//! the expectation `P`, its whole time is `(C P + T) / (C + f)`. At the beginning that is the expectation, at the end
-//! what it took, and in between one slow step cannot make it explode, as the plain `T / f` does.
+//! the stage under way is judged by its own steps as well: `T` seconds after its begin at the share `f` of its steps,
+//! with the expectation `P`, its whole time is `(C P + T) / (C + f)`. At the beginning that is the expectation, at the
+//! end what it took, and in between one slow step cannot make it explode, as the plain `T / f` does. Between two steps
+//! nothing is learned, and the rest counts down. A stage of several parts is judged by the part under way, for which
+//! there is what the earlier parts left of `P`.
 
 use crate::pipeline::{Plan, Stage};
 
@@ -29,7 +31,11 @@ pub(super) struct Position {
     pub(super) stage: Stage,
     /// Seconds since it began.
     pub(super) elapsed_s: f64,
-    /// Share of its steps that is done, where they are known.
+    /// Seconds of its earlier parts.
+    pub(super) before_s: f64,
+    /// Seconds from the begin of the part under way to its last step.
+    pub(super) part_s: f64,
+    /// Share of the steps of this part that is done, where they are known.
     pub(super) share: Option<f64>,
 }
 
@@ -69,10 +75,14 @@ impl Forecast {
 }
 
 fn left_of_stage_s(expected_s: f64, position: &Position) -> f64 {
-    match position.share {
-        Some(share) => (EXPECTATION * expected_s + position.elapsed_s) / (EXPECTATION + share) * (1.0 - share).max(0.0),
-        None => (expected_s - position.elapsed_s).max(0.0),
-    }
+    let Position { elapsed_s, before_s, part_s, share, .. } = *position;
+    let Some(share) = share else { return (expected_s - elapsed_s).max(0.0) };
+    let rest_s = (expected_s - before_s).max(0.0);
+    // Where nothing is left of the expectation, the steps alone count.
+    let weight = if rest_s > 0.0 { EXPECTATION } else { 0.0 };
+    let whole_s = if weight + share > 0.0 { (weight * rest_s + part_s) / (weight + share) } else { 0.0 };
+    let since_step_s = elapsed_s - before_s - part_s;
+    (whole_s * (1.0 - share) - since_step_s).max(0.0)
 }
 
 /// A time that is left, in words, as coarse as it is known.
@@ -99,7 +109,28 @@ mod tests {
     }
 
     fn at(stage: Stage, elapsed_s: f64, share: f64) -> Position {
-        Position { stage, elapsed_s, share: Some(share) }
+        Position { stage, elapsed_s, before_s: 0.0, part_s: elapsed_s, share: Some(share) }
+    }
+
+    #[test]
+    fn without_a_step_the_rest_counts_down_and_never_rises() {
+        let forecast = forecast();
+        let left_s = |elapsed_s| {
+            let waiting = Position { elapsed_s, part_s: 0.0, ..at(Stage::Segment, 0.0, 0.0) };
+            forecast.left_s(&waiting).unwrap()
+        };
+        assert_eq!((left_s(0.0), left_s(10.0), left_s(60.0), left_s(300.0)), (100.0, 90.0, 40.0, 40.0));
+    }
+
+    #[test]
+    fn the_next_part_has_what_is_left_of_the_expectation() {
+        let forecast = forecast();
+        let part = |before_s, part_s, share| {
+            let elapsed_s = before_s + part_s;
+            forecast.left_s(&Position { stage: Stage::Segment, elapsed_s, before_s, part_s, share: Some(share) })
+        };
+        assert_eq!((part(20.0, 0.0, 0.0), part(20.0, 20.0, 0.5)), (Some(80.0), Some(60.0)));
+        assert_eq!((part(70.0, 0.0, 0.0), part(70.0, 5.0, 0.5)), (Some(40.0), Some(45.0)));
     }
 
     #[test]

@@ -18,6 +18,7 @@ use super::workspace::Workspace;
 use super::{Instances, Options, PipelineError, Stage, TelemetryChoice, fingerprint, metric};
 use crate::ffi::onnx;
 use crate::io::RunFolder;
+use crate::limits::files;
 use crate::perception::default_models;
 
 /// The record's file, in the folder for the run's own state.
@@ -37,8 +38,11 @@ pub struct Identity {
 /// How a run ended.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ended {
-    /// What it was made from.
+    /// Hashes of everything that it was made from.
     pub of: Identity,
+    /// Its options as JSON, so that single ones can be compared; `null` in records of older programs.
+    #[serde(default)]
+    pub options: Value,
     /// Why it has no result, where that is so.
     pub failure: Option<Failed>,
 }
@@ -61,8 +65,8 @@ pub enum Standing {
     Running,
     /// All is done, from this input and with these options.
     Done,
-    /// All is done, but with other options, or the input has changed since, or was copied.
-    Outdated,
+    /// All is done, but from something else; says from what.
+    Outdated(String),
     /// The last run failed, and would again.
     Failed(Failed),
     /// Something was begun and did not come to its end.
@@ -118,18 +122,83 @@ fn of_state(state: &Metadata) -> Value {
 }
 
 impl Ended {
+    /// The record of a run of `options` that was made from `of`.
+    pub fn new(of: Identity, options: &Options, failure: Option<Failed>) -> Self {
+        Self { of, options: json!(options), failure }
+    }
+
     /// How the last run of an output folder ended, if that is known.
     pub fn of_folder(output: &Path) -> Option<Self> {
-        serde_json::from_slice(&fs::read(record(output)).ok()?).ok()
+        serde_json::from_slice(&files::read(&record(output)).ok()?).ok()
+    }
+
+    /// Compares the input, the options and the program with those of the record.
+    ///
+    /// # Errors
+    /// The difference, for people.
+    fn compare(&self, input: &Path, options: &Options) -> Result<(), String> {
+        let now = Identity::of(input, options);
+        if now.options != self.of.options {
+            let recorded = self.recorded_options();
+            let keys = recorded.as_ref().map_or_else(Vec::new, |recorded| recorded.differing(options));
+            return Err(recorded.filter(|_| !keys.is_empty()).map_or_else(
+                || "made by another version of the program or with other networks".to_owned(),
+                |recorded| other_options(&keys, &recorded, options),
+            ));
+        }
+        // Who has the results may have given the input away.
+        match now.files == self.of.files || is_gone(input) {
+            true => Ok(()),
+            false => Err("the input, or another file that the run reads, has changed".to_owned()),
+        }
+    }
+
+    /// As [`Self::compare`], with the given options alone: those that `lay_over` changes.
+    ///
+    /// # Errors
+    /// As [`Self::compare`]; the reason why `lay_over` fails.
+    fn compare_given(&self, lay_over: impl Fn(Options) -> Result<(PathBuf, Options), String>) -> Result<(), String> {
+        let (input, asked) = lay_over(Options::default())?;
+        let Some(recorded) = self.recorded_options() else { return self.compare(&input, &asked) };
+        let (input, over_recorded) = lay_over(recorded.clone())?;
+        // Lists grow by what is laid over them: over the default there are the given values alone.
+        let is_other = |key: &String| asked.value(key) != recorded.value(key);
+        let keys: Vec<String> = recorded.differing(&over_recorded).into_iter().filter(is_other).collect();
+        match keys.is_empty() {
+            true => self.compare(&input, &recorded),
+            false => Err(other_options(&keys, &recorded, &asked)),
+        }
+    }
+
+    /// Whether the run read this input, and neither it nor another file that it read has changed.
+    pub(super) fn is_of_files(&self, input: &Path) -> bool {
+        self.recorded_options().is_some_and(|options| Identity::of(input, &options).files == self.of.files)
+    }
+
+    fn recorded_options(&self) -> Option<Options> {
+        (!self.options.is_null()).then(|| Options::deserialize(&self.options).ok()).flatten()
     }
 
     /// Leaves word in an output folder that a run failed, so that whoever collects results knows why.
     ///
     /// # Errors
     /// [`PipelineError`] if the folder is not a run's own, or another process is at work there.
-    pub fn note_failure(output: &Path, of: Identity, failed: Failed) -> Result<(), PipelineError> {
-        Workspace::open(output)?.set_ended(&Self { of, failure: Some(failed) })
+    pub fn note_failure(output: &Path, of: Identity, options: &Options, failed: Failed) -> Result<(), PipelineError> {
+        Workspace::open(output)?.set_ended(&Self::new(of, options, Some(failed)))
     }
+}
+
+/// Names options that differ, with the value of the results and that which is asked for.
+fn other_options(keys: &[String], recorded: &Options, asked: &Options) -> String {
+    /// More would not fit on a line.
+    const SHOWN: usize = 3;
+    let one = |key: &String| format!("{key} is {} in the results, {} is given", recorded.value(key), asked.value(key));
+    let shown: Vec<String> = keys.iter().take(SHOWN).map(one).collect();
+    let more = match keys.len().saturating_sub(SHOWN) {
+        0 => String::new(),
+        more => format!("; {more} more"),
+    };
+    format!("options differ: {}{more}", shown.join("; "))
 }
 
 impl Workspace {
@@ -148,23 +217,37 @@ impl Workspace {
 ///
 /// Reads the record and looks whether results are there; does not read the input, and changes nothing.
 pub fn standing(output: &Path, input: &Path, options: &Options) -> Standing {
-    if !output.join(RunFolder::STATE).is_dir() {
+    judge(output, |ended| ended.compare(input, options))
+}
+
+/// As [`standing`], for a run of which some options are given: the others are those of the last run.
+///
+/// * `lay_over` – gives the input, and some options with the given ones instead.
+pub fn standing_of_given(output: &Path, lay_over: impl Fn(Options) -> Result<(PathBuf, Options), String>) -> Standing {
+    judge(output, |ended| ended.compare_given(lay_over))
+}
+
+fn judge(output: &Path, compare: impl FnOnce(&Ended) -> Result<(), String>) -> Standing {
+    if !is_begun(output) {
         return Standing::Absent;
     }
     if Workspace::is_busy(output) {
         return Standing::Running;
     }
-    let Some(ended) = Ended::of_folder(output) else { return Standing::Begun };
-    let now = Identity::of(input, options);
-    // Who has the results may have given the input away.
-    let is_same = ended.of == now || (ended.of.options == now.options && is_gone(input));
-    match ended.failure {
-        Some(failed) if is_same => Standing::Failed(failed),
-        Some(_) => Standing::Begun,
-        None if !has_results(output) => Standing::Begun,
-        None if is_same => Standing::Done,
-        None => Standing::Outdated,
+    let Some(mut ended) = Ended::of_folder(output) else { return Standing::Begun };
+    let failure = ended.failure.take();
+    match (failure, compare(&ended)) {
+        (Some(failed), Ok(())) => Standing::Failed(failed),
+        (Some(_), Err(_)) => Standing::Begun,
+        (None, _) if !has_results(output) => Standing::Begun,
+        (None, Ok(())) => Standing::Done,
+        (None, Err(difference)) => Standing::Outdated(difference),
     }
+}
+
+/// Whether a run was ever begun in a folder.
+pub fn is_begun(output: &Path) -> bool {
+    output.join(RunFolder::STATE).is_dir()
 }
 
 fn is_gone(input: &Path) -> bool {
@@ -241,7 +324,7 @@ mod tests {
         let (output, options) = (folder.path().join("out"), without_vehicles());
         assert_eq!(standing(&output, &input, &options), Standing::Absent);
         let failed = Failed { code: 1, reason: "a.mp4 is no video".to_owned() };
-        Ended::note_failure(&output, Identity::of(&input, &options), failed.clone()).unwrap();
+        Ended::note_failure(&output, Identity::of(&input, &options), &options, failed.clone()).unwrap();
         assert_eq!(standing(&output, &input, &options), Standing::Failed(failed));
         fs::write(&input, b"a repaired video").unwrap();
         assert_eq!(standing(&output, &input, &options), Standing::Begun);
@@ -254,9 +337,42 @@ mod tests {
         let (folder, input) = place();
         let (output, options) = (folder.path().join("out"), without_vehicles());
         let workspace = Workspace::open(&output).unwrap();
-        workspace.set_ended(&Ended { of: Identity::of(&input, &options), failure: None }).unwrap();
+        workspace.set_ended(&Ended::new(Identity::of(&input, &options), &options, None)).unwrap();
         assert_eq!(standing(&output, &input, &options), Standing::Running);
         drop(workspace);
         assert_eq!(standing(&output, &input, &options), Standing::Begun);
+    }
+
+    #[test]
+    fn only_given_options_are_compared_and_the_one_that_differs_is_named() {
+        let (_folder, input) = place();
+        let of_run = Options { seed: 3, threads: Some(2), ..without_vehicles() };
+        let ended = Ended::new(Identity::of(&input, &of_run), &of_run, None);
+        let with = |seed: Option<u64>| {
+            let input = input.clone();
+            ended.compare_given(move |options| {
+                Ok((input.clone(), Options { seed: seed.unwrap_or(options.seed), ..options }))
+            })
+        };
+        assert_eq!((with(None), with(Some(3))), (Ok(()), Ok(())));
+        assert_eq!(with(Some(0)), Err("options differ: seed is 3 in the results, 0 is given".to_owned()));
+        let asked = ended.compare(&input, &without_vehicles()).unwrap_err();
+        assert_eq!(asked, "options differ: seed is 3 in the results, 0 is given");
+        fs::write(&input, b"other pictures").unwrap();
+        assert!(with(None).unwrap_err().contains("has changed"));
+    }
+
+    #[test]
+    fn values_that_are_collected_in_a_list_are_compared_as_given() {
+        let (_folder, input) = place();
+        let with = |mut options: Options, length: &str| {
+            options.metric.known_lengths.push(length.parse().unwrap());
+            options
+        };
+        let of_run = with(without_vehicles(), "1:length=4.47");
+        let ended = Ended::new(Identity::of(&input, &of_run), &of_run, None);
+        let compared = |length: &str| ended.compare_given(|options| Ok((input.clone(), with(options, length))));
+        assert_eq!(compared("1:length=4.47"), Ok(()));
+        assert!(compared("1:length=5").unwrap_err().contains("metric.known_lengths"));
     }
 }

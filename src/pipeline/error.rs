@@ -58,6 +58,18 @@ pub enum PipelineError {
         /// What the system says.
         source: io::Error,
     },
+    /// The file that `run.json` names is not the one from which the results were made.
+    #[error(
+        "{path}: not the input of the results in {output}, or changed since the run; nothing was read from it; \
+         `tractrix export --input FILE` names the right one",
+        path = path.display(), output = output.display()
+    )]
+    OtherInput {
+        /// The file.
+        path: PathBuf,
+        /// The output folder.
+        output: PathBuf,
+    },
     /// The input is more than memory holds.
     #[error(transparent)]
     Memory(#[from] TooMuch),

@@ -87,16 +87,21 @@ fn follow_background(run: &Run, beside: &mut Beside, outcome: &mut Outcome) -> R
     let initial = initial.into_iter().map(|initial| initial.camera).collect();
     let mut background = FrontEnd::of_cameras(&options.front_end, initial)?;
     let frames = run.frames()?;
-    run.progress.begin("features", Some(frames.len() as u64));
     let wanted = frames.iter().map(|frame| frame.id).collect();
     let mut num_decoded = 0u64;
-    pictures::for_each(run, run.source.frames_at(wanted)?, outcome, |frame, picture| {
-        let mask = masking.background(&frame, picture.dimensions())?;
-        let camera = camera_of.get(&frame.id).copied().unwrap_or_default();
-        num_decoded += 1;
-        beside.push(&frame, &picture)?;
-        Ok(background.push_of(camera, &frame, &picture, &mask)?)
-    })?;
+    pictures::for_each(
+        run,
+        Stage::Features,
+        (run.source.frames_at(wanted)?, frames.len()),
+        outcome,
+        |frame, picture| {
+            let mask = masking.background(&frame, picture.dimensions())?;
+            let camera = camera_of.get(&frame.id).copied().unwrap_or_default();
+            num_decoded += 1;
+            beside.push(&frame, &picture)?;
+            Ok(background.push_of(camera, &frame, &picture, &mask)?)
+        },
+    )?;
     if num_decoded == 0 {
         // No result, which later runs would take over: memory may have been short.
         return Err(VideoError::NoFrames { path: run.input().to_owned() }.into());
@@ -117,7 +122,7 @@ pub(super) struct TrackStore {
 impl TrackStore {
     /// For a stage at work; takes away what it left before for other options.
     pub(super) fn fresh(run: &Run, prefix: &str, fingerprint: &str) -> Result<Self, PipelineError> {
-        Ok(Self { folder: run.workspace.keep_only(prefix, &super::fingerprint::folder_name(prefix, fingerprint))? })
+        Ok(Self { folder: run.workspace.intermediate(prefix, fingerprint)? })
     }
 
     /// Of a stage that is done.

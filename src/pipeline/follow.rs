@@ -10,7 +10,7 @@ use super::{PipelineError, Stage, cameras, order, pictures, track};
 use crate::scene::ObjectId;
 use crate::sfm::{FrontEnd, TrackTable};
 
-const PREFIX: &str = "follow-";
+pub(super) const PREFIX: &str = "follow-";
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     let camera = cameras::first(run)?.camera;
@@ -39,8 +39,8 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let frames = run.frames()?;
     let visible = frames.iter().filter(|frame| objects.iter().any(|object| object.frames.contains(&frame.id)));
     let visible: std::collections::BTreeSet<_> = visible.map(|frame| frame.id).collect();
-    run.progress.begin("follow", Some(visible.len() as u64));
-    pictures::for_each(run, run.source.frames_at(visible)?, &mut outcome, |frame, picture| {
+    let frames = (run.source.frames_at(visible.clone())?, visible.len());
+    pictures::for_each(run, Stage::Follow, frames, &mut outcome, |frame, picture| {
         for (id, mask) in track::masks_of(run, &objects, &frame)? {
             if let Some(front_end) = front_ends.get_mut(&id) {
                 front_end.push(&frame, &picture, &mask)?;

@@ -71,8 +71,8 @@ pub(super) fn points(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<
         return own_file::read(&beside);
     }
     let mut follower = Follower::new(run);
-    run.progress.begin("motion", Some(run.frames()?.len() as u64));
-    pictures::for_each(run, run.source.frames()?, outcome, |frame, picture| follower.push(&frame, &picture))?;
+    let frames = (run.source.frames()?, run.frames()?.len());
+    pictures::for_each(run, Stage::Motion, frames, outcome, |frame, picture| follower.push(&frame, &picture))?;
     let followed = follower.finish();
     own_file::write(&folder.join(file_name(run)), &followed)?;
     Ok(followed)

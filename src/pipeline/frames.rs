@@ -13,7 +13,6 @@ pub(super) fn depends_on(run: &Run, input: &str) -> Value {
 }
 
 pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
-    run.progress.begin("frames", None);
     let scan = run.source.scan()?;
     let order = order::find(run, &scan.frames)?;
     let (frames, left_out) = match order.in_time {

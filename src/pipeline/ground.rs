@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::given_masks::MaskFolder;
 use super::run::{Outcome, Run};
-use super::{GroundLabels, PipelineError, fingerprint, models, objects, pictures};
+use super::{GroundLabels, PipelineError, Stage, fingerprint, models, objects, pictures};
 use crate::ground::{DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount, label_points};
 use crate::io::{RunFolder, masks};
 use crate::perception::{GroundSegmenter, load_ground_segmenter};
@@ -15,6 +15,8 @@ use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Re
 
 /// The name of the list of frames that have no plane, and why.
 const SKIPPED: &str = "ground-skipped.json";
+/// Prefix of the folder of masks that the user's network found.
+pub(super) const MASKS: &str = "ground-masks-";
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     let labels = match &run.options.ground_labels {
@@ -30,7 +32,6 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
 
 pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    run.progress.begin("ground", None);
     let (background, _) = models::background(run)?;
     let found = match background.is_empty() {
         true => Found::nothing(),
@@ -232,16 +233,15 @@ fn ground_masks(
     fingerprint: &str,
     outcome: &mut Outcome,
 ) -> Result<PathBuf, PipelineError> {
-    let name = fingerprint::folder_name("ground-masks-", fingerprint);
-    let folder = run.workspace.keep_only("ground-masks-", &name)?;
+    let folder = run.workspace.intermediate(MASKS, fingerprint)?;
     let mut segmenter = load(run, model)?;
     let registered: BTreeSet<&str> = background.images.values().map(|image| image.name.as_str()).collect();
     let is_open = |frame: &&Frame| {
         registered.contains(frame.name.as_str()) && !folder.join(RunFolder::mask_name(frame)).is_file()
     };
     let open: BTreeSet<FrameId> = run.frames()?.iter().filter(is_open).map(|frame| frame.id).collect();
-    run.progress.begin("ground", Some(open.len() as u64));
-    pictures::for_each(run, run.source.frames_at(open)?, outcome, |frame, picture| {
+    let frames = (run.source.frames_at(open.clone())?, open.len());
+    pictures::for_each(run, Stage::Ground, frames, outcome, |frame, picture| {
         Ok(masks::write_mask(&folder.join(RunFolder::mask_name(&frame)), &segmenter.ground_mask(&picture)?)?)
     })?;
     Ok(folder)

@@ -55,7 +55,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-pub use ended::{Ended, Failed, Identity, Standing, standing};
+pub use ended::{Ended, Failed, Identity, Standing, is_begun, standing, standing_of_given};
 pub use error::PipelineError;
 pub use evaluate::{Kept, evaluate, keep_evaluation};
 pub use found_features::found_features;
@@ -69,7 +69,7 @@ pub use options::{
 };
 use progress::Muted;
 pub use progress::{Plan, Planned, Progress, Silent};
-pub use reopen::{known_frames, reopen};
+pub use reopen::{arguments_of_run, known_frames, reopen};
 pub use report::link_exports;
 pub use run::StageRecord;
 pub use stage::Stage;
@@ -184,7 +184,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
 fn leave_record(job: &Job, workspace: &Workspace, of: Identity, summary: &Summary) -> Result<(), PipelineError> {
     let is_whole = job.goal == Stage::Report && summary.failure().is_none();
     match is_whole && Identity::of(job.input, job.options) == of {
-        true => workspace.set_ended(&Ended { of, failure: None }),
+        true => workspace.set_ended(&Ended::new(of, job.options, None)),
         false => Ok(()),
     }
 }
@@ -262,6 +262,19 @@ fn depends_on(run: &Run, stage: Stage, input: &str) -> Result<Value, PipelineErr
         Stage::Metric => metric::depends_on(run),
         Stage::Report => json!({ "arguments": run.arguments }),
     })
+}
+
+/// Prefixes of the folders in which a stage keeps intermediate files, by the options that it works with.
+fn intermediates(stage: Stage) -> &'static [&'static str] {
+    match stage {
+        Stage::Segment => &[segment::MASKS, segment::BOXES],
+        Stage::Features => &[features::PREFIX],
+        Stage::Motion => &[motion::PREFIX],
+        Stage::Track => &[track::ANSWERS],
+        Stage::Follow => &[follow::PREFIX],
+        Stage::Ground => &[ground::MASKS],
+        Stage::Frames | Stage::Background | Stage::Objects | Stage::Scale | Stage::Metric | Stage::Report => &[],
+    }
 }
 
 fn work(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, PipelineError> {

@@ -122,7 +122,6 @@ pub(super) fn with_model_files(mut depends_on: Value, run: &Run) -> Value {
 }
 
 pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
-    run.progress.begin("background", None);
     let mut outcome = Outcome::default();
     let (model, mut report) = match &run.options.background_model {
         Some(path) => given_models::read(path, Target::Background, run)?,

@@ -19,7 +19,7 @@ use crate::ground::dominant_plane_points;
 use crate::perception::motion::{GroundModel, Mover, PointTrack, Surroundings, TrackLabel, View, classify, movers};
 use crate::scene::{BoxDetection, Finder, Frame, FrameId, ImageId, Reconstruction};
 
-const PREFIX: &str = "motion-";
+pub(super) const PREFIX: &str = "motion-";
 const LABELS: &str = "labels.bin";
 /// What motion finds has no other name.
 const CLASS: &str = "vehicle";
@@ -55,7 +55,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     if !followed::is_wanted(run)? {
         return Ok(outcome);
     }
-    let folder = run.workspace.keep_only(PREFIX, &fingerprint::folder_name(PREFIX, fingerprint))?;
+    let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
     let Followed { frames, tracks } = followed::points(run, &folder, &mut outcome)?;
     // Of a long video the background takes as much room as what comes now.
     let world = World::new(run, &models::background(run)?.0, &frames, &mut outcome);

@@ -16,7 +16,7 @@ use super::given_models::{self, Target};
 use super::models::{self, ModelReport};
 use super::run::{Outcome, Run};
 use super::track;
-use super::{PipelineError, follow, order};
+use super::{PipelineError, Stage, follow, order};
 use crate::camera::Camera;
 use crate::io::colmap;
 use crate::scene::{BoundingBox, Frame, Image, ImageId, Mask, ObjectId, Reconstruction, TrackedObject};
@@ -58,7 +58,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let place = Place { camera, footing: Footing::new(run, &background) };
     // The frames of every object, and then all frames once more for the masks.
     let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
-    run.progress.begin("objects", Some((num_views + run.frames()?.len()) as u64));
+    run.progress.begin("objects", Some(num_views as u64));
     let mut markers = BTreeMap::new();
     let mut num_done = 0;
     for object in wanted {
@@ -290,6 +290,7 @@ fn vote(
         return Ok(());
     }
     let frames = run.frames()?;
+    run.progress.begin(Stage::Objects.name(), Some(frames.len() as u64));
     for frame in frames {
         run.step()?;
         let image = ImageId::from(frame.id);

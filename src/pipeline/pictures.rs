@@ -2,23 +2,27 @@
 
 use ::image::RgbImage;
 
-use super::PipelineError;
 use super::run::{Outcome, Run};
+use super::{PipelineError, Stage};
 use crate::scene::Frame;
 use crate::video::Frames;
 
-/// Hands every picture to `work`, each a step of the stage's progress. A frame that cannot be decoded is left out, and
+/// Hands every picture to `work`, as a part of a stage's progress with a step each. A frame that cannot be decoded is left out, and
 /// the first stage that meets it says so.
+///
+/// * `frames` – with their number.
 ///
 /// # Errors
 /// What `work` says; that the machine is at fault where a frame cannot be decoded: what comes of that must not be taken
 /// for a result by the next run.
 pub(super) fn for_each(
     run: &Run,
-    frames: Frames,
+    stage: Stage,
+    (frames, number): (Frames, usize),
     outcome: &mut Outcome,
     mut work: impl FnMut(Frame, RgbImage) -> Result<(), PipelineError>,
 ) -> Result<(), PipelineError> {
+    run.progress.begin(stage.name(), Some(number as u64));
     for item in frames {
         match item {
             Ok((frame, picture)) => work(frame, picture)?,

@@ -7,7 +7,8 @@ use crate::video::{self, Info, Position};
 pub trait Progress: Sync {
     /// What is about to be done; before the first stage.
     fn plan(&self, _: &Plan) {}
-    /// A stage begins, with `total` steps where that is known. `input` is read before the first one.
+    /// A stage begins, with `total` steps where that is known; the same name again begins its next part, whose steps
+    /// are counted from 0. `input` is read before the first stage.
     fn begin(&self, stage: &str, total: Option<u64>);
     /// Another step is done.
     fn step(&self);

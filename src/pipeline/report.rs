@@ -7,6 +7,7 @@ use serde::Deserialize;
 
 use super::models::{self, ModelReport};
 use super::options::CameraOrigin;
+use super::reopen::check_input;
 use super::run::{Outcome, Run};
 use super::{Options, PipelineError, Silent, Workspace, cameras, ground, objects, scale, strip, track};
 use crate::eval::Evaluation;
@@ -23,6 +24,7 @@ use crate::video::Kind;
 pub(super) fn renew(workspace: &Workspace) -> Result<(), PipelineError> {
     let told: Told = json::read(&workspace.run_json())?;
     let input = workspace.claimed_by().map_or(told.input.path, |input| input.path);
+    check_input(workspace.root(), &input)?;
     let source = cameras::open(&input, &told.options)?;
     let mut run = Run::new(&told.options, workspace, &source, &told.arguments, &Silent);
     run.recall();
@@ -51,7 +53,6 @@ struct ToldInput {
 }
 
 pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
-    run.progress.begin("report", None);
     let frames = run.frames()?;
     let tracked = track::objects(run)?;
     let (background, background_report) = models::background(run)?;

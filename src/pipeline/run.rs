@@ -145,14 +145,19 @@ impl<'a> Run<'a> {
             self.say_what_is_done_anew(stage);
         }
         self.workspace.clear_marker(stage)?;
+        for prefix in super::intermediates(stage) {
+            self.workspace.remove_intermediate(prefix, &fingerprint)?;
+        }
+        self.progress.begin(stage.name(), None);
         let meter = Meter::start();
         let outcome = work(self, &fingerprint);
         self.progress.end();
         let Outcome { warnings, figures, outputs } = outcome?;
         let cost = meter.read();
         memory::give_back();
-        let outputs =
-            outputs.iter().map(|path| path.strip_prefix(self.workspace.root()).unwrap_or(path).to_owned()).collect();
+        // A folder into which a stage puts no file is not there: nothing of the result hangs on it.
+        let outputs = outputs.iter().filter(|path| path.exists());
+        let outputs = outputs.map(|path| path.strip_prefix(self.workspace.root()).unwrap_or(path).to_owned()).collect();
         let marker = Marker { fingerprint, cost, warnings, figures, outputs };
         self.workspace.set_marker(stage, &marker)?;
         self.records.push(StageRecord { stage, marker, reused: false });

@@ -32,7 +32,6 @@ pub(super) fn depends_on(run: &Run) -> Value {
 
 pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    run.progress.begin("scale", None);
     let (background, _) = models::background(run)?;
     let reports = objects::reports(run)?;
     clear(run, &reports)?;

@@ -16,8 +16,8 @@ use crate::scene::{BoxDetection, Frame, FrameId};
 /// The boxes of a run, by frame.
 pub(super) type BoxFolder = FrameFolder<BoxDetection>;
 
-const MASKS: &str = "detections-";
-const BOXES: &str = "boxes-";
+pub(super) const MASKS: &str = "detections-";
+pub(super) const BOXES: &str = "boxes-";
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     Ok(match &run.options.instances {
@@ -65,12 +65,13 @@ pub(super) fn load(run: &Run, model: &Path) -> Result<Box<dyn Segmenter>, Pipeli
 
 fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let path = run.workspace.keep_only(MASKS, &fingerprint::folder_name(MASKS, fingerprint))?;
+    let path = run.workspace.intermediate(MASKS, fingerprint)?;
     let store = masks_in(run, path.clone());
     let mut segmenter = load(run, model)?;
-    let Split { open, done } = split(run, run.frames()?.iter(), |frame| store.has(frame));
+    let Split { open, done } = split(run.frames()?.iter(), |frame| store.has(frame));
     let mut found = done.iter().map(|frame| store.count(*frame)).sum::<Result<u64, _>>()?;
-    pictures::for_each(run, run.source.frames_at(open)?, &mut outcome, |frame, picture| {
+    let frames = (run.source.frames_at(open.clone())?, open.len());
+    pictures::for_each(run, Stage::Segment, frames, &mut outcome, |frame, picture| {
         let detections = segmenter.segment(&picture)?;
         found += detections.len() as u64;
         store.write(&frame, &detections)
@@ -89,7 +90,7 @@ fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, Pip
 
 fn find_boxes(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let path = run.workspace.keep_only(BOXES, &fingerprint::folder_name(BOXES, fingerprint))?;
+    let path = run.workspace.intermediate(BOXES, fingerprint)?;
     outcome.outputs.push(path.clone());
     let networks = Networks::of(run)?;
     networks.doubts.iter().for_each(|doubt| outcome.warn(doubt.clone()));
@@ -97,9 +98,10 @@ fn find_boxes(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let store = BoxFolder::new(path);
     let rhythm = Rhythm::of(run)?;
     let looked = run.frames()?.iter().enumerate().filter(|(index, _)| rhythm.is_detected(*index));
-    let Split { open, done } = split(run, looked.map(|(_, frame)| frame), |frame| store.has(frame));
+    let Split { open, done } = split(looked.map(|(_, frame)| frame), |frame| store.has(frame));
     let mut found = done.iter().map(|frame| store.count(*frame)).sum::<Result<u64, _>>()?;
-    pictures::for_each(run, run.source.frames_at(open)?, &mut outcome, |frame, picture| {
+    let frames = (run.source.frames_at(open.clone())?, open.len());
+    pictures::for_each(run, Stage::Segment, frames, &mut outcome, |frame, picture| {
         let boxes = detector.detect(&picture)?;
         found += boxes.len() as u64;
         store.write(&frame, &boxes)
@@ -114,9 +116,8 @@ struct Split {
     done: Vec<FrameId>,
 }
 
-fn split<'a>(run: &Run, frames: impl Iterator<Item = &'a Frame>, is_done: impl Fn(&Frame) -> bool) -> Split {
+fn split<'a>(frames: impl Iterator<Item = &'a Frame>, is_done: impl Fn(&Frame) -> bool) -> Split {
     let (done, open): (Vec<&Frame>, Vec<&Frame>) = frames.partition(|frame| is_done(frame));
-    run.progress.begin("segment", Some(open.len() as u64));
     tracing::debug!("{} of {} frames were looked at before", done.len(), done.len() + open.len());
     let ids = |frames: Vec<&Frame>| frames.into_iter().map(|frame| frame.id).collect::<Vec<_>>();
     Split { open: ids(open).into_iter().collect(), done: ids(done) }

@@ -23,7 +23,7 @@ use crate::perception::{FlowEstimator, Sighted, TrackSummary, load_flow, support
 use crate::scene::{Frame, Mask, Movement, ObjectId, TrackedObject};
 
 /// Where masks that were asked for are kept while the stage is at work.
-const ANSWERS: &str = "answers-";
+pub(super) const ANSWERS: &str = "answers-";
 
 pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     let options = run.options;
@@ -46,7 +46,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
 
 pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let answers = run.workspace.keep_only(ANSWERS, &fingerprint::folder_name(ANSWERS, fingerprint))?;
+    let answers = run.workspace.intermediate(ANSWERS, fingerprint)?;
     let objects = run.workspace.put_folder(&run.workspace.tracks(), |folder| {
         let (mut objects, summaries) = tracked(run, folder, &answers, &mut outcome)?;
         let sighted = movement::find(run, folder, &mut objects)?;

@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::meter::Cost;
-use super::{PipelineError, Stage};
+use super::{PipelineError, Stage, fingerprint};
 use crate::io::{InputIdentity, IoError, OwnedFolder, RunFolder, atomic, refuse_own_input};
 use crate::limits::files;
 use crate::scene::ObjectId;
@@ -91,6 +91,11 @@ impl Workspace {
     /// [`PipelineError::Folder`] where it is not.
     pub fn claim(&self, input: InputIdentity, overwrite: Overwrite) -> Result<(), PipelineError> {
         Ok(self.owned.claim(input, overwrite == Overwrite::AnyInput)?)
+    }
+
+    /// The input of the results in an output folder, where its manifest says it.
+    pub(super) fn input_of(output: &Path) -> Option<InputIdentity> {
+        OwnedFolder::input_of(output, RunFolder::MADE_BY)
     }
 
     /// What the results were made from.
@@ -176,7 +181,7 @@ impl Workspace {
     /// Whether a stage is marked as done in an output folder, and all that it made is there.
     pub(super) fn has_results_of(output: &Path, stage: Stage) -> bool {
         let path = output.join(RunFolder::STATE).join(marker_name(stage));
-        let marker: Option<Marker> = fs::read(path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+        let marker: Option<Marker> = files::read(&path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
         marker.is_some_and(|marker| marker.outputs.iter().all(|path| output.join(path).exists()))
     }
 
@@ -201,9 +206,16 @@ impl Workspace {
         Ok(atomic::write_json(&self.state(name), value)?)
     }
 
-    /// Makes sure that of the folders in `.tractrix` that are named `prefix` and a fingerprint only `keep` is there:
-    /// the others belong to other options.
-    pub fn keep_only(&self, prefix: &str, keep: &str) -> Result<PathBuf, PipelineError> {
+    /// Creates the folder for intermediate files of a stage's fingerprint, if it is not there.
+    pub fn intermediate(&self, prefix: &str, fingerprint: &str) -> Result<PathBuf, PipelineError> {
+        let folder = self.state(&fingerprint::folder_name(prefix, fingerprint));
+        atomic::create_folders(&folder)?;
+        Ok(folder)
+    }
+
+    /// Removes the folders for intermediate files of other fingerprints: they belong to other options.
+    pub fn remove_intermediate(&self, prefix: &str, fingerprint: &str) -> Result<(), PipelineError> {
+        let keep = fingerprint::folder_name(prefix, fingerprint);
         let state = self.root().join(RunFolder::STATE);
         for entry in fs::read_dir(&state).map_err(IoError::system("read", &state))? {
             let entry = entry.map_err(IoError::system("read", &state))?;
@@ -214,9 +226,7 @@ impl Workspace {
                 self.remove_state(&entry.path())?;
             }
         }
-        let kept = state.join(keep);
-        atomic::create_folders(&kept)?;
-        Ok(kept)
+        Ok(())
     }
 
     /// Removes a folder of the run's own, if it is there.

@@ -40,6 +40,30 @@ impl Options {
             Err(_) => word(),
         }
     }
+
+    /// Keys of the options whose values differ, as `--set` names them. Threads and the memory limit are not compared.
+    pub fn differing(&self, other: &Self) -> Vec<String> {
+        let without_machine = |options: &Self| Self { threads: None, memory_limit: None, ..options.clone() };
+        let mut keys = Vec::new();
+        compare("", &tree(&without_machine(self)), &tree(&without_machine(other)), &mut keys);
+        keys
+    }
+
+    /// The value of an option as JSON; `null` for a key that is not in the tree.
+    pub fn value(&self, key: &str) -> Value {
+        tree(self).pointer(&pointer(key)).cloned().unwrap_or_default()
+    }
+}
+
+/// Adds the paths at which two trees differ: those of leaves, where both have the same groups.
+fn compare(path: &str, one: &Value, other: &Value, keys: &mut Vec<String>) {
+    match (one, other) {
+        (Value::Object(ours), Value::Object(theirs)) if ours.keys().eq(theirs.keys()) => {
+            ours.iter().for_each(|(name, value)| compare(&join(path, name), value, &theirs[name], keys));
+        }
+        _ if one == other => {}
+        _ => keys.push(path.to_owned()),
+    }
 }
 
 fn lay(options: &mut Options, path: &str, schema: &Value, given: &Value) -> Checked {

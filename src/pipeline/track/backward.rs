@@ -13,7 +13,7 @@ use super::found::{Finds, Followed};
 use crate::io::{RunFolder, masks};
 use crate::perception::{BackwardTracker, Correction, Evidence, Extension, FlowEstimator, TrackSummary, TrackedMask};
 use crate::pipeline::run::{Outcome, Run};
-use crate::pipeline::{PipelineError, pictures};
+use crate::pipeline::{PipelineError, Stage, pictures};
 use crate::scene::{Frame, FrameId, ObjectId, TrackedObject};
 
 /// Bytes of pictures that a window may hold.
@@ -35,11 +35,13 @@ pub(super) fn extend(
     let picture_bytes = 3 * run.info().width as usize * run.info().height as usize;
     let most = (WINDOW_BYTES / picture_bytes.max(1)).clamp(2, MAX_WINDOW);
     let windows = windows(&starts, most);
-    let wanted = windows.iter().flat_map(|window| frames[window.clone()].iter().map(|frame| frame.id)).collect();
+    let wanted: BTreeSet<FrameId> =
+        windows.iter().flat_map(|window| frames[window.clone()].iter().map(|frame| frame.id)).collect();
     let mut flow = super::load_flow_estimator(run)?;
     let mut open = windows.into_iter().peekable();
     let mut gathered: Vec<(Frame, RgbImage)> = Vec::new();
-    pictures::for_each(run, run.source.frames_at(wanted)?, outcome, |frame, picture| {
+    let passed = (run.source.frames_at(wanted.clone())?, wanted.len());
+    pictures::for_each(run, Stage::Track, passed, outcome, |frame, picture| {
         let at = index.get(&frame.id).copied().unwrap_or_default();
         while open.next_if(|window| *window.end() < at).is_some() {
             gathered.clear();

@@ -14,7 +14,7 @@ use crate::pipeline::detections::{DetectionFolder, FrameFolder};
 use crate::pipeline::networks::Networks;
 use crate::pipeline::rhythm::Rhythm;
 use crate::pipeline::run::{Outcome, Run};
-use crate::pipeline::{PipelineError, motion, pictures, segment, standing};
+use crate::pipeline::{PipelineError, Stage, motion, pictures, segment, standing};
 use crate::scene::{BoxDetection, Frame, FrameId, ObjectId, TrackedObject};
 
 /// Where what was found in the frames comes from.
@@ -92,8 +92,7 @@ pub(super) fn follow(
     let mut previous: Option<RgbImage> = None;
     let mut seen: BTreeMap<ObjectId, BTreeSet<FrameId>> = BTreeMap::new();
     let mut index = 0;
-    run.progress.begin("track", Some(frames.len() as u64));
-    pictures::for_each(run, run.source.frames()?, outcome, |frame, picture| {
+    pictures::for_each(run, Stage::Track, (run.source.frames()?, frames.len()), outcome, |frame, picture| {
         let near = |previous| flow.flow_near(previous, &picture, &tracker.places());
         let carried = previous.as_ref().map(near).transpose()?;
         let look = finds.look(run, index, &frame)?;

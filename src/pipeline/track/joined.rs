@@ -14,7 +14,7 @@ use super::places::{Course, Ground, Side, Spot, course, near};
 use crate::io::{IoError, RunFolder, masks};
 use crate::perception::joining::{Colours, Joints, Pair, Span, agreeing, join, may_be_one};
 use crate::pipeline::run::{Outcome, Run};
-use crate::pipeline::{PipelineError, motion, pictures};
+use crate::pipeline::{PipelineError, Stage, motion, pictures};
 use crate::scene::{Apart, Frame, FrameId, Gap, Mask, ObjectId, Sameness};
 use crate::sfm::features::{FeatureOptions, Features, extract};
 use crate::sfm::matching::{MatchOptions, match_features};
@@ -196,7 +196,8 @@ fn looks(
     let views = candidates.views();
     let wanted: BTreeSet<FrameId> = views.values().flatten().copied().collect();
     let mut looks = BTreeMap::new();
-    pictures::for_each(run, run.source.frames_at(wanted)?, outcome, |frame, picture| {
+    let frames = (run.source.frames_at(wanted.clone())?, wanted.len());
+    pictures::for_each(run, Stage::Track, frames, outcome, |frame, picture| {
         for (&piece, _) in views.iter().filter(|(_, frames)| frames.contains(&frame.id)) {
             let mask = mask_of(run, folder, followed[piece].object.id, &frame)?;
             let features = extract(&picture, &mask, &FeatureOptions::object())?;
