@@ -250,3 +250,75 @@ fn a_conversion_writes_over_nothing() {
     assert_eq!(convert(&model, &copy, &["--to", "colmap-text", "--overwrite"]).0, 0);
     assert_same(&before, &snapshot(place.folder.path()), "the same model once more");
 }
+
+#[test]
+fn a_folder_of_other_hands_opens_no_file_that_it_names() {
+    let place = Place::new(NUM_FRAMES);
+    place.succeeds("images", "out", &[]);
+    let export = |more: &[&OsStr]| {
+        let mut command = tractrix();
+        command.arg("export").arg(place.path("out")).args(["--format", "colmap"]).args(more);
+        outcome(&mut command)
+    };
+    assert_eq!(export(&[]).0, 0);
+    fs::rename(place.path("images"), place.path("moved")).unwrap();
+    fs::create_dir(place.path("images")).unwrap();
+    let private = place.path("images/0000.png");
+    image::RgbImage::from_pixel(drive::WIDTH, drive::HEIGHT, image::Rgb([1, 2, 3])).save(private).unwrap();
+    fs::remove_dir_all(place.path("out/export")).unwrap();
+    let (code, _, stderr) = export(&[]);
+    assert!(code == 1 && stderr.contains("not the input of the results") && stderr.contains("--input"), "{stderr}");
+    assert!(!place.path("out/export/colmap").exists());
+    let moved = place.path("moved");
+    assert_eq!(export(&[OsStr::new("--input"), moved.as_os_str()]).0, 0);
+}
+
+#[test]
+fn intermediate_files_of_other_ways_to_find_vehicles_do_not_stay() {
+    let place = Place::new(NUM_FRAMES);
+    let none = ["--detector", "none", "--motion", "off", "--intrinsics", &drive::intrinsics(), "--fps", "12"];
+    let mut command = tractrix();
+    command.arg("run").arg(place.path("images")).arg("--output").arg(place.path("out")).args(none);
+    let (code, _, stderr) = outcome(&mut command);
+    assert_eq!(code, 0, "{stderr}");
+    let boxes = || fs::read_dir(place.path("out/.tractrix")).unwrap().flatten().any(is_of_boxes);
+    assert!(boxes());
+    place.succeeds("images", "out", &[]);
+    assert!(!boxes());
+}
+
+fn is_of_boxes(entry: fs::DirEntry) -> bool {
+    entry.file_name().to_string_lossy().starts_with("boxes-")
+}
+
+#[test]
+fn a_stderr_that_takes_nothing_stops_no_run() {
+    let place = Place::new(NUM_FRAMES);
+    // A warning: a frame without its mask.
+    fs::remove_file(place.path("masks/0003.png")).unwrap();
+    let full = fs::File::options().write(true).open("/dev/full").unwrap();
+    let (reader, broken) = std::io::pipe().unwrap();
+    drop(reader);
+    for (k, stderr) in [std::process::Stdio::from(full), broken.into()].into_iter().enumerate() {
+        let mut command = std::process::Command::new(tractrix().get_program());
+        command.arg("run").arg(place.path("images")).arg("--output").arg(place.path(&format!("out{k}")));
+        command.arg("--masks").arg(place.path("masks")).args(["--intrinsics", &drive::intrinsics(), "--fps", "12"]);
+        assert_eq!(command.stdout(std::process::Stdio::null()).stderr(stderr).status().unwrap().code(), Some(0), "{k}");
+    }
+}
+
+#[test]
+fn no_name_steers_the_terminal() {
+    let place = Place::new(1);
+    let hostile = "\u{1b}]0;title\u{7}\u{1b}[2J\u{9b}2J.mp4";
+    fs::write(place.path(hostile), "no video").unwrap();
+    for more in [&["--progress", "json"][..], &["--json"], &["--set", "\u{1b}[2J=1"], &["--\u{1b}[2J"]] {
+        let mut command = tractrix();
+        command.arg("run").arg(place.path(hostile)).arg("--output").arg(place.path("out")).args(more);
+        let (code, stdout, stderr) = outcome(&mut command);
+        assert!(code == 1 || code == 2, "{stderr}");
+        let steers = |letter: char| letter.is_control() && letter != '\n' && letter != '\t';
+        assert!(!stdout.contains(steers) && !stderr.contains(steers), "{more:?}: {stdout:?} {stderr:?}");
+        assert!(stderr.contains("u001b"), "{stderr}");
+    }
+}

@@ -1,15 +1,16 @@
 //! One job of a list: what it reads and writes, and doing it.
 
+use std::cell::RefCell;
 use std::ffi::OsString;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use clap::Parser;
+use clap::{CommandFactory, FromArgMatches, Parser};
 use serde_json::json;
 
 use super::Args;
 use super::list::{Entry, List, at};
-use super::resources;
-use crate::cli::job::{JobArgs, apply_flags, resolve_over, use_threads};
+use super::{resources, words};
+use crate::cli::job::{self, JobArgs, apply_flags, lay_over, resolve_over, use_machine};
 use crate::cli::output::{Failure, Form, show};
 use crate::cli::run;
 use crate::cli::terminal::Talk;
@@ -24,14 +25,22 @@ struct LineArgs {
     job: JobArgs,
 }
 
+/// Makes jobs of the entries of a list: lays the options of a line over those of the command line.
+pub(super) struct Maker<'a> {
+    args: &'a Args,
+    list: &'a List,
+    /// Built once: that takes longer than to parse a line.
+    command: RefCell<clap::Command>,
+}
+
 /// A job with all that it needs to be done.
 #[derive(Clone, Debug)]
 pub(super) struct Item {
-    /// Its place in the list, from 0.
+    /// Its index in the list, from 0.
     pub(super) index: usize,
-    /// What its output folder is called.
+    /// Name of its output folder.
     pub(super) name: String,
-    /// What is read: a video or a folder of pictures.
+    /// The video, or the folder of images.
     pub(super) input: PathBuf,
     /// The output folder.
     pub(super) output: PathBuf,
@@ -41,27 +50,94 @@ pub(super) struct Item {
     options_files: Vec<PathBuf>,
 }
 
-impl Item {
-    /// Lays the options of a line over those that all jobs have.
+impl<'a> Maker<'a> {
+    pub(super) fn new(args: &'a Args, list: &'a List) -> Self {
+        Self { args, list, command: RefCell::new(LineArgs::command()) }
+    }
+
+    /// The output folder of an entry.
+    pub(super) fn output(&self, entry: &Entry) -> PathBuf {
+        self.args.job.output.join(&entry.name)
+    }
+
+    /// Parses the options of all lines that have some, and looks whether the files are there that they name.
+    ///
+    /// # Errors
+    /// As [`Self::item`], of the first line that has one.
+    pub(super) fn check(&self) -> Result<(), Failure> {
+        job::check(&self.common(Options::default())?)?;
+        for index in 0..self.list.len() {
+            let entry = self.list.entry(index)?;
+            match entry.words.is_empty() {
+                true => self.check_blanks(&entry)?,
+                false => drop(self.item(index, &entry)?),
+            }
+        }
+        Ok(())
+    }
+
+    /// Parses the options of a line.
+    ///
+    /// # Errors
+    /// Wrong use, with the line.
+    pub(super) fn parse(&self, entry: &Entry) -> Result<JobArgs, Failure> {
+        self.check_blanks(entry)?;
+        let mut words: Vec<OsString> = entry.words.iter().map(OsString::from).collect();
+        let output = self.output(entry).into_os_string();
+        words.extend(["--output".into(), output, "--".into(), entry.input.clone().into_os_string()]);
+        let matches = self.command.borrow_mut().try_get_matches_from_mut(words);
+        let line = matches.and_then(|matches| LineArgs::from_arg_matches(&matches));
+        let mut job = line.map_err(|error| self.at(entry, &first_line(&error)))?.job;
+        job.begin_at(self.list.folder());
+        // The list has joined its folder to it already.
+        job.input.clone_from(&entry.input);
+        Ok(job)
+    }
+
+    /// The job of an entry.
     ///
     /// # Errors
     /// Wrong use, with the line; a file that is named and is not there.
-    pub(super) fn new(args: &Args, list: &List, index: usize) -> Result<Self, Failure> {
-        let entry = list.entry(index)?;
-        lacks_tab(entry).map_or(Ok(()), |wrong| Err(at(&list.path, entry.line, &wrong)))?;
-        let in_line = |failure: Failure| match failure {
-            Failure::Usage(wrong) => at(&list.path, entry.line, &wrong),
+    pub(super) fn item(&self, index: usize, entry: &Entry) -> Result<Item, Failure> {
+        let line = self.parse(entry)?;
+        let resolved = resolve_over(self.common(Options::default())?, &line, Stage::Report);
+        let (input, options) = resolved.map_err(|failure| match failure {
+            Failure::Usage(wrong) => self.at(entry, &wrong),
             other => other,
-        };
-        let line = parse(entry, args, &list.folder).map_err(|wrong| at(&list.path, entry.line, &wrong))?;
-        let mut options = args.job.common.options()?;
-        apply_flags(&args.job, &mut options);
-        let (input, options) = resolve_over(options, &line, Stage::Report).map_err(in_line)?;
-        let overwrite = if args.job.overwrite || line.overwrite { Overwrite::AnyInput } else { Overwrite::SameInput };
-        let options_files = args.job.common.options.iter().chain(&line.common.options).cloned().collect();
-        Ok(Self { index, name: entry.name.clone(), input, output: line.output, options, overwrite, options_files })
+        })?;
+        let is_any = self.args.job.overwrite || line.overwrite;
+        let overwrite = if is_any { Overwrite::AnyInput } else { Overwrite::SameInput };
+        let options_files = self.args.job.common.options.iter().chain(&line.common.options).cloned().collect();
+        Ok(Item { index, name: entry.name.clone(), input, output: line.output, options, overwrite, options_files })
     }
 
+    /// How the output folder of a line stands to the options that are given.
+    pub(super) fn standing_of_given(args: &Args, line: &JobArgs) -> Standing {
+        let lay_over = |options| lay_over(common(args, options)?, line, Stage::Report);
+        pipeline::standing_of_given(&line.output, |options| lay_over(options).map_err(|failure| failure.to_string()))
+    }
+
+    /// Options with those of the command line instead.
+    fn common(&self, options: Options) -> Result<Options, Failure> {
+        common(self.args, options)
+    }
+
+    fn check_blanks(&self, entry: &Entry) -> Result<(), Failure> {
+        lacks_tab(entry).map_or(Ok(()), |wrong| Err(self.at(entry, &wrong)))
+    }
+
+    fn at(&self, entry: &Entry, wrong: &str) -> Failure {
+        at(&self.list.path, entry.line, wrong)
+    }
+}
+
+fn common(args: &Args, options: Options) -> Result<Options, Failure> {
+    let mut options = args.job.common.over(options)?;
+    apply_flags(&args.job, &mut options);
+    Ok(options)
+}
+
+impl Item {
     /// How the output folder stands to this job.
     pub(super) fn standing(&self) -> Standing {
         pipeline::standing(&self.output, &self.input, &self.options)
@@ -74,6 +150,7 @@ impl Item {
     /// # Errors
     /// As `run`.
     pub(super) fn work(mut self, arguments: &[OsString], form: Form, talk: &Talk) -> Result<(), Failure> {
+        self.note_other_index();
         if self.standing() == Standing::Done {
             let report = RunFolder::at(&self.output).report();
             let value = json!({ "output": self.output, "report": report, "done_before": true });
@@ -81,13 +158,27 @@ impl Item {
         }
         let threads = resources::threads(self.options.threads);
         self.options.threads = Some(threads);
-        use_threads(Some(threads))?;
+        use_machine(&self.options)?;
         let identity = Identity::of(&self.input, &self.options);
         let result = run::perform(&self.task(&lossy(arguments)), form, talk);
         if let Err(failure) = &result {
             self.leave_word(identity, failure);
         }
         result
+    }
+
+    /// Warns where the last run of this folder had another index: a list that changes while a scheduler starts its
+    /// jobs one by one has some of them started twice and others never.
+    fn note_other_index(&self) {
+        let before = words::index_of_run(&pipeline::arguments_of_run(&self.output).unwrap_or_default());
+        if let Some(before) = before.filter(|before| *before != self.index) {
+            tracing::warn!(
+                "{}: index {} of the list now, index {before} when it was last run: the list has changed; give every \
+                 index again, and see --status",
+                self.name,
+                self.index
+            );
+        }
     }
 
     fn task<'a>(&'a self, arguments: &'a [String]) -> Job<'a> {
@@ -106,21 +197,9 @@ impl Item {
     fn leave_word(&self, identity: Identity, failure: &Failure) {
         if matches!(failure.code(), 1 | 2) && !failure.is_stop() {
             let failed = Failed { code: failure.code(), reason: failure.to_string() };
-            let _ = Ended::note_failure(&self.output, identity, failed);
+            let _ = Ended::note_failure(&self.output, identity, &self.options, failed);
         }
     }
-}
-
-fn parse(entry: &Entry, args: &Args, folder: &Path) -> Result<JobArgs, String> {
-    let output = args.job.output.join(&entry.name);
-    let mut words: Vec<OsString> = entry.words.iter().map(OsString::from).collect();
-    words.extend(["--output".into(), output.into_os_string(), "--".into(), entry.input.clone().into_os_string()]);
-    let line = LineArgs::try_parse_from(words).map_err(|error| first_line(&error))?;
-    let mut job = line.job;
-    job.begin_at(folder);
-    // The list has joined its folder to it already.
-    job.input.clone_from(&entry.input);
-    Ok(job)
 }
 
 /// That options were written after a blank, and so count as a part of the video's name.
@@ -144,8 +223,9 @@ fn lossy(arguments: &[OsString]) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use std::fs;
+    use std::path::Path;
 
-    use clap::{CommandFactory, ValueHint};
+    use clap::ValueHint;
 
     use super::*;
     use crate::cli::args;
@@ -167,7 +247,7 @@ mod tests {
         let path = folder.path().join("list.txt");
         fs::write(&path, line).unwrap();
         let list = List::open(&path)?;
-        let mut item = Item::new(&batch(&path, more), &list, 0)?;
+        let mut item = Maker::new(&batch(&path, more), &list).item(0, &list.entry(0)?)?;
         if let Instances::Masks(masks) = &mut item.options.instances {
             *masks = masks.strip_prefix(folder.path()).unwrap().to_owned();
         }

@@ -3,9 +3,10 @@
 //! A line is a video or a folder of pictures; after a tab, options of its own follow, as on the command line of `run`.
 //! A folder instead of a list stands for the videos in it, in the order of their names.
 
-use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
 use std::fs;
+use std::hash::{BuildHasher, RandomState};
+use std::ops::Range;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 
@@ -26,62 +27,118 @@ const MAX_NAME_BYTES: usize = 200;
 /// One job of a list.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Entry {
-    /// The line it stands in, from 1; the place of a video in a folder.
+    /// Number of its line, from 1; of a folder, number of the video.
     pub(super) line: usize,
-    /// What its output folder is called.
+    /// Name of its output folder.
     pub(super) name: String,
-    /// The video, or the folder of pictures.
+    /// The video, or the folder of images.
     pub(super) input: PathBuf,
     /// Options of its own.
     pub(super) words: Vec<String>,
 }
 
-/// The jobs of a list, or of a folder of videos, in order.
+/// The jobs of a list, or of a folder of videos, in order; never none. Entries are parsed when they are asked for, so
+/// that a list takes little more memory than its file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct List {
     /// The list, or the folder.
     pub(super) path: PathBuf,
-    /// Where relative paths of the list begin.
-    pub(super) folder: PathBuf,
-    /// The jobs; never none.
-    pub(super) entries: Vec<Entry>,
+    folder: PathBuf,
+    jobs: Jobs,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Jobs {
+    /// A list's bytes, and of each line that names a job its number from 1 and its range.
+    Lines(Vec<u8>, Vec<(usize, Range<usize>)>),
+    /// Names of the videos in a folder.
+    Videos(Vec<OsString>),
+    /// The one job that the parent process gives: number and text of its line, or number and name of the video.
+    Given(usize, OsString),
 }
 
 impl List {
-    /// Reads a list, or looks what there is in a folder.
+    /// Reads a list, or looks which videos are in a folder.
     ///
     /// # Errors
     /// Wrong use: a line that cannot be meant, two jobs of one name, a name that no folder can have, or no job at all.
     pub(super) fn open(path: &Path) -> Result<Self, Failure> {
-        let (folder, entries) = match path.is_dir() {
-            true => (path.to_owned(), videos_in(path)?),
+        let jobs = match path.is_dir() {
+            true => Jobs::Videos(videos_in(path)?),
             false => {
-                files::check(path).with_context(|| format!("{}: cannot be read", path.display()))?;
-                let bytes = fs::read(path).with_context(|| format!("{}: cannot be read", path.display()))?;
-                let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-                (folder.clone(), entries(&bytes, &folder).map_err(|(line, wrong)| at(path, line, &wrong))?)
+                let bytes = files::read_text(path).with_context(|| format!("{}: cannot be read", path.display()))?;
+                let lines = lines(&bytes);
+                Jobs::Lines(bytes, lines)
             }
         };
-        let list = Self { path: path.to_owned(), folder, entries };
+        let list = Self { path: path.to_owned(), folder: folder(path), jobs };
         list.check()?;
         Ok(list)
     }
 
+    /// The list of the one job that a parent process hands over, as [`Self::handed`] made it. The list itself may have
+    /// changed since the parent read it.
+    ///
+    /// # Errors
+    /// Wrong use: no such text.
+    pub(super) fn of_handed(path: &Path, handed: &OsStr) -> Result<Self, Failure> {
+        let bytes = handed.as_bytes();
+        let parts = bytes.iter().position(|&byte| byte == b' ').map(|at| (&bytes[..at], &bytes[at + 1..]));
+        let parsed = parts.and_then(|(number, text)| Some((std::str::from_utf8(number).ok()?.parse().ok()?, text)));
+        let (number, text) = parsed.ok_or_else(|| Failure::Usage("--entry is for the program itself".to_owned()))?;
+        let jobs = Jobs::Given(number, OsStr::from_bytes(text).to_owned());
+        Ok(Self { path: path.to_owned(), folder: folder(path), jobs })
+    }
+
+    /// A job as text, for [`Self::of_handed`] in another process.
+    pub(super) fn handed(&self, index: usize) -> OsString {
+        let (number, text) = match &self.jobs {
+            Jobs::Lines(bytes, lines) => (lines[index].0, OsStr::from_bytes(&bytes[lines[index].1.clone()])),
+            Jobs::Videos(names) => (index + 1, names[index].as_os_str()),
+            Jobs::Given(number, text) => (*number, text.as_os_str()),
+        };
+        let mut handed = OsString::from(format!("{number} "));
+        handed.push(text);
+        handed
+    }
+
+    /// Number of jobs.
+    pub(super) fn len(&self) -> usize {
+        match &self.jobs {
+            Jobs::Lines(_, lines) => lines.len(),
+            Jobs::Videos(names) => names.len(),
+            Jobs::Given(..) => 1,
+        }
+    }
+
+    /// Folder at which relative paths of the list begin.
+    pub(super) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     fn check(&self) -> Result<(), Failure> {
-        if self.entries.is_empty() {
+        if self.len() == 0 {
             let wanted = if self.path.is_dir() { "no video in it" } else { "no video is named in it" };
             return Err(Failure::Usage(format!("{}: {wanted}", self.path.display())));
         }
-        let mut lines: BTreeMap<&str, usize> = BTreeMap::new();
-        for entry in &self.entries {
+        let hashes = RandomState::new();
+        let mut names = Vec::with_capacity(self.len());
+        for index in 0..self.len() {
+            let entry = self.entry(index)?;
             check_name(&entry.name).map_err(|wrong| at(&self.path, entry.line, &wrong))?;
-            if let Some(first) = lines.insert(&entry.name, entry.line) {
+            names.push((hashes.hash_one(&entry.name), index));
+        }
+        names.sort_unstable();
+        let same_hash = names.windows(2).filter(|pair| pair[0].0 == pair[1].0);
+        for (first, second) in same_hash.map(|pair| (pair[0].1, pair[1].1)) {
+            let (first, second) = (self.entry(first)?, self.entry(second)?);
+            if first.name == second.name {
                 let wrong = format!(
-                    "its results would lie in '{}', as those of line {first}; give it a name of its own: after the \
-                     video a tab and --name NAME",
-                    entry.name
+                    "its results would lie in '{}', as those of line {}; give it a name of its own: after the video \
+                     a tab and --name NAME",
+                    second.name, first.line
                 );
-                return Err(at(&self.path, entry.line, &wrong));
+                return Err(at(&self.path, second.line, &wrong));
             }
         }
         Ok(())
@@ -90,14 +147,34 @@ impl List {
     /// The job of an index.
     ///
     /// # Errors
-    /// Wrong use: there is none.
-    pub(super) fn entry(&self, index: usize) -> Result<&Entry, Failure> {
-        let number = self.entries.len();
-        self.entries.get(index).ok_or_else(|| {
-            let path = self.path.display();
-            Failure::Usage(format!("--index {index}: {path} has {number} jobs, 0 to {}", number - 1))
+    /// Wrong use: there is none, or its line cannot be meant.
+    pub(super) fn entry(&self, index: usize) -> Result<Entry, Failure> {
+        let parsed = match &self.jobs {
+            Jobs::Lines(bytes, lines) => lines.get(index).map(|(k, range)| self.line(*k, &bytes[range.clone()])),
+            Jobs::Videos(names) => names.get(index).map(|name| self.video(index + 1, name)),
+            Jobs::Given(k, name) if self.path.is_dir() => Some(self.video(*k, name)),
+            Jobs::Given(k, line) => Some(self.line(*k, line.as_bytes())),
+        };
+        parsed.unwrap_or_else(|| {
+            let (path, number) = (self.path.display(), self.len());
+            Err(Failure::Usage(format!("--index {index}: {path} has {number} jobs, 0 to {}", number - 1)))
         })
     }
+
+    fn line(&self, number: usize, line: &[u8]) -> Result<Entry, Failure> {
+        entry(number, line, &self.folder).map_err(|wrong| at(&self.path, number, &wrong))
+    }
+
+    fn video(&self, number: usize, name: &OsStr) -> Result<Entry, Failure> {
+        let input = self.folder.join(name);
+        let name = name_of(&input).ok_or_else(|| at(&self.path, number, "its name is not UTF-8; rename it"))?;
+        Ok(Entry { line: number, name, input, words: Vec::new() })
+    }
+}
+
+/// Where relative paths of a list begin, or where the videos of a folder lie.
+fn folder(path: &Path) -> PathBuf {
+    if path.is_dir() { path.to_owned() } else { path.parent().unwrap_or(Path::new("")).to_owned() }
 }
 
 /// What is wrong with a line.
@@ -108,12 +185,17 @@ pub(super) fn at(list: &Path, line: usize, wrong: &str) -> Failure {
     }
 }
 
-/// The jobs of a list's bytes; of a line that cannot be meant, its number and what is wrong.
-fn entries(bytes: &[u8], folder: &Path) -> Result<Vec<Entry>, (usize, String)> {
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let lines = bytes.split(|&byte| byte == b'\n').map(<[u8]>::trim_ascii).enumerate();
-    let meant = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with(b"#"));
-    meant.map(|(k, line)| entry(k + 1, line, folder).map_err(|wrong| (k + 1, wrong))).collect()
+/// Number, from 1, and range of every line that names a job, without the blanks around it.
+fn lines(bytes: &[u8]) -> Vec<(usize, Range<usize>)> {
+    let (mut found, mut start) = (Vec::new(), 0);
+    for (k, line) in bytes.split(|&byte| byte == b'\n').enumerate() {
+        let (trimmed, begin) = (line.trim_ascii(), start + line.len() - line.trim_ascii_start().len());
+        if !trimmed.is_empty() && !trimmed.starts_with(b"#") {
+            found.push((k + 1, begin..begin + trimmed.len()));
+        }
+        start += line.len() + 1;
+    }
+    found
 }
 
 fn entry(number: usize, line: &[u8], folder: &Path) -> Result<Entry, String> {
@@ -142,7 +224,7 @@ fn is_video(path: &Path) -> bool {
     VIDEOS.contains(&ending.as_str())
 }
 
-fn videos_in(folder: &Path) -> Result<Vec<Entry>, Failure> {
+fn videos_in(folder: &Path) -> Result<Vec<OsString>, Failure> {
     let unreadable = || format!("{}: cannot be read", folder.display());
     let mut names: Vec<OsString> = Vec::new();
     for found in fs::read_dir(folder).with_context(unreadable)? {
@@ -153,12 +235,7 @@ fn videos_in(folder: &Path) -> Result<Vec<Entry>, Failure> {
         }
     }
     names.sort();
-    let entry = |(k, name): (usize, OsString)| {
-        let input = folder.join(&name);
-        let name = name_of(&input).ok_or_else(|| at(folder, k + 1, "its name is not UTF-8; rename it"))?;
-        Ok(Entry { line: k + 1, name, input, words: Vec::new() })
-    };
-    names.into_iter().enumerate().map(entry).collect()
+    Ok(names)
 }
 
 fn check_name(name: &str) -> Result<(), String> {
@@ -186,8 +263,12 @@ mod tests {
         List::open(&path)
     }
 
-    fn names(list: &List) -> Vec<&str> {
-        list.entries.iter().map(|entry| entry.name.as_str()).collect()
+    fn entries(list: &List) -> Vec<Entry> {
+        (0..list.len()).map(|index| list.entry(index).unwrap()).collect()
+    }
+
+    fn names(list: &List) -> Vec<String> {
+        entries(list).into_iter().map(|entry| entry.name).collect()
     }
 
     fn refusal(text: &[u8]) -> String {
@@ -201,17 +282,19 @@ mod tests {
     fn comments_empty_lines_and_marks_of_other_systems_are_passed_over() {
         let list = list(b"\xef\xbb\xbf# flights\r\n\r\nday 1/a b.MP4\r\n  c.mov\t--end 8f\n\nframes.v2").unwrap();
         assert_eq!(names(&list), ["a b", "c", "frames.v2"]);
-        assert_eq!(list.entries.iter().map(|entry| entry.line).collect::<Vec<_>>(), [3, 4, 6]);
-        assert_eq!(list.entries[0].input, list.folder.join("day 1/a b.MP4"));
-        assert_eq!(list.entries[1].words, ["--end", "8f"]);
+        let entries = entries(&list);
+        assert_eq!(entries.iter().map(|entry| entry.line).collect::<Vec<_>>(), [3, 4, 6]);
+        assert_eq!(entries[0].input, list.folder.join("day 1/a b.MP4"));
+        assert_eq!(entries[1].words, ["--end", "8f"]);
     }
 
     #[test]
     fn an_absolute_path_stays_and_a_name_can_be_given() {
         let list = list(b"/data/a.mp4\n/other/a.mp4\t--name other --seed 3").unwrap();
         assert_eq!(names(&list), ["a", "other"]);
-        assert_eq!(list.entries[1].input, Path::new("/other/a.mp4"));
-        assert_eq!(list.entries[1].words, ["--seed", "3"]);
+        let entries = entries(&list);
+        assert_eq!(entries[1].input, Path::new("/other/a.mp4"));
+        assert_eq!(entries[1].words, ["--seed", "3"]);
     }
 
     #[test]
@@ -241,7 +324,11 @@ mod tests {
             let num_lines = bytes.split(|&byte| byte == b'\n').count();
             if let Ok(list) = list(&bytes) {
                 let is_whole = |entry: &Entry| (1..=num_lines).contains(&entry.line) && check_name(&entry.name).is_ok();
-                prop_assert!(!list.entries.is_empty() && list.entries.iter().all(is_whole), "{list:?}");
+                let of_child = |index| List::of_handed(&list.path, &list.handed(index))?.entry(0);
+                for (index, entry) in entries(&list).into_iter().enumerate() {
+                    prop_assert!(is_whole(&entry), "{list:?}");
+                    prop_assert_eq!(of_child(index).ok(), Some(entry));
+                }
             }
         }
     }
@@ -257,5 +344,8 @@ mod tests {
         assert_eq!(names(&list), ["A", "b"]);
         assert!(list.entry(1).is_ok());
         assert!(matches!(list.entry(2), Err(Failure::Usage(said)) if said.contains("0 to 1")));
+        fs::remove_file(folder.path().join("A.MKV")).unwrap();
+        let handed = List::of_handed(folder.path(), &list.handed(1)).unwrap();
+        assert_eq!(handed.entry(0).ok(), list.entry(1).ok());
     }
 }

@@ -14,13 +14,15 @@ mod words;
 use std::ffi::OsString;
 use std::num::NonZeroUsize;
 
+use anyhow::Context;
 use clap::ArgGroup;
+use rustix::process::{Signal, getpid, getppid, kill_process, set_parent_process_death_signal};
 
 use super::job::JobArgs;
 use super::output::{Failure, Form};
 use super::terminal::Talk;
 use crate::limits::memory::MemoryLimit;
-use item::Item;
+use item::Maker;
 use list::List;
 use side_by_side::Share;
 
@@ -49,27 +51,43 @@ pub(super) struct Args {
     /// Say what has become of every job; exit code 0 if all are done
     #[arg(long)]
     pub(super) status: bool,
+    /// Job of a parent process, which has read the list
+    #[arg(long, hide = true, requires = "index")]
+    pub(super) entry: Option<OsString>,
+    /// Process that started this one: it ends with that
+    #[arg(long, hide = true, requires = "index")]
+    pub(super) parent: Option<u32>,
     #[command(flatten)]
     pub(super) job: JobArgs,
 }
 
 pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) -> Result<(), Failure> {
-    let list = List::open(&args.job.input)?;
+    let path = &args.job.input;
+    let list = args.entry.as_ref().map_or_else(|| List::open(path), |handed| List::of_handed(path, handed))?;
+    let maker = Maker::new(args, &list);
     match (args.index, args.jobs) {
         (Some(index), _) => {
+            args.parent.map_or(Ok(()), end_with_parent)?;
             let arguments = words::alone(arguments, index, &[]);
-            Item::new(args, &list, index)?.work(&arguments, form, talk)
+            let entry = list.entry(if args.entry.is_some() { 0 } else { index })?;
+            maker.item(index, &entry)?.work(&arguments, form, talk)
         }
         (None, Some(jobs)) => {
             let common = &args.job.common;
             let memory = common.memory_limit.unwrap_or_else(MemoryLimit::of_machine);
             let share = Share { jobs, threads: common.threads, memory };
-            side_by_side::run(&items(args, &list)?, share, arguments, form, talk)
+            side_by_side::run(&list, &maker, share, arguments, form, talk)
         }
-        (None, None) => status::run(&items(args, &list)?, form),
+        (None, None) => status::run(args, &list, &maker, form),
     }
 }
 
-fn items(args: &Args, list: &List) -> Result<Vec<Item>, Failure> {
-    (0..list.entries.len()).map(|index| Item::new(args, list, index)).collect()
+/// Has this process asked to end when the parent process ends, however that happens.
+fn end_with_parent(parent: u32) -> Result<(), Failure> {
+    set_parent_process_death_signal(Some(Signal::TERM)).context("cannot follow the parent process")?;
+    // The parent may have ended before.
+    if getppid().is_none_or(|now| now.as_raw_nonzero().get().unsigned_abs() != parent) {
+        kill_process(getpid(), Signal::TERM).context("cannot end after the parent process")?;
+    }
+    Ok(())
 }

@@ -5,18 +5,19 @@ use std::env;
 use std::ffi::OsString;
 use std::num::NonZeroUsize;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{self, Child, Command, ExitStatus, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use rustix::process::{Pid, Signal, kill_process};
 
-use super::item::Item;
+use super::item::{Item, Maker};
+use super::list::{Entry, List};
 use super::resources::{MEMORY_OF_A_JOB, threads};
-use super::status::{Fate, State, as_json, counted};
+use super::status::{Fate, State, counted, show_counts};
 use super::words::alone;
-use crate::cli::output::{Failure, Form, show};
+use crate::cli::output::{Failure, Form};
 use crate::cli::terminal::Talk;
 use crate::limits::memory::MemoryLimit;
 use crate::pipeline::{Ended, Identity, Standing};
@@ -44,8 +45,8 @@ pub(super) struct Share {
 }
 
 /// A job under way.
-struct Running<'a> {
-    item: &'a Item,
+struct Running {
+    item: Item,
     process: Child,
     started: Instant,
 }
@@ -55,28 +56,31 @@ struct Running<'a> {
 /// # Errors
 /// There is one that failed (exit code 1), or that has to be started again (75); or a signal came.
 pub(super) fn run(
-    items: &[Item],
+    list: &List,
+    maker: &Maker,
     share: Share,
     arguments: &[OsString],
     form: Form,
     talk: &Talk,
 ) -> Result<(), Failure> {
-    let most = at_a_time(share.jobs.get().min(items.len()), share.memory, talk);
+    maker.check()?;
+    let most = at_a_time(share.jobs.get().min(list.len()), share.memory, talk);
     let part = part(share, most);
     talk.ends_in_order();
-    let mut fates: Vec<Fate> = Vec::with_capacity(items.len());
-    let mut waiting = items.iter();
+    let mut fates: Vec<Fate> = Vec::with_capacity(list.len());
+    let mut waiting = 0..list.len();
     let mut running: Vec<Running> = Vec::new();
     loop {
-        let mut tell = |fate: Fate, took: Option<Duration>| {
-            talk.say(&said(&fate, took, fates.len() + 1, items.len()));
+        let mut tell = |fate: Fate, name: &str, took: Option<Duration>| {
+            talk.say(&said(&fate, name, took, fates.len() + 1, list.len()));
             fates.push(fate);
         };
         while running.len() < most {
-            let Some(item) = waiting.next() else { break };
-            match item.standing() {
-                Standing::Done => tell(Fate::of(item), None),
-                _ => running.push(start(item, arguments, &part)?),
+            let Some(index) = waiting.next() else { break };
+            let entry = list.entry(index)?;
+            match take(maker, index, &entry, &|item| start(item, list, arguments, &part)) {
+                Ok(job) => running.push(job),
+                Err(fate) => tell(fate, &entry.name, None),
             }
         }
         if running.is_empty() {
@@ -87,11 +91,40 @@ pub(super) fn run(
         }
         thread::sleep(LOOK_EVERY);
         for (item, status, took) in ended(&mut running)? {
-            tell(fate(item, status), Some(took));
+            tell(fate(&item, status), &item.name, Some(took));
         }
     }
     fates.sort_by_key(|fate| fate.index);
-    end(&fates, form)
+    look_again(list, maker, &mut fates)?;
+    end(list, maker, &fates, form)
+}
+
+/// Starts a job that is not done; else says what has become of it.
+fn take(
+    maker: &Maker,
+    index: usize,
+    entry: &Entry,
+    start: &dyn Fn(Item) -> Result<Running, anyhow::Error>,
+) -> Result<Running, Fate> {
+    let without_result = |state, error: String, exit_code| Fate { index, state, reason: Some(error), exit_code };
+    let item = maker.item(index, entry);
+    let item = item.map_err(|failure| without_result(State::Failed, failure.to_string(), Some(failure.code())))?;
+    match item.standing() {
+        standing @ (Standing::Done | Standing::Running) => Err(Fate::of(index, standing)),
+        _ => start(item).map_err(|error| without_result(State::ToGoOn, format!("{error:#}"), None)),
+    }
+}
+
+/// Looks again for results of jobs that were not done: another process may have done them in the meantime.
+fn look_again(list: &List, maker: &Maker, fates: &mut [Fate]) -> Result<(), Failure> {
+    for fate in fates.iter_mut().filter(|fate| !matches!(fate.state, State::Done | State::Failed)) {
+        let Ok(item) = maker.item(fate.index, &list.entry(fate.index)?) else { continue };
+        let now = item.standing();
+        if matches!(now, Standing::Done | Standing::Running) {
+            *fate = Fate::of(fate.index, now);
+        }
+    }
+    Ok(())
 }
 
 /// How many jobs there is memory for.
@@ -113,19 +146,26 @@ fn part(share: Share, most: usize) -> [String; 4] {
     ["--threads".to_owned(), threads.to_string(), "--memory-limit".to_owned(), format!("{}MiB", memory.max(LEAST_MIB))]
 }
 
-fn start<'a>(item: &'a Item, arguments: &[OsString], part: &[String]) -> Result<Running<'a>, Failure> {
+/// Starts a process for a job. It gets its entry of the list, which may have changed since it was read.
+fn start(item: Item, list: &List, arguments: &[OsString], part: &[String]) -> Result<Running, anyhow::Error> {
     let program = env::current_exe().context("the program does not find itself")?;
-    let more: Vec<&str> = part.iter().map(String::as_str).chain(["--quiet", "--progress", "none"]).collect();
+    let mut entry = OsString::from("--entry=");
+    entry.push(list.handed(item.index));
+    let more: Vec<OsString> = [entry, format!("--parent={}", process::id()).into()]
+        .into_iter()
+        .chain(part.iter().map(OsString::from))
+        .chain(["--quiet", "--progress", "none"].map(OsString::from))
+        .collect();
     let mut command = Command::new(program);
     // A group of its own: Ctrl-C is this process's to pass on.
     command.args(alone(arguments, item.index, &more).iter().skip(1)).process_group(0);
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    let process = command.spawn().with_context(|| format!("{}: cannot be started", item.name))?;
+    let process = command.spawn().context("cannot be started")?;
     Ok(Running { item, process, started: Instant::now() })
 }
 
 /// Takes those out that have ended.
-fn ended<'a>(running: &mut Vec<Running<'a>>) -> Result<Vec<(&'a Item, ExitStatus, Duration)>, Failure> {
+fn ended(running: &mut Vec<Running>) -> Result<Vec<(Item, ExitStatus, Duration)>, Failure> {
     let (mut over, mut still) = (Vec::new(), Vec::new());
     for mut job in running.drain(..) {
         match job.process.try_wait()? {
@@ -150,19 +190,28 @@ fn stop(mut running: Vec<Running>) -> Failure {
     Failure::from(crate::pipeline::PipelineError::Stopped)
 }
 
-/// What became of a job by the way its process ended.
+/// State of a job whose process has ended. It is done if its output folder is complete, whatever the exit code.
 fn fate(item: &Item, status: ExitStatus) -> Fate {
-    let before = Fate::without_state(item);
-    let exit_code = status.code().and_then(|code| u8::try_from(code).ok());
+    let exit_code = status.code().and_then(|code| u8::try_from(code).ok()).filter(|&code| code != 0);
     let (state, reason) = match (status.code(), status.signal()) {
-        (Some(0), _) => (State::Done, None),
-        (Some(code), _) if FINAL.contains(&code) => (State::Failed, Some(reason(item))),
-        (Some(BROKEN), _) => (State::Failed, Some("the program broke, which is a defect to be reported".into())),
-        (_, Some(9)) => (State::ToGoOn, Some("it was killed: perhaps there was not enough memory".into())),
-        (_, Some(signal)) => (State::ToGoOn, Some(format!("it was ended by signal {signal}"))),
-        (code, _) => (State::ToGoOn, Some(format!("it was stopped, exit code {}", code.unwrap_or(-1)))),
+        (Some(0), _) => return of_ended(item),
+        (Some(code), _) if FINAL.contains(&code) => (State::Failed, reason(item)),
+        (Some(BROKEN), _) => (State::Failed, "the program broke, which is a defect to be reported".into()),
+        (_, Some(9)) => (State::ToGoOn, "it was killed: perhaps there was not enough memory".into()),
+        (_, Some(signal)) => (State::ToGoOn, format!("it was ended by signal {signal}")),
+        (code, _) => (State::ToGoOn, format!("it was stopped, exit code {}", code.unwrap_or(-1))),
     };
-    Fate { state, reason, exit_code: exit_code.filter(|&code| code != 0), ..before }
+    Fate { index: item.index, state, reason: Some(reason), exit_code }
+}
+
+/// State of a job whose process ended with exit code 0.
+fn of_ended(item: &Item) -> Fate {
+    let fate = Fate::of(item.index, item.standing());
+    let unsaid = || Some("it ended with exit code 0, but its output folder is not complete".to_owned());
+    match fate.state {
+        State::Done | State::Outdated => fate,
+        _ => Fate { state: State::ToGoOn, reason: fate.reason.or_else(unsaid), ..fate },
+    }
 }
 
 /// The word that a job left in its folder; where it could not, why not.
@@ -173,24 +222,24 @@ fn reason(item: &Item) -> String {
     left.unwrap_or_else(|| format!("it could leave no word; `--index {}` says why", item.index))
 }
 
-fn said(fate: &Fate, took: Option<Duration>, number: usize, all: usize) -> String {
-    let took = took.map_or(" before".to_owned(), |took| format!(" after {:.1} s", took.as_secs_f64()));
+fn said(fate: &Fate, name: &str, took: Option<Duration>, number: usize, all: usize) -> String {
+    let took = took.map(|took| format!(" after {:.1} s", took.as_secs_f64()));
+    let before = if fate.state == State::Done { " before" } else { "" };
     let reason = fate.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
-    format!("[{number}/{all}] {} {}{took}{reason}", fate.name, fate.state.words())
+    let (state, took) = (fate.state.words(), took.unwrap_or_else(|| before.to_owned()));
+    format!("[{number}/{all}] {name} {state}{took}{reason}")
 }
 
-fn end(fates: &[Fate], form: Form) -> Result<(), Failure> {
-    let any = |state: State| fates.iter().any(|fate| fate.state == state);
+fn end(list: &List, maker: &Maker, fates: &[Fate], form: Form) -> Result<(), Failure> {
+    let is_final = |fate: &Fate| matches!(fate.state, State::Done | State::Failed);
     let said = || anyhow::anyhow!("not all jobs are done: {}", counted(fates));
-    let failure = match (any(State::ToGoOn), any(State::Failed)) {
-        (true, _) => Some(Failure::Again(said().context("the same command again does what is left"))),
-        (false, true) => Some(Failure::Partial(said())),
-        (false, false) => None,
+    let failure = if !fates.iter().all(is_final) {
+        Some(Failure::Again(said().context("the same command again does what is left")))
+    } else if fates.iter().any(|fate| fate.state == State::Failed) {
+        Some(Failure::Partial(said()))
+    } else {
+        None
     };
-    let mut value = as_json(fates);
-    if let Some(failure) = &failure {
-        value["error"] = failure.as_json();
-    }
-    show(form, &value, || counted(fates) + "\n")?;
+    show_counts(list, maker, fates, failure.as_ref(), form)?;
     failure.map_or(Ok(()), Err)
 }

@@ -1,11 +1,21 @@
 //! What has become of every job.
 
-use serde::Serialize;
+use std::path::Path;
+
+use rayon::iter::{IndexedParallelIterator, IntoParallelRefIterator, ParallelExtend, ParallelIterator};
+use serde::ser::{Error as _, SerializeMap, SerializeSeq};
+use serde::{Serialize, Serializer};
 use serde_json::{Value, json};
 
-use super::item::Item;
-use crate::cli::output::{Failure, Form, show};
-use crate::pipeline::Standing;
+use super::Args;
+use super::item::Maker;
+use super::list::List;
+use crate::cli::job::JobArgs;
+use crate::cli::output::{Failure, Form, print_all, print_json, show};
+use crate::pipeline::{Standing, is_begun};
+
+/// Jobs whose options are in memory at a time: enough that no thread waits for work, and some MiB.
+const AT_ONCE: usize = 1024;
 
 /// What has become of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -40,71 +50,144 @@ impl State {
     }
 }
 
-/// A job and what has become of it.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+/// State of a job. Of a list of a million there are as many of these.
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Fate {
     pub(super) index: usize,
-    pub(super) name: String,
-    pub(super) input: std::path::PathBuf,
-    pub(super) output: std::path::PathBuf,
     pub(super) state: State,
-    /// Why there is no result, where that is known.
+    /// Reason why there is no result of what was asked for, where that is known.
     pub(super) reason: Option<String>,
     /// Exit code of the last run, where that is known and was not 0.
     pub(super) exit_code: Option<u8>,
 }
 
+/// A job's state with its entry in the list, as JSON shows it.
+#[derive(Serialize)]
+struct Shown<'a> {
+    index: usize,
+    name: &'a str,
+    input: &'a Path,
+    output: &'a Path,
+    state: State,
+    reason: Option<&'a str>,
+    exit_code: Option<u8>,
+}
+
 impl Fate {
-    /// What the output folder says.
-    pub(super) fn of(item: &Item) -> Self {
-        let (state, failed) = match item.standing() {
-            Standing::Absent => (State::Missing, None),
-            Standing::Running => (State::Running, None),
-            Standing::Done => (State::Done, None),
-            Standing::Outdated => (State::Outdated, None),
-            Standing::Failed(failed) => (State::Failed, Some(failed)),
-            Standing::Begun => (State::ToGoOn, None),
+    /// State of a job by its output folder.
+    pub(super) fn of(index: usize, standing: Standing) -> Self {
+        let (state, reason, exit_code) = match standing {
+            Standing::Absent => (State::Missing, None, None),
+            Standing::Running => (State::Running, None, None),
+            Standing::Done => (State::Done, None, None),
+            Standing::Outdated(difference) => (State::Outdated, Some(difference), None),
+            Standing::Failed(failed) => (State::Failed, Some(failed.reason), Some(failed.code)),
+            Standing::Begun => (State::ToGoOn, None, None),
         };
-        let (exit_code, reason) = failed.map(|failed| (failed.code, failed.reason)).unzip();
-        Self { state, reason, exit_code, ..Self::without_state(item) }
+        Self { index, state, reason, exit_code }
     }
 
-    pub(super) fn without_state(item: &Item) -> Self {
-        Self {
-            index: item.index,
-            name: item.name.clone(),
-            input: item.input.clone(),
-            output: item.output.clone(),
-            state: State::Missing,
-            reason: None,
-            exit_code: None,
-        }
-    }
-
-    fn line(&self) -> String {
+    fn line(&self, name: &str) -> String {
         let reason = self.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
-        format!("{:>6}  {:<8}  {}{reason}\n", self.index, self.state.words(), self.name)
+        format!("{:>6}  {:<8}  {name}{reason}\n", self.index, self.state.words())
     }
 }
 
-pub(super) fn run(items: &[Item], form: Form) -> Result<(), Failure> {
-    let fates: Vec<Fate> = items.iter().map(Fate::of).collect();
+pub(super) fn run(args: &Args, list: &List, maker: &Maker, form: Form) -> Result<(), Failure> {
+    let mut fates = Vec::with_capacity(list.len());
+    for start in (0..list.len()).step_by(AT_ONCE) {
+        let end = list.len().min(start + AT_ONCE);
+        let lines = (start..end).map(|index| line(list, maker, index)).collect::<Result<Vec<_>, _>>()?;
+        let of_line = |(k, line): (usize, &Option<JobArgs>)| {
+            let standing = line.as_ref().map_or(Standing::Absent, |line| Maker::standing_of_given(args, line));
+            Fate::of(start + k, standing)
+        };
+        fates.par_extend(lines.par_iter().enumerate().map(of_line));
+    }
     let failure = (!fates.iter().all(|fate| fate.state == State::Done)).then(|| {
         let said = format!("not all jobs are done: {}; the same list again does what is left", counted(&fates));
         Failure::Partial(anyhow::anyhow!(said))
     });
-    let mut value = as_json(&fates);
-    if let Some(failure) = &failure {
-        value["error"] = failure.as_json();
-    }
-    show(form, &value, || fates.iter().map(Fate::line).collect::<String>() + &counted(&fates) + "\n")?;
+    show_all(list, maker, &fates, failure.as_ref(), form)?;
     failure.map_or(Ok(()), Err)
 }
 
-pub(super) fn as_json(fates: &[Fate]) -> Value {
-    let counts: serde_json::Map<String, Value> =
-        State::ALL.into_iter().map(|state| (state.words().replace(' ', "_"), json!(number(fates, state)))).collect();
-    json!({ "jobs": fates, "counts": counts })
+/// The options of a line whose job was begun. Those of others are only checked.
+fn line(list: &List, maker: &Maker, index: usize) -> Result<Option<JobArgs>, Failure> {
+    let entry = list.entry(index)?;
+    let is_begun = is_begun(&maker.output(&entry));
+    match is_begun || !entry.words.is_empty() {
+        true => Ok(Some(maker.parse(&entry)?).filter(|_| is_begun)),
+        false => Ok(None),
+    }
+}
+
+/// Prints the state of all jobs.
+fn show_all(list: &List, maker: &Maker, fates: &[Fate], failure: Option<&Failure>, form: Form) -> Result<(), Failure> {
+    match form {
+        Form::Json => print_json(&AllJobs { list, maker, fates, failure }),
+        Form::Nothing => Ok(()),
+        Form::Text => {
+            let line = |fate: &Fate| -> Result<String, Failure> { Ok(fate.line(&list.entry(fate.index)?.name)) };
+            let counts = std::iter::once_with(|| Ok(counted(fates) + "\n"));
+            print_all(fates.iter().map(line).chain(counts))
+        }
+    }
+}
+
+/// Prints how many jobs are in each state; as JSON the state of each, too.
+pub(super) fn show_counts(
+    list: &List,
+    maker: &Maker,
+    fates: &[Fate],
+    failure: Option<&Failure>,
+    form: Form,
+) -> Result<(), Failure> {
+    match form {
+        Form::Json => show_all(list, maker, fates, failure, form),
+        _ => show(form, &(), || counted(fates) + "\n"),
+    }
+}
+
+/// `{"jobs": [...], "counts": {...}, "error": {...}}`, serialized job by job.
+struct AllJobs<'a> {
+    list: &'a List,
+    maker: &'a Maker<'a>,
+    fates: &'a [Fate],
+    failure: Option<&'a Failure>,
+}
+
+impl Serialize for AllJobs<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        map.serialize_entry("jobs", &EachJob(self))?;
+        map.serialize_entry("counts", &counts(self.fates))?;
+        if let Some(failure) = self.failure {
+            map.serialize_entry("error", &failure.as_json())?;
+        }
+        map.end()
+    }
+}
+
+struct EachJob<'a>(&'a AllJobs<'a>);
+
+impl Serialize for EachJob<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let AllJobs { list, maker, fates, .. } = self.0;
+        let mut jobs = serializer.serialize_seq(Some(fates.len()))?;
+        for fate in *fates {
+            let entry = list.entry(fate.index).map_err(S::Error::custom)?;
+            let Fate { index, state, ref reason, exit_code } = *fate;
+            let (name, input, output) = (entry.name.as_str(), entry.input.as_path(), maker.output(&entry));
+            let (output, reason) = (output.as_path(), reason.as_deref());
+            jobs.serialize_element(&Shown { index, name, input, output, state, reason, exit_code })?;
+        }
+        jobs.end()
+    }
+}
+
+fn counts(fates: &[Fate]) -> serde_json::Map<String, Value> {
+    State::ALL.into_iter().map(|state| (state.words().replace(' ', "_"), json!(number(fates, state)))).collect()
 }
 
 fn number(fates: &[Fate], state: State) -> usize {
@@ -120,27 +203,16 @@ pub(super) fn counted(fates: &[Fate]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn fate(index: usize, state: State, reason: Option<&str>) -> Fate {
-        let (input, output) = (format!("{index}.mp4").into(), format!("out/{index}").into());
-        Fate {
-            index,
-            name: index.to_string(),
-            input,
-            output,
-            state,
-            reason: reason.map(str::to_owned),
-            exit_code: None,
-        }
-    }
+    use crate::pipeline::Failed;
 
     #[test]
     fn states_are_counted_and_reasons_said() {
-        let fates = [fate(0, State::Done, None), fate(1, State::Failed, Some("no video")), fate(2, State::Done, None)];
+        let failed = Standing::Failed(Failed { code: 1, reason: "no video".to_owned() });
+        let fates: Vec<Fate> =
+            (0..).zip([Standing::Done, failed, Standing::Done]).map(|(k, standing)| Fate::of(k, standing)).collect();
         assert_eq!(counted(&fates), "2 done, 1 failed");
-        assert_eq!(fates[1].line(), "     1  failed    1: no video\n");
-        let value = as_json(&fates);
-        assert_eq!((&value["counts"]["done"], &value["counts"]["to_go_on"]), (&json!(2), &json!(0)));
-        assert_eq!(value["jobs"][1]["state"], "failed");
+        assert_eq!(fates[1].line("b"), "     1  failed    b: no video\n");
+        let counts = counts(&fates);
+        assert_eq!((&counts["done"], &counts["to_go_on"]), (&json!(2), &json!(0)));
     }
 }

@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 
 /// What a job alone is not told of the command line for all: which jobs, how much of the machine, and how to talk.
-const OF_ALL: [&str; 5] = ["--index", "--jobs", "--threads", "--memory-limit", "--progress"];
+const OF_ALL: [&str; 7] = ["--index", "--jobs", "--threads", "--memory-limit", "--progress", "--entry", "--parent"];
 const OF_ALL_WITHOUT_VALUE: [&str; 4] = ["--quiet", "--json", "--verbose", "-v"];
 
 /// The words of a text: they are parted by blanks, `'` and `"` keep blanks in a word. A backslash is a letter.
@@ -54,7 +54,7 @@ fn is_flag(word: &str, flag: &str) -> bool {
 }
 
 /// The command line that does one job of a list alone, from that of all or of another one; `more` is put to it.
-pub(super) fn alone(arguments: &[OsString], index: usize, more: &[&str]) -> Vec<OsString> {
+pub(super) fn alone(arguments: &[OsString], index: usize, more: &[OsString]) -> Vec<OsString> {
     let end = arguments.iter().position(|word| word == "--").unwrap_or(arguments.len());
     let (flags, rest) = arguments.split_at(end);
     let (mut words, mut is_value) = (Vec::new(), false);
@@ -67,9 +67,16 @@ pub(super) fn alone(arguments: &[OsString], index: usize, more: &[&str]) -> Vec<
         is_value = !is_value && OF_ALL.contains(&&*text);
     }
     words.extend(["--index".into(), index.to_string().into()]);
-    words.extend(more.iter().map(OsString::from));
+    words.extend_from_slice(more);
     words.extend_from_slice(rest);
     words
+}
+
+/// The index in the list of a job whose run had this command line; `None` for other commands than `batch`.
+pub(super) fn index_of_run(arguments: &[String]) -> Option<usize> {
+    let at = arguments.iter().position(|word| word == "batch")?;
+    let mut words: Vec<String> = arguments[at..].iter().take_while(|word| *word != "--").cloned().collect();
+    take_value(&mut words, "--index").ok().flatten()?.parse().ok()
 }
 
 #[cfg(test)]
@@ -92,11 +99,18 @@ mod tests {
         let of = |text: &str| -> Vec<OsString> { text.split(' ').map(OsString::from).collect() };
         let all = of("tractrix --quiet batch --jobs 4 --threads=8 --output o -v --seed 3 -- list");
         assert_eq!(
-            alone(&all, 2, &["--threads", "2"]),
+            alone(&all, 2, &["--threads".into(), "2".into()]),
             of("tractrix batch --output o --seed 3 --index 2 --threads 2 -- list")
         );
         let one = of("tractrix batch list --index 5 --output o");
         assert_eq!(alone(&one, 5, &[]), of("tractrix batch list --output o --index 5"));
+    }
+
+    #[test]
+    fn the_index_of_a_run_is_read_from_its_command_line() {
+        let of = |text: &str| index_of_run(&split(text).unwrap());
+        assert_eq!(of("tractrix batch --output o --index 2 --threads 2 -- list"), Some(2));
+        assert_eq!((of("tractrix run --output o --index 2"), of("tractrix batch l -- --index 1")), (None, None));
     }
 
     #[test]
