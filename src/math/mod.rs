@@ -1,4 +1,4 @@
-//! Arithmetic that every room shares: rigid and similarity transforms, robust losses, seeded random numbers.
+//! Arithmetic that every room shares: rigid and similarity transforms, robust losses, seeded random numbers, rounding.
 
 mod align;
 mod direct_linear;
@@ -7,6 +7,7 @@ pub mod polynomial;
 mod random;
 mod rigid3;
 mod robust_loss;
+pub mod rounding;
 mod sim3;
 mod statistics;
 mod wxyz;
