@@ -45,4 +45,4 @@ pub use photographs::read_photographs;
 pub use read::{read, read_bytes, read_subtitles, read_within};
 pub use srt::Subtitle;
 pub use summary::{Range, Summary};
-pub use time::clock_s;
+pub use time::{clock_s, date};

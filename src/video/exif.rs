@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 
 use ::image::metadata::Orientation;
-use exif::{Exif, In, Tag, Value};
+use exif::{DateTime, Exif, In, Tag, Value};
 
 use crate::limits::files;
 
@@ -88,6 +88,39 @@ fn was_cut(exif: &Exif, width: u32, height: u32) -> bool {
     let recorded = [Tag::PixelXDimension, Tag::PixelYDimension].map(|tag| number(exif, tag));
     let [Some(x), Some(y)] = recorded else { return false };
     (aspect(x, y) / aspect(f64::from(width), f64::from(height)) - 1.0).abs() > SHAPE_TOLERANCE
+}
+
+/// When a photograph was taken.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Taken {
+    /// Local date and time: `2014-05-01T10:00:00.25`.
+    pub local: String,
+    /// Local time minus universal time, as the block states it: `+02:00`.
+    pub utc_offset: Option<String>,
+}
+
+/// When the photograph was taken (`DateTimeOriginal`, `SubSecTimeOriginal`, `OffsetTimeOriginal`); `None` where the block
+/// does not say.
+pub fn taken(path: &Path) -> Option<Taken> {
+    taken_by(&read(path)?)
+}
+
+fn taken_by(exif: &Exif) -> Option<Taken> {
+    let ascii = |tag| match &exif.get_field(tag, In::PRIMARY)?.value {
+        Value::Ascii(texts) => Some(texts.first()?.as_slice()),
+        _ => None,
+    };
+    let stated = DateTime::from_ascii(ascii(Tag::DateTimeOriginal)?).ok()?;
+    let DateTime { year, month, day, hour, minute, second, .. } = stated;
+    let small = |value: u8| i8::try_from(value).ok();
+    let date = jiff::civil::Date::new(i16::try_from(year).ok()?, small(month)?, small(day)?).ok()?;
+    // A leap second counts as the one before it.
+    let time = jiff::civil::Time::new(small(hour)?, small(minute)?, small(second)?.min(59), 0).ok()?;
+    let digits = ascii(Tag::SubSecTimeOriginal).map(|text| String::from_utf8_lossy(text).trim().to_owned());
+    let fraction = digits.filter(|digits| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit()));
+    let fraction = fraction.map_or_else(String::new, |digits| format!(".{digits}"));
+    let utc_offset = ascii(Tag::OffsetTimeOriginal).map(|text| String::from_utf8_lossy(text).trim().to_owned());
+    Some(Taken { local: format!("{date}T{time}{fraction}"), utc_offset })
 }
 
 /// A positive number.
@@ -181,9 +214,23 @@ mod tests {
             let Ok(exif) = exif::Reader::new().read_raw(bytes) else { continue };
             num_read += 1;
             assert!(focal_px(&exif, 4000, 3000).is_none_or(|focal| focal.is_finite() && focal > 0.0));
-            let _ = (orientation(&exif), camera(&exif));
+            let _ = (orientation(&exif), camera(&exif), taken_by(&exif));
         }
         assert!(num_read > 1000, "{num_read}");
+    }
+
+    #[test]
+    fn the_time_of_a_photograph_is_local_and_has_its_offset() {
+        let text = |text: &str| Value::Ascii(vec![text.as_bytes().to_vec()]);
+        let original = (Tag::DateTimeOriginal, text("2014:05:01 10:00:07"));
+        let found = taken_by(&block(std::slice::from_ref(&original))).unwrap();
+        assert_eq!((found.local.as_str(), found.utc_offset), ("2014-05-01T10:00:07", None));
+        let more = [(Tag::SubSecTimeOriginal, text("25 ")), (Tag::OffsetTimeOriginal, text("+02:00"))];
+        let found = taken_by(&block(&[&[original][..], &more].concat())).unwrap();
+        assert_eq!((found.local.as_str(), found.utc_offset.as_deref()), ("2014-05-01T10:00:07.25", Some("+02:00")));
+        for wrong in ["", "    :  :     :  :  ", "0000:00:00 00:00:00", "2014:13:01 10:00:00", "2014:02:30 10:00:00", "x"] {
+            assert_eq!(taken_by(&block(&[(Tag::DateTimeOriginal, text(wrong))])), None, "{wrong}");
+        }
     }
 
     #[test]

@@ -25,6 +25,7 @@ mod start;
 mod subtitles;
 
 pub use error::VideoError;
+pub use exif::{Taken, taken};
 pub use options::{Options, Position, Turning};
 pub use prefetch::Frames;
 pub use source::{Info, Kind, PictureCamera, Scan, Source};
