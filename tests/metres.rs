@@ -59,10 +59,12 @@ fn without_metres(mut trajectories: Value) -> Value {
     trajectories.as_object_mut().unwrap().remove("metric");
     for object in trajectories["objects"].as_array_mut().unwrap() {
         for frame in object["frames"].as_array_mut().unwrap() {
-            let kept = ["frame", "name", "time_s", "position", "world_from_object", "speed"];
+            let kept = ["frame", "name", "time_s", "position", "world_from_object"];
             frame.as_object_mut().unwrap().retain(|key, _| kept.contains(&key.as_str()));
         }
-        object.as_object_mut().unwrap().remove("dimensions");
+        for key in ["dimensions", "travel"] {
+            object.as_object_mut().unwrap().remove(key);
+        }
     }
     trajectories
 }

@@ -10,7 +10,7 @@ use super::common::CommonArgs;
 use super::output::Failure;
 use crate::io::{IoError, Sequence};
 use crate::limits::{files, memory};
-use crate::metric::{KnownLength, Measured, TimeOffset};
+use crate::metric::{KnownLength, Measured, TimeOffset, UtcOffset};
 use crate::pipeline::{
     DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskChoice, MetricOptions,
     MotionChoice, Options, Stage, TelemetryChoice,
@@ -120,6 +120,9 @@ pub(super) struct JobArgs {
     /// The time of a log with a clock (GPX, NMEA) counts from its first position. Without a deviation: ± 0.2 s.
     #[arg(long, value_name = "SECONDS[±STD]", allow_hyphen_values = true, help_heading = "Metres")]
     pub(super) time_offset: Option<TimeOffset>,
+    /// Local time minus UTC where log or photographs state no zone: +02:00 [default: dates stay local, without Z]
+    #[arg(long, value_name = "±HH:MM", allow_hyphen_values = true, help_heading = "Metres")]
+    pub(super) utc_offset: Option<UtcOffset>,
     /// Height of the camera over the ground, on average over the video, metres: 1.45±0.05 (standard deviation)
     #[arg(long, value_name = "METRES[±STD]", help_heading = "Metres")]
     pub(super) camera_height: Option<Measured>,
@@ -174,7 +177,7 @@ pub(super) fn shown_up_to(goal: Stage, flag: clap::Arg) -> clap::Arg {
         "object_model" | "only_object" => Stage::Follow,
         "ground_masks" | "ground_label" | "ground_model" => Stage::Ground,
         "scale_method" => Stage::Scale,
-        "telemetry" | "no_telemetry" | "time_offset" | "camera_height" | "known_length" | "scale" => Stage::Metric,
+        "telemetry" | "no_telemetry" | "time_offset" | "utc_offset" | "camera_height" | "known_length" | "scale" => Stage::Metric,
         _ => Stage::Frames,
     };
     flag.hide(first_use > goal)
@@ -261,6 +264,7 @@ fn apply_metres(job: &JobArgs, metric: &mut MetricOptions) {
         metric.telemetry = TelemetryChoice::None;
     }
     metric.time_offset = job.time_offset.or(metric.time_offset);
+    metric.utc_offset = job.utc_offset.or(metric.utc_offset);
     metric.camera_height = job.camera_height.or(metric.camera_height);
     metric.scale = job.scale.or(metric.scale);
     metric.known_lengths.extend(job.known_length.iter().copied());

@@ -1,12 +1,12 @@
-//! What a run found, as its last lines say it: vehicle by vehicle, in words that need no manual.
+//! The result of a run in its last lines, vehicle by vehicle, and the same as JSON.
 
 use std::fmt::Write;
 
 use serde_json::{Value, json};
 
 use crate::pipeline::{Summary, Vehicle};
-use crate::report::Verdict;
-use crate::scene::{Dimensions, Movement, ObjectId, ObjectTrajectory, TimeBase, Trajectories, Unit};
+use crate::report::{Verdict, estimate, travel_facts};
+use crate::scene::{Dimensions, Movement, ObjectId, ObjectTrajectory, TimeBase, Trajectories};
 
 /// One paragraph per vehicle; where a run ends before the trajectories, nothing.
 pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String {
@@ -14,7 +14,7 @@ pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String 
     for (&id, vehicle) in &summary.vehicles {
         // Writing to a string cannot fail.
         let _ = match trajectories.objects.iter().find(|trajectory| trajectory.id == id) {
-            Some(found) => write!(text, "{}", placed(found, vehicle, metres(trajectories), summary.time_base)),
+            Some(found) => write!(text, "{}", placed(found, vehicle, summary.time_base)),
             None => writeln!(text, "  {id}: {}, no trajectory: {}", class(vehicle), why_not(vehicle)),
         };
     }
@@ -23,22 +23,6 @@ pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String 
         let _ = writeln!(text, "  {reason}");
     }
     text
-}
-
-/// Metres in the unit of the positions.
-#[derive(Clone, Copy)]
-struct Metres {
-    per_unit: f64,
-    /// Standard deviation as a share; 0 where the unit is the metre.
-    std: f64,
-}
-
-fn metres(trajectories: &Trajectories) -> Option<Metres> {
-    let frame = trajectories.metric.as_ref().and_then(|metric| metric.frame.as_ref());
-    match trajectories.unit {
-        Unit::Metre => Some(Metres { per_unit: 1.0, std: 0.0 }),
-        Unit::Background => frame.map(|frame| Metres { per_unit: frame.scale, std: frame.log_scale_std() }),
-    }
 }
 
 fn headline(num_vehicles: usize, num_placed: usize) -> String {
@@ -54,17 +38,21 @@ fn headline(num_vehicles: usize, num_placed: usize) -> String {
     }
 }
 
-fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, metres: Option<Metres>, times: TimeBase) -> String {
+fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, times: TimeBase) -> String {
     let (id, class) = (found.id, class(vehicle));
     let (placed, visible) = (found.poses.len(), vehicle.model.num_visible);
     let mut text =
         format!("  {id}: {class}, placed in {placed} of {}{}\n", count(visible, "frame"), span(found, times));
     // Writing to a string cannot fail.
-    let _ = writeln!(text, "     path: {}{}", length(found.path_length(), metres), speed(found, metres, times));
-    if let Some(size) = found.dimensions.as_ref().and_then(size) {
+    let _ = writeln!(text, "     {}", sureness(found));
+    let travel = travel_facts(found, times);
+    if !travel.is_empty() {
+        let said: Vec<String> = travel.iter().map(|fact| format!("{}: {}", fact.label, fact.value)).collect();
+        let _ = writeln!(text, "     {}", said.join(", "));
+    }
+    if let Some(size) = size(found) {
         let _ = writeln!(text, "     size: {size}");
     }
-    let _ = writeln!(text, "     {}", sureness(found));
     for reason in doubts(found) {
         let _ = writeln!(text, "     - {reason}");
     }
@@ -89,11 +77,11 @@ fn sureness(found: &ObjectTrajectory) -> String {
     format!("{}. {}", verdict.label(), verdict.sentence(Some(found)))
 }
 
-/// What else speaks against the path, besides what the verdict's sentence says already.
+/// Complaints besides the one in the verdict's sentence.
 fn doubts(found: &ObjectTrajectory) -> Vec<&str> {
-    let against = found.verdict.iter().flat_map(|verdict| verdict.against());
-    let is_said = matches!(Verdict::of(Some(found)), Verdict::Doubtful | Verdict::Refuted | Verdict::Weak);
-    against.skip(usize::from(is_said)).map(|reason| reason.says.as_str()).collect()
+    let complaints = found.verdict.iter().flat_map(|verdict| verdict.complaints());
+    let is_said = matches!(Verdict::of(Some(found)), Verdict::Doubtful | Verdict::Rejected);
+    complaints.skip(usize::from(is_said)).map(|reason| reason.says.as_str()).collect()
 }
 
 fn why_not(vehicle: &Vehicle) -> &str {
@@ -116,45 +104,20 @@ fn count(number: usize, noun: &str) -> String {
     format!("{number} {noun}{plural}")
 }
 
-fn length(length: f64, metres: Option<Metres>) -> String {
-    match metres {
-        Some(Metres { per_unit, std }) if std > 0.0 => format!("{:.1} m ± {:.1} %", per_unit * length, 100.0 * std),
-        Some(Metres { per_unit, .. }) => format!("{:.1} m", per_unit * length),
-        None => format!("{} units of the background", with_three_digits(length)),
-    }
-}
-
-/// Units of the background are arbitrary: a path may be 0.00123 or 12300 of them long.
-fn with_three_digits(value: f64) -> String {
-    let magnitude = if value > 0.0 { value.log10().floor() as i32 } else { 0 };
-    let decimals = (2 - magnitude).clamp(0, 9) as usize;
-    format!("{value:.decimals$}")
-}
-
 /// Length, width and height, as far as they were seen.
-fn size(size: &Dimensions) -> Option<String> {
-    let parts = [("long", size.length_m), ("wide", size.width_m), ("high", size.height_m)];
-    let said = parts.iter().filter_map(|(what, found)| Some((what, (*found)?)));
-    let said: Vec<String> = said.map(|(what, e)| format!("{:.2} ± {:.2} m {what}", e.value, e.std)).collect();
+fn size(found: &ObjectTrajectory) -> Option<String> {
+    let Dimensions { length_m, width_m, height_m } = found.dimensions?;
+    let parts = [("long", length_m), ("wide", width_m), ("high", height_m)];
+    let said = parts.into_iter().filter_map(|(what, size)| Some(format!("{} {what}", estimate(found, size?, "m"))));
+    let said: Vec<String> = said.collect();
     (!said.is_empty()).then(|| said.join(", "))
-}
-
-/// The mean speed, where it has a meaning.
-fn speed(found: &ObjectTrajectory, metres: Option<Metres>, times: TimeBase) -> String {
-    let (Some(first), Some(last)) = (found.poses.first(), found.poses.last()) else { return String::new() };
-    let seconds = last.time_s - first.time_s;
-    match (metres, times) {
-        (Some(Metres { per_unit, .. }), TimeBase::Seconds) if seconds > 0.0 => {
-            let speed = per_unit * found.path_length() / seconds;
-            format!(", on average {speed:.1} m/s ({:.0} km/h)", 3.6 * speed)
-        }
-        _ => String::new(),
-    }
 }
 
 /// The vehicles with a trajectory, for programs.
 pub(super) fn placed_as_json(summary: &Summary, trajectories: &Trajectories) -> Vec<Value> {
     let value = |found: &ObjectTrajectory| {
+        let travel = found.travel.as_ref();
+        let size = found.dimensions.unwrap_or_default();
         json!({
             "id": found.id,
             "class": found.class,
@@ -163,10 +126,20 @@ pub(super) fn placed_as_json(summary: &Summary, trajectories: &Trajectories) -> 
             "visible": summary.vehicles.get(&found.id).map(|vehicle| vehicle.model.num_visible),
             "first_frame": found.poses.first().map(|pose| pose.frame),
             "last_frame": found.poses.last().map(|pose| pose.frame),
-            "path_length": found.path_length(),
-            "verdict": Verdict::of(Some(found)),
-            "judged": found.verdict,
+            "verdict": found.verdict.as_ref().map(|verdict| verdict.state),
+            "reasons": found.verdict.as_ref().map(|verdict| &verdict.reasons),
+            "path_units": travel.map(|travel| travel.path_units),
+            "path_m": travel.and_then(|travel| travel.path_m),
+            "displacement_m": travel.and_then(|travel| travel.displacement_m),
+            "mean_speed_m_s": travel.and_then(|travel| travel.mean_speed_m_s),
+            "max_speed_m_s": travel.and_then(|travel| travel.max_speed_m_s),
+            "length_m": size.length_m,
+            "width_m": size.width_m,
+            "height_m": size.height_m,
             "scale": found.scale,
+            // Keys of before, for one minor version.
+            "path_length": travel.map(|travel| travel.path_units.value),
+            "judged": found.verdict,
         })
     };
     trajectories.objects.iter().map(value).collect()
@@ -188,7 +161,9 @@ mod tests {
     use super::*;
     use crate::math::Sim3;
     use crate::pipeline::ModelReport;
-    use crate::scene::{self, Estimate, FrameId, ObjectPose, Reason, ReasonKind, ScaleEstimate, ScaleMethod, Trust};
+    use crate::scene::{
+        self, Estimate, FrameId, ObjectPose, Reason, ReasonKind, ScaleEstimate, ScaleMethod, Travel, Trust, Unit,
+    };
 
     fn pose(frame: u32) -> ObjectPose {
         ObjectPose {
@@ -211,7 +186,17 @@ mod tests {
         let poses = (3..=12).map(pose).collect();
         let verdict = Some(judged(Trust::Good, Vec::new()));
         let (class, ground) = ("car".into(), [].into());
-        ObjectTrajectory { id: ObjectId(id), class, confidence: 1.0, scale, ground, verdict, dimensions: None, poses }
+        let path_units = Estimate { value: 0.45, std: 0.01 };
+        let travel = Some(Travel {
+            path_units,
+            displacement_units: path_units,
+            path_m: None,
+            displacement_m: None,
+            mean_speed_m_s: None,
+            max_speed_m_s: None,
+        });
+        let dimensions = None;
+        ObjectTrajectory { id: ObjectId(id), class, confidence: 1.0, scale, ground, verdict, dimensions, travel, poses }
     }
 
     fn summary(vehicles: impl IntoIterator<Item = (u32, Vehicle)>, time_base: TimeBase) -> Summary {
@@ -239,9 +224,9 @@ mod tests {
             as_text(&summary(vehicles.clone(), TimeBase::Seconds), &found),
             "2 vehicles, 1 of them with a trajectory\n  \
                1: car, placed in 10 of 10 frames, from 0.3 s to 1.2 s\n     \
-                  path: 0.450 units of the background\n     \
-                  scale well determined. Size and distance of this path are right to about 1.0 %, by the run's own \
-                  estimate (one standard deviation).\n  \
+                  good. Estimated error of this vehicle's size and distance: ±1.0 % (1σ).\n     \
+                  path length: 0.450 ± 0.010 units, displacement: 0.450 ± 0.010 units, mean speed: 0.500 ± 0.011 \
+                  units/s\n  \
                4: truck, no trajectory: it is too small\n"
         );
         let without_times = as_text(&summary(vehicles, TimeBase::Frames), &found);
@@ -252,19 +237,28 @@ mod tests {
     }
 
     #[test]
-    fn metres_have_a_speed_and_one_vehicle_is_one() {
-        let found = Trajectories { unit: Unit::Metre, metric: None, objects: vec![trajectory(1)] };
-        let text = as_text(&summary([(1, vehicle("", 10, None))], TimeBase::Seconds), &found);
-        assert!(text.starts_with("1 vehicle with a trajectory\n  1: vehicle, "), "{text}");
-        assert!(text.contains("path: 0.5 m, on average 0.5 m/s (2 km/h)"), "{text}");
-    }
-
-    #[test]
-    fn what_was_seen_of_a_size_is_said() {
+    fn metres_have_speeds_and_sizes_and_one_vehicle_is_one() {
+        let mut vehicle_1 = trajectory(1);
+        let speed = |value| Some(Estimate { value, std: 0.04 * value });
+        vehicle_1.travel = vehicle_1.travel.map(|travel| Travel {
+            path_m: Some(travel.path_units.scaled(10.0)),
+            displacement_m: Some(travel.path_units.scaled(10.0)),
+            mean_speed_m_s: speed(5.0),
+            max_speed_m_s: speed(6.0),
+            ..travel
+        });
         let length_m = Some(Estimate { value: 4.312, std: 0.118 });
-        let seen = Dimensions { length_m, width_m: None, height_m: None };
-        assert_eq!(size(&seen).as_deref(), Some("4.31 ± 0.12 m long"));
-        assert_eq!(size(&Dimensions::default()), None);
+        vehicle_1.dimensions = Some(Dimensions { length_m, width_m: None, height_m: None });
+        let found = Trajectories { unit: Unit::Background, metric: None, objects: vec![vehicle_1] };
+        let summary = summary([(1, vehicle("", 10, None))], TimeBase::Seconds);
+        let text = as_text(&summary, &found);
+        assert!(text.starts_with("1 vehicle with a trajectory\n  1: vehicle, "), "{text}");
+        let line = "path length: 4.50 ± 0.10 m, displacement: 4.50 ± 0.10 m, mean speed: 18.00 ± 0.72 km/h";
+        assert!(text.contains(line) && text.contains("size: 4.31 ± 0.12 m long\n"), "{text}");
+        let value = &placed_as_json(&summary, &found)[0];
+        assert_eq!((&value["verdict"], &value["path_m"]["value"]), (&"good".into(), &4.5.into()));
+        assert_eq!((&value["mean_speed_m_s"]["value"], &value["length_m"]["std"]), (&5.0.into(), &0.118.into()));
+        assert_eq!((&value["path_length"], &value["judged"]["state"]), (&0.45.into(), &"good".into()), "old keys");
     }
 
     #[test]
@@ -273,9 +267,9 @@ mod tests {
         let size = || Reason::refutes(ReasonKind::Size, "it is a tenth as large");
         let with = |state, reasons| ObjectTrajectory { verdict: Some(judged(state, reasons)), ..trajectory(1) };
         let fair = with(Trust::Fair, vec![doubt()]);
-        assert!(sureness(&fair).contains("right to about 1.0 %") && doubts(&fair) == ["it is small"]);
-        let refuted = with(Trust::NotToBeTrusted, vec![size(), doubt()]);
-        assert!(sureness(&refuted).starts_with("not to be trusted. This path cannot be right: it is a tenth"));
+        assert!(sureness(&fair).contains("±1.0 %") && doubts(&fair) == ["it is small"]);
+        let refuted = with(Trust::Rejected, vec![size(), doubt()]);
+        assert!(sureness(&refuted).starts_with("rejected. Do not measure with it: it is a tenth"));
         assert_eq!(doubts(&refuted), ["it is small"]);
         let unjudged = ObjectTrajectory { verdict: None, ..trajectory(1) };
         assert!(sureness(&unjudged).starts_with("not judged"));

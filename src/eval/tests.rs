@@ -102,6 +102,7 @@ fn some_trajectory(ratio: f64) -> ObjectTrajectory {
         ground: BTreeMap::new(),
         verdict: None,
         dimensions: None,
+        travel: None,
         poses: vec![],
     }
 }

@@ -17,6 +17,7 @@ use super::{ExportError, Results, View};
 use crate::ffi::ffmpeg::{Encoder, FfmpegError};
 use crate::image::{Canvas, Plate, RgbImage};
 use crate::io::{IoError, RunFolder, masks};
+use crate::math::rounding::with_std;
 use crate::report::{object_colour, overlay};
 use crate::scene::{Frame, FrameId, Mask, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
 
@@ -185,10 +186,7 @@ impl<'a> Annotator<'a> {
 
     fn speed(&self, poses: &[ObjectPose], now: usize) -> Option<String> {
         if let Some(motion) = poses[now].metric.and_then(|metric| metric.motion) {
-            let (speed, std) = (3.6 * motion.speed_m_s, 3.6 * motion.speed_std_m_s);
-            // As many decimals as the deviation is worth.
-            let decimals = usize::from(std < 1.0);
-            return Some(format!("{speed:.decimals$} ± {std:.decimals$} km/h"));
+            return Some(format!("{} km/h", with_std(3.6 * motion.speed_m_s, 3.6 * motion.speed_std_m_s)));
         }
         let is_known = self.results.metric_frame().is_none() && self.results.time_base == TimeBase::Seconds;
         raw_speed(poses, now).filter(|_| is_known).map(|speed| format!("{speed:.2} units/s"))
@@ -197,7 +195,7 @@ impl<'a> Annotator<'a> {
     /// `frame 12  0.40 s`, and what a question mark means where there is one.
     fn time(&self, frame: &Frame, masks: &[(ObjectId, Mask)]) -> String {
         let is_doubted = |(id, _): &(ObjectId, Mask)| self.trajectory(*id).is_some_and(ObjectTrajectory::is_ruled_out);
-        let doubts = if masks.iter().any(is_doubted) { "   ? not to be trusted" } else { "" };
+        let doubts = if masks.iter().any(is_doubted) { "   ? rejected" } else { "" };
         match self.results.time_base {
             TimeBase::Seconds => format!("frame {}  {:.2} s{doubts}", frame.id.0, frame.time_s),
             TimeBase::Frames => format!("frame {}{doubts}", frame.id.0),
@@ -247,7 +245,7 @@ mod tests {
         let plane = results.ground.as_ref().unwrap().planes[&(CAR, frame.id)];
         assert!(plane.signed_distance(annotator.ways[&CAR][4]).abs() < 1e-9);
         assert!(plane.signed_distance(Point3::from(object.poses[4].position)) > 0.1);
-        assert_eq!(annotator.label(CAR, frame.id), "1 car 29 ± 1 km/h");
+        assert_eq!(annotator.label(CAR, frame.id), "1 car 28.8 ± 1.4 km/h");
         assert_eq!(annotator.label(ObjectId(9), frame.id), "9");
         let picture = found.picture(frame.id);
         let masks = vec![found.masks(frame.id).swap_remove(0)];
@@ -269,7 +267,7 @@ mod tests {
         assert!(annotator.label(ObjectId(2), frame).ends_with(" ?"), "{}", annotator.label(ObjectId(2), frame));
         let shown = &found.frames[frame.0 as usize];
         let masks = [CAR, ObjectId(2)].map(|id| (id, Mask::empty(4, 4)));
-        assert!(annotator.time(shown, &masks).ends_with("? not to be trusted"));
+        assert!(annotator.time(shown, &masks).ends_with("? rejected"));
         assert!(!annotator.time(shown, &masks[..1]).contains('?'));
     }
 }

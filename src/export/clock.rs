@@ -1,80 +1,103 @@
-//! Times of the video as dates, where a receiver's clock is known.
+//! Times of the video as dates, where they are known.
 
-use jiff::Timestamp;
-
-use crate::scene::{Metric, TimeBase};
+use crate::scene::{ClockZone, Dates, Metric, TimeBase};
+use crate::telemetry;
 
 /// What the times of a result are to other programs.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Clock {
-    /// Dates: seconds after 1970 = time of the video + `offset_s`.
-    Dated {
-        /// Seconds.
-        offset_s: f64,
-    },
-    /// Seconds after the video's start.
-    OfVideo,
-    /// Numbers of frames: nobody stated a rate.
-    Frames,
+#[derive(Clone, Debug, PartialEq)]
+pub struct Clock {
+    time_base: TimeBase,
+    dates: Option<Dates>,
 }
-
-/// The sixth of January 1980, where the time of satellites begins: no receiver states an earlier one, so that an
-/// offset of less is one to a clock that starts with the video.
-const EARLIEST_S: f64 = 315_964_800.0;
 
 impl Clock {
     /// Of a result.
     pub fn of(metric: Option<&Metric>, time_base: TimeBase) -> Self {
-        let offset_s = metric.and_then(|metric| metric.time_offset_s);
-        match (time_base, offset_s) {
-            (TimeBase::Frames, _) => Self::Frames,
-            (_, Some(offset_s)) if offset_s >= EARLIEST_S => Self::Dated { offset_s },
-            _ => Self::OfVideo,
-        }
+        let dates = metric.and_then(|metric| metric.dates.clone());
+        // Numbers of frames are no seconds: then only photographs have dates.
+        let dates = dates.filter(|dates| time_base == TimeBase::Seconds || !dates.images.is_empty());
+        Self { time_base, dates }
     }
 
-    /// The date of a time of the video, to the millisecond, as `2024-06-01T12:00:00.5Z`; `None` where none is known.
-    pub fn date(&self, time_s: f64) -> Option<String> {
-        match self {
-            Self::Dated { offset_s } => date(offset_s + time_s),
-            Self::OfVideo | Self::Frames => None,
-        }
+    /// Whether times are seconds; else nobody stated a rate, and they are numbers of frames.
+    pub fn has_seconds(&self) -> bool {
+        self.time_base == TimeBase::Seconds
+    }
+
+    /// The date of an image at a time of the video, to the millisecond: `2024-06-01T12:00:00.5Z`, or local time without
+    /// `Z` where no zone is known; `None` without a date.
+    pub fn date(&self, image: &str, time_s: f64) -> Option<String> {
+        let Dates { start_s, zone, images } = self.dates.as_ref()?;
+        let by_start = || telemetry::date((*start_s)? + time_s, *zone == ClockZone::Utc);
+        images.get(image).cloned().or_else(by_start)
     }
 
     /// The same for a format that knows nothing but dates: counted from 1970 where none is known.
-    pub fn date_or_since_1970(&self, time_s: f64) -> String {
-        let known = self.date(time_s).or_else(|| date(time_s));
+    pub fn date_or_since_1970(&self, image: &str, time_s: f64) -> String {
+        let known = self.date(image, time_s).or_else(|| telemetry::date(time_s, true));
         known.unwrap_or_else(|| "1970-01-01T00:00:00Z".to_owned())
     }
-}
 
-/// `None` beyond the years that a calendar has.
-fn date(seconds: f64) -> Option<String> {
-    Timestamp::from_millisecond((1e3 * seconds).round() as i64).ok().map(|moment| moment.to_string())
+    /// The clock in a sentence.
+    pub(super) fn in_words(&self) -> &'static str {
+        match (self.dates.as_ref().map(|dates| dates.zone), self.time_base) {
+            (Some(ClockZone::Utc), _) => "Times are UTC.",
+            (Some(ClockZone::Local), _) => {
+                "Times are local, of a clock that states no zone; --utc-offset \u{b1}HH:MM turns them into UTC."
+            }
+            (Some(ClockZone::PerImage), _) => "Times are those of the photographs, local where they have no Z.",
+            (None, TimeBase::Seconds) => {
+                "No date is known: times count from the video's start, set to 1970-01-01T00:00:00Z."
+            }
+            (None, TimeBase::Frames) => {
+                "No times are known: a frame counts as one second, from 1970-01-01T00:00:00Z."
+            }
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::scene::{Metric, MetricVerdict};
+    use std::collections::BTreeMap;
 
-    #[test]
-    fn a_large_offset_is_a_date_and_a_small_one_is_none() {
-        let metric = |time_offset_s| Metric {
+    use super::*;
+    use crate::scene::MetricVerdict;
+
+    fn clock(start_s: Option<f64>, zone: ClockZone, images: &[(&str, &str)], time_base: TimeBase) -> Clock {
+        let images: BTreeMap<_, _> = images.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
+        let metric = Metric {
             verdict: MetricVerdict::Unknown,
             reason: None,
             frame: None,
             shares: Vec::new(),
             contradictions: Vec::new(),
-            time_offset_s,
+            time_offset_s: None,
             time_offset_std_s: None,
+            dates: Some(Dates { start_s, zone, images }),
         };
-        let dated = Clock::of(Some(&metric(Some(1_717_243_200.25))), TimeBase::Seconds);
-        assert_eq!(dated.date(0.25).as_deref(), Some("2024-06-01T12:00:00.5Z"));
-        let own = Clock::of(Some(&metric(Some(0.7))), TimeBase::Seconds);
-        assert_eq!((own, own.date(1.0)), (Clock::OfVideo, None));
-        assert_eq!(own.date_or_since_1970(61.5), "1970-01-01T00:01:01.5Z");
-        assert_eq!(Clock::of(Some(&metric(Some(2e9))), TimeBase::Frames), Clock::Frames);
-        assert_eq!(Clock::Dated { offset_s: 1e300 }.date(0.0), None);
+        Clock::of(Some(&metric), time_base)
+    }
+
+    #[test]
+    fn local_dates_have_no_zone_and_universal_ones_do() {
+        let start_s = Some(1_717_243_200.25);
+        let utc = clock(start_s, ClockZone::Utc, &[], TimeBase::Seconds);
+        assert_eq!(utc.date("a", 0.25).as_deref(), Some("2024-06-01T12:00:00.5Z"));
+        let local = clock(start_s, ClockZone::Local, &[], TimeBase::Seconds);
+        assert_eq!(local.date("a", 0.25).as_deref(), Some("2024-06-01T12:00:00.5"));
+        assert_eq!(local.date_or_since_1970("a", 0.25), "2024-06-01T12:00:00.5");
+        assert!(local.in_words().contains("--utc-offset"));
+        assert_eq!(clock(start_s, ClockZone::Utc, &[], TimeBase::Frames).date("a", 1.0), None);
+        assert_eq!(clock(Some(1e300), ClockZone::Utc, &[], TimeBase::Seconds).date("a", 0.0), None);
+    }
+
+    #[test]
+    fn photographs_have_dates_of_their_own_and_without_any_times_count_from_1970() {
+        let images = [("a.jpg", "2014-05-01T10:00:00")];
+        let found = clock(None, ClockZone::PerImage, &images, TimeBase::Frames);
+        assert_eq!((found.date("a.jpg", 3.0).as_deref(), found.date("b.jpg", 4.0)), (Some(images[0].1), None));
+        let none = Clock::of(None, TimeBase::Seconds);
+        assert_eq!(none.date_or_since_1970("a", 61.5), "1970-01-01T00:01:01.5Z");
+        assert!(none.in_words().starts_with("No date"));
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::scene::{Dimensions, Estimate, FrameId, MetricFrame, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
+use crate::scene::{Dimensions, Estimate, FrameId, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
 
 /// A vehicle's way in a few figures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -13,7 +13,7 @@ pub struct Facts {
     pub class: String,
     /// Mean score of its detections, 0 to 1.
     pub confidence: f64,
-    /// How far the way can be trusted: `good`, `fair`, `doubtful`, `not-to-be-trusted`; `None` where nobody judged it.
+    /// How far the way can be trusted: `good`, `fair`, `doubtful`, `rejected`; `None` where nobody judged it.
     pub verdict: Option<&'static str>,
     /// What speaks against it most.
     pub doubt: Option<String>,
@@ -29,14 +29,17 @@ pub struct Facts {
     pub last_time_s: Option<f64>,
     /// From the first to the last, seconds.
     pub duration_s: Option<f64>,
-    /// Length of the way, units of the background.
-    pub path_units: f64,
-    /// The same in metres, of the smoothed way where there is one; `None` where they are unknown.
+    /// Path length, units of the background; this and what follows as in [`Travel`](crate::scene::Travel).
+    pub path_units: Option<f64>,
+    /// Its standard deviation.
+    pub path_std_units: Option<f64>,
+    /// Path length, metres.
     pub path_m: Option<Estimate>,
-    /// Mean of the speed's amount over the frames, metres per second. The deviations of all frames are taken for one
-    /// error that they share, which they mostly are: that of the scale.
+    /// Displacement, metres.
+    pub displacement_m: Option<Estimate>,
+    /// Mean speed.
     pub mean_speed_m_s: Option<Estimate>,
-    /// Greatest speed, metres per second, and its deviation in that frame. Of noisy speeds the greatest is too large.
+    /// Greatest speed.
     pub max_speed_m_s: Option<Estimate>,
     /// How large it is.
     pub dimensions: Dimensions,
@@ -44,60 +47,33 @@ pub struct Facts {
 
 impl Facts {
     /// Of a trajectory.
-    ///
-    /// * `metric` – how metres follow, if they do.
-    pub fn of(object: &ObjectTrajectory, time_base: TimeBase, metric: Option<&MetricFrame>) -> Self {
+    pub fn of(object: &ObjectTrajectory, time_base: TimeBase) -> Self {
         let (first, last) = (object.poses.first(), object.poses.last());
         let time = |pose: Option<&ObjectPose>| pose.filter(|_| time_base == TimeBase::Seconds).map(|pose| pose.time_s);
         let (first_time_s, last_time_s) = (time(first), time(last));
+        let travel = object.travel;
         let duration_s = first_time_s.zip(last_time_s).map(|(first, last)| last - first);
         Self {
             vehicle: object.id,
             class: object.class.clone(),
             confidence: object.confidence,
-            verdict: object.verdict.as_ref().map(|verdict| verdict.state.key()),
-            doubt: object.verdict.as_ref().and_then(|verdict| verdict.against().next()).map(|doubt| doubt.says.clone()),
+            verdict: object.verdict.as_ref().map(|verdict| verdict.state.name()),
+            doubt: object.verdict.as_ref().and_then(|verdict| verdict.complaints().next()).map(|doubt| doubt.says.clone()),
             num_frames: object.poses.len(),
             first_frame: first.map(|pose| pose.frame),
             last_frame: last.map(|pose| pose.frame),
             first_time_s,
             last_time_s,
             duration_s,
-            path_units: object.path_length(),
-            path_m: path_m(object, metric, duration_s),
-            mean_speed_m_s: mean_speed(object),
-            max_speed_m_s: speeds(object).max_by(|a, b| a.value.total_cmp(&b.value)),
+            path_units: travel.map(|travel| travel.path_units.value),
+            path_std_units: travel.map(|travel| travel.path_units.std),
+            path_m: travel.and_then(|travel| travel.path_m),
+            displacement_m: travel.and_then(|travel| travel.displacement_m),
+            mean_speed_m_s: travel.and_then(|travel| travel.mean_speed_m_s),
+            max_speed_m_s: travel.and_then(|travel| travel.max_speed_m_s),
             dimensions: object.dimensions.unwrap_or_default(),
         }
     }
-}
-
-/// The amounts of the speeds, frame by frame.
-fn speeds(object: &ObjectTrajectory) -> impl Iterator<Item = Estimate> {
-    let motions = object.poses.iter().filter_map(|pose| pose.metric?.motion);
-    motions.map(|motion| Estimate { value: motion.speed_m_s.abs(), std: motion.speed_std_m_s })
-}
-
-fn mean_speed(object: &ObjectTrajectory) -> Option<Estimate> {
-    let (sum, std, count) =
-        speeds(object).fold((0.0, 0.0, 0), |(sum, std, count), speed| (sum + speed.value, std + speed.std, count + 1));
-    (count > 0).then(|| Estimate { value: sum / f64::from(count), std: std / f64::from(count) })
-}
-
-/// The way's deviation is that of the mean speed over its time; without speeds that of the scale alone.
-fn path_m(object: &ObjectTrajectory, metric: Option<&MetricFrame>, duration_s: Option<f64>) -> Option<Estimate> {
-    let metric = metric?;
-    let std = mean_speed(object).zip(duration_s).map(|(speed, duration_s)| speed.std * duration_s);
-    let value = smoothed_path_m(object).unwrap_or_else(|| metric.scale * object.path_length());
-    Some(Estimate { value, std: std.unwrap_or_else(|| metric.log_scale_std() * value) })
-}
-
-/// `None` unless every frame has a smoothed place.
-fn smoothed_path_m(object: &ObjectTrajectory) -> Option<f64> {
-    let place = |pose: &ObjectPose| Some(pose.metric?.motion?.smoothed_position_m);
-    let places: Vec<[f64; 3]> = object.poses.iter().map(place).collect::<Option<_>>()?;
-    let step = |pair: &[[f64; 3]]| (0..3).map(|k| (pair[1][k] - pair[0][k]).powi(2)).sum::<f64>().sqrt();
-    Some(places.windows(2).map(step).sum())
 }
 
 /// The speed in one frame from its neighbours' positions, units of the background per second; `None` where no time

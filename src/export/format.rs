@@ -26,6 +26,8 @@ pub enum Format {
     Video,
     /// Pictures, masks and the background's model, ready for COLMAP's densification.
     Colmap,
+    /// `trajectories.json` with the keys and words of version 2, for scripts written for it. Only by name.
+    TrajectoriesV2,
 }
 
 /// What a format cannot do without.
@@ -41,8 +43,18 @@ pub enum Need {
 
 impl Format {
     /// Every format, in the order in which they are written.
-    pub const ALL: [Self; 9] =
-        [Self::Csv, Self::GeoJson, Self::Kml, Self::Gpx, Self::Tum, Self::Kitti, Self::Gltf, Self::Video, Self::Colmap];
+    pub const ALL: [Self; 10] = [
+        Self::Csv,
+        Self::GeoJson,
+        Self::Kml,
+        Self::Gpx,
+        Self::Tum,
+        Self::Kitti,
+        Self::Gltf,
+        Self::Video,
+        Self::Colmap,
+        Self::TrajectoriesV2,
+    ];
 
     /// The name on the command line.
     pub fn name(self) -> &'static str {
@@ -56,6 +68,7 @@ impl Format {
             Self::Gltf => "gltf",
             Self::Video => "video",
             Self::Colmap => "colmap",
+            Self::TrajectoriesV2 => "trajectories-v2",
         }
     }
 
@@ -64,7 +77,7 @@ impl Format {
         match self {
             Self::GeoJson | Self::Kml | Self::Gpx => Need::Map,
             Self::Video | Self::Colmap => Need::Pictures,
-            Self::Csv | Self::Tum | Self::Kitti | Self::Gltf => Need::Nothing,
+            Self::Csv | Self::Tum | Self::Kitti | Self::Gltf | Self::TrajectoriesV2 => Need::Nothing,
         }
     }
 
@@ -85,7 +98,7 @@ impl Format {
     /// Which name is none of them, and which there are.
     pub fn listed(list: &str) -> Result<Vec<Self>, String> {
         if list.trim() == "all" {
-            return Ok(Self::ALL.to_vec());
+            return Ok(Self::ALL.into_iter().filter(|format| *format != Self::TrajectoriesV2).collect());
         }
         let mut formats = list.split(',').map(str::parse).collect::<Result<Vec<Self>, String>>()?;
         formats.sort_unstable();
@@ -119,10 +132,11 @@ mod tests {
     #[test]
     fn lists_are_read_and_unknown_names_are_refused_with_the_list() {
         assert_eq!(Format::listed("video, csv,csv"), Ok(vec![Format::Csv, Format::Video]));
-        assert_eq!(Format::listed("all").unwrap().len(), Format::ALL.len());
+        assert_eq!(Format::listed("all").unwrap().len(), Format::ALL.len() - 1);
+        assert_eq!(Format::listed("trajectories-v2"), Ok(vec![Format::TrajectoriesV2]));
         for wrong in ["", "xlsx", "csv,", "CSV", "csv,all"] {
             let refusal = Format::listed(wrong).unwrap_err();
-            assert!(refusal.contains("csv, geojson, kml, gpx, tum, kitti, gltf, video, colmap"), "{refusal}");
+            assert!(refusal.contains("csv, geojson, kml, gpx, tum, kitti, gltf, video, colmap, trajectories-v2"), "{refusal}");
         }
     }
 }

@@ -14,6 +14,7 @@ use crate::scene::{MapPlace, ObjectPose};
 /// A place and the time of the video at which something is there.
 pub(super) struct Fix {
     pub(super) place: MapPlace,
+    pub(super) image: String,
     pub(super) time_s: f64,
 }
 
@@ -21,7 +22,7 @@ pub(super) struct Fix {
 pub(super) fn ways(path: &Path, results: &Results) -> Result<(), ExportError> {
     let clock = results.clock();
     let vehicles = results.trajectories.objects.iter().map(|object| {
-        let facts = Facts::of(object, results.time_base, results.metric_frame());
+        let facts = Facts::of(object, results.time_base);
         way(&vehicle_fixes(results, &object.poses), results, &clock, vehicle_properties(&facts))
     });
     let camera = way(&camera_fixes(results), results, &clock, properties(json!({ "kind": "camera" })));
@@ -36,13 +37,13 @@ pub(super) fn places(path: &Path, results: &Results) -> Result<(), ExportError> 
         for pose in &object.poses {
             let Some(place) = results.place_of(pose) else { continue };
             let who = json!({ "kind": "vehicle", "vehicle": object.id, "class": object.class });
-            let more = [timed(&clock, pose.frame.0, pose.time_s), motion(pose), deviations(&place)];
+            let more = [timed(&clock, pose.frame.0, &pose.name, pose.time_s), motion(pose), deviations(&place)];
             features.push(point(results, &place, joined(who, more)));
         }
     }
     for view in &results.views {
         let Some(place) = results.place(view.cam_from_world.center()) else { continue };
-        let more = [timed(&clock, view.frame.id.0, view.frame.time_s), deviations(&place)];
+        let more = [timed(&clock, view.frame.id.0, &view.frame.name, view.frame.time_s), deviations(&place)];
         features.push(point(results, &place, joined(json!({ "kind": "camera" }), more)));
     }
     Ok(atomic::write_json(path, &collection(results, features))?)
@@ -50,14 +51,15 @@ pub(super) fn places(path: &Path, results: &Results) -> Result<(), ExportError> 
 
 /// Where a vehicle was.
 pub(super) fn vehicle_fixes(results: &Results, poses: &[ObjectPose]) -> Vec<Fix> {
-    let fix = |pose: &ObjectPose| Some(Fix { place: results.place_of(pose)?, time_s: pose.time_s });
+    let fix = |pose: &ObjectPose| Some(Fix { place: results.place_of(pose)?, image: pose.name.clone(), time_s: pose.time_s });
     poses.iter().filter_map(fix).collect()
 }
 
 /// Where the camera was.
 pub(super) fn camera_fixes(results: &Results) -> Vec<Fix> {
     let fix = |view: &super::View| {
-        Some(Fix { place: results.place(view.cam_from_world.center())?, time_s: view.frame.time_s })
+        let place = results.place(view.cam_from_world.center())?;
+        Some(Fix { place, image: view.frame.name.clone(), time_s: view.frame.time_s })
     };
     results.views.iter().filter_map(fix).collect()
 }
@@ -76,12 +78,12 @@ fn way(fixes: &[Fix], results: &Results, clock: &Clock, mut properties: Map<Stri
     let stays = |a: &Fix, b: &Fix| (a.place.longitude - b.place.longitude).abs() < 180.0;
     let pieces: Vec<&[Fix]> = fixes.chunk_by(stays).filter(|piece| piece.len() > 1).collect();
     let line = |piece: &[Fix]| piece.iter().map(|fix| coordinates(results, &fix.place)).collect::<Vec<_>>();
-    let times = |piece: &[Fix]| piece.iter().map(|fix| time(clock, fix.time_s)).collect::<Vec<_>>();
+    let times = |piece: &[Fix]| piece.iter().map(|fix| time(clock, fix)).collect::<Vec<_>>();
     let (geometry, times) = match (pieces.as_slice(), fixes.first()) {
         ([], None) => (Value::Null, json!([])),
         ([], Some(fix)) => (
             json!({ "type": "Point", "coordinates": coordinates(results, &fix.place) }),
-            json!([time(clock, fix.time_s)]),
+            json!([time(clock, fix)]),
         ),
         ([piece], _) => (json!({ "type": "LineString", "coordinates": line(piece) }), json!(times(piece))),
         (pieces, _) => {
@@ -108,13 +110,13 @@ fn rounded(value: f64, steps: f64) -> f64 {
 }
 
 /// A date where one is known, else seconds after the video's start.
-fn time(clock: &Clock, time_s: f64) -> Value {
-    clock.date(time_s).map_or_else(|| json!(time_s), Value::from)
+fn time(clock: &Clock, fix: &Fix) -> Value {
+    clock.date(&fix.image, fix.time_s).map_or_else(|| json!(fix.time_s), Value::from)
 }
 
-fn timed(clock: &Clock, frame: u32, time_s: f64) -> Value {
-    let seconds = (*clock != Clock::Frames).then_some(time_s);
-    json!({ "frame": frame, "time_s": seconds, "date": clock.date(time_s) })
+fn timed(clock: &Clock, frame: u32, image: &str, time_s: f64) -> Value {
+    let seconds = clock.has_seconds().then_some(time_s);
+    json!({ "frame": frame, "time_s": seconds, "date": clock.date(image, time_s) })
 }
 
 fn motion(pose: &ObjectPose) -> Value {
@@ -147,6 +149,8 @@ pub(super) fn vehicle_properties(facts: &Facts) -> Map<String, Value> {
         "last_time_s": facts.last_time_s,
         "path_m": value(facts.path_m),
         "path_std_m": std(facts.path_m),
+        "displacement_m": value(facts.displacement_m),
+        "displacement_std_m": std(facts.displacement_m),
         "mean_speed_m_s": value(facts.mean_speed_m_s),
         "mean_speed_std_m_s": std(facts.mean_speed_m_s),
         "max_speed_m_s": value(facts.max_speed_m_s),
@@ -207,9 +211,10 @@ mod tests {
         let results = with_metres(results());
         let fix = |longitude: f64| Fix {
             place: MapPlace { longitude, latitude: -17.0, height_m: 3.0, place_std_m: [1.0; 3] },
+            image: String::new(),
             time_s: longitude,
         };
-        let geometry = |fixes: &[Fix]| way(fixes, &results, &Clock::OfVideo, Map::new());
+        let geometry = |fixes: &[Fix]| way(fixes, &results, &Clock::of(None, crate::scene::TimeBase::Seconds), Map::new());
         let cut = geometry(&[fix(179.8), fix(179.9), fix(-179.9), fix(-179.8)]);
         assert_eq!(cut["geometry"]["type"], "MultiLineString");
         assert_eq!(cut["properties"]["coordTimes"], json!([[179.8, 179.9], [-179.9, -179.8]]));

@@ -43,7 +43,7 @@ fn points(xml: &mut Writer<&mut dyn Write>, results: &Results) -> std::io::Resul
             if results.knows_height() {
                 element(xml, "ele", &format!("{:.4}", fix.place.height_m))?;
             }
-            clock.date(fix.time_s).map_or(Ok(()), |date| element(xml, "time", &date))
+            clock.date(&fix.image, fix.time_s).map_or(Ok(()), |date| element(xml, "time", &date))
         })?;
     }
     Ok(())

@@ -13,11 +13,15 @@ use quick_xml::events::{BytesDecl, BytesText, Event};
 use super::geojson::{Fix, camera_fixes, vehicle_fixes};
 use super::{Clock, ExportError, Facts, Results};
 use crate::io::atomic;
+use crate::math::rounding::with_std;
 use crate::report::object_colour;
 use crate::scene::ObjectTrajectory;
 
 const NAMESPACES: [(&str, &str); 2] =
     [("xmlns", "http://www.opengis.net/kml/2.2"), ("xmlns:gx", "http://www.google.com/kml/ext/2.2")];
+/// Kilometres per hour in a metre per second.
+const KM_H: f64 = 3.6;
+
 /// The camera's line.
 const WHITE: [u8; 3] = [255; 3];
 
@@ -45,7 +49,7 @@ fn document(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
     xml.create_element("kml").with_attributes(NAMESPACES).write_inner_content(|xml| {
         xml.create_element("Document").write_inner_content(|xml| {
             element(xml, "name", &results.title)?;
-            element(xml, "description", times_in_words(&clock))?;
+            element(xml, "description", clock.in_words())?;
             tracks.filter(|track| !track.fixes.is_empty()).try_for_each(|track| placemark(xml, &track, &clock))
         })?;
         Ok(())
@@ -53,19 +57,14 @@ fn document(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
     xml.into_inner().write_all(b"\n")
 }
 
-fn times_in_words(clock: &Clock) -> &'static str {
-    match clock {
-        Clock::Dated { .. } => "Times are those of the receiver's clock.",
-        Clock::OfVideo => "No date is known: times count from the video's start, set to 1970-01-01T00:00:00Z.",
-        Clock::Frames => "No times are known: a frame counts as one second, from 1970-01-01T00:00:00Z.",
-    }
-}
-
 fn vehicle(results: &Results, object: &ObjectTrajectory) -> Track {
-    let facts = Facts::of(object, results.time_base, results.metric_frame());
+    let facts = Facts::of(object, results.time_base);
+    // Of a rejected trajectory a speed would be taken for one.
     let speed = facts
         .mean_speed_m_s
-        .map(|speed| format!("; on average {:.1} ± {:.1} km/h", 3.6 * speed.value, 3.6 * speed.std));
+        .filter(|_| !object.is_ruled_out())
+        .map(|speed| speed.scaled(KM_H))
+        .map(|speed| format!("; mean speed {} km/h", with_std(speed.value, speed.std)));
     let doubt = facts.doubt.map(|doubt| format!("; {doubt}"));
     Track {
         name: format!("{} {}", if facts.class.is_empty() { "vehicle" } else { &facts.class }, object.id),
@@ -110,7 +109,7 @@ fn placemark(xml: &mut Xml, track: &Track, clock: &Clock) -> std::io::Result<()>
         })?;
         xml.create_element("gx:Track").write_inner_content(|xml| {
             element(xml, "altitudeMode", track.altitude_mode)?;
-            let times = track.fixes.iter().map(|fix| clock.date_or_since_1970(fix.time_s));
+            let times = track.fixes.iter().map(|fix| clock.date_or_since_1970(&fix.image, fix.time_s));
             times.into_iter().try_for_each(|time| element(xml, "when", &time))?;
             track.fixes.iter().try_for_each(|fix| {
                 let place = &fix.place;
@@ -169,7 +168,7 @@ mod tests {
     #[test]
     fn without_a_date_times_count_from_1970_and_that_is_said() {
         let mut results = with_metres(results());
-        results.trajectories.metric.as_mut().unwrap().time_offset_s = Some(0.7);
+        results.trajectories.metric.as_mut().unwrap().dates = None;
         let found = text(write, &results);
         assert!(found.contains("set to 1970-01-01T00:00:00Z") && found.contains("<when>1970-01-01T00:00:00Z</when>"));
     }

@@ -12,6 +12,7 @@ use nalgebra::{Matrix3x4, Point3, UnitQuaternion};
 use super::{ExportError, Results};
 use crate::io::{ExportFolder, atomic};
 use crate::math::{Rigid3, Sim3};
+use crate::scene::TimeBase;
 
 /// Where something is at a time.
 struct Pose {
@@ -73,8 +74,8 @@ fn row(matrix: &Matrix3x4<f64>) -> String {
 }
 
 fn frame_in_words(results: &Results) -> String {
-    let times = match results.clock() {
-        super::Clock::Frames => "numbers of frames",
+    let times = match results.time_base {
+        TimeBase::Frames => "numbers of frames",
         _ => "seconds after the video's start",
     };
     format!("world_from_body; unit: {}; axes of the world: {}; times: {times}", results.unit(), results.axes())

@@ -172,8 +172,8 @@ impl Row {
         let said = |pose: &crate::scene::ObjectPose| pose.metric.and_then(|metric| metric.place);
         let place = first.and_then(|pose| said(pose).or_else(|| results.place(Point3::from(pose.position))));
         Self {
-            facts: Some(Facts::of(object, results.time_base, results.metric_frame())),
-            date: first.and_then(|pose| results.clock().date(pose.time_s)),
+            facts: Some(Facts::of(object, results.time_base)),
+            date: first.and_then(|pose| results.clock().date(&pose.name, pose.time_s)),
             place,
             ..self.clone()
         }

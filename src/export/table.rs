@@ -13,7 +13,7 @@ use crate::io::{IoError, atomic};
 use crate::scene::{Estimate, MapPlace, MetricPose, Motion, ObjectTrajectory, TimeBase};
 
 /// Columns of what is said of a vehicle as a whole; [`fact_cells`] goes with them.
-pub(super) const FACT_COLUMNS: [&str; 24] = [
+pub(super) const FACT_COLUMNS: [&str; 27] = [
     "vehicle",
     "class",
     "confidence",
@@ -26,8 +26,11 @@ pub(super) const FACT_COLUMNS: [&str; 24] = [
     "last_time_s",
     "duration_s",
     "path_units",
+    "path_std_units",
     "path_m",
     "path_std_m",
+    "displacement_m",
+    "displacement_std_m",
     "mean_speed_m_s",
     "mean_speed_std_m_s",
     "max_speed_m_s",
@@ -43,7 +46,7 @@ pub(super) const FACT_COLUMNS: [&str; 24] = [
 const SCALE_COLUMNS: [&str; 5] =
     ["scale_ratio", "scale_ratio_std", "metres_verdict", "metres_per_unit", "metres_per_unit_std"];
 
-const POSE_COLUMNS: [&str; 37] = [
+const POSE_COLUMNS: [&str; 38] = [
     "vehicle",
     "class",
     "frame",
@@ -81,6 +84,7 @@ const POSE_COLUMNS: [&str; 37] = [
     "latitude",
     "height_m",
     "place_std_m",
+    "heading_unwrapped_deg",
 ];
 
 const CAMERA_COLUMNS: [&str; 21] = [
@@ -120,7 +124,7 @@ pub(super) fn vehicles(path: &Path, results: &Results) -> Result<(), ExportError
             exact(frame.map(|frame| frame.scale)),
             exact(frame.map(|frame| frame.std.scale)),
         ];
-        [fact_cells(&Facts::of(object, results.time_base, frame)), scale.to_vec()].concat()
+        [fact_cells(&Facts::of(object, results.time_base)), scale.to_vec()].concat()
     };
     write(path, &columns, results.trajectories.objects.iter().map(row))
 }
@@ -140,11 +144,12 @@ pub(super) fn fact_cells(facts: &Facts) -> Vec<String> {
         exact(facts.first_time_s),
         exact(facts.last_time_s),
         exact(facts.duration_s),
-        facts.path_units.to_string(),
+        exact(facts.path_units),
+        exact(facts.path_std_units),
     ];
-    let estimates =
-        [facts.path_m, facts.mean_speed_m_s, facts.max_speed_m_s, size.length_m, size.width_m, size.height_m];
-    cells.extend(estimates.into_iter().flat_map(estimate));
+    let travel = [facts.path_m, facts.displacement_m, facts.mean_speed_m_s, facts.max_speed_m_s];
+    let estimates = travel.into_iter().chain([size.length_m, size.width_m, size.height_m]);
+    cells.extend(estimates.flat_map(estimate));
     cells
 }
 
@@ -155,13 +160,17 @@ pub(super) fn trajectories(path: &Path, results: &Results) -> Result<(), ExportE
         .trajectories
         .objects
         .iter()
-        .flat_map(|object| (0..object.poses.len()).map(move |index| pose_cells(results, &clock, object, index)));
+        .flat_map(|object| {
+            let headings = object.unwrapped_headings_deg().into_iter().map(metres);
+            let cells = |(index, heading)| [pose_cells(results, &clock, object, index), vec![heading]].concat();
+            headings.enumerate().map(cells).collect::<Vec<_>>()
+        });
     write(path, &POSE_COLUMNS, rows)
 }
 
 fn pose_cells(results: &Results, clock: &Clock, object: &ObjectTrajectory, index: usize) -> Vec<String> {
     let pose = &object.poses[index];
-    let times = clock.time_and_date(pose.time_s);
+    let times = clock.time_and_date(&pose.name, pose.time_s);
     let [x, y, z] = pose.position.map(|value| value.to_string());
     let speed = raw_speed(&object.poses, index).filter(|_| results.time_base == TimeBase::Seconds);
     let mut cells = vec![object.id.to_string(), object.class.clone(), pose.frame.0.to_string(), pose.name.clone()];
@@ -216,7 +225,7 @@ fn view_cells(results: &Results, clock: &Clock, view: &View) -> Vec<String> {
     let center = view.cam_from_world.center();
     let turn = view.cam_from_world.rotation.inverse();
     let mut cells = vec![view.frame.id.0.to_string(), view.frame.name.clone()];
-    cells.extend(clock.time_and_date(view.frame.time_s));
+    cells.extend(clock.time_and_date(&view.frame.name, view.frame.time_s));
     cells.extend([center.x, center.y, center.z, turn.w, turn.i, turn.j, turn.k].map(|value| value.to_string()));
     cells.extend(view.camera.focal.map(|focal| focal.to_string()));
     let in_metres = results.metric_frame().map(|frame| frame.metric_from_world() * center);
@@ -239,9 +248,9 @@ fn place_cells(place: Option<MapPlace>) -> [String; 3] {
 
 impl Clock {
     /// Two cells: the time of the video, empty where nobody stated a rate, and the date, where that is known.
-    fn time_and_date(&self, time_s: f64) -> [String; 2] {
-        let time = if *self == Self::Frames { String::new() } else { time_s.to_string() };
-        [time, self.date(time_s).unwrap_or_default()]
+    fn time_and_date(&self, image: &str, time_s: f64) -> [String; 2] {
+        let time = if self.has_seconds() { time_s.to_string() } else { String::new() };
+        [time, self.date(image, time_s).unwrap_or_default()]
     }
 }
 

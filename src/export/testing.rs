@@ -9,9 +9,9 @@ use super::{Results, View};
 use crate::io::{RunFolder, atomic, colmap, trajectories};
 use crate::math::Sim3;
 use crate::scene::{
-    Dimensions, Estimate, Frame, ImageId, MapOrigin, Metric, MetricAxes, MetricFrame, MetricPose, MetricShare,
+    ClockZone, Dates, Dimensions, Estimate, Frame, ImageId, MapOrigin, Metric, MetricAxes, MetricFrame, MetricPose, MetricShare,
     MetricStd, MetricVerdict, Motion, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Trajectories,
-    Unit,
+    Travel, Unit,
 };
 use crate::synthetic::showcase::{Showcase, showcase};
 
@@ -40,7 +40,7 @@ pub(super) fn results_of(found: &Showcase) -> Results {
 
 fn without_metres(trajectory: &ObjectTrajectory) -> ObjectTrajectory {
     let poses = trajectory.poses.iter().map(|pose| ObjectPose { metric: None, ..pose.clone() }).collect();
-    ObjectTrajectory { dimensions: None, poses, ..trajectory.clone() }
+    ObjectTrajectory { dimensions: None, travel: None, poses, ..trajectory.clone() }
 }
 
 fn view_of(found: &Showcase, frame: &Frame) -> Option<View> {
@@ -62,6 +62,7 @@ pub(super) fn with_metres(mut results: Results) -> Results {
         contradictions: Vec::new(),
         time_offset_s: Some(1_717_243_200.0),
         time_offset_std_s: Some(0.05),
+        dates: Some(Dates { start_s: Some(1_717_243_200.0), zone: ClockZone::Utc, images: BTreeMap::new() }),
     });
     let places: Vec<Vec<_>> = results
         .trajectories
@@ -72,6 +73,17 @@ pub(super) fn with_metres(mut results: Results) -> Results {
     for (object, places) in results.trajectories.objects.iter_mut().zip(places) {
         let length_m = Some(Estimate { value: 4.3, std: 0.1 });
         object.dimensions = Some(Dimensions { length_m, ..Dimensions::default() });
+        let seconds = object.poses[object.poses.len() - 1].time_s - object.poses[0].time_s;
+        let speed = Estimate { value: 8.0, std: 0.4 };
+        let path_m = speed.scaled(seconds);
+        object.travel = Some(Travel {
+            path_units: path_m.scaled(1.0 / 3.2),
+            displacement_units: path_m.scaled(1.0 / 3.2),
+            path_m: Some(path_m),
+            displacement_m: Some(path_m),
+            mean_speed_m_s: Some(speed),
+            max_speed_m_s: Some(speed),
+        });
         for (pose, place) in object.poses.iter_mut().zip(places) {
             pose.metric = Some(MetricPose { place, ..metric_pose(pose, &metric_from_world) });
         }

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::{ExportError, Format, Need, Results, Target};
 use super::{annotate, geojson, gltf, gpx, kml, poses, table, workspace};
 use crate::image::RgbImage;
-use crate::io::{ExportFolder, RunFolder};
+use crate::io::{ExportFolder, RunFolder, trajectories};
 use crate::video::Source;
 
 /// The pictures that the results are of.
@@ -147,6 +147,7 @@ fn one(format: Format, results: &Results, pictures: &Pictures, target: &Target) 
         Format::GeoJson => &[(Names::WAYS_ON_MAP, geojson::ways), (Names::PLACES_ON_MAP, geojson::places)],
         Format::Kml => &[(Names::KML, kml::write)],
         Format::Gpx => &[(Names::GPX, gpx::write)],
+        Format::TrajectoriesV2 => &[(Names::TRAJECTORIES_V2, trajectories_v2)],
         Format::Tum => return folder(target, Names::TUM, |path| poses::write_tum(path, results)),
         Format::Kitti => return folder(target, Names::KITTI, |path| poses::write_kitti(path, results)),
         Format::Gltf => {
@@ -157,6 +158,10 @@ fn one(format: Format, results: &Results, pictures: &Pictures, target: &Target) 
         Format::Colmap => return folder(target, Names::COLMAP, |path| workspace::write(path, results, pictures)),
     };
     files.iter().map(|(name, write)| target.put_file(name, |path| write(path, results))).collect()
+}
+
+fn trajectories_v2(path: &Path, results: &Results) -> Result<(), ExportError> {
+    Ok(trajectories::write_version_2(path, &results.trajectories)?)
 }
 
 fn file(

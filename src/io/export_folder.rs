@@ -32,6 +32,8 @@ impl ExportFolder {
     pub const SCENE: &str = "scene.glb";
     /// The video with what was found drawn into it.
     pub const VIDEO: &str = "annotated.mp4";
+    /// The trajectories with the keys of version 2.
+    pub const TRAJECTORIES_V2: &str = "trajectories-v2.json";
     /// Poses in TUM's form.
     pub const TUM: &str = "tum";
     /// Poses in KITTI's form.
@@ -47,7 +49,8 @@ impl ExportFolder {
     /// Description of the frame of the poses next to it.
     pub const ABOUT: &str = "about.txt";
 
-    const FILES: [&str; 9] = [
+    const FILES: [&str; 10] = [
+        Self::TRAJECTORIES_V2,
         Self::VEHICLES,
         Self::TRAJECTORIES,
         Self::CAMERA,

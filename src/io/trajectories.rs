@@ -1,4 +1,7 @@
-//! `trajectories.json`, version 1 of the output contract.
+//! `trajectories.json`, version 3 of the output contract.
+//!
+//! Version 3 drops the key `speed` of frames where it was always null: speeds are `speed_m_s`. It has `travel`, and the
+//! verdict `rejected` instead of `not-to-be-trusted`. [`write_version_2()`] writes the keys and words of before.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -6,17 +9,24 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::extent::{is_sensible, is_sensible_ratio};
 use super::{IoError, atomic, json};
 use crate::math::Sim3;
 use crate::scene::{
     Dimensions, FrameId, Metric, MetricPose, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, PlaneBasis, Ratios,
-    ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, Trajectories, Unit, Verdict,
+    ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, Trajectories, Travel, Unit, Verdict,
 };
 
-/// The only version there is.
-const VERSION: u32 = 1;
+/// The version that is written.
+const VERSION: u32 = 3;
+
+/// The version before, written on request.
+const OLD_VERSION: u32 = 2;
+
+/// The oldest version that is read.
+const OLDEST: u32 = 1;
 
 /// How far a stored quaternion may be from unit length.
 const MAX_UNIT_ERROR: f64 = 1e-6;
@@ -48,6 +58,8 @@ struct Object {
     verdict: Option<Verdict>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     dimensions: Option<Dimensions>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    travel: Option<Travel>,
     frames: Vec<Pose>,
 }
 
@@ -74,6 +86,7 @@ struct Pose {
     time_s: f64,
     position: [f64; 3],
     world_from_object: Placement,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     speed: Option<f64>,
     #[serde(flatten)]
     metric: Option<MetricPose>,
@@ -93,14 +106,39 @@ struct Placement {
 /// pose whose scale is not its object's ratio, frames out of order, a degenerate ratio without a reason, a weight that
 /// is not between 0 and 1.
 pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
-    let document = Document {
-        version: VERSION,
+    let document = document(trajectories, VERSION);
+    check(path, &document)?;
+    atomic::write_json(path, &document)
+}
+
+/// Writes the trajectories of a run with the keys and words of version 2: every frame has `speed`, null where the unit is
+/// that of the background, and a rejected trajectory is `not-to-be-trusted`.
+///
+/// # Errors
+/// As [`write()`].
+pub fn write_version_2(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
+    let document = document(trajectories, OLD_VERSION);
+    check(path, &document)?;
+    let mut value = serde_json::to_value(&document).map_err(|error| IoError::content(path, error.to_string()))?;
+    let objects = value["objects"].as_array_mut().into_iter().flatten();
+    for object in objects {
+        if object["verdict"]["state"] == "rejected" {
+            object["verdict"]["state"] = "not-to-be-trusted".into();
+        }
+        for frame in object["frames"].as_array_mut().into_iter().flatten().filter_map(Value::as_object_mut) {
+            frame.entry("speed").or_insert(Value::Null);
+        }
+    }
+    atomic::write_json(path, &value)
+}
+
+fn document(trajectories: &Trajectories, version: u32) -> Document {
+    Document {
+        version,
         unit: trajectories.unit,
         metric: trajectories.metric.clone(),
         objects: trajectories.objects.iter().map(object_to_file).collect(),
-    };
-    check(path, &document)?;
-    atomic::write_json(path, &document)
+    }
 }
 
 /// Reads the trajectories of a run.
@@ -109,7 +147,9 @@ pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
 /// A missing file, JSON of another shape or version, or values that break the contract (see [`write()`]).
 pub fn read(path: &Path) -> Result<Trajectories, IoError> {
     let document: Document = json::read(path)?;
-    json::check_version(path, document.version, VERSION)?;
+    if !(OLDEST..=VERSION).contains(&document.version) {
+        json::check_version(path, document.version, VERSION)?;
+    }
     check(path, &document)?;
     let Document { unit, metric, objects, .. } = document;
     Ok(Trajectories { unit, metric, objects: objects.into_iter().map(object_from_file).collect() })
@@ -126,6 +166,7 @@ fn object_to_file(object: &ObjectTrajectory) -> Object {
         ground: object.ground.clone(),
         verdict: object.verdict.clone(),
         dimensions: object.dimensions,
+        travel: object.travel,
         frames: object.poses.iter().map(pose_to_file).collect(),
     }
 }
@@ -166,6 +207,7 @@ fn object_from_file(object: Object) -> ObjectTrajectory {
         ground: object.ground,
         verdict: object.verdict,
         dimensions: object.dimensions,
+        travel: object.travel,
         poses: object.frames.into_iter().map(pose_from_file).collect(),
     }
 }
@@ -203,6 +245,9 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         }
         if !object.dimensions.as_ref().is_none_or(has_finite_numbers) {
             return wrong("a dimension is not a finite number".into());
+        }
+        if !object.travel.as_ref().is_none_or(has_finite_numbers) {
+            return wrong("a number of the travel is not finite".into());
         }
         let reasons = object.verdict.iter().flat_map(|verdict| &verdict.reasons);
         if let Some(reason) = reasons.into_iter().find(|reason| !(0.0..=1.0).contains(&reason.weight)) {
@@ -285,7 +330,7 @@ fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
 mod tests {
     use super::*;
     use crate::scene::{
-        Estimate, MapOrigin, MapPlace, MetricAxes, MetricFrame, MetricShare, MetricStd, Reason, ReasonKind,
+        ClockZone, Dates, Estimate, MapOrigin, MapPlace, MetricAxes, MetricFrame, MetricShare, MetricStd, Reason, ReasonKind,
         ScaleMethod, Trust,
     };
 
@@ -325,6 +370,7 @@ mod tests {
             ground: [(PlaneBasis::Mount, 2)].into(),
             verdict,
             dimensions: None,
+            travel: None,
             poses,
         };
         Trajectories { unit: Unit::Background, metric: None, objects: vec![object] }
@@ -348,9 +394,27 @@ mod tests {
         assert!(object["scale"]["std"].is_null());
         let frame = &object["frames"][1];
         assert_eq!(keys(frame), ["frame", "name", "time_s", "position", "world_from_object", "speed"]);
+        let without_speed = ["frame", "name", "time_s", "position", "world_from_object"];
+        assert_eq!(keys(&object["frames"][0]), without_speed, "no null where nothing is known");
         assert_eq!(keys(&frame["world_from_object"]), ["scale", "rotation_wxyz", "translation"]);
         let q: Vec<f64> = serde_json::from_value(frame["world_from_object"]["rotation_wxyz"].clone()).unwrap();
         assert!((q.iter().map(|c| c * c).sum::<f64>() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn version_2_has_the_keys_and_words_of_before_and_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("old.json");
+        let mut all = sample();
+        all.objects[0].verdict.as_mut().unwrap().state = Trust::Rejected;
+        write_version_2(&path, &all).unwrap();
+        let value: serde_json::Value = json::read(&path).unwrap();
+        assert_eq!(value["version"], 2);
+        let object = &value["objects"][0];
+        assert_eq!(object["verdict"]["state"], "not-to-be-trusted");
+        assert!(object["frames"][0].as_object().unwrap()["speed"].is_null());
+        assert_eq!(object["frames"][1]["speed"], 13.25);
+        assert_eq!(read(&path).unwrap().objects[0].verdict, all.objects[0].verdict);
     }
 
     #[test]
@@ -386,8 +450,14 @@ mod tests {
             contradictions: Vec::new(),
             time_offset_s: Some(0.7),
             time_offset_std_s: Some(0.05),
+            dates: Some(Dates { start_s: Some(1.7e9), zone: ClockZone::Local, images: BTreeMap::new() }),
         });
         let length_m = Some(Estimate { value: 4.4, std: 0.1 });
+        let [path_units, displacement_units] = [Estimate { value: 3.2, std: 0.1 }, Estimate { value: 3.1, std: 0.1 }];
+        let path_m = Some(path_units.scaled(12.5));
+        let travel =
+            Travel { path_units, displacement_units, path_m, displacement_m: None, mean_speed_m_s: None, max_speed_m_s: None };
+        all.objects[0].travel = Some(travel);
         all.objects[0].dimensions = Some(Dimensions { length_m, ..Dimensions::default() });
         all.objects[0].poses[1].metric = Some(MetricPose {
             position_m: [10.0, 20.0, 0.7],
@@ -413,6 +483,7 @@ mod tests {
         assert_eq!(value["objects"][0]["dimensions"]["length_m"]["value"], 4.4);
         let back = read(&path).unwrap();
         assert_eq!((&back.metric, back.objects[0].dimensions), (&all.metric, all.objects[0].dimensions));
+        assert_eq!(back.objects[0].travel, all.objects[0].travel);
         assert_eq!(back.objects[0].poses[1].metric, all.objects[0].poses[1].metric);
         let frame = back.metric.unwrap().frame.unwrap();
         assert!((frame.log_scale_std() - 0.02).abs() < 1e-12 && frame.metric_from_world().scale == 12.5);
@@ -440,6 +511,10 @@ mod tests {
                 .contains("object 1: a dimension")
         );
         assert!(
+            refused(|all| all.objects[0].travel.as_mut().unwrap().path_units.std = f64::NAN)
+                .contains("object 1: a number of the travel")
+        );
+        assert!(
             refused(|all| all.objects[0].poses[1].metric.as_mut().unwrap().position_m[1] = f64::NAN)
                 .contains("frame 2: a number in metres")
         );
@@ -464,7 +539,7 @@ mod tests {
         write(&path, &sample()).unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
         let broken = [
-            (text.replacen("\"version\": 1", "\"version\": 2", 1), "version 2"),
+            (text.replacen("\"version\": 3", "\"version\": 4", 1), "version 4"),
             (text.replacen("\"class\": \"car\",", "", 1), "missing field `class`"),
             (text.replacen("0.731", "-0.731", 1), "not positive"),
             (text[..text.len() / 2].to_string(), "EOF"),

@@ -12,6 +12,7 @@ use super::run::{Outcome, Run};
 use super::{Options, PipelineError, Silent, Workspace, cameras, ground, objects, scale, strip, track};
 use crate::eval::Evaluation;
 use crate::io::json;
+use crate::math::rounding::with_std;
 use crate::report::{self, Data, Fact, Missing, Model, Object, Part, Thumbnail};
 use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
 use crate::trajectory::{Views, intersection};
@@ -197,6 +198,7 @@ fn opened_by(name: &str) -> Option<&'static str> {
         "geojson" => "places on the map, for QGIS and GDAL",
         "kml" => "places on the map with times, for Google Earth",
         "gpx" => "the camera's way, for GPS programs",
+        "json" => "trajectories with the keys of version 2, for scripts written for it",
         "glb" => "the scene in motion, for Blender and glTF viewers",
         "mp4" => "the video with identities, speeds and paths, for any player",
         "tum" | "kitti" => "poses, for evo",
@@ -260,13 +262,13 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
     let origin = match cameras::first(run)?.origin {
         CameraOrigin::Given => "given",
         CameraOrigin::Exif => "from EXIF, refined with the background",
-        CameraOrigin::Guess => "unknown, found with the background",
+        CameraOrigin::Guess => "estimated with the background",
     };
     // A background that was not reconstructed has only the camera to begin with.
     let found = background.cameras.values().next().filter(|_| !background.images.is_empty());
     if let Some(camera) = found {
         let focal = match models::focal_deviation(run)? {
-            Some(share) => format!("{:.0} ± {:.0} px", camera.mean_focal(), share * camera.mean_focal()),
+            Some(share) => format!("{} px", with_std(camera.mean_focal(), share * camera.mean_focal())),
             None => format!("{:.1} px", camera.mean_focal()),
         };
         facts.push(Fact::new("Focal length", focal).with_note(origin));

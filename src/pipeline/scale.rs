@@ -150,7 +150,7 @@ impl<'a, 'r> Scene<'a, 'r> {
 
 fn warn_of_scale(trajectory: &ObjectTrajectory, outcome: &mut Outcome) {
     if let Some(reason) = &trajectory.scale.reason {
-        outcome.warn(format!("object {}: its scale ratio is not to be trusted: {reason}", trajectory.id));
+        outcome.warn(format!("object {}: scale undetermined: {reason}", trajectory.id));
     }
 }
 
@@ -194,7 +194,7 @@ fn judged(
         let id = placed.trajectory.id;
         let first = verdict.against().next().filter(|_| verdict.is_refuted() && !placed.trajectory.scale.degenerate);
         if let Some(reason) = first {
-            outcome.warn(format!("object {id} is not to be trusted: {}", reason.says));
+            outcome.warn(format!("object {id} is rejected: {}", reason.says));
         }
         outcome.figure(&format!("verdict_{id}"), json!(verdict.state));
         ObjectTrajectory { verdict: Some(verdict), ..placed.trajectory }

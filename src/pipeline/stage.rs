@@ -105,11 +105,12 @@ impl Stage {
         match self {
             // Last raised with decisions (docs/decisions) 29, `Features`, `Motion` and `Follow`, 30, `Background`, and
             // 31, `Objects` and `Scale`.
-            Self::Scale => 8,
+            Self::Scale => 9,
             Self::Objects => 7,
             Self::Features | Self::Motion | Self::Background => 5,
             Self::Ground | Self::Track | Self::Follow => 4,
             Self::Segment => 3,
+            Self::Metric | Self::Report => 2,
             _ => 1,
         }
     }

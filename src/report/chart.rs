@@ -65,6 +65,8 @@ pub(super) struct Drawing {
     x_ticks: Vec<Tick>,
     y_ticks: Vec<Tick>,
     note: Option<String>,
+    /// Decimals of a reading: one more than the ticks have.
+    decimals: usize,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -146,8 +148,8 @@ impl Chart {
             levels: self.levels.iter().filter(|l| l.value >= range.0 && l.value <= range.1).map(level).collect(),
             x_ticks,
             y_ticks,
-            note: (clipped > 0)
-                .then(|| format!("{clipped} values lie outside the shown range; they stand at its edge.")),
+            note: (clipped > 0).then(|| format!("{} outside the shown range, drawn at its edge.", count(clipped, "value"))),
+            decimals: decimals + 1,
         }
     }
 
@@ -386,7 +388,7 @@ mod tests {
         let drawing = chart(vec![line(points)]).draw(&timeline(29)).unwrap();
         assert_eq!(drawing.lines[0].path.matches('M').count(), 2);
         assert!(drawing.y_ticks.iter().all(|t| t.label.len() <= 3), "{:?}", drawing.y_ticks);
-        assert!(drawing.note.unwrap().starts_with("1 values"));
+        assert!(drawing.note.unwrap().starts_with("1 value outside"));
         assert!(chart(vec![line(vec![(0.0, f64::NAN)])]).draw(&timeline(1)).is_none());
     }
 

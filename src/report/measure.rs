@@ -36,7 +36,7 @@ mod tests {
         let mut world = testing::world();
         let all = speeds(&world.trajectory, &Timeline::new(&world.data()));
         assert_eq!(all.len(), world.trajectory.poses.len() - 2);
-        let way = world.trajectory.path_length();
+        let way = world.trajectory.travel.unwrap().path_units.value;
         let poses = &world.trajectory.poses;
         let mean = way / (poses[poses.len() - 1].time_s - poses[0].time_s);
         assert!((all[all.len() / 2].1 / mean - 1.0).abs() < 0.5, "{} beside a mean of {mean}", all[all.len() / 2].1);

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::words::{LENGTH_UNIT, figure, percent, round_figure, with_unit};
+use super::words::{LENGTH_UNIT, figure, percent, round_figure};
 use crate::scene::{Metric, MetricContradiction, MetricFrame, MetricShare, MetricVerdict};
 
 /// What lengths are said in.
@@ -21,11 +21,6 @@ impl Ruler {
             Some(frame) => Self { factor: frame.scale, unit: "m" },
             None => Self { factor: 1.0, unit: LENGTH_UNIT },
         }
-    }
-
-    /// A length of the background, said.
-    pub fn length(&self, units: f64) -> String {
-        with_unit(self.factor * units, 3, self.unit)
     }
 
     /// A round length in the ruler's own unit, as it stands beside a bar.
@@ -53,14 +48,14 @@ pub fn metres_in_words(metric: Option<&Metric>) -> String {
         return format!("Metres are not known: {why}{cure}.");
     };
     let source = match metric.verdict {
-        MetricVerdict::Surveyed => "Metres from what was measured",
-        MetricVerdict::Telemetry => "Metres from telemetry",
-        MetricVerdict::PriorOnly => "Metres from what vehicles are like alone",
-        MetricVerdict::Unknown => "Metres of unknown origin",
+        MetricVerdict::Surveyed => "Scale from measurements",
+        MetricVerdict::Telemetry => "Scale from GPS positions",
+        MetricVerdict::PriorOnly => "Scale from typical vehicle sizes",
+        MetricVerdict::Unknown => "Scale of unknown origin",
     };
-    let sure = format!("{source}: ± {}", percent(frame.log_scale_std()));
+    let sure = format!("{source}: ±{} (1σ), the same factor for every length", percent(frame.log_scale_std()));
     match metric.contradictions.first() {
-        Some(first) => format!("{sure}; {} contradicts.", first.source),
+        Some(first) => format!("{sure}; contradicted by {}.", first.source),
         None => format!("{sure}."),
     }
 }
@@ -106,7 +101,7 @@ fn share(share: &MetricShare) -> Share {
 fn contradiction(found: &MetricContradiction) -> String {
     let MetricContradiction { source, ratio, deviations } = found;
     format!(
-        "{source} gives {} times as many metres as the others, {} deviations away",
+        "{source} gives {} times as many metres as the others, {} standard deviations away",
         figure(*ratio, 3),
         figure(*deviations, 2)
     )
@@ -120,15 +115,15 @@ mod tests {
     #[test]
     fn metres_are_said_in_words() {
         let mut metric = showcase(4, 1).metric;
-        assert_eq!(metres_in_words(Some(&metric)), "Metres from telemetry: ± 2.0 %.");
+        assert_eq!(metres_in_words(Some(&metric)), "Scale from GPS positions: ±2.0 % (1σ), the same factor for every length.");
         metric.verdict = MetricVerdict::PriorOnly;
         let source = "the height of the camera".to_owned();
         metric.contradictions.push(MetricContradiction { source, ratio: 1.4, deviations: 6.1 });
         assert_eq!(
             metres_in_words(Some(&metric)),
-            "Metres from what vehicles are like alone: ± 2.0 %; the height of the camera contradicts."
+            "Scale from typical vehicle sizes: ±2.0 % (1σ), the same factor for every length; contradicted by the height \
+             of the camera."
         );
-        assert_eq!(Ruler::of(Some(&metric)).length(0.62), "2.00 m");
         metric.frame = None;
         metric.reason = Some("no vehicle has a size".into());
         let said = metres_in_words(Some(&metric));

@@ -24,6 +24,7 @@ mod plan;
 mod scene;
 mod summary;
 mod timeline;
+mod travel;
 mod verdict;
 mod view;
 mod words;
@@ -34,6 +35,7 @@ mod testing;
 pub use data::{Data, Fact, Missing, Model, Object, Part, Stage};
 pub use metres::metres_in_words;
 pub use overlay::{Label, Thumbnail, object_colour, overlay, shrunk, strip_frames};
+pub use travel::{estimate, travel_facts};
 pub use verdict::Verdict;
 
 use std::path::{Path, PathBuf};

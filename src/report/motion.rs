@@ -2,12 +2,10 @@
 
 use super::data::{Data, Fact, Object};
 use super::metres;
+use super::travel::{KM_H, estimate};
 use super::view::quantile;
 use super::words::figure;
-use crate::scene::{Dimensions, Estimate, MetricPose, Motion, ObjectPose, TimeBase};
-
-/// Kilometres per hour in a metre per second.
-const KM_H: f64 = 3.6;
+use crate::scene::{Dimensions, Estimate, MetricPose, Motion, ObjectPose, ObjectTrajectory, TimeBase};
 
 /// The poses of an object that have metres, where the result has any.
 fn poses<'a>(data: &Data, object: &Object<'a>) -> Vec<(&'a ObjectPose, &'a MetricPose)> {
@@ -45,39 +43,27 @@ fn km_h(speed_m_s: f64) -> String {
     format!("{rounded} km/h").replacen('-', "−", 1)
 }
 
-/// Size, speeds and distance of a vehicle; none where metres are unknown.
+/// Size and distance of a vehicle; none where metres are unknown.
 pub(super) fn facts(data: &Data, object: &Object) -> Vec<Fact> {
     let poses = poses(data, object);
     let mut facts = Vec::new();
     if poses.is_empty() {
         return facts;
     }
-    facts.extend(object.trajectory.and_then(|trajectory| trajectory.dimensions.as_ref()).map(size));
-    let motions: Vec<&Motion> = poses.iter().filter_map(|(_, metric)| motion(data, metric)).collect();
-    facts.extend(speed(&motions));
+    facts.extend(object.trajectory.and_then(|trajectory| Some(size(trajectory, trajectory.dimensions.as_ref()?))));
     let mut distances: Vec<f64> = poses.iter().map(|(_, metric)| metric.distance_to_camera_m).collect();
     let range = [0.0, 1.0].map(|q| figure(quantile(&mut distances, q), 3));
     facts.push(Fact::new("distance to the camera", format!("{} to {} m", range[0], range[1])));
     facts
 }
 
-fn size(size: &Dimensions) -> Fact {
-    let said = |name: &str, estimate: Option<Estimate>| match estimate {
-        Some(Estimate { value, std }) => format!("{name} {value:.2} ± {std:.2} m"),
+fn size(trajectory: &ObjectTrajectory, size: &Dimensions) -> Fact {
+    let said = |name: &str, dimension: Option<Estimate>| match dimension {
+        Some(found) => format!("{name} {}", estimate(trajectory, found, "m")),
         None => format!("{name} not seen"),
     };
     let Dimensions { length_m, width_m, height_m } = *size;
     Fact::new("size", [said("length", length_m), said("width", width_m), said("height", height_m)].join(", "))
-}
-
-fn speed(motions: &[&Motion]) -> Option<Fact> {
-    let mut speeds: Vec<f64> = motions.iter().map(|motion| motion.speed_m_s.abs()).collect();
-    let mut stds: Vec<f64> = motions.iter().map(|motion| motion.speed_std_m_s).collect();
-    (!speeds.is_empty()).then(|| {
-        let [median, most] = [0.5, 1.0].map(|q| km_h(quantile(&mut speeds, q)));
-        let std = figure(KM_H * quantile(&mut stds, 0.5), 2);
-        Fact::new("speed, median", median).with_note(format!("± {std} km/h; at most {most}"))
-    })
 }
 
 /// A quantity over the frames of an object.
@@ -87,7 +73,7 @@ pub(super) enum Quantity {
     Speed,
     /// Metres per second².
     Acceleration,
-    /// Degrees.
+    /// Degrees, without jumps at north.
     Heading,
 }
 
@@ -101,6 +87,15 @@ pub(super) struct Reading<'a> {
 
 /// A quantity at every pose that has it.
 pub(super) fn readings<'a>(data: &Data, object: &Object<'a>, quantity: Quantity) -> Vec<Reading<'a>> {
+    let headings = match (quantity, object.trajectory) {
+        (Quantity::Heading, Some(trajectory)) => trajectory.unwrapped_headings_deg(),
+        _ => Vec::new(),
+    };
+    let poses_of = object.trajectory.map_or(&[][..], |trajectory| &trajectory.poses);
+    let heading = |pose: &ObjectPose| {
+        let k = poses_of.binary_search_by_key(&pose.frame, |other| other.frame).ok()?;
+        *headings.get(k)?
+    };
     let reading = |(pose, metric): (&'a ObjectPose, &MetricPose)| {
         let motion = motion(data, metric)?;
         let (value, std, raw) = match quantity {
@@ -108,7 +103,7 @@ pub(super) fn readings<'a>(data: &Data, object: &Object<'a>, quantity: Quantity)
                 (KM_H * motion.speed_m_s, KM_H * motion.speed_std_m_s, Some(KM_H * motion.raw_speed_m_s))
             }
             Quantity::Acceleration => (motion.acceleration_m_s2, motion.acceleration_std_m_s2, None),
-            Quantity::Heading => (motion.heading_deg?, motion.heading_std_deg?, None),
+            Quantity::Heading => (heading(pose)?, motion.heading_std_deg?, None),
         };
         Some(Reading { pose, value, std, raw })
     };
@@ -121,14 +116,24 @@ mod tests {
     use crate::report::testing;
 
     #[test]
-    fn speeds_and_sizes_are_said_only_where_metres_are_known() {
+    fn sizes_and_distances_are_said_only_where_metres_are_known() {
         let world = testing::World::in_metres();
         let data = world.data();
         let said = facts(&data, &data.objects[0]);
         let value = |label: &str| &said.iter().find(|fact| fact.label == label).unwrap().value;
         assert!(value("size").starts_with("length 4.30 ± ") && value("size").ends_with("height not seen"), "{said:?}");
-        assert!(value("speed, median").ends_with(" km/h"), "{said:?}");
+        assert!(value("distance to the camera").ends_with(" m"), "{said:?}");
         assert!(!readings(&data, &data.objects[0], Quantity::Heading).is_empty());
+        let mut north = testing::World::in_metres();
+        for (k, pose) in north.trajectory.poses.iter_mut().enumerate() {
+            let motion = pose.metric.as_mut().unwrap().motion.as_mut().unwrap();
+            motion.heading_deg = Some(if k % 2 == 0 { 5.0 } else { 357.0 });
+        }
+        let data_north = north.data();
+        let headings = readings(&data_north, &data_north.objects[0], Quantity::Heading);
+        let step = |pair: &[Reading]| (pair[1].value - pair[0].value).abs();
+        assert!(headings.windows(2).all(|pair| (step(pair) - 8.0).abs() < 1e-9), "no jump at north");
+        assert!(headings.iter().all(|reading| (-10.0..=370.0).contains(&reading.value)));
         let pose = &world.trajectory.poses[10];
         assert!(tooltip(&data, pose).unwrap().ends_with(" m away"));
         let unknown = testing::world();

@@ -35,7 +35,7 @@ pub(super) fn sentence(data: &Data) -> String {
     format!("Reconstructed: {camera}, and {vehicles}. {}", sureness(data))
 }
 
-/// How sure the scales of the trajectories are, in one sentence.
+/// Scale uncertainties and verdicts in one sentence.
 fn sureness(data: &Data) -> String {
     let of = |wanted: &[Verdict]| -> Vec<&Object> {
         data.objects.iter().filter(|o| wanted.contains(&Verdict::of(o.trajectory))).collect()
@@ -45,33 +45,23 @@ fn sureness(data: &Data) -> String {
     let mut parts = Vec::new();
     if let Some(worst) = worst {
         let better = if known.len() > 1 { " or better" } else { "" };
-        parts.push(format!(
-            "by the run's own estimate, size and distance of {} are right to about {}{better}",
-            paths_of(&known),
-            percent(worst)
-        ));
+        parts.push(format!("estimated error of size and distance: {} ±{}{better} (1σ)", names_of(&known), percent(worst)));
     }
-    for (verdict, before, after) in [
-        (Verdict::Unrated, "it is not known how exact size and distance of", "are"),
-        (Verdict::Weak, "size and distance of", "are only weakly determined"),
-        (Verdict::Degenerate, "size and distance of", "are undetermined: do not measure with them"),
-        (Verdict::Doubtful, "", "may well be wrong"),
-        (Verdict::Refuted, "", "cannot be right: do not measure with them"),
-    ] {
+    for verdict in [Verdict::Doubtful, Verdict::Rejected] {
         let objects = of(&[verdict]);
         if !objects.is_empty() {
-            parts.push(format!("{before} {} {after}", paths_of(&objects)).trim_start().to_owned());
+            parts.push(format!("{}: {}", verdict.label(), names_of(&objects)));
         }
     }
     capitalised(&format!("{}.", parts.join("; ")))
 }
 
-/// "the path of Car 1", "the paths of Car 1 and Van 2", "5 paths".
-fn paths_of(objects: &[&Object]) -> String {
+/// "Car 1", "Car 1 and Van 2", "5 vehicles".
+fn names_of(objects: &[&Object]) -> String {
     match objects {
-        [one] => format!("the path of {}", name(one)),
-        [one, two] => format!("the paths of {} and {}", name(one), name(two)),
-        many => count(many.len(), "path"),
+        [one] => name(one),
+        [one, two] => format!("{} and {}", name(one), name(two)),
+        many => count(many.len(), "vehicle"),
     }
 }
 
@@ -86,11 +76,10 @@ mod tests {
         let mut world = testing::world();
         world.trajectory.scale.std = Some(0.02 * world.trajectory.scale.ratio);
         assert!(sentence(&world.data()).ends_with(
-            "3D trajectories of 1 of 2 vehicles. By the run's own estimate, size and distance of the path of Car 1 are \
-             right to about 2.0 %."
+            "3D trajectories of 1 of 2 vehicles. Estimated error of size and distance: Car 1 ±2.0 % (1σ)."
         ));
         world.trajectory.scale.degenerate = true;
-        world.trajectory.verdict = Some(scene::Verdict { state: Trust::NotToBeTrusted, reasons: Vec::new() });
-        assert!(sentence(&world.data()).ends_with("the path of Car 1 are undetermined: do not measure with them."));
+        world.trajectory.verdict = Some(scene::Verdict { state: Trust::Rejected, reasons: Vec::new() });
+        assert!(sentence(&world.data()).ends_with("Rejected: Car 1."));
     }
 }

@@ -1,33 +1,24 @@
-//! How the verdict on a trajectory is said.
+//! The verdict on a trajectory in words.
 
 use serde::Serialize;
 
 use super::data::Fact;
 use super::words::{percent, plain};
-use crate::scene::{self, ObjectTrajectory, Reason, ReasonKind, ScaleEstimate, Trust};
+use crate::scene::{ObjectTrajectory, Reason, ReasonKind, ScaleEstimate, Trust};
 
-/// Whose figure it is that stands before.
-const OWN_ESTIMATE: &str = "by the run's own estimate (one standard deviation)";
-
-/// How far a trajectory can be trusted, in the words of the page.
+/// How far a trajectory can be trusted: the words of [`Trust`], and what is said where there is no verdict.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// Everything agrees, and the scale is well determined.
+    /// All evidence agrees, and the scale is well determined.
     Good,
-    /// Nothing speaks against it that counts.
+    /// At most minor evidence against it.
     Fair,
-    /// The scale is weakly determined.
-    Weak,
-    /// No standard deviation of the scale is known.
-    Unrated,
-    /// Something else than the deviation speaks against it.
+    /// Evidence against it, or a weakly determined scale.
     Doubtful,
-    /// The motion leaves the scale undetermined.
-    Degenerate,
-    /// Something else rules it out.
-    Refuted,
-    /// Nobody judged it.
+    /// Ruled out, or of undetermined scale.
+    Rejected,
+    /// No verdict in the result.
     Unjudged,
     /// No trajectory.
     Missing,
@@ -35,88 +26,68 @@ pub enum Verdict {
 
 impl Verdict {
     /// All of them, the best first.
-    pub const ALL: [Self; 9] = [
-        Self::Good,
-        Self::Fair,
-        Self::Weak,
-        Self::Unrated,
-        Self::Doubtful,
-        Self::Degenerate,
-        Self::Refuted,
-        Self::Unjudged,
-        Self::Missing,
-    ];
+    pub const ALL: [Self; 6] =
+        [Self::Good, Self::Fair, Self::Doubtful, Self::Rejected, Self::Unjudged, Self::Missing];
 
     /// Of an object's trajectory; `None` where it has none.
     pub fn of(trajectory: Option<&ObjectTrajectory>) -> Self {
         let Some(trajectory) = trajectory else { return Self::Missing };
-        let Some(verdict) = &trajectory.verdict else { return Self::Unjudged };
-        let is_of_deviation = verdict.against().next().is_some_and(|reason| reason.kind == ReasonKind::Deviation);
-        match verdict.state {
-            Trust::Good => Self::Good,
-            Trust::Fair => Self::Fair,
-            Trust::Doubtful if !is_of_deviation => Self::Doubtful,
-            Trust::Doubtful if relative_std(&trajectory.scale).is_none() => Self::Unrated,
-            Trust::Doubtful => Self::Weak,
-            Trust::NotToBeTrusted if trajectory.scale.degenerate => Self::Degenerate,
-            Trust::NotToBeTrusted => Self::Refuted,
+        match trajectory.verdict.as_ref().map(|verdict| verdict.state) {
+            Some(Trust::Good) => Self::Good,
+            Some(Trust::Fair) => Self::Fair,
+            Some(Trust::Doubtful) => Self::Doubtful,
+            Some(Trust::Rejected) => Self::Rejected,
+            None => Self::Unjudged,
         }
     }
 
-    /// What the badge says.
+    /// The word on the badge.
     pub fn label(self) -> &'static str {
         match self {
-            Self::Good => "scale well determined",
-            Self::Fair => "scale fairly determined",
-            Self::Weak => "scale weakly determined",
-            Self::Unrated => "scale without error estimate",
-            Self::Doubtful => "doubtful",
-            Self::Degenerate => "scale undetermined",
-            Self::Refuted => "not to be trusted",
+            Self::Good => Trust::Good.name(),
+            Self::Fair => Trust::Fair.name(),
+            Self::Doubtful => Trust::Doubtful.name(),
+            Self::Rejected => Trust::Rejected.name(),
             Self::Unjudged => "not judged",
             Self::Missing => "no trajectory",
         }
     }
 
-    /// What it means for the trajectory of which it is, in a sentence.
+    /// The meaning for the trajectory of which it is, in a sentence.
     pub fn sentence(self, trajectory: Option<&ObjectTrajectory>) -> String {
         let std = trajectory.and_then(|trajectory| relative_std(&trajectory.scale));
-        let first = trajectory.and_then(|trajectory| first_against(trajectory.verdict.as_ref()));
+        let first = trajectory.and_then(|trajectory| trajectory.verdict.as_ref()?.complaints().next());
+        let is_degenerate = trajectory.is_some_and(|trajectory| trajectory.scale.degenerate);
         match (self, std, first) {
             (Self::Good | Self::Fair, Some(std), _) => {
-                format!("Size and distance of this path are right to about {}, {OWN_ESTIMATE}.", percent(std))
+                format!("Estimated error of this vehicle's size and distance: ±{} (1σ).", percent(std))
             }
-            (Self::Weak, Some(std), _) => {
-                format!("Size and distance of this path may well be wrong by {}, {OWN_ESTIMATE}.", percent(std))
+            (Self::Rejected, ..) if is_degenerate => {
+                "Shape only: the motion does not fix the scale of this trajectory.".into()
             }
-            (Self::Degenerate, ..) => "The motion does not tell how large and how far away this path is. Look at its \
-                                       shape; do not measure with it."
-                .into(),
-            (Self::Refuted, _, Some(first)) => format!("This path cannot be right: {first}. Do not measure with it."),
-            (Self::Doubtful, _, Some(first)) => format!("This path may well be wrong: {first}."),
-            (Self::Unjudged, ..) => "How far this path can be trusted was not judged.".into(),
-            (Self::Missing, ..) => "Where this vehicle drove is not known.".into(),
-            _ => "How exact size and distance of this path are is not known.".into(),
+            (Self::Doubtful, Some(std), Some(first)) if first.kind == ReasonKind::Deviation => {
+                format!("Scale weakly determined: size, distance and speed ±{} (1σ).", percent(std))
+            }
+            (Self::Rejected, _, Some(first)) => format!("Do not measure with it: {}.", said(first)),
+            (Self::Doubtful, _, Some(first)) => format!("Possibly wrong: {}.", said(first)),
+            (Self::Unjudged, ..) => "This result contains no verdict.".into(),
+            (Self::Missing, ..) => "No 3D trajectory.".into(),
+            _ => "The uncertainty of this vehicle's size and distance is not known.".into(),
         }
     }
 
-    /// What it means in general.
+    /// The meaning in general.
     fn meaning(self) -> &'static str {
         match self {
-            Self::Good => {
-                "The run puts the standard deviation of r at 3 % or less, and all else that is known of the vehicle \
-                 agrees."
+            Self::Good => "Scale known to ±3 % or better (1σ), and all evidence agrees.",
+            Self::Fair => "Scale known to ±10 % or better, and at most minor evidence against it; the card says which.",
+            Self::Doubtful => "Scale uncertainty above ±10 %, or evidence against the trajectory.",
+            Self::Rejected => {
+                "The motion does not fix the scale, or no vehicle could follow this path, or the object is not a \
+                 vehicle. The trajectory is dashed; do not measure with it."
             }
-            Self::Fair => {
-                "It puts it at 10 % or less, and at most something small speaks against the path; the card says what."
-            }
-            Self::Weak => "It puts it at more than 10 %.",
-            Self::Unrated => "The method in use gives no standard deviation.",
-            Self::Doubtful => "Whatever the deviation is, something else speaks against the path.",
-            Self::Degenerate => "The motion of camera and vehicle leaves r open. The path is drawn dashed.",
-            Self::Refuted => "No vehicle can have driven so, or it is none. The path is drawn dashed.",
-            Self::Unjudged => "The result was made before the program judged trajectories.",
-            Self::Missing => "The vehicle was seen, but not reconstructed; its card says why.",
+            Self::Unjudged => "The result was written before the program judged trajectories.",
+            Self::Missing => "The vehicle was seen but not reconstructed; its card says why.",
         }
     }
 
@@ -124,10 +95,6 @@ impl Verdict {
     pub(super) fn glossary() -> Vec<Fact> {
         Self::ALL.iter().map(|verdict| Fact::new(verdict.label(), verdict.meaning())).collect()
     }
-}
-
-fn first_against(verdict: Option<&scene::Verdict>) -> Option<String> {
-    verdict?.against().next().map(said)
 }
 
 /// A reason as readers see it.
@@ -144,6 +111,7 @@ pub(super) fn relative_std(scale: &ScaleEstimate) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::report::testing;
+    use crate::scene;
 
     fn judged(state: Trust, reasons: Vec<Reason>) -> Option<scene::Verdict> {
         Some(scene::Verdict { state, reasons })
@@ -160,15 +128,15 @@ mod tests {
             ..scale.clone()
         };
         for (scale, judged, verdict, word) in [
-            (with(Some(0.01), false), judged(Trust::Good, vec![]), Verdict::Good, "about 1.0 %"),
-            (with(Some(0.05), false), judged(Trust::Fair, vec![]), Verdict::Fair, "about 5.0 %"),
-            (with(Some(0.25), false), judged(Trust::Doubtful, vec![weak()]), Verdict::Weak, "wrong by 25 %"),
-            (with(None, false), judged(Trust::Doubtful, vec![weak()]), Verdict::Unrated, "not known"),
-            (with(Some(f64::NAN), false), judged(Trust::Doubtful, vec![weak()]), Verdict::Unrated, "not known"),
+            (with(Some(0.01), false), judged(Trust::Good, vec![]), Verdict::Good, "±1.0 %"),
+            (with(Some(0.05), false), judged(Trust::Fair, vec![]), Verdict::Fair, "±5.0 %"),
+            (with(Some(0.25), false), judged(Trust::Doubtful, vec![weak()]), Verdict::Doubtful, "speed ±25 %"),
+            (with(None, false), judged(Trust::Doubtful, vec![]), Verdict::Doubtful, "not known"),
+            (with(Some(f64::NAN), false), judged(Trust::Doubtful, vec![]), Verdict::Doubtful, "not known"),
             (with(Some(0.01), false), judged(Trust::Doubtful, vec![size()]), Verdict::Doubtful, "a tenth as large"),
-            (with(Some(0.01), false), judged(Trust::NotToBeTrusted, vec![size()]), Verdict::Refuted, "cannot be right"),
-            (with(Some(0.01), true), judged(Trust::NotToBeTrusted, vec![]), Verdict::Degenerate, "do not measure"),
-            (with(Some(0.01), false), None, Verdict::Unjudged, "not judged"),
+            (with(Some(0.01), false), judged(Trust::Rejected, vec![size()]), Verdict::Rejected, "Do not measure"),
+            (with(Some(0.01), true), judged(Trust::Rejected, vec![]), Verdict::Rejected, "Shape only"),
+            (with(Some(0.01), false), None, Verdict::Unjudged, "no verdict"),
         ] {
             let mut trajectory = testing::world().trajectory;
             (trajectory.scale, trajectory.verdict) = (scale, judged);

@@ -1,15 +1,12 @@
 //! Numbers and names as a reader who is no expert can take them: never an exponent, never NaN.
 
 use super::data::Object;
+pub(super) use crate::math::rounding::{percent, significant as figure};
 
 /// What stands for a number that there is none of.
 pub(super) const UNKNOWN: &str = "unknown";
 /// The unit of lengths: that of the background reconstruction, whose size is arbitrary.
 pub(super) const LENGTH_UNIT: &str = "units";
-
-/// Numbers beyond these two mean nothing to a reader but "very small" and "very large".
-const SMALLEST: f64 = 1e-9;
-const LARGEST: f64 = 1e12;
 
 /// "Car 2".
 pub(super) fn name(object: &Object) -> String {
@@ -45,11 +42,6 @@ pub(super) fn share(part: usize, whole: usize) -> String {
     format!("{rounded:.0} %")
 }
 
-/// A fraction as per cent with two significant digits.
-pub(super) fn percent(fraction: f64) -> String {
-    with_unit(fraction * 100.0, 2, "%")
-}
-
 /// A round number, without more decimals than it has.
 pub(super) fn round_figure(v: f64) -> String {
     let decimals = (-v.log10().floor()).clamp(0.0, 9.0) as usize;
@@ -59,24 +51,6 @@ pub(super) fn round_figure(v: f64) -> String {
 /// A number with so many significant digits and its unit.
 pub(super) fn with_unit(v: f64, digits: i32, unit: &str) -> String {
     if v.is_finite() { format!("{} {unit}", figure(v, digits)) } else { UNKNOWN.to_owned() }
-}
-
-/// A number with so many significant digits and a true minus sign.
-pub(super) fn figure(v: f64, digits: i32) -> String {
-    if !v.is_finite() {
-        return UNKNOWN.to_owned();
-    }
-    if v == 0.0 {
-        return "0".to_owned();
-    }
-    if v.abs() < SMALLEST {
-        return "almost 0".to_owned();
-    }
-    if v.abs() > LARGEST {
-        return if v < 0.0 { "huge and negative" } else { "huge" }.to_owned();
-    }
-    let decimals = (digits - 1 - v.abs().log10().floor() as i32).clamp(0, 12) as usize;
-    format!("{v:.decimals$}").replacen('-', "−", 1)
 }
 
 /// A sentence from elsewhere, such as a warning, with its numbers made readable.

@@ -4,6 +4,8 @@
 //! Everything here stands beside what is given in units of the background and replaces none of it. Deviations are
 //! standard deviations, and whole ones: that of the scale is in each of them, common to all lengths of a result.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -149,6 +151,34 @@ pub struct Metric {
     pub time_offset_s: Option<f64>,
     /// Its standard deviation, seconds.
     pub time_offset_std_s: Option<f64>,
+    /// Dates; `None` where none are known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dates: Option<Dates>,
+}
+
+/// Zone of the clock on which [`Dates`] count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ClockZone {
+    /// Universal time.
+    Utc,
+    /// Local time of an unknown zone.
+    Local,
+    /// As each image states it.
+    PerImage,
+}
+
+/// Dates of a result: of the video's start, or of each photograph.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Dates {
+    /// The video's start, seconds after 1970-01-01T00:00:00 on the clock of `zone`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start_s: Option<f64>,
+    /// Zone of that clock.
+    pub zone: ClockZone,
+    /// Dates of photographs by image name, ISO 8601; without `Z` they are local ones.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub images: BTreeMap<String, String>,
 }
 
 /// A value and its standard deviation.
@@ -160,6 +190,13 @@ pub struct Estimate {
     pub std: f64,
 }
 
+impl Estimate {
+    /// Both in another unit.
+    pub fn scaled(self, factor: f64) -> Self {
+        Self { value: factor * self.value, std: factor * self.std }
+    }
+}
+
 /// Size of an object, meters; `None` for a dimension that was never visible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Dimensions {
@@ -169,6 +206,28 @@ pub struct Dimensions {
     pub width_m: Option<Estimate>,
     /// Above the ground.
     pub height_m: Option<Estimate>,
+}
+
+/// Travel of an object from its first to its last pose, from the smoothed trajectory (docs/maths/smoother.md, *Travel*):
+/// the one definition behind every outlet.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Travel {
+    /// Path length, units of the background. The standard deviation lacks that of metres per unit.
+    pub path_units: Estimate,
+    /// Straight line from the first to the last position, units of the background.
+    pub displacement_units: Estimate,
+    /// Path length, metres; `None` where metres are unknown, as for all below.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub path_m: Option<Estimate>,
+    /// Displacement, metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub displacement_m: Option<Estimate>,
+    /// Path length over the time from the first to the last frame; `None` where no times are known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mean_speed_m_s: Option<Estimate>,
+    /// Greatest speed in any frame, with its standard deviation there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_speed_m_s: Option<Estimate>,
 }
 
 /// An object's pose in one frame, in metres.

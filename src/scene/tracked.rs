@@ -94,7 +94,7 @@ impl Movement {
         match self {
             Self::Moving => "moving",
             Self::Standing => "standing",
-            Self::Undetermined => "moving or standing",
+            Self::Undetermined => "undetermined",
         }
     }
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Dimensions, FrameId, Metric, MetricPose, ObjectId, PlaneBasis, Verdict};
+use super::{Dimensions, FrameId, Metric, MetricPose, ObjectId, PlaneBasis, Travel, Verdict};
 use crate::math::Sim3;
 
 /// Method of estimating a scale ratio; the names are those of the contract.
@@ -189,15 +189,28 @@ pub struct ObjectTrajectory {
     pub verdict: Option<Verdict>,
     /// Size in meters; `None` where meters are unknown.
     pub dimensions: Option<Dimensions>,
+    /// Path length, displacement and speeds; `None` for fewer than four poses.
+    pub travel: Option<Travel>,
     /// Ascending in time; frames without both cameras are absent.
     pub poses: Vec<ObjectPose>,
 }
 
 impl ObjectTrajectory {
-    /// Length of the way between the first and the last pose, gaps bridged by straight lines, in the unit of the
-    /// positions.
-    pub fn path_length(&self) -> f64 {
-        self.poses.windows(2).map(|pair| pair[0].distance_to(&pair[1])).filter(|step| step.is_finite()).sum()
+    /// Headings without jumps at north, degrees: each within half a turn of the one before, and their mean from 0 to 360.
+    /// One per pose; `None` where none is known.
+    pub fn unwrapped_headings_deg(&self) -> Vec<Option<f64>> {
+        let mut before: Option<f64> = None;
+        let unwrapped = |pose: &ObjectPose| {
+            let heading = pose.metric?.motion?.heading_deg?;
+            let turns = before.map_or(0.0, |before| ((before - heading) / 360.0).round());
+            before = Some(heading + 360.0 * turns);
+            before
+        };
+        let headings: Vec<Option<f64>> = self.poses.iter().map(unwrapped).collect();
+        let (sum, count) = headings.iter().flatten().fold((0.0, 0.0), |(sum, count), heading| (sum + heading, count + 1.0));
+        let mean: f64 = if count > 0.0 { sum / count } else { 0.0 };
+        let shift = 360.0 * (mean / 360.0).floor();
+        headings.into_iter().map(|heading| Some(heading? - shift)).collect()
     }
 
     /// Returns true if it must not be used for measurements: its scale is undetermined, or it is rejected.

@@ -12,28 +12,20 @@ pub enum Trust {
     Fair,
     /// Something speaks against it.
     Doubtful,
-    /// It cannot be as it stands.
-    NotToBeTrusted,
+    /// It cannot be right, or its scale is undetermined. `not-to-be-trusted` before version 3 of
+    /// `trajectories.json`.
+    #[serde(alias = "not-to-be-trusted")]
+    Rejected,
 }
 
 impl Trust {
-    /// In words, for people.
+    /// The word in files, tables, the page and the terminal.
     pub fn name(self) -> &'static str {
         match self {
             Self::Good => "good",
             Self::Fair => "fair",
             Self::Doubtful => "doubtful",
-            Self::NotToBeTrusted => "not to be trusted",
-        }
-    }
-
-    /// The name in files.
-    pub fn key(self) -> &'static str {
-        match self {
-            Self::Good => "good",
-            Self::Fair => "fair",
-            Self::Doubtful => "doubtful",
-            Self::NotToBeTrusted => "not-to-be-trusted",
+            Self::Rejected => "rejected",
         }
     }
 }
@@ -126,8 +118,14 @@ impl Verdict {
         self.reasons.iter().filter(|reason| reason.finding != Finding::Supports)
     }
 
+    /// Evidence against the trajectory, the gravest first, without a moderate standard deviation of the scale: that is an
+    /// uncertainty, and no complaint.
+    pub fn complaints(&self) -> impl Iterator<Item = &Reason> {
+        self.against().filter(|reason| reason.kind != ReasonKind::Deviation || reason.weight >= 1.0)
+    }
+
     /// Returns true if a reason rules the trajectory out.
     pub fn is_refuted(&self) -> bool {
-        self.state == Trust::NotToBeTrusted
+        self.state == Trust::Rejected
     }
 }

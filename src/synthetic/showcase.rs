@@ -17,7 +17,7 @@ use crate::scene::{
     CameraId, Dimensions, Estimate, Frame, FrameId, Ground, GroundPlane, GroundSource, Image, ImageId, Mask, Metric,
     MetricAxes, MetricFrame, MetricPose, MetricShare, MetricStd, MetricVerdict, Motion, ObjectId, ObjectPose,
     ObjectTrajectory, Observation, PlaneBasis, Point3d, Point3dId, Reason, ReasonKind, Reconstruction, ScaleEstimate,
-    ScaleMethod, TrackElement, Trust, Verdict,
+    ScaleMethod, TrackElement, Travel, Trust, Verdict,
 };
 
 /// Upward direction of the street corner in the background's frame.
@@ -282,6 +282,7 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
         ground: BTreeMap::new(),
         verdict,
         dimensions: Some(dimensions(size_m)),
+        travel: Some(travel(&poses, result.background_from_metric.scale)),
         poses,
     };
     Vehicle { model, trajectory, visible, size_m }
@@ -318,6 +319,7 @@ fn metric(background_from_metric: &Sim3) -> Metric {
         contradictions: Vec::new(),
         time_offset_s: Some(0.2),
         time_offset_std_s: Some(0.1),
+        dates: None,
     }
 }
 
@@ -356,6 +358,23 @@ fn metric_pose(id: ObjectId, frame: FrameId, num_frames: u32, wrong: f64) -> Met
     }
 }
 
+/// Of a path without noise, give or take 2 %.
+fn travel(poses: &[ObjectPose], units_per_metre: f64) -> Travel {
+    let estimate = |value: f64| Estimate { value, std: 0.02 * value };
+    let path_units = poses.windows(2).map(|pair| pair[0].distance_to(&pair[1])).sum::<f64>();
+    let away = poses.first().zip(poses.last()).map_or(0.0, |(first, last)| first.distance_to(last));
+    let seconds = poses.first().zip(poses.last()).map_or(0.0, |(first, last)| last.time_s - first.time_s).max(1e-3);
+    let speeds = poses.iter().filter_map(|pose| Some(pose.metric?.motion?.speed_m_s));
+    Travel {
+        path_units: estimate(path_units),
+        displacement_units: estimate(away),
+        path_m: Some(estimate(path_units / units_per_metre)),
+        displacement_m: Some(estimate(away / units_per_metre)),
+        mean_speed_m_s: Some(estimate(path_units / units_per_metre / seconds)),
+        max_speed_m_s: Some(estimate(speeds.fold(0.0, f64::max))),
+    }
+}
+
 /// All but the height, which nobody saw.
 fn dimensions([length, width, _]: [f64; 3]) -> Dimensions {
     let known = |value: f64| Some(Estimate { value, std: 0.03 * value });
@@ -363,21 +382,21 @@ fn dimensions([length, width, _]: [f64; 3]) -> Dimensions {
 }
 
 fn sound() -> Verdict {
-    let says = "size and distance are right to about 1.1 % (one standard deviation)";
+    let says = "scale uncertainty ±1.1 % (1σ)";
     let reasons = vec![
         Reason::supports(ReasonKind::Deviation, says),
-        Reason::supports(ReasonKind::Ground, "it stands on the ground: its lowest points are at 4.0 % of its height"),
+        Reason::supports(ReasonKind::Ground, "stands on the ground: lowest points at 4.0 % of its height"),
     ];
     Verdict { state: Trust::Good, reasons }
 }
 
 fn undetermined() -> Verdict {
-    let says = "it is not known how large and how far away the path is: the camera keeps its height";
+    let says = "scale undetermined: the camera keeps its height";
     let reasons = vec![
         Reason::refutes(ReasonKind::Determined, says),
-        Reason::doubts(ReasonKind::Pixels, 0.5, "it is small: its points span 18 pixels in the picture"),
+        Reason::doubts(ReasonKind::Pixels, 0.5, "small: its points span 18 px in the image"),
     ];
-    Verdict { state: Trust::NotToBeTrusted, reasons }
+    Verdict { state: Trust::Rejected, reasons }
 }
 
 fn local_plane(background_from_metric: &Sim3, id: ObjectId, s: f64, rng: &mut Rng) -> GroundPlane {

@@ -40,7 +40,7 @@ pub fn assemble(
     let ObjectDescription { id, class, confidence } = description;
     let ground = BTreeMap::new();
     let mut trajectory =
-        ObjectTrajectory { id, class, confidence, scale, ground, verdict: None, dimensions: None, poses };
+        ObjectTrajectory { id, class, confidence, scale, ground, verdict: None, dimensions: None, travel: None, poses };
     if unit == Unit::Metre {
         set_speeds(&mut trajectory);
     }

@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 
+use crate::math::rounding::figure;
 use crate::scene::ScaleMethod;
 
 /// Why an estimator has no answer. The messages are made to be shown to the user as they are.
@@ -90,8 +91,8 @@ pub enum ScaleError {
     Adjustment(String),
     /// What the object's pictures say and what the ground says does not fit together.
     #[error(
-        "with the object on the ground its image positions are off by {after_px:.2} px (median) instead of \
-         {before_px:.2}: the local planes are wrong, or the object does not stand on the ground"
+        "median reprojection error {after_px:.2} px with the object on the ground, {before_px:.2} px without: the ground \
+         planes are wrong, or the object is not on the ground"
     )]
     GroundContradicts {
         /// Median error before.
@@ -103,19 +104,9 @@ pub enum ScaleError {
 
 fn least_squares_words(num_views: usize, ratio: f64) -> String {
     match ratio.is_finite() {
-        true => format!("the least squares ratio over {num_views} frames is {}", significant(ratio)),
+        true => format!("the least squares ratio over {num_views} frames is {}", figure(ratio)),
         false => format!("least squares over {num_views} frames has no solution"),
     }
-}
-
-/// A number for people: three significant digits, and a power of ten only where there would be too many zeros.
-pub(super) fn significant(number: f64) -> String {
-    let magnitude = number.abs();
-    if number == 0.0 || !number.is_finite() || !(1e-4..1e6).contains(&magnitude) {
-        return format!("{number:.2e}");
-    }
-    let decimals = (2 - magnitude.log10().floor() as i32).max(0);
-    format!("{number:.*}", usize::try_from(decimals).unwrap_or(0))
 }
 
 #[cfg(test)]
@@ -123,9 +114,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_for_people() {
-        let said = [0.03954, 2.092, 1234.5, -0.5, 1e-9].map(significant);
-        assert_eq!(said, ["0.0395", "2.09", "1234", "-0.500", "1.00e-9"]);
+    fn what_is_no_number_is_not_printed() {
         let nowhere = ScaleError::NotPositive { num_views: 3, ratio: f64::NAN }.to_string();
         assert!(!nowhere.contains("NaN") && nowhere.contains("no solution"), "{nowhere}");
     }

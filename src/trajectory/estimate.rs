@@ -7,13 +7,13 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::error::significant;
 use super::mirror::mean_normal;
 use super::{
     ConstantDistance, ConstantDistanceOptions, Joint, JointOptions, LeastSquares, LeastSquaresOptions, ScaleError,
     Views, constant_distance, intersection, least_squares,
 };
 use crate::limits::{Checked, under, within};
+use crate::math::rounding::percent;
 use crate::scene::{Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport};
 
 /// How the scale ratio is found.
@@ -61,6 +61,10 @@ impl Options {
 
 /// Relative excitation below which nothing but rounding tells the frames apart: single precision of model files.
 const ROUNDING: f64 = 1e-6;
+
+/// Relative change of the camera's height above which a ratio is open for another reason: with planes good to 1 % of that
+/// height, it determines the ratio to 10 %.
+const NOTABLE_CLIMB: f64 = 0.1;
 
 /// Runs every estimator that takes a reconstruction as it is and gives the answer of `wanted` with a verdict.
 ///
@@ -151,18 +155,19 @@ fn why_unsure(shares: &ScaleShares, accepted: f64) -> Option<String> {
     }
     if shares.disagreement > FRAC_1_SQRT_2 * shares.given_focal() {
         return Some(format!(
-            "the adjustment with the ground and least squares over all frames contradict one another, so that the \
-             ratio is known to ± {} only, where at most ± {} is accepted",
-            whole_percent(shares.given_focal()),
-            whole_percent(accepted)
+            "{}: the adjustment with the ground and least squares over all frames contradict one another",
+            beyond(shares.given_focal(), accepted)
         ));
     }
     Some(format!(
-        "neither the camera's height over the ground, which changes too little, nor the outlines of the object \
-         determine the ratio to better than ± {}, where at most ± {} is accepted",
-        whole_percent(shares.given_focal()),
-        whole_percent(accepted)
+        "{}: the camera's height above ground hardly changes and the outlines do not help",
+        beyond(shares.given_focal(), accepted)
     ))
+}
+
+/// "±18 % (limit ±10 %)".
+fn beyond(std: f64, limit: f64) -> String {
+    format!("±{} (limit ±{})", percent(std), percent(limit))
 }
 
 /// Whether the focal length leaves a ratio open, in words.
@@ -171,17 +176,11 @@ fn focal_leaves_open(shares: &ScaleShares, accepted: f64) -> Option<String> {
     let is_open = !(total <= accepted) && shares.focal > shares.given_focal();
     is_open.then(|| {
         format!(
-            "the focal length is known to ± {} only, and the ratio therefore to ± {}, where at most ± {} is accepted; \
-             give it with --intrinsics",
-            whole_percent(shares.focal / FOCAL_SENSITIVITY),
-            whole_percent(total),
-            whole_percent(accepted)
+            "{}: the focal length is known to ±{} only; give --intrinsics",
+            beyond(total, accepted),
+            percent(shares.focal / FOCAL_SENSITIVITY)
         )
     })
-}
-
-fn whole_percent(share: f64) -> String {
-    format!("{:.0} %", 100.0 * share)
 }
 
 /// The same estimate under a focal length that is not known exactly.
@@ -308,16 +307,9 @@ fn degeneracy(all_frames: &Result<LeastSquares, ScaleError>, max_relative_std: f
             "the frames cannot be checked against one another: too few of them agree on the ground".to_owned(),
         );
     }
-    let motion = format!(
-        "the camera's height over the object varies by {:.3} % of its mean (by {} of {}, in the object's units)",
-        100.0 * relative,
-        significant(fit.excitation),
-        significant(fit.mean_height.abs()),
-    );
+    let motion = format!("the camera's height above the vehicle varies by {} only", percent(relative));
     if relative <= ROUNDING {
-        return Some(format!(
-            "{motion}: camera and object move parallel to the ground, and nothing determines the ratio"
-        ));
+        return Some("camera and vehicle move parallel to the ground: nothing determines the scale".to_owned());
     }
     let relative_std = fit.std / fit.ratio.abs();
     if fit.ratio > 0.0 && relative_std <= max_relative_std {
@@ -326,14 +318,12 @@ fn degeneracy(all_frames: &Result<LeastSquares, ScaleError>, max_relative_std: f
     if ![fit.residual_std, fit.ratio, fit.std].iter().all(|number| number.is_finite()) {
         return Some(format!("{motion}, and all frames together have no solution"));
     }
-    Some(format!(
-        "{motion}, and the object's distance to the ground is only constant to {} background units: all frames \
-         together give a ratio of {:.4} ± {:.4}, where at most ± {:.0} % is accepted",
-        significant(fit.residual_std),
-        fit.ratio,
-        fit.std,
-        100.0 * max_relative_std,
-    ))
+    if fit.ratio <= 0.0 {
+        return Some(format!("no positive scale: {motion}, or the ground planes are wrong"));
+    }
+    // A large change of height does not help where planes are worse than it.
+    let why = if relative > NOTABLE_CLIMB { "the ground planes are too noisy".to_owned() } else { motion };
+    Some(format!("{}: {why}", beyond(relative_std, max_relative_std)))
 }
 
 #[cfg(test)]
@@ -397,7 +387,7 @@ mod tests {
         assert!(why(0.2, 0.4).unwrap().contains("outlines") && why(f64::NAN, 0.0).is_some());
         let torn = ScaleShares { contact: 0.05, disagreement: 0.2, ..ScaleShares::default() };
         let said = why_unsure(&torn, 0.1).unwrap();
-        assert!(said.contains("contradict one another") && said.contains("± 21 %"), "{said}");
+        assert!(said.contains("contradict one another") && said.contains("±21 %"), "{said}");
     }
 
     #[test]

@@ -62,7 +62,7 @@ pub use intersection::{Intersection, intersection};
 pub use joint::{Grounded, Joint, JointOptions, joint};
 pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
 pub use place::{Adjustment, AdjustmentFigures, Evidence, ModelOrigin, Placed, place};
-pub use smoother::{CommonStd, Sighting, smooth};
+pub use smoother::{CommonStd, Sighting, Smoothed, smooth};
 pub use standing::{Sight, standing};
 pub use verdict::{Candidate, verdicts};
 pub use views::{View, Views};

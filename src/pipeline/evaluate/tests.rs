@@ -89,6 +89,7 @@ fn output_with(models: &Models, sequence: &Sequence, ratio: f64) -> tempfile::Te
         ground: BTreeMap::new(),
         verdict: None,
         dimensions: None,
+        travel: None,
         poses,
     };
     let all = Trajectories { unit: Unit::Background, metric: None, objects: vec![object] };

@@ -179,9 +179,13 @@ fn offsets(run: &Run, telemetry: &Telemetry, times: telemetry::TimeBase, epoch_s
 fn stated_start_s(run: &Run, telemetry: &Telemetry) -> Option<f64> {
     /// Cameras without a clock begin in 1970 or 1904.
     const FIRST_CAMERAS_S: f64 = 1e9;
-    let is_utc = telemetry.log.clock == ClockKind::Utc && run.info().kind == Kind::Video;
-    let stated = is_utc.then(|| video::stated_start(run.input())).flatten()?;
-    telemetry::clock_s(&stated).filter(|start_s| *start_s > FIRST_CAMERAS_S)
+    let utc_offset_s = match telemetry.log.clock {
+        ClockKind::Utc => 0.0,
+        ClockKind::Local => run.options.metric.utc_offset?.seconds(),
+        ClockKind::TimeOfDay | ClockKind::Absent => return None,
+    };
+    let stated = (run.info().kind == Kind::Video).then(|| video::stated_start(run.input())).flatten()?;
+    telemetry::clock_s(&stated).filter(|start_s| *start_s > FIRST_CAMERAS_S).map(|start_s| start_s + utc_offset_s)
 }
 
 /// Attitudes whose vertical is further from the ground's normal are those of another camera, or of a turned one,

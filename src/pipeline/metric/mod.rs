@@ -5,6 +5,7 @@
 //! stays as it was.
 
 mod aligned;
+mod dates;
 mod log;
 mod placed;
 mod sources;
@@ -12,12 +13,17 @@ mod vehicles;
 
 use std::collections::BTreeMap;
 
+use nalgebra::Point3;
 use serde_json::{Value, json};
 
 use super::run::{Outcome, Run};
 use super::{MetricOptions, Options, PipelineError, TelemetryChoice, fingerprint, models, scale, track};
+use crate::math::median;
+use crate::math::rounding::{figure, percent, significant};
 use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
-use crate::scene::{Metric, MetricFrame, MetricVerdict, Movement, ObjectId, Reconstruction, Trajectories};
+use crate::scene::{
+    Metric, MetricFrame, MetricVerdict, Movement, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, Trajectories,
+};
 use crate::telemetry;
 use aligned::Aligned;
 pub(super) use log::beside as logs_beside;
@@ -28,7 +34,7 @@ pub(super) use vehicles::Size;
 
 /// What nothing but this stage hangs on: the options of metres, and what the files of telemetry hold.
 pub(super) fn depends_on(run: &Run) -> Value {
-    let MetricOptions { telemetry, time_offset, camera_height, scale, known_lengths } = &run.options.metric;
+    let MetricOptions { telemetry, time_offset, utc_offset, camera_height, scale, known_lengths } = &run.options.metric;
     let files = log::files(run);
     // What cannot be read beside a video is no telemetry; what was named has been read before.
     let contents: Vec<Option<String>> = files.iter().map(|file| fingerprint::of_content(file).ok()).collect();
@@ -36,6 +42,7 @@ pub(super) fn depends_on(run: &Run) -> Value {
     json!({
         "telemetry": { "is_looked_for": is_looked_for, "files": contents },
         "time_offset": time_offset,
+        "utc_offset": utc_offset,
         "camera_height": camera_height,
         "scale": scale,
         "known_lengths": known_lengths,
@@ -64,14 +71,23 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     };
     describe(&found.metric, &mut outcome);
     let mut objects = trajectories.objects;
-    if let Some(frame) = &found.metric.frame {
+    let movements: BTreeMap<ObjectId, Movement> =
+        track::objects(run)?.into_iter().map(|object| (object.id, object.movement.state)).collect();
+    let nominal = match found.metric.frame {
+        None if !objects.is_empty() => Some(nominal_frame(&Ground::of(run, &background)?, &background, &objects)),
+        _ => None,
+    };
+    if let Some(frame) = found.metric.frame.as_ref().or(nominal.as_ref()) {
         let placing = Placing::new(&background, frame, found.map, run.info().time_base());
-        let movements: BTreeMap<ObjectId, Movement> =
-            track::objects(run)?.into_iter().map(|object| (object.id, object.movement.state)).collect();
         for trajectory in &mut objects {
             let movement = movements.get(&trajectory.id).copied().unwrap_or(Movement::Undetermined);
-            placing.fill(trajectory, movement);
-            trajectory.dimensions = sizes.get(&trajectory.id).map(|size| size.in_metres(frame));
+            match &nominal {
+                Some(_) => placing.fill_units(trajectory, movement),
+                None => {
+                    placing.fill(trajectory, movement);
+                    trajectory.dimensions = sizes.get(&trajectory.id).map(|size| size.in_metres(frame));
+                }
+            }
         }
     }
     let all = Trajectories { unit: trajectories.unit, metric: Some(found.metric), objects };
@@ -99,6 +115,7 @@ impl Found {
             contradictions: Vec::new(),
             time_offset_s: None,
             time_offset_std_s: None,
+            dates: None,
         };
         Self { metric, map: None }
     }
@@ -113,14 +130,19 @@ fn find(
 ) -> Result<Found, PipelineError> {
     let ground = Ground::of(run, background)?;
     let telemetry = log::find(run, outcome);
-    let aligned = telemetry.and_then(|telemetry| aligned::align(run, background, &ground, &telemetry, outcome));
+    let aligned =
+        telemetry.as_ref().and_then(|telemetry| aligned::align(run, background, &ground, telemetry, outcome));
+    let dates = dates::find(run, telemetry.as_ref(), aligned.as_ref());
     let mut sources: Vec<Source> = aligned.iter().map(Aligned::source).collect();
     sources.extend(sources::measured(run, &ground, outcome));
     sources.extend(vehicles::known(run, sizes, outcome));
     let alike = vehicles::alike(trajectories, sizes);
     alike.warn(outcome);
     sources.extend(alike.source.clone());
-    let Some(fused) = fuse(&sources) else { return Ok(Found::unknown(NOTHING)) };
+    let Some(fused) = fuse(&sources) else {
+        let unknown = Found::unknown(NOTHING);
+        return Ok(Found { metric: Metric { dates, ..unknown.metric }, ..unknown });
+    };
     warn_of_contradictions(&fused, outcome);
     let frame = match &aligned {
         Some(aligned) => frame_on_map(&fused, &aligned.alignment, aligned.origin()),
@@ -134,8 +156,32 @@ fn find(
         contradictions: fused.contradictions.into_iter().chain(alike.contradictions()).collect(),
         time_offset_s: aligned.as_ref().map(|aligned| aligned.clock_offset_s()),
         time_offset_std_s: aligned.as_ref().map(|aligned| aligned.alignment.offset_std_s),
+        dates,
     };
     Ok(Found { metric, map: aligned.map(|aligned| aligned.map) })
+}
+
+/// Distance from camera to vehicle that stands for the median of a result without metres: between a dashcam's 10 m and a
+/// drone's 50 m. Lengths in units hardly depend on it: it sets how sharply a vehicle may turn, within the decades over
+/// which the smoother searches.
+const NOMINAL_DISTANCE_M: f64 = 20.0;
+
+/// A frame of nominal scale, in which trajectories are smoothed where metres are unknown.
+fn nominal_frame(ground: &Ground, background: &Reconstruction, objects: &[ObjectTrajectory]) -> MetricFrame {
+    let centers: BTreeMap<&str, Point3<f64>> =
+        background.images.values().map(|image| (image.name.as_str(), image.cam_from_world.center())).collect();
+    let distance =
+        |pose: &ObjectPose| Some((Point3::from(pose.position) - centers.get(pose.name.as_str())?).norm());
+    let poses = objects.iter().flat_map(|object| &object.poses);
+    let distances: Vec<f64> = poses.filter_map(distance).filter(|d| d.is_finite() && *d > 0.0).collect();
+    let fused = Fused {
+        scale: median(distances).map_or(1.0, |distance| NOMINAL_DISTANCE_M / distance),
+        std: 0.0,
+        verdict: MetricVerdict::Unknown,
+        shares: Vec::new(),
+        contradictions: Vec::new(),
+    };
+    frame_on_ground(&fused, &ground.level(background))
 }
 
 /// Why metres are unknown.
@@ -145,24 +191,26 @@ const NOTHING: &str = "nothing gives metres: there is no telemetry that fits, no
 
 /// On what the metres rest, and how well they are known.
 fn sentence(fused: &Fused, frame: &MetricFrame) -> String {
-    let percent = 100.0 * frame.log_scale_std();
     let basis = match fused.verdict {
-        MetricVerdict::Surveyed => "metres rest on what was measured",
-        MetricVerdict::Telemetry => "metres rest on the receiver's positions",
-        MetricVerdict::PriorOnly if fused.shares.len() > 1 => "metres rest mostly on what vehicles are like",
-        MetricVerdict::PriorOnly => "metres rest on what vehicles are like, and on nothing that was measured here",
-        MetricVerdict::Unknown => "metres are unknown",
+        MetricVerdict::Surveyed => "scale from measurements",
+        MetricVerdict::Telemetry => "scale from GPS positions",
+        MetricVerdict::PriorOnly if fused.shares.len() > 1 => "scale mostly from typical vehicle sizes",
+        MetricVerdict::PriorOnly => "scale from typical vehicle sizes only (no measurement given)",
+        MetricVerdict::Unknown => "scale unknown",
     };
     let discord = if fused.contradictions.is_empty() { "" } else { "; sources contradict one another" };
-    format!("{basis}: known to ± {percent:.1} % (standard deviation), which all lengths have in common{discord}")
+    let std = percent(frame.log_scale_std());
+    format!("{basis}: ±{std} (1σ), the same factor for every length and speed{discord}")
 }
 
 fn warn_of_contradictions(fused: &Fused, outcome: &mut Outcome) {
     for contradiction in &fused.contradictions {
         outcome.warn(format!(
-            "{} contradicts the other sources of metres: it gives {:.3} times their metres per unit, which is {:.1} \
-             standard deviations off; check it",
-            contradiction.source, contradiction.ratio, contradiction.deviations
+            "{} contradicts the other sources of metres: {} times their metres per unit ({} standard deviations); \
+             check it",
+            contradiction.source,
+            figure(contradiction.ratio),
+            significant(contradiction.deviations, 2)
         ));
     }
 }

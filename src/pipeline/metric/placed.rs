@@ -6,10 +6,11 @@ use nalgebra::Point3;
 
 use crate::metric::{Sighted, metric_pose, place_std_m};
 use crate::scene::{
-    Image, MapPlace, MetricFrame, MetricPose, Movement, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase,
+    Estimate, Image, MapPlace, MetricFrame, MetricPose, Movement, ObjectPose, ObjectTrajectory, Reconstruction,
+    TimeBase, Travel,
 };
 use crate::telemetry::{Geodetic, LocalFrame};
-use crate::trajectory::{CommonStd, Sighting, headings, smooth};
+use crate::trajectory::{CommonStd, Sighting, Smoothed, headings, smooth};
 
 /// All that places objects in metres.
 pub(super) struct Placing<'a> {
@@ -23,6 +24,10 @@ pub(super) struct Placing<'a> {
 
 /// Deviation of a ratio of which its method states none, as a share: what methods differ by where they work.
 const UNSTATED_RATIO_STD: f64 = 0.1;
+
+/// Time from frame to frame where none is known, seconds: image sequences of traffic have 10 to 30 frames a second. It
+/// sets only how sharply a vehicle may turn from frame to frame, within the decades over which the smoother searches.
+const NOMINAL_STEP_S: f64 = 0.1;
 
 /// Deviation of an object's middle in the picture, pixels.
 const PIXEL_STD: f64 = 1.0;
@@ -42,16 +47,54 @@ impl<'a> Placing<'a> {
 
     /// Fills in what is in metres; `movement` is what is known of whether the object moved at all.
     pub(super) fn fill(&self, trajectory: &mut ObjectTrajectory, movement: Movement) {
-        let scale = &trajectory.scale;
-        let log_ratio_std = scale.std.map_or(UNSTATED_RATIO_STD, |std| std / scale.ratio);
+        let log_ratio_std = log_ratio_std(trajectory);
         for pose in &mut trajectory.poses {
             pose.metric = self.metric(pose, log_ratio_std);
         }
+        let Some(found) = self.smoothed(trajectory, movement) else { return };
+        trajectory.travel = Some(self.travel(trajectory, &found));
         if self.times == TimeBase::Seconds {
-            let common = CommonStd { ratio: log_ratio_std, scale: self.frame.log_scale_std() };
-            let motions = smooth(&self.sightings(trajectory), &common, movement).unwrap_or_default();
             let placed = trajectory.poses.iter_mut().filter_map(|pose| pose.metric.as_mut());
-            placed.zip(motions).for_each(|(metric, motion)| metric.motion = Some(motion));
+            placed.zip(found.motions).for_each(|(metric, motion)| metric.motion = Some(motion));
+        }
+    }
+
+    /// Fills in the travel alone, in units, where metres are unknown and the frame's scale is a nominal one.
+    pub(super) fn fill_units(&self, trajectory: &mut ObjectTrajectory, movement: Movement) {
+        let found = self.smoothed(trajectory, movement);
+        trajectory.travel = found.map(|found| Travel {
+            path_m: None,
+            displacement_m: None,
+            mean_speed_m_s: None,
+            max_speed_m_s: None,
+            ..self.travel(trajectory, &found)
+        });
+    }
+
+    fn smoothed(&self, trajectory: &ObjectTrajectory, movement: Movement) -> Option<Smoothed> {
+        let common = CommonStd { ratio: log_ratio_std(trajectory), scale: self.frame.log_scale_std() };
+        smooth(&self.sightings(trajectory), &common, movement)
+    }
+
+    fn travel(&self, trajectory: &ObjectTrajectory, found: &Smoothed) -> Travel {
+        let MetricFrame { scale, .. } = *self.frame;
+        let in_units = |metres: Estimate| {
+            let share = self.frame.log_scale_std() * metres.value;
+            let std = (metres.std.powi(2) - share.powi(2)).max(0.0).sqrt();
+            Estimate { std, ..metres }.scaled(scale.recip())
+        };
+        let seconds = match (trajectory.poses.first(), trajectory.poses.last()) {
+            (Some(first), Some(last)) if self.times == TimeBase::Seconds => last.time_s - first.time_s,
+            _ => 0.0,
+        };
+        let is_timed = seconds > 0.0;
+        Travel {
+            path_units: in_units(found.path_m),
+            displacement_units: in_units(found.displacement_m),
+            path_m: Some(found.path_m),
+            displacement_m: Some(found.displacement_m),
+            mean_speed_m_s: is_timed.then(|| found.path_m.scaled(seconds.recip())),
+            max_speed_m_s: is_timed.then_some(found.max_speed_m_s),
         }
     }
 
@@ -59,11 +102,12 @@ impl<'a> Placing<'a> {
     fn sightings(&self, trajectory: &ObjectTrajectory) -> Vec<Sighting> {
         let metric_from_world = self.frame.metric_from_world();
         let headings = headings(trajectory);
+        let step_s = if self.times == TimeBase::Seconds { 1.0 } else { NOMINAL_STEP_S };
         let sighting = |(k, pose): (usize, &ObjectPose)| {
             let center = self.images.get(pose.name.as_str())?.cam_from_world.center();
             Some(Sighting {
-                time_s: pose.time_s,
-                position_m: pose.metric?.position_m.into(),
+                time_s: step_s * pose.time_s,
+                position_m: (metric_from_world * Point3::from(pose.position)).coords,
                 camera_m: (metric_from_world * center).coords,
                 forward: headings.get(k).map(|heading| metric_from_world.rotation * heading.into_inner()),
             })
@@ -86,4 +130,8 @@ impl<'a> Placing<'a> {
         let place_std_m = place_std_m(self.frame, sighted);
         MapPlace { longitude: longitude_deg, latitude: latitude_deg, height_m, place_std_m }
     }
+}
+
+fn log_ratio_std(trajectory: &ObjectTrajectory) -> f64 {
+    trajectory.scale.std.map_or(UNSTATED_RATIO_STD, |std| std / trajectory.scale.ratio)
 }

@@ -182,6 +182,7 @@ mod tests {
             ground: BTreeMap::new(),
             verdict: Some(Verdict { state, reasons: Vec::new() }),
             dimensions: None,
+            travel: None,
             poses: Vec::new(),
         };
         let extent = |units: f64| Some(Estimate { value: factor * units, std: 0.02 * factor * units });
@@ -198,6 +199,6 @@ mod tests {
         let (good, doubtful) = (|| car(1, 1.0, Trust::Fair), || car(2, 1.5, Trust::Doubtful));
         assert_eq!(ask(vec![good(), doubtful()]), ask(vec![good()]));
         assert!(ask(vec![doubtful()]).is_some());
-        assert!(ask(vec![car(3, 1.0, Trust::NotToBeTrusted)]).is_none());
+        assert!(ask(vec![car(3, 1.0, Trust::Rejected)]).is_none());
     }
 }

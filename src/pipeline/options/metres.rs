@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::limits::{Checked, OptionError, within};
-use crate::metric::{KnownLength, Measured, TimeOffset};
+use crate::metric::{KnownLength, Measured, TimeOffset, UtcOffset};
 
 /// Which telemetry is taken.
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
@@ -31,6 +31,9 @@ pub struct MetricOptions {
     /// a clock counts from its first fix. `null`: 0 for logs that belong to a video, else it is found.
     #[schemars(with = "Option<String>", extend("unit" = "seconds, as text"))]
     pub time_offset: Option<TimeOffset>,
+    /// Local time minus UTC of logs and photographs whose clock states no zone: `"+02:00"`. `null`: their dates stay local.
+    #[schemars(with = "Option<String>", extend("unit" = "±HH:MM, as text"))]
+    pub utc_offset: Option<UtcOffset>,
     /// Height of the camera over the ground, on average over the video, with its standard deviation: `"1.45±0.05"`.
     #[schemars(with = "Option<String>", extend("unit" = "metres, as text"))]
     pub camera_height: Option<Measured>,

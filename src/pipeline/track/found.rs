@@ -123,9 +123,10 @@ pub(super) fn follow(
 fn say_passed_over(PassedOver { num_boxes, max_confidence }: PassedOver, run: &Run, outcome: &mut Outcome) {
     if num_boxes > 0 {
         outcome.figure("num_standing_boxes", num_boxes);
+        let detections = if num_boxes == 1 { "1 detection".to_owned() } else { format!("{num_boxes} detections") };
         outcome.warn(format!(
-            "{num_boxes} boxes of the detector are not followed: what they show stands, and it is at most \
-             {max_confidence:.2} sure that these are vehicles (option tracker.start_standing = {})",
+            "{detections} ignored: stationary, detector score at most {max_confidence:.2} (threshold \
+             tracker.start_standing = {})",
             run.options.tracker.start_standing
         ));
     }

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::table::Table;
 use crate::eval::benchmark::{Benchmark, Cost, Entry, Estimator, Figures, Quantity, Row, Statistics, paper, summarise};
+use crate::report::words::count;
 
 /// Trajectory error above which a sequence is listed with what is known about it, metres.
 pub const ATTENTION_ERROR_M: f64 = 0.3;
@@ -90,7 +91,8 @@ fn heading(own: &Benchmark) -> String {
         let sure = own.sequences.iter().filter(|entry| entry.verdict.is_none());
         let sure = Statistics::new(sure.map(|entry| entry.trajectory_error_m));
         text += &format!(
-            " {doubted} scale ratios are marked as not to be trusted; over the other {} of {} the mean is {} m.",
+            " {} rejected; over the other {} of {} the mean is {} m.",
+            count(doubted, "vehicle"),
             sure.num,
             sure.num_all(),
             number(sure.mean, 3),
@@ -237,7 +239,7 @@ fn value(entry: &Entry, estimator: &Estimator) -> String {
 fn remark(entry: &Entry) -> String {
     match (&entry.failure, &entry.verdict) {
         (Some(reason), _) => format!("FAILED: {reason}"),
-        (None, Some(_)) => "not to be trusted, says the run".to_owned(),
+        (None, Some(_)) => "rejected by the run".to_owned(),
         _ => String::new(),
     }
 }

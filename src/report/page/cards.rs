@@ -3,18 +3,18 @@
 use serde::Serialize;
 
 use super::gaps::NO_REASON;
+use crate::math::rounding::with_std;
 use crate::report::data::{Data, Fact, Object};
-use crate::report::measure::speeds;
-use crate::report::metres::Ruler;
 use crate::report::motion;
 use crate::report::overlay::{css_colour, object_colour};
 use crate::report::plan::Plan;
 use crate::report::timeline::Timeline;
-use crate::report::verdict::{Verdict, relative_std, said};
-use crate::report::view::{View, quantile};
+use crate::report::travel::travel_facts;
+use crate::report::verdict::{self, relative_std, said};
+use crate::report::view::View;
 use crate::report::words::{UNKNOWN, figure, percent, plain, thousands, with_unit};
 use crate::scene::{
-    Finding, MovementFinding, ObjectTrajectory, Outline, ScaleEstimate, ScaleMethod, TimeBase, TrackedObject,
+    Finding, MovementFinding, ObjectTrajectory, Outline, Reason, ScaleEstimate, ScaleMethod, TrackedObject, Verdict,
 };
 
 /// A vehicle's card.
@@ -23,7 +23,7 @@ pub(super) struct Card {
     id: u32,
     name: String,
     colour: String,
-    verdict: Verdict,
+    verdict: verdict::Verdict,
     badge: &'static str,
     /// What the verdict means for this vehicle.
     meaning: String,
@@ -53,7 +53,7 @@ pub(super) fn cards(data: &Data, timeline: &Timeline, names: &[String], view: Op
 }
 
 fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Option<&View>) -> Card {
-    let verdict = Verdict::of(object.trajectory);
+    let verdict = verdict::Verdict::of(object.trajectory);
     Card {
         id: object.id.0,
         name: name.to_owned(),
@@ -62,8 +62,8 @@ fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Opt
         badge: verdict.label(),
         meaning: verdict.sentence(object.trajectory),
         reason: reason(object).map(|reason| plain(&reason)),
-        against: reasons(object, |finding| finding != Finding::Supports),
-        in_favour: reasons(object, |finding| finding == Finding::Supports),
+        against: judged(object).flat_map(Verdict::complaints).map(said).collect(),
+        in_favour: judged(object).flat_map(supports).map(said).collect(),
         facts: facts(data, object, timeline),
         alternatives: object.trajectory.map(|t| alternatives(&t.scale)).unwrap_or_default(),
         plan: view.and_then(|v| Plan::object(data, object, v)),
@@ -78,21 +78,19 @@ fn reason(object: &Object) -> Option<String> {
     }
 }
 
-/// What the verdict rests on, of one kind of finding.
-fn reasons(object: &Object, wanted: impl Fn(Finding) -> bool) -> Vec<String> {
-    let verdict = object.trajectory.and_then(|trajectory| trajectory.verdict.as_ref());
-    verdict.iter().flat_map(|verdict| &verdict.reasons).filter(|reason| wanted(reason.finding)).map(said).collect()
+fn judged<'a>(object: &Object<'a>) -> impl Iterator<Item = &'a Verdict> {
+    object.trajectory.and_then(|trajectory| trajectory.verdict.as_ref()).into_iter()
+}
+
+fn supports(verdict: &Verdict) -> impl Iterator<Item = &Reason> {
+    verdict.reasons.iter().filter(|reason| reason.finding == Finding::Supports)
 }
 
 fn facts(data: &Data, object: &Object, timeline: &Timeline) -> Vec<Fact> {
     let mut facts = vec![frames(object)];
     if let Some(trajectory) = object.trajectory {
-        let ruler = Ruler::of(data.metric);
-        facts.push(way(trajectory, timeline, &ruler));
-        match motion::facts(data, object) {
-            none if none.is_empty() => facts.extend(speed(trajectory, timeline, &ruler)),
-            known => facts.extend(known),
-        }
+        facts.extend(travel(trajectory, timeline));
+        facts.extend(motion::facts(data, object));
         facts.push(scale_ratio(&trajectory.scale));
     }
     facts.extend(points(object));
@@ -117,40 +115,33 @@ fn tracked(object: &TrackedObject) -> [Fact; 2] {
 fn frames(object: &Object) -> Fact {
     let placed = object.trajectory.map_or(0, |t| t.poses.len());
     let found = object.model.as_ref().map_or(0, |m| m.reconstruction.images.len());
-    Fact::new("frames with a place", format!("{placed} of {} seen", object.visible.len()))
-        .with_note(format!("camera found in {found}"))
+    Fact::new("frames with a 3D position", format!("{placed} of {} seen", object.visible.len()))
+        .with_note(format!("registered in {found}"))
 }
 
-fn way(trajectory: &ObjectTrajectory, timeline: &Timeline, ruler: &Ruler) -> Fact {
+/// Path length, displacement and speeds; where there are none, why.
+fn travel(trajectory: &ObjectTrajectory, timeline: &Timeline) -> Vec<Fact> {
     let poses = &trajectory.poses;
     let when = match (poses.first(), poses.last()) {
         (Some(first), Some(last)) => timeline.range(first.frame, last.frame),
         _ => "in no frame".to_owned(),
     };
-    Fact::new("path length", ruler.length(trajectory.path_length())).with_note(when)
-}
-
-/// Speeds, where they are known in time; per frame they would only repeat the path's length.
-fn speed(trajectory: &ObjectTrajectory, timeline: &Timeline, ruler: &Ruler) -> Option<Fact> {
-    let mut speeds: Vec<f64> = speeds(trajectory, timeline).into_iter().map(|(_, v)| ruler.factor * v).collect();
-    if timeline.base != TimeBase::Seconds || speeds.is_empty() {
-        return None;
+    let mut facts = travel_facts(trajectory, timeline.base);
+    match facts.first_mut() {
+        Some(path) => path.note = Some(when),
+        None => facts.push(Fact::new("path length", UNKNOWN).with_note(format!("too few positions, {when}"))),
     }
-    let unit = timeline.speed_unit(ruler.unit);
-    let said = |speeds: &mut [f64], q: f64| with_unit(quantile(speeds, q), 3, &unit);
-    let note = format!("95 % of the time below {}", said(&mut speeds, 0.95));
-    Some(Fact::new("speed, median", said(&mut speeds, 0.5)).with_note(note))
+    facts
 }
 
 fn scale_ratio(scale: &ScaleEstimate) -> Fact {
     let method = scale.method.name();
     let note = match (scale.std, relative_std(scale)) {
-        (Some(std), Some(relative)) => {
-            format!("give or take {} ({}, one standard deviation), by {method}", figure(std, 2), percent(relative))
-        }
-        _ => format!("by {method}"),
+        (Some(_), Some(relative)) => format!("±{} (1σ), method: {method}", percent(relative)),
+        _ => format!("method: {method}"),
     };
-    Fact::new("scale ratio r", figure(scale.ratio, 4)).with_note(note)
+    let ratio = scale.std.map_or_else(|| figure(scale.ratio, 3), |std| with_std(scale.ratio, std));
+    Fact::new("scale ratio r", ratio).with_note(note)
 }
 
 fn points(object: &Object) -> Option<Fact> {
@@ -194,7 +185,7 @@ fn deviation(fraction: f64) -> String {
 mod tests {
     use super::*;
     use crate::report::testing;
-    use crate::scene::{Reason, ReasonKind, Trust, Verdict};
+    use crate::scene::{ReasonKind, TimeBase, Trust};
 
     fn first_card(world: &testing::World) -> Card {
         let data = world.data();
@@ -204,12 +195,12 @@ mod tests {
     #[test]
     fn speeds_are_said_only_where_time_is_known() {
         let mut world = testing::world();
-        let has_speed = |card: &Card| card.facts.iter().any(|f| f.label.starts_with("speed"));
+        let has_speed = |card: &Card| card.facts.iter().any(|f| f.label.ends_with("speed"));
         assert!(has_speed(&first_card(&world)));
         world.time_base = TimeBase::Frames;
         let card = first_card(&world);
         assert!(!has_speed(&card));
-        assert!(card.facts.iter().any(|f| f.note.as_deref().is_some_and(|n| n.starts_with("frames "))), "{card:?}");
+        assert!(card.facts.iter().any(|f| f.note.as_deref().is_some_and(|n| n.contains("frames "))), "{card:?}");
     }
 
     #[test]

@@ -152,29 +152,28 @@ impl Charts<'_> {
         let speeds = chart(
             "Speed",
             "km/h",
-            "Along the heading: negative when backing up. Thin: between neighbouring positions. The band is one \
-             standard deviation, that of metres themselves included.",
+            "Signed speed along the heading. Thin line: raw frame-to-frame speed. Band: ±1σ including scale.",
             Quantity::Speed,
         );
         let accelerations = chart(
             "Acceleration",
             "m/s²",
-            "Along the heading: negative when braking. The band is one standard deviation.",
+            "Along the heading: negative when braking. Band: ±1σ.",
             Quantity::Acceleration,
         );
         let headings = chart(
             "Heading",
             "degrees",
-            "Where each vehicle points, clockwise from the top of the plan.",
+            "Clockwise from the top of the plan; values go on below 0 and above 360 where a vehicle turns through it. \
+             Band: ±1σ.",
             Quantity::Heading,
         );
         let is_known = speeds.lines.iter().any(|line| !line.points.is_empty());
         [if is_known { speeds } else { self.raw_speeds() }, accelerations, headings]
     }
 
-    /// A line per object with its band; headings, which jump from 360 to 0, as dots without.
+    /// A line per object with its band.
     fn smoothed(&self, quantity: Quantity) -> Vec<Line> {
-        let is_heading = matches!(quantity, Quantity::Heading);
         let line = |(line, (object, _)): (Line, &(&Object, &String))| {
             let readings = motion::readings(self.data, object, quantity);
             let at = |r: &motion::Reading| self.timeline.of(r.pose.frame);
@@ -182,8 +181,7 @@ impl Charts<'_> {
             Line {
                 points: readings.iter().filter_map(|r| Some((at(r)?, r.value))).collect(),
                 raw: readings.iter().filter_map(|r| Some((at(r)?, r.raw?))).collect(),
-                band: if is_heading { Vec::new() } else { band.collect() },
-                dots: is_heading,
+                band: band.collect(),
                 ..line
             }
         };

@@ -91,7 +91,7 @@ mod tests {
         let mut world = testing::world();
         world.trajectory.scale.reason = Some("nothing moves".into());
         world.warnings = [
-            "object 1: its scale ratio is not to be trusted: nothing moves",
+            "object 1: scale undetermined: nothing moves",
             "object 2 has no trajectory: too few features",
             "background: 1 of 60 frames are not registered; the commonest reason: dark",
             "object 1 stands before object 2 and object 12, deviation 1e-2",

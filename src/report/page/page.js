@@ -27,9 +27,10 @@
 
 	const cursors = document.querySelectorAll(".cursor");
 	const handles = [...document.querySelectorAll(".cursor[data-label]")];
-	const format = (v) => (Math.abs(v) >= 1000 ? v.toFixed(0) : Number(v.toPrecision(4)).toString()).replace("-", "−");
+	// Nothing but zeros has no sign.
+	const format = (v, decimals) => v.toFixed(decimals).replace(/^-(?=[0.]*$)/, "").replace("-", "−");
 	const outputs = charts.map((chart, c) => chart.lines.map((line, l) => ({
-		times: line.samples.map((s) => s[0]), values: line.samples.map((s) => s[1]),
+		times: line.samples.map((s) => s[0]), values: line.samples.map((s) => s[1]), decimals: chart.decimals,
 		element: document.querySelector(`[data-chart="${c}"] [data-line="${l}"]`),
 	}))).flat();
 	/** A frame's moment, as it is shown and as it is read aloud. */
@@ -38,10 +39,10 @@
 	const step = times.length > 1 ? (times.at(-1) - times[0]) / (times.length - 1) : 1;
 
 	const readCharts = (time) => {
-		for (const { times: at, values, element } of outputs) {
+		for (const { times: at, values, decimals, element } of outputs) {
 			const k = nearest(at, time);
 			const reach = Math.max(step, at.length > 1 ? (at.at(-1) - at[0]) / (at.length - 1) : 0) * 0.8;
-			element.textContent = at.length && Math.abs(at[k] - time) <= reach ? format(values[k]) : "–";
+			element.textContent = at.length && Math.abs(at[k] - time) <= reach ? format(values[k], decimals) : "–";
 		}
 	};
 

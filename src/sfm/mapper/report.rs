@@ -69,10 +69,10 @@ impl fmt::Display for Reason {
             Self::NoFeatures => write!(f, "no features on it"),
             Self::NoMatches { features } => write!(f, "none of its {features} features is seen in another frame"),
             Self::TooFewPoints { visible, needed } => {
-                write!(f, "it sees {visible} reconstructed points, {needed} are needed")
+                write!(f, "too few 2D–3D matches: {visible}, at least {needed} needed")
             }
             Self::NoPose { visible, inliers } => {
-                write!(f, "of {visible} points that it sees, only {inliers} agree on a pose")
+                write!(f, "no pose: only {inliers} of {visible} 2D–3D matches agree")
             }
             Self::Contradicted { agreeing, contradicting } => write!(
                 f,

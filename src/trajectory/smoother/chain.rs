@@ -23,6 +23,14 @@ pub(super) struct Step {
     pub(super) noise: DMatrix<f64>,
 }
 
+/// All states given all observations.
+#[derive(Clone, Debug)]
+pub(super) struct Smoothed {
+    pub(super) states: Vec<Gaussian>,
+    /// Smoother gains G_k, one fewer than states: Cov(x_k, x_{k+1}) = G_k Cov(x_{k+1}).
+    pub(super) gains: Vec<DMatrix<f64>>,
+}
+
 /// All states after the pass forwards.
 struct Filtered {
     predicted: Vec<Gaussian>,
@@ -67,8 +75,9 @@ pub(super) fn log_likelihood(first: &Gaussian, steps: &[Step], observed: &[DVect
 }
 
 /// Every state, from all observations; `None` where rounding leaves no covariance.
-pub(super) fn smooth(first: &Gaussian, steps: &[Step], observed: &[DVector<f64>]) -> Option<Vec<Gaussian>> {
+pub(super) fn smooth(first: &Gaussian, steps: &[Step], observed: &[DVector<f64>]) -> Option<Smoothed> {
     let Filtered { predicted, mut updated, .. } = filter(first, steps, observed)?;
+    let mut gains = Vec::new();
     for k in (0..updated.len().saturating_sub(1)).rev() {
         let ahead = &predicted[k + 1];
         let cross = &steps[k + 1].transition * &updated[k].covariance;
@@ -77,7 +86,9 @@ pub(super) fn smooth(first: &Gaussian, steps: &[Step], observed: &[DVector<f64>]
         let covariance =
             &updated[k].covariance + &gain * (&updated[k + 1].covariance - &ahead.covariance) * gain.transpose();
         updated[k] = Gaussian { mean, covariance: (&covariance + covariance.transpose()) * 0.5 };
+        gains.push(gain);
     }
+    gains.reverse();
     let is_finite = |g: &Gaussian| g.mean.iter().chain(g.covariance.iter()).all(|x| x.is_finite());
-    updated.iter().all(is_finite).then_some(updated)
+    updated.iter().all(is_finite).then_some(Smoothed { states: updated, gains })
 }

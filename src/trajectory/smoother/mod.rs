@@ -4,10 +4,11 @@
 //! Where the object's model says which way the vehicle points, its heading is smoothed likewise, and speeds are counted
 //! along it. Errors of positions lie mostly along the line of sight, part of them new in every frame and part wandering
 //! slowly. What all frames have in common, the scale ratio and metres per unit, is no noise: smoothing leaves it as it
-//! is, and it is added to the deviations. docs/maths/smoother.md derives this.
+//! is, and it is added to the deviations. Path length and displacement: [`travel`]. docs/maths/smoother.md derives all.
 
 mod chain;
 mod track;
+mod travel;
 
 #[cfg(test)]
 mod tests;
@@ -15,7 +16,8 @@ mod tests;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use self::track::{Kind, Observed, Track, is_at_rest, track};
-use crate::scene::{Motion, Movement};
+use self::travel::{Route, resolved_amount};
+use crate::scene::{Estimate, Motion, Movement};
 
 /// Where a vehicle was seen, in a frame in metres whose third axis points up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,11 +71,25 @@ const FORWARD: f64 = 0.02;
 /// How many deviations a speed or a way must be from zero to show a heading.
 const CLEAR: f64 = 3.0;
 
-/// The motion at every sighting; `None` where there are fewer than four, or numbers that are not finite.
+/// A vehicle's motion, metres and seconds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Smoothed {
+    /// At every sighting.
+    pub motions: Vec<Motion>,
+    /// Length of the smoothed trajectory at the resolution of its uncertainty; the standard deviation is the whole one.
+    pub path_m: Estimate,
+    /// Distance between the first and the last position.
+    pub displacement_m: Estimate,
+    /// Greatest speed in any frame, and its standard deviation there; a speed within three standard deviations of zero
+    /// is corrected for noise.
+    pub max_speed_m_s: Estimate,
+}
+
+/// Smooths a vehicle's motion; `None` where there are fewer than four, or numbers that are not finite.
 ///
 /// * `sightings` – ascending in time; gaps are bridged, with deviations that grow.
 /// * `movement` – what is known of whether the vehicle moved at all; one that stands does not drift.
-pub fn smooth(sightings: &[Sighting], common: &CommonStd, movement: Movement) -> Option<Vec<Motion>> {
+pub fn smooth(sightings: &[Sighting], common: &CommonStd, movement: Movement) -> Option<Smoothed> {
     if sightings.len() < MIN_SIGHTINGS || !sightings.iter().all(Sighting::is_usable) {
         return None;
     }
@@ -92,9 +108,15 @@ pub fn smooth(sightings: &[Sighting], common: &CommonStd, movement: Movement) ->
     let forward_std = forward_std(sightings).filter(|_| !stands);
     let headings = forward_std.and_then(|_| headings(sightings));
     let forward_std = forward_std.unwrap_or(FORWARD);
-    let all = Smoothed { sightings, origin, positions, moved, headings, forward_std, scale_std: common.scale };
+    let all = Tracks { sightings, origin, positions, moved, headings, forward_std, scale_std: common.scale };
     let motions: Vec<Motion> = (0..sightings.len()).map(|k| all.motion(k)).collect();
-    motions.iter().all(is_finite).then_some(motions)
+    let route = Route { track: &all.positions, moved: &all.moved, scale_std: all.scale_std };
+    let (path_m, displacement_m) = (route.path(), route.displacement());
+    let fastest = motions.iter().max_by(|a, b| a.speed_m_s.abs().total_cmp(&b.speed_m_s.abs()))?;
+    let max_speed_m_s = resolved_amount(fastest.speed_m_s, fastest.speed_std_m_s);
+    let lengths = [path_m, displacement_m, max_speed_m_s];
+    let are_finite = lengths.iter().all(|e| e.value.is_finite() && e.std.is_finite()) && motions.iter().all(is_finite);
+    are_finite.then_some(Smoothed { motions, path_m, displacement_m, max_speed_m_s })
 }
 
 impl Sighting {
@@ -169,7 +191,7 @@ fn headings(sightings: &[Sighting]) -> Option<Track> {
 }
 
 /// Everything that was smoothed.
-struct Smoothed<'a> {
+struct Tracks<'a> {
     sightings: &'a [Sighting],
     origin: Vector3<f64>,
     positions: Track,
@@ -188,7 +210,7 @@ struct Heading {
     rate: Option<[f64; 2]>,
 }
 
-impl Smoothed<'_> {
+impl Tracks<'_> {
     fn motion(&self, k: usize) -> Motion {
         let mean = &self.positions.states[k].mean;
         let part = |first: usize| Vector3::new(mean[first], mean[first + 1], mean[first + 2]);

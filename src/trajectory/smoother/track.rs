@@ -5,7 +5,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::chain::{self, Gaussian, Step};
+use super::chain::{self, Gaussian, Smoothed, Step};
 
 /// One observation.
 #[derive(Clone, Debug)]
@@ -45,6 +45,8 @@ pub(super) struct Level {
 #[derive(Clone, Debug)]
 pub(super) struct Track {
     pub(super) states: Vec<Gaussian>,
+    /// See [`Smoothed`].
+    pub(super) gains: Vec<DMatrix<f64>>,
     first: Gaussian,
     steps: Vec<Step>,
 }
@@ -160,7 +162,7 @@ pub(super) fn track(all: &[Observed], kind: &Kind) -> Option<Track> {
         if pass > 1 {
             level = kind.best_level(all, &weights, level);
         }
-        let states = chain::smooth(&first, &kind.steps(all, &weights, level), &values)?;
+        let Smoothed { states, .. } = chain::smooth(&first, &kind.steps(all, &weights, level), &values)?;
         let weight = |(seen, state): (&Observed, &Gaussian)| {
             let axes = seen.value.len();
             let wander = state.mean.rows(3 * axes, kind.wander_s.len());
@@ -171,8 +173,8 @@ pub(super) fn track(all: &[Observed], kind: &Kind) -> Option<Track> {
         weights = all.iter().zip(&states).map(weight).map(|w: f64| w.min(1.0)).collect();
     }
     let steps = kind.steps(all, &weights, level);
-    let states = chain::smooth(&first, &steps, &values)?;
-    Some(Track { states, first, steps })
+    let Smoothed { states, gains } = chain::smooth(&first, &steps, &values)?;
+    Some(Track { states, gains, first, steps })
 }
 
 /// Whether observations speak for a quantity at rest rather than for one that moves.
@@ -192,6 +194,6 @@ impl Track {
         first.mean.fill(0.0);
         let start = moved.first()?;
         first.mean.rows_mut(0, start.len()).copy_from(start);
-        Some(chain::smooth(&first, &self.steps, moved)?.into_iter().map(|state| state.mean).collect())
+        Some(chain::smooth(&first, &self.steps, moved)?.states.into_iter().map(|state| state.mean).collect())
     }
 }

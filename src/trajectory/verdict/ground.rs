@@ -14,10 +14,10 @@ const WANDERS: [f64; 2] = [0.08, 0.5];
 
 pub(super) fn reasons(measures: &Measures) -> Vec<Reason> {
     let Some(height) = measures.height else {
-        return vec![Reason::doubts(Ground, 1.0, "no frame has a plane of the ground under it")];
+        return vec![Reason::doubts(Ground, 1.0, "no ground plane below it in any frame")];
     };
     if !(height > 0.0) {
-        return vec![Reason::refutes(Ground, "all of it lies below the ground")];
+        return vec![Reason::refutes(Ground, "all of its points are below the ground")];
     }
     let stands = measures.bottom.and_then(|bottom| stands(bottom / height));
     let stays = spread(&measures.middles).and_then(|spread| stays(spread / height));
@@ -26,8 +26,8 @@ pub(super) fn reasons(measures: &Measures) -> Vec<Reason> {
 
 /// * `bottom` – height of its lowest points, in heights of its top.
 fn stands(bottom: f64) -> Option<Reason> {
-    let floats = || format!("it floats: its lowest points are at {} of its height over the ground", percent(bottom));
-    let sinks = || format!("it sinks: its lowest points are {} of its height below the ground", percent(-bottom));
+    let floats = || format!("floats: lowest points {} of its height above the ground", percent(bottom));
+    let sinks = || format!("sinks: lowest points {} of its height below the ground", percent(-bottom));
     match bottom {
         b if !b.is_finite() => None,
         b if b > FLOATS[1] => Some(Reason::refutes(Ground, floats())),
@@ -36,14 +36,14 @@ fn stands(bottom: f64) -> Option<Reason> {
         b if b < -SINKS[0] => Some(Reason::doubts(Ground, 1.0, sinks())),
         b => Some(Reason::supports(
             Ground,
-            format!("it stands on the ground: its lowest points are at {} of its height", percent(b)),
+            format!("stands on the ground: lowest points at {} of its height", percent(b)),
         )),
     }
 }
 
 /// * `spread` – of its height over the ground along the path, in heights of its top.
 fn stays(spread: f64) -> Option<Reason> {
-    let said = || format!("it rises and sinks: its height over the ground wanders by {} of it", percent(spread));
+    let said = || format!("rises and sinks: its height above the ground varies by {} (standard deviation)", percent(spread));
     match spread {
         s if s > WANDERS[1] => Some(Reason::refutes(Ground, said())),
         s if s > WANDERS[0] => Some(Reason::doubts(Ground, 1.0, said())),

@@ -7,7 +7,7 @@
 //! ([`class`], [`size`]), and drives a path that a vehicle can drive ([`path`]). Each look supports, doubts or refutes,
 //! says so in a sentence with its figure, and has a weight. What they come to is a [`Verdict`]:
 //!
-//! * one that refutes, or doubts whose weights sum up to 3 or more: not to be trusted;
+//! * one that refutes, or doubts whose weights sum up to 3 or more: rejected;
 //! * doubts whose weights sum up to 1 or more: doubtful;
 //! * a deviation of more than 3 %, or any doubt: fair; else good.
 //!
@@ -31,6 +31,7 @@ use std::collections::BTreeMap;
 
 use self::measures::Measures;
 use super::Views;
+use crate::math::rounding::{percent, significant};
 use crate::scene::{
     Finding, FrameId, GroundPlane, ObjectTrajectory, Reason, Reconstruction, TimeBase, TrackedObject, Trust, Verdict,
 };
@@ -99,7 +100,7 @@ fn weighed(mut reasons: Vec<Reason>) -> Verdict {
     let has = |finding| reasons.iter().any(|reason| reason.finding == finding);
     let doubt: f64 = reasons.iter().map(|reason| reason.weight).sum();
     let state = match () {
-        () if has(Finding::Refutes) || doubt >= TOO_MANY_DOUBTS - 1e-9 => Trust::NotToBeTrusted,
+        () if has(Finding::Refutes) || doubt >= TOO_MANY_DOUBTS - 1e-9 => Trust::Rejected,
         () if doubt >= DOUBTFUL - 1e-9 => Trust::Doubtful,
         () if has(Finding::Doubts) => Trust::Fair,
         () => Trust::Good,
@@ -107,24 +108,7 @@ fn weighed(mut reasons: Vec<Reason>) -> Verdict {
     Verdict { state, reasons }
 }
 
-/// A fraction as per cent, for sentences: two digits, never "NaN".
-fn percent(fraction: f64) -> String {
-    let value = 100.0 * fraction;
-    match value.abs() {
-        v if !v.is_finite() => "any number of %".to_owned(),
-        v if v < 0.095 => format!("{value:.2} %"),
-        v if v < 9.5 => format!("{value:.1} %"),
-        v if v < 10_000.0 => format!("{value:.0} %"),
-        _ => "more than 10000 %".to_owned(),
-    }
-}
-
 /// A multiple, for sentences.
 fn times(value: f64) -> String {
-    match value.abs() {
-        v if !v.is_finite() || v >= 10_000.0 => "more than 10000".to_owned(),
-        v if v < 0.095 => format!("{value:.2}"),
-        v if v < 9.95 => format!("{value:.1}"),
-        _ => format!("{value:.0}"),
-    }
+    if value.abs() < 1e4 { significant(value, 2) } else { "more than 10000".to_owned() }
 }

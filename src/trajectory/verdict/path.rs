@@ -28,7 +28,7 @@ pub(super) fn reasons(measures: &Measures) -> Vec<Reason> {
     let odd = [zigzag(measures), jitter(measures), backwards(measures), jumps(measures), turns(measures)];
     let odd: Vec<Reason> = odd.into_iter().flatten().collect();
     match odd.is_empty() {
-        true => vec![Reason::supports(Path, "its path is smooth and leads where it points")],
+        true => vec![Reason::supports(Path, "smooth path along its heading")],
         false => odd,
     }
 }
@@ -36,13 +36,13 @@ pub(super) fn reasons(measures: &Measures) -> Vec<Reason> {
 fn zigzag(measures: &Measures) -> Option<Reason> {
     let [way, smooth] = measures.way;
     let longer = way / smooth;
-    graded(longer, ZIGZAG, || format!("its path is a zigzag: {} times as long as when it is smoothed", times(longer)))
+    graded(longer, ZIGZAG, || format!("zigzag: path {} times as long as the smoothed one", times(longer)))
 }
 
 fn jitter(measures: &Measures) -> Option<Reason> {
     let jitter = measures.jitter?;
     let heights = measures.in_heights(jitter)?;
-    let said = || format!("its places lie {} of its height beside a smooth path", percent(heights));
+    let said = || format!("positions deviate from a smooth trajectory by {} of its height", percent(heights));
     if jitter < JITTER_OF_STEP * measures.step { None } else { graded(heights, JITTER, said) }
 }
 
@@ -50,7 +50,7 @@ fn jumps(measures: &Measures) -> Option<Reason> {
     let Jump { beyond, frames: [before, after] } = measures.jump;
     let heights = measures.in_heights(beyond)?;
     let said =
-        || format!("its path jumps by {} times its height between the frames {before} and {after}", times(heights));
+        || format!("path jumps by {} vehicle heights between frames {before} and {after}", times(heights));
     if beyond < measures.step { None } else { graded(heights, JUMP, said) }
 }
 
@@ -58,8 +58,8 @@ fn turns(measures: &Measures) -> Option<Reason> {
     let Jump { beyond, frames: [before, after] } = measures.turn;
     let said = || {
         format!(
-            "it turns by {:.0}° more between the frames {before} and {after} than beside them, which no vehicle does: \
-             its model is folded or turned over there",
+            "turns by {:.0}° between frames {before} and {after} beyond the turns before and after: its model is folded \
+             or turned over there",
             beyond.to_degrees()
         )
     };
@@ -68,13 +68,9 @@ fn turns(measures: &Measures) -> Option<Reason> {
 
 fn backwards(measures: &Measures) -> Option<Reason> {
     let Some(share) = measures.backwards else {
-        return Some(Reason::doubts(
-            Path,
-            0.5,
-            "which way it points is not known: the directions of its motion cancel",
-        ));
+        return Some(Reason::doubts(Path, 0.5, "heading unknown: the directions of its motion cancel"));
     };
-    let said = || format!("{} of its way leads backwards, against the way that it points", percent(share));
+    let said = || format!("{} of its path leads backwards, against its heading", percent(share));
     match share {
         s if s > BACKWARDS[1] => Some(Reason::doubts(Path, 1.0, said())),
         s if s > BACKWARDS[0] => Some(Reason::doubts(Path, 0.5, said())),

@@ -50,23 +50,22 @@ fn relative_std(scale: &ScaleEstimate) -> Option<f64> {
 
 pub(super) fn deviation(scale: &ScaleEstimate) -> Reason {
     let focal = match scale.shares {
-        Some(shares) if shares.focal > shares.given_focal() => ", mostly because the focal length is not given",
+        Some(shares) if shares.focal > shares.given_focal() => ", mostly from the estimated focal length",
         _ => "",
     };
-    let said =
-        |std: f64| format!("size and distance are right to about {} (one standard deviation){focal}", percent(std));
+    let said = |std: f64| format!("scale uncertainty ±{} (1σ){focal}", percent(std));
+    let beyond = |std: f64, limit: f64| format!("{}; limit ±{}", said(std), percent(limit));
     match relative_std(scale) {
         _ if scale.degenerate => Reason::refutes(Determined, undetermined(scale)),
-        Some(std) if std > WEAK_STD => Reason::doubts(Deviation, 1.0, said(std)),
+        Some(std) if std > WEAK_STD => Reason::doubts(Deviation, 1.0, beyond(std, WEAK_STD)),
         Some(std) if std > GOOD_STD => Reason::doubts(Deviation, HALF * 0.5, said(std)),
         Some(std) => Reason::supports(Deviation, said(std)),
-        None => Reason::doubts(Deviation, 1.0, "the method in use does not say how exact size and distance are"),
+        None => Reason::doubts(Deviation, 1.0, format!("no scale uncertainty: {} gives none", scale.method.name())),
     }
 }
 
 fn undetermined(scale: &ScaleEstimate) -> String {
-    let why = scale.reason.as_deref().unwrap_or("the run gives no reason");
-    format!("it is not known how large and how far away the path is: {why}")
+    format!("scale undetermined: {}", scale.reason.as_deref().unwrap_or("no reason was recorded"))
 }
 
 /// What the other methods say of the model as it is, and how sure each of them is by its own residuals.
@@ -112,10 +111,10 @@ pub(super) fn agreement(scale: &ScaleEstimate, answers: &[Answer]) -> Option<Rea
     match (beyond(CONTRADICTS), beyond(CONTRADICTS_BY_FAR)) {
         _ if telling.is_empty() => None,
         (0, _) => {
-            let finding = format!("other methods agree within their errors and its own ({}): {said}", percent(own));
+            let finding = format!("other methods agree within their uncertainties and ±{}: {said}", percent(own));
             Some(Reason::supports(Agreement, finding))
         }
-        (1, _) => Some(Reason::doubts(Agreement, HALF, format!("another method contradicts the ratio: {said}"))),
+        (1, _) => Some(Reason::doubts(Agreement, HALF, format!("another method contradicts the scale: {said}"))),
         (_, 0..2) => Some(Reason::doubts(Agreement, 1.0, format!("the methods contradict one another: {said}"))),
         _ => Some(Reason::refutes(Agreement, format!("the methods contradict one another by far: {said}"))),
     }
@@ -125,5 +124,5 @@ pub(super) fn agreement(scale: &ScaleEstimate, answers: &[Answer]) -> Option<Rea
 fn said(answer: &Answer, ratio: f64) -> String {
     let off = answer.ratio / ratio - 1.0;
     let sign = if off < 0.0 { "−" } else { "+" };
-    format!("{} {sign}{} (give or take {})", answer.method.name(), percent(off.abs()), percent(answer.std))
+    format!("{} {sign}{} (±{})", answer.method.name(), percent(off.abs()), percent(answer.std))
 }

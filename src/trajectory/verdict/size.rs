@@ -24,8 +24,8 @@ pub(super) fn shape(measures: &Measures, class: &Class) -> Option<Reason> {
     let ratio = measures.in_heights(measures.length?)?;
     let least = LENGTH_SEEN * class.lengths_m[0] / class.heights_m[1];
     let most = STRAYS * class.longest_in_heights;
-    let said = format!("it is {} times as long as high", times(ratio));
-    let odd = format!("{said}, which no {} is", class.name);
+    let said = format!("length {} times its height", times(ratio));
+    let odd = format!("{said}; expected {} to {} for a {}", times(least), times(most), class.name);
     Some(match beyond(ratio, least, most) {
         factor if factor > BY_FAR => Reason::refutes(Shape, odd),
         factor if factor > 1.0 => Reason::doubts(Shape, 1.0, odd),
@@ -37,7 +37,7 @@ pub(super) fn shape(measures: &Measures, class: &Class) -> Option<Reason> {
 pub(super) fn stretch(measures: &Measures, class: &Class) -> Option<Reason> {
     let stretch = measures.stretch?;
     let most = STRAYS * class.lengths_m[1] / class.height_m;
-    let odd = || format!("it is drawn out along the line of sight: {} times as long as it looks", times(stretch));
+    let odd = || format!("model stretched {} times along the line of sight", times(stretch));
     match stretch / most {
         factor if factor > BY_FAR => Some(Reason::refutes(Shape, odd())),
         factor if factor > 1.0 => Some(Reason::doubts(Shape, 1.0, odd())),
@@ -95,7 +95,7 @@ pub(super) fn beside_others(k: usize, all: &[Option<Yardstick>]) -> Option<Reaso
     Some(match agree {
         0 if beyond(2.0) > 1 => Reason::refutes(Size, said(factor, &others)),
         agree if agree < contradict => {
-            Reason::doubts(Size, 1.0, format!("{}, so that one of them is wrong", said(factor, &others)))
+            Reason::doubts(Size, 1.0, format!("{}: one of them is wrong", said(factor, &others)))
         }
         _ => Reason::supports(Size, said(factor, &others)),
     })
@@ -113,18 +113,18 @@ impl Yardstick {
 fn said(factor: f64, others: &[&Yardstick]) -> String {
     let beside = match others {
         [one] => format!("vehicle {}", one.id),
-        many => format!("the {} other vehicles", many.len()),
+        many => format!("{} other vehicles", many.len()),
     };
     let (factor, size) = if factor >= 1.0 { (factor, "large") } else { (factor.recip(), "small") };
-    format!("beside {beside} it is {} times as {size} as is usual for its class", times(factor))
+    format!("{} times as {size} as usual for its class, relative to {beside}", times(factor))
 }
 
 /// Whether it is as fast as vehicles are, measured with its own height.
 pub(super) fn speed(measures: &Measures, class: &Class, time_base: TimeBase) -> Option<Reason> {
     let heights = measures.in_heights(measures.speed.filter(|_| time_base == TimeBase::Seconds)?)?;
     let speed_m_s = heights * class.height_m;
-    let said = format!("it goes {} times its own height in a second", times(heights));
-    let odd = format!("{said}, which would be {} km/h for a {}", times(3.6 * speed_m_s), class.name);
+    let said = format!("speed {} vehicle heights per second", times(heights));
+    let odd = format!("{said}, about {} km/h for a {}", times(3.6 * speed_m_s), class.name);
     Some(match speed_m_s {
         v if v > IMPOSSIBLE_M_S => Reason::refutes(Speed, odd),
         v if v > FAST_M_S => Reason::doubts(Speed, 1.0, odd),

@@ -28,8 +28,8 @@ const HALF: f64 = 0.5;
 ///
 /// * `num_visible` – frames in which it is seen, where that is known.
 pub(super) fn amount(num_points: usize, num_frames: usize, num_visible: Option<usize>) -> Reason {
-    let of = num_visible.map_or_else(String::new, |visible| format!(" of the {visible} in which it is seen"));
-    let said = format!("{num_points} points, placed in {num_frames} frames{of}");
+    let of = num_visible.map_or_else(String::new, |visible| format!(" of {visible}"));
+    let said = format!("{num_points} points, 3D position in {num_frames}{of} frames");
     let weight = |count: usize, [few, next_to_none]: [usize; 2]| match count {
         c if c < next_to_none => 1.0,
         c if c < few => HALF,
@@ -46,9 +46,9 @@ pub(super) fn amount(num_points: usize, num_frames: usize, num_visible: Option<u
 /// Whether it is large enough in the picture.
 pub(super) fn pixels(measures: &Measures) -> Option<Reason> {
     let pixels = measures.pixels?;
-    let said = format!("its points span {pixels:.0} pixels in the picture");
+    let said = format!("its points span {pixels:.0} px in the image");
     Some(match pixels < SMALL_PX {
-        true => Reason::doubts(Pixels, HALF, format!("it is small: {said}")),
+        true => Reason::doubts(Pixels, HALF, format!("small: {said}")),
         false => Reason::supports(Pixels, said),
     })
 }
@@ -59,18 +59,18 @@ pub(super) fn detection(tracked: &TrackedObject) -> Option<Reason> {
         return None;
     }
     let found = &tracked.found_in;
-    let said = format!("{:.0} % sure on average; found by: {found}", 100.0 * tracked.confidence.clamp(0.0, 1.0));
+    let said = format!("mean detector score {:.0} %; mask source: {found}", 100.0 * tracked.confidence.clamp(0.0, 1.0));
     let by_motion = found.by_motion() > tracked.frames.len() / 4;
     let is_coarse = tracked.outline == Outline::Coarse;
     let is_poor = tracked.mask_quality.is_some_and(|quality| quality < POOR_MASKS);
     Some(match tracked.confidence {
         score if score < UNSURE && !by_motion => {
-            Reason::doubts(Detection, HALF, format!("the detector is not sure that it is one: {said}"))
+            Reason::doubts(Detection, HALF, format!("low detector score: {said}"))
         }
-        _ if is_coarse => Reason::doubts(Detection, HALF, format!("its masks are coarse, by colours alone; {said}")),
-        _ if is_poor => Reason::doubts(Detection, SMALL, format!("its masks are poor by their own figure; {said}")),
+        _ if is_coarse => Reason::doubts(Detection, HALF, format!("coarse masks, by colors alone; {said}")),
+        _ if is_poor => Reason::doubts(Detection, SMALL, format!("poor masks by the mask network's own score; {said}")),
         score if score >= SURE || by_motion => Reason::supports(Detection, said),
-        _ => Reason::doubts(Detection, SMALL, format!("the detector is not quite sure; {said}")),
+        _ => Reason::doubts(Detection, SMALL, format!("moderate detector score: {said}")),
     })
 }
 

@@ -229,7 +229,7 @@ fn a_model_that_is_folded_is_not_trusted() {
         }
         let verdict = judge(&[car]).remove(0);
         let says = verdict.reasons.iter().find(|reason| reason.says.contains("folded")).map(|reason| reason.finding);
-        (says, verdict.state == Trust::NotToBeTrusted)
+        (says, verdict.state == Trust::Rejected)
     };
     assert_eq!(turned(0.0), (None, false));
     assert_eq!(turned(20.0), (Some(Finding::Doubts), false));

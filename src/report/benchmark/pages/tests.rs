@@ -16,7 +16,7 @@ fn the_summary_counts_what_failed() {
         text.starts_with("3 sequences, 1 failed. Mean trajectory error as run 0.300 m over 2 of 3, 2.00 times"),
         "{text}"
     );
-    assert!(text.contains("1 scale ratios are marked as not to be trusted; over the other 1 of 2 the mean is 0.100 m"));
+    assert!(text.contains("1 vehicle rejected; over the other 1 of 2 the mean is 0.100 m"));
     let row = text.lines().find(|line| line.contains("test: constant-distance")).unwrap();
     let cells: Vec<&str> = row.split('|').map(str::trim).collect();
     assert_eq!(cells[2..9], ["0.100", "0.500 (1/2)", "0.300", "0.300", "0.500", "0.500", "2 of 3"]);
@@ -31,7 +31,7 @@ fn every_sequence_has_its_row_and_failures_their_reason() {
     let page = markdown(&set(), &[]);
     let row = page.lines().find(|line| line.starts_with("| bridge_van")).unwrap();
     assert!(row.contains("FAILED: the object cannot be reconstructed") && row.contains("failed |"), "{row}");
-    assert!(page.lines().any(|line| line.starts_with("| crossing_van") && line.contains("not to be trusted")));
+    assert!(page.lines().any(|line| line.starts_with("| crossing_van") && line.contains("rejected by the run")));
     let listed: Vec<&str> = page.lines().filter(|line| line.starts_with("- **")).collect();
     assert_eq!(listed.len(), 2, "{listed:?}");
     assert!(listed[0].contains("crossing_van") && listed[0].contains("0.500 m, of which 0.250 m"), "{listed:?}");

@@ -1,0 +1,155 @@
+//! Path length and displacement of a smoothed trajectory.
+//!
+//! The sum of the steps between frames grows with their noise: a parked vehicle would drive for ever. Lengths are
+//! therefore measured at the resolution of the trajectory's own uncertainty. Knots k₀ = first frame, k_{j+1} = the
+//! first frame after k_j with ‖d‖ > 3 σ(d), where d = x̂(k_{j+1}) − x̂(k_j); the last knot is the last frame.
+//!
+//! ```text
+//! L = Σ_j ‖x̂(k_{j+1}) − x̂(k_j)‖,    σ²(L) = gᵀ Cov(x̂) g + (gᵀ ∂x̂/∂ln r · σ_r)² + (L σ_s)²                    (4, 5)
+//! ```
+//!
+//! with g = ∂L/∂x̂, the posterior covariance between all frames, the scale ratio's standard deviation σ_r and that of
+//! metres per unit σ_s (of logarithms). A single segment that is not resolved, ‖d‖ ≤ 3 σ(d), has the length
+//! √max(0, ‖d‖² − tr Cov(d)): of a vehicle at rest E‖d‖² is tr Cov(d). docs/maths/smoother.md, section *Travel*.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+
+use super::CLEAR;
+use super::track::Track;
+use crate::scene::Estimate;
+
+/// A smoothed trajectory of positions, metres, and how common errors move it.
+pub(super) struct Route<'a> {
+    pub(super) track: &'a Track,
+    /// Change of every state per standard deviation of the scale ratio.
+    pub(super) moved: &'a [DVector<f64>],
+    /// Standard deviation of the logarithm of metres per unit.
+    pub(super) scale_std: f64,
+}
+
+/// Length of a vector whose components have the covariance given: corrected for noise where it is not resolved.
+fn resolved_length(d: &Vector3<f64>, covariance: &Matrix3<f64>) -> Estimate {
+    let length = d.norm();
+    if is_resolved(d, covariance) {
+        return Estimate { value: length, std: std_along(d, covariance) };
+    }
+    let value = (length * length - covariance.trace()).max(0.0).sqrt();
+    Estimate { value, std: covariance.symmetric_eigenvalues().max().max(0.0).sqrt() }
+}
+
+/// The same of a number.
+pub(super) fn resolved_amount(value: f64, std: f64) -> Estimate {
+    let value = if value.abs() > CLEAR * std { value.abs() } else { (value * value - std * std).max(0.0).sqrt() };
+    Estimate { value, std }
+}
+
+fn is_resolved(d: &Vector3<f64>, covariance: &Matrix3<f64>) -> bool {
+    d.norm() > CLEAR * std_along(d, covariance)
+}
+
+fn std_along(d: &Vector3<f64>, covariance: &Matrix3<f64>) -> f64 {
+    d.try_normalize(0.0).map_or(0.0, |u| (u.transpose() * covariance * u)[0].max(0.0).sqrt())
+}
+
+impl Route<'_> {
+    /// Path length, eq. 4.
+    pub(super) fn path(&self) -> Estimate {
+        let mut knots = self.resolved_knots();
+        // What is left after the last resolved knot belongs to the segment before.
+        if knots.len() > 1 {
+            knots.pop();
+        }
+        knots.push(self.track.states.len() - 1);
+        if knots.len() == 2 { self.displacement() } else { self.length(&knots) }
+    }
+
+    /// From the first frame to the last in a straight line.
+    pub(super) fn displacement(&self) -> Estimate {
+        let last = self.track.states.len() - 1;
+        let covariance = self.covariances_from(0).last().unwrap_or_else(Matrix3::zeros);
+        self.with_scale(resolved_length(&self.step(0, last), &covariance))
+    }
+
+    fn position(&self, k: usize) -> Vector3<f64> {
+        self.track.states[k].mean.fixed_rows::<3>(0).into_owned()
+    }
+
+    fn moved(&self, k: usize) -> Vector3<f64> {
+        self.moved[k].fixed_rows::<3>(0).into_owned()
+    }
+
+    fn step(&self, from: usize, to: usize) -> Vector3<f64> {
+        self.position(to) - self.position(from)
+    }
+
+    fn with_scale(&self, length: Estimate) -> Estimate {
+        Estimate { std: length.std.hypot(self.scale_std * length.value), ..length }
+    }
+
+    /// Covariances of the displacements from one frame to each later one, without the share of metres per unit.
+    fn covariances_from(&self, from: usize) -> impl Iterator<Item = Matrix3<f64>> + '_ {
+        let states = &self.track.states;
+        let position_block = |m: &DMatrix<f64>| m.fixed_view::<3, 3>(0, 0).into_owned();
+        let mut gain: Option<DMatrix<f64>> = None;
+        (from + 1..states.len()).map(move |k| {
+            let step = &self.track.gains[k - 1];
+            // Rows of the position alone: Cov(x_from, x_k) = G_from … G_{k−1} Cov(x_k).
+            let product = gain.take().map_or_else(|| step.rows(0, 3).into_owned(), |before| before * step);
+            let cross = position_block(&(&product * &states[k].covariance));
+            gain = Some(product);
+            let own = position_block(&states[from].covariance) + position_block(&states[k].covariance);
+            let ratio = self.moved(k) - self.moved(from);
+            own - cross - cross.transpose() + ratio * ratio.transpose()
+        })
+    }
+
+    /// The first frame, and every frame whose distance from the knot before is resolved.
+    fn resolved_knots(&self) -> Vec<usize> {
+        let mut knots = vec![0];
+        let mut from = 0;
+        let next = |from: usize| {
+            let mut later = (from + 1..).zip(self.covariances_from(from));
+            later.find(|(k, covariance)| is_resolved(&self.step(from, *k), covariance)).map(|(k, _)| k)
+        };
+        while let Some(k) = next(from) {
+            knots.push(k);
+            from = k;
+        }
+        knots
+    }
+
+    /// Of a chain of resolved segments.
+    fn length(&self, knots: &[usize]) -> Estimate {
+        let mut gradient = vec![Vector3::zeros(); self.track.states.len()];
+        let mut value = 0.0;
+        for pair in knots.windows(2) {
+            let d = self.step(pair[0], pair[1]);
+            let u = d.try_normalize(0.0).unwrap_or_default();
+            gradient[pair[0]] -= u;
+            gradient[pair[1]] += u;
+            value += d.norm();
+        }
+        let ratio: f64 = gradient.iter().enumerate().map(|(k, g)| g.dot(&self.moved(k))).sum();
+        self.with_scale(Estimate { value, std: self.variance(&gradient).max(0.0).sqrt().hypot(ratio) })
+    }
+
+    /// Variance of Σ gₖᵀ xₖ over the positions xₖ: the smoother's backward chain x_k = G_k x_{k+1} + e_k is passed
+    /// forwards, so that each eₖ counts once.
+    fn variance(&self, gradient: &[Vector3<f64>]) -> f64 {
+        let states = &self.track.states;
+        let size = states[0].mean.len();
+        let mut weight = DVector::zeros(size);
+        let mut variance = 0.0;
+        for (k, g) in gradient.iter().enumerate() {
+            let mut head = weight.fixed_rows_mut::<3>(0);
+            head += g;
+            let of = |weight: &DVector<f64>, k: usize| weight.dot(&(&states[k].covariance * weight));
+            variance += of(&weight, k);
+            if let Some(gain) = self.track.gains.get(k) {
+                weight = gain.transpose() * weight;
+                variance -= of(&weight, k + 1);
+            }
+        }
+        variance
+    }
+}
