@@ -5,11 +5,11 @@
 //! through their centroid whose normal is the direction of least variance, repeated until the inliers stay the same.
 //! Equations 4 to 8 of `docs/maths/ground.md`.
 
-use nalgebra::{Matrix3, Point3, SymmetricEigen, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 use rand::Rng as _;
 use thiserror::Error;
 
-use crate::math::Rng;
+use crate::math::{Rng, symmetric_eigen};
 
 /// A point and the distance from the plane up to which it counts as part of it (eq. 1).
 #[derive(Clone, Copy, Debug)]
@@ -177,7 +177,7 @@ pub(super) fn least_squares_plane(points: &[Candidate]) -> Option<Plane> {
     let center = points.iter().map(|c| c.position.coords * weight(c)).sum::<Vector3<f64>>() / total;
     let offset = |c: &Candidate| c.position.coords - center;
     let covariance = points.iter().map(|c| offset(c) * offset(c).transpose() * weight(c)).sum::<Matrix3<f64>>() / total;
-    let eigen = SymmetricEigen::new(covariance);
+    let eigen = symmetric_eigen(covariance)?;
     let mut order = [0, 1, 2];
     order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
     let normal: Vector3<f64> = eigen.eigenvectors.column(order[0]).into_owned();

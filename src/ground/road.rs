@@ -10,6 +10,7 @@ use nalgebra::{Point2, Point3, Vector3};
 
 use super::local::lowest_foot;
 use super::mount::Mount;
+use crate::math::symmetric_eigen;
 use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction};
 
 /// Differences of lanes in their cross slope: a quarter of the usual crossfall of a carriageway, whose lanes are mostly
@@ -165,7 +166,7 @@ impl Near {
             .map(|(weight, place, _)| (place - middle) * (place - middle).transpose() * *weight)
             .sum();
         let total: f64 = self.weighted.iter().map(|(weight, ..)| weight).sum();
-        let eigen = spread.symmetric_eigen();
+        let eigen = symmetric_eigen(spread)?;
         let largest = eigen.eigenvalues.imax();
         let moves = eigen.eigenvalues[largest] > total * (0.3 * mount.height).powi(2);
         moves.then(|| eigen.eigenvectors.column(largest).into_owned())

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
-use super::Sim3;
+use super::{Sim3, svd3};
 
 /// The similarity `target_from_source` that minimises the summed squared distance over pairs.
 ///
@@ -25,7 +25,7 @@ pub fn umeyama(source: &[Point3<f64>], target: &[Point3<f64>]) -> Option<Sim3> {
         covariance += t * s.transpose() / n;
         source_variance += s.norm_squared() / n;
     }
-    let svd = covariance.svd(true, true);
+    let svd = svd3(covariance)?;
     let (u, v_t) = (svd.u?, svd.v_t?);
     let singular = svd.singular_values;
     // Rank 2 is enough: the determinant fixes the third axis (Umeyama's condition rank(Σ) ≥ m − 1).

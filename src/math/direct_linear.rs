@@ -4,6 +4,8 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2};
 
+use super::{svd3, symmetric_eigen};
+
 type Row = SVector<f64, 9>;
 
 /// The homography with `b ~ H (a, 1)` in the least-squares sense; `None` for fewer than four pairs or degenerate ones.
@@ -27,7 +29,7 @@ pub fn fundamental_from_points(from: &[Vector2<f64>], to: &[Vector2<f64>]) -> Op
         let (p, q) = (apply(&a, p).push(1.0), apply(&b, q).push(1.0));
         Row::from_fn(|i, _| q[i / 3] * p[i % 3])
     });
-    let mut svd = null_matrix(rows)?.svd(true, true);
+    let mut svd = svd3(null_matrix(rows)?)?;
     let smallest = svd.singular_values.imin();
     svd.singular_values[smallest] = 0.0;
     unit(b.transpose() * svd.recompose().ok()? * a)
@@ -36,7 +38,7 @@ pub fn fundamental_from_points(from: &[Vector2<f64>], to: &[Vector2<f64>]) -> Op
 /// The matrix, row by row, that the rows are nearest to being orthogonal to; `None` if two are equally near.
 fn null_matrix(rows: impl Iterator<Item = Row>) -> Option<Matrix3<f64>> {
     let gram = rows.fold(SMatrix::<f64, 9, 9>::zeros(), |gram, row| gram + row * row.transpose());
-    let eigen = gram.symmetric_eigen();
+    let eigen = symmetric_eigen(gram)?;
     let mut order: [usize; 9] = std::array::from_fn(|i| i);
     order.sort_by(|&i, &j| eigen.eigenvalues[i].total_cmp(&eigen.eigenvalues[j]));
     // A second vanishing eigenvalue: points on a line leave a family of solutions.

@@ -1,6 +1,7 @@
 //! Arithmetic that every room shares: rigid and similarity transforms, robust losses, seeded random numbers, rounding.
 
 mod align;
+mod decomposition;
 mod direct_linear;
 mod neighbors;
 pub mod polynomial;
@@ -13,6 +14,7 @@ mod statistics;
 mod wxyz;
 
 pub use align::umeyama;
+pub use decomposition::{svd3, symmetric_eigen};
 pub use direct_linear::{fundamental_from_points, homography_from_points};
 pub(crate) use neighbors::Neighbors;
 pub use random::{Rng, seeded_rng};

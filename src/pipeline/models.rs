@@ -34,6 +34,9 @@ pub struct ModelReport {
     pub num_points: usize,
     /// Observations of these points.
     pub num_observations: usize,
+    /// Points that were rejected since they came to lie behind a camera that observes them, or at infinity.
+    #[serde(default)]
+    pub num_infinite_points: usize,
     /// Mean reprojection error, pixels; `None` without observations.
     pub mean_error_px: Option<f64>,
     /// What weakens the model: a planar scene, forward motion, ...
@@ -149,6 +152,7 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     run.workspace.write_state(BACKGROUND_REPORT, &report)?;
     outcome.figure("num_registered", report.num_registered);
     outcome.figure("num_points", report.num_points);
+    outcome.figure("num_infinite_points", report.num_infinite_points);
     outcome.figure("mean_error_px", report.mean_error_px);
     if let Some(camera) = model.cameras.values().next() {
         let values = if camera.higher.are_zero() { json!(camera.intrinsics()) } else { json!(camera.parameters()) };
@@ -242,6 +246,7 @@ pub(super) fn reconstruct(
         num_registered: report.num_registered(),
         unregistered,
         failure,
+        num_infinite_points: report.num_infinite_points,
         remarks: report.remarks.iter().map(ToString::to_string).collect(),
         ..ModelReport::default()
     };

@@ -102,6 +102,7 @@ fn describe(id: ObjectId, report: &ModelReport, outcome: &mut Outcome) {
             "num_registered": report.num_registered,
             "num_points": report.num_points,
             "mean_error_px": report.mean_error_px,
+            "num_infinite_points": report.num_infinite_points,
             "num_outside_masks": report.num_outside_masks,
         }),
     );

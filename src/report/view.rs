@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::data::{Data, Object};
-use crate::math::{self, Sim3};
+use crate::math::{self, Sim3, symmetric_eigen};
 use crate::scene::{Point3d, Reconstruction};
 
 /// Radius of camera path and trajectories in the view's frame.
@@ -131,7 +131,7 @@ fn plane_normal(points: &[&Point3d]) -> Option<Vector3<f64>> {
     }
     let middle = positions.iter().map(|p| p.coords).sum::<Vector3<f64>>() / positions.len() as f64;
     let spread: Matrix3<f64> = positions.iter().map(|p| (p.coords - middle) * (p.coords - middle).transpose()).sum();
-    let eigen = spread.symmetric_eigen();
+    let eigen = symmetric_eigen(spread)?;
     let least = eigen.eigenvalues.imin();
     eigen.eigenvectors.column(least).into_owned().try_normalize(1e-12)
 }
@@ -142,8 +142,8 @@ fn upright(up: Vector3<f64>, focus: &[Point3<f64>], forward: Vector3<f64>) -> Un
     let middle = focus.iter().map(|p| p.coords).sum::<Vector3<f64>>() / focus.len().max(1) as f64;
     let flat = |v: Vector3<f64>| v - up * up.dot(&v);
     let spread: Matrix3<f64> = focus.iter().map(|p| flat(p.coords - middle)).map(|v| v * v.transpose()).sum();
-    let eigen = spread.symmetric_eigen();
-    let main = flat(eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned());
+    let longest = symmetric_eigen(spread).map(|eigen| eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned());
+    let main = longest.map_or(Vector3::zeros(), flat);
     let any = flat(if up.x.abs() < 0.7 { Vector3::x() } else { Vector3::z() });
     let mut x = if main.norm() > 1e-6 { main.normalize() } else { any.normalize() };
     let mut z = x.cross(&up);

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Point3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
 use super::solvers::{essential_five_point, homography_from_points};
-use crate::math::{Rigid3, Rng, upper_median};
+use crate::math::{Rigid3, Rng, svd3, upper_median};
 use crate::robust::{self, Consensus, Estimator};
 
 /// Relative pose of two calibrated views that see the same points.
@@ -140,7 +140,7 @@ fn pose_in_front(pairs: &Correspondences<'_>, essential: &Consensus<Matrix3<f64>
 
 /// The four poses with unit translation of an essential matrix (Hartley, Zisserman, section 9.6.2).
 fn poses_from_essential(essential: &Matrix3<f64>) -> Option<[Rigid3; 4]> {
-    let svd = essential.svd(true, true);
+    let svd = svd3(*essential)?;
     let (mut u, mut v_t) = (svd.u?, svd.v_t?);
     if u.determinant() < 0.0 {
         u = -u;

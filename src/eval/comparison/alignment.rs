@@ -13,7 +13,7 @@ use rand::seq::index;
 use serde::{Deserialize, Serialize};
 
 use crate::eval::registration;
-use crate::math::{Rigid3, Sim3, median, seeded_rng, umeyama};
+use crate::math::{Rigid3, Sim3, median, seeded_rng, symmetric_eigen, umeyama};
 
 /// Cameras that lie further apart than this many median distances are lost ones. For normal errors the median is 1.54
 /// deviations of a coordinate, so that this is more than nine.
@@ -185,7 +185,8 @@ fn width(points: &[Point3<f64>]) -> f64 {
     let middle = points.iter().map(|p| p.coords).sum::<nalgebra::Vector3<f64>>() / n;
     let spread: nalgebra::Matrix3<f64> =
         points.iter().map(|p| (p.coords - middle) * (p.coords - middle).transpose()).sum();
-    let mut sizes: Vec<f64> = spread.symmetric_eigenvalues().iter().map(|v| v.max(0.0).sqrt()).collect();
+    let Some(eigen) = symmetric_eigen(spread) else { return 0.0 };
+    let mut sizes: Vec<f64> = eigen.eigenvalues.iter().map(|v| v.max(0.0).sqrt()).collect();
     sizes.sort_by(f64::total_cmp);
     sizes[1] / sizes[2]
 }

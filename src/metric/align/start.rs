@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::Support;
-use crate::math::Sim3;
+use crate::math::{Sim3, svd3};
 
 /// Centres of the camera and positions of the receiver at the same times.
 pub(super) struct Pairs {
@@ -55,7 +55,7 @@ fn free(pairs: &Pairs, weights: &[f64]) -> Option<Sim3> {
         covariance += p * c.transpose() * *weight;
         variance += c.norm_squared() * weight;
     }
-    let svd = covariance.svd(true, true);
+    let svd = svd3(covariance)?;
     let (u, v_t) = (svd.u?, svd.v_t?);
     let mut sign = Vector3::repeat(1.0);
     sign.z = (u.determinant() * v_t.determinant()).signum();

@@ -187,7 +187,8 @@ fn against_others(answers: &[Answer], k: usize) -> Option<OddVehicle> {
     let (log_scale, std) = mean(&others)?;
     let apart = answers[k].log_scale - log_scale;
     let deviations = apart.abs() / std.hypot(answers[k].std);
-    let odd = OddVehicle::new(answers[k].vehicle, Oddity::Scale(apart.exp()), deviations);
+    let ratio = apart.exp().clamp(f64::MIN_POSITIVE, f64::MAX);
+    let odd = OddVehicle::new(answers[k].vehicle, Oddity::Scale(ratio), deviations);
     (deviations > MAX_DEVIATIONS).then_some(odd)
 }
 

@@ -53,6 +53,8 @@ pub struct Growth<'a> {
     /// From the first to the last of them.
     adjusted_views: Range<usize>,
     is_from_known_poses: bool,
+    /// Points that were rejected after the last adjustments since they lay behind a camera or at infinity.
+    num_infinite: usize,
 }
 
 #[derive(Clone, Copy)]
@@ -83,6 +85,7 @@ impl<'a> Growth<'a> {
             adjusted_at: 0,
             adjusted_views: 0..0,
             is_from_known_poses: false,
+            num_infinite: 0,
         }
     }
 
@@ -171,6 +174,7 @@ impl<'a> Growth<'a> {
             num_starts: 1,
             num_points: self.map.num_points(),
             num_observations,
+            num_infinite_points: self.num_infinite,
             mean_error_px: None,
             focal_deviations: self.focal_deviations.clone(),
             remarks: self.focal_remark().into_iter().chain(motion::remarks_on(&self.map)).collect(),

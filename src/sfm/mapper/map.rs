@@ -1,6 +1,7 @@
 //! The state of a growing map.
 
 mod joints;
+mod rejection;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;

@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Intrinsics;
 use super::map::Map;
+use crate::math::symmetric_eigen;
 use crate::sfm::two_view::TwoViewGeometry;
 
 /// Motion between two views, as far as they determine it.
@@ -179,7 +180,7 @@ fn is_planar(map: &Map<'_>) -> bool {
     for _ in 0..3 {
         let mean = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
         let scatter = points.iter().fold(Matrix3::zeros(), |s, p| s + (p - mean) * (p - mean).transpose());
-        let eigen = scatter.symmetric_eigen();
+        let Some(eigen) = symmetric_eigen(scatter) else { return false };
         let normal = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
         let off: Vec<f64> = points.iter().map(|p| (p - mean).dot(&normal).abs()).collect();
         let limit = middle(off.clone(), SHARE);

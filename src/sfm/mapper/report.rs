@@ -126,6 +126,10 @@ pub struct Report {
     pub num_points: usize,
     /// Their observations.
     pub num_observations: usize,
+    /// Points that the last adjustments left behind a camera that observes them, or at infinity: they are not part of
+    /// the map.
+    #[serde(default)]
+    pub num_infinite_points: usize,
     /// Mean reprojection error, pixels.
     pub mean_error_px: Option<f64>,
     /// By camera: standard deviation of the focal length as a share of it, with what is known of lenses beforehand;

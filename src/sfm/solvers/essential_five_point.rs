@@ -6,7 +6,7 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use crate::math::polynomial::real_roots;
+use crate::math::{polynomial::real_roots, symmetric_eigen};
 
 /// Exponents of x, y, z of the twenty monomials up to degree three, in the order of Nistér's elimination.
 const MONOMIALS: [[u8; 3]; 20] = [
@@ -60,7 +60,7 @@ fn null_space(rays1: &[Vector3<f64>; 5], rays2: &[Vector3<f64>; 5]) -> Option<[M
         let row = SVector::<f64, 9>::from_fn(|i, _| b[i / 3] * a[i % 3]);
         gram += row * row.transpose();
     }
-    let eigen = gram.symmetric_eigen();
+    let eigen = symmetric_eigen(gram)?;
     let mut order: [usize; 9] = std::array::from_fn(|i| i);
     order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
     if !(eigen.eigenvalues[order[4]] > 1e-12 * eigen.eigenvalues[order[8]]) {

@@ -23,7 +23,7 @@ use self::fit::{Expected, Fit, Reach, Unknowns};
 use self::outline::Sight;
 use super::contact::solid_points;
 use super::{Body, ContactOptions, Silhouette, View, Views, forward_axis};
-use crate::math::{Rigid3, median};
+use crate::math::{Rigid3, median, symmetric_eigen};
 use crate::scene::{Estimate, FrameId, GroundPlane, Image, ObjectTrajectory, Reconstruction};
 
 /// An object whose extents are asked for.
@@ -248,7 +248,7 @@ fn longest(points: &[Point3<f64>], middle: &Point3<f64>, up: &Unit<Vector3<f64>>
         let flat = d - up.scale(d.dot(up));
         flat * flat.transpose()
     });
-    let eigen = scatter.sum::<Matrix3<f64>>().symmetric_eigen();
+    let eigen = symmetric_eigen(scatter.sum::<Matrix3<f64>>())?;
     let axis = Unit::try_new(eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned(), f64::EPSILON)?;
     across(&axis, up)
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Vector2};
 
-use crate::math::median;
+use crate::math::{median, symmetric_eigen};
 use crate::scene::{Image, Observation, Point3dId, Reconstruction};
 
 /// Every residual of image positions, pixels, with the point that it belongs to.
@@ -65,7 +65,7 @@ pub(super) fn point_covariances(model: &Reconstruction) -> BTreeMap<Point3dId, O
     let covariance = |(information, squares, count): (Matrix3<f64>, f64, f64)| {
         let variance_px2 =
             (squares + MORE_OBSERVATIONS * typical_px * typical_px) / (2.0 * (count + MORE_OBSERVATIONS));
-        let is_determined = information.symmetric_eigenvalues().min() > 0.0;
+        let is_determined = symmetric_eigen(information).is_some_and(|eigen| eigen.eigenvalues.min() > 0.0);
         let inverse =
             information.try_inverse().filter(|inverse| is_determined && inverse.iter().all(|x| x.is_finite()));
         inverse.map(|inverse| inverse * variance_px2)

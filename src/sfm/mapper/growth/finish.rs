@@ -26,7 +26,9 @@ impl Growth<'_> {
         if self.reviewed || before.iter().zip(&self.map.poses).any(changed) {
             self.adjust_until_settled()?;
         }
+        self.num_infinite = self.map.reject_infinite_points();
         self.drop_unsupported_views()?;
+        self.num_infinite += self.map.reject_infinite_points();
         self.judge_focal_length()
     }
 
