@@ -502,7 +502,7 @@ proptest! {
         let subject = Subject { trajectory, object, background, planes, silhouettes: &silhouettes };
         prop_finite!(trajectory::extents(&subject));
         let candidate = Candidate { trajectory, tracked: None::<&TrackedObject>, object, background, planes };
-        prop_finite!(trajectory::verdicts(&[candidate; 3], TimeBase::Seconds));
+        prop_finite!(trajectory::verdicts(&[candidate; 3], TimeBase::Seconds, &[]));
     }
 
     #[test]

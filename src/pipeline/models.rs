@@ -14,7 +14,7 @@ use super::{PipelineError, cameras, features, order};
 use crate::bundle;
 use crate::camera::Camera;
 use crate::io::colmap;
-use crate::scene::{CameraId, FrameId, Reconstruction};
+use crate::scene::{CameraId, FocalChange, FrameId, Reconstruction};
 use crate::sfm::{self, Beside, mapper};
 
 /// How a model came about.
@@ -51,6 +51,9 @@ pub struct ModelReport {
     /// Standard deviation of that focal length, pixels; `None` where it was given and not looked for.
     #[serde(default)]
     pub focal_std_px: Option<f64>,
+    /// Changes of the focal length during the video, which the model takes for motion.
+    #[serde(default)]
+    pub focal_changes: Vec<FocalChange>,
     /// All cameras, of a model that was reconstructed.
     #[serde(default)]
     pub cameras: Vec<CameraReport>,
@@ -138,11 +141,15 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
             reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, Beside::default(), &mut watch)?
         }
     };
+    if order::found(run)?.in_time {
+        report.focal_changes = focal_changes(run, &model, report.given)?;
+    }
     if let Some(failure) = &mut report.failure {
         failure.push_str(&cure_of_large_frames(run.info().width, run.info().height));
         outcome.note(format!("the background cannot be reconstructed: {failure}"));
     } else {
         report.remarks.iter().for_each(|remark| outcome.warn(format!("background: {remark}")));
+        report.focal_changes.iter().for_each(|change| outcome.warn(warning_of(change)));
         warn_of_gaps("background", &report, &mut outcome);
     }
     if let Some(figures) = center_figures(&model) {
@@ -160,11 +167,27 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
         outcome.figure("focal_length_px", report.focal_length_px);
         outcome.figure("focal_std_px", report.focal_std_px);
     }
+    if !report.focal_changes.is_empty() {
+        outcome.figure("focal_changes", json!(report.focal_changes));
+    }
     if report.cameras.len() > 1 {
         outcome.figure("cameras", json!(report.cameras));
     }
     outcome.outputs.extend([run.workspace.background(), run.workspace.state(BACKGROUND_REPORT)]);
     Ok(outcome)
+}
+
+/// Changes of the focal length in a video's background.
+fn focal_changes(run: &Run, model: &Reconstruction, is_given: bool) -> Result<Vec<FocalChange>, PipelineError> {
+    let known = match is_given {
+        true => sfm::Intrinsics::Fixed,
+        false => cameras::first(run)?.known(),
+    };
+    on_threads(run.options.threads, || sfm::focal_changes(model, known))
+}
+
+fn warning_of(change: &FocalChange) -> String {
+    format!("background: {change}, and is taken for motion of the camera; cut the clip there or use a fixed zoom")
 }
 
 /// What to try where nothing came out of large frames; nothing for others. Points are followed within a fixed number of

@@ -10,8 +10,8 @@ use super::run::{Outcome, Run};
 use super::track;
 use super::{PipelineError, Stage, exports, ground, models, objects};
 use crate::scene::{
-    Frame, FrameId, Ground, GroundPlane, ObjectId, ObjectTrajectory, Reconstruction, ScaleMethod, TimeBase,
-    TrackedObject, Trajectories, Unit, Verdict,
+    FocalChange, Frame, FrameId, Ground, GroundPlane, ObjectId, ObjectTrajectory, Reconstruction, ScaleMethod,
+    TimeBase, TrackedObject, Trajectories, Unit, Verdict,
 };
 use crate::trajectory::{
     self, Adjustment, Candidate, Evidence, Extents, ModelOrigin, ObjectDescription, Silhouette, Subject, extents,
@@ -45,7 +45,8 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
         }
     }
     outcome.figure("num_trajectories", found.placed.len());
-    let objects = judged(found.placed, &background, run.info().time_base(), &mut outcome);
+    let focal_changes = models::background_report(run)?.focal_changes;
+    let objects = judged(found.placed, &background, run.info().time_base(), &focal_changes, &mut outcome);
     let all = Trajectories { unit: Unit::Background, metric: None, objects };
     let path = run.workspace.trajectories();
     crate::io::trajectories::write(&run.workspace.state(IN_UNITS), &all)?;
@@ -186,10 +187,11 @@ fn judged(
     found: Vec<Placed>,
     background: &Reconstruction,
     time_base: TimeBase,
+    focal_changes: &[FocalChange],
     outcome: &mut Outcome,
 ) -> Vec<ObjectTrajectory> {
     let candidates: Vec<Candidate> = found.iter().map(|placed| placed.candidate(background)).collect();
-    let verdicts = trajectory::verdicts(&candidates, time_base);
+    let verdicts = trajectory::verdicts(&candidates, time_base, focal_changes);
     let judge = |(placed, verdict): (Placed, Verdict)| {
         let id = placed.trajectory.id;
         let first = verdict.against().next().filter(|_| verdict.is_refuted() && !placed.trajectory.scale.degenerate);

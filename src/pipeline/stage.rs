@@ -107,7 +107,8 @@ impl Stage {
             // 31, `Objects` and `Scale`.
             Self::Scale => 9,
             Self::Objects => 7,
-            Self::Features | Self::Motion | Self::Background => 5,
+            Self::Background => 6,
+            Self::Features | Self::Motion => 5,
             Self::Ground | Self::Track | Self::Follow => 4,
             Self::Segment => 3,
             Self::Metric | Self::Report => 2,

@@ -4,6 +4,7 @@
 
 mod boxes;
 mod flow;
+mod focal_change;
 mod frame;
 mod ground;
 mod mask;
@@ -16,6 +17,7 @@ mod verdict;
 
 pub use boxes::{BoxDetection, Finder, Rect};
 pub use flow::Flow;
+pub use focal_change::FocalChange;
 pub use frame::{Frame, FrameId, ObjectId, TimeBase};
 pub use ground::{Ground, GroundPlane, GroundSource, PlaneBasis};
 pub use mask::{BoundingBox, Detection, LabelMap, Mask};

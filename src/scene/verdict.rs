@@ -40,6 +40,8 @@ pub enum ReasonKind {
     Deviation,
     /// Agreement of other methods on the scale ratio.
     Agreement,
+    /// Constancy of the video's focal length.
+    FocalLength,
     /// Number of the object's points, and of frames in which it has a position.
     Amount,
     /// Its size in the picture.

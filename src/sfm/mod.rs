@@ -18,6 +18,7 @@
 //! ```
 
 pub mod features;
+mod focal_changes;
 pub mod large_frames;
 pub mod mapper;
 pub mod matching;
@@ -43,6 +44,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::limits::{Checked, under};
 pub use error::SfmError;
+pub use focal_changes::focal_changes;
 pub use front_end::{FrontEnd, FrontEndOptions};
 pub use mapper::{
     Beside, Intrinsics, KnownIntrinsics, KnownPoses, Report, cut_long_tracks, reconstruct, reconstruct_consuming,

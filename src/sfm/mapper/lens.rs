@@ -21,7 +21,7 @@ use crate::sfm::SfmError;
 
 /// Factor on the residuals' noise for errors common to all observations: those of the model of the lens or of the
 /// shutter, and points that slide with the view. Such errors do not average out.
-const COMMON_ERROR_FACTOR: f64 = 5.0;
+pub(in crate::sfm) const COMMON_ERROR_FACTOR: f64 = 5.0;
 
 /// Less noise is rounding, of tracks without any.
 const MIN_SIGMA_PX: f64 = 1e-6;

@@ -31,6 +31,7 @@ use serde::{Deserialize, Serialize};
 
 pub use growth::KnownPoses;
 pub use known::{Intrinsics, KnownIntrinsics};
+pub(super) use lens::COMMON_ERROR_FACTOR;
 pub use long_tracks::cut_long_tracks;
 pub use motion::Remark;
 pub use report::{Outcome, Reason, Report};

@@ -33,7 +33,8 @@ use self::measures::Measures;
 use super::Views;
 use crate::math::rounding::{percent, significant};
 use crate::scene::{
-    Finding, FrameId, GroundPlane, ObjectTrajectory, Reason, Reconstruction, TimeBase, TrackedObject, Trust, Verdict,
+    Finding, FocalChange, FrameId, GroundPlane, ObjectTrajectory, Reason, ReasonKind, Reconstruction, TimeBase,
+    TrackedObject, Trust, Verdict,
 };
 
 /// A trajectory that is to be judged, and what is known of it.
@@ -55,7 +56,9 @@ pub struct Candidate<'a> {
 /// once.
 ///
 /// * `time_base` – where times count frames, nothing is said of speeds.
-pub fn verdicts(candidates: &[Candidate], time_base: TimeBase) -> Vec<Verdict> {
+/// * `focal_changes` – changes of the focal length, which the background and all objects take for motion: no verdict is
+///   better than doubtful with one.
+pub fn verdicts(candidates: &[Candidate], time_base: TimeBase, focal_changes: &[FocalChange]) -> Vec<Verdict> {
     let measures: Vec<Measures> = candidates.iter().map(Measures::of).collect();
     let mut reasons: Vec<Vec<Reason>> =
         candidates.iter().zip(&measures).map(|(candidate, measures)| alone(candidate, measures)).collect();
@@ -64,6 +67,10 @@ pub fn verdicts(candidates: &[Candidate], time_base: TimeBase) -> Vec<Verdict> {
         let class = class::of(&candidates[k].trajectory.class);
         let found = size::beside_others(k, &yardsticks).into_iter();
         reasons[k].extend(found.chain(size::speed(&measures[k], &class, time_base)));
+        reasons[k].extend(focal_changes.first().map(|change| {
+            let says = format!("{change}; cut the clip there or use a fixed zoom");
+            Reason::doubts(ReasonKind::FocalLength, DOUBTFUL, says)
+        }));
     }
     reasons.into_iter().map(weighed).collect()
 }

@@ -65,7 +65,7 @@ impl Car {
 
 fn judge(cars: &[Car]) -> Vec<Verdict> {
     let candidates: Vec<Candidate> = cars.iter().map(Car::candidate).collect();
-    verdicts(&candidates, TimeBase::Seconds)
+    verdicts(&candidates, TimeBase::Seconds, &[])
 }
 
 fn finding(verdict: &Verdict, kind: ReasonKind) -> Option<Finding> {
@@ -258,13 +258,25 @@ fn planes_that_are_wrong_or_unsure_do_not_make_it_rise_and_sink() {
 }
 
 #[test]
+fn with_a_change_of_the_focal_length_no_verdict_is_better_than_doubtful() {
+    let car = car(1, 1.0, &usual());
+    let judged = |changes: &[FocalChange]| verdicts(&[car.candidate()], TimeBase::Seconds, changes).remove(0);
+    assert!(judged(&[]).state < Trust::Doubtful);
+    let change = FocalChange { first: FrameId(20), last: FrameId(40), factor: 1.4 };
+    let verdict = judged(&[change]);
+    assert_eq!(verdict.state, Trust::Doubtful);
+    let reason = verdict.against().find(|reason| reason.kind == ReasonKind::FocalLength).unwrap();
+    assert!(reason.says.contains("by a factor of 1.40 in frames 20–40; cut the clip"), "{}", reason.says);
+}
+
+#[test]
 fn frames_without_seconds_have_no_speed_and_nothing_panics_on_little() {
     let single = car(1, 1.0, &usual());
     let of = |trajectory: &ObjectTrajectory, object: &Reconstruction| {
         let planes = BTreeMap::new();
         let background = &single.world.background;
         let candidate = Candidate { trajectory, tracked: None, object, background, planes: &planes };
-        verdicts(&[candidate], TimeBase::Frames).remove(0)
+        verdicts(&[candidate], TimeBase::Frames, &[]).remove(0)
     };
     let verdict = of(&single.trajectory, &single.world.object);
     assert_eq!((finding(&verdict, ReasonKind::Speed), verdict.state), (None, Trust::Doubtful), "{verdict:#?}");
