@@ -17,12 +17,12 @@ use nalgebra::Point3;
 use serde_json::{Value, json};
 
 use super::run::{Outcome, Run};
-use super::{MetricOptions, Options, PipelineError, TelemetryChoice, fingerprint, models, scale, track};
+use super::{MetricOptions, Options, PipelineError, TelemetryChoice, fingerprint, models, scale};
 use crate::math::median;
 use crate::math::rounding::{figure, percent, significant};
 use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
 use crate::scene::{
-    Metric, MetricFrame, MetricVerdict, Movement, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, Trajectories,
+    Metric, MetricFrame, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, Trajectories,
 };
 use crate::telemetry;
 use aligned::Aligned;
@@ -71,8 +71,6 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     };
     describe(&found.metric, &mut outcome);
     let mut objects = trajectories.objects;
-    let movements: BTreeMap<ObjectId, Movement> =
-        track::objects(run)?.into_iter().map(|object| (object.id, object.movement.state)).collect();
     let nominal = match found.metric.frame {
         None if !objects.is_empty() => Some(nominal_frame(&Ground::of(run, &background)?, &background, &objects)),
         _ => None,
@@ -80,11 +78,10 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     if let Some(frame) = found.metric.frame.as_ref().or(nominal.as_ref()) {
         let placing = Placing::new(&background, frame, found.map, run.info().time_base());
         for trajectory in &mut objects {
-            let movement = movements.get(&trajectory.id).copied().unwrap_or(Movement::Undetermined);
             match &nominal {
-                Some(_) => placing.fill_units(trajectory, movement),
+                Some(_) => placing.fill_units(trajectory),
                 None => {
-                    placing.fill(trajectory, movement);
+                    placing.fill(trajectory);
                     trajectory.dimensions = sizes.get(&trajectory.id).map(|size| size.in_metres(frame));
                 }
             }

@@ -6,7 +6,7 @@ use nalgebra::Point3;
 
 use crate::metric::{Sighted, metric_pose, place_std_m};
 use crate::scene::{
-    Estimate, Image, MapPlace, MetricFrame, MetricPose, Movement, ObjectPose, ObjectTrajectory, Reconstruction,
+    Estimate, Image, MapPlace, MetricFrame, MetricPose, ObjectPose, ObjectTrajectory, Reconstruction,
     TimeBase, Travel,
 };
 use crate::telemetry::{Geodetic, LocalFrame};
@@ -45,13 +45,13 @@ impl<'a> Placing<'a> {
         Self { frame, map, images, direction_std: PIXEL_STD / focal, times }
     }
 
-    /// Fills in what is in metres; `movement` is what is known of whether the object moved at all.
-    pub(super) fn fill(&self, trajectory: &mut ObjectTrajectory, movement: Movement) {
+    /// Fills in all metric values.
+    pub(super) fn fill(&self, trajectory: &mut ObjectTrajectory) {
         let log_ratio_std = log_ratio_std(trajectory);
         for pose in &mut trajectory.poses {
             pose.metric = self.metric(pose, log_ratio_std);
         }
-        let Some(found) = self.smoothed(trajectory, movement) else { return };
+        let Some(found) = self.smoothed(trajectory) else { return };
         trajectory.travel = Some(self.travel(trajectory, &found));
         if self.times == TimeBase::Seconds {
             let placed = trajectory.poses.iter_mut().filter_map(|pose| pose.metric.as_mut());
@@ -60,8 +60,8 @@ impl<'a> Placing<'a> {
     }
 
     /// Fills in the travel alone, in units, where metres are unknown and the frame's scale is a nominal one.
-    pub(super) fn fill_units(&self, trajectory: &mut ObjectTrajectory, movement: Movement) {
-        let found = self.smoothed(trajectory, movement);
+    pub(super) fn fill_units(&self, trajectory: &mut ObjectTrajectory) {
+        let found = self.smoothed(trajectory);
         trajectory.travel = found.map(|found| Travel {
             path_m: None,
             displacement_m: None,
@@ -71,9 +71,9 @@ impl<'a> Placing<'a> {
         });
     }
 
-    fn smoothed(&self, trajectory: &ObjectTrajectory, movement: Movement) -> Option<Smoothed> {
+    fn smoothed(&self, trajectory: &ObjectTrajectory) -> Option<Smoothed> {
         let common = CommonStd { ratio: log_ratio_std(trajectory), scale: self.frame.log_scale_std() };
-        smooth(&self.sightings(trajectory), &common, movement)
+        smooth(&self.sightings(trajectory), &common)
     }
 
     fn travel(&self, trajectory: &ObjectTrajectory, found: &Smoothed) -> Travel {

@@ -17,7 +17,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use self::track::{Kind, Observed, Track, is_at_rest, track};
 use self::travel::{Route, resolved_amount};
-use crate::scene::{Estimate, Motion, Movement};
+use crate::scene::{Estimate, Motion};
 
 /// Where a vehicle was seen, in a frame in metres whose third axis points up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,6 +51,8 @@ const WANDER: f64 = 1.5e-3;
 const WANDER_ACROSS: f64 = 1.2e-3;
 /// Times after which these have forgotten where they were, seconds.
 const WANDER_S: [f64; 4] = [1.0, 3.0, 3.0, 3.0];
+/// The same with the error of the scale ratio, which stays.
+const WANDER_WITH_RATIO_S: [f64; 5] = [1.0, 3.0, 3.0, 3.0, f64::INFINITY];
 /// First position, speed and acceleration: metres, m/s, m/s².
 const FIRST: [f64; 3] = [10.0, 40.0, 5.0];
 /// Spectral density of the jerk of a vehicle in traffic, m²/s⁵, and its vertical part.
@@ -70,6 +72,8 @@ const YAW_JERK: f64 = 0.05;
 const FORWARD: f64 = 0.02;
 /// How many deviations a speed or a way must be from zero to show a heading.
 const CLEAR: f64 = 3.0;
+/// Largest error of the scale ratio, in its standard deviations, that explains the path of a vehicle at rest.
+const RATIO_OFF: f64 = 2.0;
 
 /// A vehicle's motion, metres and seconds.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,23 +92,23 @@ pub struct Smoothed {
 /// Smooths a vehicle's motion; `None` where there are fewer than four, or numbers that are not finite.
 ///
 /// * `sightings` – ascending in time; gaps are bridged, with deviations that grow.
-/// * `movement` – what is known of whether the vehicle moved at all; one that stands does not drift.
-pub fn smooth(sightings: &[Sighting], common: &CommonStd, movement: Movement) -> Option<Smoothed> {
+///
+/// A vehicle at rest is recognized by its positions alone, by the likelihood of rest and of motion.
+pub fn smooth(sightings: &[Sighting], common: &CommonStd) -> Option<Smoothed> {
     if sightings.len() < MIN_SIGHTINGS || !sightings.iter().all(Sighting::is_usable) {
         return None;
     }
     let origin = sightings[0].position_m;
-    let observed: Vec<Observed> = sightings.iter().map(|s| s.observed(&origin)).collect();
     let moving = Kind { first: FIRST, usual_jerk: JERK, last_axis: VERTICAL, wander_s: &WANDER_S };
-    let rest = moving.at_rest(REST);
-    let stands = match movement {
-        Movement::Moving => false,
-        Movement::Standing => true,
-        Movement::Undetermined => is_at_rest(&observed, &moving, &rest),
+    let rest = at_rest(sightings, &origin, common.ratio, &moving);
+    let stands = rest.is_some();
+    let positions = match rest {
+        Some(rest) => rest,
+        None => track(&sightings.iter().map(|s| s.observed(&origin)).collect::<Vec<_>>(), &moving)?,
     };
-    let positions = track(&observed, if stands { &rest } else { &moving })?;
-    let along_sight = |s: &Sighting| dynamic(&(common.ratio * (s.position_m - s.camera_m)));
-    let moved = positions.response(&sightings.iter().map(along_sight).collect::<Vec<_>>())?;
+    // A vehicle at rest shows the error of the ratio, so that it is among the states.
+    let ratio = if stands { 0.0 } else { common.ratio };
+    let moved = positions.response(&sightings.iter().map(|s| s.ratio_error(ratio)).collect::<Vec<_>>())?;
     let forward_std = forward_std(sightings).filter(|_| !stands);
     let headings = forward_std.and_then(|_| headings(sightings));
     let forward_std = forward_std.unwrap_or(FORWARD);
@@ -119,7 +123,26 @@ pub fn smooth(sightings: &[Sighting], common: &CommonStd, movement: Movement) ->
     are_finite.then_some(Smoothed { motions, path_m, displacement_m, max_speed_m_s })
 }
 
+/// The positions of a vehicle at rest; `None` where they are likelier in motion, or where only a ratio that is off by
+/// more than two standard deviations would explain them.
+///
+/// An error of the ratio takes a vehicle at rest along with the camera, by that share of the camera's path. It is a
+/// state of both hypotheses, or else no vehicle that a moving camera sees would ever be at rest.
+fn at_rest(sightings: &[Sighting], origin: &Vector3<f64>, ratio: f64, moving: &Kind) -> Option<Track> {
+    let observed: Vec<Observed> = sightings.iter().map(|s| s.observed(origin).with_common(&s.ratio_error(ratio))).collect();
+    let moving = Kind { wander_s: &WANDER_WITH_RATIO_S, ..*moving };
+    let rest = moving.at_rest(REST);
+    let found = is_at_rest(&observed, &moving, &rest).then(|| track(&observed, &rest))??;
+    let last = found.states.last()?;
+    (last.mean[last.mean.len() - 1].abs() <= RATIO_OFF).then_some(found)
+}
+
 impl Sighting {
+    /// Displacement by one standard deviation of the ratio, as a share.
+    fn ratio_error(&self, ratio: f64) -> DVector<f64> {
+        dynamic(&(ratio * (self.position_m - self.camera_m)))
+    }
+
     fn is_usable(&self) -> bool {
         let forward = self.forward.unwrap_or_default();
         [self.position_m, self.camera_m, forward].iter().all(|v| v.iter().all(|x| x.is_finite() && x.abs() < 1e9))

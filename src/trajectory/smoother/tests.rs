@@ -6,8 +6,8 @@ use super::*;
 use crate::math::seeded_rng;
 
 /// The motions alone.
-fn smooth(sightings: &[Sighting], common: &CommonStd, movement: Movement) -> Option<Vec<Motion>> {
-    super::smooth(sightings, common, movement).map(|found| found.motions)
+fn smooth(sightings: &[Sighting], common: &CommonStd) -> Option<Vec<Motion>> {
+    super::smooth(sightings, common).map(|found| found.motions)
 }
 
 /// Errors of a simulated drive, metres: new in every frame, along the line of sight.
@@ -43,7 +43,7 @@ const KNOWN: CommonStd = CommonStd { ratio: 0.0, scale: 0.0 };
 
 #[test]
 fn a_circle_has_its_speed_and_its_yaw_rate() {
-    let found = smooth(&circle(60, 1), &KNOWN, Movement::Moving).unwrap();
+    let found = smooth(&circle(60, 1), &KNOWN).unwrap();
     for (k, motion) in found.iter().enumerate() {
         assert!((motion.speed_m_s - 8.0).abs() < (4.0 * motion.speed_std_m_s).max(0.05), "{k}: {motion:?}");
         assert!((motion.speed_m_s - 8.0).abs() < 0.3 && motion.acceleration_m_s2.abs() < 1.5, "{k}: {motion:?}");
@@ -57,7 +57,7 @@ fn a_circle_has_its_speed_and_its_yaw_rate() {
 fn speeds_of_many_drives_are_as_sure_as_is_said() {
     let mut within = Vec::new();
     for seed in 0..20 {
-        let found = smooth(&circle(40, seed), &KNOWN, Movement::Moving).unwrap();
+        let found = smooth(&circle(40, seed), &KNOWN).unwrap();
         within.extend(found.iter().map(|m| (m.speed_m_s - 8.0).abs() < m.speed_std_m_s));
     }
     let share = within.iter().filter(|inside| **inside).count() as f64 / within.len() as f64;
@@ -68,14 +68,14 @@ fn speeds_of_many_drives_are_as_sure_as_is_said() {
 #[test]
 fn what_all_frames_have_in_common_is_not_smoothed_away() {
     let drive = circle(60, 2);
-    let known = smooth(&drive, &KNOWN, Movement::Moving).unwrap();
-    let open = smooth(&drive, &CommonStd { ratio: 0.0, scale: 0.1 }, Movement::Moving).unwrap();
+    let known = smooth(&drive, &KNOWN).unwrap();
+    let open = smooth(&drive, &CommonStd { ratio: 0.0, scale: 0.1 }).unwrap();
     for (known, open) in known.iter().zip(&open) {
         assert_eq!(known.speed_m_s, open.speed_m_s);
         let whole = known.speed_std_m_s.hypot(0.1 * known.speed_m_s);
         assert!((open.speed_std_m_s - whole).abs() < 1e-9);
     }
-    let off = smooth(&drive, &CommonStd { ratio: 0.05, scale: 0.0 }, Movement::Moving).unwrap();
+    let off = smooth(&drive, &CommonStd { ratio: 0.05, scale: 0.0 }).unwrap();
     // A ratio that is wrong by 5 % moves every position by 5 % of its distance.
     let moved = Vector3::from(off[30].smoothed_position_std_m).norm();
     let distance = (drive[30].position_m - drive[30].camera_m).norm();
@@ -84,12 +84,42 @@ fn what_all_frames_have_in_common_is_not_smoothed_away() {
 
 #[test]
 fn a_standing_vehicle_stands() {
-    for movement in [Movement::Standing, Movement::Undetermined] {
-        for motion in smooth(&standing(60), &KNOWN, movement).unwrap() {
-            assert!(motion.speed_m_s.abs() < (2.0 * motion.speed_std_m_s).min(0.05), "{movement:?}: {motion:?}");
-            assert!(motion.heading_deg.is_none() && motion.yaw_rate_deg_s.is_none(), "{motion:?}");
-            assert!((motion.smoothed_position_m[1] - 3.0).abs() < 0.05);
-        }
+    for motion in smooth(&standing(60), &KNOWN).unwrap() {
+        assert!(motion.speed_m_s.abs() < (2.0 * motion.speed_std_m_s).min(0.05), "{motion:?}");
+        assert!(motion.heading_deg.is_none() && motion.yaw_rate_deg_s.is_none(), "{motion:?}");
+        assert!((motion.smoothed_position_m[1] - 3.0).abs() < 0.05);
+    }
+}
+
+/// Positions as a camera sees them that drives 8 m/s past a vehicle, which moves at a share of that, with a ratio that is
+/// wrong by a share.
+fn passed(share: f64, off: f64) -> Vec<Sighting> {
+    let mut all = circle(40, 7);
+    for sighting in &mut all {
+        let way = Vector3::x() * (8.0 * sighting.time_s);
+        let truth = Vector3::new(45.0, 4.0, 0.7) + share * way;
+        let camera_m = way + Vector3::z() * 1.4;
+        let jitter = 0.003 * (sighting.position_m.x * 1e4).sin();
+        let position_m = camera_m + (1.0 + off) * (1.0 + jitter) * (truth - camera_m);
+        *sighting = Sighting { position_m, camera_m, forward: None, ..*sighting };
+    }
+    all
+}
+
+#[test]
+fn rest_is_told_from_motion_by_the_positions_and_the_error_of_the_ratio() {
+    let common = CommonStd { ratio: 0.05, scale: 0.0 };
+    let speed = |share: f64, off: f64| smooth(&passed(share, off), &common).unwrap()[20];
+    for off in [0.0, 0.06, -0.06] {
+        let motion = speed(0.0, off);
+        assert!(motion.speed_m_s.abs() < 0.1 && motion.speed_std_m_s < 0.2, "{off}: {motion:?}");
+    }
+    // Neither a ratio that is farther off nor a slow vehicle ahead or oncoming is forced to rest.
+    for (share, off) in [(0.0, 0.2), (0.45, 0.0), (0.2, 0.0), (-0.3, 0.0)] {
+        let motion = speed(share, off);
+        let seen = (share - off * (1.0 - share)) * 8.0;
+        assert!((motion.speed_m_s - seen.abs()).abs() < 0.3, "{share} {off}: {motion:?}");
+        assert!(motion.speed_std_m_s > 0.2, "{share} {off}: {motion:?}");
     }
 }
 
@@ -102,7 +132,7 @@ fn a_heading_is_as_sure_as_the_way_that_shows_it() {
             sighting.position_m = origin + (sighting.position_m - origin) * factor;
             sighting.camera_m = camera;
         }
-        smooth(&drive, &KNOWN, Movement::Moving).unwrap()[30].heading_std_deg
+        smooth(&drive, &KNOWN).unwrap()[30].heading_std_deg
     };
     let (far, near) = (heading_std(1.0).unwrap(), heading_std(0.01).unwrap());
     assert!(near > 2.0 * far, "{near} {far}");
@@ -113,7 +143,7 @@ fn a_heading_is_as_sure_as_the_way_that_shows_it() {
 fn a_jump_does_not_make_a_speed() {
     let mut drive = circle(60, 3);
     drive[25].position_m += Vector3::new(0.0, 3.0, 0.0);
-    let found = smooth(&drive, &KNOWN, Movement::Moving).unwrap();
+    let found = smooth(&drive, &KNOWN).unwrap();
     for motion in &found {
         assert!((motion.speed_m_s - 8.0).abs() < 0.5, "{motion:?}");
     }
@@ -125,7 +155,7 @@ fn a_jump_does_not_make_a_speed() {
 fn a_gap_is_less_sure() {
     let mut drive = circle(60, 3);
     drive.drain(20..40);
-    let found = smooth(&drive, &KNOWN, Movement::Moving).unwrap();
+    let found = smooth(&drive, &KNOWN).unwrap();
     assert!(found.iter().all(|motion| (motion.speed_m_s - 8.0).abs() < 0.8));
     assert!(found[19].speed_std_m_s > 1.2 * found[10].speed_std_m_s, "{:?} {:?}", found[19], found[10]);
 }
@@ -136,9 +166,7 @@ fn backing_up_is_negative() {
     for sighting in &mut drive {
         sighting.forward = sighting.forward.map(|f| -f);
     }
-    assert!(
-        smooth(&drive, &KNOWN, Movement::Moving).unwrap().iter().all(|m| m.speed_m_s < -7.0 && m.raw_speed_m_s < -7.0)
-    );
+    assert!(smooth(&drive, &KNOWN).unwrap().iter().all(|m| m.speed_m_s < -7.0 && m.raw_speed_m_s < -7.0));
 }
 
 #[test]
@@ -147,22 +175,22 @@ fn without_a_model_the_motion_shows_the_heading() {
     for sighting in &mut drive {
         sighting.forward = None;
     }
-    let found = smooth(&drive, &KNOWN, Movement::Moving).unwrap();
+    let found = smooth(&drive, &KNOWN).unwrap();
     assert!((found[0].heading_deg.unwrap() - 90.0).abs() < 5.0 && found[0].yaw_rate_deg_s.is_none());
     let parked: Vec<Sighting> = standing(40).into_iter().map(|s| Sighting { forward: None, ..s }).collect();
-    assert!(smooth(&parked, &KNOWN, Movement::Standing).unwrap().iter().all(|m| m.heading_deg.is_none()));
+    assert!(smooth(&parked, &KNOWN).unwrap().iter().all(|m| m.heading_deg.is_none()));
 }
 
 #[test]
 fn too_little_and_nonsense_have_no_motion() {
-    assert_eq!(smooth(&circle(3, 1), &KNOWN, Movement::Moving), None);
+    assert_eq!(smooth(&circle(3, 1), &KNOWN), None);
     let mut broken = circle(10, 1);
     broken[4].position_m.x = f64::NAN;
-    assert_eq!(smooth(&broken, &KNOWN, Movement::Moving), None);
+    assert_eq!(smooth(&broken, &KNOWN), None);
     // The same time twice is no reason to fail.
     let mut twice = circle(10, 1);
     twice[5].time_s = twice[4].time_s;
-    assert!(smooth(&twice, &KNOWN, Movement::Moving).is_some());
+    assert!(smooth(&twice, &KNOWN).is_some());
 }
 
 /// A drive at constant speed along x, seen from a camera that drives beside it, with errors as the smoother takes them:
@@ -204,21 +232,20 @@ fn coverage(truth: f64, found: impl Iterator<Item = Estimate>) -> (f64, f64) {
 #[test]
 fn path_lengths_are_unbiased_and_their_deviations_calibrated() {
     let commons = [KNOWN, CommonStd { ratio: 0.03, scale: 0.05 }, CommonStd { ratio: 0.2, scale: 0.02 }];
-    let kinds = [(0.0, Movement::Moving), (0.0, Movement::Undetermined), (0.3, Movement::Moving), (8.0, Movement::Moving)];
-    for (speed, movement) in kinds {
+    for speed in [0.0, 0.3, 8.0] {
         for common in &commons {
             let found: Vec<Smoothed> =
-                (0..60).map(|seed| super::smooth(&drive(speed, common, seed), common, movement).unwrap()).collect();
+                (0..60).map(|seed| super::smooth(&drive(speed, common, seed), common).unwrap()).collect();
             let length = speed * 5.9;
             let [path, displacement, max] = [
                 coverage(length, found.iter().map(|f| f.path_m)),
                 coverage(length, found.iter().map(|f| f.displacement_m)),
                 coverage(speed, found.iter().map(|f| f.max_speed_m_s)),
             ];
-            eprintln!("{speed} m/s, {movement:?}, {common:?}: path {path:?}, displacement {displacement:?}, max {max:?}");
+            eprintln!("{speed} m/s, {common:?}: path {path:?}, displacement {displacement:?}, max {max:?}");
             for (bias, within) in [path, displacement] {
                 // A length that is about twice its deviation is on both sides of the limit of resolution.
-                assert!(bias.abs() < 0.8 && (0.4..=0.97).contains(&within), "{speed} {movement:?} {common:?} {path:?}");
+                assert!(bias.abs() < 0.8 && (0.4..=0.97).contains(&within), "{speed} {common:?} {path:?}");
             }
         }
     }
@@ -229,7 +256,7 @@ fn noise_is_not_summed_up_as_distance() {
     for seed in 0..10 {
         let parked = drive(0.0, &KNOWN, seed);
         let steps: f64 = parked.windows(2).map(|pair| (pair[1].position_m - pair[0].position_m).norm()).sum();
-        let found = super::smooth(&parked, &KNOWN, Movement::Moving).unwrap();
+        let found = super::smooth(&parked, &KNOWN).unwrap();
         assert!(steps > 0.3 && found.path_m.value < 0.3 * steps, "{seed}: {steps} {:?}", found.path_m);
         assert!(found.path_m.value < 4.0 * found.path_m.std, "{seed}: {:?}", found.path_m);
     }
@@ -238,7 +265,7 @@ fn noise_is_not_summed_up_as_distance() {
 #[test]
 fn a_path_is_as_long_as_its_curve_and_there_and_back_counts_twice() {
     let common = CommonStd { ratio: 0.0, scale: 0.1 };
-    let found = super::smooth(&circle(200, 7), &common, Movement::Moving).unwrap();
+    let found = super::smooth(&circle(200, 7), &common).unwrap();
     let length = 8.0 * 19.9;
     assert!((found.path_m.value / length - 1.0).abs() < 0.01, "{found:?}");
     assert!((found.path_m.std / (0.1 * length) - 1.0).abs() < 0.05, "metres have their share");
@@ -247,7 +274,7 @@ fn a_path_is_as_long_as_its_curve_and_there_and_back_counts_twice() {
     let mut way_back: Vec<Sighting> = back.iter().rev().copied().collect();
     way_back.iter_mut().zip(100..).for_each(|(s, k)| s.time_s = 0.1 * f64::from(k));
     back.extend(way_back);
-    let found = super::smooth(&back, &KNOWN, Movement::Moving).unwrap();
+    let found = super::smooth(&back, &KNOWN).unwrap();
     assert!((found.path_m.value / (2.0 * 8.0 * 9.9) - 1.0).abs() < 0.05, "{:?}", found.path_m);
     assert!(found.displacement_m.value < 1.0, "{:?}", found.displacement_m);
 }

@@ -19,6 +19,16 @@ pub(super) struct Observed {
     pub(super) wander: DMatrix<f64>,
 }
 
+impl Observed {
+    /// The same with one more error, that moves the value by one standard deviation as given.
+    pub(super) fn with_common(mut self, error: &DVector<f64>) -> Self {
+        let columns = self.wander.ncols();
+        self.wander = self.wander.insert_column(columns, 0.0);
+        self.wander.set_column(columns, error);
+        self
+    }
+}
+
 /// What is known beforehand of how a quantity changes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Kind {
