@@ -26,6 +26,7 @@ mod size;
 mod support;
 #[cfg(test)]
 mod tests;
+mod visible;
 
 use std::collections::BTreeMap;
 
@@ -85,7 +86,7 @@ fn alone(candidate: &Candidate, measures: &Measures) -> Vec<Reason> {
     reasons.extend(support::pixels(measures));
     if let Some(tracked) = candidate.tracked {
         reasons.extend(support::detection(tracked));
-        reasons.extend(support::movement(tracked, measures));
+        reasons.extend(support::movement(tracked, measures, || visible::shows(candidate)));
     }
     reasons.extend(ground::reasons(measures));
     reasons.extend(size::shape(measures, &class));

@@ -74,20 +74,24 @@ pub(super) fn detection(tracked: &TrackedObject) -> Option<Reason> {
     })
 }
 
-/// Whether its points move as its path says.
-pub(super) fn movement(tracked: &TrackedObject, measures: &Measures) -> Option<Reason> {
+/// Evidence of its points for and against its path.
+///
+/// * `shows` – whether a path like this one would have shown on points that are followed.
+pub(super) fn movement(tracked: &TrackedObject, measures: &Measures, shows: impl Fn() -> bool) -> Option<Reason> {
     let heights = measures.in_heights(measures.reach)?;
     let is_far = heights > STANDS_HEIGHTS;
     let far = format!("{} times its height", times(heights));
     let why = &tracked.movement.reason;
     match tracked.movement.state {
         Movement::Moving => Some(Reason::supports(MovementKind, format!("it moves: {why}"))),
-        Movement::Standing if is_far => Some(Reason::refutes(
+        Movement::Standing if !is_far => {
+            Some(Reason::supports(MovementKind, format!("it stands, and stays where it is: {why}")))
+        }
+        Movement::Standing if shows() => Some(Reason::refutes(
             MovementKind,
-            format!("its points stand still in the picture of the ground ({why}), yet its path leads {far} away"),
+            format!("its points look stationary ({why}), but its path is {far} long"),
         )),
-        Movement::Standing => Some(Reason::supports(MovementKind, format!("it stands, and stays where it is: {why}"))),
-        Movement::Undetermined if is_far && tracked.confidence < SURE => Some(Reason::doubts(
+        _ if is_far && tracked.confidence < SURE => Some(Reason::doubts(
             MovementKind,
             HALF,
             format!(
@@ -95,6 +99,6 @@ pub(super) fn movement(tracked: &TrackedObject, measures: &Measures) -> Option<R
                 percent(tracked.confidence)
             ),
         )),
-        Movement::Undetermined => None,
+        _ => None,
     }
 }

@@ -2,12 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::scale::{Answer, agreement, deviation};
 use super::*;
+use crate::math::Rigid3;
 use crate::scene::{
-    FoundIn, Movement, MovementFinding, ObjectId, Outline, ReasonKind, ScaleEstimate, ScaleMethod, Unit,
+    FoundIn, ImageId, Movement, MovementFinding, ObjectId, Outline, ReasonKind, ScaleEstimate, ScaleMethod, Unit,
 };
 use crate::synthetic::drive::{self, Drive, Noise, drive};
 use crate::trajectory::{ObjectDescription, assemble};
@@ -15,6 +16,7 @@ use crate::trajectory::{ObjectDescription, assemble};
 const NOISE: Noise = Noise { pixel_px: 0.3, plane_height_m: 0.02, plane_tilt_deg: 0.2, bad_planes: 0.0 };
 
 /// A car that drives, with what is known of it.
+#[derive(Clone)]
 struct Car {
     world: Drive,
     trajectory: ObjectTrajectory,
@@ -157,6 +159,33 @@ fn what_stands_by_its_points_and_moves_by_its_path_is_refuted() {
     post.tracked.movement = MovementFinding { state: Movement::Standing, reason: "as the ground".into() };
     let verdict = judge(&[post]).remove(0);
     assert_eq!(finding(&verdict, ReasonKind::Movement), Some(Finding::Refutes));
+}
+
+/// The camera flies away from a car that follows at a constant ratio of speeds: its points are those of a stationary one
+/// farther away, and the ground hardly tells.
+#[test]
+fn a_path_along_the_line_of_sight_that_points_do_not_show_is_not_refuted() {
+    let mut lead = car(1, 1.0, &usual());
+    lead.tracked.movement = MovementFinding { state: Movement::Standing, reason: "as the ground".into() };
+    let frames: Vec<FrameId> = lead.trajectory.poses.iter().map(|pose| pose.frame).collect();
+    let (first, up) = (Vector3::from(lead.trajectory.poses[0].position), normal(&lead));
+    let start = lead.world.background.images[&ImageId::from(frames[0])].cam_from_world.center().coords;
+    let ahead = first - start;
+    let ahead = ahead - up * up.dot(&ahead);
+    for (share, refuted) in [(0.1, false), (0.6, true)] {
+        let mut lead = lead.clone();
+        for (k, frame) in frames.iter().enumerate() {
+            let way = ahead * (-3.0 * k as f64 / frames.len() as f64);
+            let image = lead.world.background.images.get_mut(&ImageId::from(*frame)).unwrap();
+            let rotation = image.cam_from_world.rotation;
+            image.cam_from_world = Rigid3::from_rotation_and_center(rotation, Point3::from(start + way));
+            let pose = &mut lead.trajectory.poses[k];
+            pose.position = (first + share * way).into();
+        }
+        let verdict = judge(&[lead]).remove(0);
+        let wanted = refuted.then_some(Finding::Refutes);
+        assert_eq!(finding(&verdict, ReasonKind::Movement), wanted, "{share}: {verdict:#?}");
+    }
 }
 
 /// A car whose stated deviation is 1.5 %, while the constant distances say +157 % and all frames together −32 %.
