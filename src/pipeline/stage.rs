@@ -107,9 +107,9 @@ impl Stage {
             // 31, `Objects` and `Scale`.
             Self::Scale => 9,
             Self::Objects => 7,
-            Self::Background => 6,
-            Self::Features | Self::Motion => 5,
-            Self::Ground | Self::Track | Self::Follow => 4,
+            Self::Background | Self::Motion => 6,
+            Self::Features | Self::Track => 5,
+            Self::Ground | Self::Follow => 4,
             Self::Segment => 3,
             Self::Metric | Self::Report => 2,
             _ => 1,

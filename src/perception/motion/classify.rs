@@ -46,11 +46,29 @@ pub struct TrackLabel {
     /// Height of the standing point over the ground, relative to that of the camera; `None` without a ground, or where
     /// none is known.
     pub relative_height: Option<f64>,
+    /// The standing point; `None` for a track that leaves its epipolar lines or is fixed to the camera.
+    pub static_point: Option<StaticPoint>,
+}
+
+/// Depth of the static point that explains a track.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StaticPoint {
+    /// Frame in whose camera the depth is given.
+    pub frame: u32,
+    /// Inverse depth, per unit of the background; zero or negative for a point that keeps pace with the camera.
+    pub inverse_depth: f64,
+    /// Its standard deviation.
+    pub std: f64,
 }
 
 impl TrackLabel {
-    const UNDETERMINED: Self =
-        Self { verdict: Verdict::Undetermined, strength: 0.0, deviation_px: 0.0, relative_height: None };
+    const UNDETERMINED: Self = Self {
+        verdict: Verdict::Undetermined,
+        strength: 0.0,
+        deviation_px: 0.0,
+        relative_height: None,
+        static_point: None,
+    };
 
     /// Whether it is one of a point that moves.
     pub fn is_moving(&self) -> bool {
@@ -76,7 +94,7 @@ struct Measured {
     fit: StaticFit,
     circumstances: Circumstances,
     is_fixed: bool,
-    /// Where the ray meets the ground: inverse depth, zero for the sky.
+    /// Inverse depth at which the ray meets the ground; zero or negative for the sky.
     ground: Option<f64>,
     /// Inverse of the camera's height over the ground.
     per_height: Option<f64>,
@@ -85,7 +103,7 @@ struct Measured {
 /// No standing point is nearer to the camera than this part of the camera's height over the ground.
 const LEAST_DISTANCE: f64 = 0.05;
 /// Distances from which on the sky begins, in heights of the camera.
-const HORIZON: f64 = 40.0;
+pub(super) const HORIZON: f64 = 40.0;
 
 /// What stands stays below this part of the least strength of what moves.
 const QUIET: f64 = 0.75;
@@ -102,7 +120,7 @@ fn measure(track: &PointTrack, surroundings: &Surroundings, options: &EvidenceOp
     Some(Measured {
         circumstances: circumstances(track, surroundings, fit.reference)?,
         is_fixed: is_fixed(track, surroundings),
-        ground: ground.map(|inverse_depth| inverse_depth.max(0.0)),
+        ground,
         per_height: height.map(|height| 1.0 / height),
         fit,
     })
@@ -136,6 +154,7 @@ impl Measured {
         let off_line = self.fit.rms_px / noise_px;
         let (along, along_px) = self.along_ray(noise_px, options);
         let is_clear = |strength: f64, px: f64| strength >= options.min_strength && px >= options.min_deviation_px;
+        let is_quiet = off_line < QUIET * options.min_strength;
         let verdict = if self.is_fixed {
             Verdict::Fixed
         } else if is_clear(off_line, self.fit.max_px) {
@@ -144,20 +163,33 @@ impl Measured {
             Verdict::Moving(Evidence::BehindGround)
         } else if is_clear(along, along_px) {
             Verdict::Floating
-        } else if off_line < QUIET * options.min_strength && self.is_depth_known(noise_px, options) {
+        } else if is_quiet && self.is_depth_known(noise_px, options) {
             Verdict::Standing
         } else {
             Verdict::Undetermined
         };
-        let relative_height = self.ground.filter(|_| self.is_depth_known(noise_px, options)).map(|g| self.height(g));
+        let relative_height =
+            self.ground.filter(|_| self.is_depth_known(noise_px, options)).map(|g| 1.0 - g / self.fit.inverse_depth);
         let deviation_px = self.fit.max_px.hypot(along_px);
-        TrackLabel { verdict, strength: off_line.max(along.abs()), deviation_px, relative_height }
+        let static_point = StaticPoint {
+            frame: self.fit.reference,
+            inverse_depth: self.fit.inverse_depth,
+            std: self.fit.inverse_depth_per_px * noise_px,
+        };
+        TrackLabel {
+            verdict,
+            strength: off_line.max(along.abs()),
+            deviation_px,
+            relative_height,
+            static_point: Some(static_point).filter(|_| is_quiet && !self.is_fixed),
+        }
     }
 
     /// How far the standing point is from the ground along its ray, beyond what the ground may be wrong by: in times
     /// the noise and in pixels; positive before the ground, negative behind it; zeros without a ground.
     fn along_ray(&self, noise_px: f64, options: &EvidenceOptions) -> (f64, f64) {
         let (Some(ground), Some(per_height)) = (self.ground, self.per_height) else { return (0.0, 0.0) };
+        let ground = ground.max(0.0);
         let slack = options.ground_tolerance * ground + per_height / HORIZON;
         let gap = self.fit.inverse_depth - ground;
         let beyond = gap.signum() * (gap.abs() - slack).max(0.0);
@@ -169,10 +201,5 @@ impl Measured {
         let sigma = self.fit.inverse_depth_per_px * noise_px;
         let farthest = self.per_height.map_or(0.0, |per_height| per_height / HORIZON);
         self.fit.inverse_depth > farthest.max(options.min_strength * sigma)
-    }
-
-    /// Height over the ground, in heights of the camera.
-    fn height(&self, ground: f64) -> f64 {
-        if self.fit.inverse_depth <= ground.max(1e-12) { 0.0 } else { 1.0 - ground / self.fit.inverse_depth }
     }
 }

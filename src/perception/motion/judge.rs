@@ -1,11 +1,26 @@
-//! Whether one object moved, by the points on it (eq. 13 of `docs/maths/motion.md`).
+//! Whether one object moved, by the points on it (eq. 13 to 16 of `docs/maths/motion.md`).
 
+use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::{PointTrack, TrackLabel, Verdict};
+use super::foot::Stance;
+use super::{Evidence, Foot, PointTrack, TrackLabel, Verdict};
 use crate::scene::Movement;
+
+/// A track that lies on an object.
+#[derive(Clone, Copy, Debug)]
+pub struct PointOnObject<'a> {
+    /// The track.
+    pub track: &'a PointTrack,
+    /// Its label.
+    pub label: &'a TrackLabel,
+    /// Share of its frames in which it lies on the object.
+    pub inside: f64,
+    /// The object's foot below it; `None` where it has no static point or there is no ground below.
+    pub foot: Option<Foot>,
+}
 
 /// What the judgement rests on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -13,28 +28,34 @@ use crate::scene::Movement;
 pub enum MovementReason {
     /// Fewer than three points say anything.
     TooFewPoints,
-    /// Most points leave the lines on which standing points stay, or would lie behind the ground.
+    /// Half of the points or more leave the lines on which stationary points stay.
     PointsMove,
-    /// Its lowest points, if they stood, would float over the ground: it comes nearer.
+    /// Half of the points that are seen leave their lines for a second or more: it stops, or starts.
+    MovesForATime,
+    /// If it were stationary, it would float over the ground: it comes nearer.
     FootFloats,
-    /// Most points stand where the ground and the cameras let a standing object be seen.
+    /// If it were stationary, it would lie behind the ground: it moves ahead of the camera.
+    FootBehindGround,
+    /// Its points and its foot are those of a stationary object, and hardly those of a moving one.
     PointsStand,
     /// Points contradict one another.
     Divided,
+    /// It may be stationary, or move along the camera's path.
+    AlongCameraPath,
 }
 
-/// Whether an object moves, how surely, and why.
+/// Whether an object moves, and why.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Judgement {
     /// Whether it moves.
     pub movement: Movement,
-    /// 0 to 1.
-    pub confidence: f64,
     /// Why.
     pub reason: MovementReason,
+    /// Likelihood of its foot if it moves along the camera's path over that if it is stationary; 1 where nothing is known.
+    pub odds: f64,
     /// Points that say it moves.
     pub num_moving: usize,
-    /// Points that say it stands.
+    /// Points that a stationary object could have.
     pub num_standing: usize,
     /// Whether it is a piece of the ground as far as its points tell: none of them rises over it.
     pub is_flat: bool,
@@ -46,47 +67,112 @@ impl fmt::Display for Judgement {
         match self.reason {
             MovementReason::TooFewPoints => write!(f, "too few points on it say whether it moves"),
             MovementReason::PointsMove => write!(f, "{moving} of {all} points on it move against the background"),
+            MovementReason::MovesForATime => write!(f, "{moving} of {all} points on it move, together for a time"),
             MovementReason::FootFloats => {
-                write!(f, "its lowest points would float over the ground if it stood: it comes nearer")
+                write!(f, "it approaches: a stationary object would float over the ground ({})", odds(self.odds))
             }
-            MovementReason::PointsStand => write!(f, "{} of {all} points on it stand", self.num_standing),
+            MovementReason::FootBehindGround => {
+                write!(
+                    f,
+                    "it moves ahead of the camera: a stationary object would lie behind the ground ({})",
+                    odds(self.odds)
+                )
+            }
+            MovementReason::PointsStand => {
+                let odds = odds(1.0 / self.odds);
+                write!(
+                    f,
+                    "{} of {all} points on it are stationary, and its foot is on the ground ({odds})",
+                    self.num_standing
+                )
+            }
             MovementReason::Divided => write!(f, "{moving} of {all} points on it move, which is neither few nor many"),
+            MovementReason::AlongCameraPath => {
+                let odds = self.odds;
+                write!(f, "stationary, or moving along the camera's path (odds {odds:.2}:1): its points do not tell")
+            }
         }
     }
 }
 
-/// Judges an object by the tracks that lie on it, each with the share of its frames in which it does.
+/// Odds in words, which no digits beyond the second tell.
+fn odds(odds: f64) -> String {
+    if odds < 1000.0 { format!("odds {odds:.0}:1") } else { "odds over 1000:1".to_owned() }
+}
+
+/// Share of its frames in which a point must lie on an object.
+const LEAST_INSIDE: f64 = 0.8;
+/// Fewest points that say anything.
+const MIN_POINTS: usize = 3;
+/// Share of moving points from which an object moves, and up to which it may be stationary: points on reflections and
+/// along outlines move on a parked car, too.
+const MOST_MOVE: f64 = 0.5;
+const FEW_MOVE: f64 = 0.25;
+/// Time for which most points of an object must move where it is stationary for longer: as long as a mover lives at least
+/// (`movers.min_life_s`), with as many frames as at this rate, Hz.
+const LEAST_MOVE_S: f64 = 1.0;
+const LEAST_RATE: f64 = 10.0;
+/// Odds for one hypothesis over the other from which it is accepted: between substantial and strong evidence, 3.2 and 10
+/// (H. Jeffreys, *Theory of Probability*, 1961, app. B).
+const CLEAR_ODDS: f64 = 5.0;
+
+/// Judges an object by the tracks that lie on it.
+///
+/// * `second` – frames in a second.
 ///
 /// Points that lie on it in less than four fifths of their frames, or that are undetermined, say nothing; long ones say
 /// more than short ones. A part of the life that moves is enough: the labels are those of whole tracks.
-pub fn judge(points: &[(&PointTrack, &TrackLabel, f64)]) -> Judgement {
-    const LEAST_INSIDE: f64 = 0.8;
-    let on_it: Vec<_> = points.iter().filter(|(_, _, inside)| *inside >= LEAST_INSIDE).collect();
-    let weight = |is: &dyn Fn(&TrackLabel) -> bool| {
-        on_it.iter().filter(|(_, label, _)| is(label)).map(|(track, _, _)| track.pixels.len() as f64).sum::<f64>()
+pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
+    let on_it: Vec<&PointOnObject> = points.iter().filter(|point| point.inside >= LEAST_INSIDE).collect();
+    let leaves_line = |label: &TrackLabel| label.verdict == Verdict::Moving(Evidence::OffItsLine);
+    let is_quiet = |label: &TrackLabel| {
+        matches!(label.verdict, Verdict::Standing | Verdict::Floating | Verdict::Moving(Evidence::BehindGround))
     };
-    let count = |is: &dyn Fn(&TrackLabel) -> bool| on_it.iter().filter(|(_, label, _)| is(label)).count();
-    let moves = |label: &TrackLabel| label.is_moving();
-    let stands = |label: &TrackLabel| matches!(label.verdict, Verdict::Standing | Verdict::Floating);
-    let (num_moving, num_standing) = (count(&moves), count(&stands));
-    let (moving, standing) = (weight(&moves), weight(&stands));
-    let share = moving / (moving + standing).max(1e-9);
-    let floats = foot_floats(&on_it.iter().map(|(track, label, _)| (*track, *label)).collect::<Vec<_>>());
-    let (movement, reason, certainty) = if num_moving + num_standing < 3 {
-        (Movement::Undetermined, MovementReason::TooFewPoints, 1.0)
-    } else if share >= 0.5 {
-        (Movement::Moving, MovementReason::PointsMove, 2.0 * share - 1.0)
-    } else if floats {
-        (Movement::Moving, MovementReason::FootFloats, 0.5)
-    } else if share <= 0.25 {
-        (Movement::Standing, MovementReason::PointsStand, 1.0 - 4.0 * share)
-    } else {
-        (Movement::Undetermined, MovementReason::Divided, 1.0)
+    let of = |is: &dyn Fn(&TrackLabel) -> bool| {
+        let lengths = on_it.iter().filter(|point| is(point.label)).map(|point| point.track.pixels.len());
+        lengths.fold((0, 0.0), |(count, length), l| (count + 1, length + l as f64))
     };
-    let grown = 1.0 - (-((num_moving + num_standing) as f64) / 4.0).exp();
-    let confidence = if movement == Movement::Undetermined { 0.0 } else { (0.3 + 0.7 * certainty) * grown };
-    let is_flat = lies_flat(on_it.iter().map(|(_, label, _)| *label));
-    Judgement { movement, confidence, reason, num_moving, num_standing, is_flat }
+    let ((num_moving, moving), (num_standing, quiet)) = (of(&leaves_line), of(&is_quiet));
+    let share = moving / (moving + quiet).max(1e-9);
+    let feet: Vec<Foot> = on_it.iter().filter_map(|point| point.foot).collect();
+    let heights = on_it.iter().filter(|point| point.foot.is_some()).filter_map(|point| point.label.relative_height);
+    let stance = Stance::of(&feet, heights.collect());
+    let odds = stance.map_or(1.0, |stance| stance.odds_of_motion());
+    let (movement, reason) = match () {
+        () if num_moving + num_standing.max(feet.len()) < MIN_POINTS => {
+            (Movement::Undetermined, MovementReason::TooFewPoints)
+        }
+        () if share >= MOST_MOVE => (Movement::Moving, MovementReason::PointsMove),
+        () if time_moving(&on_it, &leaves_line, &is_quiet) as f64 >= LEAST_MOVE_S * second.max(LEAST_RATE) => {
+            (Movement::Moving, MovementReason::MovesForATime)
+        }
+        () if odds >= CLEAR_ODDS && stance.is_some_and(|stance| stance.floats()) => {
+            (Movement::Moving, MovementReason::FootFloats)
+        }
+        () if odds >= CLEAR_ODDS => (Movement::Moving, MovementReason::FootBehindGround),
+        () if share > FEW_MOVE => (Movement::Undetermined, MovementReason::Divided),
+        () if odds <= 1.0 / CLEAR_ODDS && num_standing >= MIN_POINTS => {
+            (Movement::Standing, MovementReason::PointsStand)
+        }
+        () => (Movement::Undetermined, MovementReason::AlongCameraPath),
+    };
+    let is_flat = lies_flat(on_it.iter().map(|point| point.label));
+    Judgement { movement, reason, odds, num_moving, num_standing, is_flat }
+}
+
+/// Number of frames in which most of the points that are seen leave their lines, and three at least.
+fn time_moving(
+    on_it: &[&PointOnObject],
+    leaves_line: &dyn Fn(&TrackLabel) -> bool,
+    is_quiet: &dyn Fn(&TrackLabel) -> bool,
+) -> usize {
+    let mut seen: BTreeMap<u32, [usize; 2]> = BTreeMap::new();
+    for point in on_it {
+        let kind = [leaves_line(point.label), is_quiet(point.label)].iter().position(|is| *is);
+        let frames = (point.track.first..point.track.end()).filter(|_| kind.is_some());
+        frames.for_each(|frame| seen.entry(frame).or_default()[kind.unwrap_or(0)] += 1);
+    }
+    seen.values().filter(|[moving, quiet]| *moving >= MIN_POINTS && moving >= quiet).count()
 }
 
 /// Whether hardly any point of which a height is known rises over the ground.
@@ -95,30 +181,8 @@ fn lies_flat<'a>(labels: impl Iterator<Item = &'a TrackLabel>) -> bool {
     const MOST_HEIGHT: f64 = 0.03;
     const LEAST_FLAT: f64 = 0.8;
     let heights: Vec<f64> = labels.filter_map(|label| label.relative_height).collect();
-    let low = heights.iter().filter(|height| height.abs() <= MOST_HEIGHT).count();
+    let low = heights.iter().filter(|height| **height <= MOST_HEIGHT).count();
     heights.len() >= LEAST_POINTS && low as f64 >= LEAST_FLAT * heights.len() as f64
-}
-
-/// Whether the lowest points, if they stood, would float over the ground by a good part of the camera's height.
-fn foot_floats(points: &[(&PointTrack, &TrackLabel)]) -> bool {
-    const LEAST_HEIGHT: f64 = 0.15;
-    let mut heights: Vec<(f64, f64)> = points
-        .iter()
-        .filter(|(_, label)| matches!(label.verdict, Verdict::Standing | Verdict::Floating))
-        .filter_map(|(track, label)| Some((lowest(track), label.relative_height?)))
-        .collect();
-    if heights.len() < 5 {
-        return false;
-    }
-    heights.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let foot = &heights[..(heights.len() / 4).max(3)];
-    let floating = foot.iter().filter(|(_, height)| *height >= LEAST_HEIGHT).count();
-    4 * floating >= 3 * foot.len()
-}
-
-/// Mean row of a track.
-fn lowest(track: &PointTrack) -> f64 {
-    track.pixels.iter().map(|p| f64::from(p[1])).sum::<f64>() / track.pixels.len().max(1) as f64
 }
 
 #[cfg(test)]
@@ -133,9 +197,11 @@ mod tests {
             strength: 0.0,
             deviation_px: 0.0,
             relative_height: *relative_height,
+            static_point: None,
         };
         let labels: Vec<TrackLabel> = heights.iter().map(label).collect();
-        judge(&labels.iter().map(|label| (&track, label, inside)).collect::<Vec<_>>()).is_flat
+        let point = |label| PointOnObject { track: &track, label, inside, foot: None };
+        judge(&labels.iter().map(point).collect::<Vec<_>>(), 10.0).is_flat
     }
 
     #[test]

@@ -12,6 +12,7 @@
 mod classify;
 mod fit;
 mod follower;
+mod foot;
 mod ground;
 mod groups;
 mod judge;
@@ -26,10 +27,11 @@ mod world;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use self::classify::{Evidence, TrackLabel, Verdict, classify};
+pub use self::classify::{Evidence, StaticPoint, TrackLabel, Verdict, classify};
 pub use self::follower::{PointFollower, PointTrack};
+pub use self::foot::Foot;
 pub use self::ground::GroundModel;
-pub use self::judge::{Judgement, MovementReason, judge};
+pub use self::judge::{Judgement, MovementReason, PointOnObject, judge};
 pub use self::movers::{Mover, movers};
 pub use self::standing::shows_standing;
 use crate::camera::Camera;

@@ -1,4 +1,4 @@
-//! Whether what a box shows stands, by the points in it (eq. 14 of `docs/maths/motion.md`).
+//! Whether what a box shows stands, by the points in it (eq. 17 of `docs/maths/motion.md`).
 
 use super::Verdict;
 

@@ -2,7 +2,8 @@
 
 use super::world::{Flight, Plan, World, world};
 use super::{
-    MotionOptions, MovementReason, Mover, PointTrack, Surroundings, TrackLabel, Verdict, classify, judge, movers,
+    Judgement, MotionOptions, MovementReason, Mover, PointOnObject, PointTrack, Surroundings, TrackLabel, Verdict,
+    classify, judge, movers,
 };
 use crate::scene::{Movement, Rect};
 
@@ -24,6 +25,17 @@ fn rates(world: &World, labels: &[TrackLabel]) -> (f64, f64) {
         of().filter(|(_, label)| label.is_moving()).count() as f64 / of().count().max(1) as f64
     };
     (share(true), share(false))
+}
+
+/// The judgement on the vehicle.
+fn judged(world: &World) -> Judgement {
+    let labels = classify(&world.tracks, &world.surroundings(), &MotionOptions::default().evidence);
+    let own = (0..labels.len()).filter(|&k| world.is_vehicle[k]);
+    let point = |k: usize| {
+        let (track, label) = (&world.tracks[k], &labels[k]);
+        PointOnObject { track, label, inside: 1.0, foot: world.foot(track, label) }
+    };
+    judge(&own.map(point).collect::<Vec<_>>(), 10.0)
 }
 
 /// The box of the vehicle's points in a frame.
@@ -86,8 +98,7 @@ fn an_oncoming_vehicle_floats() {
     let own: Vec<_> = (0..labels.len()).filter(|&k| world.is_vehicle[k]).collect();
     let floating = own.iter().filter(|&&k| labels[k].verdict == Verdict::Floating).count();
     assert!(2 * floating > own.len(), "{floating} of {}", own.len());
-    let points: Vec<_> = own.iter().map(|&k| (&world.tracks[k], &labels[k], 1.0)).collect();
-    let judged = judge(&points);
+    let judged = judged(&world);
     assert_eq!((judged.movement, judged.reason), (Movement::Moving, MovementReason::FootFloats), "{judged:?}");
 }
 
@@ -95,17 +106,16 @@ fn an_oncoming_vehicle_floats() {
 fn a_parked_vehicle_stands() {
     for flight in [HIGH, Flight::Sideways] {
         let world = world(&plan(flight, [40.0, 2.0], [0.0, 0.0]));
-        let (labels, found) = look(&world);
+        let (_, found) = look(&world);
         assert!(found.is_empty(), "{flight:?}: {}", found.len());
-        let own = (0..labels.len()).filter(|&k| world.is_vehicle[k]);
-        let judged = judge(&own.map(|k| (&world.tracks[k], &labels[k], 1.0)).collect::<Vec<_>>());
+        let judged = judged(&world);
         assert_eq!(judged.movement, Movement::Standing, "{flight:?}: {judged}");
     }
 }
 
 #[test]
 fn a_vehicle_that_stops_keeps_its_label_and_its_boxes() {
-    let world = world(&Plan { stops_at: Some(12), ..plan(Flight::Sideways, [35.0, -6.0], [0.0, 5.0]) });
+    let world = world(&Plan { moves_in: [0, 12], ..plan(Flight::Sideways, [35.0, -6.0], [0.0, 5.0]) });
     let (labels, found) = look(&world);
     assert!(rates(&world, &labels).0 > 0.9);
     assert!(
@@ -113,6 +123,98 @@ fn a_vehicle_that_stops_keeps_its_label_and_its_boxes() {
         "{:?}",
         found.iter().map(Mover::life).collect::<Vec<_>>()
     );
+}
+
+/// Dash cameras.
+const DASH_HEIGHTS_M: [f64; 3] = [1.2, 1.45, 1.65];
+
+/// A vehicle before a dash camera that drives 8 m/s for three seconds, on every height and with several seeds.
+fn before_dash_cameras(start: [f64; 2], velocity: [f64; 2], hidden_m: f64) -> Vec<Judgement> {
+    let worlds = DASH_HEIGHTS_M.into_iter().flat_map(|height_m| (1..=5).map(move |seed| (height_m, seed)));
+    let judged = |(height_m, seed)| {
+        let flight = Flight::Forward { height_m };
+        judged(&world(&Plan { seed, hidden_m, has_trees: false, ..plan(flight, start, velocity) }))
+    };
+    worlds.map(judged).collect()
+}
+
+fn count(all: &[Judgement], movement: Movement) -> usize {
+    all.iter().filter(|judged| judged.movement == movement).count()
+}
+
+#[test]
+fn a_parked_car_that_is_passed_does_not_move_though_its_lower_body_is_hidden() {
+    for hidden_m in [0.0, 0.25, 0.4, 0.6] {
+        let all = before_dash_cameras([22.0, 3.2], [0.0; 2], hidden_m);
+        assert_eq!(count(&all, Movement::Moving), 0, "{hidden_m}: {all:?}");
+        if hidden_m <= 0.25 {
+            assert!(count(&all, Movement::Standing) > 10, "{hidden_m}: {all:?}");
+        }
+    }
+}
+
+#[test]
+fn a_parked_car_far_away_is_not_said_to_move() {
+    let all = before_dash_cameras([75.0, 4.0], [0.0; 2], 0.0);
+    assert_eq!(count(&all, Movement::Moving), 0, "{all:?}");
+}
+
+#[test]
+fn a_lead_car_at_the_speed_of_the_camera_moves() {
+    let all = before_dash_cameras([14.0, 0.3], [8.0, 0.0], 0.0);
+    assert!(all.iter().all(|judged| judged.reason == MovementReason::FootBehindGround), "{all:?}");
+}
+
+#[test]
+fn a_lead_car_that_the_camera_approaches_slowly_is_not_stationary() {
+    // Gaps that close by a half of the camera's way, by a third and by a fifth.
+    for (start, speed) in [([16.0, 0.3], 4.0), ([13.0, 0.3], 5.3), ([12.0, 0.3], 6.4)] {
+        let all = before_dash_cameras(start, [speed, 0.0], 0.0);
+        assert_eq!(count(&all, Movement::Standing), 0, "{speed}: {all:?}");
+        assert!(count(&all, Movement::Moving) >= 10, "{speed}: {all:?}");
+    }
+}
+
+#[test]
+fn an_oncoming_car_before_a_dash_camera_is_not_stationary() {
+    for speed in [4.0, 8.0, 14.0] {
+        let all = before_dash_cameras([26.0 + 3.0 * speed, 3.5], [-speed, 0.0], 0.0);
+        assert_eq!(count(&all, Movement::Standing), 0, "{speed}: {all:?}");
+    }
+}
+
+#[test]
+fn a_crossing_car_moves() {
+    let all = before_dash_cameras([40.0, -9.0], [0.0, 6.0], 0.0);
+    assert_eq!(count(&all, Movement::Moving), all.len(), "{all:?}");
+}
+
+#[test]
+fn a_vehicle_that_stops_or_starts_moves() {
+    for moves_in in [[0, 15], [15, 30]] {
+        for (flight, start, velocity) in [
+            (Flight::Sideways, [35.0, -6.0], [0.0, 6.0]),
+            (Flight::Hovering, [30.0, -4.0], [2.0, 4.0]),
+            (HIGH, [50.0, -6.0], [1.0, 5.0]),
+        ] {
+            let judged = judged(&world(&Plan { moves_in, ..plan(flight, start, velocity) }));
+            assert_eq!(judged.movement, Movement::Moving, "{flight:?} {moves_in:?}: {judged:?}");
+        }
+    }
+}
+
+#[test]
+fn a_vehicle_that_waits_for_long_before_it_starts_moves() {
+    let start = plan(Flight::Hovering, [30.0, -4.0], [2.0, 4.0]);
+    let mut world = world(&Plan { moves_in: [75, 90], num_frames: 90, ..start });
+    // Points are lost and found again: most tracks are those of the wait.
+    let pieces = |(track, is_vehicle): (&PointTrack, &bool)| -> Vec<(PointTrack, bool)> {
+        let piece = |k: usize| PointTrack { first: track.first + 15 * k as u32, pixels: track.pixels[15 * k..].iter().take(15).copied().collect() };
+        (0..track.pixels.len() / 15).map(|k| (piece(k), *is_vehicle)).collect()
+    };
+    (world.tracks, world.is_vehicle) = world.tracks.iter().zip(&world.is_vehicle).flat_map(pieces).unzip();
+    let judged = judged(&world);
+    assert_eq!(judged.movement, Movement::Moving, "{judged:?}");
 }
 
 #[test]
@@ -141,7 +243,7 @@ fn without_cameras_nothing_is_said_and_nothing_fails() {
     }
     let (labels, found) = look_with(&world, &Surroundings { times_s: &[], views: &[], ..world.surroundings() });
     assert!(found.is_empty() && labels.len() == world.tracks.len());
-    assert_eq!(judge(&[]).movement, Movement::Undetermined);
+    assert_eq!(judge(&[], 10.0).movement, Movement::Undetermined);
 }
 
 #[test]

@@ -6,13 +6,15 @@ use nalgebra::{Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector3};
 use rand::Rng as _;
 use rand_distr::StandardNormal;
 
-use super::{GroundModel, PointTrack, Surroundings, View};
+use super::{EvidenceOptions, Foot, GroundModel, PointTrack, Surroundings, TrackLabel, View};
 use crate::camera::Camera;
 use crate::math::{Rigid3, Rng, seeded_rng};
 use crate::scene::Rect;
 
 /// Frames per second.
 const FPS: f64 = 10.0;
+/// Width and height of the picture, pixels.
+const SIZE: (u32, u32) = (960, 540);
 
 /// How the camera moves. The world is metric, z up; the camera looks along x, a little down.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,8 +35,10 @@ pub struct Plan {
     pub flight: Flight,
     /// Place of the vehicle's middle at the start, and its velocity, metres per second.
     pub vehicle: Option<([f64; 2], [f64; 2])>,
-    /// The vehicle stands from this frame on.
-    pub stops_at: Option<u32>,
+    /// Frames in which the vehicle moves.
+    pub moves_in: [u32; 2],
+    /// Height over the ground up to which the vehicle is hidden, metres.
+    pub hidden_m: f64,
     /// Posts, and crowns that wave.
     pub has_trees: bool,
     /// Standard deviation of the positions, pixels.
@@ -48,7 +52,8 @@ impl Default for Plan {
         Self {
             flight: Flight::Sideways,
             vehicle: None,
-            stops_at: None,
+            moves_in: [0, u32::MAX],
+            hidden_m: 0.0,
             has_trees: true,
             noise_px: 0.2,
             num_frames: 30,
@@ -65,11 +70,33 @@ pub struct World {
     pub views: Vec<Option<View>>,
     pub times_s: Vec<f64>,
     pub ground: GroundModel,
+    plan: Plan,
 }
 
 impl World {
     pub fn surroundings(&self) -> Surroundings<'_> {
-        Surroundings { size: (960, 540), times_s: &self.times_s, views: &self.views, ground: Some(&self.ground) }
+        Surroundings { size: SIZE, times_s: &self.times_s, views: &self.views, ground: Some(&self.ground) }
+    }
+
+    /// Foot of the vehicle below a point on it, as its mask would show it.
+    pub fn foot(&self, track: &PointTrack, label: &TrackLabel) -> Option<Foot> {
+        /// Half the width of the column in which the lower edge is looked for, pixels.
+        const COLUMN_PX: f64 = 4.0;
+        let point = label.static_point?;
+        let view = self.views[point.frame as usize]?;
+        let [x, _] = track.at(point.frame)?;
+        let (start, velocity) = self.plan.vehicle?;
+        let edge = (0..1600).filter_map(|k| {
+            let (side, at) = (k % 4, f64::from(k / 4) / 200.0 - 1.0);
+            let at = [[at, -1.0], [at, 1.0], [-1.0, at], [1.0, at]][side as usize];
+            let place = self.plan.on_vehicle(start, velocity, [at[0], at[1]], self.plan.hidden_m);
+            let place = place + self.plan.offset(velocity, point.frame);
+            view.camera.pixel_from_cam(view.cam_from_world * place).filter(|p| (p.x - x).abs() <= COLUMN_PX)
+        });
+        let bottom = edge.map(|p| p.y).max_by(f64::total_cmp)?;
+        let last = f64::from(SIZE.1);
+        let tolerance = EvidenceOptions::default().ground_tolerance;
+        self.ground.foot(&view, [x, bottom.min(last)], bottom >= last, &point, tolerance)
     }
 }
 
@@ -88,7 +115,7 @@ pub fn world(plan: &Plan) -> World {
         ways.extend(trees(rng).into_iter().map(|way| (way, false)));
     }
     if let Some((start, velocity)) = plan.vehicle {
-        ways.extend(vehicle(start, velocity, plan.stops_at, rng).into_iter().map(|way| (way, true)));
+        ways.extend(vehicle(plan, start, velocity, rng).into_iter().map(|way| (way, true)));
     }
     let hidden = hidden(&ways, &views);
     let nothing = vec![None; views.len()];
@@ -98,7 +125,8 @@ pub fn world(plan: &Plan) -> World {
     });
     let (tracks, is_vehicle) = seen.unzip();
     let ground = GroundModel::new(Vector3::z(), Point3::origin(), &[]).unwrap();
-    World { tracks, is_vehicle, views, times_s: (0..plan.num_frames).map(|k| f64::from(k) / FPS).collect(), ground }
+    let times_s = (0..plan.num_frames).map(|k| f64::from(k) / FPS).collect();
+    World { tracks, is_vehicle, views, times_s, ground, plan: *plan }
 }
 
 /// What the vehicle hides in each frame.
@@ -124,7 +152,7 @@ fn view(flight: Flight, frame: u32) -> View {
     let right = forward.cross(&Vector3::z()).normalize();
     let rows = Matrix3::from_columns(&[right, forward.cross(&right), forward]).transpose();
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rows));
-    let camera = Camera::with_focal(960, 540, 800.0);
+    let camera = Camera::with_focal(SIZE.0, SIZE.1, 800.0);
     View { camera, cam_from_world: Rigid3::from_rotation_and_center(rotation, center) }
 }
 
@@ -150,21 +178,34 @@ fn trees(rng: &mut Rng) -> Vec<Way> {
     ways
 }
 
-/// Points on the sides and the top of a box of 4.4 × 1.8 × 1.5 m.
-fn vehicle(start: [f64; 2], velocity: [f64; 2], stops_at: Option<u32>, rng: &mut Rng) -> Vec<Way> {
-    let heading = if velocity == [0.0; 2] { 0.0 } else { velocity[1].atan2(velocity[0]) };
-    let way = |_| -> Way {
+/// Points on the sides and the top of a box of 4.4 × 1.8 × 1.5 m, as far as they are not hidden.
+fn vehicle(plan: &Plan, start: [f64; 2], velocity: [f64; 2], rng: &mut Rng) -> Vec<Way> {
+    let point = |_| {
         let mut at = [0; 3].map(|_| rng.random_range(-1.0..1.0));
         at[rng.random_range(0..3)] = if rng.random() { 1.0 } else { -1.0 };
-        let (along, across, up) = (2.2 * at[0], 0.9 * at[1], 0.75 + 0.75 * at[2]);
-        let (sin, cos) = f64::sin_cos(heading);
-        let place = Point3::new(start[0] + along * cos - across * sin, start[1] + along * sin + across * cos, up);
-        Box::new(move |frame| {
-            let t = f64::from(stops_at.map_or(frame, |stop| frame.min(stop))) / FPS;
-            place + Vector3::new(velocity[0], velocity[1], 0.0) * t
-        })
+        let place = plan.on_vehicle(start, velocity, [at[0], at[1]], 0.75 + 0.75 * at[2]);
+        (place.z >= plan.hidden_m).then_some(place)
     };
-    (0..70).map(way).collect()
+    let places: Vec<Point3<f64>> = (0..70).filter_map(point).collect();
+    let plan = *plan;
+    places.into_iter().map(|place| Box::new(move |frame| place + plan.offset(velocity, frame)) as Way).collect()
+}
+
+impl Plan {
+    /// A place on the vehicle at the start: `at` −1 to 1 along and across it, and a height.
+    fn on_vehicle(&self, start: [f64; 2], velocity: [f64; 2], at: [f64; 2], height_m: f64) -> Point3<f64> {
+        let heading = if velocity == [0.0; 2] { 0.0 } else { velocity[1].atan2(velocity[0]) };
+        let (along, across) = (2.2 * at[0], 0.9 * at[1]);
+        let (sin, cos) = f64::sin_cos(heading);
+        Point3::new(start[0] + along * cos - across * sin, start[1] + along * sin + across * cos, height_m)
+    }
+
+    /// How far the vehicle has moved until a frame.
+    fn offset(&self, velocity: [f64; 2], frame: u32) -> Vector3<f64> {
+        let [first, last] = self.moves_in;
+        let t = f64::from(frame.clamp(first, last) - first) / FPS;
+        Vector3::new(velocity[0], velocity[1], 0.0) * t
+    }
 }
 
 /// The longest run of frames in which a point is in the picture.

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::perception::Sighted;
-use crate::perception::motion::{Judgement, MovementReason, judge};
+use crate::perception::motion::{Foot, Judgement, MovementReason, PointOnObject, StaticPoint, judge};
 use crate::pipeline::PipelineError;
-use crate::pipeline::motion::{self, Points};
+use crate::pipeline::motion::{self, Points, World};
 use crate::pipeline::run::Run;
-use crate::scene::{FoundIn, Frame, FrameId, Movement, MovementFinding, ObjectId, TrackedObject};
+use crate::scene::{FoundIn, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, TrackedObject};
 
 /// What is said where nothing was looked at.
 pub(super) fn unknown() -> MovementFinding {
@@ -28,6 +28,7 @@ pub(super) fn find(
     let points = motion::points(run)?;
     let size = (run.info().width, run.info().height);
     let on = if points.frames.is_empty() { BTreeMap::new() } else { on_objects(run, folder, objects, &points)? };
+    let second = frames_per_second(run.frames()?);
     let none = OnObject::default();
     let mut sighted = BTreeMap::new();
     for object in objects {
@@ -36,11 +37,12 @@ pub(super) fn find(
             .counts
             .iter()
             .map(|(&track, &count)| {
+                let foot = on_it.feet.get(&track).copied();
                 let (track, label) = (&points.tracks[track], &points.labels[track]);
-                (track, label, count as f64 / track.pixels.len().max(1) as f64)
+                PointOnObject { track, label, inside: count as f64 / track.pixels.len().max(1) as f64, foot }
             })
             .collect();
-        let judged = judge(&tracks);
+        let judged = judge(&tracks, second);
         if !points.frames.is_empty() {
             object.movement = finding(object, &judged);
         }
@@ -51,11 +53,20 @@ pub(super) fn find(
     Ok(sighted)
 }
 
+/// Mean rate of the frames, Hz.
+fn frames_per_second(frames: &[Frame]) -> f64 {
+    let (Some(first), Some(last)) = (frames.first(), frames.last()) else { return 1.0 };
+    let duration = last.time_s - first.time_s;
+    if duration > 0.0 { (frames.len() - 1) as f64 / duration } else { 1.0 }
+}
+
 /// What lies on an object's masks.
 #[derive(Default)]
 struct OnObject {
     /// Per track of a point the number of frames in which it does.
     counts: BTreeMap<usize, usize>,
+    /// Per track the foot of the object below its point.
+    feet: BTreeMap<usize, Foot>,
     /// Pixels of all masks, and their number.
     area: usize,
     num_masks: usize,
@@ -75,8 +86,7 @@ fn finding(object: &TrackedObject, judged: &Judgement) -> MovementFinding {
     let FoundIn { given, .. } = object.found_in;
     let is_vehicle = given > 0 || object.found_in.by_detector() > object.found_in.motion;
     if judged.reason == MovementReason::FootFloats && !is_vehicle {
-        let reason =
-            "its lowest points would float over the ground if it stood: it comes nearer, or it is something tall";
+        let reason = "a stationary object would float over the ground: it approaches, or it is something tall";
         return MovementFinding { state: Movement::Undetermined, reason: reason.to_owned() };
     }
     MovementFinding { state: judged.movement, reason: judged.to_string() }
@@ -90,6 +100,10 @@ fn on_objects(
     points: &Points,
 ) -> Result<BTreeMap<ObjectId, OnObject>, PipelineError> {
     let names: BTreeMap<FrameId, &Frame> = run.frames()?.iter().map(|frame| (frame.id, frame)).collect();
+    let seen: Vec<Frame> = points.frames.iter().filter_map(|id| Some((*names.get(id)?).clone())).collect();
+    // Without every frame's name the world's frames are not those that tracks count.
+    let world = if seen.len() == points.frames.len() { motion::world(run, &seen)? } else { None };
+    let tolerance = run.options.motion.evidence.ground_tolerance;
     let mut starting: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for (k, track) in points.tracks.iter().enumerate() {
         starting.entry(track.first).or_default().push(k);
@@ -105,11 +119,27 @@ fn on_objects(
             on_it.area += mask.area_px2();
             on_it.num_masks += 1;
             for &k in &live {
-                if points.tracks[k].at(index).is_some_and(|[x, y]| mask.contains(x, y)) {
-                    *on_it.counts.entry(k).or_default() += 1;
+                let Some(pixel) = points.tracks[k].at(index).filter(|[x, y]| mask.contains(*x, *y)) else { continue };
+                *on_it.counts.entry(k).or_default() += 1;
+                let point = points.labels[k].static_point.filter(|point| point.frame == index);
+                if let Some((world, point)) = world.as_ref().zip(point) {
+                    let foot = foot(world, &mask, pixel, &point, tolerance);
+                    on_it.feet.extend(foot.map(|foot| (k, foot)));
                 }
             }
         }
     }
     Ok(found)
 }
+
+/// The foot of an object below one of its points: where its mask ends in the point's column.
+fn foot(world: &World, mask: &Mask, [x, y]: [f64; 2], point: &StaticPoint, ground_tolerance: f64) -> Option<Foot> {
+    let view = world.views.get(point.frame as usize)?.as_ref()?;
+    let (column, first) = (x.floor() as i64, y.floor() as i64);
+    let last = (first..i64::from(mask.height())).rev().find(|&row| mask.get(column, row))?;
+    let is_cut = last + CUT_PX >= i64::from(mask.height());
+    world.ground.as_ref()?.foot(view, [x, (last + 1) as f64], is_cut, point, ground_tolerance)
+}
+
+/// Rows above the lower border of the picture at which a mask is cut off by it: networks leave the last ones out.
+const CUT_PX: i64 = 3;
