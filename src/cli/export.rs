@@ -77,7 +77,7 @@ pub(super) fn run(args: &Args, form: Form, talk: &Talk) -> Result<(), Failure> {
     };
     talk.begin("export", None);
     let on_step = || talk.step();
-    let pictures = Pictures::new(&folder, source, &on_step);
+    let pictures = Pictures::new(&folder, source, &on_step).of_frames(frames.as_deref());
     let exported =
         export::write(&results, &args.format.formats, args.format.asked, &pictures, || target(args, &folder));
     talk.end();

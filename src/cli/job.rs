@@ -68,7 +68,8 @@ pub(super) struct JobArgs {
 
     /// fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]] in pixels of the source, or a COLMAP cameras.txt [default: from EXIF, or found]
     ///
-    /// The centre of the upper left pixel is (0.5, 0.5).
+    /// The centre of the upper left pixel is (0.5, 0.5). Of a video whose pixels are not square, the source has the size at
+    /// which players show it.
     #[arg(long, value_name = "NUMBERS|FILE", help_heading = "Geometry")]
     pub(super) intrinsics: Option<IntrinsicsSource>,
     /// How image points are found: `video` follows them from frame to frame, `sift` matches them between frames
@@ -108,6 +109,9 @@ pub(super) struct JobArgs {
     /// Frames per second of a folder of images
     #[arg(long, value_name = "RATE", help_heading = "Frames")]
     pub(super) fps: Option<f64>,
+    /// Video track to read, counted from 0 among the file's video tracks [default: the first with moving images]
+    #[arg(long, value_name = "N", help_heading = "Frames")]
+    pub(super) video_track: Option<u32>,
 
     /// Log of the camera's receiver: DJI's subtitles, GPX, NMEA, CSV [default: found beside or inside the video]
     #[arg(long, value_name = "FILE", conflicts_with = "no_telemetry", help_heading = "Metres")]
@@ -252,6 +256,7 @@ pub(super) fn apply_flags(job: &JobArgs, options: &mut Options) {
     options.video.every = job.every.unwrap_or(options.video.every);
     options.video.max_dimension = job.max_dimension.or(options.video.max_dimension);
     options.video.fps = job.fps.or(options.video.fps);
+    options.video.track = job.video_track.or(options.video.track);
     options.features = job.features.unwrap_or(options.features);
     options.order = job.order.unwrap_or(options.order);
     apply_metres(job, &mut options.metric);

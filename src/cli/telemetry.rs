@@ -37,7 +37,7 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
 fn read(file: &Path) -> Result<Log, TelemetryError> {
     match telemetry::read(file) {
         Err(error @ (TelemetryError::Unknown { .. } | TelemetryError::TooLarge { .. })) => {
-            pipeline::telemetry_inside(file).unwrap_or(Err(error))
+            pipeline::telemetry_inside(file, None).unwrap_or(Err(error))
         }
         found => found,
     }

@@ -42,7 +42,7 @@ pub(super) fn write(path: &Path, results: &Results, pictures: &Pictures) -> Resu
     let encode = |source: FfmpegError| ExportError::Encode { path: path.to_owned(), source };
     let mut encoder: Option<Encoder> = None;
     let mut start_s = 0.0;
-    for next in pictures.source()?.frames()? {
+    for next in pictures.frames()? {
         // A frame that cannot be decoded was reported by the run; here it is one picture less.
         let Ok((frame, picture)) = next else { continue };
         pictures.check_size(&picture, results)?;

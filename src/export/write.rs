@@ -1,5 +1,6 @@
 //! From formats that were asked for to files.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -8,13 +9,15 @@ use super::{ExportError, Format, Need, Results, Target};
 use super::{annotate, geojson, gltf, gpx, kml, poses, table, workspace};
 use crate::image::RgbImage;
 use crate::io::{ExportFolder, RunFolder, trajectories};
-use crate::video::Source;
+use crate::scene::{Frame, FrameId};
+use crate::video::{Frames, Source};
 
 /// The pictures that the results are of.
 pub struct Pictures<'a> {
     folder: &'a RunFolder,
     source: Result<&'a Source, String>,
     on_step: &'a dyn Fn(),
+    frames: Option<BTreeSet<FrameId>>,
 }
 
 impl<'a> Pictures<'a> {
@@ -23,7 +26,21 @@ impl<'a> Pictures<'a> {
     /// * `source` – the input, opened as the run opened it, or why it cannot be.
     /// * `on_step` – told of every picture that is done.
     pub fn new(folder: &'a RunFolder, source: Result<&'a Source, String>, on_step: &'a dyn Fn()) -> Self {
-        Self { folder, source, on_step }
+        Self { folder, source, on_step, frames: None }
+    }
+
+    /// Takes only the frames that the run used, where they are known.
+    pub fn of_frames(self, frames: Option<&[Frame]>) -> Self {
+        Self { frames: frames.map(|frames| frames.iter().map(|frame| frame.id).collect()), ..self }
+    }
+
+    /// The frames of the run, with their pictures.
+    pub(super) fn frames(&self) -> Result<Frames, ExportError> {
+        let source = self.source()?;
+        Ok(match &self.frames {
+            Some(frames) => source.frames_at(frames.clone())?,
+            None => source.frames()?,
+        })
     }
 
     pub(super) fn folder(&self) -> &RunFolder {

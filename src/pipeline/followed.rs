@@ -5,6 +5,7 @@
 //! became lies beside the tracks of `features`, under a name that tells the options; where it is not, `motion` follows
 //! by itself, to the same result.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -14,7 +15,7 @@ use super::{Instances, PipelineError, Stage, features, fingerprint, order, own_f
 use crate::image::{RgbImage, gray_from_rgb};
 use crate::perception::PerceptionError;
 use crate::perception::motion::{PointFollower, PointTrack};
-use crate::scene::Frame;
+use crate::scene::{Frame, FrameId};
 
 /// Points and the frames that their tracks count, from 0: those that could be decoded.
 #[derive(Debug, Default, Serialize, Deserialize)]
@@ -71,7 +72,9 @@ pub(super) fn points(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<
         return own_file::read(&beside);
     }
     let mut follower = Follower::new(run);
-    let frames = (run.source.frames()?, run.frames()?.len());
+    let wanted: BTreeSet<FrameId> = run.frames()?.iter().map(|frame| frame.id).collect();
+    let number = wanted.len();
+    let frames = (run.source.frames_at(wanted)?, number);
     pictures::for_each(run, Stage::Motion, frames, outcome, |frame, picture| follower.push(&frame, &picture))?;
     let followed = follower.finish();
     own_file::write(&folder.join(file_name(run)), &followed)?;

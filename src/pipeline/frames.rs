@@ -35,6 +35,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
         outcome.note(said);
     }
     outcome.figure("num_frames", frames.len());
+    outcome.figure("num_repeated", scan.num_repeated);
     outcome.figure("width", run.info().width);
     outcome.figure("height", run.info().height);
     outcome.figure("in_time", order.in_time);

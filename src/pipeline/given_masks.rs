@@ -18,6 +18,8 @@ pub(super) struct MaskFolder {
     pub(super) missing: Vec<FrameId>,
     size: (u32, u32),
     source_size: (u32, u32),
+    /// Of frames whose pixels are not square.
+    stored_size: (u32, u32),
 }
 
 impl MaskFolder {
@@ -54,11 +56,13 @@ impl MaskFolder {
             missing,
             size: (info.width, info.height),
             source_size: (info.source_width, info.source_height),
+            stored_size: (info.stored_width, info.stored_height),
         })
     }
 
     /// The labels of a frame at the frame's size; `None` if it has no mask. A mask at the size that the source had
-    /// before `--max-dimension` is made smaller like the frame.
+    /// before `--max-dimension`, or at the size at which a file with other than square pixels stores its frames, is
+    /// resized like the frame.
     ///
     /// # Errors
     /// [`PipelineError::MaskSize`] for any other size, [`PipelineError::Io`] for what is no grey PNG.
@@ -66,8 +70,8 @@ impl MaskFolder {
         let Some(path) = self.files.get(&frame) else { return Ok(None) };
         match masks::read_label_map(path, self.size) {
             Ok(labels) => Ok(Some(labels)),
-            Err(IoError::WrongSize { found, .. }) if found == self.source_size => {
-                Ok(Some(shrunk(&masks::read_label_map(path, found)?, self.size)))
+            Err(IoError::WrongSize { found, .. }) if found == self.source_size || found == self.stored_size => {
+                Ok(Some(resampled(&masks::read_label_map(path, found)?, self.size)))
             }
             Err(IoError::WrongSize { found, .. }) => Err(self.wrong_size(path, found)),
             Err(error) => Err(error.into()),
@@ -79,7 +83,7 @@ impl MaskFolder {
     /// # Errors
     /// As [`MaskFolder::labels`].
     pub(super) fn check(&self) -> Result<(), PipelineError> {
-        let fits = |size: (u32, u32)| size == self.size || size == self.source_size;
+        let fits = |size: (u32, u32)| [self.size, self.source_size, self.stored_size].contains(&size);
         for (k, (&frame, path)) in self.files.iter().enumerate() {
             let unreadable = |source| PipelineError::Unreadable { path: path.clone(), source };
             files::check(path).map_err(unreadable)?;
@@ -113,10 +117,9 @@ fn assign<'a>(frames: &[Frame], file: impl Fn(&Frame) -> Option<&'a PathBuf>) ->
     frames.iter().filter_map(|frame| Some((frame.id, file(frame)?.clone()))).collect()
 }
 
-/// The label under the centre of every pixel of a smaller picture.
-fn shrunk(labels: &LabelMap, (width, height): (u32, u32)) -> LabelMap {
-    let source =
-        |k: u32, small: u32, large: u32| (u64::from(2 * k + 1) * u64::from(large) / u64::from(2 * small)) as usize;
+/// The label under the center of every pixel of an image of another size.
+fn resampled(labels: &LabelMap, (width, height): (u32, u32)) -> LabelMap {
+    let source = |k: u32, to: u32, from: u32| (u64::from(2 * k + 1) * u64::from(from) / u64::from(2 * to)) as usize;
     let mut out = Vec::with_capacity(width as usize * height as usize);
     for y in 0..height {
         let row = source(y, height, labels.height) * labels.width as usize;
@@ -141,6 +144,9 @@ mod tests {
             height,
             source_width: width * scale,
             source_height: height * scale,
+            stored_width: width * scale,
+            stored_height: height * scale,
+            video_track: Some(0),
             fps: None,
             num_frames: None,
             rotation_deg: 0,
@@ -176,6 +182,16 @@ mod tests {
         assert_eq!(open(info(3, 2, 2)).unwrap().unwrap().labels, [1, 0, 2, 1, 0, 2]);
         let error = open(info(5, 4, 1)).unwrap_err().to_string();
         assert!(error.contains("a.png") && error.contains("6x4") && error.contains("5x4"), "{error}");
+    }
+
+    #[test]
+    fn masks_may_have_the_size_at_which_frames_are_stored() {
+        let folder = tempfile::tempdir().unwrap();
+        write(folder.path(), "a.png", 3, 2);
+        let widened = Info { stored_width: 3, ..info(6, 2, 1) };
+        let masks = MaskFolder::open(folder.path(), &frames(&["a.jpg"]), &widened).unwrap();
+        assert!(masks.check().is_ok());
+        assert_eq!(masks.labels(FrameId(0)).unwrap().unwrap().labels, [0, 0, 1, 1, 2, 2, 0, 0, 1, 1, 2, 2]);
     }
 
     #[test]

@@ -48,6 +48,7 @@ mod standing;
 mod strip;
 mod threads;
 mod track;
+mod unfit;
 mod workspace;
 
 use std::collections::BTreeMap;

@@ -10,7 +10,7 @@ use super::given_models::{self, Target};
 use super::options::ModelFiles;
 use super::run::{Outcome, Run};
 use super::threads::on_threads;
-use super::{PipelineError, cameras, features, order};
+use super::{PipelineError, cameras, features, order, unfit};
 use crate::bundle;
 use crate::camera::Camera;
 use crate::io::colmap;
@@ -146,6 +146,7 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     }
     if let Some(failure) = &mut report.failure {
         failure.push_str(&cure_of_large_frames(run.info().width, run.info().height));
+        failure.push_str(&unfit::reasons(run)?);
         outcome.note(format!("the background cannot be reconstructed: {failure}"));
     } else {
         report.remarks.iter().for_each(|remark| outcome.warn(format!("background: {remark}")));

@@ -253,6 +253,10 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
     if (info.source_width, info.source_height) != (info.width, info.height) {
         facts.push(Fact::new("Source size", format!("{} × {}", info.source_width, info.source_height)));
     }
+    if (info.stored_width, info.stored_height) != (info.source_width, info.source_height) {
+        let stored = format!("{} × {}", info.stored_width, info.stored_height);
+        facts.push(Fact::new("Stored size", stored).with_note("pixels were not square"));
+    }
     if let Some(fps) = info.fps {
         facts.push(Fact::new("Nominal rate", format!("{fps:.3} frames/s")));
     }

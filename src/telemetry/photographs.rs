@@ -62,7 +62,9 @@ fn finish(mut log: Log, first: &Path) -> Result<Log, TelemetryError> {
 }
 
 fn fix(bytes: &[u8], line: usize) -> Result<Fix, String> {
-    let exif = exif::Reader::new().read_from_container(&mut Cursor::new(bytes));
+    let exif = exif::Reader::new().continue_on_error(true).read_from_container(&mut Cursor::new(bytes));
+    // Many cameras write blocks with a flaw somewhere: the readable fields count.
+    let exif = exif.or_else(|error| error.distill_partial_result(|_| {}));
     let exif = exif.map_err(|error| format!("there is no EXIF block that can be read ({error})"))?;
     let (longitude_deg, fine) =
         angle(&exif, Tag::GPSLongitude, Tag::GPSLongitudeRef).ok_or("there is no GPS position")?;

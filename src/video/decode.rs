@@ -7,6 +7,17 @@ use super::VideoError;
 use super::options::{Choice, Selection};
 use crate::scene::Frame;
 
+/// Properties of a decoded frame before conversion.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Inspection {
+    /// Its size, pixels, if it differs from the first frame's.
+    pub(super) other_size: Option<(u32, u32)>,
+    /// Mean difference from the frame inspected before, gray levels, if there is one of the same size.
+    pub(super) change: Option<f64>,
+    /// It is interlaced, and its fields differ.
+    pub(super) is_combed: bool,
+}
+
 /// Something that gives frames in order of their index. Stepping is cheap beside making the picture.
 pub(super) trait Decoder: Send {
     /// Steps to the next frame; `None` at the end, or where nothing further can be decoded.
@@ -17,6 +28,11 @@ pub(super) trait Decoder: Send {
 
     /// The picture of the frame last stepped to: upright, at the size asked for.
     fn picture(&mut self) -> Result<RgbImage, VideoError>;
+
+    /// Examines the frame last stepped to without making a picture of it.
+    fn inspect(&mut self) -> Inspection {
+        Inspection::default()
+    }
 
     /// Frames stepped to so far.
     fn num_stepped(&self) -> u32;

@@ -5,23 +5,12 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 use super::VideoError;
-use crate::ffi::ffmpeg::{MediaFile, Stream, StreamKind};
+use crate::ffi::ffmpeg::{FfmpegError, Stream, StreamKind};
 use crate::limits::files;
 
-/// The first stream of moving pictures.
-///
-/// # Errors
-/// [`VideoError::NotAVideo`] for photographs and texts, which FFmpeg takes for videos of one frame and for terminals;
-/// [`VideoError::NoPictures`] where there is no such stream.
-pub(super) fn moving_pictures(file: &MediaFile, path: &Path) -> Result<Stream, VideoError> {
-    let path = path.to_owned();
-    let format = file.format();
-    if format == "tty" || format == "image2" || format.ends_with("_pipe") {
-        return Err(VideoError::NotAVideo { path });
-    }
-    let streams = file.streams();
-    let pictures = streams.iter().find(|stream| stream.kind == StreamKind::Video).copied();
-    pictures.ok_or_else(|| VideoError::NoPictures { path, found: in_words(&streams) })
+/// Error of a file without a video track, with its other tracks in words.
+pub(super) fn no_pictures(path: &Path, streams: &[Stream]) -> VideoError {
+    VideoError::NoPictures { path: path.to_owned(), found: in_words(streams) }
 }
 
 fn in_words(streams: &[Stream]) -> &'static str {
@@ -34,8 +23,18 @@ fn in_words(streams: &[Stream]) -> &'static str {
     }
 }
 
+/// Diagnoses a file that is not opened.
+pub(super) fn refused(path: &Path, error: FfmpegError) -> VideoError {
+    match error {
+        FfmpegError::Open(_) => why_not(path),
+        FfmpegError::Playlist(format) => VideoError::Playlist { path: path.to_owned(), format },
+        FfmpegError::NoDecoder(coding) => VideoError::NoDecoder { path: path.to_owned(), coding },
+        other => VideoError::Ffmpeg(other),
+    }
+}
+
 /// What is wrong with a file that FFmpeg does not take.
-pub(super) fn why_not(path: &Path) -> VideoError {
+fn why_not(path: &Path) -> VideoError {
     match files::open(path).ok().and_then(|mut file| mp4_index(&mut file)) {
         Some(Mp4Index::Missing) => VideoError::NoIndex { path: path.to_owned() },
         Some(Mp4Index::Whole) | None => VideoError::NotAVideo { path: path.to_owned() },

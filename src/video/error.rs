@@ -58,6 +58,27 @@ pub enum VideoError {
         /// The input.
         path: PathBuf,
     },
+    /// A list of other files.
+    #[error("{path}: a playlist ({format}), not a video file; give the video files it names", path = path.display())]
+    Playlist {
+        /// The input.
+        path: PathBuf,
+        /// FFmpeg's name of its format.
+        format: String,
+    },
+    /// A video track that is asked for and not there.
+    #[error(
+        "{path}: has no video track {track}, only {count} of them, counted from 0; give another --video-track, or none",
+        path = path.display()
+    )]
+    NoTrack {
+        /// The input.
+        path: PathBuf,
+        /// The track that was asked for, from 0.
+        track: u32,
+        /// Number of video tracks.
+        count: usize,
+    },
     /// An MP4 or MOV file whose index was never written, or is cut off.
     #[error(
         "{path}: the recording was not finished or not copied whole: its index (the moov box) is missing; copy it \

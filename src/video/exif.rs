@@ -31,9 +31,19 @@ const LENSES: RangeInclusive<f64> = 0.1..=100.0;
 /// More than rounding of the sides does to the shape of small pictures.
 const SHAPE_TOLERANCE: f64 = 0.02;
 
-/// The EXIF block of an image file; `None` without one that can be read.
-pub(super) fn read(path: &Path) -> Option<Exif> {
-    exif::Reader::new().read_from_container(&mut BufReader::new(files::open_within_memory(path).ok()?)).ok()
+/// The EXIF block of an image file; `None` without one. Of a block with flaws, as many cameras write it, the readable
+/// fields.
+///
+/// # Errors
+/// Why a block cannot be read at all.
+pub(super) fn read(path: &Path) -> Result<Option<Exif>, String> {
+    let Ok(file) = files::open_within_memory(path) else { return Ok(None) };
+    let read = exif::Reader::new().continue_on_error(true).read_from_container(&mut BufReader::new(file));
+    match read.or_else(|error| error.distill_partial_result(|_| {})) {
+        Ok(exif) => Ok(Some(exif)),
+        Err(exif::Error::NotFound(_)) => Ok(None),
+        Err(error) => Err(error.to_string()),
+    }
 }
 
 /// How the stored picture has to be turned to stand upright.
@@ -192,6 +202,29 @@ mod tests {
     }
 
     #[test]
+    fn of_a_block_with_a_flaw_the_rest_is_read() {
+        let fields = [(Tag::FocalLengthIn35mmFilm, Value::Short(vec![24])), (Tag::Orientation, Value::Short(vec![6]))];
+        let mut bytes = block(&fields).buf().to_vec();
+        let number = |bytes: &[u8], at: usize| u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+        let count = |bytes: &[u8], at: usize| usize::from(u16::from_be_bytes([bytes[at], bytes[at + 1]]));
+        let first = number(&bytes, 4);
+        let mut entries = (0..count(&bytes, first)).map(|k| first + 2 + 12 * k);
+        let pointer = entries.find(|&at| bytes[at..at + 2] == [0x87, 0x69]).unwrap();
+        // Behind the directory of the camera's data another one is announced, where none may be.
+        let directory = number(&bytes, pointer + 8);
+        let next = directory + 2 + 12 * count(&bytes, directory);
+        bytes[next..next + 4].copy_from_slice(&0x4000_0000u32.to_be_bytes());
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.tif");
+        std::fs::write(&path, &bytes).unwrap();
+        let exif = read(&path).unwrap().unwrap();
+        assert_eq!(orientation(&exif), Orientation::Rotate90);
+        assert_eq!(focal_px(&exif, 3000, 4000), Some(24.0 / 34.61 * 4000.0));
+        std::fs::write(&path, &bytes[..6]).unwrap();
+        assert!(read(&path).is_err());
+    }
+
+    #[test]
     fn of_damaged_blocks_what_is_said_is_a_number() {
         let rational = |num, denom| Value::Rational(vec![Rational { num, denom }]);
         let fields = [
@@ -238,6 +271,6 @@ mod tests {
         let rational = |num, denom| Value::Rational(vec![Rational { num, denom }]);
         assert_eq!(focal_px(&block(&[(Tag::FocalLengthIn35mmFilm, Value::Short(vec![0]))]), 10, 10), None);
         assert_eq!(focal_px(&block(&[(Tag::FocalLength, rational(1, 0))]), 10, 10), None);
-        assert!(read(Path::new("no such file")).is_none());
+        assert!(read(Path::new("no such file")).unwrap().is_none());
     }
 }

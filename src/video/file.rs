@@ -5,15 +5,16 @@ use std::path::{Path, PathBuf};
 use ::image::{RgbImage, imageops};
 
 use super::clock::Clock;
-use super::decode::Decoder;
+use super::decode::{Decoder, Inspection};
 use super::error::regular;
-use super::{VideoError, diagnosis};
-use crate::ffi::ffmpeg::{self, FfmpegError, MediaFile, Packet, Purpose, RgbConverter, Stream, StreamKind};
+use super::tracks::{self, Chosen};
+use super::{VideoError, diagnosis, fields, repeats, shape};
+use crate::ffi::ffmpeg::{self, FfmpegError, Luma, MediaFile, Packet, Purpose, RgbConverter};
 use crate::image::resize_rgb;
 use crate::scene::{Frame, FrameId};
 
 /// What the container states about itself.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Container {
     /// Frames per second, if it is a rate that can be believed.
     pub(super) fps: Option<f64>,
@@ -21,6 +22,19 @@ pub(super) struct Container {
     pub(super) num_frames: Option<u32>,
     /// Rotation that is asked for, degrees clockwise, from 0 to 359.
     pub(super) rotation_deg: i32,
+    /// Number of the video track, from 0.
+    pub(super) track: u32,
+    /// Remarks on how the file is read, for the user.
+    pub(super) remarks: Vec<String>,
+}
+
+/// Sizes of a frame, upright, pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Sizes {
+    /// As it is stored.
+    pub(super) stored: (u32, u32),
+    /// With square pixels.
+    pub(super) shown: (u32, u32),
 }
 
 /// Rates beyond this are a time base mistaken for a rate.
@@ -29,7 +43,7 @@ const MAX_FPS: f64 = 1000.0;
 /// A video that is being decoded.
 pub(super) struct Video {
     file: MediaFile,
-    stream: Stream,
+    chosen: Chosen,
     decoder: ffmpeg::Decoder,
     packet: Packet,
     converter: RgbConverter,
@@ -38,33 +52,33 @@ pub(super) struct Video {
 }
 
 impl Video {
-    /// Opens the first stream of moving pictures.
+    /// Opens a video track.
+    ///
+    /// * `track` – as [`super::Options::track`].
     ///
     /// # Errors
-    /// What [`diagnosis`] finds, where FFmpeg does not take the file or there is no such stream;
+    /// What [`diagnosis`] finds, where FFmpeg does not take the file or there is no such track;
     /// [`VideoError::NoDecoder`]; [`VideoError::Ffmpeg`].
-    pub(super) fn open(path: &Path, purpose: Purpose) -> Result<Self, VideoError> {
-        let refused = |error| match error {
-            FfmpegError::Open(_) => diagnosis::why_not(path),
-            FfmpegError::NoDecoder(coding) => VideoError::NoDecoder { path: path.to_owned(), coding },
-            other => VideoError::Ffmpeg(other),
-        };
+    pub(super) fn open(path: &Path, purpose: Purpose, track: Option<u32>) -> Result<Self, VideoError> {
+        let refused = |error| diagnosis::refused(path, error);
         regular(path)?;
         let mut file = MediaFile::open(path).map_err(refused)?;
-        let stream = diagnosis::moving_pictures(&file, path)?;
-        file.keep_only(stream.index);
-        let decoder = ffmpeg::Decoder::new(&file, stream.index, purpose).map_err(refused)?;
+        let chosen = tracks::choose(&file, path, track)?;
+        file.keep_only(chosen.stream.index);
+        let decoder = ffmpeg::Decoder::new(&file, chosen.stream.index, purpose).map_err(refused)?;
         let (packet, converter) = (Packet::new()?, RgbConverter::new()?);
-        Ok(Self { file, stream, decoder, packet, converter, origin: stream.start })
+        Ok(Self { file, chosen, decoder, packet, converter, origin: chosen.stream.start })
     }
 
     /// What the container states.
     pub(super) fn container(&self) -> Container {
-        let fps = self.stream.rate.filter(|fps| *fps <= MAX_FPS);
-        let estimated = || Some((self.stream.duration_s? * fps?).round()).filter(|count| *count >= 1.0);
-        let num_frames = self.stream.num_packets.map(|count| count as f64).or_else(estimated);
+        let stream = &self.chosen.stream;
+        let fps = stream.rate.filter(|fps| *fps <= MAX_FPS);
+        let estimated = || Some((stream.duration_s? * fps?).round()).filter(|count| *count >= 1.0);
+        let num_frames = stream.num_packets.map(|count| count as f64).or_else(estimated);
         let num_frames = num_frames.filter(|count| *count < f64::from(u32::MAX)).map(|count| count as u32);
-        Container { fps, num_frames, rotation_deg: self.stream.rotation_deg }
+        let remarks = self.chosen.remark().into_iter().collect();
+        Container { fps, num_frames, rotation_deg: stream.rotation_deg, track: self.chosen.track, remarks }
     }
 
     /// Goes to the next picture and gives the time that is stated for it, seconds; `None` at the end.
@@ -74,14 +88,39 @@ impl Video {
         }
         Ok(Some(self.decoder.time().map(|ticks| {
             let origin = *self.origin.get_or_insert(ticks);
-            self.stream.time_base.seconds(ticks.saturating_sub(origin))
+            self.chosen.stream.time_base.seconds(ticks.saturating_sub(origin))
         })))
     }
 
-    /// The picture, upright.
-    fn picture(&mut self) -> Result<RgbImage, FfmpegError> {
-        let picture = self.converter.convert(&self.decoder)?;
-        Ok(match self.stream.rotation_deg {
+    /// Size of the picture as it is stored with square pixels, before it is turned.
+    fn squared(&self) -> (u32, u32) {
+        let aspect = self.file.pixel_aspect(self.chosen.stream.index, &self.decoder);
+        shape::squared(self.decoder.size(), aspect)
+    }
+
+    fn sizes(&self) -> Sizes {
+        let is_turned = matches!(self.chosen.stream.rotation_deg, 90 | 270);
+        let upright = |(width, height)| if is_turned { (height, width) } else { (width, height) };
+        Sizes { stored: upright(self.decoder.size()), shown: upright(self.squared()) }
+    }
+
+    /// Decides if the picture is declared interlaced and its fields differ.
+    fn is_combed(&self) -> bool {
+        let is_declared = self.chosen.stream.is_interlaced || self.decoder.is_interlaced();
+        is_declared && self.decoder.luma(1).is_some_and(|luma| fields::is_combed(&luma))
+    }
+
+    /// The picture: of one instant, with square pixels, upright.
+    fn picture(&mut self) -> Result<RgbImage, VideoError> {
+        let mut picture = match self.is_combed() {
+            true => fields::filled(&self.converter.convert_upper_field(&self.decoder)?, self.decoder.size().1),
+            false => self.converter.convert(&self.decoder)?,
+        };
+        let (width, height) = self.squared();
+        if (width, height) != picture.dimensions() {
+            picture = resize_rgb(&picture, width, height)?;
+        }
+        Ok(match self.chosen.stream.rotation_deg {
             90 => imageops::rotate90(&picture),
             180 => imageops::rotate180(&picture),
             270 => imageops::rotate270(&picture),
@@ -89,19 +128,15 @@ impl Video {
         })
     }
 
-    /// Size of the first picture, upright; `None` if there is none.
-    pub(super) fn first_size(mut self) -> Result<Option<(u32, u32)>, VideoError> {
-        match self.advance()? {
-            Some(_) => Ok(Some(self.picture()?.dimensions())),
-            None => Ok(None),
+    /// Sizes of the first picture; `None` if there is none.
+    pub(super) fn first_sizes(mut self) -> Result<Option<Sizes>, VideoError> {
+        if self.advance()?.is_none() {
+            return Ok(None);
         }
+        // Formats of pixels that are not known are found out here.
+        self.converter.convert(&self.decoder)?;
+        Ok(Some(self.sizes()))
     }
-}
-
-/// Where the pictures of a file begin on the container's clock, seconds: its zero as far as frames are concerned.
-pub(super) fn origin_s(streams: &[Stream]) -> f64 {
-    let stream = streams.iter().find(|stream| stream.kind == StreamKind::Video);
-    stream.and_then(|stream| Some(stream.time_base.seconds(stream.start?))).unwrap_or(0.0)
 }
 
 /// Steps through a video file.
@@ -110,22 +145,25 @@ pub(super) struct FileDecoder {
     video: Video,
     clock: Clock,
     next: u32,
-    /// Size that every decoded picture must have, pixels.
+    /// Size that every decoded picture must have, upright and with square pixels.
     size: (u32, u32),
     /// Size that it is brought to.
     target: (u32, u32),
+    /// Of the frame that was inspected last.
+    luma: Option<Luma>,
 }
 
 impl FileDecoder {
     pub(super) fn open(
         path: &Path,
         purpose: Purpose,
+        track: Option<u32>,
         size: (u32, u32),
         target: (u32, u32),
     ) -> Result<Self, VideoError> {
-        let video = Video::open(path, purpose)?;
+        let video = Video::open(path, purpose, track)?;
         let clock = Clock::new(video.container().fps);
-        Ok(Self { path: path.to_owned(), video, clock, next: 0, size, target })
+        Ok(Self { path: path.to_owned(), video, clock, next: 0, size, target, luma: None })
     }
 }
 
@@ -140,20 +178,30 @@ impl Decoder for FileDecoder {
 
     fn picture(&mut self) -> Result<RgbImage, VideoError> {
         let (path, frame) = (|| self.path.clone(), self.next.saturating_sub(1));
-        let failed = |error: FfmpegError| match error {
-            FfmpegError::Memory => VideoError::Ffmpeg(error),
-            _ => VideoError::Frame { path: path(), frame, reason: error.to_string() },
-        };
-        let picture = self.video.picture().map_err(failed)?;
-        let found = picture.dimensions();
+        // Before it is made: a size that a damaged header states need not fit into memory.
+        let found = self.video.sizes().shown;
         if found != self.size {
             let ((width, height), (found_width, found_height)) = (self.size, found);
             return Err(VideoError::SizeChanges { path: path(), frame, width, height, found_width, found_height });
         }
+        let failed = |error: VideoError| match error {
+            VideoError::Ffmpeg(FfmpegError::Memory) => error,
+            error => VideoError::Frame { path: path(), frame, reason: error.to_string() },
+        };
+        let picture = self.video.picture().map_err(failed)?;
         if found == self.target {
             return Ok(picture);
         }
         Ok(resize_rgb(&picture, self.target.0, self.target.1)?)
+    }
+
+    fn inspect(&mut self) -> Inspection {
+        let size = self.video.sizes().shown;
+        let luma = self.video.decoder.luma(repeats::ROW_STEP);
+        let change = self.luma.as_ref().zip(luma.as_ref()).and_then(|(last, luma)| repeats::change(last, luma));
+        self.luma = luma;
+        let other_size = (size != self.size).then_some(size);
+        Inspection { other_size, change, is_combed: self.video.is_combed() }
     }
 
     fn num_guessed(&self) -> u32 {

@@ -1,7 +1,7 @@
 //! A folder of images as a video.
 
 use std::cmp::Ordering;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::BufReader;
@@ -19,6 +19,11 @@ use crate::scene::{Frame, FrameId};
 
 /// Extensions that are taken for images, in lower case.
 const EXTENSIONS: [&str; 3] = ["jpg", "jpeg", "png"];
+/// Extensions of images that are not read.
+const UNREAD: [&str; 20] = [
+    "arw", "avif", "bmp", "cr2", "cr3", "dng", "exr", "gpr", "heic", "heif", "jp2", "jxl", "nef", "orf", "raf", "rw2",
+    "srw", "tif", "tiff", "webp",
+];
 
 /// File systems take names of 255 bytes, and a mask is called like its image with `.png` behind it.
 const MAX_NAME_BYTES: usize = 255 - ".png".len();
@@ -48,6 +53,8 @@ pub(super) struct Taken {
     pub(super) ids: Vec<u32>,
     orientation: Orientation,
     camera: Vec<String>,
+    /// Why its EXIF block cannot be read, where there is one.
+    exif_flaw: Option<String>,
 }
 
 /// The images of a folder that can be used together.
@@ -67,7 +74,8 @@ pub(super) struct Listing {
 ///
 /// Where all are to have one size, it is that of most of them.
 pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Listing, VideoError> {
-    let Contents { mut names, others, .. } = contents(path)?;
+    let Contents { mut names, others, unread, .. } = contents(path)?;
+    let skipped = skipped(path, &names, unread);
     names.sort_by(|a, b| natural_cmp(&a.text, &b.text));
     let mut listing =
         Listing { entries: Vec::new(), num_files: names.len() as u32, cameras: Vec::new(), warnings: Vec::new() };
@@ -78,6 +86,13 @@ pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Li
             Ok(taken) => found.push((id, file, name.text, taken)),
             Err(reason) => listing.warnings.push(format!("{}: left out, cannot be read: {reason}", file.display())),
         }
+    }
+    let flawed = || found.iter().filter_map(|(_, file, _, taken)| Some((file, taken.exif_flaw.as_ref()?)));
+    if let Some((file, flaw)) = flawed().next() {
+        let (file, count) = (file.display(), flawed().count());
+        listing.warnings.push(format!(
+            "{file}: EXIF data of {count} images cannot be read ({flaw}): focal length, orientation and position unknown"
+        ));
     }
     let common = match cameras {
         Cameras::One => commonest(found.iter().map(|(.., taken)| taken.size)),
@@ -94,11 +109,30 @@ pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Li
         }
     }
     listing.warnings.extend(turned(&listing.entries));
+    if !listing.entries.is_empty() {
+        listing.warnings.extend(skipped);
+    }
     if listing.entries.is_empty() {
         let found = listing.warnings.into_iter().next().unwrap_or_else(|| described(&others));
         return Err(VideoError::NoImages { path: path.to_owned(), found });
     }
     Ok(listing)
+}
+
+/// Says which images of the folder are of kinds that are not read, those aside that lie there as JPEG or PNG as well.
+fn skipped(path: &Path, names: &[Name], unread: Vec<String>) -> Option<String> {
+    let stem = |name: &str| Path::new(name).with_extension("").to_string_lossy().to_lowercase();
+    let read: BTreeSet<String> = names.iter().map(|name| stem(&name.text)).collect();
+    let mut alone: Vec<String> = unread.into_iter().filter(|name| !read.contains(&stem(name))).collect();
+    alone.sort_by(|a, b| natural_cmp(a, b));
+    let first = alone.first()?;
+    let kind = Path::new(first).extension().and_then(OsStr::to_str).unwrap_or_default();
+    Some(format!(
+        "{}: {} of the folder's images skipped, only JPEG and PNG are read; the first is {first}; convert them \
+         (ImageMagick: `mogrify -format png *.{kind}`)",
+        path.display(),
+        alone.len()
+    ))
 }
 
 /// What is known of an image from its header and its EXIF data.
@@ -107,7 +141,10 @@ pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Li
 /// Why it cannot be used.
 fn picture(id: u32, file: &Path, turning: Turning) -> Result<Taken, String> {
     let stored = header(file)?;
-    let exif = exif::read(file);
+    let (exif, exif_flaw) = match exif::read(file) {
+        Ok(exif) => (exif, None),
+        Err(flaw) => (None, Some(flaw)),
+    };
     let orientation = match turning {
         Turning::AsStored => Orientation::NoTransforms,
         Turning::Auto | Turning::Upright => exif.as_ref().map_or(Orientation::NoTransforms, exif::orientation),
@@ -119,6 +156,7 @@ fn picture(id: u32, file: &Path, turning: Turning) -> Result<Taken, String> {
         ids: vec![id],
         orientation,
         camera: exif.as_ref().map(exif::camera).unwrap_or_default(),
+        exif_flaw,
     })
 }
 
@@ -206,6 +244,8 @@ struct Contents {
     names: Vec<Name>,
     /// How many others there are, by their extension in lower case.
     others: BTreeMap<String, usize>,
+    /// Names of images of kinds that are not read.
+    unread: Vec<String>,
     /// Names of its folders.
     folders: Vec<String>,
 }
@@ -251,6 +291,7 @@ fn contents(path: &Path) -> Result<Contents, VideoError> {
             let inner = directly_in(&path.join(&folder))?;
             let below = |name: Name| Name { text: format!("{folder}/{}", name.text), ..name };
             contents.names.extend(inner.names.into_iter().map(below));
+            contents.unread.extend(inner.unread.iter().map(|name| format!("{folder}/{name}")));
             inner.others.into_iter().for_each(|(kind, count)| *contents.others.entry(kind).or_default() += count);
         }
     }
@@ -273,6 +314,9 @@ fn directly_in(path: &Path) -> Result<Contents, VideoError> {
         } else if let (true, Some(name)) = (is_folder, name.to_str()) {
             contents.folders.push(name.to_owned());
         } else if !is_folder {
+            if UNREAD.contains(&extension.as_str()) {
+                contents.unread.push(name.to_string_lossy().into_owned());
+            }
             *contents.others.entry(extension).or_default() += 1;
         }
     }
@@ -283,7 +327,6 @@ fn directly_in(path: &Path) -> Result<Contents, VideoError> {
 /// What there is instead of images, and what to do about it.
 fn described(others: &BTreeMap<String, usize>) -> String {
     const VIDEOS: [&str; 9] = ["mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "mpg", "gif"];
-    const PICTURES: [&str; 9] = ["webp", "tif", "tiff", "bmp", "heic", "heif", "avif", "dng", "exr"];
     let Some((commonest, count)) = others.iter().max_by_key(|(_, count)| **count) else {
         return "it is empty, and so are its folders; give the folder that the images are in".to_owned();
     };
@@ -291,7 +334,7 @@ fn described(others: &BTreeMap<String, usize>) -> String {
     let kind = if commonest.is_empty() { "without an ending".to_owned() } else { format!(".{commonest}") };
     let cure = match commonest.as_str() {
         video if VIDEOS.contains(&video) => "give one video by its name",
-        picture if PICTURES.contains(&picture) => "convert them to PNG or JPEG (ImageMagick: `mogrify -format png *`)",
+        picture if UNREAD.contains(&picture) => "convert them to PNG or JPEG (ImageMagick: `mogrify -format png *`)",
         _ => "give a folder of JPEG or PNG images, or a video",
     };
     match commonest.is_empty() {
@@ -436,6 +479,26 @@ mod tests {
         assert_eq!(turned(std::slice::from_ref(&stored)), None);
         let said = turned(&[stored, entry(1, Orientation::Rotate90)]).unwrap();
         assert!(said.contains("1.jpg: 1 of 2") && said.contains("auto-orient"), "{said}");
+    }
+
+    #[test]
+    fn images_of_kinds_that_are_not_read_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        RgbImage::new(8, 6).save(folder.path().join("1.png")).unwrap();
+        let warnings = || list(folder.path(), Turning::Auto, Cameras::One).unwrap().warnings;
+        // A raw file of the same image, a clip of the same still.
+        for name in ["1.DNG", "1.MOV", "notes.txt"] {
+            fs::write(folder.path().join(name), b"x").unwrap();
+        }
+        assert_eq!(warnings(), [""; 0]);
+        for name in ["10.HEIC", "9.HEIC"] {
+            fs::write(folder.path().join(name), b"x").unwrap();
+        }
+        let said = warnings();
+        assert!(
+            said.len() == 1 && said[0].contains("2 of the folder's images") && said[0].contains("9.HEIC"),
+            "{said:?}"
+        );
     }
 
     #[test]

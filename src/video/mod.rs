@@ -6,7 +6,8 @@
 //!
 //! Time stamps are the container's, counted from its first picture. Those that are missing or do not rise are rebuilt
 //! from the pace of the frames before, with a warning. Pictures come upright (rotation metadata and EXIF orientation
-//! are applied) and no larger than asked for.
+//! are applied), with square pixels, of one instant (interlaced video), and no larger than asked for. Frames that repeat
+//! the one before are not listed.
 //!
 //! Entry point: [`Source::open`]. [`subtitles`] reads the text track that some cameras write beside the pictures.
 
@@ -15,14 +16,21 @@ mod decode;
 mod diagnosis;
 mod error;
 mod exif;
+mod fields;
 mod file;
 mod folder;
 mod jpeg;
 mod options;
 mod prefetch;
+mod repeats;
+mod shape;
 mod source;
 mod start;
 mod subtitles;
+mod survey;
+#[cfg(test)]
+mod tests;
+mod tracks;
 
 pub use error::VideoError;
 pub use exif::{Taken, taken};

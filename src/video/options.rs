@@ -88,6 +88,9 @@ pub struct Options {
     /// its own.
     #[schemars(extend("unit" = "frames per second"))]
     pub fps: Option<f64>,
+    /// Video track that is read, counted from 0 among the video tracks of the file as FFmpeg does (`-map 0:v:N`);
+    /// `None` is the first one with about as many frames as any.
+    pub track: Option<u32>,
     /// Whether photographs whose EXIF data turn them are turned. A video's rotation is always applied.
     pub turning: Turning,
 }
@@ -107,7 +110,7 @@ pub enum Turning {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { start: None, end: None, every: 1, max_dimension: None, fps: None, turning: Turning::Auto }
+        Self { start: None, end: None, every: 1, max_dimension: None, fps: None, track: None, turning: Turning::Auto }
     }
 }
 

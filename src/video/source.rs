@@ -9,10 +9,11 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::decode::{Decoder, next_chosen};
-use super::file::{FileDecoder, Video};
+use super::file::{FileDecoder, Sizes, Video};
 use super::folder::{self, FolderDecoder, Listing, Taken};
 use super::options::Selection;
-use super::{Frames, Options, VideoError};
+use super::survey::Survey;
+use super::{Frames, Options, VideoError, shape};
 use crate::ffi::ffmpeg::Purpose;
 use crate::image::scale_to_fit;
 use crate::limits::files;
@@ -63,10 +64,16 @@ pub struct Info {
     pub width: u32,
     /// Height of the frames as they are given out, pixels.
     pub height: u32,
-    /// Upright width before resizing, pixels.
+    /// Upright width before resizing, in square pixels.
     pub source_width: u32,
-    /// Upright height before resizing, pixels.
+    /// Upright height before resizing, in square pixels.
     pub source_height: u32,
+    /// Upright width as the file stores it: another one where its pixels are not square.
+    pub stored_width: u32,
+    /// Upright height as the file stores it.
+    pub stored_height: u32,
+    /// Number of the video track among those of the file, from 0.
+    pub video_track: Option<u32>,
     /// Frames per second: the container's nominal rate, or the one given for a folder.
     pub fps: Option<f64>,
     /// Number of frames that the container states (it may be an estimate), or of image files in the folder.
@@ -92,6 +99,8 @@ impl Info {
 pub struct Scan {
     /// Ascending by index; never empty.
     pub frames: Vec<Frame>,
+    /// Chosen frames of a video that are not listed since they repeat the one before.
+    pub num_repeated: usize,
     /// What is wrong with the input although it can be used, one sentence each.
     pub warnings: Vec<String>,
 }
@@ -104,6 +113,8 @@ pub struct Source {
     info: Info,
     cameras: Vec<PictureCamera>,
     listing: Option<Listing>,
+    /// Remarks on how a video is read, for the user.
+    remarks: Vec<String>,
 }
 
 /// Stated counts of frames may be this far off without being worth a word: containers round durations.
@@ -135,21 +146,22 @@ impl Source {
             _ => VideoError::Unreadable { path: path.to_owned(), source },
         };
         let metadata = fs::metadata(path).map_err(unreadable)?;
-        let (info, listing) = if metadata.is_dir() {
+        let (info, listing, remarks) = if metadata.is_dir() {
             let listing = folder::list(path, options.turning, cameras)?;
-            (folder_info(&listing, options), Some(listing))
+            (folder_info(&listing, options), Some(listing), Vec::new())
         } else {
             files::open(path).map_err(unreadable)?;
             if metadata.len() == 0 {
                 return Err(VideoError::Empty { path: path.to_owned() });
             }
-            (file_info(path, options)?, None)
+            let (info, remarks) = file_info(path, options)?;
+            (info, None, remarks)
         };
         let cameras = match &listing {
             Some(listing) => listing.cameras.iter().map(|taken| picture_camera(taken, options)).collect(),
             None => vec![only_camera(&info)],
         };
-        Ok(Self { path: path.to_owned(), options: options.clone(), info, cameras, listing })
+        Ok(Self { path: path.to_owned(), options: options.clone(), info, cameras, listing, remarks })
     }
 
     /// The cameras that took the pictures, in order of their first one; never empty.
@@ -190,22 +202,28 @@ impl Source {
         &self.path
     }
 
-    /// Walks through the whole input without making pictures: which frames there are, at which times.
+    /// Walks through the whole input without making pictures: which frames there are, at which times. Frames of a video
+    /// that have another size than the first, or repeat the one before, are not listed.
     ///
     /// # Errors
     /// [`VideoError::NothingChosen`] if the options leave no frame; those of opening the file again.
     pub fn scan(&self) -> Result<Scan, VideoError> {
         let mut decoder = self.decoder(Purpose::Times)?;
         let mut selection = Selection::new(&self.options);
-        let frames: Vec<Frame> = std::iter::from_fn(|| next_chosen(decoder.as_mut(), &mut selection).transpose())
-            .collect::<Result<_, _>>()?;
-        if frames.is_empty() {
+        let mut survey = Survey::default();
+        while let Some(frame) = next_chosen(decoder.as_mut(), &mut selection)? {
+            survey.push(frame, decoder.inspect());
+        }
+        if survey.is_empty() {
             return Err(self.nothing_chosen()?);
         }
+        let surveyed = survey.finish(&self.path, (self.info.source_width, self.info.source_height));
         let mut warnings = self.listing.as_ref().map_or_else(Vec::new, |listing| listing.warnings.clone());
+        warnings.extend(self.remarks.iter().map(|remark| format!("{}: {remark}", self.path.display())));
+        warnings.extend(surveyed.warnings);
         warnings.extend(self.time_warning(decoder.num_guessed()));
         warnings.extend(self.count_warning(decoder.as_ref()));
-        Ok(Scan { frames, warnings })
+        Ok(Scan { frames: surveyed.frames, num_repeated: surveyed.num_repeated, warnings })
     }
 
     /// Decodes the chosen frames in order.
@@ -232,7 +250,10 @@ impl Source {
                 let targets = self.cameras.iter().map(|camera| (camera.width, camera.height)).collect();
                 Box::new(FolderDecoder::new(listing, self.options.fps, targets))
             }
-            None => Box::new(FileDecoder::open(&self.path, purpose, (info.source_width, info.source_height), target)?),
+            None => {
+                let size = (info.source_width, info.source_height);
+                Box::new(FileDecoder::open(&self.path, purpose, self.options.track, size, target)?)
+            }
         })
     }
 
@@ -281,6 +302,9 @@ fn folder_info(listing: &Listing, options: &Options) -> Info {
         height,
         source_width,
         source_height,
+        stored_width: source_width,
+        stored_height: source_height,
+        video_track: None,
         fps: options.fps,
         num_frames: Some(listing.num_files),
         rotation_deg: 0,
@@ -303,23 +327,29 @@ fn only_camera(info: &Info) -> PictureCamera {
     PictureCamera { width, height, source_width, source_height, exif_focal_px, frames: Vec::new() }
 }
 
-fn file_info(path: &Path, options: &Options) -> Result<Info, VideoError> {
+/// Probes a video: its properties, and remarks on how it is read.
+fn file_info(path: &Path, options: &Options) -> Result<(Info, Vec<String>), VideoError> {
     let no_frames = || VideoError::NoFrames { path: path.to_owned() };
-    let video = Video::open(path, Purpose::Pictures)?;
+    let video = Video::open(path, Purpose::Pictures, options.track)?;
     let container = video.container();
-    let (source_width, source_height) = video.first_size()?.ok_or_else(no_frames)?;
-    let (width, height) = target_size((source_width, source_height), options);
-    Ok(Info {
+    let Sizes { stored, shown } = video.first_sizes()?.ok_or_else(no_frames)?;
+    let (width, height) = target_size(shown, options);
+    let remarks = container.remarks.into_iter().chain(shape::remark(stored, shown)).collect();
+    let info = Info {
         kind: Kind::Video,
         width,
         height,
-        source_width,
-        source_height,
+        source_width: shown.0,
+        source_height: shown.1,
+        stored_width: stored.0,
+        stored_height: stored.1,
+        video_track: Some(container.track),
         fps: container.fps,
         num_frames: container.num_frames,
         rotation_deg: container.rotation_deg,
         exif_focal_px: None,
-    })
+    };
+    Ok((info, remarks))
 }
 
 fn target_size((width, height): (u32, u32), options: &Options) -> (u32, u32) {
@@ -468,7 +498,7 @@ mod tests {
 
     /// Walks through a file by every way there is, and gives the number of frames, if it is a video at all.
     fn walked(path: &Path) -> Option<usize> {
-        let _ = crate::video::subtitles(path);
+        let _ = crate::video::subtitles(path, None);
         let source = Source::open(path, &Options::default()).ok()?;
         let _ = source.frames().ok()?.filter(Result::is_err).count();
         source.scan().ok().map(|scan| scan.frames.len())

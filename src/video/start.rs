@@ -3,13 +3,11 @@
 use std::path::Path;
 
 use crate::ffi::ffmpeg::MediaFile;
-use crate::limits::files;
 
 /// The time at which a video was begun, as its container states it: ISO 8601, universal time if the camera keeps to the
 /// format. Some cameras write local time, or the time at which they ended. `None` where it says nothing, or is no
 /// video.
 pub fn stated_start(path: &Path) -> Option<String> {
-    files::check(path).ok()?;
     MediaFile::open(path).ok()?.metadata(c"creation_time")
 }
 

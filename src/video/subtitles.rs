@@ -3,9 +3,8 @@
 use std::path::Path;
 
 use super::error::regular;
-use super::file::origin_s;
-use super::{VideoError, diagnosis};
-use crate::ffi::ffmpeg::{FfmpegError, MediaFile, Packet, Stream, StreamKind, TextCoding};
+use super::{VideoError, diagnosis, tracks};
+use crate::ffi::ffmpeg::{MediaFile, Packet, Stream, StreamKind, TextCoding};
 use crate::limits::memory;
 
 /// A text and when it is to be shown.
@@ -24,30 +23,28 @@ pub struct Subtitle {
 /// Returns the texts in the order of the file; none if it has no text track. Nothing is decoded, so that it takes
 /// little more time than reading the file.
 ///
+/// * `track` – video track whose clock counts, as [`Options::track`](super::Options::track).
+///
 /// # Errors
-/// [`VideoError::NoIndex`], [`VideoError::NotAVideo`] for a file that FFmpeg does not take, [`VideoError::Ffmpeg`],
-/// [`VideoError::TextTooLarge`].
-pub fn subtitles(path: &Path) -> Result<Vec<Subtitle>, VideoError> {
-    let refused = |error| match error {
-        FfmpegError::Open(_) => diagnosis::why_not(path),
-        other => VideoError::Ffmpeg(other),
-    };
+/// [`VideoError::NoIndex`], [`VideoError::NotAVideo`] for a file that FFmpeg does not take, [`VideoError::Playlist`],
+/// [`VideoError::Ffmpeg`], [`VideoError::TextTooLarge`].
+pub fn subtitles(path: &Path, track: Option<u32>) -> Result<Vec<Subtitle>, VideoError> {
     regular(path)?;
-    let mut file = MediaFile::open(path).map_err(refused)?;
+    let mut file = MediaFile::open(path).map_err(|error| diagnosis::refused(path, error))?;
     let streams = file.streams();
     let is_text = |stream: &&Stream| matches!(stream.kind, StreamKind::Text(_));
     let Some(Stream { index, kind: StreamKind::Text(coding), time_base, .. }) = streams.iter().find(is_text).copied()
     else {
         return Ok(Vec::new());
     };
-    let origin_s = origin_s(&streams);
+    let origin_s = tracks::choose(&file, path, track).map_or(0.0, |chosen| chosen.stream.start_s());
     file.keep_only(index);
     let mut packet = Packet::new()?;
     let (mut found, mut taken) = (Vec::new(), 0);
     // They are copied once more where telemetry is read from them.
     let limit = memory::of_machine() / 4;
     while file.read(&mut packet)? {
-        let Some(time) = packet.time().filter(|_| packet.stream() == index) else { continue };
+        let Some(time) = packet.time() else { continue };
         let text = text(packet.data(), coding);
         if !text.is_empty() {
             taken += (size_of::<Subtitle>() + text.capacity()) as u64;
@@ -99,24 +96,24 @@ mod tests {
         let content = "1\n00:00:00,000 --> 00:00:00,033\n<font>GPS (8.5, 47.2, 18)</font>\nBAROMETER:91.2\n\n\
                        2\n00:00:01,500 --> 00:00:02,000\nsecond\n\n";
         std::fs::write(&path, content).unwrap();
-        let found = subtitles(&path).unwrap();
+        let found = subtitles(&path, None).unwrap();
         assert_eq!(found.len(), 2, "{found:?}");
         assert_eq!(found[0].text, "<font>GPS (8.5, 47.2, 18)</font>\nBAROMETER:91.2");
         assert!((found[0].end_s - 0.033).abs() < 1e-9 && (found[1].start_s - 1.5).abs() < 1e-9, "{found:?}");
         std::fs::write(&path, "").unwrap();
-        assert!(subtitles(&path).is_err());
+        assert!(subtitles(&path, None).is_err());
     }
 
     #[test]
     fn a_text_track_inside_a_video_is_on_the_clock_of_its_frames() {
         let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
-        let found = subtitles(&golden.join("text_track.mp4")).unwrap();
+        let found = subtitles(&golden.join("text_track.mp4"), None).unwrap();
         let expected = [(0.0, 0.5, "HOME(8.5,47.2) D=1.5m"), (0.5, 1.0, "HOME(8.5,47.2) D=2.5m")];
         assert_eq!(found.len(), expected.len(), "{found:?}");
         for (found, (start_s, end_s, text)) in found.iter().zip(expected) {
             assert!((found.start_s - start_s).abs() < 1e-6 && (found.end_s - end_s).abs() < 1e-6, "{found:?}");
             assert_eq!(found.text, text);
         }
-        assert_eq!(subtitles(&golden.join("variable_rate_rotated.mp4")).unwrap(), []);
+        assert_eq!(subtitles(&golden.join("variable_rate_rotated.mp4"), None).unwrap(), []);
     }
 }

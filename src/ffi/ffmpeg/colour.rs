@@ -42,6 +42,19 @@ impl RgbConverter {
     /// # Errors
     /// [`FfmpegError::Convert`] for formats of pixels that the library does not know, [`FfmpegError::Memory`].
     pub fn convert(&mut self, decoder: &Decoder) -> Result<RgbImage, FfmpegError> {
+        self.convert_rows(decoder, 1)
+    }
+
+    /// The upper field of an interlaced picture: its even rows, with the chroma that belongs to them.
+    ///
+    /// # Errors
+    /// As [`Self::convert`].
+    pub fn convert_upper_field(&mut self, decoder: &Decoder) -> Result<RgbImage, FfmpegError> {
+        self.convert_rows(decoder, 2)
+    }
+
+    /// Every `step`-th row of each plane, as a picture of its own.
+    fn convert_rows(&mut self, decoder: &Decoder, step: c_int) -> Result<RgbImage, FfmpegError> {
         // SAFETY: the decoder's frame is allocated.
         let (width, height, format) =
             unsafe { ((*decoder.frame).width, (*decoder.frame).height, (*decoder.frame).format) };
@@ -49,6 +62,8 @@ impl RgbConverter {
         if width <= 0 || height <= 0 {
             return Err(failed("it is empty"));
         }
+        // Of each plane the first row is taken, so that none has fewer rows than are asked for, rounded up.
+        let height = (height - 1) / step + 1;
         self.allocate(width, height)?;
         // SAFETY: reuses the context or makes a new one for the sizes and formats given; source and target frames have
         // planes of those sizes and formats, aligned by FFmpeg itself.
@@ -72,8 +87,9 @@ impl RgbConverter {
             }
             let (source, target) = (&*decoder.frame, &*self.target);
             let from = source.data.as_ptr().cast::<*const u8>();
-            let (from_stride, to_stride) = (source.linesize.as_ptr(), target.linesize.as_ptr());
-            sys::sws_scale(self.context, from, from_stride, 0, height, target.data.as_ptr(), to_stride)
+            let from_stride = source.linesize.map(|stride| stride * step);
+            let to_stride = target.linesize.as_ptr();
+            sys::sws_scale(self.context, from, from_stride.as_ptr(), 0, height, target.data.as_ptr(), to_stride)
         };
         if num_rows == height { Ok(self.copied(width as u32, height as u32)) } else { Err(failed("it is damaged")) }
     }

@@ -119,6 +119,19 @@ impl Decoder {
         }
     }
 
+    /// Width and height of the picture as it is coded, pixels.
+    pub fn size(&self) -> (u32, u32) {
+        // SAFETY: the frame is allocated as long as `self` lives.
+        let (width, height) = unsafe { ((*self.frame).width, (*self.frame).height) };
+        (u32::try_from(width).unwrap_or(0), u32::try_from(height).unwrap_or(0))
+    }
+
+    /// The picture is declared to consist of two fields.
+    pub fn is_interlaced(&self) -> bool {
+        // SAFETY: as above.
+        is_interlaced(unsafe { &*self.frame })
+    }
+
     /// The time stamp of the picture, in ticks of its stream: the one stated, else what FFmpeg makes of its neighbours.
     pub fn time(&self) -> Option<i64> {
         // SAFETY: the frame is allocated as long as `self` lives.
@@ -135,4 +148,16 @@ impl Drop for Decoder {
             sys::avcodec_free_context(&mut self.context);
         }
     }
+}
+
+#[cfg(ffmpeg_6_1)]
+fn is_interlaced(frame: &sys::AVFrame) -> bool {
+    /// `AV_FRAME_FLAG_INTERLACED`.
+    const INTERLACED: std::ffi::c_int = 1 << 3;
+    frame.flags & INTERLACED != 0
+}
+
+#[cfg(not(ffmpeg_6_1))]
+fn is_interlaced(frame: &sys::AVFrame) -> bool {
+    frame.interlaced_frame != 0
 }

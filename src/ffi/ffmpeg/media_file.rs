@@ -7,7 +7,9 @@ use std::ptr;
 
 use ffmpeg_sys_the_third as sys;
 
-use super::{FfmpegError, checked, is_short_of_memory, words};
+use super::formats::{self, Admission};
+use super::input::{self, Input};
+use super::{Decoder, FfmpegError, checked, is_short_of_memory, words};
 
 /// Errors in a row after which a file is taken to be at its end.
 const MAX_READ_ERRORS: u32 = 64;
@@ -44,7 +46,7 @@ pub enum TextCoding {
 pub enum StreamKind {
     /// Moving pictures.
     Video,
-    /// A single picture that belongs to the file, such as a cover.
+    /// A single image that belongs to the file, such as a cover, or thumbnails of the video.
     Cover,
     /// Sound.
     Sound,
@@ -65,7 +67,7 @@ pub struct Stream {
     pub time_base: TimeBase,
     /// Time stamp of its beginning.
     pub start: Option<i64>,
-    /// Packets that the container counts in it.
+    /// Packets that the container counts in it and shows: those that an edit list hides are not among them.
     pub num_packets: Option<u64>,
     /// Length, seconds.
     pub duration_s: Option<f64>,
@@ -73,6 +75,15 @@ pub struct Stream {
     pub rate: Option<f64>,
     /// Degrees clockwise by which its pictures are to be turned, from 0 to 359.
     pub rotation_deg: i32,
+    /// Two fields per frame, as declared by the container or its first packets.
+    pub is_interlaced: bool,
+}
+
+impl Stream {
+    /// Beginning on the container's clock, seconds; 0 where it is not stated.
+    pub fn start_s(&self) -> f64 {
+        self.start.map_or(0.0, |ticks| self.time_base.seconds(ticks))
+    }
 }
 
 /// A piece of a stream. It holds its data until the next one is read into it.
@@ -135,6 +146,10 @@ impl Drop for Packet {
 /// An open container.
 pub struct MediaFile {
     context: *mut sys::AVFormatContext,
+    /// The stream whose packets are read; `None` for all.
+    kept: Option<usize>,
+    /// Read by the context, and closed after it.
+    _input: Input,
 }
 
 // SAFETY: the context is owned and has no ties to the thread that made it.
@@ -143,35 +158,39 @@ unsafe impl Send for MediaFile {}
 
 #[allow(unsafe_code)]
 impl MediaFile {
-    /// Opens a file and looks at its head and its first packets.
+    /// Opens a file and looks at its head and its first packets. No other file is opened, whatever the container says.
     ///
     /// # Errors
-    /// [`FfmpegError::Open`] where FFmpeg does not know it or finds it broken.
+    /// [`FfmpegError::Open`] where FFmpeg does not know it or finds it broken, or it is not a format of one file;
+    /// [`FfmpegError::Playlist`].
     pub fn open(path: &Path) -> Result<Self, FfmpegError> {
         let url = [b"file:".as_slice(), path.as_os_str().as_bytes()].concat();
         let url = CString::new(url).map_err(|_| FfmpegError::Open("a path holds no zero byte".to_owned()))?;
         let refused = |code| FfmpegError::Open(words(code));
-        let mut context = ptr::null_mut();
-        let mut options = ptr::null_mut();
-        // SAFETY: the strings end in a zero byte and outlive the calls; on failure the context stays null.
+        let input = Input::open(path)?;
+        let format = probe(&input, &url)?;
+        // SAFETY: allocates, or returns null.
+        let mut context = unsafe { sys::avformat_alloc_context() };
+        if context.is_null() {
+            return Err(FfmpegError::Memory);
+        }
+        // SAFETY: the context is new; the strings end in a zero byte and outlive the calls; where opening fails, FFmpeg
+        // frees the context and leaves the input alone.
         let opened = unsafe {
-            sys::av_dict_set(&mut options, c"protocol_whitelist".as_ptr(), c"file".as_ptr(), 0);
-            let opened = sys::avformat_open_input(&mut context, url.as_ptr(), ptr::null(), &mut options);
+            (*context).pb = input.context;
+            (*context).io_open = Some(input::refuse);
+            let mut options = ptr::null_mut();
+            // No protocol has this name: a demuxer that does not ask `io_open` opens nothing either.
+            sys::av_dict_set(&mut options, c"protocol_whitelist".as_ptr(), c"none".as_ptr(), 0);
+            let opened = sys::avformat_open_input(&mut context, url.as_ptr(), format, &mut options);
             sys::av_dict_free(&mut options);
             opened
         };
         checked(opened).map_err(refused)?;
-        let file = Self { context };
+        let file = Self { context, kept: None, _input: input };
         // SAFETY: the context is open; it is closed when `file` is dropped.
         checked(unsafe { sys::avformat_find_stream_info(file.context, ptr::null_mut()) }).map_err(refused)?;
         Ok(file)
-    }
-
-    /// FFmpeg's short name of the container's kind, such as `mov,mp4,m4a,3gp,3g2,mj2`.
-    pub fn format(&self) -> String {
-        // SAFETY: an open context has a format, whose name is a constant.
-        let name = unsafe { CStr::from_ptr((*(*self.context).iformat).name) };
-        name.to_string_lossy().into_owned()
     }
 
     /// What the container's metadata say under a key.
@@ -190,8 +209,9 @@ impl MediaFile {
         (0..count).map(|index| self.stream(index)).collect()
     }
 
-    /// Passes over all packets but those of one stream.
+    /// Reads the packets of one stream only.
     pub fn keep_only(&mut self, index: usize) {
+        self.kept = Some(index);
         for stream in self.streams() {
             let discard = if stream.index == index { sys::AVDiscard::DEFAULT } else { sys::AVDiscard::ALL };
             // SAFETY: the stream is one of the context's.
@@ -199,7 +219,8 @@ impl MediaFile {
         }
     }
 
-    /// Reads the next packet of any stream that is kept; `false` at the end, or where nothing more can be read.
+    /// Reads the next packet, of the stream that is kept, if one is; `false` at the end, or where nothing more can be
+    /// read.
     ///
     /// # Errors
     /// [`FfmpegError::Memory`].
@@ -212,6 +233,8 @@ impl MediaFile {
                 sys::av_read_frame(self.context, packet.packet)
             };
             match checked(code) {
+                // Packets that FFmpeg buffered while probing come first, also those of streams discarded since.
+                Ok(_) if self.kept.is_some_and(|kept| kept != packet.stream()) => num_errors = 0,
                 Ok(_) => return Ok(true),
                 Err(sys::AVERROR_EOF) => return Ok(false),
                 Err(code) if is_short_of_memory(code) => return Err(FfmpegError::Memory),
@@ -221,6 +244,15 @@ impl MediaFile {
                 return Ok(false);
             }
         }
+    }
+
+    /// Width of a pixel over its height, as a fraction, of the frame that a decoder of the stream is at: what the
+    /// container states, else what the frame does; `None` where neither says anything.
+    pub fn pixel_aspect(&self, stream: usize, decoder: &Decoder) -> Option<(u32, u32)> {
+        // SAFETY: context, stream and frame are valid; the call only reads them.
+        let aspect = unsafe { sys::av_guess_sample_aspect_ratio(self.context, self.raw_stream(stream), decoder.frame) };
+        let part = |value| u32::try_from(value).ok().filter(|value| *value > 0);
+        Some((part(aspect.num)?, part(aspect.den)?))
     }
 
     /// What a stream's decoder has to know.
@@ -242,10 +274,11 @@ impl MediaFile {
     fn stream(&self, index: usize) -> Stream {
         let stream = self.raw_stream(index);
         // SAFETY: stream and parameters are valid as long as the context is open.
-        let (base, start, length, num_packets, whole_length, rate) = unsafe {
+        let (base, start, length, whole_length, rate, field_order) = unsafe {
             let rate = sys::av_guess_frame_rate(self.context, stream, ptr::null_mut());
+            let field_order = (*(*stream).codecpar).field_order;
             let stream = &*stream;
-            (stream.time_base, stream.start_time, stream.duration, stream.nb_frames, (*self.context).duration, rate)
+            (stream.time_base, stream.start_time, stream.duration, (*self.context).duration, rate, field_order)
         };
         let time_base = TimeBase { num: base.num, den: base.den.max(1) };
         let whole = || stated(whole_length).map(|length| length as f64 / f64::from(sys::AV_TIME_BASE));
@@ -254,11 +287,31 @@ impl MediaFile {
             kind: kind(stream),
             time_base,
             start: stated(start),
-            num_packets: u64::try_from(num_packets).ok().filter(|count| *count > 0),
+            num_packets: self.num_packets(stream),
             duration_s: stated(length).map(|length| time_base.seconds(length)).or_else(whole),
             rate: (rate.num > 0 && rate.den > 0).then(|| f64::from(rate.num) / f64::from(rate.den)),
             rotation_deg: rotation_deg(stream),
+            is_interlaced: is_interlaced(field_order),
         }
+    }
+
+    /// Packets that are stated and shown. The index of an MP4 or MOV file has an entry for each that its edit list
+    /// leaves, with a mark at those that are only there to be decoded.
+    fn num_packets(&self, stream: *mut sys::AVStream) -> Option<u64> {
+        // SAFETY: the stream is one of the context's; entries are read below their count.
+        let (stated, entries) = unsafe { ((*stream).nb_frames, sys::avformat_index_get_entries_count(stream)) };
+        let stated = u64::try_from(stated).ok().filter(|count| *count > 0)?;
+        // SAFETY: an open context has a format, whose name is a constant.
+        let format = unsafe { CStr::from_ptr((*(*self.context).iformat).name) };
+        if !format.to_bytes().starts_with(b"mov,") || entries <= 0 {
+            return Some(stated);
+        }
+        let is_shown = |&entry: &c_int| {
+            // SAFETY: as above.
+            let entry = unsafe { sys::avformat_index_get_entry(stream, entry).as_ref() };
+            entry.is_some_and(|entry| entry.flags() & sys::AVINDEX_DISCARD_FRAME == 0)
+        };
+        Some((0..entries).filter(is_shown).count() as u64).filter(|shown| *shown > 0)
     }
 }
 
@@ -275,13 +328,43 @@ pub(super) fn stated(ticks: i64) -> Option<i64> {
     (ticks != sys::AV_NOPTS_VALUE).then_some(ticks)
 }
 
+/// Finds out the container format of a file.
+///
+/// # Errors
+/// [`FfmpegError::Open`], [`FfmpegError::Playlist`].
+#[allow(unsafe_code)]
+fn probe(input: &Input, url: &CStr) -> Result<*const sys::AVInputFormat, FfmpegError> {
+    let mut format = ptr::null();
+    // SAFETY: reads from the open input and rewinds it; the URL ends in a zero byte, and its extension is looked at.
+    let probed =
+        unsafe { sys::av_probe_input_buffer2(input.context, &mut format, url.as_ptr(), ptr::null_mut(), 0, 0) };
+    checked(probed).map_err(|code| FfmpegError::Open(words(code)))?;
+    // SAFETY: a format that was found has a name, which is a constant.
+    let name = unsafe { CStr::from_ptr((*format).name) }.to_string_lossy();
+    match formats::admission(&name) {
+        Admission::Open => Ok(format),
+        Admission::Playlist => Err(FfmpegError::Playlist(name.into_owned())),
+        Admission::Refuse => Err(FfmpegError::Open(format!("{name} is not a format of videos"))),
+    }
+}
+
+fn is_interlaced(order: sys::AVFieldOrder) -> bool {
+    use sys::AVFieldOrder as Order;
+    matches!(order, Order::TT | Order::BB | Order::TB | Order::BT)
+}
+
+/// Dispositions of streams of single images.
+const NO_VIDEO: c_int = (sys::AV_DISPOSITION_ATTACHED_PIC
+    | sys::AV_DISPOSITION_TIMED_THUMBNAILS
+    | sys::AV_DISPOSITION_STILL_IMAGE) as c_int;
+
 #[allow(unsafe_code)]
 fn kind(stream: *const sys::AVStream) -> StreamKind {
     // SAFETY: the caller's stream is valid, and has parameters.
     let (medium, codec, disposition) =
         unsafe { ((*(*stream).codecpar).codec_type, (*(*stream).codecpar).codec_id, (*stream).disposition) };
     match medium {
-        sys::AVMediaType::VIDEO if disposition & sys::AV_DISPOSITION_ATTACHED_PIC as c_int != 0 => StreamKind::Cover,
+        sys::AVMediaType::VIDEO if disposition & NO_VIDEO != 0 => StreamKind::Cover,
         sys::AVMediaType::VIDEO => StreamKind::Video,
         sys::AVMediaType::AUDIO => StreamKind::Sound,
         sys::AVMediaType::SUBTITLE => text_coding(codec).map_or(StreamKind::Other, StreamKind::Text),

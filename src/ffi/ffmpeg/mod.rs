@@ -4,13 +4,17 @@
 //! packets of one video stream; an [`RgbConverter`] turns the pictures into red, green and blue. Time stamps stay what
 //! they are in the file: integers, in the time base of their stream. An [`Encoder`] makes a file of pictures.
 //!
-//! Files are opened by the file system alone: a play list that names an address in the network does not get it.
+//! A container is read from one opened file. Playlists are refused, and so is every other file or address that a
+//! container names.
 //! Damaged input is FFmpeg's to survive; what it refuses comes back as an [`FfmpegError`]. Nothing is printed after
 //! [`silence`].
 
 mod colour;
 mod decoder;
 mod encoder;
+mod formats;
+mod input;
+mod luma;
 mod media_file;
 
 use std::ffi::{CStr, c_int};
@@ -21,6 +25,7 @@ use rustix::io::Errno;
 pub use self::colour::RgbConverter;
 pub use self::decoder::{Decoder, Purpose};
 pub use self::encoder::Encoder;
+pub use self::luma::Luma;
 pub use self::media_file::{MediaFile, Packet, Stream, StreamKind, TextCoding, TimeBase};
 
 /// What FFmpeg can refuse.
@@ -29,6 +34,9 @@ pub enum FfmpegError {
     /// No container that FFmpeg knows, or one whose head is broken.
     #[error("{0}")]
     Open(String),
+    /// A list of other files, in a format of this name.
+    #[error("a playlist ({0})")]
+    Playlist(String),
     /// The installed FFmpeg has no decoder for a stream.
     #[error("no decoder for {0}")]
     NoDecoder(String),

@@ -62,7 +62,7 @@ pub(super) fn find(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
         TelemetryChoice::None => None,
         TelemetryChoice::File(path) => named(path, run.options.memory(), outcome),
         TelemetryChoice::Auto if run.info().kind == Kind::Video => {
-            from_files(&beside(run.input()), run.options.memory(), outcome).or_else(|| inside(run.input(), outcome))
+            from_files(&beside(run.input()), run.options.memory(), outcome).or_else(|| inside(run, outcome))
         }
         TelemetryChoice::Auto => photographs(run),
     };
@@ -100,8 +100,9 @@ fn from_files(paths: &[PathBuf], memory: MemoryLimit, outcome: &mut Outcome) -> 
     })
 }
 
-fn inside(video: &Path, outcome: &mut Outcome) -> Option<Telemetry> {
-    match telemetry_inside(video) {
+fn inside(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
+    let video = run.input();
+    match telemetry_inside(video, run.options.video.track) {
         Some(Ok(log)) => Some(Telemetry { log, path: video.to_owned(), origin: Origin::Inside }),
         Some(Err(error)) => {
             tracing::info!("the text track of the video is no telemetry: {}", with_cause(&error));
@@ -114,10 +115,12 @@ fn inside(video: &Path, outcome: &mut Outcome) -> Option<Telemetry> {
 
 /// Reads the telemetry in the text track of a video; `None` where it has no text track, or is no video.
 ///
+/// * `track` – video track whose clock counts; `None` as in a run.
+///
 /// # Errors
 /// [`TelemetryError::NoFix`] where the track says something else.
-pub fn telemetry_inside(video: &Path) -> Option<Result<Log, TelemetryError>> {
-    let entries = match video::subtitles(video) {
+pub fn telemetry_inside(video: &Path, track: Option<u32>) -> Option<Result<Log, TelemetryError>> {
+    let entries = match video::subtitles(video, track) {
         Err(VideoError::TextTooLarge { path, limit }) => {
             let (size_mib, most_mib) = (limit >> 20, limit >> 20);
             return Some(Err(TelemetryError::TooLarge { path, size_mib, most_mib }));

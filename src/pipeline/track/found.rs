@@ -92,7 +92,8 @@ pub(super) fn follow(
     let mut previous: Option<RgbImage> = None;
     let mut seen: BTreeMap<ObjectId, BTreeSet<FrameId>> = BTreeMap::new();
     let mut index = 0;
-    pictures::for_each(run, Stage::Track, (run.source.frames()?, frames.len()), outcome, |frame, picture| {
+    let chosen = (run.source.frames_at(names.keys().copied().collect())?, frames.len());
+    pictures::for_each(run, Stage::Track, chosen, outcome, |frame, picture| {
         let near = |previous| flow.flow_near(previous, &picture, &tracker.places());
         let carried = previous.as_ref().map(near).transpose()?;
         let look = finds.look(run, index, &frame)?;

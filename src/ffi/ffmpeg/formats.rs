@@ -1,0 +1,120 @@
+//! Container formats that are opened.
+//!
+//! A video is one file. FFmpeg's demuxers also read playlists, session descriptions and numbered images, which name
+//! other files or addresses. Formats are therefore allowed by name: a demuxer that a later FFmpeg adds is refused until
+//! it is known to read one file only. The price is a conversion for owners of rare formats, which the message names.
+
+/// Formats in which cameras, recorders and editors store video.
+const VIDEOS: [&str; 52] = [
+    "apng",
+    "asf",
+    "asf_o",
+    "av1",
+    "avi",
+    "avs2",
+    "avs3",
+    "cavsvideo",
+    "cine",
+    "dhav",
+    "dirac",
+    "dnxhd",
+    "dv",
+    "evc",
+    "film_cpk",
+    "filmstrip",
+    "flic",
+    "flv",
+    "gif",
+    "gxf",
+    "h261",
+    "h263",
+    "h264",
+    "hevc",
+    "ifv",
+    "ivf",
+    "ivr",
+    "kux",
+    "live_flv",
+    "lxf",
+    "m4v",
+    "matroska,webm",
+    "mjpeg",
+    "mjpeg_2000",
+    "mov,mp4,m4a,3gp,3g2,mj2",
+    "mpeg",
+    "mpegts",
+    "mpegtsraw",
+    "mpegvideo",
+    "mpjpeg",
+    "mxf",
+    "mxg",
+    "nsv",
+    "nut",
+    "nuv",
+    "obu",
+    "ogg",
+    "rm",
+    "vc1",
+    "vvc",
+    "wtv",
+    "yuv4mpegpipe",
+];
+/// Others with pictures that are seldom met: TiVo, Playstation Portable, TechnoTrend, Red, SER, VC-1 test streams, Flash,
+/// SMJPEG, Leitch, NewTek.
+const RARE_VIDEOS: [&str; 10] = ["ty", "pmp", "pva", "r3d", "ser", "vc1test", "swf", "smjpeg", "lmlm4", "ingenient"];
+/// Sound and subtitles: opened, so that the message can say what the file holds, and for receivers' logs in subtitles.
+const OTHERS: [&str; 13] =
+    ["aac", "ac3", "aiff", "amr", "ass", "caf", "eac3", "flac", "mp3", "srt", "w64", "wav", "webvtt"];
+/// Formats that name other files or addresses.
+const PLAYLISTS: [&str; 12] = [
+    "avisynth",
+    "concat",
+    "dash",
+    "hls",
+    "imf",
+    "rtp",
+    "rtsp",
+    "sap",
+    "sdp",
+    "vapoursynth",
+    "vobsub",
+    "webm_dash_manifest",
+];
+
+/// Treatment of a container format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Admission {
+    /// One file that holds its own streams.
+    Open,
+    /// A list of other files.
+    Playlist,
+    /// Unknown, or no video.
+    Refuse,
+}
+
+/// Decides by FFmpeg's name of a demuxer.
+pub(super) fn admission(demuxer: &str) -> Admission {
+    if VIDEOS.contains(&demuxer) || RARE_VIDEOS.contains(&demuxer) || OTHERS.contains(&demuxer) {
+        Admission::Open
+    } else if PLAYLISTS.contains(&demuxer) {
+        Admission::Playlist
+    } else {
+        Admission::Refuse
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_formats_of_one_file_are_opened() {
+        for name in ["mov,mp4,m4a,3gp,3g2,mj2", "matroska,webm", "mpegts", "srt", "wav"] {
+            assert_eq!(admission(name), Admission::Open, "{name}");
+        }
+        assert_eq!(admission("hls"), Admission::Playlist);
+        for name in ["image2", "png_pipe", "tty", "rawvideo", "of a later version"] {
+            assert_eq!(admission(name), Admission::Refuse, "{name}");
+        }
+    }
+}
