@@ -71,10 +71,11 @@ fn ended(failure: &Failure, args: &Args) -> ExitCode {
 
 /// Help and version count as done, anything else as wrong use; clap says which.
 fn not_parsed(error: &clap::Error, arguments: &[OsString]) -> ExitCode {
-    let text = error.render().to_string();
-    match printable(&text) {
-        Cow::Borrowed(_) => drop(error.print()),
-        Cow::Owned(spelled) => drop(io::stderr().write_all(spelled.as_bytes())),
+    // The colors of clap go to a terminal as they are, and with them what stands in the arguments.
+    let is_plain = |argument: &OsString| matches!(printable(&argument.to_string_lossy()), Cow::Borrowed(_));
+    match arguments.iter().all(is_plain) {
+        true => drop(error.print()),
+        false => drop(io::stderr().write_all(printable(&error.render().to_string()).as_bytes())),
     }
     let wants_json = arguments.iter().take_while(|argument| *argument != "--").any(|argument| argument == "--json");
     if wants_json && error.use_stderr() {

@@ -218,9 +218,9 @@ pub struct Options {
     /// Threads; `None` is one per core. Results agree whatever the number.
     #[schemars(extend("unit" = "threads"))]
     pub threads: Option<usize>,
-    /// Memory limit for files that are read, images and networks, for example `2GiB` or `800MiB`; `None` is four fifths of the
-    /// machine's, or of the control group's that the program runs in. What would take more is refused before it is
-    /// tried. Has no influence on results.
+    /// Memory limit for files that are read, images and networks, for example `2GiB` or `800MiB`; `None` is four fifths
+    /// of the machine's, or of the control group's that the program runs in. What would take more is refused before it
+    /// is tried. Has no influence on results.
     #[schemars(with = "Option<String>", extend("unit" = "MiB or GiB"))]
     pub memory_limit: Option<MemoryLimit>,
 }

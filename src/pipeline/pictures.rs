@@ -7,8 +7,8 @@ use super::{PipelineError, Stage};
 use crate::scene::Frame;
 use crate::video::Frames;
 
-/// Hands every picture to `work`, as a part of a stage's progress with a step each. A frame that cannot be decoded is left out, and
-/// the first stage that meets it says so.
+/// Hands every picture to `work`, as a part of a stage's progress with a step each. A frame that cannot be decoded is
+/// left out, and the first stage that meets it says so.
 ///
 /// * `frames` – with their number.
 ///

@@ -22,8 +22,8 @@ pub enum TelemetryError {
     },
     /// The file is larger than any log.
     #[error(
-        "{}: {size_mib} MiB are more than a log has (at most {most_mib} MiB, or a quarter of the memory limit); give the \
-         part that belongs to the video",
+        "{}: {size_mib} MiB are more than a log has (at most {most_mib} MiB, or a quarter of the memory limit); give \
+         the part that belongs to the video",
         path.display()
     )]
     TooLarge {
@@ -36,8 +36,8 @@ pub enum TelemetryError {
     },
     /// The file holds more positions than memory does.
     #[error(
-        "{}: more than {most} positions, which is as many as are read; give the part that belongs to the video, or raise \
-         --memory-limit",
+        "{}: more than {most} positions, the maximum for this memory limit; give the part that belongs to the video, \
+         or raise --memory-limit",
         path.display()
     )]
     TooMany {
