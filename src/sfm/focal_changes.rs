@@ -151,14 +151,19 @@ impl<'a> Window<'a> {
         let change = whole.from_first();
         let common = |t: usize| COMMON_ERROR_FACTOR * whole.std[t];
         let is_significant = |t: usize, std: f64| change[t].abs() > LEAST_CHANGE.max(SIGNIFICANT * std);
-        if !(0..change.len()).any(|t| is_significant(t, common(t))) {
+        // A focal length that is not positive has no logarithm.
+        let is_determined = change.iter().all(|log| log.is_finite());
+        if !is_determined || !(0..change.len()).any(|t| is_significant(t, common(t))) {
             return Ok(None);
         }
         let [left, right] = [self.focal_lengths(Part::Left)?, self.focal_lengths(Part::Right)?];
         let is_seen =
             |t: usize| [&left, &right].iter().all(|half| half.num_points[0].min(half.num_points[t]) >= LEAST_HALF);
         let (by_left, by_right) = (left.from_first(), right.from_first());
-        let halves = |t: usize| if is_seen(t) { 0.5 * (by_left[t] - by_right[t]).abs() } else { f64::INFINITY };
+        let halves = |t: usize| {
+            let off = 0.5 * (by_left[t] - by_right[t]).abs();
+            if is_seen(t) && off.is_finite() { off } else { f64::INFINITY }
+        };
         if !(0..change.len()).any(|t| is_significant(t, common(t).hypot(halves(t)))) {
             return Ok(None);
         }
@@ -285,9 +290,21 @@ fn prior(camera: usize, intrinsics: &Camera, sigma_px: f64) -> IntrinsicsPrior {
     IntrinsicsPrior { camera, values: intrinsics.intrinsics(), sigma }
 }
 
-/// Where a series changes: from the last view at the first level to the first one from which it stays at the last
-/// level, and the largest change on the way.
+/// Where a series changes, and by how much.
+///
+/// With forward motion a steady zoom and a steady change of speed differ little, so that a series may drift from its
+/// beginning to its end: where it changes within a much shorter time but for a drift, that is the change.
 fn span(change: &[f64]) -> ([usize; 2], f64) {
+    let rate = upper_median(change.windows(2).map(|pair| pair[1] - pair[0]).collect()).unwrap_or_default();
+    let without_drift: Vec<f64> = (0..).zip(change).map(|(t, log)| log - rate * f64::from(t)).collect();
+    let (whole, part) = (between_levels(change), between_levels(&without_drift));
+    let length = |([first, last], _): ([usize; 2], f64)| last - first;
+    if part.1.abs() > LEAST_CHANGE && 2 * length(part) < length(whole) { part } else { whole }
+}
+
+/// From the last view at the first level of a series to the first one from which it stays at the last level, and the
+/// largest change on the way.
+fn between_levels(change: &[f64]) -> ([usize; 2], f64) {
     let largest = change.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
     // Levels drift by a part of the change.
     let tolerance = (0.5 * LEAST_CHANGE).max(0.1 * largest.abs());

@@ -164,12 +164,19 @@ fn windows_cover_all_views_and_overlap_by_half() {
 #[test]
 fn a_span_begins_and_ends_where_a_series_changes() {
     let flat = |value: f64, count: usize| vec![value; count];
-    let up: Vec<f64> = (1..10).map(|k| 0.033 * f64::from(k)).collect();
+    let up: Vec<f64> = (1..10).map(|k| 0.036 * f64::from(k)).collect();
     let zoom = [flat(0.0, 10), up.clone(), flat(0.33, 10)].concat();
-    assert_eq!(span(&zoom), ([10, 18], 0.33));
+    assert_eq!(span(&zoom), ([9, 18], 0.33));
     assert_eq!(span(&[flat(0.0, 10), flat(-0.29, 9)].concat()), ([9, 10], -0.29));
     let back: Vec<f64> = up.iter().rev().copied().collect();
     let there_and_back = [flat(0.0, 10), up, flat(0.33, 10), back, flat(0.0, 10)].concat();
-    assert_eq!(span(&there_and_back), ([10, 37], 0.33));
+    assert_eq!(span(&there_and_back), ([9, 38], 0.33));
     assert_eq!(span(&flat(0.0, 9)), ([0, 8], 0.0));
+    let long = [flat(0.0, 60), zoom[10..19].to_vec(), flat(0.33, 60)].concat();
+    let drifting: Vec<f64> = (0..).zip(&long).map(|(t, log)| log - 0.002 * f64::from(t)).collect();
+    let (frames, change) = span(&drifting);
+    assert!(frames == [59, 68] && (change - 0.33).abs() < 1e-9, "{frames:?} {change}");
+    let steady: Vec<f64> = (0..100).map(|t| 0.003 * f64::from(t)).collect();
+    let (frames, change) = span(&steady);
+    assert!(frames[0] < 15 && frames[1] > 85 && (change - 0.297).abs() < 1e-9, "{frames:?} {change}");
 }
