@@ -112,7 +112,7 @@ pub struct Taken {
 /// When the photograph was taken (`DateTimeOriginal`, `SubSecTimeOriginal`, `OffsetTimeOriginal`); `None` where the block
 /// does not say.
 pub fn taken(path: &Path) -> Option<Taken> {
-    taken_by(&read(path)?)
+    taken_by(&read(path).ok()??)
 }
 
 fn taken_by(exif: &Exif) -> Option<Taken> {
