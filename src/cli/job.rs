@@ -68,8 +68,8 @@ pub(super) struct JobArgs {
 
     /// fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]] in pixels of the source, or a COLMAP cameras.txt [default: from EXIF, or found]
     ///
-    /// The centre of the upper left pixel is (0.5, 0.5). Of a video whose pixels are not square, the source has the size at
-    /// which players show it.
+    /// The centre of the upper left pixel is (0.5, 0.5). If the pixels of a video are not square, its source size is
+    /// the one at which players show it.
     #[arg(long, value_name = "NUMBERS|FILE", help_heading = "Geometry")]
     pub(super) intrinsics: Option<IntrinsicsSource>,
     /// How image points are found: `video` follows them from frame to frame, `sift` matches them between frames

@@ -103,15 +103,13 @@ impl Stage {
     /// of an older release are not reused. In every other build the hash of the sources ([`crate::VERSION`]) does that.
     pub(super) fn revision(self) -> u32 {
         match self {
-            // Last raised with decisions (docs/decisions) 29, `Features`, `Motion` and `Follow`, 30, `Background`, and
-            // 31, `Objects` and `Scale`.
             Self::Scale => 9,
             Self::Objects => 7,
             Self::Background | Self::Motion => 6,
             Self::Features | Self::Track => 5,
             Self::Ground | Self::Follow => 4,
             Self::Segment => 3,
-            Self::Metric | Self::Report => 2,
+            Self::Frames | Self::Metric | Self::Report => 2,
             _ => 1,
         }
     }

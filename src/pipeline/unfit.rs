@@ -69,8 +69,8 @@ fn in_words(found: &[Properties], has_given_masks: bool) -> String {
     }
     if has_given_masks && masked > MOSTLY_MASKED {
         words += &format!(
-            "; the masks of --masks cover {:.0} % of the images: if 0 marks the vehicles in them, invert them (here 0 is \
-             background)",
+            "; the masks of --masks cover {:.0} % of the images: if 0 marks the vehicles in them, invert them (here 0 \
+             is background)",
             100.0 * masked
         );
     }

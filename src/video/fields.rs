@@ -17,7 +17,7 @@ const BLOCK: usize = 16;
 /// Mean difference of rows, gray levels, from which a block has edges enough to tell: above the noise of a night
 /// recording.
 const MIN_DIFFERENCE: u32 = 4;
-/// A block is combed if neighbouring rows differ by so many tenths of what rows two apart do. Noise alone gives 10, with
+/// A block is combed if neighboring rows differ by so many tenths of what rows two apart do. Noise alone gives 10, with
 /// a spread of 0.6 in a block.
 const COMBED_TENTHS: u32 = 13;
 /// Share of combed blocks, among those with edges, of a combed frame. Of five progressive videos no frame had more than

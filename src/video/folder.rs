@@ -91,7 +91,7 @@ pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Li
     if let Some((file, flaw)) = flawed().next() {
         let (file, count) = (file.display(), flawed().count());
         listing.warnings.push(format!(
-            "{file}: EXIF data of {count} images cannot be read ({flaw}): focal length, orientation and position unknown"
+            "{file}: EXIF data of {count} images cannot be read ({flaw}): focal length, orientation, position unknown"
         ));
     }
     let common = match cameras {
@@ -128,8 +128,8 @@ fn skipped(path: &Path, names: &[Name], unread: Vec<String>) -> Option<String> {
     let first = alone.first()?;
     let kind = Path::new(first).extension().and_then(OsStr::to_str).unwrap_or_default();
     Some(format!(
-        "{}: {} of the folder's images skipped, only JPEG and PNG are read; the first is {first}; convert them \
-         (ImageMagick: `mogrify -format png *.{kind}`)",
+        "{}: {} of the folder's images skipped, only JPEG and PNG are read; the first is {first}; convert \
+         them (ImageMagick: `mogrify -format png *.{kind}`)",
         path.display(),
         alone.len()
     ))

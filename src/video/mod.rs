@@ -6,8 +6,8 @@
 //!
 //! Time stamps are the container's, counted from its first picture. Those that are missing or do not rise are rebuilt
 //! from the pace of the frames before, with a warning. Pictures come upright (rotation metadata and EXIF orientation
-//! are applied), with square pixels, of one instant (interlaced video), and no larger than asked for. Frames that repeat
-//! the one before are not listed.
+//! are applied), with square pixels, of one instant (interlaced video), and no larger than asked for. Frames that
+//! repeat the one before are not listed.
 //!
 //! Entry point: [`Source::open`]. [`subtitles`] reads the text track that some cameras write beside the pictures.
 

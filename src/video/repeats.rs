@@ -1,7 +1,7 @@
 //! Frames that repeat the one before.
 //!
-//! A video of 10 frames per second in a file of 30 contains each of them three times. Encoders do not copy exactly, and a
-//! stationary camera gives equal frames, too. Therefore a frame is repeated if its difference from its predecessor is
+//! A video of 10 frames per second in a file of 30 contains each of them three times. Encoders do not copy exactly, and
+//! a stationary camera gives equal frames, too. Therefore a frame is repeated if its difference from its predecessor is
 //! small compared with differences both before and after it. In a longer halt the neighboring differences are as small.
 
 use std::ops::Range;

@@ -8,8 +8,8 @@
 /// anything.
 const MAX_ASPECT: f64 = 4.0;
 
-/// Size of a frame with square pixels: the side along which pixels are longer grows, so that nothing is lost, to an even
-/// number, as video encoders need it. Unchanged where that is less than a pixel, or the aspect cannot be right.
+/// Size of a frame with square pixels: the side along which pixels are longer grows, so that nothing is lost, to an
+/// even number, as video encoders need it. Unchanged where that is less than a pixel, or the aspect cannot be right.
 ///
 /// * `aspect` – width of a pixel over its height, as a fraction; `None` is square.
 pub(super) fn squared((width, height): (u32, u32), aspect: Option<(u32, u32)>) -> (u32, u32) {
@@ -31,8 +31,8 @@ fn longer(side: u32, factor: f64) -> u32 {
 pub(super) fn remark(stored: (u32, u32), shown: (u32, u32)) -> Option<String> {
     (stored != shown).then(|| {
         format!(
-            "pixels are not square: frames of {}x{} pixels are stretched to {}x{}, as players show them; --intrinsics and \
-             all results refer to that size",
+            "pixels are not square: frames of {}x{} pixels are stretched to {}x{}, as players show them; --intrinsics \
+             and all results refer to that size",
             stored.0, stored.1, shown.0, shown.1
         )
     })

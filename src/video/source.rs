@@ -226,7 +226,7 @@ impl Source {
         Ok(Scan { frames: surveyed.frames, num_repeated: surveyed.num_repeated, warnings })
     }
 
-    /// Decodes the chosen frames in order.
+    /// Decodes the chosen frames in order, also those that [`Source::scan`] does not list.
     ///
     /// # Errors
     /// Those of opening the file again; what is wrong with single frames comes from the iterator.

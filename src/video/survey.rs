@@ -51,15 +51,15 @@ impl Survey {
         let num_repeated = is_repeated.iter().filter(|repeated| **repeated).count();
         if num_repeated > 0 {
             warnings.push(format!(
-                "{path}: {num_repeated} of {count} frames repeat the one before: skipped; indices and times are those of \
-                 the video"
+                "{path}: {num_repeated} of {count} frames repeat the one before: skipped; indices and times are those \
+                 of the video"
             ));
         }
         let num_combed = found.iter().filter(|frame| frame.is_combed).count();
         if num_combed > 0 {
             warnings.push(format!(
-                "{path}: interlaced, the fields of {num_combed} of {count} frames differ: one field of these is used, with \
-                 half the rows; `ffmpeg -i FILE -vf bwdif=mode=send_frame OUT` keeps more detail"
+                "{path}: interlaced, the fields of {num_combed} of {count} frames differ: one field of these is used, \
+                 with half the rows; `ffmpeg -i FILE -vf bwdif=mode=send_frame OUT` keeps more detail"
             ));
         }
         let is_kept = found.iter().zip(&is_repeated).map(|(found, repeated)| found.other_size.is_none() && !repeated);

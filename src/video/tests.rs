@@ -29,11 +29,12 @@ fn playlists_are_refused_whatever_they_are_called() {
     let hls = |end: &str, what: &str| {
         format!("#EXTM3U\n#EXT-X-TARGETDURATION:2\n#EXT-X-MEDIA-SEQUENCE:0\n#EXTINF:1.0,\n{what}\n{end}")
     };
-    let session = "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=a\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 5004 RTP/AVP 96\na=rtpmap:96 H264/90000\n";
+    let session = "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=a\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 5004 RTP/AVP 96\n\
+        a=rtpmap:96 H264/90000\n";
     let manifest = "<?xml version=\"1.0\"?><MPD xmlns=\"urn:mpeg:dash:schema:mpd:2011\" type=\"static\" \
-        mediaPresentationDuration=\"PT1S\" profiles=\"urn:mpeg:dash:profile:isoff-on-demand:2011\"><Period><AdaptationSet \
-        mimeType=\"video/mp4\"><Representation id=\"0\" bandwidth=\"1\"><BaseURL>near.mp4</BaseURL></Representation>\
-        </AdaptationSet></Period></MPD>";
+        mediaPresentationDuration=\"PT1S\" profiles=\"urn:mpeg:dash:profile:isoff-on-demand:2011\"><Period>\
+        <AdaptationSet mimeType=\"video/mp4\"><Representation id=\"0\" bandwidth=\"1\"><BaseURL>near.mp4</BaseURL>\
+        </Representation></AdaptationSet></Period></MPD>";
     let lists = [
         ("hls", hls("#EXT-X-ENDLIST\n", "near.mp4")),
         ("hls", hls("#EXT-X-ENDLIST\n", &far)),

@@ -9,8 +9,8 @@ use crate::ffi::ffmpeg::{FfmpegError, MediaFile, Packet, Stream, StreamKind};
 /// A track with fewer frames than this share of the longest one is not the camera's: cameras recorded together have 15
 /// to 60 frames per second, thumbnails one per second or one in all.
 const MIN_SHARE: f64 = 0.25;
-/// Packets of one track after which the tracks of a container without counts are compared: ten seconds, to be well above
-/// what a still image or thumbnails have by then.
+/// Packets of one track after which the tracks of a container without counts are compared: ten seconds, by which a
+/// still image or thumbnails have far fewer.
 const NUM_COMPARED: u64 = 250;
 
 /// The track that is read.

@@ -59,8 +59,7 @@ const VIDEOS: [&str; 52] = [
     "wtv",
     "yuv4mpegpipe",
 ];
-/// Others with pictures that are seldom met: TiVo, Playstation Portable, TechnoTrend, Red, SER, VC-1 test streams, Flash,
-/// SMJPEG, Leitch, NewTek.
+/// Rare ones: TiVo, PlayStation Portable, TechnoTrend, Red, SER, VC-1 test streams, Flash, SMJPEG, LMLM4, Ingenient.
 const RARE_VIDEOS: [&str; 10] = ["ty", "pmp", "pva", "r3d", "ser", "vc1test", "swf", "smjpeg", "lmlm4", "ingenient"];
 /// Sound and subtitles: opened, so that the message can say what the file holds, and for receivers' logs in subtitles.
 const OTHERS: [&str; 13] =
