@@ -181,7 +181,9 @@ pub(super) fn shown_up_to(goal: Stage, flag: clap::Arg) -> clap::Arg {
         "object_model" | "only_object" => Stage::Follow,
         "ground_masks" | "ground_label" | "ground_model" => Stage::Ground,
         "scale_method" => Stage::Scale,
-        "telemetry" | "no_telemetry" | "time_offset" | "utc_offset" | "camera_height" | "known_length" | "scale" => Stage::Metric,
+        "telemetry" | "no_telemetry" | "time_offset" | "utc_offset" | "camera_height" | "known_length" | "scale" => {
+            Stage::Metric
+        }
         _ => Stage::Frames,
     };
     flag.hide(first_use > goal)

@@ -49,9 +49,7 @@ impl Clock {
             (None, TimeBase::Seconds) => {
                 "No date is known: times count from the video's start, set to 1970-01-01T00:00:00Z."
             }
-            (None, TimeBase::Frames) => {
-                "No times are known: a frame counts as one second, from 1970-01-01T00:00:00Z."
-            }
+            (None, TimeBase::Frames) => "No times are known: a frame counts as one second, from 1970-01-01T00:00:00Z.",
         }
     }
 }

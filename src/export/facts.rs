@@ -58,7 +58,11 @@ impl Facts {
             class: object.class.clone(),
             confidence: object.confidence,
             verdict: object.verdict.as_ref().map(|verdict| verdict.state.name()),
-            doubt: object.verdict.as_ref().and_then(|verdict| verdict.complaints().next()).map(|doubt| doubt.says.clone()),
+            doubt: object
+                .verdict
+                .as_ref()
+                .and_then(|verdict| verdict.complaints().next())
+                .map(|doubt| doubt.says.clone()),
             num_frames: object.poses.len(),
             first_frame: first.map(|pose| pose.frame),
             last_frame: last.map(|pose| pose.frame),

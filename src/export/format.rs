@@ -136,7 +136,10 @@ mod tests {
         assert_eq!(Format::listed("trajectories-v2"), Ok(vec![Format::TrajectoriesV2]));
         for wrong in ["", "xlsx", "csv,", "CSV", "csv,all"] {
             let refusal = Format::listed(wrong).unwrap_err();
-            assert!(refusal.contains("csv, geojson, kml, gpx, tum, kitti, gltf, video, colmap, trajectories-v2"), "{refusal}");
+            assert!(
+                refusal.contains("csv, geojson, kml, gpx, tum, kitti, gltf, video, colmap, trajectories-v2"),
+                "{refusal}"
+            );
         }
     }
 }

@@ -51,7 +51,8 @@ pub(super) fn places(path: &Path, results: &Results) -> Result<(), ExportError> 
 
 /// Where a vehicle was.
 pub(super) fn vehicle_fixes(results: &Results, poses: &[ObjectPose]) -> Vec<Fix> {
-    let fix = |pose: &ObjectPose| Some(Fix { place: results.place_of(pose)?, image: pose.name.clone(), time_s: pose.time_s });
+    let fix =
+        |pose: &ObjectPose| Some(Fix { place: results.place_of(pose)?, image: pose.name.clone(), time_s: pose.time_s });
     poses.iter().filter_map(fix).collect()
 }
 
@@ -81,10 +82,9 @@ fn way(fixes: &[Fix], results: &Results, clock: &Clock, mut properties: Map<Stri
     let times = |piece: &[Fix]| piece.iter().map(|fix| time(clock, fix)).collect::<Vec<_>>();
     let (geometry, times) = match (pieces.as_slice(), fixes.first()) {
         ([], None) => (Value::Null, json!([])),
-        ([], Some(fix)) => (
-            json!({ "type": "Point", "coordinates": coordinates(results, &fix.place) }),
-            json!([time(clock, fix)]),
-        ),
+        ([], Some(fix)) => {
+            (json!({ "type": "Point", "coordinates": coordinates(results, &fix.place) }), json!([time(clock, fix)]))
+        }
         ([piece], _) => (json!({ "type": "LineString", "coordinates": line(piece) }), json!(times(piece))),
         (pieces, _) => {
             let lines: Vec<_> = pieces.iter().map(|piece| line(piece)).collect();
@@ -214,7 +214,8 @@ mod tests {
             image: String::new(),
             time_s: longitude,
         };
-        let geometry = |fixes: &[Fix]| way(fixes, &results, &Clock::of(None, crate::scene::TimeBase::Seconds), Map::new());
+        let geometry =
+            |fixes: &[Fix]| way(fixes, &results, &Clock::of(None, crate::scene::TimeBase::Seconds), Map::new());
         let cut = geometry(&[fix(179.8), fix(179.9), fix(-179.9), fix(-179.8)]);
         assert_eq!(cut["geometry"]["type"], "MultiLineString");
         assert_eq!(cut["properties"]["coordTimes"], json!([[179.8, 179.9], [-179.9, -179.8]]));

@@ -156,15 +156,11 @@ pub(super) fn fact_cells(facts: &Facts) -> Vec<String> {
 /// One row per vehicle and frame.
 pub(super) fn trajectories(path: &Path, results: &Results) -> Result<(), ExportError> {
     let clock = results.clock();
-    let rows = results
-        .trajectories
-        .objects
-        .iter()
-        .flat_map(|object| {
-            let headings = object.unwrapped_headings_deg().into_iter().map(metres);
-            let cells = |(index, heading)| [pose_cells(results, &clock, object, index), vec![heading]].concat();
-            headings.enumerate().map(cells).collect::<Vec<_>>()
-        });
+    let rows = results.trajectories.objects.iter().flat_map(|object| {
+        let headings = object.unwrapped_headings_deg().into_iter().map(metres);
+        let cells = |(index, heading)| [pose_cells(results, &clock, object, index), vec![heading]].concat();
+        headings.enumerate().map(cells).collect::<Vec<_>>()
+    });
     write(path, &POSE_COLUMNS, rows)
 }
 

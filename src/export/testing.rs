@@ -9,9 +9,9 @@ use super::{Results, View};
 use crate::io::{RunFolder, atomic, colmap, trajectories};
 use crate::math::Sim3;
 use crate::scene::{
-    ClockZone, Dates, Dimensions, Estimate, Frame, ImageId, MapOrigin, Metric, MetricAxes, MetricFrame, MetricPose, MetricShare,
-    MetricStd, MetricVerdict, Motion, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Trajectories,
-    Travel, Unit,
+    ClockZone, Dates, Dimensions, Estimate, Frame, ImageId, MapOrigin, Metric, MetricAxes, MetricFrame, MetricPose,
+    MetricShare, MetricStd, MetricVerdict, Motion, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase,
+    Trajectories, Travel, Unit,
 };
 use crate::synthetic::showcase::{Showcase, showcase};
 

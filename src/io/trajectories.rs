@@ -111,8 +111,8 @@ pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
     atomic::write_json(path, &document)
 }
 
-/// Writes the trajectories of a run with the keys and words of version 2: every frame has `speed`, null where the unit is
-/// that of the background, and a rejected trajectory is `not-to-be-trusted`.
+/// Writes the trajectories of a run with the keys and words of version 2: every frame has `speed`, null where the unit
+/// is that of the background, and a rejected trajectory is `not-to-be-trusted`.
 ///
 /// # Errors
 /// As [`write()`].
@@ -330,8 +330,8 @@ fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
 mod tests {
     use super::*;
     use crate::scene::{
-        ClockZone, Dates, Estimate, MapOrigin, MapPlace, MetricAxes, MetricFrame, MetricShare, MetricStd, Reason, ReasonKind,
-        ScaleMethod, Trust,
+        ClockZone, Dates, Estimate, MapOrigin, MapPlace, MetricAxes, MetricFrame, MetricShare, MetricStd, Reason,
+        ReasonKind, ScaleMethod, Trust,
     };
 
     fn sample() -> Trajectories {
@@ -455,8 +455,14 @@ mod tests {
         let length_m = Some(Estimate { value: 4.4, std: 0.1 });
         let [path_units, displacement_units] = [Estimate { value: 3.2, std: 0.1 }, Estimate { value: 3.1, std: 0.1 }];
         let path_m = Some(path_units.scaled(12.5));
-        let travel =
-            Travel { path_units, displacement_units, path_m, displacement_m: None, mean_speed_m_s: None, max_speed_m_s: None };
+        let travel = Travel {
+            path_units,
+            displacement_units,
+            path_m,
+            displacement_m: None,
+            mean_speed_m_s: None,
+            max_speed_m_s: None,
+        };
         all.objects[0].travel = Some(travel);
         all.objects[0].dimensions = Some(Dimensions { length_m, ..Dimensions::default() });
         all.objects[0].poses[1].metric = Some(MetricPose {

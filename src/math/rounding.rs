@@ -21,7 +21,11 @@ pub fn with_std(value: f64, std: f64) -> String {
 
 /// The value alone, to the digits that [`with_std()`] gives it.
 pub fn to_std(value: f64, std: f64) -> String {
-    if std.is_finite() && std > 0.0 && value.is_finite() { rounded(value, place(std, STD_DIGITS)) } else { figure(value) }
+    if std.is_finite() && std > 0.0 && value.is_finite() {
+        rounded(value, place(std, STD_DIGITS))
+    } else {
+        figure(value)
+    }
 }
 
 /// Formats a value with three significant digits.
@@ -51,8 +55,8 @@ pub fn significant(value: f64, digits: i32) -> String {
     }
 }
 
-/// Decimal place of the last of so many significant digits: −2 are hundredths. One digit more where the first is rounded up
-/// to the next power of ten.
+/// Decimal place of the last of so many significant digits: −2 are hundredths. One digit more where the first is
+/// rounded up to the next power of ten.
 fn place(value: f64, digits: i32) -> i32 {
     let place = value.abs().log10().floor() as i32 + 1 - digits;
     let unit = 10f64.powi(place);
@@ -66,7 +70,11 @@ fn rounded(value: f64, place: i32) -> String {
     let decimals = (-place).clamp(0, 12) as usize;
     let text = format!("{value:.decimals$}");
     // Nothing but zeros has no sign.
-    if text.chars().any(|c| ('1'..='9').contains(&c)) { text.replacen('-', "−", 1) } else { text.replacen('-', "", 1) }
+    if text.chars().any(|c| ('1'..='9').contains(&c)) {
+        text.replacen('-', "−", 1)
+    } else {
+        text.replacen('-', "", 1)
+    }
 }
 
 #[cfg(test)]
@@ -80,7 +88,10 @@ mod tests {
         assert_eq!(with_std(0.000_031, 0.000_104), "0.00003 ± 0.00010");
         assert_eq!(with_std(-3.0, 0.0996), "−3.00 ± 0.10");
         assert_eq!(with_std(-0.001, 0.4), "0.00 ± 0.40");
-        assert_eq!([with_std(2.345, 0.0), with_std(2.345, f64::NAN), with_std(f64::NAN, 1.0)], ["2.35", "2.35", "unknown"]);
+        assert_eq!(
+            [with_std(2.345, 0.0), with_std(2.345, f64::NAN), with_std(f64::NAN, 1.0)],
+            ["2.35", "2.35", "unknown"]
+        );
         assert_eq!(to_std(19.26, 3.4), "19.3");
     }
 

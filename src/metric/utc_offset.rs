@@ -84,7 +84,9 @@ mod tests {
 
     #[test]
     fn offsets_are_read_and_written_back() {
-        for (text, seconds) in [("+02:00", 7200.0), ("-03:30", -12_600.0), ("Z", 0.0), ("+5", 18_000.0), ("-00:15", -900.0)] {
+        for (text, seconds) in
+            [("+02:00", 7200.0), ("-03:30", -12_600.0), ("Z", 0.0), ("+5", 18_000.0), ("-00:15", -900.0)]
+        {
             let offset: UtcOffset = text.parse().unwrap();
             assert_eq!((offset.seconds(), offset.to_string().parse()), (seconds, Ok(offset)), "{text}");
         }

@@ -148,7 +148,8 @@ impl Chart {
             levels: self.levels.iter().filter(|l| l.value >= range.0 && l.value <= range.1).map(level).collect(),
             x_ticks,
             y_ticks,
-            note: (clipped > 0).then(|| format!("{} outside the shown range, drawn at its edge.", count(clipped, "value"))),
+            note: (clipped > 0)
+                .then(|| format!("{} outside the shown range, drawn at its edge.", count(clipped, "value"))),
             decimals: decimals + 1,
         }
     }

@@ -115,14 +115,17 @@ mod tests {
     #[test]
     fn metres_are_said_in_words() {
         let mut metric = showcase(4, 1).metric;
-        assert_eq!(metres_in_words(Some(&metric)), "Scale from GPS positions: ±2.0 % (1σ), the same factor for every length.");
+        assert_eq!(
+            metres_in_words(Some(&metric)),
+            "Scale from GPS positions: ±2.0 % (1σ), the same factor for every length."
+        );
         metric.verdict = MetricVerdict::PriorOnly;
         let source = "the height of the camera".to_owned();
         metric.contradictions.push(MetricContradiction { source, ratio: 1.4, deviations: 6.1 });
         assert_eq!(
             metres_in_words(Some(&metric)),
-            "Scale from typical vehicle sizes: ±2.0 % (1σ), the same factor for every length; contradicted by the height \
-             of the camera."
+            "Scale from typical vehicle sizes: ±2.0 % (1σ), the same factor for every length; contradicted by the \
+             height of the camera."
         );
         metric.frame = None;
         metric.reason = Some("no vehicle has a size".into());

@@ -45,7 +45,11 @@ fn sureness(data: &Data) -> String {
     let mut parts = Vec::new();
     if let Some(worst) = worst {
         let better = if known.len() > 1 { " or better" } else { "" };
-        parts.push(format!("estimated error of size and distance: {} ±{}{better} (1σ)", names_of(&known), percent(worst)));
+        parts.push(format!(
+            "estimated error of size and distance: {} ±{}{better} (1σ)",
+            names_of(&known),
+            percent(worst)
+        ));
     }
     for verdict in [Verdict::Doubtful, Verdict::Rejected] {
         let objects = of(&[verdict]);
@@ -75,9 +79,11 @@ mod tests {
     fn the_sentence_names_the_vehicles_and_says_how_sure_each_is() {
         let mut world = testing::world();
         world.trajectory.scale.std = Some(0.02 * world.trajectory.scale.ratio);
-        assert!(sentence(&world.data()).ends_with(
-            "3D trajectories of 1 of 2 vehicles. Estimated error of size and distance: Car 1 ±2.0 % (1σ)."
-        ));
+        assert!(
+            sentence(&world.data()).ends_with(
+                "3D trajectories of 1 of 2 vehicles. Estimated error of size and distance: Car 1 ±2.0 % (1σ)."
+            )
+        );
         world.trajectory.scale.degenerate = true;
         world.trajectory.verdict = Some(scene::Verdict { state: Trust::Rejected, reasons: Vec::new() });
         assert!(sentence(&world.data()).ends_with("Rejected: Car 1."));

@@ -26,8 +26,7 @@ pub enum Verdict {
 
 impl Verdict {
     /// All of them, the best first.
-    pub const ALL: [Self; 6] =
-        [Self::Good, Self::Fair, Self::Doubtful, Self::Rejected, Self::Unjudged, Self::Missing];
+    pub const ALL: [Self; 6] = [Self::Good, Self::Fair, Self::Doubtful, Self::Rejected, Self::Unjudged, Self::Missing];
 
     /// Of an object's trajectory; `None` where it has none.
     pub fn of(trajectory: Option<&ObjectTrajectory>) -> Self {

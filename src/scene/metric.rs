@@ -208,8 +208,8 @@ pub struct Dimensions {
     pub height_m: Option<Estimate>,
 }
 
-/// Travel of an object from its first to its last pose, from the smoothed trajectory (docs/maths/smoother.md, *Travel*):
-/// the one definition behind every outlet.
+/// Travel of an object from its first to its last pose, from the smoothed trajectory (docs/maths/smoother.md,
+/// *Travel*): the one definition behind every outlet.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Travel {
     /// Path length, units of the background. The standard deviation lacks that of metres per unit.

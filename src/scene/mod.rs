@@ -23,8 +23,8 @@ pub use ground::{Ground, GroundPlane, GroundSource, PlaneBasis};
 pub use mask::{BoundingBox, Detection, LabelMap, Mask};
 pub use mesh::TriangleMesh;
 pub use metric::{
-    ClockZone, Dates, Dimensions, Estimate, MapOrigin, MapPlace, Metric, MetricAxes, MetricContradiction, MetricFrame, MetricPose,
-    MetricShare, MetricStd, MetricVerdict, Motion, Travel,
+    ClockZone, Dates, Dimensions, Estimate, MapOrigin, MapPlace, Metric, MetricAxes, MetricContradiction, MetricFrame,
+    MetricPose, MetricShare, MetricStd, MetricVerdict, Motion, Travel,
 };
 pub use reconstruction::{
     CameraForm, CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement,

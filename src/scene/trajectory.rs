@@ -196,8 +196,8 @@ pub struct ObjectTrajectory {
 }
 
 impl ObjectTrajectory {
-    /// Headings without jumps at north, degrees: each within half a turn of the one before, and their mean from 0 to 360.
-    /// One per pose; `None` where none is known.
+    /// Headings without jumps at north, degrees: each within half a turn of the one before, and their mean from 0 to
+    /// 360. One per pose; `None` where none is known.
     pub fn unwrapped_headings_deg(&self) -> Vec<Option<f64>> {
         let mut before: Option<f64> = None;
         let unwrapped = |pose: &ObjectPose| {
@@ -207,7 +207,8 @@ impl ObjectTrajectory {
             before
         };
         let headings: Vec<Option<f64>> = self.poses.iter().map(unwrapped).collect();
-        let (sum, count) = headings.iter().flatten().fold((0.0, 0.0), |(sum, count), heading| (sum + heading, count + 1.0));
+        let (sum, count) =
+            headings.iter().flatten().fold((0.0, 0.0), |(sum, count), heading| (sum + heading, count + 1.0));
         let mean: f64 = if count > 0.0 { sum / count } else { 0.0 };
         let shift = 360.0 * (mean / 360.0).floor();
         headings.into_iter().map(|heading| Some(heading? - shift)).collect()

@@ -120,8 +120,8 @@ impl Verdict {
         self.reasons.iter().filter(|reason| reason.finding != Finding::Supports)
     }
 
-    /// Evidence against the trajectory, the gravest first, without a moderate standard deviation of the scale: that is an
-    /// uncertainty, and no complaint.
+    /// Evidence against the trajectory, the gravest first, without a moderate standard deviation of the scale: that is
+    /// an uncertainty, and no complaint.
     pub fn complaints(&self) -> impl Iterator<Item = &Reason> {
         self.against().filter(|reason| reason.kind != ReasonKind::Deviation || reason.weight >= 1.0)
     }

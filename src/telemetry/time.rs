@@ -72,8 +72,8 @@ pub fn clock_s(text: &str) -> Option<f64> {
     iso_s(text).map(|(clock_s, _)| clock_s)
 }
 
-/// Seconds after 1970-01-01T00:00:00 as ISO 8601, to the millisecond: `2024-06-01T12:00:00.5Z` on universal time, without
-/// `Z` on a local clock; `None` beyond the years that a calendar has.
+/// Seconds after 1970-01-01T00:00:00 as ISO 8601, to the millisecond: `2024-06-01T12:00:00.5Z` on universal time,
+/// without `Z` on a local clock; `None` beyond the years that a calendar has.
 pub fn date(seconds: f64, is_utc: bool) -> Option<String> {
     let moment = Timestamp::from_millisecond((1e3 * seconds).round() as i64).ok()?.to_string();
     Some(if is_utc { moment } else { moment.trim_end_matches('Z').to_owned() })

@@ -91,8 +91,8 @@ pub enum ScaleError {
     Adjustment(String),
     /// What the object's pictures say and what the ground says does not fit together.
     #[error(
-        "median reprojection error {after_px:.2} px with the object on the ground, {before_px:.2} px without: the ground \
-         planes are wrong, or the object is not on the ground"
+        "median reprojection error {after_px:.2} px with the object on the ground, {before_px:.2} px without: the \
+         ground planes are wrong, or the object is not on the ground"
     )]
     GroundContradicts {
         /// Median error before.

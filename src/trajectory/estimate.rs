@@ -62,8 +62,8 @@ impl Options {
 /// Relative excitation below which nothing but rounding tells the frames apart: single precision of model files.
 const ROUNDING: f64 = 1e-6;
 
-/// Relative change of the camera's height above which a ratio is open for another reason: with planes good to 1 % of that
-/// height, it determines the ratio to 10 %.
+/// Relative change of the camera's height above which a ratio is open for another reason: with planes good to 1 % of
+/// that height, it determines the ratio to 10 %.
 const NOTABLE_CLIMB: f64 = 0.1;
 
 /// Runs every estimator that takes a reconstruction as it is and gives the answer of `wanted` with a verdict.

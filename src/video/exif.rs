@@ -109,8 +109,8 @@ pub struct Taken {
     pub utc_offset: Option<String>,
 }
 
-/// When the photograph was taken (`DateTimeOriginal`, `SubSecTimeOriginal`, `OffsetTimeOriginal`); `None` where the block
-/// does not say.
+/// When the photograph was taken (`DateTimeOriginal`, `SubSecTimeOriginal`, `OffsetTimeOriginal`); `None` where the
+/// block does not say.
 pub fn taken(path: &Path) -> Option<Taken> {
     taken_by(&read(path).ok()??)
 }
@@ -261,7 +261,9 @@ mod tests {
         let more = [(Tag::SubSecTimeOriginal, text("25 ")), (Tag::OffsetTimeOriginal, text("+02:00"))];
         let found = taken_by(&block(&[&[original][..], &more].concat())).unwrap();
         assert_eq!((found.local.as_str(), found.utc_offset.as_deref()), ("2014-05-01T10:00:07.25", Some("+02:00")));
-        for wrong in ["", "    :  :     :  :  ", "0000:00:00 00:00:00", "2014:13:01 10:00:00", "2014:02:30 10:00:00", "x"] {
+        for wrong in
+            ["", "    :  :     :  :  ", "0000:00:00 00:00:00", "2014:13:01 10:00:00", "2014:02:30 10:00:00", "x"]
+        {
             assert_eq!(taken_by(&block(&[(Tag::DateTimeOriginal, text(wrong))])), None, "{wrong}");
         }
     }

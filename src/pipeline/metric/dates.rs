@@ -46,8 +46,8 @@ fn dated(start_s: f64, zone: ClockZone) -> Dates {
     Dates { start_s: Some(start_s), zone, images: BTreeMap::new() }
 }
 
-/// Time of the clock minus time in the video of a log that states both for its fixes: the median, for the steps of either
-/// differ.
+/// Time of the clock minus time in the video of a log that states both for its fixes: the median, for the steps of
+/// either differ.
 fn clock_from_log_s(fixes: &[Fix]) -> Option<f64> {
     let by_video = fixes.iter().all(|fix| fix.video_s.is_some());
     median(fixes.iter().filter_map(|fix| Some(fix.clock_s? - fix.video_s?)).collect()).filter(|_| by_video)

@@ -127,8 +127,7 @@ fn find(
 ) -> Result<Found, PipelineError> {
     let ground = Ground::of(run, background)?;
     let telemetry = log::find(run, outcome);
-    let aligned =
-        telemetry.as_ref().and_then(|telemetry| aligned::align(run, background, &ground, telemetry, outcome));
+    let aligned = telemetry.as_ref().and_then(|telemetry| aligned::align(run, background, &ground, telemetry, outcome));
     let dates = dates::find(run, telemetry.as_ref(), aligned.as_ref());
     let mut sources: Vec<Source> = aligned.iter().map(Aligned::source).collect();
     sources.extend(sources::measured(run, &ground, outcome));
@@ -158,17 +157,16 @@ fn find(
     Ok(Found { metric, map: aligned.map(|aligned| aligned.map) })
 }
 
-/// Distance from camera to vehicle that stands for the median of a result without metres: between a dashcam's 10 m and a
-/// drone's 50 m. Lengths in units hardly depend on it: it sets how sharply a vehicle may turn, within the decades over
-/// which the smoother searches.
+/// Distance from camera to vehicle that stands for the median of a result without metres: between a dashcam's 10 m and
+/// a drone's 50 m. Lengths in units hardly depend on it: it sets how sharply a vehicle may turn, within the decades
+/// over which the smoother searches.
 const NOMINAL_DISTANCE_M: f64 = 20.0;
 
 /// A frame of nominal scale, in which trajectories are smoothed where metres are unknown.
 fn nominal_frame(ground: &Ground, background: &Reconstruction, objects: &[ObjectTrajectory]) -> MetricFrame {
     let centers: BTreeMap<&str, Point3<f64>> =
         background.images.values().map(|image| (image.name.as_str(), image.cam_from_world.center())).collect();
-    let distance =
-        |pose: &ObjectPose| Some((Point3::from(pose.position) - centers.get(pose.name.as_str())?).norm());
+    let distance = |pose: &ObjectPose| Some((Point3::from(pose.position) - centers.get(pose.name.as_str())?).norm());
     let poses = objects.iter().flat_map(|object| &object.poses);
     let distances: Vec<f64> = poses.filter_map(distance).filter(|d| d.is_finite() && *d > 0.0).collect();
     let fused = Fused {

@@ -31,7 +31,8 @@ pub struct MetricOptions {
     /// a clock counts from its first fix. `null`: 0 for logs that belong to a video, else it is found.
     #[schemars(with = "Option<String>", extend("unit" = "seconds, as text"))]
     pub time_offset: Option<TimeOffset>,
-    /// Local time minus UTC of logs and photographs whose clock states no zone: `"+02:00"`. `null`: their dates stay local.
+    /// Local time minus UTC of logs and photographs whose clock states no zone: `"+02:00"`. `null`: their dates stay
+    /// local.
     #[schemars(with = "Option<String>", extend("unit" = "±HH:MM, as text"))]
     pub utc_offset: Option<UtcOffset>,
     /// Height of the camera over the ground, on average over the video, with its standard deviation: `"1.45±0.05"`.

@@ -227,8 +227,8 @@ fn coverage(truth: f64, found: impl Iterator<Item = Estimate>) -> (f64, f64) {
     (bias, within / all.len() as f64)
 }
 
-/// Sixty drives each: at rest, creeping, and at the speed of traffic; with common errors that are none, small and large.
-/// Of sixty drives 68 % are 41 ± 3.6.
+/// Sixty drives each: at rest, creeping, and at the speed of traffic; with common errors that are none, small and
+/// large. Of sixty drives 68 % are 41 ± 3.6.
 #[test]
 fn path_lengths_are_unbiased_and_their_deviations_calibrated() {
     let commons = [KNOWN, CommonStd { ratio: 0.03, scale: 0.05 }, CommonStd { ratio: 0.2, scale: 0.02 }];

@@ -5,7 +5,7 @@
 //! first frame after k_j with ‖d‖ > 3 σ(d), where d = x̂(k_{j+1}) − x̂(k_j); the last knot is the last frame.
 //!
 //! ```text
-//! L = Σ_j ‖x̂(k_{j+1}) − x̂(k_j)‖,    σ²(L) = gᵀ Cov(x̂) g + (gᵀ ∂x̂/∂ln r · σ_r)² + (L σ_s)²                    (4, 5)
+//! L = Σ_j ‖x̂(k_{j+1}) − x̂(k_j)‖,    σ²(L) = gᵀ Cov(x̂) g + (gᵀ ∂x̂/∂ln r · σ_r)² + (L σ_s)²                   (4, 5)
 //! ```
 //!
 //! with g = ∂L/∂x̂, the posterior covariance between all frames, the scale ratio's standard deviation σ_r and that of

@@ -43,7 +43,8 @@ fn stands(bottom: f64) -> Option<Reason> {
 
 /// * `spread` – of its height over the ground along the path, in heights of its top.
 fn stays(spread: f64) -> Option<Reason> {
-    let said = || format!("rises and sinks: its height above the ground varies by {} (standard deviation)", percent(spread));
+    let said =
+        || format!("rises and sinks: its height above the ground varies by {} (standard deviation)", percent(spread));
     match spread {
         s if s > WANDERS[1] => Some(Reason::refutes(Ground, said())),
         s if s > WANDERS[0] => Some(Reason::doubts(Ground, 1.0, said())),

@@ -49,8 +49,7 @@ fn jitter(measures: &Measures) -> Option<Reason> {
 fn jumps(measures: &Measures) -> Option<Reason> {
     let Jump { beyond, frames: [before, after] } = measures.jump;
     let heights = measures.in_heights(beyond)?;
-    let said =
-        || format!("path jumps by {} vehicle heights between frames {before} and {after}", times(heights));
+    let said = || format!("path jumps by {} vehicle heights between frames {before} and {after}", times(heights));
     if beyond < measures.step { None } else { graded(heights, JUMP, said) }
 }
 
@@ -58,8 +57,8 @@ fn turns(measures: &Measures) -> Option<Reason> {
     let Jump { beyond, frames: [before, after] } = measures.turn;
     let said = || {
         format!(
-            "turns by {:.0}° between frames {before} and {after} beyond the turns before and after: its model is folded \
-             or turned over there",
+            "turns by {:.0}° between frames {before} and {after} beyond the turns before and after: its model is \
+             folded or turned over there",
             beyond.to_degrees()
         )
     };

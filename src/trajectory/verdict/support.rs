@@ -64,9 +64,7 @@ pub(super) fn detection(tracked: &TrackedObject) -> Option<Reason> {
     let is_coarse = tracked.outline == Outline::Coarse;
     let is_poor = tracked.mask_quality.is_some_and(|quality| quality < POOR_MASKS);
     Some(match tracked.confidence {
-        score if score < UNSURE && !by_motion => {
-            Reason::doubts(Detection, HALF, format!("low detector score: {said}"))
-        }
+        score if score < UNSURE && !by_motion => Reason::doubts(Detection, HALF, format!("low detector score: {said}")),
         _ if is_coarse => Reason::doubts(Detection, HALF, format!("coarse masks, by colors alone; {said}")),
         _ if is_poor => Reason::doubts(Detection, SMALL, format!("poor masks by the mask network's own score; {said}")),
         score if score >= SURE || by_motion => Reason::supports(Detection, said),
