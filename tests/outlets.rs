@@ -24,7 +24,7 @@ fn run(place: &Place, more: &[&str]) -> String {
 }
 
 /// First row of a table, by column.
-fn first_row(text: &str) -> impl Fn(&str) -> String {
+fn first_row(text: &str) -> impl Fn(&str) -> String + use<> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let columns = reader.headers().unwrap().clone();
     let row = reader.records().next().unwrap().unwrap();
