@@ -209,7 +209,10 @@ fn a_vehicle_that_waits_for_long_before_it_starts_moves() {
     let mut world = world(&Plan { moves_in: [75, 90], num_frames: 90, ..start });
     // Points are lost and found again: most tracks are those of the wait.
     let pieces = |(track, is_vehicle): (&PointTrack, &bool)| -> Vec<(PointTrack, bool)> {
-        let piece = |k: usize| PointTrack { first: track.first + 15 * k as u32, pixels: track.pixels[15 * k..].iter().take(15).copied().collect() };
+        let piece = |k: usize| PointTrack {
+            first: track.first + 15 * k as u32,
+            pixels: track.pixels[15 * k..].iter().take(15).copied().collect(),
+        };
         (0..track.pixels.len() / 15).map(|k| (piece(k), *is_vehicle)).collect()
     };
     (world.tracks, world.is_vehicle) = world.tracks.iter().zip(&world.is_vehicle).flat_map(pieces).unzip();

@@ -89,7 +89,7 @@ impl World {
         let edge = (0..1600).filter_map(|k| {
             let (side, at) = (k % 4, f64::from(k / 4) / 200.0 - 1.0);
             let at = [[at, -1.0], [at, 1.0], [-1.0, at], [1.0, at]][side as usize];
-            let place = self.plan.on_vehicle(start, velocity, [at[0], at[1]], self.plan.hidden_m);
+            let place = Plan::on_vehicle(start, velocity, [at[0], at[1]], self.plan.hidden_m);
             let place = place + self.plan.offset(velocity, point.frame);
             view.camera.pixel_from_cam(view.cam_from_world * place).filter(|p| (p.x - x).abs() <= COLUMN_PX)
         });
@@ -183,7 +183,7 @@ fn vehicle(plan: &Plan, start: [f64; 2], velocity: [f64; 2], rng: &mut Rng) -> V
     let point = |_| {
         let mut at = [0; 3].map(|_| rng.random_range(-1.0..1.0));
         at[rng.random_range(0..3)] = if rng.random() { 1.0 } else { -1.0 };
-        let place = plan.on_vehicle(start, velocity, [at[0], at[1]], 0.75 + 0.75 * at[2]);
+        let place = Plan::on_vehicle(start, velocity, [at[0], at[1]], 0.75 + 0.75 * at[2]);
         (place.z >= plan.hidden_m).then_some(place)
     };
     let places: Vec<Point3<f64>> = (0..70).filter_map(point).collect();
@@ -193,7 +193,7 @@ fn vehicle(plan: &Plan, start: [f64; 2], velocity: [f64; 2], rng: &mut Rng) -> V
 
 impl Plan {
     /// A place on the vehicle at the start: `at` −1 to 1 along and across it, and a height.
-    fn on_vehicle(&self, start: [f64; 2], velocity: [f64; 2], at: [f64; 2], height_m: f64) -> Point3<f64> {
+    fn on_vehicle(start: [f64; 2], velocity: [f64; 2], at: [f64; 2], height_m: f64) -> Point3<f64> {
         let heading = if velocity == [0.0; 2] { 0.0 } else { velocity[1].atan2(velocity[0]) };
         let (along, across) = (2.2 * at[0], 0.9 * at[1]);
         let (sin, cos) = f64::sin_cos(heading);

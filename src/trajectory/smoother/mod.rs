@@ -129,7 +129,8 @@ pub fn smooth(sightings: &[Sighting], common: &CommonStd) -> Option<Smoothed> {
 /// An error of the ratio takes a vehicle at rest along with the camera, by that share of the camera's path. It is a
 /// state of both hypotheses, or else no vehicle that a moving camera sees would ever be at rest.
 fn at_rest(sightings: &[Sighting], origin: &Vector3<f64>, ratio: f64, moving: &Kind) -> Option<Track> {
-    let observed: Vec<Observed> = sightings.iter().map(|s| s.observed(origin).with_common(&s.ratio_error(ratio))).collect();
+    let observed: Vec<Observed> =
+        sightings.iter().map(|s| s.observed(origin).with_common(&s.ratio_error(ratio))).collect();
     let moving = Kind { wander_s: &WANDER_WITH_RATIO_S, ..*moving };
     let rest = moving.at_rest(REST);
     let found = is_at_rest(&observed, &moving, &rest).then(|| track(&observed, &rest))??;
