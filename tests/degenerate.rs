@@ -13,9 +13,7 @@ use tractrix::math::{Rigid3, Rng, RobustLoss, Sim3, seeded_rng, umeyama};
 use tractrix::metric::{
     CameraPath, Dimension, Extent, Offset, PositionFix, Support, VehicleClass, align_to_fixes, vehicle_sizes,
 };
-use tractrix::scene::{
-    FrameId, ImageId, Movement, ObjectId, Point3dId, Reconstruction, ScaleMethod, TimeBase, TrackedObject,
-};
+use tractrix::scene::{FrameId, ImageId, ObjectId, Point3dId, Reconstruction, ScaleMethod, TimeBase, TrackedObject};
 use tractrix::sfm::resection::{self, PixelsAndPoints};
 use tractrix::sfm::solvers::{essential_five_point, homography_from_points, p3p};
 use tractrix::sfm::tracks::{Feature, Track, TrackTable, View};
@@ -510,7 +508,6 @@ proptest! {
     fn smoothed_motion_is_finite(
         places in prop::collection::vec((0..4u8, prop::sample::select(vec![0.0, 1e-9, 1.0, 3.0, 1e6, 1e12])), 0..12),
         camera in prop::sample::select(vec![0.0, 10.0, 1e9]),
-        is_moving in any::<bool>(),
     ) {
         let sighting = |(k, (step, x)): (usize, &(u8, f64))| Sighting {
             time_s: 0.1 * (k / usize::from(*step).max(1)) as f64,
@@ -519,8 +516,7 @@ proptest! {
             forward: (*step > 1).then(Vector3::x),
         };
         let sightings: Vec<Sighting> = places.iter().enumerate().map(sighting).collect();
-        let movement = if is_moving { Movement::Moving } else { Movement::Standing };
-        prop_finite!(trajectory::smooth(&sightings, &CommonStd { ratio: 0.02, scale: 0.01 }, movement));
+        prop_finite!(trajectory::smooth(&sightings, &CommonStd { ratio: 0.02, scale: 0.01 }));
     }
 
     #[test]

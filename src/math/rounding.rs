@@ -12,7 +12,7 @@ const LARGEST: f64 = 1e12;
 ///
 /// A standard deviation that is zero, or no number, is not printed.
 pub fn with_std(value: f64, std: f64) -> String {
-    if !(std.is_finite() && std > 0.0) || !value.is_finite() {
+    if !(std.is_finite() && std > 0.0 && value.is_finite()) {
         return figure(value);
     }
     let place = place(std, STD_DIGITS);
@@ -48,7 +48,7 @@ pub fn percent(fraction: f64) -> String {
 pub fn significant(value: f64, digits: i32) -> String {
     match value.abs() {
         v if !v.is_finite() => "unknown".to_owned(),
-        v if v == 0.0 => "0".to_owned(),
+        0.0 => "0".to_owned(),
         v if v < SMALLEST => "almost 0".to_owned(),
         v if v > LARGEST => if value < 0.0 { "huge and negative" } else { "huge" }.to_owned(),
         v => rounded(value, place(v, digits).min(0)),

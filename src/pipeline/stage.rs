@@ -110,7 +110,6 @@ impl Stage {
             Self::Ground | Self::Follow => 4,
             Self::Segment => 3,
             Self::Frames | Self::Metric | Self::Report => 2,
-            _ => 1,
         }
     }
 

@@ -148,7 +148,7 @@ impl<'a> Window<'a> {
             return Ok(None);
         }
         let whole = self.focal_lengths(Part::All)?;
-        let change = whole.from_first();
+        let change = whole.relative_to_first();
         let common = |t: usize| COMMON_ERROR_FACTOR * whole.std[t];
         let is_significant = |t: usize, std: f64| change[t].abs() > LEAST_CHANGE.max(SIGNIFICANT * std);
         // A focal length that is not positive has no logarithm.
@@ -159,7 +159,7 @@ impl<'a> Window<'a> {
         let [left, right] = [self.focal_lengths(Part::Left)?, self.focal_lengths(Part::Right)?];
         let is_seen =
             |t: usize| [&left, &right].iter().all(|half| half.num_points[0].min(half.num_points[t]) >= LEAST_HALF);
-        let (by_left, by_right) = (left.from_first(), right.from_first());
+        let (by_left, by_right) = (left.relative_to_first(), right.relative_to_first());
         let halves = |t: usize| {
             let off = 0.5 * (by_left[t] - by_right[t]).abs();
             if is_seen(t) && off.is_finite() { off } else { f64::INFINITY }
@@ -245,7 +245,7 @@ impl<'a> Window<'a> {
 
 impl FocalLengths {
     /// ln f of every view relative to the first ones, as a running median.
-    fn from_first(&self) -> Vec<f64> {
+    fn relative_to_first(&self) -> Vec<f64> {
         let median_round = |t: usize| {
             let round =
                 self.log[t.saturating_sub(MEDIAN_VIEWS / 2)..self.log.len().min(t + MEDIAN_VIEWS / 2 + 1)].to_vec();

@@ -89,7 +89,7 @@ unsafe extern "C" fn read(file: *mut c_void, buffer: *mut u8, size: c_int) -> c_
     };
     loop {
         match rustix::io::read(file, &mut *buffer) {
-            Ok((read, _)) if read.is_empty() => return sys::AVERROR_EOF,
+            Ok(([], _)) => return sys::AVERROR_EOF,
             Ok((read, _)) => return c_int::try_from(read.len()).unwrap_or(0),
             Err(Errno::INTR) => {}
             Err(error) => return sys::AVERROR(error.raw_os_error()),

@@ -60,7 +60,7 @@ fn of_photographs(run: &Run, utc_offset: Option<UtcOffset>) -> Option<Dates> {
     let taken: Vec<(String, Taken)> = frames.iter().filter_map(|frame| taken(&frame.name)).collect();
     let images: BTreeMap<String, String> =
         taken.into_iter().map(|(name, taken)| (name, spelled(&taken, utc_offset))).collect();
-    (!images.is_empty()).then(|| Dates { start_s: None, zone: ClockZone::PerImage, images })
+    (!images.is_empty()).then_some(Dates { start_s: None, zone: ClockZone::PerImage, images })
 }
 
 /// ISO 8601: with `Z` where the zone is known, else local time without one.

@@ -6,8 +6,7 @@ use nalgebra::Point3;
 
 use crate::metric::{Sighted, metric_pose, place_std_m};
 use crate::scene::{
-    Estimate, Image, MapPlace, MetricFrame, MetricPose, ObjectPose, ObjectTrajectory, Reconstruction,
-    TimeBase, Travel,
+    Estimate, Image, MapPlace, MetricFrame, MetricPose, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Travel,
 };
 use crate::telemetry::{Geodetic, LocalFrame};
 use crate::trajectory::{CommonStd, Sighting, Smoothed, headings, smooth};
