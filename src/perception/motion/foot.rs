@@ -54,8 +54,8 @@ impl GroundModel {
     }
 }
 
-/// Fewest points whose feet are compared.
-const MIN_FEET: usize = 3;
+/// Fewest points whose feet are compared: fewer may all lie on a roof.
+const MIN_FEET: usize = 5;
 /// Largest share of its height by which an object that is seen as a whole is hidden from below.
 const MOST_HIDDEN: f64 = 0.5;
 /// Shares of the height that are tried.
@@ -74,7 +74,7 @@ pub(super) struct Stance {
 }
 
 impl Stance {
-    /// The medians of all feet; `None` for fewer than three.
+    /// The medians of all feet; `None` for fewer than five.
     ///
     /// * `heights` – of the points over the ground, in heights of the camera, where they are known.
     pub(super) fn of(feet: &[Foot], mut heights: Vec<f64>) -> Option<Self> {

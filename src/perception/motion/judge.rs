@@ -133,6 +133,7 @@ pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
         lengths.fold((0, 0.0), |(count, length), l| (count + 1, length + l as f64))
     };
     let ((num_moving, moving), (num_standing, quiet)) = (of(&leaves_line), of(&is_quiet));
+    let (num_behind, _) = of(&|label| label.verdict == Verdict::Moving(Evidence::BehindGround));
     let share = moving / (moving + quiet).max(1e-9);
     let feet: Vec<Foot> = on_it.iter().filter_map(|point| point.foot).collect();
     let heights = on_it.iter().filter(|point| point.foot.is_some()).filter_map(|point| point.label.relative_height);
@@ -149,7 +150,8 @@ pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
         () if odds >= CLEAR_ODDS && stance.is_some_and(|stance| stance.floats()) => {
             (Movement::Moving, MovementReason::FootFloats)
         }
-        () if odds >= CLEAR_ODDS => (Movement::Moving, MovementReason::FootBehindGround),
+        // A mask may end nearer than its points; that points are behind the ground themselves, no stationary object shows.
+        () if odds >= CLEAR_ODDS && num_behind >= MIN_POINTS => (Movement::Moving, MovementReason::FootBehindGround),
         () if share > FEW_MOVE => (Movement::Undetermined, MovementReason::Divided),
         () if odds <= 1.0 / CLEAR_ODDS && num_standing >= MIN_POINTS => {
             (Movement::Standing, MovementReason::PointsStand)
