@@ -141,9 +141,11 @@ fn skipped(path: &Path, names: &[Name], unread: Vec<String>) -> Option<String> {
 /// Why it cannot be used.
 fn picture(id: u32, file: &Path, turning: Turning) -> Result<Taken, String> {
     let stored = header(file)?;
+    let is_png = file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
     let (exif, exif_flaw) = match exif::read(file) {
         Ok(exif) => (exif, None),
-        Err(flaw) => (None, Some(flaw)),
+        // A PNG that is cut off is named when it is decoded.
+        Err(flaw) => (None, (!is_png).then_some(flaw)),
     };
     let orientation = match turning {
         Turning::AsStored => Orientation::NoTransforms,

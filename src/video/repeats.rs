@@ -32,8 +32,7 @@ pub(super) fn change(from: &Luma, to: &Luma) -> Option<f64> {
 ///
 /// * `changes` – of each frame its difference from the one before; `None` where there is none, or no telling.
 pub(super) fn repeated(changes: &[Option<f64>]) -> Vec<bool> {
-    let largest =
-        |range: Range<usize>| changes[range].iter().map(|change| change.unwrap_or(f64::INFINITY)).fold(0.0, f64::max);
+    let largest = |range: Range<usize>| changes[range].iter().flatten().copied().fold(0.0, f64::max);
     let is_repeated = |k: usize| {
         let change = changes[k]?;
         let (from, to) = (k.saturating_sub(REACH), (k + 1 + REACH).min(changes.len()));
