@@ -192,8 +192,11 @@ impl World {
     }
 }
 
-/// The poses, cameras and points of a model, and the errors of these.
-fn numbers(model: &Reconstruction) -> (Vec<Rigid3>, Vec<Camera>, Vec<(Point3<f64>, f64)>) {
+/// Poses, cameras, and points with their errors.
+type Numbers = (Vec<Rigid3>, Vec<Camera>, Vec<(Point3<f64>, f64)>);
+
+/// Returns all numbers of a model.
+fn numbers(model: &Reconstruction) -> Numbers {
     let poses = model.images.values().map(|image| image.cam_from_world).collect();
     let points = model.points.values().map(|point| (point.position, point.error_px)).collect();
     (poses, model.cameras.values().copied().collect(), points)
