@@ -1,4 +1,4 @@
-//! What may stand on the command line.
+//! Arguments of the command line.
 
 use clap::{Parser, Subcommand};
 
@@ -6,7 +6,7 @@ use super::job::{self, JobArgs};
 use super::terminal::ProgressKind;
 use crate::pipeline::Stage;
 
-/// What the program's end tells whoever started it.
+/// Meaning of the exit codes.
 const EXIT_CODES: &str = "Exit codes: 0 done, 1 failed on the input, 2 wrong use, 75 to be started again with the same \
                           command (stopped by SIGTERM or SIGHUP, or another process has the output folder), 130 \
                           stopped by Ctrl-C.";
@@ -15,7 +15,7 @@ const EXIT_CODES: &str = "Exit codes: 0 done, 1 failed on the input, 2 wrong use
 #[derive(Debug, Parser)]
 #[command(name = "tractrix", version = crate::VERSION, max_term_width = 100, after_help = EXIT_CODES)]
 pub(super) struct Args {
-    /// What to do
+    /// Command to run
     #[command(subcommand)]
     pub(super) command: Command,
     /// Say nothing but errors: no progress, no warnings, and no results but those of --json
@@ -27,7 +27,7 @@ pub(super) struct Args {
     /// Print the result, or the error, as one JSON object
     #[arg(long, global = true)]
     pub(super) json: bool,
-    /// How stderr shows what is going on: auto, bar, plain (lines), json (an object a line), none
+    /// Progress on stderr: auto, bar, plain (lines), json (an object a line), none
     #[arg(long, global = true, value_name = "KIND", value_enum, default_value_t, hide_possible_values = true)]
     pub(super) progress: ProgressKind,
 }

@@ -12,7 +12,7 @@ use crate::scene::ScaleMethod;
 
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct CommonArgs {
-    /// How the scale ratio is found: joint, least-squares, constant-distance, intersection [default: joint]
+    /// Scale method: joint, least-squares, constant-distance, intersection [default: joint]
     #[arg(long, value_name = "METHOD", value_parser = scale_method, help_heading = "Geometry")]
     pub(super) scale_method: Option<ScaleMethod>,
 

@@ -20,13 +20,13 @@ pub(super) struct Args {
     /// COLMAP folders, output folders of `tractrix run` (their background), or other formats that are read
     #[arg(value_name = "MODEL", required = true)]
     pub(super) models: Vec<PathBuf>,
-    /// What they should be: a sequence (scene.json, in metres), or a reconstruction
+    /// Ground truth or reference: a sequence (scene.json, in meters), or a reconstruction
     #[arg(long, value_name = "TRUTH")]
     pub(super) truth: Option<PathBuf>,
-    /// What makes two images the same
+    /// Criterion by which images are matched
     #[arg(long, value_enum, value_name = "WHAT", default_value = "name")]
     pub(super) match_by: By,
-    /// What to call a model, in the order given; may be repeated
+    /// Label of a model, in the order given; may be repeated
     #[arg(long = "label", value_name = "TEXT")]
     pub(super) labels: Vec<String>,
     /// Also write a page with both camera paths and point clouds in one view
@@ -37,7 +37,7 @@ pub(super) struct Args {
     pub(super) overwrite: bool,
 }
 
-/// What makes two images the same.
+/// Criterion by which images are matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum By {
     /// The whole name, with folders
@@ -85,7 +85,7 @@ pub(super) fn run(args: &Args, arguments: &[std::ffi::OsString], form: Form) -> 
     Err(Failure::Partial(anyhow::anyhow!(why_not(&comparison))))
 }
 
-/// What is printed as JSON where nothing could be compared.
+/// JSON output where nothing could be compared.
 #[derive(serde::Serialize)]
 struct Failed<'a> {
     #[serde(flatten)]
@@ -174,8 +174,8 @@ fn short_names(paths: &[PathBuf]) -> Vec<String> {
     (1..=longest).map(names).find(are_distinct).unwrap_or_else(|| names(longest))
 }
 
-/// What a reconstruction cost: from a `cost.json`, in its folder or the one above, in which somebody wrote down what
-/// was measured from outside; else, of an output folder, from its run.json.
+/// Cost of a reconstruction: from a `cost.json` with external measurements, in its folder or the one above; otherwise,
+/// of an output folder, from its run.json.
 fn cost(path: &Path) -> Result<Option<Cost>, IoError> {
     let measured = path.ancestors().take(2).map(|folder| folder.join("cost.json")).find(|file| file.is_file());
     let run = RunFolder::at(path).run_json();

@@ -55,7 +55,7 @@ pub(super) enum To {
     Ply,
 }
 
-/// What is written.
+/// Output of a conversion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Target {
     Model(Format),
@@ -79,7 +79,7 @@ impl From<To> for Target {
 }
 
 impl Target {
-    /// What is asked for, or else what the name of the output says.
+    /// Output that was requested, or otherwise that of the output's name.
     fn of(args: &Args, from: Format, model: &Reconstruction) -> anyhow::Result<Self> {
         let is_database = args.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("db"));
         Ok(match args.to {
@@ -141,7 +141,7 @@ fn write_database(input: &Path, output: &Path, model: &Reconstruction) -> anyhow
     Ok(losses)
 }
 
-/// What was converted.
+/// Result of a conversion.
 #[derive(Debug, Serialize)]
 struct Conversion {
     input: PathBuf,
@@ -152,7 +152,7 @@ struct Conversion {
     num_points: usize,
     /// The files that were written.
     files: Vec<PathBuf>,
-    /// What the format had no place for.
+    /// Data that the format cannot hold.
     losses: Vec<String>,
 }
 

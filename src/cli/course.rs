@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::forecast::{Forecast, Position, in_words};
 use crate::pipeline::{Plan, Stage};
 
-/// What a run has gone through, and what is under way.
+/// Stages that a run has finished, and the current one.
 pub(super) struct Course {
     started: Instant,
     forecast: Forecast,
@@ -27,7 +27,7 @@ struct Current {
     total: Option<u64>,
 }
 
-/// What is new about a stage.
+/// News of a stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Event {
     /// It begins.
@@ -43,7 +43,7 @@ pub(super) enum Event {
     DoneBefore,
 }
 
-/// How far a run is at a moment.
+/// Progress of a run at a moment.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Moment {
     pub(super) name: String,
@@ -119,7 +119,7 @@ impl Course {
         moment
     }
 
-    /// How far the stage under way is; `None` between stages.
+    /// Progress of the current stage; `None` between stages.
     pub(super) fn moment(&self, event: Event) -> Option<Moment> {
         let current = self.current.as_ref()?;
         let share = current.total.filter(|total| *total > 0).map(|total| current.done as f64 / total as f64);

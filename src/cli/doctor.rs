@@ -31,7 +31,7 @@ pub(super) struct Args {
     flow_model: Option<PathBuf>,
 }
 
-/// How it is with a thing.
+/// State of a component.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 enum State {
@@ -52,7 +52,7 @@ struct Finding {
     ok: bool,
     state: State,
     found: String,
-    /// What does not work without it, and how to get it.
+    /// Consequence of its absence, and the remedy.
     #[serde(skip_serializing_if = "Option::is_none")]
     cure: Option<String>,
 }

@@ -16,8 +16,8 @@ pub(super) struct Args {
     /// Output folder of `tractrix run`
     #[arg(value_name = "OUT")]
     pub(super) run: PathBuf,
-    /// What to write: csv, geojson, kml, gpx, tum, kitti, gltf, video, colmap, trajectories-v2; several with commas
-    /// between them; or all
+    /// Formats: csv, geojson, kml, gpx, tum, kitti, gltf, video, colmap, trajectories-v2; several with commas between
+    /// them; or all
     ///
     /// csv: tables of vehicles, vehicles frame by frame, and the camera. geojson, kml, gpx: places on the map, which
     /// need --telemetry in the run. tum, kitti: poses. gltf: the scene in motion. video: masks, identities, speeds and

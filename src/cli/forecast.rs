@@ -1,4 +1,4 @@
-//! How long a run has still to go.
+//! Forecast of a run's remaining time.
 //!
 //! Every stage has an expected time. How much longer or shorter than that the finished stages took sets the pace, and
 //! the stage under way is judged by its own steps as well: `T` seconds after its begin at the share `f` of its steps,
@@ -14,7 +14,7 @@ const EXPECTATION: f64 = 0.5;
 /// Expected seconds that must be over before the pace counts as much as the expectation.
 const PACE_AFTER_S: f64 = 10.0;
 
-/// What is known of the time that a run takes.
+/// Expected times of a run's stages.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Forecast {
     /// Stages that are not over, with their expected seconds.
@@ -25,7 +25,7 @@ pub(super) struct Forecast {
     elapsed_s: f64,
 }
 
-/// How far a stage is.
+/// Progress of a stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Position {
     pub(super) stage: Stage,

@@ -1,5 +1,4 @@
-//! What a run is asked to do: its flags, and what they come to together with the options file and the input's own
-//! folder.
+//! Request for a run: its flags, combined with the options file and the input's own folder.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,7 +17,7 @@ use crate::pipeline::{
 use crate::scene::ObjectId;
 use crate::video::{Position, Turning};
 
-/// What the flags of the program's own perception do not go with.
+/// Flags that exclude those of the program's own perception.
 const OWN_MASKS: [&str; 2] = ["masks", "segmentation_model"];
 
 #[derive(Debug, clap::Args)]
@@ -40,13 +39,13 @@ pub(super) struct JobArgs {
     /// ONNX model for instance segmentation (YOLO-seg or Mask R-CNN family) instead of what comes with the program
     #[arg(long, value_name = "FILE", help_heading = "Vehicles")]
     pub(super) segmentation_model: Option<PathBuf>,
-    /// What knows vehicles by their looks: `default` (comes with the program), `none`, or an ONNX file (YOLOX family)
+    /// Vehicle detector: `default` (comes with the program), `none`, or an ONNX file (YOLOX family)
     #[arg(long, value_name = "default|none|FILE", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) detector: Option<DetectorChoice>,
-    /// Whether vehicles are also found by their motion: `on` (the default) or `off`
+    /// Detection of vehicles by their motion: `on` (the default) or `off`
     #[arg(long, value_name = "on|off", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) motion: Option<MotionChoice>,
-    /// What finds the pixels of a vehicle: `default` (comes with the program), or `none` (coarse, by colours)
+    /// Segmenter of a vehicle's box: `default` (comes with the program), or `none` (coarse, by colors)
     #[arg(long, value_name = "default|none", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) mask_network: Option<MaskChoice>,
     /// Ask the mask network every N-th frame; optical flow carries the masks between [default: every 0.4 seconds]
@@ -72,12 +71,12 @@ pub(super) struct JobArgs {
     /// the one at which players show it.
     #[arg(long, value_name = "NUMBERS|FILE", help_heading = "Geometry")]
     pub(super) intrinsics: Option<IntrinsicsSource>,
-    /// How image points are found: `video` follows them from frame to frame, `sift` matches them between frames
+    /// Front end: `video` tracks image points from frame to frame, `sift` matches them between frames
     ///
     /// Without it: `video` for frames in order of time, `sift` for others.
     #[arg(long, value_name = "KIND", value_parser = feature_kind, help_heading = "Geometry")]
     pub(super) features: Option<FeatureKind>,
-    /// Whether frames follow one another in time: `time` or `none` (photographs: all pairs are matched)
+    /// Order of the frames: `time` or `none` (photographs: all pairs are matched)
     ///
     /// Without it: a video does, and so does a folder with --fps, --features video, or a scene.json. Of any other
     /// folder a few pictures are compared with their successors: where less than 60 % of the corners can be followed,
@@ -142,7 +141,7 @@ pub(super) struct JobArgs {
 }
 
 impl JobArgs {
-    /// Whether a flag says how the program itself is to find vehicles.
+    /// Returns true if a flag configures the program's own detection of vehicles.
     fn asks_for_vehicles(&self) -> bool {
         self.detector.is_some() || self.motion.is_some() || self.mask_network.is_some() || self.segment_every.is_some()
     }

@@ -1,4 +1,4 @@
-//! What structure from motion found, in a few lines.
+//! Summary of structure from motion, in a few lines.
 
 use std::fmt::Write;
 

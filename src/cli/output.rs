@@ -1,4 +1,4 @@
-//! What leaves the program: results on stdout, in the form that was asked for, and failures with their exit code.
+//! Output of the program: results on stdout, in the requested form, and failures with their exit code.
 
 use std::fmt;
 use std::io::{self, BufWriter, Write};
@@ -38,12 +38,12 @@ impl Failure {
         }
     }
 
-    /// Whether the work ended because it was asked to.
+    /// Returns true if the work ended on request.
     pub(super) fn is_stop(&self) -> bool {
         matches!(self, Self::Input(error) if matches!(error.downcast_ref(), Some(PipelineError::Stopped)))
     }
 
-    /// What stands under "error" in the JSON that is printed.
+    /// Value of "error" in the JSON output.
     pub(super) fn as_json(&self) -> Value {
         let kind = match self {
             Self::Input(_) | Self::Partial(_) => "input",
@@ -146,7 +146,7 @@ pub(super) fn print_all<T: AsRef<str>>(texts: impl IntoIterator<Item = Result<T,
     is_taken(stdout.flush()).map(drop)
 }
 
-/// Whether a reader of stdout has taken it; a reader that has gone away takes nothing more.
+/// Returns true if stdout took it; a reader that has gone away takes nothing more.
 fn is_taken(written: io::Result<()>) -> Result<bool, Failure> {
     match written {
         Ok(()) => Ok(true),

@@ -17,9 +17,9 @@ use signal_hook::iterator::Signals;
 
 /// Exit code that asks for another start with the same command, `EX_TEMPFAIL` of sysexits.h.
 pub(super) const TRY_AGAIN: u8 = 75;
-/// How long the unit of work at hand may take; with what comes after it the program ends within two seconds.
+/// Time for the current unit of work; with the rest the program ends within two seconds.
 const GRACE: Duration = Duration::from_millis(1500);
-/// How long last words may take: nobody may be reading them.
+/// Time for last messages: nobody may be reading them.
 const LAST_WORDS: Duration = Duration::from_millis(200);
 const NONE: i32 = 0;
 
@@ -34,7 +34,7 @@ impl Signal {
     }
 }
 
-/// How the program ends when a signal comes.
+/// Kind of ending that a signal asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Order {
     /// At once: the command leaves its files at its end.
@@ -44,7 +44,7 @@ pub(super) enum Order {
 }
 
 impl Order {
-    /// What there is to say.
+    /// Message.
     pub(super) fn words(self) -> &'static str {
         match self {
             Self::AtOnce => "stopped; the same command begins again",
@@ -94,7 +94,7 @@ impl Stop {
         (signal != NONE).then_some(Signal(signal))
     }
 
-    /// How the program ends.
+    /// Kind of ending.
     pub(super) fn order(&self) -> Order {
         if self.in_order.load(Ordering::SeqCst) { Order::NextUnit } else { Order::AtOnce }
     }

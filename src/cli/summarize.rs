@@ -15,7 +15,7 @@ pub(super) struct Args {
     /// Output folders of `tractrix run`, or folders that hold such folders
     #[arg(value_name = "DIR", required = true)]
     pub(super) folders: Vec<PathBuf>,
-    /// What to write: a table, or points on the map
+    /// Output: a table, or points on the map
     #[arg(long, value_enum, default_value_t)]
     pub(super) format: TableFormat,
     /// File to write; without it the table goes to stdout
@@ -26,7 +26,7 @@ pub(super) struct Args {
     pub(super) overwrite: bool,
 }
 
-/// How the table is written.
+/// Form of the table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum TableFormat {
     /// Comma-separated values

@@ -71,7 +71,7 @@ fn span(found: &ObjectTrajectory, times: TimeBase) -> String {
     }
 }
 
-/// How far the path can be trusted.
+/// Trust in the trajectory.
 fn sureness(found: &ObjectTrajectory) -> String {
     let verdict = Verdict::of(Some(found));
     format!("{}. {}", verdict.label(), verdict.sentence(Some(found)))

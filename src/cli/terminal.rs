@@ -20,14 +20,14 @@ use crate::pipeline::{Plan, Progress};
 
 /// The environment variable that sets what is logged, in `tracing`'s filter language.
 const LOG_VARIABLE: &str = "TRACTRIX_LOG";
-/// How often a line says how far a stage is, where there is no bar.
+/// Interval of progress lines where there is no bar.
 const PLAIN_PERIOD: Duration = Duration::from_secs(30);
 /// The same for programs that read it.
 const JSON_PERIOD: Duration = Duration::from_secs(1);
-/// How often the bar is drawn.
+/// Refresh interval of the bar.
 const BAR_PERIOD: Duration = Duration::from_millis(200);
 
-/// How progress is to be shown.
+/// Form of progress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, clap::ValueEnum)]
 pub(super) enum ProgressKind {
     /// A bar where stderr is a terminal, else lines
@@ -43,18 +43,18 @@ pub(super) enum ProgressKind {
     None,
 }
 
-/// How much is said.
+/// Amount of output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Verbosity {
     /// Errors alone.
     Quiet,
     /// Warnings, too.
     Normal,
-    /// What is going on, too.
+    /// Details, too.
     Verbose,
 }
 
-/// How progress is shown, once it is known what stderr is.
+/// Form of progress, once the kind of stderr is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Shown {
     Bar,
@@ -75,7 +75,7 @@ impl Shown {
         }
     }
 
-    /// How often a line is said while a stage is under way.
+    /// Interval of lines while a stage is running.
     fn period(self) -> Option<Duration> {
         match self {
             Self::Plain => Some(PLAIN_PERIOD),

@@ -3,7 +3,7 @@
 use crate::scene::{ClockZone, Dates, Metric, TimeBase};
 use crate::telemetry;
 
-/// What the times of a result are to other programs.
+/// Times of a result for other programs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clock {
     time_base: TimeBase,
@@ -19,7 +19,7 @@ impl Clock {
         Self { time_base, dates }
     }
 
-    /// Whether times are seconds; else nobody stated a rate, and they are numbers of frames.
+    /// Returns true if times are seconds; otherwise no rate was stated, and they are numbers of frames.
     pub fn has_seconds(&self) -> bool {
         self.time_base == TimeBase::Seconds
     }

@@ -32,7 +32,7 @@ pub enum ExportError {
     /// No camera is known.
     #[error("--format {format}: the background could not be reconstructed, so nothing has a place in it")]
     NoCamera {
-        /// What was asked for.
+        /// Requested format.
         format: Format,
     },
     /// The place on the map is not known.
@@ -41,7 +41,7 @@ pub enum ExportError {
          drone's or the car's log), then export again"
     )]
     NoMap {
-        /// What was asked for.
+        /// Requested format.
         format: Format,
         /// Why.
         reason: String,
@@ -63,7 +63,7 @@ pub enum ExportError {
     OtherInput {
         /// The input.
         path: PathBuf,
-        /// What does not fit.
+        /// Mismatch.
         problem: String,
     },
     /// The video cannot be encoded.
@@ -74,7 +74,7 @@ pub enum ExportError {
         /// Why.
         source: FfmpegError,
     },
-    /// What is written does not fit into the format.
+    /// Data too large for the format.
     #[error("{}: {problem}", path.display())]
     TooLarge {
         /// The file.
@@ -85,7 +85,7 @@ pub enum ExportError {
 }
 
 impl ExportError {
-    /// What is wrong with the folder that is written into, if it is that.
+    /// Error of the folder that is written into, if it is one.
     pub fn folder(&self) -> Option<&FolderError> {
         match self {
             Self::Folder(error) => Some(error),

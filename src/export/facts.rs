@@ -1,4 +1,4 @@
-//! What is said of a vehicle as a whole.
+//! Properties of a vehicle as a whole.
 
 use serde::Serialize;
 
@@ -13,9 +13,9 @@ pub struct Facts {
     pub class: String,
     /// Mean score of its detections, 0 to 1.
     pub confidence: f64,
-    /// How far the way can be trusted: `good`, `fair`, `doubtful`, `rejected`; `None` where nobody judged it.
+    /// Verdict: `good`, `fair`, `doubtful`, `rejected`; `None` if it was not judged.
     pub verdict: Option<&'static str>,
-    /// What speaks against it most.
+    /// Strongest evidence against it.
     pub doubt: Option<String>,
     /// Frames with a place.
     pub num_frames: usize,
@@ -41,7 +41,7 @@ pub struct Facts {
     pub mean_speed_m_s: Option<Estimate>,
     /// Greatest speed.
     pub max_speed_m_s: Option<Estimate>,
-    /// How large it is.
+    /// Size.
     pub dimensions: Dimensions,
 }
 

@@ -30,7 +30,7 @@ pub enum Format {
     TrajectoriesV2,
 }
 
-/// What a format cannot do without.
+/// Requirement of a format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
     /// Nothing but the output folder.
@@ -72,7 +72,7 @@ impl Format {
         }
     }
 
-    /// What it cannot do without.
+    /// Requirement.
     pub fn need(self) -> Need {
         match self {
             Self::GeoJson | Self::Kml | Self::Gpx => Need::Map,

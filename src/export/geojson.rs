@@ -133,7 +133,7 @@ fn deviations(place: &MapPlace) -> Value {
     json!({ "east_std_m": east, "north_std_m": north, "up_std_m": up, "height_m": place.height_m })
 }
 
-/// What is said of a vehicle as a whole, under the names of the tables' columns.
+/// Properties of a vehicle as a whole, under the names of the tables' columns.
 pub(super) fn vehicle_properties(facts: &Facts) -> Map<String, Value> {
     let value = |estimate: Option<crate::scene::Estimate>| estimate.map(|estimate| estimate.value);
     let std = |estimate: Option<crate::scene::Estimate>| estimate.map(|estimate| estimate.std);

@@ -27,7 +27,7 @@ const WHITE: [u8; 3] = [255; 3];
 
 type Xml<'a> = Writer<&'a mut dyn Write>;
 
-/// What is drawn as one track.
+/// Content of one track.
 struct Track {
     name: String,
     description: String,

@@ -1,4 +1,4 @@
-//! What an output folder holds, as exports need it.
+//! Content of an output folder, for exports.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -29,7 +29,7 @@ pub struct View {
     pub cam_from_world: Rigid3,
 }
 
-/// What an output folder holds.
+/// Content of an output folder.
 #[derive(Clone, Debug)]
 pub struct Results {
     /// File or folder name of the input.
@@ -38,7 +38,7 @@ pub struct Results {
     pub input: PathBuf,
     /// Width and height of the frames, pixels.
     pub size: (u32, u32),
-    /// What the times of the frames count.
+    /// Unit of the frames' times.
     pub time_base: TimeBase,
     /// The frames with a known camera, ascending.
     pub views: Vec<View>,
@@ -50,7 +50,7 @@ pub struct Results {
     pub ground: Option<Ground>,
 }
 
-/// What `run.json` tells.
+/// Parts of `run.json` that exports use.
 #[derive(Deserialize)]
 struct Told {
     input: ToldInput,
@@ -121,7 +121,7 @@ impl Results {
         Clock::of(self.trajectories.metric.as_ref(), self.time_base)
     }
 
-    /// How metres follow; `None` where they are unknown.
+    /// Metric frame; `None` if unknown.
     pub fn metric_frame(&self) -> Option<&MetricFrame> {
         self.trajectories.metric.as_ref()?.frame.as_ref()
     }
@@ -140,7 +140,7 @@ impl Results {
         }
     }
 
-    /// What the axes of the exports are, in words.
+    /// Axes of the exports, in words.
     pub fn axes(&self) -> &'static str {
         match self.metric_frame().map(|frame| frame.axes) {
             Some(MetricAxes::EastNorthUp) => "x east, y north, z up",
@@ -155,7 +155,7 @@ impl Results {
         Some((frame, frame.origin?))
     }
 
-    /// Whether heights on the map are absolute ones.
+    /// Returns true if heights on the map are absolute.
     pub fn knows_height(&self) -> bool {
         self.map().is_some_and(|(_, origin)| origin.knows_height)
     }
@@ -246,7 +246,7 @@ fn absent_or(error: IoError, absent: impl FnOnce() -> ExportError) -> ExportErro
     if error.is_not_found() { absent() } else { error.into() }
 }
 
-/// What a file holds, if it is there.
+/// Content of a file, if it exists.
 fn there<T>(read: Result<T, IoError>) -> Result<Option<T>, IoError> {
     match read {
         Err(error) if error.is_not_found() => Ok(None),

@@ -29,7 +29,7 @@ const AFTER: [&str; 7] = ["metres", "metres_reason", "date", "longitude", "latit
 pub struct Row {
     /// The output folder.
     pub run: PathBuf,
-    /// What it was made from, where that can be read.
+    /// Input, where it can be read.
     pub input: Option<PathBuf>,
     /// The vehicle's figures; `None` where the row speaks of a run without a result or a vehicle without a way.
     pub facts: Option<Facts>,
@@ -37,13 +37,13 @@ pub struct Row {
     pub unplaced: Option<(ObjectId, String)>,
     /// On what the metres rest; `None` in results that do not say.
     pub metres: Option<&'static str>,
-    /// What there is to say of them.
+    /// Remark on meters.
     pub metres_reason: Option<String>,
     /// When the vehicle was first seen, where dates are known.
     pub date: Option<String>,
     /// Where it was then; `None` where the map is not known.
     pub place: Option<MapPlace>,
-    /// What is missing, and why.
+    /// Missing part, with the reason.
     pub missing: Option<String>,
 }
 
@@ -58,7 +58,7 @@ pub struct Summary {
     pub unreadable: Vec<PathBuf>,
 }
 
-/// What `run.json` tells of how a run went.
+/// Parts of `run.json` on the course of a run.
 #[derive(Deserialize)]
 struct Told {
     input: ToldInput,

@@ -129,7 +129,7 @@ pub(super) fn vehicles(path: &Path, results: &Results) -> Result<(), ExportError
     write(path, &columns, results.trajectories.objects.iter().map(row))
 }
 
-/// What is said of a vehicle as a whole.
+/// Properties of a vehicle as a whole.
 pub(super) fn fact_cells(facts: &Facts) -> Vec<String> {
     let size = facts.dimensions;
     let mut cells = vec![
@@ -179,7 +179,7 @@ fn pose_cells(results: &Results, clock: &Clock, object: &ObjectTrajectory, index
     cells
 }
 
-/// What is known in metres.
+/// Metric values.
 fn metric_cells(pose: Option<&MetricPose>) -> Vec<String> {
     let motion = pose.and_then(|pose| pose.motion);
     let of_pose = |get: fn(&MetricPose) -> f64| metres(pose.map(get));

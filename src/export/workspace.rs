@@ -20,7 +20,7 @@ use crate::scene::{FrameId, Mask, Movement, ObjectId};
 
 /// JPEG quality: next to nothing is lost.
 const QUALITY: u8 = 96;
-/// How far masks are widened, as a share of the longer side.
+/// Margin by which masks are widened, as a share of the longer side.
 const MARGIN: f64 = 0.004;
 
 /// Fills an empty folder.

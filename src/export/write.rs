@@ -97,16 +97,16 @@ pub struct PassedOver {
     pub reason: String,
 }
 
-/// What was exported.
+/// Exported files.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Exported {
     /// In the order of [`Format::ALL`].
     pub written: Vec<Written>,
-    /// What could not be made of these results.
+    /// Formats that could not be made of these results.
     pub passed_over: Vec<PassedOver>,
 }
 
-/// Whether formats that cannot be made of the results are passed over.
+/// Treatment of formats that cannot be made of the results.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Asked {
     /// Each by its name: what cannot be made is an error, and nothing is written.

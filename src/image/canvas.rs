@@ -28,7 +28,7 @@ pub struct Plate {
 }
 
 impl Plate {
-    /// Whether it covers a part of another one.
+    /// Returns true if it overlaps another one.
     pub fn overlaps(&self, other: &Self) -> bool {
         let apart = |a: f64, a_size: f64, b: f64, b_size: f64| a + a_size <= b || b + b_size <= a;
         !apart(self.left, self.width, other.left, other.width) && !apart(self.top, self.height, other.top, other.height)
@@ -72,7 +72,7 @@ impl Canvas {
         Ok(imgproc::line(&mut self.mat, from, to, scalar(colour), width_px.max(1), LINE_AA, SUBPIXEL_BITS)?)
     }
 
-    /// Whether a place is in the picture or beside it by no more than its size.
+    /// Returns true if a position is in the image or outside by no more than its size.
     fn is_near(&self, place: Point2<f64>) -> bool {
         (-self.width..=2.0 * self.width).contains(&place.x) && (-self.height..=2.0 * self.height).contains(&place.y)
     }
@@ -143,7 +143,7 @@ fn thickness(capital_px: f64) -> i32 {
     (capital_px / 9.0).round().max(1.0) as i32
 }
 
-/// What the font can show.
+/// Text that the font can show.
 fn shown(text: &str) -> String {
     text.chars().map(|c| if c == PLUS_MINUS || c == ' ' || c.is_ascii_graphic() { c } else { '?' }).collect()
 }
@@ -152,7 +152,7 @@ fn scalar([r, g, b]: [u8; 3]) -> Scalar {
     Scalar::new(f64::from(r), f64::from(g), f64::from(b), 0.0)
 }
 
-/// Whether dark letters are read better on a colour than light ones, by its luma (ITU-R BT.601).
+/// Returns true if dark letters are more legible on a color than light ones, by its luma (ITU-R BT.601).
 fn is_light([r, g, b]: [u8; 3]) -> bool {
     0.299 * f64::from(r) + 0.587 * f64::from(g) + 0.114 * f64::from(b) > 150.0
 }

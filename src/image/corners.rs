@@ -1,4 +1,4 @@
-//! How much of a corner every pixel is.
+//! Corner strength of every pixel.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -85,8 +85,8 @@ fn mirror_ends<T: Copy>(row: &mut [T]) {
     row[width + 1] = row[1 + mirrored(width as isize, width)];
 }
 
-/// What three rows of a picture say of the gradient in the middle one: smoothed and differences down, with one more
-/// value at each end.
+/// Gradients in the middle of three rows of an image: smoothed values and vertical differences, with one more value at
+/// each end.
 struct Gradients {
     smooth: Vec<i16>,
     down: Vec<i16>,

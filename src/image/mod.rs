@@ -27,7 +27,7 @@ pub use self::opencv_mat::{
 pub use self::resize::{gray_from_rgb, resize_gray, resize_rgb, resize_rgb_quickly, scale_to_fit, warp_gray};
 pub use ::image::{GrayImage, RgbImage};
 
-/// What can go wrong with pixel buffers.
+/// Errors of pixel buffers.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
     /// OpenCV refused; its message says which check failed.

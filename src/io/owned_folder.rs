@@ -38,7 +38,7 @@ const STATE: &str = RunFolder::STATE;
 const LOCK: &str = "lock";
 const SCRATCH: &str = "tmp";
 
-/// What the program may put at a path of its folder.
+/// Role of a path of the program's folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
     /// One of its files.
@@ -51,10 +51,10 @@ pub enum Place {
     Elsewhere,
 }
 
-/// What a path of the folder is for.
+/// Role of each path of the folder.
 pub type Places = fn(&Path) -> Place;
 
-/// What the results in a folder were made from.
+/// Identity of the input of a folder's results.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct InputIdentity {
     /// Where it lay, for people and for reading it again.
@@ -117,17 +117,17 @@ impl OwnedFolder {
         Ok(owned)
     }
 
-    /// Whether there is a folder of this command's at a path.
+    /// Returns true if a path is a folder of this command's.
     pub fn is_own(path: &Path, made_by: &str) -> bool {
         manifest_of(path, made_by).is_some()
     }
 
-    /// What the results in a folder of this command's were made from, where its manifest says it.
+    /// Input of the results in a folder of this command's, where its manifest states it.
     pub fn input_of(path: &Path, made_by: &str) -> Option<InputIdentity> {
         manifest_of(path, made_by)?.input
     }
 
-    /// Whether a process has a folder at this moment. A process that asks for it in the same moment may be refused.
+    /// Returns true if a process uses a folder now. A process that asks for it in the same moment may be refused.
     pub fn is_busy(path: &Path) -> bool {
         let lock = files::open(&path.join(STATE).join(LOCK));
         lock.is_ok_and(|lock| matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)))
@@ -157,7 +157,7 @@ impl OwnedFolder {
         &self.root
     }
 
-    /// What the results were made from, where that was said.
+    /// Input of the results, if it was recorded.
     pub fn input(&self) -> Option<InputIdentity> {
         self.manifest().input.clone()
     }
@@ -426,7 +426,7 @@ fn lock(root: &Path, shown: &Path) -> Result<File, FolderError> {
     }
 }
 
-/// Whether a relative path stays below the folder that it starts from, as far as its words tell.
+/// Returns true if a relative path stays below its starting folder, lexically.
 fn is_inside(path: &Path) -> bool {
     path.components().all(|part| matches!(part, Component::Normal(_)))
 }

@@ -1,4 +1,4 @@
-//! What lies where in the output folder of a run.
+//! Layout of a run's output folder.
 //!
 //! This is the only place that knows: the pipeline writes, and `evaluate`, the report, the benchmark and a user of the
 //! library read through it. Everything named here but [`RunFolder::STATE`] is public and described in
@@ -43,7 +43,7 @@ impl RunFolder {
         &self.root
     }
 
-    /// What was run on what, at what cost.
+    /// Input, arguments and cost of the run.
     pub fn run_json(&self) -> PathBuf {
         self.root.join("run.json")
     }
@@ -98,7 +98,7 @@ impl RunFolder {
         self.root.join(TRACKS)
     }
 
-    /// What is known of the objects that were followed.
+    /// Tracked objects.
     pub fn tracked(&self) -> PathBuf {
         self.root.join("tracks.json")
     }
@@ -198,7 +198,7 @@ impl RunFolder {
         entries.filter_map(|entry| object_id(entry.file_name().to_str()?)).collect()
     }
 
-    /// What a run may put at a path, relative to the output folder.
+    /// Role of a path in a run's output folder, relative to it.
     pub fn place(relative: &Path) -> Place {
         let parts: Option<Vec<&str>> = relative.iter().map(|part| part.to_str()).collect();
         let Some(parts) = parts else { return Place::Elsewhere };

@@ -28,10 +28,10 @@ const OLD_VERSION: u32 = 2;
 /// The oldest version that is read.
 const OLDEST: u32 = 1;
 
-/// How far a stored quaternion may be from unit length.
+/// Maximum deviation of a stored quaternion's norm from 1.
 const MAX_UNIT_ERROR: f64 = 1e-6;
 
-/// How far a pose's scale may be from its object's ratio, relative to it.
+/// Maximum difference of a pose's scale from its object's ratio, relative to it.
 const MAX_SCALE_ERROR: f64 = 1e-9;
 
 // The order of these fields is the order of the keys in the file.
@@ -226,7 +226,7 @@ fn pose_from_file(pose: Pose) -> ObjectPose {
     }
 }
 
-/// What the contract asks for beyond the shape; JSON has no NaN, so it must not reach the writer.
+/// Checks the contract beyond the shape; JSON has no NaN, so it must not reach the writer.
 fn check(path: &Path, document: &Document) -> Result<(), IoError> {
     if let Some(problem) = document.metric.as_ref().and_then(metric_problem) {
         return Err(IoError::content(path, format!("metric: {problem}")));
@@ -277,7 +277,7 @@ fn lengths(of: &ScaleSupport) -> [f64; 3] {
     [of.tilt, of.ground_residual, of.disagreement.unwrap_or(0.0)]
 }
 
-/// What is wrong with the metres of a result.
+/// Problem of the meters of a result.
 fn metric_problem(metric: &Metric) -> Option<&'static str> {
     let positive = metric.frame.as_ref().is_none_or(|frame| frame.scale > 0.0);
     let turns = metric.frame.as_ref().is_none_or(|frame| (norm(frame.rotation_wxyz) - 1.0).abs() <= MAX_UNIT_ERROR);
@@ -295,7 +295,7 @@ fn metric_problem(metric: &Metric) -> Option<&'static str> {
     }
 }
 
-/// Whether every number is finite: JSON has no others, so that a value with one does not come back the same.
+/// Returns true if every number is finite: JSON has no others, so that a value with one does not round-trip.
 fn has_finite_numbers<T: Serialize + DeserializeOwned + PartialEq>(value: &T) -> bool {
     let back = serde_json::to_value(value).and_then(serde_json::from_value::<T>);
     back.is_ok_and(|back| back == *value)

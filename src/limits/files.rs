@@ -107,7 +107,7 @@ fn check_type(found: FileType) -> io::Result<()> {
     }
 }
 
-/// What a thing in a folder is.
+/// Kind of a folder's entry, in words.
 pub fn in_words(found: FileType) -> &'static str {
     if found.is_file() {
         "a file"

@@ -1,4 +1,4 @@
-//! How much memory may be taken: what files declare is held against it before memory is asked for.
+//! Memory limit: sizes that files declare are checked against it before memory is allocated.
 //!
 //! Without a limit of the user's it is a share of what there is: the machine's memory, or less where a control group
 //! (a container, a batch system) gives less.
@@ -54,11 +54,11 @@ impl MemoryLimit {
     in_words(*needed)
 )]
 pub struct TooMuch {
-    /// What it is, with the file and what to do about it.
+    /// Subject, with the file and the remedy.
     pub what: String,
     /// Bytes.
     pub needed: u64,
-    /// What there may be.
+    /// Limit.
     pub limit: MemoryLimit,
 }
 
@@ -145,8 +145,8 @@ fn total(meminfo: &str) -> Option<u64> {
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib << 10)
 }
 
-/// What control groups of version 1 and 2 give this process, with all groups above its own. A group that sets no limit
-/// says `max`, or a number that no machine has.
+/// Limits of control groups of version 1 and 2 for this process, with all groups above its own. A group that sets no
+/// limit states `max`, or a number that no machine has.
 fn limits_of_groups(groups: &str, root: &Path) -> Vec<u64> {
     let mut files = Vec::new();
     for line in groups.lines() {

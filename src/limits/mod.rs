@@ -1,5 +1,5 @@
-//! What may come from outside: limits of options, with errors that name the option, which files are opened ([`files`]),
-//! how much memory may be taken ([`memory`]), and which letters are shown ([`text`]).
+//! Limits on external input: checks of options, with errors that name the option, files that are opened ([`files`]),
+//! the memory limit ([`memory`]), and characters that are shown ([`text`]).
 //!
 //! A room checks its own options with these and names each by its key. Whoever nests the options of others puts the key
 //! before which they stand ([`under`]), so that an error names the whole path in the tree of options.
@@ -21,7 +21,7 @@ use thiserror::Error;
 pub struct OptionError {
     /// Path of keys, separated by dots.
     pub key: String,
-    /// What is wrong with the value.
+    /// Problem of the value.
     pub reason: String,
 }
 
@@ -32,7 +32,7 @@ impl OptionError {
     }
 }
 
-/// Whether an option can be worked with.
+/// Result of an option's check.
 pub type Checked = Result<(), OptionError>;
 
 /// A value must lie in a range, its ends included; NaN lies in none.

@@ -85,7 +85,7 @@ pub enum PerceptionError {
     /// The folder that TRACTRIX_MODELS names does not hold the networks that come with the program.
     #[error("the networks named by TRACTRIX_MODELS cannot be used: {reason}; correct the variable, or unset it")]
     NamedModels {
-        /// What is missing, with the path.
+        /// Missing part, with the path.
         reason: String,
     },
     /// A model description cannot be read.

@@ -24,7 +24,7 @@ pub(super) struct InitialCamera {
 }
 
 impl InitialCamera {
-    /// What is known of its intrinsics.
+    /// Prior knowledge of its intrinsics.
     pub(super) fn known(&self) -> Intrinsics {
         match self.origin {
             CameraOrigin::Given => Intrinsics::Fixed,
@@ -94,7 +94,7 @@ pub(super) fn first(run: &Run) -> Result<InitialCamera, PipelineError> {
     initial(run)?.first().copied().ok_or_else(|| PipelineError::Options(format!("{path}: it holds no picture")))
 }
 
-/// What took the pictures that are used.
+/// Cameras of the images that are used.
 fn taken<'a>(run: &Run<'a>) -> Result<&'a [PictureCamera], PipelineError> {
     let all = run.source.cameras();
     let is_one = all.len() > 1 && order::found(run)?.in_time;
@@ -123,7 +123,7 @@ pub(super) fn of_one_size(source: &Source, frames: Vec<Frame>) -> (Vec<Frame>, V
     (kept, said)
 }
 
-/// What `--intrinsics` leaves open, of pictures of several sizes.
+/// Images of several sizes that `--intrinsics` does not cover.
 pub(super) fn not_covered(run: &Run, cameras: &[InitialCamera]) -> Option<String> {
     let is_given = |camera: &&InitialCamera| camera.origin == CameraOrigin::Given;
     let open = cameras.iter().zip(taken(run).ok()?).find(|(camera, _)| !is_given(camera))?;

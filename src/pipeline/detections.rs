@@ -1,5 +1,4 @@
-//! What was found in frames, on disk: one small file per frame, so that a run that was killed need not ask the network
-//! again.
+//! Detections on disk: one small file per frame, so that a run that was killed need not run the network again.
 
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
@@ -38,7 +37,7 @@ impl<T: Serialize + Content> FrameFolder<T> {
         Ok(atomic::write(&path, &bytes)?)
     }
 
-    /// How many things a frame has; none for one that could not be decoded.
+    /// Number of detections of a frame; zero for one that could not be decoded.
     pub(super) fn count(&self, frame: FrameId) -> Result<u64, PipelineError> {
         let path = self.path(frame);
         let Some(bytes) = bytes_of(&path)? else { return Ok(0) };

@@ -1,4 +1,4 @@
-//! How the last run of a folder ended, and whether it needs another one, told without reading the input.
+//! Record of a folder's last run, and whether it needs another one, decided without reading the input.
 //!
 //! Fingerprints hash the content of all that is read, which for an hour of video takes many seconds. A run therefore
 //! leaves a record, `.tractrix/ended.json`, with the name, size, times and inode of every file that it reads and a hash
@@ -23,10 +23,10 @@ use crate::perception::default_models;
 
 /// The record's file, in the folder for the run's own state.
 const RECORD: &str = "ended.json";
-/// How deep folders that are read are looked into.
+/// Maximum depth of folders that are read.
 const MAX_DEPTH: usize = 4;
 
-/// What a run is made from, as far as it can be told in a moment.
+/// Inputs of a run, as far as they can be determined without reading them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
     /// Hash of the program's version, the options but for threads and memory, and the networks that come with it.
@@ -35,7 +35,7 @@ pub struct Identity {
     pub files: String,
 }
 
-/// How a run ended.
+/// End of a run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ended {
     /// Hashes of everything that it was made from.
@@ -52,11 +52,11 @@ pub struct Ended {
 pub struct Failed {
     /// The program's exit code.
     pub code: u8,
-    /// What it said.
+    /// Error message.
     pub reason: String,
 }
 
-/// How a folder stands to a run that is asked for.
+/// State of a folder with respect to a requested run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Standing {
     /// Nothing was begun.
@@ -74,7 +74,7 @@ pub enum Standing {
 }
 
 impl Identity {
-    /// What a run of `options` on `input` is made from.
+    /// Inputs of a run of `options` on `input`.
     ///
     /// A file that cannot be read counts as one that is not there.
     pub fn of(input: &Path, options: &Options) -> Self {
@@ -88,7 +88,7 @@ impl Identity {
     }
 }
 
-/// What the result hangs on besides the files that are named. Threads and memory are no part of it.
+/// Options that the result depends on besides named files. Threads and memory are not among them.
 fn of_options(options: &Options) -> Value {
     let revisions: Vec<u32> = Stage::ALL.into_iter().map(Stage::revision).collect();
     let options = Options { threads: None, memory_limit: None, ..options.clone() };
@@ -127,7 +127,7 @@ impl Ended {
         Self { of, options: json!(options), failure }
     }
 
-    /// How the last run of an output folder ended, if that is known.
+    /// End of the last run of an output folder, if it is known.
     pub fn of_folder(output: &Path) -> Option<Self> {
         serde_json::from_slice(&files::read(&record(output)).ok()?).ok()
     }
@@ -170,7 +170,7 @@ impl Ended {
         }
     }
 
-    /// Whether the run read this input, and neither it nor another file that it read has changed.
+    /// Returns true if the run read this input, and neither it nor another file that it read has changed.
     pub(super) fn is_of_files(&self, input: &Path) -> bool {
         self.recorded_options().is_some_and(|options| Identity::of(input, &options).files == self.of.files)
     }
@@ -213,7 +213,7 @@ impl Workspace {
     }
 }
 
-/// How an output folder stands to a run of `options` on `input`.
+/// State of an output folder with respect to a run of `options` on `input`.
 ///
 /// Reads the record and looks whether results are there; does not read the input, and changes nothing.
 pub fn standing(output: &Path, input: &Path, options: &Options) -> Standing {
@@ -245,7 +245,7 @@ fn judge(output: &Path, compare: impl FnOnce(&Ended) -> Result<(), String>) -> S
     }
 }
 
-/// Whether a run was ever begun in a folder.
+/// Returns true if a run was ever started in a folder.
 pub fn is_begun(output: &Path) -> bool {
     output.join(RunFolder::STATE).is_dir()
 }
@@ -254,7 +254,7 @@ fn is_gone(input: &Path) -> bool {
     matches!(fs::metadata(input), Err(error) if error.kind() == io::ErrorKind::NotFound)
 }
 
-/// Whether every stage is marked as done, and all that it made is there.
+/// Returns true if every stage is marked as done and all its outputs exist.
 fn has_results(output: &Path) -> bool {
     Stage::ALL.into_iter().all(|stage| Workspace::has_results_of(output, stage))
 }

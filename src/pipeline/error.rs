@@ -47,7 +47,7 @@ pub enum PipelineError {
     State {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Problem.
         reason: String,
     },
     /// A file that the options name cannot be read.
@@ -55,7 +55,7 @@ pub enum PipelineError {
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         source: io::Error,
     },
     /// The file that `run.json` names is not the one from which the results were made.
@@ -114,19 +114,19 @@ pub enum PipelineError {
 }
 
 impl PipelineError {
-    /// Whether it is a matter of waiting: another process has the output folder.
+    /// Returns true if another process uses the output folder, so that waiting helps.
     pub fn is_busy(&self) -> bool {
         matches!(self, Self::Folder(error) if error.is_busy())
     }
 
-    /// Whether the command line asks for what must not be, so that nothing was begun.
+    /// Returns true if the command line is wrong, so that nothing was started.
     pub fn is_wrong_use(&self) -> bool {
         matches!(self, Self::Option(_) | Self::Telemetry(_))
             || matches!(self, Self::Folder(error) if error.is_wrong_use())
     }
 }
 
-/// What a stage made together with a file of the run's own: a file or folder directly in the run's state.
+/// Unit that a stage made together with an intermediate file: a file or folder directly in the run's state.
 fn whole_of(path: &Path) -> &Path {
     let is_state = |folder: &Path| folder.file_name().is_some_and(|name| name == RunFolder::STATE);
     path.ancestors().find(|part| part.parent().is_some_and(is_state)).unwrap_or(path)

@@ -1,4 +1,4 @@
-//! How far a run is from the truth: reads an output folder as any stranger would, and the sequence, for [`eval`].
+//! Evaluation of a run against ground truth: reads an output folder and the sequence, for [`eval`].
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -22,7 +22,7 @@ pub fn evaluate(output: &Path, truth: &Path) -> Result<Evaluation, PipelineError
     Ok(eval::evaluate(&gather(&RunFolder::at(output), &sequence)?))
 }
 
-/// What became of an evaluation in the output folder.
+/// Extent to which an evaluation was saved in the output folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Kept {
     /// `evaluation.json` is written, and the page shows it.
@@ -114,7 +114,7 @@ fn object(
     ObjectInput { id, iou, model, as_reconstructed, trajectory, placements }
 }
 
-/// What the masks of a run and a sequence say, gathered frame by frame so that only a few are held at a time.
+/// Comparison of the masks of a run and a sequence, computed frame by frame so that only a few are in memory.
 #[derive(Default)]
 struct MaskFigures {
     /// Pixels at which the target is seen.

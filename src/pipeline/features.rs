@@ -52,7 +52,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     Ok(outcome)
 }
 
-/// What later stages of the same run would decode the pictures for once more.
+/// Work for which later stages of the same run would decode the images again.
 struct Beside {
     points: Option<Follower>,
     strip: Option<Keeper>,

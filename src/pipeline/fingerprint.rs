@@ -1,4 +1,4 @@
-//! What a result was made from, as a hash: equal fingerprints mean that the work need not be done again.
+//! Fingerprints of results: hashes of everything that a result depends on. Equal ones mean that it can be reused.
 
 use std::fs;
 use std::io::{self, Read};

@@ -24,7 +24,7 @@ pub(super) struct Followed {
     pub(super) tracks: Vec<PointTrack>,
 }
 
-/// Whether anything is looked for, in pictures that follow one another.
+/// Returns true if motion is wanted and the images are in time order.
 pub(super) fn is_wanted(run: &Run) -> Result<bool, PipelineError> {
     Ok(order::found(run)?.in_time && run.options.instances != Instances::None)
 }
@@ -54,7 +54,7 @@ impl Follower {
         Ok(())
     }
 
-    /// What became of all points.
+    /// Tracks of all points.
     pub(super) fn finish(self) -> Followed {
         Followed { frames: self.frames, tracks: self.points.finish() }
     }
@@ -65,7 +65,7 @@ pub(super) fn name(run: &Run) -> String {
     fingerprint::folder_name("points-", &fingerprint::of_value(&run.options.motion.follower))
 }
 
-/// What the stage `features` left, if it did; else points are followed now, and kept in `folder`.
+/// Points that the stage `features` left; otherwise they are tracked now, and kept in `folder`.
 pub(super) fn points(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<Followed, PipelineError> {
     let beside = beside_features(run);
     if beside.is_file() {
@@ -81,7 +81,7 @@ pub(super) fn points(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<
     Ok(followed)
 }
 
-/// What [`points`] gave; `folder` is where it may be kept.
+/// Points that [`points`] gave; `folder` is where it may be kept.
 pub(super) fn kept_points(run: &Run, folder: &Path) -> Result<Followed, PipelineError> {
     let beside = beside_features(run);
     own_file::read(&if beside.is_file() { beside } else { folder.join(file_name(run)) })

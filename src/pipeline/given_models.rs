@@ -17,7 +17,7 @@ use crate::io::model::{self, Format};
 use crate::scene::{Frame, ImageId, Reconstruction};
 use pictures::{Pictures, Sizes};
 
-/// What a model is given for.
+/// Target of a given model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Target {
     /// `--background-model`.

@@ -76,7 +76,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     Ok(outcome)
 }
 
-/// What the stage finds out before it looks at any object.
+/// Results that the stage computes before any object.
 struct Found {
     /// Labelled points and where the labels come from.
     labelled: Option<(GroundSource, Vec<Point3dId>)>,

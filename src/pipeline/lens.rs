@@ -1,4 +1,4 @@
-//! What speaks against intrinsics that were given.
+//! Evidence against given intrinsics.
 
 use crate::camera::Camera;
 
@@ -40,7 +40,7 @@ pub(super) fn impossible(camera: &Camera) -> Option<String> {
     })
 }
 
-/// What is odd about a camera that can be meant.
+/// Anomalies of a plausible camera.
 pub(super) fn doubts(camera: &Camera) -> Vec<String> {
     let mut doubts = Vec::new();
     let (field_deg, aspect) = (field_deg(camera), aspect(camera));

@@ -12,7 +12,7 @@ enum Movable {
     Nothing,
     /// Masks that the user gives.
     Given(MaskFolder),
-    /// What a network found; also what is not tracked: a parked car may leave, and a person walks.
+    /// Instances by a network, also those that are not tracked: a parked car may leave, and a person walks.
     Masks(DetectionFolder),
     /// The same as boxes, in the frames at which the detector looked, ascending.
     Boxes(segment::BoxFolder, Vec<FrameId>),

@@ -1,4 +1,4 @@
-//! What a piece of work costs: elapsed time, processor time, memory.
+//! Cost of a piece of work: elapsed time, processor time, memory.
 //!
 //! The kernel keeps the largest memory of a process since it began (VmHWM), and lets it be set back; but then nobody
 //! who looks from outside sees the peak any more. So it is left alone: where it rose during a stage it is that stage's
@@ -36,7 +36,7 @@ pub(super) struct Meter {
     samples: Arc<Samples>,
 }
 
-/// What the sampling thread and its meter share.
+/// State shared by the sampling thread and its meter.
 #[derive(Default)]
 struct Samples {
     /// Largest sample, bytes.

@@ -80,7 +80,7 @@ use crate::io::InputIdentity;
 use crate::scene::{Movement, ObjectId, TimeBase, TrackedObject};
 use run::{Outcome, Run};
 
-/// What a run did.
+/// Summary of a run.
 #[derive(Clone, Debug)]
 pub struct Summary {
     /// The output folder.
@@ -89,24 +89,24 @@ pub struct Summary {
     pub stages: Vec<StageRecord>,
     /// The frames that were chosen.
     pub num_frames: usize,
-    /// What their times count.
+    /// Unit of their times.
     pub time_base: TimeBase,
-    /// How the background came about; `None` before the goal [`Stage::Background`].
+    /// Report on the background; `None` before the goal [`Stage::Background`].
     pub background: Option<ModelReport>,
-    /// What became of the vehicles; empty before the goal [`Stage::Objects`].
+    /// Outcomes of the vehicles; empty before the goal [`Stage::Objects`].
     pub vehicles: BTreeMap<ObjectId, Vehicle>,
-    /// What is wrong although there is a result.
+    /// Problems although there is a result.
     pub warnings: Vec<String>,
 }
 
 /// A vehicle that was to be reconstructed.
 #[derive(Clone, Debug, Default)]
 pub struct Vehicle {
-    /// What it is, by the model that found it.
+    /// Class, by the model that detected it.
     pub class: String,
-    /// Whether it moved.
+    /// Motion state.
     pub movement: Option<Movement>,
-    /// How its model came about.
+    /// Report on its model.
     pub model: ModelReport,
     /// Why it has no trajectory although it has a model, where that is so.
     pub not_placed: Option<String>,
@@ -121,7 +121,7 @@ impl Summary {
     }
 }
 
-/// What is asked of a run.
+/// Request for a run.
 #[derive(Clone, Debug)]
 pub struct Job<'a> {
     /// A video file or a folder of images.
@@ -135,7 +135,7 @@ pub struct Job<'a> {
     /// Other files that were read to come here, after the flags that named them: they must not lie where the run
     /// writes.
     pub also_read: Vec<(&'a str, &'a Path)>,
-    /// What may be replaced.
+    /// Permission to replace results.
     pub overwrite: Overwrite,
     /// The command line, for `run.json` and the report.
     pub arguments: &'a [String],

@@ -17,10 +17,10 @@ use crate::io::colmap;
 use crate::scene::{CameraId, FocalChange, FrameId, Reconstruction};
 use crate::sfm::{self, Beside, mapper};
 
-/// How a model came about.
+/// Report on a model.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ModelReport {
-    /// Whether the user gave it.
+    /// True if the user gave it.
     pub given: bool,
     /// Frames in which the target is visible.
     pub num_visible: usize,
@@ -39,7 +39,7 @@ pub struct ModelReport {
     pub num_infinite_points: usize,
     /// Mean reprojection error, pixels; `None` without observations.
     pub mean_error_px: Option<f64>,
-    /// What weakens the model: a planar scene, forward motion, ...
+    /// Weaknesses of the model: a planar scene, forward motion, ...
     pub remarks: Vec<String>,
     /// Points that were taken out because they project beside the object's masks.
     pub num_outside_masks: usize,
@@ -119,7 +119,7 @@ pub(super) fn background_depends_on(run: &Run) -> Result<Value, PipelineError> {
     Ok(with_model_files(depends_on, run))
 }
 
-/// What a stage that writes models depends on, with their form if one was asked for.
+/// Inputs of a stage that writes models, with their form if one was requested.
 pub(super) fn with_model_files(mut depends_on: Value, run: &Run) -> Value {
     if run.options.model_files != ModelFiles::Auto {
         depends_on["model_files"] = json!(run.options.model_files);
@@ -191,9 +191,9 @@ fn warning_of(change: &FocalChange) -> String {
     format!("background: {change}, and is taken for motion of the camera; cut the clip there or use a fixed zoom")
 }
 
-/// What to try where nothing came out of large frames; nothing for others. Points are followed within a fixed number of
-/// pixels: in larger frames those near the camera move too far from one to the next, and those that are left are far
-/// away and show hardly any angle.
+/// Remedy where large frames gave no model; empty for others. Points are tracked within a fixed number of pixels: in
+/// larger frames those near the camera move too far between frames, and the rest are far away and have hardly any
+/// parallax.
 fn cure_of_large_frames(width: u32, height: u32) -> String {
     const LARGE_PX: u32 = 1280;
     match width.max(height) > LARGE_PX {
@@ -204,7 +204,7 @@ fn cure_of_large_frames(width: u32, height: u32) -> String {
     }
 }
 
-/// How sure the camera positions are, in units of the background; nothing where there is too little to tell.
+/// Standard deviations of the camera positions, in units of the background; `None` where there is too little data.
 fn center_figures(model: &Reconstruction) -> Option<Value> {
     // A model that leaves something undetermined has no such figures, which is no reason to stop.
     let found = bundle::center_deviations(model, DEVIATION_IMAGES).ok()??;
@@ -219,7 +219,7 @@ pub(super) fn background(run: &Run) -> Result<(Reconstruction, ModelReport), Pip
     Ok((run.workspace.read_background()?, background_report(run)?))
 }
 
-/// How the background's model came about; the stage must be done.
+/// Report on the background's model; the stage must be done.
 pub(super) fn background_report(run: &Run) -> Result<ModelReport, PipelineError> {
     run.workspace.read_state(BACKGROUND_REPORT)
 }

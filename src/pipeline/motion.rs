@@ -21,7 +21,7 @@ use crate::scene::{BoxDetection, Finder, Frame, FrameId, ImageId, Reconstruction
 
 pub(super) const PREFIX: &str = "motion-";
 const LABELS: &str = "labels.bin";
-/// What motion finds has no other name.
+/// Class of a vehicle that was found by its motion alone.
 const CLASS: &str = "vehicle";
 
 /// The points of a run and what is known of each.
@@ -45,7 +45,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     }))
 }
 
-/// Whether motion is to find vehicles, besides saying which of them move.
+/// Returns true if motion detects vehicles, besides deciding which of them move.
 fn finds(run: &Run) -> bool {
     run.options.instances == Instances::Vehicles && run.options.vehicles.motion == MotionChoice::On
 }

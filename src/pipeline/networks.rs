@@ -13,14 +13,14 @@ use crate::perception::{
     load_prompter,
 };
 
-/// What is there of what the options choose.
+/// Available networks of those that the options choose.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Networks {
     /// The detector.
     pub(super) detector: Option<PathBuf>,
     /// The two parts of the mask network.
     masks: Option<[PathBuf; 2]>,
-    /// What is missing, and what that means.
+    /// Missing networks, with the consequence.
     pub(super) doubts: Vec<String>,
 }
 
@@ -66,7 +66,7 @@ impl Networks {
         Ok(self.detector.as_deref().map(load).transpose()?)
     }
 
-    /// What finds the masks of boxes: the mask network, or colours alone.
+    /// Segmenter of boxes: the mask network, or colors alone.
     pub(super) fn load_prompter(&self, run: &Run) -> Result<Box<dyn Prompter>, PipelineError> {
         let options = &run.options.prompt;
         Ok(match &self.masks {
@@ -97,20 +97,20 @@ impl Networks {
         }
     }
 
-    /// What the detector's boxes hang on.
+    /// Inputs of the detector's boxes.
     pub(super) fn fingerprint_of_detector(&self) -> Result<Value, PipelineError> {
         Ok(json!(self.detector.as_deref().map(fingerprint::of_content).transpose()?))
     }
 
-    /// What masks of boxes hang on.
+    /// Inputs of the masks of boxes.
     pub(super) fn fingerprint_of_masks(&self) -> Result<Value, PipelineError> {
         let parts = self.masks.iter().flatten().map(|path| fingerprint::of_content(path));
         Ok(json!(parts.collect::<Result<Vec<_>, _>>()?))
     }
 }
 
-/// Whether files are, byte for byte, networks for a task that come with the program: those can be used, and loading
-/// them to see it would take half a second.
+/// Returns true if files are, byte for byte, networks for a task that come with the program: those are known to work,
+/// and loading them for a check would take half a second.
 fn came_with_the_program(files: &[PathBuf], task: &str) -> Result<bool, PipelineError> {
     let shipped = default_descriptions()?;
     for file in files {

@@ -122,17 +122,17 @@ pub(super) fn as_reconstructed(
     report.failure.is_none().then(|| Ok(run.workspace.read_as_reconstructed(id)?)).transpose()
 }
 
-/// How far an object is, for a run that was stopped in this stage.
+/// Progress of an object, for a run that was stopped in this stage.
 #[derive(Serialize, Deserialize)]
 struct ObjectMarker {
     fingerprint: String,
-    /// Whether the model was compared with the masks, or needs no comparison.
+    /// True if the model was compared with the masks, or needs no comparison.
     is_checked: bool,
     report: ModelReport,
 }
 
 impl ObjectMarker {
-    /// Whether the models are there of which the marker tells.
+    /// Returns true if the models that the marker names exist.
     fn has_models(&self, run: &Run, id: ObjectId) -> bool {
         let workspace = run.workspace;
         let are_there = match self.is_checked {
@@ -152,7 +152,7 @@ fn marker_name(id: ObjectId) -> String {
     format!("object-{id}.json")
 }
 
-/// What objects are seen in.
+/// Context of the objects' reconstructions.
 struct Place<'a> {
     /// `None` without a background.
     camera: Option<Camera>,

@@ -98,10 +98,10 @@ impl FromStr for IntrinsicsSource {
     }
 }
 
-/// How intrinsics are given.
+/// Form in which intrinsics are given.
 const INTRINSICS: &str = "fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]]";
 
-/// What is wrong with so many numbers.
+/// Message for a wrong number of values.
 pub(super) fn not_intrinsics(count: usize) -> String {
     format!("{INTRINSICS} are 4, 5, 6, 8 or 9 numbers, not {count}")
 }
@@ -129,7 +129,7 @@ impl From<ModelFiles> for Encoding {
     }
 }
 
-/// How image points are found and told again in other frames.
+/// Kind of image points and of their matching across frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum FeatureKind {
@@ -142,7 +142,7 @@ pub enum FeatureKind {
     Sift,
 }
 
-/// Whether frames follow one another in time.
+/// Temporal order of the frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum FrameOrder {
@@ -168,10 +168,10 @@ pub struct Options {
     pub flow_model: Option<PathBuf>,
     /// Where the ground labels come from.
     pub ground_labels: GroundLabels,
-    /// How image points are found, for the background and the objects alike. Where it is not `auto`, it goes before
+    /// Front end of the background and the objects alike. Where it is not `auto`, it overrides
     /// `background.front_end.kind` and `objects.front_end.kind`; options of that kind that are set there stay.
     pub features: FeatureKind,
-    /// Whether frames follow one another in time.
+    /// Temporal order of the frames.
     pub order: FrameOrder,
     /// The camera; `None` is EXIF where a photograph has it, else a guess that is refined.
     pub intrinsics: Option<IntrinsicsSource>,
@@ -184,27 +184,27 @@ pub struct Options {
     pub model_files: ModelFiles,
     /// Objects that are reconstructed; empty is all. The others are still kept out of the background.
     pub only_objects: BTreeSet<ObjectId>,
-    /// How vehicles are found by what comes with the program.
+    /// Detection of vehicles by the program's own means.
     pub vehicles: VehicleOptions,
-    /// How the detector finds boxes.
+    /// Detection of boxes.
     pub detector: DetectorOptions,
-    /// How what moves is found.
+    /// Detection of moving objects.
     pub motion: MotionOptions,
-    /// How the masks of boxes are found.
+    /// Segmentation of boxes.
     pub prompt: PromptOptions,
-    /// How a network of the user's finds instances in a frame.
+    /// Instance segmentation by the user's network.
     pub segmentation: SegmentationOptions,
     /// Optical flow.
     pub flow: FlowOptions,
-    /// How instances become tracks.
+    /// Tracking of instances.
     pub tracker: TrackerOptions,
-    /// How the background keeps away from what moves.
+    /// Masking of moving objects in the background.
     pub masking: MaskingOptions,
     /// Structure from motion of the background.
     pub background: sfm::Options,
     /// Structure from motion of an object.
     pub objects: sfm::Options,
-    /// How a semantic model's classes become ground.
+    /// Ground by the classes of a semantic model.
     pub ground_segmentation: GroundOptions,
     /// Ground points and local planes.
     pub ground: ground::Options,
@@ -225,7 +225,7 @@ pub struct Options {
     pub memory_limit: Option<MemoryLimit>,
 }
 
-/// How the background keeps away from what moves.
+/// Masking of moving objects in the background.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MaskingOptions {
@@ -287,17 +287,17 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Whether an object is to be reconstructed.
+    /// Returns true if an object is to be reconstructed.
     pub(super) fn wants(&self, id: ObjectId) -> bool {
         self.only_objects.is_empty() || self.only_objects.contains(&id)
     }
 
-    /// What a network may take of the machine.
+    /// Resources that a network may use.
     pub(super) fn resources(&self) -> Resources {
         Resources { num_threads: self.threads.unwrap_or(0), memory: self.memory() }
     }
 
-    /// What may be taken of memory.
+    /// Memory limit.
     pub(super) fn memory(&self) -> MemoryLimit {
         self.memory_limit.unwrap_or_else(MemoryLimit::of_machine)
     }
@@ -359,7 +359,7 @@ impl Options {
         Ok(under("metric", self.metric.check())?)
     }
 
-    /// What stands at the tree's root.
+    /// Checks the options at the root of the tree.
     fn check_input(&self) -> Checked {
         if let Some(threads) = self.threads {
             within("threads", threads, 1..=MOST_THREADS)?;

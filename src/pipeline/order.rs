@@ -1,4 +1,4 @@
-//! Whether the pictures follow one another in time, and how tracks are made of them accordingly.
+//! Temporal order of the images, and the front end that follows from it.
 
 use std::collections::BTreeSet;
 
@@ -18,17 +18,17 @@ pub(super) const STATE: &str = "frames-order.json";
 /// Share of followed corners from which on pictures count as frames of a video.
 const FOLLOWED_SHARE: f64 = 0.6;
 
-/// What is known of the order.
+/// Temporal order of the images.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Order {
-    /// Whether pictures follow one another in time.
+    /// True if the images are in time order.
     pub(super) in_time: bool,
     /// Median share of corners that could be followed from a picture to the next, where that was measured.
     pub(super) followed_share: Option<f64>,
 }
 
 impl Order {
-    /// How the pictures are taken and how that is changed, where it was found by looking at them.
+    /// Remark on the order and the option that changes it, where it was detected from the images.
     pub(super) fn said(&self) -> Option<String> {
         let percent = 100.0 * self.followed_share?;
         let seen = format!("{percent:.0} % of the corners are found again in the next picture");
@@ -44,7 +44,7 @@ impl Order {
     }
 }
 
-/// Whether pictures follow one another in time, where options and input say it; `None` has to be measured.
+/// Order that options and input state; `None` if it has to be measured.
 pub(super) fn stated(run: &Run) -> Option<bool> {
     of_options(run.options).or_else(|| (run.info().kind == Kind::Video).then_some(true))
 }

@@ -16,9 +16,9 @@ use crate::perception::motion::{PointTrack, TrackLabel};
 use crate::scene::{BoxDetection, Frame, Rect};
 use crate::sfm::TrackTable;
 
-/// What a file of the run's own holds.
+/// Content of an intermediate file.
 pub(super) trait Content: DeserializeOwned {
-    /// What of it no run has written, in words.
+    /// Flaw that no run has written, in words.
     fn flaw(&self) -> Option<String>;
 }
 
@@ -143,7 +143,7 @@ impl Content for TrackLabel {
     }
 }
 
-/// What is wrong with points and their labels, in words.
+/// Flaw of points and their labels, in words.
 pub(super) fn flaw_of_labels(points: &Points) -> Option<String> {
     let (labels, tracks) = (points.labels.len(), points.tracks.len());
     (labels != tracks).then(|| format!("{tracks} points have {labels} labels"))
@@ -166,12 +166,12 @@ impl Content for BoxDetection {
     }
 }
 
-/// Whether sides of a box are no numbers that can be meant.
+/// Returns true if the sides of a box are not finite or beyond the limit.
 pub(super) fn is_wrong(rect: &Rect) -> bool {
     ![rect.x0, rect.y0, rect.x1, rect.y1].iter().all(is_sensible)
 }
 
-/// What is wrong with how sure a network is.
+/// Flaw of a network's confidence.
 pub(super) fn share(confidence: f64) -> Option<String> {
     (!confidence.is_finite()).then(|| format!("a confidence is {confidence:e}"))
 }
@@ -240,7 +240,7 @@ mod tests {
         bytes
     }
 
-    /// What is taken of damaged bytes, if anything is.
+    /// Content read from damaged bytes, if any is accepted.
     fn taken_of<T: Content + Serialize>(whole: &T, seed: u64) -> Option<T> {
         let bytes = postcard::to_stdvec(whole).unwrap();
         assert!(taken::<T>(&bytes).is_ok(), "as it was written");

@@ -1,4 +1,4 @@
-//! What can be known to be wrong before the first long stage.
+//! Checks before the first long stage.
 //!
 //! A model that cannot be used, a mask that does not fit: an hour of work must not come before an error in a file that
 //! is needed last. What an earlier run has done already is not looked at again.
@@ -13,8 +13,8 @@ use super::{GroundLabels, Instances, Options, PipelineError, Stage, cameras, gro
 use crate::scene::{LabelMap, ObjectId};
 use crate::video::{PictureCamera, Source};
 
-/// What a picture takes while it is worked on: as its file holds it and decoded, and at the size of the frames with
-/// everything that is made of it. Of pictures of 13,000 × 13,000 pixels, three were seen to take 36 bytes per pixel.
+/// Memory of an image while it is processed: as its file holds it and decoded, and at the size of the frames with
+/// everything that is made of it. Three images of 13,000 × 13,000 pixels took 36 bytes per pixel.
 const SOURCE_BYTES_PER_PIXEL: u128 = 8;
 const FRAME_BYTES_PER_PIXEL: u128 = 32;
 

@@ -1,11 +1,11 @@
-//! How far a run is: told while it works; the terminal shows it, a library user may ignore it.
+//! Progress of a run; the terminal shows it, a library user may ignore it.
 
 use super::{Instances, Options, Stage, Workspace};
 use crate::video::{self, Info, Position};
 
 /// Told how far a run is.
 pub trait Progress: Sync {
-    /// What is about to be done; before the first stage.
+    /// Announces the plan, before the first stage.
     fn plan(&self, _: &Plan) {}
     /// A stage begins, with `total` steps where that is known; the same name again begins its next part, whose steps
     /// are counted from 0. `input` is read before the first stage.
@@ -20,7 +20,7 @@ pub trait Progress: Sync {
     fn end(&self);
     /// A stage is left out because an earlier run had done it.
     fn skip(&self, stage: &str);
-    /// Whether the run is to end at the next unit of work: a frame, an object, a stage. What is finished stays.
+    /// Returns true if the run is to end at the next unit of work: a frame, an object, a stage. Finished work stays.
     fn is_stopped(&self) -> bool {
         false
     }
@@ -117,7 +117,7 @@ fn usual_s(stage: Stage, options: &Options, info: &Info) -> f64 {
     frames * (per_frame + per_megapixel * megapixels)
 }
 
-/// How many frames the options choose, as far as that can be told without looking.
+/// Number of frames that the options choose, as far as the metadata tell.
 fn num_frames(options: &video::Options, info: &Info) -> f64 {
     let all = f64::from(info.num_frames.unwrap_or(UNSTATED_FRAMES));
     let index = |position: Position| match position {

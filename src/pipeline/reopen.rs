@@ -11,7 +11,7 @@ use crate::io::{RunFolder, json};
 use crate::scene::Frame;
 use crate::video::{self, Source};
 
-/// What `run.json` tells of the input and how it was read; the other options change from version to version.
+/// Input in `run.json` and its reading options; the other options change from version to version.
 #[derive(Deserialize)]
 struct Told {
     input: ToldInput,

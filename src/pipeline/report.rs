@@ -40,7 +40,7 @@ pub fn link_exports(output: &Path) -> Result<(), PipelineError> {
     renew(&Workspace::open(output)?)
 }
 
-/// What `run.json` tells of a run.
+/// Parts of `run.json` that the report uses.
 #[derive(Deserialize)]
 struct Told {
     arguments: Vec<String>,
@@ -128,7 +128,7 @@ fn objects<'a>(
     tracked.iter().map(object).collect()
 }
 
-/// What the contact with the ground says of an object's scale ratio in each frame alone; empty where it says nothing.
+/// Scale ratio of an object by its ground contact in each frame alone; empty where there is none.
 fn ratio_per_frame(
     background: &Reconstruction,
     model: &Reconstruction,
@@ -139,13 +139,13 @@ fn ratio_per_frame(
     intersection(&views).map(|found| found.per_frame).unwrap_or_default()
 }
 
-/// How the result compares with the truth, if `evaluate` was asked since it was made.
+/// Evaluation of this result, if there is one.
 fn evaluation(run: &Run) -> Result<Option<Evaluation>, PipelineError> {
     let path = run.workspace.evaluation();
     Ok(if path.exists() { Some(json::read(&path)?) } else { None })
 }
 
-/// What lies beside the page.
+/// Files next to the page.
 fn parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>, trajectories: &Trajectories) -> Vec<Part> {
     let folder = &run.workspace;
     let part = |object: Option<ObjectId>, path: PathBuf, holds: &str| Part {
@@ -176,7 +176,7 @@ fn parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>, trajectories: &Tr
     parts
 }
 
-/// What `tractrix export` wrote, by name, with its size and what opens it.
+/// Files of `tractrix export`, by name, with their size and the programs that open them.
 fn exported(folder: &Path) -> Vec<(PathBuf, String)> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let mut found: Vec<(PathBuf, String)> = entries
@@ -191,7 +191,7 @@ fn exported(folder: &Path) -> Vec<(PathBuf, String)> {
     found
 }
 
-/// What an export is for; `None` for what no export is called.
+/// Purpose of an export; `None` for an unknown name.
 fn opened_by(name: &str) -> Option<&'static str> {
     Some(match name.rsplit_once('.').map_or(name, |(_, extension)| extension) {
         "csv" => "a table, for spreadsheets, pandas and R",

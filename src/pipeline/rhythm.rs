@@ -45,12 +45,12 @@ impl Rhythm {
         Self { detector, masks: chosen.map_or(masks, |chosen| chosen.max(1) as usize), num_frames }
     }
 
-    /// Whether the detector looks at the `index`-th frame.
+    /// Returns true if the detector runs on the `index`-th frame.
     pub(super) fn is_detected(&self, index: usize) -> bool {
         index.is_multiple_of(self.detector) || index + 1 == self.num_frames
     }
 
-    /// Whether the mask network is asked about the `index`-th frame.
+    /// Returns true if the mask network runs on the `index`-th frame.
     pub(super) fn is_asked(&self, index: usize) -> bool {
         index.is_multiple_of(self.masks) || index + 1 == self.num_frames
     }

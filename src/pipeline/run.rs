@@ -13,10 +13,10 @@ use crate::ffi::memory;
 use crate::scene::Frame;
 use crate::video::{Info, Source};
 
-/// What a stage gives back besides its files.
+/// Results of a stage besides its files.
 #[derive(Debug, Default)]
 pub(super) struct Outcome {
-    /// What is wrong although there is a result.
+    /// Problems although there is a result.
     pub(super) warnings: Vec<String>,
     /// Counts and measures, by name.
     pub(super) figures: BTreeMap<String, Value>,
@@ -46,9 +46,9 @@ impl Outcome {
 pub struct StageRecord {
     /// Which one.
     pub stage: Stage,
-    /// What it left behind.
+    /// Marker of the stage.
     pub marker: Marker,
-    /// Whether an earlier run had done it.
+    /// True if an earlier run did it.
     pub reused: bool,
 }
 
@@ -62,7 +62,7 @@ pub(super) struct Run<'a> {
     /// The last stage that is to be done.
     pub(super) goal: Stage,
     pub(super) records: Vec<StageRecord>,
-    /// What is odd about what was given, before any stage.
+    /// Anomalies of the input, found before any stage.
     warnings: Vec<String>,
     frames: OnceCell<Vec<Frame>>,
     said_anew: Cell<bool>,
@@ -164,7 +164,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Whether an earlier run has left what a stage of this fingerprint makes.
+    /// Returns true if an earlier run left the results of a stage with this fingerprint.
     pub(super) fn is_done(&self, stage: Stage, fingerprint: &str) -> bool {
         let marker = self.workspace.marker(stage);
         marker.is_some_and(|marker| marker.fingerprint == fingerprint && self.workspace.has_outputs(&marker))
@@ -192,7 +192,7 @@ impl<'a> Run<'a> {
         self.records = done.collect();
     }
 
-    /// Whether nothing had to be done so far.
+    /// Returns true if all stages so far were reused.
     pub(super) fn all_reused(&self) -> bool {
         self.records.iter().all(|record| record.reused)
     }
@@ -208,7 +208,7 @@ impl<'a> Run<'a> {
         self.all_warnings().cloned().collect()
     }
 
-    /// Whether a stage before has said this.
+    /// Returns true if an earlier stage gave this warning.
     pub(super) fn has_warned(&self, text: &str) -> bool {
         self.all_warnings().any(|warning| warning == text)
     }

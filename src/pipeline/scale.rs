@@ -69,7 +69,7 @@ fn clear(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result<(), Pip
     run.workspace.keep_objects(&run.workspace.objects(), has_model)
 }
 
-/// What the objects are placed in.
+/// Context of the objects' trajectories.
 struct Scene<'a, 'r> {
     run: &'a Run<'r>,
     background: &'a Reconstruction,
@@ -79,7 +79,7 @@ struct Scene<'a, 'r> {
     silhouettes: BTreeMap<ObjectId, BTreeMap<FrameId, Silhouette>>,
 }
 
-/// What became of the objects.
+/// Outcomes of the objects.
 #[derive(Default)]
 struct Found<'a> {
     placed: Vec<Placed<'a>>,
@@ -155,7 +155,7 @@ fn warn_of_scale(trajectory: &ObjectTrajectory, outcome: &mut Outcome) {
     }
 }
 
-/// How large an object is, in units of the background.
+/// Size of an object, in units of the background.
 fn size(
     trajectory: &ObjectTrajectory,
     object: &Reconstruction,
@@ -240,7 +240,7 @@ pub(super) fn in_units(run: &Run) -> Result<Trajectories, PipelineError> {
     Ok(crate::io::trajectories::read(&run.workspace.state(IN_UNITS))?)
 }
 
-/// How large the objects are, in units of the background; the stage must be done.
+/// Sizes of the objects, in units of the background; the stage must be done.
 pub(super) fn sizes(run: &Run) -> Result<BTreeMap<ObjectId, Size>, PipelineError> {
     run.workspace.read_state(SIZES)
 }

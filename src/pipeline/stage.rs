@@ -16,7 +16,7 @@ pub enum Stage {
     Features,
     /// Structure from motion of the background.
     Background,
-    /// What moves against the background.
+    /// Points and objects that move against the background.
     Motion,
     /// One mask per object and frame.
     Track,

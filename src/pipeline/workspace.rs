@@ -29,7 +29,7 @@ impl Deref for Workspace {
     }
 }
 
-/// What is given up for a new result.
+/// Results that may be discarded for new ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Overwrite {
     /// Results of the same input alone.
@@ -39,15 +39,15 @@ pub enum Overwrite {
     AnyInput,
 }
 
-/// What a finished stage leaves behind.
+/// Marker of a finished stage.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Marker {
     /// Hash of everything that the result was made from.
     pub fingerprint: String,
-    /// What it cost when it was made.
+    /// Cost when it was made.
     #[serde(flatten)]
     pub cost: Cost,
-    /// What is wrong although there is a result.
+    /// Problems although there is a result.
     pub warnings: Vec<String>,
     /// Counts and measures, by name.
     pub figures: BTreeMap<String, serde_json::Value>,
@@ -80,7 +80,7 @@ impl Workspace {
         Ok(Self { owned, places })
     }
 
-    /// Whether a folder was made by a run.
+    /// Returns true if a folder was made by a run.
     pub fn is_own(output: &Path) -> bool {
         OwnedFolder::is_own(output, RunFolder::MADE_BY)
     }
@@ -98,7 +98,7 @@ impl Workspace {
         OwnedFolder::input_of(output, RunFolder::MADE_BY)
     }
 
-    /// What the results were made from.
+    /// Input of the results.
     pub fn claimed_by(&self) -> Option<InputIdentity> {
         self.owned.input()
     }
@@ -153,7 +153,7 @@ impl Workspace {
         self.state("objects-unchecked")
     }
 
-    /// What a stage left behind, if it can be read.
+    /// Marker of a stage, if it can be read.
     pub fn marker(&self, stage: Stage) -> Option<Marker> {
         self.read_state(&marker_name(stage)).ok()
     }
@@ -173,19 +173,19 @@ impl Workspace {
         Ok(atomic::remove(&self.state(name))?)
     }
 
-    /// Whether a process is at work on an output folder.
+    /// Returns true if a process uses an output folder.
     pub(super) fn is_busy(output: &Path) -> bool {
         OwnedFolder::is_busy(output)
     }
 
-    /// Whether a stage is marked as done in an output folder, and all that it made is there.
+    /// Returns true if a stage is marked as done in an output folder and all its outputs exist.
     pub(super) fn has_results_of(output: &Path, stage: Stage) -> bool {
         let path = output.join(RunFolder::STATE).join(marker_name(stage));
         let marker: Option<Marker> = files::read(&path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
         marker.is_some_and(|marker| marker.outputs.iter().all(|path| output.join(path).exists()))
     }
 
-    /// Whether every part of a marked result is still there.
+    /// Returns true if every output of a marked stage still exists.
     pub fn has_outputs(&self, marker: &Marker) -> bool {
         marker.outputs.iter().all(|path| self.root().join(path).exists())
     }

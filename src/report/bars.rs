@@ -28,7 +28,7 @@ const QUANTILE: f64 = 0.85;
 /// Fill colours of the clusters, told apart also by the colour-blind (after Okabe and Ito).
 const COLOURS: [&str; 7] = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#777777"];
 
-/// How a bar is filled.
+/// Filling of a bar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Filling {
     /// Lines across white.

@@ -28,7 +28,7 @@ pub(super) struct Line {
     pub dots: bool,
     /// (time, low, high) of a band round the line; empty without one.
     pub band: Vec<(f64, f64, f64)>,
-    /// What the line was made from, drawn thin behind it; empty where there is nothing to show.
+    /// Raw data of the line, drawn thin behind it; may be empty.
     pub raw: Vec<(f64, f64)>,
 }
 
@@ -49,7 +49,7 @@ pub(super) struct Chart {
     pub unit: String,
     pub lines: Vec<Line>,
     pub levels: Vec<Level>,
-    /// Whether the value axis starts at zero.
+    /// True if the value axis starts at zero.
     pub from_zero: bool,
 }
 
@@ -278,7 +278,7 @@ pub(super) fn significant(v: f64, digits: i32) -> f64 {
     if rounded.is_finite() { rounded } else { v }
 }
 
-/// What a frame is to a model.
+/// State of a frame in a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FrameState {
     /// Not in the picture.

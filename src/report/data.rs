@@ -1,4 +1,4 @@
-//! What the report is made of.
+//! Input of the report.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -11,7 +11,7 @@ use crate::scene::{
 /// Everything the page shows; the pipeline fills it from a finished output folder.
 #[derive(Clone, Debug)]
 pub struct Data<'a> {
-    /// What was reconstructed: the input's file or folder name.
+    /// Title: the input's file or folder name.
     pub title: String,
     /// Facts on the input: kind, size, rate, where the intrinsics came from.
     pub input: Vec<Fact>,
@@ -19,27 +19,27 @@ pub struct Data<'a> {
     pub version: String,
     /// The command line.
     pub arguments: Vec<String>,
-    /// What the times of the frames count.
+    /// Unit of the frames' times.
     pub time_base: TimeBase,
     /// All frames that were used, ascending in time.
     pub frames: &'a [Frame],
     /// The background, and why frames are missing from it.
     pub background: Model<'a>,
-    /// How metres follow, if they do.
+    /// Metric scale, if known.
     pub metric: Option<&'a Metric>,
     /// Ground points and local planes, if any were found.
     pub ground: Option<&'a Ground>,
     /// Every tracked vehicle, with or without a trajectory.
     pub objects: Vec<Object<'a>>,
-    /// What else could not be reconstructed.
+    /// Other objects that could not be reconstructed.
     pub missing: Vec<Missing>,
     /// Pictures of the strip, ascending in time; [`super::strip_frames`] says which frames.
     pub strip: Vec<Thumbnail>,
     /// Warnings of the run, the gravest first.
     pub warnings: Vec<String>,
-    /// What the run cost.
+    /// Cost of the run.
     pub stages: Vec<Stage>,
-    /// How the result compares with the ground truth, if that was given.
+    /// Comparison with the ground truth, if it was given.
     pub evaluation: Option<&'a Evaluation>,
     /// The files and folders of the result.
     pub parts: Vec<Part>,
@@ -72,7 +72,7 @@ pub struct Object<'a> {
     pub class: String,
     /// Mean score of its detections, 0 to 1.
     pub confidence: f64,
-    /// What found it, and whether it moved, where that is known.
+    /// Sources of its detections and its motion state, if known.
     pub tracked: Option<&'a TrackedObject>,
     /// The frames in which it has a mask, ascending.
     pub visible: Vec<FrameId>,
@@ -102,7 +102,7 @@ pub struct Fact {
     pub label: String,
     /// The figure, with its unit.
     pub value: String,
-    /// How to read it.
+    /// Note for the reader.
     pub note: Option<String>,
 }
 
@@ -125,11 +125,11 @@ pub struct Part {
     pub object: Option<ObjectId>,
     /// Its path, relative to the page, with `/` between folders and at the end of one.
     pub path: String,
-    /// What it holds.
+    /// Content.
     pub holds: String,
 }
 
-/// What one stage of the run cost.
+/// Cost of one stage of the run.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Stage {
     /// Its name.
@@ -140,6 +140,6 @@ pub struct Stage {
     pub cpu_s: f64,
     /// Peak memory of the process up to its end, MiB.
     pub peak_rss_mib: f64,
-    /// Whether the result of an earlier run was taken over.
+    /// True if the result of an earlier run was reused.
     pub reused: bool,
 }

@@ -1,4 +1,4 @@
-//! How a result compares with the truth, in figures that need no knowledge of the methods.
+//! Comparison of a result with the truth, in figures that need no knowledge of the methods.
 
 use super::data::Fact;
 use super::words::{UNKNOWN, count, figure, percent, with_unit};

@@ -1,4 +1,4 @@
-//! What is measured on trajectories and models.
+//! Measures of trajectories and models.
 
 use super::timeline::Timeline;
 use crate::scene::{Image, ObjectPose, ObjectTrajectory, Observation, Reconstruction};

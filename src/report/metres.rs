@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::words::{LENGTH_UNIT, figure, percent, round_figure};
 use crate::scene::{Metric, MetricContradiction, MetricFrame, MetricShare, MetricVerdict};
 
-/// What lengths are said in.
+/// Unit of lengths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Ruler {
     /// Lengths of the background are multiplied by this.
@@ -35,7 +35,7 @@ pub(super) fn frame(metric: &Metric) -> Option<&MetricFrame> {
     metric.frame.as_ref().filter(|frame| frame.scale.is_finite() && frame.scale > 0.0)
 }
 
-/// How to get metres where there are none.
+/// Remedy for missing meters.
 const CURE: &str = "--camera-height or --telemetry gives metres";
 
 /// On what metres rest and how sure they are, in a sentence; where there are none, why.
@@ -63,7 +63,7 @@ pub fn metres_in_words(metric: Option<&Metric>) -> String {
 /// Metres on the page.
 #[derive(Debug, Serialize)]
 pub(super) struct Metres {
-    /// Whether there are any.
+    /// True if meters are known.
     known: bool,
     sentence: String,
     shares: Vec<Share>,

@@ -40,7 +40,7 @@ pub use verdict::Verdict;
 
 use std::path::{Path, PathBuf};
 
-/// What can go wrong with the report.
+/// Errors of the report.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// The file cannot be written.

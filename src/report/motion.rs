@@ -1,4 +1,4 @@
-//! What the metres of a vehicle's poses say, for cards, tooltips and charts.
+//! Metric motion of a vehicle, for cards, tooltips and charts.
 
 use super::data::{Data, Fact, Object};
 use super::metres;
@@ -21,7 +21,7 @@ fn motion<'a>(data: &Data, metric: &'a MetricPose) -> Option<&'a Motion> {
     metric.motion.as_ref().filter(|_| data.time_base == TimeBase::Seconds)
 }
 
-/// What is known at one pose, in a few words.
+/// Summary of one pose, in a few words.
 pub(super) fn tooltip(data: &Data, pose: &ObjectPose) -> Option<String> {
     data.metric.and_then(metres::frame)?;
     let metric = pose.metric.as_ref()?;

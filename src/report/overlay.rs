@@ -12,7 +12,7 @@ const THUMBNAIL_SIDE: u32 = 400;
 const THUMBNAIL_QUALITY: u8 = 74;
 /// Pictures in the strip: at about 18 KiB each they stay below 1 MiB as base64.
 const MAX_THUMBNAILS: usize = 36;
-/// How much of the object's colour the inside of a mask takes.
+/// Opacity of the object's color inside a mask.
 const TINT: f32 = 0.38;
 
 /// Ten hues that stay apart from each other and from asphalt, grass and sky, on dark and on light ground.

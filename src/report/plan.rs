@@ -56,12 +56,12 @@ struct Paper<'a> {
     view: &'a View,
     turn: Turn,
     ruler: Ruler,
-    /// What lies at the plan's origin, in the turned view.
+    /// Position of the plan's origin, in the rotated view.
     origin: [f64; 2],
     zoom: f64,
 }
 
-/// How the plan is turned against the view: up the page points the first of the two, x and z of a unit vector.
+/// Rotation of the plan against the view: up the page points the first of the two, x and z of a unit vector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Turn([f64; 2]);
 
@@ -181,7 +181,7 @@ fn north(data: &Data, [x, y, width, height]: [f64; 4]) -> Option<String> {
     Some(arrow + &letter)
 }
 
-/// Whether a place can be written down.
+/// Returns true if a position can be drawn.
 fn drawable(place: &[f64; 2]) -> bool {
     place.iter().all(|v| v.is_finite() && v.abs() < 1e6)
 }

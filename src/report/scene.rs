@@ -1,4 +1,4 @@
-//! What the 3D view shows, thinned and packed for `view3d.js`.
+//! Content of the 3D view, thinned and packed for `view3d.js`.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -23,7 +23,7 @@ const MAX_ALL_OBJECT_POINTS: usize = 24_000;
 /// Frames the time slider can stop at.
 const MAX_FRAMES: usize = 1_500;
 
-/// What `view3d.js` reads.
+/// Input of `view3d.js`.
 #[derive(Debug, Serialize)]
 pub(super) struct Scene {
     /// Length in the view of what lengths are said in: a metre, or a unit of the background.
@@ -100,7 +100,7 @@ impl Scene {
         }
     }
 
-    /// What was left out, in sentences.
+    /// Omissions, in sentences.
     pub fn omissions(&self, num_frames: usize) -> Vec<String> {
         let mut notes = Vec::new();
         let Cloud { total, count, beyond, .. } = self.points;

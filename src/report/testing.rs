@@ -113,7 +113,7 @@ pub(super) fn nothing(background: &Reconstruction) -> Data<'_> {
     }
 }
 
-/// What `tractrix evaluate` wrote of the bundled clip; the errors of two frames stand for those of all.
+/// Evaluation of the bundled clip by `tractrix evaluate`; the errors of two frames represent all.
 pub(super) fn evaluation() -> Evaluation {
     serde_json::from_str(include_str!("../../tests/golden/evaluation.json")).unwrap()
 }

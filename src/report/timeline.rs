@@ -71,7 +71,7 @@ impl Timeline {
         self.range(self.ids[first], self.ids[last])
     }
 
-    /// How long the input is.
+    /// Length of the input.
     pub fn length(&self) -> Fact {
         let frames = count(self.ids.len(), "frame");
         let (start, end) = self.span();

@@ -6,7 +6,7 @@ use super::data::Fact;
 use super::words::{percent, plain};
 use crate::scene::{ObjectTrajectory, Reason, ReasonKind, ScaleEstimate, Trust};
 
-/// How far a trajectory can be trusted: the words of [`Trust`], and what is said where there is no verdict.
+/// Trust in a trajectory: the words of [`Trust`], and those for a missing verdict.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {

@@ -84,7 +84,7 @@ pub(super) fn finite(p: &Point3<f64>) -> bool {
     p.iter().all(|v| v.is_finite())
 }
 
-/// What the first look should hold: camera centres and the trajectories that can be trusted (all, if none can).
+/// Points that the first view contains: camera centers and the trajectories that are trusted (all, if none is).
 fn focus(data: &Data, centers: &[Point3<f64>]) -> Vec<Point3<f64>> {
     let positions = |object: &Object| -> Vec<Point3<f64>> {
         object.trajectory.iter().flat_map(|t| &t.poses).map(|p| Point3::from(p.position)).filter(finite).collect()
@@ -172,7 +172,7 @@ pub(super) fn quantile(values: &mut [f64], q: f64) -> f64 {
     math::quantile(values, q).unwrap_or(0.0)
 }
 
-/// How far the shown volume reaches: most of the points, but not those at the horizon.
+/// Radius of the shown volume: most of the points, without those at the horizon.
 fn reach(background: &Reconstruction, view_from_world: &Sim3) -> f64 {
     let distances = background.points.values().map(|p| (*view_from_world * p.position).coords.norm());
     let most = quantile(&mut distances.filter(|d| d.is_finite()).collect::<Vec<_>>(), 0.95);

@@ -3,7 +3,7 @@
 use super::data::Object;
 pub(super) use crate::math::rounding::{percent, significant as figure};
 
-/// What stands for a number that there is none of.
+/// Text of a number that does not exist.
 pub(super) const UNKNOWN: &str = "unknown";
 /// The unit of lengths: that of the background reconstruction, whose size is arbitrary.
 pub(super) const LENGTH_UNIT: &str = "units";

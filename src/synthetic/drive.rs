@@ -53,7 +53,7 @@ pub enum Route {
     },
 }
 
-/// What disturbs the exact world.
+/// Disturbances of the exact world.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Noise {
     /// Standard deviation of observations, pixels; points and cameras of both reconstructions move accordingly.
@@ -81,12 +81,12 @@ pub struct Options {
     pub speed_m_s: f64,
     /// Height of the camera over the ground at the start, metres.
     pub camera_height_m: f64,
-    /// How much it climbs until the end (ΔH), metres. Over [`Terrain::Flat`] and [`Terrain::Slope`] no climb means that
-    /// the camera moves exactly parallel to the ground: the degenerate case.
+    /// Climb until the end (ΔH), meters. Over [`Terrain::Flat`] and [`Terrain::Slope`] no climb means that the camera
+    /// moves exactly parallel to the ground: the degenerate case.
     pub camera_climb_m: f64,
     /// Distance from camera to vehicle, first and last, metres.
     pub distance_m: [f64; 2],
-    /// Whether the points of the wheels are reconstructed; without them the lowest point floats 0.37 m over the ground.
+    /// True if the points of the wheels are reconstructed; without them the lowest point is 0.37 m over the ground.
     pub has_wheels: bool,
     /// Points on the vehicle's body.
     pub num_object_points: usize,

@@ -1,4 +1,4 @@
-//! What pixel noise does to a reconstruction: points triangulated and cameras resected from noisy observations.
+//! Effect of pixel noise on a reconstruction: points triangulated and cameras resected from noisy observations.
 //!
 //! Each point is moved to where its noisy observations put it, given the true cameras, and each camera to where its
 //! noisy observations put it, given the true points. That is one half-step each of an alternation, not a bundle

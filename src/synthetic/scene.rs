@@ -10,7 +10,7 @@ use crate::camera::Camera;
 use crate::math::{Rigid3, Rng, seeded_rng};
 use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
-/// How the camera moves.
+/// Motion of the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Path {
     /// On an arc of 120 degrees and radius 6 about a ball of points of radius 2, looking at its middle: every camera
@@ -32,7 +32,7 @@ pub struct Options {
     pub path: Path,
     /// Intrinsics of all images.
     pub camera: Camera,
-    /// Whether each image has a camera id of its own (with the same intrinsics).
+    /// True if each image has a camera id of its own (with the same intrinsics).
     pub camera_per_image: bool,
     /// Standard deviation of each pixel coordinate.
     pub noise_px: f64,

@@ -288,7 +288,7 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
     Vehicle { model, trajectory, visible, size_m }
 }
 
-/// What telemetry says of the frame, give or take 2 %.
+/// Metric frame by telemetry, within 2 %.
 fn metric(background_from_metric: &Sim3) -> Metric {
     let metric_from_background = background_from_metric.inverse();
     let Sim3 { scale, rotation, translation } = metric_from_background;
@@ -323,7 +323,7 @@ fn metric(background_from_metric: &Sim3) -> Metric {
     }
 }
 
-/// What the metres of one pose are, from where the vehicle really is; the van's are as wrong as its scale.
+/// Metric values of one pose, from the vehicle's true position; the van's have the error of its scale.
 fn metric_pose(id: ObjectId, frame: FrameId, num_frames: u32, wrong: f64) -> MetricPose {
     let seconds = f64::from(num_frames.max(2) - 1) / 15.0;
     let at = |s: f64| metric_from_vehicle(id, s);

@@ -14,7 +14,7 @@ use super::time;
 /// The name in reports.
 pub(super) const DIALECT: &str = "csv";
 
-/// What a column holds.
+/// Quantity of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Column {
     Longitude,
@@ -91,11 +91,11 @@ const UNITS: [(&str, f64); 21] = [
 struct Place {
     column: Column,
     index: usize,
-    /// What one of its numbers is in metres, seconds, metres per second or degrees.
+    /// Factor from its numbers to meters, seconds, meters per second or degrees.
     unit: f64,
 }
 
-/// Whether a line can be the header of a table of fixes.
+/// Returns true if a line can be the header of a table of fixes.
 pub(super) fn is_header(line: &str) -> bool {
     let places = places(line.split(delimiter(line)));
     has(&places, Column::Longitude) && has(&places, Column::Latitude)
@@ -196,7 +196,7 @@ fn places<'a>(names: impl Iterator<Item = &'a str>) -> Vec<Place> {
     places
 }
 
-/// What is wrong with the first unit that is not known.
+/// Message for the first unknown unit.
 fn unknown_unit<'a>(mut names: impl Iterator<Item = &'a str>) -> Option<String> {
     names.find_map(|full| {
         let (name, unit) = split_unit(full);

@@ -63,7 +63,7 @@ pub enum TelemetryError {
         path: PathBuf,
         /// The format or dialect.
         what: String,
-        /// What is wrong with the first line that could have had one.
+        /// Problem of the first line that could have had one.
         first: Option<String>,
     },
     /// The header of a table cannot be used.
@@ -71,7 +71,7 @@ pub enum TelemetryError {
     Header {
         /// The file.
         path: PathBuf,
-        /// What is wrong, and the cure.
+        /// Problem, and the remedy.
         problem: String,
     },
 }

@@ -24,7 +24,7 @@ pub struct Fix {
     pub longitude_deg: f64,
     /// North of the equator, degrees, −90 to 90.
     pub latitude_deg: f64,
-    /// What the last digit of longitude and latitude stands for, degrees.
+    /// Value of the last digit of longitude and latitude, degrees.
     pub resolution_deg: f64,
     /// Absolute height, metres; the [`Log`] says above what.
     pub gps_height_m: Option<f64>,
@@ -82,7 +82,7 @@ const MAX_DILUTION: f64 = 50.0;
 pub(super) struct Position {
     pub(super) longitude_deg: f64,
     pub(super) latitude_deg: f64,
-    /// What the last digit stands for.
+    /// Value of the last digit.
     pub(super) resolution_deg: f64,
 }
 
@@ -142,7 +142,7 @@ pub enum HeightDatum {
     Unstated,
 }
 
-/// What the clock of a log shows.
+/// Kind of a log's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ClockKind {
@@ -172,20 +172,20 @@ impl fmt::Display for PassedOver {
     }
 }
 
-/// What was understood of a file.
+/// Content of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Log {
     /// Fixes in order of time; those without any time in order of the file.
     pub fixes: Vec<Fix>,
-    /// What the clock shows.
+    /// Kind of clock.
     pub clock: ClockKind,
     /// Above what `gps_height_m` is counted.
     pub height_datum: HeightDatum,
     /// The first things that were passed over, in order of the file.
     pub passed_over: Vec<PassedOver>,
-    /// How many were passed over altogether.
+    /// Number of skipped lines.
     pub num_passed_over: usize,
-    /// How many fixes it holds.
+    /// Number of fixes that it can hold.
     pub(super) room: Room,
 }
 
@@ -194,7 +194,7 @@ pub struct Log {
 pub(super) struct Room {
     /// Maximum number of fixes.
     pub(super) most: usize,
-    /// Whether there were more.
+    /// True if there were more.
     pub(super) is_exceeded: bool,
 }
 

@@ -48,7 +48,7 @@ impl Kind {
         is_dji.then_some(Self::Dji)
     }
 
-    /// What it is called in messages.
+    /// Name in messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Dji => "DJI's subtitles",

@@ -16,7 +16,7 @@ pub enum Heights {
     Absent,
 }
 
-/// What the times of a log count from.
+/// Origin of a log's times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimeBase {
     /// The video's start.
@@ -31,13 +31,13 @@ pub struct LocalFixes {
     /// Turns metres into longitude, latitude and height. The height is absolute if `knows_height`, else one above
     /// take-off, or of an unknown level.
     pub frame: LocalFrame,
-    /// Whether absolute heights are known.
+    /// True if absolute heights are known.
     pub knows_height: bool,
     /// The fixes, in order of time.
     pub fixes: Vec<PositionFix>,
     /// Which heights they have.
     pub heights: Heights,
-    /// What their times count from.
+    /// Origin of their times.
     pub times: TimeBase,
 }
 

@@ -15,7 +15,7 @@ pub(super) const DIALECT: &str = "nmea";
 const DAY_S: f64 = 86_400.0;
 const KNOT_M_S: f64 = 0.514_444;
 
-/// What the sentences of one time say.
+/// Values of the sentences of one time.
 #[derive(Default)]
 struct Epoch {
     line: usize,
@@ -51,12 +51,12 @@ pub(super) fn read(text: &str, empty: Log) -> Log {
     reading.finish()
 }
 
-/// Whether a line holds a sentence.
+/// Returns true if a line holds a sentence.
 pub(super) fn is_sentence(line: &str) -> bool {
     body(line).is_some_and(|body| body.len() > 6 && body.as_bytes()[5] == b',' && body.is_char_boundary(5))
 }
 
-/// What stands between the dollar sign and the end.
+/// Text between the dollar sign and the end.
 fn body(line: &str) -> Option<&str> {
     let (_, after) = line.split_once('$')?;
     after.starts_with(['G', 'B', 'Q']).then_some(after.trim_end())

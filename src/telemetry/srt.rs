@@ -10,7 +10,7 @@ pub struct Subtitle<'a> {
     pub line: usize,
     /// When it appears, seconds after the video's start; `None` where it has no time.
     pub start_s: Option<f64>,
-    /// What it says, line by line.
+    /// Text, line by line.
     pub lines: Vec<&'a str>,
 }
 
@@ -42,7 +42,7 @@ pub(super) fn blocks<'a>(text: &'a str, mut take: impl FnMut(Result<Subtitle<'a>
     finish(&mut block).into_iter().for_each(|whole| take(Ok(whole)));
 }
 
-/// Whether a line is the number before a block's times.
+/// Returns true if a line is the number before a block's times.
 fn is_counter(content: &str, block: &Subtitle) -> bool {
     block.start_s.is_none() && block.lines.is_empty() && content.bytes().all(|byte| byte.is_ascii_digit())
 }

@@ -1,4 +1,4 @@
-//! What was understood of a file, for people and programs.
+//! Summary of a telemetry file, for people and programs.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -36,7 +36,7 @@ pub struct Summary {
     pub num_fixes: usize,
     /// First and last time after the video's start, seconds.
     pub video_s: Option<Range>,
-    /// What the clock shows.
+    /// Kind of clock.
     pub clock: ClockKind,
     /// First time on the clock.
     pub first_clock: Option<String>,
@@ -48,7 +48,7 @@ pub struct Summary {
     pub longitude_deg: Option<Range>,
     /// Degrees.
     pub latitude_deg: Option<Range>,
-    /// What the last digit of longitude and latitude stands for on the ground (north–south), metres; the coarsest.
+    /// Value of the last digit of longitude and latitude on the ground (north–south), meters; the coarsest.
     pub resolution_m: Option<f64>,
     /// Diagonal of the ground that the fixes cover, metres.
     pub extent_m: f64,
@@ -64,7 +64,7 @@ pub struct Summary {
     pub num_speeds: usize,
     /// Number of fixes with the camera's attitude.
     pub num_gimbals: usize,
-    /// How many lines gave no fix although they should.
+    /// Number of lines that should have given a fix and did not.
     pub num_passed_over: usize,
     /// The first of them.
     pub passed_over: Vec<PassedOver>,

@@ -33,7 +33,7 @@ fn read_text(bytes: &[u8]) -> Result<Log, TelemetryError> {
     read_bytes(bytes, Path::new("a log"))
 }
 
-/// What holds of every log, whatever it was read from.
+/// Properties of every log, whatever it was read from.
 fn check(log: &Log) {
     assert!(!log.fixes.is_empty());
     for fix in &log.fixes {

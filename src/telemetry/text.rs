@@ -50,7 +50,7 @@ pub(super) fn leading_number(text: &str) -> Option<(f64, &str)> {
     Some((number(&text[..end])?, &text[end..]))
 }
 
-/// What the last digit of a decimal number stands for: 0.001 of “-12.345”.
+/// Value of the last digit of a decimal number: 0.001 of “-12.345”.
 pub(super) fn resolution(text: &str) -> f64 {
     let digits = text.trim().split_once('.').map_or("", |(_, digits)| digits);
     let count = digits.bytes().take_while(u8::is_ascii_digit).count().min(15);

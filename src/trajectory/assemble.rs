@@ -9,7 +9,7 @@ use crate::scene::{
     Frame, FrameId, Image, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, ScaleEstimate, Unit,
 };
 
-/// What is known of an object besides its geometry.
+/// Description of an object besides its geometry.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObjectDescription {
     /// Its id.

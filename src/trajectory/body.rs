@@ -1,4 +1,4 @@
-//! What is assumed of the contact with the ground, by the class of a vehicle.
+//! Assumptions on the contact with the ground, by the class of a vehicle.
 
 use super::ContactOptions;
 

@@ -21,7 +21,7 @@ use crate::limits::{Checked, OptionError, within};
 use crate::math::{median, quantile};
 use crate::scene::{FrameId, Image, Reconstruction};
 
-/// What a vehicle looks like; lengths are shares of the height over which its points spread.
+/// Dimensions of a vehicle's lower body; lengths are shares of the height over which its points spread.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ContactOptions {
@@ -46,13 +46,13 @@ pub struct ContactOptions {
     /// Fewest frames that show a side, or an end.
     #[schemars(extend("unit" = "frames"))]
     pub min_frames: usize,
-    /// How far the tyres stand back from the outermost lower points of the side, and how much that varies.
+    /// Setback of the tires from the outermost lower points of the side, and its standard deviation.
     #[schemars(extend("unit" = "shares of the height: mean, standard deviation"))]
     pub side: [f64; 2],
-    /// How far the tyres stand back from the front or the rear, and how much that varies.
+    /// Distance of the tires from the front or the rear, and its standard deviation.
     #[schemars(extend("unit" = "shares of the height: mean, standard deviation"))]
     pub overhang: [f64; 2],
-    /// By how much the lowest points lie over the ground where no outline shows it, and how much that varies.
+    /// Height of the lowest points over the ground where no outline shows it, and its standard deviation.
     #[schemars(extend("unit" = "shares of the height: mean, standard deviation"))]
     pub lowest: [f64; 2],
 }
@@ -164,7 +164,7 @@ pub fn contact(
     Some(view.of_sides(&seen, &ahead).or_else(|| view.of_ends(&seen, &ahead, lowest.std)).unwrap_or(lowest))
 }
 
-/// What every frame is asked.
+/// Lower edge of an object in every frame.
 struct LowerEdge<'a> {
     object: &'a Reconstruction,
     /// The lowest points.

@@ -20,7 +20,7 @@ pub enum ScaleError {
         paired: usize,
         /// Frames with a plane.
         planes: usize,
-        /// What the estimator needs.
+        /// Number that the estimator needs.
         needed: usize,
     },
     /// The object's model has no points.
@@ -89,7 +89,7 @@ pub enum ScaleError {
     /// The adjustment with the ground cannot be done.
     #[error("the adjustment of the object with the ground failed: {0}")]
     Adjustment(String),
-    /// What the object's pictures say and what the ground says does not fit together.
+    /// The object's images and the ground contradict one another.
     #[error(
         "median reprojection error {after_px:.2} px with the object on the ground, {before_px:.2} px without: the \
          ground planes are wrong, or the object is not on the ground"

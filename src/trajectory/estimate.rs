@@ -16,7 +16,7 @@ use crate::limits::{Checked, under, within};
 use crate::math::rounding::percent;
 use crate::scene::{Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport};
 
-/// How the scale ratio is found.
+/// Options of the scale estimation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
@@ -110,8 +110,8 @@ pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> 
     })
 }
 
-/// By how much of itself an error of the focal length changes the ratio. One that was 10 % too long put it 4.1 to
-/// 17.9 % off the reference ratios of the same reconstructions, on five rendered sequences (root mean square 9.3 %).
+/// Sensitivity of the ratio to the focal length, relative. One that was 10 % too long put it 4.1 to 17.9 % off the
+/// reference ratios of the same reconstructions, on five rendered sequences (root mean square 9.3 %).
 const FOCAL_SENSITIVITY: f64 = 1.0;
 /// By how many times what is accepted of all else the focal length may make a ratio unsure: it does so to all vehicles
 /// alike, and says nothing of their motion.
@@ -148,7 +148,7 @@ pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, fo
     }
 }
 
-/// What makes a ratio less sure than is accepted, in words; `None` where it is sure enough.
+/// Reason for a ratio's uncertainty beyond the accepted one, in words; `None` within it.
 fn why_unsure(shares: &ScaleShares, accepted: f64) -> Option<String> {
     if shares.given_focal() <= accepted {
         return focal_leaves_open(shares, accepted);
@@ -170,7 +170,7 @@ fn beyond(std: f64, limit: f64) -> String {
     format!("±{} (limit ±{})", percent(std), percent(limit))
 }
 
-/// Whether the focal length leaves a ratio open, in words.
+/// Reason, in words, if the focal length leaves a ratio undetermined.
 fn focal_leaves_open(shares: &ScaleShares, accepted: f64) -> Option<String> {
     let (total, accepted) = (shares.total(), FOCAL_ALLOWANCE * accepted);
     let is_open = !(total <= accepted) && shares.focal > shares.given_focal();
@@ -199,9 +199,9 @@ pub(super) fn with_focal(scale: ScaleEstimate, focal_std: Option<f64>, accepted:
     }
 }
 
-/// What the difference to least squares on the same model says of the deviation: half of its square beyond what both
-/// explain (two estimates with a random effect; R. DerSimonian and N. Laird, *Meta-analysis in clinical trials*, 1986).
-/// Least squares is taken to be half as sure as it says (decision 7).
+/// Variance beyond the reported ones that the difference to least squares on the same model shows: half of its square
+/// beyond what both explain (two estimates with a random effect; R. DerSimonian and N. Laird, *Meta-analysis in
+/// clinical trials*, 1986). Least squares is assumed to have twice its reported standard deviation (decision 7).
 fn disagreement(found: &Joint, all_frames: Option<&LeastSquares>) -> f64 {
     let Some(other) = all_frames else { return 0.0 };
     let (difference, own) = (other.ratio / found.ratio - 1.0, 2.0 * other.std / found.ratio);
@@ -209,12 +209,12 @@ fn disagreement(found: &Joint, all_frames: Option<&LeastSquares>) -> f64 {
     if excess > 0.0 && excess.is_finite() { (0.5 * excess).sqrt() } else { 0.0 }
 }
 
-/// What every estimator that takes a reconstruction as it is says of it; without those that have no answer.
+/// Ratios by all estimators that take a reconstruction unchanged; without those that have no answer.
 pub fn ratios_of(views: &Views, options: &Options) -> Ratios {
     found_by(&Answers::new(views, options).ratios)
 }
 
-/// What each estimator says of a reconstruction as it is.
+/// Ratios of a reconstruction by each estimator.
 struct Answers {
     pair: Result<ConstantDistance, ScaleError>,
     all_frames: Result<LeastSquares, ScaleError>,
@@ -239,7 +239,7 @@ fn found_by(ratios: &BTreeMap<ScaleMethod, Result<f64, ScaleError>>) -> Ratios {
     ratios.iter().filter_map(|(method, ratio)| Some((*method, *ratio.as_ref().ok()?))).collect()
 }
 
-/// What speaks for a ratio, and against it, as far as the views tell.
+/// Evidence for a ratio, and against it, by the views.
 fn support(views: &Views, ratio: f64, method: ScaleMethod, ratios: &Ratios) -> ScaleSupport {
     let others = ratios.iter().filter(|(other, _)| **other != method);
     ScaleSupport {

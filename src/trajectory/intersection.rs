@@ -26,7 +26,7 @@ use crate::scene::FrameId;
 pub struct Intersection {
     /// r > 0: the median of `per_frame`.
     pub ratio: f64,
-    /// What each frame alone says (eq. r_per_image), ascending by frame; without the frames in which no ray meets the
+    /// Ratio of each frame alone (eq. r_per_image), ascending by frame; without the frames in which no ray meets the
     /// plane.
     pub per_frame: Vec<(FrameId, f64)>,
     /// Frames in which no ray meets the plane.

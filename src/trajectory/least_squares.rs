@@ -33,7 +33,7 @@ use super::{ScaleError, Views};
 use crate::limits::{Checked, within};
 use crate::math::median;
 
-/// How robust the fit is.
+/// Robustness of the fit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LeastSquaresOptions {
@@ -117,7 +117,7 @@ pub fn least_squares(views: &Views, options: &LeastSquaresOptions) -> Result<Lea
     Ok(LeastSquares { std, ..found })
 }
 
-/// What the fit looks at, by view.
+/// Data of the fit, by view.
 struct Series {
     /// t_i.
     frames: Vec<f64>,

@@ -21,7 +21,7 @@ pub enum ModelOrigin {
     Given,
 }
 
-/// What is known of one object and of the place around it.
+/// Input on one object and the place around it.
 #[derive(Clone, Debug)]
 pub struct Evidence<'a> {
     /// Id, class and score, handed on to the trajectory.
@@ -53,7 +53,7 @@ pub struct Placed {
     pub trajectory: Result<ObjectTrajectory, ScaleError>,
 }
 
-/// What became of the adjustment with the ground.
+/// Outcome of the adjustment with the ground.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Adjustment {
     /// Not wanted: another method, or a model that the user gave.
@@ -64,10 +64,10 @@ pub enum Adjustment {
     Failed(ScaleError),
 }
 
-/// What the adjustment found besides the model.
+/// Results of the adjustment besides the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdjustmentFigures {
-    /// Whether the model is the mirror image of the one that it was made from.
+    /// True if the model is the mirror image of the one that it was made from.
     pub mirrored: bool,
     /// Frames whose outline shows where the ground is; 0 where it was guessed from the lowest points.
     pub frames_with_outline: usize,

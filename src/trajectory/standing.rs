@@ -20,7 +20,7 @@ use nalgebra::{Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector3};
 use crate::math::{Rigid3, median};
 use crate::scene::{FrameId, GroundPlane, Reconstruction};
 
-/// What a picture shows of an object as a whole.
+/// Image of an object as a whole.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sight {
     /// The middle of what is seen of it, pixels.
@@ -74,7 +74,7 @@ struct Place {
     cam_from_world: Rigid3,
     foot: Point3<f64>,
     up: Vector3<f64>,
-    /// How long it looks, in units of the background.
+    /// Apparent length, in units of the background.
     length: f64,
 }
 

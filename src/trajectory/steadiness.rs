@@ -23,7 +23,7 @@ const STANDS_OUT: f64 = 3.0;
 /// Turns the median of absolute Gaussian residuals into their standard deviation.
 const OF_MEDIAN: f64 = 1.4826;
 
-/// How well the planes under an object go together.
+/// Consistency of the planes under an object.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Steadiness {
     /// Frames whose planes stand out from their neighbours', by more than errors of angles explain.

@@ -8,8 +8,8 @@ use super::ScaleError;
 use crate::math::median;
 use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction};
 
-/// By how much an object's height over its planes wanders, as a share of its [`lever`]: the most that `joint` takes
-/// it to be (`sigma_distance`).
+/// Drift of an object's height over its planes, as a share of its [`lever`]: the maximum that `joint` assumes
+/// (`sigma_distance`).
 pub(super) const WANDER: f64 = 0.008;
 
 /// [`View::lever`] of numbers. What an angle is wrong by lifts the object in proportion to its distance, so that a
@@ -68,8 +68,8 @@ pub struct Views {
     pub num_paired: usize,
     /// Frames with a plane.
     pub num_planes: usize,
-    /// By how much planes that rest on different things may lie one over the other (standard deviation, units of the
-    /// background); 0 where all rest on the same.
+    /// Standard deviation of the offset between planes of different bases, units of the background; 0 where all have
+    /// the same basis.
     pub plane_std: f64,
 }
 

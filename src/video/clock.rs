@@ -49,8 +49,8 @@ impl Clock {
         time_s
     }
 
-    /// How many stamps were guessed. Stamps after the last stated one of a steady rate are not counted: decoders give
-    /// none for the frames that they still hold at the end of a file, and the pace is known.
+    /// Number of guessed time stamps. Stamps after the last stated one of a steady rate do not count: decoders give
+    /// none for the frames that they still hold at the end of a file, and the rate is known.
     pub(super) fn num_guessed(&self) -> u32 {
         self.num_rebuilt - if self.is_steady() { self.num_trailing } else { 0 }
     }

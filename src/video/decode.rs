@@ -1,5 +1,5 @@
-//! What video files and folders of images have in common: frames in order of their index, and a picture for those that
-//! are asked for.
+//! Common interface of video files and folders of images: frames in order of their index, and an image for those that
+//! are requested.
 
 use ::image::RgbImage;
 

@@ -33,7 +33,7 @@ pub(super) fn refused(path: &Path, error: FfmpegError) -> VideoError {
     }
 }
 
-/// What is wrong with a file that FFmpeg does not take.
+/// Reason why FFmpeg refuses a file.
 fn why_not(path: &Path) -> VideoError {
     match files::open(path).ok().and_then(|mut file| mp4_index(&mut file)) {
         Some(Mp4Index::Missing) => VideoError::NoIndex { path: path.to_owned() },
@@ -41,7 +41,7 @@ fn why_not(path: &Path) -> VideoError {
     }
 }
 
-/// Whether the index of an MP4 or MOV file is there (ISO/IEC 14496-12: the `moov` box).
+/// Presence of the index of an MP4 or MOV file (ISO/IEC 14496-12: the `moov` box).
 #[derive(Debug, PartialEq, Eq)]
 enum Mp4Index {
     Whole,

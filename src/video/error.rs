@@ -1,4 +1,4 @@
-//! What can be wrong with an input. Every message names the file, and what to do where something can be done.
+//! Errors of inputs. Every message names the file, and the remedy where there is one.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -19,13 +19,13 @@ pub(super) fn regular(path: &Path) -> Result<(), VideoError> {
 }
 
 impl VideoError {
-    /// Whether the machine is at fault, and not the input: another time the same frame may be decoded.
+    /// Returns true if the machine is at fault, and not the input: another time the same frame may be decoded.
     pub fn is_of_machine(&self) -> bool {
         matches!(self, Self::Thread(_) | Self::Ffmpeg(FfmpegError::Memory))
     }
 }
 
-/// What can be wrong with a video or a folder of images.
+/// Errors of a video or a folder of images.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
     /// There is nothing at the path.
@@ -39,7 +39,7 @@ pub enum VideoError {
     Unreadable {
         /// The input.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         source: io::Error,
     },
     /// A file without content.
@@ -106,7 +106,7 @@ pub enum VideoError {
     NoPictures {
         /// The input.
         path: PathBuf,
-        /// What is there instead.
+        /// Kind of file found.
         found: &'static str,
     },
     /// The pictures are coded in a way that the installed FFmpeg cannot decode.
@@ -135,7 +135,7 @@ pub enum VideoError {
     NoImages {
         /// The input.
         path: PathBuf,
-        /// What is there instead, and what to do about it.
+        /// Content found, and the remedy.
         found: String,
     },
     /// The options leave no frame over.
@@ -161,7 +161,7 @@ pub enum VideoError {
         path: PathBuf,
         /// Index in the source.
         frame: u32,
-        /// What the decoder says.
+        /// Error of the decoder.
         reason: String,
     },
     /// A frame of another size than the first.

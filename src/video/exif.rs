@@ -1,4 +1,4 @@
-//! What a photograph's EXIF block says about its camera.
+//! Camera of a photograph by its EXIF block.
 
 use std::io::BufReader;
 use std::ops::RangeInclusive;
@@ -46,7 +46,7 @@ pub(super) fn read(path: &Path) -> Result<Option<Exif>, String> {
     }
 }
 
-/// How the stored picture has to be turned to stand upright.
+/// Rotation that turns the stored image upright.
 pub(super) fn orientation(exif: &Exif) -> Orientation {
     exif.get_field(Tag::Orientation, In::PRIMARY)
         .and_then(|field| field.value.get_uint(0))
@@ -54,8 +54,7 @@ pub(super) fn orientation(exif: &Exif) -> Orientation {
         .unwrap_or(Orientation::NoTransforms)
 }
 
-/// What the block says of the camera and how it was set: pictures in which all of it is the same were taken with one
-/// focal length.
+/// Camera and settings by the block: images in which all of it is the same were taken with one focal length.
 pub(super) fn camera(exif: &Exif) -> Vec<String> {
     const TAGS: [Tag; 5] = [Tag::Make, Tag::Model, Tag::LensModel, Tag::FocalLength, Tag::FocalLengthIn35mmFilm];
     let said = |tag| exif.get_field(tag, In::PRIMARY).map(|field| field.display_value().to_string());
@@ -92,7 +91,7 @@ fn stated_px(exif: &Exif, width: u32, height: u32) -> Option<f64> {
     Some(focal_mm * pixels_per_unit / unit_mm * longer_px / original_px)
 }
 
-/// Whether the picture has other proportions than the one that the camera wrote, where that is stated.
+/// Returns true if the image's proportions differ from those that the camera wrote, where they are stated.
 fn was_cut(exif: &Exif, width: u32, height: u32) -> bool {
     let aspect = |a: f64, b: f64| a.max(b) / a.min(b);
     let recorded = [Tag::PixelXDimension, Tag::PixelYDimension].map(|tag| number(exif, tag));

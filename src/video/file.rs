@@ -13,7 +13,7 @@ use crate::ffi::ffmpeg::{self, FfmpegError, Luma, MediaFile, Packet, Purpose, Rg
 use crate::image::resize_rgb;
 use crate::scene::{Frame, FrameId};
 
-/// What the container states about itself.
+/// Metadata of the container.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Container {
     /// Frames per second, if it is a rate that can be believed.
@@ -70,7 +70,7 @@ impl Video {
         Ok(Self { file, chosen, decoder, packet, converter, origin: chosen.stream.start })
     }
 
-    /// What the container states.
+    /// Metadata of the container.
     pub(super) fn container(&self) -> Container {
         let stream = &self.chosen.stream;
         let fps = stream.rate.filter(|fps| *fps <= MAX_FPS);

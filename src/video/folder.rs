@@ -42,7 +42,7 @@ pub(super) struct Entry {
     camera: usize,
 }
 
-/// What took some of the images: one size, one orientation, and one camera and focal length as far as EXIF data tell.
+/// Camera of some of the images: one size, one orientation, and one camera and focal length by their EXIF data.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Taken {
     /// Size as it is given out, before resizing.
@@ -63,9 +63,9 @@ pub(super) struct Listing {
     pub(super) entries: Vec<Entry>,
     /// Number of files with an image's extension.
     pub(super) num_files: u32,
-    /// What took them, in order of their first image; one if all are to have one size.
+    /// Cameras, in order of their first image; one if all are to have one size.
     pub(super) cameras: Vec<Taken>,
-    /// What was left out, and why.
+    /// Skipped images, with the reasons.
     pub(super) warnings: Vec<String>,
 }
 
@@ -135,7 +135,7 @@ fn skipped(path: &Path, names: &[Name], unread: Vec<String>) -> Option<String> {
     ))
 }
 
-/// What is known of an image from its header and its EXIF data.
+/// Camera of an image by its header and its EXIF data.
 ///
 /// # Errors
 /// Why it cannot be used.
@@ -162,7 +162,7 @@ fn picture(id: u32, file: &Path, turning: Turning) -> Result<Taken, String> {
     })
 }
 
-/// What there is most of; of several that are equally common the first.
+/// Most common size; of equally common ones the first.
 fn commonest(sizes: impl Iterator<Item = (u32, u32)>) -> Option<(u32, u32)> {
     let mut counts: Vec<((u32, u32), usize)> = Vec::new();
     for size in sizes {
@@ -244,7 +244,7 @@ fn turned(entries: &[Entry]) -> Option<String> {
 struct Contents {
     /// Those that are called like images.
     names: Vec<Name>,
-    /// How many others there are, by their extension in lower case.
+    /// Number of other files, by their extension in lower case.
     others: BTreeMap<String, usize>,
     /// Names of images of kinds that are not read.
     unread: Vec<String>,
@@ -280,7 +280,7 @@ impl Name {
     }
 }
 
-/// Whether the files of models cannot hold a name.
+/// Returns true if the files of models cannot hold a name.
 fn is_unwritable(name: &str) -> bool {
     name.trim() != name || name.contains(['\n', '\r', '\0'])
 }
@@ -326,7 +326,7 @@ fn directly_in(path: &Path) -> Result<Contents, VideoError> {
     Ok(contents)
 }
 
-/// What there is instead of images, and what to do about it.
+/// Description of other files than images, with the remedy.
 fn described(others: &BTreeMap<String, usize>) -> String {
     const VIDEOS: [&str; 9] = ["mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "mpg", "gif"];
     let Some((commonest, count)) = others.iter().max_by_key(|(_, count)| **count) else {

@@ -1,4 +1,4 @@
-//! Whether a JPEG file ends where its picture ends.
+//! Test whether a JPEG file is complete.
 //!
 //! Decoders fill what is missing of a picture with grey, and call that a success. A file that was cut short has no
 //! marker for the end of the image (ITU-T T.81, B.1.1.3). The marker need not stand at the end of the file: cameras
@@ -11,10 +11,10 @@ use crate::limits::files;
 
 const START: [u8; 2] = [0xff, 0xd8];
 const END: [u8; 2] = [0xff, 0xd9];
-/// How much of a file's end is looked at first.
+/// Bytes at a file's end that are read first.
 const TAIL_BYTES: i64 = 4096;
 
-/// Whether a file is a JPEG whose picture has no end. Most files are known to be whole from their last bytes.
+/// Returns true if a file is a JPEG image without an end. Most files are known to be whole from their last bytes.
 pub(super) fn is_cut_short(path: &Path) -> io::Result<bool> {
     let mut file = files::open(path)?;
     let mut start = Vec::new();

@@ -20,7 +20,7 @@ pub enum Position {
 }
 
 impl Position {
-    /// Whether a frame lies at or after this place.
+    /// Returns true if a frame is at or after this position.
     fn is_reached_by(self, id: FrameId, time_s: f64) -> bool {
         match self {
             Self::Seconds(seconds) => time_s >= seconds,
@@ -91,11 +91,11 @@ pub struct Options {
     /// Video track that is read, counted from 0 among the video tracks of the file as FFmpeg does (`-map 0:v:N`);
     /// `None` is the first one with about as many frames as any.
     pub track: Option<u32>,
-    /// Whether photographs whose EXIF data turn them are turned. A video's rotation is always applied.
+    /// Rotation of photographs by their EXIF data. A video's rotation is always applied.
     pub turning: Turning,
 }
 
-/// How photographs are given out that were taken with the camera turned.
+/// Treatment of photographs that were taken with the camera turned.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Turning {
@@ -142,7 +142,7 @@ impl Options {
     }
 }
 
-/// What becomes of a frame.
+/// Decision on a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Choice {
     Take,

@@ -19,7 +19,7 @@ use crate::image::scale_to_fit;
 use crate::limits::files;
 use crate::scene::{Frame, FrameId, TimeBase};
 
-/// What an input is.
+/// Kind of input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
@@ -29,7 +29,7 @@ pub enum Kind {
     Folder,
 }
 
-/// Whether the pictures of a folder may come from several cameras.
+/// Number of cameras of a folder's images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Cameras {
     /// No: those of another size than the first are left out.
@@ -55,7 +55,7 @@ pub struct PictureCamera {
     pub frames: Vec<FrameId>,
 }
 
-/// What is known of an input before its frames are decoded.
+/// Properties of an input that are known before its frames are decoded.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Info {
     /// Video or folder.
@@ -85,7 +85,7 @@ pub struct Info {
 }
 
 impl Info {
-    /// What the times of the frames count: a video has times of its own, a folder only where its rate is given.
+    /// Unit of the frames' times: a video has times of its own, a folder only with a given rate.
     pub fn time_base(&self) -> TimeBase {
         match (self.kind, self.fps) {
             (Kind::Folder, None) => TimeBase::Frames,
@@ -101,7 +101,7 @@ pub struct Scan {
     pub frames: Vec<Frame>,
     /// Chosen frames of a video that are not listed since they repeat the one before.
     pub num_repeated: usize,
-    /// What is wrong with the input although it can be used, one sentence each.
+    /// Problems of the input although it can be used, one sentence each.
     pub warnings: Vec<String>,
 }
 
@@ -187,7 +187,7 @@ impl Source {
         }
     }
 
-    /// What is known of the input.
+    /// Properties of the input.
     pub fn info(&self) -> &Info {
         &self.info
     }

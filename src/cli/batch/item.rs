@@ -111,7 +111,7 @@ impl<'a> Maker<'a> {
         Ok(Item { index, name: entry.name.clone(), input, output: line.output, options, overwrite, options_files })
     }
 
-    /// How the output folder of a line stands to the options that are given.
+    /// State of the output folder of a line with respect to the given options.
     pub(super) fn standing_of_given(args: &Args, line: &JobArgs) -> Standing {
         let lay_over = |options| lay_over(common(args, options)?, line, Stage::Report);
         pipeline::standing_of_given(&line.output, |options| lay_over(options).map_err(|failure| failure.to_string()))
@@ -138,7 +138,7 @@ fn common(args: &Args, options: Options) -> Result<Options, Failure> {
 }
 
 impl Item {
-    /// How the output folder stands to this job.
+    /// State of the output folder with respect to this job.
     pub(super) fn standing(&self) -> Standing {
         pipeline::standing(&self.output, &self.input, &self.options)
     }
@@ -193,7 +193,7 @@ impl Item {
         }
     }
 
-    /// What is to be done again anyway needs no word; where none can be left, the failure itself says enough.
+    /// Leaves a record of a failure that would happen again; where none can be left, the failure itself says enough.
     fn leave_word(&self, identity: Identity, failure: &Failure) {
         if matches!(failure.code(), 1 | 2) && !failure.is_stop() {
             let failed = Failed { code: failure.code(), reason: failure.to_string() };
@@ -209,7 +209,7 @@ fn lacks_tab(entry: &Entry) -> Option<String> {
         .then(|| format!("there is no '{name}'; between a video and its options stands a tab"))
 }
 
-/// What clap says, without how its command line would be right.
+/// Message of clap, without its usage line.
 fn first_line(error: &clap::Error) -> String {
     let said = error.render().to_string();
     let first = said.lines().next().unwrap_or_default();

@@ -16,7 +16,7 @@ use super::words;
 use crate::cli::output::Failure;
 use crate::limits::files;
 
-/// What a file's name ends in that is a video, in lower case.
+/// Name endings of video files, in lower case.
 const VIDEOS: [&str; 18] = [
     "3gp", "asf", "avi", "dv", "flv", "m2ts", "m4v", "mkv", "mov", "mp4", "mpeg", "mpg", "mts", "mxf", "ogv", "ts",
     "webm", "wmv",
@@ -177,7 +177,7 @@ fn folder(path: &Path) -> PathBuf {
     if path.is_dir() { path.to_owned() } else { path.parent().unwrap_or(Path::new("")).to_owned() }
 }
 
-/// What is wrong with a line.
+/// Failure at a line.
 pub(super) fn at(list: &Path, line: usize, wrong: &str) -> Failure {
     match list.is_dir() {
         true => Failure::Usage(format!("{}: video {line}: {wrong}", list.display())),
@@ -213,7 +213,7 @@ fn entry(number: usize, line: &[u8], folder: &Path) -> Result<Entry, String> {
     Ok(Entry { line: number, name, input, words })
 }
 
-/// What the results of a video are called: its file's name without the ending, that of a folder as it is.
+/// Name of a video's results: its file name without the ending; that of a folder unchanged.
 fn name_of(input: &Path) -> Option<String> {
     let name = if is_video(input) { input.file_stem() } else { input.file_name() };
     name.and_then(OsStr::to_str).map(str::to_owned)

@@ -1,4 +1,4 @@
-//! What a job may use of the machine, as the scheduler says.
+//! Resources of the machine for a job, as the scheduler states them.
 
 use std::env;
 use std::num::NonZeroUsize;
@@ -9,9 +9,8 @@ const SLURM_CORES: &str = "SLURM_CPUS_PER_TASK";
 /// Memory that a job may need, bytes: see docs/fleet.md.
 pub(super) const MEMORY_OF_A_JOB: u64 = 1536 << 20;
 
-/// How many threads there are for all work: those that were asked for; else those that Slurm gives the task; else what
-/// the kernel lets this process have, which is the least of its cores, its affinity, and the quotas of its control
-/// groups (either version).
+/// Number of threads for all work: the requested one; otherwise Slurm's for the task; otherwise the kernel's for this
+/// process, which is the least of its cores, its affinity, and the quotas of its control groups (either version).
 pub(super) fn threads(asked: Option<usize>) -> usize {
     let of_slurm = || env::var(SLURM_CORES).ok().and_then(|text| text.trim().parse().ok());
     let of_kernel = || thread::available_parallelism().map_or(1, NonZeroUsize::get);

@@ -22,9 +22,9 @@ use crate::cli::terminal::Talk;
 use crate::limits::memory::MemoryLimit;
 use crate::pipeline::{Ended, Identity, Standing};
 
-/// How long jobs that were asked to end are waited for.
+/// Grace period of jobs that were asked to end.
 const PATIENCE: Duration = Duration::from_millis(1200);
-/// How often is looked which jobs have ended.
+/// Polling interval for jobs that have ended.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// Less than this of memory nobody may ask for, MiB.
 const LEAST_MIB: u64 = 64;
@@ -33,14 +33,14 @@ const FINAL: [i32; 2] = [1, 2];
 /// Exit code of a program that broke, as Rust's runtime has it.
 const BROKEN: i32 = 101;
 
-/// What there is for all jobs together.
+/// Resources for all jobs together.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Share {
-    /// How many jobs may run at a time.
+    /// Maximum number of concurrent jobs.
     pub(super) jobs: NonZeroUsize,
     /// Threads, where a number is asked for.
     pub(super) threads: Option<usize>,
-    /// What pictures and networks may take of memory.
+    /// Memory limit for images and networks.
     pub(super) memory: MemoryLimit,
 }
 
@@ -127,7 +127,7 @@ fn look_again(list: &List, maker: &Maker, fates: &mut [Fate]) -> Result<(), Fail
     Ok(())
 }
 
-/// How many jobs there is memory for.
+/// Number of jobs that the memory allows.
 fn at_a_time(most: usize, memory: MemoryLimit, talk: &Talk) -> usize {
     let room = usize::try_from(memory.bytes() / MEMORY_OF_A_JOB).unwrap_or(most).max(1);
     if room < most {
@@ -139,7 +139,7 @@ fn at_a_time(most: usize, memory: MemoryLimit, talk: &Talk) -> usize {
     room.min(most)
 }
 
-/// What a job is told of its part of the machine.
+/// Flags that give a job its part of the machine.
 fn part(share: Share, most: usize) -> [String; 4] {
     let threads = (threads(share.threads) / most).max(1);
     let memory = (share.memory.bytes() >> 20) / most as u64;

@@ -1,4 +1,4 @@
-//! What has become of every job.
+//! State of every job.
 
 use std::path::Path;
 
@@ -17,7 +17,7 @@ use crate::pipeline::{Standing, is_begun};
 /// Jobs whose options are in memory at a time: enough that no thread waits for work, and some MiB.
 const AT_ONCE: usize = 1024;
 
-/// What has become of a job.
+/// State of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum State {
@@ -194,7 +194,7 @@ fn number(fates: &[Fate], state: State) -> usize {
     fates.iter().filter(|fate| fate.state == state).count()
 }
 
-/// How many jobs are in each state, in words.
+/// Numbers of jobs in each state, in words.
 pub(super) fn counted(fates: &[Fate]) -> String {
     let counts = State::ALL.into_iter().map(|state| (state, number(fates, state))).filter(|(_, number)| *number > 0);
     counts.map(|(state, number)| format!("{number} {}", state.words())).collect::<Vec<_>>().join(", ")

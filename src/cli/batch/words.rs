@@ -2,7 +2,7 @@
 
 use std::ffi::OsString;
 
-/// What a job alone is not told of the command line for all: which jobs, how much of the machine, and how to talk.
+/// Flags for all jobs that a single job does not get: selection, share of the machine, progress.
 const OF_ALL: [&str; 7] = ["--index", "--jobs", "--threads", "--memory-limit", "--progress", "--entry", "--parent"];
 const OF_ALL_WITHOUT_VALUE: [&str; 4] = ["--quiet", "--json", "--verbose", "-v"];
 

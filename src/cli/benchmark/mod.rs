@@ -49,7 +49,7 @@ pub(super) struct Args {
     /// Only sequences with this in the name of their folder; may be repeated
     #[arg(long, value_name = "TEXT")]
     pub(super) only: Vec<String>,
-    /// What to call these results in tables
+    /// Label of these results in tables
     #[arg(long, value_name = "NAME", default_value = "tractrix")]
     pub(super) label: String,
     /// benchmark.json of another benchmark, to stand beside this one in the tables; may be repeated
@@ -148,7 +148,7 @@ fn read(path: &Path) -> Result<Benchmark, Failure> {
     Ok(benchmark)
 }
 
-/// What a benchmark may put into its folder, besides the sequences' own output folders.
+/// Role of a path in a benchmark's folder, besides the sequences' own output folders.
 fn place(relative: &Path) -> Place {
     let parts: Vec<_> = relative.iter().filter_map(|part| part.to_str()).collect();
     match parts[..] {
@@ -171,7 +171,7 @@ fn write(benchmark: &Benchmark, others: &[Benchmark], output: &OwnedFolder) -> R
     put(SCALE_DEVIATION, pages::scale_deviation_chart(benchmark))
 }
 
-/// What stands in `benchmark.json`: the results, and the summary that follows from them.
+/// Content of `benchmark.json`: the results, and the summary that follows from them.
 fn with_summary(benchmark: &Benchmark) -> serde_json::Value {
     let mut value = json!(benchmark);
     value["summary"] = json!(summarise(benchmark, &benchmark.vehicles()));

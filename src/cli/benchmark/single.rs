@@ -52,7 +52,7 @@ pub(super) fn sequence(
     }
 }
 
-/// Whether the next sequence would meet the same.
+/// Returns true if the next sequence would fail in the same way.
 pub(in crate::cli) fn stands_in_every_way(error: &anyhow::Error) -> bool {
     match error.downcast_ref() {
         Some(PipelineError::Stopped) => true,

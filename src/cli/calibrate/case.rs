@@ -18,7 +18,7 @@ use crate::pipeline::{self, Instances, Job, Options, Overwrite, Stage};
 use crate::scene::{ObjectId, Trust};
 use crate::video::Position;
 
-/// What all cases have in common.
+/// Settings that all cases share.
 pub(super) struct Setting<'a> {
     pub(super) results: &'a OwnedFolder,
     pub(super) options: &'a Options,
@@ -124,7 +124,7 @@ impl Setting<'_> {
 /// The evaluation of a run, and why there is no trajectory, where there is none.
 type Done = (Evaluation, Option<String>);
 
-/// What a variant changes of the options.
+/// Applies a variant to the options.
 pub(super) fn apply(variant: Variant, options: &mut Options) {
     let level = variant.level as u32;
     match variant.kind {
@@ -146,7 +146,7 @@ fn verdict(output: &Path, evaluation: &Evaluation) -> Option<Trust> {
     found.verdict.map(|verdict| verdict.state)
 }
 
-/// Whether a variant looks at a frame.
+/// Returns true if a variant uses a frame.
 fn is_used(variant: Variant, index: u32) -> bool {
     let level = variant.level as u32;
     match variant.kind {
@@ -164,7 +164,7 @@ fn object_px(sequence: &Sequence, variant: Variant) -> Option<f64> {
     median(bounds.map(|bounds| factor * f64::from(bounds.width().max(bounds.height()))).collect())
 }
 
-/// By how much the camera's height over the target changes, as a share of its mean. The worlds of sequences are z up.
+/// Change of the camera's height over the target, as a share of its mean. The worlds of sequences are z up.
 fn climb(sequence: &Sequence, variant: Variant) -> Option<f64> {
     let used = sequence.frames.iter().filter(|frame| is_used(variant, frame.id.0));
     let heights: Vec<f64> =

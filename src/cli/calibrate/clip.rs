@@ -11,7 +11,7 @@ use crate::io::RunFolder;
 use crate::pipeline::{self, FrameOrder, Instances, Job, Stage};
 use crate::video::{Options as VideoOptions, Source};
 
-/// Whether a variant can be made of a clip: what changes masks needs a sequence.
+/// Returns true if a variant is possible with a clip: one that changes masks needs a sequence.
 pub(super) fn is_possible(variant: Variant) -> bool {
     use Kind::{Blur, Compression, Frames, Noise, Scale, Seed, Window};
     matches!(variant.kind, Blur | Compression | Frames | Noise | Scale | Seed | Window)

@@ -102,7 +102,7 @@ impl Maker<'_> {
         seeded_rng(self.seed, stream(kind, truth.id))
     }
 
-    /// Whether the target is covered in a frame: those in the middle are.
+    /// Returns true if the target is occluded in a frame: those in the middle are.
     fn is_hidden(&self, truth: &SequenceFrame) -> bool {
         if self.variant.kind != Kind::Hidden {
             return false;

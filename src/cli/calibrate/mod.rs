@@ -131,7 +131,7 @@ fn clips(setting: &Setting, clip: &Path, variants: &[Variant], calibration: &mut
     Ok(())
 }
 
-/// What a calibration may put into its folder, besides the runs' own output folders.
+/// Role of a path in a calibration's folder, besides the runs' own output folders.
 fn place(relative: &Path) -> Place {
     let parts: Vec<_> = relative.iter().filter_map(|part| part.to_str()).collect();
     match parts[..] {
@@ -157,7 +157,7 @@ fn write(calibration: &Calibration, output: &OwnedFolder) -> Result<(), FolderEr
     Ok(())
 }
 
-/// What stands in `calibration.json`: the cases, and the summary that follows from them.
+/// Content of `calibration.json`: the cases, and the summary that follows from them.
 fn with_summary(calibration: &Calibration) -> serde_json::Value {
     let mut value = json!(calibration);
     value["summary"] = json!(summarise(&calibration.cases));

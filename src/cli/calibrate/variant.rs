@@ -60,7 +60,7 @@ pub(super) const BREAKDOWN: [&str; 34] = [
 /// Frames of a window.
 pub(super) const WINDOW: u32 = 20;
 
-/// What a variant changes.
+/// Kind of change by a variant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Kind {
     /// Nothing.
@@ -143,12 +143,12 @@ impl Kind {
         }
     }
 
-    /// Whether its level is a whole number.
+    /// Returns true if its level is an integer.
     fn counts(self) -> bool {
         matches!(self, Self::Frames | Self::Window | Self::Seed | Self::Compression | Self::Erosion | Self::Dilation)
     }
 
-    /// Whether pictures or masks are written anew for it.
+    /// Returns true if images or masks are rewritten for it.
     pub(super) fn is_degraded(self) -> bool {
         !matches!(self, Self::AsItIs | Self::Raw | Self::Frames | Self::Window | Self::Seed)
     }
@@ -157,7 +157,7 @@ impl Kind {
 /// A change of one kind by one level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Variant {
-    /// What is changed.
+    /// Kind of change.
     pub(super) kind: Kind,
     /// By how much; 0 for kinds without a level.
     pub(super) level: f64,

@@ -78,7 +78,7 @@ fn container(path: &Path, document: &Value, buffer: &[u8]) -> Result<Vec<u8>, Ex
     Ok(bytes)
 }
 
-/// What is said of the file as a whole.
+/// Metadata of the file.
 fn asset(results: &Results) -> Value {
     json!({
         "version": "2.0",

@@ -20,7 +20,7 @@ const NEAR: f64 = 1e-3;
 /// Colour of what belongs to the camera.
 const CAMERA_COLOUR: [u8; 3] = [240, 200, 40];
 
-/// How primitives are drawn.
+/// Topology of primitives.
 #[derive(Clone, Copy)]
 pub(super) enum Mode {
     Points = 0,

@@ -13,7 +13,7 @@ const MAX_FAILURES: u32 = 1000;
 /// Pixels of a picture, four times those of the largest video cameras: a damaged head may state more than memory holds.
 const MAX_PIXELS: i64 = 1 << 27;
 
-/// What pictures are decoded for.
+/// Purpose of decoding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
     /// To be looked at.

@@ -271,7 +271,7 @@ impl Encoder {
     }
 }
 
-/// Whether an encoder has a name.
+/// Returns true if an encoder has a name.
 #[allow(unsafe_code)]
 fn is_named(codec: *const sys::AVCodec, name: &CStr) -> bool {
     // SAFETY: every encoder has a name, which is a constant.

@@ -30,7 +30,7 @@ impl TimeBase {
     }
 }
 
-/// How the packets of a text track hold their text.
+/// Coding of the text in the packets of a text track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TextCoding {
     /// The text itself.
@@ -41,7 +41,7 @@ pub enum TextCoding {
     SubStation,
 }
 
-/// What a stream holds.
+/// Content of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StreamKind {
     /// Moving pictures.
@@ -56,12 +56,12 @@ pub enum StreamKind {
     Other,
 }
 
-/// What a container states about one of its streams.
+/// Properties of a stream, as its container states them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stream {
     /// Place in the file, from 0.
     pub index: usize,
-    /// What it holds.
+    /// Content.
     pub kind: StreamKind,
     /// Unit of its time stamps.
     pub time_base: TimeBase,
@@ -193,7 +193,7 @@ impl MediaFile {
         Ok(file)
     }
 
-    /// What the container's metadata say under a key.
+    /// Value of the container's metadata under a key.
     pub fn metadata(&self, key: &CStr) -> Option<String> {
         // SAFETY: the context is open; an entry belongs to it, and its value ends in a zero byte.
         unsafe {
@@ -255,7 +255,7 @@ impl MediaFile {
         Some((part(aspect.num)?, part(aspect.den)?))
     }
 
-    /// What a stream's decoder has to know.
+    /// Parameters for a stream's decoder.
     pub(super) fn parameters(&self, index: usize) -> *const sys::AVCodecParameters {
         // SAFETY: the stream is one of the context's, and every stream has parameters.
         unsafe { (*self.raw_stream(index)).codecpar }

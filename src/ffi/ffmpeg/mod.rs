@@ -28,7 +28,7 @@ pub use self::encoder::Encoder;
 pub use self::luma::Luma;
 pub use self::media_file::{MediaFile, Packet, Stream, StreamKind, TextCoding, TimeBase};
 
-/// What FFmpeg can refuse.
+/// Errors of FFmpeg.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FfmpegError {
     /// No container that FFmpeg knows, or one whose head is broken.
@@ -50,7 +50,7 @@ pub enum FfmpegError {
         width: i32,
         /// Height, pixels.
         height: i32,
-        /// What stands in the way.
+        /// Obstacle.
         reason: &'static str,
     },
     /// The installed FFmpeg has no encoder for videos.
@@ -97,14 +97,14 @@ fn words(code: c_int) -> String {
 /// Memory that is there wherever decoding can go on, bytes: a picture of 4K, and what its decoder keeps besides.
 const SPARE_BYTES: usize = 64 << 20;
 
-/// Whether FFmpeg failed because the machine has no memory. Its code does not tell: decoders go on with the next
-/// picture when memory was short further down, and damaged files, which ask for more than there can be, fail with the
-/// code for it. What tells is whether there is memory for less.
+/// Returns true if FFmpeg failed because the machine has no memory. Its code does not show it: decoders go on with the
+/// next image when memory was short further down, and damaged files, which ask for more than there can be, fail with
+/// the code for it. The test is whether less memory is available.
 fn is_short_of_memory(code: c_int) -> bool {
     code != sys::AVERROR_EOF && code != sys::AVERROR(Errno::AGAIN.raw_os_error()) && lacks_memory()
 }
 
-/// Whether there is too little memory to go on decoding.
+/// Returns true if there is too little memory to go on decoding.
 fn lacks_memory() -> bool {
     !has_memory(SPARE_BYTES)
 }
@@ -115,7 +115,7 @@ fn has_memory(bytes: usize) -> bool {
     std::hint::black_box(&mut trial).try_reserve_exact(bytes).is_ok()
 }
 
-/// What a call of FFmpeg's gave, which counts errors below zero.
+/// Result of a call of FFmpeg, which returns errors below zero.
 fn checked(code: c_int) -> Result<c_int, c_int> {
     if code < 0 { Err(code) } else { Ok(code) }
 }

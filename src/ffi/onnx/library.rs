@@ -50,8 +50,8 @@ pub fn probe() -> Result<RuntimeInfo, OnnxError> {
     Ok(runtime()?.info.clone())
 }
 
-/// Whether a library lies where it is looked for, without loading it. What only the system's loader would find does not
-/// count.
+/// Returns true if a library exists where it is searched for, without loading it. One that only the system's loader
+/// would find does not count.
 pub fn is_in_place() -> bool {
     let named = VARIABLES.iter().find_map(|variable| env::var_os(variable).filter(|value| !value.is_empty()));
     match named {

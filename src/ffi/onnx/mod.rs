@@ -16,12 +16,12 @@ use crate::limits::memory::{MemoryLimit, TooMuch};
 pub use self::library::{MINIMUM_VERSION, RuntimeInfo, is_in_place, probe};
 pub use self::model::{Model, Tensor, TensorInfo};
 
-/// What a network may take of the machine.
+/// Resources of the machine for a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Resources {
     /// Threads that work on one operation; 0 lets the runtime take one per core.
     pub num_threads: usize,
-    /// What its file and the numbers that go in and come out may take.
+    /// Memory limit for its file, its inputs and its outputs.
     pub memory: MemoryLimit,
 }
 
@@ -32,11 +32,11 @@ impl From<usize> for Resources {
     }
 }
 
-/// How to get the runtime, for messages.
+/// Ways to get the runtime, for messages.
 const CURE: &str =
     "get it with `scripts/fetch-onnxruntime`, or name the file in the environment variable TRACTRIX_ONNXRUNTIME";
 
-/// What can go wrong with networks.
+/// Errors of networks.
 #[derive(Debug, thiserror::Error)]
 pub enum OnnxError {
     /// No ONNX Runtime library could be loaded.

@@ -21,7 +21,7 @@ pub struct TensorInfo {
 }
 
 impl TensorInfo {
-    /// What it takes as numbers of 32 bits, bytes; sides that are left open count as one.
+    /// Size as 32-bit numbers, bytes; open dimensions count as one.
     fn num_bytes(&self) -> u128 {
         let sides = self.shape.iter().map(|side| side.unwrap_or(1) as u128);
         sides.fold(size_of::<f32>() as u128, u128::saturating_mul)
@@ -102,12 +102,12 @@ impl Model {
         &self.path
     }
 
-    /// What goes in.
+    /// Inputs.
     pub fn inputs(&self) -> &[TensorInfo] {
         &self.inputs
     }
 
-    /// What comes out.
+    /// Outputs.
     pub fn outputs(&self) -> &[TensorInfo] {
         &self.outputs
     }

@@ -53,7 +53,7 @@ impl Area {
         }
     }
 
-    /// Whether all of it lies in the picture.
+    /// Returns true if all of it lies in the image.
     #[inline(always)]
     pub fn is_inside(&self, picture: &GrayImage) -> bool {
         let fits = |first: i64, length: usize, all: u32| first >= 0 && first + length as i64 <= i64::from(all);

@@ -27,12 +27,12 @@ use window::Window;
 const LANES: usize = 8;
 /// Points that one task follows.
 const AT_A_TIME: usize = 64;
-/// By how much a window may move before pixels are read anew.
+/// Maximum displacement of a window before pixels are read again.
 const MARGIN: usize = 2;
 /// Between the products of gradients in grey values, summed up, and the unit of OpenCV's smallest eigenvalue.
 const EIGENVALUE_SCALE: f32 = 1.0 / 1024.0;
 
-/// How points are followed.
+/// Options of point tracking.
 #[derive(Clone, Copy, Debug)]
 pub struct LucasKanade {
     /// Half the side of the window, pixels, at least 1.
@@ -148,7 +148,7 @@ impl WithSimd for Work<'_> {
     }
 }
 
-/// How far a point came in one of the pictures.
+/// Outcome of a point in one of the images.
 enum Outcome {
     /// To this place.
     Seen { position: [f32; 2], difference: f32 },
@@ -156,7 +156,7 @@ enum Outcome {
     Lost,
 }
 
-/// What following needs beside pictures, for one point after the other. Places have the first pixel's centre at (0, 0).
+/// Buffers for tracking, used for one point after the other. The first pixel's center is at (0, 0).
 struct Workplace<'a> {
     method: &'a LucasKanade,
     window: Window,
@@ -237,7 +237,7 @@ impl Workplace<'_> {
         Outcome::Seen { position: [first[0] + half[0], first[1] + half[1]], difference: mean }
     }
 
-    /// Whether some of the window may lie in the picture.
+    /// Returns true if some of the window may lie in the image.
     #[inline(always)]
     fn is_near(&self, first: [f32; 2], picture: &GrayImage) -> bool {
         let is_near = |first: f32, length: usize, side: u32| {

@@ -1,4 +1,4 @@
-//! What the window round a point shows in the first picture, and how another picture differs from it.
+//! Window round a point in the first image, and its difference from another image.
 //!
 //! Everything here is inlined into one function for each set of vector instructions. Windows are cut in strips as wide
 //! as a vector, whose rows follow one another.
@@ -20,7 +20,7 @@ pub(super) struct Template {
     pub products: [f32; 3],
 }
 
-/// How a picture differs from a template.
+/// Difference of an image from a template.
 pub(super) struct Difference {
     /// Sum over the window of the difference times the gradient, across and down.
     pub along_gradient: [f32; 2],
@@ -69,7 +69,7 @@ impl Template {
         self.products = sums.map(|sum| simd.reduce_sum_f32s(sum));
     }
 
-    /// How the window that begins at a place of another picture differs.
+    /// Difference of the window that begins at a position of another image.
     #[inline(always)]
     pub fn difference<S: Simd>(&self, simd: S, area: &Area, place: &Place, window: Window) -> Difference {
         let [mut across, mut down, mut size] = [simd.splat_f32s(0.0); 3];

@@ -65,7 +65,7 @@ pub enum FolderError {
         input.display()
     )]
     OwnInput {
-        /// How the input was named.
+        /// Name of the input's flag.
         flag: String,
         /// The input.
         input: PathBuf,
@@ -101,7 +101,7 @@ pub enum FolderError {
     System {
         /// The folder or file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         source: io::Error,
     },
     /// A file cannot be written.
@@ -119,12 +119,12 @@ fn cure(error: &io::Error) -> &'static str {
 }
 
 impl FolderError {
-    /// Whether it is a matter of waiting: another process has the folder.
+    /// Returns true if waiting helps: another process has the folder.
     pub fn is_busy(&self) -> bool {
         matches!(self, Self::Busy { .. })
     }
 
-    /// Whether the command line asks for what must not be, so that nothing was begun.
+    /// Returns true if the command line is wrong, so that nothing was started.
     pub fn is_wrong_use(&self) -> bool {
         use FolderError::{Exists, InTheWay, Link, NotOwn, OtherInput, OwnInput, PlaceOfResults};
         matches!(

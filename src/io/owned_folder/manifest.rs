@@ -1,4 +1,4 @@
-//! What the program wrote into a folder, and from which input.
+//! Files that the program wrote into a folder, and their input.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -25,7 +25,7 @@ pub(super) struct Manifest {
 }
 
 impl Manifest {
-    /// Whether it is of a known version, and names nothing outside the folder: other hands may have written in it.
+    /// Returns true if it has a known version, and names nothing outside the folder: others may have written it.
     fn is_sound(&self) -> bool {
         self.version == VERSION && self.files.iter().all(|file| is_inside(file))
     }

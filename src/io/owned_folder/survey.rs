@@ -1,4 +1,4 @@
-//! Whether a folder may be taken, and whether an input lies in it; nothing is changed here.
+//! Checks whether a folder may be taken, and whether an input lies in it; nothing is changed here.
 
 use std::fs;
 use std::io;

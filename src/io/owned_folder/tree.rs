@@ -1,4 +1,4 @@
-//! What lies below a folder; links are never followed.
+//! Content below a folder; links are never followed.
 
 use std::fs;
 use std::path::{Path, PathBuf};

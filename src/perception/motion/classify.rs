@@ -7,7 +7,7 @@ use super::fit::{StaticFit, fit_static};
 use super::noise::{Circumstances, Noise};
 use super::{EvidenceOptions, PointTrack, Surroundings};
 
-/// What shows that a point moves.
+/// Evidence that a point moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Evidence {
@@ -17,7 +17,7 @@ pub enum Evidence {
     BehindGround,
 }
 
-/// What is known of a track.
+/// Verdict on a track.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
@@ -33,10 +33,10 @@ pub enum Verdict {
     Undetermined,
 }
 
-/// What is known of a track, and how surely.
+/// Verdict on a track, with its strength.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrackLabel {
-    /// What it is.
+    /// Verdict.
     pub verdict: Verdict,
     /// By how many times the noise it departs from what a point standing on the ground would show (without a ground:
     /// any standing point).
@@ -70,7 +70,7 @@ impl TrackLabel {
         static_point: None,
     };
 
-    /// Whether it is one of a point that moves.
+    /// Returns true if the point moves.
     pub fn is_moving(&self) -> bool {
         matches!(self.verdict, Verdict::Moving(_))
     }
@@ -105,7 +105,7 @@ const LEAST_DISTANCE: f64 = 0.05;
 /// Distances from which on the sky begins, in heights of the camera.
 pub(super) const HORIZON: f64 = 40.0;
 
-/// What stands stays below this part of the least strength of what moves.
+/// Strength of a static point, at most, as a share of the minimum strength of a moving one.
 const QUIET: f64 = 0.75;
 
 fn measure(track: &PointTrack, surroundings: &Surroundings, options: &EvidenceOptions) -> Option<Measured> {
@@ -136,7 +136,7 @@ fn circumstances(track: &PointTrack, surroundings: &Surroundings, reference: u32
     })
 }
 
-/// Whether a point that is seen for a second and a half stays within a pixel.
+/// Returns true if a point that is visible for a second and a half stays within a pixel.
 fn is_fixed(track: &PointTrack, surroundings: &Surroundings) -> bool {
     const LEAST_TIME_S: f64 = 1.5;
     const MOST_PX: f32 = 1.2;
@@ -185,8 +185,8 @@ impl Measured {
         }
     }
 
-    /// How far the standing point is from the ground along its ray, beyond what the ground may be wrong by: in times
-    /// the noise and in pixels; positive before the ground, negative behind it; zeros without a ground.
+    /// Distance of the static point from the ground along its ray, beyond the ground's tolerance: in times the noise
+    /// and in pixels; positive in front of the ground, negative behind it; zeros without a ground.
     fn along_ray(&self, noise_px: f64, options: &EvidenceOptions) -> (f64, f64) {
         let (Some(ground), Some(per_height)) = (self.ground, self.per_height) else { return (0.0, 0.0) };
         let ground = ground.max(0.0);
@@ -196,7 +196,7 @@ impl Measured {
         (beyond / (self.fit.inverse_depth_per_px * noise_px).max(1e-12), beyond * self.fit.shift_px)
     }
 
-    /// Whether the depth is known, and not so large that a vehicle ahead would look the same.
+    /// Returns true if the depth is known, and not so large that a vehicle ahead would look the same.
     fn is_depth_known(&self, noise_px: f64, options: &EvidenceOptions) -> bool {
         let sigma = self.fit.inverse_depth_per_px * noise_px;
         let farthest = self.per_height.map_or(0.0, |per_height| per_height / HORIZON);

@@ -15,7 +15,7 @@ pub(super) struct StaticFit {
     pub inverse_depth: f64,
     /// Standard deviation of the inverse depth at a noise of one pixel.
     pub inverse_depth_per_px: f64,
-    /// How far the track's positions shift by a unit of inverse depth, at the most, pixels.
+    /// Maximum shift of the track's positions by a unit of inverse depth, pixels.
     pub shift_px: f64,
     /// Root mean square residual per degree of freedom, pixels.
     pub rms_px: f64,

@@ -72,7 +72,7 @@ impl Live {
     }
 }
 
-/// How a step is begun.
+/// Initialization of a step.
 #[derive(Clone, Copy, PartialEq)]
 enum Start {
     /// Where the point's last step leads, on the finest pictures alone.

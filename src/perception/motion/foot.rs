@@ -21,7 +21,7 @@ pub struct Foot {
     pub std: f64,
     /// Share by which the ground's inverse depth may be wrong.
     pub tolerance: f64,
-    /// Whether the object is cut off by the lower border of the picture, so that any part of it may be hidden.
+    /// True if the object is truncated by the lower image border, so that any part of it may be hidden.
     pub is_cut: bool,
 }
 
@@ -65,7 +65,7 @@ const SOFTNESS: f64 = 0.25;
 /// Share of the points that are lower than what counts as the object's top.
 const TOP: f64 = 0.9;
 
-/// What the feet of an object have in common, and the height of its top.
+/// Common properties of the feet of an object, and the height of its top.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Stance {
     foot: Foot,
@@ -95,7 +95,7 @@ impl Stance {
         Some(Self { foot, top: top.max(lowest) })
     }
 
-    /// Whether the foot, if it were stationary, would be over the ground rather than behind it.
+    /// Returns true if the foot, if stationary, would be over the ground rather than behind it.
     pub(super) fn floats(&self) -> bool {
         self.foot.ratio > 1.0
     }

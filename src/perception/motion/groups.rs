@@ -138,7 +138,7 @@ impl Neighbourhood<'_> {
         met.into_iter().filter(|&(pair, count)| count >= 2 && self.move_alike(pair)).map(|(pair, _)| pair).collect()
     }
 
-    /// Whether the offset of two tracks changes little within any second.
+    /// Returns true if the offset of two tracks changes little within any second.
     fn move_alike(&self, (i, j): (usize, usize)) -> bool {
         let (a, b) = (&self.tracks[i], &self.tracks[j]);
         let (first, end) = (a.first.max(b.first), a.end().min(b.end()));

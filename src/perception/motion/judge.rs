@@ -1,4 +1,4 @@
-//! Whether one object moved, by the points on it (eq. 13 to 16 of `docs/maths/motion.md`).
+//! Motion state of one object, by the points on it (eq. 13 to 16 of `docs/maths/motion.md`).
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -22,7 +22,7 @@ pub struct PointOnObject<'a> {
     pub foot: Option<Foot>,
 }
 
-/// What the judgement rests on.
+/// Reason of the judgement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MovementReason {
@@ -44,10 +44,10 @@ pub enum MovementReason {
     AlongCameraPath,
 }
 
-/// Whether an object moves, and why.
+/// Motion state of an object, with the reason.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Judgement {
-    /// Whether it moves.
+    /// Motion state.
     pub movement: Movement,
     /// Why.
     pub reason: MovementReason,
@@ -57,7 +57,7 @@ pub struct Judgement {
     pub num_moving: usize,
     /// Points that a stationary object could have.
     pub num_standing: usize,
-    /// Whether it is a piece of the ground as far as its points tell: none of them rises over it.
+    /// True if it looks like a patch of ground: none of its points rises over it.
     pub is_flat: bool,
 }
 
@@ -177,7 +177,7 @@ fn time_moving(
     seen.values().filter(|[moving, quiet]| *moving >= MIN_POINTS && moving >= quiet).count()
 }
 
-/// Whether hardly any point of which a height is known rises over the ground.
+/// Returns true if hardly any point of known height rises over the ground.
 fn lies_flat<'a>(labels: impl Iterator<Item = &'a TrackLabel>) -> bool {
     const LEAST_POINTS: usize = 8;
     const MOST_HEIGHT: f64 = 0.03;
@@ -191,7 +191,7 @@ fn lies_flat<'a>(labels: impl Iterator<Item = &'a TrackLabel>) -> bool {
 mod tests {
     use super::*;
 
-    /// Whether points at these heights, each on the object for a share of its frames, are a piece of the ground.
+    /// Returns true if points at these heights, each on the object for a share of its frames, are a patch of ground.
     fn is_flat(heights: &[Option<f64>], inside: f64) -> bool {
         let track = PointTrack { first: 0, pixels: vec![[0.0, 0.0]; 10] };
         let label = |relative_height: &Option<f64>| TrackLabel {

@@ -1,4 +1,4 @@
-//! What moves: points all over the picture held against the background's cameras and the ground.
+//! Moving objects: points all over the image, tested against the background's cameras and the ground.
 //!
 //! [`PointFollower`] follows points through all frames. [`classify`] asks of each whether a point that stands still
 //! could have been seen so: if none leaves residuals within the noise of the picture's other points, it moves; if the
@@ -38,7 +38,7 @@ use crate::camera::Camera;
 use crate::limits::{Checked, under, within};
 use crate::math::Rigid3;
 
-/// What one frame was seen with: the background's camera.
+/// Camera of one frame, from the background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// Intrinsics, for pixels of the whole frame.
@@ -47,7 +47,7 @@ pub struct View {
     pub cam_from_world: Rigid3,
 }
 
-/// What is known of the frames besides their pixels. Frames are counted as the follower counts them, from 0.
+/// Scene of the frames. Frames are counted as the follower counts them, from 0.
 #[derive(Clone, Copy)]
 pub struct Surroundings<'a> {
     /// Width and height of the frames, pixels.
@@ -60,15 +60,15 @@ pub struct Surroundings<'a> {
     pub ground: Option<&'a GroundModel>,
 }
 
-/// How movers are found.
+/// Options of the detection of movers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MotionOptions {
-    /// How points are followed.
+    /// Tracking of points.
     pub follower: FollowerOptions,
-    /// What makes a point one that moves.
+    /// Classification of points as moving.
     pub evidence: EvidenceOptions,
-    /// What makes points a vehicle.
+    /// Grouping of points into vehicles.
     pub movers: MoverOptions,
 }
 
@@ -84,7 +84,7 @@ impl MotionOptions {
     }
 }
 
-/// How points are followed all over the picture.
+/// Options of point tracking all over the image.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FollowerOptions {
@@ -147,16 +147,16 @@ impl FollowerOptions {
     }
 }
 
-/// What makes a point one that moves.
+/// Options of the classification of points as moving.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvidenceOptions {
-    /// How many times the noise of the picture's own points a deviation must be.
+    /// Minimum residual of a moving point, in times the noise of the image's own points.
     #[schemars(extend("unit" = "times the noise"))]
     pub min_strength: f64,
     /// Smallest deviation from what a standing point would show.
     pub min_deviation_px: f64,
-    /// How wrong the ground may be: part of the distance at which a ray meets it.
+    /// Tolerance of the ground: share of the distance at which a ray meets it.
     #[schemars(extend("unit" = "share"))]
     pub ground_tolerance: f64,
     /// Frames of a track that are looked at, evenly spread over its life.
@@ -186,7 +186,7 @@ impl EvidenceOptions {
     }
 }
 
-/// What makes points that move a vehicle.
+/// Options of the grouping of moving points into vehicles.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MoverOptions {
@@ -199,10 +199,10 @@ pub struct MoverOptions {
     /// Largest distance of neighbours, in cells of the follower's grid.
     #[schemars(extend("unit" = "cells"))]
     pub reach: f64,
-    /// How much the offset of two neighbours may change in a second, relative to its length.
+    /// Maximum change of the offset of two neighbors in a second, relative to its length.
     #[schemars(extend("unit" = "share"))]
     pub max_change: f64,
-    /// How far round a point others are asked whether they move, in cells of the follower's grid.
+    /// Radius round a point in which other moving points support it, in cells of the follower's grid.
     #[schemars(extend("unit" = "cells"))]
     pub company_cells: f64,
     /// Smallest part of the points round one that moves which move, too.
@@ -211,8 +211,8 @@ pub struct MoverOptions {
     /// Smallest part of the points in the middle of a box which belong to the mover.
     #[schemars(extend("unit" = "share"))]
     pub min_purity: f64,
-    /// By how much its points must depart from what standing ones would show, relative to its size: what waves in the
-    /// wind or slides along an edge stays below.
+    /// Minimum residual of its points against static ones, relative to its size: foliage in the wind and points that
+    /// slide along an edge stay below.
     #[schemars(extend("unit" = "share"))]
     pub min_deviation: f64,
     /// Smallest side of a box.

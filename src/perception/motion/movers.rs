@@ -14,11 +14,11 @@ use crate::scene::Rect;
 pub struct Mover {
     /// Its box in each frame, pixels.
     pub boxes: BTreeMap<u32, Rect>,
-    /// What most of its points show.
+    /// Evidence of most of its points.
     pub evidence: Evidence,
-    /// How sure it is, 0 to 1: grows with its points, its life and their strength.
+    /// Confidence, 0 to 1: grows with its points, its lifetime and their strength.
     pub confidence: f64,
-    /// How far its points depart from a motion that keeps its shape, pixels within a second.
+    /// Residual of its points from a similarity motion, pixels within a second.
     pub looseness_px: f64,
     /// Part of the points in the middle of its boxes that are its own, 0 to 1.
     pub purity: f64,
@@ -80,7 +80,7 @@ impl Maker<'_> {
         groups
     }
 
-    /// Whether a track can be one of a mover's: it moves, or it is plainly no point of the ground.
+    /// Returns true if a track can be one of a mover's: it moves, or it is clearly no point of the ground.
     fn may_belong(&self, k: usize) -> bool {
         let label = &self.labels[k];
         let is_off_ground = label.deviation_px >= 2.0 * self.options.evidence.min_deviation_px * self.scales.pixel;
@@ -201,8 +201,8 @@ impl Maker<'_> {
         own as f64 / all.max(1) as f64
     }
 
-    /// Whether a group keeps its place in the picture, but for a slow drift, for three seconds or more: a reflection in
-    /// the windscreen, a bonnet.
+    /// Returns true if a group keeps its position in the image, except for a slow drift, for three seconds or more: a
+    /// reflection in the windscreen, a hood.
     fn is_fixed(&self, path: &Path) -> bool {
         const LEAST_TIME_S: f64 = 3.0;
         const MOST_PX_PER_S: f64 = 1.0;
@@ -210,13 +210,13 @@ impl Maker<'_> {
         time_s >= LEAST_TIME_S && path.excursion() <= MOST_PX_PER_S * self.scales.pixel * time_s
     }
 
-    /// What waves in the wind leaves its place by less than this; pixels.
+    /// Maximum displacement of foliage in the wind; pixels.
     fn least_deviation(&self, side_px: f64) -> f64 {
         (3.0 * self.scales.pixel).max(self.options.movers.min_deviation * side_px)
     }
 
-    /// How far the group's points depart, within a second, from a motion of the whole that keeps its shape: median
-    /// distance, pixels (eq. 11); `None` if never four of them are seen for so long.
+    /// Median residual of the group's points, within a second, from a similarity motion of the whole, pixels (eq. 11);
+    /// `None` if never four of them are visible for so long.
     fn looseness_px(&self, group: &[usize], boxes: &BTreeMap<u32, Rect>) -> Option<f64> {
         let (first, last) = (boxes.keys().next()?, boxes.keys().next_back()?);
         let mut residuals = Vec::new();
@@ -297,7 +297,7 @@ impl Maker<'_> {
         joined.filter(|one| one.purity >= a.purity.max(b.purity) - 0.03)
     }
 
-    /// Whether two movers touch where both are seen, and their middles keep their offset.
+    /// Returns true if two movers touch where both are visible, and their centers keep their offset.
     fn are_one(&self, a: &Mover, b: &Mover) -> bool {
         let common: Vec<(Rect, Rect)> =
             a.boxes.iter().filter_map(|(frame, own)| Some((*own, *b.boxes.get(frame)?))).collect();
@@ -308,7 +308,7 @@ impl Maker<'_> {
         10 * touch >= 8 * common.len() && self.keep_offset(&common)
     }
 
-    /// Whether the middles of two boxes keep their offset, relative to the size of the larger one.
+    /// Returns true if the centers of two boxes keep their offset, relative to the size of the larger one.
     fn keep_offset(&self, common: &[(Rect, Rect)]) -> bool {
         const MOST_CHANGE: f64 = 0.3;
         let offset = |(p, q): &(Rect, Rect)| [middle(p)[0] - middle(q)[0], middle(p)[1] - middle(q)[1]];
@@ -388,7 +388,7 @@ fn similarity_residuals(pairs: &[([f64; 2], [f64; 2])]) -> Vec<f64> {
     pairs.iter().map(centred).map(rest).collect()
 }
 
-/// Whether the smaller of two boxes lies in or at the larger one.
+/// Returns true if the smaller of two boxes lies in or at the larger one.
 fn touches(a: &Rect, b: &Rect) -> bool {
     let smaller = a.area_px2().min(b.area_px2());
     a.grown(0.08).intersection(&b.grown(0.08)).area_px2() > 0.15 * smaller
@@ -421,7 +421,7 @@ impl Path {
         Self { first, places, seen }
     }
 
-    /// How far it gets from where it was, the larger of both directions, pixels.
+    /// Maximum displacement from its first position, the larger of both directions, pixels.
     fn excursion(&self) -> f64 {
         let spread = |k: usize| {
             let values = || self.places.iter().map(|p| p[k]);

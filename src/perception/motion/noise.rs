@@ -1,10 +1,10 @@
-//! How well points are followed, measured from the picture's own points (eq. 5 of `docs/maths/motion.md`).
+//! Noise of point tracking, measured from the image's own points (eq. 5 of `docs/maths/motion.md`).
 
 use std::collections::BTreeMap;
 
 use crate::math::upper_median;
 
-/// What the noise of a track depends on: when it was seen, how long, and where.
+/// Properties that the noise of a track depends on: its time, its length, and its position.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Circumstances {
     /// The middle of its life, seconds.

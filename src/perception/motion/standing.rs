@@ -1,4 +1,4 @@
-//! Whether what a box shows stands, by the points in it (eq. 17 of `docs/maths/motion.md`).
+//! Test whether a box shows a stationary object, by the points in it (eq. 17 of `docs/maths/motion.md`).
 
 use super::Verdict;
 
@@ -7,7 +7,7 @@ const MIN_STANDING: usize = 5;
 /// Share of the points of which anything is known that may say otherwise.
 const MOST_OTHERS: f64 = 0.1;
 
-/// Whether the points in a box say that it shows something that stands.
+/// Returns true if the points in a box show a stationary object.
 ///
 /// A point that would float over the ground says nothing of the kind: it may be one of a vehicle that comes nearer.
 pub fn shows_standing(points: impl IntoIterator<Item = Verdict>) -> bool {

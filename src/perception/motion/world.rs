@@ -16,7 +16,7 @@ const FPS: f64 = 10.0;
 /// Width and height of the picture, pixels.
 const SIZE: (u32, u32) = (960, 540);
 
-/// How the camera moves. The world is metric, z up; the camera looks along x, a little down.
+/// Motion of the camera. The world is metric, z up; the camera looks along x, a little down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Flight {
     /// Not at all.
@@ -29,7 +29,7 @@ pub enum Flight {
     Sideways,
 }
 
-/// What else there is.
+/// Content of the world besides the camera.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
     pub flight: Flight,
@@ -62,10 +62,10 @@ impl Default for Plan {
     }
 }
 
-/// What a follower would give, and what is true.
+/// Output of a follower, with the truth.
 pub struct World {
     pub tracks: Vec<PointTrack>,
-    /// Whether each track lies on the vehicle.
+    /// True for each track on the vehicle.
     pub is_vehicle: Vec<bool>,
     pub views: Vec<Option<View>>,
     pub times_s: Vec<f64>,
@@ -129,7 +129,7 @@ pub fn world(plan: &Plan) -> World {
     World { tracks, is_vehicle, views, times_s, ground, plan: *plan }
 }
 
-/// What the vehicle hides in each frame.
+/// Part of each frame that the vehicle occludes.
 fn hidden(ways: &[(Way, bool)], views: &[Option<View>]) -> Vec<Option<Rect>> {
     let in_frame = |(frame, view): (u32, &Option<View>)| {
         let points = ways.iter().filter(|(_, is_vehicle)| *is_vehicle);
@@ -200,7 +200,7 @@ impl Plan {
         Point3::new(start[0] + along * cos - across * sin, start[1] + along * sin + across * cos, height_m)
     }
 
-    /// How far the vehicle has moved until a frame.
+    /// Displacement of the vehicle until a frame.
     fn offset(&self, velocity: [f64; 2], frame: u32) -> Vector3<f64> {
         let [first, last] = self.moves_in;
         let t = f64::from(frame.clamp(first, last) - first) / FPS;

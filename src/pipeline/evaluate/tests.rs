@@ -23,7 +23,7 @@ struct Models {
     object: Reconstruction,
 }
 
-/// What other programs made of the sequence: OpenMVG's background, COLMAP's object.
+/// Models by other programs of the sequence: OpenMVG's background, COLMAP's object.
 fn models_from_others() -> Models {
     let object = colmap::read(&in_data("interchange/right_curve/colmap_object_bin")).unwrap();
     Models {

@@ -1,4 +1,4 @@
-//! What the pictures of a given model are beside the frames, and the model in pixels of the frames.
+//! Relation of the images of a given model to the frames, and the model in pixels of the frames.
 //!
 //! A picture is its frame, or
 //!
@@ -23,7 +23,7 @@ use crate::math::Rigid3;
 use crate::pipeline::PipelineError;
 use crate::scene::{CameraId, FrameId, Reconstruction};
 
-/// What is known of the frames' pictures.
+/// Known properties of the frames' images.
 pub(super) struct Pictures<'a> {
     /// Width and height of the frames, pixels.
     pub(super) frame: (u32, u32),
@@ -42,7 +42,7 @@ pub(super) struct Sizes {
     pub(super) unstated: BTreeSet<CameraId>,
 }
 
-/// How a picture becomes its frame.
+/// Transformation of an image to its frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Fit {
     num_turns: u8,
@@ -53,7 +53,7 @@ struct Fit {
     lens: Lens,
 }
 
-/// Whether a picture and its frame show the same distortion.
+/// Relation between the distortion of an image and that of its frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Lens {
     Same,

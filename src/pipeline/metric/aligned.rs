@@ -20,7 +20,7 @@ pub(super) struct Aligned {
     pub(super) alignment: Alignment,
     pub(super) map: LocalFrame,
     knows_height: bool,
-    /// What the log's times were counted from, seconds of its clock.
+    /// Epoch of the log's times, seconds of its clock.
     epoch_s: f64,
     origin: Origin,
 }
@@ -156,10 +156,10 @@ fn registered<'a>(background: &'a Reconstruction, frames: &'a [Frame]) -> Vec<(&
 /// Columns of times are meant to count from the video's start: as well as people press two buttons at once, seconds.
 const TWO_BUTTONS_S: f64 = 2.0;
 
-/// What containers state of a video's start is good to: whole seconds, and the time until the camera records, seconds.
+/// Standard deviation of a container's start time, seconds: whole seconds, and the delay until the camera records.
 const STATED_START_S: f64 = 5.0;
 
-/// What may be known of the time between log and video, the surest first.
+/// Candidates for the offset between log and video, the most certain first.
 fn offsets(run: &Run, telemetry: &Telemetry, times: telemetry::TimeBase, epoch_s: f64) -> Vec<Offset> {
     let known = |mean_s, std_s| Offset::Known { mean_s, std_s };
     let is_of_subtitles = telemetry.log.dialects().keys().any(|dialect| dialect.starts_with("dji"));
@@ -222,7 +222,7 @@ fn support(
     }
 }
 
-/// How the background lies by the gimbal's angles of the fixes nearest in time to each frame.
+/// Orientation of the background by the gimbal angles of the fixes nearest in time to each frame.
 fn orientation(
     background: &Reconstruction,
     frames: &[Frame],

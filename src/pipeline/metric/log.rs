@@ -28,7 +28,7 @@ pub(super) struct Telemetry {
     pub(super) origin: Origin,
 }
 
-/// What logs beside a video are called; the first that holds telemetry is taken.
+/// Name endings of logs next to a video; the first that holds telemetry is taken.
 const EXTENSIONS: [&str; 6] = ["srt", "gpx", "csv", "nmea", "log", "txt"];
 
 /// The files whose content decides what is found, besides the input itself.

@@ -32,7 +32,7 @@ use placed::Placing;
 use sources::Ground;
 pub(super) use vehicles::Size;
 
-/// What nothing but this stage hangs on: the options of metres, and what the files of telemetry hold.
+/// Inputs of this stage alone: the options of meters, and the content of telemetry files.
 pub(super) fn depends_on(run: &Run) -> Value {
     let MetricOptions { telemetry, time_offset, utc_offset, camera_height, scale, known_lengths } = &run.options.metric;
     let files = log::files(run);

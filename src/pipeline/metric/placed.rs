@@ -17,7 +17,7 @@ pub(super) struct Placing<'a> {
     map: Option<LocalFrame>,
     images: BTreeMap<&'a str, &'a Image>,
     direction_std: f64,
-    /// Whether the frames have times in seconds, so that there are speeds.
+    /// Unit of the frames' times: only with seconds are there speeds.
     times: TimeBase,
 }
 

@@ -1,4 +1,4 @@
-//! What was measured or given, over the same in units of the background.
+//! Measured or given lengths, divided by the same in units of the background.
 
 use nalgebra::{Point3, Vector3};
 
@@ -21,7 +21,7 @@ pub(super) struct Ground {
 /// country roads rise (FGSV, *Richtlinien für die Anlage von Landstraßen*, 2012).
 const SLOPE_STD: f64 = 0.035;
 
-/// What cameras are tilted by where no ground is seen, radians.
+/// Standard deviation of a camera's tilt where no ground is visible, radians.
 const CAMERA_TILT_STD: f64 = 0.5;
 
 impl Ground {
@@ -41,7 +41,7 @@ impl Ground {
         self.mount.map_or_else(of_planes, Ok)
     }
 
-    /// By how much the camera climbs, as a share of its height.
+    /// Climb of the camera, as a share of its height.
     fn spread(&self) -> f64 {
         self.below.as_ref().map_or(0.0, |found| found.spread)
     }
@@ -67,7 +67,7 @@ impl Ground {
     }
 }
 
-/// What the stage `ground` found of a camera fixed to a vehicle.
+/// Camera fixed to a vehicle, as the stage `ground` found it.
 fn mount(run: &Run) -> Option<Measured> {
     let record = run.records.iter().find(|record| record.stage == Stage::Ground)?;
     let mount = record.marker.figures.get("mount")?;
@@ -76,7 +76,7 @@ fn mount(run: &Run) -> Option<Measured> {
     Measured::new(height, std.hypot(wander * height))
 }
 
-/// What was measured or given.
+/// Measured or given lengths.
 pub(super) fn measured(run: &Run, ground: &Ground, outcome: &mut Outcome) -> Vec<Source> {
     let options = &run.options.metric;
     let given = options.scale.map(|scale| source("given scale", scale.log()));

@@ -13,7 +13,7 @@ use crate::scene::{
     Dimensions, Estimate, MetricContradiction, MetricFrame, ObjectId, ObjectTrajectory, Trajectories, Trust,
 };
 
-/// How large an object is, in units of the background; `None` for what it was never seen from.
+/// Size of an object, in units of the background; `None` for a dimension that was never visible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(in crate::pipeline) struct Size {
     /// Between its ends.
@@ -48,7 +48,7 @@ impl Size {
     }
 }
 
-/// What is known of single vehicles, each a source of its own.
+/// Known dimensions of single vehicles, each a source of its own.
 pub(super) fn known(run: &Run, sizes: &BTreeMap<ObjectId, Size>, outcome: &mut Outcome) -> Vec<Source> {
     let known = run.options.metric.known_lengths.iter();
     let source = |known: &KnownLength| match of_length(known, sizes) {
@@ -71,7 +71,7 @@ fn of_length(known: &KnownLength, sizes: &BTreeMap<ObjectId, Size>) -> Result<So
     Ok(Source { name: format!("{name} of vehicle {object}"), kind: Kind::Surveyed, log_scale, std })
 }
 
-/// What vehicles are like, and which of them are odd.
+/// Meters by typical vehicle sizes, and the vehicles with anomalies.
 #[derive(Debug, Default)]
 pub(super) struct Alike {
     /// As one source; `None` where no vehicle is of a class whose members are alike.

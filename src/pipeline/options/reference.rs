@@ -15,16 +15,16 @@ pub struct OptionRow {
     pub values: Vec<String>,
     /// The unit of its value, where that has one.
     pub unit: Option<String>,
-    /// What it does.
+    /// Effect.
     pub effect: String,
 }
 
 /// Options that belong together.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OptionSection {
-    /// What they stand under.
+    /// Heading.
     pub title: String,
-    /// What they are for.
+    /// Purpose.
     pub about: String,
     /// Whose defaults the rows hold.
     pub columns: Vec<String>,

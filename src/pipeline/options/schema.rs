@@ -1,4 +1,4 @@
-//! What may stand where in the tree of options, and what it means: from the types and their documentation.
+//! Schema of the tree of options, with their meaning: from the types and their documentation.
 
 use std::sync::LazyLock;
 
@@ -18,7 +18,7 @@ pub(super) fn root() -> &'static Value {
     &SCHEMA
 }
 
-/// What stands at a place of the tree.
+/// Node of the tree.
 pub(super) enum Node<'a> {
     /// Options with names.
     Group(&'a Map<String, Value>),
@@ -83,7 +83,7 @@ pub(super) fn paths(schema: &Value, path: &str) -> Vec<String> {
     }
 }
 
-/// What an option does, and what each of its choices means.
+/// Effect of an option, and the meaning of each of its choices.
 pub(super) fn effect(schema: &Value) -> String {
     let choices: Vec<String> = choices(schema).iter().map(choice).collect();
     [described(schema)].into_iter().chain(choices).filter(|text| !text.is_empty()).collect::<Vec<_>>().join(" ")

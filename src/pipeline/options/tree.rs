@@ -170,7 +170,7 @@ fn unknown(path: &str, name: &str, names: &[&str]) -> OptionError {
     OptionError::new(join(path, name), format!("there is no such option{meant} In {place} stand {}", names.join(", ")))
 }
 
-/// What a key may have been meant for: its nearest neighbour in the group, or else its namesakes elsewhere.
+/// Suggestion for an unknown key: its nearest neighbor in the group, or else its namesakes elsewhere.
 fn meant(path: &str, name: &str, names: &[&str]) -> Option<String> {
     /// Similarity from which on a key counts as misspelt (Jaro and Winkler, 0 to 1).
     const NEAR: f64 = 0.85;

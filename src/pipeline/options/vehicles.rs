@@ -1,4 +1,4 @@
-//! How vehicles are found where nobody gives masks or a segmentation network.
+//! Detection of vehicles without given masks or a segmentation network.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -34,7 +34,7 @@ impl FromStr for DetectorChoice {
     }
 }
 
-/// What finds the pixels of a box.
+/// Segmenter of boxes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MaskChoice {
@@ -45,11 +45,11 @@ pub enum MaskChoice {
     None,
 }
 
-/// Whether vehicles are also found by their motion.
+/// Detection of vehicles by their motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MotionChoice {
-    /// What moves against the background is a vehicle, whatever it looks like.
+    /// Everything that moves against the background is a vehicle, whatever it looks like.
     #[default]
     On,
     /// Motion finds nothing; it still says whether what the detector finds moves.
@@ -82,15 +82,15 @@ impl FromStr for MotionChoice {
     }
 }
 
-/// How vehicles are found where `instances` is `vehicles`.
+/// Detection of vehicles where `instances` is `vehicles`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct VehicleOptions {
-    /// What knows them by their looks.
+    /// Vehicle detector.
     pub detector: DetectorChoice,
-    /// Whether their motion finds them, too.
+    /// Detection by motion.
     pub motion: MotionChoice,
-    /// What finds the pixels of their boxes.
+    /// Segmenter of their boxes.
     pub mask_network: MaskChoice,
     /// Every so many frames the mask network is asked anew; between, masks are carried by optical flow. Without a
     /// number as many frames as there are in 0.4 seconds, but from 2 to 12.

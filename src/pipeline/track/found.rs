@@ -57,7 +57,7 @@ impl Finds {
         }
     }
 
-    /// What is known of the `index`-th frame.
+    /// Input of the tracker for the `index`-th frame.
     fn look(&mut self, run: &Run, index: usize, frame: &Frame) -> Result<Look<'_>, PipelineError> {
         Ok(match self {
             Self::Masks(folder) => Look::Masks(folder.read(frame.id)?),

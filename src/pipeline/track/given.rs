@@ -9,7 +9,7 @@ use crate::pipeline::given_masks::MaskFolder;
 use crate::pipeline::run::{Outcome, Run};
 use crate::scene::{FoundIn, FrameId, ObjectId, Outline, TrackedObject};
 
-/// What given masks show; they do not say it.
+/// Class of objects in given masks, which state none.
 const CLASS: &str = "vehicle";
 
 /// Writes one mask per label of the given label maps into `folder`.

@@ -28,7 +28,7 @@ const MIN_FEATURES: usize = 30;
 /// Ratio of the distances to the best and the second best feature below which two match: looser than for tracks, for
 /// what is wrong does not keep the arrangement.
 const MAX_RATIO: f32 = 0.85;
-/// How far a point may be from its place in the arrangement, as a share of the object's side.
+/// Maximum distance of a point from its position in the arrangement, as a share of the object's side.
 const TOLERANCE: f64 = 0.06;
 
 /// A piece of a track.
@@ -39,7 +39,7 @@ struct Piece {
     end: Option<Course>,
 }
 
-/// What a view of an object shows.
+/// Features of a view of an object.
 struct Look {
     features: Features,
     colours: Option<Colours>,
@@ -144,13 +144,13 @@ fn candidates(run: &Run, folder: &Path, followed: &[Followed]) -> Result<Candida
     Ok(Candidates { pieces: pieces.into_iter().map(|piece| piece.unwrap_or_else(nothing)).collect(), pairs })
 }
 
-/// What the ways over the ground say of two pieces.
+/// Evidence of the trajectories over the ground that two tracks are one object.
 fn placed(before: &Piece, after: &Piece, ground: Option<&Ground<'_>>) -> Option<Sameness> {
     let (place, size) = ground?.fit(before.end.as_ref()?, after.beginning.as_ref()?)?;
     Some(Sameness { place: Some(place), size: Some(size), ..Sameness::default() })
 }
 
-/// What the tracker says of two pieces, by the picture alone.
+/// Evidence of the tracker that two tracks are one object, from the images alone.
 fn linked(before: &Followed, after: &Followed) -> Option<Sameness> {
     let link = after.summary.after.filter(|link| link.provisional == before.summary.provisional)?;
     Some(link.evidence)
@@ -185,7 +185,7 @@ fn mask_of(run: &Run, folder: &Path, object: ObjectId, frame: &Frame) -> Result<
     Ok(masks::read_mask(&path, (run.info().width, run.info().height))?)
 }
 
-/// What each view shows, by piece and frame.
+/// Features of each view, by track and frame.
 fn looks(
     run: &Run,
     folder: &Path,

@@ -29,7 +29,7 @@ pub(super) struct Kept {
     folder: PathBuf,
     frame: FrameId,
     pass: Pass,
-    /// How often it was asked in this frame.
+    /// Number of box prompts in this frame.
     num_asked: usize,
 }
 
@@ -71,7 +71,7 @@ impl Kept {
         self.folder.join(format!("{:06}-{pass}{}.bin", self.frame.0, self.num_asked))
     }
 
-    /// What was answered before; a file that is damaged or of other boxes is none.
+    /// Earlier answers; `None` if the file is damaged or of other boxes.
     fn recall(&self, size: (u32, u32), boxes: &[Rect]) -> Option<Vec<Option<Prompted>>> {
         let asked: Asked = own_file::read(&self.path()).ok()?;
         if asked.boxes != boxes || asked.answers.len() != boxes.len() {

@@ -10,7 +10,7 @@ use crate::pipeline::motion::{self, Points, World};
 use crate::pipeline::run::Run;
 use crate::scene::{FoundIn, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, TrackedObject};
 
-/// What is said where nothing was looked at.
+/// Finding where nothing was examined.
 pub(super) fn unknown() -> MovementFinding {
     MovementFinding {
         state: Movement::Undetermined,
@@ -60,7 +60,7 @@ fn frames_per_second(frames: &[Frame]) -> f64 {
     if duration > 0.0 { (frames.len() - 1) as f64 / duration } else { 1.0 }
 }
 
-/// What lies on an object's masks.
+/// Points on an object's masks.
 #[derive(Default)]
 struct OnObject {
     /// Per track of a point the number of frames in which it does.
@@ -92,7 +92,7 @@ fn finding(object: &TrackedObject, judged: &Judgement) -> MovementFinding {
     MovementFinding { state: judged.movement, reason: judged.to_string() }
 }
 
-/// What lies on the masks of each object.
+/// Points on the masks of each object.
 fn on_objects(
     run: &Run,
     folder: &Path,

@@ -14,14 +14,13 @@ const LOOK_S: f64 = 1.0;
 const LOOK_FRAMES: usize = 6;
 /// A mask whose area is below this share of the largest one is partly hidden.
 const LEAST_WHOLE: f64 = 0.75;
-/// What is tolerated, in sides of the object: at once, and per second. The next car at the kerb is more than one side
-/// away.
+/// Tolerance in sides of the object: at once, and per second. The next car at the kerb is more than one side away.
 const TOLERATED_SIDES: f64 = 0.6;
 const TOLERATED_SIDES_PER_S: f64 = 0.1;
 /// The same as a share of the way that it goes meanwhile: vehicles brake and turn.
 const TOLERATED_WAY: f64 = 0.2;
 
-/// What a mask says of where its object is.
+/// Position of an object by its mask.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Spot {
     pub(super) frame: FrameId,
@@ -54,7 +53,7 @@ pub(super) enum Side {
     End,
 }
 
-/// How a piece moves at one of its ends.
+/// Motion of a track at one of its ends.
 #[derive(Clone, Debug)]
 pub(super) struct Course {
     /// Its sight nearest to the end of which nothing is hidden, as far as sizes tell.
@@ -79,7 +78,7 @@ pub(super) fn near(frames: &[(FrameId, f64)], side: Side) -> Vec<(FrameId, f64)>
     from_end.into_iter().enumerate().map_while(counts).collect()
 }
 
-/// How an object moves at the end of a piece of its track.
+/// Motion of an object at the end of its track.
 ///
 /// * `spots` – of the frames that [`near`] names, from the end on.
 pub(super) fn course(spots: &[Spot], world: Option<&Ground<'_>>) -> Option<Course> {
@@ -124,8 +123,8 @@ impl Ground<'_> {
         Some(([pixel.x, pixel.y], in_cam.z))
     }
 
-    /// How far the later course begins from where the earlier one leads, and the other way round: mean share of what is
-    /// tolerated; and the ratio of areas, at one distance. `None` where ground or cameras are missing.
+    /// Distances of the later course's beginning from the prediction by the earlier one, and the other way round: mean
+    /// share of the tolerance; and the ratio of areas, at one distance. `None` where ground or cameras are missing.
     pub(super) fn fit(&self, before: &Course, after: &Course) -> Option<(f64, f64)> {
         let forth = self.off(before, after)?;
         let back = self.off(after, before)?;
@@ -134,7 +133,7 @@ impl Ground<'_> {
         Some((0.5 * (forth + back), at_one_distance * after.largest.area / before.largest.area))
     }
 
-    /// How far a course is from where another one leads, in the picture, as a share of what is tolerated.
+    /// Distance of one course from the prediction by another, in the image, as a share of the tolerance.
     fn off(&self, from: &Course, to: &Course) -> Option<f64> {
         let (place, velocity) = from.on_ground?;
         let elapsed_s = to.spot.time_s - from.spot.time_s;

@@ -14,7 +14,7 @@ const ERRORS: [f64; 2] = [0.0005, 1.0];
 const ERROR: &str = "#b3261e";
 const STATED: &str = "#1b62b5";
 
-/// What is swept: the kind of variant, the title, the axis.
+/// Sweep: the kind of variant, the title, the axis.
 type Sweep = (&'static str, &'static str, &'static str, fn(&Case) -> Option<f64>);
 
 const SWEEPS: [Sweep; 8] = [

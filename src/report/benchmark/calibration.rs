@@ -30,7 +30,7 @@ pub fn calibration_summary(calibration: &Calibration) -> String {
     table.render(1) + &clips
 }
 
-/// What runs of real clips say of one another.
+/// Differences between runs of real clips.
 fn clips_summary(spreads: &[Spread]) -> String {
     let row = summarise_spreads(spreads);
     let shares = row.within.map_or("–".to_owned(), |shares| shares.map(share).join(", "));

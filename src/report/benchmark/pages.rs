@@ -67,7 +67,7 @@ pub fn summary(own: &Benchmark, others: &[Benchmark]) -> String {
     heading(own) + &error + &deviation + &costs(own)
 }
 
-/// How many sequences there are, what failed, and how the choice compares with the floor.
+/// Number of sequences, failures, and comparison of the choice with the floor.
 fn heading(own: &Benchmark) -> String {
     let (num, failed) = (own.sequences.len(), own.failed().count());
     let mut text = format!("{num} sequences, {failed} failed.");
@@ -109,7 +109,7 @@ fn heading(own: &Benchmark) -> String {
     text + "\n\n"
 }
 
-/// How the errors of the ratios compare with what the runs say of them; `None` where none says anything.
+/// Comparison of the ratios' errors with their reported standard deviations; `None` where there are none.
 fn calibration(own: &Benchmark) -> Option<String> {
     let errors = own.sequences.iter().filter_map(|entry| {
         let deviation = entry.value(&Estimator::Chosen, Quantity::ScaleDeviation)?;
@@ -286,7 +286,7 @@ fn short(estimator: &Estimator) -> &str {
     }
 }
 
-/// What is known about every sequence that is not as it should be.
+/// Remarks on all sequences with problems.
 fn attention(own: &Benchmark) -> String {
     let mut text = String::new();
     for entry in &own.sequences {

@@ -1,4 +1,4 @@
-//! What changes from image to image, and how errors and track lengths are spread.
+//! Charts over the images, and distributions of errors and track lengths.
 
 use crate::eval::comparison::{Against, Comparison, ERROR_BIN_PX, ImageDifference, ModelFigures, NUM_ERROR_BINS};
 use crate::report::chart::{Chart, Drawing, Line, ticks, whole_ticks};

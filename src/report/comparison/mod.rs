@@ -25,7 +25,7 @@ const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00
 /// Images that the table lists of each reconstruction.
 const MAX_ROWS: usize = 200;
 
-/// What the page shows.
+/// Content of the page.
 #[derive(Clone, Debug)]
 pub struct Data<'a> {
     /// The figures.
@@ -101,7 +101,7 @@ fn one(unit: LengthUnit) -> &'static str {
     }
 }
 
-/// What a reader wants to know first.
+/// Main result, in a sentence.
 fn sentence(other: &Against, comparison: &Comparison) -> String {
     let (name, reference) = (&other.subject.name, &comparison.reference.name);
     let (alignment, cameras) = match (other.alignment.as_ref(), other.cameras.as_ref()) {
@@ -132,7 +132,7 @@ fn with_unit(length: f64, of: LengthUnit) -> String {
     }
 }
 
-/// What stands of one reconstruction below the charts.
+/// Details of one reconstruction, below the charts.
 #[derive(Debug, Serialize)]
 struct Details {
     name: String,

@@ -13,7 +13,7 @@ const MAX_POINTS: usize = 60_000;
 /// Cameras shown of each reconstruction.
 const MAX_CAMERAS: usize = 1_500;
 
-/// What `compare.js` reads.
+/// Input of `compare.js`.
 #[derive(Debug, Serialize)]
 pub(super) struct Scene {
     scale: f64,
@@ -60,7 +60,7 @@ impl Scene {
         })
     }
 
-    /// What was left out, in sentences.
+    /// Omissions, in sentences.
     pub fn omissions(&self) -> Vec<String> {
         let mut notes = Vec::new();
         for side in &self.sides {

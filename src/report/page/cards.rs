@@ -25,20 +25,20 @@ pub(super) struct Card {
     colour: String,
     verdict: verdict::Verdict,
     badge: &'static str,
-    /// What the verdict means for this vehicle.
+    /// Meaning of the verdict for this vehicle.
     meaning: String,
     /// Why there is no trajectory.
     reason: Option<String>,
-    /// What speaks against the trajectory, the gravest first.
+    /// Evidence against the trajectory, the gravest first.
     against: Vec<String>,
-    /// What speaks for it.
+    /// Evidence for it.
     in_favour: Vec<String>,
     facts: Vec<Fact>,
     alternatives: Vec<Alternative>,
     plan: Option<Plan>,
 }
 
-/// What another method says of the scale ratio.
+/// Scale ratio by another method.
 #[derive(Debug, Serialize)]
 struct Alternative {
     method: &'static str,
@@ -99,7 +99,7 @@ fn facts(data: &Data, object: &Object, timeline: &Timeline) -> Vec<Fact> {
     facts
 }
 
-/// Whether it moved, and what found it.
+/// Motion state and sources of its detections.
 fn tracked(object: &TrackedObject) -> [Fact; 2] {
     let MovementFinding { state, reason } = &object.movement;
     let masks = match object.outline {
@@ -157,7 +157,7 @@ fn confidence(score: f64) -> String {
     if score.is_finite() { format!("{:.0} %", score * 100.0) } else { UNKNOWN.to_owned() }
 }
 
-/// What every method says, if more than one does.
+/// Ratios by all methods, if there are several.
 fn alternatives(scale: &ScaleEstimate) -> Vec<Alternative> {
     if scale.alternatives.keys().all(|method| *method == scale.method) {
         return Vec::new();

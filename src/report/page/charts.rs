@@ -1,4 +1,4 @@
-//! What the charts and the frame bars show.
+//! Content of the charts and the frame bars.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -63,7 +63,7 @@ pub(super) fn charts(data: &Data, timeline: &Timeline, names: &[String], notes: 
     all.iter().chain(&[charts.reprojection()]).filter_map(|chart| chart.draw(timeline)).collect()
 }
 
-/// What all charts are made from.
+/// Input of all charts.
 struct Charts<'d> {
     data: &'d Data<'d>,
     timeline: &'d Timeline,

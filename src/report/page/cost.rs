@@ -1,4 +1,4 @@
-//! What the stages of a run cost.
+//! Cost of the stages of a run.
 
 use minijinja::{Value, context};
 use serde::Serialize;

@@ -53,7 +53,7 @@ fn ground(data: &Data) -> Fact {
     Fact::new("ground", value).with_note(basis.unwrap_or_else(|| note.to_owned()))
 }
 
-/// What most planes rest on; of equals the surest.
+/// Most common basis of the planes; of equally common ones the most reliable.
 fn commonest_basis(ground: &Ground) -> Option<PlaneBasis> {
     let count = |basis: &PlaneBasis| ground.planes.values().filter(|plane| plane.basis == *basis).count();
     PlaneBasis::ALL.into_iter().rev().max_by_key(count).filter(|basis| count(basis) > 0)

@@ -1,4 +1,4 @@
-//! What is missing from the result, and what is wrong with it.
+//! Missing and doubtful parts of the result.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +6,7 @@ use crate::report::data::{Data, Missing, Model};
 use crate::report::words::{count, plain};
 use crate::scene::{ObjectId, Verdict};
 
-/// What stands where a stage left no reason.
+/// Text where a stage left no reason.
 pub(super) const NO_REASON: &str = "no reason was recorded";
 
 /// Everything that is not there, with the reason.

@@ -115,12 +115,12 @@ fn name_of(data: &Data, id: ObjectId) -> String {
     data.objects.iter().find(|o| o.id == id).map_or_else(|| format!("Object {id}"), words::name)
 }
 
-/// What `page.js` must know of the time.
+/// Times for `page.js`.
 #[derive(Debug, Serialize)]
 struct Clock {
     start: f64,
     end: f64,
-    /// Whether times are seconds; else they are numbers of frames.
+    /// True if times are seconds; otherwise they are numbers of frames.
     seconds: bool,
 }
 
@@ -131,7 +131,7 @@ impl Clock {
     }
 }
 
-/// What the page may do: run our own scripts, show pictures that it holds itself, and nothing else.
+/// Content security policy: the page's own scripts and embedded images, and nothing else.
 pub(super) fn policy(scripts: &[&str]) -> String {
     let hash = |script: &&str| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(script.as_bytes())));
     let hashes: Vec<_> = scripts.iter().map(hash).collect();

@@ -13,7 +13,7 @@ use crate::sfm::tracks::{Feature, Track, TrackTable, View};
 const NUM_VIEWS: usize = 40;
 const FOCAL: f64 = 600.0;
 
-/// How the camera moves past a street.
+/// Motion of the camera past a street.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Motion {
     Forward,
@@ -78,7 +78,7 @@ fn table(motion: Motion, lens: &Camera, focal: impl Fn(usize) -> f64) -> TrackTa
     table
 }
 
-/// What is found in the map of such a video.
+/// Changes found in the map of such a video.
 fn found(motion: Motion, lens: &Camera, is_given: bool, focal: impl Fn(usize) -> f64) -> Vec<FocalChange> {
     let table = table(motion, lens, focal);
     let (camera, known) = match is_given {

@@ -136,9 +136,9 @@ impl<'a> Task<'a> {
         Ok(Some((worth, growth)))
     }
 
-    /// Whether a map that grew from known poses has nearly all views, explains what may be asked of it, and still
-    /// agrees with what was known: what right tracks let a map explain, and less of tracks without gaps, of which none
-    /// is joined wrongly.
+    /// Returns true if a map that grew from pose priors has nearly all views, explains the expected share of
+    /// observations, and still agrees with the priors: the share that right tracks let a map explain, and less of
+    /// tracks without gaps, of which none is merged wrongly.
     fn needs_no_other(&self, growth: &Growth) -> bool {
         const AGREES: f64 = 0.7;
         let enough = if self.table.has_gaps() { HEALTHY_SHARE } else { PLAUSIBLE_SHARE };

@@ -39,7 +39,7 @@ pub(super) fn read_latitude_first(text: &str, line: usize) -> Result<Fix, String
     Ok(Fix { gps_height_m, relative_height_m: barometer_m(text), ..fix })
 }
 
-/// What stands, separated by commas, in the parentheses behind a name.
+/// Values in the parentheses behind a name, separated by commas.
 pub(super) fn inside<'a>(text: &'a str, name: &str) -> Result<Vec<&'a str>, String> {
     let after = text.split_once(name).map(|(_, after)| after.trim_start());
     let inner = after.and_then(|after| after.strip_prefix('(')).and_then(|after| after.split_once(')'));

@@ -16,7 +16,7 @@ use super::time;
 pub(super) struct Dialect {
     /// Its name in reports and documents.
     pub(super) name: &'static str,
-    /// Whether the text of a block (its lines joined by blanks) is of this dialect, as far as it goes.
+    /// Returns true if the text of a block (its lines joined by blanks) is of this dialect.
     pub(super) recognizes: fn(&str) -> bool,
     /// The fix in such a text.
     ///

@@ -14,7 +14,7 @@ pub struct Silhouette {
 impl Silhouette {
     /// Fewest pixels that have an outline.
     const MIN_AREA_PX2: usize = 50;
-    /// How far an outline lies outside the outermost centres of the mask's pixels, on average over directions.
+    /// Distance of an outline from the outermost centers of the mask's pixels, on average over directions.
     pub(super) const BORDER_PX: f64 = 0.3;
 
     /// The outline of a mask; `None` for one that is tiny or that the border of the picture cuts.
@@ -38,7 +38,7 @@ impl Silhouette {
         Some(Self { hull: convex_hull(ends.flatten().collect()) })
     }
 
-    /// Whether a pixel lies within the outline, or `margin` pixels beside it at the most.
+    /// Returns true if a pixel lies within the outline, or at most `margin` pixels outside.
     pub(super) fn contains(&self, pixel: Point2<f64>, margin: f64) -> bool {
         let next = self.hull.iter().cycle().skip(1);
         self.hull.iter().zip(next).all(|(a, b)| {

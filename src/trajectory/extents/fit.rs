@@ -17,22 +17,22 @@ pub(super) type Unknowns = SVector<f64, NUM>;
 pub(super) struct Expected {
     pub(super) value: Unknowns,
     pub(super) std: Unknowns,
-    /// How far points reach forwards, backwards, to the left and to the right.
+    /// Extents of points forwards, backwards, to the left and to the right.
     pub(super) reaches: [Reach; 4],
 }
 
-/// How far points reach in a direction along the ground.
+/// Extent of points in a direction along the ground.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Reach {
     /// Which of length (0) and width (1).
     pub(super) axis: usize,
     /// 1.0 forwards or to the left, −1.0 the other way.
     pub(super) side: f64,
-    /// How far, along that direction, and a little more: where the body ends if its end was seen.
+    /// Distance along that direction, and a little more: the end of the body if its end was visible.
     pub(super) at: f64,
     /// Standard deviation of that.
     pub(super) std: f64,
-    /// Whether that end was seen; else the body may go on.
+    /// True if that end was visible; otherwise the body may extend further.
     pub(super) is_seen: bool,
 }
 
@@ -51,7 +51,7 @@ impl Reach {
     }
 }
 
-/// What a body fits best with.
+/// Best fit of a body.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Fit {
     /// The unknowns.

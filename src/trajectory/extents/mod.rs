@@ -1,4 +1,4 @@
-//! How long, wide and high an object is.
+//! Length, width and height of an object.
 //!
 //! The points of a reconstruction stop short of a vehicle's ends, and outlines from a few sides reach beyond them. So a
 //! body of a vehicle's shape ([`template`]) is stretched in length, width and height, shifted and turned a little until
@@ -41,8 +41,8 @@ pub struct Subject<'a> {
     pub silhouettes: &'a BTreeMap<FrameId, Silhouette>,
 }
 
-/// How large an object is, in units of the background; `None` for what was not seen. Deviations are whole ones, that of
-/// the scale ratio among them.
+/// Size of an object, in units of the background; `None` for dimensions that were not visible. Standard deviations are
+/// total ones, including that of the scale ratio.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Extents {
     /// Between its ends.
@@ -69,19 +69,19 @@ const GROUND_STD: f64 = 0.015;
 const TOP_STD: f64 = 0.03;
 /// The roof's height over that to which all but 2 % of the points reach.
 const TOP: f64 = 1.025;
-/// How far an end that was seen lies beyond all but 2 % of the points, as a share of the height, and its deviation.
+/// Distance of a visible end beyond all but 2 % of the points, as a share of the height, and its standard deviation.
 const END: f64 = 0.04;
 const END_STD: f64 = 0.08;
 /// Cosine of the angle between the line of sight and an end's normal up to which its points are seen.
 const FACING: f64 = 0.35;
-/// What no shape of a body accounts for: deviations of the logarithms of length, width and height.
+/// Standard deviations of the logarithms of length, width and height that no shape of a body accounts for.
 const SHAPE_STD: [f64; 3] = [0.02, 0.025, 0.03];
 /// An extent whose logarithm is less sure than this was not seen.
 const SEEN: f64 = 0.10;
 /// Extents that differ by this many deviations are not equal.
 const CLEAR: f64 = 2.0;
 
-/// How long, wide and high an object is. Needs an upright direction: without a plane under it nothing is known.
+/// Length, width and height of an object. Needs an upright direction: without a plane under it nothing is known.
 pub fn extents(subject: &Subject) -> Extents {
     measured(subject).unwrap_or_default()
 }
@@ -122,7 +122,7 @@ fn fits(subject: &Subject, start: &Start) -> Option<(Vec<Fit>, f64)> {
     Some((shapes.iter().filter_map(|shape| fit::fit(shape, &sights, &expected, weight)).collect(), independent))
 }
 
-/// What says which way the object points.
+/// Source of the object's heading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Axis {
     /// Its motion.
@@ -140,7 +140,7 @@ struct Start {
     axis: Axis,
     /// Length, width and height over which the points spread.
     size: Vector3<f64>,
-    /// How far they reach forwards, backwards, to the left and to the right.
+    /// Extents forwards, backwards, to the left and to the right.
     reach: [f64; 4],
 }
 
@@ -194,7 +194,7 @@ impl Start {
         }
     }
 
-    /// What is expected before outlines are looked at.
+    /// Expected size before outlines are used.
     fn expected(&self, sights: &[Sight]) -> Expected {
         let height = self.size.z;
         // Points of one end or side say nothing of what is behind it.
@@ -228,7 +228,7 @@ impl Start {
     }
 }
 
-/// Whether the object went further than it is large: the direction of less is noise.
+/// Returns true if the object went further than its size: the direction of less is noise.
 fn has_travelled(subject: &Subject, points: &[Point3<f64>], middle: &Point3<f64>) -> bool {
     let poses = &subject.trajectory.poses;
     let furthest = poses.iter().filter_map(|pose| Some(pose.distance_to(poses.first()?))).fold(0.0, f64::max);

@@ -26,7 +26,7 @@ pub(super) struct Sight {
     pub(super) std: f64,
 }
 
-/// How far an outline lies outside of the outermost centres of pixels, pixels.
+/// Distance of an outline from the outermost centers of pixels, pixels.
 const BORDER: f64 = 0.3;
 /// Directions in which lines touch an outline.
 const DIRECTIONS: u32 = 16;
@@ -83,17 +83,17 @@ pub(super) fn seen(cam_from_vehicle: &Rigid3, point: &Point3<f64>) -> Option<Vec
     (p.z > f64::EPSILON).then(|| Vector2::new(p.x / p.z, p.y / p.z))
 }
 
-/// How far points reach in a direction.
+/// Support of points in a direction.
 pub(super) fn support(points: &[Vector2<f64>], normal: &Vector2<f64>) -> f64 {
     points.iter().map(|p| normal.dot(p)).fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// How far nearly all points reach in a direction.
+/// Support of nearly all points in a direction.
 fn reach(points: &[Vector2<f64>], normal: &Vector2<f64>) -> Option<f64> {
     quantile(&mut points.iter().map(|p| normal.dot(p)).collect::<Vec<_>>(), INSIDE)
 }
 
-/// How large a hull is: the larger side of the rectangle around it.
+/// Size of a hull: the longer side of the rectangle around it.
 fn diameter(hull: &[Vector2<f64>]) -> f64 {
     let along = |normal: Vector2<f64>| support(hull, &normal) + support(hull, &-normal);
     along(Vector2::x()).max(along(Vector2::y()))

@@ -1,4 +1,4 @@
-//! What bodies of vehicles look like, as far as their outlines are concerned: convex hulls of a few corners.
+//! Shapes of vehicle bodies for their outlines: convex hulls of a few corners.
 //!
 //! Coordinates are shares: of the length from the middle forwards, of the width from the middle plane, and of the
 //! height of the roof above the ground. The lower body, roofs and bonnets of cars lie between those of drawings of

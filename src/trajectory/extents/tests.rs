@@ -100,7 +100,7 @@ impl World {
     }
 }
 
-/// Whether an extent is what it should be, within two deviations and a tenth.
+/// Returns true if an extent is right within two standard deviations and a tenth.
 fn is_near(found: Option<Estimate>, metres: f64) -> bool {
     found.is_some_and(|e| (e.value - RATIO * metres).abs() < 2.0 * e.std && e.std < 0.1 * e.value)
 }

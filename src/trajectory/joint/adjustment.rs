@@ -55,12 +55,11 @@ pub(super) struct Adjustment<'a> {
     pub(super) object: Reconstruction,
     /// Standard deviation of an image position before it is made to count less.
     noise_px: f64,
-    /// By how much the object's distance to the ground wanders, as a share of the camera's height over it; within
-    /// bounds.
+    /// Drift of the object's distance to the ground, as a share of the camera's height over it; within bounds.
     wander: f64,
     /// The median of that height, units of the background.
     camera_height: f64,
-    /// How well the planes go together.
+    /// Consistency of the planes.
     steadiness: Steadiness,
     /// Share of the cost at which an adjustment ends.
     tolerance: f64,
@@ -118,7 +117,7 @@ impl<'a> Adjustment<'a> {
         Self { wander: self.options.sigma_distance[1], ..self.clone() }
     }
 
-    /// Whether it is believed as little as can be.
+    /// Returns true if its weight is minimal.
     pub(super) fn is_in_doubt(&self) -> bool {
         self.wander >= self.options.sigma_distance[1]
     }
@@ -132,8 +131,8 @@ impl<'a> Adjustment<'a> {
         self.noise_px
     }
 
-    /// What image positions of a noise, and planes, cost where they agree best; planes are little believed, whatever
-    /// the object's distance to them wanders by.
+    /// Cost of image positions of a noise, and of planes, at their best agreement; planes weigh little, whatever the
+    /// drift of the object's distance to them.
     pub(super) fn cost(&self, contact: &Contact, noise_px: f64) -> Result<f64, ScaleError> {
         let mut doubted = Self { noise_px, ..self.in_doubt() };
         doubted.round(contact)

@@ -31,7 +31,7 @@ use crate::limits::{Checked, OptionError, under, within};
 use crate::math::median;
 use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction, ScaleShares};
 
-/// How much each kind of knowledge counts.
+/// Weights of the terms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct JointOptions {
@@ -60,7 +60,7 @@ pub struct JointOptions {
     /// Most rounds of adjustment and new contact.
     #[schemars(extend("unit" = "rounds"))]
     pub max_rounds: usize,
-    /// By how much the image positions may fit worse afterwards, as a factor of their median error.
+    /// Maximum growth of the image positions' median error, as a factor.
     #[schemars(extend("unit" = "factor"))]
     pub max_error_growth: f64,
     /// Standard deviation of a point's place, as a share of the object's radius (the median distance of its points from
@@ -117,7 +117,7 @@ impl JointOptions {
     }
 }
 
-/// What is known of one object and of the place around it.
+/// Input on one object and the place around it.
 #[derive(Clone, Copy, Debug)]
 pub struct Grounded<'a> {
     /// The background's reconstruction.
@@ -130,7 +130,7 @@ pub struct Grounded<'a> {
     pub silhouettes: &'a BTreeMap<FrameId, Silhouette>,
     /// All frames.
     pub frames: &'a [Frame],
-    /// What kind of body it has.
+    /// Kind of body.
     pub body: Body,
 }
 
@@ -148,7 +148,7 @@ pub struct Joint {
     /// Where the vehicle touches the ground, relative to it and in units of the background: what is left of the
     /// outlines' contradiction to the planes.
     pub contact: Contact,
-    /// Whether it is the mirror image of the one that it was made from.
+    /// True if it is the mirror image of the one that it was made from.
     pub mirrored: bool,
     /// Median error of the image positions before and after, pixels.
     pub error_px: [f64; 2],
@@ -180,7 +180,7 @@ pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Jo
     }
 }
 
-/// By how much more than expected stretches of frames may differ: √(χ²/4), 5 % of four degrees of freedom.
+/// Factor beyond the expectation by which stretches of frames may differ: √(χ²/4), 5 % of four degrees of freedom.
 const LARGEST_SPREAD: f64 = 1.54;
 
 /// Fewest frames whose stretches tell: four to each.
@@ -188,7 +188,7 @@ const FRAMES_THAT_TELL: usize = 20;
 
 /// An adjustment that has come to its end.
 struct Settled<'a> {
-    /// What it began with.
+    /// Initial adjustment.
     start: Adjustment<'a>,
     adjustment: Adjustment<'a>,
     contact: Contact,
@@ -240,7 +240,7 @@ impl<'a> Settled<'a> {
         Ok((doubted, Some(frames)))
     }
 
-    /// Whether image positions and planes together contradict it less than another one, weighed alike.
+    /// Returns true if image positions and planes together contradict it less than another one, with equal weights.
     fn is_likelier_than(&self, other: &Self) -> bool {
         let noise_px = self.adjustment.noise_px().min(other.adjustment.noise_px());
         let cost = |settled: &Self| settled.adjustment.cost(&settled.contact, noise_px).unwrap_or(f64::INFINITY);

@@ -1,4 +1,4 @@
-//! How well image positions and points agree, and how sure points are.
+//! Agreement of image positions and points, and standard deviations of points.
 
 use std::collections::BTreeMap;
 
@@ -86,7 +86,7 @@ pub(super) fn uncertain_points(
     deviations.iter().skip(kept).map(|(_, id)| *id).collect()
 }
 
-/// What an image sees of the points.
+/// Observations of points in an image.
 fn points_of<'a>(model: &'a Reconstruction, image: &'a Image) -> impl Iterator<Item = (Point3dId, &'a Observation)> {
     let seen = image.observations.iter().filter_map(|observation| Some((observation.point?, observation)));
     seen.filter(|(id, _)| model.points.contains_key(id))

@@ -1,4 +1,4 @@
-//! How sure the scale ratio is, and why.
+//! Standard deviation of the scale ratio, with its sources.
 //!
 //! Errors on a vehicle are common to all sightings of a track and to neighbouring frames, so that the covariance of the
 //! adjustment, which takes them for independent, does not know the half of it. Here groups of tracks, and stretches of

@@ -22,13 +22,14 @@ use nalgebra::{Matrix3, Point3, SymmetricEigen, Vector3};
 
 use crate::scene::{Point3dId, Reconstruction};
 
-/// How far away neighbours are looked for across the direction, as a share of the object's radius.
+/// Search radius for neighbors across the direction, as a share of the object's radius.
 const REACH: f64 = 0.3;
-/// What a surface deviates from a plane over that reach (standard deviation), as a share of the object's radius.
+/// Standard deviation of a surface from a plane over that radius, as a share of the object's radius.
 const ROUGHNESS: f64 = 0.02;
 /// Largest slope that counts as likely (standard deviation), as rise over the reach in shares of the object's radius.
 const LIKELY_RISE: f64 = 0.7;
-/// By how much deviations from image positions are too small: errors of a track are common to its observations.
+/// Factor by which standard deviations from image positions are too small: errors of a track are common to its
+/// observations.
 const INFLATION: f64 = 2.0;
 /// Fewest neighbours that make a surface.
 const MIN_NEIGHBOURS: usize = 6;
@@ -100,7 +101,7 @@ pub(super) fn draw_onto_surface(
     deviations
 }
 
-/// How far a point moves along its worst direction, and its standard deviation there afterwards.
+/// Displacement of a point along its worst direction, and its standard deviation there afterwards.
 fn drawn(point: &Blurred, points: &[Blurred], radius: f64) -> Option<(f64, f64)> {
     let neighbours = neighbours(point, points, radius);
     if neighbours.len() < MIN_NEIGHBOURS {

@@ -9,7 +9,7 @@ use crate::trajectory::{Evidence, ModelOrigin, ObjectDescription, place};
 
 const NOISE: Noise = Noise { pixel_px: 0.3, plane_height_m: 0.03, plane_tilt_deg: 0.5, bad_planes: 0.0 };
 
-/// What the masks of the vehicle would be: the convex hull of its points, wheels included.
+/// Ideal masks of the vehicle: the convex hulls of its points, wheels included.
 fn silhouettes(world: &Drive) -> BTreeMap<FrameId, Silhouette> {
     let hull = |image: &crate::scene::Image| {
         let camera = world.object.camera_of(image);

@@ -17,7 +17,7 @@ pub(super) struct Step {
     pub(super) transition: DMatrix<f64>,
     /// Covariance of what is added on the way.
     pub(super) process: DMatrix<f64>,
-    /// What is observed of the state.
+    /// Observation matrix.
     pub(super) observation: DMatrix<f64>,
     /// Covariance of the observation.
     pub(super) noise: DMatrix<f64>,

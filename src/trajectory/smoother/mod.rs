@@ -70,7 +70,7 @@ const FIRST_YAW: [f64; 3] = [1.0, 1.0, 1.0];
 const YAW_JERK: f64 = 0.05;
 /// Deviation of the forward axis of a model that went far, radians: the same in all frames.
 const FORWARD: f64 = 0.02;
-/// How many deviations a speed or a way must be from zero to show a heading.
+/// Standard deviations by which a speed or a displacement must differ from zero to show a heading.
 const CLEAR: f64 = 3.0;
 /// Largest error of the scale ratio, in its standard deviations, that explains the path of a vehicle at rest.
 const RATIO_OFF: f64 = 2.0;
@@ -175,7 +175,7 @@ fn dynamic(v: &Vector3<f64>) -> DVector<f64> {
     DVector::from_column_slice(v.as_slice())
 }
 
-/// What wanders: one error along the line of sight, three of fixed axes as far as they lie across it.
+/// Correlated errors: one along the line of sight, three of fixed axes as far as they lie across it.
 fn wander(sight: &Vector3<f64>, distance: f64) -> DMatrix<f64> {
     let across = (Matrix3::identity() - sight * sight.transpose()) * (WANDER_ACROSS * distance);
     let mut columns = DMatrix::zeros(3, 4);
@@ -219,7 +219,7 @@ struct Tracks<'a> {
     sightings: &'a [Sighting],
     origin: Vector3<f64>,
     positions: Track,
-    /// What the scale ratio's deviation does to the states of `positions`.
+    /// Effect of the scale ratio's error on the states of `positions`.
     moved: Vec<DVector<f64>>,
     headings: Option<Track>,
     forward_std: f64,

@@ -29,7 +29,7 @@ impl Observed {
     }
 }
 
-/// What is known beforehand of how a quantity changes.
+/// Prior on the change of a quantity.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Kind {
     /// Standard deviations of the first value, of the first derivative and of the second.
@@ -42,12 +42,12 @@ pub(super) struct Kind {
     pub(super) wander_s: &'static [f64],
 }
 
-/// What is found by the likelihood.
+/// Parameters that the likelihood determines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Level {
     /// Spectral density of the jerk.
     pub(super) jerk: f64,
-    /// By how much the errors are larger than stated.
+    /// Factor on the reported errors.
     pub(super) noise: f64,
 }
 
@@ -187,7 +187,7 @@ pub(super) fn track(all: &[Observed], kind: &Kind) -> Option<Track> {
     Some(Track { states, gains, first, steps })
 }
 
-/// Whether observations speak for a quantity at rest rather than for one that moves.
+/// Returns true if a quantity at rest is more likely than one that moves.
 pub(super) fn is_at_rest(all: &[Observed], moving: &Kind, rest: &Kind) -> bool {
     let weights = vec![1.0; all.len()];
     let rated = |kind: &Kind| {
@@ -198,7 +198,7 @@ pub(super) fn is_at_rest(all: &[Observed], moving: &Kind, rest: &Kind) -> bool {
 }
 
 impl Track {
-    /// What smoothing makes of an error that all observations have in common, given where it moves each of them.
+    /// Effect of smoothing on an error that all observations have in common, given its displacement of each.
     pub(super) fn response(&self, moved: &[DVector<f64>]) -> Option<Vec<DVector<f64>>> {
         let mut first = self.first.clone();
         first.mean.fill(0.0);

@@ -7,7 +7,7 @@
 //! below, makers' data: the shortest cars sold are 2.5 m long, the longest 5.8 m, their heights 1.15 to 2.1 m; buses of
 //! 18.75 m are 2.9 m high, lorries of that length 3 m and more.
 
-/// What is known of a class, metres.
+/// Typical sizes of a class, meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Class {
     /// Its name, as messages say it.
@@ -43,7 +43,7 @@ const PERSON: Class = class("person", 1.7, [0.9, 2.1], [0.3, 1.2], 1.2);
 /// Whatever drives.
 const VEHICLE: Class = class("vehicle", 1.7, [0.9, 4.4], [1.4, 18.75], 6.5);
 
-/// What is known of a class by its name in a detector's list.
+/// Typical sizes of a class, by its name in a detector's list.
 pub(super) fn of(name: &str) -> Class {
     match name {
         "car" => CAR,

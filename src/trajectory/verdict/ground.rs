@@ -1,4 +1,4 @@
-//! Whether the vehicle stands on the ground, and stays on it.
+//! Contact of the vehicle with the ground, and its constancy.
 
 use super::{Measures, percent};
 use crate::scene::Reason;

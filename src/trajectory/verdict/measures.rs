@@ -1,4 +1,4 @@
-//! What is measured of a trajectory once, for all that look at it.
+//! Measures of a trajectory, computed once for all checks.
 
 use std::collections::BTreeMap;
 
@@ -24,7 +24,7 @@ const KNOWN: f64 = 0.08;
 const HALF_WINDOW_S: f64 = 0.5;
 const LEAST_NEIGHBOURS: usize = 2;
 
-/// What is measured of a trajectory. Lengths are in units of the background; what cannot be measured is `None`.
+/// Measures of a trajectory. Lengths are in units of the background; an unknown one is `None`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Measures {
     /// Height of the vehicle's top over the ground: the median over the frames with a plane.
@@ -61,7 +61,7 @@ pub(super) struct Measures {
 /// A step, or a turn, that is larger than those beside it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Jump {
-    /// By how much it is larger than the largest of the four beside it, each for the time it takes; 0 for none.
+    /// Excess over the largest of the four neighbors, each for the time it takes; 0 for none.
     pub(super) beyond: f64,
     /// The frames before and after.
     pub(super) frames: [u32; 2],
@@ -156,7 +156,7 @@ fn longer_side(image: &Image) -> Option<f64> {
     (seen().count() >= 3).then(|| side(0).max(side(1))).filter(|side| side.is_finite())
 }
 
-/// How much longer the object is than it looks; `length` is in its own unit.
+/// Ratio of the object's length to its apparent length; `length` is in its own unit.
 fn stretch(object: &Reconstruction, length: f64) -> Option<f64> {
     let middle = object_center(object);
     let of_image = |image: &Image| {

@@ -1,4 +1,4 @@
-//! How far a trajectory can be trusted, judged from everything that is known.
+//! Verdict on a trajectory, from all evidence.
 //!
 //! A small standard deviation says that the figures agree with one another. It does not say that they are those of a
 //! vehicle: a patch of the horizon that was taken for a car has a small one, too. So every trajectory is looked at from
@@ -43,7 +43,7 @@ use crate::scene::{
 pub struct Candidate<'a> {
     /// The trajectory, in units of the background.
     pub trajectory: &'a ObjectTrajectory,
-    /// What found the object, and whether it moved; `None` where nothing is known of that.
+    /// Sources of the object's detections, and its motion state; `None` if unknown.
     pub tracked: Option<&'a TrackedObject>,
     /// The model to which the trajectory refers.
     pub object: &'a Reconstruction,
@@ -76,7 +76,7 @@ pub fn verdicts(candidates: &[Candidate], time_base: TimeBase, focal_changes: &[
     reasons.into_iter().map(weighed).collect()
 }
 
-/// What one trajectory says by itself.
+/// Reasons from one trajectory alone.
 fn alone(candidate: &Candidate, measures: &Measures) -> Vec<Reason> {
     let class = class::of(&candidate.trajectory.class);
     let views = Views::new(candidate.background, candidate.object, candidate.planes);
@@ -100,7 +100,7 @@ const DOUBTFUL: f64 = 1.0;
 /// Doubts that sum up to this rule it out: nothing that is right is odd in so many ways.
 const TOO_MANY_DOUBTS: f64 = 3.0;
 
-/// What all reasons come to.
+/// Verdict from all reasons.
 fn weighed(mut reasons: Vec<Reason>) -> Verdict {
     let gravity =
         |reason: &Reason| (std::cmp::Reverse(reason.finding), std::cmp::Reverse((1e6 * reason.weight) as u32));

@@ -1,4 +1,4 @@
-//! Whether the path is one that a vehicle can drive.
+//! Drivability of the trajectory.
 
 use super::measures::Jump;
 use super::{Measures, percent, times};
@@ -7,7 +7,7 @@ use crate::scene::ReasonKind::Path;
 
 /// A path within this many heights of the vehicle goes nowhere: its noise says nothing.
 const GOES_NOWHERE: f64 = 1.0;
-/// How much longer the path is than the smoothed one.
+/// Ratio of the path's length to that of the smoothed one.
 const ZIGZAG: [f64; 2] = [1.25, 2.0];
 /// Distance of a place from the smooth path, in heights of the vehicle; it counts where it is also this share
 /// of a step.

@@ -1,4 +1,4 @@
-//! Whether the scale ratio is determined, how exactly, and whether other methods agree.
+//! Determinacy and accuracy of the scale ratio, and agreement of other methods.
 
 use super::percent;
 use crate::math::median;
@@ -26,7 +26,7 @@ const CONTRADICTS_BY_FAR: f64 = 6.0;
 /// Weight of a deviation between the two bounds, and of one method that contradicts.
 const HALF: f64 = 0.5;
 
-/// What a method says of the ratio besides the one in use.
+/// Ratio by another method than the one in use.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Answer {
     /// Which one.
@@ -68,7 +68,7 @@ fn undetermined(scale: &ScaleEstimate) -> String {
     format!("scale undetermined: {}", scale.reason.as_deref().unwrap_or("no reason was recorded"))
 }
 
-/// What the other methods say of the model as it is, and how sure each of them is by its own residuals.
+/// Ratios by the other methods for the unchanged model, with the standard deviation of each by its own residuals.
 fn answers(scale: &ScaleEstimate, views: &Views) -> Vec<Answer> {
     let others = scale.alternatives.iter().filter(|(method, _)| **method != scale.method);
     let others = others.filter(|(_, ratio)| ratio.is_finite() && **ratio > 0.0);

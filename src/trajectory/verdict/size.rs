@@ -1,5 +1,5 @@
-//! Whether a vehicle has the proportions, the size and the speed of its class. No metres are known: its height over the
-//! ground is the measure of its length and of its speed, and vehicles are measured by one another.
+//! Proportions, size and speed of a vehicle compared with its class. No meters are known: its height over the ground is
+//! the unit of its length and of its speed, and vehicles are compared with one another.
 
 use super::class::{self, Class};
 use super::{Candidate, Measures, times};
@@ -9,7 +9,7 @@ use crate::scene::{Finding, Reason, TimeBase};
 
 /// Share of a vehicle's length that its points show at least: from behind only the width is seen.
 const LENGTH_SEEN: f64 = 0.35;
-/// By how much points beside the vehicle may make it longer.
+/// Factor by which stray points may extend the vehicle.
 const STRAYS: f64 = 1.25;
 /// Beyond the limits of its class by this factor, nothing of that class looks so.
 const BY_FAR: f64 = 2.0;
@@ -19,7 +19,7 @@ const SEEN_UNALIKE: f64 = 1.3;
 const FAST_M_S: f64 = 60.0;
 const IMPOSSIBLE_M_S: f64 = 140.0;
 
-/// Whether it is as long, for its height, as its class is.
+/// Checks the vehicle's length for its height against its class.
 pub(super) fn shape(measures: &Measures, class: &Class) -> Option<Reason> {
     let ratio = measures.in_heights(measures.length?)?;
     let least = LENGTH_SEEN * class.lengths_m[0] / class.heights_m[1];
@@ -33,7 +33,8 @@ pub(super) fn shape(measures: &Measures, class: &Class) -> Option<Reason> {
     })
 }
 
-/// Whether it looks as long, in the picture, as it is. A vehicle from behind hides its length, but no more than that.
+/// Checks the vehicle's length against its apparent length. A vehicle from behind hides its length, but no more than
+/// that.
 pub(super) fn stretch(measures: &Measures, class: &Class) -> Option<Reason> {
     let stretch = measures.stretch?;
     let most = STRAYS * class.lengths_m[1] / class.height_m;
@@ -50,14 +51,14 @@ fn beyond(value: f64, least: f64, most: f64) -> f64 {
     (least / value).max(value / most)
 }
 
-/// What a vehicle says of the size of the others: how many metres a unit of the background would be if it were of
+/// Estimate from one vehicle for the size of the others: meters per unit of the background if it has its class's
 /// typical height.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Yardstick {
     id: u32,
     metres: f64,
     spread: f64,
-    /// Whether nothing rules the vehicle out by itself.
+    /// True if nothing rules the vehicle out by itself.
     is_sound: bool,
 }
 
@@ -80,7 +81,7 @@ pub(super) fn yardsticks(
     (0..candidates.len()).map(yardstick).collect()
 }
 
-/// Whether it is as large, beside the others, as its class allows.
+/// Checks the vehicle's size relative to the others against its class.
 ///
 /// It is believed where at least as many of them agree with it as contradict it. Two vehicles alone do not say which of
 /// them is wrong: both are doubted. It is ruled out where none agrees and two or more contradict it by far, beyond what
@@ -102,7 +103,7 @@ pub(super) fn beside_others(k: usize, all: &[Option<Yardstick>]) -> Option<Reaso
 }
 
 impl Yardstick {
-    /// Whether another one says something else, by what both classes allow to the power of `limit`.
+    /// Returns true if another one contradicts it, by what both classes allow to the power of `limit`.
     fn is_off(&self, other: &Self, limit: f64) -> bool {
         let allowed = self.spread * other.spread * SEEN_UNALIKE;
         (other.metres / self.metres).ln().abs() > limit * allowed.ln()
@@ -119,7 +120,7 @@ fn said(factor: f64, others: &[&Yardstick]) -> String {
     format!("{} times as {size} as usual for its class, relative to {beside}", times(factor))
 }
 
-/// Whether it is as fast as vehicles are, measured with its own height.
+/// Checks the vehicle's speed, measured with its own height.
 pub(super) fn speed(measures: &Measures, class: &Class, time_base: TimeBase) -> Option<Reason> {
     let heights = measures.in_heights(measures.speed.filter(|_| time_base == TimeBase::Seconds)?)?;
     let speed_m_s = heights * class.height_m;

@@ -1,4 +1,4 @@
-//! What found the object, whether it moves, and how much of it there is.
+//! Sources of an object's detections, its motion, and its amount of data.
 
 use super::{Measures, percent, times};
 use crate::scene::ReasonKind::{Amount, Detection, Movement as MovementKind, Pixels};
@@ -24,7 +24,7 @@ const STANDS_HEIGHTS: f64 = 2.0;
 const SMALL: f64 = 0.25;
 const HALF: f64 = 0.5;
 
-/// Whether there are enough points and frames.
+/// Checks the numbers of points and frames.
 ///
 /// * `num_visible` – frames in which it is seen, where that is known.
 pub(super) fn amount(num_points: usize, num_frames: usize, num_visible: Option<usize>) -> Reason {
@@ -43,7 +43,7 @@ pub(super) fn amount(num_points: usize, num_frames: usize, num_visible: Option<u
     }
 }
 
-/// Whether it is large enough in the picture.
+/// Checks its size in the image.
 pub(super) fn pixels(measures: &Measures) -> Option<Reason> {
     let pixels = measures.pixels?;
     let said = format!("its points span {pixels:.0} px in the image");
@@ -53,7 +53,7 @@ pub(super) fn pixels(measures: &Measures) -> Option<Reason> {
     })
 }
 
-/// What found it, and how surely; nothing where its masks were given.
+/// Checks the sources and confidence of its detections; nothing where its masks were given.
 pub(super) fn detection(tracked: &TrackedObject) -> Option<Reason> {
     if tracked.outline == Outline::Given {
         return None;

@@ -37,7 +37,8 @@ struct Sight {
     height: Option<f64>,
 }
 
-/// Whether points on the object would have shown for at least half of the time that it moves as its trajectory says.
+/// Returns true if points on the object would have shown for at least half of the time that it moves as its trajectory
+/// says.
 pub(super) fn shows(candidate: &Candidate) -> bool {
     let sights = sights(candidate);
     let mut pieces: Vec<&[Sight]> = Vec::new();

@@ -6,7 +6,7 @@ use ::opencv::video::OPTFLOW_USE_INITIAL_FLOW;
 use super::*;
 use crate::image::mat_from_gray;
 
-/// What OpenCV finds.
+/// Result of OpenCV.
 fn by_opencv(first: &GrayImage, second: &GrayImage, points: &[Point2<f32>], window: Window) -> Vec<Option<Found>> {
     let starts: Vector<Point2f> = points.iter().map(|p| Point2f::new(p.x - 0.5, p.y - 0.5)).collect();
     let (mut moved, mut status, mut error) = (starts.clone(), Vector::<u8>::new(), Vector::<f32>::new());
