@@ -3,7 +3,7 @@
 //! The step of a point needs its residuals' derivatives by the views, its elimination and its normal equations once
 //! more ([`super::trial`]). Of a small problem they are kept, one piece after the other in flat lists: reading 170
 //! bytes an observation takes less time than working them out. A large problem would need more memory for them than
-//! for all else, so that they are worked out anew. The numbers are the same, bit for bit.
+//! for all else, so that they are worked out again. The numbers are the same, bit for bit.
 
 use super::layout::Layout;
 use super::linearize::{OnePoint, Pass, Piece};
@@ -79,7 +79,7 @@ impl<const D: usize> Kept<D> {
 pub(super) enum Source<'a, const D: usize> {
     /// From the linearisation.
     Kept(&'a Kept<D>),
-    /// Each point is worked out once more.
+    /// Each point is worked out again.
     Anew(Box<OnePoint<D>>),
 }
 

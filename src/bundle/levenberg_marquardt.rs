@@ -17,7 +17,7 @@ use super::trial::{cost, count_behind, try_step};
 
 /// The damping is never smaller: a gauge that is left free keeps the system singular without it.
 const SMALLEST_DAMPING: f64 = 1e-16;
-/// With so much damping no step can be told from none.
+/// With so much damping no step can be determined from none.
 const LARGEST_DAMPING: f64 = 1e32;
 
 /// Adjusts a problem in place.

@@ -2,7 +2,7 @@
 //!
 //! The points are cut in a few pieces. A thread goes through a piece point by point from the projection to the reduced
 //! system, while the point's Jacobians are still in the nearest cache. What the step of the points ([`super::trial`])
-//! needs of them is kept where it fits ([`super::kept`]), else forgotten and worked out once more: then an observation
+//! needs of them is kept where it fits ([`super::kept`]), else forgotten and worked out again: then an observation
 //! takes no memory beyond its index. The cut depends on the problem alone and sums are taken in the order of the
 //! pieces, so that nothing depends on the number of threads.
 

@@ -236,7 +236,7 @@ mod tests {
         let mut by_points = vec![0.0; unformed.size()];
         let mut solver = Solver::new(LinearSolver::Auto, &unformed, false);
         assert!(matches!(solver, Solver::Points(_)));
-        // Once more: nothing is left of the last time.
+        // Again: nothing is left of the last time.
         for _ in 0..2 {
             solver.solve(&unformed, &mut by_points).unwrap();
         }

@@ -43,13 +43,13 @@ pub(super) enum To {
     ColmapDatabase,
     /// sfm_data.json
     Openmvg,
-    /// reconstruction.json, and tracks.csv beside it
+    /// reconstruction.json, and tracks.csv next to it
     Opensfm,
-    /// transforms.json, and sparse_pc.ply beside it
+    /// transforms.json, and sparse_pc.ply next to it
     Nerfstudio,
     /// VisualSFM's .nvm
     Nvm,
-    /// bundle.out, and list.txt beside it
+    /// bundle.out, and list.txt next to it
     Bundler,
     /// Coloured points
     Ply,

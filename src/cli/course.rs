@@ -1,4 +1,4 @@
-//! Where a run is between its beginning and its end, and how that is said.
+//! Where a run is between its beginning and its end, and how that is reported.
 
 use std::time::Instant;
 
@@ -56,7 +56,7 @@ pub(super) struct Moment {
     pub(super) stage_s: f64,
     /// Since the run began, seconds.
     pub(super) elapsed_s: f64,
-    /// Until its end, seconds, as far as that can be told.
+    /// Until its end, seconds, as far as that can be determined.
     pub(super) left_s: Option<f64>,
 }
 

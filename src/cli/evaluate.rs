@@ -16,7 +16,7 @@ pub struct Args {
     pub truth: PathBuf,
 }
 
-/// Evaluates, prints the figures, writes `OUT/evaluation.json`, and makes the report anew with them.
+/// Evaluates, prints the figures, writes `OUT/evaluation.json`, and makes the report again with them.
 pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     let evaluation = pipeline::evaluate(&args.output, &args.truth)?;
     show(form, &evaluation, || evaluation.to_string())?;

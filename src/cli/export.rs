@@ -93,7 +93,7 @@ pub(super) fn run(args: &Args, form: Form, talk: &Talk) -> Result<(), Failure> {
     show(form, &output, || output.as_text())
 }
 
-/// The page of the run links to what lies beside it.
+/// The page of the run links to what lies next to it.
 fn link_from_page(args: &Args) {
     if let Err(error) = pipeline::link_exports(&args.run) {
         let page = args.run.join("report.html");

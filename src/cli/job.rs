@@ -112,10 +112,10 @@ pub(super) struct JobArgs {
     #[arg(long, value_name = "N", help_heading = "Frames")]
     pub(super) video_track: Option<u32>,
 
-    /// Log of the camera's receiver: DJI's subtitles, GPX, NMEA, CSV [default: found beside or inside the video]
+    /// Log of the camera's receiver: DJI's subtitles, GPX, NMEA, CSV [default: found next to or inside the video]
     #[arg(long, value_name = "FILE", conflicts_with = "no_telemetry", help_heading = "Metres")]
     pub(super) telemetry: Option<PathBuf>,
-    /// Take no telemetry, not even what is found beside or inside the video
+    /// Take no telemetry, not even what is found next to or inside the video
     #[arg(long, help_heading = "Metres")]
     pub(super) no_telemetry: bool,
     /// Time of the telemetry minus time of the video, seconds: 0.7±0.1 [default: by the files, or found]
@@ -299,7 +299,7 @@ pub(super) fn apply_sequence(sequence: &Sequence, options: &mut Options) -> Resu
 
 /// Says which file is missing before any work starts.
 fn check_paths(options: &Options) -> Result<(), Failure> {
-    // Telemetry is read whole before work begins, and what is wrong with it is said then.
+    // Telemetry is read whole before work begins, and what is wrong with it is reported then.
     for (flag, path) in options.named_paths().into_iter().filter(|(flag, _)| *flag != "--telemetry") {
         let found = fs::metadata(path).and_then(|found| if found.is_dir() { Ok(()) } else { files::check(path) });
         found.with_context(|| format!("{}: cannot be read; check {flag}", path.display()))?;

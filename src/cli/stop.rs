@@ -61,7 +61,7 @@ pub(super) struct Stop {
 }
 
 impl Stop {
-    /// Starts to listen. `last_words` are said where the program cannot end by itself.
+    /// Starts to listen. `last_words` are reported where the program cannot end by itself.
     pub(super) fn listen(last_words: impl Fn(Signal, Order) + Send + Sync + 'static) -> Self {
         let stop = Self::default();
         let ignored = ignored_signals();

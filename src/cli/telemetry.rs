@@ -8,7 +8,7 @@ use super::output::{Failure, Form, show};
 use crate::pipeline;
 use crate::telemetry::{self, Log, Summary, TelemetryError};
 
-/// Says what is understood of a file of telemetry: format, fixes, times, ranges, and what was passed over.
+/// Says what is understood of a file of telemetry: format, fixes, times, ranges, and what was skipped.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
     /// DJI's subtitles, GPX, NMEA, CSV, a video with a text track, a photograph, or a folder of them

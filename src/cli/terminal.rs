@@ -120,7 +120,7 @@ impl Talk {
         Self { voice, verbosity, stop, course, _ticker: ticker }
     }
 
-    /// Says a line, above the bar, unless nothing but errors is to be said.
+    /// Says a line, above the bar, unless nothing but errors is to be reported.
     pub(super) fn say(&self, line: &str) {
         if self.verbosity != Verbosity::Quiet {
             self.voice.say("message", line);

@@ -1,7 +1,7 @@
 //! GeoJSON (RFC 7946): longitude, latitude and, where heights are absolute ones, height, on WGS 84.
 //!
 //! The format has no place for times. `coordTimes` is what converters from GPX and KML call them: one per coordinate,
-//! beside the geometry.
+//! next to the geometry.
 
 use std::path::Path;
 

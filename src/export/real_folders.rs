@@ -4,7 +4,7 @@ use super::{Asked, Format, Pictures, Results, Target, write};
 use crate::io::RunFolder;
 use crate::video::{Options, Source};
 
-/// Writes every format of the output folder that the environment names into the folder beside it.
+/// Writes every format of the output folder that the environment names into the folder next to it.
 #[test]
 #[ignore = "needs TRACTRIX_OUTPUT, the output folder of a run whose input is where it was"]
 fn every_format_of_a_run_is_written() {

@@ -2,7 +2,7 @@
 //! the reason.
 //!
 //! A folder that is not an output folder is searched for such folders, in the order of their names; links and hidden
-//! folders are passed over. Nothing that is wrong with one run touches the others.
+//! folders are skipped. Nothing that is wrong with one run touches the others.
 
 use std::fs;
 use std::path::{Path, PathBuf};

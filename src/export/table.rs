@@ -12,7 +12,7 @@ use super::{Clock, ExportError, Facts, Results, View};
 use crate::io::{IoError, atomic};
 use crate::scene::{Estimate, MapPlace, MetricPose, Motion, ObjectTrajectory, TimeBase};
 
-/// Columns of what is said of a vehicle as a whole; [`fact_cells`] goes with them.
+/// Columns of what is reported of a vehicle as a whole; [`fact_cells`] goes with them.
 pub(super) const FACT_COLUMNS: [&str; 27] = [
     "vehicle",
     "class",

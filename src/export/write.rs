@@ -111,7 +111,7 @@ pub struct Exported {
 pub enum Asked {
     /// Each by its name: what cannot be made is an error, and nothing is written.
     ByName,
-    /// For all that there are: what cannot be made is passed over.
+    /// For all that there are: what cannot be made is skipped.
     ForAll,
 }
 

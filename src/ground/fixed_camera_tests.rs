@@ -1,4 +1,4 @@
-//! A drive with a camera fixed to a vehicle, with a slope beside the road that has more points than the road.
+//! A drive with a camera fixed to a vehicle, with a slope next to the road that has more points than the road.
 
 use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
 use rand::Rng as _;

@@ -101,7 +101,7 @@ impl Mount {
     }
 
     /// Returns true if the ground found without labels is the road that the camera's vehicle drives on, and not a bank
-    /// beside the road, judged by its inclination and by the camera's height over it.
+    /// next to the road, judged by its inclination and by the camera's height over it.
     pub(super) fn agrees(&self, background: &Reconstruction, ground: &DominantPlane) -> bool {
         let off = |image: &Image| {
             let normal = image.cam_from_world.rotation.inverse() * self.normal_in_cam;

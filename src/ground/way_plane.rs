@@ -9,7 +9,7 @@ use crate::math::Rng;
 use crate::scene::FrameId;
 
 /// Cameras in vehicles are mounted upright by hand: standard deviation of the roll, radians. It tells the road from the
-/// slope beside it where the slope has more points.
+/// slope next to it where the slope has more points.
 const ROLL_STD: f64 = 0.087;
 /// The way is parallel to the road: standard deviation of the angle between them, radians.
 const PITCH_STD: f64 = 0.005;

@@ -44,7 +44,7 @@ pub fn resize_gray(image: &GrayImage, width: u32, height: u32) -> Result<GrayIma
     gray_from_mat(&resized(&borrowed_gray(image)?, width, height)?)
 }
 
-/// A grey image under an affine map, linearly interpolated; what lies beside it looks like its border.
+/// A grey image under an affine map, linearly interpolated; what lies next to it looks like its border.
 ///
 /// * `source_from_target` – 2 × 3, pixels whose corner is at (0, 0) in both.
 pub fn warp_gray(

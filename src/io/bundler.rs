@@ -10,8 +10,8 @@
 //!
 //! p' has its origin in the middle of the picture. So y and z of the camera change their sign here, k₁ and k₂ are those
 //! of this program, and a pixel is (w/2 + x, h/2 − y). Neither names nor sizes of pictures are in the file. Names are
-//! read from `list.txt` or `NAME.list.txt` beside it, one line per camera, and written to `list.txt`; without it they
-//! are six-digit numbers from 0. Sizes are those of the pictures where these lie beside the file, else the smallest
+//! read from `list.txt` or `NAME.list.txt` next to it, one line per camera, and written to `list.txt`; without it they
+//! are six-digit numbers from 0. Sizes are those of the pictures where these lie next to the file, else the smallest
 //! even ones that hold all features. A camera with f = 0 is not registered.
 //!
 //! Written are pinholes with one focal length and k₁, k₂. Positions are relative to the principal point, as in the
@@ -93,7 +93,7 @@ fn add_camera(words: &mut Words<'_>, index: u32, name: String, model: &mut Recon
     Ok(())
 }
 
-/// The names of the list beside the file; none without one. Bundler writes `name 0 focal`, others the name alone.
+/// The names of the list next to the file; none without one. Bundler writes `name 0 focal`, others the name alone.
 fn names(path: &Path) -> Result<Vec<String>, IoError> {
     let Some(list) = lists(path).into_iter().find(|list| list.is_file()) else { return Ok(Vec::new()) };
     let text = Text::read_file(&list)?;

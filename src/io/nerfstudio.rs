@@ -5,7 +5,7 @@
 //! third columns change their sign here. Pixels are counted from the corner, as here. Where the program that made the
 //! file has moved the world it says how in `applied_transform` (3 × 4, or 4 × 4), which is undone. Intrinsics stand at
 //! the top, or with a frame. A file without `camera_model` is read as OPENCV; k₄ has a place with OPENCV_FISHEYE alone.
-//! Where `fl_x` is missing it follows from `camera_angle_x`, and a missing size from the picture, if that lies beside
+//! Where `fl_x` is missing it follows from `camera_angle_x`, and a missing size from the picture, if that lies next to
 //! the file; its name may lack the ending `.png`, as in the scenes of NeRF's paper.
 //!
 //! Images get their places in the list plus one as ids, and the name `file_path`. There are no observations in the
@@ -98,7 +98,7 @@ impl Intrinsics {
         }
     }
 
-    /// With the size of the picture at `name` beside the file at `path`, where no size is said.
+    /// With the size of the picture at `name` next to the file at `path`, where no size is given.
     fn or_size_of(self, path: &Path, name: &str) -> Self {
         if self.w.is_some() && self.h.is_some() {
             return self;

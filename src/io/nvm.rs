@@ -8,12 +8,12 @@
 //! r belongs to the *measured* place m, divided by the focal length: the undistorted one is (1 + r |m|²) m. Read, it
 //! becomes k₁ = −r, k₂ = 3 r², k₃ = −12 r³, the first terms of the inverse series. Written is the r that comes nearest
 //! to the lens over the picture; a lens that none follows to half a pixel is refused. Sizes of pictures are not in the
-//! file: they are those of the pictures where these lie beside it, else the smallest even ones that hold all features.
+//! file: they are those of the pictures where these lie next to it, else the smallest even ones that hold all features.
 //! Of several models in a file the first is read.
 //!
 //! VisualSFM itself also writes places from the upper left corner, and does not say so. A file in which no place lies
 //! left of or above its origin is taken to be one of these. The middle is then half the size of the picture where that
-//! lies beside the file, else what the poses and points say: the median difference between places and projections.
+//! lies next to the file, else what the poses and points say: the median difference between places and projections.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -265,7 +265,7 @@ mod tests {
             let (found, camera) = (found.cam_from_world, model.camera_of(image));
             assert!((found.center() - image.cam_from_world.center()).norm() < 1e-9, "{camera:?}");
         }
-        // Features lie up to half a pixel beside their projections.
+        // Features lie up to half a pixel next to their projections.
         let sizes: Vec<_> = found.images.values().map(|i| found.camera_of(i)).map(|c| (c.width, c.height)).collect();
         for ((width, height), expected) in sizes.iter().zip([960u32, 1000, 960, 1000]) {
             assert!(width.abs_diff(expected) < 2 && height.abs_diff(540) < 2, "{sizes:?}");

@@ -2,8 +2,8 @@
 //!
 //! The program knows its own files by a manifest, `.tractrix/manifest.json`. It takes a folder only if that is new,
 //! empty or has such a manifest; it replaces and removes only files that the manifest lists; files that others put
-//! beside them stay. It never follows a link inside the folder. A file is listed before it is put in its place, so that
-//! a process that is killed leaves nothing that the next one does not know.
+//! next to them stay. It never follows a link inside the folder. A file is listed before it is put in its place, so
+//! that a process that is killed leaves nothing that the next one does not know.
 //!
 //! What is written is prepared in `.tractrix/tmp` and moved to its place whole. A folder of results is exchanged as one
 //! where all in it is the program's own, else file by file.
@@ -111,7 +111,7 @@ impl OwnedFolder {
         let lock = lock(&root, path)?;
         let manifest = read_manifest(&root, places)?.unwrap_or_default();
         let owned = Self { root, manifest: Mutex::new(manifest), _lock: lock };
-        // Once more: somebody may have been faster than the lock.
+        // Again: somebody may have been faster than the lock.
         Self::inspect(path, made_by, places)?;
         owned.tidy(made_by)?;
         Ok(owned)

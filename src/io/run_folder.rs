@@ -2,7 +2,7 @@
 //!
 //! This is the only place that knows: the pipeline writes, and `evaluate`, the report, the benchmark and a user of the
 //! library read through it. Everything named here but [`RunFolder::STATE`] is public and described in
-//! `docs/formats.md`; nothing public hangs on what lies in that folder.
+//! `docs/formats.md`; nothing public depends on what lies in that folder.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

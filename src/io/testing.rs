@@ -22,7 +22,7 @@ pub fn in_data(path: &str) -> PathBuf {
 }
 
 /// A small model in front of four cameras: lens terms, names with folders, blanks and letters of all kinds, a gap in
-/// the ids, features without a point. Every feature lies a little beside its projection.
+/// the ids, features without a point. Every feature lies a little next to its projection.
 pub(crate) fn odd_model() -> Reconstruction {
     let lens = |values: &[f64]| Camera::prior(960, 540).with_parameters(values).unwrap();
     model_with(&[

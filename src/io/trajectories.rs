@@ -173,7 +173,7 @@ fn object_to_file(object: &ObjectTrajectory) -> Object {
 
 fn pose_to_file(pose: &ObjectPose) -> Pose {
     let Sim3 { scale, rotation, translation } = pose.world_from_object;
-    // Normalised once more: products of many rotations drift from unit length.
+    // Normalised again: products of many rotations drift from unit length.
     let q = rotation.into_inner().normalize();
     Pose {
         frame: pose.frame,

@@ -29,7 +29,7 @@ impl PositionFix {
     }
 }
 
-/// Share of the variance of a receiver's error that wanders slowly. The rest is new in every fix. That of 1.5 m beside
+/// Share of the variance of a receiver's error that wanders slowly. The rest is new in every fix. That of 1.5 m next to
 /// 3 m; receivers that smooth their fixes have less that is new, which is found from the fixes themselves.
 pub(super) const WANDER_SHARE: f64 = 0.8;
 

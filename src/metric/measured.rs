@@ -140,7 +140,7 @@ impl From<TimeOffset> for String {
     }
 }
 
-/// Half of what the last digit stands for: 0.005 of “4.47”.
+/// Half of what the last digit represents: 0.005 of “4.47”.
 fn half_digit(text: &str) -> f64 {
     let digits = text.trim().split_once('.').map_or(0, |(_, digits)| digits.len());
     0.5 * 10f64.powi(-i32::try_from(digits.min(12)).unwrap_or(12))

@@ -50,7 +50,7 @@ impl Default for Preprocessing {
 pub struct TensorPattern {
     /// The tensor's name.
     pub name: String,
-    /// Its sides; 0 stands for any.
+    /// Its sides; 0 represents any.
     pub shape: Vec<usize>,
 }
 
@@ -63,7 +63,7 @@ impl TensorPattern {
     }
 }
 
-/// A network as `models/models.toml` describes it. A file beside a network may have any of the fields; what it gives
+/// A network as `models/models.toml` describes it. A file next to a network may have any of the fields; what it gives
 /// goes before what the network's own metadata says.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -127,12 +127,12 @@ pub(super) fn find_known(model: &Model, task: &str) -> Result<Option<ModelDescri
     Ok(known()?.into_iter().find(|d| d.task == task && d.fits(model)))
 }
 
-/// Where the description beside a network is looked for.
+/// Where the description next to a network is looked for.
 pub(super) fn sidecar_path(model: &Path) -> PathBuf {
     model.with_extension("toml")
 }
 
-/// The description beside a network, if there is one.
+/// The description next to a network, if there is one.
 ///
 /// # Errors
 /// [`PerceptionError::Description`] if it cannot be read or is not of the right form.

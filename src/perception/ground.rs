@@ -58,7 +58,7 @@ impl GroundOptions {
     }
 }
 
-/// Loads a semantic network; what it expects comes from the description beside it, else from the descriptions shipped
+/// Loads a semantic network; what it expects comes from the description next to it, else from the descriptions shipped
 /// with the program. `resources` is what it may take, or a number of threads; 0 is one per core.
 ///
 /// # Errors

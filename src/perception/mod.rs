@@ -8,7 +8,7 @@
 //!
 //! Networks are ONNX files; their family is recognised from the names and shapes of inputs and outputs, and what cannot
 //! be seen from these (the preprocessing of a semantic network) stands in `models/models.toml` or in a file of the same
-//! form beside the network, `network.toml` for `network.onnx`. See `docs/perception.md`.
+//! form next to the network, `network.toml` for `network.onnx`. See `docs/perception.md`.
 
 mod description;
 mod error;

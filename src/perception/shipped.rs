@@ -1,7 +1,7 @@
 //! The networks that come with the program, and where they lie.
 //!
 //! They are files of a folder `models` that is looked for when a network is needed: where the environment variable
-//! TRACTRIX_MODELS says; beside the executable; where packages put such things; and in the source tree whose `target`
+//! TRACTRIX_MODELS says; next to the executable; where packages put such things; and in the source tree whose `target`
 //! holds the executable. What they are, their licences and hashes stand in `models/models.toml`, which is compiled
 //! in.
 

@@ -60,8 +60,8 @@ pub(super) fn initial(run: &Run) -> Result<Vec<InitialCamera>, PipelineError> {
     taken.iter().zip(given).map(camera).collect()
 }
 
-/// The guess for pictures of which nothing is said beside a camera that is given: they may well be its own, reduced or
-/// turned, so that field of view, shape of the pixels and distortion are taken from it.
+/// The guess for pictures of which nothing is stated next to a camera that is given: they may well be its own, reduced
+/// or turned, so that field of view, shape of the pixels and distortion are taken from it.
 fn guess_beside(given: &Camera, pictures: &PictureCamera) -> Camera {
     let (width, height) = (pictures.width, pictures.height);
     let scale = f64::from(width.max(height)) / f64::from(given.width.max(given.height));
@@ -140,9 +140,9 @@ pub(super) fn not_covered(run: &Run, cameras: &[InitialCamera]) -> Option<String
     ))
 }
 
-/// The cameras that the user gives, at the size of the pictures; `None` for those of which nothing is said. Four or six
-/// numbers are those of the pictures of the first size; a file has a camera for each size that it speaks of, and where
-/// it has only one, of another size than all pictures, it is that of the first size, scaled.
+/// The cameras that the user gives, at the size of the pictures; `None` for those of which nothing is stated. Four or
+/// six numbers are those of the pictures of the first size; a file has a camera for each size that it speaks of, and
+/// where it has only one, of another size than all pictures, it is that of the first size, scaled.
 fn given_cameras(intrinsics: &IntrinsicsSource, taken: &[PictureCamera]) -> Result<Vec<Option<Camera>>, PipelineError> {
     let source_size = |pictures: &PictureCamera| (pictures.source_width, pictures.source_height);
     let Some(first) = taken.first().map(source_size) else { return Ok(Vec::new()) };

@@ -27,13 +27,13 @@ pub fn evaluate(output: &Path, truth: &Path) -> Result<Evaluation, PipelineError
 pub enum Kept {
     /// `evaluation.json` is written, and the page shows it.
     Everywhere,
-    /// `evaluation.json` is written; why the page could not be made anew.
+    /// `evaluation.json` is written; why the page could not be made again.
     WithoutPage(String),
     /// The folder was not made by a run, so nothing is written into it.
     Nowhere,
 }
 
-/// Writes `evaluation.json` into the output folder, if that is a run's own, and makes the page anew with it.
+/// Writes `evaluation.json` into the output folder, if that is a run's own, and makes the page again with it.
 ///
 /// # Errors
 /// [`PipelineError::Folder`] where another run is at work on the folder, or something stands in the way.

@@ -2,7 +2,7 @@
 //!
 //! Following needs nothing but pictures. The stage `features` goes through all of them anyway, and where `motion`
 //! comes after it in the same run the points are followed on the way: a video is decoded once for both. What they
-//! became lies beside the tracks of `features`, under a name that tells the options; where it is not, `motion` follows
+//! became lies next to the tracks of `features`, under a name that tells the options; where it is not, `motion` follows
 //! by itself, to the same result.
 
 use std::collections::BTreeSet;
@@ -42,7 +42,7 @@ impl Follower {
         Self { points: PointFollower::new(&run.options.motion.follower, size), frames: Vec::new() }
     }
 
-    /// One that works beside the stage `features`, if `motion` comes after it in this run.
+    /// One that works next to the stage `features`, if `motion` comes after it in this run.
     pub(super) fn beside_features(run: &Run) -> Result<Option<Self>, PipelineError> {
         Ok((run.goal >= Stage::Motion && is_wanted(run)?).then(|| Self::new(run)))
     }

@@ -2,7 +2,7 @@
 //!
 //! Poses and points are taken as they are. An image belongs to the frame of its name, and speaks of that frame's pixels
 //! afterwards: its picture may be the frame before it was reduced or turned, or without its distortion. Whatever else
-//! it is, it is refused. Reprojection errors are computed anew, since files mean different things by them.
+//! it is, it is refused. Reprojection errors are computed again, since files mean different things by them.
 
 mod names;
 mod pictures;
@@ -69,7 +69,7 @@ pub(super) fn read(path: &Path, target: Target, run: &Run) -> Result<(Reconstruc
     Ok((model, report))
 }
 
-/// The model at a path in terms of the frames, and what is to be said of it.
+/// The model at a path in terms of the frames, and what is to be reported of it.
 fn placed(
     path: &Path,
     target: Target,
@@ -87,7 +87,7 @@ fn placed(
     Ok((model, remarks))
 }
 
-/// An output folder stands for its background, which is no object's model.
+/// An output folder represents its background, which is no object's model.
 fn check_place(path: &Path, place: &Path, target: Target) -> Result<(), PipelineError> {
     let folder = RunFolder::at(path);
     if target == Target::Background || place != folder.background() {
@@ -100,8 +100,8 @@ fn check_place(path: &Path, place: &Path, target: Target) -> Result<(), Pipeline
     )))
 }
 
-/// Where the sizes of a model's pictures are from: NVM and Bundler have none, and those of pictures that lie beside the
-/// file are read.
+/// Where the sizes of a model's pictures are from: NVM and Bundler have none, and those of pictures that lie next to
+/// the file are read.
 fn sizes_of(place: &Path, format: Format, model: &Reconstruction) -> Sizes {
     if !matches!(format, Format::Nvm | Format::Bundler) {
         return Sizes::default();

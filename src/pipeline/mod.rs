@@ -3,7 +3,7 @@
 //! Every stage reads what earlier stages left in the output folder and leaves its own files there, whole or not at all,
 //! and last of all a marker in `.tractrix/` with a fingerprint of everything that the result was made from. A stage
 //! whose marker has the fingerprint of the moment is skipped: a run that was killed goes on where it was, a changed
-//! option does the stages anew that it touches and those after them, a changed input all of them.
+//! option does the stages again that it touches and those after them, a changed input all of them.
 //!
 //! Entry point: [`run`].
 
@@ -239,7 +239,7 @@ fn stages<'a>(run: &mut Run<'a>, goal: Stage, input: &str, muted: &'a Muted<'a>)
 }
 
 fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<(), PipelineError> {
-    // The page shows the command line and what every stage cost, so it is made anew whenever anything was done.
+    // The page shows the command line and what every stage cost, so it is made again whenever anything was done.
     if stage == Stage::Report && !run.all_reused() {
         run.workspace.clear_marker(stage)?;
     }
@@ -247,7 +247,7 @@ fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<(), PipelineErr
     run.stage(stage, depends_on, |run, fingerprint| work(run, stage, fingerprint))
 }
 
-/// Everything that a stage's result hangs on besides the stages before it.
+/// Everything that a stage's result depends on besides the stages before it.
 fn depends_on(run: &Run, stage: Stage, input: &str) -> Result<Value, PipelineError> {
     Ok(match stage {
         Stage::Frames => frames::depends_on(run, input),

@@ -41,7 +41,7 @@ pub struct ModelReport {
     pub mean_error_px: Option<f64>,
     /// Weaknesses of the model: a planar scene, forward motion, ...
     pub remarks: Vec<String>,
-    /// Points that were taken out because they project beside the object's masks.
+    /// Points that were taken out because they project next to the object's masks.
     pub num_outside_masks: usize,
     /// The first of its cameras.
     pub camera: Option<Camera>,

@@ -1,7 +1,7 @@
 //! Stage `objects`: a model of every object, reconstructed or given.
 //!
 //! First every object is reconstructed, and what is finished is kept one by one. Then one pass through the frames
-//! compares all of them with the masks, and the points that lie beside those are taken out. An object's marker says
+//! compares all of them with the masks, and the points that lie next to those are taken out. An object's marker says
 //! which of the two is done: a run that is killed in the pass does it again for the objects that have not been through
 //! it.
 
@@ -30,7 +30,7 @@ const NO_BACKGROUND: &str = "there is no background to place it in";
 /// Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
 const BORDER_PX: f64 = 1.0;
 const BORDER: f64 = 0.01;
-/// Frames by whose masks maps of an object are told apart, and the memory that they may take.
+/// Frames by whose masks maps of an object are distinguished, and the memory that they may take.
 const MOST_SILHOUETTES: usize = 32;
 const LEAST_SILHOUETTES: usize = 8;
 const SILHOUETTES_BYTES: usize = 64 << 20;
@@ -56,7 +56,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let (background, _) = models::background(run)?;
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
     let place = Place { camera, footing: Footing::new(run, &background) };
-    // The frames of every object, and then all frames once more for the masks.
+    // The frames of every object, and then all frames again for the masks.
     let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
     run.progress.begin("objects", Some(num_views as u64));
     let mut markers = BTreeMap::new();
@@ -237,7 +237,7 @@ struct Unchecked {
     votes: SilhouetteVotes,
 }
 
-/// Takes the points out of all unchecked reconstructions that lie beside their masks; every mask is read once.
+/// Takes the points out of all unchecked reconstructions that lie next to their masks; every mask is read once.
 fn check_silhouettes(
     run: &Run,
     tracked: &[TrackedObject],
@@ -267,7 +267,7 @@ fn check_silhouettes(
 /// Takes out the views to which too few points are left: nothing holds their poses, and an adjustment with the ground
 /// would end at them.
 fn drop_bare_views(model: &mut Reconstruction, report: &mut ModelReport) {
-    // Three leave four poses, and of four or five it cannot be told which one is wrong.
+    // Three leave four poses, and of four or five it cannot be determined which one is wrong.
     const HOLD_A_POSE: usize = 6;
     let num_seen = |image: &Image| image.observations.iter().filter(|seen| seen.point.is_some()).count();
     let bare: Vec<ImageId> =

@@ -398,7 +398,7 @@ fn check_intrinsics(values: &[f64]) -> Checked {
     all.map_err(|e| OptionError::new("intrinsics", format!("{}: {}", e.key, e.reason)))
 }
 
-/// The camera as the input tells it, where nobody gives it; what is guessed hangs on how the pictures were taken.
+/// The camera as the input tells it, where nobody gives it; what is guessed depends on how the pictures were taken.
 pub(super) fn unknown_camera(pictures: &video::PictureCamera, order: &Order) -> (Camera, CameraOrigin) {
     let (width, height) = (pictures.width, pictures.height);
     match pictures.exif_focal_px {

@@ -28,7 +28,7 @@ impl<T: Content> Content for Vec<T> {
     }
 }
 
-/// Reads a file in postcard's format, piece by piece: beside the tracks of a long video their file would take as much
+/// Reads a file in postcard's format, piece by piece: next to the tracks of a long video their file would take as much
 /// memory again.
 ///
 /// # Errors

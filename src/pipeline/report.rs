@@ -18,7 +18,7 @@ use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, TrackedObject, Tra
 use crate::trajectory::{Views, intersection};
 use crate::video::Kind;
 
-/// Makes the page of a finished run anew, with what was put into the folder since.
+/// Makes the page of a finished run again, with what was put into the folder since.
 ///
 /// # Errors
 /// The input is no longer where it was, or the run is not finished.
@@ -32,7 +32,7 @@ pub(super) fn renew(workspace: &Workspace) -> Result<(), PipelineError> {
     work(&run).map(drop)
 }
 
-/// Makes the page of an output folder anew, so that it links to what was exported.
+/// Makes the page of an output folder again, so that it links to what was exported.
 ///
 /// # Errors
 /// The input is no longer where it was, the run is not finished, or another run is at work on the folder.
@@ -207,7 +207,7 @@ fn opened_by(name: &str) -> Option<&'static str> {
     })
 }
 
-/// The link from the page to a file or folder beside it.
+/// The link from the page to a file or folder next to it.
 fn link(root: &Path, path: &Path) -> String {
     let relative = path.strip_prefix(root).unwrap_or(path);
     let names: Vec<_> = relative.iter().map(|name| name.to_string_lossy()).collect();

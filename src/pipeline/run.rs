@@ -122,7 +122,7 @@ impl<'a> Run<'a> {
 
     /// Does a stage, unless it is done already.
     ///
-    /// * `depends_on` – everything that its result hangs on besides the stages before it.
+    /// * `depends_on` – everything that its result depends on besides the stages before it.
     /// * `work` – is given the fingerprint of all that.
     pub(super) fn stage(
         &mut self,
@@ -155,7 +155,7 @@ impl<'a> Run<'a> {
         let Outcome { warnings, figures, outputs } = outcome?;
         let cost = meter.read();
         memory::give_back();
-        // A folder into which a stage puts no file is not there: nothing of the result hangs on it.
+        // A folder into which a stage puts no file is not there: nothing of the result depends on it.
         let outputs = outputs.iter().filter(|path| path.exists());
         let outputs = outputs.map(|path| path.strip_prefix(self.workspace.root()).unwrap_or(path).to_owned()).collect();
         let marker = Marker { fingerprint, cost, warnings, figures, outputs };

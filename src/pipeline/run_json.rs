@@ -6,7 +6,7 @@ use super::PipelineError;
 use super::run::Run;
 use crate::io::atomic;
 
-/// Writes `run.json` anew from what the stages left behind. `error` says why the run ended before its end.
+/// Writes `run.json` again from what the stages left behind. `error` says why the run ended before its end.
 pub(super) fn write(run: &Run, error: Option<&str>) -> Result<(), PipelineError> {
     let mut stages = Map::new();
     for record in &run.records {

@@ -60,7 +60,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
 
 /// Takes away what speaks of the trajectories that are replaced.
 fn clear(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result<(), PipelineError> {
-    // The file of trajectories is made anew without metres, which the stage `metric` writes into it.
+    // The file of trajectories is made again without metres, which the stage `metric` writes into it.
     run.workspace.clear_marker(Stage::Metric)?;
     run.workspace.remove(&run.workspace.evaluation())?;
     run.workspace.remove(&run.workspace.exports())?;

@@ -99,8 +99,9 @@ impl Stage {
         found
     }
 
-    /// Revision of a stage's results, for releases: raised when they change although the options do not, so that results
-    /// of an older release are not reused. In every other build the hash of the sources ([`crate::VERSION`]) does that.
+    /// Revision of a stage's results, for releases: raised when they change although the options do not, so that
+    /// results of an older release are not reused. In every other build the hash of the sources ([`crate::VERSION`])
+    /// does that.
     pub(super) fn revision(self) -> u32 {
         match self {
             Self::Scale => 9,

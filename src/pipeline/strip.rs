@@ -1,7 +1,7 @@
 //! Small pictures for the report's strip.
 //!
 //! The stage `features` goes through all pictures; where the report comes after it in the same run, those that the page
-//! shows are made small on the way, and the video is not decoded once more for them. Where they are not kept, they are
+//! shows are made small on the way, and the video is not decoded again for them. Where they are not kept, they are
 //! decoded. The page is the same.
 
 use std::collections::BTreeSet;
@@ -42,7 +42,7 @@ impl Content for Small {
 }
 
 impl Keeper {
-    /// One that works beside the stage `features`, if the report comes after it in this run.
+    /// One that works next to the stage `features`, if the report comes after it in this run.
     pub(super) fn beside_features(run: &Run) -> Result<Option<Self>, PipelineError> {
         let keeper = Self { wanted: wanted(run)?, kept: Vec::new() };
         Ok((run.goal == Stage::Report).then_some(keeper))
@@ -63,7 +63,7 @@ impl Keeper {
 }
 
 /// The pictures that the page shows, ascending, small or as they are. A frame that cannot be decoded is left out: the
-/// stage that needed it has said so.
+/// stage that needed it has reported it.
 pub(super) fn pictures(run: &Run) -> Result<Vec<(Frame, RgbImage)>, PipelineError> {
     let path = kept_file(run);
     if !path.is_file() {

@@ -51,7 +51,8 @@ pub struct Marker {
     pub warnings: Vec<String>,
     /// Counts and measures, by name.
     pub figures: BTreeMap<String, serde_json::Value>,
-    /// Files and folders that belong to the result, relative to the output folder; without one of them it is made anew.
+    /// Files and folders that belong to the result, relative to the output folder; without one of them it is made
+    /// again.
     pub outputs: Vec<PathBuf>,
 }
 

@@ -1,7 +1,7 @@
 //! Grouped bar charts as SVG files, drawn like the paper's two: a group per trajectory, a colour per vehicle, a filling
 //! per estimator.
 //!
-//! A bar that failed is a cross on the axis, one that is higher than the chart is cut and carries its value. Beside a
+//! A bar that failed is a cross on the axis, one that is higher than the chart is cut and carries its value. Next to a
 //! bar may stand a published value (a ring) and the value that a perfect estimator would have reached (a line across
 //! it).
 
@@ -25,7 +25,7 @@ const CLUSTER_GAP: f64 = 0.16;
 const WILD: f64 = 3.0;
 const QUANTILE: f64 = 0.85;
 
-/// Fill colours of the clusters, told apart also by the colour-blind (after Okabe and Ito).
+/// Fill colours of the clusters, distinguished also by the colour-blind (after Okabe and Ito).
 const COLOURS: [&str; 7] = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#777777"];
 
 /// Filling of a bar.

@@ -1,4 +1,4 @@
-//! Metres of a result, as a reader takes them: in what lengths are said, on what they rest, what contradicts.
+//! Metres of a result, as a reader takes them: in what lengths are reported, on what they rest, what contradicts.
 
 use serde::Serialize;
 
@@ -23,7 +23,7 @@ impl Ruler {
         }
     }
 
-    /// A round length in the ruler's own unit, as it stands beside a bar.
+    /// A round length in the ruler's own unit, as it stands next to a bar.
     pub fn round_length(&self, length: f64) -> String {
         let unit = if length == 1.0 { self.unit.trim_end_matches('s') } else { self.unit };
         format!("{} {unit}", round_figure(length))

@@ -26,7 +26,7 @@ const MAX_FRAMES: usize = 1_500;
 /// Input of `view3d.js`.
 #[derive(Debug, Serialize)]
 pub(super) struct Scene {
-    /// Length in the view of what lengths are said in: a metre, or a unit of the background.
+    /// Length in the view of what lengths are reported in: a metre, or a unit of the background.
     scale: f64,
     /// Rows of the matrix that turns x and z of the view into the plan's.
     turn: [[f64; 2]; 2],

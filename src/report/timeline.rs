@@ -1,4 +1,4 @@
-//! The moments of a run, and how they are said: in seconds where the input has times, else in frames.
+//! The moments of a run, and how they are reported: in seconds where the input has times, else in frames.
 
 use super::chart::{Tick, ticks, whole_ticks};
 use super::data::{Data, Fact};

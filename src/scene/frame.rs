@@ -28,7 +28,7 @@ impl fmt::Display for ObjectId {
 pub enum TimeBase {
     /// Seconds.
     Seconds,
-    /// Frames: nobody stated a rate, so no time can be told.
+    /// Frames: nobody stated a rate, so no time can be determined.
     Frames,
 }
 

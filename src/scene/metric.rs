@@ -1,7 +1,7 @@
 //! Metres of a result, in the shape of their keys in `trajectories.json`: the similarity from the background's frame,
 //! on what it rests, and what follows from it for every object and frame.
 //!
-//! Everything here stands beside what is given in units of the background and replaces none of it. Deviations are
+//! Everything here stands next to what is given in units of the background and replaces none of it. Deviations are
 //! standard deviations, and whole ones: that of the scale is in each of them, common to all lengths of a result.
 
 use std::collections::BTreeMap;
@@ -261,7 +261,7 @@ pub struct Motion {
     pub speed_m_s: f64,
     /// Its standard deviation.
     pub speed_std_m_s: f64,
-    /// Between the neighbouring raw positions, to be seen beside `speed_m_s`.
+    /// Between the neighbouring raw positions, to be seen next to `speed_m_s`.
     pub raw_speed_m_s: f64,
     /// Change of the speed, metres per second².
     pub acceleration_m_s2: f64,

@@ -38,7 +38,7 @@ impl From<FrameId> for ImageId {
 }
 
 impl ImageId {
-    /// The frame that an image of a frame source stands for; the inverse of `ImageId::from`. Id 0, which no source
+    /// The frame that an image of a frame source represents; the inverse of `ImageId::from`. Id 0, which no source
     /// gives, counts as frame 0.
     pub fn frame(self) -> FrameId {
         FrameId(self.0.saturating_sub(1))
@@ -159,7 +159,7 @@ impl Reconstruction {
     }
 
     /// The images that this (background) and an object's reconstruction have in common, matched by name and in the
-    /// order of this one's ids, with the frame that this one's id stands for.
+    /// order of this one's ids, with the frame that this one's id represents.
     pub fn paired_images<'a>(&'a self, object: &'a Self) -> Vec<(FrameId, &'a Image, &'a Image)> {
         let by_name: BTreeMap<&str, &Image> =
             object.images.values().map(|image| (image.name.as_str(), image)).collect();

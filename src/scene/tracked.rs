@@ -17,7 +17,7 @@ pub struct FoundIn {
     pub motion: usize,
     /// Frames in which both did.
     pub both: usize,
-    /// Frames in which nothing found it anew, and the mask network was asked for it where it should be.
+    /// Frames in which nothing found it again, and the mask network was asked for it where it should be.
     pub prompted: usize,
     /// Frames in which its mask was carried by optical flow.
     pub carried: usize,

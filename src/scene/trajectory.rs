@@ -19,7 +19,7 @@ pub enum ScaleMethod {
     /// Constant distances in all frames at once, robust against frames with a wrong plane.
     #[serde(rename = "least-squares")]
     RobustLeastSquares,
-    /// The object's reconstruction adjusted once more, together with the ground under it.
+    /// The object's reconstruction adjusted again, together with the ground under it.
     Joint,
 }
 
@@ -140,7 +140,7 @@ pub enum ModelState {
     Adjusted,
 }
 
-/// Scale ratios by the method that gave them. Which model of the object they speak of is said where they stand.
+/// Scale ratios by the method that gave them. Which model of the object they speak of is reported where they stand.
 pub type Ratios = BTreeMap<ScaleMethod, f64>;
 
 /// The unit of length of a result.

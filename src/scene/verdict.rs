@@ -54,7 +54,7 @@ pub enum ReasonKind {
     Ground,
     /// Proportions, compared with those of vehicles.
     Shape,
-    /// Its size beside that of the other vehicles.
+    /// Its size next to that of the other vehicles.
     Size,
     /// Its speed, measured with its own size.
     Speed,

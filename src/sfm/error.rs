@@ -21,7 +21,7 @@ pub enum SfmError {
         /// Missing input.
         reason: String,
     },
-    /// A frame is said to be of a camera that was not given.
+    /// A frame is reported to be of a camera that was not given.
     #[error("camera {camera} of {count} is not there: give its intrinsics, or a guess, with the others")]
     NoCamera {
         /// Its place in the list, from 0.

@@ -2,7 +2,7 @@
 //!
 //! A map has one focal length for all frames of a video. Where that of the video changes, the map takes it for motion
 //! along the line of sight, at residuals that are hardly larger. The two differ: motion moves near points by more than
-//! far ones, a zoom moves all alike. So the map is adjusted once more, with a focal length for every view,
+//! far ones, a zoom moves all alike. So the map is adjusted again, with a focal length for every view,
 //!
 //! ```text
 //! f_t = f exp(g_t),
@@ -274,7 +274,7 @@ fn noise(problem: &Problem) -> f64 {
 fn options(sigma_px: f64) -> bundle::Options {
     // Two standard deviations, as in the mapper.
     let loss = RobustLoss::SoftL1 { scale: 2.0 * sigma_px };
-    // A zoom and a motion that stands for it differ little in cost.
+    // A zoom and a motion that represents it differ little in cost.
     bundle::Options { loss, function_tolerance: 1e-7, max_iterations: 100, ..bundle::Options::default() }
 }
 

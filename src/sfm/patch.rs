@@ -142,7 +142,7 @@ impl Patch {
                 return None;
             }
             if step.fixed_rows::<2>(4).norm() < CONVERGED_PX {
-                // Too short a step to compare once more.
+                // Too short a step to compare again.
                 break;
             }
         }

@@ -67,7 +67,7 @@ impl SilhouetteVotes {
     }
 }
 
-/// Silhouettes of one object in some of the pictures, by which maps of it are told apart.
+/// Silhouettes of one object in some of the pictures, by which maps of it are distinguished.
 ///
 /// Two parts of a video that few points tie together may lie to one another in several ways that fit these points
 /// equally well. In a wrong one the points of one part leave the masks of the other.
@@ -116,7 +116,7 @@ mod tests {
     use crate::math::Rigid3;
     use crate::scene::{CameraId, Image, Point3d, TrackElement};
 
-    /// Ten cameras in a row, 10 m before a ball of radius 1, and points in it, beside it and behind it.
+    /// Ten cameras in a row, 10 m before a ball of radius 1, and points in it, next to it and behind it.
     #[test]
     fn points_beside_and_behind_a_ball_are_found() {
         let camera = Camera::with_focal(200, 200, 150.0);

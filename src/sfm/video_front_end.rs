@@ -4,7 +4,7 @@
 //! A point is found where both eigenvalues of the structure tensor are large (J. Shi, C. Tomasi, *Good Features to
 //! Track*, CVPR 1994), predicted in the next frame by pyramidal Lucas-Kanade with a forward-backward check
 //! (`following`), and then aligned with the patch that was cut when it was found ([`super::patch`]), which
-//! keeps long tracks from drifting. A point that Lucas-Kanade loses is looked for once more where its neighbours'
+//! keeps long tracks from drifting. A point that Lucas-Kanade loses is looked for again where its neighbours'
 //! motion leads. Every position comes with how exactly the patch fixes it ([`Whitening`](crate::bundle::Whitening)).
 //!
 //! What was lost for longer, behind something else or out of the picture, is found again by appearance (`memory`,
@@ -128,7 +128,7 @@ impl VideoOptions {
     }
 
     /// For one object: denser, and with smaller windows, since it is small and its surfaces end soon; and from coarse
-    /// pictures on, since it moves on its own, and the road beside it is near.
+    /// pictures on, since it moves on its own, and the road next to it is near.
     pub fn object() -> Self {
         let first_look = FirstLook::Pyramid;
         Self { max_points: 800, min_distance_px: 4.0, quality: 0.002, border_px: 2, first_look, ..Self::background() }

@@ -341,7 +341,7 @@ fn see(cam_from_world: &Rigid3, point: Point3<f64>) -> Option<Point2<f64>> {
     camera().pixel_from_cam(*cam_from_world * point).filter(|pixel| camera().contains(*pixel))
 }
 
-/// Drops points that fewer than two images see: nothing can be said of them.
+/// Drops points that fewer than two images see: nothing can be reported of them.
 fn drop_unseen(mut model: Reconstruction) -> Reconstruction {
     model.points.retain(|_, point| point.track.len() >= 2);
     let points = &model.points;

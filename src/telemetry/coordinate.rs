@@ -49,7 +49,7 @@ fn not_a_number(what: &str, text: &str) -> String {
     }
 }
 
-/// An angle in degrees, and what its last digit stands for.
+/// An angle in degrees, and what its last digit represents.
 fn angle(text: &str) -> Option<(f64, f64)> {
     let text = text.trim();
     let (text, sign) = match text.chars().last()?.to_ascii_uppercase() {

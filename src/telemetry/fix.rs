@@ -181,7 +181,7 @@ pub struct Log {
     pub clock: ClockKind,
     /// Above what `gps_height_m` is counted.
     pub height_datum: HeightDatum,
-    /// The first things that were passed over, in order of the file.
+    /// The first things that were skipped, in order of the file.
     pub passed_over: Vec<PassedOver>,
     /// Number of skipped lines.
     pub num_passed_over: usize,

@@ -1,9 +1,9 @@
 //! Telemetry: where a receiver says that the camera was.
 //!
-//! A file of any known format becomes one [`Log`]: fixes in order of time, and what was passed over with its line and
-//! the reason. Formats are told apart by their content, never by name or by the name of a drone: DJI's subtitle files
-//! (a registry of dialects), GPX, NMEA 0183, CSV with a header, GPS data in photographs. `docs/telemetry.md` describes
-//! each.
+//! A file of any known format becomes one [`Log`]: fixes in order of time, and what was skipped with its line and
+//! the reason. Formats are distinguished by their content, never by name or by the name of a drone: DJI's subtitle
+//! files (a registry of dialects), GPX, NMEA 0183, CSV with a header, GPS data in photographs. `docs/telemetry.md`
+//! describes each.
 //!
 //! Heights of two kinds are kept apart: absolute ones, which a receiver or a fusion with air pressure gives, and those
 //! above the place of take-off. Longitudes and latitudes are decimal degrees, as in all these files, so that no digit

@@ -104,7 +104,7 @@ fn letters(exif: &Exif, tag: Tag) -> Option<String> {
     }
 }
 
-/// Degrees, minutes and seconds as one angle, and what the last digit stands for.
+/// Degrees, minutes and seconds as one angle, and what the last digit represents.
 fn angle(exif: &Exif, tag: Tag, reference: Tag) -> Option<(f64, f64)> {
     let parts = rationals(exif, tag)?;
     let units = [1.0, 60.0, 3600.0];

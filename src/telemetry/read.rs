@@ -109,7 +109,7 @@ fn in_order(mut log: Log, kind: Kind, path: &Path) -> Result<Log, TelemetryError
 }
 
 /// The content of a file of a size that can be telemetry. It may have a quarter of the memory limit: as text it is in
-/// memory once more.
+/// memory again.
 pub(super) fn bytes_of(path: &Path, limit: MemoryLimit) -> Result<Vec<u8>, TelemetryError> {
     let file = files::open(path).map_err(TelemetryError::system(path))?;
     let metadata = file.metadata().map_err(TelemetryError::system(path))?;

@@ -1,4 +1,4 @@
-//! Hostile input: nothing panics, everything ends, and what is wrong is said with its line.
+//! Hostile input: nothing panics, everything ends, and what is wrong is reported with its line.
 
 use std::path::Path;
 

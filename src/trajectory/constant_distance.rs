@@ -74,7 +74,7 @@ pub struct ConstantDistance {
     pub mean_denominator_sq: f64,
     /// Pairs ranked.
     pub num_pairs: usize,
-    /// Better ranked pairs that were passed over because their r is not positive.
+    /// Better ranked pairs that were skipped because their r is not positive.
     pub num_passed_over: usize,
 }
 

@@ -31,7 +31,7 @@ pub struct ContactOptions {
     /// Median absolute deviations from the median beyond which a point does not count, along any axis.
     #[schemars(extend("unit" = "median absolute deviations"))]
     pub max_deviation: f64,
-    /// The lowest part of the points, which stands for the outline on the ground.
+    /// The lowest part of the points, which represents the outline on the ground.
     #[schemars(extend("unit" = "share of the height"))]
     pub lowest_part: f64,
     /// Of these, the share that has to lie within the outline: a mirror or a stray point does not.

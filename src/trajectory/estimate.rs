@@ -20,7 +20,7 @@ use crate::scene::{Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
-    /// The method whose answer becomes the ratio; the others are reported beside it.
+    /// The method whose answer becomes the ratio; the others are reported next to it.
     pub method: ScaleMethod,
     /// Limits of the view pair ranking.
     pub constant_distance: ConstantDistanceOptions,

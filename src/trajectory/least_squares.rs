@@ -20,7 +20,7 @@
 //! q is the one of greatest restricted likelihood. The weights w_i are Tukey's, of the distance of e_i from the median
 //! of its neighbours in time: wrong planes stand out from their neighbours and lose all weight, drift does not.
 //!
-//! What r hangs on is the *excitation*, the spread of a_i: the camera's height over the ground in the object's own
+//! What r depends on is the *excitation*, the spread of a_i: the camera's height over the ground in the object's own
 //! units. When camera and object move parallel to the ground there is none, and nothing in these equations determines
 //! r.
 //!

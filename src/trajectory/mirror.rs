@@ -1,6 +1,6 @@
 //! The other reconstruction that a small object has.
 //!
-//! Where an object is small beside its distance, its pictures are nearly parallel projections, and of those the mirror
+//! Where an object is small next to its distance, its pictures are nearly parallel projections, and of those the mirror
 //! image of the object, turning the other way, makes the same ones (the Necker reversal; J. J. Koenderink and A. J. van
 //! Doorn, *Affine structure from motion*, JOSA A 1991). Which of the two reprojects better is then decided by noise.
 //! The ground knows: against the wrong one it seems to tilt by tens of degrees.

@@ -1,6 +1,6 @@
 //! Where the cameras stand about a vehicle, from nothing but the ground: it stands on it, and points where it goes.
 //!
-//! Where an object is small beside its distance, its pictures are nearly parallel projections. Two of those leave open
+//! Where an object is small next to its distance, its pictures are nearly parallel projections. Two of those leave open
 //! how far it turned between them (the bas-relief ambiguity; J. J. Koenderink and A. J. van Doorn, *Affine structure
 //! from motion*, JOSA A 1991), and more of them its mirror image, so that which model a pair of views starts is chance.
 //! The ground knows what the pictures do not. With the plane of frame i, n_i · x + h_i = 0, the vehicle is at the point

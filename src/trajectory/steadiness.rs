@@ -2,7 +2,7 @@
 //!
 //! A vehicle moves smoothly, and so do the planes under it, where they are right. Here the way is smoothed, so that
 //! errors of the vehicle's own place do not count, and the heights of its places over their planes are compared with
-//! those of the frames beside them. What a plane is off by against these is its own error (docs/maths/scale.md).
+//! those of the frames next to them. What a plane is off by against these is its own error (docs/maths/scale.md).
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -18,7 +18,7 @@ pub(super) struct Inspection {
     pub(super) is_combed: bool,
 }
 
-/// Something that gives frames in order of their index. Stepping is cheap beside making the picture.
+/// Something that gives frames in order of their index. Stepping is cheap next to making the picture.
 pub(super) trait Decoder: Send {
     /// Steps to the next frame; `None` at the end, or where nothing further can be decoded.
     ///

@@ -190,7 +190,7 @@ pub enum VideoError {
     /// No thread can be had to decode on.
     #[error("a thread to decode on cannot be started: {0}; there are too many, or memory does not suffice")]
     Thread(io::Error),
-    /// FFmpeg failed where input has no part in it, as far as can be told.
+    /// FFmpeg failed where input has no part in it, as far as can be determined.
     #[error("FFmpeg: {0}")]
     Ffmpeg(#[from] FfmpegError),
 }

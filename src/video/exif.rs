@@ -11,7 +11,7 @@ use crate::limits::files;
 
 /// Longer side of a picture on film, to which `FocalLengthIn35mmFilm` refers, millimetres. Equivalent are focal lengths
 /// that show as much over the diagonal of a sensor as over that of a film frame, 43.27 mm. Of a sensor of 3:2, as film
-/// has it, the longer side stands for 36 mm, of one of 4:3 for 34.61. A picture of another shape was cut out of one or
+/// has it, the longer side represents 36 mm, of one of 4:3 for 34.61. A picture of another shape was cut out of one or
 /// the other: 35.3, between them.
 fn film_side_mm(width: u32, height: u32) -> f64 {
     let aspect = f64::from(width.max(height)) / f64::from(width.min(height).max(1));

@@ -256,7 +256,7 @@ struct Contents {
 struct Name {
     /// As it is shown: signs that are no text are replaced.
     text: String,
-    /// Why it is none, where that can be told without opening it.
+    /// Why it is none, where that can be determined without opening it.
     flaw: Option<String>,
 }
 

@@ -9,7 +9,7 @@
 //! are applied), with square pixels, of one instant (interlaced video), and no larger than asked for. Frames that
 //! repeat the one before are not listed.
 //!
-//! Entry point: [`Source::open`]. [`subtitles`] reads the text track that some cameras write beside the pictures.
+//! Entry point: [`Source::open`]. [`subtitles`] reads the text track that some cameras write next to the pictures.
 
 mod clock;
 mod decode;

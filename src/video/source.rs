@@ -124,8 +124,8 @@ impl Source {
     /// Opens an input and decodes its first picture's size. Pictures of a folder that have another size are left out.
     ///
     /// # Errors
-    /// Every [`VideoError`] that can be told before the frames are walked through: missing, unreadable, empty, not a
-    /// video, no picture, contradicting options.
+    /// Every [`VideoError`] that can be determined before the frames are walked through: missing, unreadable, empty,
+    /// not a video, no picture, contradicting options.
     pub fn open(path: &Path, options: &Options) -> Result<Self, VideoError> {
         Self::open_as(path, options, Cameras::One)
     }

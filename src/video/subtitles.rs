@@ -41,7 +41,7 @@ pub fn subtitles(path: &Path, track: Option<u32>) -> Result<Vec<Subtitle>, Video
     file.keep_only(index);
     let mut packet = Packet::new()?;
     let (mut found, mut taken) = (Vec::new(), 0);
-    // They are copied once more where telemetry is read from them.
+    // They are copied again where telemetry is read from them.
     let limit = memory::of_machine() / 4;
     while file.read(&mut packet)? {
         let Some(time) = packet.time() else { continue };

@@ -95,7 +95,7 @@ impl<const D: usize> Task for Scale<'_, D> {
     }
 }
 
-/// Columns of ZᵀZ that are worked out at a time: what fits the registers beside the three that they are multiplied
+/// Columns of ZᵀZ that are worked out at a time: what fits the registers next to the three that they are multiplied
 /// with.
 const WIDTH: usize = 12;
 

@@ -22,7 +22,7 @@ use faer::{Accum, Auto, MatMut, MatRef, Par, Spec};
 use crate::bundle::camera_sums::CAMERA_DIM;
 use crate::bundle::schur::Reduced;
 
-/// Views of a stripe: wide enough for fast products, and narrow beside a band of a hundred views.
+/// Views of a stripe: wide enough for fast products, and narrow next to a band of a hundred views.
 const VIEWS: usize = 8;
 
 /// Neighbouring rows of L.

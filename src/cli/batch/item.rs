@@ -288,7 +288,7 @@ mod tests {
         for name in named.into_iter().filter(|name| *name != "output") {
             let value = if name == "object-model" { "1=x.txt" } else { "x.txt" };
             let words = [&format!("--{name}={value}"), "--output", "o", "i"];
-            // Flags that want others beside them are tried by their own commands.
+            // Flags that want others next to them are tried by their own commands.
             let Ok(mut line) = LineArgs::try_parse_from(words) else { continue };
             line.job.begin_at(Path::new("/list"));
             assert!(format!("{:?}", line.job).contains("\"/list/x.txt\""), "--{name}: {:?}", line.job);

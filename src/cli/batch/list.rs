@@ -1,7 +1,7 @@
 //! The list of jobs: which videos there are, what each is called, and which options it has of its own.
 //!
 //! A line is a video or a folder of pictures; after a tab, options of its own follow, as on the command line of `run`.
-//! A folder instead of a list stands for the videos in it, in the order of their names.
+//! A folder instead of a list represents the videos in it, in the order of their names.
 
 use std::ffi::{OsStr, OsString};
 use std::fs;

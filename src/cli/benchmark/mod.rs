@@ -1,7 +1,7 @@
 //! `tractrix benchmark DIR`: every sequence of a data set, one table.
 //!
 //! Each sequence is a run of its own in `OUT/<folder>`, evaluated against its truth; what an earlier benchmark finished
-//! is taken over. The tables are written anew after every sequence, so that a stopped benchmark has those of what is
+//! is taken over. The tables are written again after every sequence, so that a stopped benchmark has those of what is
 //! done.
 
 pub(super) mod sequences;
@@ -52,7 +52,7 @@ pub(super) struct Args {
     /// Label of these results in tables
     #[arg(long, value_name = "NAME", default_value = "tractrix")]
     pub(super) label: String,
-    /// benchmark.json of another benchmark, to stand beside this one in the tables; may be repeated
+    /// benchmark.json of another benchmark, to stand next to this one in the tables; may be repeated
     #[arg(long, value_name = "FILE")]
     pub(super) compare: Vec<PathBuf>,
 

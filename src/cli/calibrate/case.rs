@@ -70,7 +70,7 @@ impl Setting<'_> {
         Ok(Case { failure, ..case })
     }
 
-    /// The folder of a variant whose pictures or masks differ, written anew; `None` for one that needs none.
+    /// The folder of a variant whose pictures or masks differ, written again; `None` for one that needs none.
     fn made(&self, folder: &Path, variant: Variant) -> anyhow::Result<Option<PathBuf>> {
         if !variant.kind.is_degraded() {
             return Ok(None);

@@ -1,4 +1,4 @@
-//! A real clip in a variant, beside the clip as it is.
+//! A real clip in a variant, next to the clip as it is.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -66,7 +66,7 @@ impl Setting<'_> {
         found(&output)
     }
 
-    /// The folder of a variant whose pictures differ, written anew; `None` for one that needs none.
+    /// The folder of a variant whose pictures differ, written again; `None` for one that needs none.
     fn made_of_clip(&self, clip: &Path, variant: Variant) -> anyhow::Result<Option<PathBuf>> {
         if !variant.kind.is_degraded() {
             return Ok(None);

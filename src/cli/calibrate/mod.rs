@@ -1,7 +1,7 @@
 //! `tractrix calibrate DIR`: do stated deviations mean what they say, and where does the method break down?
 //!
 //! Every sequence runs in every variant, each an ordinary run in `OUT/<sequence>/<variant>`. Worse pictures and masks
-//! are written into `OUT/.tractrix` and deleted after the run. Tables and curves are written anew after every case, so
+//! are written into `OUT/.tractrix` and deleted after the run. Tables and curves are written again after every case, so
 //! that a stopped calibration has those of what is done.
 
 mod case;
@@ -110,7 +110,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) 
     })
 }
 
-/// One clip in all variants that can be made of it. What fails is said, and the others go on.
+/// One clip in all variants that can be made of it. What fails is reported, and the others go on.
 fn clips(setting: &Setting, clip: &Path, variants: &[Variant], calibration: &mut Calibration) -> Result<(), Failure> {
     let talk = setting.talk;
     talk.say(&format!("{}, as it is", clip.display()));

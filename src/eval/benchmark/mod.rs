@@ -213,7 +213,7 @@ impl Benchmark {
     }
 
     /// Every estimator that gave an answer anywhere: the paper's baseline and method first, the run's own choice last,
-    /// which stands for an estimator that was always the choice.
+    /// which represents an estimator that was always the choice.
     pub fn estimators(&self) -> Vec<Estimator> {
         let methods: BTreeSet<ScaleMethod> =
             self.sequences.iter().flat_map(|entry| entry.estimators.keys().copied()).collect();

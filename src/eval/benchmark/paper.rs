@@ -96,7 +96,7 @@ mod tests {
     use super::*;
     use crate::eval::benchmark::{Estimator, summarise};
 
-    /// The charts' values give the table that the paper prints beside them.
+    /// The charts' values give the table that the paper prints next to them.
     #[test]
     fn the_charts_give_the_papers_own_table() {
         let paper = published();

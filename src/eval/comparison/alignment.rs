@@ -29,7 +29,7 @@ const MIN_TO_DOUBT: usize = 6;
 /// Candidates that are tried.
 const MAX_CANDIDATES: usize = 1_000;
 
-/// Rounds in which cameras are chosen anew.
+/// Rounds in which cameras are chosen again.
 const MAX_ROUNDS: usize = 20;
 
 /// Extent across the line of the centres, over that along it, from which the centres alone tell the rotation.

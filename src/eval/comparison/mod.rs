@@ -2,7 +2,7 @@
 //!
 //! One of them is the reference, which sets frame and unit; each of the others is brought into its frame by a
 //! similarity that a few lost cameras do not smear ([`Alignment`]), and compared image by image. What needs no
-//! similarity stands beside it: relative poses, intrinsics, points, tracks, and reprojection errors recomputed from
+//! similarity stands next to it: relative poses, intrinsics, points, tracks, and reprojection errors recomputed from
 //! the observations.
 
 mod alignment;

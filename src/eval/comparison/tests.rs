@@ -103,7 +103,7 @@ fn errors_are_recomputed_per_observation_and_per_point() {
     let mut a = flight(8, |t| Point3::new(10.0 * t, 0.0, 0.0));
     see(&mut a, 1, [1, 2], 0.5);
     see(&mut a, 2, [1, 2], 0.1);
-    // The second point is seen once more, without an error.
+    // The second point is seen again, without an error.
     let point = a.model.points[&Point3dId(2)].position;
     let third = a.model.images.get_mut(&ImageId(3)).unwrap();
     let pixel = a.model.cameras[&CameraId(1)].pixel_from_cam(third.cam_from_world * point).unwrap();

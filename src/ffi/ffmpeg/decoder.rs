@@ -79,7 +79,7 @@ impl Decoder {
         Ok(decoder)
     }
 
-    /// Goes to the next picture, reading from `file`, whose other streams are passed over. `false` after the last one,
+    /// Goes to the next picture, reading from `file`, whose other streams are skipped. `false` after the last one,
     /// or where nothing more can be decoded; damaged packets are skipped.
     ///
     /// # Errors

@@ -191,7 +191,7 @@ impl Encoder {
         Ok(())
     }
 
-    /// Adds a picture, which must be as large as was said.
+    /// Adds a picture, which must be as large as was stated.
     ///
     /// * `time_s` – when it is shown, seconds; one that is not later than the last is shown as soon after it as can be.
     ///

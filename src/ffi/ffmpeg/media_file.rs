@@ -404,7 +404,7 @@ fn rotation_deg(stream: *const sys::AVStream) -> i32 {
 #[cfg(ffmpeg_6_1)]
 #[allow(unsafe_code)]
 fn display_matrix(stream: *const sys::AVStream) -> (*const u8, usize) {
-    // SAFETY: the caller's stream is valid; the parameters' array has the length that stands beside it.
+    // SAFETY: the caller's stream is valid; the parameters' array has the length that stands next to it.
     unsafe {
         let parameters = &*(*stream).codecpar;
         let (all, count) = (parameters.coded_side_data, parameters.nb_coded_side_data);
@@ -418,7 +418,7 @@ fn display_matrix(stream: *const sys::AVStream) -> (*const u8, usize) {
 #[allow(unsafe_code)]
 fn display_matrix(stream: *const sys::AVStream) -> (*const u8, usize) {
     let mut size = 0;
-    // SAFETY: the caller's stream is valid; the call writes the size beside the pointer that it gives.
+    // SAFETY: the caller's stream is valid; the call writes the size next to the pointer that it gives.
     let data = unsafe { sys::av_stream_get_side_data(stream, sys::AVPacketSideDataType::DISPLAYMATRIX, &mut size) };
     (data, size)
 }

@@ -99,7 +99,7 @@ fn load() -> Result<PathBuf, OnnxError> {
     Err(OnnxError::RuntimeNotFound { tried })
 }
 
-/// Where the library may be: beside the executable, where packages put it, in `third_party` of the source tree whose
+/// Where the library may be: next to the executable, where packages put it, in `third_party` of the source tree whose
 /// `target` holds the executable, and last by its bare name, which the system's loader looks up.
 fn candidates(executable: Option<&Path>) -> Vec<PathBuf> {
     // ort asks for the executable's folder when a path is relative, and would panic without one.

@@ -5,7 +5,7 @@ use crate::ground::local_planes;
 use crate::scene::ObjectId;
 use crate::synthetic::drive::{self, Drive, Noise, drive};
 
-/// A straight road along x; beside the lane, 1.6 m from its middle, a kerb of 13 cm.
+/// A straight road along x; next to the lane, 1.6 m from its middle, a kerb of 13 cm.
 fn street(options: drive::Options, is_lane: impl Fn(&Point3<f64>) -> bool) -> Drive {
     let noise = Noise { pixel_px: 0.3, ..Noise::default() };
     let mut world = drive(&drive::Options { num_ground_points: 15_000, noise, ..options }, 4);

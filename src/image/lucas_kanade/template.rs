@@ -30,7 +30,7 @@ pub(super) struct Difference {
 
 impl Template {
     /// Of the window with its first pixel at `first`. Gradients are Scharr's, of the pixels between the picture's; what
-    /// lies beside the picture has none.
+    /// lies next to the picture has none.
     #[inline(always)]
     pub fn fill<S: Simd>(&mut self, simd: S, area: &mut Area, picture: &GrayImage, first: [f32; 2], window: Window) {
         area.cut_around(picture, first, window, 1);
@@ -132,7 +132,7 @@ impl<'a, S: Simd> Rows<'a, S> {
     }
 }
 
-/// Takes the gradients away of pixels that lie beside the picture; `place` is that of the first.
+/// Takes the gradients away of pixels that lie next to the picture; `place` is that of the first.
 #[inline(always)]
 fn forget_beside<S: Simd>(simd: S, gradients: [&mut S::f32s; 2], place: [f32; 2], picture: &GrayImage) {
     let is_within = |value: f32, side: u32| value >= 0.0 && value <= side as f32 - 1.0;

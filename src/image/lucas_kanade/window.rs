@@ -10,7 +10,7 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// The window that stands for a square of `2 radius + 1` pixels a side: about as many pixels, in rows of whole
+    /// The window that represents a square of `2 radius + 1` pixels a side: about as many pixels, in rows of whole
     /// vectors. Its following takes half the time, and finds as much.
     ///
     /// * `radius_px` – at least 1 and at most some thousand.

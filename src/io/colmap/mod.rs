@@ -2,7 +2,7 @@
 //!
 //! The formats are those of COLMAP's documentation, `doc/format.rst`. Poses are `cam_from_world`, quaternions w x y z,
 //! the corner of the image is (0, 0): as everywhere in this program, so nothing is converted. `rigs` and `frames`,
-//! which COLMAP has beside since version 3.12, are written (see `rigs`) and are not needed to read a model.
+//! which COLMAP has next to since version 3.12, are written (see `rigs`) and are not needed to read a model.
 //!
 //! A camera is written under the model of the file that it came from, if that still holds it. Those that this program
 //! found are written as the smallest model that holds them: one focal length as `SIMPLE_PINHOLE`, `SIMPLE_RADIAL` or

@@ -1,4 +1,4 @@
-//! `rigs` and `frames`, which COLMAP writes beside a model since version 3.12.
+//! `rigs` and `frames`, which COLMAP writes next to a model since version 3.12.
 //!
 //! A rig is a set of cameras that are fixed to one another, a frame what they saw at one moment. Here every camera is a
 //! rig of its own and every image a frame of its own, under the same ids: what COLMAP makes up where the files are
@@ -66,7 +66,7 @@ pub fn write_frames_binary(out: &mut dyn Write, model: &Reconstruction) -> std::
 }
 
 /// Number of rigs with several sensors in a folder's model; none where no file says so, or one that cannot be read:
-/// nothing hangs on it.
+/// nothing depends on it.
 pub fn num_of_several(folder: &Path) -> usize {
     if folder.join("cameras.bin").exists() {
         several_in_binary(&folder.join("rigs.bin")).unwrap_or(0)

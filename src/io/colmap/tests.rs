@@ -299,7 +299,7 @@ fn a_model_in_colmaps_own_formats_is_read() {
     assert!((image.cam_from_world.center() - Point3::new(0.7, 0.02, -3.9)).norm() < 1e-12);
     let unmatched = image.observations.last().unwrap();
     assert_eq!((unmatched.pixel, unmatched.point), (Point2::new(12.5, 20.25), None));
-    // Every observation lies a quarter of a pixel beside its projection.
+    // Every observation lies a quarter of a pixel next to its projection.
     assert!(text.points.values().all(|point| (point.error_px - 0.25).abs() < 1e-12));
     assert_errors_come_back(&text, 1e-9);
 }

@@ -60,7 +60,7 @@ impl Features {
         }
     }
 
-    /// These with what a run found beside its model: images without a pose and tracks without a point. `None` if they
+    /// These with what a run found next to its model: images without a pose and tracks without a point. `None` if they
     /// do not belong together: an image of the model is another one there, or has other features.
     pub fn joined(mut self, others: Self) -> Option<Self> {
         let fits = |(id, own): (&ImageId, &View)| {

@@ -104,7 +104,7 @@ fn a_pose_is_stored_as_colmap_stores_it() {
     }
 }
 
-/// A run's own features go beside those of its model: an image without a pose has matches, and a fundamental matrix.
+/// A run's own features go next to those of its model: an image without a pose has matches, and a fundamental matrix.
 #[test]
 fn images_without_a_pose_take_part() {
     let whole = model_with(&[Camera::with_focal(960, 540, 700.0)]);

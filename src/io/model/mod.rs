@@ -25,7 +25,7 @@ pub enum Format {
     ColmapBinary,
     /// OpenMVG's `sfm_data.json`.
     OpenMvg,
-    /// OpenSfM's `reconstruction.json`, with `tracks.csv` beside it.
+    /// OpenSfM's `reconstruction.json`, with `tracks.csv` next to it.
     OpenSfm,
     /// nerfstudio's `transforms.json`.
     Nerfstudio,

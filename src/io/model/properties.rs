@@ -14,7 +14,7 @@ fn few(cases: u32) -> ProptestConfig {
     ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() }
 }
 
-/// Focal length, principal point beside the middle, k₁, k₂, p₁, p₂, k₃: what no lens goes astray with within the
+/// Focal length, principal point next to the middle, k₁, k₂, p₁, p₂, k₃: what no lens goes astray with within the
 /// picture.
 fn lens() -> impl Strategy<Value = [f64; 8]> {
     let small = -2e-3..2e-3;

@@ -1,4 +1,4 @@
-//! OpenSfM's `reconstruction.json`, and the `tracks.csv` beside it.
+//! OpenSfM's `reconstruction.json`, and the `tracks.csv` next to it.
 //!
 //! Conventions are those of OpenSfM's documentation (`doc/source/geometry.rst`, `doc/source/dataset.rst`) and of its
 //! `opensfm/io.py`. Shots hold `cam_from_world` as a rotation vector and a translation; camera axes are this program's.
@@ -13,8 +13,8 @@
 //! `fisheye_opencv` its OPENCV_FISHEYE, `spherical` its EQUIRECTANGULAR.
 //!
 //! Points have no observations in the JSON; these are in `tracks.csv` (versions 1 and 2), which is read and written
-//! beside it. Names of shots are names of images, in whose order ids are given. Of several reconstructions in one file
-//! the largest is read. `reference_lla` is passed over: nothing here is on the globe.
+//! next to it. Names of shots are names of images, in whose order ids are given. Of several reconstructions in one file
+//! the largest is read. `reference_lla` is skipped: nothing here is on the globe.
 
 mod document;
 mod tracks;
@@ -38,7 +38,7 @@ pub fn files(path: &Path) -> [PathBuf; 2] {
     [path.to_path_buf(), path.with_file_name("tracks.csv")]
 }
 
-/// Reads the largest reconstruction of a file, with the observations of `tracks.csv` if that lies beside it.
+/// Reads the largest reconstruction of a file, with the observations of `tracks.csv` if that lies next to it.
 ///
 /// # Errors
 /// A missing file, JSON of another shape, a camera of an unknown kind, a shot whose camera is not there, or a broken

@@ -44,7 +44,7 @@ pub enum Offset {
 }
 
 impl Offset {
-    /// Of a log inside the video or beside it as its subtitles: what receivers are late.
+    /// Of a log inside the video or next to it as its subtitles: what receivers are late.
     pub const SAME_FILE: Self = Self::Known { mean_s: 0.0, std_s: 0.2 };
 }
 

@@ -93,7 +93,7 @@ const SUSPECT: f64 = 3.4;
 const REJECTED: f64 = 6.0;
 /// Weight of a fix that jumps.
 const NO_WEIGHT: f64 = 1e-6;
-/// Rounds in which weights and noise are found anew.
+/// Rounds in which weights and noise are found again.
 const NUM_ROUNDS: usize = 12;
 /// Scale and noise that change by less than this part of them stand still.
 const SETTLED: f64 = 1e-3;

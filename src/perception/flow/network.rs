@@ -36,7 +36,7 @@ fn is_flow(tensor: &TensorInfo) -> bool {
 
 impl OnnxFlow {
     /// Loads a network with two inputs [1, 3, h, w] and an output [1, 2, h, w] of displacements in x and y, in pixels
-    /// of the input. Pixels become RGB between -1 and 1 (torchvision's RAFT) unless a description beside it says
+    /// of the input. Pixels become RGB between -1 and 1 (torchvision's RAFT) unless a description next to it says
     /// otherwise. `resources` is what it may take, or a number of threads; 0 is one per core.
     ///
     /// # Errors

@@ -6,7 +6,7 @@ use ::image::imageops::crop_imm;
 use super::Field;
 use crate::scene::{BoundingBox, Flow, Rect};
 
-/// Room round a box, in its longer sides: for its own motion, for the background beside it, and for what may come
+/// Room round a box, in its longer sides: for its own motion, for the background next to it, and for what may come
 /// before it.
 const ROOM: f64 = 0.5;
 /// Besides, in longer sides of the frame: flow is found from coarse to fine, and a small part has no coarse.

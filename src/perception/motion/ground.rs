@@ -60,7 +60,7 @@ impl GroundModel {
         let direction = cam_from_world.rotation.inverse() * ray;
         let descent = -self.normal.dot(&direction);
         let mut inverse_depth = descent / height;
-        // Two rounds: from the place on the plane to the height there, and once more.
+        // Two rounds: from the place on the plane to the height there, and again.
         for _ in 0..2 {
             if inverse_depth <= 0.0 {
                 break;

@@ -51,7 +51,8 @@ pub struct Judgement {
     pub movement: Movement,
     /// Why.
     pub reason: MovementReason,
-    /// Likelihood of its foot if it moves along the camera's path over that if it is stationary; 1 where nothing is known.
+    /// Likelihood of its foot if it moves along the camera's path over that if it is stationary; 1 where nothing is
+    /// known.
     pub odds: f64,
     /// Points that say it moves.
     pub num_moving: usize,
@@ -108,12 +109,12 @@ const MIN_POINTS: usize = 3;
 /// along outlines move on a parked car, too.
 const MOST_MOVE: f64 = 0.5;
 const FEW_MOVE: f64 = 0.25;
-/// Time for which most points of an object must move where it is stationary for longer: as long as a mover lives at least
-/// (`movers.min_life_s`), with as many frames as at this rate, Hz.
+/// Time for which most points of an object must move where it is stationary for longer: as long as a mover lives at
+/// least (`movers.min_life_s`), with as many frames as at this rate, Hz.
 const LEAST_MOVE_S: f64 = 1.0;
 const LEAST_RATE: f64 = 10.0;
-/// Odds for one hypothesis over the other from which it is accepted: between substantial and strong evidence, 3.2 and 10
-/// (H. Jeffreys, *Theory of Probability*, 1961, app. B).
+/// Odds for one hypothesis over the other from which it is accepted: between substantial and strong evidence, 3.2 and
+/// 10 (H. Jeffreys, *Theory of Probability*, 1961, app. B).
 const CLEAR_ODDS: f64 = 5.0;
 
 /// Judges an object by the tracks that lie on it.
@@ -150,7 +151,8 @@ pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
         () if odds >= CLEAR_ODDS && stance.is_some_and(|stance| stance.floats()) => {
             (Movement::Moving, MovementReason::FootFloats)
         }
-        // A mask may end nearer than its points; that points are behind the ground themselves, no stationary object shows.
+        // A mask may end nearer than its points; that points are behind the ground themselves, no stationary object
+        // shows.
         () if odds >= CLEAR_ODDS && num_behind >= MIN_POINTS => (Movement::Moving, MovementReason::FootBehindGround),
         () if share > FEW_MOVE => (Movement::Undetermined, MovementReason::Divided),
         () if odds <= 1.0 / CLEAR_ODDS && num_standing >= MIN_POINTS => {

@@ -18,7 +18,7 @@ fn look_with(world: &World, surroundings: &Surroundings) -> (Vec<TrackLabel>, Ve
     (labels, found)
 }
 
-/// Parts of the vehicle's tracks, and of all others, that are said to move.
+/// Parts of the vehicle's tracks, and of all others, that are reported to move.
 fn rates(world: &World, labels: &[TrackLabel]) -> (f64, f64) {
     let share = |vehicle: bool| {
         let of = || world.is_vehicle.iter().zip(labels).filter(move |(is, _)| **is == vehicle);

@@ -33,7 +33,7 @@ use crate::scene::{Mask, Rect};
 const LOGIT_STEP: f64 = 4.0;
 /// A mask is stable as far as a threshold for its logits that is raised or lowered by so much gives the same one.
 const STABILITY_OFFSET: f32 = 1.0;
-/// A mask of this quality is worth asking once more for, in the box round it.
+/// A mask of this quality is worth asking again for, in the box round it.
 const LOOSE_QUALITY: f64 = 0.5;
 /// Overlap of two answers that mean the same object.
 const CONFIRMED_OVERLAP: f64 = 0.8;

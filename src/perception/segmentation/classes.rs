@@ -111,7 +111,7 @@ impl Classes {
 }
 
 /// The names of a network whose file does not say how many there are, number 0 being the background: from the file
-/// beside it, else from its metadata, else COCO's as torchvision numbers them.
+/// next to it, else from its metadata, else COCO's as torchvision numbers them.
 pub(super) fn class_names_after_background(model: &Model) -> Result<Vec<String>, PerceptionError> {
     let beside = read_sidecar(model.path())?.map(|d| d.classes).filter(|names| !names.is_empty());
     let inside = || model.metadata("names").and_then(|text| parse_names(&text)).filter(|names| !names.is_empty());
@@ -129,7 +129,7 @@ fn coco_after_background() -> Vec<String> {
     names
 }
 
-/// The names of a network's `num_classes` classes: from the file beside it, else from its metadata, else those of COCO
+/// The names of a network's `num_classes` classes: from the file next to it, else from its metadata, else those of COCO
 /// if their number is 80.
 ///
 /// # Errors

@@ -6,7 +6,7 @@
 //! pasted into the input, [n, 1, h, w]. An object's mask is where the probability, interpolated at the frame's pixels,
 //! exceeds one half.
 //!
-//! Beside its box a spread mask is 0, and it is interpolated towards that, as torchvision does
+//! Next to its box a spread mask is 0, and it is interpolated towards that, as torchvision does
 //! (`paste_masks_in_image`); torchvision's boxes are whole pixels there, which makes its masks larger by up to a pixel.
 
 use ::image::RgbImage;
@@ -22,7 +22,7 @@ use crate::perception::description::{Preprocessing, sidecar_path};
 use crate::perception::tensor::{Plane, tensor_from_image};
 use crate::scene::{Detection, Mask};
 
-/// A pasted mask ends within this share of its box's sides beside the box (one cell of 28), and one pixel.
+/// A pasted mask ends within this share of its box's sides next to the box (one cell of 28), and one pixel.
 const PASTED_MARGIN: f32 = 1.0 / 28.0;
 
 /// Returns true if a network's inputs and outputs are those of the family.
@@ -218,7 +218,7 @@ impl Answer {
         std::array::from_fn(|k| self.boxes.values[4 * row + k])
     }
 
-    /// The pixels of an object: those in its box, and a cell beside it, whose centre has a value above one half.
+    /// The pixels of an object: those in its box, and a cell next to it, whose centre has a value above one half.
     fn mask(&self, row: usize, boxed: &Letterbox, frame: (u32, u32)) -> Mask {
         let (height, width) = (self.masks.shape[2], self.masks.shape[3]);
         let values = &self.masks.values[row * height * width..(row + 1) * height * width];

@@ -142,7 +142,7 @@ impl Detector for Yolox {
         }
         let mut found = Vec::new();
         let mut picture = Cow::Borrowed(image);
-        // The largest first: to halve what was made for it takes a tenth of shrinking the frame once more.
+        // The largest first: to halve what was made for it takes a tenth of shrinking the frame again.
         for input in self.input_sizes(frame).into_iter().rev() {
             let (width, height) = fitted(picture.dimensions(), input);
             if (width, height) != picture.dimensions() {

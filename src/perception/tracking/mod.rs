@@ -203,7 +203,7 @@ pub struct After {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrackerOptions {
-    /// Names of the classes that are tracked; detections of others are passed over.
+    /// Names of the classes that are tracked; detections of others are skipped.
     pub track_classes: Vec<String>,
     /// A track starts with a detection of at least this confidence; weaker ones only continue tracks.
     #[schemars(extend("unit" = "score, 0 to 1"))]
@@ -215,7 +215,7 @@ pub struct TrackerOptions {
     /// A track starts with what only moves if motion is at least so sure of it: trees, poles and reflections move, too.
     #[schemars(extend("unit" = "0 to 1"))]
     pub start_motion: f64,
-    /// Detections with fewer pixels are passed over.
+    /// Detections with fewer pixels are skipped.
     pub min_area_px2: usize,
     /// Overlap (intersection over union) that a detection must have with the carried mask of its object.
     #[schemars(extend("unit" = "share"))]

@@ -152,7 +152,7 @@ fn names_of_videos_and_folders_mean_the_same_frames() {
     let sequence = Sequence::open(&truth).unwrap();
     let out = output_with(&models_of_the_truth(&sequence), &sequence, 1.0);
     let by_folder = evaluate(out.path(), &truth).unwrap();
-    // The truth beside itself is exact.
+    // The truth next to itself is exact.
     assert_eq!(by_folder.registered.num_both, 60);
     assert!(by_folder.cameras.as_ref().unwrap().center_rmse_m < 1e-6, "{by_folder}");
     assert!(by_folder.trajectory.as_ref().unwrap().mean_m < 1e-6, "{by_folder}");

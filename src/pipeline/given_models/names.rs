@@ -6,8 +6,8 @@ use std::path::Path;
 use crate::pipeline::PipelineError;
 use crate::scene::{Frame, Image, ImageId, Reconstruction};
 
-/// The model with the images that are frames, under the frames' ids and names, and what is to be said of the others.
-/// Cameras and points that no frame has are left out.
+/// The model with the images that are frames, under the frames' ids and names, and what is to be reported of the
+/// others. Cameras and points that no frame has are left out.
 ///
 /// An image belongs to the frame of its name, else of its stem, else to the one whose index its stem is; where there is
 /// none, the same is tried with the names without their folders.

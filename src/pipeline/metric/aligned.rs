@@ -54,7 +54,7 @@ impl Aligned {
 /// Deviation of camera centres, as a share of the way: what reconstructions drift by.
 const DRIFT: f64 = 0.002;
 
-/// Lays the path onto the fixes; why that cannot be is said.
+/// Lays the path onto the fixes; why that cannot be is reported.
 pub(super) fn align(
     run: &Run,
     background: &Reconstruction,

@@ -13,7 +13,7 @@ use crate::video::{self, Kind, VideoError};
 pub(super) enum Origin {
     /// The user named it.
     Named,
-    /// In a file beside the video.
+    /// In a file next to the video.
     Beside,
     /// In the video's text track.
     Inside,
@@ -41,7 +41,7 @@ pub(super) fn files(run: &Run) -> Vec<PathBuf> {
     }
 }
 
-/// The files beside a video with its stem and the extension of a log, in the order of [`EXTENSIONS`].
+/// The files next to a video with its stem and the extension of a log, in the order of [`EXTENSIONS`].
 pub(in crate::pipeline) fn beside(video: &Path) -> Vec<PathBuf> {
     let (Some(folder), Some(stem)) = (video.parent(), video.file_stem()) else { return Vec::new() };
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
@@ -56,7 +56,7 @@ pub(in crate::pipeline) fn beside(video: &Path) -> Vec<PathBuf> {
     found.into_iter().map(|(_, path)| path).collect()
 }
 
-/// The telemetry of the input; what is odd about it is said.
+/// The telemetry of the input; what is odd about it is reported.
 pub(super) fn find(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
     let found = match &run.options.metric.telemetry {
         TelemetryChoice::None => None,

@@ -1,8 +1,8 @@
 //! Stage `metric`: metres per unit from all sources, and the trajectories in metres and on the map.
 //!
 //! The stage `scale` leaves the trajectories in units of the background; this one writes `trajectories.json` whole,
-//! with the same trajectories and their metres beside them. Where nothing gives metres it says why, and everything else
-//! stays as it was.
+//! with the same trajectories and their metres next to them. Where nothing gives metres it says why, and everything
+//! else stays as it was.
 
 mod aligned;
 mod dates;
@@ -36,7 +36,7 @@ pub(super) use vehicles::Size;
 pub(super) fn depends_on(run: &Run) -> Value {
     let MetricOptions { telemetry, time_offset, utc_offset, camera_height, scale, known_lengths } = &run.options.metric;
     let files = log::files(run);
-    // What cannot be read beside a video is no telemetry; what was named has been read before.
+    // What cannot be read next to a video is no telemetry; what was named has been read before.
     let contents: Vec<Option<String>> = files.iter().map(|file| fingerprint::of_content(file).ok()).collect();
     let is_looked_for = *telemetry != TelemetryChoice::None;
     json!({
@@ -49,7 +49,7 @@ pub(super) fn depends_on(run: &Run) -> Value {
     })
 }
 
-/// Reads the telemetry that is named, so that what is wrong with it is said before any work.
+/// Reads the telemetry that is named, so that what is wrong with it is reported before any work.
 ///
 /// # Errors
 /// [`PipelineError::Telemetry`] names the file and the cure.
@@ -157,7 +157,7 @@ fn find(
     Ok(Found { metric, map: aligned.map(|aligned| aligned.map) })
 }
 
-/// Distance from camera to vehicle that stands for the median of a result without metres: between a dashcam's 10 m and
+/// Distance from camera to vehicle that represents the median of a result without metres: between a dashcam's 10 m and
 /// a drone's 50 m. Lengths in units hardly depend on it: it sets how sharply a vehicle may turn, within the decades
 /// over which the smoother searches.
 const NOMINAL_DISTANCE_M: f64 = 20.0;

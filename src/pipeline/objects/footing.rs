@@ -1,6 +1,6 @@
 //! Poses about small objects, from the ground alone.
 //!
-//! A start of structure from motion that hangs on no chance: the object stands on the ground and points where it goes
+//! A start of structure from motion that depends on no chance: the object stands on the ground and points where it goes
 //! ([`standing`]). The planes are those that are found without labels, before the object has a model: rough poses need
 //! no better ones, and the stage `ground` finds those.
 
@@ -18,12 +18,12 @@ use crate::sfm::KnownPoses;
 use crate::sfm::tracks::{TrackTable, View};
 use crate::trajectory::{Sight, standing};
 
-/// By what share of its extent the middle of what is seen of an object may lie beside its middle.
+/// By what share of its extent the middle of what is seen of an object may lie next to its middle.
 const OFF_MIDDLE: f64 = 0.25;
 /// Fewest features that show where an object is.
 const MIN_FEATURES: usize = 5;
 
-/// The ground of a place, as far as it can be told without labels.
+/// The ground of a place, as far as it can be determined without labels.
 pub(super) struct Footing<'a> {
     run: &'a Run<'a>,
     background: &'a Reconstruction,

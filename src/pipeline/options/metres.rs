@@ -12,7 +12,8 @@ use crate::metric::{KnownLength, Measured, TimeOffset, UtcOffset};
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum TelemetryChoice {
-    /// A file beside the video with its stem, else what is inside the video, else what photographs say of their places.
+    /// A file next to the video with its stem, else what is inside the video, else what photographs say of their
+    /// places.
     #[default]
     Auto,
     /// None.

@@ -92,7 +92,7 @@ pub struct VehicleOptions {
     pub motion: MotionChoice,
     /// Segmenter of their boxes.
     pub mask_network: MaskChoice,
-    /// Every so many frames the mask network is asked anew; between, masks are carried by optical flow. Without a
+    /// Every so many frames the mask network is asked again; between, masks are carried by optical flow. Without a
     /// number as many frames as there are in 0.4 seconds, but from 2 to 12.
     #[schemars(extend("unit" = "frames"))]
     pub segment_every: Option<u32>,

@@ -46,7 +46,7 @@ impl Finds {
         Ok(Self::Boxes { detected, moving, prompter, rhythm: Rhythm::of(run)? })
     }
 
-    /// Whom to ask for masks in a frame that is looked at once more, from the end on; nobody in frames between.
+    /// Whom to ask for masks in a frame that is looked at again, from the end on; nobody in frames between.
     pub(super) fn prompter_backward(&mut self, frame: &Frame) -> Option<&mut dyn Prompter> {
         match self {
             Self::Masks(_) => None,

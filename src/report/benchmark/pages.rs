@@ -13,7 +13,7 @@ pub const ATTENTION_FRACTION: f64 = 0.98;
 
 const NONE: &str = "–";
 
-/// The whole page: summary, every sequence, others beside it, and what needs a reason.
+/// The whole page: summary, every sequence, others next to it, and what needs a reason.
 pub fn markdown(own: &Benchmark, others: &[Benchmark]) -> String {
     let mut page = format!("# Benchmark: {}\n\ntractrix {}", own.label, own.program);
     if !own.arguments.is_empty() {

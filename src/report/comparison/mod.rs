@@ -19,7 +19,7 @@ use crate::scene::Reconstruction;
 const TEMPLATE: &str = include_str!("compare.html");
 const SCRIPTS: [&str; 4] = [VIEW_SCRIPTS[0], VIEW_SCRIPTS[1], VIEW_SCRIPTS[2], include_str!("compare.js")];
 
-/// Colours of the reconstructions, the reference first; told apart also by the colour-blind (after Okabe and Ito).
+/// Colours of the reconstructions, the reference first; distinguished also by the colour-blind (after Okabe and Ito).
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#777777"];
 
 /// Images that the table lists of each reconstruction.

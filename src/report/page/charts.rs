@@ -94,8 +94,8 @@ impl Charts<'_> {
         self.data.ground?.planes.get(&(object, frame))
     }
 
-    /// One line per vehicle: planes beside different vehicles differ, so that a mean of them would jump whenever one of
-    /// the vehicles comes or goes.
+    /// One line per vehicle: planes next to different vehicles differ, so that a mean of them would jump whenever one
+    /// of the vehicles comes or goes.
     fn camera_height(&self) -> Chart {
         let images = self.data.background.images(self.data.frames);
         let images: BTreeMap<FrameId, &Image> =

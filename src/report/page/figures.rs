@@ -30,7 +30,7 @@ pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
     facts
 }
 
-/// In what lengths are said, and how sure that is.
+/// In what lengths are reported, and how sure that is.
 fn unit(data: &Data) -> Fact {
     match data.metric.and_then(metres::frame) {
         Some(frame) => Fact::new("unit of length", "metre").with_note(format!("± {}", percent(frame.log_scale_std()))),

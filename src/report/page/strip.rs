@@ -16,7 +16,7 @@ const MAX_STRIP_BYTES: usize = 5 << 19;
 pub(super) struct Picture {
     frame: u32,
     time: f64,
-    /// Its moment, as it is said.
+    /// Its moment, as it is reported.
     stamp: String,
     name: String,
     width: u32,

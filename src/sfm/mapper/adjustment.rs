@@ -72,8 +72,8 @@ impl Freedom {
         if map.unknown_cameras().next().is_some() { Self::FocalAndRadial } else { Self::Nothing }
     }
 
-    /// By camera: nothing of those that are given or see nothing, and of a camera beside others that sees few points at
-    /// most a focal length and the first coefficient of distortion: the margin of its picture tells little.
+    /// By camera: nothing of those that are given or see nothing, and of a camera next to others that sees few points
+    /// at most a focal length and the first coefficient of distortion: the margin of its picture tells little.
     fn of_cameras(self, map: &Map<'_>) -> Vec<Self> {
         const FEW_POINTS: usize = 300;
         let num_seen = map.num_points_of_cameras();
@@ -173,7 +173,7 @@ pub(super) fn taking_part(map: &Map<'_>, scope: &Scope, options: &Options) -> (V
     (tracks, free_views)
 }
 
-/// Which view and track each block of a problem stands for.
+/// Which view and track each block of a problem represents.
 pub(super) struct Parts {
     views: Vec<usize>,
     tracks: Vec<usize>,

@@ -118,7 +118,7 @@ impl<'a> Growth<'a> {
                     watch(self.map.num_registered());
                 }
             }
-            // Everything that can be seen was tried: a global adjustment may open new points, then once more.
+            // Everything that can be seen was tried: a global adjustment may open new points, then again.
             let before = self.map.num_registered();
             if before > self.adjusted_at {
                 self.adjust_grown()?;

@@ -105,7 +105,7 @@ fn common_tracks(table: &TrackTable, min_common: usize) -> Vec<PairTracks> {
 }
 
 /// The pairs with the largest product of common points (up to a number that suffices) and median displacement, which
-/// stands for the baseline until the geometry is known. Pairs between which nothing moves are only counted.
+/// represents the baseline until the geometry is known. Pairs between which nothing moves are only counted.
 fn promising(table: &TrackTable, cameras: &[Camera], common: Vec<PairTracks>, survey: &mut Survey) -> Vec<PairTracks> {
     let mut rate = |(views, tracks): PairTracks| {
         let median = median_displacement(table, cameras, &tracks, views)?;

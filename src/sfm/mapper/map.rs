@@ -257,7 +257,7 @@ impl<'a> Map<'a> {
         true
     }
 
-    /// Triangulates known points anew from their observations, leaving out those for which `keep` holds (they were
+    /// Triangulates known points again from their observations, leaving out those for which `keep` holds (they were
     /// adjusted already). A point whose observations no longer meet is dropped.
     pub fn retriangulate(&mut self, limits: &Limits, keep: &[bool]) {
         for track in 0..self.points.len() {
@@ -294,7 +294,7 @@ impl<'a> Map<'a> {
         changed
     }
 
-    /// Triangulates anew what some views see, leaving out points for which `keep` holds (they were adjusted already),
+    /// Triangulates again what some views see, leaving out points for which `keep` holds (they were adjusted already),
     /// and adds and takes out observations of all that they see.
     pub fn renew(&mut self, views: Range<usize>, limits: &Limits, keep: &[bool]) {
         let mut tracks: Vec<usize> =

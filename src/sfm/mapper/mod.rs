@@ -284,7 +284,7 @@ pub fn reconstruct(
 }
 
 /// As [`reconstruct`], with what is known `beside` the tracks. `watch` is told now and then which share of the work is
-/// done, as far as that can be told: starts that turn out to be needed set it back.
+/// done, as far as that can be determined: starts that turn out to be needed set it back.
 ///
 /// # Errors
 /// As [`reconstruct`].

@@ -13,7 +13,7 @@ use crate::sfm::tracks::TrackTable;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum Reason {
-    /// The target is not seen, or nothing on it could be told from its surroundings.
+    /// The target is not seen, or nothing on it could be determined from its surroundings.
     NoFeatures,
     /// Features, but none that another view shows too.
     NoMatches {

@@ -156,11 +156,11 @@ impl<'a> Task<'a> {
     /// The best of this map and of others, grown from other random choices and without trust in what was found again,
     /// until one explains what good tracks let a map explain.
     ///
-    /// A round that gives the best map once more is the last: what came out of two rounds comes out of others, too.
+    /// A round that gives the best map again is the last: what came out of two rounds comes out of others, too.
     ///
     /// Where few points tie two parts of a video, chance says which of several maps comes out, bent more or less; they
     /// differ in what they explain and in what leaves the silhouettes. A map that grew from known poses owes nothing to
-    /// chance: another round would give it once more, and where pairs of views gave nothing better they are not asked
+    /// chance: another round would give it again, and where pairs of views gave nothing better they are not asked
     /// again.
     ///
     /// Without gaps no track is joined wrongly, but what is hidden in part for a while may turn over there (nearly
@@ -205,7 +205,7 @@ impl<'a> Task<'a> {
         Ok(best.1)
     }
 
-    /// A video's map without its folds: the shorter side of each is grown anew from the longer one, and what comes of
+    /// A video's map without its folds: the shorter side of each is grown again from the longer one, and what comes of
     /// it is taken where it lies flatter and explains about as much.
     pub fn without_folds(&self, mut best: Growth<'a>, seed: u64) -> Result<Growth<'a>, SfmError> {
         for _ in 0..MAX_FOLDS {

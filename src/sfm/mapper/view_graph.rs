@@ -7,9 +7,9 @@
 //! less than half of all that two views share, their motion is therefore found from these points alone, and its turn
 //! and direction are compared with the map's.
 //!
-//! A view may also be wrong by less: beside one of many bars, bricks or sills that look alike, a part of a baseline
+//! A view may also be wrong by less: next to one of many bars, bricks or sills that look alike, a part of a baseline
 //! away from its place. Most points still fit to some pixels, and turn and direction are hardly off. So for views in no
-//! order every pair is asked once more, at the noise of the map: the epipolar geometry that the map gives to the two
+//! order every pair is asked again, at the noise of the map: the epipolar geometry that the map gives to the two
 //! views must explain half of their common tracks, or half as many as the one that they find by themselves. That is
 //! fair to pairs whose motion is uncertain (a plane, a short baseline): what they find explains hardly more than the
 //! map's.

@@ -81,7 +81,7 @@ pub fn ends(map: &Map<'_>, known: &Range<usize>) -> Vec<Range<usize>> {
     ends
 }
 
-/// Adjusts one of them; what is beside it is held.
+/// Adjusts one of them; what is next to it is held.
 pub fn adjust_end(
     map: &mut Map<'_>,
     views: Range<usize>,

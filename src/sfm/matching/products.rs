@@ -59,7 +59,7 @@ impl BestLanes {
         }
     }
 
-    /// The best over all lanes, of which lane `l` stands for vector `16 index + l`.
+    /// The best over all lanes, of which lane `l` represents vector `16 index + l`.
     fn merged(&self) -> Best {
         let place = |l: usize| u32::from(self.index[l]) * LANES as u32 + l as u32;
         let mut top = 0;

@@ -1,4 +1,4 @@
-//! DJI's subtitle files: a registry of dialects, told apart by what a block says.
+//! DJI's subtitle files: a registry of dialects, distinguished by what a block says.
 //!
 //! The same drone writes another dialect after an update, and one dialect is written by many drones; hence a block is
 //! asked which dialect it is, and a file may change from one to another in its middle. A new dialect is a row of

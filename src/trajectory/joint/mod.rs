@@ -223,7 +223,7 @@ impl<'a> Settled<'a> {
 
     /// The same; but with planes that are believed least where stretches of frames differ by more than these would make
     /// them: planes and reconstruction agree because both drift (docs/maths/scale.md). With it comes by how much
-    /// stretches differ, the more of both, where that can be told.
+    /// stretches differ, the more of both, where that can be determined.
     ///
     /// The square of the jackknife of K stretches, over the variance that is expected, is χ²/(K − 1) with K − 1 degrees
     /// of freedom; one in twenty is above the limit by chance.

@@ -13,7 +13,7 @@ fn smooth(sightings: &[Sighting], common: &CommonStd) -> Option<Vec<Motion>> {
 /// Errors of a simulated drive, metres: new in every frame, along the line of sight.
 const NOISE_M: f64 = 0.01;
 
-/// A circle to the left of 30 m radius at 8 m/s, 10 Hz, seen by a camera that stands 20 m beside it.
+/// A circle to the left of 30 m radius at 8 m/s, 10 Hz, seen by a camera that stands 20 m next to it.
 fn circle(num: u32, seed: u64) -> Vec<Sighting> {
     let mut rng = seeded_rng(seed, 0);
     let camera_m = Vector3::new(0.0, -20.0, 6.0);
@@ -91,8 +91,8 @@ fn a_standing_vehicle_stands() {
     }
 }
 
-/// Positions as a camera sees them that drives 8 m/s past a vehicle, which moves at a share of that, with a ratio that is
-/// wrong by a share.
+/// Positions as a camera sees them that drives 8 m/s past a vehicle, which moves at a share of that, with a ratio that
+/// is wrong by a share.
 fn passed(share: f64, off: f64) -> Vec<Sighting> {
     let mut all = circle(40, 7);
     for sighting in &mut all {
@@ -193,8 +193,9 @@ fn too_little_and_nonsense_have_no_motion() {
     assert!(smooth(&twice, &KNOWN).is_some());
 }
 
-/// A drive at constant speed along x, seen from a camera that drives beside it, with errors as the smoother takes them:
-/// new and wandering ones along and across the line of sight, and those of ratio and metres that all frames share.
+/// A drive at constant speed along x, seen from a camera that drives next to it, with errors as the smoother takes
+/// them: new and wandering ones along and across the line of sight, and those of ratio and metres that all frames
+/// share.
 fn drive(speed_m_s: f64, common: &CommonStd, seed: u64) -> Vec<Sighting> {
     let mut rng = seeded_rng(seed, 1);
     let mut normal = move || -> f64 { rng.sample(StandardNormal) };

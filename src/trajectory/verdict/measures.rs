@@ -58,7 +58,7 @@ pub(super) struct Measures {
     pub(super) speed: Option<f64>,
 }
 
-/// A step, or a turn, that is larger than those beside it.
+/// A step, or a turn, that is larger than those next to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Jump {
     /// Excess over the largest of the four neighbors, each for the time it takes; 0 for none.

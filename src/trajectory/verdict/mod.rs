@@ -56,7 +56,7 @@ pub struct Candidate<'a> {
 /// The verdict on every trajectory of a run, in their order. They are compared with one another, so all are needed at
 /// once.
 ///
-/// * `time_base` – where times count frames, nothing is said of speeds.
+/// * `time_base` – where times count frames, nothing is stated of speeds.
 /// * `focal_changes` – changes of the focal length, which the background and all objects take for motion: no verdict is
 ///   better than doubtful with one.
 pub fn verdicts(candidates: &[Candidate], time_base: TimeBase, focal_changes: &[FocalChange]) -> Vec<Verdict> {

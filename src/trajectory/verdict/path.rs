@@ -15,9 +15,9 @@ const JITTER: [f64; 2] = [0.3, 1.0];
 const JITTER_OF_STEP: f64 = 0.25;
 /// Share of the way that leads backwards. Vehicles do back up, so it never refutes.
 const BACKWARDS: [f64; 2] = [0.05, 0.2];
-/// Length of a step beyond those beside it, in heights of the vehicle; a vehicle is two to three of them long.
+/// Length of a step beyond those next to it, in heights of the vehicle; a vehicle is two to three of them long.
 const JUMP: [f64; 2] = [1.5, 6.0];
-/// Turn from one frame to the next beyond those beside it, radians. Vehicles that are right have up to 0.06, those
+/// Turn from one frame to the next beyond those next to it, radians. Vehicles that are right have up to 0.06, those
 /// whose model is folded or turned over 0.35 and more.
 const TURN: [f64; 2] = [0.17, 0.52];
 

@@ -4,7 +4,7 @@ use super::{Measures, percent, times};
 use crate::scene::ReasonKind::{Amount, Detection, Movement as MovementKind, Pixels};
 use crate::scene::{Movement, Outline, Reason, TrackedObject};
 
-/// Points, and frames with a place, below which little can be said; and below which next to nothing.
+/// Points, and frames with a place, below which little can be reported; and below which next to nothing.
 const FEW_POINTS: [usize; 2] = [20, 10];
 const FEW_FRAMES: [usize; 2] = [10, 5];
 /// Share of the frames in which it is seen: with a place in fewer, tracking may have changed from one vehicle to

@@ -161,8 +161,8 @@ fn what_stands_by_its_points_and_moves_by_its_path_is_refuted() {
     assert_eq!(finding(&verdict, ReasonKind::Movement), Some(Finding::Refutes));
 }
 
-/// The camera flies away from a car that follows at a constant ratio of speeds: its points are those of a stationary one
-/// farther away, and the ground hardly tells.
+/// The camera flies away from a car that follows at a constant ratio of speeds: its points are those of a stationary
+/// one farther away, and the ground hardly tells.
 #[test]
 fn a_path_along_the_line_of_sight_that_points_do_not_show_is_not_refuted() {
     let mut lead = car(1, 1.0, &usual());

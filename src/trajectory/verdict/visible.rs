@@ -1,9 +1,9 @@
 //! Power of the test for stationary points against the path of a trajectory.
 //!
 //! An object that moves parallel to the camera, at a constant ratio of speeds, is seen as a stationary one at another
-//! distance, so that points that look stationary contradict a path only if that path would have shown. Per second of the
-//! path, the static point that explains it best is fitted: with the middle line of sight as the axis, m_i the direction
-//! to the object in view i, and t_i the camera's displacement over the object's distance,
+//! distance, so that points that look stationary contradict a path only if that path would have shown. Per second of
+//! the path, the static point that explains it best is fitted: with the middle line of sight as the axis, m_i the
+//! direction to the object in view i, and t_i the camera's displacement over the object's distance,
 //!
 //! ```text
 //! e_i = (x, y) − m_i − k (t_xy − m_i t_z),

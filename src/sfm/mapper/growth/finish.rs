@@ -44,7 +44,7 @@ impl Growth<'_> {
         Ok(())
     }
 
-    /// Adjusts everything on all points, until observations stop changing; then once more on those that are left, so
+    /// Adjusts everything on all points, until observations stop changing; then again on those that are left, so
     /// that cameras and points lie at the minimum of exactly what is kept.
     fn adjust_until_settled(&mut self) -> Result<(), SfmError> {
         const MAX_ROUNDS: usize = 3;
@@ -127,7 +127,7 @@ impl Growth<'_> {
         self.reviewed = true;
         wrong.iter().for_each(|&view| self.map.unregister(view));
         self.noise = Noise::Unknown;
-        // Points that a wrong view took part in are found anew by the others.
+        // Points that a wrong view took part in are found again by the others.
         let untouched: Vec<bool> =
             self.map.table.tracks.iter().map(|t| t.iter().all(|f| !wrong.contains(&(f.view as usize)))).collect();
         self.map.retriangulate(&self.limits(), &untouched);

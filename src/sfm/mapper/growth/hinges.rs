@@ -41,7 +41,7 @@ impl Growth<'_> {
         views.windows(2).filter_map(turn).collect()
     }
 
-    /// The poses on the side of a fold that has more views; what lies on the other is to be grown anew.
+    /// The poses on the side of a fold that has more views; what lies on the other is to be grown again.
     pub fn longer_side(&self, hinge: &Hinge) -> KnownPoses {
         let [before, after] = hinge.views;
         let num_before = self.map.registered().filter(|view| *view <= before).count();

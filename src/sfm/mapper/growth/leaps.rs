@@ -28,7 +28,7 @@ impl Growth<'_> {
         self.noise = Noise::Unknown;
         let support: Vec<usize> = leapt.iter().map(|&view| self.num_observations_of(view)).collect();
         leapt.iter().for_each(|&view| self.map.unregister(view));
-        // Points that such a view took part in are found anew by the others.
+        // Points that such a view took part in are found again by the others.
         let untouched: Vec<bool> =
             self.map.table.tracks.iter().map(|t| t.iter().all(|f| !leapt.contains(&(f.view as usize)))).collect();
         self.map.retriangulate(&self.limits(), &untouched);

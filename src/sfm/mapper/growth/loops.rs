@@ -1,6 +1,6 @@
 //! Places that come back in a long video.
 //!
-//! A map drifts while it grows, mostly in scale, so that points that are found again after a long time project beside
+//! A map drifts while it grows, mostly in scale, so that points that are found again after a long time project next to
 //! where they are seen, and do not count as observations. Here they count for once, under the robust loss, and
 //! everything is adjusted: that draws the ends of the loop together. What still does not fit then is taken out again,
 //! like any observation.

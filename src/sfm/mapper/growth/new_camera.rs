@@ -1,7 +1,7 @@
 //! The first view of a camera whose focal length is not known, in a map that others have made.
 //!
 //! Three points make a pose for any focal length, but only the right one makes many others fit. So it is tried at
-//! several, two deviations of what is known beforehand to either side, and once more near the best one; the adjustment
+//! several, two deviations of what is known beforehand to either side, and again near the best one; the adjustment
 //! that follows finds it exactly.
 
 use super::Growth;

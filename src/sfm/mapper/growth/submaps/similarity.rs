@@ -89,7 +89,7 @@ impl Estimator for SimilarityEstimator<'_> {
         self.ties.len()
     }
 
-    /// Samples are drawn of all ties; each stands for one of those whose points both maps know.
+    /// Samples are drawn of all ties; each represents one of those whose points both maps know.
     fn fit(&self, sample: &[usize], models: &mut Vec<Sim3>) {
         if self.known.is_empty() {
             return;
