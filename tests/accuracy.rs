@@ -26,7 +26,7 @@ fn trajectory_error_m(flags: &[&str]) -> f64 {
     evaluation["trajectory"]["mean_m"].as_f64().unwrap()
 }
 
-/// Asserts the limit of `dataset/demo/max_error_m.txt` with two seeds: one and a half times the largest of the four errors
+/// Asserts the limit of `dataset/demo/max_error_m.txt` with two seeds: one and a half times the largest of four errors
 /// measured with them (raw 0.0584 and 0.0586 m, given 0.0586 and 0.0562 m).
 fn assert_accurate(flags: &[&str]) {
     let max_error_m: f64 = fs::read_to_string(clip().join("max_error_m.txt")).unwrap().trim().parse().unwrap();

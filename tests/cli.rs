@@ -583,7 +583,7 @@ fn the_last_lines_say_of_the_vehicle_what_a_person_wants_to_know() {
     let (code, text, stderr) = outcome(&mut command);
     assert_eq!(code, 0, "{stderr}");
     assert!(text.starts_with("1 vehicle with a trajectory\n  1: vehicle, moving, placed in "), "{text}");
-    for expected in [" of 24 frames, from 0.", "path: ", " units of the background", "Size and distance"] {
+    for expected in [" of 24 frames, from 0.", "path length: ", " units, displacement: ", "size and distance"] {
         assert!(text.contains(expected), "{expected}: {text}");
     }
     assert!(text.trim_end().ends_with("report.html"), "{text}");

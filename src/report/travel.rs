@@ -21,7 +21,8 @@ pub fn travel_facts(trajectory: &ObjectTrajectory, times: TimeBase) -> Vec<Fact>
         None => said(label, units, LENGTH_UNIT),
     };
     let speeds = [("mean speed", mean_speed_m_s), ("maximum speed", max_speed_m_s)];
-    let speeds = speeds.into_iter().filter_map(|(label, speed)| Some(said(label, speed?.scaled(KM_H), "km/h")));
+    let speeds = speeds.into_iter().filter(|_| times == TimeBase::Seconds);
+    let speeds = speeds.filter_map(|(label, speed)| Some(said(label, speed?.scaled(KM_H), "km/h")));
     let seconds = trajectory.poses.first().zip(trajectory.poses.last()).map_or(0.0, |(a, b)| b.time_s - a.time_s);
     let is_unitless = path_m.is_none() && times == TimeBase::Seconds && seconds > 0.0;
     let in_units =

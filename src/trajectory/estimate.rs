@@ -360,7 +360,7 @@ mod tests {
         for seed in 0..4 {
             let (found, _) = estimate(&world, seed, ScaleMethod::RobustLeastSquares);
             assert!(found.degenerate, "{found:?}");
-            assert!(found.reason.unwrap().contains("±"));
+            assert!(found.reason.is_some_and(|reason| !reason.is_empty()));
         }
     }
 
