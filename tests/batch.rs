@@ -88,7 +88,7 @@ fn jobs_side_by_side_do_not_stop_one_another_and_the_same_command_again_does_wha
     let (_, now) = status(&place);
     assert_eq!(states(&now), ["done", "to-go-on", "done"], "a repaired input counts as another one");
     let (_, _, stderr) = outcome(&mut batch(&place, &["--jobs", "2"]));
-    assert_eq!(stderr.matches("done before").count(), 2, "{stderr}");
+    assert_eq!(stderr.matches("up to date").count(), 2, "{stderr}");
 }
 
 #[test]
@@ -150,7 +150,7 @@ fn a_list_that_changes_while_its_jobs_are_done_changes_no_job() {
     assert_eq!(running.wait().unwrap().code(), Some(0));
     assert!(place.path("out/two/report.html").is_file() && !place.path("out/zero").exists());
     let (_, stdout, stderr) = outcome(&mut batch(&place, &["--index", "2"]));
-    assert!(stderr.contains("two: index 2 of the list now, index 1 when it was last run"), "{stdout} {stderr}");
+    assert!(stderr.contains("two: index 2 in the list, 1 in its last run"), "{stdout} {stderr}");
     assert_eq!(states(&status(&place).1), ["missing", "done", "done"]);
 }
 
@@ -165,7 +165,7 @@ fn a_job_without_a_vehicle_is_done_and_stays_done() {
     assert_eq!(code, 0, "{stderr}");
     assert_eq!(status(&place).0, 0);
     let (code, _, stderr) = outcome(&mut batch(&place, &["--jobs", "1"]));
-    assert!(code == 0 && stderr.contains("done before"), "{stderr}");
+    assert!(code == 0 && stderr.contains("up to date"), "{stderr}");
 }
 
 #[test]
@@ -182,10 +182,10 @@ fn without_options_the_status_compares_none_and_with_them_it_names_the_other_one
     assert_eq!(status(&[]).0, 0, "{}", status(&[]).1);
     assert_eq!(status(&["--seed", "3", "--threads", "1"]).0, 0);
     let (code, stdout) = status(&["--seed", "4", "--end", "6f"]);
-    assert!(code == 1 && stdout.contains("seed is 3 in the results, 4 is given"), "{stdout}");
-    assert!(stdout.contains("video.end is null in the results, \"6f\" is given"), "{stdout}");
+    assert!(code == 1 && stdout.contains("seed is 3 in the results, now 4"), "{stdout}");
+    assert!(stdout.contains("video.end is null in the results, now \"6f\""), "{stdout}");
     fs::write(&list, "images\t--seed 5").unwrap();
-    assert!(status(&[]).1.contains("seed is 3 in the results, 5 is given"));
+    assert!(status(&[]).1.contains("seed is 3 in the results, now 5"));
 }
 
 #[test]

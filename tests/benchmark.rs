@@ -129,7 +129,7 @@ fn models_of_others_are_taken_as_they_are(folder: &Path, set: &Path, first: &Pat
     assert_eq!(code, 1, "{stderr}");
     let results: Value = serde_json::from_str(&text).unwrap();
     let failed = sequence(&results, BROKEN)["failure"].as_str().unwrap();
-    assert!(failed.contains("there is no such model"), "{failed}");
+    assert!(failed.contains("model not found"), "{failed}");
     let given = sequence(&results, CLIP);
     for key in ["floor_m", "trajectory_error_m"] {
         let (given, expected) = (given[key].as_f64().unwrap(), done[key].as_f64().unwrap());
@@ -148,7 +148,7 @@ fn what_is_no_data_set_is_refused() {
     assert!(stderr.contains("no folder in it has a scene.json"), "{stderr}");
     let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("dataset/demo");
     let (code, _, stderr) = benchmark(&clip, &out, &[]);
-    assert!(code == 1 && stderr.contains("give the folder above it"), "{stderr}");
+    assert!(code == 1 && stderr.contains("give the folder that contains it"), "{stderr}");
     let none = folder.path().join("none.json").display().to_string();
     let (code, _, stderr) = benchmark(clip.parent().unwrap(), &out, &["--only", "demo", "--compare", &none]);
     assert!(code == 1 && stderr.contains("none.json") && stderr.contains("--compare"), "{stderr}");

@@ -92,7 +92,7 @@ fn a_missing_model_is_refused_by_name() {
 fn a_model_that_is_none_is_refused() {
     let folder = TempDir::new().unwrap();
     let model = folder.path().join("noise.onnx");
-    fs::write(&model, b"not a network").unwrap();
+    fs::write(&model, b"cannot load this network").unwrap();
     let mut command = tractrix();
     command.arg("run").arg(clip(folder.path(), 2)).arg("--output").arg(folder.path().join("out"));
     let (code, _, stderr) = outcome(command.arg("--segmentation-model").arg(&model));
@@ -204,7 +204,7 @@ fn partial(input: &Path, masks: &Path, output: &Path) -> (String, serde_json::Va
     command.arg("run").arg(input).arg("--masks").arg(masks).arg("--output").arg(output);
     let (code, _, stderr) = outcome(&mut command);
     assert_eq!(code, 1, "{stderr}");
-    assert!(stderr.contains("the background cannot be reconstructed"), "{stderr}");
+    assert!(stderr.contains("background not reconstructed"), "{stderr}");
     for file in ["run.json", "trajectories.json", "ground.json", "report.html", "background/cameras.txt"] {
         assert!(output.join(file).is_file(), "{file}");
     }
@@ -232,7 +232,7 @@ fn a_video_that_is_cut_off_is_used_as_far_as_it_goes() {
     let found = run["stages"]["frames"]["figures"]["num_frames"].as_u64().unwrap();
     assert!((2..29).contains(&found), "{found}");
     let warnings = run["warnings"].as_array().unwrap();
-    assert!(warnings.iter().any(|w| w.as_str().unwrap().contains("cut off")), "{warnings:?}");
+    assert!(warnings.iter().any(|w| w.as_str().unwrap().contains("truncated")), "{warnings:?}");
 }
 
 #[test]
@@ -377,7 +377,7 @@ fn a_failed_background_is_said_once_and_nothing_is_said_after_it() {
     let folder = TempDir::new().unwrap();
     let out = folder.path().join("out");
     let (stderr, _) = partial(&clip(folder.path(), 1), &masks(folder.path(), 1, 64, 48), &out);
-    assert_eq!(stderr.matches("cannot be reconstructed").count(), 1, "{stderr}");
+    assert_eq!(stderr.matches("not reconstructed").count(), 1, "{stderr}");
     assert!(stderr.contains("background stage 4 of 12") && !stderr.contains("stage 7 of 12"), "{stderr}");
 }
 
@@ -419,7 +419,7 @@ fn what_a_late_stage_cannot_use_is_said_before_the_first_long_one() {
     let folder = TempDir::new().unwrap();
     let (input, masks) = (clip(folder.path(), 3), masks(folder.path(), 3, 64, 48));
     let noise = folder.path().join("noise.onnx");
-    fs::write(&noise, b"not a network").unwrap();
+    fs::write(&noise, b"cannot load this network").unwrap();
     let ground = folder.path().join("ground");
     fs::create_dir(&ground).unwrap();
     image::GrayImage::new(64, 48).save(ground.join("000000.png")).unwrap();
@@ -461,7 +461,7 @@ fn what_was_given_and_is_of_no_use_is_warned_of() {
     let mut command = tractrix();
     command.arg("run").arg(&input).arg("--masks").arg(&masks).args(["--fps", "3", "--only-object", "99"]);
     let (_, _, stderr) = outcome(command.arg("--output").arg(folder.path().join("out")));
-    assert!(stderr.contains("--fps is for folders"), "{stderr}");
+    assert!(stderr.contains("--fps ignored"), "{stderr}");
     assert!(stderr.contains("--only-object 99") && stderr.contains("tracked are: 1"), "{stderr}");
 }
 
@@ -497,7 +497,7 @@ fn an_input_of_another_kind_says_what_it_is() {
     // One channel, 8000 samples a second, 16 bits, four samples.
     let format = b"RIFF\x2c\0\0\0WAVEfmt \x10\0\0\0\x01\0\x01\0\x40\x1f\0\0\x80\x3e\0\0\x02\0\x10\0";
     fs::write(folder.path().join("sound.wav"), [&format[..], b"data\x08\0\0\0\0\0\0\0\0\0\0\0"].concat()).unwrap();
-    assert!(refuse("sound.wav").contains("no picture track"));
+    assert!(refuse("sound.wav").contains("no video track"));
     for (name, file, expected) in
         [("films", "a.MP4", "1 .mp4 file"), ("scans", "a.tiff", "convert"), ("bare", ".hidden", "empty")]
     {
@@ -569,7 +569,7 @@ fn a_run_that_is_stopped_says_how_it_goes_on() {
     rustix::process::kill_process(rustix::process::Pid::from_child(&child), rustix::process::Signal::INT).unwrap();
     let rest: Vec<String> = lines.collect();
     assert_eq!(child.wait().unwrap().code(), Some(130), "{rest:?}");
-    assert!(rest.iter().any(|line| line.contains("the same command goes on")), "{rest:?}");
+    assert!(rest.iter().any(|line| line.contains("the same command resumes")), "{rest:?}");
 }
 
 #[test]
@@ -582,7 +582,7 @@ fn the_last_lines_say_of_the_vehicle_what_a_person_wants_to_know() {
     command.arg("--intrinsics").arg(drive::intrinsics()).args(["--fps", "10"]).arg("--output").arg(of("out"));
     let (code, text, stderr) = outcome(&mut command);
     assert_eq!(code, 0, "{stderr}");
-    assert!(text.starts_with("1 vehicle with a trajectory\n  1: vehicle, moving, placed in "), "{text}");
+    assert!(text.starts_with("1 vehicle with a trajectory\n  1: vehicle, moving, 3D position in "), "{text}");
     for expected in [" of 24 frames, from 0.", "path length: ", " units, displacement: ", "size and distance"] {
         assert!(text.contains(expected), "{expected}: {text}");
     }

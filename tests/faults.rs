@@ -118,7 +118,7 @@ fn the_system_stops_a_run_with_a_code_that_asks_for_another_start() {
         let rest: Vec<String> = lines.collect();
         assert_eq!(child.wait().unwrap().code(), Some(75), "{signal:?}: {rest:?}");
         assert!(asked.elapsed() < Duration::from_secs(10), "{:?}", asked.elapsed());
-        assert!(rest.iter().any(|line| line.contains("the same command goes on")), "{rest:?}");
+        assert!(rest.iter().any(|line| line.contains("the same command resumes")), "{rest:?}");
         assert!(place.path("out/.tractrix/frames.json").is_file());
         fs::remove_dir_all(place.path("out")).unwrap();
     }
@@ -291,7 +291,7 @@ fn coordinates_beyond_any_sense_are_refused_where_they_are_read() {
         fs::write(place.path("trajectories.json"), document.to_string()).unwrap();
         trajectories::read(&place.path("trajectories.json")).map(drop).map_err(|error| error.to_string())
     };
-    assert!(read(&document).unwrap_err().contains("further away"), "{:?}", read(&document));
+    assert!(read(&document).unwrap_err().contains("out of range"), "{:?}", read(&document));
     document["objects"][0]["frames"][0]["world_from_object"]["translation"][2] = 1e5.into();
     assert_eq!(read(&document), Ok(()));
     document["objects"][0]["scale"]["ratio"] = 1e308.into();
@@ -388,7 +388,7 @@ fn own_files_that_are_damaged_are_named_with_a_cure_and_lead_nowhere() {
     frames[3]["name"] = "../../../../escaped.png".into();
     fs::write(&list, frames.to_string()).unwrap();
     fs::remove_file(state.join("track.json")).unwrap();
-    let named = refused(&[], "no name of a frame");
+    let named = refused(&[], "not a frame name");
     assert!(!everything(place.folder.path()).keys().any(|path| path.ends_with("escaped.png.png")));
     assert_eq!(named, list);
     fs::remove_file(named).unwrap();

@@ -12,7 +12,7 @@ use tempfile::TempDir;
 
 /// Folders that programs write to without being asked, with the variables that name them.
 const PERSONAL: [(&str, &str); 3] = [("HOME", "home"), ("TMPDIR", "tmp"), ("XDG_CACHE_HOME", "cache")];
-/// What the program keeps of the environment: where programs, libraries, and its own networks are.
+/// What the program keeps of the environment: where programs, libraries, and its bundled networks are.
 const KEPT: [&str; 4] = ["PATH", "LD_LIBRARY_PATH", "TRACTRIX_MODELS", "TRACTRIX_ONNXRUNTIME"];
 /// Calls that read. A pair of sockets has no address: the handler of signals wakes a thread of its own process by it.
 const HARMLESS: &str = "access chdir execve faccessat faccessat2 fstatfs getcwd getsockopt getxattr lgetxattr \
@@ -208,7 +208,7 @@ fn a_copied_program_takes_nothing_from_folders_above_it_nor_from_where_it_was_bu
     command.arg("doctor").env_clear().envs(KEPT[..2].iter().filter_map(|name| Some((name, std::env::var_os(name)?))));
     let output = command.output().unwrap();
     let said = String::from_utf8_lossy(&output.stdout);
-    assert!(said.contains("ONNX Runtime") && said.contains("own network"), "{said}");
+    assert!(said.contains("ONNX Runtime") && said.contains("bundled network"), "{said}");
     let source_tree = Path::new(env!("CARGO_MANIFEST_DIR"));
     for place in [planted, folder.path().join("models"), source_tree.join("third_party"), source_tree.join("models")] {
         assert!(!said.contains(place.to_str().unwrap()), "{}: {said}", place.display());

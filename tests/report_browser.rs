@@ -160,7 +160,7 @@ fn data<'a>(result: &'a Showcase, strip: Vec<Thumbnail>) -> Data<'a> {
         ],
         evaluation: Some(&EVALUATION),
         parts: vec![
-            Part { object: None, path: "trajectories.json".into(), holds: "all trajectories".into() },
+            Part { object: None, path: "trajectories.json".into(), holds: "trajectories, frame by frame".into() },
             Part { object: Some(CAR), path: "objects/1/".into(), holds: "cameras and points".into() },
         ],
     }
@@ -240,7 +240,7 @@ fn without_webgl_the_page_says_so_and_shows_the_top_view() {
     assert_eq!(attribute(&document, "data-ready"), Some("true"), "{log}");
     assert_eq!(attribute(&document, "data-renderer"), Some("plan"), "{log}");
     assert_eq!(attribute(&document, "data-errors"), None, "{log}");
-    assert!(document.contains("This browser has no WebGL"));
+    assert!(document.contains("this browser has no WebGL"));
 }
 
 /// What a script finds on a page that is ready, in a window of some width. The script gives a text.

@@ -192,7 +192,7 @@ fn two_runs_do_not_share_a_folder() {
     }
     let (code, _, stderr) = outcome(tractrix().args(place.arguments("out")));
     assert_eq!(code, 75);
-    assert!(stderr.contains("another tractrix is at work"), "{stderr}");
+    assert!(stderr.contains("in use by another tractrix process"), "{stderr}");
     first.kill().unwrap();
     first.wait().unwrap();
 }
@@ -228,7 +228,8 @@ fn images_of_a_given_model_that_are_no_frames_are_named() {
     place.run("given", &["--every", "2", "--object-model", &model]);
     let run = json(&place.path("given/run.json"));
     let warnings: Vec<&str> = run["warnings"].as_array().unwrap().iter().filter_map(|text| text.as_str()).collect();
-    let named = |text: &&str| text.starts_with("object 1: ") && text.contains("images are no frames of the input");
+    let named =
+        |text: &&str| text.starts_with("object 1: ") && text.contains("images skipped: not frames of the input");
     assert_eq!(warnings.iter().filter(|text| named(text)).count(), 1, "{warnings:?}");
     let scale = &json(&place.path("given/trajectories.json"))["objects"][0]["scale"];
     assert_eq!(scale["method"], "least-squares", "a model that the user gives is not adjusted");

@@ -156,7 +156,7 @@ fn inputs_that_lie_among_the_results_are_refused_by_every_command() {
         let before = snapshot(place.folder.path());
         let (code, _, said) = outcome(&mut started);
         assert!(
-            code == 2 && said.contains(flag) && said.contains("lies in the output folder"),
+            code == 2 && said.contains(flag) && said.contains("inside the output folder"),
             "{flag}: {code}: {said}"
         );
         assert_same(&before, &snapshot(place.folder.path()), flag);
@@ -165,9 +165,9 @@ fn inputs_that_lie_among_the_results_are_refused_by_every_command() {
     fs::write(&options, "{}").unwrap();
     for command in RUNS {
         let said = place.refused(command, "images", "out", &["--options".as_ref(), options.as_os_str()]);
-        assert!(said.contains("--options") && said.contains("lies in the output folder"), "{said}");
+        assert!(said.contains("--options") && said.contains("inside the output folder"), "{said}");
         let said = place.refused(command, "out/tracks/1", "out", &[]);
-        assert!(said.contains("lies in the output folder"), "{said}");
+        assert!(said.contains("inside the output folder"), "{said}");
     }
 }
 

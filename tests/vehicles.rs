@@ -80,6 +80,6 @@ fn a_vehicle_without_a_class_is_found_because_it_moves() {
 fn without_detector_and_motion_there_is_no_vehicle() {
     let place = Place::new(NUM_FRAMES);
     let said = place.run("out", &["--mask-network", "none", "--motion", "off"]);
-    assert!(said.contains("no vehicle is tracked"), "{said}");
+    assert!(said.contains("no vehicle tracked"), "{said}");
     assert!(place.tracks("out")["objects"].as_array().unwrap().is_empty());
 }

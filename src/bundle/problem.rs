@@ -167,7 +167,7 @@ pub struct IntrinsicsPrior {
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum BundleError {
     /// An index points past its list.
-    #[error("{what} {index} refers to {target} {value}, but there are only {count}")]
+    #[error("{what} {index}: {target} {value} does not exist, only {count} do")]
     Index {
         /// The block that holds the index.
         what: &'static str,
@@ -181,7 +181,7 @@ pub enum BundleError {
         count: usize,
     },
     /// A value that is not finite, or not positive where it must be.
-    #[error("{what} {index} holds a value that is not finite or not in range; remove it before the adjustment")]
+    #[error("{what} {index}: value not finite or out of range; remove it before the adjustment")]
     Value {
         /// The block at fault.
         what: &'static str,
@@ -189,7 +189,7 @@ pub enum BundleError {
         index: usize,
     },
     /// An option out of range.
-    #[error("bundle option {name} = {value} is out of range")]
+    #[error("bundle option {name} = {value}: out of range")]
     Option {
         /// The field.
         name: &'static str,
@@ -197,7 +197,7 @@ pub enum BundleError {
         value: f64,
     },
     /// More blocks or observations than 32-bit indices count.
-    #[error("{count} {what} are more than the adjuster can index")]
+    #[error("{count} {what}: more than the adjuster can index")]
     TooLarge {
         /// Which list.
         what: &'static str,
@@ -206,15 +206,15 @@ pub enum BundleError {
     },
     /// The normal equations are singular where a covariance was asked for.
     #[error(
-        "the covariance is not determined: the normal equations are singular at parameter {pivot}; hold the \
-         gauge or remove what nothing observes"
+        "covariance undetermined: the normal equations are singular at parameter {pivot}; fix the gauge or remove \
+         unobserved parameters"
     )]
     Singular {
         /// Index in the reduced system, with the points behind the cameras.
         pivot: usize,
     },
     /// A covariance was asked for a block that is held or that nothing observes.
-    #[error("{what} {index} has no covariance: it is held, or nothing observes it")]
+    #[error("{what} {index}: no covariance, it is constant or unobserved")]
     NoCovariance {
         /// The list.
         what: &'static str,
@@ -222,7 +222,7 @@ pub enum BundleError {
         index: usize,
     },
     /// The threads could not be started.
-    #[error("could not start {threads} threads: {message}")]
+    #[error("{threads} threads cannot be started: {message}")]
     Threads {
         /// Number of threads.
         threads: usize,

@@ -7,93 +7,91 @@ use super::terminal::ProgressKind;
 use crate::pipeline::Stage;
 
 /// Meaning of the exit codes.
-const EXIT_CODES: &str = "Exit codes: 0 done, 1 failed on the input, 2 wrong use, 75 to be started again with the same \
-                          command (stopped by SIGTERM or SIGHUP, or another process has the output folder), 130 \
-                          stopped by Ctrl-C.";
+const EXIT_CODES: &str = "Exit codes: 0 success, 1 failure on the input, 2 wrong usage, 75 run the same command again \
+     (stopped by SIGTERM or SIGHUP, or another process uses the output folder), 130 stopped by Ctrl-C.";
 
-/// Three-dimensional trajectories of the vehicles in one video from a moving camera.
+/// Estimate 3D vehicle trajectories from one video of a moving camera
 #[derive(Debug, Parser)]
 #[command(name = "tractrix", version = crate::VERSION, max_term_width = 100, after_help = EXIT_CODES)]
 pub(super) struct Args {
     /// Command to run
     #[command(subcommand)]
     pub(super) command: Command,
-    /// Say nothing but errors: no progress, no warnings, and no results but those of --json
+    /// Print errors only: no progress, no warnings, no results except those of --json
     #[arg(long, global = true)]
     pub(super) quiet: bool,
-    /// Say more about what is going on
+    /// Print details on stderr
     #[arg(short, long, global = true, conflicts_with = "quiet")]
     pub(super) verbose: bool,
     /// Print the result, or the error, as one JSON object
     #[arg(long, global = true)]
     pub(super) json: bool,
-    /// Progress on stderr: auto, bar, plain (lines), json (an object a line), none
+    /// Progress on stderr: auto, bar, plain (lines), json (one object per line), none
     #[arg(long, global = true, value_name = "KIND", value_enum, default_value_t, hide_possible_values = true)]
     pub(super) progress: ProgressKind,
 }
 
 #[derive(Debug, Subcommand)]
 pub(super) enum Command {
-    /// Do everything: from a video to trajectories and a report
+    /// Run all stages: from a video to trajectories and a report
     ///
-    /// Can be stopped and started again at any moment: what is finished is not done twice.
+    /// Can be stopped at any time; the same command resumes without repeating finished work.
     Run(Box<JobArgs>),
-    /// Find the vehicles in every frame
+    /// Detect the vehicles in every frame
     #[command(mut_args(|flag| job::shown_up_to(Stage::Segment, flag)))]
     Segment(Box<JobArgs>),
-    /// Follow the vehicles from frame to frame (after `segment`)
+    /// Track the vehicles over all frames (after `segment`)
     #[command(mut_args(|flag| job::shown_up_to(Stage::Track, flag)))]
     Track(Box<JobArgs>),
-    /// Reconstruct the background, and every tracked vehicle
+    /// Reconstruct the background and every tracked vehicle
     ///
-    /// Without --masks or --segmentation-model no vehicles are looked for, and all pixels are background.
+    /// Without --masks or --segmentation-model no vehicles are detected, and all pixels are background.
     #[command(mut_args(|flag| job::shown_up_to(Stage::Objects, flag)))]
     Sfm(Box<JobArgs>),
-    /// Find the ground and its plane near every vehicle (after `sfm`)
+    /// Estimate the ground, and its local plane near every vehicle (after `sfm`)
     #[command(mut_args(|flag| job::shown_up_to(Stage::Ground, flag)))]
     Ground(Box<JobArgs>),
-    /// Find scale ratios and trajectories (after `ground`)
+    /// Estimate scale ratios and trajectories (after `ground`)
     #[command(mut_args(|flag| job::shown_up_to(Stage::Scale, flag)))]
     Scale(Box<JobArgs>),
-    /// Find metres and places on the map (after `scale`)
+    /// Estimate the scale in meters and georeferenced positions (after `scale`)
     Metric(Box<JobArgs>),
-    /// Run many videos: one of a list for a scheduler, or all of them side by side
+    /// Run many videos: one job of a list, for schedulers, or all jobs in parallel
     ///
-    /// Each is a run of its own in a folder of its own. Whatever happened, the same command again does what is left.
+    /// Every job has its own output folder. After any interruption the same command runs what remains.
     Batch(Box<super::batch::Args>),
-    /// Compare the result of a run with the ground truth of its sequence
+    /// Compare a result with the ground truth of its sequence
     Evaluate(super::evaluate::Args),
-    /// Run all sequences of a data set, and sum up how far they are from the truth
+    /// Run all sequences of a data set and summarize their errors
     ///
-    /// Can be stopped and started again like `run`. Exit code 1 if a sequence failed; the tables are written all the
-    /// same.
+    /// Can be stopped and resumed like `run`. Exit code 1 if a sequence failed; the tables are written nevertheless.
     Benchmark(Box<super::benchmark::Args>),
-    /// See whether stated deviations mean what they say, and where the method breaks down
+    /// Check whether reported standard deviations are calibrated, and where the method fails
     ///
     /// Runs the sequences of a data set in many variants (shorter, smaller, blurred, with worse masks and so on) and
-    /// counts how many errors lie within 1, 2 and 3 stated deviations. Can be stopped and started again like `run`.
+    /// counts the errors within 1, 2 and 3 reported standard deviations. Can be stopped and resumed like `run`.
     Calibrate(Box<super::calibrate::Args>),
     /// Compare two reconstructions of the same images
     Compare(super::compare::Args),
-    /// Write a reconstruction in another format
+    /// Convert a reconstruction to another format
     Convert(super::convert::Args),
-    /// Write results as tables, maps, poses, a scene in motion, an annotated video
+    /// Export results as tables, maps, poses, an animated scene or an annotated video
     Export(super::export::Args),
-    /// Join the results of many runs in one table
+    /// Combine the results of many runs in one table
     ///
-    /// Exit code 1 if a folder could not be read; the table holds the others all the same.
+    /// Exit code 1 if a folder could not be read; the table has the others nevertheless.
     Summary(super::summarize::Args),
-    /// Solve a problem of "Bundle Adjustment in the Large"
+    /// Solve a "Bundle Adjustment in the Large" problem
     Bal(super::bal::Args),
-    /// Say what is understood of a file of telemetry
+    /// Show what was parsed from a telemetry file
     Telemetry(super::telemetry::Args),
-    /// Say what options there are, and which values they have with these flags
+    /// List all options and their effective values
     Options(Box<super::options::Args>),
-    /// Say what is installed, what is missing, and how to get it
+    /// Check installed libraries and networks
     Doctor(super::doctor::Args),
-    /// Print what a shell needs to complete commands and options
+    /// Print a completion script for a shell
     Completions(super::manual::CompletionsArgs),
-    /// Write the manual pages, one for each command
+    /// Write the manual pages, one per command
     Manual(super::manual::ManualArgs),
 }
 

@@ -11,21 +11,21 @@ use crate::bundle::{Behind, CameraBlock, Gauge, LinearSolver, Options, Problem, 
 use crate::io::bal;
 use crate::pipeline::{MOST_THREADS, process_cpu_s};
 
-/// Adjusts a BAL problem (all cameras with their own f, k1, k2) and prints what came out.
+/// Solve a "Bundle Adjustment in the Large" problem (each camera with its own f, k1, k2) and print the result
 #[derive(clap::Args, Clone, Debug)]
 pub(super) struct Args {
-    /// A problem of "Bundle Adjustment in the Large", as text.
+    /// "Bundle Adjustment in the Large" problem, text format
     pub(super) problem: PathBuf,
-    /// Threads; 0 takes all.
+    /// Threads; 0 uses all
     #[arg(long, default_value_t = 1, value_parser = threads)]
     pub(super) threads: usize,
-    /// Most iterations.
+    /// Maximum number of iterations
     #[arg(long, default_value_t = 50)]
     pub(super) max_iterations: usize,
-    /// Stop when a step changes the cost by less than this part of it.
+    /// Relative change of the cost below which iteration stops
     #[arg(long, default_value_t = 1e-6)]
     pub(super) function_tolerance: f64,
-    /// Solver of the reduced camera system.
+    /// Solver of the reduced camera system
     #[arg(long, value_enum, default_value_t = SolverArg::Auto)]
     pub(super) solver: SolverArg,
 }
@@ -33,13 +33,13 @@ pub(super) struct Args {
 /// [`LinearSolver`] by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum SolverArg {
-    /// Dense or sparse, by size and fill.
+    /// Dense or sparse, by size and fill
     Auto,
-    /// Dense Cholesky.
+    /// Dense Cholesky
     Dense,
-    /// Sparse Cholesky.
+    /// Sparse Cholesky
     Sparse,
-    /// Conjugate gradients.
+    /// Conjugate gradients
     Iterative,
 }
 
@@ -58,7 +58,7 @@ struct Output {
 /// A number of threads that helps anybody.
 fn threads(text: &str) -> Result<usize, String> {
     let number = text.parse().ok().filter(|number| *number <= MOST_THREADS);
-    number.ok_or_else(|| format!("'{text}' is no number from 0 to {MOST_THREADS}"))
+    number.ok_or_else(|| format!("'{text}': expected a number from 0 to {MOST_THREADS}"))
 }
 
 /// Reads, adjusts, prints.
@@ -105,7 +105,7 @@ fn as_text(output: &Output) -> String {
         "{} images, {} points, {} observations\n\
          cost {:.3} → {:.3} in {} iterations ({:?})\n\
          CPU {:.3} s, wall {:.3} s\n\
-         set-up {:.3}, linearisation {:.3}, reduced system {:.3}, its solution {:.3}, steps {:.3} s\n",
+         set-up {:.3}, linearization {:.3}, reduced system {:.3}, its solution {:.3}, steps {:.3} s\n",
         output.num_images,
         output.num_points,
         s.num_residuals,

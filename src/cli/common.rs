@@ -19,18 +19,18 @@ pub(super) struct CommonArgs {
     /// Threads [default: one per core]
     #[arg(long, value_name = "N", help_heading = "General")]
     pub(super) threads: Option<usize>,
-    /// Memory limit for files that are read, images and networks, such as 2GiB [default: four fifths of what there is]
+    /// Memory limit for input files, images and networks, such as 2GiB [default: 80 % of the memory]
     #[arg(long, value_name = "SIZE", help_heading = "General")]
     pub(super) memory_limit: Option<MemoryLimit>,
-    /// Seed of every random choice [default: 0]
+    /// Seed of the random number generator [default: 0]
     #[arg(long, value_name = "N", help_heading = "General")]
     pub(super) seed: Option<u64>,
-    /// JSON file with options, or a run.json, whose options are taken; what it leaves out keeps its default
+    /// JSON file with options, or a run.json, whose options are used; missing ones keep their default
     #[arg(long, value_name = "FILE", help_heading = "General")]
     pub(super) options: Option<PathBuf>,
-    /// One option by its path, for example scale.joint.max_rounds=9; may be repeated (`tractrix options` lists all)
+    /// One option by its path, such as scale.joint.max_rounds=9; may be repeated (`tractrix options` lists all)
     ///
-    /// The value is JSON or a word. Goes before the file of --options; flags of their own go before both.
+    /// The value is JSON or a word. Overrides the --options file; dedicated flags override both.
     #[arg(long, value_name = "KEY=VALUE", value_parser = assignment, help_heading = "General")]
     pub(super) set: Vec<(String, String)>,
 }
@@ -60,20 +60,20 @@ impl CommonArgs {
 fn read_options(path: &Path, below: &Options) -> Result<Options, Failure> {
     let shown = path.display().to_string();
     let text = files::read_text(path).with_context(|| format!("{shown}: cannot be read; check --options"))?;
-    let given: serde_json::Value =
-        serde_json::from_slice(&text).with_context(|| format!("{shown}: not a tree of options; check --options"))?;
+    let given: serde_json::Value = serde_json::from_slice(&text)
+        .with_context(|| format!("{shown}: not a JSON tree of options; check --options"))?;
     // A run.json has more than options.
     let options = given.get("options").filter(|_| given.get("stages").is_some()).unwrap_or(&given);
     Ok(below.with_tree(options).map_err(|error| anyhow::anyhow!("{shown}: {error}"))?)
 }
 
 fn assignment(text: &str) -> Result<(String, String), String> {
-    let (key, value) = text.split_once('=').ok_or_else(|| format!("'{text}' is not KEY=VALUE"))?;
+    let (key, value) = text.split_once('=').ok_or_else(|| format!("'{text}': expected KEY=VALUE"))?;
     Ok((key.trim().to_owned(), value.trim().to_owned()))
 }
 
 fn scale_method(text: &str) -> Result<ScaleMethod, String> {
     let names: Vec<&str> = ScaleMethod::ALL.iter().map(|method| method.name()).collect();
     let found = ScaleMethod::ALL.into_iter().find(|method| method.name() == text);
-    found.ok_or_else(|| format!("'{text}' is none of {}", names.join(", ")))
+    found.ok_or_else(|| format!("'{text}': expected one of {}", names.join(", ")))
 }

@@ -10,14 +10,13 @@ use crate::io::{IoError, RunFolder, Sequence, json, model, refuse_place_of_resul
 use crate::report::comparison as page;
 use crate::scene::{CameraId, Image, ImageId, Reconstruction};
 
-/// Compares reconstructions of the same images, in any format that is read.
+/// Compare reconstructions of the same images, in any supported format
 ///
-/// The truth, or else the first one, sets frame and unit; every other one is brought into its frame by a similarity
-/// that a few lost cameras do not smear, and held against it image by image. Ends with exit code 1 where nothing can be
-/// compared.
+/// The truth, otherwise the first model, defines frame and unit. Every other model is aligned by a robust similarity
+/// transform and compared image by image. Exit code 1 if nothing can be compared.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
-    /// COLMAP folders, output folders of `tractrix run` (their background), or other formats that are read
+    /// COLMAP folders, output folders of `tractrix run` (their background), or other supported formats
     #[arg(value_name = "MODEL", required = true)]
     pub(super) models: Vec<PathBuf>,
     /// Ground truth or reference: a sequence (scene.json, in meters), or a reconstruction
@@ -29,10 +28,10 @@ pub(super) struct Args {
     /// Label of a model, in the order given; may be repeated
     #[arg(long = "label", value_name = "TEXT")]
     pub(super) labels: Vec<String>,
-    /// Also write a page with both camera paths and point clouds in one view
+    /// Also write a page with all camera paths and point clouds in one view
     #[arg(long, value_name = "FILE.html")]
     pub(super) page: Option<PathBuf>,
-    /// Replace a page that is there
+    /// Replace an existing page
     #[arg(long, requires = "page")]
     pub(super) overwrite: bool,
 }
@@ -40,11 +39,11 @@ pub(super) struct Args {
 /// Criterion by which images are matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum By {
-    /// The whole name, with folders
+    /// Full name, with folders
     Name,
-    /// The file name without folders and ending
+    /// File name without folders and extension
     Stem,
-    /// The place in the order of names
+    /// Position in the order of names
     Order,
 }
 
@@ -96,15 +95,15 @@ struct Failed<'a> {
 fn check(args: &Args) -> Result<(), Failure> {
     args.page.as_deref().map_or(Ok(()), refuse_place_of_results)?;
     if args.models.len() + usize::from(args.truth.is_some()) < 2 {
-        return Err(Failure::Usage("there is nothing to compare it with: give a second model, or --truth".into()));
+        return Err(Failure::Usage("only one model given; give a second one, or --truth".into()));
     }
     if args.labels.len() > args.models.len() {
         let (labels, models) = (args.labels.len(), args.models.len());
-        return Err(Failure::Usage(format!("--label is given {labels} times, for {models} models")));
+        return Err(Failure::Usage(format!("--label: given {labels} times for {models} models")));
     }
     match &args.page {
         Some(page) if page.exists() && !args.overwrite => {
-            Err(Failure::Usage(format!("{} exists; --overwrite replaces it", page.display())))
+            Err(Failure::Usage(format!("{}: exists; --overwrite replaces it", page.display())))
         }
         _ => Ok(()),
     }
@@ -200,14 +199,14 @@ fn cost_of_run(document: &Value) -> Option<Cost> {
 
 /// Why nothing could be compared, and what may help.
 fn why_not(comparison: &Comparison) -> String {
-    let Some(other) = comparison.others.first() else { return "there is nothing to compare".into() };
-    let reason = other.alignment.as_ref().err().unwrap_or("no reason is known");
+    let Some(other) = comparison.others.first() else { return "no second model".into() };
+    let reason = other.alignment.as_ref().err().unwrap_or("unknown reason");
     let (Some(ours), Some(theirs)) = (other.only_in_reference.first(), other.only_in_other.first()) else {
-        return format!("nothing can be compared: {reason}");
+        return format!("nothing to compare: {reason}");
     };
     format!(
-        "nothing can be compared: {reason}. Are the images called otherwise ('{ours}' in {}, '{theirs}' in {})? \
-         --match-by stem leaves folders and endings aside, --match-by order takes them in the order of their names",
+        "nothing to compare: {reason}. If images have different names ('{ours}' in {}, '{theirs}' in {}): --match-by \
+         stem ignores folders and extensions, --match-by order pairs them by the order of their names",
         comparison.reference.name, other.subject.name
     )
 }

@@ -11,22 +11,22 @@ use crate::io::{Losses, colmap};
 use crate::pipeline;
 use crate::scene::Reconstruction;
 
-/// Converts a reconstruction between COLMAP (text, binary), OpenMVG, OpenSfM, nerfstudio, NVM and Bundler; to PLY go
-/// its points, to COLMAP's database its features and matches.
+/// Convert a reconstruction between COLMAP (text, binary), OpenMVG, OpenSfM, nerfstudio, NVM and Bundler
+///
+/// PLY receives its points, a COLMAP database its features and matches.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
-    /// A COLMAP folder, an output folder of `tractrix run` (its background), or a file of another program (see
-    /// docs/formats.md)
+    /// COLMAP folder, output folder of `tractrix run` (its background), or file of another program (docs/formats.md)
     #[arg(value_name = "IN")]
     pub(super) input: PathBuf,
-    /// Folder to write a COLMAP model into, or a file: NAME.ply, NAME.nvm, NAME.db, bundle.out, sfm_data.json,
-    /// reconstruction.json or transforms.json says the format by its name
+    /// Folder for a COLMAP model, or a file whose name gives the format: NAME.ply, NAME.nvm, NAME.db, bundle.out,
+    /// sfm_data.json, reconstruction.json or transforms.json
     #[arg(value_name = "OUT")]
     pub(super) output: PathBuf,
-    /// Format to write; by default what the name says, else binary from COLMAP text, text from all else
+    /// Output format [default: by the name; otherwise binary from COLMAP text, text from others]
     #[arg(long, value_enum)]
     pub(super) to: Option<To>,
-    /// Replace files that are there
+    /// Replace existing files
     #[arg(long)]
     pub(super) overwrite: bool,
 }
@@ -38,8 +38,7 @@ pub(super) enum To {
     ColmapText,
     /// cameras.bin, images.bin, points3D.bin, rigs.bin, frames.bin
     ColmapBinary,
-    /// Features, matches and two-view geometry, from which COLMAP's mapper starts; of an output folder all features
-    /// that the run followed
+    /// Features, matches and two-view geometry, input of COLMAP's mapper; of an output folder all tracked features
     ColmapDatabase,
     /// sfm_data.json
     Openmvg,
@@ -51,7 +50,7 @@ pub(super) enum To {
     Nvm,
     /// bundle.out, and list.txt next to it
     Bundler,
-    /// Coloured points
+    /// Colored points
     Ply,
 }
 
@@ -110,8 +109,8 @@ impl Target {
         };
         Ok(losses.counted(
             several(&args.input, from),
-            "rig of several cameras becomes rigs of one camera each",
-            "rigs of several cameras become rigs of one camera each",
+            "rig of several cameras is split into rigs of one camera each",
+            "rigs of several cameras are split into rigs of one camera each",
         ))
     }
 
@@ -135,7 +134,8 @@ fn write_database(input: &Path, output: &Path, model: &Reconstruction) -> anyhow
     let losses = match own.clone().joined(found) {
         Some(all) => database::write(output, model, &all)?,
         None => database::write(output, model, &own)?.with(
-            "what the run followed besides is left out: the model in its folder is not the one that it made".to_owned(),
+            "further features of the run are skipped: the model in its folder is not the one that the run made"
+                .to_owned(),
         ),
     };
     Ok(losses)
@@ -244,7 +244,7 @@ mod tests {
     fn what_cannot_be_read_is_said() {
         let folder = tempfile::tempdir().unwrap();
         let error = convert(folder.path(), &folder.path().join("out"), None).unwrap_err().to_string();
-        assert!(error.contains("holds no model; give a COLMAP folder"), "{error}");
+        assert!(error.contains("no model in the folder; give a COLMAP folder"), "{error}");
         assert!(convert(&folder.path().join("gone"), folder.path(), None).unwrap_err().to_string().contains("gone"));
     }
 }

@@ -153,12 +153,12 @@ impl Moment {
             Event::Begins => format!("{name:<10} {}", self.place()).trim_end().to_owned(),
             Event::GoesOn => {
                 let steps = self.total.map(|total| format!("{} of {total}", self.done));
-                let steps = steps.unwrap_or_else(|| format!("for {:.0} s so far", self.stage_s));
+                let steps = steps.unwrap_or_else(|| format!("{:.0} s so far", self.stage_s));
                 let left = self.left_s.map(|left_s| format!(", {}", in_words(left_s))).unwrap_or_default();
                 format!("{name:<10} {steps}{left}")
             }
             Event::Ends { took_s } => format!("{name:<10} {took_s:.1} s"),
-            Event::DoneBefore => format!("{name:<10} done before"),
+            Event::DoneBefore => format!("{name:<10} up to date"),
         }
     }
 
@@ -205,7 +205,7 @@ mod tests {
         let mut course = course();
         assert_eq!(course.begin("input", None).unwrap().line(), "input");
         assert!(course.end().is_some() && course.moment(Event::GoesOn).is_none());
-        assert_eq!(course.skip("frames").unwrap().line(), "frames     done before");
+        assert_eq!(course.skip("frames").unwrap().line(), "frames     up to date");
         assert_eq!(course.begin("segment", Some(40)).unwrap().line(), "segment    stage 2 of 2");
         assert_eq!((course.step(), course.reach(10), course.reach(4)), (1, 10, 10));
         let moment = course.moment(Event::GoesOn).unwrap();

@@ -17,16 +17,16 @@ use crate::perception::{
     default_models, load_flow, load_ground_segmenter, load_segmenter,
 };
 
-/// Models to look at.
+/// Check installed libraries and networks
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Try this instance segmentation model
+    /// Instance segmentation model to check
     #[arg(long, value_name = "FILE")]
     segmentation_model: Option<PathBuf>,
-    /// Try this semantic segmentation model
+    /// Semantic segmentation model to check
     #[arg(long, value_name = "FILE")]
     ground_model: Option<PathBuf>,
-    /// Try this optical flow model
+    /// Optical flow model to check
     #[arg(long, value_name = "FILE")]
     flow_model: Option<PathBuf>,
 }
@@ -94,14 +94,14 @@ fn failure(findings: &[Finding]) -> Option<Failure> {
     let broken: Vec<&Finding> = findings.iter().filter(|finding| !finding.ok).collect();
     let fails = broken.iter().any(|finding| finding.name != ONNX || finding.state == State::Wrong);
     let broken: Vec<&str> = broken.iter().map(|finding| finding.name).collect();
-    fails.then(|| Failure::Partial(anyhow::anyhow!("not in order: {}", broken.join(", "))))
+    fails.then(|| Failure::Partial(anyhow::anyhow!("problems found: {}", broken.join(", "))))
 }
 
 const ONNX: &str = "ONNX Runtime";
 
 fn processors() -> Finding {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    Finding::good("processors", format!("{cores} that this process may use"))
+    Finding::good("processors", format!("{cores} available to this process"))
 }
 
 fn memory() -> Finding {
@@ -112,7 +112,7 @@ fn memory() -> Finding {
     };
     match (gib("MemTotal:"), gib("MemAvailable:")) {
         (Some(total), Some(available)) => {
-            Finding::good("memory", format!("{total:.1} GiB, {available:.1} GiB of it available"))
+            Finding::good("memory", format!("{total:.1} GiB, {available:.1} GiB available"))
         }
         _ => Finding::good("memory", "unknown"),
     }
@@ -137,8 +137,7 @@ fn onnx_runtime() -> Finding {
                 ONNX,
                 state,
                 error.to_string(),
-                "needed for the program's own networks and for those that are named, without it give --masks; \
-                 scripts/fetch-onnxruntime gets it",
+                "required by all networks; install it with scripts/fetch-onnxruntime, or run with --masks",
             );
         }
     };
@@ -148,7 +147,7 @@ fn onnx_runtime() -> Finding {
 
 /// The networks that come with the program: where they lie, their licences, and whether they are whole.
 fn own_networks() -> Vec<Finding> {
-    let cure = "install the program anew with its folder `models`; models/make has the scripts that make each file";
+    let cure = "reinstall the program with its folder `models`; models/make has the scripts that make each file";
     let found = default_models().and_then(|models| Ok((models, default_descriptions()?)));
     let (models, descriptions) = match found {
         Ok(found) => found,
@@ -166,11 +165,11 @@ fn own_network(path: &Path, description: &ModelDescription, cure: &str) -> Findi
     match hash(path) {
         Ok(found) if found == *sha256 => Finding::good(OWN, format!("{name} at {}; {licence}", path.display())),
         Ok(found) => {
-            let said = format!("{name} at {} has the sha256 {found}, expected {sha256}", path.display());
+            let said = format!("{name} at {}: sha256 {found}, expected {sha256}", path.display());
             Finding::bad(OWN, State::Wrong, said, cure)
         }
         Err(error) => {
-            Finding::bad(OWN, State::Wrong, format!("{name} at {} cannot be read: {error}", path.display()), cure)
+            Finding::bad(OWN, State::Wrong, format!("{name} at {}: cannot be read: {error}", path.display()), cure)
         }
     }
 }
@@ -189,27 +188,27 @@ fn models(args: &Args) -> [Finding; 3] {
             Some(path) => model(SEGMENTATION, path, load_segmenter(path, &SegmentationOptions::default(), 0).map(drop)),
             None => Finding::good(
                 SEGMENTATION,
-                "none named: the program's own networks serve; --segmentation-model FILE names another one, --masks \
-                 DIR gives masks (docs/perception.md)",
+                "none given: the bundled networks are used; --segmentation-model FILE selects another one, --masks DIR \
+                 gives masks (docs/perception.md)",
             ),
         },
         match &args.ground_model {
             Some(path) => model(GROUND, path, load_ground_segmenter(path, &GroundOptions::default(), 0).map(drop)),
             None => Finding::not_given(
                 GROUND,
-                "none named: the dominant plane below the camera serves",
-                "give --ground-model FILE for roads that are not flat, or run with --ground-masks DIR: one 8-bit PNG \
-                 per frame, 0 = no ground",
+                "none given: the dominant plane below the camera is used",
+                "for uneven roads give --ground-model FILE, or run with --ground-masks DIR: one 8-bit PNG per frame, 0 \
+                 = no ground",
             ),
         },
         match &args.flow_model {
             Some(path) => model(FLOW, path, load_flow(Some(path), &FlowOptions::default(), 0).map(drop)),
-            None => Finding::good(FLOW, "none named: OpenCV's DIS serves"),
+            None => Finding::good(FLOW, "none given: OpenCV's DIS is used"),
         },
     ]
 }
 
-const OWN: &str = "own network";
+const OWN: &str = "bundled network";
 const SEGMENTATION: &str = "segmentation model";
 const GROUND: &str = "ground model";
 const FLOW: &str = "flow model";
@@ -222,7 +221,7 @@ fn model(name: &'static str, path: &Path, loaded: Result<(), PerceptionError>) -
             Finding::bad(name, State::Missing, format!("{}: not found", path.display()), "check the path")
         }
         Err(error) if onnx::probe().is_err() => {
-            Finding::bad(name, State::Missing, error.to_string(), "a model can only be tried with ONNX Runtime")
+            Finding::bad(name, State::Missing, error.to_string(), "a model can only be checked with ONNX Runtime")
         }
         Err(error) => {
             let cure = "give a model of a supported family; see docs/perception.md";

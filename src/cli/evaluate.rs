@@ -4,14 +4,15 @@ use std::path::PathBuf;
 
 use super::output::{Failure, Form, show};
 use crate::pipeline::{self, Kept};
+use crate::scene::Topic;
 
-/// Compares the output of a run with a sequence whose truth is known.
+/// Compare the output of a run with a sequence of known truth
 #[derive(Clone, Debug, clap::Args)]
 pub struct Args {
     /// Output folder of `tractrix run`
     #[arg(value_name = "OUT")]
     pub output: PathBuf,
-    /// Folder of the sequence: scene.json, masks/, object_mesh.ply
+    /// Sequence folder: scene.json, masks/, object_mesh.ply
     #[arg(long, value_name = "SEQUENCE")]
     pub truth: PathBuf,
 }
@@ -23,11 +24,14 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     let output = args.output.display();
     match pipeline::keep_evaluation(&args.output, &args.truth, &evaluation)? {
         Kept::Everywhere => {}
-        Kept::WithoutPage(reason) => tracing::warn!("{output}/report.html does not show the evaluation: {reason}"),
-        Kept::Nowhere => tracing::warn!(
-            "{output}: was not made by tractrix run, so evaluation.json is not written into it; --json prints its \
-             content"
-        ),
+        Kept::WithoutPage(reason) => {
+            let text = format!("{output}/report.html: evaluation not added: {reason}");
+            tracing::warn!("{}", Topic::EvaluationNotKept.warning(text));
+        }
+        Kept::Nowhere => {
+            let text = format!("{output}: not made by tractrix run; evaluation.json not written, --json prints it");
+            tracing::warn!("{}", Topic::EvaluationNotKept.warning(text));
+        }
     }
     Ok(())
 }

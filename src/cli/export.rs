@@ -9,26 +9,27 @@ use super::terminal::Talk;
 use crate::export::{self, Asked, ExportError, Exported, Format, Need, Pictures, Results, Target};
 use crate::io::RunFolder;
 use crate::pipeline::{self, Progress};
+use crate::scene::Topic;
 
-/// Writes the results of a run in files that other programs open (docs/export.md has every column).
+/// Export the results of a run for other programs (docs/export.md describes every column)
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
     /// Output folder of `tractrix run`
     #[arg(value_name = "OUT")]
     pub(super) run: PathBuf,
-    /// Formats: csv, geojson, kml, gpx, tum, kitti, gltf, video, colmap, trajectories-v2; several with commas between
-    /// them; or all
+    /// Formats: csv, geojson, kml, gpx, tum, kitti, gltf, video, colmap, trajectories-v2; several separated by commas;
+    /// or all
     ///
-    /// csv: tables of vehicles, vehicles frame by frame, and the camera. geojson, kml, gpx: places on the map, which
-    /// need --telemetry in the run. tum, kitti: poses. gltf: the scene in motion. video: masks, identities, speeds and
-    /// paths drawn into the video. colmap: pictures, masks and the background, ready for densification. all: what can
-    /// be made of these results.
+    /// csv: tables of vehicles, of vehicles frame by frame, and of the camera. geojson, kml, gpx: georeferenced
+    /// positions, which need --telemetry in the run. tum, kitti: poses. gltf: animated scene. video: masks, ids, speeds
+    /// and paths drawn into the video. colmap: images, masks and the background, ready for densification. all:
+    /// everything that these results allow.
     #[arg(long, value_name = "NAMES", value_parser = asked)]
     pub(super) format: Formats,
-    /// Folder to write into [default: OUT/export]
+    /// Output folder [default: OUT/export]
     #[arg(short, long, value_name = "DIR")]
     pub(super) output: Option<PathBuf>,
-    /// Where the video or the folder of images lies now, if it was moved; video and colmap need it
+    /// Current path of the video or image folder, if it was moved; video and colmap need it
     #[arg(long, value_name = "INPUT")]
     pub(super) input: Option<PathBuf>,
 }
@@ -73,7 +74,7 @@ pub(super) fn run(args: &Args, form: Form, talk: &Talk) -> Result<(), Failure> {
     let source = match &opened {
         Some(Ok(source)) => Ok(source),
         Some(Err(error)) => Err(error.to_string()),
-        None => Err("no format needs them".to_owned()),
+        None => Err("no format requires it".to_owned()),
     };
     talk.begin("export", None);
     let on_step = || talk.step();
@@ -97,7 +98,8 @@ pub(super) fn run(args: &Args, form: Form, talk: &Talk) -> Result<(), Failure> {
 fn link_from_page(args: &Args) {
     if let Err(error) = pipeline::link_exports(&args.run) {
         let page = args.run.join("report.html");
-        tracing::warn!("{} does not link to the exports: {error}", page.display());
+        let text = format!("{}: exports not linked: {error}", page.display());
+        tracing::warn!("{}", Topic::ExportSkipped.warning(text));
     }
 }
 
@@ -122,6 +124,6 @@ mod tests {
             Formats { formats: vec![Format::Csv, Format::Gltf], asked: Asked::ByName }
         );
         assert_eq!(asked("all").unwrap().asked, Asked::ForAll);
-        assert!(asked("shapefile").unwrap_err().contains("'shapefile' is no format; there are csv"));
+        assert!(asked("shapefile").unwrap_err().contains("'shapefile': unknown format; expected csv"));
     }
 }

@@ -24,85 +24,85 @@ const OWN_MASKS: [&str; 2] = ["masks", "segmentation_model"];
 pub(super) struct JobArgs {
     /// Video file, folder of images, or folder of a ground-truth sequence (one with a scene.json)
     ///
-    /// Of a sequence, images, masks, ground labels and intrinsics are taken, unless given otherwise.
+    /// Of a sequence, images, masks, ground labels and intrinsics are used, unless given otherwise.
     pub(super) input: PathBuf,
-    /// Folder for the results; made if missing, continued if an earlier run was stopped
+    /// Folder for the results; created if missing, resumed if an earlier run was stopped
     #[arg(long, short, value_name = "DIR")]
     pub(super) output: PathBuf,
-    /// Replace the results of another input that are in the output folder
+    /// Replace the results of another input in the output folder
     #[arg(long)]
     pub(super) overwrite: bool,
 
-    /// Given vehicle masks: one 8-bit PNG per frame with the frame's stem, 0 background, k = vehicle k
+    /// Vehicle masks: one 8-bit PNG per frame with the frame's stem, 0 background, k = vehicle k
     #[arg(long, value_name = "DIR", conflicts_with = "segmentation_model", help_heading = "Vehicles")]
     pub(super) masks: Option<PathBuf>,
-    /// ONNX model for instance segmentation (YOLO-seg or Mask R-CNN family) instead of what comes with the program
+    /// ONNX model for instance segmentation (YOLO-seg or Mask R-CNN family) instead of the bundled networks
     #[arg(long, value_name = "FILE", help_heading = "Vehicles")]
     pub(super) segmentation_model: Option<PathBuf>,
-    /// Vehicle detector: `default` (comes with the program), `none`, or an ONNX file (YOLOX family)
+    /// Vehicle detector: `default` (bundled), `none`, or an ONNX file (YOLOX family)
     #[arg(long, value_name = "default|none|FILE", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) detector: Option<DetectorChoice>,
-    /// Detection of vehicles by their motion: `on` (the default) or `off`
+    /// Detection of vehicles by motion: `on` (default) or `off`
     #[arg(long, value_name = "on|off", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) motion: Option<MotionChoice>,
-    /// Segmenter of a vehicle's box: `default` (comes with the program), or `none` (coarse, by colors)
+    /// Mask network: `default` (bundled), or `none` (coarse masks by color)
     #[arg(long, value_name = "default|none", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) mask_network: Option<MaskChoice>,
-    /// Ask the mask network every N-th frame; optical flow carries the masks between [default: every 0.4 seconds]
+    /// Interval of the mask network, frames; optical flow propagates masks in between [default: 0.4 seconds]
     #[arg(long, value_name = "N", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) segment_every: Option<u32>,
     /// ONNX model for optical flow [default: OpenCV's DIS]
     #[arg(long, value_name = "FILE", help_heading = "Vehicles")]
     pub(super) flow_model: Option<PathBuf>,
 
-    /// Given ground masks: one 8-bit PNG per frame, non-zero = ground
+    /// Ground masks: one 8-bit PNG per frame, non-zero = ground
     #[arg(long, value_name = "DIR", conflicts_with = "ground_model", help_heading = "Ground")]
     pub(super) ground_masks: Option<PathBuf>,
-    /// The value in --ground-masks that means ground, where others mean something else
+    /// Value of ground in --ground-masks [default: every non-zero value]
     #[arg(long, value_name = "VALUE", requires = "ground_masks", help_heading = "Ground")]
     pub(super) ground_label: Option<u8>,
     /// ONNX model for semantic segmentation [default: the dominant plane below the camera]
     #[arg(long, value_name = "FILE", help_heading = "Ground")]
     pub(super) ground_model: Option<PathBuf>,
 
-    /// fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]] in pixels of the source, or a COLMAP cameras.txt [default: from EXIF, or found]
+    /// Intrinsics fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]] in pixels of the source, or a COLMAP cameras.txt [default: from
+    /// EXIF, or estimated]
     ///
-    /// The centre of the upper left pixel is (0.5, 0.5). If the pixels of a video are not square, its source size is
-    /// the one at which players show it.
+    /// The center of the upper left pixel is (0.5, 0.5). For videos with non-square pixels, the source size is the one
+    /// at which players show it.
     #[arg(long, value_name = "NUMBERS|FILE", help_heading = "Geometry")]
     pub(super) intrinsics: Option<IntrinsicsSource>,
-    /// Front end: `video` tracks image points from frame to frame, `sift` matches them between frames
-    ///
-    /// Without it: `video` for frames in order of time, `sift` for others.
+    /// Front end: `video` tracks image points from frame to frame, `sift` matches features between frames [default:
+    /// video for frames in order of time, otherwise sift]
     #[arg(long, value_name = "KIND", value_parser = feature_kind, help_heading = "Geometry")]
     pub(super) features: Option<FeatureKind>,
     /// Order of the frames: `time` or `none` (photographs: all pairs are matched)
     ///
-    /// Without it: a video does, and so does a folder with --fps, --features video, or a scene.json. Of any other
-    /// folder a few pictures are compared with their successors: where less than 60 % of the corners can be followed,
-    /// they are taken for photographs.
+    /// Default: time for videos, and for folders with --fps, --features video or a scene.json. For other folders some
+    /// images are compared with their successors: with fewer than 60 % of the corners tracked, they are treated as
+    /// photographs.
     #[arg(long, value_name = "ORDER", value_parser = frame_order, help_heading = "Frames")]
     pub(super) order: Option<FrameOrder>,
-    /// Model of the background by another program (COLMAP, OpenMVG, OpenSfM, NVM, Bundler), taken as it is
+    /// Background model by another program (COLMAP, OpenMVG, OpenSfM, NVM, Bundler), used unchanged
     #[arg(long, value_name = "PATH", help_heading = "Geometry")]
     pub(super) background_model: Option<PathBuf>,
-    /// Model of vehicle ID by another program, taken as it is; may be repeated
+    /// Model of vehicle ID by another program, used unchanged; may be repeated
     #[arg(long, value_name = "ID=PATH", value_parser = object_model, help_heading = "Geometry")]
     pub(super) object_model: Vec<(ObjectId, PathBuf)>,
-    /// Reconstruct this vehicle alone; may be repeated [default: all]
+    /// Reconstruct only this vehicle; may be repeated [default: all]
     #[arg(long, value_name = "ID", value_parser = object_id, help_heading = "Geometry")]
     pub(super) only_object: Vec<ObjectId>,
 
     /// First frame: seconds (12.5) or a frame index (120f)
     #[arg(long, value_name = "TIME", help_heading = "Frames")]
     pub(super) start: Option<Position>,
-    /// End, itself left out: seconds or a frame index
+    /// End (exclusive): seconds or a frame index
     #[arg(long, value_name = "TIME", help_heading = "Frames")]
     pub(super) end: Option<Position>,
-    /// Take every N-th frame
+    /// Use every N-th frame
     #[arg(long, value_name = "N", help_heading = "Frames")]
     pub(super) every: Option<u32>,
-    /// Make frames smaller whose longer side is larger, pixels; results are at that resolution
+    /// Maximum longer side of the frames, pixels; larger ones are downscaled, and results are at that resolution
     #[arg(long, value_name = "PIXELS", help_heading = "Frames")]
     pub(super) max_dimension: Option<u32>,
     /// Frames per second of a folder of images
@@ -112,28 +112,28 @@ pub(super) struct JobArgs {
     #[arg(long, value_name = "N", help_heading = "Frames")]
     pub(super) video_track: Option<u32>,
 
-    /// Log of the camera's receiver: DJI's subtitles, GPX, NMEA, CSV [default: found next to or inside the video]
-    #[arg(long, value_name = "FILE", conflicts_with = "no_telemetry", help_heading = "Metres")]
+    /// Telemetry log: DJI subtitles, GPX, NMEA, CSV [default: found next to or inside the video]
+    #[arg(long, value_name = "FILE", conflicts_with = "no_telemetry", help_heading = "Meters")]
     pub(super) telemetry: Option<PathBuf>,
-    /// Take no telemetry, not even what is found next to or inside the video
-    #[arg(long, help_heading = "Metres")]
+    /// Ignore telemetry, including that found next to or inside the video
+    #[arg(long, help_heading = "Meters")]
     pub(super) no_telemetry: bool,
-    /// Time of the telemetry minus time of the video, seconds: 0.7±0.1 [default: by the files, or found]
+    /// Time of the telemetry minus time of the video, seconds: 0.7±0.1 [default: from the files, or estimated]
     ///
-    /// The time of a log with a clock (GPX, NMEA) counts from its first position. Without a deviation: ± 0.2 s.
-    #[arg(long, value_name = "SECONDS[±STD]", allow_hyphen_values = true, help_heading = "Metres")]
+    /// The time of a log with a clock (GPX, NMEA) counts from its first position. Default standard deviation: 0.2 s.
+    #[arg(long, value_name = "SECONDS[±STD]", allow_hyphen_values = true, help_heading = "Meters")]
     pub(super) time_offset: Option<TimeOffset>,
-    /// Local time minus UTC where log or photographs state no zone: +02:00 [default: dates stay local, without Z]
-    #[arg(long, value_name = "±HH:MM", allow_hyphen_values = true, help_heading = "Metres")]
+    /// Local time minus UTC for logs or photographs without a time zone: +02:00 [default: dates stay local, without Z]
+    #[arg(long, value_name = "±HH:MM", allow_hyphen_values = true, help_heading = "Meters")]
     pub(super) utc_offset: Option<UtcOffset>,
-    /// Height of the camera over the ground, on average over the video, metres: 1.45±0.05 (standard deviation)
-    #[arg(long, value_name = "METRES[±STD]", help_heading = "Metres")]
+    /// Mean height of the camera above ground, meters: 1.45±0.05 (standard deviation)
+    #[arg(long, value_name = "METERS[±STD]", help_heading = "Meters")]
     pub(super) camera_height: Option<Measured>,
-    /// Length, width or height of vehicle ID that is known, metres: 1:length=4.47±0.02; may be repeated
-    #[arg(long, value_name = "ID:NAME=METRES[±STD]", help_heading = "Metres")]
+    /// Known length, width or height of vehicle ID, meters: 1:length=4.47±0.02; may be repeated
+    #[arg(long, value_name = "ID:NAME=METERS[±STD]", help_heading = "Meters")]
     pub(super) known_length: Vec<KnownLength>,
-    /// Metres per unit of the background, where they are known: 12.3±0.1 (standard deviation)
-    #[arg(long, value_name = "METRES[±STD]", help_heading = "Metres")]
+    /// Known meters per unit of the background: 12.3±0.1 (standard deviation)
+    #[arg(long, value_name = "METERS[±STD]", help_heading = "Meters")]
     pub(super) scale: Option<Measured>,
 
     #[command(flatten)]
@@ -320,14 +320,14 @@ pub(super) fn use_machine(options: &Options) -> Result<(), Failure> {
 
 fn object_id(text: &str) -> Result<ObjectId, String> {
     let id = text.parse().ok().filter(|id| *id > 0);
-    id.map(ObjectId).ok_or_else(|| format!("'{text}' is not an id from 1"))
+    id.map(ObjectId).ok_or_else(|| format!("'{text}': expected an id, 1 or larger"))
 }
 
 fn object_model(text: &str) -> Result<(ObjectId, PathBuf), String> {
     let parsed = text.split_once('=').and_then(|(id, path)| Some((id.parse().ok()?, path)));
     match parsed {
         Some((id, path)) if id > 0 && !path.is_empty() => Ok((ObjectId(id), path.into())),
-        _ => Err(format!("'{text}' is not ID=PATH with an id from 1")),
+        _ => Err(format!("'{text}': expected ID=PATH with an id of 1 or larger")),
     }
 }
 
@@ -335,7 +335,7 @@ fn feature_kind(text: &str) -> Result<FeatureKind, String> {
     match text {
         "video" => Ok(FeatureKind::Video),
         "sift" => Ok(FeatureKind::Sift),
-        _ => Err(format!("'{text}' is neither video nor sift")),
+        _ => Err(format!("'{text}': expected video or sift")),
     }
 }
 
@@ -343,6 +343,6 @@ fn frame_order(text: &str) -> Result<FrameOrder, String> {
     match text {
         "time" => Ok(FrameOrder::Time),
         "none" => Ok(FrameOrder::None),
-        _ => Err(format!("'{text}' is neither time nor none")),
+        _ => Err(format!("'{text}': expected time or none")),
     }
 }

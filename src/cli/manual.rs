@@ -16,14 +16,14 @@ const NAME: &str = "tractrix";
 
 #[derive(Debug, clap::Args)]
 pub(super) struct CompletionsArgs {
-    /// The shell that is to complete
+    /// Shell
     #[arg(value_enum)]
     shell: Shell,
 }
 
 #[derive(Debug, clap::Args)]
 pub(super) struct ManualArgs {
-    /// Where to write the pages; the folder is made where it is not there
+    /// Folder for the pages; created if missing
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
 }
@@ -39,8 +39,8 @@ pub(super) fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
 pub(super) fn pages(args: &ManualArgs, form: Form) -> Result<(), Failure> {
     let folder = &args.output;
     let written = fs::create_dir_all(folder).and_then(|()| clap_mangen::generate_to(Args::command(), folder));
-    written.with_context(|| format!("cannot write the manual pages to {}", folder.display()))?;
-    show(form, &json!({ "folder": folder }), || format!("the manual pages are in {}\n", folder.display()))
+    written.with_context(|| format!("{}: the manual pages cannot be written", folder.display()))?;
+    show(form, &json!({ "folder": folder }), || format!("manual pages: {}\n", folder.display()))
 }
 
 #[cfg(test)]

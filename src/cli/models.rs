@@ -15,7 +15,7 @@ pub(super) fn as_text(summary: &Summary) -> String {
         for of in &background.cameras {
             let (id, width, height) = (of.id.0, of.camera.width, of.camera.height);
             let count = of.frames.len();
-            let pictures = if count == 1 { "picture" } else { "pictures" };
+            let pictures = if count == 1 { "image" } else { "images" };
             let _ = writeln!(text, "camera {id} ({count} {pictures} of {width}x{height}): {}", lens(&of.camera));
         }
     } else if let Some(camera) = background.camera.filter(|_| background.num_registered > 0) {
@@ -35,7 +35,7 @@ fn lens(camera: &Camera) -> String {
         true => String::new(),
         false => format!(", third {k3:.4}, tangential {p1:.4} {p2:.4}"),
     };
-    format!("focal length {focal}, centre {cx:.2} {cy:.2}, distortion {k1:.4} {k2:.4}{higher}")
+    format!("focal length {focal}, center {cx:.2} {cy:.2}, distortion {k1:.4} {k2:.4}{higher}")
 }
 
 fn model(report: &ModelReport, num_frames: usize) -> String {
@@ -72,7 +72,7 @@ mod tests {
         assert_eq!(
             as_text(&summary),
             "background: 11 of 12 frames, 6271 points, mean reprojection error 0.08 px\n\
-             camera: focal length 1379.05, centre 759.50 502.85, distortion -0.0001 0.0021\n\
+             camera: focal length 1379.05, center 759.50 502.85, distortion -0.0001 0.0021\n\
              vehicle 3: 7 of 8 frames, 90 points\n"
         );
         let of = |id: u32, width: u32, frames: &[u32]| CameraReport {
@@ -85,8 +85,8 @@ mod tests {
             background.cameras = vec![of(1, 800, &[0, 2]), of(3, 400, &[5])];
         }
         let text = as_text(&summary);
-        assert!(text.contains("camera 1 (2 pictures of 800x600): focal length 700.00, centre 400.00 300.00"), "{text}");
-        assert!(text.contains("camera 3 (1 picture of 400x600): "), "{text}");
+        assert!(text.contains("camera 1 (2 images of 800x600): focal length 700.00, center 400.00 300.00"), "{text}");
+        assert!(text.contains("camera 3 (1 image of 400x600): "), "{text}");
         summary.background = None;
         assert_eq!(as_text(&summary), "");
     }

@@ -8,7 +8,7 @@ use crate::pipeline::{OptionRow, OptionSection, Options};
 
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
-    /// Only options whose path contains this
+    /// List only options whose path contains this text
     pub(super) part: Option<String>,
     /// Print docs/options.md
     #[arg(long, hide = true)]
@@ -26,7 +26,7 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     let part = args.part.as_deref().unwrap_or_default();
     let lines: Vec<String> = options.rows().iter().filter(|row| row.key.contains(part)).map(line).collect();
     if lines.is_empty() {
-        return Err(Failure::Usage(format!("no option has '{part}' in its path; `tractrix options` lists all")));
+        return Err(Failure::Usage(format!("no option path contains '{part}'; `tractrix options` lists all")));
     }
     show(form, &options, || lines.join("\n") + "\n")
 }

@@ -80,7 +80,7 @@ impl fmt::Display for Failure {
                     }
                 }
                 match error.chain().any(is_full_disk) {
-                    true => f.write_str("; make room there, and the same command goes on where it was"),
+                    true => f.write_str("; free some space and run the same command again: it resumes"),
                     false => Ok(()),
                 }
             }
@@ -198,10 +198,7 @@ mod tests {
     fn a_full_disk_has_a_cure() {
         let full = anyhow::Error::from(io::Error::from(io::ErrorKind::StorageFull));
         let failure = Failure::Input(full.context("cannot write out/a.png"));
-        assert!(
-            failure.to_string().ends_with("make room there, and the same command goes on where it was"),
-            "{failure}"
-        );
+        assert!(failure.to_string().ends_with("free some space and run the same command again"), "{failure}");
     }
 
     #[test]
@@ -215,8 +212,8 @@ mod tests {
 
     #[test]
     fn programs_are_told_whose_fault_it_is() {
-        let failure = Failure::Usage("--start must lie before --end".to_owned());
-        assert_eq!(failure.as_json(), json!({ "kind": "usage", "message": "--start must lie before --end" }));
+        let failure = Failure::Usage("--start must be before --end".to_owned());
+        assert_eq!(failure.as_json(), json!({ "kind": "usage", "message": "--start must be before --end" }));
         assert_eq!(Failure::from(anyhow::anyhow!("a.mp4 is empty")).as_json()["kind"], "input");
     }
 }

@@ -47,8 +47,8 @@ impl Order {
     /// Message.
     pub(super) fn words(self) -> &'static str {
         match self {
-            Self::AtOnce => "stopped; the same command begins again",
-            Self::NextUnit => "stopped; the same command goes on where it was",
+            Self::AtOnce => "stopped; the same command starts again",
+            Self::NextUnit => "stopped; the same command resumes",
         }
     }
 }

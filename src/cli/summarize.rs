@@ -9,19 +9,19 @@ use super::output::{Failure, Form, print, print_json};
 use crate::export::summary::Summary;
 use crate::io::{FolderError, atomic, refuse_place_of_results};
 
-/// Joins the results of many runs: one row per vehicle of every run, and what is missing, with the reason.
+/// Combine the results of many runs: one row per vehicle of every run, with reasons for missing ones
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
-    /// Output folders of `tractrix run`, or folders that hold such folders
+    /// Output folders of `tractrix run`, or folders that contain them
     #[arg(value_name = "DIR", required = true)]
     pub(super) folders: Vec<PathBuf>,
-    /// Output: a table, or points on the map
+    /// Format: table, or points on a map
     #[arg(long, value_enum, default_value_t)]
     pub(super) format: TableFormat,
-    /// File to write; without it the table goes to stdout
+    /// Output file [default: stdout]
     #[arg(short, long, value_name = "FILE")]
     pub(super) output: Option<PathBuf>,
-    /// Replace a file that is there
+    /// Replace an existing file
     #[arg(long)]
     pub(super) overwrite: bool,
 }
@@ -32,7 +32,7 @@ pub(super) enum TableFormat {
     /// Comma-separated values
     #[default]
     Csv,
-    /// GeoJSON: a point where each vehicle was first seen
+    /// GeoJSON: one point per vehicle, at its first position
     Geojson,
 }
 
@@ -74,7 +74,7 @@ fn keep(path: &Path, text: &[u8], overwrite: bool) -> Result<(), Failure> {
     if !overwrite && path.symlink_metadata().is_ok() {
         return Err(FolderError::Exists { path: path.to_owned() }.into());
     }
-    Ok(atomic::write(path, text).with_context(|| format!("{}: the table is not written", path.display()))?)
+    Ok(atomic::write(path, text).with_context(|| format!("{}: the table cannot be written", path.display()))?)
 }
 
 /// `12 rows of 3 runs`.

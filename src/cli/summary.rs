@@ -29,12 +29,12 @@ fn headline(num_vehicles: usize, num_placed: usize) -> String {
     let vehicles = count(num_vehicles, "vehicle");
     match num_placed {
         _ if num_vehicles == 0 => "no vehicle".to_owned(),
-        0 if num_vehicles == 1 => format!("{vehicles}, without a trajectory"),
-        0 => format!("{vehicles}, none with a trajectory"),
+        0 if num_vehicles == 1 => format!("{vehicles}, no trajectory"),
+        0 => format!("{vehicles}, no trajectories"),
         all if all == num_vehicles => {
             format!("{vehicles} with {}", if all == 1 { "a trajectory" } else { "trajectories" })
         }
-        some => format!("{vehicles}, {some} of them with a trajectory"),
+        some => format!("{vehicles}, {some} with a trajectory"),
     }
 }
 
@@ -42,7 +42,7 @@ fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, times: TimeBase) -> Strin
     let (id, class) = (found.id, class(vehicle));
     let (placed, visible) = (found.poses.len(), vehicle.model.num_visible);
     let mut text =
-        format!("  {id}: {class}, placed in {placed} of {}{}\n", count(visible, "frame"), span(found, times));
+        format!("  {id}: {class}, 3D position in {placed} of {}{}\n", count(visible, "frame"), span(found, times));
     // Writing to a string cannot fail.
     let _ = writeln!(text, "     {}", sureness(found));
     let travel = travel_facts(found, times);
@@ -57,7 +57,7 @@ fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, times: TimeBase) -> Strin
         let _ = writeln!(text, "     - {reason}");
     }
     if let Some(reason) = vehicle.model.unregistered.values().next().filter(|_| placed < visible) {
-        let _ = writeln!(text, "     not in {}: {reason}", count(visible.saturating_sub(placed), "frame"));
+        let _ = writeln!(text, "     no position in {}: {reason}", count(visible.saturating_sub(placed), "frame"));
     }
     text
 }
@@ -86,7 +86,7 @@ fn doubts(found: &ObjectTrajectory) -> Vec<&str> {
 
 fn why_not(vehicle: &Vehicle) -> &str {
     let reason = vehicle.model.failure.as_deref().or(vehicle.not_placed.as_deref());
-    reason.unwrap_or("it is not known why")
+    reason.unwrap_or("reason unknown")
 }
 
 /// "car, moving".
@@ -222,8 +222,8 @@ mod tests {
         let found = Trajectories { unit: Unit::Background, metric: None, objects: vec![trajectory(1)] };
         assert_eq!(
             as_text(&summary(vehicles.clone(), TimeBase::Seconds), &found),
-            "2 vehicles, 1 of them with a trajectory\n  \
-               1: car, placed in 10 of 10 frames, from 0.3 s to 1.2 s\n     \
+            "2 vehicles, 1 with a trajectory\n  \
+               1: car, 3D position in 10 of 10 frames, from 0.3 s to 1.2 s\n     \
                   good. Estimated error of this vehicle's size and distance: ±1.0 % (1σ).\n     \
                   path length: 0.450 ± 0.010 units, displacement: 0.450 ± 0.010 units, mean speed: 0.500 ± 0.011 \
                   units/s\n  \
@@ -269,14 +269,14 @@ mod tests {
         let fair = with(Trust::Fair, vec![doubt()]);
         assert!(sureness(&fair).contains("±1.0 %") && doubts(&fair) == ["it is small"]);
         let refuted = with(Trust::Rejected, vec![size(), doubt()]);
-        assert!(sureness(&refuted).starts_with("rejected. Do not measure with it: it is a tenth"));
+        assert!(sureness(&refuted).starts_with("rejected. Do not use for measurement: it is a tenth"));
         assert_eq!(doubts(&refuted), ["it is small"]);
         let unjudged = ObjectTrajectory { verdict: None, ..trajectory(1) };
         assert!(sureness(&unjudged).starts_with("not judged"));
         assert_eq!(headline(0, 0), "no vehicle");
         assert_eq!(
             (headline(2, 2).as_str(), headline(3, 0).as_str()),
-            ("2 vehicles with trajectories", "3 vehicles, none with a trajectory")
+            ("2 vehicles with trajectories", "3 vehicles, no trajectories")
         );
     }
 }

@@ -8,11 +8,10 @@ use super::output::{Failure, Form, show};
 use crate::pipeline;
 use crate::telemetry::{self, Log, Summary, TelemetryError};
 
-/// Says what is understood of a file of telemetry: format, fixes, times, ranges, and what was skipped.
+/// Show what was parsed from a telemetry file: format, fixes, times, ranges, and what was skipped
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
-    /// DJI's subtitles, GPX, NMEA, CSV, a video with a text track, a photograph, or a folder of them
-    /// (docs/telemetry.md)
+    /// DJI subtitles, GPX, NMEA, CSV, video with a text track, photograph, or folder of them (docs/telemetry.md)
     pub(super) file: PathBuf,
 }
 

@@ -30,16 +30,16 @@ const BAR_PERIOD: Duration = Duration::from_millis(200);
 /// Form of progress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, clap::ValueEnum)]
 pub(super) enum ProgressKind {
-    /// A bar where stderr is a terminal, else lines
+    /// A bar on a terminal, lines otherwise
     #[default]
     Auto,
     /// A bar
     Bar,
-    /// A line when a stage begins, when it ends, and every half minute between
+    /// A line at the start and end of a stage, and every 30 seconds
     Plain,
-    /// JSON objects, one a line
+    /// JSON objects, one per line
     Json,
-    /// Not at all
+    /// No progress
     None,
 }
 

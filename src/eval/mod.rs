@@ -104,12 +104,12 @@ fn choose_target(objects: &[ObjectInput]) -> (Result<&ObjectInput, String>, Vec<
     let target = match overlapping {
         Some(best) if best.iou >= Some(MIN_TARGET_IOU) => Ok(best),
         Some(best) => Err(format!(
-            "no track overlaps the target; the best, object {}, does by {:.3}",
+            "no track matches the target; the best, object {}, has an overlap of {:.3}",
             best.id,
             best.iou.unwrap_or_default()
         )),
         None => {
-            objects.iter().find(|o| o.id.0 == 1).ok_or_else(|| "there is no object 1 and there are no tracks".into())
+            objects.iter().find(|o| o.id.0 == 1).ok_or_else(|| "object 1 not found, and there are no tracks".into())
         }
     };
     let is_target = |o: &&ObjectInput| target.as_ref().is_ok_and(|t| t.id == o.id);
@@ -143,7 +143,7 @@ fn registered_frames(input: &Input, object: Option<&ObjectInput>) -> RegisteredF
 }
 
 fn scale_figures(object: Option<&ObjectInput>, reference: Result<f64, &str>) -> Result<ScaleFigures, String> {
-    let trajectory = object.ok_or("the target was not found")?.trajectory.as_ref()?;
+    let trajectory = object.ok_or("target not found")?.trajectory.as_ref()?;
     let scale = &trajectory.scale;
     Ok(ScaleFigures {
         ratio: scale.ratio,
@@ -194,7 +194,7 @@ impl<'a> Subject<'a> {
         object: Option<&'a ObjectInput>,
     ) -> Result<Self, String> {
         let registration = registration.as_ref().map_err(|reason| format!("no registration: {reason}"))?;
-        let object = object.ok_or("the target was not found")?;
+        let object = object.ok_or("target not found")?;
         let model = object.model.as_ref()?;
         let background = input.background.as_ref()?;
         Self { input, registration, background, object, model, mesh: input.mesh.as_ref()? }.with(model)

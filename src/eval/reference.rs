@@ -68,7 +68,7 @@ pub fn reference_scale(
     let num_hits = per_frame.iter().map(|(_, ratios)| ratios.iter().flatten().count()).sum();
     let num_rays = per_frame.len() * object.points.len();
     let metres_per_object_unit =
-        all.ok_or_else(|| format!("none of {num_rays} rays through object points meets the true mesh"))?;
+        all.ok_or_else(|| format!("none of {num_rays} rays through object points intersects the true mesh"))?;
     Ok(ReferenceScale {
         ratio: metres_per_object_unit / metres_per_background_unit,
         metres_per_object_unit,

@@ -56,12 +56,12 @@ pub fn register(pairs: &[(Rigid3, Rigid3)]) -> Result<Registration, String> {
 /// As [`register`], with up and forward vectors of another length than a metre.
 pub(super) fn register_with(pairs: &[(Rigid3, Rigid3)], magnitude: f64) -> Result<Registration, String> {
     if pairs.len() < MIN_CAMERAS {
-        return Err(format!("{} frames have a background camera, {MIN_CAMERAS} are needed", pairs.len()));
+        return Err(format!("{} frames have a background camera, at least {MIN_CAMERAS} needed", pairs.len()));
     }
     let (mut source, mut target): (Vec<_>, Vec<_>) = pairs.iter().map(|(e, t)| (e.center(), t.center())).unzip();
     let (source_spread, target_spread) = (spread(&source), spread(&target));
     if !(target_spread > MIN_SPREAD * magnitude && source_spread > 0.0) {
-        return Err("the camera does not move, so there is no scale to compare".into());
+        return Err("the camera does not move, so its scale cannot be compared".into());
     }
     let (scale, initial_scale) = match umeyama(&source, &target) {
         Some(initial) if initial.scale > 0.0 => (initial.scale, InitialScale::Centers),
@@ -71,7 +71,10 @@ pub(super) fn register_with(pairs: &[(Rigid3, Rigid3)], magnitude: f64) -> Resul
         source.extend(direction_points(estimated, magnitude / scale));
         target.extend(direction_points(truth, magnitude));
     }
-    let world_from_background = umeyama(&source, &target).ok_or("the cameras leave the similarity open")?;
+    let world_from_background = umeyama(&source, &target).ok_or(
+        "the camera positions do not determine the similarity \
+         transform",
+    )?;
     Ok(Registration { world_from_background, num_cameras: pairs.len(), initial_scale })
 }
 

@@ -23,7 +23,7 @@ impl Evaluation {
         row("background frames", fraction(registered.num_background, registered.num_frames));
         row("object frames", fraction(registered.num_object, registered.num_visible));
         if let (Some(num), Some(of)) = (registered.num_object_clear, registered.num_clear) {
-            row("  30 % or more of it seen", fraction(num, of));
+            row("  at least 30 % of it visible", fraction(num, of));
         }
         row(
             "target",
@@ -32,10 +32,10 @@ impl Evaluation {
                 None => format!("object {} (no masks to compare)", t.object),
             }),
         );
-        row("camera centres", text(&self.cameras, |c| format!("{} (RMSE)", length(c.center_rmse_m))));
+        row("camera centers", text(&self.cameras, |c| format!("{} (RMSE)", length(c.center_rmse_m))));
         row(
             "camera rotations",
-            text(&self.cameras, |c| format!("{:.4}° mean, {:.4}° at most", c.rotation_mean_deg, c.rotation_max_deg)),
+            text(&self.cameras, |c| format!("{:.4}° mean, {:.4}° maximum", c.rotation_mean_deg, c.rotation_max_deg)),
         );
         row("trajectory error", text(&self.trajectory, trajectory));
         row("  at the reference ratio", text(&self.trajectory_at_reference, |t| length(t.mean_m)));
@@ -84,7 +84,7 @@ fn fraction(count: usize, of: usize) -> String {
 }
 
 fn deviation(deviation: Option<f64>) -> String {
-    deviation.map_or(String::new(), |d| format!(", off by {:.2} %", 100.0 * d))
+    deviation.map_or(String::new(), |d| format!(", error {:.2} %", 100.0 * d))
 }
 
 /// Metres, or millimetres where that is easier to read.

@@ -236,8 +236,8 @@ fn what_is_missing_is_said_and_the_rest_is_still_there() {
             },
             "2 frames have a background camera",
         ),
-        ("no objects", |i| i.objects.clear(), "target was not found"),
-        ("another vehicle", |i| i.objects[0].iou = Some(0.01), "target was not found"),
+        ("no objects", |i| i.objects.clear(), "target not found"),
+        ("another vehicle", |i| i.objects[0].iou = Some(0.01), "target not found"),
         ("mesh missing", |i| i.mesh = Err("object_mesh.ply is missing".into()), "object_mesh.ply is missing"),
         ("no points", |i| i.objects[0].model.as_mut().unwrap().points.clear(), "no points"),
     ];

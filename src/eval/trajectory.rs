@@ -70,7 +70,7 @@ pub fn error(
 ) -> Result<TrajectoryError, String> {
     let placed: Vec<_> = placements.iter().filter_map(|(id, p)| Some((*id, p, frames.get(id)?))).collect();
     if placed.is_empty() || points.is_empty() {
-        return Err("the target is placed in no frame of the sequence".into());
+        return Err("the target has no position in any frame of the sequence".into());
     }
     let distances = |(_, background_from_model, truth): &(FrameId, &Sim3, &TruthFrame)| {
         let mesh_from_world = Sim3::from(truth.world_from_object.inverse());

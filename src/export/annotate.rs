@@ -58,7 +58,7 @@ pub(super) fn write(path: &Path, results: &Results, pictures: &Pictures) -> Resu
         }
         pictures.step();
     }
-    let encoder = encoder.ok_or_else(|| pictures.other("none of its frames can be decoded"))?;
+    let encoder = encoder.ok_or_else(|| pictures.other("no frame can be decoded"))?;
     encoder.finish().map_err(encode)?;
     let synced = File::open(path).and_then(|file| file.sync_all());
     Ok(synced.map_err(IoError::system("synchronise", path))?)

@@ -43,13 +43,13 @@ impl Clock {
         match (self.dates.as_ref().map(|dates| dates.zone), self.time_base) {
             (Some(ClockZone::Utc), _) => "Times are UTC.",
             (Some(ClockZone::Local), _) => {
-                "Times are local, of a clock that states no zone; --utc-offset \u{b1}HH:MM turns them into UTC."
+                "Times are local, from a clock without time zone; --utc-offset \u{b1}HH:MM converts them to UTC."
             }
-            (Some(ClockZone::PerImage), _) => "Times are those of the photographs, local where they have no Z.",
+            (Some(ClockZone::PerImage), _) => "Times are those of the photographs, local unless they end in Z.",
             (None, TimeBase::Seconds) => {
-                "No date is known: times count from the video's start, set to 1970-01-01T00:00:00Z."
+                "Date unknown: times count from the start of the video, set to 1970-01-01T00:00:00Z."
             }
-            (None, TimeBase::Frames) => "No times are known: a frame counts as one second, from 1970-01-01T00:00:00Z.",
+            (None, TimeBase::Frames) => "Times unknown: a frame counts as one second, from 1970-01-01T00:00:00Z.",
         }
     }
 }
@@ -96,6 +96,6 @@ mod tests {
         assert_eq!((found.date("a.jpg", 3.0).as_deref(), found.date("b.jpg", 4.0)), (Some(images[0].1), None));
         let none = Clock::of(None, TimeBase::Seconds);
         assert_eq!(none.date_or_since_1970("a", 61.5), "1970-01-01T00:01:01.5Z");
-        assert!(none.in_words().starts_with("No date"));
+        assert!(none.in_words().starts_with("Date unknown"));
     }
 }

@@ -24,21 +24,20 @@ pub enum ExportError {
     #[error(transparent)]
     Image(#[from] ImageError),
     /// There is no result.
-    #[error("{}: is no output folder of `tractrix run` with a result (it has no trajectories.json)", path.display())]
+    #[error("{}: not an output folder of `tractrix run` with a result (trajectories.json is missing)", path.display())]
     NoResult {
         /// The folder.
         path: PathBuf,
     },
     /// No camera is known.
-    #[error("--format {format}: the background could not be reconstructed, so nothing has a place in it")]
+    #[error("--format {format}: the background was not reconstructed, so nothing has a position")]
     NoCamera {
         /// Requested format.
         format: Format,
     },
     /// The place on the map is not known.
     #[error(
-        "--format {format} needs places on the map, and there are none: {reason}; run again with --telemetry FILE (the \
-         drone's or the car's log), then export again"
+        "--format {format}: no georeferenced positions ({reason}); run again with --telemetry FILE, then export again"
     )]
     NoMap {
         /// Requested format.
@@ -48,8 +47,7 @@ pub enum ExportError {
     },
     /// The input cannot be read.
     #[error(
-        "the pictures are needed, and cannot be had: {reason}; if the video or folder lies elsewhere now, name it with \
-         --input"
+        "images required but not available: {reason}; if the video or folder was moved, give its path with --input"
     )]
     NoPictures {
         /// Why.
@@ -57,7 +55,7 @@ pub enum ExportError {
     },
     /// The input is no longer the one that the results are of.
     #[error(
-        "{}: has not the pictures that the results are of ({problem}); name the right video or folder with --input",
+        "{}: does not match the video of these results ({problem}); give the right video or folder with --input",
         path.display()
     )]
     OtherInput {
@@ -67,7 +65,7 @@ pub enum ExportError {
         problem: String,
     },
     /// The video cannot be encoded.
-    #[error("{}: cannot be encoded: {source}", path.display())]
+    #[error("{}: encoding failed: {source}", path.display())]
     Encode {
         /// The file.
         path: PathBuf,

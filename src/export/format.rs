@@ -120,7 +120,7 @@ impl FromStr for Format {
         let found = Self::ALL.into_iter().find(|format| format.name() == text.trim());
         found.ok_or_else(|| {
             let names = Self::ALL.map(Self::name).join(", ");
-            format!("'{}' is no format; there are {names}, and all", text.trim())
+            format!("'{}': unknown format; expected {names}, or all", text.trim())
         })
     }
 }

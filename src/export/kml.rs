@@ -83,7 +83,7 @@ fn vehicle(results: &Results, object: &ObjectTrajectory) -> Track {
 fn camera(results: &Results) -> Track {
     let (altitude_mode, description) = match results.knows_height() {
         true => ("absolute", "heights are those of the receiver"),
-        false => ("relativeToGround", "heights count from an unknown level, which is taken for the ground"),
+        false => ("relativeToGround", "heights are relative to an unknown level, assumed to be the ground"),
     };
     Track {
         name: "camera".into(),

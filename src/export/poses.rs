@@ -75,8 +75,8 @@ fn row(matrix: &Matrix3x4<f64>) -> String {
 
 fn frame_in_words(results: &Results) -> String {
     let times = match results.time_base {
-        TimeBase::Frames => "numbers of frames",
-        _ => "seconds after the video's start",
+        TimeBase::Frames => "frame indices",
+        _ => "seconds from the start of the video",
     };
     format!("world_from_body; unit: {}; axes of the world: {}; times: {times}", results.unit(), results.axes())
 }

@@ -17,7 +17,7 @@ fn every_format_of_a_run_is_written() {
     let target = || Ok(Target::in_run(&folder)?);
     let exported = write(&results, &Format::ALL, Asked::ForAll, &pictures, target).unwrap();
     for left in &exported.passed_over {
-        assert_eq!(results.map().is_none(), left.reason.contains("needs places on the map"), "{left:?}");
+        assert_eq!(results.map().is_none(), left.reason.contains("no georeferenced positions"), "{left:?}");
     }
     assert_eq!(exported.written.len() + exported.passed_over.len(), Format::ALL.len());
 }

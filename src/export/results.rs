@@ -136,7 +136,7 @@ impl Results {
     pub fn unit(&self) -> &'static str {
         match (self.metric_frame(), self.trajectories.unit) {
             (Some(_), _) | (_, Unit::Metre) => "metres",
-            (None, Unit::Background) => "units of the background's reconstruction",
+            (None, Unit::Background) => "units of the background model",
         }
     }
 
@@ -144,8 +144,8 @@ impl Results {
     pub fn axes(&self) -> &'static str {
         match self.metric_frame().map(|frame| frame.axes) {
             Some(MetricAxes::EastNorthUp) => "x east, y north, z up",
-            Some(MetricAxes::Up) => "z up, x and y of no meaning on a map",
-            None => "those of the background's reconstruction",
+            Some(MetricAxes::Up) => "z up, x and y arbitrary",
+            None => "those of the background model",
         }
     }
 
@@ -165,8 +165,8 @@ impl Results {
         let metric = self.trajectories.metric.as_ref();
         let reason = metric.filter(|metric| metric.frame.is_none()).and_then(|metric| metric.reason.clone());
         reason.unwrap_or_else(|| match metric {
-            Some(metric) if metric.frame.is_some() => "nothing says where on the map the metres lie".to_owned(),
-            _ => "metres are unknown".to_owned(),
+            Some(metric) if metric.frame.is_some() => "the georeference of the metric frame is unknown".to_owned(),
+            _ => "the scale in meters is unknown".to_owned(),
         })
     }
 

@@ -15,7 +15,7 @@ use super::geojson::vehicle_properties;
 use super::table::{FACT_COLUMNS, fact_cells, text};
 use super::{ExportError, Facts, Results};
 use crate::io::{RunFolder, json as json_file};
-use crate::scene::{MapPlace, ObjectId, ObjectTrajectory};
+use crate::scene::{MapPlace, ObjectId, ObjectTrajectory, warning_text};
 
 /// Folders in folders are searched so deep.
 const MAX_DEPTH: usize = 6;
@@ -117,7 +117,7 @@ impl Summary {
             Ok(results) => self.add_results(&folder, &told, &results),
             Err(ExportError::NoResult { .. }) => {
                 self.num_runs += 1;
-                let reason = told.error.unwrap_or_else(|| "the run has not come to its trajectories".to_owned());
+                let reason = told.error.unwrap_or_else(|| "run incomplete: no trajectories yet".to_owned());
                 self.rows.push(Row { missing: Some(reason), ..Row::new(run, Some(told.input.path)) });
             }
             Err(error) => self.refuse(run, with_causes(&error)),
@@ -137,7 +137,7 @@ impl Summary {
             self.rows.push(Row { unplaced, missing: Some(why_no_way(object.id, told)), ..blank.clone() });
         }
         if self.rows.len() == before {
-            let reason = told.error.clone().unwrap_or_else(|| "no vehicle was found".to_owned());
+            let reason = told.error.clone().unwrap_or_else(|| "no vehicle found".to_owned());
             self.rows.push(Row { missing: Some(reason), ..blank });
         }
     }
@@ -256,16 +256,17 @@ fn runs_below(folder: &Path, depth: usize) -> Vec<PathBuf> {
 fn nothing_in(folder: &Path) -> String {
     match fs::read_dir(folder) {
         Err(error) => format!("cannot be read: {error}; check the path"),
-        Ok(_) => "holds no output folder of `tractrix run`".to_owned(),
+        Ok(_) => "no output folder of `tractrix run` in it".to_owned(),
     }
 }
 
 /// Why a vehicle that was followed has no way: as the run warned, else what is known.
 fn why_no_way(id: ObjectId, told: &Told) -> String {
-    let begins = ["cannot be ", "is left out", "has no trajectory"].map(|what| format!("object {id} {what}"));
-    let own = |warning: &&String| begins.iter().any(|begin| warning.starts_with(begin.as_str()));
-    let warned = told.warnings.iter().find(own).and_then(|warning| warning.split_once(": "));
-    warned.map_or_else(|| "it was followed, but has no trajectory".to_owned(), |(_, reason)| reason.to_owned())
+    let begins = ["not reconstructed", "skipped", "no trajectory"].map(|what| format!("object {id}: {what}: "));
+    let reason = |warning: &String| {
+        begins.iter().find_map(|begin| warning_text(warning).strip_prefix(begin.as_str()).map(str::to_owned))
+    };
+    told.warnings.iter().find_map(reason).unwrap_or_else(|| "tracked, but without a trajectory".to_owned())
 }
 
 /// An error with its causes, as one line.
@@ -311,7 +312,7 @@ mod tests {
         assert_eq!(names, ["runs/b", "runs/b", "runs/c", "runs/d", "runs/deep/a", "runs/deep/a", "gone"]);
         assert_eq!((summary.num_runs, summary.unreadable.len()), (3, 2));
         let missing = |row: usize| rows[row].iter().next_back().unwrap().to_owned();
-        assert!(missing(2).contains("trajectories.json") && missing(3).contains("has not come to its trajectories"));
+        assert!(missing(2).contains("trajectories.json") && missing(3).contains("run incomplete"));
         assert!(missing(0).is_empty() && missing(6).contains("cannot be read"));
         let features = summary.to_geojson();
         assert_eq!(features["features"][0]["geometry"]["type"], "Point");
@@ -322,11 +323,13 @@ mod tests {
 
     #[test]
     fn a_vehicle_without_a_way_has_the_reason_of_the_run() {
-        let warnings =
-            vec!["object 12 is left out: far".to_owned(), "object 1 cannot be reconstructed: dark".to_owned()];
+        let warnings = vec![
+            "object 12: skipped: far".to_owned(),
+            "object 1: not reconstructed: dark [troubleshooting: vehicle-not-reconstructed]".to_owned(),
+        ];
         let told = Told { input: ToldInput { path: "a.mp4".into() }, warnings, error: None };
         assert_eq!(why_no_way(ObjectId(1), &told), "dark");
         assert_eq!(why_no_way(ObjectId(12), &told), "far");
-        assert_eq!(why_no_way(ObjectId(2), &told), "it was followed, but has no trajectory");
+        assert_eq!(why_no_way(ObjectId(2), &told), "tracked, but without a trajectory");
     }
 }

@@ -35,7 +35,7 @@ pub(super) fn write(folder: &Path, results: &Results, pictures: &Pictures) -> Re
     for found in pictures.source()?.frames_at(views.keys().copied().collect())? {
         let (frame, picture) = found?;
         let Some(view) = views.get(&frame.id).filter(|view| view.frame.name == frame.name) else {
-            return Err(pictures.other(format!("frame {} is called {}", frame.id.0, frame.name)));
+            return Err(pictures.other(format!("frame {} is named {}", frame.id.0, frame.name)));
         };
         if picture.dimensions() != (view.camera.width, view.camera.height) {
             pictures.check_size(&picture, results)?;
@@ -47,7 +47,7 @@ pub(super) fn write(folder: &Path, results: &Results, pictures: &Pictures) -> Re
         pictures.step();
     }
     if let Some(name) = missing.first() {
-        return Err(pictures.other(format!("{} of its frames are missing, such as {name}", missing.len())));
+        return Err(pictures.other(format!("{} of its frames are missing, the first: {name}", missing.len())));
     }
     Ok(colmap::write_binary(&folder.join(ExportFolder::SPARSE).join("0"), &results.background)?)
 }
@@ -57,7 +57,7 @@ fn check_names(folder: &Path, results: &Results) -> Result<(), ExportError> {
     let is_file_name = |name: &str| !name.starts_with('.') && !name.contains(['/', '\0']) && !name.is_empty();
     match results.background.images.values().find(|image| !is_file_name(&image.name)) {
         None => Ok(()),
-        Some(image) => Err(IoError::content(folder, format!("the image name {:?} is no file name", image.name)).into()),
+        Some(image) => Err(IoError::content(folder, format!("image name {:?} is not a file name", image.name)).into()),
     }
 }
 

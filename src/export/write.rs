@@ -72,9 +72,10 @@ impl<'a> Pictures<'a> {
         let ((width, height), (expected_width, expected_height)) = (picture.dimensions(), results.size);
         match (width, height) == results.size {
             true => Ok(()),
-            false => Err(self.other(format!(
-                "its frames are {width}x{height} pixels, those of the results {expected_width}x{expected_height}"
-            ))),
+            false => {
+                Err(self
+                    .other(format!("frames of {width}x{height} pixels, expected {expected_width}x{expected_height}")))
+            }
         }
     }
 }
@@ -296,6 +297,6 @@ mod tests {
         assert!(into.join("scene.glb").is_file() && !into.join("camera.gpx").exists());
         std::fs::remove_file(run.trajectories()).unwrap();
         let none = Results::read(&run, None).unwrap_err().to_string();
-        assert!(none.contains("no trajectories.json"), "{none}");
+        assert!(none.contains("trajectories.json is missing"), "{none}");
     }
 }

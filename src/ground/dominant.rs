@@ -24,9 +24,7 @@ use crate::scene::{Point3dId, Reconstruction};
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum GroundError {
     /// Nothing to find it in.
-    #[error(
-        "the background has only {found} points seen at least {min_observations} times; at least {needed} are needed"
-    )]
+    #[error("only {found} background points have {min_observations} or more observations; at least {needed} needed")]
     TooFewPoints {
         /// Stable points.
         found: usize,
@@ -36,7 +34,7 @@ pub enum GroundError {
         needed: usize,
     },
     /// No plane that could be the ground.
-    #[error("no plane below the cameras could be the ground: {0}")]
+    #[error("no plane below the cameras can be the ground: {0}")]
     NoPlane(#[from] PlaneFailure),
 }
 

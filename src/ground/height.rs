@@ -35,7 +35,7 @@ pub struct CameraHeight {
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum HeightFailure {
     /// Nothing to fit planes to.
-    #[error("there are only {found} ground points; at least {needed} are needed")]
+    #[error("only {found} ground points; at least {needed} needed")]
     TooFewPoints {
         /// Ground points.
         found: usize,
@@ -43,7 +43,7 @@ pub enum HeightFailure {
         needed: usize,
     },
     /// In hardly any frame is there ground near the camera.
-    #[error("only {found} of {of} frames that were looked at have ground near the camera")]
+    #[error("only {found} of {of} examined frames have ground near the camera")]
     TooFewFrames {
         /// Frames with a plane.
         found: usize,

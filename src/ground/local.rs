@@ -18,7 +18,7 @@ pub enum SkipReason {
     #[error("no point of the object's model is observed")]
     NoObjectObservations,
     /// Too few points of the ground are seen.
-    #[error("only {found} ground points are observed; at least {needed} are needed")]
+    #[error("only {found} ground points observed; at least {needed} needed")]
     TooFewGroundPoints {
         /// Ground points observed in the frame.
         found: usize,
@@ -29,7 +29,7 @@ pub enum SkipReason {
     #[error(transparent)]
     NoPlane(#[from] PlaneFailure),
     /// The camera lies on the plane, so that the plane has no camera side.
-    #[error("the camera lies on the plane of the ground points, which is therefore not the ground below it")]
+    #[error("the camera is on the plane of the ground points, so this is not the ground below it")]
     CameraOnPlane,
 }
 

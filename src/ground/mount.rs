@@ -23,7 +23,7 @@ use crate::scene::{FrameId, Image, Point3dId, Reconstruction};
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum MountFailure {
     /// Too few frames to see a way.
-    #[error("only {found} frames are registered; at least {needed} are needed")]
+    #[error("only {found} frames registered; at least {needed} needed")]
     TooFewFrames {
         /// Registered frames.
         found: usize,
@@ -31,13 +31,13 @@ pub enum MountFailure {
         needed: usize,
     },
     /// The camera turns against its way.
-    #[error("the camera turns against its way: by {degrees:.1} degrees in half of the frames")]
+    #[error("camera not rigidly mounted: it turns by {degrees:.1}° relative to its path in half of the frames")]
     Turns {
         /// Median angle from the mean direction.
         degrees: f64,
     },
     /// Too few points of a road.
-    #[error("only {found} points below the camera lie on one plane along its way; at least {needed} are needed")]
+    #[error("only {found} points below the camera are on one plane along its path; at least {needed} needed")]
     TooFewPoints {
         /// Points on the best plane.
         found: usize,
@@ -45,19 +45,19 @@ pub enum MountFailure {
         needed: usize,
     },
     /// The camera is too high for the way it goes.
-    #[error("the camera goes {heights:.1} of its heights over the plane: too short a way to tell that it keeps it")]
+    #[error("path too short ({heights:.1} camera heights) to verify a constant camera height")]
     ShortWay {
         /// Length of the way over the height.
         heights: f64,
     },
     /// The height over the plane is not the same everywhere.
-    #[error("the camera's height over the plane varies by {percent:.0} % on the way")]
+    #[error("camera height above the plane varies by {percent:.0} %")]
     HeightVaries {
         /// Robust standard deviation over the parts of the way.
         percent: f64,
     },
     /// The points leave open whether the height is the same everywhere.
-    #[error("the camera may climb or sink by {percent:.0} % of its height over the plane: its points do not tell")]
+    #[error("slope undetermined: the points admit a change of the camera height by {percent:.0} %")]
     MayClimb {
         /// The greatest change from the mean that the points allow.
         percent: f64,

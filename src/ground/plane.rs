@@ -22,7 +22,7 @@ pub(super) struct Candidate {
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PlaneFailure {
     /// Too few points lie on any one plane.
-    #[error("only {found} of {num_points} ground points lie on one plane; at least {needed} are needed")]
+    #[error("only {found} of {num_points} ground points are on one plane; at least {needed} needed")]
     TooFewInliers {
         /// On the best plane.
         found: usize,
@@ -32,7 +32,7 @@ pub enum PlaneFailure {
         needed: usize,
     },
     /// The points form a line, so that the plane can turn about it.
-    #[error("the {num_points} ground points lie in a strip too narrow to tell how the plane is tilted about it")]
+    #[error("the {num_points} ground points form a strip too narrow to determine the tilt of the plane")]
     Narrow {
         /// Points on the strip.
         num_points: usize,

@@ -34,12 +34,10 @@ pub enum ImageError {
     #[error("OpenCV: {0}")]
     OpenCv(#[from] opencv::Error),
     /// A side is beyond what OpenCV can index.
-    #[error("an image side is larger than 2^31 - 1 pixels: {0}")]
+    #[error("image side {0}: larger than 2^31 - 1 pixels")]
     Side(#[from] TryFromIntError),
     /// A buffer has not the size that width, height and channels ask for.
-    #[error(
-        "a pixel buffer of {width}x{height} with {channels} channel(s) needs another number of values than {found}"
-    )]
+    #[error("pixel buffer of {found} values does not match {width}x{height} with {channels} channel(s)")]
     BufferSize {
         /// Width, pixels.
         width: u32,
@@ -51,7 +49,7 @@ pub enum ImageError {
         found: usize,
     },
     /// A matrix holds another pixel type than the target.
-    #[error("a matrix of OpenCV type {found} cannot become an image of type {expected}")]
+    #[error("OpenCV matrix of type {found} cannot be converted to an image of type {expected}")]
     PixelType {
         /// OpenCV's type number that was asked for.
         expected: i32,

@@ -84,7 +84,7 @@ pub fn check_finite(path: &Path, model: &Reconstruction) -> Result<(), IoError> 
 /// Refuses a camera that nothing can be projected with, for a format that has pinholes alone.
 pub fn check_lenses(path: &Path, model: &Reconstruction, format: &str) -> Result<(), IoError> {
     let Some((id, name)) = model.first_foreign() else { return Ok(()) };
-    Err(unsupported_camera(path, id, &format!("the model {name}"), format))
+    Err(unsupported_camera(path, id, &format!("camera model {name}"), format))
 }
 
 /// Refuses names that do not stand in a line by themselves.
@@ -93,7 +93,7 @@ pub fn check_line_names(path: &Path, model: &Reconstruction) -> Result<(), IoErr
     match model.images.iter().find(|(_, image)| cannot(&image.name)) {
         None => Ok(()),
         Some((id, image)) => {
-            Err(IoError::content(path, format!("image {}: the name {:?} cannot be written", id.0, image.name)))
+            Err(IoError::content(path, format!("image {}: name {:?} cannot be written", id.0, image.name)))
         }
     }
 }
@@ -102,7 +102,7 @@ pub fn check_line_names(path: &Path, model: &Reconstruction) -> Result<(), IoErr
 pub fn unsupported_camera(path: &Path, id: CameraId, what: &str, format: &str) -> IoError {
     IoError::Unsupported {
         path: path.to_path_buf(),
-        what: format!("camera {} with {what} in {format}", id.0),
+        what: format!("camera {}: {what} in {format}", id.0),
         cure: "write a COLMAP model instead".to_owned(),
     }
 }
@@ -137,8 +137,8 @@ impl Losses {
         let colored = model.points.values().filter(|point| point.rgb != [255; 3]).count();
         self.counted(
             colored,
-            "point loses its colour, for which the format has no place",
-            "points lose their colour, for which the format has no place",
+            "point loses its color, which the format does not store",
+            "points lose their color, which the format does not store",
         )
     }
 
@@ -148,8 +148,8 @@ impl Losses {
         let unmatched = features.filter(|o| o.point.is_none()).count();
         self.counted(
             unmatched,
-            "feature that sees no point is left out, for which the format has no place",
-            "features that see no point are left out, for which the format has no place",
+            "feature without a point skipped, which the format does not store",
+            "features without a point skipped, which the format does not store",
         )
     }
 }

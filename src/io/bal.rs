@@ -99,7 +99,7 @@ impl<'a> Words<'a> {
                 return Ok(word);
             }
             let Some((index, line)) = self.lines.next() else {
-                return Err(self.fault(field, "the file ends here; it was cut".into()));
+                return Err(self.fault(field, "the file ends here; it is truncated".into()));
             };
             self.line = index + 1;
             self.words = line.split_ascii_whitespace();
@@ -108,7 +108,7 @@ impl<'a> Words<'a> {
 
     fn parse<T: FromStr>(&mut self, field: &str, kind: &str) -> Result<T, IoError> {
         let word = self.next(field)?;
-        word.parse().map_err(|_| self.fault(field, format!("{:?} is not {kind}", shorten(word))))
+        word.parse().map_err(|_| self.fault(field, format!("{:?}: expected {kind}", shorten(word))))
     }
 
     fn count(&mut self, field: &str) -> Result<u32, IoError> {
@@ -118,7 +118,17 @@ impl<'a> Words<'a> {
 
     fn index(&mut self, field: &str, count: u32) -> Result<u32, IoError> {
         let value: u32 = self.parse(field, "an index")?;
-        if value < count { Ok(value) } else { Err(self.fault(field, format!("{value} is past the count of {count}"))) }
+        if value < count {
+            Ok(value)
+        } else {
+            Err(self.fault(
+                field,
+                format!(
+                    "index {value} out of range, count is \
+             {count}"
+                ),
+            ))
+        }
     }
 
     fn number(&mut self, field: &str) -> Result<f64, IoError> {

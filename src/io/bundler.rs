@@ -80,9 +80,9 @@ fn add_camera(words: &mut Words<'_>, index: u32, name: String, model: &mut Recon
         return Ok(());
     }
     let matrix = Matrix3::from_row_slice(&r);
-    let stored = rotation(&matrix).ok_or_else(|| words.error("rotation", "is not a rotation"))?;
+    let stored = rotation(&matrix).ok_or_else(|| words.error("rotation", "not a rotation"))?;
     if focal < 0.0 {
-        return Err(words.error("f", "is negative"));
+        return Err(words.error("f", "negative"));
     }
     let camera = Camera { radial: [k1, k2], ..Camera::with_focal(2, 2, focal) };
     let ours = nalgebra::UnitQuaternion::from_rotation_matrix(&turn());
@@ -218,9 +218,9 @@ mod tests {
         let says = |from: &str, to: &str| read_text(&GOLDEN.replace(from, to), None).unwrap_err().to_string();
         assert!(says("v0.3", "v0.4").contains("version 0.3"));
         assert!(says("1 0 0\n0 1 0", "1 0 0\n0 2 0").contains("is not a rotation"));
-        assert!(says("1 0 7", "1 5 7").contains("there is no camera 5"));
+        assert!(says("1 0 7", "1 5 7").contains("camera 5 does not exist"));
         assert!(says("2 1\n", "2 100000000\n").contains("do not fit"));
-        assert!(says("262.5", "x").contains("line 15: place of a feature: 'x'"));
+        assert!(says("262.5", "x").contains("line 15: position of a feature: 'x'"));
         damaged_text_never_panics(GOLDEN, |text| read_text(text, None).is_ok());
     }
 }

@@ -67,7 +67,13 @@ impl<'a> Cursor<'a> {
         let room = (self.content.len() - self.offset) / min_bytes;
         match usize::try_from(count) {
             Ok(count) if count <= room => Ok(count),
-            _ => Err(self.error(field, format!("{count} do not fit in the rest of the file, which is cut or damaged"))),
+            _ => Err(self.error(
+                field,
+                format!(
+                    "{count} entries do not fit in the rest of the file; it is truncated or \
+                 damaged"
+                ),
+            )),
         }
     }
 
@@ -76,10 +82,10 @@ impl<'a> Cursor<'a> {
         self.last = self.offset;
         let rest = &self.content[self.offset..];
         let Some(length) = rest.iter().position(|&b| b == 0) else {
-            return Err(self.error(field, "the file ends within it"));
+            return Err(self.error(field, "the file ends here"));
         };
         self.offset += length + 1;
-        String::from_utf8(rest[..length].to_vec()).map_err(|_| self.error(field, "is not UTF-8"))
+        String::from_utf8(rest[..length].to_vec()).map_err(|_| self.error(field, "not UTF-8"))
     }
 
     /// An error if anything follows.

@@ -62,16 +62,16 @@ fn read<const N: usize>(
         let values: Vec<f64> =
             fields.iter().filter_map(|word| word.parse().ok()).filter(|value: &f64| value.is_finite()).collect();
         let Ok(values) = <[f64; N]>::try_from(values) else {
-            return Err(text.error(line, "pose", format!("must be {N} finite numbers")));
+            return Err(text.error(line, "pose", format!("expected {N} finite numbers")));
         };
         let (name, rotation, center) =
-            pose(index, &fields, &values).ok_or_else(|| text.error(line, "pose", "has a rotation that is none"))?;
+            pose(index, &fields, &values).ok_or_else(|| text.error(line, "pose", "invalid rotation"))?;
         let cam_from_world = Rigid3::from_rotation_and_center(rotation.inverse(), center);
         let image = Image { name, camera: CAMERA, cam_from_world, observations: Vec::new() };
         model.images.insert(ImageId(index + 1), image);
     }
     if model.images.is_empty() {
-        return Err(IoError::content(path, "holds no pose"));
+        return Err(IoError::content(path, "no pose in the file"));
     }
     model.cameras.insert(CAMERA, Camera::prior(1, 1));
     model.camera_forms.insert(CAMERA, CameraForm::Unknown);
@@ -114,7 +114,7 @@ mod tests {
     #[test]
     fn a_broken_line_is_named() {
         let error = in_file(&TUM.replace(" 0 0 0 1", " 0 0 0 0"), read_tum).unwrap_err().to_string();
-        assert!(error.contains("line 3: pose: has a rotation that is none"), "{error}");
+        assert!(error.contains("line 3: pose: invalid rotation"), "{error}");
         let error = in_file(&KITTI.replace("1 6", "6"), read_kitti).unwrap_err().to_string();
         assert!(error.contains("line 2: pose: must be 12 finite numbers"), "{error}");
         damaged_text_never_panics(TUM, |text| in_file(text, |path| read_tum(path).is_ok()));

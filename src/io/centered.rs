@@ -29,10 +29,10 @@ impl Centered {
         for _ in 0..count {
             let view: usize = words.number("view of a point")?;
             if view >= num_cameras {
-                return Err(words.error("view of a point", format!("there is no camera {view}")));
+                return Err(words.error("view of a point", format!("camera {view} does not exist")));
             }
             let _feature: u64 = words.number("index of a feature")?;
-            let [x, y] = words.finites("place of a feature")?;
+            let [x, y] = words.finites("position of a feature")?;
             seen.push((ImageId(view as u32 + 1), Point2::new(x, down * y)));
         }
         Ok(Self { position, rgb, seen })
@@ -89,7 +89,7 @@ pub fn check_one_focal_length(path: &Path, id: CameraId, camera: &Camera, format
     if fx == fy {
         return Ok(());
     }
-    Err(unsupported_camera(path, id, &format!("the focal lengths {} and {}", Short(fx), Short(fy)), format))
+    Err(unsupported_camera(path, id, &format!("focal lengths {} and {}", Short(fx), Short(fy)), format))
 }
 
 /// Refuses a camera with more than one focal length, k₁ and k₂.
@@ -97,7 +97,7 @@ pub fn check_two_radial(path: &Path, id: CameraId, camera: &Camera, format: &str
     check_one_focal_length(path, id, camera, format)?;
     match camera.higher == HigherTerms::ZERO {
         true => Ok(()),
-        false => Err(unsupported_camera(path, id, "tangential or third radial terms", format)),
+        false => Err(unsupported_camera(path, id, "tangential or third radial distortion terms", format)),
     }
 }
 
@@ -110,11 +110,11 @@ pub fn places(model: &Reconstruction) -> BTreeMap<ImageId, usize> {
 pub fn losses(model: &Reconstruction) -> Losses {
     let is_off = |camera: &&Camera| camera.principal != [f64::from(camera.width) / 2.0, f64::from(camera.height) / 2.0];
     Losses::default()
-        .with("the sizes of the pictures are not in the format".to_owned())
+        .with("image sizes are not stored in the format".to_owned())
         .counted(
             model.cameras.values().filter(is_off).count(),
-            "camera has its principal point off the middle of the picture; features are relative to that point",
-            "cameras have their principal point off the middle of the picture; features are relative to that point",
+            "camera has its principal point off the image center; features are relative to that point",
+            "cameras have their principal point off the image center; features are relative to that point",
         )
         .unmatched_features(model)
 }

@@ -59,7 +59,7 @@ pub enum IoError {
     },
     /// A picture of another size than the frame that it belongs to.
     #[error(
-        "{}: the picture is {}×{} pixels, its frame {}×{}",
+        "{}: image of {}×{} pixels, its frame has {}×{}",
         path.display(), found.0, found.1, expected.0, expected.1
     )]
     WrongSize {

@@ -22,7 +22,7 @@ pub fn beyond(model: &Reconstruction) -> Option<String> {
     let points = model.points.iter().filter(|(_, point)| !point.position.iter().all(is_sensible));
     let mut found =
         images.map(|(id, _)| format!("image {}", id.0)).chain(points.map(|(id, _)| format!("point {}", id.0)));
-    found.next().map(|part| format!("{part} is further than {LARGEST:e} units away"))
+    found.next().map(|part| format!("{part} is more than {LARGEST:e} units away"))
 }
 
 #[cfg(test)]
@@ -37,6 +37,6 @@ mod tests {
         let mut model = crate::io::testing::odd_model();
         assert_eq!(beyond(&model), None);
         model.points.values_mut().next().unwrap().position.y = -1e200;
-        assert_eq!(beyond(&model).as_deref(), Some("point 1 is further than 1e15 units away"));
+        assert_eq!(beyond(&model).as_deref(), Some("point 1 is more than 1e15 units away"));
     }
 }

@@ -105,8 +105,8 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         let length = Vector3::from(plane.normal).norm();
         let problem = match numbers.find(|n| !is_sensible(n)) {
             Some(number) => format!("{number} is not a number of at most {LARGEST:e}"),
-            None if deviations.iter().any(|n| **n < 0.0) => "a deviation is negative".to_owned(),
-            None if (length - 1.0).abs() > 1e-6 => format!("the normal has length {length}, not 1"),
+            None if deviations.iter().any(|n| **n < 0.0) => "negative standard deviation".to_owned(),
+            None if (length - 1.0).abs() > 1e-6 => format!("normal of length {length}, expected 1"),
             None => continue,
         };
         let Plane { object, frame, .. } = plane;

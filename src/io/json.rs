@@ -28,7 +28,7 @@ pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, IoError> {
 pub fn read_model<T: DeserializeOwned>(path: &Path, kind: &str) -> Result<T, IoError> {
     read(path).map_err(|error| match error {
         IoError::Line { path, line, field, problem } => {
-            IoError::Line { path, line, field, problem: format!("this is not what {kind} has here: {problem}") }
+            IoError::Line { path, line, field, problem: format!("not valid in {kind}: {problem}") }
         }
         other => other,
     })
@@ -45,7 +45,7 @@ pub fn check_version(path: &Path, found: u32, known: u32) -> Result<(), IoError>
     Err(IoError::Unsupported {
         path: path.to_path_buf(),
         what: format!("version {found}"),
-        cure: format!("write it again as version {known}"),
+        cure: format!("write it as version {known}"),
     })
 }
 

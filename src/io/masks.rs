@@ -66,7 +66,7 @@ fn as_mask(picture: Grey) -> Mask {
 fn decode(path: &Path, frame_size: Option<(u32, u32)>) -> Result<Grey, IoError> {
     let bytes = files::read(path).map_err(IoError::system("read", path))?;
     let depth = check_kind(path, &bytes)?;
-    let broken = |e: image::ImageError| IoError::content(path, format!("is not a whole PNG picture: {e}"));
+    let broken = |e: image::ImageError| IoError::content(path, format!("incomplete or damaged PNG image: {e}"));
     let decoder = image::codecs::png::PngDecoder::new(Cursor::new(&bytes)).map_err(broken)?;
     let size = decoder.dimensions();
     // Before the pixels are decoded: a header can promise any number of them.
@@ -78,7 +78,7 @@ fn decode(path: &Path, frame_size: Option<(u32, u32)>) -> Result<Grey, IoError> 
     }
     let mut grey = vec![0; size.0 as usize * size.1 as usize];
     if decoder.total_bytes() != grey.len() as u64 {
-        return Err(IoError::content(path, "is not one grey value per pixel"));
+        return Err(IoError::content(path, "expected one gray value per pixel"));
     }
     decoder.read_image(&mut grey).map_err(broken)?;
     if depth == Depth::One {
@@ -102,14 +102,14 @@ enum Depth {
 fn check_kind(path: &Path, bytes: &[u8]) -> Result<Depth, IoError> {
     // Signature, then length and name of IHDR, width, height, bit depth, colour type (PNG specification, 11.2.1).
     if bytes.len() < 26 || !bytes.starts_with(b"\x89PNG\r\n\x1a\n") {
-        return Err(IoError::content(path, "is not a PNG picture"));
+        return Err(IoError::content(path, "not a PNG image"));
     }
     let (bit_depth, colour_type) = (bytes[24], bytes[25]);
     let kind = match colour_type {
-        0 => "grey",
+        0 => "gray",
         2 => "RGB",
         3 => "palette",
-        4 => "grey with transparency",
+        4 => "gray with transparency",
         6 => "RGB with transparency",
         _ => "unknown",
     };
@@ -120,8 +120,8 @@ fn check_kind(path: &Path, bytes: &[u8]) -> Result<Depth, IoError> {
     }
     Err(IoError::Unsupported {
         path: path.into(),
-        what: format!("a mask of kind {kind}, {bit_depth} bits,"),
-        cure: "save it as 8-bit grey, one label per pixel".into(),
+        what: format!("mask of kind {kind}, {bit_depth} bits,"),
+        cure: "save it as 8-bit gray, one label per pixel".into(),
     })
 }
 
@@ -173,7 +173,7 @@ mod tests {
         assert!(save(ExtendedColorType::L16, &[0; 4]).contains("grey, 16 bits"));
         assert!(save(ExtendedColorType::La8, &[0; 4]).contains("transparency"));
         std::fs::write(&path, b"GIF89a, at any rate not the other thing").unwrap();
-        assert!(read_mask(&path, (2, 1)).unwrap_err().to_string().contains("is not a PNG"));
+        assert!(read_mask(&path, (2, 1)).unwrap_err().to_string().contains("not a PNG"));
         assert!(read_mask(&folder.path().join("none.png"), (2, 1)).unwrap_err().is_not_found());
     }
 

@@ -111,9 +111,8 @@ impl Intrinsics {
     /// The camera, and its form where nothing can be projected with it.
     fn camera(&self) -> Result<(Camera, Option<CameraForm>), String> {
         let size = |side: Option<f64>| side.filter(|s| *s >= 1.0 && *s < 1e6).map(|s| s.round() as u32);
-        let (width, height) = size(self.w)
-            .zip(size(self.h))
-            .ok_or("no size of the picture (w, h), and no picture beside the file tells it")?;
+        let (width, height) =
+            size(self.w).zip(size(self.h)).ok_or("no image size (w, h), and no image next to the file")?;
         let half = f64::from(width) / 2.0;
         let of_angle = || self.camera_angle_x.map(|angle| half / (angle / 2.0).tan());
         let fx = self.fl_x.or_else(of_angle).ok_or("no focal length (fl_x)")?;
@@ -123,7 +122,7 @@ impl Intrinsics {
         let [p1, p2] = [self.p1, self.p2].map(|p| p.unwrap_or(0.0));
         let all = [fx, fy, cx, cy, k1, k2, p1, p2, k3];
         if !(all.iter().all(|v| v.is_finite()) && fx > 0.0 && fy > 0.0) {
-            return Err("parameters of no camera".to_owned());
+            return Err("invalid camera parameters".to_owned());
         }
         let foreign = |model: Model, params: &[f64]| {
             let form = CameraForm::Foreign(model, params.to_vec());
@@ -133,10 +132,10 @@ impl Intrinsics {
             "OPENCV_FISHEYE" => foreign(Model::OpenCvFisheye, &[fx, fy, cx, cy, k1, k2, k3, k4]),
             "EQUIRECTANGULAR" => foreign(Model::Equirectangular, &[f64::from(width), f64::from(height)]),
             "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" if k4 == 0.0 => {
-                Ok((Camera::prior(width, height).with_parameters(&all).ok_or("its parameters")?, None))
+                Ok((Camera::prior(width, height).with_parameters(&all).ok_or("invalid parameters")?, None))
             }
-            "OPENCV" => Err("a fourth radial coefficient (k4)".to_owned()),
-            other => Err(format!("the camera_model {other}")),
+            "OPENCV" => Err("fourth radial coefficient (k4) not supported".to_owned()),
+            other => Err(format!("camera_model {other} not supported")),
         }
     }
 
@@ -153,7 +152,7 @@ impl Intrinsics {
             (Model::OpenCvFisheye, &[_, _, _, _, k1, k2, k3, k4]) => {
                 Ok(Self { k1: Some(k1), k2: Some(k2), k3: Some(k3), k4: Some(k4), ..plain })
             }
-            _ => Err(format!("the model {}", form.name())),
+            _ => Err(format!("camera model {}", form.name())),
         }
     }
 
@@ -172,11 +171,11 @@ impl Intrinsics {
 pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     let document: Document = json::read_model(path, "nerfstudio's transforms.json")?;
     let world_from_moved = world_from_moved(&document.applied_transform)
-        .ok_or_else(|| IoError::content(path, "applied_transform is not a rigid motion"))?;
+        .ok_or_else(|| IoError::content(path, "applied_transform is not a rigid transform"))?;
     let mut model = Reconstruction::default();
     let mut known: Vec<Intrinsics> = Vec::new();
     for (index, frame) in (1..).zip(&document.frames) {
-        let problem = |what: String| IoError::content(path, format!("frame '{}' has {what}", frame.file_path));
+        let problem = |what: String| IoError::content(path, format!("frame '{}': {what}", frame.file_path));
         let intrinsics = frame.camera.or(&document.camera).or_size_of(path, &frame.file_path);
         let place = known.iter().position(|other| *other == intrinsics).unwrap_or(known.len());
         let camera = CameraId(place as u32 + 1);
@@ -187,13 +186,13 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
             known.push(intrinsics);
         }
         let moved_from_cam = rigid(&frame.transform_matrix)
-            .ok_or_else(|| problem("a transform_matrix that is not a rigid motion".to_owned()))?;
+            .ok_or_else(|| problem("transform_matrix is not a rigid transform".to_owned()))?;
         let cam_from_world = (world_from_moved * moved_from_cam * flip()).inverse();
         let name = frame.file_path.trim_start_matches("./").to_owned();
         model.images.insert(ImageId(index), Image { name, camera, cam_from_world, observations: Vec::new() });
     }
     if model.images.is_empty() {
-        return Err(IoError::content(path, "holds no frame"));
+        return Err(IoError::content(path, "no frame in the file"));
     }
     Ok(model)
 }
@@ -234,7 +233,7 @@ pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
         .map(|(id, camera)| {
             let intrinsics = match model.camera_forms.get(id) {
                 Some(CameraForm::Foreign(form, params)) => Intrinsics::of_foreign(*form, params, camera),
-                Some(CameraForm::Unknown) => Err("a lens of which nothing is known".to_owned()),
+                Some(CameraForm::Unknown) => Err("unknown camera model".to_owned()),
                 _ => Ok(Intrinsics::of_covered(camera)),
             };
             Ok((*id, intrinsics.map_err(|what| unsupported_camera(path, *id, &what, FORMAT))?))
@@ -257,8 +256,8 @@ pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
     let num_features = model.images.values().map(|image| image.observations.len()).sum();
     Ok(Losses::default().counted(
         num_features,
-        "feature is left out: the format has none",
-        "features are left out: the format has none",
+        "feature skipped: the format stores none",
+        "features skipped: the format stores none",
     ))
 }
 
@@ -320,8 +319,8 @@ mod tests {
         let says = |from: &str, to: &str| read_text(&GOLDEN.replace(from, to)).unwrap_err().to_string();
         assert!(says("\"w\": 640,", "").contains("frame './images/a.jpg' has no size of the picture (w, h)"));
         assert!(says("\"k2\"", "\"k4\"").contains("fourth radial"));
-        assert!(says("\"OPENCV\"", "\"FISHEYE624\"").contains("the camera_model FISHEYE624"));
-        assert!(says("[[1, 0, 0, 1]", "[[2, 0, 0, 1]").contains("transform_matrix that is not a rigid motion"));
+        assert!(says("\"OPENCV\"", "\"FISHEYE624\"").contains("camera_model FISHEYE624"));
+        assert!(says("[[1, 0, 0, 1]", "[[2, 0, 0, 1]").contains("transform_matrix is not a rigid transform"));
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("transforms.json");
         let sizeless = GOLDEN.replace("\"w\": 640,", "").replace("\"h\": 480,", "").replace("a.jpg", "a");

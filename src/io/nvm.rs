@@ -104,17 +104,17 @@ fn middled(model: &Reconstruction, points: &mut [Centered], mut sizes: Sizes) ->
 }
 
 fn add_camera(words: &mut Words<'_>, index: u32, model: &mut Reconstruction) -> Result<(), IoError> {
-    let name = words.word("name of a picture")?.replace('"', " ");
+    let name = words.word("image name")?.replace('"', " ");
     let focal = words.finite("focal length")?;
     let [w, x, y, z] = words.finites("quaternion")?;
-    let center = Point3::from(words.finites::<3>("camera centre")?);
+    let center = Point3::from(words.finites::<3>("camera center")?);
     let r = words.finite("radial distortion")?;
     let _end: f64 = words.number("end of a camera")?;
     let stored = Quaternion::new(w, x, y, z);
     if !(focal > 0.0) {
-        return Err(words.error("focal length", "is not positive"));
+        return Err(words.error("focal length", "not positive"));
     }
-    let rotation = unit_quaternion(stored).ok_or_else(|| words.error("quaternion", "is not a rotation"))?;
+    let rotation = unit_quaternion(stored).ok_or_else(|| words.error("quaternion", "not a rotation"))?;
     let higher = HigherTerms { k3: -12.0 * r * r * r, ..HigherTerms::ZERO };
     let camera = Camera { radial: [-r, 3.0 * r * r], higher, ..Camera::with_focal(2, 2, focal) };
     let cam_from_world = Rigid3::from_rotation_and_center(rotation, center);
@@ -139,7 +139,7 @@ pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
         check_one_focal_length(path, *id, camera, FORMAT)?;
         let (r, error_px) = measured_side(camera);
         if error_px > MAX_FIT_ERROR_PX {
-            let what = format!("a distortion that one term follows only to {} pixels", Short(error_px));
+            let what = format!("distortion that one term approximates to {} pixels only", Short(error_px));
             return Err(unsupported_camera(path, *id, &what, FORMAT));
         }
         worst_px = f64::max(worst_px, error_px);
@@ -147,7 +147,7 @@ pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
     }
     atomic::write_with(path, |out| write_nvm(out, model, &distortions))?;
     let losses = losses(model);
-    let fitted = format!("the distortion has one term and is followed to {} pixels", Short(worst_px));
+    let fitted = format!("distortion is approximated by one term, to {} pixels", Short(worst_px));
     Ok(if worst_px > 1e-9 { losses.with(fitted) } else { losses })
 }
 
@@ -280,7 +280,7 @@ mod tests {
         assert!(says("NVM_V3", "NVM_V3 FixedK 1 2 3 4 0").contains("without a fixed calibration"));
         assert!(says("500 1 0", "500 0 0").contains("is not a rotation"));
         assert!(says("500 1 0", "500 1e308 0").contains("is not a rotation"));
-        assert!(says("1 6 0", "7 6 0").contains("line 8: view of a point: there is no camera 7"));
+        assert!(says("1 6 0", "7 6 0").contains("line 8: view of a point: camera 7 does not exist"));
         damaged_text_never_panics(GOLDEN, |text| read_text(text).is_ok());
     }
 }

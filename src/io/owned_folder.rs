@@ -388,9 +388,10 @@ impl OwnedFolder {
 
     fn relative(&self, path: &Path) -> Result<PathBuf, FolderError> {
         let relative = if path.is_absolute() { path.strip_prefix(&self.root).ok() } else { Some(path) };
-        relative.filter(|path| is_inside(path)).map(Path::to_owned).ok_or_else(|| {
-            IoError::content(path, format!("lies outside the output folder {}", self.root.display())).into()
-        })
+        relative
+            .filter(|path| is_inside(path))
+            .map(Path::to_owned)
+            .ok_or_else(|| IoError::content(path, format!("outside the output folder {}", self.root.display())).into())
     }
 
     fn manifest(&self) -> MutexGuard<'_, Manifest> {

@@ -107,13 +107,13 @@ impl Sequence {
         if document.units != "metre" {
             return Err(IoError::Unsupported {
                 path,
-                what: format!("the unit '{}'", document.units),
+                what: format!("unit '{}'", document.units),
                 cure: "give lengths in 'metre'".into(),
             });
         }
         let camera = camera(&path, &document)?;
         if !(document.fps > 0.0 && document.fps.is_finite()) {
-            return Err(IoError::content(&path, format!("fps {} is not positive", document.fps)));
+            return Err(IoError::content(&path, format!("fps {}: not positive", document.fps)));
         }
         let frames: Vec<_> =
             std::mem::take(&mut document.frames).into_iter().map(|f| frame(&path, f)).collect::<Result<_, _>>()?;
@@ -141,7 +141,7 @@ impl Sequence {
     /// A sequence without frames, or with neither pictures nor video.
     pub fn input(&self) -> Result<PathBuf, IoError> {
         let scene = self.folder.join("scene.json");
-        let first = self.frames.first().ok_or_else(|| IoError::content(&scene, "the sequence has no frames"))?;
+        let first = self.frames.first().ok_or_else(|| IoError::content(&scene, "no frames in the sequence"))?;
         let pictures = self.folder.join(first.image.parent().unwrap_or(Path::new("")));
         if self.folder.join(&first.image).is_file() {
             return Ok(pictures);
@@ -150,7 +150,7 @@ impl Sequence {
             let name = first.image.display();
             IoError::content(
                 &scene,
-                format!("neither {name} nor video.mp4 is there; render the sequence, or copy it whole"),
+                format!("neither {name} nor video.mp4 found; render the sequence, or copy it completely"),
             )
         })
     }
@@ -205,7 +205,7 @@ fn camera(path: &Path, document: &Document) -> Result<Camera, IoError> {
     }
     let is_k = skew == 0.0 && zero == 0.0 && last == [0.0, 0.0, 1.0] && fx > 0.0 && fy > 0.0;
     if !is_k || [fx, fy, cx, cy].iter().any(|v| !v.is_finite()) {
-        return Err(IoError::content(path, format!("K {:?} is not that of a pinhole camera without skew", document.k)));
+        return Err(IoError::content(path, format!("K {:?}: not a pinhole camera without skew", document.k)));
     }
     let (width, height) = (document.width, document.height);
     Ok(Camera { focal: [fx, fy], principal: [cx, cy], ..Camera::prior(width, height) })
@@ -216,12 +216,12 @@ fn frame(path: &Path, frame: FrameDocument) -> Result<SequenceFrame, IoError> {
     let world_from_cam = rigid(frame.world_from_cam).ok_or_else(|| wrong("T_world_camera is not a rigid transform"))?;
     let world_from_object =
         rigid(frame.world_from_object).ok_or_else(|| wrong("T_world_object is not a rigid transform"))?;
-    let name = frame.image.file_name().ok_or_else(|| wrong("the image has no name"))?.to_string_lossy().into_owned();
+    let name = frame.image.file_name().ok_or_else(|| wrong("image without a name"))?.to_string_lossy().into_owned();
     if !frame.time_s.is_finite() {
         return Err(wrong("the time is not finite"));
     }
     if frame.visible_share.is_some_and(|share| !(0.0..=1.0).contains(&share)) {
-        return Err(wrong("visible_share is not within 0 and 1"));
+        return Err(wrong("visible_share: not within 0 and 1"));
     }
     Ok(SequenceFrame {
         id: FrameId(frame.index),

@@ -39,16 +39,16 @@ pub fn read(path: &Path) -> Result<Vec<TrackedObject>, IoError> {
 fn check(path: &Path, objects: &[TrackedObject]) -> Result<(), IoError> {
     if let Some(pair) = objects.windows(2).find(|pair| pair[0].id >= pair[1].id) {
         let [before, after] = [pair[0].id, pair[1].id];
-        return Err(IoError::content(path, format!("object {after} does not come after object {before}")));
+        return Err(IoError::content(path, format!("object {after} after object {before}: ids must ascend")));
     }
     for object in objects {
         let wrong = |problem: String| Err(IoError::content(path, format!("object {}: {problem}", object.id)));
         if let Some(pair) = object.frames.windows(2).find(|pair| pair[0] >= pair[1]) {
-            return wrong(format!("frame {} does not come after frame {}", pair[1].0, pair[0].0));
+            return wrong(format!("frame {} after frame {}: frames must ascend", pair[1].0, pair[0].0));
         }
         let shares = [Some(object.confidence), object.mask_quality];
         if let Some(share) = shares.into_iter().flatten().find(|share| !(0.0..=1.0).contains(share)) {
-            return wrong(format!("{share} is not between 0 and 1"));
+            return wrong(format!("{share}: not between 0 and 1"));
         }
     }
     Ok(())

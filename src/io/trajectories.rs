@@ -235,7 +235,7 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         let wrong = |problem: String| Err(IoError::content(path, format!("object {}: {problem}", object.id)));
         let scale = &object.scale;
         if !is_sensible_ratio(scale.ratio) {
-            return wrong(format!("the scale ratio {:e} is not positive, or beyond any sense", scale.ratio));
+            return wrong(format!("scale ratio {:e}: not positive, or out of range", scale.ratio));
         }
         let ratios = scale.alternatives.values().chain(scale.as_reconstructed.iter().flat_map(BTreeMap::values));
         let evidence = scale.shares.iter().flat_map(shares).chain(scale.support.iter().flat_map(lengths));
@@ -247,17 +247,17 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
             return wrong("a dimension is not a finite number".into());
         }
         if !object.travel.as_ref().is_none_or(has_finite_numbers) {
-            return wrong("a number of the travel is not finite".into());
+            return wrong("a travel figure is not finite".into());
         }
         let reasons = object.verdict.iter().flat_map(|verdict| &verdict.reasons);
         if let Some(reason) = reasons.into_iter().find(|reason| !(0.0..=1.0).contains(&reason.weight)) {
-            return wrong(format!("the weight {} of a reason is not between 0 and 1", reason.weight));
+            return wrong(format!("reason weight {}: not between 0 and 1", reason.weight));
         }
         if scale.degenerate && scale.reason.is_none() {
-            return wrong("is degenerate without a reason".into());
+            return wrong("degenerate without a reason".into());
         }
         if let Some(pair) = object.frames.windows(2).find(|pair| pair[0].frame >= pair[1].frame) {
-            return wrong(format!("frame {} does not come after frame {}", pair[1].frame.0, pair[0].frame.0));
+            return wrong(format!("frame {} after frame {}: frames must ascend", pair[1].frame.0, pair[0].frame.0));
         }
         for pose in &object.frames {
             if let Some(problem) = pose_problem(pose, scale.ratio) {
@@ -285,11 +285,11 @@ fn metric_problem(metric: &Metric) -> Option<&'static str> {
     if !has_finite_numbers(metric) {
         Some("a number is not finite")
     } else if metric.frame.is_none() != is_unknown {
-        Some("`unknown` is the verdict where, and only where, there is no scale")
+        Some("verdict `unknown` and scale contradict one another")
     } else if !positive {
-        Some("the scale is not positive")
+        Some("scale is not positive")
     } else if !turns {
-        Some("the quaternion has not length 1")
+        Some("quaternion is not of unit length")
     } else {
         None
     }
@@ -312,18 +312,18 @@ fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
         return Some(format!("{number} is not a finite number"));
     }
     if !pose.metric.as_ref().is_none_or(has_finite_numbers) {
-        return Some("a number in metres is not finite".into());
+        return Some("a number in meters is not finite".into());
     }
     if let Some(far) = pose.position.iter().chain(translation).find(|c| !is_sensible(c)) {
-        return Some(format!("{far:e} is further away than anything can be"));
+        return Some(format!("{far:e} is out of range"));
     }
     let norm = norm(*rotation_wxyz);
     if (norm - 1.0).abs() > MAX_UNIT_ERROR {
-        return Some(format!("the quaternion has length {norm}, not 1"));
+        return Some(format!("quaternion of length {norm}, expected 1"));
     }
     // Negated, so that NaN is caught as well.
     let agrees = (scale / ratio - 1.0).abs() <= MAX_SCALE_ERROR;
-    (!agrees).then(|| format!("the scale {scale} is not the object's ratio {ratio}"))
+    (!agrees).then(|| format!("scale {scale} differs from the object's ratio {ratio}"))
 }
 
 #[cfg(test)]
@@ -509,9 +509,9 @@ mod tests {
             write(&folder.path().join("trajectories.json"), &all).unwrap_err().to_string()
         };
         assert!(metric(|m| m.frame.as_mut().unwrap().covariance[3][3] = f64::NAN).contains("metric: a number is not"));
-        assert!(metric(|m| m.frame = None).contains("`unknown` is the verdict"));
+        assert!(metric(|m| m.frame = None).contains("verdict `unknown`"));
         assert!(metric(|m| m.frame.as_mut().unwrap().scale = -1.0).contains("not positive"));
-        assert!(metric(|m| m.frame.as_mut().unwrap().rotation_wxyz[0] = 1.0).contains("length 1"));
+        assert!(metric(|m| m.frame.as_mut().unwrap().rotation_wxyz[0] = 1.0).contains("unit length"));
         assert!(
             refused(|all| all.objects[0].dimensions.as_mut().unwrap().length_m.as_mut().unwrap().std = f64::NAN)
                 .contains("object 1: a dimension")
@@ -538,7 +538,7 @@ mod tests {
         assert!(refused(|o| o.scale.ratio = f64::NAN).contains("object 1: the scale ratio NaN"));
         assert!(refused(|o| o.poses[1].world_from_object.scale = 0.73).contains("frame 2: the scale 0.73"));
         assert!(refused(|o| o.poses[1].position[2] = f64::INFINITY).contains("frame 2: inf"));
-        assert!(refused(|o| o.poses.reverse()).contains("frame 0 does not come after frame 2"));
+        assert!(refused(|o| o.poses.reverse()).contains("frame 0 after frame 2"));
         assert!(refused(|o| o.scale.shares.as_mut().unwrap().plane = f64::NAN).contains("NaN is not a finite"));
         assert!(refused(|o| o.scale.reason = None).contains("without a reason"));
         assert!(!path.exists());

@@ -23,7 +23,7 @@ pub struct Words<'a> {
 impl Text {
     pub fn read_file(path: &Path) -> Result<Self, IoError> {
         let bytes = files::read_text(path).map_err(IoError::system("read", path))?;
-        let content = String::from_utf8(bytes).map_err(|_| IoError::content(path, "is not a text file (UTF-8)"))?;
+        let content = String::from_utf8(bytes).map_err(|_| IoError::content(path, "not a text file (UTF-8)"))?;
         Ok(Self { path: path.to_path_buf(), content })
     }
 
@@ -56,17 +56,17 @@ impl<'a> Words<'a> {
         let end = rest.find(char::is_whitespace).unwrap_or(rest.len());
         let (word, rest) = rest.split_at(end);
         self.rest = rest;
-        if word.is_empty() { Err(self.error(field, "the file ends before it")) } else { Ok(word) }
+        if word.is_empty() { Err(self.error(field, "the file ends here")) } else { Ok(word) }
     }
 
     pub fn number<T: FromStr>(&mut self, field: &str) -> Result<T, IoError> {
         let word = self.word(field)?;
-        word.parse().map_err(|_| self.error(field, format!("'{word}' is not a number in its range")))
+        word.parse().map_err(|_| self.error(field, format!("'{word}' is not a number in the valid range")))
     }
 
     pub fn finite(&mut self, field: &str) -> Result<f64, IoError> {
         let value: f64 = self.number(field)?;
-        if value.is_finite() { Ok(value) } else { Err(self.error(field, "is not a finite number")) }
+        if value.is_finite() { Ok(value) } else { Err(self.error(field, "not a finite number")) }
     }
 
     pub fn finites<const N: usize>(&mut self, field: &str) -> Result<[f64; N], IoError> {
@@ -83,7 +83,8 @@ impl<'a> Words<'a> {
         if count <= self.rest.len() / min_bytes {
             return Ok(count);
         }
-        Err(self.error(field, format!("{count} do not fit in the rest of the file, which is cut or damaged")))
+        Err(self
+            .error(field, format!("{count} entries do not fit in the rest of the file; it is truncated or damaged")))
     }
 
     /// The rest of the line.

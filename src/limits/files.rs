@@ -64,7 +64,7 @@ pub fn open_within_memory(path: &Path) -> io::Result<File> {
     let (size, limit) = (file.metadata()?.len(), memory::of_machine());
     if size > limit {
         let (size, limit) = (memory::in_words(size), memory::in_words(limit));
-        let reason = format!("it has {size}, the memory limit is {limit}; --memory-limit sets it");
+        let reason = format!("file of {size}, memory limit {limit}; raise --memory-limit");
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, reason));
     }
     Ok(file)
@@ -103,7 +103,7 @@ fn check_type(found: FileType) -> io::Result<()> {
     match in_words(found) {
         "a file" => Ok(()),
         "a folder" => Err(io::ErrorKind::IsADirectory.into()),
-        other => Err(io::Error::new(io::ErrorKind::InvalidInput, format!("it is {other}, and no file that ends"))),
+        other => Err(io::Error::new(io::ErrorKind::InvalidInput, format!("expected a regular file, found {other}"))),
     }
 }
 
@@ -118,7 +118,7 @@ pub fn in_words(found: FileType) -> &'static str {
     } else if found.is_socket() {
         "a socket"
     } else if found.is_symlink() {
-        "a link that leads nowhere"
+        "a broken link"
     } else {
         "a device"
     }

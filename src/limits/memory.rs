@@ -50,7 +50,7 @@ impl MemoryLimit {
 /// Something that memory does not hold.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{what} would take about {}, which is more than the limit of {limit}; --memory-limit sets it",
+    "{what}: needs about {}, memory limit {limit}; raise --memory-limit",
     in_words(*needed)
 )]
 pub struct TooMuch {
@@ -72,7 +72,7 @@ impl FromStr for MemoryLimit {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("'{text}' is no amount of memory such as 2GiB or 800MiB");
+        let wrong = || format!("'{text}': expected an amount of memory such as 2GiB or 800MiB");
         let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
         let (number, unit) = text.split_at(end);
         let unit = match unit.trim() {
@@ -86,7 +86,7 @@ impl FromStr for MemoryLimit {
         let bytes = bytes.checked_mul(1 << (unit - 20)).ok_or_else(wrong)?;
         match RANGE.contains(&bytes) {
             true => Ok(Self(bytes)),
-            false => Err(format!("{text} is not between 64MiB and 1024TiB")),
+            false => Err(format!("{text}: expected 64MiB to 1024TiB")),
         }
     }
 }
@@ -186,7 +186,7 @@ mod tests {
         let limit: MemoryLimit = "1GiB".parse().unwrap();
         assert!(limit.check(String::new, 1 << 30).is_ok());
         let said = limit.check(|| "a.onnx: its input".to_owned(), 120_000_000_000).unwrap_err().to_string();
-        assert!(said.contains("a.onnx: its input would take about 111.8 GiB") && said.contains("1.0 GiB"), "{said}");
+        assert!(said.contains("a.onnx: its input: needs about 111.8 GiB") && said.contains("1.0 GiB"), "{said}");
         assert!(limit.check(String::new, u128::MAX).is_err());
     }
 

@@ -44,7 +44,7 @@ pub fn within<T: PartialOrd + Debug>(key: &str, value: T, range: RangeInclusive<
         return Ok(());
     }
     let (least, most) = range.into_inner();
-    Err(OptionError::new(key, format!("{value:?} is not between {least:?} and {most:?}")))
+    Err(OptionError::new(key, format!("{value:?}: expected {least:?} to {most:?}")))
 }
 
 /// A value must not be above another one.
@@ -55,7 +55,7 @@ pub fn ordered<T: PartialOrd + Debug>((key, value): (&str, T), (other, limit): (
     if value <= limit {
         return Ok(());
     }
-    Err(OptionError::new(key, format!("{value:?} is above {other}, which is {limit:?}")))
+    Err(OptionError::new(key, format!("{value:?}: larger than {other} = {limit:?}")))
 }
 
 /// A list must name something.
@@ -64,7 +64,7 @@ pub fn ordered<T: PartialOrd + Debug>((key, value): (&str, T), (other, limit): (
 /// [`OptionError`] if it is empty.
 pub fn some_of<T>(key: &str, list: &[T]) -> Checked {
     match list {
-        [] => Err(OptionError::new(key, "the list is empty, so that nothing would be found")),
+        [] => Err(OptionError::new(key, "empty list: nothing would be detected")),
         _ => Ok(()),
     }
 }
@@ -85,7 +85,7 @@ mod tests {
     fn errors_name_the_path_the_value_and_the_limits() {
         let inner = within("max_error_px", f64::NAN, 0.1..=10.0);
         let said = under("scale", under("joint", inner)).unwrap_err().to_string();
-        assert_eq!(said, "option scale.joint.max_error_px: NaN is not between 0.1 and 10.0");
+        assert_eq!(said, "option scale.joint.max_error_px: NaN: expected 0.1 to 10.0");
         assert_eq!(within("n", 3, 3..=3), Ok(()));
         assert!(within("n", 1e300, 0.0..=1.0).unwrap_err().reason.starts_with("1e300 is not"));
     }

@@ -16,7 +16,7 @@ pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<UnitQuat
     let [w, x, y, z] = <[f64; 4]>::deserialize(from)?;
     let quaternion = Quaternion::new(w, x, y, z);
     if !((quaternion.norm() - 1.0).abs() <= MAX_UNIT_ERROR) {
-        return Err(de::Error::custom(format!("the quaternion [{w}, {x}, {y}, {z}] is not of unit length")));
+        return Err(de::Error::custom(format!("quaternion [{w}, {x}, {y}, {z}] is not of unit length")));
     }
     // Kept to the bit: what was written reads back the same.
     Ok(UnitQuaternion::new_unchecked(quaternion))

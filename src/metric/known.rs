@@ -24,17 +24,13 @@ pub struct KnownLength {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum KnownLengthError {
     /// Another form.
-    #[error(
-        "“{text}” is no known length; write it as ID:length=4.47±0.02, with length, width or height and an id from 1"
-    )]
+    #[error("“{text}”: expected ID:length=4.47±0.02, with length, width or height and an id of 1 or larger")]
     Form {
         /// Text as written.
         text: String,
     },
     /// A wheel base.
-    #[error(
-        "a wheel base is not measured: wheels are not told from the rest of a vehicle; give its length, width or height"
-    )]
+    #[error("wheelbase cannot be measured, since wheels are not detected; give length, width or height")]
     WheelBase,
 }
 

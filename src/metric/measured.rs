@@ -17,7 +17,7 @@ pub struct Measured {
 
 /// Why a text is no [`Measured`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("“{text}” is no positive value with a deviation; write it as 1.45±0.05 or 1.45+-0.05")]
+#[error("“{text}”: expected a positive value with an optional standard deviation, such as 1.45±0.05 or 1.45+-0.05")]
 pub struct MeasuredError {
     text: String,
 }
@@ -97,7 +97,7 @@ pub struct TimeOffset {
 
 /// Why a text is no [`TimeOffset`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("“{text}” is no number of seconds with a deviation; write it as 0.7±0.1 or -3")]
+#[error("“{text}”: expected seconds with an optional standard deviation, such as 0.7±0.1 or -3")]
 pub struct TimeOffsetError {
     text: String,
 }

@@ -15,7 +15,7 @@ pub struct UtcOffset {
 
 /// A text that is no [`UtcOffset`].
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("\u{201c}{text}\u{201d}: not an offset from UTC; write +02:00, -03:30 or Z")]
+#[error("\u{201c}{text}\u{201d}: expected an offset from UTC, such as +02:00, -03:30 or Z")]
 pub struct UtcOffsetError {
     text: String,
 }

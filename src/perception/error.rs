@@ -20,8 +20,7 @@ pub enum PerceptionError {
     OpenCv(#[from] opencv::Error),
     /// The network belongs to no family that is known.
     #[error(
-        "{}: no known {task} network has these inputs and outputs.\n  inputs: {}\n  outputs: {}\n\
-         Supported: {supported}",
+        "{}: unknown {task} network, by its inputs and outputs.\n  inputs: {}\n  outputs: {}\nSupported: {supported}",
         path.display(), list(inputs), list(outputs)
     )]
     UnknownLayout {
@@ -38,8 +37,7 @@ pub enum PerceptionError {
     },
     /// The names of a network's classes are unknown.
     #[error(
-        "{}: the network has {num_classes} classes, but its metadata has no `names` for them; put a list \
-         `classes = [...]` into {}", path.display(), sidecar.display())]
+        "{}: {num_classes} classes without names (no `names` in the metadata); put a list `classes = [...]` into {}", path.display(), sidecar.display())]
     NoClassNames {
         /// The model file.
         path: PathBuf,
@@ -49,7 +47,7 @@ pub enum PerceptionError {
         sidecar: PathBuf,
     },
     /// None of the network's classes is wanted.
-    #[error("{}: none of the network's classes is among those asked for ({}); it has {}",
+    #[error("{}: none of the requested classes ({}) found; the network has {}",
         path.display(), wanted.join(", "), found.join(", "))]
     NoWantedClass {
         /// The model file.
@@ -61,7 +59,7 @@ pub enum PerceptionError {
     },
     /// A network gave a result of another shape than its family promises.
     #[error(
-        "{}: the network's output has the shape {found:?}, which its family does not allow: {expected}",
+        "{}: output of unexpected shape {found:?}; expected {expected}",
         path.display()
     )]
     Output {
@@ -74,8 +72,9 @@ pub enum PerceptionError {
     },
     /// The networks that come with the program are nowhere.
     #[error(
-        "the networks that come with the program were not found; put its folder `models` beside the executable, or \
-         name the folder in the environment variable TRACTRIX_MODELS\n  tried: {}",
+        "bundled networks not found; put the program's folder `models` next to the executable, or set the environment \
+         variable TRACTRIX_MODELS to its path\n\
+           tried: {}",
         tried.join("\n  tried: ")
     )]
     NoModels {
@@ -83,13 +82,13 @@ pub enum PerceptionError {
         tried: Vec<String>,
     },
     /// The folder that TRACTRIX_MODELS names does not hold the networks that come with the program.
-    #[error("the networks named by TRACTRIX_MODELS cannot be used: {reason}; correct the variable, or unset it")]
+    #[error("TRACTRIX_MODELS: the networks it names cannot be used: {reason}; correct the variable, or unset it")]
     NamedModels {
         /// Missing part, with the path.
         reason: String,
     },
     /// A model description cannot be read.
-    #[error("the model description {} is not valid: {reason}", path.display())]
+    #[error("{}: invalid model description: {reason}", path.display())]
     Description {
         /// The description file.
         path: PathBuf,
@@ -100,7 +99,7 @@ pub enum PerceptionError {
     #[error(transparent)]
     Option(#[from] crate::limits::OptionError),
     /// Things that belong to one frame differ in size.
-    #[error("{what} is {found:?} pixels large, but the frame is {expected:?}; both must agree")]
+    #[error("{what}: size {found:?} differs from that of the frame, {expected:?}")]
     SizeMismatch {
         /// Subject with the wrong size.
         what: String,
@@ -110,7 +109,7 @@ pub enum PerceptionError {
         found: (u32, u32),
     },
     /// The tracker was given a frame that is not later than the one before.
-    #[error("frame {found:?} was given to the tracker after frame {previous:?}; frames must come in order")]
+    #[error("tracker: frame {found:?} after frame {previous:?}; frames must be in order")]
     FrameOrder {
         /// The frame before.
         previous: FrameId,

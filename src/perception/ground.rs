@@ -85,9 +85,8 @@ pub fn load_ground_segmenter(
             inputs: model.inputs().to_vec(),
             outputs: model.outputs().to_vec(),
             supported: "semantic networks with one image [1, 3, h, w] in and [1, classes, h, w] or class numbers [1, \
-                        h, w] out: ESPNet (Cityscapes), TwinLiteNet, SegFormer (Cityscapes), or any other with a \
-                        description (preprocessing, classes) in a .toml file of the same name beside it; see \
-                        docs/perception.md",
+                 h, w] out: ESPNet (Cityscapes), TwinLiteNet, SegFormer (Cityscapes), or any other with a description \
+                 (preprocessing, classes) in a .toml file of the same name next to it; see docs/perception.md",
         }),
     }
 }

@@ -86,8 +86,8 @@ fn whole(folder: &Path) -> Result<DefaultModels, String> {
     let models = DefaultModels::of(folder);
     match models.missing() {
         None => Ok(models),
-        Some(_) if !folder.is_dir() => Err(format!("{} (no such folder)", folder.display())),
-        Some(file) => Err(format!("{} (no such file)", file.display())),
+        Some(_) if !folder.is_dir() => Err(format!("{} (folder not found)", folder.display())),
+        Some(file) => Err(format!("{} (file not found)", file.display())),
     }
 }
 
@@ -135,7 +135,7 @@ mod tests {
         let found = first_whole(&[none.clone(), half.clone(), whole.clone()]).unwrap();
         assert_eq!(found, DefaultModels::of(&whole));
         let said = first_whole(&[none, half]).unwrap_err().to_string();
-        assert!(said.contains("none (no such folder)") && said.contains("half/mobile_sam_encoder.onnx"), "{said}");
+        assert!(said.contains("none (folder not found)") && said.contains("half/mobile_sam_encoder.onnx"), "{said}");
         assert!(said.contains("TRACTRIX_MODELS"), "{said}");
     }
 

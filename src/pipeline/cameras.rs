@@ -12,7 +12,7 @@ use super::run::Run;
 use super::{Instances, Options, PipelineError, order};
 use crate::camera::Camera;
 use crate::io::colmap;
-use crate::scene::{Frame, FrameId};
+use crate::scene::{Frame, FrameId, Warning};
 use crate::sfm::Intrinsics;
 use crate::video::{PictureCamera, Source};
 
@@ -91,7 +91,7 @@ pub(super) fn given(run: &Run) -> Result<Vec<Camera>, PipelineError> {
 /// The first of them, which took all pictures where vehicles are looked for.
 pub(super) fn first(run: &Run) -> Result<InitialCamera, PipelineError> {
     let path = run.input().display();
-    initial(run)?.first().copied().ok_or_else(|| PipelineError::Options(format!("{path}: it holds no picture")))
+    initial(run)?.first().copied().ok_or_else(|| PipelineError::Options(format!("{path}: no image in it")))
 }
 
 /// Cameras of the images that are used.
@@ -110,7 +110,7 @@ pub(super) fn of_frames(run: &Run) -> Result<BTreeMap<FrameId, usize>, PipelineE
 }
 
 /// Leaves out the frames of a video that have another size than the first one, and says of each why.
-pub(super) fn of_one_size(source: &Source, frames: Vec<Frame>) -> (Vec<Frame>, Vec<String>) {
+pub(super) fn of_one_size(source: &Source, frames: Vec<Frame>) -> (Vec<Frame>, Vec<Warning>) {
     let mut said = Vec::new();
     let mut is_alike = |frame: &Frame| match source.of_another_size(frame) {
         Some(reason) => {
@@ -132,8 +132,8 @@ pub(super) fn not_covered(run: &Run, cameras: &[InitialCamera]) -> Option<String
     let first = open.1.frames.first().and_then(|id| run.frames().ok()?.iter().find(|frame| frame.id == *id));
     let name = first.map_or("", |frame| frame.name.as_str());
     Some(format!(
-        "--intrinsics says nothing of {num_open} of the {} cameras, the first of which took {name} ({}x{} pixels): \
-         these are found with the background; a cameras.txt with a camera of each size says all of them",
+        "--intrinsics: {num_open} of the {} cameras not covered, the first took {name} ({}x{} pixels); they are \
+         estimated with the background, or give a cameras.txt with one camera per image size",
         cameras.len(),
         open.1.source_width,
         open.1.source_height
@@ -166,8 +166,7 @@ fn given_cameras(intrinsics: &IntrinsicsSource, taken: &[PictureCamera]) -> Resu
         (true, _) => Ok(given),
         (false, [only]) => Ok(of_first(*only)),
         (false, _) => Err(PipelineError::Options(format!(
-            "{}: must hold exactly one camera, or one for each size of the pictures; none of its {} is for {}x{} \
-             pixels",
+            "{}: expected exactly one camera, or one per image size; none of its {} is for {}x{} pixels",
             path.display(),
             cameras.len(),
             first.0,
@@ -185,8 +184,7 @@ fn of_size(path: &Path, cameras: &[Camera], pictures: &PictureCamera) -> Result<
             (Some(camera), None) => return Ok(Some(camera.resized(pictures.width, pictures.height))),
             (Some(_), Some(_)) => {
                 return Err(PipelineError::Options(format!(
-                    "{}: must hold exactly one camera, or one for each size of the pictures; several are for \
-                     {width}x{height} pixels",
+                    "{}: expected exactly one camera, or one per image size; several are for {width}x{height} pixels",
                     path.display()
                 )));
             }

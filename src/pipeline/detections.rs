@@ -98,7 +98,7 @@ impl DetectionFolder {
     /// The detections of a frame; none for one that could not be decoded.
     pub(super) fn read(&self, frame: FrameId) -> Result<Vec<Detection>, PipelineError> {
         let detection = |s: Stored| {
-            let wrong = || damaged(&self.files.path(frame), "a mask has another size than the frame");
+            let wrong = || damaged(&self.files.path(frame), "a mask differs in size from its frame");
             let mask = mask_of_runs(&s.runs, self.size).ok_or_else(wrong)?;
             Ok(Detection { class: s.class, confidence: s.confidence, mask })
         };

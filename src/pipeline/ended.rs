@@ -149,7 +149,7 @@ impl Ended {
         // Who has the results may have given the input away.
         match now.files == self.of.files || is_gone(input) {
             true => Ok(()),
-            false => Err("the input, or another file that the run reads, has changed".to_owned()),
+            false => Err("the input, or another file of the run, has changed".to_owned()),
         }
     }
 
@@ -192,7 +192,7 @@ impl Ended {
 fn other_options(keys: &[String], recorded: &Options, asked: &Options) -> String {
     /// More would not fit on a line.
     const SHOWN: usize = 3;
-    let one = |key: &String| format!("{key} is {} in the results, {} is given", recorded.value(key), asked.value(key));
+    let one = |key: &String| format!("{key} is {} in the results, now {}", recorded.value(key), asked.value(key));
     let shown: Vec<String> = keys.iter().take(SHOWN).map(one).collect();
     let more = match keys.len().saturating_sub(SHOWN) {
         0 => String::new(),
@@ -355,9 +355,9 @@ mod tests {
             })
         };
         assert_eq!((with(None), with(Some(3))), (Ok(()), Ok(())));
-        assert_eq!(with(Some(0)), Err("options differ: seed is 3 in the results, 0 is given".to_owned()));
+        assert_eq!(with(Some(0)), Err("options differ: seed is 3 in the results, now 0".to_owned()));
         let asked = ended.compare(&input, &without_vehicles()).unwrap_err();
-        assert_eq!(asked, "options differ: seed is 3 in the results, 0 is given");
+        assert_eq!(asked, "options differ: seed is 3 in the results, now 0");
         fs::write(&input, b"other pictures").unwrap();
         assert!(with(None).unwrap_err().contains("has changed"));
     }

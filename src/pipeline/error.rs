@@ -37,7 +37,7 @@ pub enum PipelineError {
     #[error(transparent)]
     Folder(#[from] FolderError),
     /// Whoever watches the run has asked it to stop.
-    #[error("stopped; the same command goes on where it was")]
+    #[error("stopped; the same command resumes")]
     Stopped,
     /// A file of the run's own is damaged.
     #[error(
@@ -60,8 +60,8 @@ pub enum PipelineError {
     },
     /// The file that `run.json` names is not the one from which the results were made.
     #[error(
-        "{path}: not the input of the results in {output}, or changed since the run; nothing was read from it; \
-         `tractrix export --input FILE` names the right one",
+        "{path}: not the input of the results in {output}, or changed since the run; nothing was read from it; give \
+         the right one with `tractrix export --input FILE`",
         path = path.display(), output = output.display()
     )]
     OtherInput {
@@ -81,8 +81,8 @@ pub enum PipelineError {
     Options(String),
     /// A folder of masks of which none belongs to a frame.
     #[error(
-        "{path}: no mask belongs to any frame; expected PNG files named like the frames, for example '{example}.png', \
-         or by frame index",
+        "{path}: no mask matches a frame; expected PNG files named like the frames, such as '{example}.png', or by \
+         frame index",
         path = path.display()
     )]
     NoMasks {
@@ -93,8 +93,8 @@ pub enum PipelineError {
     },
     /// A mask that does not fit its frame.
     #[error(
-        "{path}: the mask has {found_width}x{found_height} pixels, the frames {width}x{height}{or_source}; masks are \
-         at the resolution of the frames, upright",
+        "{path}: mask of {found_width}x{found_height} pixels, frames of {width}x{height}{or_source}; give masks at the \
+         resolution of the frames, upright",
         path = path.display()
     )]
     MaskSize {

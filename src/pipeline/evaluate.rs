@@ -16,7 +16,7 @@ use crate::scene::{FrameId, Mask, ObjectId, ObjectTrajectory, Reconstruction, Tr
 pub fn evaluate(output: &Path, truth: &Path) -> Result<Evaluation, PipelineError> {
     let sequence = Sequence::open(truth)?;
     if !output.is_dir() {
-        let text = format!("{} is not a folder; run `tractrix run` first", output.display());
+        let text = format!("{}: not a folder; run `tractrix run` first", output.display());
         return Err(PipelineError::Options(text));
     }
     Ok(eval::evaluate(&gather(&RunFolder::at(output), &sequence)?))
@@ -66,7 +66,7 @@ fn gather(output: &RunFolder, sequence: &Sequence) -> Result<Input, IoError> {
         sequence: sequence.name.clone(),
         vehicle: sequence.vehicle.clone(),
         frames: sequence.frames.iter().map(|f| (f.id, truth(f))).collect(),
-        mesh: mesh.and_then(|m| MeshIndex::new(&m).ok_or_else(|| "the true mesh has no triangles".into())),
+        mesh: mesh.and_then(|m| MeshIndex::new(&m).ok_or_else(|| "true mesh without triangles".into())),
         background: model(output.read_background(), sequence),
         objects: ids.into_iter().map(|id| object(output, id, sequence, &all, masks.iou(id))).collect(),
     })
@@ -103,7 +103,7 @@ fn object(
 ) -> ObjectInput {
     let trajectory: Result<ObjectTrajectory, String> = all.as_ref().map_err(Clone::clone).and_then(|all| {
         let found = all.objects.iter().find(|o| o.id == id).cloned();
-        found.ok_or_else(|| format!("object {id} has no trajectory"))
+        found.ok_or_else(|| format!("object {id}: no trajectory"))
     });
     let before = trajectory.as_ref().ok().and_then(|found| found.scale.as_reconstructed.clone());
     let as_reconstructed =

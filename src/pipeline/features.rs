@@ -10,7 +10,7 @@ use super::run::{Outcome, Run};
 use super::strip::Keeper;
 use super::{Instances, PipelineError, Stage, cameras, fingerprint, order, own_file, pictures};
 use crate::image::RgbImage;
-use crate::scene::Frame;
+use crate::scene::{Frame, Topic};
 use crate::sfm::{FrontEnd, TrackTable};
 use crate::video::VideoError;
 
@@ -79,7 +79,7 @@ impl Beside {
 fn follow_background(run: &Run, beside: &mut Beside, outcome: &mut Outcome) -> Result<TrackTable, PipelineError> {
     let initial = cameras::initial(run)?;
     if let Some(open) = cameras::not_covered(run, &initial) {
-        outcome.warn(open);
+        outcome.warn(Topic::IntrinsicsIncomplete.warning(open));
     }
     let camera_of = cameras::of_frames(run)?;
     let (options, _) = order::sfm_options(run)?;

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use super::order;
 use super::run::{Outcome, Run};
 use super::{PipelineError, cameras};
-use crate::scene::TimeBase;
+use crate::scene::{TimeBase, Topic};
 use crate::video::Kind;
 
 pub(super) fn depends_on(run: &Run, input: &str) -> Value {
@@ -25,14 +25,16 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
         outcome.warn(warning);
     }
     if order.in_time && run.info().time_base() == TimeBase::Frames {
-        outcome.warn("no rate is known: times are frame numbers; give --fps RATE (frames per second) to have seconds");
+        let text = "frame rate unknown: times are frame numbers; give --fps RATE for seconds";
+        outcome.warn(Topic::NoFrameRate.warning(text));
     }
     if run.info().kind == Kind::Video && run.options.video.fps.is_some() {
-        outcome.warn("--fps is for folders of images; a video has its own time stamps, which are taken");
+        let text = "--fps ignored: it is for folders of images; a video has its own time stamps";
+        outcome.warn(Topic::FrameRateIgnored.warning(text));
     }
     if let Some(said) = order.said() {
         tracing::info!("{said}");
-        outcome.note(said);
+        outcome.note(Topic::ImageOrderDetected.warning(said));
     }
     outcome.figure("num_frames", frames.len());
     outcome.figure("num_repeated", scan.num_repeated);

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::PipelineError;
 use crate::io::{IoError, masks};
 use crate::limits::files;
-use crate::scene::{Frame, FrameId, LabelMap};
+use crate::scene::{Frame, FrameId, LabelMap, Topic, Warning};
 use crate::video::Info;
 
 /// Which file of a folder belongs to which frame.
@@ -100,16 +100,18 @@ impl MaskFolder {
         let ((width, height), source) = (self.size, self.source_size);
         let or_source = match self.size == source {
             true => String::new(),
-            false => format!(" ({}x{} before they were made smaller)", source.0, source.1),
+            false => format!(" ({}x{} before downscaling)", source.0, source.1),
         };
         PipelineError::MaskSize { path: path.to_owned(), width, height, or_source, found_width, found_height }
     }
 
     /// A warning for frames without a mask.
-    pub(super) fn warning(&self, folder: &Path, frames: &[Frame]) -> Option<String> {
+    pub(super) fn warning(&self, folder: &Path, frames: &[Frame]) -> Option<Warning> {
         let first = frames.iter().find(|frame| Some(&frame.id) == self.missing.first())?;
         let (missing, all) = (self.missing.len(), frames.len());
-        Some(format!("{}: {missing} of {all} frames have no mask, the first is {}", folder.display(), first.name))
+        let text =
+            format!("{}: {missing} of {all} frames without a mask, the first is {}", folder.display(), first.name);
+        Some(Topic::FramesWithoutMask.warning(text))
     }
 }
 

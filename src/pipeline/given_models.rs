@@ -14,7 +14,7 @@ use super::run::Run;
 use super::{PipelineError, cameras, fingerprint};
 use crate::io::RunFolder;
 use crate::io::model::{self, Format};
-use crate::scene::{Frame, ImageId, Reconstruction};
+use crate::scene::{Frame, ImageId, Reconstruction, Warning};
 use pictures::{Pictures, Sizes};
 
 /// Target of a given model.
@@ -61,7 +61,7 @@ pub(super) fn read(path: &Path, target: Target, run: &Run) -> Result<(Reconstruc
         given: true,
         num_visible: frames.len(),
         num_registered: model.images.len(),
-        unregistered: absent.map(|frame| (frame.id, "not in the model that was given".to_owned())).collect(),
+        unregistered: absent.map(|frame| (frame.id, "not in the given model".to_owned())).collect(),
         remarks,
         ..ModelReport::default()
     };
@@ -75,7 +75,7 @@ fn placed(
     target: Target,
     frames: &[Frame],
     pictures: &Pictures,
-) -> Result<(Reconstruction, Vec<String>), PipelineError> {
+) -> Result<(Reconstruction, Vec<Warning>), PipelineError> {
     let (place, format) = model::detect(path)?;
     check_place(path, &place, target)?;
     let (model, _) = model::read_for_geometry(&place)?;
@@ -95,8 +95,8 @@ fn check_place(path: &Path, place: &Path, target: Target) -> Result<(), Pipeline
     }
     let path = path.display();
     Err(PipelineError::Options(format!(
-        "{path}: an output folder stands for its background, and an object's model is asked for; give \
-         {path}/objects/1, or that of another object"
+        "{path}: an output folder stands for its background model, but a vehicle's model is needed; give \
+         {path}/objects/1, or that of another vehicle"
     )))
 }
 
@@ -117,9 +117,8 @@ fn check_points(path: &Path, model: &Reconstruction) -> Result<(), PipelineError
         return Ok(());
     }
     Err(PipelineError::Options(format!(
-        "{}: no point of it is seen in a frame, and points are what the ground and the scale are found with; give a \
-         model with points and where images see them (OpenSfM's are in tracks.csv beside it; nerfstudio's format has \
-         none: give the COLMAP model that it was made from)",
+        "{}: no 3D point is observed in any frame; ground and scale need points; give a model with points and their \
+         observations (OpenSfM: tracks.csv next to it; nerfstudio has none: give the COLMAP model it was made from)",
         path.display()
     )))
 }

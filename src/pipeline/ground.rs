@@ -11,7 +11,7 @@ use super::{GroundLabels, PipelineError, Stage, fingerprint, models, objects, pi
 use crate::ground::{DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount, label_points};
 use crate::io::{RunFolder, masks};
 use crate::perception::{GroundSegmenter, load_ground_segmenter};
-use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Reconstruction};
+use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Reconstruction, Topic};
 
 /// The name of the list of frames that have no plane, and why.
 const SKIPPED: &str = "ground-skipped.json";
@@ -46,7 +46,8 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
         let found = chain.planes(id, &object, &run.options.ground, run.options.seed);
         if let Some(first) = found.skipped.first() {
             let (missing, all) = (found.skipped.len(), found.skipped.len() + found.planes.len());
-            outcome.warn(format!("object {id}: {missing} of {all} frames have no ground plane: {}", first.reason));
+            let text = format!("object {id}: {missing} of {all} frames without a ground plane: {}", first.reason);
+            outcome.warn(Topic::FramesWithoutGroundPlane.warning(text));
         }
         let counts = bases.entry(id.to_string()).or_default();
         found.planes.values().for_each(|plane| *counts.entry(plane.basis.name()).or_default() += 1);
@@ -123,7 +124,7 @@ fn find(
     let dominant = match dominant_plane_points(background, options, run.options.seed) {
         Ok(plane) => Some(plane),
         Err(error) if labelled.is_none() => {
-            outcome.warn(format!("no ground was found: {error}"));
+            outcome.warn(Topic::NoGroundFound.warning(format!("no ground found: {error}")));
             None
         }
         Err(_) => None,
@@ -135,8 +136,8 @@ fn find(
         None => find_mount(background, None, options, run.options.seed),
     };
     match &mount {
-        Ok(_) => tracing::info!("the camera is fixed to a vehicle: one plane in its frame is the ground"),
-        Err(reason) => tracing::debug!("the camera is not taken for one that is fixed to a vehicle: {reason}"),
+        Ok(_) => tracing::info!("camera mount: one plane in the camera's frame is the ground"),
+        Err(reason) => tracing::debug!("camera mount not assumed: {reason}"),
     }
     Ok(Found { labelled, dominant, mount: mount.ok() })
 }
@@ -155,10 +156,9 @@ fn labelled_points(
 ) -> Result<Option<(GroundSource, Vec<Point3dId>)>, PipelineError> {
     let (source, points) = match &run.options.ground_labels {
         GroundLabels::Geometric => {
-            outcome.warn(
-                "there are no ground labels: what is found of the ground without them stands in for them (give \
-                 --ground-model or --ground-masks for better ones)",
-            );
+            let text = "no ground labels: the ground is estimated from 3D points; give --ground-model or --ground-masks \
+                        to improve it";
+            outcome.warn(Topic::NoGroundLabels.warning(text));
             return Ok(None);
         }
         GroundLabels::Masks { folder, label } => {
@@ -170,9 +170,8 @@ fn labelled_points(
         }
     };
     if points.is_empty() {
-        outcome.warn(
-            "no background point is ground according to the labels; what is found without them stands in for them",
-        );
+        let text = "no background point is labeled as ground: the labels are ignored";
+        outcome.warn(Topic::LabelsWithoutGround.warning(text));
         return Ok(None);
     }
     Ok(Some((source, points)))

@@ -1,6 +1,7 @@
 //! Evidence against given intrinsics.
 
 use crate::camera::Camera;
+use crate::scene::{Topic, Warning};
 
 /// Largest field of view that a pinhole with radial distortion describes, degrees.
 const MAX_FIELD_DEG: f64 = 150.0;
@@ -21,51 +22,51 @@ pub(super) fn impossible(camera: &Camera) -> Option<String> {
     let (field_deg, picture) = (field_deg(camera), picture(camera));
     if !(MIN_FIELD_DEG..=MAX_FIELD_DEG).contains(&field_deg) {
         return Some(format!(
-            "--intrinsics: the focal length is {:.1} px in a picture of {picture}, a field of view of {field_deg:.0} \
-             degrees, which no lens of this kind has; focal lengths are in pixels of the source, not in millimetres",
+            "--intrinsics: focal length {:.1} px in images of {picture} gives a field of view of {field_deg:.0}°, \
+             impossible for such a lens; give focal lengths in pixels of the source, not in millimeters",
             camera.mean_focal()
         ));
     }
     let [cx, cy] = camera.principal;
     if !(0.0..=f64::from(camera.width)).contains(&cx) || !(0.0..=f64::from(camera.height)).contains(&cy) {
         return Some(format!(
-            "--intrinsics: the centre ({cx:.1}, {cy:.1}) lies outside the picture of {picture}; give cx and cy in \
-             pixels of the source, as fx,fy,cx,cy"
+            "--intrinsics: principal point ({cx:.1}, {cy:.1}) outside the image of {picture}; give cx and cy in pixels \
+             of the source, as fx,fy,cx,cy"
         ));
     }
     let aspect = aspect(camera);
     (aspect > MAX_ASPECT).then(|| {
         let [fx, fy] = camera.focal;
-        format!("--intrinsics: fx is {fx:.1} and fy {fy:.1}: one of them is wrong; give them as fx,fy,cx,cy")
+        format!("--intrinsics: fx {fx:.1} and fy {fy:.1} differ too much; give them as fx,fy,cx,cy")
     })
 }
 
 /// Anomalies of a plausible camera.
-pub(super) fn doubts(camera: &Camera) -> Vec<String> {
+pub(super) fn doubts(camera: &Camera) -> Vec<Warning> {
     let mut doubts = Vec::new();
     let (field_deg, aspect) = (field_deg(camera), aspect(camera));
     if field_deg < NARROW_FIELD_DEG {
         doubts.push(format!(
-            "--intrinsics: the field of view is {field_deg:.1} degrees, that of a strong telephoto lens; if it is \
-             none, the focal length is wrong (it is in pixels of the source)"
+            "--intrinsics: field of view {field_deg:.1}°, that of a strong telephoto lens; otherwise the focal length \
+             is wrong (it is in pixels of the source)"
         ));
     }
     if aspect > ODD_ASPECT {
         let [fx, fy] = camera.focal;
         doubts.push(format!(
-            "--intrinsics: fx is {fx:.1} and fy {fy:.1}: right for a stretched picture or an anamorphic lens only"
+            "--intrinsics: fx {fx:.1} and fy {fy:.1} differ; correct only for a stretched image or an anamorphic lens"
         ));
     }
     let off = |centre: f64, side: u32| (centre / f64::from(side) - 0.5).abs();
     let [cx, cy] = camera.principal;
     if off(cx, camera.width).max(off(cy, camera.height)) > ODD_CENTRE {
         doubts.push(format!(
-            "--intrinsics: the centre ({cx:.1}, {cy:.1}) is far from the middle of the picture of {}: right for a \
-             picture that was cut out of a larger one only",
+            "--intrinsics: principal point ({cx:.1}, {cy:.1}) far from the center of the image of {}; correct only for \
+             an image cropped from a larger one",
             picture(camera)
         ));
     }
-    doubts
+    doubts.into_iter().map(|doubt: String| Topic::IntrinsicsDoubtful.warning(doubt)).collect()
 }
 
 /// Across the longer side of the picture.
@@ -112,12 +113,12 @@ mod tests {
         for (values, expected) in [
             ([9000.0, 9000.0, 480.0, 270.0], "telephoto"),
             ([880.0, 660.0, 480.0, 270.0], "anamorphic"),
-            ([880.0, 880.0, 900.0, 270.0], "cut out"),
+            ([880.0, 880.0, 900.0, 270.0], "cropped"),
         ] {
             let odd = camera(values);
             assert_eq!(impossible(&odd), None);
             let said = doubts(&odd);
-            assert!(said.len() == 1 && said[0].contains(expected), "{said:?}");
+            assert!(said.len() == 1 && said[0].text.contains(expected), "{said:?}");
         }
     }
 }

@@ -117,7 +117,7 @@ impl Summary {
     /// all that could be found stands in the output folder.
     pub fn failure(&self) -> Option<String> {
         let failure = self.background.as_ref()?.failure.as_ref()?;
-        Some(format!("the background cannot be reconstructed: {failure}"))
+        Some(format!("background not reconstructed: {failure}"))
     }
 }
 

@@ -14,7 +14,8 @@ use super::{PipelineError, cameras, features, order, unfit};
 use crate::bundle;
 use crate::camera::Camera;
 use crate::io::colmap;
-use crate::scene::{CameraId, FocalChange, FrameId, Reconstruction};
+use crate::scene::{CameraId, FocalChange, FrameId, Reconstruction, Topic, Warning};
+use crate::sfm::mapper::Remark;
 use crate::sfm::{self, Beside, mapper};
 
 /// Report on a model.
@@ -40,7 +41,7 @@ pub struct ModelReport {
     /// Mean reprojection error, pixels; `None` without observations.
     pub mean_error_px: Option<f64>,
     /// Weaknesses of the model: a planar scene, forward motion, ...
-    pub remarks: Vec<String>,
+    pub remarks: Vec<Warning>,
     /// Points that were taken out because they project next to the object's masks.
     pub num_outside_masks: usize,
     /// The first of its cameras.
@@ -147,9 +148,10 @@ pub(super) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
     if let Some(failure) = &mut report.failure {
         failure.push_str(&cure_of_large_frames(run.info().width, run.info().height));
         failure.push_str(&unfit::reasons(run)?);
-        outcome.note(format!("the background cannot be reconstructed: {failure}"));
+        let text = format!("background not reconstructed: {failure}");
+        outcome.note(Topic::BackgroundNotReconstructed.warning(text));
     } else {
-        report.remarks.iter().for_each(|remark| outcome.warn(format!("background: {remark}")));
+        report.remarks.iter().for_each(|remark| outcome.warn(remark.of("background")));
         report.focal_changes.iter().for_each(|change| outcome.warn(warning_of(change)));
         warn_of_gaps("background", &report, &mut outcome);
     }
@@ -187,8 +189,18 @@ fn focal_changes(run: &Run, model: &Reconstruction, is_given: bool) -> Result<Ve
     on_threads(run.options.threads, || sfm::focal_changes(model, known))
 }
 
-fn warning_of(change: &FocalChange) -> String {
-    format!("background: {change}, and is taken for motion of the camera; cut the clip there or use a fixed zoom")
+fn warning_of(change: &FocalChange) -> Warning {
+    let text = format!("background: {change}, which looks like camera motion; cut the clip there or use a fixed zoom");
+    Topic::FocalLengthChanges.warning(text)
+}
+
+fn warning_of_remark(remark: &Remark) -> Warning {
+    let topic = match remark {
+        Remark::PlanarScene { .. } => Topic::PlanarScene,
+        Remark::ForwardMotion => Topic::ForwardMotion,
+        Remark::LooseFocalLength { .. } => Topic::FocalLengthUncertain,
+    };
+    topic.warning(remark.to_string())
 }
 
 /// Remedy where large frames gave no model; empty for others. Points are tracked within a fixed number of pixels: in
@@ -198,7 +210,7 @@ fn cure_of_large_frames(width: u32, height: u32) -> String {
     const LARGE_PX: u32 = 1280;
     match width.max(height) > LARGE_PX {
         true => {
-            format!(" (or the frames of {width}x{height} pixels are too large for it: try --max-dimension {LARGE_PX})")
+            format!(" (or frames of {width}x{height} pixels are too large: try --max-dimension {LARGE_PX})")
         }
         false => String::new(),
     }
@@ -271,7 +283,7 @@ pub(super) fn reconstruct(
         unregistered,
         failure,
         num_infinite_points: report.num_infinite_points,
-        remarks: report.remarks.iter().map(ToString::to_string).collect(),
+        remarks: report.remarks.iter().map(warning_of_remark).collect(),
         ..ModelReport::default()
     };
     described.describe_points(&model);
@@ -296,10 +308,10 @@ pub(super) fn warn_of_gaps(target: &str, report: &ModelReport, outcome: &mut Out
     }
     let commonest = reasons.iter().max_by_key(|(_, count)| **count).map_or("", |(reason, _)| *reason);
     let frames = ranges(report.unregistered.keys().map(|frame| frame.0));
-    outcome.warn(format!(
-        "{target}: {missing} of {} frames are not registered ({frames}); the commonest reason: {commonest}",
+    outcome.warn(Topic::FramesNotRegistered.warning(format!(
+        "{target}: {missing} of {} frames not registered ({frames}); most frequent reason: {commonest}",
         report.num_visible
-    ));
+    )));
 }
 
 /// Ascending numbers in words: "3 to 7, 9", the first few ranges of them.
@@ -315,7 +327,7 @@ fn ranges(numbers: impl Iterator<Item = u32>) -> String {
     let word = |[first, last]: &[u32; 2]| if first == last { first.to_string() } else { format!("{first} to {last}") };
     let words: Vec<String> = ranges.iter().take(MOST).map(word).collect();
     let more = ranges.len().saturating_sub(MOST);
-    if more == 0 { words.join(", ") } else { format!("{} and {more} ranges more", words.join(", ")) }
+    if more == 0 { words.join(", ") } else { format!("{} and {more} more ranges", words.join(", ")) }
 }
 
 #[cfg(test)]
@@ -325,7 +337,7 @@ mod tests {
     #[test]
     fn missing_frames_are_named_in_ranges() {
         assert_eq!(ranges([3, 4, 5, 9, 11, 12].into_iter()), "3 to 5, 9, 11 to 12");
-        assert_eq!(ranges((0..14).step_by(2)), "0, 2, 4, 6, 8 and 2 ranges more");
+        assert_eq!(ranges((0..14).step_by(2)), "0, 2, 4, 6, 8 and 2 more ranges");
     }
 
     #[test]

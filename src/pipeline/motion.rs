@@ -17,7 +17,7 @@ use super::run::{Outcome, Run};
 use super::{Instances, MotionChoice, PipelineError, Stage, fingerprint, models, own_file, standing};
 use crate::ground::dominant_plane_points;
 use crate::perception::motion::{GroundModel, Mover, PointTrack, Surroundings, TrackLabel, View, classify, movers};
-use crate::scene::{BoxDetection, Finder, Frame, FrameId, ImageId, Reconstruction};
+use crate::scene::{BoxDetection, Finder, Frame, FrameId, ImageId, Reconstruction, Topic};
 
 pub(super) const PREFIX: &str = "motion-";
 const LABELS: &str = "labels.bin";
@@ -127,7 +127,8 @@ fn ground(run: &Run, background: &Reconstruction, outcome: &mut Outcome) -> Opti
             GroundModel::new(plane.normal, plane.point, &points)
         }
         Err(error) => {
-            outcome.note(format!("motion is judged without the ground: {error}"));
+            let text = format!("motion detection without the ground: {error}");
+            outcome.note(Topic::MotionWithoutGround.warning(text));
             None
         }
     }

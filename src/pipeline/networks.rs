@@ -49,12 +49,12 @@ impl Networks {
             DetectorChoice::None => None,
             DetectorChoice::File(path) => Some(path.clone()),
             DetectorChoice::Default => {
-                default("vehicles are found by their motion alone, without a detector").map(|found| found.detector)
+                default("no detector: vehicles are detected by motion only").map(|found| found.detector)
             }
         };
         let masks = match options.vehicles.mask_network {
             MaskChoice::None => None,
-            MaskChoice::Default => default("masks are made by colours alone, without the mask network")
+            MaskChoice::Default => default("no mask network: masks are by color only")
                 .map(|found| [found.mask_encoder, found.mask_decoder]),
         };
         Ok(Self { detector, masks, ..networks })
@@ -143,7 +143,7 @@ mod tests {
     }
 
     fn missing() -> PerceptionError {
-        PerceptionError::NoModels { tried: vec!["no such folder".into()] }
+        PerceptionError::NoModels { tried: vec!["folder not found".into()] }
     }
 
     #[test]
@@ -165,8 +165,8 @@ mod tests {
         let networks = Networks::chosen(&Options::default(), Err(missing())).unwrap();
         assert!(networks.detector.is_none() && networks.masks.is_none());
         let [detector, masks] = &networks.doubts[..] else { panic!("two doubts: {:?}", networks.doubts) };
-        assert!(detector.contains("motion alone") && masks.contains("colours alone"));
-        assert!(networks.doubts.iter().all(|doubt| doubt.ends_with("no such folder")));
+        assert!(detector.contains("motion only") && masks.contains("color only"));
+        assert!(networks.doubts.iter().all(|doubt| doubt.ends_with("folder not found")));
     }
 
     #[test]

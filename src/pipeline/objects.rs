@@ -19,14 +19,14 @@ use super::track;
 use super::{PipelineError, Stage, follow, order};
 use crate::camera::Camera;
 use crate::io::colmap;
-use crate::scene::{BoundingBox, Frame, Image, ImageId, Mask, ObjectId, Reconstruction, TrackedObject};
+use crate::scene::{BoundingBox, Frame, Image, ImageId, Mask, ObjectId, Reconstruction, Topic, TrackedObject};
 use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes, Silhouettes};
 use crate::sfm::{self, Beside};
 use footing::Footing;
 
 const REPORTS: &str = "objects-report.json";
 /// Why there is no model where it is not the object's fault.
-const NO_BACKGROUND: &str = "there is no background to place it in";
+const NO_BACKGROUND: &str = "no background to place it in";
 /// Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
 const BORDER_PX: f64 = 1.0;
 const BORDER: f64 = 0.01;
@@ -87,13 +87,15 @@ fn describe(id: ObjectId, report: &ModelReport, outcome: &mut Outcome) {
     match &report.failure {
         // That is what the whole run ends with.
         Some(failure) if failure == NO_BACKGROUND => {
-            outcome.note(format!("object {id} cannot be reconstructed: {failure}"))
+            outcome.note(Topic::VehicleNotReconstructed.warning(format!("object {id}: not reconstructed: {failure}")))
         }
-        Some(failure) => outcome.warn(format!("object {id} cannot be reconstructed: {failure}")),
+        Some(failure) => {
+            outcome.warn(Topic::VehicleNotReconstructed.warning(format!("object {id}: not reconstructed: {failure}")))
+        }
         None => models::warn_of_gaps(&format!("object {id}"), report, outcome),
     }
     if report.given {
-        report.remarks.iter().for_each(|remark| outcome.warn(format!("object {id}: {remark}")));
+        report.remarks.iter().for_each(|remark| outcome.warn(remark.of(&format!("object {id}"))));
     }
     outcome.figure(
         &format!("object_{id}"),
@@ -273,8 +275,7 @@ fn drop_bare_views(model: &mut Reconstruction, report: &mut ModelReport) {
     let bare: Vec<ImageId> =
         model.images.iter().filter(|(_, image)| num_seen(image) < HOLD_A_POSE).map(|(id, _)| *id).collect();
     for id in &bare {
-        let reason =
-            format!("fewer than {HOLD_A_POSE} of the points that it sees lie within the masks of other frames");
+        let reason = format!("fewer than {HOLD_A_POSE} of its visible points are inside the masks of other frames");
         report.unregistered.insert(id.frame(), reason);
     }
     model.remove_images(&bare);

@@ -86,7 +86,7 @@ impl FromStr for IntrinsicsSource {
             if text.ends_with(".txt") || text.ends_with(".bin") {
                 return Ok(Self::File(text.into()));
             }
-            return Err(format!("'{text}' is neither {INTRINSICS} nor a COLMAP cameras.txt"));
+            return Err(format!("'{text}': expected {INTRINSICS} or a COLMAP cameras.txt"));
         };
         let camera = Camera::prior(1, 1).with_parameters(&numbers);
         let camera = camera.ok_or_else(|| not_intrinsics(numbers.len()))?;
@@ -103,7 +103,7 @@ const INTRINSICS: &str = "fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]]";
 
 /// Message for a wrong number of values.
 pub(super) fn not_intrinsics(count: usize) -> String {
-    format!("{INTRINSICS} are 4, 5, 6, 8 or 9 numbers, not {count}")
+    format!("{INTRINSICS}: expected 4, 5, 6, 8 or 9 numbers, found {count}")
 }
 
 /// Which form the files of models have.
@@ -365,15 +365,14 @@ impl Options {
             within("threads", threads, 1..=MOST_THREADS)?;
         }
         if (self.features, self.order) == (FeatureKind::Video, FrameOrder::None) {
-            let reason =
-                "--features video needs frames in order of time; leave out --order none, or take --features sift";
+            let reason = "--features video needs frames in order of time; remove --order none, or give --features sift";
             return Err(OptionError::new("features", reason));
         }
         if self.object_models.keys().any(|id| id.0 == 0) {
-            return Err(OptionError::new("object_models", "ids of objects start at 1"));
+            return Err(OptionError::new("object_models", "object ids start at 1"));
         }
         if self.only_objects.contains(&ObjectId(0)) {
-            return Err(OptionError::new("only_objects", "ids of objects start at 1"));
+            return Err(OptionError::new("only_objects", "object ids start at 1"));
         }
         match &self.intrinsics {
             Some(IntrinsicsSource::Given(values)) => check_intrinsics(values),

@@ -31,14 +31,14 @@ impl Order {
     /// Remark on the order and the option that changes it, where it was detected from the images.
     pub(super) fn said(&self) -> Option<String> {
         let percent = 100.0 * self.followed_share?;
-        let seen = format!("{percent:.0} % of the corners are found again in the next picture");
+        let seen = format!("{percent:.0} % of the corners are tracked into the next image");
         Some(match self.in_time {
-            true => format!(
-                "the pictures are taken for frames of a video, since {seen}; --order none makes them photographs"
-            ),
+            true => {
+                format!("images treated as frames of a video, since {seen}; --order none treats them as photographs")
+            }
             false => format!(
-                "the pictures are taken for photographs in no order, since only {seen}; --order time makes them \
-                 frames of a video, which take a fraction of the time"
+                "images treated as unordered photographs, since only {seen}; --order time treats them as frames of a \
+                 video, which is much faster"
             ),
         })
     }

@@ -35,7 +35,7 @@ impl<T: Content> Content for Vec<T> {
 /// [`PipelineError::State`] for one that is damaged or missing, [`IoError::System`] for one that cannot be read.
 pub(super) fn read<T: Content>(path: &Path) -> Result<T, PipelineError> {
     let file = match files::open_within_memory(path) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Err(damaged(path, "it is missing")),
+        Err(error) if error.kind() == ErrorKind::NotFound => return Err(damaged(path, "missing")),
         opened => opened.map_err(IoError::system("read", path))?,
     };
     let mut reader = KeepsError { inner: BufReader::new(file), error: None };
@@ -146,7 +146,7 @@ impl Content for TrackLabel {
 /// Flaw of points and their labels, in words.
 pub(super) fn flaw_of_labels(points: &Points) -> Option<String> {
     let (labels, tracks) = (points.labels.len(), points.tracks.len());
-    (labels != tracks).then(|| format!("{tracks} points have {labels} labels"))
+    (labels != tracks).then(|| format!("{tracks} points, but {labels} labels"))
 }
 
 fn flaw_of_points(tracks: &[PointTrack], num_frames: usize) -> Option<String> {
@@ -155,14 +155,12 @@ fn flaw_of_points(tracks: &[PointTrack], num_frames: usize) -> Option<String> {
         end > num_frames as u64 || !track.pixels.as_flattened().iter().all(|side| side.is_finite())
     };
     let found = tracks.iter().position(is_wrong);
-    found.map(|k| format!("point {k} lies in frames, or at places, that are not there"))
+    found.map(|k| format!("point {k}: frames or positions out of range"))
 }
 
 impl Content for BoxDetection {
     fn flaw(&self) -> Option<String> {
-        is_wrong(&self.rect)
-            .then(|| "a box has sides that are no numbers".to_owned())
-            .or_else(|| share(self.confidence))
+        is_wrong(&self.rect).then(|| "a box with invalid sides".to_owned()).or_else(|| share(self.confidence))
     }
 }
 
@@ -173,7 +171,7 @@ pub(super) fn is_wrong(rect: &Rect) -> bool {
 
 /// Flaw of a network's confidence.
 pub(super) fn share(confidence: f64) -> Option<String> {
-    (!confidence.is_finite()).then(|| format!("a confidence is {confidence:e}"))
+    (!confidence.is_finite()).then(|| format!("confidence {confidence:e} is not finite"))
 }
 
 impl Content for Frame {
@@ -182,9 +180,9 @@ impl Content for Frame {
         let leads_down = |part| matches!(part, Component::Normal(_));
         let is_name = !self.name.is_empty() && Path::new(&self.name).components().all(leads_down);
         if !is_name || self.name.contains(['\0', '\n', '\r']) {
-            return Some(format!("{:?} is no name of a frame", self.name));
+            return Some(format!("{:?} is not a frame name", self.name));
         }
-        (!self.time_s.is_finite()).then(|| format!("{}: its time is no number", self.name))
+        (!self.time_s.is_finite()).then(|| format!("{}: time is not a number", self.name))
     }
 }
 

@@ -4,8 +4,8 @@ use ::image::RgbImage;
 
 use super::run::{Outcome, Run};
 use super::{PipelineError, Stage};
-use crate::scene::Frame;
-use crate::video::Frames;
+use crate::scene::{Frame, Topic};
+use crate::video::{Frames, VideoError};
 
 /// Hands every picture to `work`, as a part of a stage's progress with a step each. A frame that cannot be decoded is
 /// left out, and the first stage that meets it says so.
@@ -28,9 +28,13 @@ pub(super) fn for_each(
             Ok((frame, picture)) => work(frame, picture)?,
             Err(error) if error.is_of_machine() => return Err(error.into()),
             Err(error) => {
-                let text = error.to_string();
-                if !run.has_warned(&text) {
-                    outcome.warn(text);
+                let topic = match error {
+                    VideoError::SizeChanges { .. } => Topic::FrameSizeChanges,
+                    _ => Topic::FrameNotDecoded,
+                };
+                let warning = topic.warning(error.to_string());
+                if !run.has_warned(&warning) {
+                    outcome.warn(warning);
                 }
             }
         }

@@ -30,7 +30,7 @@ pub(super) fn check_pictures(source: &Source, options: &Options) -> Result<(), P
             + FRAME_BYTES_PER_PIXEL * pixels(width, height);
         let what = || {
             let path = source.path().display();
-            format!("{path}: work on pictures of {source_width}x{source_height} pixels (--max-dimension shrinks them)")
+            format!("{path}: processing images of {source_width}x{source_height} pixels (--max-dimension reduces them)")
         };
         options.memory().check(what, needed)?;
     }

@@ -155,23 +155,23 @@ fn parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>, trajectories: &Tr
     };
     let whole = |path: PathBuf, holds: &str| part(None, path, holds);
     let mut parts = vec![
-        whole(folder.trajectories(), "all trajectories, frame by frame"),
-        whole(folder.run_json(), "what was done with which options, what it cost, and its warnings"),
-        whole(folder.ground(), "the points of the ground, and its local plane for every vehicle and frame"),
-        whole(folder.tracks(), "the masks of the vehicles"),
-        whole(folder.background(), "cameras and points of the background, as COLMAP has them"),
-        whole(folder.background_points(), "points of the background, to look at"),
+        whole(folder.trajectories(), "trajectories, frame by frame"),
+        whole(folder.run_json(), "options, cost and warnings of the run"),
+        whole(folder.ground(), "ground points, and the local ground plane of every vehicle and frame"),
+        whole(folder.tracks(), "vehicle masks"),
+        whole(folder.background(), "cameras and points of the background, as a COLMAP model"),
+        whole(folder.background_points(), "background points, for viewing"),
     ];
     if folder.evaluation().exists() {
-        parts.push(whole(folder.evaluation(), "how the result compares with the truth"));
+        parts.push(whole(folder.evaluation(), "comparison with the ground truth"));
     }
     parts.extend(exported(&folder.exports()).into_iter().map(|(path, holds)| whole(path, &holds)));
     for id in reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id) {
-        parts.push(part(Some(id), folder.object(id), "cameras and points, as COLMAP has them"));
-        parts.push(part(Some(id), folder.as_reconstructed(id), "the same before it was adjusted with the ground"));
+        parts.push(part(Some(id), folder.object(id), "cameras and points, as a COLMAP model"));
+        parts.push(part(Some(id), folder.as_reconstructed(id), "the same before adjustment with the ground"));
     }
     for id in trajectories.objects.iter().map(|trajectory| trajectory.id) {
-        parts.push(part(Some(id), folder.object_points(id), "points along the whole path, to look at"));
+        parts.push(part(Some(id), folder.object_points(id), "points along the trajectory, for viewing"));
     }
     parts
 }
@@ -194,15 +194,15 @@ fn exported(folder: &Path) -> Vec<(PathBuf, String)> {
 /// Purpose of an export; `None` for an unknown name.
 fn opened_by(name: &str) -> Option<&'static str> {
     Some(match name.rsplit_once('.').map_or(name, |(_, extension)| extension) {
-        "csv" => "a table, for spreadsheets, pandas and R",
-        "geojson" => "places on the map, for QGIS and GDAL",
-        "kml" => "places on the map with times, for Google Earth",
-        "gpx" => "the camera's way, for GPS programs",
-        "json" => "trajectories with the keys of version 2, for scripts written for it",
-        "glb" => "the scene in motion, for Blender and glTF viewers",
-        "mp4" => "the video with identities, speeds and paths, for any player",
+        "csv" => "table, for spreadsheets, pandas and R",
+        "geojson" => "georeferenced positions, for QGIS and GDAL",
+        "kml" => "georeferenced positions with times, for Google Earth",
+        "gpx" => "camera path, for GPS programs",
+        "json" => "trajectories with the keys of version 2, for older scripts",
+        "glb" => "animated scene, for Blender and glTF viewers",
+        "mp4" => "video with ids, speeds and paths, for any player",
         "tum" | "kitti" => "poses, for evo",
-        "colmap" => "a workspace, for densification in COLMAP",
+        "colmap" => "COLMAP workspace, for densification",
         _ => return None,
     })
 }
@@ -278,8 +278,9 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
         facts.push(Fact::new("Focal length", focal).with_note(origin));
     }
     if background.cameras.len() > 1 {
-        facts
-            .push(Fact::new("Cameras", background.cameras.len().to_string()).with_note("the first one's focal length"));
+        facts.push(
+            Fact::new("Cameras", background.cameras.len().to_string()).with_note("focal length of the first one"),
+        );
     }
     Ok(facts)
 }
@@ -294,6 +295,6 @@ mod tests {
             ["vehicles.csv", "trajectories.geojson", "trajectories.kml", "camera.gpx", "scene.glb", "annotated.mp4"];
         assert!(names.into_iter().chain(["tum", "kitti", "colmap"]).all(|name| opened_by(name).is_some()));
         assert_eq!(opened_by("notes.txt"), None);
-        assert!(exported(Path::new("no such folder")).is_empty());
+        assert!(exported(Path::new("folder not found")).is_empty());
     }
 }

@@ -10,7 +10,7 @@ use super::meter::Meter;
 use super::workspace::{Marker, Workspace};
 use super::{Options, PipelineError, Progress, Stage, fingerprint, own_file};
 use crate::ffi::memory;
-use crate::scene::Frame;
+use crate::scene::{Frame, Warning};
 use crate::video::{Info, Source};
 
 /// Results of a stage besides its files.
@@ -25,15 +25,14 @@ pub(super) struct Outcome {
 }
 
 impl Outcome {
-    pub(super) fn warn(&mut self, text: impl Into<String>) {
-        let text = text.into();
-        tracing::warn!("{text}");
-        self.warnings.push(text);
+    pub(super) fn warn(&mut self, warning: Warning) {
+        tracing::warn!("{warning}");
+        self.note(warning);
     }
 
     /// As [`Outcome::warn`], of what the end of the run says anyway.
-    pub(super) fn note(&mut self, text: impl Into<String>) {
-        self.warnings.push(text.into());
+    pub(super) fn note(&mut self, warning: Warning) {
+        self.warnings.push(warning.to_string());
     }
 
     pub(super) fn figure(&mut self, name: &str, value: impl Into<Value>) {
@@ -176,7 +175,7 @@ impl<'a> Run<'a> {
             return;
         }
         let stages: Vec<&str> = first.and_dependents().into_iter().map(Stage::name).collect();
-        self.progress.note(&format!("other options than before: done anew are {}", stages.join(", ")));
+        self.progress.note(&format!("options changed: re-running {}", stages.join(", ")));
     }
 
     /// The fingerprint of a stage that this run has been through; empty for one that it left out.
@@ -198,9 +197,9 @@ impl<'a> Run<'a> {
     }
 
     /// Says what is odd about what was given.
-    pub(super) fn warn(&mut self, text: String) {
-        tracing::warn!("{text}");
-        self.warnings.push(text);
+    pub(super) fn warn(&mut self, warning: Warning) {
+        tracing::warn!("{warning}");
+        self.warnings.push(warning.to_string());
     }
 
     /// All warnings so far, in order.
@@ -209,8 +208,9 @@ impl<'a> Run<'a> {
     }
 
     /// Returns true if an earlier stage gave this warning.
-    pub(super) fn has_warned(&self, text: &str) -> bool {
-        self.all_warnings().any(|warning| warning == text)
+    pub(super) fn has_warned(&self, warning: &Warning) -> bool {
+        let displayed = warning.to_string();
+        self.all_warnings().any(|warning| *warning == displayed)
     }
 
     fn all_warnings(&self) -> impl Iterator<Item = &String> {

@@ -11,7 +11,7 @@ use super::track;
 use super::{PipelineError, Stage, exports, ground, models, objects};
 use crate::scene::{
     FocalChange, Frame, FrameId, Ground, GroundPlane, ObjectId, ObjectTrajectory, Reconstruction, ScaleMethod,
-    TimeBase, TrackedObject, Trajectories, Unit, Verdict,
+    TimeBase, Topic, TrackedObject, Trajectories, Unit, Verdict,
 };
 use crate::trajectory::{
     self, Adjustment, Candidate, Evidence, Extents, ModelOrigin, ObjectDescription, Silhouette, Subject, extents,
@@ -141,7 +141,7 @@ impl<'a, 'r> Scene<'a, 'r> {
                 found.placed.push(Placed { trajectory, tracked, object: placed.object, planes });
             }
             Err(reason) => {
-                outcome.warn(format!("object {} has no trajectory: {reason}", tracked.id));
+                outcome.warn(Topic::NoTrajectory.warning(format!("object {}: no trajectory: {reason}", tracked.id)));
                 found.failures.insert(tracked.id.to_string(), reason.to_string());
             }
         }
@@ -151,7 +151,8 @@ impl<'a, 'r> Scene<'a, 'r> {
 
 fn warn_of_scale(trajectory: &ObjectTrajectory, outcome: &mut Outcome) {
     if let Some(reason) = &trajectory.scale.reason {
-        outcome.warn(format!("object {}: scale undetermined: {reason}", trajectory.id));
+        let text = format!("object {}: scale undetermined: {reason}", trajectory.id);
+        outcome.warn(Topic::ScaleUndetermined.warning(text));
     }
 }
 
@@ -196,7 +197,7 @@ fn judged(
         let id = placed.trajectory.id;
         let first = verdict.against().next().filter(|_| verdict.is_refuted() && !placed.trajectory.scale.degenerate);
         if let Some(reason) = first {
-            outcome.warn(format!("object {id} is rejected: {}", reason.says));
+            outcome.warn(Topic::VehicleRejected.warning(format!("object {id}: rejected: {}", reason.says)));
         }
         outcome.figure(&format!("verdict_{id}"), json!(verdict.state));
         ObjectTrajectory { verdict: Some(verdict), ..placed.trajectory }
@@ -217,7 +218,10 @@ pub(super) fn planes(ground: &Ground, id: ObjectId) -> BTreeMap<FrameId, GroundP
 fn describe_adjustment(id: ObjectId, adjustment: &Adjustment, outcome: &mut Outcome) {
     match adjustment {
         Adjustment::None => {}
-        Adjustment::Failed(error) => outcome.warn(format!("object {id} is not adjusted with the ground: {error}")),
+        Adjustment::Failed(error) => {
+            let text = format!("object {id}: not adjusted with the ground: {error}");
+            outcome.warn(Topic::NotAdjustedWithGround.warning(text));
+        }
         Adjustment::Done(found) => outcome.figure(
             &format!("object_{id}"),
             json!({

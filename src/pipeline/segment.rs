@@ -11,7 +11,7 @@ use super::rhythm::Rhythm;
 use super::run::{Outcome, Run};
 use super::{Instances, PipelineError, Stage, fingerprint, pictures};
 use crate::perception::{Segmenter, load_segmenter};
-use crate::scene::{BoxDetection, Frame, FrameId};
+use crate::scene::{BoxDetection, Frame, FrameId, Topic};
 
 /// The boxes of a run, by frame.
 pub(super) type BoxFolder = FrameFolder<BoxDetection>;
@@ -78,11 +78,11 @@ fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, Pip
     })?;
     outcome.figure("num_detections", found);
     if found == 0 {
-        outcome.warn(format!(
-            "{}: the model finds no vehicle in any frame; it may not know such views, or the vehicles are too small \
-             for it (options segmentation.tiling and segmentation.confidence)",
+        outcome.warn(Topic::ModelFindsNoVehicle.warning(format!(
+            "{}: no vehicle detected in any frame; the network may not know such views, or the vehicles are too small \
+             (options segmentation.tiling, segmentation.confidence)",
             model.display()
-        ));
+        )));
     }
     outcome.outputs.push(path);
     Ok(outcome)
@@ -93,7 +93,7 @@ fn find_boxes(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let path = run.workspace.intermediate(BOXES, fingerprint)?;
     outcome.outputs.push(path.clone());
     let networks = Networks::of(run)?;
-    networks.doubts.iter().for_each(|doubt| outcome.warn(doubt.clone()));
+    networks.doubts.iter().for_each(|doubt| outcome.warn(Topic::NetworksMissing.warning(doubt)));
     let Some(mut detector) = networks.load_detector(run)? else { return Ok(outcome) };
     let store = BoxFolder::new(path);
     let rhythm = Rhythm::of(run)?;
@@ -118,7 +118,7 @@ struct Split {
 
 fn split<'a>(frames: impl Iterator<Item = &'a Frame>, is_done: impl Fn(&Frame) -> bool) -> Split {
     let (done, open): (Vec<&Frame>, Vec<&Frame>) = frames.partition(|frame| is_done(frame));
-    tracing::debug!("{} of {} frames were looked at before", done.len(), done.len() + open.len());
+    tracing::debug!("{} of {} frames already processed", done.len(), done.len() + open.len());
     let ids = |frames: Vec<&Frame>| frames.into_iter().map(|frame| frame.id).collect::<Vec<_>>();
     Split { open: ids(open).into_iter().collect(), done: ids(done) }
 }

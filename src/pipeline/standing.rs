@@ -75,7 +75,7 @@ pub(super) fn boxes(run: &Run, detected: &segment::BoxFolder, frame: FrameId) ->
     let mut found: Vec<FoundBox> = detected.read(frame)?.into_iter().map(FoundBox::from).collect();
     let path = motion::folder(run);
     for StandingBox(number) in known(&path).read(frame)? {
-        let wrong = || own_file::damaged(&path.join(FOLDER), format!("frame {} has no box {number}", frame.0));
+        let wrong = || own_file::damaged(&path.join(FOLDER), format!("frame {}: box {number} does not exist", frame.0));
         found.get_mut(number as usize).ok_or_else(wrong)?.stands = true;
     }
     Ok(found)

@@ -37,7 +37,7 @@ struct Small {
 impl Content for Small {
     fn flaw(&self) -> Option<String> {
         let size = 3 * u64::from(self.width) * u64::from(self.height);
-        (size != self.bytes.len() as u64).then(|| format!("a picture of {} bytes should have {size}", self.bytes.len()))
+        (size != self.bytes.len() as u64).then(|| format!("image of {} bytes, expected {size}", self.bytes.len()))
     }
 }
 

@@ -7,6 +7,6 @@ use crate::limits::OptionError;
 pub(super) fn on_threads<T: Send>(threads: Option<usize>, work: impl FnOnce() -> T + Send) -> Result<T, PipelineError> {
     let Some(threads) = threads.filter(|&threads| threads != rayon::current_num_threads()) else { return Ok(work()) };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    let pool = pool.map_err(|error| OptionError::new("threads", format!("they cannot be started: {error}")))?;
+    let pool = pool.map_err(|error| OptionError::new("threads", format!("cannot be started: {error}")))?;
     Ok(pool.install(work))
 }

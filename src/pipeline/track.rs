@@ -20,7 +20,7 @@ use super::run::{Outcome, Run};
 use super::{Instances, PipelineError, fingerprint};
 use crate::io::{RunFolder, masks};
 use crate::perception::{FlowEstimator, Sighted, TrackSummary, load_flow, support};
-use crate::scene::{Frame, Mask, Movement, ObjectId, TrackedObject};
+use crate::scene::{Frame, Mask, Movement, ObjectId, Topic, TrackedObject};
 
 /// Where masks that were asked for are kept while the stage is at work.
 pub(super) const ANSWERS: &str = "answers-";
@@ -54,7 +54,8 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
         Ok(objects)
     })?;
     if objects.is_empty() && run.options.instances != Instances::None {
-        outcome.warn("no vehicle is tracked: there are no object trajectories in the result");
+        let text = "no vehicle tracked: the result has no vehicle trajectories";
+        outcome.warn(Topic::NoVehicleTracked.warning(text));
     }
     run.workspace.remove_state(&answers)?;
     run.workspace.put_file(&run.workspace.tracked(), |fresh| crate::io::tracks::write(fresh, &objects))?;
@@ -103,7 +104,7 @@ fn leave_out(
     for object in objects {
         let Some((summary, sighted)) = summaries.get(&object.id).zip(sighted.get(&object.id)) else { continue };
         if let Err(reason) = support(summary, sighted) {
-            outcome.warn(format!("object {} is left out: {reason}", object.id));
+            outcome.warn(Topic::VehicleSkipped.warning(format!("object {}: skipped: {reason}", object.id)));
             object.left_out = Some(reason.to_string());
         }
     }
@@ -149,7 +150,7 @@ pub(super) fn load_flow_estimator(run: &Run) -> Result<Box<dyn FlowEstimator>, P
 pub(super) fn check_models(run: &Run, ids: &BTreeSet<ObjectId>) -> Result<(), PipelineError> {
     let unknown = run.options.object_models.keys().find(|id| !ids.contains(id));
     let Some(id) = unknown else { return Ok(()) };
-    let text = format!("--object-model {id}=...: there is no object {id}; tracked are: {}", list(ids));
+    let text = format!("--object-model {id}=...: object {id} does not exist; tracked: {}", list(ids));
     Err(PipelineError::Options(text))
 }
 
@@ -161,7 +162,8 @@ pub(super) fn check_ids(run: &Run, tracked: &[TrackedObject], outcome: &mut Outc
     let ids: BTreeSet<ObjectId> = tracked.iter().map(|object| object.id).collect();
     check_models(run, &ids)?;
     for id in run.options.only_objects.difference(&ids) {
-        outcome.warn(format!("--only-object {id}: there is no object {id}; tracked are: {}", list(&ids)));
+        let text = format!("--only-object {id}: object {id} does not exist; tracked: {}", list(&ids));
+        outcome.warn(Topic::UnknownVehicle.warning(text));
     }
     Ok(())
 }

@@ -328,8 +328,8 @@ fn runs(states: &[FrameState], timeline: &Timeline) -> Vec<Run> {
         let end = start + chunk.len();
         let name = match chunk[0] {
             FrameState::Absent => None,
-            FrameState::Missing => Some("no camera found"),
-            FrameState::Registered => Some("camera found"),
+            FrameState::Missing => Some("not registered"),
+            FrameState::Registered => Some("registered"),
         };
         if let Some(name) = name {
             let title = format!("{name} in {}: {}", count(chunk.len(), "frame"), timeline.range_at(start, end - 1));
@@ -407,7 +407,7 @@ mod tests {
         let bars = Bars::new("b".into(), "red".into(), &states, &timeline(5));
         assert_eq!((bars.registered, bars.visible), (3, 4));
         let spans: Vec<_> = bars.runs.iter().map(|r| (r.x, r.width, r.missing)).collect();
-        assert_eq!(bars.runs[0].title, "camera found in 2 frames: frames 0 to 1");
+        assert_eq!(bars.runs[0].title, "registered in 2 frames: frames 0 to 1");
         assert_eq!(spans, [(0.0, 400.0, false), (400.0, 200.0, true), (800.0, 200.0, false)]);
     }
 

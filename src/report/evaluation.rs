@@ -25,16 +25,16 @@ pub(super) fn evaluation_facts(evaluation: &Evaluation, name: impl Fn(ObjectId) 
     facts.extend(others.map(|(method, answer)| other_method(method.name(), answer)));
     if !evaluation.others.is_empty() {
         let others: Vec<String> = evaluation.others.iter().map(|other| name(other.object)).collect();
-        facts.push(Fact::new("not compared", others.join(", ")).with_note(format!("the truth knows only {target}")));
+        facts
+            .push(Fact::new("not compared", others.join(", ")).with_note(format!("ground truth covers {target} only")));
     }
     facts
 }
 
 fn camera_path(evaluation: &Evaluation) -> Fact {
-    outcome("camera path, off by", &evaluation.cameras, |c| {
+    outcome("camera path error", &evaluation.cameras, |c| {
         let note = format!(
-            "typical distance (root mean square) of the camera's places from the true ones, once the result is laid \
-             over the truth; its directions are off by {}° on average, {}° at most",
+            "RMSE of the camera centers after alignment with the truth; rotation error {}° on average, {}° maximum",
             figure(c.rotation_mean_deg, 2),
             figure(c.rotation_max_deg, 2)
         );
@@ -51,21 +51,21 @@ fn unit(evaluation: &Evaluation) -> Fact {
 
 fn registered(frames: &RegisteredFrames, target: &str) -> Fact {
     let note = format!(
-        "frames whose camera was found; on {target} the camera was found in {} of the {} in which it is seen",
+        "registered frames of the background; {target} is registered in {} of the {} in which it is visible",
         frames.num_object,
         count(frames.num_visible, "frame")
     );
-    Fact::new("camera found in", format!("{} of {}", frames.num_background, count(frames.num_frames, "frame")))
+    Fact::new("registered frames", format!("{} of {}", frames.num_background, count(frames.num_frames, "frame")))
         .with_note(note)
 }
 
 fn vehicle_path(evaluation: &Evaluation, target: &str) -> Fact {
-    outcome(&format!("path of {target}, off by"), &evaluation.trajectory, |t| {
+    outcome(&format!("trajectory error of {target}"), &evaluation.trajectory, |t| {
         let share = t
             .mean_share_of_distance
             .map_or(String::new(), |share| format!("; on average {} of its distance from the camera", percent(share)));
         let note = format!(
-            "mean distance of its {} from its true surface, over {}; half of them are nearer than {}{share}",
+            "mean distance of its {} from its true surface, over {}; median {}{share}",
             count(t.num_points, "point"),
             count(t.num_frames, "frame"),
             metres(t.median_m)
@@ -75,8 +75,8 @@ fn vehicle_path(evaluation: &Evaluation, target: &str) -> Fact {
 }
 
 fn at_reference(evaluation: &Evaluation) -> Fact {
-    outcome("with the true scale ratio", &evaluation.trajectory_at_reference, |t| {
-        (metres(t.mean_m), "how far the path would still be off: what the two reconstructions cost".to_owned())
+    outcome("at the true scale ratio", &evaluation.trajectory_at_reference, |t| {
+        (metres(t.mean_m), "remaining trajectory error: that of the two reconstructions".to_owned())
     })
 }
 
@@ -84,11 +84,11 @@ fn scale(evaluation: &Evaluation) -> Fact {
     outcome("scale ratio r", &evaluation.scale, |scale| {
         let reference = evaluation.reference_scale.as_ref();
         let value = match reference {
-            Ok(reference) => format!("{}, should be {}", figure(scale.ratio, 4), figure(reference.ratio, 4)),
+            Ok(reference) => format!("{}, true value {}", figure(scale.ratio, 4), figure(reference.ratio, 4)),
             Err(_) => figure(scale.ratio, 4),
         };
         let found = reference.map(|r| error_of_ratio(scale, r.ratio));
-        (value, found.unwrap_or_else(|reason| format!("the true ratio is not known: {reason}")))
+        (value, found.unwrap_or_else(|reason| format!("true ratio unknown: {reason}")))
     })
 }
 
@@ -98,16 +98,16 @@ fn error_of_ratio(scale: &ScaleFigures, reference: f64) -> String {
     let error = format!("{} {side}", percent((scale.ratio / reference - 1.0).abs()));
     match scale.std {
         Some(std) => {
-            format!("{error}; the run itself says give or take {} (one standard deviation)", percent(std / scale.ratio))
+            format!("{error}; reported standard deviation {}", percent(std / scale.ratio))
         }
-        None => format!("{error}; the run itself does not say how sure it is"),
+        None => format!("{error}; no reported standard deviation"),
     }
 }
 
 fn before_the_adjustment(evaluation: &Evaluation) -> Option<Fact> {
     let before = evaluation.as_reconstructed.as_ref()?;
     Some(outcome("before the adjustment with the ground", before, |b| {
-        let note = "how far the path would have been off with the true scale ratio, had the vehicle not been adjusted";
+        let note = "trajectory error at the true scale ratio without the adjustment";
         (metres(b.error_at_reference_m), note.to_owned())
     }))
 }
@@ -115,8 +115,8 @@ fn before_the_adjustment(evaluation: &Evaluation) -> Option<Fact> {
 fn other_method(method: &str, answer: &Alternative) -> Fact {
     let value = answer.trajectory_error_m.map_or_else(|| UNKNOWN.to_owned(), metres);
     let error = answer.deviation.map_or_else(String::new, |d| format!(", {} off", percent(d)));
-    Fact::new(format!("with the ratio of {method}"), value)
-        .with_note(format!("how far the path would be off; its ratio is {}{error}", figure(answer.ratio, 4)))
+    Fact::new(format!("at the ratio of {method}"), value)
+        .with_note(format!("trajectory error; its ratio is {}{error}", figure(answer.ratio, 4)))
 }
 
 fn outcome<T>(label: &str, outcome: &Outcome<T>, said: impl FnOnce(&T) -> (String, String)) -> Fact {
@@ -149,15 +149,15 @@ mod tests {
     #[test]
     fn a_real_evaluation_is_said_in_metres_and_per_cent() {
         let facts = facts(&testing::evaluation());
-        assert_eq!(value(&facts, "camera path, off by").value, "1.3 mm");
+        assert_eq!(value(&facts, "camera path error").value, "1.3 mm");
         assert_eq!(value(&facts, "one unit of this result").value, "10.8 m");
-        assert_eq!(value(&facts, "camera found in").value, "60 of 60 frames");
-        assert_eq!(value(&facts, "path of Car 1, off by").value, "9.0 cm");
+        assert_eq!(value(&facts, "registered frames").value, "60 of 60 frames");
+        assert_eq!(value(&facts, "trajectory error of Car 1").value, "9.0 cm");
         let ratio = value(&facts, "scale ratio r");
-        assert_eq!(ratio.value, "0.8073, should be 0.8119");
-        assert!(ratio.note.as_ref().unwrap().starts_with("0.58 % too small; the run itself says give or take 0.82 %"));
-        assert!(facts.iter().any(|f| f.label == "with the ratio of intersection"));
-        assert!(!facts.iter().any(|f| f.label == "with the ratio of joint"), "it is the one in use");
+        assert_eq!(ratio.value, "0.8073, true value 0.8119");
+        assert!(ratio.note.as_ref().unwrap().starts_with("0.58 % too small; reported standard deviation 0.82 %"));
+        assert!(facts.iter().any(|f| f.label == "at the ratio of intersection"));
+        assert!(!facts.iter().any(|f| f.label == "at the ratio of joint"), "it is the one in use");
     }
 
     #[test]
@@ -168,7 +168,7 @@ mod tests {
         evaluation.trajectory = Outcome::Unavailable { reason: unavailable() };
         evaluation.others = vec![crate::eval::OtherObject { object: ObjectId(3), iou: None }];
         let facts = facts(&evaluation);
-        let path = value(&facts, "path of the vehicle, off by");
+        let path = value(&facts, "trajectory error of the vehicle");
         assert_eq!((path.value.as_str(), path.note.as_deref()), (UNKNOWN, Some("the target was not found")));
         assert_eq!(value(&facts, "not compared").value, "Car 3");
     }

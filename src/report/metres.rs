@@ -36,16 +36,16 @@ pub(super) fn frame(metric: &Metric) -> Option<&MetricFrame> {
 }
 
 /// Remedy for missing meters.
-const CURE: &str = "--camera-height or --telemetry gives metres";
+const CURE: &str = "give --camera-height or --telemetry for meters";
 
 /// On what metres rest and how sure they are, in a sentence; where there are none, why.
 pub fn metres_in_words(metric: Option<&Metric>) -> String {
-    let Some(metric) = metric else { return format!("Lengths are not in metres: {CURE}.") };
+    let Some(metric) = metric else { return format!("Lengths are not in meters: {CURE}.") };
     let Some(frame) = frame(metric) else {
-        let why = metric.reason.as_deref().unwrap_or("nothing tells them").trim_end_matches('.');
+        let why = metric.reason.as_deref().unwrap_or("no source of scale").trim_end_matches('.');
         // A reason that names options names the cure.
         let cure = if why.contains("--") { String::new() } else { format!("; {CURE}") };
-        return format!("Metres are not known: {why}{cure}.");
+        return format!("Scale in meters unknown: {why}{cure}.");
     };
     let source = match metric.verdict {
         MetricVerdict::Surveyed => "Scale from measurements",
@@ -101,7 +101,7 @@ fn share(share: &MetricShare) -> Share {
 fn contradiction(found: &MetricContradiction) -> String {
     let MetricContradiction { source, ratio, deviations } = found;
     format!(
-        "{source} gives {} times as many metres as the others, {} standard deviations away",
+        "{source} gives {} times the meters per unit of the others ({} standard deviations)",
         figure(*ratio, 3),
         figure(*deviations, 2)
     )
@@ -130,7 +130,10 @@ mod tests {
         metric.frame = None;
         metric.reason = Some("no vehicle has a size".into());
         let said = metres_in_words(Some(&metric));
-        assert_eq!(said, "Metres are not known: no vehicle has a size; --camera-height or --telemetry gives metres.");
+        assert_eq!(
+            said,
+            "Scale in meters unknown: no vehicle has a size; give --camera-height or --telemetry for meters."
+        );
         assert_eq!(Ruler::of(Some(&metric)).round_length(1.0), "1 unit");
         assert!(metres_in_words(None).contains("--telemetry"));
     }

@@ -44,7 +44,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// The file cannot be written.
-    #[error("cannot write the report {}: {source}", path.display())]
+    #[error("report {}: cannot be written: {source}", path.display())]
     Write {
         /// The file.
         path: PathBuf,
@@ -52,7 +52,7 @@ pub enum ReportError {
         source: std::io::Error,
     },
     /// A picture of the strip cannot be encoded.
-    #[error("cannot encode the picture of frame {frame}: {source}")]
+    #[error("image of frame {frame}: cannot be encoded: {source}")]
     Picture {
         /// Index of the frame.
         frame: u32,
@@ -60,7 +60,7 @@ pub enum ReportError {
         source: image::ImageError,
     },
     /// The page's template does not go with its data: a bug of ours.
-    #[error("the report's template failed: {0}")]
+    #[error("report template failed: {0}")]
     Template(#[from] minijinja::Error),
 }
 

@@ -60,7 +60,7 @@ pub(super) fn facts(data: &Data, object: &Object) -> Vec<Fact> {
 fn size(trajectory: &ObjectTrajectory, size: &Dimensions) -> Fact {
     let said = |name: &str, dimension: Option<Estimate>| match dimension {
         Some(found) => format!("{name} {}", estimate(trajectory, found, "m")),
-        None => format!("{name} not seen"),
+        None => format!("{name} not visible"),
     };
     let Dimensions { length_m, width_m, height_m } = *size;
     Fact::new("size", [said("length", length_m), said("width", width_m), said("height", height_m)].join(", "))
@@ -121,7 +121,10 @@ mod tests {
         let data = world.data();
         let said = facts(&data, &data.objects[0]);
         let value = |label: &str| &said.iter().find(|fact| fact.label == label).unwrap().value;
-        assert!(value("size").starts_with("length 4.30 ± ") && value("size").ends_with("height not seen"), "{said:?}");
+        assert!(
+            value("size").starts_with("length 4.30 ± ") && value("size").ends_with("height not visible"),
+            "{said:?}"
+        );
         assert!(value("distance to the camera").ends_with(" m"), "{said:?}");
         assert!(!readings(&data, &data.objects[0], Quantity::Heading).is_empty());
         let mut north = testing::World::in_metres();

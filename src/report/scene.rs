@@ -105,17 +105,17 @@ impl Scene {
         let mut notes = Vec::new();
         let Cloud { total, count, beyond, .. } = self.points;
         if count + beyond < total {
-            notes.push(format!("{count} of {total} background points are shown, an even selection."));
+            notes.push(format!("{count} of {total} background points are shown, evenly selected."));
         }
         if beyond > 0 {
-            notes.push(format!("{beyond} background points lie too far outside the scene to be shown."));
+            notes.push(format!("{beyond} background points are too far outside the scene to be shown."));
         }
         let (shown, all): (usize, usize) = self.objects.iter().fold((0, 0), |(s, a), o| (s + o.count, a + o.total));
         if shown < all {
-            notes.push(format!("{shown} of {all} vehicle points are shown, an even selection."));
+            notes.push(format!("{shown} of {all} vehicle points are shown, evenly selected."));
         }
         if self.frames.len() < num_frames {
-            notes.push(format!("The time slider stops at {} of {num_frames} frames.", self.frames.len()));
+            notes.push(format!("The time slider has {} of {num_frames} frames.", self.frames.len()));
         }
         notes
     }

@@ -9,26 +9,23 @@ pub(super) fn sentence(data: &Data) -> String {
     let frames = data.frames.len();
     let registered = data.background.reconstruction.images.len();
     if registered == 0 {
-        return format!(
-            "Nothing could be reconstructed: the camera's path was not found in {}.",
-            count(frames, "frame")
-        );
+        return format!("Nothing reconstructed: the camera path was not found in {}.", count(frames, "frame"));
     }
     let camera = if registered >= frames {
-        format!("the camera's path in all {}", count(frames, "frame"))
+        format!("the camera path in all {}", count(frames, "frame"))
     } else {
-        format!("the camera's path in {registered} of {}", count(frames, "frame"))
+        format!("the camera path in {registered} of {}", count(frames, "frame"))
     };
     let found = data.objects.iter().filter(|o| o.trajectory.is_some()).count();
     if data.objects.is_empty() {
-        return format!("Reconstructed: {camera}. No vehicle was found in the video.");
+        return format!("Reconstructed: {camera}. No vehicle detected.");
     }
     let seen = data.objects.len();
     if found == 0 {
-        return format!("Reconstructed: {camera}, but the trajectory of none of {}.", count(seen, "vehicle"));
+        return format!("Reconstructed: {camera}; no trajectory of {}.", count(seen, "vehicle"));
     }
     let vehicles = match (found, seen) {
-        (1, 1) => "the 3D trajectory of the one vehicle".to_owned(),
+        (1, 1) => "the 3D trajectory of the vehicle".to_owned(),
         (f, s) if f == s => format!("the 3D trajectories of all {s} vehicles"),
         (f, s) => format!("the 3D trajectories of {f} of {s} vehicles"),
     };

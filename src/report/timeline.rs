@@ -77,7 +77,7 @@ impl Timeline {
         let (start, end) = self.span();
         match self.base {
             TimeBase::Seconds => Fact::new("length", format!("{:.1} s", end - start)).with_note(frames),
-            TimeBase::Frames => Fact::new("length", frames).with_note("their rate is not known"),
+            TimeBase::Frames => Fact::new("length", frames).with_note("frame rate unknown"),
         }
     }
 

@@ -62,16 +62,16 @@ impl Verdict {
                 format!("Estimated error of this vehicle's size and distance: ±{} (1σ).", percent(std))
             }
             (Self::Rejected, ..) if is_degenerate => {
-                "Shape only: the motion does not fix the scale of this trajectory.".into()
+                "Shape only: the motion does not determine the scale of this trajectory.".into()
             }
             (Self::Doubtful, Some(std), Some(first)) if first.kind == ReasonKind::Deviation => {
                 format!("Scale weakly determined: size, distance and speed ±{} (1σ).", percent(std))
             }
-            (Self::Rejected, _, Some(first)) => format!("Do not measure with it: {}.", said(first)),
+            (Self::Rejected, _, Some(first)) => format!("Do not use for measurement: {}.", said(first)),
             (Self::Doubtful, _, Some(first)) => format!("Possibly wrong: {}.", said(first)),
-            (Self::Unjudged, ..) => "This result contains no verdict.".into(),
+            (Self::Unjudged, ..) => "No verdict in this result.".into(),
             (Self::Missing, ..) => "No 3D trajectory.".into(),
-            _ => "The uncertainty of this vehicle's size and distance is not known.".into(),
+            _ => "Uncertainty of size and distance unknown.".into(),
         }
     }
 
@@ -79,14 +79,14 @@ impl Verdict {
     fn meaning(self) -> &'static str {
         match self {
             Self::Good => "Scale known to ±3 % or better (1σ), and all evidence agrees.",
-            Self::Fair => "Scale known to ±10 % or better, and at most minor evidence against it; the card says which.",
+            Self::Fair => "Scale known to ±10 % or better, and at most minor evidence against it; see the card.",
             Self::Doubtful => "Scale uncertainty above ±10 %, or evidence against the trajectory.",
             Self::Rejected => {
-                "The motion does not fix the scale, or no vehicle could follow this path, or the object is not a \
-                 vehicle. The trajectory is dashed; do not measure with it."
+                "The motion does not determine the scale, or the path is physically impossible, or the object is not a \
+                 vehicle. The trajectory is dashed; do not use it for measurement."
             }
-            Self::Unjudged => "The result was written before the program judged trajectories.",
-            Self::Missing => "The vehicle was seen but not reconstructed; its card says why.",
+            Self::Unjudged => "The result was written by a version without verdicts.",
+            Self::Missing => "The vehicle was detected but not reconstructed; its card has the reason.",
         }
     }
 
@@ -130,12 +130,17 @@ mod tests {
             (with(Some(0.01), false), judged(Trust::Good, vec![]), Verdict::Good, "±1.0 %"),
             (with(Some(0.05), false), judged(Trust::Fair, vec![]), Verdict::Fair, "±5.0 %"),
             (with(Some(0.25), false), judged(Trust::Doubtful, vec![weak()]), Verdict::Doubtful, "speed ±25 %"),
-            (with(None, false), judged(Trust::Doubtful, vec![]), Verdict::Doubtful, "not known"),
-            (with(Some(f64::NAN), false), judged(Trust::Doubtful, vec![]), Verdict::Doubtful, "not known"),
+            (with(None, false), judged(Trust::Doubtful, vec![]), Verdict::Doubtful, "unknown"),
+            (with(Some(f64::NAN), false), judged(Trust::Doubtful, vec![]), Verdict::Doubtful, "unknown"),
             (with(Some(0.01), false), judged(Trust::Doubtful, vec![size()]), Verdict::Doubtful, "a tenth as large"),
-            (with(Some(0.01), false), judged(Trust::Rejected, vec![size()]), Verdict::Rejected, "Do not measure"),
+            (
+                with(Some(0.01), false),
+                judged(Trust::Rejected, vec![size()]),
+                Verdict::Rejected,
+                "Do not use for measurement",
+            ),
             (with(Some(0.01), true), judged(Trust::Rejected, vec![]), Verdict::Rejected, "Shape only"),
-            (with(Some(0.01), false), None, Verdict::Unjudged, "no verdict"),
+            (with(Some(0.01), false), None, Verdict::Unjudged, "No verdict"),
         ] {
             let mut trajectory = testing::world().trajectory;
             (trajectory.scale, trajectory.verdict) = (scale, judged);

@@ -20,6 +20,6 @@ pub struct FocalChange {
 impl fmt::Display for FocalChange {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { first, last, factor } = self;
-        write!(f, "the focal length changes by a factor of {factor:.2} in frames {}–{}", first.0, last.0)
+        write!(f, "focal length changes by a factor of {factor:.2} in frames {}–{}", first.0, last.0)
     }
 }

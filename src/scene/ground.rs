@@ -53,11 +53,11 @@ impl PlaneBasis {
     /// In words, for people.
     pub fn words(self) -> &'static str {
         match self {
-            Self::Path => "ground that the object itself drives over",
-            Self::LabelledPoints => "labelled ground round the object",
-            Self::Points => "ground round the object, found without labels",
+            Self::Path => "ground that the object drives over",
+            Self::LabelledPoints => "labeled ground around the object",
+            Self::Points => "ground around the object, without labels",
             Self::Mount => "one plane below a camera fixed to a vehicle",
-            Self::Dominant => "the dominant plane of the whole place",
+            Self::Dominant => "dominant plane of the whole scene",
         }
     }
 }

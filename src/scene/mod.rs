@@ -14,6 +14,7 @@ mod reconstruction;
 mod tracked;
 mod trajectory;
 mod verdict;
+mod warning;
 
 pub use boxes::{BoxDetection, Finder, Rect};
 pub use flow::Flow;
@@ -35,3 +36,4 @@ pub use trajectory::{
     Trajectories, Unit,
 };
 pub use verdict::{Finding, Reason, ReasonKind, Trust, Verdict};
+pub use warning::{Topic, Warning, warning_text};

@@ -141,7 +141,7 @@ impl Reconstruction {
         self.cameras.keys().find_map(|id| match self.camera_forms.get(id)? {
             CameraForm::Covered(_) => None,
             CameraForm::Foreign(model, _) => Some((*id, model.name())),
-            CameraForm::Unknown => Some((*id, "of an unknown lens")),
+            CameraForm::Unknown => Some((*id, "without known camera model")),
         })
     }
 

@@ -52,10 +52,10 @@ impl fmt::Display for FoundIn {
         let parts = [
             ("given", self.given),
             ("detector and motion", self.both),
-            ("detector alone", self.detector),
-            ("motion alone", self.motion),
-            ("asked for where it should be", self.prompted),
-            ("carried by flow", self.carried),
+            ("detector only", self.detector),
+            ("motion only", self.motion),
+            ("box prompt at the predicted position", self.prompted),
+            ("propagated by optical flow", self.carried),
         ];
         let said = parts.iter().filter(|(_, frames)| *frames > 0);
         let said: Vec<String> = said.map(|(what, frames)| format!("{what} {frames}")).collect();
@@ -89,11 +89,11 @@ pub enum Movement {
 }
 
 impl Movement {
-    /// In one word or two, for people.
+    /// Name in messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Moving => "moving",
-            Self::Standing => "standing",
+            Self::Standing => "stationary",
             Self::Undetermined => "undetermined",
         }
     }
@@ -126,11 +126,12 @@ pub struct Sameness {
 impl fmt::Display for Sameness {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let parts = [
-            self.place.map(|place| format!("{:.0} % of the tolerated distance from its place", 100.0 * place)),
-            self.colours.map(|colours| format!("colours {:.0} % alike", 100.0 * colours)),
+            self.place
+                .map(|place| format!("{:.0} % of the tolerated distance from the predicted position", 100.0 * place)),
+            self.colours.map(|colours| format!("color similarity {:.0} %", 100.0 * colours)),
             self.size.map(|size| format!("{size:.2} times as large")),
             self.num_points.map(|points| format!("{points} points in common")),
-            self.num_matches.map(|matches| format!("of {matches} that look alike")),
+            self.num_matches.map(|matches| format!("of {matches} matches")),
         ];
         let said: Vec<String> = parts.into_iter().flatten().collect();
         if said.is_empty() { f.write_str("nothing") } else { f.write_str(&said.join(", ")) }
@@ -196,7 +197,7 @@ mod tests {
     #[test]
     fn what_found_an_object_is_said_in_words() {
         let found = FoundIn { both: 12, motion: 3, carried: 40, ..FoundIn::default() };
-        assert_eq!(found.to_string(), "detector and motion 12, motion alone 3, carried by flow 40");
+        assert_eq!(found.to_string(), "detector and motion 12, motion only 3, propagated by optical flow 40");
         assert_eq!((found.by_detector(), found.by_motion()), (12, 15));
         assert_eq!(FoundIn::default().to_string(), "nothing");
     }
@@ -204,7 +205,10 @@ mod tests {
     #[test]
     fn what_says_that_two_sights_show_one_object_is_said_in_words() {
         let evidence = Sameness { place: Some(0.25), num_points: Some(17), ..Sameness::default() };
-        assert_eq!(evidence.to_string(), "25 % of the tolerated distance from its place, 17 points in common");
+        assert_eq!(
+            evidence.to_string(),
+            "25 % of the tolerated distance from the predicted position, 17 points in common"
+        );
         assert_eq!(Sameness::default().to_string(), "nothing");
     }
 }

@@ -16,13 +16,13 @@ pub enum SfmError {
     #[error("bundle adjustment: {0}")]
     Bundle(#[from] crate::bundle::BundleError),
     /// The pictures do not give a start; nothing is wrong with how they were given.
-    #[error("nothing could be reconstructed: {reason}")]
+    #[error("nothing reconstructed: {reason}")]
     Failed {
         /// Missing input.
         reason: String,
     },
     /// A frame is reported to be of a camera that was not given.
-    #[error("camera {camera} of {count} is not there: give its intrinsics, or a guess, with the others")]
+    #[error("camera {camera} of {count} does not exist: give its intrinsics, or an estimate, with the others")]
     NoCamera {
         /// Its place in the list, from 0.
         camera: usize,
@@ -30,7 +30,7 @@ pub enum SfmError {
         count: usize,
     },
     /// A mask has another size than its image.
-    #[error("the mask of {name} is {found:?} pixels, its image {expected:?}: give masks at the size of the frames")]
+    #[error("mask of {name}: {found:?} pixels, its image has {expected:?}: give masks at the size of the frames")]
     MaskSize {
         /// Image name.
         name: String,

@@ -35,7 +35,7 @@ pub fn reconstruct_pictures(
     let (model, report) = reconstruct(&tracks, &[camera], intrinsics, &options.mapper, seed)?;
     match report.failure {
         Some(reason) => Err(SfmError::Failed { reason }),
-        None if model.is_empty() => Err(SfmError::Failed { reason: "no picture is registered".to_owned() }),
+        None if model.is_empty() => Err(SfmError::Failed { reason: "no image is registered".to_owned() }),
         None => Ok((model, report)),
     }
 }
@@ -67,7 +67,7 @@ mod tests {
         let black = (0..4).map(|index| (frame(index), RgbImage::new(320, 240), None));
         let found = reconstruct_pictures(black, Camera::prior(320, 240), Intrinsics::Fixed, &Options::background(), 0);
         let said = found.unwrap_err().to_string();
-        assert!(said.starts_with("nothing could be reconstructed: "), "{said}");
+        assert!(said.starts_with("nothing reconstructed: "), "{said}");
     }
 
     #[test]

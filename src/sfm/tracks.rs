@@ -84,14 +84,14 @@ impl TrackTable {
         let mut images = BTreeSet::new();
         let is_wrong = |view: &&View| view.is_flawed() || !images.insert(view.image);
         if let Some(view) = self.views.iter().find(is_wrong) {
-            return Some(format!("the features of {} contradict themselves", view.name));
+            return Some(format!("contradictory features of {}", view.name));
         }
         let is_there = |seen: &Feature| {
             self.views.get(seen.view as usize).is_some_and(|view| (seen.feature as usize) < view.pixels.len())
         };
         let is_whole = |track: &Track| track.iter().all(is_there) && track.is_sorted_by(|a, b| a.view < b.view);
         let broken = self.tracks.iter().position(|track| !is_whole(track));
-        broken.map(|k| format!("track {k} leads through features that are not there"))
+        broken.map(|k| format!("track {k} contains features that do not exist"))
     }
 
     /// Position of a feature.

@@ -25,7 +25,7 @@ pub(super) fn position(longitude: &str, latitude: &str) -> Result<Position, Stri
 pub(super) fn checked(position: Position) -> Result<Position, String> {
     let Position { longitude_deg, latitude_deg, .. } = position;
     if longitude_deg == 0.0 && latitude_deg == 0.0 {
-        return Err("the position is (0, 0): the receiver did not know where it was".to_owned());
+        return Err("position (0, 0): the receiver had no fix".to_owned());
     }
     in_range("latitude", latitude_deg, 90.0)?;
     in_range("longitude", longitude_deg, 180.0)?;
@@ -38,14 +38,14 @@ fn in_range(what: &str, value_deg: f64, most_deg: f64) -> Result<(), String> {
     }
     let degrees = (value_deg.abs() / 100.0).floor();
     let is_joined = degrees <= most_deg && value_deg.abs() - 100.0 * degrees < MINUTES;
-    let hint = if is_joined { ": degrees and minutes in one number? decimal degrees are needed" } else { "" };
-    Err(format!("the {what} {value_deg} is not between −{most_deg} and {most_deg}{hint}"))
+    let hint = if is_joined { ": degrees and minutes in one number? give decimal degrees" } else { "" };
+    Err(format!("{what} {value_deg}: expected −{most_deg} to {most_deg}{hint}"))
 }
 
 fn not_a_number(what: &str, text: &str) -> String {
     match text.trim() {
-        "" => format!("there is no {what}"),
-        _ => format!("the {what} {} is no angle", shown(text)),
+        "" => format!("{what} missing"),
+        _ => format!("{what} {}: not an angle", shown(text)),
     }
 }
 
@@ -100,11 +100,11 @@ mod tests {
     #[test]
     fn what_is_no_position_is_said() {
         let said = |longitude, latitude| position(longitude, latitude).unwrap_err();
-        assert!(said("0", "0.000").contains("did not know"));
+        assert!(said("0", "0.000").contains("no fix"));
         assert!(said("11.5", "4807.038").contains("degrees and minutes in one number"));
         assert!(said("11.5", "90.5").ends_with("90"), "{}", said("11.5", "90.5"));
-        assert_eq!(said("", "1"), "there is no longitude");
-        assert!(said("1", "NaN").contains("no angle") && said("1", "1°61'").contains("no angle"));
-        assert!(said("°", "1").contains("no angle") && said("é", "ü").contains("no angle"));
+        assert_eq!(said("", "1"), "longitude missing");
+        assert!(said("1", "NaN").contains("not an angle") && said("1", "1°61'").contains("not an angle"));
+        assert!(said("°", "1").contains("not an angle") && said("é", "ü").contains("not an angle"));
     }
 }

@@ -120,7 +120,7 @@ pub(super) fn read(text: &str, path: &Path, empty: Log) -> Result<Log, Telemetry
             Ok(record) => record,
             Err(error) => {
                 let line = error.position().map_or(0, ::csv::Position::line) as usize;
-                log.pass_over(line, format!("the row cannot be read ({error})"));
+                log.pass_over(line, format!("row cannot be read ({error})"));
                 continue;
             }
         };
@@ -205,7 +205,7 @@ fn unknown_unit<'a>(mut names: impl Iterator<Item = &'a str>) -> Option<String> 
         let is_text = matches!(column, Column::Clock | Column::Receiver);
         (!is_text).then(|| {
             let known = UNITS.map(|(unit, _)| unit).join(", ");
-            format!("the column {} has the unit {}; known are {known}", shown(full), shown(&unit))
+            format!("column {}: unknown unit {}; expected {known}", shown(full), shown(&unit))
         })
     })
 }
@@ -269,7 +269,7 @@ fn times<'a>(
     let video_s = video_s.or_else(|| value(Column::Clock).filter(|&time_s| time_s < LEAST_CLOCK_S));
     let is_written = text(Column::VideoTime).or_else(|| text(Column::Clock));
     match (video_s, clock_read, is_written) {
-        (None, None, Some((written, _))) => Err(format!("the time {} is none", shown(written))),
+        (None, None, Some((written, _))) => Err(format!("time {}: invalid", shown(written))),
         (video_s, clock, _) => Ok((video_s, clock)),
     }
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum TelemetryError {
     /// The operating system refuses.
-    #[error("cannot read {}", path.display())]
+    #[error("{}: cannot be read", path.display())]
     System {
         /// The file or folder.
         path: PathBuf,
@@ -15,15 +15,15 @@ pub enum TelemetryError {
         source: std::io::Error,
     },
     /// The file is empty.
-    #[error("{}: the file is empty; copy it from the camera again", path.display())]
+    #[error("{}: empty file; copy it from the camera again", path.display())]
     Empty {
         /// The file.
         path: PathBuf,
     },
     /// The file is larger than any log.
     #[error(
-        "{}: {size_mib} MiB are more than a log has (at most {most_mib} MiB, or a quarter of the memory limit); give \
-         the part that belongs to the video",
+        "{}: {size_mib} MiB, larger than any log (limit {most_mib} MiB, or a quarter of the memory limit); give the \
+         part that belongs to the video",
         path.display()
     )]
     TooLarge {
@@ -36,8 +36,8 @@ pub enum TelemetryError {
     },
     /// The file holds more positions than memory does.
     #[error(
-        "{}: more than {most} positions, the maximum for this memory limit; give the part that belongs to the video, \
-         or raise --memory-limit",
+        "{}: more than {most} positions, the limit by memory; give the part that belongs to the video, or raise \
+         --memory-limit",
         path.display()
     )]
     TooMany {
@@ -48,8 +48,8 @@ pub enum TelemetryError {
     },
     /// No known format.
     #[error(
-        "{}: neither DJI's subtitles, nor GPX, NMEA, a CSV whose header names longitude and latitude, nor a photograph \
-         with GPS data; docs/telemetry.md says what each looks like",
+        "{}: neither a DJI subtitle file, nor GPX, NMEA, a CSV with longitude and latitude in its header, nor a \
+         photograph with GPS data; see docs/telemetry.md",
         path.display()
     )]
     Unknown {
@@ -57,7 +57,7 @@ pub enum TelemetryError {
         path: PathBuf,
     },
     /// The format is known, but no position can be had from it.
-    #[error("{}: {what} without a single position{}", path.display(), first_reason(.first.as_deref()))]
+    #[error("{}: {what} without any position{}", path.display(), first_reason(.first.as_deref()))]
     NoFix {
         /// The file.
         path: PathBuf,

@@ -38,7 +38,7 @@ pub(super) fn read(text: &str, empty: Log) -> Log {
         match reader.read_event() {
             Err(error) => {
                 let line = lines.at(reader.error_position());
-                log.pass_over(line, format!("the file breaks off or is damaged here ({error})"));
+                log.pass_over(line, format!("file truncated or damaged here ({error})"));
                 break;
             }
             Ok(Event::Eof) => break,
@@ -60,7 +60,7 @@ pub(super) fn read(text: &str, empty: Log) -> Log {
         }
     }
     if let Some(open) = open {
-        log.pass_over(open.line, "the file breaks off inside this point");
+        log.pass_over(open.line, "file truncated inside this point");
     }
     log
 }
@@ -164,6 +164,6 @@ mod tests {
         assert_eq!(log.fixes.len(), 1);
         assert_eq!(log.passed_over[0].line, 5, "{:?}", log.passed_over);
         let log = log_of(&TRACK[..TRACK.find("</ele>").unwrap()]);
-        assert!(log.fixes.is_empty() && log.passed_over[0].reason.contains("breaks off"), "{:?}", log.passed_over);
+        assert!(log.fixes.is_empty() && log.passed_over[0].reason.contains("truncated"), "{:?}", log.passed_over);
     }
 }

@@ -51,7 +51,7 @@ impl Kind {
     /// Name in messages.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Dji => "DJI's subtitles",
+            Self::Dji => "DJI subtitles",
             Self::Gpx => "GPX",
             Self::Nmea => "NMEA 0183",
             Self::Csv => "CSV",

@@ -70,7 +70,7 @@ fn fields(line: &str) -> Result<Option<Vec<&str>>, String> {
     let found = content.bytes().fold(0, |sum, byte| sum ^ byte);
     match stated {
         Some(stated) if stated == found => Ok(Some(content.split(',').collect())),
-        _ => Err(format!("the check sum is not {found:02X}: the sentence is damaged or breaks off")),
+        _ => Err(format!("checksum is not {found:02X}: the sentence is damaged or truncated")),
     }
 }
 
@@ -97,8 +97,8 @@ impl Reading {
             "2" => Receiver::Differential,
             "4" => Receiver::RtkFixed,
             "5" => Receiver::RtkFloat,
-            "6" => return Err("the position is dead reckoning, not a fix".to_owned()),
-            "8" => return Err("the position is simulated".to_owned()),
+            "6" => return Err("dead reckoning, not a fix".to_owned()),
+            "8" => return Err("simulated position".to_owned()),
             _ => Receiver::Plain,
         };
         let position = position([field(4), field(5)], [field(2), field(3)])?;
@@ -137,7 +137,7 @@ impl Reading {
 
     /// The epoch of a time of day, `hhmmss.ss`; what was gathered of another one is finished first.
     fn epoch(&mut self, line: usize, time: &str) -> Result<&mut Epoch, String> {
-        let time_s = time_of_day_s(time).ok_or("the sentence has no time")?;
+        let time_s = time_of_day_s(time).ok_or("sentence without a time")?;
         let last_s = self.epoch.as_ref().map(|epoch| epoch.time_s);
         if last_s != Some(time_s) {
             self.flush();
@@ -201,13 +201,13 @@ fn time_of_day_s(text: &str) -> Option<f64> {
 /// Longitude and latitude from `dddmm.mmmm` and their letters.
 fn position(longitude: [&str; 2], latitude: [&str; 2]) -> Result<Position, String> {
     let angle = |what: &str, [text, letter]: [&str; 2]| {
-        let joined = number(text).filter(|&value| value >= 0.0).ok_or_else(|| format!("there is no {what}"))?;
+        let joined = number(text).filter(|&value| value >= 0.0).ok_or_else(|| format!("{what} missing"))?;
         let degrees = (joined / 100.0).floor();
         let minutes = joined - 100.0 * degrees;
         let sign = if matches!(letter, "S" | "W") { -1.0 } else { 1.0 };
         match minutes < 60.0 {
             true => Ok(sign * (degrees + minutes / 60.0)),
-            false => Err(format!("the {what} {text} has {minutes:.1} minutes of 60; degrees and minutes are expected")),
+            false => Err(format!("{what} {text}: {minutes:.1} minutes of 60; expected degrees and minutes")),
         }
     };
     let resolution_deg = resolution(longitude[0]).max(resolution(latitude[0])) / 60.0;
@@ -245,7 +245,7 @@ mod tests {
         assert_eq!(time::spelled(second.clock_s.unwrap()).unwrap(), "2094-03-24T00:00:00.500");
         assert_eq!((second.horizontal_std_m, log.clock), (6.8, ClockKind::Utc));
         let reasons: Vec<_> = log.passed_over.iter().map(|passed| (passed.line, passed.reason.as_str())).collect();
-        assert!(reasons[0].0 == 4 && reasons[0].1.contains("check sum"), "{reasons:?}");
+        assert!(reasons[0].0 == 4 && reasons[0].1.contains("checksum"), "{reasons:?}");
         assert!(reasons[1].0 == 8 && reasons[1].1.contains("no fix"), "{reasons:?}");
         assert!(reasons[2].0 == 9 && reasons[2].1.contains("minutes"), "{reasons:?}");
     }

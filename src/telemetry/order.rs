@@ -30,10 +30,10 @@ pub(super) fn keep_rising(log: &mut Log) {
 
 fn reason(time_s: Option<f64>, last_s: Option<f64>) -> String {
     match (time_s, last_s) {
-        (None, _) => "the fix has no time, others have one".to_owned(),
-        (Some(time), Some(last)) if time == last => "another fix of the same time".to_owned(),
-        (Some(time), Some(last)) if time < last => format!("the clock goes back by {:.3} s", last - time),
-        _ => "the clock jumps ahead of the fixes that follow".to_owned(),
+        (None, _) => "fix without time, others have one".to_owned(),
+        (Some(time), Some(last)) if time == last => "second fix of the same time".to_owned(),
+        (Some(time), Some(last)) if time < last => format!("clock goes back by {:.3} s", last - time),
+        _ => "clock jumps ahead of the following fixes".to_owned(),
     }
 }
 

@@ -65,10 +65,9 @@ fn fix(bytes: &[u8], line: usize) -> Result<Fix, String> {
     let exif = exif::Reader::new().continue_on_error(true).read_from_container(&mut Cursor::new(bytes));
     // Many cameras write blocks with a flaw somewhere: the readable fields count.
     let exif = exif.or_else(|error| error.distill_partial_result(|_| {}));
-    let exif = exif.map_err(|error| format!("there is no EXIF block that can be read ({error})"))?;
-    let (longitude_deg, fine) =
-        angle(&exif, Tag::GPSLongitude, Tag::GPSLongitudeRef).ok_or("there is no GPS position")?;
-    let (latitude_deg, also) = angle(&exif, Tag::GPSLatitude, Tag::GPSLatitudeRef).ok_or("there is no GPS position")?;
+    let exif = exif.map_err(|error| format!("no readable EXIF data ({error})"))?;
+    let (longitude_deg, fine) = angle(&exif, Tag::GPSLongitude, Tag::GPSLongitudeRef).ok_or("no GPS position")?;
+    let (latitude_deg, also) = angle(&exif, Tag::GPSLatitude, Tag::GPSLatitudeRef).ok_or("no GPS position")?;
     let position = coordinate::checked(Position { longitude_deg, latitude_deg, resolution_deg: fine.max(also) })?;
     let receiver = match exif.get_field(Tag::GPSDifferential, In::PRIMARY).and_then(|field| field.value.get_uint(0)) {
         Some(1) => Receiver::Differential,
@@ -198,7 +197,7 @@ mod tests {
     fn photographs_without_a_position_are_named() {
         let reason = |bytes: &[u8]| read_one(bytes).passed_over.remove(0).reason;
         assert!(reason(&photograph(&position()[..2])).contains("no GPS position"));
-        assert!(reason(b"II*\0").contains("no EXIF block"));
+        assert!(reason(b"II*\0").contains("no readable EXIF"));
         let mut damaged = position();
         damaged[1] = (Tag::GPSLatitude, rational(&[(46, 0)]));
         assert!(reason(&photograph(&damaged)).contains("no GPS position"));

@@ -134,7 +134,7 @@ impl Summary {
         };
         let names = self.dialects.iter().map(|(name, count)| format!("{name} ({count})")).collect::<Vec<_>>();
         line("dialect", names.join(", "));
-        let rate = self.rate_hz.map_or(String::new(), |rate| format!(", a new position {rate:.2} times a second"));
+        let rate = self.rate_hz.map_or(String::new(), |rate| format!(", position rate {rate:.2} Hz"));
         line("fixes", format!("{}{rate}", self.num_fixes));
         let shown = |range: Option<Range>, digits: usize, unit: &str| match range {
             None => "none".to_owned(),
@@ -155,14 +155,14 @@ impl Summary {
         line("extent", format!("{:.1} m{resolution}", self.extent_m));
         let datum = match self.height_datum {
             HeightDatum::Ellipsoid => " m above the ellipsoid",
-            HeightDatum::SeaLevel => " m above the sea",
-            HeightDatum::Unstated => " m, above what is not said",
+            HeightDatum::SeaLevel => " m above sea level",
+            HeightDatum::Unstated => " m, datum unknown",
         };
         line("GPS height", shown(self.gps_height_m, 2, datum));
-        line("over take-off", shown(self.relative_height_m, 2, " m"));
+        line("above take-off", shown(self.relative_height_m, 2, " m"));
         line("deviation", shown(self.horizontal_std_m, 2, " m horizontally"));
         line("also", format!("{} speeds, {} attitudes of the camera", self.num_speeds, self.num_gimbals));
-        line("passed over", self.num_passed_over.to_string());
+        line("skipped", self.num_passed_over.to_string());
         self.passed_over.iter().for_each(|passed| line("", passed.to_string()));
         text
     }

@@ -30,7 +30,7 @@ const SEEDS: [&str; 8] = [
 ];
 
 fn read_text(bytes: &[u8]) -> Result<Log, TelemetryError> {
-    read_bytes(bytes, Path::new("a log"))
+    read_bytes(bytes, Path::new("any log"))
 }
 
 /// Properties of every log, whatever it was read from.

@@ -25,7 +25,7 @@ const MAX_LINE: usize = 1 << 16;
 pub(super) fn check_length(line: &str) -> Result<(), String> {
     match line.len() {
         0..=MAX_LINE => Ok(()),
-        n => Err(format!("the line has {n} characters, a line of telemetry at most {MAX_LINE}")),
+        n => Err(format!("line of {n} characters, a line of telemetry has at most {MAX_LINE}")),
     }
 }
 

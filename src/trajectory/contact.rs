@@ -98,7 +98,7 @@ impl ContactOptions {
 /// all.
 fn check_height(key: &str, [mean, std]: [f64; 2]) -> Checked {
     let inside = |checked: Checked, which| checked.map_err(|e| OptionError::new(key, format!("{which}: {}", e.reason)));
-    inside(within(key, mean, -1.0..=1.0), "the mean")?;
+    inside(within(key, mean, -1.0..=1.0), "mean")?;
     inside(within(key, std, 1e-6..=10.0), "the standard deviation")
 }
 

@@ -10,8 +10,8 @@ use crate::scene::ScaleMethod;
 pub enum ScaleError {
     /// Not enough frames have everything that an equation needs.
     #[error(
-        "only {usable} frames have a camera in the background, a camera in the object's model and a local ground plane \
-         ({paired} have both cameras, {planes} have a plane); at least {needed} are needed"
+        "only {usable} frames have a background camera, an object camera and a local ground plane ({paired} have both \
+         cameras, {planes} a plane); at least {needed} needed"
     )]
     TooFewViews {
         /// Frames with all three.
@@ -28,8 +28,8 @@ pub enum ScaleError {
     NoPoints,
     /// The model has points, and too few of them are seen often enough to show where the vehicle touches the ground.
     #[error(
-        "the object's model has {num_points} points, none of them seen in {min_track} frames or more and near the \
-         others: nothing shows where the object touches the ground"
+        "none of the model's {num_points} points is observed in {min_track} frames or more and near the others: the \
+         contact with the ground is undetermined"
     )]
     NoSolidPoints {
         /// Points of the model.
@@ -38,46 +38,46 @@ pub enum ScaleError {
         min_track: usize,
     },
     /// The planes point everywhere.
-    #[error("the normals of the {num_views} local ground planes have no mean direction in the object's frame")]
+    #[error("normals of the {num_views} local ground planes have no mean direction in the object's frame")]
     NoMeanNormal {
         /// Planes looked at.
         num_views: usize,
     },
     /// No observation of the object's model can be compared with its point.
-    #[error("no image position of the object's model can be compared with its point")]
+    #[error("no observation of the object's model can be compared with its point")]
     NoObservations,
     /// The adjustment left something undetermined.
     #[error(
-        "the adjustment of the object with the ground leaves its size open: in some frames too little of it is seen"
+        "adjustment with the ground leaves the size undetermined: too little of the object is visible in some frames"
     )]
     NoCovariance,
     /// The adjusted points cannot be brought back.
-    #[error("the adjusted points cannot be brought back to where the object was reconstructed")]
+    #[error("adjusted points cannot be aligned with the original reconstruction")]
     NoSimilarity,
     /// The object is nowhere.
-    #[error("no frame is registered in both the background's and the object's model")]
+    #[error("no frame is registered in both the background and the object")]
     NoCommonFrame,
     /// A method that gives no answer of this kind was asked for.
-    #[error("{} does not take a reconstruction as it is", .0.name())]
+    #[error("{} cannot be used without adjusting the model", .0.name())]
     NoAnswer(ScaleMethod),
     /// The equations of all view pairs give a ratio that is negative, zero or not finite.
     #[error(
-        "none of {num_pairs} view pairs gives a positive scale ratio: the camera's height over the ground does not \
-         change beyond its noise, or the local planes are wrong"
+        "none of {num_pairs} view pairs gives a positive scale ratio: the camera height above ground does not change \
+         beyond its noise, or the ground planes are wrong"
     )]
     NoPositivePair {
         /// Pairs looked at.
         num_pairs: usize,
     },
     /// No ray towards an object point meets its plane in front of the camera.
-    #[error("in none of {num_views} frames does a ray towards an object point meet the local ground plane")]
+    #[error("in none of {num_views} frames does a ray to an object point intersect the local ground plane")]
     NoIntersection {
         /// Frames looked at.
         num_views: usize,
     },
     /// The least squares solution over all frames is not positive.
     #[error(
-        "{}: the camera's height over the ground does not change beyond its noise",
+        "{}: the camera height above ground does not change beyond its noise",
         least_squares_words(*num_views, *ratio)
     )]
     NotPositive {
@@ -87,12 +87,12 @@ pub enum ScaleError {
         ratio: f64,
     },
     /// The adjustment with the ground cannot be done.
-    #[error("the adjustment of the object with the ground failed: {0}")]
+    #[error("adjustment with the ground failed: {0}")]
     Adjustment(String),
     /// The object's images and the ground contradict one another.
     #[error(
-        "median reprojection error {after_px:.2} px with the object on the ground, {before_px:.2} px without: the \
-         ground planes are wrong, or the object is not on the ground"
+        "median reprojection error {after_px:.2} px with the object on the ground, {before_px:.2} px without: wrong \
+         ground planes, or the object is not on the ground"
     )]
     GroundContradicts {
         /// Median error before.
@@ -104,7 +104,7 @@ pub enum ScaleError {
 
 fn least_squares_words(num_views: usize, ratio: f64) -> String {
     match ratio.is_finite() {
-        true => format!("the least squares ratio over {num_views} frames is {}", figure(ratio)),
+        true => format!("least squares over {num_views} frames gives {}", figure(ratio)),
         false => format!("least squares over {num_views} frames has no solution"),
     }
 }

@@ -155,12 +155,14 @@ fn why_unsure(shares: &ScaleShares, accepted: f64) -> Option<String> {
     }
     if shares.disagreement > FRAC_1_SQRT_2 * shares.given_focal() {
         return Some(format!(
-            "{}: the adjustment with the ground and least squares over all frames contradict one another",
+            "{}: adjustment with the ground and least squares over all frames contradict one another; give ground \
+             masks or a shorter clip",
             beyond(shares.given_focal(), accepted)
         ));
     }
     Some(format!(
-        "{}: the camera's height above ground hardly changes and the outlines do not help",
+        "{}: camera height above ground hardly changes, and outlines do not help; give a longer clip or one with \
+         changing height",
         beyond(shares.given_focal(), accepted)
     ))
 }
@@ -176,7 +178,7 @@ fn focal_leaves_open(shares: &ScaleShares, accepted: f64) -> Option<String> {
     let is_open = !(total <= accepted) && shares.focal > shares.given_focal();
     is_open.then(|| {
         format!(
-            "{}: the focal length is known to ±{} only; give --intrinsics",
+            "{}: focal length known to ±{} only; give --intrinsics",
             beyond(total, accepted),
             percent(shares.focal / FOCAL_SENSITIVITY)
         )
@@ -274,7 +276,7 @@ fn positive(ratio: f64, views: &Views) -> Result<f64, ScaleError> {
 }
 
 fn stands_in(method: ScaleMethod, wanted: ScaleMethod, failure: &ScaleError) -> String {
-    format!("{} stands in for {}, which has no answer: {failure}", method.name(), wanted.name())
+    format!("{} instead of {}, which failed: {failure}", method.name(), wanted.name())
 }
 
 fn standard_deviation(
@@ -299,24 +301,22 @@ fn standard_deviation(
 fn degeneracy(all_frames: &Result<LeastSquares, ScaleError>, max_relative_std: f64) -> Option<String> {
     let fit = match all_frames {
         Ok(fit) => fit,
-        Err(error) => return Some(format!("the frames cannot be checked against one another: {error}")),
+        Err(error) => return Some(format!("frames cannot be checked against one another: {error}")),
     };
     let relative = fit.excitation / fit.mean_height.abs();
     if !relative.is_finite() {
-        return Some(
-            "the frames cannot be checked against one another: too few of them agree on the ground".to_owned(),
-        );
+        return Some("frames cannot be checked against one another: too few agree on the ground".to_owned());
     }
-    let motion = format!("the camera's height above the vehicle varies by {} only", percent(relative));
+    let motion = format!("camera height above the vehicle varies by {} only", percent(relative));
     if relative <= ROUNDING {
-        return Some("camera and vehicle move parallel to the ground: nothing determines the scale".to_owned());
+        return Some("camera and vehicle move parallel to the ground: the scale is undetermined".to_owned());
     }
     let relative_std = fit.std / fit.ratio.abs();
     if fit.ratio > 0.0 && relative_std <= max_relative_std {
         return None;
     }
     if ![fit.residual_std, fit.ratio, fit.std].iter().all(|number| number.is_finite()) {
-        return Some(format!("{motion}, and all frames together have no solution"));
+        return Some(format!("{motion}, and least squares over all frames has no solution"));
     }
     if fit.ratio <= 0.0 {
         return Some(format!("no positive scale: {motion}, or the ground planes are wrong"));

@@ -16,10 +16,10 @@ pub(super) fn no_pictures(path: &Path, streams: &[Stream]) -> VideoError {
 fn in_words(streams: &[Stream]) -> &'static str {
     let has = |wanted: fn(&StreamKind) -> bool| streams.iter().any(|stream| wanted(&stream.kind));
     match (has(|kind| *kind == StreamKind::Sound), has(|kind| matches!(kind, StreamKind::Text(_)))) {
-        (true, true) => "only sound and text",
-        (true, false) => "only sound",
+        (true, true) => "only audio and text",
+        (true, false) => "only audio",
         (false, true) => "only text",
-        (false, false) => "nothing that can be shown",
+        (false, false) => "nothing to show",
     }
 }
 

@@ -43,14 +43,14 @@ pub enum VideoError {
         source: io::Error,
     },
     /// A file without content.
-    #[error("{path}: the file is empty; copy or record it again", path = path.display())]
+    #[error("{path}: empty file; copy or record it again", path = path.display())]
     Empty {
         /// The input.
         path: PathBuf,
     },
     /// No decoder takes the file.
     #[error(
-        "{path}: not a video that FFmpeg can read; if players show it, `ffmpeg -i FILE converted.mp4` makes one, or \
+        "{path}: not a video that FFmpeg can read; if players show it, convert it (`ffmpeg -i FILE converted.mp4`), or \
          give a folder of JPEG or PNG images",
         path = path.display()
     )]
@@ -59,7 +59,7 @@ pub enum VideoError {
         path: PathBuf,
     },
     /// A list of other files.
-    #[error("{path}: a playlist ({format}), not a video file; give the video files it names", path = path.display())]
+    #[error("{path}: playlist ({format}), not a video file; give the video files it names", path = path.display())]
     Playlist {
         /// The input.
         path: PathBuf,
@@ -68,7 +68,8 @@ pub enum VideoError {
     },
     /// A video track that is asked for and not there.
     #[error(
-        "{path}: has no video track {track}, only {count} of them, counted from 0; give another --video-track, or none",
+        "{path}: video track {track} does not exist; the file has {count}, counted from 0; give another --video-track, \
+         or none",
         path = path.display()
     )]
     NoTrack {
@@ -81,9 +82,8 @@ pub enum VideoError {
     },
     /// An MP4 or MOV file whose index was never written, or is cut off.
     #[error(
-        "{path}: the recording was not finished or not copied whole: its index (the moov box) is missing; copy it \
-         again, or have it repaired by a tool that takes a whole video of the same camera for a pattern, such as \
-         untrunc",
+        "{path}: recording not finished or file truncated (its index, the moov box, is missing); copy it again, or \
+         repair it with a tool that uses an intact reference video from the same camera, such as untrunc",
         path = path.display()
     )]
     NoIndex {
@@ -92,7 +92,7 @@ pub enum VideoError {
     },
     /// A text track that memory does not hold.
     #[error(
-        "{path}: its text track takes more than {limit}, a quarter of the memory limit; --memory-limit sets it",
+        "{path}: text track larger than {limit}, a quarter of the memory limit; raise --memory-limit",
         path = path.display(), limit = crate::limits::memory::in_words(*limit)
     )]
     TextTooLarge {
@@ -102,7 +102,7 @@ pub enum VideoError {
         limit: u64,
     },
     /// No stream of moving pictures.
-    #[error("{path}: has no picture track, {found}; give the video that it belongs to", path = path.display())]
+    #[error("{path}: no video track, {found}; give the video that it belongs to", path = path.display())]
     NoPictures {
         /// The input.
         path: PathBuf,
@@ -111,8 +111,8 @@ pub enum VideoError {
     },
     /// The pictures are coded in a way that the installed FFmpeg cannot decode.
     #[error(
-        "{path}: its pictures are coded as {coding}, for which the FFmpeg on this machine has no decoder; convert it \
-         where there is one (`ffmpeg -i FILE converted.mp4`)",
+        "{path}: no decoder for {coding} in the FFmpeg of this machine; convert the file where there is one (`ffmpeg \
+         -i FILE converted.mp4`)",
         path = path.display()
     )]
     NoDecoder {
@@ -123,7 +123,7 @@ pub enum VideoError {
     },
     /// The container is readable, but no picture comes out of it.
     #[error(
-        "{path}: not a single frame could be decoded; the file is damaged or holds no pictures",
+        "{path}: no frame could be decoded; the file is damaged or has no images",
         path = path.display()
     )]
     NoFrames {
@@ -131,7 +131,7 @@ pub enum VideoError {
         path: PathBuf,
     },
     /// A folder without images.
-    #[error("{path}: the folder holds no JPEG or PNG image that can be read: {found}", path = path.display())]
+    #[error("{path}: no readable JPEG or PNG image in the folder: {found}", path = path.display())]
     NoImages {
         /// The input.
         path: PathBuf,
@@ -140,7 +140,7 @@ pub enum VideoError {
     },
     /// The options leave no frame over.
     #[error(
-        "{path}: --start, --end and --every choose none of its frames; it runs from {first} to {last}",
+        "{path}: --start, --end and --every select no frame; the input runs from {first} to {last}",
         path = path.display()
     )]
     NothingChosen {
@@ -188,7 +188,7 @@ pub enum VideoError {
     #[error(transparent)]
     Image(#[from] ImageError),
     /// No thread can be had to decode on.
-    #[error("a thread to decode on cannot be started: {0}; there are too many, or memory does not suffice")]
+    #[error("decoding thread cannot be started: {0}; too many threads, or out of memory")]
     Thread(io::Error),
     /// FFmpeg failed where input has no part in it, as far as can be determined.
     #[error("FFmpeg: {0}")]

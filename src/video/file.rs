@@ -11,7 +11,7 @@ use super::tracks::{self, Chosen};
 use super::{VideoError, diagnosis, fields, repeats, shape};
 use crate::ffi::ffmpeg::{self, FfmpegError, Luma, MediaFile, Packet, Purpose, RgbConverter};
 use crate::image::resize_rgb;
-use crate::scene::{Frame, FrameId};
+use crate::scene::{Frame, FrameId, Warning};
 
 /// Metadata of the container.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,7 +25,7 @@ pub(super) struct Container {
     /// Number of the video track, from 0.
     pub(super) track: u32,
     /// Remarks on how the file is read, for the user.
-    pub(super) remarks: Vec<String>,
+    pub(super) remarks: Vec<Warning>,
 }
 
 /// Sizes of a frame, upright, pixels.

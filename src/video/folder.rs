@@ -15,7 +15,7 @@ use super::source::Cameras;
 use super::{Turning, VideoError, exif, jpeg};
 use crate::image::resize_rgb;
 use crate::limits::files;
-use crate::scene::{Frame, FrameId};
+use crate::scene::{Frame, FrameId, Topic, Warning};
 
 /// Extensions that are taken for images, in lower case.
 const EXTENSIONS: [&str; 3] = ["jpg", "jpeg", "png"];
@@ -66,7 +66,7 @@ pub(super) struct Listing {
     /// Cameras, in order of their first image; one if all are to have one size.
     pub(super) cameras: Vec<Taken>,
     /// Skipped images, with the reasons.
-    pub(super) warnings: Vec<String>,
+    pub(super) warnings: Vec<Warning>,
 }
 
 /// Lists a folder in natural order (`img2` before `img10`), reading headers, and where pictures end. What is called
@@ -84,15 +84,18 @@ pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Li
         let file = path.join(&name.text);
         match name.flaw.map_or_else(|| picture(id, &file, turning), Err) {
             Ok(taken) => found.push((id, file, name.text, taken)),
-            Err(reason) => listing.warnings.push(format!("{}: left out, cannot be read: {reason}", file.display())),
+            Err(reason) => {
+                let text = format!("{}: skipped, cannot be read: {reason}", file.display());
+                listing.warnings.push(Topic::ImageUnreadable.warning(text));
+            }
         }
     }
     let flawed = || found.iter().filter_map(|(_, file, _, taken)| Some((file, taken.exif_flaw.as_ref()?)));
     if let Some((file, flaw)) = flawed().next() {
         let (file, count) = (file.display(), flawed().count());
-        listing.warnings.push(format!(
+        listing.warnings.push(Topic::ExifUnreadable.warning(format!(
             "{file}: EXIF data of {count} images cannot be read ({flaw}): focal length, orientation, position unknown"
-        ));
+        )));
     }
     let common = match cameras {
         Cameras::One => commonest(found.iter().map(|(.., taken)| taken.size)),
@@ -113,26 +116,26 @@ pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Li
         listing.warnings.extend(skipped);
     }
     if listing.entries.is_empty() {
-        let found = listing.warnings.into_iter().next().unwrap_or_else(|| described(&others));
+        let found = listing.warnings.into_iter().next().map_or_else(|| described(&others), |warning| warning.text);
         return Err(VideoError::NoImages { path: path.to_owned(), found });
     }
     Ok(listing)
 }
 
 /// Says which images of the folder are of kinds that are not read, those aside that lie there as JPEG or PNG as well.
-fn skipped(path: &Path, names: &[Name], unread: Vec<String>) -> Option<String> {
+fn skipped(path: &Path, names: &[Name], unread: Vec<String>) -> Option<Warning> {
     let stem = |name: &str| Path::new(name).with_extension("").to_string_lossy().to_lowercase();
     let read: BTreeSet<String> = names.iter().map(|name| stem(&name.text)).collect();
     let mut alone: Vec<String> = unread.into_iter().filter(|name| !read.contains(&stem(name))).collect();
     alone.sort_by(|a, b| natural_cmp(a, b));
     let first = alone.first()?;
     let kind = Path::new(first).extension().and_then(OsStr::to_str).unwrap_or_default();
-    Some(format!(
-        "{}: {} of the folder's images skipped, only JPEG and PNG are read; the first is {first}; convert \
-         them (ImageMagick: `mogrify -format png *.{kind}`)",
+    Some(Topic::ImagesOfOtherKinds.warning(format!(
+        "{}: {} images skipped, only JPEG and PNG are read; the first is {first}; convert them (ImageMagick: `mogrify \
+         -format png *.{kind}`)",
         path.display(),
         alone.len()
-    ))
+    )))
 }
 
 /// Camera of an image by its header and its EXIF data.
@@ -183,13 +186,13 @@ pub(super) fn of_another_size(
     (width, height): (u32, u32),
     (other_width, other_height): (u32, u32),
     whose: &str,
-) -> String {
-    format!(
-        "{}: left out, has {width}x{height} pixels where {whose} {other_width}x{other_height}; frames of a \
-         video and pictures in which vehicles are looked for must have one size (`tractrix sfm` without masks and with \
-         --order none takes photographs of all sizes)",
+) -> Warning {
+    Topic::ImageSizeDiffers.warning(format!(
+        "{}: skipped, {width}x{height} pixels where {whose} {other_width}x{other_height}; frames of a video and images \
+         in which vehicles are detected must have one size (`tractrix sfm` without masks and with --order none accepts \
+         photographs of all sizes)",
         file.display()
-    )
+    ))
 }
 
 impl Listing {
@@ -227,16 +230,16 @@ impl Listing {
 }
 
 /// A word where pictures are stored otherwise than they stand: the models speak of upright pictures.
-fn turned(entries: &[Entry]) -> Option<String> {
+fn turned(entries: &[Entry]) -> Option<Warning> {
     let is_turned = |entry: &&Entry| entry.orientation != Orientation::NoTransforms;
     let first = entries.iter().find(is_turned)?;
     let count = entries.iter().filter(is_turned).count();
-    Some(format!(
-        "{}: {count} of {} pictures are turned upright, as their EXIF data say, and models speak of upright pictures; \
-         other programs that open them need upright files (ImageMagick: `mogrify -auto-orient *`)",
+    Some(Topic::ImagesRotated.warning(format!(
+        "{}: {count} of {} images rotated upright by their EXIF data; models refer to the upright images; other \
+         programs need upright files (ImageMagick: `mogrify -auto-orient *`)",
         first.path.display(),
         entries.len()
-    ))
+    )))
 }
 
 /// The files of a folder, hidden ones aside.
@@ -266,13 +269,13 @@ impl Name {
         let flaw = match fs::metadata(path) {
             Err(error) => Some(error.to_string()),
             Ok(found) if !found.is_file() => Some(format!("it is {}", files::in_words(found.file_type()))),
-            Ok(_) if name.to_str().is_none() => Some("its name is not in UTF-8; rename it".to_owned()),
+            Ok(_) if name.to_str().is_none() => Some("file name is not UTF-8; rename it".to_owned()),
             Ok(_) if is_unwritable(&text) => Some(
-                "its name begins or ends with a blank, or has a line break in it, which models cannot hold; rename it"
+                "file name begins or ends with a space or has a line break, which models cannot store; rename it"
                     .to_owned(),
             ),
             Ok(_) if name.len() > MAX_NAME_BYTES => {
-                Some(format!("its name has {} bytes, at most {MAX_NAME_BYTES} can be used; rename it", name.len()))
+                Some(format!("file name has {} bytes, at most {MAX_NAME_BYTES} allowed; rename it", name.len()))
             }
             Ok(_) => None,
         };
@@ -330,18 +333,18 @@ fn directly_in(path: &Path) -> Result<Contents, VideoError> {
 fn described(others: &BTreeMap<String, usize>) -> String {
     const VIDEOS: [&str; 9] = ["mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "mpg", "gif"];
     let Some((commonest, count)) = others.iter().max_by_key(|(_, count)| **count) else {
-        return "it is empty, and so are its folders; give the folder that the images are in".to_owned();
+        return "empty, and so are its subfolders; give the folder that contains the images".to_owned();
     };
     let files = if *count == 1 { "file" } else { "files" };
-    let kind = if commonest.is_empty() { "without an ending".to_owned() } else { format!(".{commonest}") };
+    let kind = if commonest.is_empty() { "without an extension".to_owned() } else { format!(".{commonest}") };
     let cure = match commonest.as_str() {
-        video if VIDEOS.contains(&video) => "give one video by its name",
+        video if VIDEOS.contains(&video) => "give one video file",
         picture if UNREAD.contains(&picture) => "convert them to PNG or JPEG (ImageMagick: `mogrify -format png *`)",
         _ => "give a folder of JPEG or PNG images, or a video",
     };
     match commonest.is_empty() {
-        true => format!("it holds {count} {files} {kind}; {cure}"),
-        false => format!("it holds {count} {kind} {files}; {cure}"),
+        true => format!("{count} {files} {kind}; {cure}"),
+        false => format!("{count} {kind} {files}; {cure}"),
     }
 }
 
@@ -351,7 +354,7 @@ fn header(path: &Path) -> Result<(u32, u32), String> {
     let size = reader.into_decoder().map_err(|e| e.to_string())?.dimensions();
     // A PNG that is cut short fails when it is decoded, a JPEG does not.
     match jpeg::is_cut_short(path).map_err(|e| e.to_string())? {
-        true => Err("the file is cut short, its picture has no end; copy it again".to_owned()),
+        true => Err("the file is truncated; copy it again".to_owned()),
         false => Ok(size),
     }
 }
@@ -479,7 +482,7 @@ mod tests {
         };
         let stored = entry(0, Orientation::NoTransforms);
         assert_eq!(turned(std::slice::from_ref(&stored)), None);
-        let said = turned(&[stored, entry(1, Orientation::Rotate90)]).unwrap();
+        let said = turned(&[stored, entry(1, Orientation::Rotate90)]).unwrap().text;
         assert!(said.contains("1.jpg: 1 of 2") && said.contains("auto-orient"), "{said}");
     }
 
@@ -492,13 +495,13 @@ mod tests {
         for name in ["1.DNG", "1.MOV", "notes.txt"] {
             fs::write(folder.path().join(name), b"x").unwrap();
         }
-        assert_eq!(warnings(), [""; 0]);
+        assert_eq!(warnings(), []);
         for name in ["10.HEIC", "9.HEIC"] {
             fs::write(folder.path().join(name), b"x").unwrap();
         }
         let said = warnings();
         assert!(
-            said.len() == 1 && said[0].contains("2 of the folder's images") && said[0].contains("9.HEIC"),
+            said.len() == 1 && said[0].text.contains("2 images skipped") && said[0].text.contains("9.HEIC"),
             "{said:?}"
         );
     }
@@ -531,7 +534,11 @@ mod tests {
         [251, 252, 255].iter().for_each(|length| RgbImage::new(8, 6).save(root.path().join(name(*length))).unwrap());
         let listing = list(root.path(), Turning::Auto, Cameras::One).unwrap();
         assert_eq!(listing.entries.iter().map(|entry| entry.name.len()).collect::<Vec<_>>(), [251]);
-        assert!(listing.warnings.len() == 2 && listing.warnings[0].contains("at most 251"), "{:?}", listing.warnings);
+        assert!(
+            listing.warnings.len() == 2 && listing.warnings[0].text.contains("at most 251"),
+            "{:?}",
+            listing.warnings
+        );
     }
 
     #[test]
@@ -550,6 +557,6 @@ mod tests {
         }
         let listing = list(root.path(), Turning::Auto, Cameras::One).unwrap();
         assert_eq!(listing.entries.len(), 1);
-        assert!(listing.warnings.iter().all(|warning| warning.contains("memory limit")), "{:?}", listing.warnings);
+        assert!(listing.warnings.iter().all(|warning| warning.text.contains("memory limit")), "{:?}", listing.warnings);
     }
 }

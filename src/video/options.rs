@@ -34,7 +34,7 @@ impl FromStr for Position {
 
     /// `12.5` is a time in seconds, `120f` a frame.
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("'{text}' is neither seconds (12.5) nor a frame (120f)");
+        let wrong = || format!("'{text}': expected seconds (12.5) or a frame (120f)");
         if let Some(frame) = text.strip_suffix('f') {
             return frame.parse().map(Self::Frame).map_err(|_| wrong());
         }
@@ -129,7 +129,7 @@ impl Options {
             _ => false,
         };
         if contradiction {
-            return Err(OptionError::new("start", "--start must lie before --end"));
+            return Err(OptionError::new("start", "--start must be before --end"));
         }
         if self.every == 0 {
             return Err(OptionError::new("every", "--every must be at least 1"));

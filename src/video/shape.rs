@@ -4,6 +4,8 @@
 //! height, says how wide they are. Cameras are modelled with square pixels, and people mark masks on what players show,
 //! so that frames get the size at which they are shown.
 
+use crate::scene::{Topic, Warning};
+
 /// Largest `SAR`, or its inverse, that is believed. Anamorphic lenses and half-width 3D have 2; damaged headers state
 /// anything.
 const MAX_ASPECT: f64 = 4.0;
@@ -28,13 +30,13 @@ fn longer(side: u32, factor: f64) -> u32 {
 /// Remark on frames that are not shown as they are stored.
 ///
 /// * `stored`, `shown` – sizes, upright.
-pub(super) fn remark(stored: (u32, u32), shown: (u32, u32)) -> Option<String> {
+pub(super) fn remark(stored: (u32, u32), shown: (u32, u32)) -> Option<Warning> {
     (stored != shown).then(|| {
-        format!(
-            "pixels are not square: frames of {}x{} pixels are stretched to {}x{}, as players show them; --intrinsics \
-             and all results refer to that size",
+        Topic::NonSquarePixels.warning(format!(
+            "non-square pixels: frames of {}x{} pixels are stretched to {}x{}, as players show them; --intrinsics and \
+             all results refer to that size",
             stored.0, stored.1, shown.0, shown.1
-        )
+        ))
     })
 }
 

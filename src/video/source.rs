@@ -17,7 +17,7 @@ use super::{Frames, Options, VideoError, shape};
 use crate::ffi::ffmpeg::Purpose;
 use crate::image::scale_to_fit;
 use crate::limits::files;
-use crate::scene::{Frame, FrameId, TimeBase};
+use crate::scene::{Frame, FrameId, TimeBase, Topic, Warning};
 
 /// Kind of input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -102,7 +102,7 @@ pub struct Scan {
     /// Chosen frames of a video that are not listed since they repeat the one before.
     pub num_repeated: usize,
     /// Problems of the input although it can be used, one sentence each.
-    pub warnings: Vec<String>,
+    pub warnings: Vec<Warning>,
 }
 
 /// A video file or a folder of images.
@@ -114,7 +114,7 @@ pub struct Source {
     cameras: Vec<PictureCamera>,
     listing: Option<Listing>,
     /// Remarks on how a video is read, for the user.
-    remarks: Vec<String>,
+    remarks: Vec<Warning>,
 }
 
 /// Stated counts of frames may be this far off without being worth a word: containers round durations.
@@ -170,7 +170,7 @@ impl Source {
     }
 
     /// Why a picture of another size than the first one is left out, where all must have one.
-    pub fn of_another_size(&self, frame: &Frame) -> Option<String> {
+    pub fn of_another_size(&self, frame: &Frame) -> Option<Warning> {
         let (first, own) = (self.cameras.first()?, self.cameras.iter().find(|c| c.frames.contains(&frame.id))?);
         let size = |camera: &PictureCamera| (camera.source_width, camera.source_height);
         (size(first) != size(own)).then(|| {
@@ -219,7 +219,7 @@ impl Source {
         }
         let surveyed = survey.finish(&self.path, (self.info.source_width, self.info.source_height));
         let mut warnings = self.listing.as_ref().map_or_else(Vec::new, |listing| listing.warnings.clone());
-        warnings.extend(self.remarks.iter().map(|remark| format!("{}: {remark}", self.path.display())));
+        warnings.extend(self.remarks.iter().map(|remark| remark.of(&self.path.display().to_string())));
         warnings.extend(surveyed.warnings);
         warnings.extend(self.time_warning(decoder.num_guessed()));
         warnings.extend(self.count_warning(decoder.as_ref()));
@@ -272,23 +272,24 @@ impl Source {
         })
     }
 
-    fn time_warning(&self, num_guessed: u32) -> Option<String> {
+    fn time_warning(&self, num_guessed: u32) -> Option<Warning> {
         (num_guessed > 0).then(|| {
             let path = self.path.display();
-            format!(
-                "{path}: {num_guessed} time stamps are missing or do not rise; they follow the pace of the frames \
-                before"
-            )
+            Topic::TimeStampsMissing.warning(format!(
+                "{path}: {num_guessed} time stamps missing or not ascending; extrapolated from the frames before"
+            ))
         })
     }
 
     /// Compares what the container states with what is there, after a scan that went to the end.
-    fn count_warning(&self, decoder: &dyn Decoder) -> Option<String> {
+    fn count_warning(&self, decoder: &dyn Decoder) -> Option<Warning> {
         let stated = self.info.num_frames.filter(|_| self.info.kind == Kind::Video && self.options.end.is_none())?;
         let found = decoder.num_stepped();
         (found + COUNT_TOLERANCE < stated).then(|| {
             let path = self.path.display();
-            format!("{path}: only {found} of {stated} frames can be decoded; the file is cut off or damaged")
+            Topic::FramesMissing.warning(format!(
+                "{path}: only {found} of {stated} frames can be decoded; the file is truncated or damaged"
+            ))
         })
     }
 }
@@ -328,7 +329,7 @@ fn only_camera(info: &Info) -> PictureCamera {
 }
 
 /// Probes a video: its properties, and remarks on how it is read.
-fn file_info(path: &Path, options: &Options) -> Result<(Info, Vec<String>), VideoError> {
+fn file_info(path: &Path, options: &Options) -> Result<(Info, Vec<Warning>), VideoError> {
     let no_frames = || VideoError::NoFrames { path: path.to_owned() };
     let video = Video::open(path, Purpose::Pictures, options.track)?;
     let container = video.container();
@@ -406,7 +407,7 @@ mod tests {
         fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
         let scan = Source::open(&path, &Options::default()).unwrap().scan().unwrap();
         assert!(scan.frames.len() < 29 && !scan.frames.is_empty());
-        assert!(scan.warnings.iter().any(|w| w.contains("of 30 frames")), "{:?}", scan.warnings);
+        assert!(scan.warnings.iter().any(|w| w.text.contains("of 30 frames")), "{:?}", scan.warnings);
     }
 
     #[test]
@@ -467,7 +468,7 @@ mod tests {
         assert_eq!(sizes, [(32, 24), (24, 32), (32, 24), (20, 16)]);
         let scan = source.scan().unwrap();
         assert!(scan.warnings.is_empty() && source.of_another_size(&scan.frames[2]).is_none());
-        assert!(source.of_another_size(&scan.frames[3]).unwrap().contains("4.png: left out, has 20x16"));
+        assert!(source.of_another_size(&scan.frames[3]).unwrap().text.contains("4.png: skipped, 20x16"));
         let one = Source::open(folder.path(), &options).unwrap();
         assert_eq!((one.cameras().len(), one.scan().unwrap().warnings.len()), (1, 2));
     }
@@ -489,7 +490,7 @@ mod tests {
         // The PNG is found out when it is decoded.
         assert_eq!(scan.frames.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(), ["1.jpg", "3.png", "4.jpg"]);
         assert_eq!(scan.warnings.len(), 1, "{:?}", scan.warnings);
-        assert!(scan.warnings[0].contains("2.jpg: left out") && scan.warnings[0].contains("cut short"));
+        assert!(scan.warnings[0].text.contains("2.jpg: skipped") && scan.warnings[0].text.contains("truncated"));
         let (pictures, failed): (Vec<_>, Vec<_>) = source.frames().unwrap().partition(Result::is_ok);
         assert_eq!(pictures.into_iter().map(|f| f.unwrap().0.id.0).collect::<Vec<_>>(), [0, 3]);
         assert_eq!(failed.len(), 1);

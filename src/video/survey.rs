@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::decode::Inspection;
 use super::repeats;
-use crate::scene::Frame;
+use crate::scene::{Frame, Topic, Warning};
 
 /// Collects the frames of an input on a walk through it.
 #[derive(Debug, Default)]
@@ -18,7 +18,7 @@ pub(super) struct Survey {
 pub(super) struct Surveyed {
     pub(super) frames: Vec<Frame>,
     pub(super) num_repeated: usize,
-    pub(super) warnings: Vec<String>,
+    pub(super) warnings: Vec<Warning>,
 }
 
 impl Survey {
@@ -42,25 +42,25 @@ impl Survey {
         let other = || frames.iter().zip(&found).filter_map(|(frame, found)| Some((frame, found.other_size?)));
         if let Some((first, (other_width, other_height))) = other().next() {
             let ((width, height), num_other, id) = (size, other().count(), first.id.0);
-            warnings.push(format!(
-                "{path}: {num_other} of {count} frames have another size than the first ({width}x{height}), from frame \
-                 {id} ({other_width}x{other_height}) on: skipped; cut the video where its size changes (--end {id}f, \
+            warnings.push(Topic::FrameSizeChanges.warning(format!(
+                "{path}: {num_other} of {count} frames skipped, other size than the first ({width}x{height}), from \
+                 frame {id} ({other_width}x{other_height}) on; cut the video where its size changes (--end {id}f, \
                  --start {id}f)"
-            ));
+            )));
         }
         let num_repeated = is_repeated.iter().filter(|repeated| **repeated).count();
         if num_repeated > 0 {
-            warnings.push(format!(
-                "{path}: {num_repeated} of {count} frames repeat the one before: skipped; indices and times are those \
-                 of the video"
-            ));
+            warnings.push(Topic::RepeatedFrames.warning(format!(
+                "{path}: {num_repeated} of {count} frames skipped: they repeat the one before; indices and times are \
+                 those of the video"
+            )));
         }
         let num_combed = found.iter().filter(|frame| frame.is_combed).count();
         if num_combed > 0 {
-            warnings.push(format!(
-                "{path}: interlaced, the fields of {num_combed} of {count} frames differ: one field of these is used, \
-                 with half the rows; `ffmpeg -i FILE -vf bwdif=mode=send_frame OUT` keeps more detail"
-            ));
+            warnings.push(Topic::InterlacedVideo.warning(format!(
+                "{path}: interlaced, the fields of {num_combed} of {count} frames differ; one field of each is used, \
+                 with half the rows; for more detail deinterlace it: `ffmpeg -i FILE -vf bwdif=mode=send_frame OUT`"
+            )));
         }
         let is_kept = found.iter().zip(&is_repeated).map(|(found, repeated)| found.other_size.is_none() && !repeated);
         let frames = frames.into_iter().zip(is_kept).filter_map(|(frame, kept)| kept.then_some(frame)).collect();

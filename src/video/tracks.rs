@@ -5,6 +5,7 @@ use std::path::Path;
 use super::VideoError;
 use super::diagnosis;
 use crate::ffi::ffmpeg::{FfmpegError, MediaFile, Packet, Stream, StreamKind};
+use crate::scene::{Topic, Warning};
 
 /// A track with fewer frames than this share of the longest one is not the camera's: cameras recorded together have 15
 /// to 60 frames per second, thumbnails one per second or one in all.
@@ -69,12 +70,12 @@ fn counted(path: &Path, tracks: &[(u32, Stream)]) -> Result<Vec<u64>, FfmpegErro
 
 impl Chosen {
     /// Says which track was taken where there are several.
-    pub(super) fn remark(&self) -> Option<String> {
+    pub(super) fn remark(&self) -> Option<Warning> {
         (self.num_candidates > 1).then(|| {
-            format!(
-                "{} video tracks: track {} is used; --video-track N chooses another (0 is the first)",
+            Topic::SeveralVideoTracks.warning(format!(
+                "{} video tracks: using track {}; --video-track N selects another one (0 is the first)",
                 self.num_candidates, self.track
-            )
+            ))
         })
     }
 }

@@ -16,6 +16,7 @@ use crate::cli::run;
 use crate::cli::terminal::Talk;
 use crate::io::RunFolder;
 use crate::pipeline::{self, Ended, Failed, Identity, Job, Options, Overwrite, Stage, Standing};
+use crate::scene::Topic;
 
 /// The options of a line, as `run` has them.
 #[derive(Debug, Parser)]
@@ -172,12 +173,12 @@ impl Item {
     fn note_other_index(&self) {
         let before = words::index_of_run(&pipeline::arguments_of_run(&self.output).unwrap_or_default());
         if let Some(before) = before.filter(|before| *before != self.index) {
-            tracing::warn!(
-                "{}: index {} of the list now, index {before} when it was last run: the list has changed; give every \
-                 index again, and see --status",
-                self.name,
-                self.index
+            let text = format!(
+                "{}: index {} in the list, {before} in its last run: list changed; submit all indices again, see \
+                 --status",
+                self.name, self.index
             );
+            tracing::warn!("{}", Topic::ListChanged.warning(text));
         }
     }
 
@@ -206,7 +207,7 @@ impl Item {
 fn lacks_tab(entry: &Entry) -> Option<String> {
     let name = entry.input.to_string_lossy();
     (name.contains(" --") && !entry.input.exists())
-        .then(|| format!("there is no '{name}'; between a video and its options stands a tab"))
+        .then(|| format!("'{name}' not found; separate the video from its options by a tab"))
 }
 
 /// Message of clap, without its usage line.

@@ -85,7 +85,8 @@ impl List {
         let bytes = handed.as_bytes();
         let parts = bytes.iter().position(|&byte| byte == b' ').map(|at| (&bytes[..at], &bytes[at + 1..]));
         let parsed = parts.and_then(|(number, text)| Some((std::str::from_utf8(number).ok()?.parse().ok()?, text)));
-        let (number, text) = parsed.ok_or_else(|| Failure::Usage("--entry is for the program itself".to_owned()))?;
+        let (number, text) =
+            parsed.ok_or_else(|| Failure::Usage("--entry: internal flag, not for users".to_owned()))?;
         let jobs = Jobs::Given(number, OsStr::from_bytes(text).to_owned());
         Ok(Self { path: path.to_owned(), folder: folder(path), jobs })
     }
@@ -118,7 +119,7 @@ impl List {
 
     fn check(&self) -> Result<(), Failure> {
         if self.len() == 0 {
-            let wanted = if self.path.is_dir() { "no video in it" } else { "no video is named in it" };
+            let wanted = if self.path.is_dir() { "no video in the folder" } else { "no video in the list" };
             return Err(Failure::Usage(format!("{}: {wanted}", self.path.display())));
         }
         let hashes = RandomState::new();
@@ -134,8 +135,7 @@ impl List {
             let (first, second) = (self.entry(first)?, self.entry(second)?);
             if first.name == second.name {
                 let wrong = format!(
-                    "its results would lie in '{}', as those of line {}; give it a name of its own: after the video \
-                     a tab and --name NAME",
+                    "output folder '{}' is also that of line {}; give it another name: append a tab and --name NAME",
                     second.name, first.line
                 );
                 return Err(at(&self.path, second.line, &wrong));
@@ -157,7 +157,7 @@ impl List {
         };
         parsed.unwrap_or_else(|| {
             let (path, number) = (self.path.display(), self.len());
-            Err(Failure::Usage(format!("--index {index}: {path} has {number} jobs, 0 to {}", number - 1)))
+            Err(Failure::Usage(format!("--index {index}: {path} has {number} jobs; give 0 to {}", number - 1)))
         })
     }
 
@@ -167,7 +167,7 @@ impl List {
 
     fn video(&self, number: usize, name: &OsStr) -> Result<Entry, Failure> {
         let input = self.folder.join(name);
-        let name = name_of(&input).ok_or_else(|| at(&self.path, number, "its name is not UTF-8; rename it"))?;
+        let name = name_of(&input).ok_or_else(|| at(&self.path, number, "file name is not UTF-8; rename it"))?;
         Ok(Entry { line: number, name, input, words: Vec::new() })
     }
 }
@@ -203,12 +203,12 @@ fn entry(number: usize, line: &[u8], folder: &Path) -> Result<Entry, String> {
         Some(tab) => (line[..tab].trim_ascii(), &line[tab + 1..]),
         None => (line, &[][..]),
     };
-    let options = std::str::from_utf8(options).map_err(|_| "the options are not UTF-8")?;
+    let options = std::str::from_utf8(options).map_err(|_| "options are not UTF-8")?;
     let mut words = words::split(options)?;
     let input = folder.join(OsStr::from_bytes(video));
     let name = match words::take_value(&mut words, "--name")? {
         Some(name) => name,
-        None => name_of(&input).ok_or("no name can be made of this path; after it give a tab and --name NAME")?,
+        None => name_of(&input).ok_or("no name can be derived from this path; append a tab and --name NAME")?,
     };
     Ok(Entry { line: number, name, input, words })
 }
@@ -240,14 +240,14 @@ fn videos_in(folder: &Path) -> Result<Vec<OsString>, Failure> {
 
 fn check_name(name: &str) -> Result<(), String> {
     let wrong = match name {
-        "" => "has no letter",
+        "" => "is empty",
         _ if name.starts_with('.') => "begins with a dot",
-        _ if name.contains('/') => "has a slash in it",
-        _ if name.chars().any(char::is_control) => "has characters that cannot be shown",
+        _ if name.contains('/') => "contains a slash",
+        _ if name.chars().any(char::is_control) => "contains unprintable characters",
         _ if name.len() > MAX_NAME_BYTES => "is too long",
         _ => return Ok(()),
     };
-    Err(format!("no folder can be called {name:?}, which {wrong}; after the video give a tab and --name NAME"))
+    Err(format!("name {name:?} {wrong}; append a tab and --name NAME"))
 }
 
 #[cfg(test)]

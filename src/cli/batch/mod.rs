@@ -26,14 +26,15 @@ use item::Maker;
 use list::List;
 use side_by_side::Share;
 
-const LIST_HELP: &str = "List of videos, one a line, after each a tab and options of its own; or a folder of videos";
+const LIST_HELP: &str = "List of videos, one per line, each optionally followed by a tab and its options; or a folder \
+     of videos";
 const LIST_LONG_HELP: &str =
-    "List of videos, one a line, after each a tab and options of its own; or a folder of videos
+    "List of videos, one per line, each optionally followed by a tab and its options; or a folder of videos
 
-A line is a video, or a folder of images. Relative paths begin at the folder of the list. Empty lines and those that \
-                              begin with # are passed over. The results of a job lie in DIR/NAME: NAME is the video's \
-                              without the ending, or what --name NAME says among its options.";
-const OUTPUT_HELP: &str = "Folder for the results: one output folder per job";
+A line is a video, or a folder of images. Relative paths start at the folder of the list. Empty lines and lines that \
+                              begin with # are skipped. The results of a job are in DIR/NAME: NAME is the video's \
+                              file name without extension, or the value of --name among its options.";
+const OUTPUT_HELP: &str = "Folder of the results, with one output folder per job";
 
 #[derive(Debug, clap::Args)]
 #[command(
@@ -42,13 +43,13 @@ const OUTPUT_HELP: &str = "Folder for the results: one output folder per job";
     mut_arg("output", |flag| flag.help(OUTPUT_HELP)),
 )]
 pub(super) struct Args {
-    /// Do one job alone, the K-th from 0: for schedulers
+    /// Run one job, the K-th from 0 (for schedulers)
     #[arg(long, value_name = "K")]
     pub(super) index: Option<usize>,
-    /// Do all jobs on this machine, up to N side by side; --threads are those of all together
+    /// Run all jobs on this machine, up to N in parallel; --threads is their total
     #[arg(long, value_name = "N")]
     pub(super) jobs: Option<NonZeroUsize>,
-    /// Say what has become of every job; exit code 0 if all are done
+    /// Show the state of every job; exit code 0 if all are done
     #[arg(long)]
     pub(super) status: bool,
     /// Job of a parent process, which has read the list
@@ -87,7 +88,7 @@ fn end_with_parent(parent: u32) -> Result<(), Failure> {
     set_parent_process_death_signal(Some(Signal::TERM)).context("cannot follow the parent process")?;
     // The parent may have ended before.
     if getppid().is_none_or(|now| now.as_raw_nonzero().get().unsigned_abs() != parent) {
-        kill_process(getpid(), Signal::TERM).context("cannot end after the parent process")?;
+        kill_process(getpid(), Signal::TERM).context("cannot end with the parent process")?;
     }
     Ok(())
 }

@@ -133,7 +133,7 @@ fn at_a_time(most: usize, memory: MemoryLimit, talk: &Talk) -> usize {
     if room < most {
         let each = MEMORY_OF_A_JOB >> 20;
         talk.say(&format!(
-            "{room} jobs at a time instead of {most}: a job may need {each} MiB, and there are {memory}"
+            "running {room} jobs at a time instead of {most}: a job may need {each} MiB, available: {memory}"
         ));
     }
     room.min(most)
@@ -148,7 +148,7 @@ fn part(share: Share, most: usize) -> [String; 4] {
 
 /// Starts a process for a job. It gets its entry of the list, which may have changed since it was read.
 fn start(item: Item, list: &List, arguments: &[OsString], part: &[String]) -> Result<Running, anyhow::Error> {
-    let program = env::current_exe().context("the program does not find itself")?;
+    let program = env::current_exe().context("cannot locate the program's own executable")?;
     let mut entry = OsString::from("--entry=");
     entry.push(list.handed(item.index));
     let more: Vec<OsString> = [entry, format!("--parent={}", process::id()).into()]
@@ -196,10 +196,10 @@ fn fate(item: &Item, status: ExitStatus) -> Fate {
     let (state, reason) = match (status.code(), status.signal()) {
         (Some(0), _) => return of_ended(item),
         (Some(code), _) if FINAL.contains(&code) => (State::Failed, reason(item)),
-        (Some(BROKEN), _) => (State::Failed, "the program broke, which is a defect to be reported".into()),
-        (_, Some(9)) => (State::ToGoOn, "it was killed: perhaps there was not enough memory".into()),
-        (_, Some(signal)) => (State::ToGoOn, format!("it was ended by signal {signal}")),
-        (code, _) => (State::ToGoOn, format!("it was stopped, exit code {}", code.unwrap_or(-1))),
+        (Some(BROKEN), _) => (State::Failed, "internal error; please report it".into()),
+        (_, Some(9)) => (State::ToGoOn, "killed, possibly out of memory".into()),
+        (_, Some(signal)) => (State::ToGoOn, format!("ended by signal {signal}")),
+        (code, _) => (State::ToGoOn, format!("stopped, exit code {}", code.unwrap_or(-1))),
     };
     Fate { index: item.index, state, reason: Some(reason), exit_code }
 }
@@ -207,7 +207,7 @@ fn fate(item: &Item, status: ExitStatus) -> Fate {
 /// State of a job whose process ended with exit code 0.
 fn of_ended(item: &Item) -> Fate {
     let fate = Fate::of(item.index, item.standing());
-    let unsaid = || Some("it ended with exit code 0, but its output folder is not complete".to_owned());
+    let unsaid = || Some("ended with exit code 0, but the output folder is incomplete".to_owned());
     match fate.state {
         State::Done | State::Outdated => fate,
         _ => Fate { state: State::ToGoOn, reason: fate.reason.or_else(unsaid), ..fate },
@@ -219,7 +219,7 @@ fn reason(item: &Item) -> String {
     let is_of_now = |ended: &Ended| ended.of == Identity::of(&item.input, &item.options);
     let ended = Ended::of_folder(&item.output).filter(is_of_now);
     let left = ended.and_then(|ended| ended.failure).map(|failed| failed.reason);
-    left.unwrap_or_else(|| format!("it could leave no word; `--index {}` says why", item.index))
+    left.unwrap_or_else(|| format!("no reason recorded; `--index {}` shows it", item.index))
 }
 
 fn said(fate: &Fate, name: &str, took: Option<Duration>, number: usize, all: usize) -> String {
@@ -234,7 +234,7 @@ fn end(list: &List, maker: &Maker, fates: &[Fate], form: Form) -> Result<(), Fai
     let is_final = |fate: &Fate| matches!(fate.state, State::Done | State::Failed);
     let said = || anyhow::anyhow!("not all jobs are done: {}", counted(fates));
     let failure = if !fates.iter().all(is_final) {
-        Some(Failure::Again(said().context("the same command again does what is left")))
+        Some(Failure::Again(said().context("run the same command again")))
     } else if fates.iter().any(|fate| fate.state == State::Failed) {
         Some(Failure::Partial(said()))
     } else {

@@ -105,7 +105,7 @@ pub(super) fn run(args: &Args, list: &List, maker: &Maker, form: Form) -> Result
         fates.par_extend(lines.par_iter().enumerate().map(of_line));
     }
     let failure = (!fates.iter().all(|fate| fate.state == State::Done)).then(|| {
-        let said = format!("not all jobs are done: {}; the same list again does what is left", counted(&fates));
+        let said = format!("not all jobs are done: {}; run the same list again", counted(&fates));
         Failure::Partial(anyhow::anyhow!(said))
     });
     show_all(list, maker, &fates, failure.as_ref(), form)?;

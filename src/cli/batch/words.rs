@@ -24,7 +24,7 @@ pub(super) fn split(text: &str) -> Result<Vec<String>, String> {
         }
     }
     match quote {
-        Some(mark) => Err(format!("a quotation that begins with {mark} does not end")),
+        Some(mark) => Err(format!("quotation mark {mark} is not closed")),
         None => {
             words.extend(word);
             Ok(words)
@@ -42,7 +42,7 @@ pub(super) fn take_value(words: &mut Vec<String>, flag: &str) -> Result<Option<S
         value = Some(match words[at].split_once('=') {
             Some((_, value)) => value.to_owned(),
             None if at + 1 < words.len() => words.remove(at + 1),
-            None => return Err(format!("{flag} has no value")),
+            None => return Err(format!("{flag}: value missing")),
         });
         words.remove(at);
     }
@@ -91,7 +91,7 @@ mod tests {
         );
         assert_eq!(split(" \t").unwrap(), Vec::<String>::new());
         assert_eq!(split(r"C:\a").unwrap(), [r"C:\a"]);
-        assert!(split("--name 'a").unwrap_err().contains("does not end"));
+        assert!(split("--name 'a").unwrap_err().contains("is not closed"));
     }
 
     #[test]

@@ -23,6 +23,7 @@ use crate::eval::benchmark::{Benchmark, Entry, summarise};
 use crate::io::{self, FolderError, OwnedFolder, Place, RunFolder, atomic, refuse_own_input};
 use crate::pipeline::Options;
 use crate::report::benchmark as pages;
+use crate::scene::Topic;
 use crate::video::Position;
 use sequences::{Found, find};
 
@@ -32,31 +33,31 @@ const JSON: &str = "benchmark.json";
 const MARKDOWN: &str = "benchmark.md";
 const TRAJECTORY_ERROR: &str = "trajectory-error.svg";
 const SCALE_DEVIATION: &str = "scale-deviation.svg";
-const SCALE_METHOD_HELP: &str = "How the scale ratio is found; the other methods are evaluated beside it";
+const SCALE_METHOD_HELP: &str = "Scale method used for the result; the others are evaluated for comparison";
 
 #[derive(Clone, Debug, clap::Args)]
 #[command(mut_arg("scale_method", |flag| flag.help(SCALE_METHOD_HELP)))]
 pub(super) struct Args {
-    /// Folder of sequences: every folder in it that has a scene.json
+    /// Folder of sequences: all subfolders with a scene.json
     #[arg(value_name = "DIR")]
     pub(super) folder: PathBuf,
     /// Folder for the results: one output folder per sequence, benchmark.json, benchmark.md and two charts
     #[arg(long, short, value_name = "OUT", default_value = "benchmark")]
     pub(super) output: PathBuf,
-    /// Replace results of sequences that have changed since
+    /// Replace results of sequences that have changed
     #[arg(long)]
     pub(super) overwrite: bool,
-    /// Only sequences with this in the name of their folder; may be repeated
+    /// Only sequences whose folder name contains this text; may be repeated
     #[arg(long, value_name = "TEXT")]
     pub(super) only: Vec<String>,
     /// Label of these results in tables
     #[arg(long, value_name = "NAME", default_value = "tractrix")]
     pub(super) label: String,
-    /// benchmark.json of another benchmark, to stand next to this one in the tables; may be repeated
+    /// benchmark.json of another benchmark, added to the tables for comparison; may be repeated
     #[arg(long, value_name = "FILE")]
     pub(super) compare: Vec<PathBuf>,
 
-    /// COLMAP models of all sequences, taken as they are: DIR/<sequence>/background and DIR/<sequence>/object
+    /// COLMAP models of all sequences, used unchanged: DIR/<sequence>/background and DIR/<sequence>/object
     #[arg(
         long,
         value_name = "DIR",
@@ -71,10 +72,10 @@ pub(super) struct Args {
     #[arg(long, value_name = "DIR", help_heading = "Geometry")]
     pub(super) object_models: Option<PathBuf>,
 
-    /// End of every sequence, itself left out: seconds or a frame index (30f)
+    /// End (exclusive) of every sequence: seconds or a frame index (30f)
     #[arg(long, value_name = "TIME", help_heading = "Frames")]
     pub(super) end: Option<Position>,
-    /// Take every N-th frame; the others count as not registered
+    /// Use every N-th frame; the others count as not registered
     #[arg(long, value_name = "N", help_heading = "Frames")]
     pub(super) every: Option<u32>,
 
@@ -86,7 +87,8 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) 
     let options = options(args)?;
     let Found { sequences, left_out } = find(&args.folder, &args.only, &args.output)?;
     for name in &left_out {
-        tracing::warn!("{}: has no scene.json, left out", args.folder.join(name).display());
+        let text = format!("{}: skipped, no scene.json", args.folder.join(name).display());
+        tracing::warn!("{}", Topic::SequenceSkipped.warning(text));
     }
     let others: Vec<Benchmark> = args.compare.iter().map(|path| read(path)).collect::<Result<_, _>>()?;
     for path in &args.compare {
@@ -129,7 +131,7 @@ fn failure(benchmark: &Benchmark) -> Option<String> {
     let failed: Vec<&str> = benchmark.failed().map(|entry| entry.folder.as_str()).collect();
     (!failed.is_empty()).then(|| {
         let (num_failed, all) = (failed.len(), benchmark.sequences.len());
-        format!("{num_failed} of {all} sequences failed: {}; benchmark.md has the reasons", failed.join(", "))
+        format!("{num_failed} of {all} sequences failed: {}; see benchmark.md for the reasons", failed.join(", "))
     })
 }
 
@@ -143,7 +145,7 @@ fn options(args: &Args) -> Result<Options, Failure> {
 
 fn read(path: &Path) -> Result<Benchmark, Failure> {
     let benchmark: Benchmark =
-        io::json::read(path).with_context(|| format!("{}: is no benchmark.json; check --compare", path.display()))?;
+        io::json::read(path).with_context(|| format!("{}: not a benchmark.json; check --compare", path.display()))?;
     io::json::check_version(path, benchmark.version, VERSION)?;
     Ok(benchmark)
 }

@@ -47,10 +47,13 @@ pub(in crate::cli) fn find(folder: &Path, only: &[String], output: &Path) -> Res
     let shown = folder.display();
     match (num_sequences, found.sequences.len()) {
         (0, _) if folder.join("scene.json").is_file() => Err(Failure::Input(anyhow::anyhow!(
-            "{shown}: is itself a sequence; give the folder above it, and --only with its name"
+            "{shown}: this is a sequence itself; give the folder that contains it, and its name with --only"
         ))),
-        (0, _) => Err(Failure::Input(anyhow::anyhow!("{shown}: no folder in it has a scene.json; render some first"))),
-        (_, 0) => Err(Failure::Input(anyhow::anyhow!("{shown}: no sequence has {} in its name", only.join(" or ")))),
+        (0, _) => Err(Failure::Input(anyhow::anyhow!(
+            "{shown}: no folder in it has a scene.json; render sequences \
+             first"
+        ))),
+        (_, 0) => Err(Failure::Input(anyhow::anyhow!("{shown}: no sequence name contains {}", only.join(" or ")))),
         _ => Ok(found),
     }
 }

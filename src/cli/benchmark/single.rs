@@ -47,7 +47,7 @@ pub(super) fn sequence(
         Err(panic) => {
             let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
             let text = text.unwrap_or("no message");
-            Ok(described(failed(format!("the program broke, which is a defect to be reported: {text}"))))
+            Ok(described(failed(format!("internal error; please report it: {text}"))))
         }
     }
 }
@@ -106,7 +106,7 @@ fn given(models: Option<&Path>, name: &str, part: Option<&str>) -> Option<PathBu
 }
 
 fn exists(model: PathBuf) -> anyhow::Result<PathBuf> {
-    anyhow::ensure!(model.is_dir(), "{}: there is no such model; the other program may have failed", model.display());
+    anyhow::ensure!(model.is_dir(), "{}: model not found; the other program may have failed", model.display());
     Ok(model)
 }
 

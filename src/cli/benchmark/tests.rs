@@ -33,8 +33,8 @@ fn sequences_are_the_folders_with_a_scene() {
 fn a_folder_without_sequences_is_refused_with_a_cure() {
     let said = |folder: &std::path::Path| find(folder, &[], folder).err().unwrap().to_string();
     let place = data_set(&[("textures", false), ("a_van", true)]);
-    assert!(said(&place.path().join("textures")).contains("render some first"));
-    assert!(said(&place.path().join("a_van")).contains("give the folder above"));
+    assert!(said(&place.path().join("textures")).contains("render sequences first"));
+    assert!(said(&place.path().join("a_van")).contains("give the folder that contains it"));
     assert!(said(&place.path().join("none")).contains("cannot be read"));
 }
 

@@ -48,7 +48,7 @@ impl Setting<'_> {
             Ok(Ok(case)) => Ok(case),
             Ok(Err(error)) if stands_in_every_way(&error) => Err(error.into()),
             Ok(Err(error)) => Ok(failed(Failure::Input(error).to_string())),
-            Err(_) => Ok(failed("the program broke, which is a defect to be reported".into())),
+            Err(_) => Ok(failed("internal error; please report it".into())),
         }
     }
 

@@ -30,7 +30,7 @@ const MARGIN: f64 = 0.15;
 /// What cannot be read of the sequence, or written.
 pub(super) fn write(sequence: &Sequence, variant: Variant, folder: &Path, seed: u64) -> anyhow::Result<()> {
     for part in ["images", "masks", "semantic"] {
-        fs::create_dir_all(folder.join(part)).with_context(|| format!("{}: cannot be made", folder.display()))?;
+        fs::create_dir_all(folder.join(part)).with_context(|| format!("{}: cannot be created", folder.display()))?;
     }
     let maker = Maker { sequence, variant, folder, seed, size: size(sequence.frame_size(), variant) };
     let source = Source::open(&sequence.input()?, &Options::default())?;
@@ -52,7 +52,7 @@ pub(super) fn write(sequence: &Sequence, variant: Variant, folder: &Path, seed: 
 /// What cannot be read of the clip, or written.
 pub(super) fn write_clip(clip: &Path, variant: Variant, folder: &Path, seed: u64) -> anyhow::Result<()> {
     let images = folder.join("images");
-    fs::create_dir_all(&images).with_context(|| format!("{}: cannot be made", images.display()))?;
+    fs::create_dir_all(&images).with_context(|| format!("{}: cannot be created", images.display()))?;
     let source = Source::open(clip, &Options::default())?;
     let size = size((source.info().width, source.info().height), variant);
     for item in source.frames()? {

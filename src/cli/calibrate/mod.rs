@@ -37,26 +37,26 @@ const CURVES: &str = "breakdown-";
 
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
-    /// Folder of sequences: every folder in it that has a scene.json
+    /// Folder of sequences: all subfolders with a scene.json
     #[arg(value_name = "DIR", required_unless_present = "clip")]
     pub(super) folder: Option<PathBuf>,
-    /// Also a real clip, whose truth nobody knows: its variants are compared with the clip as it is; may be repeated
+    /// Real clip without truth: its variants are compared with the unmodified clip; may be repeated
     #[arg(long, value_name = "VIDEO")]
     pub(super) clip: Vec<PathBuf>,
     /// Folder for the results: one output folder per sequence and variant, calibration.json, calibration.md, curves
     #[arg(long, short, value_name = "OUT", default_value = "calibration")]
     pub(super) output: PathBuf,
-    /// Replace results of sequences that have changed since
+    /// Replace results of sequences that have changed
     #[arg(long)]
     pub(super) overwrite: bool,
-    /// Only sequences with this in the name of their folder; may be repeated
+    /// Only sequences whose folder name contains this text; may be repeated
     #[arg(long, value_name = "TEXT")]
     pub(super) only: Vec<String>,
-    /// calibration, breakdown, or single variants, such as noise-8 or frames-30
+    /// Variants: calibration, breakdown, or single ones, such as noise-8 or frames-30
     ///
-    /// as-it-is, raw (nothing is given), frames-N, window-FIRST (20 frames), seed-N, blur-PIXELS, compression-QUALITY,
-    /// noise-LEVELS, scale-FACTOR, erosion-PIXELS, dilation-PIXELS, jitter-PIXELS (of the masks), hidden-SHARE (of the
-    /// frames).
+    /// as-it-is, raw (no given masks or intrinsics), frames-N, window-FIRST (20 frames), seed-N, blur-PIXELS,
+    /// compression-QUALITY, noise-LEVELS, scale-FACTOR, erosion-PIXELS, dilation-PIXELS, jitter-PIXELS (of the masks),
+    /// hidden-SHARE (of the frames).
     #[arg(long, value_name = "NAME", value_delimiter = ',', default_value = "calibration")]
     pub(super) variants: Vec<String>,
 
@@ -113,14 +113,14 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) 
 /// One clip in all variants that can be made of it. What fails is reported, and the others go on.
 fn clips(setting: &Setting, clip: &Path, variants: &[Variant], calibration: &mut Calibration) -> Result<(), Failure> {
     let talk = setting.talk;
-    talk.say(&format!("{}, as it is", clip.display()));
+    talk.say(&format!("{}, unmodified", clip.display()));
     let as_it_is = setting.clip_as_it_is(clip)?;
     for variant in variants.iter().filter(|variant| clip::is_possible(**variant)) {
         let name = format!("{}, {variant}", clip.display());
         talk.say(&name);
         match setting.spreads(clip, *variant, &as_it_is) {
             Ok(spreads) => {
-                talk.say(&format!("{name}: {} vehicles in both", spreads.len()));
+                talk.say(&format!("{name}: {} vehicles common to both", spreads.len()));
                 calibration.spreads.extend(spreads);
             }
             Err(error) if stands_in_every_way(&error) => return Err(error.into()),
@@ -170,6 +170,10 @@ fn said(case: &Case) -> String {
     let percent = |value: Option<f64>| value.map_or("unknown".to_owned(), |value| format!("{:.2} %", 100.0 * value));
     match &case.failure {
         Some(reason) => format!("FAILED: {reason}"),
-        None => format!("off by {}, stated {}", percent(case.error.map(f64::abs)), percent(case.relative_std)),
+        None => format!(
+            "error {}, reported standard deviation {}",
+            percent(case.error.map(f64::abs)),
+            percent(case.relative_std)
+        ),
     }
 }

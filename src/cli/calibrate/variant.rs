@@ -178,20 +178,23 @@ impl Variant {
         let named = |kind: &Kind| text.strip_prefix(kind.name()).map(|rest| (*kind, rest));
         let (kind, rest) = Kind::ALL.iter().find_map(named).ok_or_else(|| {
             let names: Vec<&str> = Kind::ALL.iter().map(|kind| kind.name()).collect();
-            format!("'{text}' is none of {}; most of them with a level, such as noise-8", names.join(", "))
+            format!(
+                "'{text}': unknown variant; expected one of {}, most of them with a level, such as noise-8",
+                names.join(", ")
+            )
         })?;
         let Some([least, most]) = kind.levels() else {
             return if rest.is_empty() {
                 Ok(Self { kind, level: 0.0 })
             } else {
-                Err(format!("'{text}': takes no level"))
+                Err(format!("'{text}': this variant has no level"))
             };
         };
         let level: Option<f64> = rest.strip_prefix('-').and_then(|level| level.parse().ok());
         let is_whole = |level: &f64| !kind.counts() || level.fract() == 0.0;
         match level.filter(|level| (least..=most).contains(level)).filter(is_whole) {
             Some(level) => Ok(Self { kind, level }),
-            None => Err(format!("'{text}': give a level from {least} to {most}, such as {}-{least}", kind.name())),
+            None => Err(format!("'{text}': level missing; give {least} to {most}, such as {}-{least}", kind.name())),
         }
     }
 
@@ -232,11 +235,11 @@ mod tests {
     fn what_is_no_variant_says_what_would_be() {
         for (text, said) in [
             ("fog-3", "none of as-it-is, raw"),
-            ("raw-1", "takes no level"),
-            ("noise", "give a level"),
-            ("noise-x", "give a level"),
-            ("noise-NaN", "give a level"),
-            ("frames-7.5", "give a level"),
+            ("raw-1", "has no level"),
+            ("noise", "level missing"),
+            ("noise-x", "level missing"),
+            ("noise-NaN", "level missing"),
+            ("frames-7.5", "level missing"),
             ("hidden-1", "from 0.01 to 0.95"),
         ] {
             assert!(Variant::parse(text).unwrap_err().contains(said), "{text}");

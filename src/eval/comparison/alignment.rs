@@ -77,7 +77,7 @@ pub(super) fn align(pairs: &[(Rigid3, Rigid3)]) -> Result<Aligned, String> {
         let (reference_from_other, basis) = cameras.fitted(&kept)?;
         return Ok(Aligned { reference_from_other, basis, kept });
     }
-    let mut best = cameras.best_candidate().ok_or("the cameras leave the similarity open")?;
+    let mut best = cameras.best_candidate().ok_or("the camera positions do not determine the similarity transform")?;
     let mut basis = Basis::Centers;
     let mut kept = cameras.near(&best);
     for _ in 0..MAX_ROUNDS {
@@ -104,12 +104,12 @@ impl<'a> Cameras<'a> {
         if pairs.len() < registration::MIN_CAMERAS {
             let (few, least) = (pairs.len(), registration::MIN_CAMERAS);
             let images = if few == 1 { "image is" } else { "images are" };
-            return Err(format!("{few} {images} registered in both, {least} are needed"));
+            return Err(format!("{few} {images} registered in both, at least {least} needed"));
         }
         let (source, target): (Vec<_>, Vec<_>) = pairs.iter().map(|(s, t)| (s.center(), t.center())).unzip();
         let (from, extent) = (typical_extent(&source), typical_extent(&target));
         if !(from > 0.0 && extent > 0.0 && from.is_finite() && extent.is_finite()) {
-            return Err("the cameras of one of them all stand in one place, so there is no scale to compare".into());
+            return Err("all cameras of one model coincide, so their scales cannot be compared".into());
         }
         Ok(Self { pairs, source, target, extent })
     }

@@ -36,12 +36,11 @@ pub struct Coverage {
 /// Says what is missing.
 pub(super) fn coverage(both: &Both<'_>) -> Result<Coverage, String> {
     let found = bundle::center_deviations(both.other, MOST_IMAGES).map_err(|e| e.to_string())?;
-    let found = found.ok_or("it has too few observations to say how sure its cameras are")?;
+    let found = found.ok_or("too few observations to estimate the uncertainty of its cameras")?;
     let references: BTreeMap<ImageId, Rigid3> =
         both.common.iter().map(|(a, b)| (*b, both.reference.images[a].cam_from_world)).collect();
-    let moved = in_gauge(both, &references, &found).ok_or(
-        "the images that hold its gauge, the first one and the one farthest from it, are not in the reference",
-    )?;
+    let moved = in_gauge(both, &references, &found)
+        .ok_or("the images that fix the gauge (the first one and the farthest from it) are not in the reference")?;
     let ratio = |(id, deviation): (&ImageId, &f64)| {
         let distance =
             (both.other.images.get(id)?.cam_from_world.center() - moved(references.get(id)?.center())).norm();
@@ -49,7 +48,7 @@ pub(super) fn coverage(both: &Both<'_>) -> Result<Coverage, String> {
     };
     let ratios: Vec<f64> = found.centers.iter().filter_map(ratio).collect();
     if ratios.len() < FEWEST_IMAGES {
-        return Err(format!("{} of its images can be looked at, {FEWEST_IMAGES} are needed", ratios.len()));
+        return Err(format!("{} of its images are usable, at least {FEWEST_IMAGES} needed", ratios.len()));
     }
     let share = |limit: f64| ratios.iter().filter(|r| **r <= limit).count() as f64 / ratios.len() as f64;
     Ok(Coverage {

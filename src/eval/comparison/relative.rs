@@ -51,7 +51,7 @@ pub(super) fn relative_poses(
 ) -> Result<RelativePoses, String> {
     let n = pairs.len();
     if n < 2 {
-        return Err("a relative pose needs two images that are registered in both".into());
+        return Err("relative poses need two images that are registered in both".into());
     }
     let stride = (n * (n - 1) / 2).div_ceil(MAX_PAIRS);
     let all = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));

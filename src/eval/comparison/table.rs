@@ -63,11 +63,11 @@ impl Comparison {
             of_others("not in the first", &|o| Some(o.only_in_other.len().to_string())),
             of_others("lost cameras", &|o| o.alignment.as_ref().ok().map(|a| a.lost.len().to_string())),
             of_others("scale", &|o| o.alignment.as_ref().ok().map(|a| figure(a.reference_from_other.scale))),
-            of_others(&format!("centres, RMSE, {length}"), &|o| cameras(o).map(|c| figure(c.center_rmse))),
-            of_others("  with the lost ones", &|o| with_lost(o).map(|c| figure(c.center_rmse_of_all))),
-            of_others("  over the extent", &|o| cameras(o).map(|c| percent(c.center_share_of_extent))),
+            of_others(&format!("centers, RMSE, {length}"), &|o| cameras(o).map(|c| figure(c.center_rmse))),
+            of_others("  including lost cameras", &|o| with_lost(o).map(|c| figure(c.center_rmse_of_all))),
+            of_others("  relative to the extent", &|o| cameras(o).map(|c| percent(c.center_share_of_extent))),
             of_others("  largest", &|o| cameras(o).map(|c| figure(c.center_max))),
-            of_others("  within 1, 2, 3 deviations", &|o| o.coverage.as_ref().ok().map(shares)),
+            of_others("  within 1, 2, 3 std", &|o| o.coverage.as_ref().ok().map(shares)),
             of_others("rotations, mean", &|o| cameras(o).map(|c| format!("{:.4}°", c.rotation_mean_deg))),
             of_others("  largest", &|o| cameras(o).map(|c| format!("{:.4}°", c.rotation_max_deg))),
             of_others("focal length", &|o| {
@@ -89,11 +89,11 @@ impl Comparison {
         }
         if let Ok(alignment) = other.alignment.as_ref() {
             let basis = match alignment.basis {
-                Basis::Centers => "camera centres",
-                Basis::CentersAndDirections => "camera centres and directions, since the centres lie on a line",
+                Basis::Centers => "camera centers",
+                Basis::CentersAndDirections => "camera centers and directions, since the centers are collinear",
             };
             writeln!(f, "  aligned by {} of {} {basis}", alignment.num_kept, other.num_common)?;
-            names(f, "lost, and without a part in it", &alignment.lost)?;
+            names(f, "lost, excluded from the alignment", &alignment.lost)?;
         }
         names(f, "only in the first", &other.only_in_reference)?;
         names(f, "not in the first", &other.only_in_other)?;
@@ -103,7 +103,7 @@ impl Comparison {
         for image in other.images.iter().take(WORST) {
             let (Some(center), Some(angle)) = (image.center, image.rotation_deg) else { continue };
             let lost = if image.lost { ", lost" } else { "" };
-            writeln!(f, "  {}: centre off by {}, rotation by {angle:.4}°{lost}", image.name, figure(center))?;
+            writeln!(f, "  {}: center error {}, rotation error {angle:.4}°{lost}", image.name, figure(center))?;
         }
         let rest = other.images.len().saturating_sub(WORST);
         if rest > 0 {

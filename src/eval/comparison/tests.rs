@@ -160,7 +160,7 @@ fn a_comparison_is_a_table_and_json() {
     let json = serde_json::to_string(&comparison).unwrap();
     assert_eq!(serde_json::from_str::<Comparison>(&json).unwrap(), comparison);
     let text = comparison.to_string();
-    for part in ["registered in both", "AUC at 5°", "centres, RMSE, m", "12.5", "aligned by 12 of 12 camera centres"] {
+    for part in ["registered in both", "AUC at 5°", "centers, RMSE, m", "12.5", "aligned by 12 of 12 camera centres"] {
         assert!(text.contains(part), "{part} is missing in\n{text}");
     }
 }
@@ -174,7 +174,7 @@ fn nothing_at_all_is_compared_without_a_panic() {
         assert!(against.images.is_empty());
     }
     let still = flight(8, |_| Point3::new(1.0, 2.0, 3.0));
-    assert!(compared(&still, &b).alignment.as_ref().unwrap_err().contains("one place"));
+    assert!(compared(&still, &b).alignment.as_ref().unwrap_err().contains("coincide"));
 }
 
 /// Points all over the view of every camera, seen half a pixel off at the most.

@@ -61,7 +61,7 @@ fn container(path: &Path, document: &Value, buffer: &[u8]) -> Result<Vec<u8>, Ex
     let total = HEADER_BYTES + 2 * CHUNK_HEADER_BYTES + text.len() + buffer.len();
     let too_large = || ExportError::TooLarge {
         path: path.to_owned(),
-        problem: format!("the scene has {total} bytes, and a .glb file at most 4 GiB"),
+        problem: format!("scene of {total} bytes, a .glb file holds at most 4 GiB"),
     };
     let length = |bytes: usize| u32::try_from(bytes).map_err(|_| too_large());
     let mut bytes = Vec::with_capacity(total);

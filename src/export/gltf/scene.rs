@@ -129,7 +129,7 @@ impl<'a> Scene<'a> {
             "name": "camera", "camera": 0, "translation": translation, "rotation": rotation,
         }));
         self.animate(node, &times, &places, &turns);
-        self.add_way("way of the camera", &places, CAMERA_COLOUR);
+        self.add_way("camera path", &places, CAMERA_COLOUR);
     }
 
     /// A node that moves, and the line that it draws.
@@ -167,7 +167,7 @@ impl<'a> Scene<'a> {
         self.show_while(index, &times, pose.scale);
         let centers: Vec<_> =
             object.poses.iter().map(|pose| self.scene_from_world * Point3::from(pose.position)).collect();
-        self.add_way(&format!("way of {name}"), &centers, colour);
+        self.add_way(&format!("path of {name}"), &centers, colour);
     }
 
     fn add_way(&mut self, name: &str, places: &[Point3<f64>], colour: [u8; 3]) {

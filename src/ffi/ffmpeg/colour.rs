@@ -60,7 +60,7 @@ impl RgbConverter {
             unsafe { ((*decoder.frame).width, (*decoder.frame).height, (*decoder.frame).format) };
         let failed = |reason| FfmpegError::Convert { width, height, reason };
         if width <= 0 || height <= 0 {
-            return Err(failed("it is empty"));
+            return Err(failed("frame is empty"));
         }
         // Of each plane the first row is taken, so that none has fewer rows than are asked for, rounded up.
         let height = (height - 1) / step + 1;
@@ -83,7 +83,7 @@ impl RgbConverter {
                 ptr::null(),
             );
             if self.context.is_null() {
-                return Err(failed("its format of pixels is unknown"));
+                return Err(failed("pixel format is unknown"));
             }
             let (source, target) = (&*decoder.frame, &*self.target);
             let from = source.data.as_ptr().cast::<*const u8>();
@@ -91,7 +91,7 @@ impl RgbConverter {
             let to_stride = target.linesize.as_ptr();
             sys::sws_scale(self.context, from, from_stride.as_ptr(), 0, height, target.data.as_ptr(), to_stride)
         };
-        if num_rows == height { Ok(self.copied(width as u32, height as u32)) } else { Err(failed("it is damaged")) }
+        if num_rows == height { Ok(self.copied(width as u32, height as u32)) } else { Err(failed("frame is damaged")) }
     }
 
     /// Makes the target one of the size asked for.

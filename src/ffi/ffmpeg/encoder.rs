@@ -65,10 +65,10 @@ impl Encoder {
         let even = |side: u32| c_int::try_from(side & !1).unwrap_or(0);
         let (width, height) = (even(size.0), even(size.1));
         if width == 0 || height == 0 {
-            return Err(FfmpegError::Encoder(format!("pictures of {}x{} pixels are too small", size.0, size.1)));
+            return Err(FfmpegError::Encoder(format!("images of {}x{} pixels are too small", size.0, size.1)));
         }
         let url = [b"file:".as_slice(), path.as_os_str().as_bytes()].concat();
-        let url = CString::new(url).map_err(|_| FfmpegError::Write("a path holds no zero byte".to_owned()))?;
+        let url = CString::new(url).map_err(|_| FfmpegError::Write("path contains a zero byte".to_owned()))?;
         encoder.open_container(&url)?;
         encoder.open_codec(width, height, rate)?;
         encoder.open_scaler(width, height)?;
@@ -156,7 +156,7 @@ impl Encoder {
             let none = ptr::null_mut();
             self.scaler = sys::sws_getContext(width, height, from, width, height, to, flags, none, none, ptr::null());
             if self.scaler.is_null() {
-                return Err(FfmpegError::Encoder("pictures of this size cannot be converted".to_owned()));
+                return Err(FfmpegError::Encoder("images of this size cannot be converted".to_owned()));
             }
             let bt709 = sys::sws_getCoefficients(sys::SWS_CS_ITU709);
             sys::sws_setColorspaceDetails(self.scaler, bt709, 1, bt709, 0, 0, 1 << 16, 1 << 16);
@@ -218,7 +218,7 @@ impl Encoder {
         let even = |side: u32| c_int::try_from(side & !1).unwrap_or(0);
         if (even(picture.width()), even(picture.height())) != (width, height) {
             let (found_width, found_height) = picture.dimensions();
-            let found = format!("a picture of {found_width}x{found_height} pixels among others of {width}x{height}");
+            let found = format!("an image of {found_width}x{found_height} pixels among images of {width}x{height}");
             return Err(FfmpegError::Encoder(found));
         }
         // The library looks at four planes whatever the format.

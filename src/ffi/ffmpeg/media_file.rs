@@ -165,7 +165,7 @@ impl MediaFile {
     /// [`FfmpegError::Playlist`].
     pub fn open(path: &Path) -> Result<Self, FfmpegError> {
         let url = [b"file:".as_slice(), path.as_os_str().as_bytes()].concat();
-        let url = CString::new(url).map_err(|_| FfmpegError::Open("a path holds no zero byte".to_owned()))?;
+        let url = CString::new(url).map_err(|_| FfmpegError::Open("path contains a zero byte".to_owned()))?;
         let refused = |code| FfmpegError::Open(words(code));
         let input = Input::open(path)?;
         let format = probe(&input, &url)?;
@@ -344,7 +344,7 @@ fn probe(input: &Input, url: &CStr) -> Result<*const sys::AVInputFormat, FfmpegE
     match formats::admission(&name) {
         Admission::Open => Ok(format),
         Admission::Playlist => Err(FfmpegError::Playlist(name.into_owned())),
-        Admission::Refuse => Err(FfmpegError::Open(format!("{name} is not a format of videos"))),
+        Admission::Refuse => Err(FfmpegError::Open(format!("{name} is not a video format"))),
     }
 }
 

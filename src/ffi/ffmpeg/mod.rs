@@ -41,10 +41,10 @@ pub enum FfmpegError {
     #[error("no decoder for {0}")]
     NoDecoder(String),
     /// A decoder does not start.
-    #[error("the decoder does not start: {0}")]
+    #[error("the decoder cannot be started: {0}")]
     Decoder(String),
     /// A picture cannot be turned into red, green and blue.
-    #[error("a picture of {width}x{height} pixels cannot be converted: {reason}")]
+    #[error("image of {width}x{height} pixels cannot be converted: {reason}")]
     Convert {
         /// Width, pixels.
         width: i32,
@@ -57,7 +57,7 @@ pub enum FfmpegError {
     #[error("the installed FFmpeg has no encoder for H.264 or MPEG-4; install one that has (Debian: libavcodec59)")]
     NoEncoder,
     /// An encoder does not start, or does not take a picture.
-    #[error("the encoder refuses: {0}")]
+    #[error("the encoder failed: {0}")]
     Encoder(String),
     /// A file cannot be written.
     #[error("cannot be written: {0}")]

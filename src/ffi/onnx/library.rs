@@ -88,7 +88,7 @@ fn load() -> Result<PathBuf, OnnxError> {
     let mut tried = Vec::new();
     for path in candidates(env::current_exe().ok().as_deref()) {
         if path.components().count() > 1 && !path.exists() {
-            tried.push(format!("{} (no such file)", path.display()));
+            tried.push(format!("{} (file not found)", path.display()));
             continue;
         }
         match try_load(&path) {

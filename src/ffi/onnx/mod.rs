@@ -34,14 +34,14 @@ impl From<usize> for Resources {
 
 /// Ways to get the runtime, for messages.
 const CURE: &str =
-    "get it with `scripts/fetch-onnxruntime`, or name the file in the environment variable TRACTRIX_ONNXRUNTIME";
+    "install it with `scripts/fetch-onnxruntime`, or set the environment variable TRACTRIX_ONNXRUNTIME to its path";
 
 /// Errors of networks.
 #[derive(Debug, thiserror::Error)]
 pub enum OnnxError {
     /// No ONNX Runtime library could be loaded.
     #[error(
-        "ONNX Runtime (libonnxruntime.so, 1.{MINIMUM_VERSION} or later) was not found; {CURE}\n  tried: {}",
+        "ONNX Runtime (libonnxruntime.so, 1.{MINIMUM_VERSION} or later): not found; {CURE}\n  tried: {}",
         tried.join("\n  tried: ")
     )]
     RuntimeNotFound {
@@ -50,8 +50,8 @@ pub enum OnnxError {
     },
     /// The library that an environment variable names cannot be used.
     #[error(
-        "the ONNX Runtime library named by {variable} cannot be used: {reason}; correct the variable, or unset \
-         it and {CURE}"
+        "{variable}: the ONNX Runtime library it names cannot be used: {reason}; correct the variable, or unset it and \
+         {CURE}"
     )]
     NamedRuntime {
         /// The environment variable.
@@ -60,7 +60,7 @@ pub enum OnnxError {
         reason: String,
     },
     /// The library was loaded but does not work.
-    #[error("ONNX Runtime at {} failed to start: {reason}; {CURE}", library.display())]
+    #[error("ONNX Runtime at {}: failed to start: {reason}; {CURE}", library.display())]
     Runtime {
         /// The library.
         library: PathBuf,
@@ -68,13 +68,13 @@ pub enum OnnxError {
         reason: String,
     },
     /// There is no such model file.
-    #[error("the model file {} does not exist", path.display())]
+    #[error("{}: model file not found", path.display())]
     NoModel {
         /// The file.
         path: PathBuf,
     },
     /// The file is not a network that this runtime can load.
-    #[error("{} is not a network that ONNX Runtime can load: {reason}", path.display())]
+    #[error("{}: ONNX Runtime cannot load this network: {reason}", path.display())]
     Load {
         /// The file.
         path: PathBuf,
@@ -85,7 +85,7 @@ pub enum OnnxError {
     #[error(transparent)]
     Memory(#[from] TooMuch),
     /// Running the network failed.
-    #[error("running the network {} failed: {reason}", path.display())]
+    #[error("{}: network failed: {reason}", path.display())]
     Run {
         /// The file.
         path: PathBuf,

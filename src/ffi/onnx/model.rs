@@ -91,7 +91,7 @@ impl Model {
         let inputs: Vec<_> = session.inputs().iter().map(describe).collect();
         let outputs: Vec<_> = session.outputs().iter().map(describe).collect();
         for tensor in inputs.iter().chain(&outputs) {
-            let what = || format!("{}: {tensor}, of which the network speaks,", path.display());
+            let what = || format!("{}: {tensor}, declared by the network,", path.display());
             memory.check(what, tensor.num_bytes())?;
         }
         Ok(Self { path: path.to_path_buf(), session, inputs, outputs })
@@ -127,7 +127,7 @@ impl Model {
         let Self { path, session, inputs: infos, .. } = self;
         let failed = |reason: String| OnnxError::Run { path: path.clone(), reason };
         if inputs.len() != infos.len() {
-            return Err(failed(format!("{} inputs were given, it has {}", inputs.len(), infos.len())));
+            return Err(failed(format!("{} inputs given, the network has {}", inputs.len(), infos.len())));
         }
         let mut values: Vec<(String, SessionInputValue<'_>)> = Vec::with_capacity(inputs.len());
         for (info, tensor) in infos.iter().zip(inputs) {
@@ -173,8 +173,8 @@ fn extract(value: &DynValue) -> Result<Tensor, String> {
         Some(TensorElementType::Int64) => copy!(i64),
         Some(TensorElementType::Int32) => copy!(i32),
         Some(TensorElementType::Uint8) => copy!(u8),
-        Some(other) => return Err(format!("its number type {other} is not supported; export the network in float32")),
-        None => return Err("it is not a tensor".to_owned()),
+        Some(other) => return Err(format!("number type {other} is not supported; export the network in float32")),
+        None => return Err("not a tensor".to_owned()),
     };
     Ok(Tensor { shape, values })
 }

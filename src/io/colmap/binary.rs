@@ -34,7 +34,7 @@ pub fn read_cameras(path: &Path) -> Result<Cameras, IoError> {
             (0..model.num_params()).map(|_| bytes.finite("camera parameter")).collect::<Result<Vec<_>, _>>()?;
         let [width, height] = [width, height].map(|v| u32::try_from(v).ok().filter(|v| *v > 0));
         let (Some(width), Some(height)) = (width, height) else {
-            return Err(bytes.error("image size", "must lie between 1 and 2³² − 1"));
+            return Err(bytes.error("image size", "expected 1 to 2³² − 1"));
         };
         let (camera, form) = camera_model::camera(model, width, height, params);
         forms.insert(id, form);

@@ -11,7 +11,13 @@ const CURE: &str = "undistort the images, or calibrate with PINHOLE, RADIAL, OPE
 
 /// The error about a camera of a model that is not known at all.
 pub fn unknown(path: &Path, id: CameraId, model: &str) -> IoError {
-    unsupported(path, id, &format!("camera model {model}"), "convert it with the COLMAP that wrote it to OPENCV")
+    unsupported(
+        path,
+        id,
+        &format!("camera model {model}"),
+        "convert it to OPENCV with the COLMAP version that wrote \
+         it",
+    )
 }
 
 /// The error about a camera that cannot be projected with.

@@ -128,7 +128,7 @@ pub(super) fn check_text_names(folder: &Path, model: &Reconstruction) -> Result<
         None => Ok(()),
         Some(image) => Err(IoError::Unsupported {
             path: folder.to_path_buf(),
-            what: format!("the name {:?}, whose blank ends a name in COLMAP's text files,", image.name),
+            what: format!("name {:?} with a space, which ends a name in COLMAP's text files,", image.name),
             cure: "write binary files".to_owned(),
         }),
     }
@@ -143,7 +143,7 @@ pub fn write_text(folder: &Path, model: &Reconstruction) -> Result<(), IoError> 
     check_writable(folder, model)?;
     check_text_names(folder, model)?;
     if folder.join("cameras.bin").exists() {
-        return Err(IoError::content(folder, "a binary model is in this folder; write text into another one"));
+        return Err(IoError::content(folder, "the folder holds a binary model; write text into another folder"));
     }
     atomic::write_with(&folder.join("cameras.txt"), |out| text::write_cameras(out, model))?;
     atomic::write_with(&folder.join("images.txt"), |out| text::write_images(out, model))?;
@@ -168,7 +168,7 @@ pub fn write_binary(folder: &Path, model: &Reconstruction) -> Result<(), IoError
 /// A unit quaternion from its stored parts; parts that are of unit length to rounding are kept as they are.
 fn unit_quaternion([w, x, y, z]: [f64; 4]) -> Result<UnitQuaternion<f64>, String> {
     assembly::unit_quaternion(Quaternion::new(w, x, y, z))
-        .ok_or_else(|| format!("the quaternion ({w}, {x}, {y}, {z}) is not a rotation"))
+        .ok_or_else(|| format!("quaternion ({w}, {x}, {y}, {z}) is not a rotation"))
 }
 
 /// The parts of a model must refer to one another: each track element to an observation that names its point, and each
@@ -177,10 +177,7 @@ fn check_references(folder: &Path, model: &Reconstruction) -> Result<(), IoError
     let problem = |text: String| Err(IoError::content(folder, text));
     for (id, image) in &model.images {
         if !model.cameras.contains_key(&image.camera) {
-            return problem(format!(
-                "image {} ('{}') has camera {}, which is not there",
-                id.0, image.name, image.camera.0
-            ));
+            return problem(format!("image {} ('{}'): camera {} does not exist", id.0, image.name, image.camera.0));
         }
     }
     let mut num_in_tracks = 0;
@@ -188,7 +185,7 @@ fn check_references(folder: &Path, model: &Reconstruction) -> Result<(), IoError
         for element in &point.track {
             if !sees(model, element.image, element.observation_idx, *id) {
                 return problem(format!(
-                    "the track of point {} names observation {} of image {}, which does not see it",
+                    "point {}: its track names observation {} of image {}, which does not observe it",
                     id.0, element.observation_idx, element.image.0
                 ));
             }
@@ -199,7 +196,7 @@ fn check_references(folder: &Path, model: &Reconstruction) -> Result<(), IoError
         model.images.values().map(|i| i.observations.iter().filter(|o| o.point.is_some()).count()).sum();
     if num_observing != num_in_tracks {
         return problem(format!(
-            "the images observe points {num_observing} times, but the points' tracks hold {num_in_tracks} observations"
+            "images observe points {num_observing} times, but tracks have {num_in_tracks} observations"
         ));
     }
     Ok(())
@@ -214,14 +211,14 @@ fn sees(model: &Reconstruction, image: ImageId, observation_idx: u32, point: Poi
 fn check_writable(folder: &Path, model: &Reconstruction) -> Result<(), IoError> {
     check_finite(folder, model)?;
     if let Some((id, _)) = model.camera_forms.iter().find(|(_, form)| **form == CameraForm::Unknown) {
-        let what = format!("camera {}, of which the file that it came from says nothing,", id.0);
+        let what = format!("camera {} without intrinsics in its source file", id.0);
         let cure = "give the model that the camera path was made from".to_owned();
         return Err(IoError::Unsupported { path: folder.to_path_buf(), what, cure });
     }
     for (id, image) in &model.images {
         let name = image.name.as_str();
         if name.is_empty() || name.trim() != name || name.contains(['\n', '\r', '\0']) {
-            return Err(IoError::content(folder, format!("image {}: the name {name:?} cannot be written", id.0)));
+            return Err(IoError::content(folder, format!("image {}: name {name:?} cannot be written", id.0)));
         }
     }
     check_references(folder, model)

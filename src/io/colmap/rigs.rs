@@ -90,7 +90,7 @@ fn several_in_binary(path: &Path) -> Result<usize, IoError> {
         let sensors = bytes.u32("number of sensors")?;
         for k in 0..sensors {
             bytes.array::<8>("sensor")?;
-            if k > 0 && bytes.u8("whether there is a pose")? != 0 {
+            if k > 0 && bytes.u8("pose flag")? != 0 {
                 bytes.array::<POSE_BYTES>("pose of a sensor")?;
             }
         }

@@ -98,8 +98,8 @@ fn every_camera_model_is_read_or_refused_with_a_cure() {
         ("3 OPENCV_FISHEYE 8 6 5 5.5 4 3 0 0 0 0", "OPENCV_FISHEYE"),
         ("3 EQUIRECTANGULAR 8 6 8 6", "EQUIRECTANGULAR"),
         ("3 LATER_MODEL 8 6 8 6", "LATER_MODEL"),
-        ("3 PINHOLE 8 6 5 5.5 4", "line 3: camera parameter: the line ends before it"),
-        ("3 PINHOLE 8 6 5 5.5 4 3 2", "line 3: end of line: '2' is too much"),
+        ("3 PINHOLE 8 6 5 5.5 4", "line 3: camera parameter: the line ends here"),
+        ("3 PINHOLE 8 6 5 5.5 4 3 2", "line 3: end of line: unexpected '2'"),
         ("3 PINHOLE 0 6 5 5.5 4 3", "line 3: image size"),
         ("3 PINHOLE 8 6 5 nan 4 3", "line 3: camera parameter: NaN"),
         ("x PINHOLE 8 6 5 5 4 3", "line 3: camera id: 'x' is not a number"),
@@ -243,7 +243,7 @@ fn broken_text_names_file_line_and_field() {
         ("points3D.txt", "1 0 0 0 1 2 3 0.5 1", "line 1: observation index of a track"),
         ("points3D.txt", "1 0 0 0 1 2 3 0.5 77 0", "observation 0 of image 77"),
         ("points3D.txt", "", "tracks hold 0 observations"),
-        ("cameras.txt", "", "camera 1, which is not there"),
+        ("cameras.txt", "", "camera 1 does not exist"),
     ];
     for (name, content, expected) in cases {
         let path = folder.path().join(name);

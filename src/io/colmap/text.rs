@@ -171,7 +171,7 @@ impl<'a> Lines<'a> {
     fn go_on(&mut self) -> Result<bool, IoError> {
         self.text.clear();
         let length = self.reader.read_line(&mut self.text).map_err(|error| match error.kind() {
-            ErrorKind::InvalidData => IoError::content(self.path, "is not a text file (UTF-8)"),
+            ErrorKind::InvalidData => IoError::content(self.path, "not a text file (UTF-8)"),
             _ => IoError::system("read", self.path)(error),
         })?;
         if self.number == 0 && self.text.starts_with(files::BYTE_ORDER_CHAR) {
@@ -213,7 +213,7 @@ impl<'a> Line<'a> {
     fn word(&mut self, field: &str) -> Result<&'a str, IoError> {
         let (word, rest) = self.rest.split_once(char::is_whitespace).unwrap_or((self.rest, ""));
         if word.is_empty() {
-            return Err(self.error(field, "the line ends before it"));
+            return Err(self.error(field, "the line ends here"));
         }
         self.rest = rest.trim_start();
         Ok(word)
@@ -221,7 +221,7 @@ impl<'a> Line<'a> {
 
     fn number<T: FromStr>(&mut self, field: &str) -> Result<T, IoError> {
         let word = self.word(field)?;
-        word.parse().map_err(|_| self.error(field, format!("'{word}' is not a number in its range")))
+        word.parse().map_err(|_| self.error(field, format!("'{word}' is not a number in the valid range")))
     }
 
     fn finite(&mut self, field: &str) -> Result<f64, IoError> {
@@ -232,10 +232,10 @@ impl<'a> Line<'a> {
     /// All that is left, which must not be nothing.
     fn rest(&mut self, field: &str) -> Result<String, IoError> {
         let rest = std::mem::take(&mut self.rest);
-        if rest.is_empty() { Err(self.error(field, "the line ends before it")) } else { Ok(rest.into()) }
+        if rest.is_empty() { Err(self.error(field, "the line ends here")) } else { Ok(rest.into()) }
     }
 
     fn end(&self) -> Result<(), IoError> {
-        if self.is_at_end() { Ok(()) } else { Err(self.error("end of line", format!("'{}' is too much", self.rest))) }
+        if self.is_at_end() { Ok(()) } else { Err(self.error("end of line", format!("unexpected '{}'", self.rest))) }
     }
 }

@@ -98,14 +98,14 @@ pub fn write(path: &Path, model: &Reconstruction, features: &Features) -> Result
         fill(place, model, &views, &matches).map_err(|e| IoError::system("write", path)(std::io::Error::other(e)))
     })?;
     let without_camera = features.views.len() - views.len();
-    let losses = Losses::default().with("positions of features are rounded to single precision".to_owned());
+    let losses = Losses::default().with("feature positions are rounded to single precision".to_owned());
     Ok(losses
         .counted(
             model.points.len(),
-            "point stays behind: a database has only what it was seen as",
-            "points stay behind: a database has only what they were seen as",
+            "3D point skipped: a database stores features and matches only",
+            "3D points skipped: a database stores features and matches only",
         )
-        .counted(without_camera, "image without a camera is left out", "images without a camera are left out"))
+        .counted(without_camera, "image without a camera skipped", "images without a camera skipped"))
 }
 
 fn fill(
@@ -134,22 +134,25 @@ fn check(path: &Path, model: &Reconstruction, features: &Features) -> Result<(),
     if features.views.values().all(|view| view.pixels.is_empty()) {
         return Err(IoError::Unsupported {
             path: path.to_owned(),
-            what: "a database of a model without observations".to_owned(),
-            cure: "give a model in a format that has them: COLMAP's, OpenMVG's, OpenSfM's, NVM or Bundler's".to_owned(),
+            what: "a database from a model without observations".to_owned(),
+            cure: "give a model with observations: COLMAP, OpenMVG, OpenSfM, NVM or Bundler".to_owned(),
         });
     }
     if model.camera_forms.values().any(|form| *form == CameraForm::Unknown) {
-        return Err(IoError::content(path, "the cameras have no lens that could be written"));
+        return Err(IoError::content(path, "cameras have no intrinsics that can be written"));
     }
     let mut names = BTreeMap::new();
     for (id, view) in &features.views {
         if u64::from(id.0) >= MAX_IMAGES {
-            return Err(IoError::content(path, format!("image {}: a database has ids below {MAX_IMAGES}", id.0)));
+            return Err(IoError::content(
+                path,
+                format!("image {}: id too large, a database has ids below {MAX_IMAGES}", id.0),
+            ));
         }
         if let Some(other) = names.insert(view.name.as_str(), id) {
             return Err(IoError::content(
                 path,
-                format!("images {} and {} are both called {:?}", other.0, id.0, view.name),
+                format!("images {} and {} have the same name {:?}", other.0, id.0, view.name),
             ));
         }
     }

@@ -202,12 +202,12 @@ fn what_a_database_cannot_hold_is_refused() {
     assert!(said(&far).contains("below 2147483647"));
     let mut twice = model.clone();
     twice.images.values_mut().for_each(|image| image.name = "same.jpg".into());
-    assert!(said(&twice).contains("both called"));
+    assert!(said(&twice).contains("the same name"));
     let mut nan = model.clone();
     nan.points.get_mut(&Point3dId(1)).unwrap().position.x = f64::NAN;
     assert!(said(&nan).contains("not finite"));
     let mut unknown = model;
     unknown.camera_forms.insert(CameraId(1), CameraForm::Unknown);
-    assert!(said(&unknown).contains("no lens"));
+    assert!(said(&unknown).contains("no intrinsics"));
     assert!(!path.exists());
 }

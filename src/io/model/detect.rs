@@ -42,11 +42,14 @@ fn of_folder(path: &Path) -> Result<(PathBuf, Format), IoError> {
         return detect(only);
     }
     if let [first, .., last] = &numbered[..] {
-        let problem = format!("holds several models, {} to {}; give one of them", first.display(), last.display());
+        let problem = format!("several models, {} to {}; give one of them", first.display(), last.display());
         return Err(IoError::content(path, problem));
     }
     let files = INSIDE.iter().map(|name| path.join(name)).find(|file| file.is_file());
-    files.map_or_else(|| Err(IoError::content(path, format!("holds no model; give {READABLE}"))), |file| of_file(&file))
+    files.map_or_else(
+        || Err(IoError::content(path, format!("no model in the folder; give {READABLE}"))),
+        |file| of_file(&file),
+    )
 }
 
 fn colmap_in(folder: &Path) -> Option<Format> {
@@ -100,10 +103,7 @@ fn of_json(path: &Path) -> Result<Format, IoError> {
         return Ok(Format::Nerfstudio);
     }
     let (what, cure) = if has(&["views", "intrinsics", "poses"]) || has(&["featuresFolders"]) {
-        (
-            "a scene of Meshroom",
-            "write it as COLMAP's model with aliceVision_exportColmap and give that folder".to_owned(),
-        )
+        ("a scene of Meshroom", "write a COLMAP model with aliceVision_exportColmap and give that folder".to_owned())
     } else if has(&["units", "frames", "K"]) {
         ("a sequence with its truth", "give its folder to tractrix evaluate --truth".to_owned())
     } else {
@@ -127,8 +127,7 @@ fn top_keys(path: &Path) -> Result<Vec<String>, IoError> {
         path: path.to_owned(),
         line: error.line(),
         field: format!("column {}", error.column()),
-        problem: "this is where it stops being JSON of a reconstruction; the file is cut, damaged, or of another kind"
-            .into(),
+        problem: "not JSON of a reconstruction from here on; the file is truncated, damaged or of another kind".into(),
     })
 }
 
@@ -141,16 +140,16 @@ fn of_text(path: &Path, start: &str) -> Result<Format, IoError> {
     let (what, cure) = if start.starts_with("ply") {
         return Err(points_alone(path));
     } else if start.starts_with("SQLite format 3") {
-        ("COLMAP's database", "it has features and matches, and no cameras in space; give the model made from it")
+        ("COLMAP's database", "it has features and matches, but no camera poses; give the model made from it")
     } else if ends("bin") {
         let cure = "write it as text with openMVG_main_ConvertSfM_DataFormat -i sfm_data.bin -o sfm_data.json";
         ("OpenMVG's binary form", cure)
     } else if ends("rec") {
         ("a reconstruction of Theia", "write it with pytheia.io.WriteColmapFiles and give that folder")
     } else if ends("abc") || ends("sfm") {
-        ("a scene of Meshroom", "write it as COLMAP's model with aliceVision_exportColmap and give that folder")
+        ("a scene of Meshroom", "write a COLMAP model with aliceVision_exportColmap and give that folder")
     } else {
-        return Err(IoError::content(path, format!("is no reconstruction that is known; give {READABLE}")));
+        return Err(IoError::content(path, format!("not a reconstruction of a known format; give {READABLE}")));
     };
     Err(unreadable(path, what, cure))
 }
@@ -172,7 +171,7 @@ fn plain_text(start: &str) -> Option<Format> {
 }
 
 fn unreadable(path: &Path, what: &str, cure: &str) -> IoError {
-    IoError::Unsupported { path: path.to_owned(), what: format!("{what}, which this is,"), cure: cure.to_owned() }
+    IoError::Unsupported { path: path.to_owned(), what: what.to_owned(), cure: cure.to_owned() }
 }
 
 /// The error about a point cloud.
@@ -208,8 +207,8 @@ mod tests {
             ("cloud.ply", b"ply\nformat ascii 1.0\n", "point cloud without cameras"),
             ("scene.json", br#"{"units": "metre", "frames": [], "K": []}"#, "evaluate --truth"),
             ("other.json", br#"{"key": 1, "value": 2}"#, "its keys are key, value"),
-            ("broken.json", br#"{"views": [1, 2"#, "cut, damaged, or of another kind"),
-            ("notes.txt", b"hello", "is no reconstruction that is known"),
+            ("broken.json", br#"{"views": [1, 2"#, "truncated, damaged or of another kind"),
+            ("notes.txt", b"hello", "not a reconstruction of a known format"),
         ];
         for (name, content, cure) in cases {
             let said = said(name, content);

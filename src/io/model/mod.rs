@@ -107,15 +107,15 @@ pub fn write(path: &Path, model: &Reconstruction, format: Format) -> Result<Loss
         Format::Bundler => bundler::write(path, model),
         Format::Tum | Format::Kitti => Err(IoError::Unsupported {
             path: path.into(),
-            what: format!("writing a camera path in {format}'s form"),
+            what: format!("writing a camera path in {format} format"),
             cure: "write a COLMAP model instead".into(),
         }),
         Format::Ply => {
             let points: Vec<_> = model.points.values().map(|p| (p.position, p.rgb)).collect();
             let losses = Losses::default().counted(
                 model.images.len(),
-                "camera is left out: the format has points alone",
-                "cameras are left out: the format has points alone",
+                "camera skipped: the format stores points only",
+                "cameras skipped: the format stores points only",
             );
             ply::write_points(path, &points).map(|()| losses)
         }
@@ -191,9 +191,9 @@ pub fn format_for(from: Format, to: &Path, model: &Reconstruction) -> Result<For
     } else if ends("json") {
         return Err(IoError::Unsupported {
             path: to.into(),
-            what: "a JSON file whose name says no format".into(),
-            cure: "call it sfm_data.json (OpenMVG), reconstruction.json (OpenSfM) or transforms.json (nerfstudio), or \
-                   say which with --to"
+            what: "JSON file of unknown format".into(),
+            cure: "name it sfm_data.json (OpenMVG), reconstruction.json (OpenSfM) or transforms.json (nerfstudio), or \
+                 give the format with --to"
                 .into(),
         });
     } else if from == Format::ColmapText || colmap::check_text_names(to, model).is_err() {

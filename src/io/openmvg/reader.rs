@@ -32,7 +32,10 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     }
     for Entry { key, value } in &document.structure {
         if let Some(o) = value.observations.iter().find(|o| !views.contains(&o.key)) {
-            return Err(IoError::content(path, format!("point {key} is seen in view {}, which is not there", o.key)));
+            return Err(IoError::content(
+                path,
+                format!("point {key}: observed in view {}, which does not exist", o.key),
+            ));
         }
         add_landmark(&mut model, Point3dId(u64::from(*key) + 1), value)
             .ok_or_else(|| IoError::content(path, format!("point {key} is not finite")))?;
@@ -42,14 +45,14 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
 
 fn nothing_posed(num_views: usize) -> String {
     format!(
-        "none of its {num_views} views has a pose: it is a list of pictures (SfMInit_ImageListing writes one); give \
-         the file that OpenMVG's reconstruction writes"
+        "none of its {num_views} views has a pose: this is an image list (from SfMInit_ImageListing); give the file \
+         that OpenMVG's reconstruction writes"
     )
 }
 
 /// Ids start at 1 here, keys at 0 there.
 fn id(path: &Path, key: u32) -> Result<u32, IoError> {
-    key.checked_add(1).ok_or_else(|| IoError::content(path, format!("the key {key} is beyond all use")))
+    key.checked_add(1).ok_or_else(|| IoError::content(path, format!("key {key} is out of range")))
 }
 
 fn add_image(
@@ -62,7 +65,7 @@ fn add_image(
     let Some(&cam_from_world) = poses.get(&view.id_pose).filter(|_| view.id_pose != UNDEFINED) else { return Ok(()) };
     let camera = CameraId(view.id_intrinsic.wrapping_add(1));
     if !model.cameras.contains_key(&camera) {
-        return Err(IoError::content(path, format!("view {key} names intrinsics that are not there")));
+        return Err(IoError::content(path, format!("view {key}: its intrinsics do not exist")));
     }
     let folder = view.local_path.trim_end_matches('/');
     let name = if folder.is_empty() { view.filename.clone() } else { format!("{folder}/{}", view.filename) };
@@ -98,7 +101,7 @@ fn add_cameras(
 
 /// The camera, and its form where nothing can be projected with it.
 fn camera(name: &str, intrinsic: &Intrinsic) -> Result<(Camera, Option<CameraForm>), String> {
-    let broken = || format!("the parameters of this {name}");
+    let broken = || format!("{name} with invalid parameters");
     let size = intrinsic.value0.or(intrinsic.width.zip(intrinsic.height).map(|(width, height)| Size { width, height }));
     let Size { width, height } = size.filter(|size| size.width > 0 && size.height > 0).ok_or_else(broken)?;
     if name == "spherical" {
@@ -114,7 +117,7 @@ fn camera(name: &str, intrinsic: &Intrinsic) -> Result<(Camera, Option<CameraFor
         ("pinhole_brown_t2", .., &[k1, k2, k3, t1, t2]) => [k1, k2, t1, t2, k3],
         ("fisheye", ..) if intrinsic.fisheye.len() == 4 => [0.0; 5],
         ("pinhole_radial_k1" | "pinhole_radial_k3" | "pinhole_brown_t2" | "fisheye", ..) => return Err(broken()),
-        _ => return Err(format!("the camera model '{name}'")),
+        _ => return Err(format!("camera model '{name}'")),
     };
     let all = [&[focal, focal, cx, cy][..], &distortion].concat();
     if !all.iter().chain(&intrinsic.fisheye).all(|v| v.is_finite()) || focal <= 0.0 {

@@ -129,8 +129,8 @@ fn what_does_not_fit_is_refused() {
     let other = |d: &mut Value| d["intrinsics"][0]["value"]["polymorphic_name"] = json!("pinhole_later");
     assert!(refused(other).contains("'pinhole_later'"));
     let short = |d: &mut Value| d["intrinsics"][0]["value"]["ptr_wrapper"]["data"]["disto_k3"] = json!([0.1, 0.0]);
-    assert!(refused(short).contains("the parameters of this pinhole_radial_k3"));
-    assert!(refused(|d| d["extrinsics"] = json!([])).contains("list of pictures"));
+    assert!(refused(short).contains("pinhole_radial_k3 with invalid parameters"));
+    assert!(refused(|d| d["extrinsics"] = json!([])).contains("image list"));
     assert!(refused(|d| d["extrinsics"][0]["value"]["rotation"][0][0] = json!(2)).contains("pose 0"));
     assert!(refused(|d| d["views"][0]["value"]["ptr_wrapper"]["data"]["id_intrinsic"] = json!(9)).contains("view 0"));
     let unknown = |d: &mut Value| d["structure"][0]["value"]["observations"][0]["key"] = json!(50);

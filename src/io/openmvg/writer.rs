@@ -115,12 +115,12 @@ fn intrinsics(
     let entry = |(id, camera): (&CameraId, &Camera)| {
         let (name, data) = match model.camera_forms.get(id) {
             Some(CameraForm::Foreign(form, params)) => foreign(*form, params, camera),
-            Some(CameraForm::Unknown) => Err("a lens of which nothing is known".to_owned()),
+            Some(CameraForm::Unknown) => Err("unknown camera model".to_owned()),
             _ => covered(camera),
         }
         .map_err(|what| IoError::Unsupported {
             path: path.to_path_buf(),
-            what: format!("camera {} with {what} in OpenMVG's format", id.0),
+            what: format!("camera {}: {what} in OpenMVG's format", id.0),
             cure: "write a COLMAP model instead".to_owned(),
         })?;
         Ok(Entry { key: keys.cameras[id], value: pointers.typed(name, data) })
@@ -132,7 +132,7 @@ fn intrinsics(
 fn covered(camera: &Camera) -> Result<(&'static str, Intrinsic), String> {
     let [focal, fy] = camera.focal;
     if focal != fy {
-        return Err(format!("the focal lengths {} and {}", Short(focal), Short(fy)));
+        return Err(format!("focal lengths {} and {}", Short(focal), Short(fy)));
     }
     let mut data = pinhole(camera.width, camera.height, focal, camera.principal.into());
     let ([k1, k2], HigherTerms { k3, tangential }) = (camera.radial, camera.higher);
@@ -164,7 +164,7 @@ fn foreign(form: Model, params: &[f64], camera: &Camera) -> Result<(&'static str
             let data = pinhole(width, height, fx, Point2::new(cx, cy));
             Ok(("fisheye", Intrinsic { fisheye: angles.to_vec(), ..data }))
         }
-        _ => Err(format!("the model {}", form.name())),
+        _ => Err(format!("camera model {}", form.name())),
     }
 }
 

@@ -47,7 +47,7 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     let list: Vec<Document> = json::read_model(path, "OpenSfM's reconstruction.json")?;
     let largest = list.into_iter().rev().max_by_key(|document| document.shots.len());
     let document = largest.filter(|document| !document.shots.is_empty());
-    let document = document.ok_or_else(|| IoError::content(path, "holds no reconstruction with a shot"))?;
+    let document = document.ok_or_else(|| IoError::content(path, "no reconstruction with a shot in the file"))?;
     let mut model = Reconstruction::default();
     let mut cameras = BTreeMap::new();
     for (id, (name, entry)) in (1..).map(CameraId).zip(&document.cameras) {
@@ -57,10 +57,10 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
         model.camera_forms.extend(form.map(|form| (id, form)));
     }
     for (id, (name, shot)) in (1..).map(ImageId).zip(&document.shots) {
-        let problem = |what: &str| IoError::content(path, format!("shot '{name}' {what}"));
-        let camera = *cameras.get(shot.camera.as_str()).ok_or_else(|| problem("has a camera that is not there"))?;
+        let problem = |what: &str| IoError::content(path, format!("shot '{name}': {what}"));
+        let camera = *cameras.get(shot.camera.as_str()).ok_or_else(|| problem("its camera does not exist"))?;
         if !shot.rotation.iter().chain(&shot.translation).all(|v| v.is_finite()) {
-            return Err(problem("has a pose that is not finite"));
+            return Err(problem("its pose is not finite"));
         }
         let rotation = UnitQuaternion::from_scaled_axis(Vector3::from(shot.rotation));
         let cam_from_world = Rigid3::new(rotation, Vector3::from(shot.translation));
@@ -96,7 +96,7 @@ fn camera(entry: &CameraEntry) -> Result<(Camera, Option<CameraForm>), String> {
     let kind = entry.projection_type.as_str();
     let (width, height) = (entry.width, entry.height);
     if width == 0 || height == 0 {
-        return Err("a picture without size".to_owned());
+        return Err("image without size".to_owned());
     }
     let side = f64::from(width.max(height));
     let fx = entry.focal_x.or(entry.focal).unwrap_or(f64::NAN) * side;
@@ -113,16 +113,16 @@ fn camera(entry: &CameraEntry) -> Result<(Camera, Option<CameraForm>), String> {
     }
     let all = [fx, fy, cx, cy, k1, k2, k3, k4, p1, p2];
     if !(all.iter().all(|v| v.is_finite()) && fx > 0.0 && fy > 0.0) {
-        return Err(format!("the parameters of this '{kind}'"));
+        return Err(format!("'{kind}' with invalid parameters"));
     }
     match kind {
         "perspective" | "simple_radial" | "radial" | "brown" => {
             let all = [fx, fy, cx, cy, k1, k2, p1, p2, k3];
-            Ok((Camera::prior(width, height).with_parameters(&all).ok_or("its parameters")?, None))
+            Ok((Camera::prior(width, height).with_parameters(&all).ok_or("camera with invalid parameters")?, None))
         }
         "fisheye" if fx == fy => foreign(Model::RadialFisheye, &[fx, cx, cy, k1, k2]),
         "fisheye_opencv" => foreign(Model::OpenCvFisheye, &[fx, fy, cx, cy, k1, k2, k3, k4]),
-        _ => Err(format!("the projection '{kind}'")),
+        _ => Err(format!("projection '{kind}'")),
     }
 }
 
@@ -137,7 +137,7 @@ pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
     for (id, camera) in &model.cameras {
         let entry = match model.camera_forms.get(id) {
             Some(CameraForm::Foreign(form, params)) => foreign_entry(*form, params, camera),
-            Some(CameraForm::Unknown) => Err("a lens of which nothing is known".to_owned()),
+            Some(CameraForm::Unknown) => Err("unknown camera model".to_owned()),
             _ => Ok(covered_entry(camera)),
         };
         cameras.insert(camera_name(*id), entry.map_err(|what| unsupported_camera(path, *id, &what, FORMAT))?);
@@ -194,7 +194,7 @@ fn foreign_entry(form: Model, params: &[f64], camera: &Camera) -> Result<CameraE
     let (name, [k1, k2, k3, k4]) = match (form, params) {
         (Model::Equirectangular, _) => ("spherical", [0.0; 4]),
         (Model::OpenCvFisheye, &[_, _, _, _, k1, k2, k3, k4]) => ("fisheye_opencv", [k1, k2, k3, k4]),
-        _ => return Err(format!("the model {}", form.name())),
+        _ => return Err(format!("camera model {}", form.name())),
     };
     Ok(CameraEntry { projection_type: name.to_owned(), k1, k2, k3, k4, ..without_terms(camera) })
 }

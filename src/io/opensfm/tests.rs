@@ -62,9 +62,9 @@ fn other_lenses_are_carried_and_unknown_ones_named() {
     let params = vec![800.0, 900.0, 510.0, 230.0, 0.1, 0.2, 0.3, 0.4];
     assert_eq!(model.camera_forms[&CameraId(1)], CameraForm::Foreign(Model::OpenCvFisheye, params));
     let error = read_text(&GOLDEN.replace("brown", "fisheye62"), TRACKS).unwrap_err().to_string();
-    assert!(error.contains("camera 'v2 a': the projection 'fisheye62'"), "{error}");
+    assert!(error.contains("camera 'v2 a': projection 'fisheye62'"), "{error}");
     let error = read_text(&GOLDEN.replace("\"v2 a\",", "\"v3\","), TRACKS).unwrap_err().to_string();
-    assert!(error.contains("shot 'b.jpg' has a camera that is not there"), "{error}");
+    assert!(error.contains("shot 'b.jpg': its camera does not exist"), "{error}");
     let error = read_text(GOLDEN, &TRACKS.replace("0.25", "x")).unwrap_err().to_string();
     assert!(error.contains("tracks.csv, line 2: x: 'x'"), "{error}");
     assert!(read_text("[]", TRACKS).unwrap_err().to_string().contains("no reconstruction with a shot"));

@@ -40,7 +40,7 @@ pub fn read(path: &Path, model: &Reconstruction) -> Result<Tracks, IoError> {
     for (line, record) in records {
         let fields: Vec<&str> = record.split('\t').collect();
         let [image, track, _feature, x, y, ..] = fields[..] else {
-            return Err(text.error(line, "observation", "has fewer than five fields"));
+            return Err(text.error(line, "observation", "fewer than five fields"));
         };
         let number = |field: &str, word: &str| {
             let value = word.parse::<f64>().ok().filter(|value| value.is_finite());

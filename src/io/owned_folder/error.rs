@@ -10,8 +10,8 @@ use crate::io::IoError;
 pub enum FolderError {
     /// Somebody else's.
     #[error(
-        "{}: this folder is not empty and was not made by {program} (it holds {examples}); nothing was changed; give a \
-         new or empty folder with --output",
+        "{}: not empty and not made by {program} (contains {examples}); nothing was changed; give a new or empty \
+         folder with --output",
         path.display()
     )]
     NotOwn {
@@ -24,8 +24,7 @@ pub enum FolderError {
     },
     /// Files of others where results belong.
     #[error(
-        "{}: {examples} stands where results are to be written; nothing was changed; move it away or give another \
-         --output",
+        "{}: {examples} would be overwritten; nothing was changed; move it away or give another --output",
         path.display()
     )]
     InTheWay {
@@ -36,8 +35,8 @@ pub enum FolderError {
     },
     /// A link inside the folder.
     #[error(
-        "{}: {link} is a link, and results are never written through one; nothing was changed; remove the link or give \
-         another --output",
+        "{}: {link} is a link, and results are never written through links; nothing was changed; remove the link or \
+         give another --output",
         path.display()
     )]
     Link {
@@ -48,7 +47,7 @@ pub enum FolderError {
     },
     /// Results of another input.
     #[error(
-        "{}: holds the results of another input ({}); nothing was changed; give another --output, or --overwrite to \
+        "{}: contains the results of another input ({}); nothing was changed; give another --output, or --overwrite to \
          replace them",
         path.display(), input.display()
     )]
@@ -60,7 +59,7 @@ pub enum FolderError {
     },
     /// Something that is to be read lies where results are written.
     #[error(
-        "{flag} {}: lies in the output folder, where results are written; copy it elsewhere first, or give another \
+        "{flag} {}: inside the output folder, where results are written; copy it elsewhere first, or give another \
          --output",
         input.display()
     )]
@@ -72,7 +71,7 @@ pub enum FolderError {
     },
     /// A single file that would lie among the results of a run.
     #[error(
-        "{}: lies where the results in {} are written; nothing was changed; give a path outside that folder",
+        "{}: inside the results folder {}; nothing was changed; give a path outside that folder",
         path.display(), folder.display()
     )]
     PlaceOfResults {
@@ -83,7 +82,7 @@ pub enum FolderError {
     },
     /// A single file that is there.
     #[error(
-        "{}: is there already; nothing was changed; give another name, or --overwrite to replace it",
+        "{}: exists; nothing was changed; give another name, or --overwrite to replace it",
         path.display()
     )]
     Exists {
@@ -91,13 +90,13 @@ pub enum FolderError {
         path: PathBuf,
     },
     /// Another process has the folder.
-    #[error("{}: another tractrix is at work on this folder; wait for it or give another --output", path.display())]
+    #[error("{}: in use by another tractrix process; wait for it or give another --output", path.display())]
     Busy {
         /// The folder.
         path: PathBuf,
     },
     /// The system refuses.
-    #[error("{}: cannot be written to: {source}; {}", path.display(), cure(source))]
+    #[error("{}: not writable: {source}; {}", path.display(), cure(source))]
     System {
         /// The folder or file.
         path: PathBuf,
@@ -112,7 +111,7 @@ pub enum FolderError {
 fn cure(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-            "make room, or give a folder on another disk with --output"
+            "free some space, or give a folder on another disk with --output"
         }
         _ => "give another folder with --output or change its permissions",
     }

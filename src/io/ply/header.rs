@@ -91,32 +91,32 @@ impl Header {
                 problem: problem.into(),
             };
             let Some(end) = rest.iter().position(|&b| b == b'\n') else {
-                return Err(error("header", "the file ends within it"));
+                return Err(error("header", "the file ends here"));
             };
-            let line = std::str::from_utf8(&rest[..end]).map_err(|_| error("header", "is not text"))?;
+            let line = std::str::from_utf8(&rest[..end]).map_err(|_| error("header", "not text"))?;
             rest = &rest[end + 1..];
             let words: Vec<&str> = line.split_whitespace().collect();
             match words[..] {
                 ["ply"] if number == 1 => {}
-                _ if number == 1 => return Err(error("first line", "is not 'ply'")),
+                _ if number == 1 => return Err(error("first line", "not 'ply'")),
                 [] | ["comment" | "obj_info", ..] => {}
                 ["format", name, "1.0"] => {
-                    encoding = Some(parse_encoding(name).ok_or_else(|| error("format", "is not known"))?);
+                    encoding = Some(parse_encoding(name).ok_or_else(|| error("format", "unknown"))?);
                 }
                 ["element", name, count] => {
-                    let count = count.parse().map_err(|_| error("element", "its count is not a number"))?;
+                    let count = count.parse().map_err(|_| error("element", "count is not a number"))?;
                     elements.push(Element { name: name.into(), count, properties: Vec::new() });
                 }
                 ["property", ref description @ ..] => {
-                    let property = parse_property(description).ok_or_else(|| error("property", "is not known"))?;
-                    let element = elements.last_mut().ok_or_else(|| error("property", "comes before any element"))?;
+                    let property = parse_property(description).ok_or_else(|| error("property", "unknown"))?;
+                    let element = elements.last_mut().ok_or_else(|| error("property", "before any element"))?;
                     element.properties.push(property);
                 }
                 ["end_header"] => break,
-                _ => return Err(error("header", "is not a line of a PLY header")),
+                _ => return Err(error("header", "not a line of a PLY header")),
             }
         }
-        let encoding = encoding.ok_or_else(|| IoError::content(path, "its header has no format line"))?;
+        let encoding = encoding.ok_or_else(|| IoError::content(path, "format line missing in the header"))?;
         check_counts(path, encoding, &elements, rest.len())?;
         Ok((Self { encoding, elements }, rest))
     }
@@ -149,7 +149,7 @@ fn check_counts(path: &Path, encoding: Encoding, elements: &[Element], num_bytes
         let least: usize = element.properties.iter().map(|p| least_bytes(encoding, p.kind)).sum();
         if element.count > 0 && (least == 0 || element.count > num_bytes.div_ceil(least)) {
             let Element { name, count, .. } = element;
-            return Err(IoError::content(path, format!("{count} of '{name}' do not fit in the file, which is cut")));
+            return Err(IoError::content(path, format!("{count} of '{name}' do not fit in the file; it is truncated")));
         }
     }
     Ok(())

@@ -86,7 +86,7 @@ fn vertex(values: &mut payload::Values<'_>, properties: &[header::Property]) -> 
     if position.iter().all(is_sensible) {
         Ok(Point3::from(position))
     } else {
-        Err(values.error("vertex", &format!("needs properties x, y and z, each a number of at most {LARGEST:e}")))
+        Err(values.error("vertex", &format!("expected properties x, y and z, each a number of at most {LARGEST:e}")))
     }
 }
 
@@ -106,7 +106,7 @@ fn face(
         })?;
     }
     if corners.iter().any(|c| c.fract() != 0.0 || !(0.0..=f64::from(u32::MAX)).contains(c)) {
-        return Err(values.error("vertex_indices", "must be whole numbers from 0"));
+        return Err(values.error("vertex_indices", "expected whole numbers from 0"));
     }
     for pair in corners.windows(2).skip(1) {
         triangles.push([corners[0] as u32, pair[0] as u32, pair[1] as u32]);
@@ -116,11 +116,11 @@ fn face(
 
 fn check(path: &Path, mesh: &TriangleMesh) -> Result<(), IoError> {
     if mesh.triangles.is_empty() {
-        return Err(IoError::content(path, "holds no faces, so it is no mesh"));
+        return Err(IoError::content(path, "no faces, so this is not a mesh"));
     }
     let num_vertices = mesh.vertices.len();
     match mesh.triangles.iter().flatten().find(|v| **v as usize >= num_vertices) {
-        Some(index) => Err(IoError::content(path, format!("a face names vertex {index} of {num_vertices}"))),
+        Some(index) => Err(IoError::content(path, format!("a face refers to vertex {index} of {num_vertices}"))),
         None => Ok(()),
     }
 }

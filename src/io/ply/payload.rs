@@ -38,7 +38,7 @@ impl<'a> Values<'a> {
             Kind::List { count, item } => {
                 let count = self.scalar(count, &property.name)?;
                 if count < 0.0 || count.fract() != 0.0 {
-                    return Err(self.error(&property.name, "the length of the list is not a whole number from 0"));
+                    return Err(self.error(&property.name, "list length is not a whole number from 0"));
                 }
                 // Each item must be read before the next, so a length beyond the file ends with the file.
                 for _ in 0..count as u64 {
@@ -62,7 +62,7 @@ impl<'a> Values<'a> {
         let word = rest[start..].split(u8::is_ascii_whitespace).next().unwrap_or_default();
         self.offset += start;
         let value = std::str::from_utf8(word).ok().and_then(|text| text.parse().ok());
-        let problem = if word.is_empty() { "the file ends here" } else { "is not a number" };
+        let problem = if word.is_empty() { "the file ends here" } else { "not a number" };
         let value = value.ok_or_else(|| self.error(field, problem))?;
         self.offset += word.len();
         Ok(value)

@@ -140,8 +140,8 @@ impl Alignment {
 pub enum Refusal {
     /// Too few fixes in the time of the video.
     #[error(
-        "{num} of the log's {of} distinct positions lie in the time of the video, {least} are needed: the log belongs \
-         to another flight, or its clock to another zone"
+        "{num} of the log's {of} distinct positions are within the time of the video, at least {least} needed: log of \
+         another flight, or a clock in another time zone"
     )]
     NoOverlap {
         /// Number of fixes in it.
@@ -153,8 +153,8 @@ pub enum Refusal {
     },
     /// Too few fixes to find out how the clocks go together.
     #[error(
-        "only {num} positions lie in the time of the video, and nothing says how the log's clock and the video's go \
-         together, which takes {least}: state the offset"
+        "clock offset unknown: estimating it needs {least} positions within the time of the video, found {num}; give \
+         --time-offset"
     )]
     TooFewForOffset {
         /// Number of fixes in it.
@@ -164,8 +164,8 @@ pub enum Refusal {
     },
     /// The camera hardly moved, by the receiver's measure.
     #[error(
-        "the camera moved too little for its receiver: metres per unit would be known to {percent:.0} % only \
-         ({extent_m:.1} m of way in fixes that are good to {std_m:.1} m)"
+        "camera moved too little: meters per unit would be known to {percent:.0} % only (path of {extent_m:.1} m, \
+         receiver error {std_m:.1} m)"
     )]
     Motionless {
         /// Standard deviation of the scale, per cent.
@@ -177,8 +177,8 @@ pub enum Refusal {
     },
     /// The fixes do not follow the path.
     #[error(
-        "the log shows another motion than the video: {rejected_percent:.0} % of the positions do not fit, the others \
-         are {noise_factor:.1} times as far off as they should be"
+        "log and video show different motion: {rejected_percent:.0} % of the positions are outliers, the others \
+         deviate {noise_factor:.1} times as much as expected"
     )]
     AnotherMotion {
         /// Share that does not fit, per cent.
@@ -187,7 +187,7 @@ pub enum Refusal {
         noise_factor: f64,
     },
     /// Two offsets fit equally well.
-    #[error("the log fits the video at an offset of {offset_s:.1} s as well as at {other_s:.1} s: state the offset")]
+    #[error("clock offset ambiguous: {offset_s:.1} s and {other_s:.1} s fit equally well; give --time-offset")]
     Ambiguous {
         /// The better one, seconds.
         offset_s: f64,

@@ -51,7 +51,7 @@ impl OnnxFlow {
                 task: "optical flow",
                 inputs: model.inputs().to_vec(),
                 outputs: model.outputs().to_vec(),
-                supported: "networks as RAFT: two images [1, 3, h, w] in, displacements [1, 2, h, w] out",
+                supported: "RAFT-like networks: two images [1, 3, h, w] in, displacements [1, 2, h, w] out",
             });
         };
         let description = match read_sidecar(path)? {

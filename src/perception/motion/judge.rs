@@ -66,16 +66,16 @@ impl fmt::Display for Judgement {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (moving, all) = (self.num_moving, self.num_moving + self.num_standing);
         match self.reason {
-            MovementReason::TooFewPoints => write!(f, "too few points on it say whether it moves"),
-            MovementReason::PointsMove => write!(f, "{moving} of {all} points on it move against the background"),
-            MovementReason::MovesForATime => write!(f, "{moving} of {all} points on it move, together for a time"),
+            MovementReason::TooFewPoints => write!(f, "too few points to decide whether it moves"),
+            MovementReason::PointsMove => write!(f, "{moving} of {all} points move against the background"),
+            MovementReason::MovesForATime => write!(f, "{moving} of {all} points move in part of the frames"),
             MovementReason::FootFloats => {
-                write!(f, "it approaches: a stationary object would float over the ground ({})", odds(self.odds))
+                write!(f, "it approaches: a stationary object would float above the ground ({})", odds(self.odds))
             }
             MovementReason::FootBehindGround => {
                 write!(
                     f,
-                    "it moves ahead of the camera: a stationary object would lie behind the ground ({})",
+                    "it moves ahead of the camera: a stationary object would be behind the ground ({})",
                     odds(self.odds)
                 )
             }
@@ -83,14 +83,14 @@ impl fmt::Display for Judgement {
                 let odds = odds(1.0 / self.odds);
                 write!(
                     f,
-                    "{} of {all} points on it are stationary, and its foot is on the ground ({odds})",
+                    "{} of {all} points are stationary, and the contact line is on the ground ({odds})",
                     self.num_standing
                 )
             }
-            MovementReason::Divided => write!(f, "{moving} of {all} points on it move, which is neither few nor many"),
+            MovementReason::Divided => write!(f, "{moving} of {all} points move: inconclusive"),
             MovementReason::AlongCameraPath => {
                 let odds = self.odds;
-                write!(f, "stationary, or moving along the camera's path (odds {odds:.2}:1): its points do not tell")
+                write!(f, "stationary, or moving along the camera's path: the points do not decide (odds {odds:.2}:1)")
             }
         }
     }

@@ -70,7 +70,7 @@ impl PromptOptions {
     pub fn check(&self) -> Checked {
         within("input_size", self.input_size, 64..=2048)?;
         if !self.input_size.is_multiple_of(CELL) {
-            return Err(OptionError::new("input_size", format!("{} is no multiple of {CELL}", self.input_size)));
+            return Err(OptionError::new("input_size", format!("{}: expected a multiple of {CELL}", self.input_size)));
         }
         within("window", self.window, 1.0..=100.0)?;
         within("min_window", self.min_window, 16..=8192)?;

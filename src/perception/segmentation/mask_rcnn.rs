@@ -82,7 +82,7 @@ impl MaskRcnn {
             return Err(PerceptionError::Description {
                 path: sidecar_path(model.path()),
                 reason: format!(
-                    "number 0 of a Mask R-CNN's classes is the background, not {:?}; begin with \"background\"",
+                    "class 0 of a Mask R-CNN is the background, found {:?}; begin with \"background\"",
                     classes.names[0]
                 ),
             });
@@ -179,17 +179,17 @@ impl Answer {
         let [boxes, labels, scores, masks] = [places.boxes, places.labels, places.scores, places.masks].map(&mut take);
         let n = scores.values.len();
         if boxes.shape != [n, 4] || labels.shape != [n] {
-            return Err((boxes.shape, format!("boxes are [{n}, 4] and labels [{n}], for there are {n} scores")));
+            return Err((boxes.shape, format!("boxes [{n}, 4] and labels [{n}], for {n} scores")));
         }
         let [num_masks, 1, height, width] = masks.shape[..] else {
-            return Err((masks.shape, "masks are [n, 1, h, w]".to_owned()));
+            return Err((masks.shape, "masks [n, 1, h, w]".to_owned()));
         };
         if num_masks != n || (n > 0 && (height == 0 || width == 0)) {
-            return Err((masks.shape, format!("there are {n} masks, and none is empty")));
+            return Err((masks.shape, format!("{n} masks, none of them empty")));
         }
         let labels: Vec<usize> = labels.values.iter().map(|&label| label as usize).collect();
         if let Some(label) = labels.iter().find(|&&label| label >= num_classes) {
-            return Err((vec![*label], format!("labels are below {num_classes}, the number of class names")));
+            return Err((vec![*label], format!("labels below {num_classes}, the number of class names")));
         }
         let pasted = (width, height) == (input.0 as usize, input.1 as usize);
         let spread = if pasted { Spread::Input } else { Spread::Box };
@@ -345,7 +345,7 @@ mod tests {
     fn shapes_and_labels_that_do_not_fit_are_named() {
         assert!(answer(Tensor::zeros(&[1, 2, 4, 4])).unwrap_err().1.contains("[n, 1, h, w]"));
         assert!(answer(Tensor::zeros(&[2, 1, 4, 4])).unwrap_err().1.contains("1 masks"));
-        assert!(answer(Tensor::zeros(&[1, 1, 0, 4])).unwrap_err().1.contains("none is empty"));
+        assert!(answer(Tensor::zeros(&[1, 1, 0, 4])).unwrap_err().1.contains("none of them empty"));
         let outputs = |label: f32| {
             vec![Tensor::zeros(&[1, 4]), tensor(&[1], &[label]), tensor(&[1], &[0.5]), Tensor::zeros(&[1, 1, 2, 2])]
         };

@@ -137,13 +137,13 @@ impl Raw {
             return Err((Vec::new(), "two outputs".into()));
         };
         let [1, k, height, width] = prototypes.shape[..] else {
-            return Err((prototypes.shape, "prototypes are [1, k, h, w]".into()));
+            return Err((prototypes.shape, "prototypes [1, k, h, w]".into()));
         };
         let [1, rows, _] = boxes.shape[..] else {
-            return Err((boxes.shape, "boxes are [1, 4 + classes + k, n]".into()));
+            return Err((boxes.shape, "boxes [1, 4 + classes + k, n]".into()));
         };
         if rows <= 4 + k || height == 0 || width == 0 {
-            return Err((boxes.shape, format!("boxes have more than 4 + {k} rows, prototypes are not empty")));
+            return Err((boxes.shape, format!("boxes with more than 4 + {k} rows, and prototypes that are not empty")));
         }
         Ok(Self { boxes, prototypes })
     }

@@ -116,7 +116,7 @@ impl Yolox {
             Some(output) if output.shape == expected && is_decoded(&output) => Err(PerceptionError::Output {
                 path,
                 found: output.shape,
-                expected: "boxes that are not decoded yet; export it without --decode_in_inference".to_owned(),
+                expected: "boxes that are not decoded; export without --decode_in_inference".to_owned(),
             }),
             Some(output) if outputs.is_empty() && output.shape == expected => Ok(output),
             other => Err(PerceptionError::Output {

@@ -65,24 +65,26 @@ pub struct Joints {
 /// What speaks against it, in words.
 pub fn same(pair: &Pair) -> Result<f64, String> {
     let Sameness { place, colours, size, num_points, num_matches } = pair.evidence;
-    let Some(place) = place else { return Err("nothing says where it should be".to_owned()) };
+    let Some(place) = place else { return Err("its position cannot be predicted".to_owned()) };
     if place > 1.0 {
-        return Err("it is too far from where it should be".to_owned());
+        return Err("too far from its predicted position".to_owned());
     }
     if size.is_some_and(|size| !(1.0 / MAX_SIZE_RATIO..=MAX_SIZE_RATIO).contains(&size)) {
-        return Err("it has another size".to_owned());
+        return Err("different size".to_owned());
     }
     let colours = colours.unwrap_or(0.0);
     if colours < MIN_COLOURS {
-        return Err("it has other colours".to_owned());
+        return Err("different colors".to_owned());
     }
     let by_place = place <= SURE_PLACE && colours >= SURE_COLOURS && pair.gap_s <= SURE_GAP_S;
     let least = MIN_POINTS + num_matches.unwrap_or(0) / MATCHES_PER_POINT;
     match num_points {
         Some(points) if points >= least => {}
-        Some(points) if points < FEW_POINTS => return Err(format!("both show detail, but {points} points in common")),
+        Some(points) if points < FEW_POINTS => {
+            return Err(format!("both are textured, but share only {points} points"));
+        }
         _ if by_place => {}
-        _ => return Err("neither its surface nor its place is sure enough".to_owned()),
+        _ => return Err("neither appearance nor position is conclusive".to_owned()),
     }
     let points = num_points.unwrap_or(0) as f64 / least as f64;
     Ok((1.0 - place) + colours + points.min(2.0))
@@ -105,13 +107,13 @@ pub fn join(spans: &[Span], pairs: &[Pair]) -> Joints {
     for (pair, strength) in &fit {
         if after.contains_key(&pair.before) || before.contains_key(&pair.after) {
             if joints.joined.iter().any(|other| is_rival(spans, pair, other)) {
-                joints.apart.push((*pair, "another object that is seen at the same time fits better".to_owned()));
+                joints.apart.push((*pair, "another object in the same frames fits better".to_owned()));
             }
             continue;
         }
         let rival = fit.iter().find(|(other, s)| is_rival(spans, pair, other) && *s > strength - MARGIN);
         if rival.is_some() {
-            joints.apart.push((*pair, "another object that is seen at the same time fits as well".to_owned()));
+            joints.apart.push((*pair, "another object in the same frames fits equally well".to_owned()));
             continue;
         }
         after.insert(pair.before, pair.after);
@@ -282,12 +284,12 @@ mod tests {
         assert!(same(&pair(0, 1, SURE)).is_ok());
         let refused = [
             (Sameness { place: Some(1.2), ..SURE }, "far"),
-            (Sameness { place: None, ..SURE }, "where it should be"),
+            (Sameness { place: None, ..SURE }, "cannot be predicted"),
             (Sameness { size: Some(3.0), ..SURE }, "size"),
-            (Sameness { colours: Some(0.5), ..SURE }, "colours"),
-            (Sameness { num_points: Some(1), ..SURE }, "in common"),
-            (Sameness { num_points: Some(7), place: Some(0.8), ..SURE }, "sure enough"),
-            (Sameness { num_points: None, place: Some(0.8), ..SURE }, "sure enough"),
+            (Sameness { colours: Some(0.5), ..SURE }, "colors"),
+            (Sameness { num_points: Some(1), ..SURE }, "share only"),
+            (Sameness { num_points: Some(7), place: Some(0.8), ..SURE }, "conclusive"),
+            (Sameness { num_points: None, place: Some(0.8), ..SURE }, "conclusive"),
         ];
         for (evidence, why) in refused {
             assert!(same(&pair(0, 1, evidence)).unwrap_err().contains(why), "{why}");

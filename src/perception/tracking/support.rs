@@ -77,18 +77,18 @@ impl fmt::Display for Unsupported {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Brief { num_frames } => {
-                write!(f, "it has masks in {num_frames} frames only, and {MIN_MASKS} are needed")
+                write!(f, "masks in {num_frames} frames only, at least {MIN_MASKS} needed")
             }
-            Self::Flat => write!(f, "none of its points rises over the ground: a piece of road, not a vehicle"),
+            Self::Flat => write!(f, "none of its points is above the ground: a patch of road, not a vehicle"),
             Self::Doubtful { num_named, confidence, num_moving, num_looks, movement } => {
                 match num_named {
-                    0 => write!(f, "no detector names it")?,
-                    _ => write!(f, "a detector names it in {num_named} of {num_looks} frames, {confidence:.2} sure")?,
+                    0 => write!(f, "no detection")?,
+                    _ => write!(f, "detected in {num_named} of {num_looks} frames, score {confidence:.2}")?,
                 }
                 match (movement, num_moving) {
-                    (Movement::Standing, _) => write!(f, ", and it stands"),
-                    (_, 0) => write!(f, ", and nothing says that it moves"),
-                    _ => write!(f, ", and motion finds it in {num_moving} frames only"),
+                    (Movement::Standing, _) => write!(f, ", and stationary"),
+                    (_, 0) => write!(f, ", and no evidence of motion"),
+                    _ => write!(f, ", and motion detected in {num_moving} frames only"),
                 }
             }
         }
@@ -194,9 +194,9 @@ pub(super) mod tests {
             assert!(support(&named(2, 0.9), &seen(movement)).is_err());
         }
         let reason = support(&named(5, 0.35), &seen(Movement::Standing)).unwrap_err().to_string();
-        assert_eq!(reason, "a detector names it in 5 of 40 frames, 0.35 sure, and it stands");
+        assert_eq!(reason, "detected in 5 of 40 frames, score 0.35, and stationary");
         let reason = support(&named(0, 0.0), &seen(Movement::Undetermined)).unwrap_err().to_string();
-        assert_eq!(reason, "no detector names it, and nothing says that it moves");
+        assert_eq!(reason, "no detection, and no evidence of motion");
     }
 
     #[test]
@@ -221,7 +221,7 @@ pub(super) mod tests {
     fn a_handful_of_masks_is_too_few() {
         let brief = Sighted { num_frames: 3, ..seen(Movement::Moving) };
         let reason = support(&named(38, 0.9), &brief).unwrap_err();
-        assert_eq!(reason.to_string(), "it has masks in 3 frames only, and 6 are needed");
+        assert_eq!(reason.to_string(), "masks in 3 frames only, at least 6 needed");
         assert_eq!(support(&named(38, 0.9), &Sighted { num_frames: 6, ..brief }), Ok(()));
     }
 

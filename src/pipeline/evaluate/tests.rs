@@ -140,7 +140,7 @@ fn an_output_without_anything_is_evaluated_as_such() {
     assert_eq!(evaluation.registered.num_background, 0);
     assert_eq!(evaluation.registered.num_visible, 60);
     assert!(evaluation.registration.as_ref().unwrap_err().contains("background"));
-    assert!(evaluation.target.as_ref().unwrap_err().contains("no object 1"));
+    assert!(evaluation.target.as_ref().unwrap_err().contains("object 1 not found"));
     let gone = out.path().join("nowhere");
     assert!(evaluate(&gone, &truth).unwrap_err().to_string().contains("nowhere"));
     assert!(evaluate(out.path(), &gone).is_err());

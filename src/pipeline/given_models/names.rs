@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::pipeline::PipelineError;
-use crate::scene::{Frame, Image, ImageId, Reconstruction};
+use crate::scene::{Frame, Image, ImageId, Reconstruction, Topic, Warning};
 
 /// The model with the images that are frames, under the frames' ids and names, and what is to be reported of the
 /// others. Cameras and points that no frame has are left out.
@@ -18,7 +18,7 @@ pub(super) fn with_frame_ids(
     path: &Path,
     mut model: Reconstruction,
     frames: &[Frame],
-) -> Result<(Reconstruction, Vec<String>), PipelineError> {
+) -> Result<(Reconstruction, Vec<Warning>), PipelineError> {
     let frame_of = frames_of(&model.images, frames);
     if frame_of.is_empty() {
         return Err(PipelineError::Options(nothing_in_common(path, &model, frames)));
@@ -45,7 +45,7 @@ pub(super) fn with_frame_ids(
         });
     }
     model.points.retain(|_, point| !point.track.is_empty());
-    Ok((model, remarks.into_iter().flatten().collect()))
+    Ok((model, remarks.into_iter().flatten().map(|text| Topic::GivenModelDoesNotFit.warning(text)).collect()))
 }
 
 /// The part of a name behind its folders, of either kind.
@@ -84,9 +84,8 @@ fn nothing_in_common(path: &Path, model: &Reconstruction, frames: &[Frame]) -> S
     let image = model.images.values().next().map_or("", |image| image.name.as_str());
     let frame = frames.first().map_or("", |frame| frame.name.as_str());
     format!(
-        "{}: none of its {} images is a frame of the input: its first one is called '{image}', the first frame \
-         '{frame}'; make the model of pictures that are named like the frames (or by their index from 0), or rename \
-         its images",
+        "{}: none of its {} images is a frame of the input: its first image is '{image}', the first frame '{frame}'; \
+         rename its images like the frames (or by their index from 0)",
         path.display(),
         model.images.len()
     )
@@ -102,8 +101,7 @@ fn check_unique(
         let name = images.get(id).map_or("", |image| image.name.as_str());
         if let Some(other) = taken.insert(&frame.name, name) {
             return Err(PipelineError::Options(format!(
-                "{}: its images '{other}' and '{name}' would both be the frame '{}'; leave one of them out of the \
-                 model",
+                "{}: its images '{other}' and '{name}' would both be frame '{}'; remove one of them from the model",
                 path.display(),
                 frame.name
             )));
@@ -115,9 +113,8 @@ fn check_unique(
 fn left_out(path: &Path, images: &BTreeMap<ImageId, Image>, frame_of: &BTreeMap<ImageId, &Frame>) -> Option<String> {
     let (num_images, num_left_out) = (images.len(), images.len() - frame_of.len());
     let path = path.display();
-    (num_left_out > 0).then(|| {
-        format!("{path}: {num_left_out} of its {num_images} images are no frames of the input and were left out")
-    })
+    (num_left_out > 0)
+        .then(|| format!("{path}: {num_left_out} of {num_images} images skipped: not frames of the input"))
 }
 
 /// Tools that take a video apart count pictures from 1: each image would be the frame after its own.
@@ -132,8 +129,8 @@ fn counted_from_one(path: &Path, images: &BTreeMap<ImageId, Image>, frames: &[Fr
     is_shifted.then(|| {
         let path = path.display();
         format!(
-            "{path}: its images seem to be counted from 1, frames are from 0; if they are, each is taken for the frame \
-             after its own: number them from 0 (ffmpeg: -start_number 0)"
+            "{path}: images seem to be numbered from 1, frames are from 0; if so, each is assigned to the following \
+             frame: number them from 0 (ffmpeg: -start_number 0)"
         )
     })
 }
@@ -169,7 +166,7 @@ mod tests {
         (0..4).map(|k| Frame { id: FrameId(k), name: format!("{k:06}.jpg"), time_s: 0.0 }).collect()
     }
 
-    fn matched(names: &[&str]) -> Result<(Reconstruction, Vec<String>), String> {
+    fn matched(names: &[&str]) -> Result<(Reconstruction, Vec<Warning>), String> {
         with_frame_ids(Path::new("m"), model(names), &frames()).map_err(|error| error.to_string())
     }
 
@@ -187,7 +184,7 @@ mod tests {
             assert_eq!(found.images[&ImageId(3)].name, "000002.jpg");
             let track = &found.points[&Point3dId(5)].track;
             assert_eq!(track.iter().map(|element| element.image.0).collect::<Vec<_>>(), [3, 1]);
-            assert!(remarks.len() == 1 && remarks[0].contains("1 of its 3 images are no frames"), "{remarks:?}");
+            assert!(remarks.len() == 1 && remarks[0].text.contains("1 of 3 images skipped"), "{remarks:?}");
         }
     }
 
@@ -202,7 +199,7 @@ mod tests {
     #[test]
     fn images_counted_from_one_are_told() {
         let (_, remarks) = matched(&["1.png", "2.png", "3.png", "4.png"]).unwrap();
-        assert!(remarks.iter().any(|remark| remark.contains("counted from 1")), "{remarks:?}");
+        assert!(remarks.iter().any(|remark| remark.text.contains("numbered from 1")), "{remarks:?}");
         assert!(matched(&["1.png", "2.png", "3.png"]).unwrap().1.is_empty());
     }
 }

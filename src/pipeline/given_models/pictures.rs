@@ -21,7 +21,7 @@ use nalgebra::{Point2, UnitQuaternion, Vector2, Vector3};
 use crate::camera::{Camera, HigherTerms};
 use crate::math::Rigid3;
 use crate::pipeline::PipelineError;
-use crate::scene::{CameraId, FrameId, Reconstruction};
+use crate::scene::{CameraId, FrameId, Reconstruction, Topic, Warning};
 
 /// Known properties of the frames' images.
 pub(super) struct Pictures<'a> {
@@ -87,7 +87,7 @@ pub(super) fn fit(
     model: &mut Reconstruction,
     sizes: &Sizes,
     pictures: &Pictures,
-) -> Result<Vec<String>, PipelineError> {
+) -> Result<Vec<Warning>, PipelineError> {
     complete_sizes(model, sizes, pictures);
     let mut known: BTreeMap<(CameraId, u8), CameraId> = BTreeMap::new();
     let mut cameras = BTreeMap::new();
@@ -119,16 +119,16 @@ pub(super) fn fit(
     Ok([
         is_undistorted.then(|| {
             format!(
-                "{path}: its cameras have no distortion and --intrinsics has: its pictures are taken for the frames \
-                 without distortion"
+                "{path}: model without distortion, but --intrinsics with distortion: its images are assumed to be the \
+                 undistorted frames"
             )
         }),
-        is_half_turned.then(|| {
-            format!("{path}: frames are turned by 180° from how they are stored; its pictures are taken to be upright")
-        }),
+        is_half_turned
+            .then(|| format!("{path}: frames are stored upside down; the model's images are assumed to be upright")),
     ]
     .into_iter()
     .flatten()
+    .map(|text| Topic::GivenModelDoesNotFit.warning(text))
     .collect())
 }
 
@@ -215,15 +215,15 @@ fn about_axis(num_turns: u8) -> Rigid3 {
 fn other_pictures(path: &Path, camera: &Camera, pictures: &Pictures) -> String {
     let shown = |(width, height): (u32, u32)| format!("{width}x{height}");
     let (own, frame, source) = ((camera.width, camera.height), pictures.frame, pictures.source);
-    let before = if source == frame { String::new() } else { format!(" ({} before they are reduced)", shown(source)) };
+    let before = if source == frame { String::new() } else { format!(" ({} before downscaling)", shown(source)) };
     let is_turned = [frame, source].contains(&(own.1, own.0));
     let cure = if is_turned {
-        "they are turned by 90°, which nothing in the input says; make the model of upright pictures"
+        "they are rotated by 90° without a flag in the input; make the model from upright images"
     } else if has_distortion(camera) {
-        "make the model of the frames as they are; models must be at the resolution of the frames, or of their source"
+        "make the model from the frames as they are; models must be at the resolution of the frames, or of their source"
     } else {
-        "models must be at the resolution of the frames, or of their source; if its pictures are the frames without \
-         distortion, say with --intrinsics fx,fy,cx,cy,k1,k2 which lens took the frames"
+        "models must be at the resolution of the frames, or of their source; for undistorted images give the lens of \
+         the frames with --intrinsics fx,fy,cx,cy,k1,k2"
     };
-    format!("{}: its pictures have {} pixels, the frames {}{before}; {cure}", path.display(), shown(own), shown(frame))
+    format!("{}: images of {} pixels, frames of {}{before}; {cure}", path.display(), shown(own), shown(frame))
 }

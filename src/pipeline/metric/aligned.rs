@@ -11,7 +11,7 @@ use crate::metric::{
     self, Alignment, CameraPath, Gravity, Offset, Orientation, Refusal, Source, Support, align_to_fixes,
     metric_from_cam,
 };
-use crate::scene::{Frame, Image, MapOrigin, Reconstruction, TimeBase};
+use crate::scene::{Frame, Image, MapOrigin, Reconstruction, TimeBase, Topic};
 use crate::telemetry::{self, ClockKind, Fix, LocalFixes, LocalFrame};
 use crate::video::{self, Kind};
 
@@ -68,7 +68,8 @@ pub(super) fn align(
             Some(aligned)
         }
         Err(reason) => {
-            outcome.warn(format!("{}: its positions give no metres: {reason}", telemetry.path.display()));
+            let text = format!("{}: positions give no scale: {reason}", telemetry.path.display());
+            outcome.warn(Topic::TelemetryDoesNotFit.warning(text));
             None
         }
     }
@@ -83,7 +84,7 @@ fn try_align(
 ) -> Result<Aligned, String> {
     let frames = run.frames().map_err(|error| error.to_string())?;
     if telemetry.origin != Origin::Photographs && run.info().time_base() == TimeBase::Frames {
-        return Err("the frames have no times; give --fps RATE (frames per second)".to_owned());
+        return Err("frames without times; give --fps RATE".to_owned());
     }
     let (LocalFixes { frame: map, knows_height, mut fixes, times, .. }, epoch_s) = local_fixes(telemetry, frames)?;
     fixes.iter_mut().for_each(|fix| fix.time_s -= epoch_s);
@@ -93,7 +94,7 @@ fn try_align(
     for offset in offsets {
         let support = support(background, frames, telemetry, ground, offset, epoch_s, outcome);
         match align_to_fixes(&path, &fixes, &support) {
-            Ok(alignment) if !is_finite(&alignment) => return Err("the fit has no bounds".to_owned()),
+            Ok(alignment) if !is_finite(&alignment) => return Err("fit is not finite".to_owned()),
             Ok(alignment) => {
                 let aligned = Aligned { alignment, map, knows_height, epoch_s, origin: telemetry.origin };
                 warn_of_other_clock(telemetry, &aligned, refusal.as_ref(), outcome);
@@ -108,13 +109,12 @@ fn try_align(
 /// Says where the log fits only at another time than it states.
 fn warn_of_other_clock(telemetry: &Telemetry, aligned: &Aligned, refusal: Option<&Refusal>, outcome: &mut Outcome) {
     let Some(reason) = refusal else { return };
-    outcome.warn(format!(
-        "{}: at the time that it states it does not fit the video ({reason}); by its way it was recorded at another: \
-         its clock is taken to be {:.1} s ahead of the video's (give --time-offset SECONDS if that is wrong, \
-         --no-telemetry if it is the log of another flight)",
+    outcome.warn(Topic::TelemetryAtAnotherTime.warning(format!(
+        "{}: stated time does not fit the video ({reason}); by its trajectory the log's clock is {:.1} s ahead of the \
+         video's; give --time-offset SECONDS if that is wrong, --no-telemetry if it is the log of another flight",
         telemetry.path.display(),
         aligned.clock_offset_s()
-    ));
+    )));
 }
 
 fn is_finite(alignment: &Alignment) -> bool {
@@ -133,7 +133,7 @@ fn local_fixes(telemetry: &Telemetry, frames: &[Frame]) -> Result<(LocalFixes, f
         Origin::Photographs => telemetry.log.local_fixes_at(telemetry::TimeBase::Video, of_photograph),
         Origin::Named | Origin::Beside | Origin::Inside => telemetry.log.local_fixes(),
     };
-    let local = local.ok_or("none of its positions has a time")?;
+    let local = local.ok_or("no position with a time")?;
     let first_s = local.fixes.first().map_or(0.0, |fix| fix.time_s);
     let epoch_s = if local.times == telemetry::TimeBase::Clock { first_s } else { 0.0 };
     Ok((local, epoch_s))
@@ -144,7 +144,7 @@ fn camera_path(background: &Reconstruction, frames: &[Frame]) -> Result<CameraPa
     let seen = registered(background, frames);
     let poses: Vec<_> = seen.iter().map(|(frame, image)| (frame.time_s, image.cam_from_world.center())).collect();
     let way: f64 = poses.windows(2).map(|pair| (pair[1].1 - pair[0].1).norm()).filter(|step| step.is_finite()).sum();
-    CameraPath::new(poses, DRIFT * way).ok_or_else(|| "fewer than two frames are registered".to_owned())
+    CameraPath::new(poses, DRIFT * way).ok_or_else(|| "fewer than two frames registered".to_owned())
 }
 
 fn registered<'a>(background: &'a Reconstruction, frames: &'a [Frame]) -> Vec<(&'a Frame, &'a Image)> {
@@ -215,7 +215,8 @@ fn support(
     match orientation {
         Some(found) if agrees(&found) => Support { offset, gravity: None, orientation: Some(found) },
         Some(_) => {
-            outcome.warn("the camera's attitude in the telemetry does not fit the ground: it is not used");
+            let text = "telemetry: camera attitude does not fit the ground; attitude ignored";
+            outcome.warn(Topic::CameraAttitudeIgnored.warning(text));
             Support { offset, gravity, orientation: None }
         }
         None => Support { offset, gravity, orientation: None },

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use super::super::TelemetryChoice;
 use super::super::run::{Outcome, Run};
 use crate::limits::memory::MemoryLimit;
+use crate::scene::Topic;
 use crate::telemetry::{self, Log, TelemetryError};
 use crate::video::{self, Kind, VideoError};
 
@@ -76,7 +77,8 @@ fn named(path: &Path, memory: MemoryLimit, outcome: &mut Outcome) -> Option<Tele
     match telemetry::read_within(path, memory) {
         Ok(log) => Some(Telemetry { log, path: path.to_owned(), origin: Origin::Named }),
         Err(error) => {
-            outcome.warn(format!("telemetry gives no metres: {}", with_cause(&error)));
+            let text = format!("telemetry gives no scale: {}", with_cause(&error));
+            outcome.warn(Topic::TelemetryUnreadable.warning(text));
             None
         }
     }
@@ -86,13 +88,14 @@ fn from_files(paths: &[PathBuf], memory: MemoryLimit, outcome: &mut Outcome) -> 
     paths.iter().find_map(|path| match telemetry::read_within(path, memory) {
         Ok(log) => Some(Telemetry { log, path: path.clone(), origin: Origin::Beside }),
         Err(error) => {
-            let said = format!("a file beside the video is not taken for telemetry: {}", with_cause(&error));
+            let text = format!("file next to the video ignored as telemetry: {}", with_cause(&error));
+            let warning = Topic::TelemetryUnreadable.warning(text);
             match error {
                 // It may well be telemetry.
-                TelemetryError::TooLarge { .. } | TelemetryError::TooMany { .. } => outcome.warn(said),
+                TelemetryError::TooLarge { .. } | TelemetryError::TooMany { .. } => outcome.warn(warning),
                 _ => {
-                    tracing::info!("{said}");
-                    outcome.note(said);
+                    tracing::info!("{warning}");
+                    outcome.note(warning);
                 }
             }
             None
@@ -105,8 +108,10 @@ fn inside(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
     match telemetry_inside(video, run.options.video.track) {
         Some(Ok(log)) => Some(Telemetry { log, path: video.to_owned(), origin: Origin::Inside }),
         Some(Err(error)) => {
-            tracing::info!("the text track of the video is no telemetry: {}", with_cause(&error));
-            outcome.note(format!("the text track of the video is no telemetry: {}", with_cause(&error)));
+            let text = format!("text track of the video ignored as telemetry: {}", with_cause(&error));
+            let warning = Topic::TelemetryUnreadable.warning(text);
+            tracing::info!("{warning}");
+            outcome.note(warning);
             None
         }
         None => None,
@@ -152,21 +157,22 @@ fn photographs(run: &Run) -> Option<Telemetry> {
 fn say(found: &Telemetry, outcome: &mut Outcome) {
     let Telemetry { log, path, origin } = found;
     let whence = match origin {
-        Origin::Named => "as named",
-        Origin::Beside => "found beside the video",
-        Origin::Inside => "the video's text track",
-        Origin::Photographs => "what the photographs say of their places",
+        Origin::Named => "given",
+        Origin::Beside => "found next to the video",
+        Origin::Inside => "text track of the video",
+        Origin::Photographs => "EXIF positions of the photographs",
     };
     tracing::info!("telemetry: {} ({whence}), {} positions", path.display(), log.fixes.len());
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     outcome.figure("telemetry", serde_json::json!({ "file": name, "found": whence, "num_fixes": log.fixes.len() }));
     if let Some(first) = log.passed_over.first() {
-        outcome.warn(format!("{}: {} passed over, the first: {first}", path.display(), places(log.num_passed_over)));
+        let text = format!("{}: {} skipped, the first: {first}", path.display(), positions(log.num_passed_over));
+        outcome.warn(Topic::TelemetryLinesSkipped.warning(text));
     }
 }
 
-fn places(number: usize) -> String {
-    format!("{number} {}", if number == 1 { "place" } else { "places" })
+fn positions(number: usize) -> String {
+    format!("{number} {}", if number == 1 { "position" } else { "positions" })
 }
 
 /// An error with what the system says.

@@ -22,7 +22,7 @@ use crate::math::median;
 use crate::math::rounding::{figure, percent, significant};
 use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
 use crate::scene::{
-    Metric, MetricFrame, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, Trajectories,
+    Metric, MetricFrame, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, Topic, Trajectories,
 };
 use crate::telemetry;
 use aligned::Aligned;
@@ -66,7 +66,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     let trajectories = scale::in_units(run)?;
     let sizes = scale::sizes(run)?;
     let found = match background.is_empty() {
-        true => Found::unknown("there is no background"),
+        true => Found::unknown("no background"),
         false => find(run, &background, &trajectories, &sizes, &mut outcome)?,
     };
     describe(&found.metric, &mut outcome);
@@ -180,9 +180,8 @@ fn nominal_frame(ground: &Ground, background: &Reconstruction, objects: &[Object
 }
 
 /// Why metres are unknown.
-const NOTHING: &str = "nothing gives metres: there is no telemetry that fits, no length is known, and no vehicle is of \
-                       a class whose sizes are known (give --telemetry FILE, --camera-height METRES, --known-length \
-                       ID:length=METRES or --scale METRES)";
+const NOTHING: &str = "no source of scale: no matching telemetry, no known length, no vehicle of a class with known \
+     sizes; give --telemetry FILE, --camera-height METERS, --known-length ID:length=METERS or --scale METERS";
 
 /// On what the metres rest, and how well they are known.
 fn sentence(fused: &Fused, frame: &MetricFrame) -> String {
@@ -200,13 +199,13 @@ fn sentence(fused: &Fused, frame: &MetricFrame) -> String {
 
 fn warn_of_contradictions(fused: &Fused, outcome: &mut Outcome) {
     for contradiction in &fused.contradictions {
-        outcome.warn(format!(
-            "{} contradicts the other sources of metres: {} times their metres per unit ({} standard deviations); \
-             check it",
+        outcome.warn(Topic::SourcesContradict.warning(format!(
+            "{} contradicts the other sources of scale: {} times their meters per unit ({} standard deviations); check \
+             it",
             contradiction.source,
             figure(contradiction.ratio),
             significant(contradiction.deviations, 2)
-        ));
+        )));
     }
 }
 

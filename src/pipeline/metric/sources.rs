@@ -6,7 +6,7 @@ use super::super::run::{Outcome, Run};
 use super::super::{PipelineError, Stage, ground};
 use crate::ground::{CameraHeight, HeightFailure, camera_height};
 use crate::metric::{Kind, Level, Measured, Source};
-use crate::scene::Reconstruction;
+use crate::scene::{Reconstruction, Topic};
 
 /// The ground of the background, as far as metres need it.
 pub(super) struct Ground {
@@ -36,7 +36,7 @@ impl Ground {
     fn height(&self) -> Result<Measured, String> {
         let of_planes = || {
             let found = self.below.as_ref().map_err(ToString::to_string)?;
-            Measured::new(found.mean, found.std).ok_or_else(|| "the ground has no certain height".to_owned())
+            Measured::new(found.mean, found.std).ok_or_else(|| "the height above the ground is undetermined".to_owned())
         };
         self.mount.map_or_else(of_planes, Ok)
     }
@@ -93,16 +93,16 @@ const MAX_SPREAD: f64 = 0.15;
 fn of_height(given: Measured, ground: &Ground, outcome: &mut Outcome) -> Option<Source> {
     match ground.height() {
         Err(reason) => {
-            outcome.warn(format!("--camera-height gives no metres: {reason}"));
+            outcome.warn(Topic::CameraHeightUnusable.warning(format!("--camera-height gives no scale: {reason}")));
             None
         }
         Ok(height) => {
             if ground.spread() > MAX_SPREAD {
-                outcome.warn(format!(
-                    "the camera's height over the ground differs by ± {:.0} % on its way: --camera-height is taken for \
-                     the mean over the frames",
+                outcome.warn(Topic::CameraHeightUnusable.warning(format!(
+                    "--camera-height: height above ground varies by ±{:.0} %; the value is taken as the mean over the \
+                     frames",
                     100.0 * ground.spread()
-                ));
+                )));
             }
             outcome.figure("camera_height", serde_json::json!({ "units": height.value, "units_std": height.std }));
             Some(source("camera height", given.log_ratio(&height)))

@@ -10,7 +10,7 @@ use crate::metric::{
     vehicle_sizes,
 };
 use crate::scene::{
-    Dimensions, Estimate, MetricContradiction, MetricFrame, ObjectId, ObjectTrajectory, Trajectories, Trust,
+    Dimensions, Estimate, MetricContradiction, MetricFrame, ObjectId, ObjectTrajectory, Topic, Trajectories, Trust,
 };
 
 /// Size of an object, in units of the background; `None` for a dimension that was never visible.
@@ -54,7 +54,8 @@ pub(super) fn known(run: &Run, sizes: &BTreeMap<ObjectId, Size>, outcome: &mut O
     let source = |known: &KnownLength| match of_length(known, sizes) {
         Ok(source) => Some(source),
         Err(reason) => {
-            outcome.warn(format!("--known-length {known} gives no metres: {reason}"));
+            outcome
+                .warn(Topic::KnownLengthUnusable.warning(format!("--known-length {known} gives no scale: {reason}")));
             None
         }
     };
@@ -64,9 +65,9 @@ pub(super) fn known(run: &Run, sizes: &BTreeMap<ObjectId, Size>, outcome: &mut O
 fn of_length(known: &KnownLength, sizes: &BTreeMap<ObjectId, Size>) -> Result<Source, String> {
     let KnownLength { object, dimension, length } = known;
     let name = dimension.name();
-    let size = sizes.get(object).ok_or_else(|| format!("vehicle {object} has no trajectory"))?;
+    let size = sizes.get(object).ok_or_else(|| format!("vehicle {object}: no trajectory"))?;
     let units = size.of(*dimension).and_then(|units| Measured::new(units.value, units.std));
-    let units = units.ok_or_else(|| format!("the {name} of vehicle {object} was never seen well enough"))?;
+    let units = units.ok_or_else(|| format!("vehicle {object}: {name} not measured, never visible well enough"))?;
     let (log_scale, std) = length.log_ratio(&units);
     Ok(Source { name: format!("{name} of vehicle {object}"), kind: Kind::Surveyed, log_scale, std })
 }
@@ -100,7 +101,7 @@ fn is_doubtful(trajectory: &ObjectTrajectory) -> bool {
 
 impl Alike {
     fn of(found: VehicleSizes) -> Self {
-        let name = "what vehicles are like".to_owned();
+        let name = "typical vehicle sizes".to_owned();
         let source = |(log_scale, std)| Source { name, kind: Kind::Prior, log_scale, std };
         Self { source: found.log_scale.map(source), odd: found.odd }
     }
@@ -108,16 +109,17 @@ impl Alike {
     /// Says which vehicles are odd.
     pub(super) fn warn(&self, outcome: &mut Outcome) {
         for OddVehicle { vehicle, oddity, deviations } in &self.odd {
-            outcome.warn(match oddity {
+            let text = match oddity {
                 Oddity::Shape => format!(
-                    "vehicle {vehicle} has not the proportions of its class ({deviations:.1} standard deviations off \
-                     any vehicle of it): its size is not asked for metres"
+                    "vehicle {vehicle}: proportions differ from its class ({deviations:.1} standard deviations off); \
+                     its size is not used for the scale"
                 ),
                 Oddity::Scale(ratio) => format!(
-                    "the size of vehicle {vehicle} contradicts those of the others: it gives {ratio:.3} times their \
-                     metres per unit, which is {deviations:.1} standard deviations off"
+                    "vehicle {vehicle}: size contradicts the other vehicles ({ratio:.3} times their meters per unit, \
+                     {deviations:.1} standard deviations)"
                 ),
-            });
+            };
+            outcome.warn(Topic::VehicleProportionsOdd.warning(text));
         }
     }
 
@@ -169,7 +171,7 @@ mod tests {
     fn what_was_not_seen_is_said() {
         let of = |text: &str| of_length(&text.parse().unwrap(), &sizes()).unwrap_err();
         assert!(of("3:width=1.8").contains("the width of vehicle 3 was never seen"));
-        assert!(of("4:length=4.4").contains("vehicle 4 has no trajectory"));
+        assert!(of("4:length=4.4").contains("vehicle 4: no trajectory"));
     }
 
     /// A car 4.3 units long that can be trusted so far, with its size.

@@ -65,7 +65,7 @@ impl MetricOptions {
 /// A value in its range whose deviation is no larger than half of it: beyond that its logarithm means nothing.
 fn value_within(key: &str, measured: Measured, [least, most]: [f64; 2]) -> Checked {
     within(key, measured.value, least..=most)?;
-    let too_wide = || OptionError::new(key, format!("{measured} says nothing: its deviation is more than half of it"));
+    let too_wide = || OptionError::new(key, format!("{measured}: standard deviation must be below half the value"));
     (measured.std <= 0.5 * measured.value).then_some(()).ok_or_else(too_wide)
 }
 

@@ -91,8 +91,8 @@ fn lay_group(options: &mut Options, path: &str, known: &Map<String, Value>, give
 /// The entries of what must be an object of JSON.
 fn named<'a>(path: &str, names: &[&str], given: &'a Value) -> Result<&'a Map<String, Value>, OptionError> {
     let wrong = || match names {
-        [] => OptionError::new(path, format!("{given} gives no values by the ids of objects")),
-        _ => OptionError::new(path, format!("{given} is no group of options; it has {}", names.join(", "))),
+        [] => OptionError::new(path, format!("{given}: expected values by object id")),
+        _ => OptionError::new(path, format!("{given}: expected a group of options: {}", names.join(", "))),
     };
     given.as_object().ok_or_else(wrong)
 }
@@ -107,7 +107,7 @@ fn choose_kind<'a>(
     let before = tree(options).pointer(&pointer(path)).map_or(Value::Null, |group| group["kind"].clone());
     let kind = given.get("kind").unwrap_or(&before);
     let wrong =
-        || OptionError::new(join(path, "kind"), format!("{kind} is none of {}", schema::kinds(kinds).join(", ")));
+        || OptionError::new(join(path, "kind"), format!("{kind}: expected one of {}", schema::kinds(kinds).join(", ")));
     let known = schema::of_kind(kinds, kind).ok_or_else(wrong)?;
     if *kind != before {
         let target = if path.starts_with("objects") { Target::Object } else { Target::Background };
@@ -121,7 +121,7 @@ fn check_kind(path: &str, kinds: &[Value], known: &Map<String, Value>, given: &V
     let names = given.as_object().into_iter().flat_map(Map::keys).filter(|name| !known.contains_key(*name));
     for name in names {
         if let Some(kind) = schema::kind_with(kinds, name) {
-            let reason = format!("it belongs to the kind {kind}; set {} to that first", join(path, "kind"));
+            let reason = format!("belongs to kind {kind}; set {} to that first", join(path, "kind"));
             return Err(OptionError::new(join(path, name), reason));
         }
     }
@@ -149,7 +149,7 @@ fn put(options: &mut Options, path: &str, value: &Value) -> Checked {
     let changed: Options = serde_json::from_value(changed).map_err(|error| wrong(error.to_string()))?;
     // Single precision takes 1e300 for infinite, which JSON cannot say.
     if !value.is_null() && tree(&changed).pointer(&pointer(path)).is_some_and(Value::is_null) {
-        return Err(wrong(format!("{value} is no number that it can have")));
+        return Err(wrong(format!("{value}: number out of range")));
     }
     *options = changed;
     Ok(())
@@ -167,7 +167,7 @@ fn pointer(path: &str) -> String {
 fn unknown(path: &str, name: &str, names: &[&str]) -> OptionError {
     let place = if path.is_empty() { "the tree" } else { path };
     let meant = meant(path, name, names).map_or_else(|| ".".to_owned(), |meant| format!("; did you mean {meant}?"));
-    OptionError::new(join(path, name), format!("there is no such option{meant} In {place} stand {}", names.join(", ")))
+    OptionError::new(join(path, name), format!("unknown option{meant} Options of {place}: {}", names.join(", ")))
 }
 
 /// Suggestion for an unknown key: its nearest neighbor in the group, or else its namesakes elsewhere.
@@ -232,7 +232,7 @@ mod tests {
         let said = refused(json!({ "background": { "front_end": { "kind": "orb" } } }));
         assert!(said.contains("background.front_end.kind") && said.contains("video, sift"), "{said}");
         let said = refused(json!({ "background": { "front_end": { "pairing": "exhaustive" } } }));
-        assert!(said.contains("background.front_end.pairing: it belongs to the kind \"sift\""), "{said}");
+        assert!(said.contains("background.front_end.pairing: belongs to kind \"sift\""), "{said}");
     }
 
     #[test]
@@ -296,7 +296,7 @@ mod tests {
         let said = refused(json!({ "scale": { "joint": { "independent_point": 5 } } }));
         assert!(said.contains("did you mean scale.joint.independent_points?"), "{said}");
         let said = refused(json!({ "max_pair_matches": 5 }));
-        assert!(said.contains("option max_pair_matches: there is no such option"), "{said}");
+        assert!(said.contains("option max_pair_matches: unknown option"), "{said}");
         let said = refused(json!({ "min_pair_matches": 5 }));
         assert!(said.contains("background.front_end.min_pair_matches or objects.front_end.min_pair_matches"), "{said}");
     }

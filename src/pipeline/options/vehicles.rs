@@ -64,7 +64,7 @@ impl FromStr for MaskChoice {
         match text {
             "default" => Ok(Self::Default),
             "none" => Ok(Self::None),
-            _ => Err(format!("'{text}' is neither default nor none")),
+            _ => Err(format!("'{text}': expected default or none")),
         }
     }
 }
@@ -77,7 +77,7 @@ impl FromStr for MotionChoice {
         match text {
             "on" => Ok(Self::On),
             "off" => Ok(Self::Off),
-            _ => Err(format!("'{text}' is neither on nor off")),
+            _ => Err(format!("'{text}': expected on or off")),
         }
     }
 }

@@ -15,7 +15,7 @@ use crate::pipeline::networks::Networks;
 use crate::pipeline::rhythm::Rhythm;
 use crate::pipeline::run::{Outcome, Run};
 use crate::pipeline::{PipelineError, Stage, motion, pictures, segment, standing};
-use crate::scene::{BoxDetection, Frame, FrameId, ObjectId, TrackedObject};
+use crate::scene::{BoxDetection, Frame, FrameId, ObjectId, Topic, TrackedObject};
 
 /// Where what was found in the frames comes from.
 pub(super) enum Finds {
@@ -38,8 +38,7 @@ impl Finds {
         let prompter = Kept::new(Networks::of(run)?.load_prompter(run)?, answers);
         if prompter.is_coarse() {
             outcome.warn(
-                "masks are coarse: colours alone tell a vehicle from the road beside it, for there is no mask network \
-                 (`tractrix doctor` says why)",
+                Topic::MasksCoarse.warning("masks are coarse, by color only: no mask network; run `tractrix doctor`"),
             );
         }
         let (detected, moving) = (segment::finished_boxes(run), motion::boxes(run));
@@ -125,11 +124,11 @@ fn say_passed_over(PassedOver { num_boxes, max_confidence }: PassedOver, run: &R
     if num_boxes > 0 {
         outcome.figure("num_standing_boxes", num_boxes);
         let detections = if num_boxes == 1 { "1 detection".to_owned() } else { format!("{num_boxes} detections") };
-        outcome.warn(format!(
+        outcome.warn(Topic::DetectionsIgnored.warning(format!(
             "{detections} ignored: stationary, detector score at most {max_confidence:.2} (threshold \
              tracker.start_standing = {})",
             run.options.tracker.start_standing
-        ));
+        )));
     }
 }
 

@@ -48,7 +48,7 @@ struct Answer {
 
 impl Content for Asked {
     fn flaw(&self) -> Option<String> {
-        let boxes = self.boxes.iter().any(own_file::is_wrong).then(|| "a box has no size".to_owned());
+        let boxes = self.boxes.iter().any(own_file::is_wrong).then(|| "a box without size".to_owned());
         boxes.or_else(|| self.answers.iter().flatten().find_map(|answer| own_file::share(answer.quality)))
     }
 }

@@ -12,10 +12,7 @@ use crate::scene::{FoundIn, Frame, FrameId, Mask, Movement, MovementFinding, Obj
 
 /// Finding where nothing was examined.
 pub(super) fn unknown() -> MovementFinding {
-    MovementFinding {
-        state: Movement::Undetermined,
-        reason: "pictures that do not follow one another in time show no motion".to_owned(),
-    }
+    MovementFinding { state: Movement::Undetermined, reason: "unordered images show no motion".to_owned() }
 }
 
 /// Says of every object whether it moved; its masks lie in `folder`, which is still in the making. Gives what its masks
@@ -86,7 +83,7 @@ fn finding(object: &TrackedObject, judged: &Judgement) -> MovementFinding {
     let FoundIn { given, .. } = object.found_in;
     let is_vehicle = given > 0 || object.found_in.by_detector() > object.found_in.motion;
     if judged.reason == MovementReason::FootFloats && !is_vehicle {
-        let reason = "a stationary object would float over the ground: it approaches, or it is something tall";
+        let reason = "it approaches, or it is tall: a stationary object would float above the ground";
         return MovementFinding { state: Movement::Undetermined, reason: reason.to_owned() };
     }
     MovementFinding { state: judged.movement, reason: judged.to_string() }

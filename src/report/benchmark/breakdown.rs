@@ -18,14 +18,14 @@ const STATED: &str = "#1b62b5";
 type Sweep = (&'static str, &'static str, &'static str, fn(&Case) -> Option<f64>);
 
 const SWEEPS: [Sweep; 8] = [
-    ("scale", "Size of the vehicle in the picture", "longer side of its mask, pixels", |case| case.object_px),
-    ("hidden", "Frames in which the vehicle is hidden", "share of the frames, %", |case| Some(100.0 * case.level)),
-    ("erosion", "Masks that are too small", "missing on every side, pixels", |case| Some(case.level)),
-    ("dilation", "Masks that are too large", "too much on every side, pixels", |case| Some(case.level)),
-    ("jitter", "Masks that tremble", "standard deviation of their place, pixels", |case| Some(case.level)),
-    ("window", "Change of the camera's height", "of the mean height, %", |case| Some(100.0 * case.climb?)),
+    ("scale", "Size of the vehicle in the image", "longer side of its mask, pixels", |case| case.object_px),
+    ("hidden", "Frames in which the vehicle is occluded", "share of the frames, %", |case| Some(100.0 * case.level)),
+    ("erosion", "Masks that are too small", "eroded on every side, pixels", |case| Some(case.level)),
+    ("dilation", "Masks that are too large", "dilated on every side, pixels", |case| Some(case.level)),
+    ("jitter", "Jittering masks", "standard deviation of their position, pixels", |case| Some(case.level)),
+    ("window", "Change of camera height", "share of the mean height, %", |case| Some(100.0 * case.climb?)),
     ("frames", "Number of frames", "frames", |case| Some(case.level)),
-    ("noise", "Noise of the picture", "standard deviation, grey levels of 255", |case| Some(case.level)),
+    ("noise", "Image noise", "standard deviation, gray levels of 255", |case| Some(case.level)),
 ];
 
 /// Name and chart of everything that was swept over at least two levels.
@@ -130,7 +130,7 @@ impl Chart {
         );
         text(&mut svg, [left, 20.0], "start", "font-size=\"14\" font-weight=\"bold\"", self.title);
         text(&mut svg, [right - 110.0, 20.0], "end", &format!("fill=\"{ERROR}\""), "error of r");
-        text(&mut svg, [right, 20.0], "end", &format!("fill=\"{STATED}\""), "stated deviation");
+        text(&mut svg, [right, 20.0], "end", &format!("fill=\"{STATED}\""), "reported std");
         for share in [0.001, 0.01, 0.1, 1.0] {
             let y = Self::y(share);
             rule(&mut svg, [left, right], [y, y]);

@@ -5,7 +5,8 @@ use crate::eval::calibration::{Calibration, Case, Row, Share, summarise, summari
 use crate::eval::spread::Spread;
 
 /// The aims, as shares within 1, 2 and 3 deviations.
-const AIMS: &str = "Aims: 68 ± 7 % within one stated deviation, at least 93 % within two, at least 99 % within three.";
+const AIMS: &str = "Targets: 68 ± 7 % within one reported standard deviation, at least 93 % within two, at least 99 % \
+     within three.";
 
 /// The table of all cases together, and of each kind of variant.
 pub fn calibration_summary(calibration: &Calibration) -> String {
@@ -17,11 +18,11 @@ pub fn calibration_summary(calibration: &Calibration) -> String {
         "within 2",
         "within 3",
         "median error",
-        "median stated",
+        "median std",
         "factor",
         "undetermined",
         "failed",
-        "sure and wrong",
+        "overconfident",
     ]);
     for row in summarise(&calibration.cases) {
         table.row(cells(&row));
@@ -35,9 +36,9 @@ fn clips_summary(spreads: &[Spread]) -> String {
     let row = summarise_spreads(spreads);
     let shares = row.within.map_or("–".to_owned(), |shares| shares.map(share).join(", "));
     format!(
-        "\nReal clips, each variant against the clip as it is: {} vehicles placed by both runs, {} with deviations; \
-         within 1, 2, 3 of them: {shares}; median difference {}. That is a lower bound: errors that both runs share do \
-         not show.\n",
+        "\nReal clips, each variant against the unmodified clip: {} vehicles placed by both runs, {} with standard \
+         deviations; within 1, 2, 3σ: {shares}; median difference {}. This is a lower bound: errors common to both \
+         runs do not show.\n",
         row.num,
         row.num_judged,
         percent(row.median_difference)
@@ -50,8 +51,8 @@ pub fn calibration(calibration: &Calibration) -> String {
         "sequence",
         "variant",
         "error",
-        "stated",
-        "in deviations",
+        "reported std",
+        "in std",
         "trajectory error",
         "placed",
         "object",
@@ -61,10 +62,18 @@ pub fn calibration(calibration: &Calibration) -> String {
         cases.row(case_cells(case));
     }
     format!(
-        "# Calibration\n\nDo stated deviations mean what they say? `tractrix {}`, version {}.\n\n{AIMS} Intervals are \
-         those of 95 % for independent cases (Wilson); cases of one sequence are not quite that. `factor`: what the \
-         stated deviations would have to be multiplied by, going by the median. `sure and wrong`: more than three \
-         deviations off, and called good or fair.\n\n{}\n## Every case\n\n{}",
+        "# Calibration\n\
+         \n\
+         Are reported standard deviations calibrated? `tractrix {}`, version {}.\n\
+         \n\
+         {AIMS} Intervals: 95 % for independent cases (Wilson); cases of one sequence are not fully independent. \
+         `factor`: factor by which reported standard deviations would have to be multiplied, by the median. \
+         `overconfident`: error above three standard deviations, with verdict good or fair.\n\
+         \n\
+         {}\n\
+         ## Every case\n\
+         \n\
+         {}",
         calibration.arguments.iter().skip(1).cloned().collect::<Vec<_>>().join(" "),
         calibration.program,
         calibration_summary(calibration),
@@ -75,7 +84,7 @@ pub fn calibration(calibration: &Calibration) -> String {
 /// Every vehicle that two runs of a clip place.
 fn clips(spreads: &[Spread]) -> String {
     let mut table =
-        Table::new(["clip", "variant", "vehicle", "frames", "difference", "stated", "in deviations", "worse verdict"]);
+        Table::new(["clip", "variant", "vehicle", "frames", "difference", "reported std", "in std", "worse verdict"]);
     for spread in spreads {
         table.row([
             spread.clip.clone(),

@@ -7,7 +7,7 @@ use crate::scene::ScaleMethod;
 /// Trajectory error per trajectory, vehicle and estimator, as SVG.
 pub fn trajectory_error_chart(benchmark: &Benchmark) -> String {
     let quantity = Quantity::TrajectoryError;
-    chart(benchmark, quantity, "Trajectory error", "trajectory error in metres").svg()
+    chart(benchmark, quantity, "Trajectory error", "trajectory error, meters").svg()
 }
 
 /// Deviation of the scale ratio from the reference, likewise.

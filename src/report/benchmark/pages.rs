@@ -22,12 +22,15 @@ pub fn markdown(own: &Benchmark, others: &[Benchmark]) -> String {
     page += "\n\n";
     page += &summary(own, others);
     page += "\n![Trajectory error](trajectory-error.svg)\n\n![Scale deviation](scale-deviation.svg)\n";
-    page += "\n## Every sequence\n\nLengths in metres, camera centres in millimetres, deviations in per cent; ± is the \
-             standard deviation that the run gives for its ratio.\n\n";
+    page += "\n## Every sequence\n\
+         \n\
+         Lengths in meters, camera centers in millimeters, deviations in percent; ± is the reported standard deviation \
+         of the ratio.\n\
+         \n";
     page += &sequences(own);
     let beside = beside(own, others);
     if !beside.is_empty() {
-        page += "\n## Beside others\n\nTrajectory error in metres, sequence by sequence.\n\n";
+        page += "\n## Comparison with others\n\nTrajectory error in meters, by sequence.\n\n";
         page += &beside;
     }
     page + &attention(own)
@@ -60,9 +63,9 @@ pub fn summary(own: &Benchmark, others: &[Benchmark]) -> String {
         }
         format!("## {title}\n\n{note}\n\n{}\n", table.render(1))
     };
-    let note = "Mean over the sequences of each vehicle and over all; in brackets how many of how many sequences gave \
-                a value, where some failed.";
-    let error = part("Trajectory error, metres", note, 3, |row| &row.trajectory_error_m);
+    let note = "Mean over the sequences of each vehicle and over all; in brackets the number of sequences with a \
+         value, where some failed.";
+    let error = part("Trajectory error, meters", note, 3, |row| &row.trajectory_error_m);
     let deviation = part("Scale ratio, deviation from the reference", note, 4, |row| &row.scale_deviation);
     heading(own) + &error + &deviation + &costs(own)
 }
@@ -91,7 +94,7 @@ fn heading(own: &Benchmark) -> String {
         let sure = own.sequences.iter().filter(|entry| entry.verdict.is_none());
         let sure = Statistics::new(sure.map(|entry| entry.trajectory_error_m));
         text += &format!(
-            " {} rejected; over the other {} of {} the mean is {} m.",
+            " {} rejected; mean over the other {} of {}: {} m.",
             count(doubted, "vehicle"),
             sure.num,
             sure.num_all(),
@@ -100,11 +103,11 @@ fn heading(own: &Benchmark) -> String {
     }
     text += &calibration(own).unwrap_or_default();
     if own.has_adjusted() {
-        text += " `joint` adjusts each target's reconstruction together with the ground; the other estimators take it \
-                 as structure from motion left it.";
+        text += " `joint` adjusts each target's reconstruction together with the ground; the other estimators use the \
+             model from structure from motion unchanged.";
     }
     if !own.left_out.is_empty() {
-        text += &format!(" No sequences (no scene.json), left out: {}.", own.left_out.join(", "));
+        text += &format!(" Folders skipped (no scene.json): {}.", own.left_out.join(", "));
     }
     text + "\n\n"
 }
@@ -119,8 +122,8 @@ fn calibration(own: &Benchmark) -> Option<String> {
     let largest = errors.iter().copied().reduce(f64::max)?;
     let mean_square = errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64;
     Some(format!(
-        " The ratios of {} runs are off by {:.2} times their stated standard deviations (root mean square), \
-         {largest:.2} times at most.",
+        " Errors of the ratios of {} runs in units of their reported standard deviations: RMS {:.2}, maximum \
+         {largest:.2}.",
         errors.len(),
         mean_square.sqrt(),
     ))
@@ -133,8 +136,8 @@ fn costs(own: &Benchmark) -> String {
         return String::new();
     }
     format!(
-        "Cost of {} runs: {:.0} CPU s ({:.1} per sequence, {:.1} of them for structure from motion), {:.0} s wall, \
-         peak memory {:.0} MiB.\n",
+        "Cost of {} runs: {:.0} CPU s ({:.1} per sequence, {:.1} of them structure from motion), {:.0} s wall, peak \
+         memory {:.0} MiB.\n",
         costs.len(),
         sum(|cost| cost.cpu_s),
         sum(|cost| cost.cpu_s) / costs.len() as f64,
@@ -189,11 +192,11 @@ fn name(estimator: &Estimator, set: &Benchmark) -> String {
 fn sequences(own: &Benchmark) -> String {
     let named: Vec<Estimator> = own.estimators().into_iter().filter(|e| *e != Estimator::Chosen).collect();
     let mut head: Vec<String> =
-        ["sequence", "vehicle", "trajectory", "background", "object", "centres", "floor"].map(str::to_owned).to_vec();
+        ["sequence", "vehicle", "trajectory", "background", "object", "centers", "floor"].map(str::to_owned).to_vec();
     head.push(name(&Estimator::Chosen, own));
-    head.extend(["off by", "±"].map(str::to_owned));
+    head.extend(["error %", "±"].map(str::to_owned));
     for estimator in &named {
-        head.extend([name(estimator, own), "off by".to_owned()]);
+        head.extend([name(estimator, own), "error %".to_owned()]);
     }
     if own.has_adjusted() {
         head.push(short(&Estimator::ReferenceAsReconstructed).to_owned());
@@ -306,7 +309,7 @@ fn facts(entry: &Entry) -> Vec<String> {
     if let Some(error) = entry.trajectory_error_m.filter(|error| *error > ATTENTION_ERROR_M) {
         let deviation = entry.value(&Estimator::Chosen, Quantity::ScaleDeviation);
         facts.push(format!(
-            "{error:.3} m, of which {} m at the reference ratio; the ratio is off by {} %",
+            "{error:.3} m, of which {} m at the reference ratio; error of the ratio {} %",
             number(entry.floor_m, 3),
             number(deviation.map(|d| 100.0 * d), 2)
         ));
@@ -324,7 +327,7 @@ fn facts(entry: &Entry) -> Vec<String> {
         return facts;
     }
     let warnings: BTreeSet<&String> = entry.warnings.iter().collect();
-    facts.extend(warnings.into_iter().map(|warning| format!("the run says: {warning}")));
+    facts.extend(warnings.into_iter().map(|warning| format!("warning: {warning}")));
     facts
 }
 

@@ -28,7 +28,7 @@ pub(super) fn charts(data: &Data) -> Vec<Drawing> {
         let own = line((0, first), &|image| image.error_px[0]);
         errors.insert(0, Line { label: comparison.reference.name.clone(), colour: colour(0).into(), ..own });
     }
-    let caption = "Over the images of the first, in the order of their names.";
+    let caption = "Over the images of the first, ordered by name.";
     let chart = |title: &str, unit: &str, lines| Chart {
         title: title.into(),
         caption: caption.into(),
@@ -39,7 +39,7 @@ pub(super) fn charts(data: &Data) -> Vec<Drawing> {
     };
     let end = names.len().saturating_sub(1).max(1) as f64;
     [
-        chart("Distance of the centres", unit(comparison.unit), of_others(&|image| image.center)),
+        chart("Distance of the centers", unit(comparison.unit), of_others(&|image| image.center)),
         chart("Angle between the cameras", "°", of_others(&|image| image.rotation_deg)),
         chart("Reprojection error, mean of each image", "px", errors),
     ]
@@ -67,9 +67,10 @@ pub(super) fn histograms(comparison: &Comparison) -> Vec<Drawing> {
     };
     let errors = Chart {
         title: "Reprojection errors".into(),
-        caption: "Share of the observations in each tenth of a pixel; at the right end stands all that is larger. \
-                  Recomputed from cameras, points and observations."
-            .into(),
+        caption:
+            "Share of the observations in each tenth of a pixel; the last bin holds all larger errors. Recomputed \
+             from cameras, points and observations."
+                .into(),
         unit: "%".into(),
         lines: lines(&|figures| figures.errors.clone(), 0.5 * ERROR_BIN_PX, ERROR_BIN_PX),
         levels: Vec::new(),
@@ -77,8 +78,7 @@ pub(super) fn histograms(comparison: &Comparison) -> Vec<Drawing> {
     };
     let tracks = Chart {
         title: "Track lengths".into(),
-        caption: "Share of the points that are seen in so many images; at the right end stands all that is longer."
-            .into(),
+        caption: "Share of the points by number of observing images; the last bin holds all longer tracks.".into(),
         unit: "%".into(),
         lines: lines(&|figures| figures.track_lengths.clone(), 2.0, 1.0),
         levels: Vec::new(),

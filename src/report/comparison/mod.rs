@@ -88,7 +88,7 @@ fn page_context(data: &Data) -> Value {
 
 fn unit(unit: LengthUnit) -> &'static str {
     match unit {
-        LengthUnit::Metre => "metres",
+        LengthUnit::Metre => "meters",
         LengthUnit::Reference => "units of the first",
     }
 }
@@ -96,7 +96,7 @@ fn unit(unit: LengthUnit) -> &'static str {
 /// As [`unit`], after the number 1.
 fn one(unit: LengthUnit) -> &'static str {
     match unit {
-        LengthUnit::Metre => "metre",
+        LengthUnit::Metre => "meter",
         LengthUnit::Reference => "unit of the first",
     }
 }
@@ -106,16 +106,16 @@ fn sentence(other: &Against, comparison: &Comparison) -> String {
     let (name, reference) = (&other.subject.name, &comparison.reference.name);
     let (alignment, cameras) = match (other.alignment.as_ref(), other.cameras.as_ref()) {
         (Ok(alignment), Ok(cameras)) => (alignment, cameras),
-        (Err(reason), _) | (_, Err(reason)) => return format!("{name} cannot be held against {reference}: {reason}."),
+        (Err(reason), _) | (_, Err(reason)) => return format!("{name} cannot be compared with {reference}: {reason}."),
     };
     let lost = match alignment.lost.len() {
         0 => String::new(),
-        1 => " 1 camera lies elsewhere and took no part in the alignment.".to_owned(),
-        lost => format!(" {lost} cameras lie elsewhere and took no part in the alignment."),
+        1 => " 1 camera is lost: excluded from the alignment.".to_owned(),
+        lost => format!(" {lost} cameras are lost: excluded from the alignment."),
     };
     format!(
-        "{name}: {} of the {} of {reference} are registered in both; their cameras lie {} apart (root mean square, {} \
-         of the path's extent) and {:.3}° turned on average.{lost}",
+        "{name}: {} of the {} images of {reference} are registered in both; the camera centers differ by {} (RMSE, {} \
+         of the path's extent), the rotations by {:.3}° on average.{lost}",
         other.num_common,
         count(comparison.reference.figures.num_images, "image"),
         with_unit(cameras.center_rmse, comparison.unit),

@@ -67,7 +67,7 @@ impl Scene {
             let Cloud { total, count, beyond, .. } = side.points;
             if count < total {
                 let name = &side.name;
-                notes.push(format!("{name}: {count} of {total} points are shown; {beyond} lie too far outside."));
+                notes.push(format!("{name}: {count} of {total} points are shown; {beyond} are too far outside."));
             }
             if side.cameras.len() < side.num_cameras {
                 notes.push(format!("{}: {} of {} cameras are shown.", side.name, side.cameras.len(), side.num_cameras));

@@ -104,7 +104,7 @@ fn tracked(object: &TrackedObject) -> [Fact; 2] {
     let MovementFinding { state, reason } = &object.movement;
     let masks = match object.outline {
         Outline::Given | Outline::Network => "frames".to_owned(),
-        Outline::Coarse => "frames; its masks are coarse, by colours alone".to_owned(),
+        Outline::Coarse => "frames; coarse masks, by color only".to_owned(),
     };
     [
         Fact::new("movement", state.name()).with_note(reason.clone()),
@@ -115,7 +115,7 @@ fn tracked(object: &TrackedObject) -> [Fact; 2] {
 fn frames(object: &Object) -> Fact {
     let placed = object.trajectory.map_or(0, |t| t.poses.len());
     let found = object.model.as_ref().map_or(0, |m| m.reconstruction.images.len());
-    Fact::new("frames with a 3D position", format!("{placed} of {} seen", object.visible.len()))
+    Fact::new("frames with a 3D position", format!("{placed} of {} visible", object.visible.len()))
         .with_note(format!("registered in {found}"))
 }
 

@@ -55,7 +55,7 @@ pub(super) fn charts(data: &Data, timeline: &Timeline, names: &[String], notes: 
     let objects = charted(data, names);
     if objects.len() < data.objects.len() {
         let (shown, all) = (objects.len(), data.objects.len());
-        notes.push(format!("The charts show {shown} of {all} vehicles: those seen longest."));
+        notes.push(format!("The charts show {shown} of {all} vehicles, those visible longest."));
     }
     let charts = Charts { data, timeline, objects };
     let [speeds, accelerations, headings] = charts.motion();
@@ -107,9 +107,9 @@ impl Charts<'_> {
         };
         let points = |object: &Object| images.iter().filter_map(|(f, image)| height(object, *f, image)).collect();
         Chart {
-            title: "Height of the camera over the ground".into(),
-            caption: "From the camera to the local ground plane beside each vehicle. The size of a vehicle's path is \
-                      read off the change of this height: where it stays the same, the size is hard to tell."
+            title: "Camera height above ground".into(),
+            caption: "From the camera to the local ground plane near each vehicle. The change of this height \
+                 determines the scale of a vehicle's trajectory; with constant height the scale is poorly determined."
                 .into(),
             unit: self.ruler().unit.into(),
             lines: self.lines(points),
@@ -123,10 +123,10 @@ impl Charts<'_> {
             Some(self.ruler().factor * self.plane(id, pose.frame)?.signed_distance(pose.position.into()))
         };
         Chart {
-            title: "Height of the vehicles over the ground".into(),
+            title: "Vehicle height above ground".into(),
             caption:
-                "From each vehicle's centre to its local ground plane. A vehicle keeps its height, so a level line \
-                      speaks for the scale ratio; a slope or a step speaks against it."
+                "From each vehicle's center to its local ground plane. A vehicle keeps its height: a level line is \
+                 evidence for the scale ratio, a slope or step evidence against it."
                     .into(),
             unit: self.ruler().unit.into(),
             lines: self.lines(|object| self.per_pose(object, |pose| height(object.id, pose))),
@@ -164,8 +164,8 @@ impl Charts<'_> {
         let headings = chart(
             "Heading",
             "degrees",
-            "Clockwise from the top of the plan; values go on below 0 and above 360 where a vehicle turns through it. \
-             Band: ±1σ.",
+            "Clockwise from the top of the plan; values continue below 0 and above 360 where a vehicle turns through \
+             it. Band: ±1σ.",
             Quantity::Heading,
         );
         let is_known = speeds.lines.iter().any(|line| !line.points.is_empty());
@@ -191,7 +191,7 @@ impl Charts<'_> {
     fn raw_speeds(&self) -> Chart {
         let title = match self.timeline.base {
             TimeBase::Seconds => "Speed",
-            TimeBase::Frames => "Way from frame to frame",
+            TimeBase::Frames => "Distance from frame to frame",
         };
         let ruler = self.ruler();
         let scaled = |(time, speed): (f64, f64)| (time, ruler.factor * speed);
@@ -199,8 +199,8 @@ impl Charts<'_> {
         let caption = match self.data.metric.and_then(crate::report::metres::frame) {
             Some(_) => "Along the trajectory, from frame to frame, not smoothed.",
             None => {
-                "Along the trajectory, from frame to frame, not smoothed. The size of a unit is not known, so only the \
-                 shape of the curve tells something, not its numbers."
+                "Along the trajectory, from frame to frame, not smoothed. The unit is arbitrary: only the shape of the \
+                 curve is meaningful."
             }
         };
         Chart {
@@ -224,8 +224,8 @@ impl Charts<'_> {
         };
         Chart {
             title: "Scale ratio per frame".into(),
-            caption: "Dots: what the contact of the vehicle with the ground says in each frame alone (the method \
-                      intersection). Line: the ratio in use, with a band of one standard deviation where it is known."
+            caption: "Dots: ratio from the contact with the ground in each frame alone (method intersection). Line: \
+                 the ratio in use, with a band of one standard deviation where known."
                 .into(),
             unit: "r".into(),
             lines: self.lines(points).into_iter().map(|line| Line { dots: true, ..line }).collect(),
@@ -252,8 +252,7 @@ impl Charts<'_> {
         let objects = self.lines(|object| object.model.as_ref().map(&errors).unwrap_or_default());
         Chart {
             title: "Reprojection error".into(),
-            caption: "Mean distance between where points are seen and where the reconstruction puts them, per frame."
-                .into(),
+            caption: "Mean distance between observed and reprojected points, per frame.".into(),
             unit: "px".into(),
             lines: std::iter::once(background).chain(objects).collect(),
             levels: Vec::new(),

@@ -12,17 +12,17 @@ pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
     let with_trajectory = data.objects.iter().filter(|o| o.trajectory.is_some()).count();
     let mut facts = vec![
         timeline.length(),
-        Fact::new("camera found", share(background.images.len(), data.frames.len())).with_note(format!(
+        Fact::new("camera registered", share(background.images.len(), data.frames.len())).with_note(format!(
             "in {} of {}",
             background.images.len(),
             count(data.frames.len(), "frame")
         )),
         Fact::new("vehicles", with_trajectory.to_string())
-            .with_note(format!("with a trajectory, of {} seen", data.objects.len())),
+            .with_note(format!("with a trajectory, of {} detected", data.objects.len())),
         Fact::new("points", thousands(background.points.len())).with_note("in the background"),
     ];
     if let Some(error) = background.mean_reprojection_error_px() {
-        let note = "mean over the background's points";
+        let note = "mean over the background points";
         facts.push(Fact::new("reprojection error", with_unit(error, 2, "px")).with_note(note));
     }
     facts.push(ground(data));
@@ -33,10 +33,9 @@ pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
 /// In what lengths are reported, and how sure that is.
 fn unit(data: &Data) -> Fact {
     match data.metric.and_then(metres::frame) {
-        Some(frame) => Fact::new("unit of length", "metre").with_note(format!("± {}", percent(frame.log_scale_std()))),
+        Some(frame) => Fact::new("unit of length", "meter").with_note(format!("± {}", percent(frame.log_scale_std()))),
         None => {
-            let note =
-                format!("lengths are in {LENGTH_UNIT}, not in metres; --camera-height or --telemetry gives metres");
+            let note = format!("lengths are in {LENGTH_UNIT}, not in meters; give --camera-height or --telemetry");
             Fact::new("unit of length", "arbitrary").with_note(note)
         }
     }
@@ -45,10 +44,10 @@ fn unit(data: &Data) -> Fact {
 fn ground(data: &Data) -> Fact {
     let source = data.ground.map(|g| match g.source {
         GroundSource::Masks => ("given", "by ground masks"),
-        GroundSource::Model => ("recognised", "by a network"),
-        GroundSource::Geometric => ("guessed", "without labels"),
+        GroundSource::Model => ("segmented", "by a network"),
+        GroundSource::Geometric => ("estimated", "without labels"),
     });
-    let (value, note) = source.unwrap_or(("none", "no ground was found"));
+    let (value, note) = source.unwrap_or(("none", "no ground found"));
     let basis = data.ground.and_then(commonest_basis).map(|basis| format!("{note}: {}", basis.words()));
     Fact::new("ground", value).with_note(basis.unwrap_or_else(|| note.to_owned()))
 }

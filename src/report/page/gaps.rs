@@ -4,17 +4,17 @@ use std::collections::BTreeMap;
 
 use crate::report::data::{Data, Missing, Model};
 use crate::report::words::{count, plain};
-use crate::scene::{ObjectId, Verdict};
+use crate::scene::{ObjectId, Verdict, warning_text};
 
 /// Text where a stage left no reason.
-pub(super) const NO_REASON: &str = "no reason was recorded";
+pub(super) const NO_REASON: &str = "no reason recorded";
 
 /// Everything that is not there, with the reason.
 pub(super) fn missing(data: &Data, names: &[String]) -> Vec<Missing> {
     let mut list = data.missing.clone();
     for (object, name) in data.objects.iter().zip(names).filter(|(o, _)| o.trajectory.is_none()) {
         let reason = object.failure.clone().unwrap_or_else(|| NO_REASON.to_owned());
-        let what = format!("{name}, seen in {}: no trajectory", count(object.visible.len(), "frame"));
+        let what = format!("{name}, visible in {}: no trajectory", count(object.visible.len(), "frame"));
         list.push(Missing { what, reason });
     }
     list.extend(unregistered("Background", &data.background));
@@ -31,7 +31,7 @@ fn unregistered(name: &str, model: &Model) -> Vec<Missing> {
         by_reason.entry(reason).or_default().push(frame.0);
     }
     let entry = |(reason, frames): (&str, Vec<u32>)| {
-        let what = format!("{name}: no camera found in {} ({})", count(frames.len(), "frame"), ranges(&frames));
+        let what = format!("{name}: not registered in {} ({})", count(frames.len(), "frame"), ranges(&frames));
         Missing { what, reason: reason.to_owned() }
     };
     by_reason.into_iter().map(entry).collect()
@@ -44,7 +44,8 @@ pub(super) fn warnings(data: &Data, names: &[String], missing: &[Missing]) -> Ve
     let verdicts = judged.filter_map(|trajectory| trajectory.verdict.as_ref());
     let doubts = doubts.chain(verdicts.flat_map(Verdict::against).map(|reason| reason.says.as_str()));
     let said: Vec<&str> = missing.iter().map(|m| m.reason.as_str()).chain(doubts).filter(|r| *r != NO_REASON).collect();
-    let is_new = |warning: &&String| !said.iter().any(|reason| !reason.is_empty() && warning.ends_with(reason));
+    let is_new =
+        |warning: &&String| !said.iter().any(|reason| !reason.is_empty() && warning_text(warning).ends_with(reason));
     let ids: Vec<(ObjectId, &String)> = data.objects.iter().map(|o| o.id).zip(names).collect();
     data.warnings.iter().filter(is_new).map(|warning| plain(&named(warning, &ids))).collect()
 }
@@ -92,18 +93,18 @@ mod tests {
         world.trajectory.scale.reason = Some("nothing moves".into());
         world.warnings = [
             "object 1: scale undetermined: nothing moves",
-            "object 2 has no trajectory: too few features",
+            "object 2: no trajectory: too few features [troubleshooting: no-trajectory]",
             "background: 1 of 60 frames are not registered; the commonest reason: dark",
             "object 1 stands before object 2 and object 12, deviation 1e-2",
-            "no reason was recorded",
+            "no reason recorded",
         ]
         .map(String::from)
         .to_vec();
         let data = world.data();
         let names: Vec<String> = data.objects.iter().map(crate::report::words::name).collect();
         let missing = missing(&data, &names);
-        assert_eq!(missing[0].what, "Object 2, seen in 1 frame: no trajectory");
-        assert_eq!(missing[1].what, "Background: no camera found in 1 frame (3)");
+        assert_eq!(missing[0].what, "Object 2, visible in 1 frame: no trajectory");
+        assert_eq!(missing[1].what, "Background: not registered in 1 frame (3)");
         let left = warnings(&data, &names, &missing);
         assert_eq!(left, ["Car 1 stands before Object 2 and object 12, deviation 0.0100", NO_REASON]);
     }

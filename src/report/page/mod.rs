@@ -180,7 +180,7 @@ mod tests {
         let empty = crate::scene::Reconstruction::default();
         let data = testing::nothing(&empty);
         let page = render(&data).unwrap();
-        assert!(page.contains("Nothing could be reconstructed"));
+        assert!(page.contains("Nothing reconstructed"));
     }
 
     #[test]

@@ -74,7 +74,7 @@
 			span.append(words);
 			text.append(span);
 		};
-		if (!frames[index].camera) add("Camera not known here", null, true);
+		if (!frames[index].camera) add("Camera not registered", null, true);
 		for (const object of data?.objects ?? []) {
 			const pose = object.poses.find(([i]) => i === index);
 			if (pose) add(pose[3] ? `${object.name}: ${pose[3]}` : object.name, object.colour, false);
@@ -246,14 +246,14 @@
 		find("theme").addEventListener("click", () => setTheme(isDark() ? "light" : "dark"));
 		matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view?.recolour());
 		if (data) {
-			let problem = hasWebgl() ? null : "This browser has no WebGL, so you see the top view instead of the 3D view.";
+			let problem = hasWebgl() ? null : "No 3D view, since this browser has no WebGL; showing the top view.";
 			if (!problem) {
 				find("canvas").hidden = false;
 				try {
 					view = new SceneView(find("canvas"), find("viewport"), data, pictureOf);
 					find("plan").hidden = true;
 				} catch (error) {
-					problem = `The 3D view could not start (${error.message}), so you see the top view instead.`;
+					problem = `No 3D view (${error.message}); showing the top view.`;
 				}
 			}
 			if (problem) {

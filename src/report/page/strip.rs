@@ -39,7 +39,7 @@ pub(super) fn strip(data: &Data, timeline: &Timeline, notes: &mut Vec<String>) -
     let limit = if total > MAX_STRIP_BYTES { data.strip.len() * MAX_STRIP_BYTES / total } else { data.strip.len() };
     let chosen = spread(data.strip.len(), limit.max(1));
     if chosen.len() < data.frames.len() && !chosen.is_empty() {
-        notes.push(format!("The frame strip shows {} of {} frames, evenly spread.", chosen.len(), data.frames.len()));
+        notes.push(format!("The frame strip shows {} of {} frames, evenly spaced.", chosen.len(), data.frames.len()));
     }
     let picture = |i: usize| {
         let thumbnail = &data.strip[i];

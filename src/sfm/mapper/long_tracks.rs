@@ -44,7 +44,7 @@ pub fn cut_long_tracks(
     }
     pieces.sort_by_key(|piece| piece.first().copied());
     tracing::debug!(
-        "{before} tracks in {} pieces; {} of {} views count",
+        "{before} tracks in {} pieces; {} of {} views used",
         pieces.len(),
         counts.iter().filter(|&&c| c).count(),
         counts.len()

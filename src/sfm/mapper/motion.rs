@@ -86,13 +86,12 @@ impl Survey {
         let is_most = |count: usize| count > 0 && count as f64 >= MOST * self.total as f64;
         if is_most(self.still) {
             Some(format!(
-                "the camera stands still: nothing moves in {} of {} pairs of frames, and it has to move round \
-                 the target",
+                "camera stationary: no motion in {} of {} pairs of frames; the camera must move around the target",
                 self.still, self.total
             ))
         } else if is_most(self.turning) || is_most(self.turning + self.still) {
             Some(format!(
-                "the camera only turns on the spot ({} of {} pairs of frames), which shows no depth; it has to move",
+                "camera only rotates ({} of {} pairs of frames), which gives no depth; it must translate",
                 self.turning, self.total
             ))
         } else {
@@ -122,25 +121,22 @@ pub enum Remark {
 impl fmt::Display for Remark {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::PlanarScene { intrinsics_refined: false } => write!(f, "all points lie near one plane"),
-            Self::PlanarScene { intrinsics_refined: true } => write!(
-                f,
-                "all points lie near one plane, on which the focal length is uncertain: give --intrinsics if you \
-                 know them"
-            ),
-            Self::ForwardMotion => write!(
-                f,
-                "the camera moves along its line of sight: points near the middle of the picture are uncertain in depth"
-            ),
+            Self::PlanarScene { intrinsics_refined: false } => write!(f, "all points are near one plane"),
+            Self::PlanarScene { intrinsics_refined: true } => {
+                write!(f, "all points are near one plane, where the focal length is uncertain; give --intrinsics")
+            }
+            Self::ForwardMotion => {
+                write!(f, "camera moves along its line of sight: points near the image center have uncertain depth")
+            }
             Self::LooseFocalLength { percent } => {
                 // Beyond this the number itself means nothing.
                 const UNKNOWN: f64 = 20.0;
                 if *percent < UNKNOWN {
-                    write!(f, "the motion tells the focal length only to {percent:.1} %")?;
+                    write!(f, "focal length uncertain (±{percent:.1} %)")?;
                 } else {
-                    write!(f, "the motion hardly tells the focal length")?;
+                    write!(f, "focal length almost undetermined by the motion")?;
                 }
-                write!(f, ": distortion beyond the simplest was not looked for; give --intrinsics if you know them")
+                write!(f, ": higher distortion terms are not estimated; give --intrinsics")
             }
         }
     }
@@ -234,15 +230,15 @@ mod tests {
     #[test]
     fn a_survey_blames_the_motion_only_where_most_pairs_do() {
         let of = |still: usize, turning: usize, total: usize| Survey { still, turning, total }.failure();
-        assert!(of(9, 0, 10).unwrap().contains("stands still"));
-        assert!(of(1, 8, 10).unwrap().contains("only turns"));
+        assert!(of(9, 0, 10).unwrap().contains("camera stationary"));
+        assert!(of(1, 8, 10).unwrap().contains("only rotates"));
         assert!(of(2, 3, 10).is_none() && of(0, 0, 0).is_none());
     }
 
     #[test]
     fn remarks_read_well() {
         let loose = |percent| Remark::LooseFocalLength { percent }.to_string();
-        assert!(loose(2.31).starts_with("the motion tells the focal length only to 2.3 %:"));
-        assert!(loose(100.0).starts_with("the motion hardly tells the focal length:"));
+        assert!(loose(2.31).starts_with("focal length uncertain (±2.3 %):"));
+        assert!(loose(100.0).starts_with("focal length almost undetermined by the motion:"));
     }
 }

@@ -66,8 +66,8 @@ pub enum Reason {
 impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NoFeatures => write!(f, "no features on it"),
-            Self::NoMatches { features } => write!(f, "none of its {features} features is seen in another frame"),
+            Self::NoFeatures => write!(f, "no features"),
+            Self::NoMatches { features } => write!(f, "none of its {features} features is observed in another frame"),
             Self::TooFewPoints { visible, needed } => {
                 write!(f, "too few 2D–3D matches: {visible}, at least {needed} needed")
             }
@@ -76,24 +76,22 @@ impl fmt::Display for Reason {
             }
             Self::Contradicted { agreeing, contradicting } => write!(
                 f,
-                "its best pose contradicts {contradicting} points that it shares with other frames, and agrees \
-                 with {agreeing}"
+                "its best pose contradicts {contradicting} points shared with other frames, and agrees with {agreeing}"
             ),
             Self::Apart { ends: [first, last] } => {
-                write!(f, "{first} to {last} hang together, but too few points tie them to the rest")
+                write!(f, "{first} to {last} form a group with too few points in common with the rest")
             }
             Self::OwnMap { ends: [first, last], views, shared, agreeing, needed } => {
-                write!(f, "{first} to {last} have a map of their own with {views} frames, which stays apart: ")?;
+                write!(f, "{first} to {last} form a separate map with {views} frames: ")?;
                 match agreeing < needed {
                     true => write!(
                         f,
-                        "of {shared} points that it shares with the rest {agreeing} agree on where it lies, {needed} \
-                         are needed"
+                        "{agreeing} of {shared} shared points agree on its alignment, at least {needed} needed"
                     ),
-                    false => write!(f, "{agreeing} points tie it to the rest, but the two do not fit into one map"),
+                    false => write!(f, "{agreeing} shared points, but the maps are inconsistent"),
                 }
             }
-            Self::NoStart => write!(f, "no pair of frames could start a reconstruction"),
+            Self::NoStart => write!(f, "no initial pair of frames found"),
         }
     }
 }
@@ -176,15 +174,15 @@ impl Report {
         let failure = if num_seen < 2 {
             format!("features in {num_seen} of {} frames; a reconstruction needs at least two", table.views.len())
         } else if table.tracks.is_empty() {
-            "no feature could be followed from one frame to another".to_owned()
+            "no feature could be tracked from one frame to another".to_owned()
         } else if let Some(motion) = survey.failure() {
             motion
         } else if num_pairs == 0 {
-            "no pair of frames has enough common points seen from different directions: the camera hardly moves round \
-             the target, or the target is too small or too smooth"
+            "no pair of frames has enough common points from different directions: the camera hardly moves around the \
+             target, or the target is too small or lacks texture"
                 .to_owned()
         } else {
-            format!("{num_starts} pairs of frames were tried and none gave a stable set of points")
+            format!("{num_starts} initial pairs of frames tried, none gave a stable set of points")
         };
         let reason =
             |view: usize| Some(if table.views[view].pixels.is_empty() { Reason::NoFeatures } else { Reason::NoStart });

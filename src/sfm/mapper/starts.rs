@@ -92,7 +92,7 @@ impl<'a> Task<'a> {
                 growth.grow(&mut grown)?;
                 growth.finish()?;
                 let worth = self.worth(&growth);
-                tracing::debug!("start {num_starts}: {} views, worth {worth:.0}", growth.num_registered());
+                tracing::debug!("attempt {num_starts}: {} views, score {worth:.0}", growth.num_registered());
                 worths.push(worth);
                 if best.as_ref().is_none_or(|(b, _)| worth > *b) {
                     best = Some((worth, growth));
@@ -132,7 +132,7 @@ impl<'a> Task<'a> {
         growth.grow(&mut |_| {})?;
         growth.finish()?;
         let worth = self.worth(&growth);
-        tracing::debug!("from poses: {} views, worth {worth:.0}", growth.num_registered());
+        tracing::debug!("from pose priors: {} views, score {worth:.0}", growth.num_registered());
         Ok(Some((worth, growth)))
     }
 
@@ -192,7 +192,7 @@ impl<'a> Task<'a> {
             let mut is_found_again = false;
             for other in again.into_iter().chain(unjoined) {
                 let worth = self.worth(&other);
-                tracing::debug!("round {round}: worth {worth:.0} beside {:.0}", best.0);
+                tracing::debug!("round {round}: score {worth:.0}, best {:.0}", best.0);
                 is_found_again |= (worth - best.0).abs() <= SAME_WORTH * best.0;
                 if worth > best.0 {
                     best = (worth, other);
@@ -212,7 +212,7 @@ impl<'a> Task<'a> {
             let Some(hinge) = best.hinge() else { break };
             let Some((worth, other)) = self.grow_from(&best.longer_side(&hinge), seed)? else { break };
             let before = self.worth(&best);
-            tracing::debug!("{hinge:?}, worth {before:.0}; {worth:.0} without it, with {:?}", other.hinge());
+            tracing::debug!("{hinge:?}, score {before:.0}; {worth:.0} without it, with {:?}", other.hinge());
             let is_flatter = other.hinge().is_none_or(|left| left.turn < hinge.turn && left.views != hinge.views);
             if !is_flatter || worth < (1.0 - SAME_WORTH) * before {
                 break;
@@ -245,7 +245,7 @@ impl<'a> Task<'a> {
     /// Returns true if a map explains this share of the observations.
     fn explains(&self, growth: &Growth, enough: f64) -> bool {
         let share = self.explained(growth) / self.table.num_observations().max(1) as f64;
-        tracing::debug!("{share:.2} of the observations are explained");
+        tracing::debug!("{share:.2} of the observations explained");
         share >= enough
     }
 }

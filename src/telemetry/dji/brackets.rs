@@ -27,8 +27,8 @@ pub(super) fn is_camera(text: &str) -> bool {
 
 pub(super) fn no_position(text: &str, _: usize) -> Result<Fix, String> {
     Err(match breaks_off(text) {
-        true => "the block breaks off before its position".to_owned(),
-        false => "the block states settings of the camera alone, no position".to_owned(),
+        true => "block truncated before its position".to_owned(),
+        false => "block with camera settings only, no position".to_owned(),
     })
 }
 
@@ -42,8 +42,8 @@ pub(super) fn read(text: &str, line: usize) -> Result<Fix, String> {
     // Older firmware misspells it.
     let longitude = value("longitude").or_else(|| value("longtitude"));
     let missing = |what: &str| match breaks_off(text) {
-        true => format!("the block breaks off before its {what} ends"),
-        false => format!("the block has no {what}"),
+        true => format!("block truncated in its {what}"),
+        false => format!("{what} missing in the block"),
     };
     let longitude = longitude.ok_or_else(|| missing("longitude"))?;
     let latitude = value("latitude").ok_or_else(|| missing("latitude"))?;

@@ -24,14 +24,14 @@ pub(super) fn is_barometer(text: &str) -> bool {
 
 pub(super) fn read_longitude_first(text: &str, line: usize) -> Result<Fix, String> {
     let parts = inside(text, "GPS")?;
-    let [longitude, latitude, ..] = parts[..] else { return Err("GPS() holds fewer than two numbers".to_owned()) };
+    let [longitude, latitude, ..] = parts[..] else { return Err("GPS() has fewer than two numbers".to_owned()) };
     let fix = Fix::at(line, coordinate::position(longitude, latitude)?);
     Ok(Fix { relative_height_m: barometer_m(text), ..fix })
 }
 
 pub(super) fn read_latitude_first(text: &str, line: usize) -> Result<Fix, String> {
     let parts = inside(text, "GPS")?;
-    let [latitude, longitude, ..] = parts[..] else { return Err("GPS() holds fewer than two numbers".to_owned()) };
+    let [latitude, longitude, ..] = parts[..] else { return Err("GPS() has fewer than two numbers".to_owned()) };
     let fix = Fix::at(line, coordinate::position(longitude, latitude)?);
     // A height of exactly 0 in all blocks of a flight up to 88 m: it is not known.
     let height_m = parts.get(2).and_then(|third| leading_number(third)).map(|(value, _)| value);
@@ -45,7 +45,7 @@ pub(super) fn inside<'a>(text: &'a str, name: &str) -> Result<Vec<&'a str>, Stri
     let inner = after.and_then(|after| after.strip_prefix('(')).and_then(|after| after.split_once(')'));
     // A second parenthesis that opens before the first one closes: the first was cut off.
     let inner = inner.map(|(inner, _)| inner).filter(|inner| !inner.contains('('));
-    let inner = inner.ok_or_else(|| format!("{name}(...) is missing or breaks off"))?;
+    let inner = inner.ok_or_else(|| format!("{name}(...) missing or truncated"))?;
     Ok(inner.split(',').map(str::trim).collect())
 }
 

@@ -46,8 +46,8 @@ pub(super) fn recognize(text: &str) -> Option<&'static Dialect> {
 pub(super) fn read_block(block: &Subtitle, log: &mut Log) {
     let text = block.lines.join(" ");
     match recognize(&text) {
-        None if text.is_empty() => log.pass_over(block.line, "the block breaks off after its time"),
-        None => log.pass_over(block.line, "the block is of no known dialect, or breaks off"),
+        None if text.is_empty() => log.pass_over(block.line, "block truncated after its time"),
+        None => log.pass_over(block.line, "block of unknown dialect, or truncated"),
         Some(dialect) => match (dialect.read)(&text, block.line) {
             Err(reason) => log.pass_over(block.line, reason),
             Ok(fix) => {
@@ -169,13 +169,13 @@ mod tests {
 
     #[test]
     fn what_gives_no_fix_says_why() {
-        assert!(reason(&["2018-02-19 08:04:51,265,847", "[iso : 100] [ct : 5627]"]).contains("camera alone"));
+        assert!(reason(&["2018-02-19 08:04:51,265,847", "[iso : 100] [ct : 5627]"]).contains("camera settings only"));
         assert!(reason(&["[latitude: 0.000000] [longitude: 0.000000] [rel_alt: 0 abs_alt: 0]"]).contains("(0, 0)"));
         assert!(reason(&["[iso : 100] [latitude: 1.5] [longit"]).contains("longitude"));
-        assert!(reason(&["[latitude: 1.5] [longitude: 9.123"]).contains("breaks off"));
-        assert!(reason(&["GPS(149.0253,-20.25"]).contains("no known dialect"));
+        assert!(reason(&["[latitude: 1.5] [longitude: 9.123"]).contains("truncated"));
+        assert!(reason(&["GPS(149.0253,-20.25"]).contains("unknown dialect"));
         assert!(reason(&["GPS(149.0253,-20.25 BAROMETER:1.9"]).contains("GPS"));
-        assert!(reason(&[]).contains("breaks off"));
-        assert!(reason(&["hello"]).contains("no known dialect"));
+        assert!(reason(&[]).contains("truncated"));
+        assert!(reason(&["hello"]).contains("unknown dialect"));
     }
 }

@@ -15,7 +15,7 @@ pub(super) fn recognizes(text: &str) -> bool {
 
 pub(super) fn read(text: &str, line: usize) -> Result<Fix, String> {
     let parts = inside(text, "GPS")?;
-    let [longitude, latitude, ..] = parts[..] else { return Err("GPS () holds fewer than two numbers".to_owned()) };
+    let [longitude, latitude, ..] = parts[..] else { return Err("GPS () has fewer than two numbers".to_owned()) };
     let fix = Fix::at(line, coordinate::position(longitude, latitude)?);
     Ok(Fix {
         relative_height_m: word(text, ", H "),

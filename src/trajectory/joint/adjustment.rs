@@ -91,7 +91,7 @@ impl<'a> Adjustment<'a> {
         let contact_options = grounded.body.contact(&options.contact);
         let steadiness = Steadiness::of(grounded.background, grounded.object, grounded.planes, ratio);
         if !steadiness.outlying.is_empty() {
-            tracing::debug!("planes that stand out from their neighbours': {:?}", steadiness.outlying);
+            tracing::debug!("outlying ground planes: {:?}", steadiness.outlying);
         }
         Ok(Self {
             grounded,

@@ -234,7 +234,7 @@ impl<'a> Settled<'a> {
         let Some(differ_by) = frames.filter(|frames| tells && *frames > LARGEST_SPREAD * expected) else {
             return Ok((self, frames));
         };
-        tracing::debug!("planes are believed least: stretches of frames differ by {differ_by:.4}, not {expected:.4}");
+        tracing::debug!("ground planes downweighted: parts of the clip differ by {differ_by:.4}, not {expected:.4}");
         let Ok(doubted) = Self::beginning_with(self.start.in_doubt()) else { return Ok((self, frames)) };
         let frames = spread::over_frames(&doubted.adjustment).map_or(differ_by, |frames| frames.max(differ_by));
         Ok((doubted, Some(frames)))
@@ -245,7 +245,7 @@ impl<'a> Settled<'a> {
         let noise_px = self.adjustment.noise_px().min(other.adjustment.noise_px());
         let cost = |settled: &Self| settled.adjustment.cost(&settled.contact, noise_px).unwrap_or(f64::INFINITY);
         let (own, of_other) = (cost(self), cost(other));
-        tracing::debug!("the mirror image costs {own:.2}, the object as it is {of_other:.2}");
+        tracing::debug!("mirror image: cost {own:.2}, original {of_other:.2}");
         own < of_other
     }
 

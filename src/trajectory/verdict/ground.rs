@@ -34,17 +34,13 @@ fn stands(bottom: f64) -> Option<Reason> {
         b if b > FLOATS[0] => Some(Reason::doubts(Ground, 1.0, floats())),
         b if b < -SINKS[1] => Some(Reason::refutes(Ground, sinks())),
         b if b < -SINKS[0] => Some(Reason::doubts(Ground, 1.0, sinks())),
-        b => Some(Reason::supports(
-            Ground,
-            format!("stands on the ground: lowest points at {} of its height", percent(b)),
-        )),
+        b => Some(Reason::supports(Ground, format!("on the ground: lowest points at {} of its height", percent(b)))),
     }
 }
 
 /// * `spread` – of its height over the ground along the path, in heights of its top.
 fn stays(spread: f64) -> Option<Reason> {
-    let said =
-        || format!("rises and sinks: its height above the ground varies by {} (standard deviation)", percent(spread));
+    let said = || format!("height above ground varies by {} of its height (standard deviation)", percent(spread));
     match spread {
         s if s > WANDERS[1] => Some(Reason::refutes(Ground, said())),
         s if s > WANDERS[0] => Some(Reason::doubts(Ground, 1.0, said())),

@@ -49,7 +49,7 @@ fn jitter(measures: &Measures) -> Option<Reason> {
 fn jumps(measures: &Measures) -> Option<Reason> {
     let Jump { beyond, frames: [before, after] } = measures.jump;
     let heights = measures.in_heights(beyond)?;
-    let said = || format!("path jumps by {} vehicle heights between frames {before} and {after}", times(heights));
+    let said = || format!("jumps by {} vehicle heights between frames {before} and {after}", times(heights));
     if beyond < measures.step { None } else { graded(heights, JUMP, said) }
 }
 
@@ -57,8 +57,8 @@ fn turns(measures: &Measures) -> Option<Reason> {
     let Jump { beyond, frames: [before, after] } = measures.turn;
     let said = || {
         format!(
-            "turns by {:.0}° between frames {before} and {after} beyond the turns before and after: its model is \
-             folded or turned over there",
+            "turns by {:.0}° between frames {before} and {after}, unlike before and after: its model is folded or \
+             flipped there",
             beyond.to_degrees()
         )
     };
@@ -67,9 +67,9 @@ fn turns(measures: &Measures) -> Option<Reason> {
 
 fn backwards(measures: &Measures) -> Option<Reason> {
     let Some(share) = measures.backwards else {
-        return Some(Reason::doubts(Path, 0.5, "heading unknown: the directions of its motion cancel"));
+        return Some(Reason::doubts(Path, 0.5, "heading unknown: its directions of motion cancel"));
     };
-    let said = || format!("{} of its path leads backwards, against its heading", percent(share));
+    let said = || format!("moves backward, against its heading, in {} of its path", percent(share));
     match share {
         s if s > BACKWARDS[1] => Some(Reason::doubts(Path, 1.0, said())),
         s if s > BACKWARDS[0] => Some(Reason::doubts(Path, 0.5, said())),

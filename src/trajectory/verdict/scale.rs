@@ -60,12 +60,14 @@ pub(super) fn deviation(scale: &ScaleEstimate) -> Reason {
         Some(std) if std > WEAK_STD => Reason::doubts(Deviation, 1.0, beyond(std, WEAK_STD)),
         Some(std) if std > GOOD_STD => Reason::doubts(Deviation, HALF * 0.5, said(std)),
         Some(std) => Reason::supports(Deviation, said(std)),
-        None => Reason::doubts(Deviation, 1.0, format!("no scale uncertainty: {} gives none", scale.method.name())),
+        None => {
+            Reason::doubts(Deviation, 1.0, format!("scale uncertainty unknown: {} reports none", scale.method.name()))
+        }
     }
 }
 
 fn undetermined(scale: &ScaleEstimate) -> String {
-    format!("scale undetermined: {}", scale.reason.as_deref().unwrap_or("no reason was recorded"))
+    format!("scale undetermined: {}", scale.reason.as_deref().unwrap_or("no reason recorded"))
 }
 
 /// Ratios by the other methods for the unchanged model, with the standard deviation of each by its own residuals.

@@ -65,8 +65,10 @@ pub(super) fn detection(tracked: &TrackedObject) -> Option<Reason> {
     let is_poor = tracked.mask_quality.is_some_and(|quality| quality < POOR_MASKS);
     Some(match tracked.confidence {
         score if score < UNSURE && !by_motion => Reason::doubts(Detection, HALF, format!("low detector score: {said}")),
-        _ if is_coarse => Reason::doubts(Detection, HALF, format!("coarse masks, by colors alone; {said}")),
-        _ if is_poor => Reason::doubts(Detection, SMALL, format!("poor masks by the mask network's own score; {said}")),
+        _ if is_coarse => Reason::doubts(Detection, HALF, format!("coarse masks, by color only; {said}")),
+        _ if is_poor => {
+            Reason::doubts(Detection, SMALL, format!("poor masks, by the mask network's own score; {said}"))
+        }
         score if score >= SURE || by_motion => Reason::supports(Detection, said),
         _ => Reason::doubts(Detection, SMALL, format!("moderate detector score: {said}")),
     })
@@ -78,24 +80,20 @@ pub(super) fn detection(tracked: &TrackedObject) -> Option<Reason> {
 pub(super) fn movement(tracked: &TrackedObject, measures: &Measures, shows: impl Fn() -> bool) -> Option<Reason> {
     let heights = measures.in_heights(measures.reach)?;
     let is_far = heights > STANDS_HEIGHTS;
-    let far = format!("{} times its height", times(heights));
+    let far = format!("{} vehicle heights", times(heights));
     let why = &tracked.movement.reason;
     match tracked.movement.state {
-        Movement::Moving => Some(Reason::supports(MovementKind, format!("it moves: {why}"))),
+        Movement::Moving => Some(Reason::supports(MovementKind, format!("moving: {why}"))),
         Movement::Standing if !is_far => {
-            Some(Reason::supports(MovementKind, format!("it stands, and stays where it is: {why}")))
+            Some(Reason::supports(MovementKind, format!("stationary, and its position is constant: {why}")))
         }
-        Movement::Standing if shows() => Some(Reason::refutes(
-            MovementKind,
-            format!("its points look stationary ({why}), but its path is {far} long"),
-        )),
+        Movement::Standing if shows() => {
+            Some(Reason::refutes(MovementKind, format!("points look stationary ({why}), but its path is {far} long")))
+        }
         _ if is_far && tracked.confidence < SURE => Some(Reason::doubts(
             MovementKind,
             HALF,
-            format!(
-                "nothing but its path says that it moves ({far}), and its detector is only {} sure",
-                percent(tracked.confidence)
-            ),
+            format!("only the path suggests motion ({far}); detection confidence {}", percent(tracked.confidence)),
         )),
         _ => None,
     }

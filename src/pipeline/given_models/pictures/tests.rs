@@ -17,7 +17,7 @@ fn odd_lens() -> Camera {
 fn fitted(mut model: Reconstruction, pictures: &Pictures) -> Result<(Reconstruction, Vec<String>), String> {
     let sizes = Sizes::default();
     let remarks = fit(Path::new("m"), &mut model, &sizes, pictures).map_err(|error| error.to_string())?;
-    Ok((model, remarks))
+    Ok((model, remarks.into_iter().map(|warning| warning.text).collect()))
 }
 
 /// The reprojection errors of all points, in pixels of the larger side's share.
@@ -59,7 +59,7 @@ fn pictures_as_stored_are_turned_each_its_own_way() {
     }
     let pictures = Pictures { frame: (540, 960), source: (540, 960), lens: None, turns: &|_| Some(0) };
     let said = fitted(before, &pictures).unwrap_err();
-    assert!(said.contains("960x540 pixels, the frames 540x960") && said.contains("upright"), "{said}");
+    assert!(said.contains("960x540 pixels, frames of 540x960") && said.contains("upright"), "{said}");
 }
 
 #[test]
@@ -74,7 +74,7 @@ fn pictures_before_reduction_are_reduced_and_the_frames_stay_as_they_are() {
     assert_eq!(fitted(before.clone(), &pictures).unwrap().0, before);
     let pictures = Pictures { frame: (800, 600), source: (800, 600), ..pictures };
     let said = fitted(before, &pictures).unwrap_err();
-    assert!(said.contains("960x540 pixels, the frames 800x600"), "{said}");
+    assert!(said.contains("960x540 pixels, frames of 800x600"), "{said}");
 }
 
 #[test]
@@ -83,9 +83,9 @@ fn undistorted_pictures_need_the_lens_of_the_frames() {
     let size = (960, 540);
     let unknown = Pictures { frame: size, source: size, lens: None, turns: &|_| Some(0) };
     let said = fitted(before.clone(), &unknown).unwrap_err();
-    assert!(said.contains("1000x620 pixels, the frames 960x540") && said.contains("--intrinsics"), "{said}");
+    assert!(said.contains("1000x620 pixels, frames of 960x540") && said.contains("--intrinsics"), "{said}");
     let (found, remarks) = fitted(before.clone(), &Pictures { lens: Some(odd_lens()), ..unknown }).unwrap();
-    assert!(remarks.len() == 1 && remarks[0].contains("without distortion"), "{remarks:?}");
+    assert!(remarks.len() == 1 && remarks[0].contains("model without distortion"), "{remarks:?}");
     let (own, other) = (&found.images, &before.images);
     for (image, before_image) in own.values().zip(other.values()) {
         assert_eq!(found.camera_of(image), &odd_lens());

@@ -102,7 +102,7 @@ impl Growth<'_> {
             return Ok(Freedom::WithPrincipalPoint);
         }
         let gain = lens::first_radial_gain(&self.map, sigma_px, self.options)?;
-        tracing::debug!("the first coefficient of distortion explains {gain:.1}");
+        tracing::debug!("gain of the first distortion coefficient: {gain:.1}");
         unknown.iter().for_each(|&camera| self.map.cameras[camera].radial = [0.0; 2]);
         // The noise was that of another lens.
         self.noise = Noise::Unknown;

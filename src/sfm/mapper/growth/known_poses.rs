@@ -56,7 +56,7 @@ impl Growth<'_> {
     /// differ.
     pub fn agreement(&self, known: &KnownPoses) -> f64 {
         let off = self.turned_from(known).unwrap_or(0.0);
-        tracing::debug!("turned from known poses by {:.1} deg", off.to_degrees());
+        tracing::debug!("rotation relative to pose priors: {:.1} deg", off.to_degrees());
         1.0 / (1.0 + (off / TURN).powi(2))
     }
 

@@ -43,7 +43,11 @@ impl Growth<'_> {
                 }
                 None => self.failed[view] = Some(Attempt { visible: visible.len(), inliers: 0 }),
             }
-            tracing::debug!("{} leapt; mended: {}", self.map.table.views[view].name, self.map.poses[view].is_some());
+            tracing::debug!(
+                "{}: pose outlier; corrected: {}",
+                self.map.table.views[view].name,
+                self.map.poses[view].is_some()
+            );
         }
         self.adjust_globally()
     }

@@ -26,7 +26,7 @@ impl Growth<'_> {
         let longest_px = self.map.cameras.iter().map(|c| c.width.max(c.height)).max().unwrap_or(0);
         for _ in 0..MAX_ROUNDS {
             let open = self.map.open_joints(WIDEST * f64::from(longest_px), self.options.max_track_views);
-            tracing::debug!("{} observations of points that were found again do not fit", open.len());
+            tracing::debug!("{} observations of re-detected points are outliers", open.len());
             if open.len() < FEW {
                 break;
             }
@@ -38,7 +38,7 @@ impl Growth<'_> {
         self.map.update_observations(&self.limits());
         let num_apart = self.map.take_joints_apart();
         self.map.look_for_places_that_come_back(self.options.max_track_views);
-        tracing::debug!("{num_apart} tracks do not go on where they were found again");
+        tracing::debug!("{num_apart} tracks end at their re-detection");
         Ok(())
     }
 }

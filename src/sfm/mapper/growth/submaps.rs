@@ -152,7 +152,7 @@ impl Growth<'_> {
         let agreeing = found.as_ref().map_or(0, |found| found.inliers.len());
         let agreement = Agreement { shared: ties.len(), agreeing, needed };
         tracing::debug!(
-            "{} views have a map of their own; {agreeing} of {} shared points agree, deviation {:?}",
+            "sub-map of {} views; {agreeing} of {} shared points agree, deviation {:?}",
             sub.num_views(),
             ties.len(),
             found.as_ref().map(|found| found.deviation)
@@ -259,7 +259,8 @@ impl Growth<'_> {
         let num_common = (0..self.map.table.tracks.len()).filter(is_of_both).count();
         let noise = sigma(self.map.noise());
         tracing::debug!(
-            "joined: {kept} of {} views kept, {num_common} points of both, {noise:.3} px, {:.0} observations explained",
+            "sub-map merged: {kept} of {} views, {num_common} common points, {noise:.3} px, {:.0} observations \
+             explained",
             sub.num_views(),
             self.num_explained()
         );

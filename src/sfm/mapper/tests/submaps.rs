@@ -83,6 +83,6 @@ fn a_map_that_nothing_ties_stays_apart_and_says_so() {
         let Reason::OwnMap { ends, views, shared, agreeing, needed } = own[0].1 else { unreachable!() };
         assert!(*views == own.len() && agreeing < needed && *shared <= num_ties, "{:?}", own[0]);
         assert!(ends[0].as_str() == own[0].0 && ends[1].as_str() == own[own.len() - 1].0);
-        assert!(own[0].1.to_string().contains("stays apart"));
+        assert!(own[0].1.to_string().contains("separate map"));
     }
 }
