@@ -1,8 +1,14 @@
 //! What the documents promise of files is true: those that are named exist, links lead somewhere, and every dependency
 //! has its reason. And no line of these rooms is wider than the code, comments and strings included.
 
+#[path = "common/rust_source.rs"]
+#[allow(dead_code)]
+mod rust_source;
+
 use std::fs;
 use std::path::{Path, PathBuf};
+
+use tractrix::scene::Topic;
 
 /// `max_width` of `rustfmt.toml`, which wraps neither comments nor strings.
 const MAX_COLUMNS: usize = 120;
@@ -205,6 +211,95 @@ fn comments_use_plain_english() {
         "doc summaries that begin with {CLAUSES:?}; lower or meet the budget: {worst:?}"
     );
     assert_eq!(num_banned, BANNED_LEFT, "banned words in comments: {BANNED:?}; lower or meet the budget: {worst:?}");
+}
+
+/// Sources of the program without those of its tests.
+fn production_sources() -> Vec<(PathBuf, String)> {
+    let mut files = texts_of(&["src"]);
+    files.retain(|file| file.extension().is_some_and(|e| e == "rs") && !shown(file).contains("tests"));
+    let source = |file: PathBuf| {
+        let text = read(&file);
+        let production = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default().to_owned();
+        (file, production)
+    };
+    files.into_iter().map(source).collect()
+}
+
+/// Words that no message uses: former words of the glossary, and British spelling.
+const NOT_IN_MESSAGES: [&str; 16] = [
+    "anew",
+    "beside",
+    "besides",
+    "once more",
+    "told",
+    "passed over",
+    "hangs on",
+    "metres",
+    "picture",
+    "pictures",
+    "centre",
+    "centres",
+    "colour",
+    "colours",
+    "grey",
+    "by looking",
+];
+
+/// Words of a message that it should not use: those of a literal with a blank, without its placeholders.
+fn former_words(literal: &str) -> Vec<&'static str> {
+    let text: String = literal.split('{').map(|part| part.split_once('}').map_or(part, |(_, text)| text)).collect();
+    let text = format!(" {} ", text.to_lowercase().replace(|c: char| !c.is_alphanumeric(), " "));
+    let is_message = literal.trim_matches(['"', ' ']).contains(' ') && !literal.contains('<');
+    let used = NOT_IN_MESSAGES.into_iter().filter(|word| text.contains(&format!(" {word} ")));
+    if is_message { used.collect() } else { Vec::new() }
+}
+
+#[test]
+fn messages_use_plain_english() {
+    let problems = |(file, source): (PathBuf, String)| {
+        // Units of options, and panics that no input causes.
+        let messages = source.lines().filter(|line| !line.contains("schemars(") && !line.contains(".expect("));
+        let literals = rust_source::literals(&messages.collect::<Vec<_>>().join("\n")).into_iter();
+        let used = literals.flat_map(|literal| former_words(&literal).into_iter().map(move |w| (w, literal.clone())));
+        used.map(|(word, literal)| format!("{}: {word}: {literal}", shown(&file))).collect::<Vec<_>>()
+    };
+    report(&production_sources().into_iter().flat_map(problems).collect::<Vec<_>>());
+    assert_eq!(former_words("\"the picture of {colour}, once more\""), ["once more", "picture"]);
+    assert!(former_words("\"picture\"").is_empty());
+}
+
+const TROUBLESHOOTING: &str = "docs/troubleshooting.md";
+
+#[test]
+fn every_warning_has_a_section() {
+    let page = read(&root().join(TROUBLESHOOTING));
+    let sections: Vec<String> = page.lines().filter(|line| line.starts_with("### ")).map(anchor).collect();
+    let missing = Topic::ALL.iter().map(|topic| topic.anchor()).filter(|anchor| !sections.iter().any(|s| s == anchor));
+    report(&missing.map(|anchor| format!("{TROUBLESHOOTING} has no section {anchor}")).collect::<Vec<_>>());
+    let untopical = |(file, source): (PathBuf, String)| {
+        let calls = source.split("tracing::warn!(").skip(1).map(|call| call.split(';').next().unwrap_or_default());
+        let bare = calls.filter(|call| !call.contains("Topic::") && !call.starts_with("\"{warning}\"")).count();
+        (bare > 0).then(|| format!("{}: {bare} warnings without a topic", shown(&file)))
+    };
+    report(&production_sources().into_iter().filter_map(untopical).collect::<Vec<_>>());
+}
+
+/// Texts that a page quotes, cut at what varies.
+fn quoted(markdown: &str) -> Vec<String> {
+    let text = markdown.split("\n\n").map(|paragraph| paragraph.replace('\n', " ")).collect::<Vec<_>>().join("\n");
+    let without_code: String = text.split('`').step_by(2).collect::<Vec<_>>().join("`");
+    let quotes = without_code.split('"').skip(1).step_by(2).flat_map(|quote| quote.split('…'));
+    quotes.map(|part| part.trim().trim_matches(['(', ')', '±', '%', ' ']).to_owned()).filter(|p| p.len() > 5).collect()
+}
+
+#[test]
+fn quoted_messages_are_those_of_the_program() {
+    let literals = production_sources().into_iter().flat_map(|(_, source)| rust_source::literals(&source));
+    let program = literals.collect::<Vec<_>>().join("\n");
+    let quotes = quoted(&read(&root().join(TROUBLESHOOTING)));
+    assert!(quotes.len() > 60, "{quotes:?}");
+    let foreign = quotes.into_iter().filter(|quote| !program.contains(quote.as_str()));
+    report(&foreign.map(|quote| format!("{TROUBLESHOOTING} quotes “{quote}”")).collect::<Vec<_>>());
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The rooms of `src/` call one another as the table in `docs/architecture.md` says, and in no other way.
 
 #[path = "common/rust_source.rs"]
+#[allow(dead_code)]
 mod rust_source;
 
 use std::collections::{BTreeMap, BTreeSet};

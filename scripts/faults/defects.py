@@ -96,7 +96,7 @@ def input_in_output(bench: Bench) -> tuple[Outcome, str | None]:
     command = [part if part != DEMO / "masks" else out / "tracks/1" for part in bench.command(out)]
     outcome = bench.run(*command)
     still = sorted((out / "tracks/1").iterdir()) if (out / "tracks/1").is_dir() else []
-    return outcome, refused(outcome, "lies in the output folder") or (None if still == masks else "masks are gone")
+    return outcome, refused(outcome, "inside the output folder") or (None if still == masks else "masks are gone")
 
 
 @case("H3 links in OUT")
@@ -210,7 +210,7 @@ for label, name in [("a leading blank", " 00002.png"), ("a newline", "00\n02.png
     def odd_name(bench: Bench, name: str = name) -> tuple[Outcome, str | None]:
         folder = pictures(bench, "frames", ["00000.png", "00001.png", name])
         outcome = bench.run("sfm", folder, "--output", bench.path("out"), "--fps", "10")
-        said = [line for line in outcome.stderr.splitlines() if "left out" in line and "its name" in line]
+        said = [line for line in outcome.stderr.splitlines() if "skipped" in line and "file name" in line]
         return outcome, None if said else f"says nothing of the name: {outcome.described()}"
 
     CASES[f"M3 a frame's name with {label}"] = odd_name
@@ -388,7 +388,7 @@ def full_disk(bench: Bench) -> tuple[Outcome, str | None]:
         outcome.code, outcome.stderr = FAILED, "not tried: no mounts can be made here"
         return outcome, None
     first = "run.json" in outcome.stderr.split("No space")[0]
-    return outcome, "names run.json" if first else refused(outcome, "No space", "make room", codes=(FAILED,))
+    return outcome, "names run.json" if first else refused(outcome, "No space", "free some space", codes=(FAILED,))
 
 
 @case("L7 a byte order mark before JSON and COLMAP's text")
@@ -416,7 +416,7 @@ def unknown_object(bench: Bench) -> tuple[Outcome, str | None]:
 @case("L10 Ctrl-C says how to go on")
 def interrupted(bench: Bench) -> tuple[Outcome, str | None]:
     outcome = bench.run(*bench.command(bench.path("out"), frames=60), after=(0.8, 2))
-    return outcome, refused(outcome, "same command goes on", codes=(130,))
+    return outcome, refused(outcome, "same command resumes", codes=(130,))
 
 
 def copied(bench: Bench) -> Path:
@@ -456,4 +456,4 @@ def name_leads_out(bench: Bench) -> tuple[Outcome, str | None]:
     (state / "frames-list.json").write_text(json.dumps(frames))
     (state / "track.json").unlink()
     outcome = bench.run(*bench.command(output))
-    return outcome, "a file was written outside" if escaped.exists() else refused(outcome, "no name of a frame")
+    return outcome, "a file was written outside" if escaped.exists() else refused(outcome, "not a frame name")

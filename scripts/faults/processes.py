@@ -140,7 +140,7 @@ def signals(bench: Bench, only: list[str]) -> Tally:
                 continue
             problem = f"ended with {outcome.code}" if outcome.code != code else None
             problem = problem or (f"took {late_s:.1f} s" if late_s > 2.0 else None)
-            told = "same command goes on" in outcome.stderr or name == "SIGQUIT"
+            told = "same command resumes" in outcome.stderr or name == "SIGQUIT"
             problem = problem or (None if told else "does not say how to go on")
             again, after = work.ends_the_same(output)
             tally.add(f"{name} after {moment:.1f} s", problem or again, after)

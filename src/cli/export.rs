@@ -85,7 +85,7 @@ pub(super) fn run(args: &Args, form: Form, talk: &Talk) -> Result<(), Failure> {
     talk.finish();
     let exported = exported?;
     for left in &exported.passed_over {
-        tracing::warn!("{}", left.reason);
+        tracing::warn!("{}", Topic::ExportSkipped.warning(&left.reason));
     }
     if args.output.is_none() {
         link_from_page(args);

@@ -116,7 +116,7 @@ mod tests {
         let error = in_file(&TUM.replace(" 0 0 0 1", " 0 0 0 0"), read_tum).unwrap_err().to_string();
         assert!(error.contains("line 3: pose: invalid rotation"), "{error}");
         let error = in_file(&KITTI.replace("1 6", "6"), read_kitti).unwrap_err().to_string();
-        assert!(error.contains("line 2: pose: must be 12 finite numbers"), "{error}");
+        assert!(error.contains("line 2: pose: expected 12 finite numbers"), "{error}");
         damaged_text_never_panics(TUM, |text| in_file(text, |path| read_tum(path).is_ok()));
         damaged_text_never_panics(KITTI, |text| in_file(text, |path| read_kitti(path).is_ok()));
     }

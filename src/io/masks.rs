@@ -170,7 +170,7 @@ mod tests {
             read_label_map(&path, (2, 1)).unwrap_err().to_string()
         };
         assert!(save(ExtendedColorType::Rgb8, &[0; 6]).contains("RGB, 8 bits"));
-        assert!(save(ExtendedColorType::L16, &[0; 4]).contains("grey, 16 bits"));
+        assert!(save(ExtendedColorType::L16, &[0; 4]).contains("gray, 16 bits"));
         assert!(save(ExtendedColorType::La8, &[0; 4]).contains("transparency"));
         std::fs::write(&path, b"GIF89a, at any rate not the other thing").unwrap();
         assert!(read_mask(&path, (2, 1)).unwrap_err().to_string().contains("not a PNG"));
@@ -194,7 +194,7 @@ mod tests {
         let mut two_bits = ONE_BIT.to_vec();
         two_bits[24] = 2;
         std::fs::write(&path, two_bits).unwrap();
-        assert!(read_label_map(&path, (3, 2)).unwrap_err().to_string().contains("grey, 2 bits"));
+        assert!(read_label_map(&path, (3, 2)).unwrap_err().to_string().contains("gray, 2 bits"));
     }
 
     #[test]

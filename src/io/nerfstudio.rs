@@ -317,7 +317,7 @@ mod tests {
     #[test]
     fn what_is_missing_is_said() {
         let says = |from: &str, to: &str| read_text(&GOLDEN.replace(from, to)).unwrap_err().to_string();
-        assert!(says("\"w\": 640,", "").contains("frame './images/a.jpg' has no size of the picture (w, h)"));
+        assert!(says("\"w\": 640,", "").contains("frame './images/a.jpg': no image size (w, h)"));
         assert!(says("\"k2\"", "\"k4\"").contains("fourth radial"));
         assert!(says("\"OPENCV\"", "\"FISHEYE624\"").contains("camera_model FISHEYE624"));
         assert!(says("[[1, 0, 0, 1]", "[[2, 0, 0, 1]").contains("transform_matrix is not a rigid transform"));

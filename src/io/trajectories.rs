@@ -518,11 +518,11 @@ mod tests {
         );
         assert!(
             refused(|all| all.objects[0].travel.as_mut().unwrap().path_units.std = f64::NAN)
-                .contains("object 1: a number of the travel")
+                .contains("object 1: a travel figure")
         );
         assert!(
             refused(|all| all.objects[0].poses[1].metric.as_mut().unwrap().position_m[1] = f64::NAN)
-                .contains("frame 2: a number in metres")
+                .contains("frame 2: a number in meters")
         );
     }
 
@@ -535,8 +535,8 @@ mod tests {
             change(&mut trajectories.objects[0]);
             write(&path, &trajectories).unwrap_err().to_string()
         };
-        assert!(refused(|o| o.scale.ratio = f64::NAN).contains("object 1: the scale ratio NaN"));
-        assert!(refused(|o| o.poses[1].world_from_object.scale = 0.73).contains("frame 2: the scale 0.73"));
+        assert!(refused(|o| o.scale.ratio = f64::NAN).contains("object 1: scale ratio NaN"));
+        assert!(refused(|o| o.poses[1].world_from_object.scale = 0.73).contains("frame 2: scale 0.73"));
         assert!(refused(|o| o.poses[1].position[2] = f64::INFINITY).contains("frame 2: inf"));
         assert!(refused(|o| o.poses.reverse()).contains("frame 0 after frame 2"));
         assert!(refused(|o| o.scale.shares.as_mut().unwrap().plane = f64::NAN).contains("NaN is not a finite"));

@@ -37,7 +37,9 @@ pub enum PerceptionError {
     },
     /// The names of a network's classes are unknown.
     #[error(
-        "{}: {num_classes} classes without names (no `names` in the metadata); put a list `classes = [...]` into {}", path.display(), sidecar.display())]
+        "{}: {num_classes} classes without names (no `names` in the metadata); put a list `classes = [...]` into {}",
+        path.display(), sidecar.display()
+    )]
     NoClassNames {
         /// The model file.
         path: PathBuf,

@@ -206,7 +206,7 @@ mod tests {
         let path = folder.path().join("transforms.json");
         model::write(&path, &model, Format::Nerfstudio).unwrap();
         let said = given(&path, &frames, size).unwrap_err();
-        assert!(said.contains("transforms.json: no point") && said.contains("COLMAP model"), "{said}");
+        assert!(said.contains("transforms.json: no 3D point") && said.contains("COLMAP model"), "{said}");
         let out = folder.path().join("out");
         model::write(&out.join("background"), &model, Format::ColmapText).unwrap();
         let said = given(&out, &frames, size).unwrap_err();

@@ -156,8 +156,8 @@ fn labelled_points(
 ) -> Result<Option<(GroundSource, Vec<Point3dId>)>, PipelineError> {
     let (source, points) = match &run.options.ground_labels {
         GroundLabels::Geometric => {
-            let text = "no ground labels: the ground is estimated from 3D points; give --ground-model or --ground-masks \
-                        to improve it";
+            let text = "no ground labels: the ground is estimated from 3D points; give --ground-model or \
+                        --ground-masks to improve it";
             outcome.warn(Topic::NoGroundLabels.warning(text));
             return Ok(None);
         }

@@ -9,7 +9,7 @@ const MAX_FIELD_DEG: f64 = 150.0;
 const MIN_FIELD_DEG: f64 = 0.5;
 /// Below this a lens is a strong telephoto lens, degrees; more often the focal length is wrong.
 const NARROW_FIELD_DEG: f64 = 10.0;
-/// Ratio of fx and fy beyond which one of them is wrong: the strongest anamorphic lenses have 2.
+/// Ratio of fx and fy beyond which differ too much: the strongest anamorphic lenses have 2.
 const MAX_ASPECT: f64 = 2.5;
 /// Ratio of fx and fy from which on a lens is anamorphic.
 const ODD_ASPECT: f64 = 1.1;
@@ -96,9 +96,9 @@ mod tests {
     #[test]
     fn what_no_lens_has_is_refused_by_name() {
         let cases = [
-            ([5.0, 5.0, 480.0, 270.0], "field of view of 179 degrees"),
-            ([880.0, 880.0, 4800.0, 270.0], "outside the picture of 960x540"),
-            ([880.0, 88.0, 480.0, 270.0], "one of them is wrong"),
+            ([5.0, 5.0, 480.0, 270.0], "field of view of 179°"),
+            ([880.0, 880.0, 4800.0, 270.0], "outside the image of 960x540"),
+            ([880.0, 88.0, 480.0, 270.0], "differ too much"),
         ];
         for (values, expected) in cases {
             let reason = impossible(&camera(values)).unwrap();

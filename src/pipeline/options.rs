@@ -429,7 +429,7 @@ mod tests {
         assert_eq!("1,2,3,4,.5,-6".parse(), Ok(IntrinsicsSource::Given(vec![1.0, 2.0, 3.0, 4.0, 0.5, -6.0])));
         let all = vec![1.0, 2.0, 3.0, 4.0, 0.5, -6.0, 7.0, 8.0, 0.0];
         assert_eq!("1,2,3,4,.5,-6,7,8".parse(), Ok(IntrinsicsSource::Given(all)));
-        assert!("1,2,3,4,5,6,7".parse::<IntrinsicsSource>().unwrap_err().contains("not 7"));
+        assert!("1,2,3,4,5,6,7".parse::<IntrinsicsSource>().unwrap_err().contains("found 7"));
         assert_eq!("a/cameras.txt".parse(), Ok(IntrinsicsSource::File("a/cameras.txt".into())));
         for wrong in ["", "1,2,3", "0,1,2,3", "1,2,3,4,5,6,7", "nan,1,2,3", "model"] {
             assert!(wrong.parse::<IntrinsicsSource>().is_err(), "{wrong}");

@@ -89,8 +89,8 @@ fn what_is_no_telemetry_is_refused_with_a_cure() {
     assert!(said(b"hello").contains("docs/telemetry.md"));
     assert!(said(&[0, 159, 146, 150]).contains("docs/telemetry.md"));
     let camera_only = "1\n00:00:00,000 --> 00:00:00,039\n[iso : 100] [shutter : 1/240.0] [ct : 5627] </font>\n";
-    assert!(said(camera_only.as_bytes()).contains("line 3: the block states settings of the camera alone"));
-    assert!(said(b"lat,lon\n0,0\n").contains("line 2: the position is (0, 0)"));
+    assert!(said(camera_only.as_bytes()).contains("line 3: block with camera settings only"));
+    assert!(said(b"lat,lon\n0,0\n").contains("line 2: position (0, 0)"));
     assert!(said(&[0xff, 0xd8, 0xff, 0xe1]).contains("photograph"));
     assert!(read(Path::new("no such file")).unwrap_err().to_string().contains("no such file"));
 }

@@ -51,6 +51,27 @@ pub fn tokens(text: &str) -> Vec<String> {
     found
 }
 
+/// String literals as they are written, without the line breaks of continued ones.
+pub fn literals(text: &str) -> Vec<String> {
+    let mut found = Vec::new();
+    let mut rest = text;
+    while let Some(first) = rest.chars().next() {
+        let (length, token) = next_token(rest, first);
+        if token == Some("\"\"") && first != '\'' {
+            found.push(joined(&rest[..length]));
+        }
+        rest = &rest[length..];
+    }
+    found
+}
+
+/// A literal on one line: a backslash at the end of a line takes the blanks of the next with it.
+fn joined(literal: &str) -> String {
+    let mut lines = literal.split("\\\n");
+    let first = lines.next().unwrap_or_default().to_owned();
+    lines.fold(first, |text, line| text + line.trim_start())
+}
+
 /// How much of `text` its first token takes, and the token; `None` for what is no code.
 fn next_token(text: &str, first: char) -> (usize, Option<&str>) {
     if text.starts_with("//") {

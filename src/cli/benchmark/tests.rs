@@ -26,7 +26,7 @@ fn sequences_are_the_folders_with_a_scene() {
     };
     assert_eq!(list(&[]).unwrap(), (vec!["a_van".to_owned(), "b_van".to_owned()], vec!["textures".to_owned()]));
     assert_eq!(list(&["b_"]).unwrap().0, ["b_van"]);
-    assert!(list(&["suv"]).unwrap_err().to_string().contains("no sequence has suv"));
+    assert!(list(&["suv"]).unwrap_err().to_string().contains("no sequence name contains suv"));
 }
 
 #[test]

@@ -28,6 +28,7 @@ use crate::eval::calibration::{Calibration, Case, summarise, summarise_spreads};
 use crate::io::{FolderError, OwnedFolder, Place, RunFolder, atomic};
 use crate::pipeline::Overwrite;
 use crate::report::benchmark as pages;
+use crate::scene::Topic;
 
 /// Version of `calibration.json`.
 const VERSION: u32 = 1;
@@ -124,7 +125,10 @@ fn clips(setting: &Setting, clip: &Path, variants: &[Variant], calibration: &mut
                 calibration.spreads.extend(spreads);
             }
             Err(error) if stands_in_every_way(&error) => return Err(error.into()),
-            Err(error) => tracing::warn!("{name}: {}", Failure::Input(error)),
+            Err(error) => {
+                let text = format!("{name}: skipped: {}", Failure::Input(error));
+                tracing::warn!("{}", Topic::SequenceSkipped.warning(text));
+            }
         }
         write(calibration, setting.results)?;
     }

@@ -234,13 +234,13 @@ mod tests {
     #[test]
     fn what_is_no_variant_says_what_would_be() {
         for (text, said) in [
-            ("fog-3", "none of as-it-is, raw"),
+            ("fog-3", "expected one of as-it-is, raw"),
             ("raw-1", "has no level"),
             ("noise", "level missing"),
             ("noise-x", "level missing"),
             ("noise-NaN", "level missing"),
             ("frames-7.5", "level missing"),
-            ("hidden-1", "from 0.01 to 0.95"),
+            ("hidden-1", "give 0.01 to 0.95"),
         ] {
             assert!(Variant::parse(text).unwrap_err().contains(said), "{text}");
         }

@@ -160,7 +160,7 @@ fn a_comparison_is_a_table_and_json() {
     let json = serde_json::to_string(&comparison).unwrap();
     assert_eq!(serde_json::from_str::<Comparison>(&json).unwrap(), comparison);
     let text = comparison.to_string();
-    for part in ["registered in both", "AUC at 5°", "centers, RMSE, m", "12.5", "aligned by 12 of 12 camera centres"] {
+    for part in ["registered in both", "AUC at 5°", "centers, RMSE, m", "12.5", "aligned by 12 of 12 camera centers"] {
         assert!(text.contains(part), "{part} is missing in\n{text}");
     }
 }

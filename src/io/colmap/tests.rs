@@ -242,7 +242,7 @@ fn broken_text_names_file_line_and_field() {
         ("points3D.txt", "1 0 0 0 1 2 256 0.5", "line 1: blue: '256'"),
         ("points3D.txt", "1 0 0 0 1 2 3 0.5 1", "line 1: observation index of a track"),
         ("points3D.txt", "1 0 0 0 1 2 3 0.5 77 0", "observation 0 of image 77"),
-        ("points3D.txt", "", "tracks hold 0 observations"),
+        ("points3D.txt", "", "tracks have 0 observations"),
         ("cameras.txt", "", "camera 1 does not exist"),
     ];
     for (name, content, expected) in cases {

@@ -135,7 +135,7 @@ fn what_does_not_fit_is_refused() {
     assert!(refused(|d| d["views"][0]["value"]["ptr_wrapper"]["data"]["id_intrinsic"] = json!(9)).contains("view 0"));
     let unknown = |d: &mut Value| d["structure"][0]["value"]["observations"][0]["key"] = json!(50);
     assert!(refused(unknown).contains("view 50"));
-    assert!(refused(|d| d["views"] = json!(3)).contains("not what OpenMVG's sfm_data.json has here"));
+    assert!(refused(|d| d["views"] = json!(3)).contains("not valid in OpenMVG's sfm_data.json"));
 }
 
 #[test]

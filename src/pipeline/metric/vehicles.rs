@@ -170,7 +170,7 @@ mod tests {
     #[test]
     fn what_was_not_seen_is_said() {
         let of = |text: &str| of_length(&text.parse().unwrap(), &sizes()).unwrap_err();
-        assert!(of("3:width=1.8").contains("the width of vehicle 3 was never seen"));
+        assert!(of("3:width=1.8").contains("vehicle 3: width not measured"));
         assert!(of("4:length=4.4").contains("vehicle 4: no trajectory"));
     }
 

@@ -51,7 +51,7 @@ pub fn calibration(calibration: &Calibration) -> String {
         "sequence",
         "variant",
         "error",
-        "reported std",
+        "std",
         "in std",
         "trajectory error",
         "placed",
@@ -84,7 +84,7 @@ pub fn calibration(calibration: &Calibration) -> String {
 /// Every vehicle that two runs of a clip place.
 fn clips(spreads: &[Spread]) -> String {
     let mut table =
-        Table::new(["clip", "variant", "vehicle", "frames", "difference", "reported std", "in std", "worse verdict"]);
+        Table::new(["clip", "variant", "vehicle", "frames", "difference", "std", "in std", "worse verdict"]);
     for spread in spreads {
         table.row([
             spread.clip.clone(),

@@ -245,7 +245,7 @@ fn too_fast_backwards_and_jumping_paths_are_said() {
     let way = Vector3::from(back.trajectory.poses[last].position) - Vector3::from(back.trajectory.poses[0].position);
     moved(&mut back, |k| -way * (k.saturating_sub(50) as f64) * 2.0 / last as f64);
     let verdict = judge(&[back]).remove(0);
-    assert!(verdict.against().any(|reason| reason.says.contains("backwards")), "{verdict:#?}");
+    assert!(verdict.against().any(|reason| reason.says.contains("backward")), "{verdict:#?}");
 }
 
 #[test]
