@@ -47,7 +47,7 @@ fn an_empty_file_is_refused() {
     let input = folder.path().join("empty.mp4");
     fs::write(&input, b"").unwrap();
     let said = refused(&input, &masks(folder.path(), 1, 8, 8), &folder.path().join("out"));
-    assert!(said.contains("empty.mp4") && said.contains("is empty"), "{said}");
+    assert!(said.contains("empty.mp4") && said.contains("empty file"), "{said}");
     assert!(!folder.path().join("out").exists(), "nothing is left behind where nothing could be done");
 }
 
@@ -445,7 +445,7 @@ fn what_a_late_stage_cannot_use_is_said_before_the_first_long_one() {
 fn intrinsics_that_no_lens_has_are_refused_by_name() {
     let folder = TempDir::new().unwrap();
     let (input, masks) = (clip(folder.path(), 1), masks(folder.path(), 1, 64, 48));
-    for (numbers, expected) in [("1,1,32,24", "field of view"), ("60,60,320,24", "outside the picture of 64x48")] {
+    for (numbers, expected) in [("1,1,32,24", "field of view"), ("60,60,320,24", "outside the image of 64x48")] {
         let mut command = tractrix();
         command.arg("run").arg(&input).arg("--masks").arg(&masks).arg("--intrinsics").arg(numbers);
         let (code, _, stderr) = outcome(command.arg("--output").arg(folder.path().join("out")));
@@ -462,7 +462,7 @@ fn what_was_given_and_is_of_no_use_is_warned_of() {
     command.arg("run").arg(&input).arg("--masks").arg(&masks).args(["--fps", "3", "--only-object", "99"]);
     let (_, _, stderr) = outcome(command.arg("--output").arg(folder.path().join("out")));
     assert!(stderr.contains("--fps ignored"), "{stderr}");
-    assert!(stderr.contains("--only-object 99") && stderr.contains("tracked are: 1"), "{stderr}");
+    assert!(stderr.contains("--only-object 99") && stderr.contains("does not exist; tracked: 1"), "{stderr}");
 }
 
 #[test]

@@ -205,7 +205,7 @@ fn what_is_no_picture_is_told_and_moves_no_other_frame() {
         ("4.png", "a pipe"),
         ("5.png", "a folder"),
         ("6\u{fffd}.png", "UTF-8"),
-        (" 7.png", "blank"),
+        (" 7.png", "space"),
         ("00.png", "16x16"),
     ] {
         let said = stderr.lines().any(|line| line.contains(name) && line.contains(reason));

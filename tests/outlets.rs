@@ -80,7 +80,7 @@ fn every_outlet_has_the_same_figures() {
     assert!(["good", "fair", "doubtful", "rejected"].contains(&state), "{state}");
     assert_eq!((object["verdict"].as_str(), table("verdict").as_str()), (Some(state), state));
     assert!(terminal.contains(&format!("     {state}. ")), "{terminal}");
-    assert!(page.contains(&format!("What this means\">{state}</a>")), "the badge");
+    assert!(page.contains(&format!("Explanation\">{state}</a>")), "the badge");
     assert!(vehicle["frames"][0].get("speed").is_none() && vehicle["frames"][0]["speed_m_s"].is_number());
     let old = json(&place.path("out/export/trajectories-v2.json"));
     assert!(old["version"] == 2 && old["objects"][0]["frames"][0].as_object().unwrap()["speed"].is_null());

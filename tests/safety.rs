@@ -113,9 +113,9 @@ fn files_of_others_beside_the_results_stay_and_the_run_goes_on() {
     };
     let before = theirs(&place);
     let said = place.succeeds("images", "out", &["--scale-method", "intersection"]);
-    assert!(said.contains("done anew are scale, metric, report"), "{said}");
+    assert!(said.contains("options changed: re-running scale, metric, report"), "{said}");
     let said = place.succeeds("images", "out", &["--every", "2"]);
-    let anew = said.lines().filter(|line| line.contains("done anew are frames, segment, features"));
+    let anew = said.lines().filter(|line| line.contains("re-running frames, segment, features"));
     assert!(anew.count() == 1, "{said}");
     assert_eq!(before, theirs(&place));
     let ours: Vec<PathBuf> = snapshot(&place.path("out/tracks/1")).into_keys().collect();

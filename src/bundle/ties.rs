@@ -4,7 +4,7 @@
 //! system, until it is dense. Two things keep it sparse:
 //!
 //! - *thinning* ([`Problem::thin_ties`]): a point ties its last visit to its first, of which only every sixteenth view
-//!   counts, the same for all points. What else these observations told is told by the other points of those views, and
+//!   counts, the same for all points. The other points of those views carry the rest of the information, and
 //!   visits between are tied by points that were not seen again later;
 //! - *the order*: those few views, the [`anchors`], come last in the reduced system. What is left without them is a
 //!   band, and its Cholesky factor fills nothing but the rows of the anchors.

@@ -198,7 +198,7 @@ mod tests {
     fn a_full_disk_has_a_cure() {
         let full = anyhow::Error::from(io::Error::from(io::ErrorKind::StorageFull));
         let failure = Failure::Input(full.context("cannot write out/a.png"));
-        assert!(failure.to_string().ends_with("free some space and run the same command again"), "{failure}");
+        assert!(failure.to_string().ends_with("run the same command again: it resumes"), "{failure}");
     }
 
     #[test]

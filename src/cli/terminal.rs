@@ -98,7 +98,7 @@ pub(super) struct Talk {
 impl Talk {
     /// Starts logging, and listening to signals, too.
     ///
-    /// * `form` – how the end is told on stdout if a signal brings it.
+    /// * `form` – form of the message on stdout if a signal ends the program.
     pub(super) fn start(kind: ProgressKind, verbosity: Verbosity, form: Form) -> Self {
         let shown = Shown::new(kind, verbosity);
         let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());

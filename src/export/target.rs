@@ -46,7 +46,7 @@ impl Target {
         &self.shown
     }
 
-    /// Puts a file in its place, whole: `fill` writes it where it is told. Gives its path.
+    /// Puts a file in its place, whole: `fill` writes to the given path. Returns its final path.
     pub(super) fn put_file(
         &self,
         name: &str,

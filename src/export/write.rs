@@ -24,7 +24,7 @@ impl<'a> Pictures<'a> {
     /// Of a run.
     ///
     /// * `source` – the input, opened as the run opened it, or why it cannot be.
-    /// * `on_step` – told of every picture that is done.
+    /// * `on_step` – called after every image.
     pub fn new(folder: &'a RunFolder, source: Result<&'a Source, String>, on_step: &'a dyn Fn()) -> Self {
         Self { folder, source, on_step, frames: None }
     }

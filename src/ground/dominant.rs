@@ -1,7 +1,7 @@
 //! Ground without labels: the dominant plane below the camera.
 //!
 //! A stand-in for labels, and marked as such in the result ([`GroundSource::Geometric`](crate::scene::GroundSource)).
-//! Of all planes through many background points, the ground is told from façades and roofs by the cameras: they lie
+//! Of all planes through many background points, the cameras distinguish the ground from façades and roofs: they lie
 //! above it, they are not rolled against it, and hardly anything lies below it (eq. 9 to 11 of `docs/maths/ground.md`).
 //! Which of its directions is "down" depends on the camera's pitch, which is free: level, oblique and straight down all
 //! occur.

@@ -39,7 +39,7 @@ const MAX_GAP: f64 = 0.25;
 const MAX_ROUGHNESS: f64 = 3.0;
 /// Pixels up to which every plane is smooth enough.
 const SMOOTH_PX: f64 = 1.0;
-/// Frames next to one without points of its own, from which it is told how the two kinds of planes differ.
+/// Frames next to one without points of its own, that determine the difference of the two kinds of planes.
 const NUM_NEXT: usize = 9;
 
 /// The same planes, where the vehicle's path has points through these, elsewhere lowered or raised as there.

@@ -52,7 +52,7 @@ pub struct LocalPlanes {
 }
 
 impl LocalPlanes {
-    /// The same planes, said to rest on something else.
+    /// The same planes with another basis.
     pub(super) fn with_basis(mut self, basis: PlaneBasis) -> Self {
         self.planes.values_mut().for_each(|plane| plane.basis = basis);
         self

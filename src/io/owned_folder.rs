@@ -193,7 +193,7 @@ impl OwnedFolder {
         Ok(self.root.join(name))
     }
 
-    /// Puts a file in its place, whole: `fill` writes it where it is told.
+    /// Puts a file in its place, whole: `fill` writes to the given path.
     ///
     /// # Errors
     /// What `fill` says; [`FolderError`] if something else is in that place.

@@ -242,8 +242,8 @@ pub(super) fn focal_deviation(run: &Run) -> Result<Option<f64>, PipelineError> {
     Ok(background_report(run)?.focal_deviation())
 }
 
-/// The one place where structure from motion is called. `beside` is what is known besides the tracks; `watch` is told
-/// which share of it is done.
+/// The one place where structure from motion is called. `beside` has the priors; `watch` receives the
+/// finished share.
 pub(super) fn reconstruct(
     run: &Run,
     mut table: sfm::TrackTable,

@@ -3,7 +3,7 @@
 use super::{Instances, Options, Stage, Workspace};
 use crate::video::{self, Info, Position};
 
-/// Told how far a run is.
+/// Receiver of the progress of a run.
 pub trait Progress: Sync {
     /// Announces the plan, before the first stage.
     fn plan(&self, _: &Plan) {}

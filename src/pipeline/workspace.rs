@@ -104,7 +104,7 @@ impl Workspace {
         self.owned.input()
     }
 
-    /// Puts a public file in its place, whole, through `fill`, which is told where to write it.
+    /// Puts a public file in its place, whole, through `fill`, which is given the path.
     ///
     /// # Errors
     /// What `fill` says, or [`PipelineError::Folder`].

@@ -108,7 +108,7 @@ const LEAST_INSIDE: f64 = 0.9;
 /// The share of the frames that say where the ground is: the surest.
 const SUREST: f64 = 0.5;
 
-/// The share of the lowest points by which it is told how far the outermost stand out: by so much these are unsure.
+/// The share of the lowest points that determines how far the outermost stand out, which is their uncertainty.
 const INNER: f64 = 0.9;
 
 /// Where the ground is, in the frame of a reconstruction whose z axis points up.

@@ -76,7 +76,7 @@ fn of_several_video_tracks_the_camera_is_read_alone() {
     assert!(of_track(None).unwrap().scan().unwrap().warnings[0].text.contains("3 video tracks: using track 1"));
     assert_eq!(of_track(Some(0)).unwrap().scan().unwrap().frames.len(), 1);
     let error = of_track(Some(3)).unwrap_err().to_string();
-    assert!(error.contains("no video track 3, only 3 of them"), "{error}");
+    assert!(error.contains("video track 3 does not exist; the file has 3"), "{error}");
 }
 
 #[test]

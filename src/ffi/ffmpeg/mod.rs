@@ -86,7 +86,7 @@ pub fn version() -> String {
 #[allow(unsafe_code)]
 fn words(code: c_int) -> String {
     let mut text = [0; 128];
-    // SAFETY: writes a string with its end mark into the buffer, of which it is told the size.
+    // SAFETY: writes a string with its end mark into the buffer, whose size it is given.
     let text = unsafe {
         sys::av_strerror(code, text.as_mut_ptr(), text.len());
         CStr::from_ptr(text.as_ptr())

@@ -109,7 +109,7 @@ impl<'a> Growth<'a> {
         Ok(self.map.num_points() >= self.options.min_initial_inliers / 2)
     }
 
-    /// Adds views until none fits any more; `watch` is told how many there are.
+    /// Adds views until none fits any more; `watch` is called with their number.
     pub fn grow(&mut self, watch: &mut dyn FnMut(usize)) -> Result<(), SfmError> {
         loop {
             while let Some(view) = self.next_view() {

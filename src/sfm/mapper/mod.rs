@@ -283,8 +283,8 @@ pub fn reconstruct(
     reconstruct_watched(table, cameras, intrinsics, options, seed, Beside::default(), &mut |_| {})
 }
 
-/// As [`reconstruct`], with what is known `beside` the tracks. `watch` is told now and then which share of the work is
-/// done, as far as that can be determined: starts that turn out to be needed set it back.
+/// As [`reconstruct`], with the priors `beside` the tracks. `watch` receives the finished share of the work
+/// from time to time, as far as that can be determined: starts that turn out to be needed set it back.
 ///
 /// # Errors
 /// As [`reconstruct`].

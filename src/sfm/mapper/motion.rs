@@ -1,4 +1,4 @@
-//! Motion from which no map, or only a weak one, can come: recognised and said.
+//! Motion from which no map, or only a weak one, can come: recognized and reported.
 //!
 //! - A **still** camera moves no point.
 //! - A camera that only **turns** moves all points by one homography, H = K R K⁻¹: K⁻¹ H K is a rotation for some focal
