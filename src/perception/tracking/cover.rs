@@ -1,10 +1,10 @@
 //! Occluders of an object: the pixels of its outline that show something else.
 //!
-//! A mask that is carried as a whole would lie on the occluder. An occluder is recognized by its own motion: pixels from
-//! outside the mask, or from what is known to lie before it, whose flow is consistent and not the object's, and which
-//! land on it. What lies behind the object does not: its flow has no way back. Dense flow lets smooth paint move as the
-//! road next to it, so that the pictures must agree: a pixel of the object shows an occluder only if the occluder's
-//! pixel explains its colours, and the object's own does not.
+//! A mask that is carried as a whole would lie on the occluder. An occluder is recognized by its own motion: pixels
+//! from outside the mask, or from what is known to lie before it, whose flow is consistent and not the object's, and
+//! which land on it. What lies behind the object does not: its flow has no way back. Dense flow lets smooth paint move
+//! as the road next to it, so that the pictures must agree: a pixel of the object shows an occluder only if the
+//! occluder's pixel explains its colours, and the object's own does not.
 
 use ::image::RgbImage;
 
