@@ -31,6 +31,7 @@ pub use height::{CameraHeight, HeightFailure, camera_height};
 pub use labels::label_points;
 pub use local::{LocalPlanes, SkipReason, SkippedFrame, local_planes};
 pub use mount::{Mount, MountFailure, find_mount};
+pub use path::BodyShape;
 pub use plane::PlaneFailure;
 
 /// Options of the ground estimation.

@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::large_frames::AnySizeFrontEnd;
+use super::matching::MatchOptions;
 use super::sift_front_end::{Pairing, SiftFrontEnd, SiftOptions};
 use super::tracks::TrackTable;
 use super::video_front_end::VideoOptions;
@@ -33,6 +34,14 @@ impl FrontEndOptions {
         match self {
             Self::Video(video) => video.check(),
             Self::Sift(sift) => sift.check(),
+        }
+    }
+
+    /// Descriptor matching.
+    pub fn matching(&self) -> &MatchOptions {
+        match self {
+            Self::Video(video) => &video.matching,
+            Self::Sift(sift) => &sift.matching,
         }
     }
 

@@ -333,7 +333,7 @@ mod tests {
 
     fn estimate(world: &drive::Options, seed: u64, wanted: ScaleMethod) -> (ScaleEstimate, f64) {
         let world = drive(world, seed);
-        let views = Views::new(&world.background, &world.object, &world.planes);
+        let views = Views::new(&world.background, &world.object, &world.planes, &Options::default());
         (estimate_scale(&views, wanted, &Options::default()).unwrap(), world.ratio)
     }
 
@@ -393,7 +393,7 @@ mod tests {
     #[test]
     fn two_frames_have_an_answer_that_nothing_checks() {
         let world = drive(&drive::Options { num_frames: 2, ..Default::default() }, 3);
-        let views = Views::new(&world.background, &world.object, &world.planes);
+        let views = Views::new(&world.background, &world.object, &world.planes, &Options::default());
         let estimate = |views: &Views| estimate_scale(views, ScaleMethod::RobustLeastSquares, &Options::default());
         let found = estimate(&views).unwrap();
         assert!(found.degenerate && found.reason.unwrap().contains("cannot be checked"));

@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{ScaleError, Views};
 use crate::limits::{Checked, within};
-use crate::math::median;
+use crate::math::{STD_PER_MAD, median};
 
 /// Robustness of the fit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -98,8 +98,7 @@ pub fn least_squares(views: &Views, options: &LeastSquaresOptions) -> Result<Lea
     let mut fit = series.fit(&weights, 0.0);
     for _ in 0..options.max_rounds {
         let steps = series.steps(fit.ratio, options.neighbours);
-        // 1.4826 turns the median of absolute Gaussian residuals into their standard deviation.
-        let sigma = 1.4826 * median(steps.iter().map(|e| e.abs()).collect()).unwrap_or(0.0);
+        let sigma = STD_PER_MAD * median(steps.iter().map(|e| e.abs()).collect()).unwrap_or(0.0);
         if sigma <= f64::EPSILON * series.size() || !fit.ratio.is_finite() {
             break;
         }
@@ -234,7 +233,7 @@ mod tests {
     use crate::synthetic::drive::{Drive, Noise, Options, Terrain, drive};
 
     fn solve(world: &Drive) -> LeastSquares {
-        let views = Views::new(&world.background, &world.object, &world.planes);
+        let views = Views::new(&world.background, &world.object, &world.planes, &crate::trajectory::Options::default());
         least_squares(&views, &LeastSquaresOptions::default()).unwrap()
     }
 
@@ -272,7 +271,8 @@ mod tests {
         let mut surprises = [0.0, 0.0];
         for seed in 0..20 {
             let world = drive(&Options::default(), seed);
-            let mut views = Views::new(&world.background, &world.object, &world.planes);
+            let mut views =
+                Views::new(&world.background, &world.object, &world.planes, &crate::trajectory::Options::default());
             let mut rng = crate::math::seeded_rng(seed, 7);
             let mut walk = 0.0;
             for view in &mut views.views {

@@ -65,6 +65,7 @@ struct Last {
 pub struct Memory {
     camera: Camera,
     patch_radius: i32,
+    matching: MatchOptions,
     keys: Vec<KeyView>,
     last: Option<Last>,
     /// The view that was tied to a place long ago last.
@@ -76,9 +77,18 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// Nothing seen yet. `patch_radius`, pixels, is that of the front end.
-    pub fn new(camera: Camera, patch_radius: i32) -> Self {
-        Self { camera, patch_radius, keys: Vec::new(), last: None, tied_at: None, apart_since: None, described: None }
+    /// Nothing seen yet. `patch_radius`, pixels, and `matching` are those of the front end.
+    pub fn new(camera: Camera, patch_radius: i32, matching: MatchOptions) -> Self {
+        Self {
+            camera,
+            patch_radius,
+            matching,
+            keys: Vec::new(),
+            last: None,
+            tied_at: None,
+            apart_since: None,
+            described: None,
+        }
     }
 
     /// Finds points of earlier views that are not alive, where the link to those views is weak.
@@ -105,15 +115,19 @@ impl Memory {
         }
         let mut looks = Looks::new(gray, mask)?;
         let chosen = self.chosen(view, &looks.plain.features, &alive);
-        let mut found = self.points_of(&chosen, &Now { camera: &self.camera, looks: &looks, gray, mask }, &alive);
+        let mut found = self.points_of(&chosen, &self.now(&looks, gray, mask), &alive);
         if found.is_empty() && (is_broken || self.apart_since.is_some()) {
             let chosen = self.chosen_to_tilt(view, &alive);
             self.tilt(&chosen, &mut looks)?;
-            found = self.points_of(&chosen, &Now { camera: &self.camera, looks: &looks, gray, mask }, &alive);
+            found = self.points_of(&chosen, &self.now(&looks, gray, mask), &alive);
         }
         self.note_ties(view, &found);
         self.described = Some(looks);
         Ok(found.into_iter().flat_map(|(_, points)| points).collect())
+    }
+
+    fn now<'a>(&'a self, looks: &'a Looks, gray: &'a GrayImage, mask: &'a Mask) -> Now<'a> {
+        Now { camera: &self.camera, matching: &self.matching, looks, gray, mask }
     }
 
     fn tilt(&mut self, chosen: &[Chosen], now: &mut Looks) -> Result<(), SfmError> {
@@ -268,7 +282,7 @@ impl Memory {
     fn place_long_ago(&self, num_far: usize, features: &Features) -> Option<Chosen> {
         let glance = |key: &usize| {
             let seen = &self.keys[*key].looks.plain.features;
-            match_strongest(seen, features, GLANCE_FEATURES, &MatchOptions::default()).len() >= GLANCE_MATCHES
+            match_strongest(seen, features, GLANCE_FEATURES, &self.matching).len() >= GLANCE_MATCHES
         };
         let looked: Vec<Chosen> = (0..num_far)
             .filter(glance)
@@ -279,7 +293,7 @@ impl Memory {
     }
 
     fn num_matches(&self, key: usize, features: &Features) -> usize {
-        match_features(&self.keys[key].looks.plain.features, features, &MatchOptions::default()).len()
+        match_features(&self.keys[key].looks.plain.features, features, &self.matching).len()
     }
 }
 

@@ -94,6 +94,11 @@ impl Default for JointOptions {
 }
 
 impl JointOptions {
+    /// Largest assumed drift of the object's height over its planes, as a share of [`View::lever`](super::View::lever).
+    pub fn max_drift(&self) -> f64 {
+        self.sigma_distance[1]
+    }
+
     /// Rejects what cannot be worked with.
     ///
     /// # Errors
@@ -172,7 +177,7 @@ pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Jo
     }
     let object = mirrored(grounded.object);
     let other = Grounded { object: &object, ..*grounded };
-    let mirrored = Settled::of(&other, &Views::new(grounded.background, &object, grounded.planes), options);
+    let mirrored = Settled::of(&other, &Views::new(grounded.background, &object, grounded.planes, options), options);
     match (as_it_is, mirrored) {
         (Ok(first), Ok(second)) if second.is_likelier_than(&first) => second.finished(&other, true),
         (Err(_), Ok(second)) => second.finished(&other, true),
