@@ -1,6 +1,7 @@
 //! The tree of options: everything that decides a result.
 
 mod metres;
+mod public;
 mod reference;
 mod schema;
 mod tree;
@@ -341,6 +342,11 @@ impl Options {
     /// # Errors
     /// [`PipelineError::Option`] names the option by its path in the tree.
     pub fn check(&self) -> Result<(), PipelineError> {
+        let spelled = |error: OptionError| OptionError { key: public::spelled(&error.key), ..error };
+        Ok(self.check_tree().map_err(spelled)?)
+    }
+
+    fn check_tree(&self) -> Checked {
         self.check_input()?;
         under("video", self.video.check())?;
         under("vehicles", self.vehicles.check())?;
@@ -356,7 +362,7 @@ impl Options {
         under("ground_segmentation", self.ground_segmentation.check())?;
         under("ground", self.ground.check())?;
         under("scale", self.scale.check())?;
-        Ok(under("metric", self.metric.check())?)
+        under("metric", self.metric.check())
     }
 
     /// Checks the options at the root of the tree.
@@ -472,7 +478,8 @@ mod tests {
                 let Err(error) = checked else { continue };
                 refused += 1;
                 let PipelineError::Option(error) = error else { panic!("{path}: {error}") };
-                let is_named = format!("{path}/").starts_with(&format!("/{}/", error.key.replace('.', "/")));
+                let key = public::in_tree(&error.key).replace('.', "/");
+                let is_named = format!("{path}/").starts_with(&format!("/{key}/"));
                 assert!(is_named || error.to_string().contains(name), "{path}: {error}");
             }
         }
