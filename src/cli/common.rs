@@ -28,7 +28,7 @@ pub(super) struct CommonArgs {
     /// JSON file with options, or a run.json, whose options are taken; what it leaves out keeps its default
     #[arg(long, value_name = "FILE", help_heading = "General")]
     pub(super) options: Option<PathBuf>,
-    /// One option by its path, for example scale.joint.max_rounds=9; may be repeated (`tractrix options` lists all)
+    /// One option by its path, for example ground.max_error_px=3; may be repeated (see `tractrix options --all`)
     ///
     /// The value is JSON or a word. Goes before the file of --options; flags of their own go before both.
     #[arg(long, value_name = "KEY=VALUE", value_parser = assignment, help_heading = "General")]

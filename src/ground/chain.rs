@@ -57,7 +57,9 @@ impl GroundChain<'_> {
             }
             _ => (labelled, self.labelled),
         };
-        found.planes = on_driven_ground(self.background, points, model, found.planes, options, &self.shape);
+        if options.vehicle_path {
+            found.planes = on_driven_ground(self.background, points, model, found.planes, options, &self.shape);
+        }
         if let Some(mount) = self.mount {
             self.prefer_surer(&mut found, mount, model, options);
         }

@@ -14,14 +14,13 @@ use crate::image::RgbImage;
 use crate::limits::Checked;
 use crate::scene::{Frame, Mask};
 
-/// Front end that makes tracks. `features` of the pipeline, where it is not `auto`, overrides this kind, and unordered
-/// frames always use SIFT; options of the kind that is used stay as set here.
+/// Front end; `features` other than `auto` overrides it, and unordered frames always use `sift`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum FrontEndOptions {
-    /// Points followed from frame to frame: for videos, whose frames change little from one to the next.
+    /// Points tracked from frame to frame.
     Video(VideoOptions),
-    /// SIFT in every frame, matched between frames: for photographs, and for videos with wide steps.
+    /// SIFT features in every frame, matched between frames.
     Sift(SiftOptions),
 }
 

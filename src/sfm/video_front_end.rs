@@ -81,6 +81,8 @@ pub struct VideoOptions {
     /// Shortest track that is kept.
     #[schemars(extend("unit" = "views"))]
     pub min_track_length: usize,
+    /// True if keyframes that share enough live points are not searched for lost ones.
+    pub skip_tied_keyframes: bool,
     /// Descriptor matching of re-detection.
     pub matching: MatchOptions,
 }
@@ -128,6 +130,7 @@ impl VideoOptions {
             min_found_again: 0.8,
             border_px: 0,
             min_track_length: 4,
+            skip_tied_keyframes: true,
             matching: MatchOptions::default(),
         }
     }
@@ -157,7 +160,7 @@ pub struct VideoFrontEnd {
 impl VideoFrontEnd {
     /// Nothing seen yet. `camera` serves to verify points that are found again; a guess will do.
     pub fn new(options: VideoOptions, camera: Camera) -> Self {
-        let memory = Memory::new(camera, options.patch_radius_px, options.matching);
+        let memory = Memory::new(camera, &options);
         let reach = Reach::new(&options, None);
         let (live, table) = (Vec::new(), TrackTable::default());
         Self { options, previous: None, extent: None, reach, shift: None, live, memory, table }

@@ -20,16 +20,15 @@ use crate::scene::{Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
-    /// The method whose answer becomes the ratio; the others are reported next to it.
+    /// Method that gives the scale ratio; the others are reported as alternatives.
     pub method: ScaleMethod,
-    /// Limits of the view pair ranking.
+    /// View pair ranking.
     pub constant_distance: ConstantDistanceOptions,
-    /// The robust fit over all frames.
+    /// Robust fit over all frames.
     pub least_squares: LeastSquaresOptions,
-    /// The adjustment with the ground.
+    /// Adjustment with the ground.
     pub joint: JointOptions,
-    /// Standard deviation of the all-frames solution beyond which the motion counts as degenerate. A
-    /// tenth misplaces an object 25 m away by 2.5 m: further than a lane.
+    /// Maximum relative standard deviation of a ratio that counts as determined.
     #[schemars(extend("unit" = "share of the ratio"))]
     pub max_relative_std: f64,
 }

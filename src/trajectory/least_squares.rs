@@ -47,11 +47,13 @@ pub struct LeastSquaresOptions {
     /// Rounds of reweighting; it stops earlier when r no longer changes.
     #[schemars(extend("unit" = "rounds"))]
     pub max_rounds: usize,
+    /// True if drift of the heights is estimated as a random walk; false for white noise only.
+    pub drift: bool,
 }
 
 impl Default for LeastSquaresOptions {
     fn default() -> Self {
-        Self { tukey_scale: 3.0, neighbours: 5, max_rounds: 50 }
+        Self { tukey_scale: 3.0, neighbours: 5, max_rounds: 50, drift: true }
     }
 }
 
@@ -96,6 +98,7 @@ pub fn least_squares(views: &Views, options: &LeastSquaresOptions) -> Result<Lea
     let series = Series::new(views);
     let mut weights = vec![1.0; series.heights.len()];
     let mut fit = series.fit(&weights, 0.0);
+    let next = |weights: &[f64]| if options.drift { series.likeliest_fit(weights) } else { series.fit(weights, 0.0) };
     for _ in 0..options.max_rounds {
         let steps = series.steps(fit.ratio, options.neighbours);
         let sigma = STD_PER_MAD * median(steps.iter().map(|e| e.abs()).collect()).unwrap_or(0.0);
@@ -104,7 +107,7 @@ pub fn least_squares(views: &Views, options: &LeastSquaresOptions) -> Result<Lea
         }
         let weight = |e: &f64| (1.0 - (e / (options.tukey_scale * sigma)).powi(2)).max(0.0).powi(2);
         weights = steps.iter().map(weight).collect();
-        let last = std::mem::replace(&mut fit, series.likeliest_fit(&weights)).ratio;
+        let last = std::mem::replace(&mut fit, next(&weights)).ratio;
         if (fit.ratio - last).abs() <= 1e-12 * fit.ratio.abs() {
             break;
         }

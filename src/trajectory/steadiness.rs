@@ -40,6 +40,9 @@ impl Steadiness {
         ratio: f64,
         options: &Options,
     ) -> Self {
+        if !options.joint.compare_planes {
+            return Self::default();
+        }
         let (neighbours, max_drift) = (options.least_squares.neighbours, options.joint.max_drift());
         let middle = object_center(object);
         let pairs = background.paired_images(object).into_iter();

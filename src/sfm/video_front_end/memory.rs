@@ -10,11 +10,11 @@ use std::collections::BTreeSet;
 
 use nalgebra::Point2;
 
-use super::SfmError;
 use super::bridge::{self, FoundAgain, Now};
 use super::key_view::KeyView;
 use super::live::Live;
 use super::looks::Looks;
+use super::{SfmError, VideoOptions};
 use crate::camera::Camera;
 use crate::image::GrayImage;
 use crate::scene::Mask;
@@ -66,6 +66,7 @@ pub struct Memory {
     camera: Camera,
     patch_radius: i32,
     matching: MatchOptions,
+    skip_tied: bool,
     keys: Vec<KeyView>,
     last: Option<Last>,
     /// The view that was tied to a place long ago last.
@@ -77,12 +78,13 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// Nothing seen yet. `patch_radius`, pixels, and `matching` are those of the front end.
-    pub fn new(camera: Camera, patch_radius: i32, matching: MatchOptions) -> Self {
+    /// Nothing seen yet.
+    pub fn new(camera: Camera, options: &VideoOptions) -> Self {
         Self {
             camera,
-            patch_radius,
-            matching,
+            patch_radius: options.patch_radius_px,
+            matching: options.matching,
+            skip_tied: options.skip_tied_keyframes,
             keys: Vec::new(),
             last: None,
             tied_at: None,
@@ -276,7 +278,7 @@ impl Memory {
         let most = self.keys[keys.clone()].iter().map(|key| key.num_points).max().unwrap_or(0);
         let last = keys.clone().rev().take(NEAR_KEYS);
         let rich = keys.rev().filter(|key| shows_much(self.keys[*key].num_points, most)).take(NEAR_KEYS);
-        last.chain(rich).filter(|key| !Self::is_tied(&self.keys[*key], alive)).collect()
+        last.chain(rich).filter(|key| !self.skip_tied || !Self::is_tied(&self.keys[*key], alive)).collect()
     }
 
     fn place_long_ago(&self, num_far: usize, features: &Features) -> Option<Chosen> {
