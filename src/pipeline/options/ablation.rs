@@ -126,7 +126,7 @@ mod tests {
         let page = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/decisions/README.md");
         let page = std::fs::read_to_string(page).unwrap();
         for Ablation { name, settings, .. } in Ablation::ALL {
-            let row = page.lines().find(|line| line.contains(&format!("`{name}`"))).unwrap_or_default();
+            let row = page.lines().find(|line| line.contains(&format!("| `{name}` |"))).unwrap_or_default();
             assert!(settings.iter().all(|(key, value)| row.contains(&format!("`{key}={value}`"))), "{name}: {row}");
         }
     }
