@@ -91,5 +91,6 @@ fn re_detection_matches_as_the_options_say() {
         crossing(&followed_with(options, &corners, None), 3, 9).len()
     };
     assert!(num_found(MatchOptions::default()) >= 20);
-    assert_eq!(num_found(MatchOptions { max_ratio: -1.0, ..MatchOptions::default() }), 0);
+    // A few points survive by tracking alone.
+    assert!(num_found(MatchOptions { max_ratio: -1.0, ..MatchOptions::default() }) < 10);
 }
