@@ -94,6 +94,26 @@ fn a_broken_sequence_counts_as_failed_and_the_rest_is_done_once() {
         assert_eq!(sequence(&again, CLIP)[key], done[key], "{key}");
     }
 
+    // Without a mechanism: another result, in which all but the stages that it concerns is reused.
+    let ablate = ["--only", CLIP, "--json", "--ablate", "joint,plane-drift-test"];
+    let (code, text, stderr) = benchmark(&set, &out, &ablate);
+    assert_eq!(code, 0, "{stderr}");
+    let printed: Value = serde_json::from_str(&text).unwrap();
+    let effects = printed["ablation"].as_array().unwrap();
+    assert_eq!((effects.len(), &effects[0]["name"]), (2, &"joint".into()), "{effects:?}");
+    let error = |side: &str| effects[0][side]["trajectory_error_m"].as_f64().unwrap();
+    let of_joint = done["trajectory_error_m"].as_f64().unwrap();
+    let of_other = done["estimators"]["least-squares"]["trajectory_error_m"].as_f64().unwrap();
+    assert!((error("with") - of_joint).abs() < 1e-9 && (error("without") - of_other).abs() < 1e-9, "{effects:?}");
+    assert!(effects.iter().all(|effect| effect["without"]["cpu_s"].as_f64().unwrap() > 0.0), "{effects:?}");
+    let page = fs::read_to_string(out.join("ablation.md")).unwrap();
+    assert!(page.contains("| plane-drift-test |"), "{page}");
+    let before = fs::read(out.join("ablation.json")).unwrap();
+    let (code, ..) = benchmark(&set, &out, &ablate);
+    assert!(code == 0 && fs::read(out.join("ablation.json")).unwrap() == before, "what is done is kept");
+    let (code, _, stderr) = benchmark(&set, &out, &["--ablate", "joints"]);
+    assert!(code == 2 && stderr.contains("vehicle-path"), "{stderr}");
+
     // With another scale method only that stage is done again, reconstructions stay as they are, and the result is the
     // one that stood beside the first.
     let (code, _, stderr) = benchmark(&set, &out, &["--only", CLIP, "--scale-method", "least-squares"]);

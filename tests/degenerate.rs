@@ -463,8 +463,9 @@ proptest! {
         prop_finite!(mount);
         prop_finite!(ground::camera_height(background, ground_points, &options, 1));
         prop_finite!(ground::local_planes(background, ground_points, ObjectId(1), object, &options, 1));
+        let shape = ground::BodyShape { clearance: 0.17, max_deviation: 6.0 };
         for labelled in [&[], ground_points.as_slice()] {
-            let chain = GroundChain { background, labelled, dominant: dominant.as_ref(), mount: mount.as_ref() };
+            let chain = GroundChain { background, labelled, dominant: dominant.as_ref(), mount: mount.as_ref(), shape };
             prop_finite!(chain.planes(ObjectId(1), object, &options, 1));
         }
         if let Ok(Some(found)) = bundle::center_deviations(background, 16) {
@@ -501,9 +502,10 @@ proptest! {
         prop_finite!(trajectory);
         prop_finite!(trajectory::headings(trajectory));
         let object = &placed.object;
-        let subject = Subject { trajectory, object, background, planes, silhouettes: &silhouettes };
+        let subject = Subject { trajectory, object, background, planes, silhouettes: &silhouettes, options: &options };
         prop_finite!(trajectory::extents(&subject));
-        let candidate = Candidate { trajectory, tracked: None::<&TrackedObject>, object, background, planes };
+        let tracked = None::<&TrackedObject>;
+        let candidate = Candidate { trajectory, tracked, object, background, planes, options: &options };
         prop_finite!(trajectory::verdicts(&[candidate; 3], TimeBase::Seconds, &[]));
     }
 

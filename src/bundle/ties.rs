@@ -16,7 +16,7 @@ const MOST_HALVINGS: u32 = 4;
 /// Fewer poses than this are not worth an order of their own.
 const FEW_POSES: usize = 256;
 /// Farther apart than this, in poses, views are tied.
-const FAR: u32 = 96;
+pub(super) const FAR: u32 = 96;
 /// If more than this part of all poses were anchors, they would be no border but half of the system.
 const MOST_ANCHORS: f64 = 0.2;
 

@@ -8,12 +8,11 @@ use super::clustered::clustered_centers;
 use super::covariance::{Wanted, covariances};
 use super::options::{Behind, Options};
 use super::problem::{BundleError, CameraBlock, Problem};
+use super::ties::FAR;
 use crate::scene::{ImageId, Reconstruction};
 
 /// With more images than this, places that come back would fill the system of equations.
 const MANY_IMAGES: usize = 400;
-/// Images farther apart than this, in the order of their ids, see a place another time.
-const FAR: usize = 96;
 
 /// Of longer videos every second image counts, or every third, and so on, so that about so many are left: the system of
 /// equations must not grow with the video. Tracks keep at least [`LEAST_LEFT`] images in the mean.
@@ -62,7 +61,7 @@ pub fn center_deviations(model: &Reconstruction, num_images: usize) -> Result<Op
     problem.check()?;
     let Some(pixel_px) = pixel_deviation(&problem) else { return Ok(None) };
     if problem.poses.len() > MANY_IMAGES {
-        problem.thin_ties(FAR / one_in);
+        problem.thin_ties(FAR as usize / one_in);
     }
     let observed: std::collections::BTreeSet<usize> = problem.observations.iter().map(|o| o.pose as usize).collect();
     let mut free: Vec<usize> = observed.into_iter().collect();

@@ -28,7 +28,7 @@ pub(super) struct CommonArgs {
     /// JSON file with options, or a run.json, whose options are used; missing ones keep their default
     #[arg(long, value_name = "FILE", help_heading = "General")]
     pub(super) options: Option<PathBuf>,
-    /// One option by its path, such as scale.joint.max_rounds=9; may be repeated (`tractrix options` lists all)
+    /// One option by its path, for example ground.max_error_px=3; may be repeated (see `tractrix options --all`)
     ///
     /// The value is JSON or a word. Overrides the --options file; dedicated flags override both.
     #[arg(long, value_name = "KEY=VALUE", value_parser = assignment, help_heading = "General")]

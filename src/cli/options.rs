@@ -1,4 +1,4 @@
-//! `options`: every option with its value, and the page that explains them all.
+//! `options`: options with their values, and the page of the public ones.
 
 use std::fmt::Write;
 
@@ -10,6 +10,9 @@ use crate::pipeline::{OptionRow, OptionSection, Options};
 pub(super) struct Args {
     /// List only options whose path contains this text
     pub(super) part: Option<String>,
+    /// List internal options (`tuning.*`), too, and their effects
+    #[arg(long)]
+    pub(super) all: bool,
     /// Print docs/options.md
     #[arg(long, hide = true)]
     pub(super) markdown: bool,
@@ -24,40 +27,54 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     let options = args.common.options()?;
     options.check()?;
     let part = args.part.as_deref().unwrap_or_default();
-    let lines: Vec<String> = options.rows().iter().filter(|row| row.key.contains(part)).map(line).collect();
-    if lines.is_empty() {
-        return Err(Failure::Usage(format!("no option path contains '{part}'; `tractrix options` lists all")));
+    let rows = options.rows();
+    let of_part: Vec<&OptionRow> = rows.iter().filter(|row| row.key.contains(part)).collect();
+    // An internal option that is set concerns everybody.
+    let is_shown = |row: &&&OptionRow| args.all || row.is_public || row.values[0] != row.values[1];
+    let lines: Vec<String> = of_part.iter().filter(is_shown).map(|row| line(row)).collect();
+    match (lines.is_empty(), of_part.first()) {
+        (true, Some(row)) => {
+            let problem = format!("'{part}': only internal options contain it, for example {}", row.key);
+            return Err(Failure::Usage(format!("{problem}; add --all")));
+        }
+        (true, None) => {
+            return Err(Failure::Usage(format!(
+                "no option path contains '{part}'; `tractrix options --all` lists all"
+            )));
+        }
+        _ => {}
     }
-    show(form, &options, || lines.join("\n") + "\n")
+    show(form, &options.to_json(), || lines.join("\n") + "\n")
 }
 
-/// An option on one line: its value, and in brackets the unit, and the default where that is another.
+/// An option on one line: its value; in brackets the unit, and the default if it differs; the effect of an internal one.
 fn line(row: &OptionRow) -> String {
     let (value, default) = (&row.values[0], &row.values[1]);
     let default = (value != default).then(|| format!("default {default}"));
     let notes: Vec<String> = row.unit.iter().cloned().chain(default).collect();
-    match notes.is_empty() {
-        true => format!("{} = {value}", row.key),
-        false => format!("{} = {value}  ({})", row.key, notes.join("; ")),
-    }
+    let notes = if notes.is_empty() { String::new() } else { format!("  ({})", notes.join("; ")) };
+    let effect = if row.is_public { String::new() } else { format!("  # {}", row.effect) };
+    format!("{} = {value}{notes}{effect}", row.key)
 }
 
 const INTRODUCTION: &str = "\
 # Options
 
-Everything that decides a result, with defaults. This page is made from the code: `tractrix options --markdown`.
+Options that depend on the footage or on what is wanted, with defaults; most have a flag. This page is generated:
+`tractrix options --markdown`.
 
     tractrix run video.mp4 --output out --set ground.max_error_px=3 --set background.mapper.max_starts=5
     tractrix run video.mp4 --output out --options mine.json
-    tractrix options --options mine.json            # every option with its value, unit, and default if it is another
-    tractrix options --json > mine.json             # the whole tree, to be changed
+    tractrix options --options mine.json     # options with value, unit, and default if it differs
+    tractrix options --json > mine.json      # the whole tree, to be edited
 
-A file given with `--options` holds such a tree, or a part of it: what it leaves out keeps its default. A `run.json`
-will do, too: its options are taken. `--set KEY=VALUE` goes before the file and takes JSON or a word; flags of their own
-(`--seed`, `--every`, ...) go before both. A key that does not exist, and a value that makes no sense, are refused by
-their path.
+A file for `--options` holds such a tree or a part of it; missing options keep their defaults. A `run.json` works too.
+`--set KEY=VALUE` overrides the file and takes JSON or a word; flags override both. Unknown keys and invalid values are
+refused by their path. `null` means not given.
 
-Where a value is one of several words or forms, the effect names them. `null` stands for what is not given.
+About 160 further options are internal: thresholds, solver settings and switches of single mechanisms, for contributors
+who tune or ablate (CONTRIBUTING). Their paths begin with `tuning.`, for example `tuning.scale.joint.sigma_tilt`;
+`tractrix options --all` lists them with their effects. They may change with every version.
 ";
 
 /// The page: a table for each section.
@@ -99,8 +116,11 @@ mod tests {
     #[test]
     fn every_option_says_what_it_does_and_every_number_its_unit() {
         let sections = Options::reference();
-        assert!(sections.len() > 10, "{}", sections.len());
-        for row in sections.iter().flat_map(|section| &section.rows) {
+        assert!(sections.len() > 8, "{}", sections.len());
+        let sift = |options: &Options, target: &str| options.with_value(&format!("{target}.front_end.kind"), "sift");
+        let sift = sift(&sift(&Options::default(), "background").unwrap(), "objects").unwrap();
+        let internal = [Options::default(), sift].map(|options| options.rows()).concat();
+        for row in sections.iter().flat_map(|section| &section.rows).chain(&internal) {
             assert!(row.effect.len() > 15, "{row:?}");
             let is_number = row.values.iter().any(|value| value.parse::<f64>().is_ok());
             assert!(!is_number || row.unit.is_some(), "{row:?}");
@@ -114,7 +134,12 @@ mod tests {
         let has = |line: &str| lines.iter().any(|other| other == line);
         assert!(has("ground.max_error_px = 3.0  (pixels; default 4.0)"), "{lines:#?}");
         assert!(has("ground.min_points = 10  (points)"), "{lines:#?}");
-        assert!(has("background.front_end.min_correlation = 0.7  (correlation)"), "{lines:#?}");
+        assert!(
+            lines
+                .iter()
+                .any(|line| line.starts_with("tuning.background.front_end.min_correlation = 0.7  (correlation)  # ")),
+            "{lines:#?}"
+        );
     }
 
     #[test]
@@ -124,6 +149,6 @@ mod tests {
         let changed: Vec<&str> =
             rows.iter().filter(|row| row.values[0] != row.values[1]).map(|row| row.key.as_str()).collect();
         assert_eq!(changed, ["objects.front_end.kind"]);
-        assert!(rows.iter().any(|row| row.key == "objects.front_end.features.doubled"));
+        assert!(rows.iter().any(|row| row.key == "tuning.objects.front_end.features.doubled"));
     }
 }

@@ -17,8 +17,9 @@ use super::dominant::DominantPlane;
 use super::driven::on_driven_ground;
 use super::local::{LocalPlanes, local_planes, lowest_foot, object_pixels};
 use super::mount::Mount;
+use super::path::BodyShape;
 use super::road::Road;
-use crate::math::median;
+use crate::math::{STD_PER_MAD, median};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectId, PlaneBasis, Point3dId, Reconstruction};
 
 /// Knowledge of the ground at a position.
@@ -32,6 +33,8 @@ pub struct GroundChain<'a> {
     pub dominant: Option<&'a DominantPlane>,
     /// The road below a camera that is fixed to a vehicle.
     pub mount: Option<&'a Mount>,
+    /// Assumptions on vehicles.
+    pub shape: BodyShape,
 }
 
 /// Share of an object's frames that labelled points have to give a plane to; else points without labels are asked.
@@ -54,7 +57,9 @@ impl GroundChain<'_> {
             }
             _ => (labelled, self.labelled),
         };
-        found.planes = on_driven_ground(self.background, points, model, found.planes, options);
+        if options.vehicle_path {
+            found.planes = on_driven_ground(self.background, points, model, found.planes, options, &self.shape);
+        }
         if let Some(mount) = self.mount {
             self.prefer_surer(&mut found, mount, model, options);
         }
@@ -172,7 +177,7 @@ impl Gaps {
     /// Returns true if the points lie on the road: on average, and from frame to frame.
     fn bear_out(&self) -> bool {
         let middle = self.median_of(|gap| gap.height);
-        let spread = 1.4826 * self.median_of(|gap| (gap.height - middle).abs());
+        let spread = STD_PER_MAD * self.median_of(|gap| (gap.height - middle).abs());
         let (own, common) = (self.median_of(|gap| gap.own_std), self.median_of(|gap| gap.common_std));
         let is_steady = spread <= Self::CONTRADICTION * own;
         self.0.len() >= Self::MIN_FRAMES && is_steady && middle.abs() <= Self::CONTRADICTION * common.hypot(own)

@@ -14,8 +14,8 @@ use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 
 use super::Options;
 use super::local::UNEVENNESS;
-use super::path::{Path, Place};
-use crate::math::{Neighbors, median};
+use super::path::{BodyShape, Path, Place};
+use crate::math::{Neighbors, STD_PER_MAD, median};
 use crate::scene::{FrameId, GroundPlane, PlaneBasis, Point3dId, Reconstruction};
 
 /// Rounds of finding the path and planes from it: nearly right planes put the path some decimeters aside.
@@ -51,10 +51,11 @@ pub(super) fn on_driven_ground(
     model: &Reconstruction,
     planes: BTreeMap<FrameId, GroundPlane>,
     options: &Options,
+    shape: &BodyShape,
 ) -> BTreeMap<FrameId, GroundPlane> {
     let mut better = planes.clone();
     for _ in 0..NUM_ROUNDS {
-        let Some(path) = Path::of(background, model, &better, options.min_observations) else { break };
+        let Some(path) = Path::of(background, model, &better, options.min_observations, shape) else { break };
         let driven = Driven::new(background, ground_points, &path);
         let fits: BTreeMap<FrameId, Fit> = path
             .places
@@ -188,7 +189,7 @@ impl Slope {
         let mut kept = Vec::new();
         for _ in 0..Self::NUM_ROUNDS {
             let residual = |x: &Vector3<f64>| x.z - solution.dot(&Vector3::new(1.0, x.x, x.y));
-            let std = (1.4826 * median(points.iter().map(|x| residual(x).abs()).collect())?).max(least_std);
+            let std = (STD_PER_MAD * median(points.iter().map(|x| residual(x).abs()).collect())?).max(least_std);
             let tukey = |x: &Vector3<f64>| (1.0 - (residual(x) / (Self::TUKEY * std)).powi(2)).max(0.0).powi(2);
             let (mut normal_matrix, mut right) = (prior, Vector3::zeros());
             kept.clear();
@@ -226,7 +227,7 @@ fn merged(
     path: &Path,
 ) -> Option<BTreeMap<FrameId, GroundPlane>> {
     let middle = median(fits.values().map(|fit| fit.above).collect())?;
-    let spread = 1.4826 * median(fits.values().map(|fit| (fit.above - middle).abs()).collect())?;
+    let spread = STD_PER_MAD * median(fits.values().map(|fit| (fit.above - middle).abs()).collect())?;
     let common = median(fits.values().map(|fit| fit.plane.common_height_std).collect())?;
     let roughness = median(fits.values().map(|fit| fit.roughness).collect())?;
     let rms = median(fits.values().map(|fit| fit.plane.rms).collect())?;

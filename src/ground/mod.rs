@@ -31,32 +31,33 @@ pub use height::{CameraHeight, HeightFailure, camera_height};
 pub use labels::label_points;
 pub use local::{LocalPlanes, SkipReason, SkippedFrame, local_planes};
 pub use mount::{Mount, MountFailure, find_mount};
+pub use path::BodyShape;
 pub use plane::PlaneFailure;
 
 /// Options of the ground estimation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
-    /// Observations that make a background point stable enough to be ground (the paper's four).
+    /// Minimum number of observations of a ground point.
     #[schemars(extend("unit" = "observations"))]
     pub min_observations: usize,
-    /// Ground points gathered round the object in each frame (the paper's num_b, 50).
+    /// Ground points near the object that give its plane in a frame.
     #[schemars(extend("unit" = "points"))]
     pub num_neighbors: usize,
-    /// Fewest points that a local plane is fitted to: with less than ten, RANSAC cannot tell a plane from chance.
+    /// Minimum number of points of a plane.
     #[schemars(extend("unit" = "points"))]
     pub min_points: usize,
-    /// Tolerance of the plane: a point belongs to it if it lies no further away than this many pixels are at
-    /// its depth (`max_error_px · depth / focal length`, eq. 1). Four pixels is what reconstructions let an observation
-    /// be off, so that any point they kept may be off by as much.
+    /// Maximum distance of an inlier from its plane, as a reprojection error.
     pub max_error_px: f64,
-    /// Most RANSAC samples; it stops as soon as a better plane is unlikely (1 in 10,000).
+    /// Maximum number of RANSAC samples.
     #[schemars(extend("unit" = "samples"))]
     pub max_samples: usize,
-    /// For the dominant plane: how far the camera may be rolled against the ground on average.
+    /// Maximum mean roll of the camera against the dominant plane.
     pub max_roll_deg: f64,
-    /// For the dominant plane: how steep the ground may rise against it where it is grown over hills.
+    /// Maximum slope of the ground against the dominant plane.
     pub max_slope_deg: f64,
+    /// True if points on the vehicle's own path correct its ground planes.
+    pub vehicle_path: bool,
 }
 
 impl Default for Options {
@@ -69,6 +70,7 @@ impl Default for Options {
             max_samples: 1000,
             max_roll_deg: 30.0,
             max_slope_deg: 25.0,
+            vehicle_path: true,
         }
     }
 }

@@ -16,7 +16,7 @@ use super::dominant::DominantPlane;
 use super::sighting::sightings;
 use super::supports::Places;
 use super::way_plane::{Axes, Fit, Track, best_sample, refined};
-use crate::math::{median, seeded_rng};
+use crate::math::{STD_PER_MAD, median, seeded_rng};
 use crate::scene::{FrameId, Image, Point3dId, Reconstruction};
 
 /// Why a camera is not taken for one that is fixed to a vehicle.
@@ -212,7 +212,7 @@ fn wander(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> Option<f
     }
     let heights = parts.iter().filter(|part| part.len() >= MIN_POINTS).filter_map(|part| height_of_part(part, fit));
     let off: Vec<f64> = heights.map(|height| (height / fit.height - 1.0).abs()).collect();
-    (off.len() >= 3).then(|| 1.4826 * median(off).unwrap_or(0.0))
+    (off.len() >= 3).then(|| STD_PER_MAD * median(off).unwrap_or(0.0))
 }
 
 /// Maximum change of the height over the trajectory, steadily or up and down again, so that nearly as many points lie

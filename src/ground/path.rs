@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
+use serde::Serialize;
 
 use crate::math::{median, quantile};
 use crate::scene::{FrameId, GroundPlane, Image, Reconstruction};
@@ -23,6 +24,18 @@ pub(super) struct Place {
     pub pixel: f64,
 }
 
+/// Assumptions on a vehicle's shape (`scale.joint.contact`).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct BodyShape {
+    /// Height of a vehicle's lowest points above the ground, as a share of the height over which its points spread.
+    pub clearance: f64,
+    /// Median absolute deviations from the median beyond which a point is an outlier.
+    pub max_deviation: f64,
+}
+
+#[cfg(test)]
+pub(super) const SHAPE: BodyShape = BodyShape { clearance: 0.17, max_deviation: 6.0 };
+
 /// All places of a vehicle in the background's frame, and how broad it is.
 #[derive(Clone, Debug)]
 pub(super) struct Path {
@@ -34,15 +47,10 @@ pub(super) struct Path {
     pub height: f64,
 }
 
-/// Height of a vehicle's lowest points over the ground, as a share of the height over which its points spread
-/// (`trajectory::ContactOptions::lowest`).
-const CLEARANCE: f64 = 0.17;
 /// Fewest points of a vehicle whose shape is taken for known.
 const MIN_POINTS: usize = 10;
 /// Fewest places in which a vehicle moves.
 const MIN_PLACES: usize = 5;
-/// Median absolute deviations from the median beyond which a point is none of the vehicle's.
-const MAX_DEVIATION: f64 = 6.0;
 /// Heights of the vehicle over which the direction of its path is taken.
 const STEP: f64 = 2.0;
 /// The least width of what it covers, in heights of the vehicle.
@@ -58,13 +66,14 @@ impl Path {
         model: &Reconstruction,
         planes: &BTreeMap<FrameId, GroundPlane>,
         min_track: usize,
+        shape: &BodyShape,
     ) -> Option<Self> {
         let paired = background.paired_images(model).into_iter();
         let seen: Vec<Seen> = paired
             .filter_map(|(frame, image, own)| Some(Seen { frame, image, own, plane: planes.get(&frame)? }))
             .collect();
         let up = seen.iter().map(Seen::up_in_model).sum::<Vector3<f64>>().try_normalize(1e-9)?;
-        let body = Body::of(model, up, min_track)?;
+        let body = Body::of(model, up, min_track, shape)?;
         let ratios = seen.iter().map(|seen| seen.ratio(&body));
         let ratio = median(ratios.filter(|r| r.is_finite() && *r > 0.0).collect())?;
         let height = ratio * body.height;
@@ -166,14 +175,14 @@ struct Body {
 }
 
 impl Body {
-    fn of(model: &Reconstruction, up: Vector3<f64>, min_track: usize) -> Option<Self> {
-        let points = model.solid_points(min_track, MAX_DEVIATION);
+    fn of(model: &Reconstruction, up: Vector3<f64>, min_track: usize, shape: &BodyShape) -> Option<Self> {
+        let points = model.solid_points(min_track, shape.max_deviation);
         if points.len() < MIN_POINTS {
             return None;
         }
         let mut heights: Vec<f64> = points.iter().map(|p| up.dot(&p.coords)).collect();
         let (low, high) = (quantile(&mut heights, 0.01)?, quantile(&mut heights, 0.99)?);
-        let ground = low - CLEARANCE * (high - low);
+        let ground = low - shape.clearance * (high - low);
         (high > low).then_some(Self { points, up, ground, height: high - ground })
     }
 

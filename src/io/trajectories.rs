@@ -13,7 +13,7 @@ use serde_json::Value;
 
 use super::extent::{is_sensible, is_sensible_ratio};
 use super::{IoError, atomic, json};
-use crate::math::Sim3;
+use crate::math::{MAX_UNIT_ERROR, Sim3};
 use crate::scene::{
     Dimensions, FrameId, Metric, MetricPose, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, PlaneBasis, Ratios,
     ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, Trajectories, Travel, Unit, Verdict,
@@ -27,9 +27,6 @@ const OLD_VERSION: u32 = 2;
 
 /// The oldest version that is read.
 const OLDEST: u32 = 1;
-
-/// Maximum deviation of a stored quaternion's norm from 1.
-const MAX_UNIT_ERROR: f64 = 1e-6;
 
 /// Maximum difference of a pose's scale from its object's ratio, relative to it.
 const MAX_SCALE_ERROR: f64 = 1e-9;

@@ -1,6 +1,12 @@
 //! Medians and other quantiles. Which of the two medians a place uses decides its last digits: they are not to be
 //! exchanged.
 
+/// Standard deviation of a normal distribution over its median absolute deviation.
+pub const STD_PER_MAD: f64 = 1.4826;
+
+/// Median length of a two-dimensional normal error over the standard deviation of a coordinate (Rayleigh).
+pub const RAYLEIGH_MEDIAN: f64 = 1.177_41;
+
 /// The median; of an even count the mean of the middle two. `None` of nothing. Values must be finite.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
@@ -14,10 +20,15 @@ pub fn upper_median(mut values: Vec<f64>) -> Option<f64> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// The value below which a share of all values lies, nearest rank: always one of the values, whose order changes.
-/// `None` of nothing.
+/// Quantile by the nearest rank: always one of the values, whose order changes. `None` of nothing.
 pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let rank = (share * values.len().checked_sub(1)? as f64).round() as usize;
+    Some(*values.select_nth_unstable_by(rank, f64::total_cmp).1)
+}
+
+/// Quantile by the rank rounded down. `None` of nothing.
+pub fn lower_quantile(values: &mut [f64], share: f64) -> Option<f64> {
+    let rank = (share * values.len().checked_sub(1)? as f64) as usize;
     Some(*values.select_nth_unstable_by(rank, f64::total_cmp).1)
 }
 
@@ -39,6 +50,10 @@ mod tests {
     fn a_quantile_is_one_of_the_values() {
         let mut values = [5.0, 1.0, 4.0, 2.0, 3.0];
         assert_eq!([0.0, 0.3, 0.5, 1.0].map(|share| quantile(&mut values, share)), [1.0, 2.0, 3.0, 5.0].map(Some));
-        assert_eq!(quantile(&mut [], 0.5), None);
+        assert_eq!(
+            [0.0, 0.4, 0.5, 1.0].map(|share| lower_quantile(&mut values, share)),
+            [1.0, 2.0, 3.0, 5.0].map(Some)
+        );
+        assert_eq!((quantile(&mut [], 0.5), lower_quantile(&mut [], 0.5)), (None, None));
     }
 }

@@ -6,7 +6,7 @@ use nalgebra::{Quaternion, UnitQuaternion};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 /// Maximum deviation of a stored quaternion's norm from 1.
-const MAX_UNIT_ERROR: f64 = 1e-6;
+pub const MAX_UNIT_ERROR: f64 = 1e-6;
 
 pub(super) fn serialize<S: Serializer>(rotation: &UnitQuaternion<f64>, to: S) -> Result<S::Ok, S::Error> {
     [rotation.w, rotation.i, rotation.j, rotation.k].serialize(to)

@@ -32,9 +32,9 @@ pub trait GroundSegmenter {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GroundOptions {
-    /// Names of the classes that count as ground.
+    /// Classes that count as ground.
     pub classes: Vec<String>,
-    /// Longer side of the input, for networks that leave it open.
+    /// Longer side of the network's input, for networks with a free input size.
     #[schemars(extend("unit" = "pixels"))]
     pub input_size: u32,
 }

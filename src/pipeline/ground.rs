@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 
 use super::given_masks::MaskFolder;
 use super::run::{Outcome, Run};
-use super::{GroundLabels, PipelineError, Stage, fingerprint, models, objects, pictures};
-use crate::ground::{DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount, label_points};
+use super::{GroundLabels, Options, PipelineError, Stage, fingerprint, models, objects, pictures};
+use crate::ground::{BodyShape, DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount, label_points};
 use crate::io::{RunFolder, masks};
 use crate::perception::{GroundSegmenter, load_ground_segmenter};
 use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Reconstruction, Topic};
@@ -27,7 +27,18 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
             "options": run.options.ground_segmentation,
         }),
     };
-    Ok(json!({ "labels": labels, "options": run.options.ground, "seed": run.options.seed }))
+    Ok(json!({
+        "labels": labels,
+        "options": run.options.ground,
+        "shape": body_shape(run.options),
+        "seed": run.options.seed,
+    }))
+}
+
+/// Assumptions on the shape of vehicles.
+pub(super) fn body_shape(options: &Options) -> BodyShape {
+    let contact = &options.scale.joint.contact;
+    BodyShape { clearance: contact.lowest[0], max_deviation: contact.max_deviation }
 }
 
 pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
@@ -40,7 +51,7 @@ pub(super) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineErro
     let mut ground = Ground { source: found.source(), point_ids: found.point_ids(), planes: BTreeMap::new() };
     let mut skipped: BTreeMap<String, BTreeMap<FrameId, String>> = BTreeMap::new();
     let mut bases: BTreeMap<String, BTreeMap<&str, usize>> = BTreeMap::new();
-    let chain = found.chain(&background);
+    let chain = found.chain(&background, run.options);
     for (id, report) in objects::reports(run)? {
         let Some(object) = objects::as_reconstructed(run, id, &report)? else { continue };
         let found = chain.planes(id, &object, &run.options.ground, run.options.seed);
@@ -102,12 +113,13 @@ impl Found {
         }
     }
 
-    fn chain<'a>(&'a self, background: &'a Reconstruction) -> GroundChain<'a> {
+    fn chain<'a>(&'a self, background: &'a Reconstruction, options: &Options) -> GroundChain<'a> {
         GroundChain {
             background,
             labelled: self.labelled.as_ref().map_or(&[], |(_, points)| points),
             dominant: self.dominant.as_ref(),
             mount: self.mount.as_ref(),
+            shape: body_shape(options),
         }
     }
 }

@@ -64,9 +64,9 @@ pub use meter::{Cost, process_cpu_s};
 pub use metric::telemetry_inside;
 pub use models::{CameraReport, ModelReport};
 pub use options::{
-    DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MOST_THREADS, MaskChoice,
-    MaskingOptions, MetricOptions, ModelFiles, MotionChoice, OptionRow, OptionSection, Options, TelemetryChoice,
-    VehicleOptions,
+    Ablation, DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MOST_THREADS,
+    MaskChoice, MaskingOptions, MetricOptions, ModelFiles, MotionChoice, OptionRow, OptionSection, Options,
+    TelemetryChoice, VehicleOptions,
 };
 use progress::Muted;
 pub use progress::{Plan, Planned, Progress, Silent};

@@ -16,7 +16,7 @@ use super::given_models::{self, Target};
 use super::models::{self, ModelReport};
 use super::run::{Outcome, Run};
 use super::track;
-use super::{PipelineError, Stage, follow, order};
+use super::{PipelineError, Stage, follow, ground, order};
 use crate::camera::Camera;
 use crate::io::colmap;
 use crate::scene::{BoundingBox, Frame, Image, ImageId, Mask, ObjectId, Reconstruction, Topic, TrackedObject};
@@ -44,6 +44,7 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
         "only": run.options.only_objects,
         "options": objects.mapper,
         "ground": run.options.ground,
+        "shape": ground::body_shape(run.options),
         "seed": run.options.seed,
     });
     Ok(models::with_model_files(depends_on, run))

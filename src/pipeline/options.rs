@@ -1,6 +1,8 @@
 //! The tree of options: everything that decides a result.
 
+mod ablation;
 mod metres;
+mod public;
 mod reference;
 mod schema;
 mod tree;
@@ -13,6 +15,7 @@ use std::str::FromStr;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use ablation::Ablation;
 pub use metres::{MetricOptions, TelemetryChoice};
 pub use reference::{OptionRow, OptionSection};
 pub use vehicles::{DetectorChoice, MaskChoice, MotionChoice, VehicleOptions};
@@ -35,15 +38,14 @@ use crate::{ground, sfm, trajectory, video};
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Instances {
-    /// No vehicles are looked for: the whole picture is background.
+    /// No vehicles: the whole image is background.
     #[default]
     None,
-    /// Given: a folder with one 8-bit PNG per frame, 0 background, k = object k.
+    /// Folder of given masks: an 8-bit PNG per frame, 0 for background, k for object k.
     Masks(PathBuf),
-    /// An ONNX model for instance segmentation, and tracking by optical flow.
+    /// ONNX model for instance segmentation, with tracking by optical flow.
     Model(PathBuf),
-    /// By what comes with the program: a detector and motion find boxes, a mask network their pixels, as `vehicles`
-    /// says.
+    /// Bundled networks and motion, as set in `vehicles`.
     Vehicles,
 }
 
@@ -51,17 +53,17 @@ pub enum Instances {
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum GroundLabels {
-    /// From geometry alone: the dominant plane below the camera.
+    /// Geometry only: the dominant plane below the camera.
     #[default]
     Geometric,
-    /// Given: a folder with one 8-bit PNG per frame.
+    /// Folder of given masks: an 8-bit PNG per frame; `label` is the ground's value, all but 0 if missing.
     Masks {
         /// The folder.
         folder: PathBuf,
         /// The value that means ground; without it every value but 0 does.
         label: Option<u8>,
     },
-    /// An ONNX model for semantic segmentation.
+    /// ONNX model for semantic segmentation.
     Model(PathBuf),
 }
 
@@ -69,10 +71,10 @@ pub enum GroundLabels {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum IntrinsicsSource {
-    /// fx, fy, cx, cy, k1, k2, and perhaps p1, p2, k3 (OpenCV's order), in pixels of the source, first pixel centre at
-    /// (0.5, 0.5); of photographs of several sizes, those of the first one's size.
+    /// fx, fy, cx, cy, k1, k2 and optionally p1, p2, k3, in pixels of the source; center of the first pixel at (0.5,
+    /// 0.5).
     Given(Vec<f64>),
-    /// A COLMAP `cameras.txt` or `cameras.bin` with one camera, or one for each size of the pictures.
+    /// COLMAP `cameras.txt` or `cameras.bin`.
     File(PathBuf),
 }
 
@@ -110,12 +112,12 @@ pub(super) fn not_intrinsics(count: usize) -> String {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ModelFiles {
-    /// Text, unless the name of a picture has a blank in it, which COLMAP's reader of text would cut off there.
+    /// Text, or binary if an image name contains a space.
     #[default]
     Auto,
-    /// Text: `cameras.txt`, `images.txt`, `points3D.txt`.
+    /// `cameras.txt`, `images.txt`, `points3D.txt`.
     Text,
-    /// Binary: `cameras.bin`, `images.bin`, `points3D.bin`; smaller, and read faster by others.
+    /// `cameras.bin`, `images.bin`, `points3D.bin`.
     Binary,
 }
 
@@ -133,12 +135,12 @@ impl From<ModelFiles> for Encoding {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum FeatureKind {
-    /// As the `front_end` of each target says (`video` unless set otherwise); `sift` for frames in no order.
+    /// `video` for frames of a video, `sift` for unordered frames.
     #[default]
     Auto,
-    /// Points followed from frame to frame.
+    /// Points tracked from frame to frame.
     Video,
-    /// SIFT in every frame, matched between frames.
+    /// SIFT features, matched between frames.
     Sift,
 }
 
@@ -146,13 +148,12 @@ pub enum FeatureKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum FrameOrder {
-    /// A video file does, and a folder whose rate is given; of other folders a few pictures and their successors are
-    /// looked at.
+    /// Videos and folders with a frame rate are ordered; other folders are tested on a few images.
     #[default]
     Auto,
-    /// They do.
+    /// Frames are in temporal order.
     Time,
-    /// They do not: photographs.
+    /// Unordered photographs.
     None,
 }
 
@@ -160,43 +161,42 @@ pub enum FrameOrder {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
-    /// Which frames are taken, and how large.
+    /// Selection of frames.
     pub video: video::Options,
-    /// Where the vehicles' masks come from.
+    /// Source of the vehicles' masks.
     pub instances: Instances,
-    /// An ONNX model for optical flow; `None` is OpenCV's DIS.
+    /// ONNX model for optical flow; `None` for OpenCV's DIS.
     pub flow_model: Option<PathBuf>,
-    /// Where the ground labels come from.
+    /// Source of the ground labels.
     pub ground_labels: GroundLabels,
-    /// Front end of the background and the objects alike. Where it is not `auto`, it overrides
-    /// `background.front_end.kind` and `objects.front_end.kind`; options of that kind that are set there stay.
+    /// Front end of background and objects: `auto` is `video`, or `sift` for unordered frames; other values override
+    /// `front_end.kind` of both.
     pub features: FeatureKind,
     /// Temporal order of the frames.
     pub order: FrameOrder,
-    /// The camera; `None` is EXIF where a photograph has it, else a guess that is refined.
+    /// Camera intrinsics; `None` for EXIF data of photographs, otherwise a guess that is refined.
     pub intrinsics: Option<IntrinsicsSource>,
-    /// A model of the background, of whatever program, taken as it is instead of reconstructing one: a folder or file
-    /// as `tractrix convert` reads it.
+    /// Model of the background to be used instead of a reconstruction, in any format that `tractrix convert` reads.
     pub background_model: Option<PathBuf>,
-    /// Models of objects, by id, likewise.
+    /// Models of objects, by id, to be used instead of reconstructions.
     pub object_models: BTreeMap<ObjectId, PathBuf>,
-    /// Which form the files of models have.
+    /// Format of the COLMAP models written.
     pub model_files: ModelFiles,
-    /// Objects that are reconstructed; empty is all. The others are still kept out of the background.
+    /// Ids of the objects to be reconstructed; empty for all. Others are only kept out of the background.
     pub only_objects: BTreeSet<ObjectId>,
-    /// Detection of vehicles by the program's own means.
+    /// Vehicle detection by the bundled networks and by motion.
     pub vehicles: VehicleOptions,
-    /// Detection of boxes.
+    /// Vehicle detector.
     pub detector: DetectorOptions,
     /// Detection of moving objects.
     pub motion: MotionOptions,
     /// Segmentation of boxes.
     pub prompt: PromptOptions,
-    /// Instance segmentation by the user's network.
+    /// Instance segmentation by a network of the user.
     pub segmentation: SegmentationOptions,
     /// Optical flow.
     pub flow: FlowOptions,
-    /// Tracking of instances.
+    /// Tracking of vehicles.
     pub tracker: TrackerOptions,
     /// Masking of moving objects in the background.
     pub masking: MaskingOptions,
@@ -204,23 +204,22 @@ pub struct Options {
     pub background: sfm::Options,
     /// Structure from motion of an object.
     pub objects: sfm::Options,
-    /// Ground by the classes of a semantic model.
+    /// Ground labels by a semantic segmentation network.
     pub ground_segmentation: GroundOptions,
-    /// Ground points and local planes.
+    /// Ground points and local ground planes.
     pub ground: ground::Options,
-    /// The scale ratio.
+    /// Scale ratio between vehicle and background.
     pub scale: trajectory::Options,
-    /// Where metres come from, besides what vehicles are like. All that is there is weighed together.
+    /// Sources of the metric scale besides typical vehicle sizes; all are fused.
     pub metric: MetricOptions,
-    /// Seed of every random choice.
+    /// Seed of all random numbers.
     #[schemars(extend("unit" = "any whole number"))]
     pub seed: u64,
-    /// Threads; `None` is one per core. Results agree whatever the number.
+    /// Number of threads; `None` for one per core. Results do not depend on it.
     #[schemars(extend("unit" = "threads"))]
     pub threads: Option<usize>,
-    /// Memory limit for files that are read, images and networks, for example `2GiB` or `800MiB`; `None` is four fifths
-    /// of the machine's, or of the control group's that the program runs in. What would take more is refused before it
-    /// is tried. Has no influence on results.
+    /// Memory limit for input files, images and networks, such as `2GiB`; `None` for four fifths of the machine's or
+    /// control group's. Results do not depend on it.
     #[schemars(with = "Option<String>", extend("unit" = "MiB or GiB"))]
     pub memory_limit: Option<MemoryLimit>,
 }
@@ -229,7 +228,7 @@ pub struct Options {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MaskingOptions {
-    /// Growth of the masks of all that moves, before the rest counts as background.
+    /// Dilation of the masks of moving objects before the rest counts as background.
     #[schemars(extend("unit" = "share of the longer side"))]
     pub dilation: f64,
 }
@@ -341,6 +340,11 @@ impl Options {
     /// # Errors
     /// [`PipelineError::Option`] names the option by its path in the tree.
     pub fn check(&self) -> Result<(), PipelineError> {
+        let spelled = |error: OptionError| OptionError { key: public::spelled(&error.key), ..error };
+        Ok(self.check_tree().map_err(spelled)?)
+    }
+
+    fn check_tree(&self) -> Checked {
         self.check_input()?;
         under("video", self.video.check())?;
         under("vehicles", self.vehicles.check())?;
@@ -356,7 +360,7 @@ impl Options {
         under("ground_segmentation", self.ground_segmentation.check())?;
         under("ground", self.ground.check())?;
         under("scale", self.scale.check())?;
-        Ok(under("metric", self.metric.check())?)
+        under("metric", self.metric.check())
     }
 
     /// Checks the options at the root of the tree.
@@ -471,7 +475,8 @@ mod tests {
                 let Err(error) = checked else { continue };
                 refused += 1;
                 let PipelineError::Option(error) = error else { panic!("{path}: {error}") };
-                let is_named = format!("{path}/").starts_with(&format!("/{}/", error.key.replace('.', "/")));
+                let key = public::in_tree(&error.key).replace('.', "/");
+                let is_named = format!("{path}/").starts_with(&format!("/{key}/"));
                 assert!(is_named || error.to_string().contains(name), "{path}: {error}");
             }
         }

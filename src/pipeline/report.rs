@@ -75,7 +75,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
         metric: trajectories.metric.as_ref(),
         ground: Some(&ground),
         objects: objects(&tracked, &reports, &object_models, &trajectories, &failures, |id, model| {
-            ratio_per_frame(&background, model, &ground, id)
+            ratio_per_frame(run, &background, model, &ground, id)
         }),
         strip: strip(run, &tracked)?,
         warnings: run.warnings(),
@@ -130,12 +130,13 @@ fn objects<'a>(
 
 /// Scale ratio of an object by its ground contact in each frame alone; empty where there is none.
 fn ratio_per_frame(
+    run: &Run,
     background: &Reconstruction,
     model: &Reconstruction,
     ground: &Ground,
     id: ObjectId,
 ) -> Vec<(FrameId, f64)> {
-    let views = Views::new(background, model, &scale::planes(ground, id));
+    let views = Views::new(background, model, &scale::planes(ground, id), &run.options.scale);
     intersection(&views).map(|found| found.per_frame).unwrap_or_default()
 }
 

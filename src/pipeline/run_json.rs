@@ -24,7 +24,7 @@ pub(super) fn write(run: &Run, error: Option<&str>) -> Result<(), PipelineError>
         "version": crate::VERSION,
         "arguments": run.arguments,
         "input": { "path": run.input().display().to_string(), "info": run.info(), "times": run.info().time_base() },
-        "options": run.options,
+        "options": run.options.to_json(),
         "stages": Value::Object(stages),
         "warnings": run.warnings(),
         "error": error,

@@ -11,7 +11,7 @@ use super::track;
 use super::{PipelineError, Stage, exports, ground, models, objects};
 use crate::scene::{
     FocalChange, Frame, FrameId, Ground, GroundPlane, ObjectId, ObjectTrajectory, Reconstruction, ScaleMethod,
-    TimeBase, Topic, TrackedObject, Trajectories, Unit, Verdict,
+    Topic, TrackedObject, Trajectories, Unit, Verdict,
 };
 use crate::trajectory::{
     self, Adjustment, Candidate, Evidence, Extents, ModelOrigin, ObjectDescription, Silhouette, Subject, extents,
@@ -46,7 +46,7 @@ pub(super) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     }
     outcome.figure("num_trajectories", found.placed.len());
     let focal_changes = models::background_report(run)?.focal_changes;
-    let objects = judged(found.placed, &background, run.info().time_base(), &focal_changes, &mut outcome);
+    let objects = judged(run, found.placed, &background, &focal_changes, &mut outcome);
     let all = Trajectories { unit: Unit::Background, metric: None, objects };
     let path = run.workspace.trajectories();
     crate::io::trajectories::write(&run.workspace.state(IN_UNITS), &all)?;
@@ -136,7 +136,7 @@ impl<'a, 'r> Scene<'a, 'r> {
             Ok(trajectory) => {
                 outcome.outputs.push(exports::object(run, &trajectory, &placed.object)?);
                 warn_of_scale(&trajectory, outcome);
-                let size = size(&trajectory, &placed.object, self.background, &planes, silhouettes);
+                let size = size(&trajectory, &placed.object, self.background, &planes, silhouettes, &run.options.scale);
                 found.sizes.insert(tracked.id, size);
                 found.placed.push(Placed { trajectory, tracked, object: placed.object, planes });
             }
@@ -163,8 +163,10 @@ fn size(
     background: &Reconstruction,
     planes: &BTreeMap<FrameId, GroundPlane>,
     silhouettes: &BTreeMap<FrameId, Silhouette>,
+    options: &trajectory::Options,
 ) -> Size {
-    let Extents { length, width, height } = extents(&Subject { trajectory, object, background, planes, silhouettes });
+    let subject = Subject { trajectory, object, background, planes, silhouettes, options };
+    let Extents { length, width, height } = extents(&subject);
     Size { length, width, height }
 }
 
@@ -177,22 +179,23 @@ struct Placed<'a> {
 }
 
 impl Placed<'_> {
-    fn candidate<'a>(&'a self, background: &'a Reconstruction) -> Candidate<'a> {
+    fn candidate<'a>(&'a self, background: &'a Reconstruction, options: &'a trajectory::Options) -> Candidate<'a> {
         let Self { trajectory, tracked, object, planes } = self;
-        Candidate { trajectory, tracked: Some(tracked), object, background, planes }
+        Candidate { trajectory, tracked: Some(tracked), object, background, planes, options }
     }
 }
 
 /// The trajectories with the verdict on each.
 fn judged(
+    run: &Run,
     found: Vec<Placed>,
     background: &Reconstruction,
-    time_base: TimeBase,
     focal_changes: &[FocalChange],
     outcome: &mut Outcome,
 ) -> Vec<ObjectTrajectory> {
-    let candidates: Vec<Candidate> = found.iter().map(|placed| placed.candidate(background)).collect();
-    let verdicts = trajectory::verdicts(&candidates, time_base, focal_changes);
+    let candidates: Vec<Candidate> =
+        found.iter().map(|placed| placed.candidate(background, &run.options.scale)).collect();
+    let verdicts = trajectory::verdicts(&candidates, run.info().time_base(), focal_changes);
     let judge = |(placed, verdict): (Placed, Verdict)| {
         let id = placed.trajectory.id;
         let first = verdict.against().next().filter(|_| verdict.is_refuted() && !placed.trajectory.scale.degenerate);

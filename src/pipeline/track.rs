@@ -17,7 +17,7 @@ use self::found::{Finds, Followed};
 use super::networks::Networks;
 use super::rhythm::Rhythm;
 use super::run::{Outcome, Run};
-use super::{Instances, PipelineError, fingerprint};
+use super::{Instances, PipelineError, fingerprint, order};
 use crate::io::{RunFolder, masks};
 use crate::perception::{FlowEstimator, Sighted, TrackSummary, load_flow, support};
 use crate::scene::{Frame, Mask, Movement, ObjectId, Topic, TrackedObject};
@@ -29,7 +29,12 @@ pub(super) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
     let options = run.options;
     let following = || -> Result<Value, PipelineError> {
         let flow_model = options.flow_model.as_deref().map(fingerprint::of_content).transpose()?;
-        Ok(json!({ "tracker": options.tracker, "flow": { "options": options.flow, "model": flow_model } }))
+        let (_, objects) = order::sfm_options(run)?;
+        Ok(json!({
+            "tracker": options.tracker,
+            "flow": { "options": options.flow, "model": flow_model },
+            "matching": objects.front_end.matching(),
+        }))
     };
     Ok(match &options.instances {
         Instances::None => json!("none"),

@@ -12,14 +12,14 @@ use crate::math::Sim3;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ScaleMethod {
-    /// View pair ranking on constant distances to the ground (eq. determine_s3).
+    /// View pair ranking by constant distance to the ground.
     ConstantDistance,
-    /// Smallest ray-plane intersection per image, median over images (eqs. r_per_image, r_median).
+    /// Smallest ray–plane intersection per frame, median over frames.
     Intersection,
-    /// Constant distances in all frames at once, robust against frames with a wrong plane.
+    /// Constant distance in all frames, robust least squares.
     #[serde(rename = "least-squares")]
     RobustLeastSquares,
-    /// The object's reconstruction adjusted again, together with the ground under it.
+    /// Adjustment of vehicle and ground planes.
     Joint,
 }
 

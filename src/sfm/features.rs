@@ -128,7 +128,7 @@ pub fn extract_gray(image: &GrayImage, mask: &Mask, options: &FeatureOptions) ->
 }
 
 /// The window with room for descriptors that reach over the mask.
-fn padded(b: BoundingBox, width: u32, height: u32) -> BoundingBox {
+pub(super) fn padded(b: BoundingBox, width: u32, height: u32) -> BoundingBox {
     const MARGIN_PX: u32 = 24;
     BoundingBox {
         x0: b.x0.saturating_sub(MARGIN_PX),

@@ -27,7 +27,7 @@ use crate::bundle::{
     self, BundleError, CameraBlock, IntrinsicsPrior, Observation, PointBlock, PoseBlock, Problem, Wanted,
 };
 use crate::camera::Camera;
-use crate::math::{Rigid3, RobustLoss, upper_median};
+use crate::math::{RAYLEIGH_MEDIAN, Rigid3, RobustLoss, upper_median};
 use crate::scene::{FocalChange, Image, ImageId, Point3dId, Reconstruction};
 
 /// Smallest change of ln f that counts. Stabilization and focus breathing change the focal length by 1 to 3 %, and a
@@ -258,7 +258,6 @@ impl FocalLengths {
 
 /// Robust standard deviation of a pixel coordinate: the median residual as that of a Gaussian.
 fn noise(problem: &Problem) -> f64 {
-    const RAYLEIGH_MEDIAN: f64 = 1.177_41;
     // Less is rounding.
     const LEAST_PX: f64 = 1e-3;
     let residual = |o: &Observation| {

@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::large_frames::AnySizeFrontEnd;
+use super::matching::MatchOptions;
 use super::sift_front_end::{Pairing, SiftFrontEnd, SiftOptions};
 use super::tracks::TrackTable;
 use super::video_front_end::VideoOptions;
@@ -13,14 +14,13 @@ use crate::image::RgbImage;
 use crate::limits::Checked;
 use crate::scene::{Frame, Mask};
 
-/// Front end that makes tracks. `features` of the pipeline, where it is not `auto`, overrides this kind, and unordered
-/// frames always use SIFT; options of the kind that is used stay as set here.
+/// Front end; `features` other than `auto` overrides it, and unordered frames always use `sift`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum FrontEndOptions {
-    /// Points followed from frame to frame: for videos, whose frames change little from one to the next.
+    /// Points tracked from frame to frame.
     Video(VideoOptions),
-    /// SIFT in every frame, matched between frames: for photographs, and for videos with wide steps.
+    /// SIFT features in every frame, matched between frames.
     Sift(SiftOptions),
 }
 
@@ -33,6 +33,14 @@ impl FrontEndOptions {
         match self {
             Self::Video(video) => video.check(),
             Self::Sift(sift) => sift.check(),
+        }
+    }
+
+    /// Descriptor matching.
+    pub fn matching(&self) -> &MatchOptions {
+        match self {
+            Self::Video(video) => &video.matching,
+            Self::Sift(sift) => &sift.matching,
         }
     }
 

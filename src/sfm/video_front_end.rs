@@ -25,12 +25,13 @@ use nalgebra::{Matrix2, Point2, Vector2};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::matching::MatchOptions;
 use super::patch::{Patch, Warp};
 use super::tracks::{Feature, Track, TrackTable, View};
 use super::{SfmError, Target};
 use crate::camera::Camera;
 use crate::image::{CornerStrength, GrayImage, Pyramid, RgbImage, gray_from_rgb};
-use crate::limits::{Checked, within};
+use crate::limits::{Checked, under, within};
 use crate::scene::{BoundingBox, Frame, Mask};
 use live::{Live, whitening};
 use memory::Memory;
@@ -80,6 +81,10 @@ pub struct VideoOptions {
     /// Shortest track that is kept.
     #[schemars(extend("unit" = "views"))]
     pub min_track_length: usize,
+    /// True if keyframes that share enough live points are not searched for lost ones.
+    pub skip_tied_keyframes: bool,
+    /// Descriptor matching of re-detection.
+    pub matching: MatchOptions,
 }
 
 impl VideoOptions {
@@ -106,7 +111,8 @@ impl VideoOptions {
         within("min_correlation", self.min_correlation, -1.0..=1.0)?;
         within("min_found_again", self.min_found_again, -1.0..=1.0)?;
         within("border_px", self.border_px, 0..=1000)?;
-        within("min_track_length", self.min_track_length, 2..=1_000_000)
+        within("min_track_length", self.min_track_length, 2..=1_000_000)?;
+        under("matching", self.matching.check())
     }
 
     /// For the background.
@@ -124,6 +130,8 @@ impl VideoOptions {
             min_found_again: 0.8,
             border_px: 0,
             min_track_length: 4,
+            skip_tied_keyframes: true,
+            matching: MatchOptions::default(),
         }
     }
 
@@ -152,7 +160,7 @@ pub struct VideoFrontEnd {
 impl VideoFrontEnd {
     /// Nothing seen yet. `camera` serves to verify points that are found again; a guess will do.
     pub fn new(options: VideoOptions, camera: Camera) -> Self {
-        let memory = Memory::new(camera, options.patch_radius_px);
+        let memory = Memory::new(camera, &options);
         let reach = Reach::new(&options, None);
         let (live, table) = (Vec::new(), TrackTable::default());
         Self { options, previous: None, extent: None, reach, shift: None, live, memory, table }

@@ -45,7 +45,7 @@ pub struct LocalFixes {
 const BAROMETER_STD_M: f64 = 1.0;
 
 /// Length of a degree of latitude, metres.
-const DEGREE_M: f64 = 111_320.0;
+pub(super) const DEGREE_M: f64 = 111_320.0;
 
 /// Heights of a kind count if so many fixes have them.
 const MOST: f64 = 0.9;

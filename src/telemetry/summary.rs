@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::fix::{ClockKind, Fix, HeightDatum, Log, PassedOver};
 use super::geodesy::{Geodetic, LocalFrame};
+use super::local::DEGREE_M;
 use super::time;
 
 /// Least and greatest of what was read.
@@ -69,9 +70,6 @@ pub struct Summary {
     /// The first of them.
     pub passed_over: Vec<PassedOver>,
 }
-
-/// Length of a degree of latitude, metres.
-const DEGREE_M: f64 = 111_320.0;
 
 impl Log {
     /// The facts.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
 
-use crate::math::{Rigid3, Sim3, median};
+use crate::math::{Rigid3, STD_PER_MAD, Sim3, median};
 use crate::scene::{
     Frame, FrameId, Image, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, ScaleEstimate, Unit,
 };
@@ -101,7 +101,7 @@ pub fn object_center(object: &Reconstruction) -> Point3<f64> {
     }
     let inliers: Vec<_> = points
         .iter()
-        .filter(|p| (0..3).all(|axis| (p[axis] - center[axis]).abs() <= 3.0 * 1.4826 * spread[axis]))
+        .filter(|p| (0..3).all(|axis| (p[axis] - center[axis]).abs() <= 3.0 * STD_PER_MAD * spread[axis]))
         .collect();
     if inliers.is_empty() {
         return Point3::from(center);

@@ -206,7 +206,7 @@ mod tests {
 
     fn error(options: &Options, seed: u64) -> f64 {
         let world = drive(options, seed);
-        let views = Views::new(&world.background, &world.object, &world.planes);
+        let views = Views::new(&world.background, &world.object, &world.planes, &crate::trajectory::Options::default());
         let found = constant_distance(&views, &ConstantDistanceOptions::default()).unwrap();
         (found.ratio / world.ratio - 1.0).abs()
     }
@@ -240,7 +240,7 @@ mod tests {
         // Over hills no two numerators are equal.
         let terrain = Terrain::Hills { amplitude_m: 1.0, wavelength_m: 60.0 };
         let world = drive(&Options { num_frames: 20, terrain, ..Options::default() }, 1);
-        let views = Views::new(&world.background, &world.object, &world.planes);
+        let views = Views::new(&world.background, &world.object, &world.planes, &crate::trajectory::Options::default());
         let all = pairs_by_numerator(&views.views, usize::MAX);
         assert_eq!(all.len(), 190);
         assert_eq!(pairs_by_numerator(&views.views, 40), all[..40]);
@@ -251,7 +251,8 @@ mod tests {
     #[test]
     fn equal_heights_and_missing_views_are_answers() {
         let world = drive(&Options { camera_climb_m: 0.0, ..Options::default() }, 1);
-        let mut views = Views::new(&world.background, &world.object, &world.planes);
+        let mut views =
+            Views::new(&world.background, &world.object, &world.planes, &crate::trajectory::Options::default());
         for view in &mut views.views {
             view.camera_height = 1.0;
         }

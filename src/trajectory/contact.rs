@@ -46,6 +46,9 @@ pub struct ContactOptions {
     /// Fewest frames that show a side, or an end.
     #[schemars(extend("unit" = "frames"))]
     pub min_frames: usize,
+    /// Share of the frames that gives the contact: those with the smallest standard deviation.
+    #[schemars(extend("unit" = "share"))]
+    pub best_share: f64,
     /// Setback of the tires from the outermost lower points of the side, and its standard deviation.
     #[schemars(extend("unit" = "shares of the height: mean, standard deviation"))]
     pub side: [f64; 2],
@@ -67,6 +70,7 @@ impl Default for ContactOptions {
             within: 0.95,
             least_side_view: 0.5,
             min_frames: 5,
+            best_share: 0.5,
             side: [0.08, 0.035],
             most_end_view: 0.26,
             overhang: [0.75, 0.25],
@@ -87,6 +91,7 @@ impl ContactOptions {
         within("within", self.within, 0.0..=1.0)?;
         within("least_side_view", self.least_side_view, 0.0..=1.0)?;
         within("min_frames", self.min_frames, 1..=1_000_000)?;
+        within("best_share", self.best_share, 0.01..=1.0)?;
         within("most_end_view", self.most_end_view, 0.0..=1.0)?;
         check_height("side", self.side)?;
         check_height("overhang", self.overhang)?;
@@ -105,10 +110,7 @@ fn check_height(key: &str, [mean, std]: [f64; 2]) -> Checked {
 /// Share of the lowest points that lie within an outline which shows them.
 const LEAST_INSIDE: f64 = 0.9;
 
-/// The share of the frames that say where the ground is: the surest.
-const SUREST: f64 = 0.5;
-
-/// The share of the lowest points that determines how far the outermost stand out, which is their uncertainty.
+/// Share of the lowest points that determines how far the outermost stand out, which is their uncertainty.
 const INNER: f64 = 0.9;
 
 /// Where the ground is, in the frame of a reconstruction whose z axis points up.
@@ -235,7 +237,7 @@ impl LowerEdge<'_> {
         }
         let num_frames = found.len();
         found.sort_by(|a, b| a.1.total_cmp(&b.1));
-        found.truncate(((SUREST * num_frames as f64).ceil() as usize).max(self.options.min_frames));
+        found.truncate(((self.options.best_share * num_frames as f64).ceil() as usize).max(self.options.min_frames));
         let (heights, stds): (Vec<f64>, Vec<f64>) = found.into_iter().unzip();
         let z = median(heights).filter(|_| num_frames >= self.options.min_frames)?;
         Some(Contact { z, std: median(stds)?, num_frames })

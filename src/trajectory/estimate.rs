@@ -20,16 +20,15 @@ use crate::scene::{Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
-    /// The method whose answer becomes the ratio; the others are reported next to it.
+    /// Method that gives the scale ratio; the others are reported as alternatives.
     pub method: ScaleMethod,
-    /// Limits of the view pair ranking.
+    /// View pair ranking.
     pub constant_distance: ConstantDistanceOptions,
-    /// The robust fit over all frames.
+    /// Robust fit over all frames.
     pub least_squares: LeastSquaresOptions,
-    /// The adjustment with the ground.
+    /// Adjustment with the ground.
     pub joint: JointOptions,
-    /// Standard deviation of the all-frames solution beyond which the motion counts as degenerate. A
-    /// tenth misplaces an object 25 m away by 2.5 m: further than a lane.
+    /// Maximum relative standard deviation of a ratio that counts as determined.
     #[schemars(extend("unit" = "share of the ratio"))]
     pub max_relative_std: f64,
 }
@@ -333,7 +332,7 @@ mod tests {
 
     fn estimate(world: &drive::Options, seed: u64, wanted: ScaleMethod) -> (ScaleEstimate, f64) {
         let world = drive(world, seed);
-        let views = Views::new(&world.background, &world.object, &world.planes);
+        let views = Views::new(&world.background, &world.object, &world.planes, &Options::default());
         (estimate_scale(&views, wanted, &Options::default()).unwrap(), world.ratio)
     }
 
@@ -393,7 +392,7 @@ mod tests {
     #[test]
     fn two_frames_have_an_answer_that_nothing_checks() {
         let world = drive(&drive::Options { num_frames: 2, ..Default::default() }, 3);
-        let views = Views::new(&world.background, &world.object, &world.planes);
+        let views = Views::new(&world.background, &world.object, &world.planes, &Options::default());
         let estimate = |views: &Views| estimate_scale(views, ScaleMethod::RobustLeastSquares, &Options::default());
         let found = estimate(&views).unwrap();
         assert!(found.degenerate && found.reason.unwrap().contains("cannot be checked"));

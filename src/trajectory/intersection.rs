@@ -59,7 +59,13 @@ mod tests {
     use crate::synthetic::drive::{Drive, Noise, Options, Terrain, drive};
 
     fn solve(world: &Drive) -> Intersection {
-        intersection(&Views::new(&world.background, &world.object, &world.planes)).unwrap()
+        intersection(&Views::new(
+            &world.background,
+            &world.object,
+            &world.planes,
+            &crate::trajectory::Options::default(),
+        ))
+        .unwrap()
     }
 
     #[test]
@@ -99,7 +105,8 @@ mod tests {
     #[test]
     fn planes_above_the_camera_are_invalid_and_left_out() {
         let world = drive(&Options::default(), 4);
-        let mut views = Views::new(&world.background, &world.object, &world.planes);
+        let mut views =
+            Views::new(&world.background, &world.object, &world.planes, &crate::trajectory::Options::default());
         for view in views.views.iter_mut().take(10) {
             view.camera_height = -view.camera_height;
         }

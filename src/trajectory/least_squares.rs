@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{ScaleError, Views};
 use crate::limits::{Checked, within};
-use crate::math::median;
+use crate::math::{STD_PER_MAD, median};
 
 /// Robustness of the fit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -47,11 +47,13 @@ pub struct LeastSquaresOptions {
     /// Rounds of reweighting; it stops earlier when r no longer changes.
     #[schemars(extend("unit" = "rounds"))]
     pub max_rounds: usize,
+    /// True if drift of the heights is estimated as a random walk; false for white noise only.
+    pub drift: bool,
 }
 
 impl Default for LeastSquaresOptions {
     fn default() -> Self {
-        Self { tukey_scale: 3.0, neighbours: 5, max_rounds: 50 }
+        Self { tukey_scale: 3.0, neighbours: 5, max_rounds: 50, drift: true }
     }
 }
 
@@ -96,16 +98,16 @@ pub fn least_squares(views: &Views, options: &LeastSquaresOptions) -> Result<Lea
     let series = Series::new(views);
     let mut weights = vec![1.0; series.heights.len()];
     let mut fit = series.fit(&weights, 0.0);
+    let next = |weights: &[f64]| if options.drift { series.likeliest_fit(weights) } else { series.fit(weights, 0.0) };
     for _ in 0..options.max_rounds {
         let steps = series.steps(fit.ratio, options.neighbours);
-        // 1.4826 turns the median of absolute Gaussian residuals into their standard deviation.
-        let sigma = 1.4826 * median(steps.iter().map(|e| e.abs()).collect()).unwrap_or(0.0);
+        let sigma = STD_PER_MAD * median(steps.iter().map(|e| e.abs()).collect()).unwrap_or(0.0);
         if sigma <= f64::EPSILON * series.size() || !fit.ratio.is_finite() {
             break;
         }
         let weight = |e: &f64| (1.0 - (e / (options.tukey_scale * sigma)).powi(2)).max(0.0).powi(2);
         weights = steps.iter().map(weight).collect();
-        let last = std::mem::replace(&mut fit, series.likeliest_fit(&weights)).ratio;
+        let last = std::mem::replace(&mut fit, next(&weights)).ratio;
         if (fit.ratio - last).abs() <= 1e-12 * fit.ratio.abs() {
             break;
         }
@@ -234,7 +236,7 @@ mod tests {
     use crate::synthetic::drive::{Drive, Noise, Options, Terrain, drive};
 
     fn solve(world: &Drive) -> LeastSquares {
-        let views = Views::new(&world.background, &world.object, &world.planes);
+        let views = Views::new(&world.background, &world.object, &world.planes, &crate::trajectory::Options::default());
         least_squares(&views, &LeastSquaresOptions::default()).unwrap()
     }
 
@@ -272,7 +274,8 @@ mod tests {
         let mut surprises = [0.0, 0.0];
         for seed in 0..20 {
             let world = drive(&Options::default(), seed);
-            let mut views = Views::new(&world.background, &world.object, &world.planes);
+            let mut views =
+                Views::new(&world.background, &world.object, &world.planes, &crate::trajectory::Options::default());
             let mut rng = crate::math::seeded_rng(seed, 7);
             let mut walk = 0.0;
             for view in &mut views.views {

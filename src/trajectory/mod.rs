@@ -25,7 +25,7 @@
 //!
 //! // A vehicle drives past a moving camera; background and object each have a unit of their own.
 //! let world = drive::drive(&drive::Options::default(), 1);
-//! let views = Views::new(&world.background, &world.object, &world.planes);
+//! let views = Views::new(&world.background, &world.object, &world.planes, &Options::default());
 //! let found = least_squares(&views, &LeastSquaresOptions::default())?;
 //! assert!((found.ratio / world.ratio - 1.0).abs() < 1e-9);
 //! # Ok::<(), tractrix::trajectory::ScaleError>(())

@@ -92,7 +92,7 @@ impl From<&Joint> for AdjustmentFigures {
 ///
 /// Never fails as a whole: [`Placed::trajectory`] and [`Placed::adjustment`] say what could not be done and why.
 pub fn place(evidence: &Evidence, options: &Options) -> Placed {
-    let as_it_is = Views::new(evidence.background, evidence.object, evidence.planes);
+    let as_it_is = Views::new(evidence.background, evidence.object, evidence.planes, options);
     let is_adjusted = options.method == ScaleMethod::Joint && evidence.origin == ModelOrigin::Reconstructed;
     let adjustment = match is_adjusted.then(|| joint(&evidence.grounded(), &as_it_is, options)) {
         None => Adjustment::None,
@@ -119,8 +119,8 @@ impl Evidence<'_> {
 
     /// The object after an adjustment; `as_it_was` are the views of the model before.
     fn adjusted(&self, found: Joint, as_it_was: &Views, options: &Options) -> Placed {
-        let steadiness = Steadiness::of(self.background, &found.object, self.planes, found.ratio);
-        let views = Views::new(self.background, &found.object, &steadiness.telling(self.planes));
+        let steadiness = Steadiness::of(self.background, &found.object, self.planes, found.ratio, options);
+        let views = Views::new(self.background, &found.object, &steadiness.telling(self.planes), options);
         let as_reconstructed = Some(ratios_of(as_it_was, options));
         let scale = ScaleEstimate { as_reconstructed, ..joint_estimate(&views, &found, options, self.focal_std) };
         let adjustment = Adjustment::Done(AdjustmentFigures::from(&found));

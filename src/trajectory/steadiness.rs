@@ -8,20 +8,16 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Point3, Vector3};
 
-use super::object_center;
-use super::views::{WANDER, lever};
-use crate::math::median;
+use super::views::lever;
+use super::{Options, object_center};
+use crate::math::{STD_PER_MAD, median};
 use crate::scene::{FrameId, GroundPlane, Image, Reconstruction};
 
 /// A frame with the object's camera in both reconstructions.
 type Pair<'a> = (FrameId, &'a Image, &'a Image);
 
-/// Frames before and after one with which it is compared.
-const NEIGHBOURS: usize = 5;
 /// Robust standard deviations beyond which a plane stands out.
 const STANDS_OUT: f64 = 3.0;
-/// Turns the median of absolute Gaussian residuals into their standard deviation.
-const OF_MEDIAN: f64 = 1.4826;
 
 /// Consistency of the planes under an object.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -36,26 +32,32 @@ pub(super) struct Steadiness {
 impl Steadiness {
     /// * `planes` – of each frame, in the background's frame.
     /// * `ratio` – about right.
+    /// * `options` – `least_squares.neighbours` and `joint.sigma_distance` are used.
     pub(super) fn of(
         background: &Reconstruction,
         object: &Reconstruction,
         planes: &BTreeMap<FrameId, GroundPlane>,
         ratio: f64,
+        options: &Options,
     ) -> Self {
+        if !options.joint.compare_planes {
+            return Self::default();
+        }
+        let (neighbours, max_drift) = (options.least_squares.neighbours, options.joint.max_drift());
         let middle = object_center(object);
         let pairs = background.paired_images(object).into_iter();
         let places: Vec<Place> =
             pairs.filter_map(|pair| Place::new(pair, planes.get(&pair.0)?, &middle, ratio)).collect();
-        let near = |k: usize| k.saturating_sub(NEIGHBOURS)..places.len().min(k + NEIGHBOURS + 1);
+        let near = |k: usize| k.saturating_sub(neighbours)..places.len().min(k + neighbours + 1);
         let all = 0..places.len();
         let height = |k: usize| places[k].plane.signed_distance(on_line(&places[near(k)], places[k].frame));
         let heights: Vec<f64> = all.clone().map(height).collect();
         let step = |k: usize| heights[k] - median(heights[near(k)].to_vec()).unwrap_or(heights[k]);
         let steps: Vec<f64> = all.clone().map(step).collect();
         let sigma = typical(&steps);
-        let stands_out = |k: &usize| steps[*k].abs() > STANDS_OUT * sigma.max(WANDER * places[*k].lever());
+        let stands_out = |k: &usize| steps[*k].abs() > STANDS_OUT * sigma.max(max_drift * places[*k].lever());
         let own_stds: Vec<f64> = all.clone().map(|k| typical(&steps[near(k)]).max(steps[k].abs())).collect();
-        let is_vague = |k: &usize| own_stds[*k].max(places[*k].plane.own_height_std()) > WANDER * places[*k].lever();
+        let is_vague = |k: &usize| own_stds[*k].max(places[*k].plane.own_height_std()) > max_drift * places[*k].lever();
         let frames = |which: &dyn Fn(&usize) -> bool| all.clone().filter(which).map(|k| places[k].frame).collect();
         Self {
             outlying: frames(&stands_out),
@@ -107,7 +109,7 @@ impl<'a> Place<'a> {
 
 /// The standard deviation, by the median.
 fn typical(steps: &[f64]) -> f64 {
-    OF_MEDIAN * median(steps.iter().map(|step| step.abs()).collect()).unwrap_or(0.0)
+    STD_PER_MAD * median(steps.iter().map(|step| step.abs()).collect()).unwrap_or(0.0)
 }
 
 /// Where the line through the places is at a frame.
@@ -130,7 +132,8 @@ mod tests {
     use crate::synthetic::drive::{Drive, Noise, Options, drive};
 
     fn of(world: &Drive) -> Steadiness {
-        Steadiness::of(&world.background, &world.object, &world.planes, world.ratio)
+        let options = crate::trajectory::Options::default();
+        Steadiness::of(&world.background, &world.object, &world.planes, world.ratio, &options)
     }
 
     fn median_own_std(world: &Drive, found: &Steadiness) -> f64 {

@@ -4,13 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Point3, Vector3};
 
-use super::ScaleError;
+use super::{Options, ScaleError};
 use crate::math::median;
 use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction};
-
-/// Drift of an object's height over its planes, as a share of its [`lever`]: the maximum that `joint` assumes
-/// (`sigma_distance`).
-pub(super) const WANDER: f64 = 0.008;
 
 /// [`View::lever`] of numbers. What an angle is wrong by lifts the object in proportion to its distance, so that a
 /// vehicle far ahead of a low camera is off by much more than one below a drone.
@@ -71,12 +67,20 @@ pub struct Views {
     /// Standard deviation of the offset between planes of different bases, units of the background; 0 where all have
     /// the same basis.
     pub plane_std: f64,
+    /// Largest assumed drift of the object's height over its planes, as a share of [`View::lever`]
+    /// (`scale.joint.sigma_distance`).
+    pub max_drift: f64,
 }
 
 impl Views {
     /// Pairs the images of both models by name and keeps those whose frame has a plane. Views and points with numbers
     /// that are not finite are left out.
-    pub fn new(background: &Reconstruction, object: &Reconstruction, planes: &BTreeMap<FrameId, GroundPlane>) -> Self {
+    pub fn new(
+        background: &Reconstruction,
+        object: &Reconstruction,
+        planes: &BTreeMap<FrameId, GroundPlane>,
+        options: &Options,
+    ) -> Self {
         let paired = background.paired_images(object);
         let views = paired
             .iter()
@@ -88,7 +92,14 @@ impl Views {
             .collect();
         let is_finite = |p: &Point3<f64>| p.coords.iter().all(|x| x.is_finite());
         let points = object.points.values().map(|point| point.position).filter(is_finite).collect();
-        Self { views, points, num_paired: paired.len(), num_planes: planes.len(), plane_std: change_of_basis(planes) }
+        Self {
+            views,
+            points,
+            num_paired: paired.len(),
+            num_planes: planes.len(),
+            plane_std: change_of_basis(planes),
+            max_drift: options.joint.max_drift(),
+        }
     }
 
     /// Standard deviation of the object's height over its planes that goes on for many frames and grows with the
@@ -100,7 +111,7 @@ impl Views {
             let lever = view.lever(&middle, ratio);
             (lever * lever - view.camera_height * view.camera_height).max(0.0).sqrt()
         };
-        WANDER * median(self.views.iter().map(beyond).collect()).filter(|std| std.is_finite()).unwrap_or(0.0)
+        self.max_drift * median(self.views.iter().map(beyond).collect()).filter(|std| std.is_finite()).unwrap_or(0.0)
     }
 
     /// Fails unless there are `needed` views and a point.

@@ -67,31 +67,29 @@ impl TryFrom<String> for Position {
     }
 }
 
-/// Which frames are taken, and how large.
+/// Selection and size of frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
-    /// The first frame is the first one at or after this place; `None` is the beginning.
+    /// First frame: a time or an index; `None` for the beginning.
     #[schemars(with = "Option<String>", extend("unit" = "seconds (\"12.5\") or a frame (\"120f\")"))]
     pub start: Option<Position>,
-    /// Frames at or after this place are left out; `None` is the end.
+    /// End, exclusive; `None` for the end of the video.
     #[schemars(with = "Option<String>", extend("unit" = "seconds (\"12.5\") or a frame (\"120f\")"))]
     pub end: Option<Position>,
-    /// Every n-th frame, counted from the first one taken.
+    /// Use every n-th frame.
     #[schemars(extend("unit" = "frames"))]
     pub every: u32,
-    /// Pictures whose longer side is larger are made smaller to this many pixels, and the whole result is at that
-    /// resolution; `None` keeps them.
+    /// Longer side to which larger images are reduced; results refer to the reduced size.
     #[schemars(extend("unit" = "pixels"))]
     pub max_dimension: Option<u32>,
-    /// Frames per second of a folder of images, which has no time stamps; without it the index is the time. A video has
-    /// its own.
+    /// Frame rate of a folder of images; without it the index is the time.
     #[schemars(extend("unit" = "frames per second"))]
     pub fps: Option<f64>,
-    /// Video track that is read, counted from 0 among the video tracks of the file as FFmpeg does (`-map 0:v:N`);
-    /// `None` is the first one with about as many frames as any.
+    /// Video track, counted from 0 as FFmpeg does (`-map 0:v:N`); `None` for the first one with about as many frames as
+    /// any.
     pub track: Option<u32>,
-    /// Rotation of photographs by their EXIF data. A video's rotation is always applied.
+    /// Rotation of photographs by their EXIF data; rotation of videos is always applied.
     pub turning: Turning,
 }
 
@@ -99,12 +97,12 @@ pub struct Options {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Turning {
-    /// As they are stored where only a model is made (`tractrix sfm` without masks), else upright.
+    /// As stored if only a model is made (`tractrix sfm` without masks), otherwise upright.
     #[default]
     Auto,
-    /// Upright, as what looks for vehicles needs them. Models speak of upright pictures, which the files are not.
+    /// Upright; models refer to upright images.
     Upright,
-    /// As they are stored: the model fits the files, and pictures of one camera have one size however it was held.
+    /// As stored; models refer to the files.
     AsStored,
 }
 

@@ -4,6 +4,7 @@
 //! is taken over. The tables are written again after every sequence, so that a stopped benchmark has those of what is
 //! done.
 
+mod ablate;
 pub(super) mod sequences;
 pub(super) mod single;
 #[cfg(test)]
@@ -21,11 +22,13 @@ use super::output::{Failure, Form, show};
 use super::terminal::Talk;
 use crate::eval::benchmark::{Benchmark, Entry, summarise};
 use crate::io::{self, FolderError, OwnedFolder, Place, RunFolder, atomic, refuse_own_input};
-use crate::pipeline::Options;
+use crate::pipeline::{Ablation, Options};
 use crate::report::benchmark as pages;
 use crate::scene::Topic;
 use crate::video::Position;
+use ablate::Ablating;
 use sequences::{Found, find};
+use single::Attempt;
 
 /// Version of `benchmark.json`.
 const VERSION: u32 = 1;
@@ -56,6 +59,12 @@ pub(super) struct Args {
     /// benchmark.json of another benchmark, added to the tables for comparison; may be repeated
     #[arg(long, value_name = "FILE")]
     pub(super) compare: Vec<PathBuf>,
+    /// Run every sequence again without each of these mechanisms: all, or names separated by commas
+    ///
+    /// Only stages that depend on the mechanism run again. Writes ablation.json and ablation.md. The mechanisms are
+    /// listed in docs/decisions/README.md.
+    #[arg(long, value_name = "LIST")]
+    pub(super) ablate: Option<String>,
 
     /// COLMAP models of all sequences, used unchanged: DIR/<sequence>/background and DIR/<sequence>/object
     #[arg(
@@ -85,6 +94,7 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) -> Result<(), Failure> {
     let options = options(args)?;
+    let ablated = args.ablate.as_deref().map(Ablation::listed).transpose().map_err(Failure::Usage)?.unwrap_or_default();
     let Found { sequences, left_out } = find(&args.folder, &args.only, &args.output)?;
     for name in &left_out {
         let text = format!("{}: skipped, no scene.json", args.folder.join(name).display());
@@ -107,12 +117,16 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) 
         sequences: Vec::new(),
         left_out,
     };
+    let mut ablating = Ablating::new(ablated, &options, &output);
     for (k, folder) in sequences.iter().enumerate() {
         talk.say(&format!("[{}/{}] {}", k + 1, sequences.len(), folder.display()));
-        let entry = single::sequence(args, folder, &output, &options, &arguments, talk)?;
+        let attempt =
+            Attempt { args, folder, results: &output, options: &options, output: None, arguments: &arguments };
+        let entry = single::sequence(&attempt, talk)?;
         talk.say(&format!("{}: {}", entry.folder, said(&entry)));
         benchmark.sequences.push(entry);
         write(&benchmark, &others, &output)?;
+        ablating.run(&attempt, &benchmark.sequences, talk)?;
     }
     talk.finish();
     let failure = failure(&benchmark).map(|text| Failure::Partial(anyhow::anyhow!(text)));
@@ -120,8 +134,13 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) 
     if let Some(failure) = &failure {
         value["error"] = failure.as_json();
     }
+    if args.ablate.is_some() {
+        value["ablation"] = json!(ablating.effects(&benchmark.sequences));
+    }
     show(form, &value, || {
-        format!("{}\n{}\n", pages::summary(&benchmark, &others), args.output.join("benchmark.md").display())
+        let summary = pages::summary(&benchmark, &others);
+        let ablation = args.ablate.as_ref().map_or_else(String::new, |_| ablating.table(&benchmark.sequences) + "\n");
+        format!("{summary}\n{ablation}{}\n", args.output.join("benchmark.md").display())
     })?;
     failure.map_or(Ok(()), Err)
 }
@@ -156,7 +175,7 @@ fn place(relative: &Path) -> Place {
     match parts[..] {
         [] => Place::Folder,
         [RunFolder::STATE, ..] => Place::State,
-        [JSON | MARKDOWN | TRAJECTORY_ERROR | SCALE_DEVIATION] => Place::File,
+        [JSON | MARKDOWN | TRAJECTORY_ERROR | SCALE_DEVIATION | ablate::JSON | ablate::MARKDOWN] => Place::File,
         _ => Place::Elsewhere,
     }
 }

@@ -14,24 +14,32 @@ use crate::io::{FolderError, OwnedFolder, Sequence, TARGET_LABEL};
 use crate::pipeline::{self, Job, Options, Overwrite, PipelineError, Stage, Summary};
 use crate::scene::ObjectId;
 
+/// A sequence that is to be run.
+#[derive(Clone, Copy)]
+pub(super) struct Attempt<'a> {
+    pub(super) args: &'a Args,
+    /// The sequence.
+    pub(super) folder: &'a Path,
+    /// Folder of the benchmark.
+    pub(super) results: &'a OwnedFolder,
+    pub(super) options: &'a Options,
+    /// Folder of this run; `None` for the sequence's own.
+    pub(super) output: Option<&'a Path>,
+    pub(super) arguments: &'a [String],
+}
+
 /// The result on one sequence, which may be that it failed.
 ///
 /// # Errors
 /// Only what stands in the way of every sequence: an output folder that cannot be written to or that is in use.
-pub(super) fn sequence(
-    args: &Args,
-    folder: &Path,
-    results: &OwnedFolder,
-    options: &Options,
-    arguments: &[String],
-    talk: &Talk,
-) -> Result<Entry, Failure> {
+pub(super) fn sequence(attempt: &Attempt<'_>, talk: &Talk) -> Result<Entry, Failure> {
+    let Attempt { args, folder, results, options, output, arguments } = *attempt;
     let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let truth = Sequence::open(folder);
     let (vehicle, trajectory) = names(&name, truth.as_ref().ok());
     let described = |entry: Entry| Entry { folder: name.clone(), vehicle, trajectory, ..entry };
     let failed = |reason: String| Entry { failure: Some(reason), ..Entry::default() };
-    let output = results.subfolder(&name)?;
+    let output = output.map_or_else(|| results.subfolder(&name), |output| Ok(output.to_owned()))?;
     // A panic is a defect of the program, but it must not take the other sequences with it.
     let result = catch_unwind(AssertUnwindSafe(|| {
         let truth = truth?;

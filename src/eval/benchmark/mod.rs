@@ -6,10 +6,12 @@
 //!
 //! The paper's own 35 sequences are such a set, too ([`paper::published`]), so that its table is made by the same code.
 
+mod ablation;
 pub mod paper;
 mod statistics;
 mod summary;
 
+pub use ablation::{AblatedRun, Ablations, Effect, Means};
 pub use statistics::Statistics;
 pub use summary::{Figures, Row, Summary, summarise};
 

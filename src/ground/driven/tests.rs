@@ -2,6 +2,7 @@ use nalgebra::Point3;
 
 use super::*;
 use crate::ground::local_planes;
+use crate::ground::path::SHAPE;
 use crate::scene::ObjectId;
 use crate::synthetic::drive::{self, Drive, Noise, drive};
 
@@ -27,7 +28,8 @@ fn on_lane(place: &Point3<f64>) -> bool {
 fn before_and_after(world: &Drive) -> [BTreeMap<FrameId, GroundPlane>; 2] {
     let options = Options::default();
     let all = local_planes(&world.background, &world.ground_points, ObjectId(1), &world.object, &options, 3).planes;
-    let better = on_driven_ground(&world.background, &world.ground_points, &world.object, all.clone(), &options);
+    let better =
+        on_driven_ground(&world.background, &world.ground_points, &world.object, all.clone(), &options, &SHAPE);
     [all, better]
 }
 
@@ -77,7 +79,7 @@ fn where_the_lane_shows_nothing_the_other_frames_say_how_high_the_kerb_is() {
     let shown: Vec<Point3dId> = world.ground_points.iter().filter(|id| !is_bare(id)).copied().collect();
     let options = Options::default();
     let all = local_planes(&world.background, &shown, ObjectId(1), &world.object, &options, 3).planes;
-    let better = on_driven_ground(&world.background, &shown, &world.object, all.clone(), &options);
+    let better = on_driven_ground(&world.background, &shown, &world.object, all.clone(), &options, &SHAPE);
     let [before, after] = [&all, &better].map(|planes| rms(&errors(&world, planes)[50..]));
     assert!(better.values().skip(50).all(|plane| plane.basis != PlaneBasis::Path));
     assert!(after < 0.6 * before, "{before} m before, {after} m after");

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::FollowerOptions;
 use crate::image::{CornerStrength, GrayImage, LucasKanade, Pyramid, resize_gray, scale_to_fit};
+use crate::math::lower_quantile;
 use crate::perception::PerceptionError;
 
 /// Where one point was seen, in frames that follow one another without a gap.
@@ -213,7 +214,8 @@ impl PointFollower {
     /// Starts a point at the strongest corner of every cell that has none.
     fn find_new(&mut self, strength: &CornerStrength) {
         let corners = self.corners(strength);
-        let least = self.options.quality * quantile(corners.iter().map(|c| c.1).collect(), 0.9);
+        let mut strengths: Vec<f64> = corners.iter().map(|corner| f64::from(corner.1)).collect();
+        let least = self.options.quality * lower_quantile(&mut strengths, 0.9).unwrap_or(0.0) as f32;
         let taken = self.taken_cells();
         let is_free = |p: Point2<f32>| !taken[self.cell(p)] && self.rested[self.cell(p)] <= self.num_frames;
         let mut new: Vec<(Point2<f32>, f32)> =
@@ -274,15 +276,6 @@ impl PointFollower {
         let pixels = point.positions.iter().map(|p| [p.x * scale[0], p.y * scale[1]]).collect();
         self.done.push(PointTrack { first: point.first, pixels });
     }
-}
-
-/// The value below which a share of all values lies; 0 of nothing.
-fn quantile(mut values: Vec<f32>, share: f64) -> f32 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let k = ((values.len() - 1) as f64 * share) as usize;
-    *values.select_nth_unstable_by(k, f32::total_cmp).1
 }
 
 #[cfg(test)]

@@ -18,22 +18,20 @@ const MAX_SCALES: usize = 8;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DetectorOptions {
-    /// Objects with a lower score are not reported.
+    /// Minimum score of a detection.
     #[schemars(extend("unit" = "score, 0 to 1"))]
     pub confidence: f64,
-    /// Of boxes that overlap by more than this (intersection over union), of whatever class, only the one with the
-    /// highest score is kept.
+    /// Maximum overlap (intersection over union) of two detections; of others the one with the higher score is kept.
     #[schemars(extend("unit" = "share"))]
     pub nms_iou: f64,
-    /// Names of the classes that are reported: everything that may move by itself, for nothing of it may serve as
-    /// background.
+    /// Classes that are detected; all of them are kept out of the background.
     pub classes: Vec<String>,
-    /// Longer side of the input, for networks that leave it open; smaller frames are enlarged. More of it finds
-    /// smaller objects, and more that is none; the cost grows with its square.
+    /// Longer side of the network's input, for networks with a free input size; larger finds smaller vehicles, at
+    /// quadratic cost.
     #[schemars(extend("unit" = "pixels"))]
     pub input_size: u32,
-    /// The frame is looked at once at each of these shares of `input_size`: a network with a small view of the whole
-    /// does not see in a large input that a large vehicle is one.
+    /// Scales of the input at which each frame is searched, since the network misses vehicles that are large in its
+    /// input.
     #[schemars(extend("unit" = "share of input_size"))]
     pub scales: Vec<f64>,
 }

@@ -60,24 +60,21 @@ pub enum Tiling {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SegmentationOptions {
-    /// Objects with a lower score are not reported. The tracker starts tracks only from higher scores of its own
-    /// choice, but follows them with everything that is reported.
+    /// Minimum score of an object.
     #[schemars(extend("unit" = "score, 0 to 1"))]
     pub confidence: f64,
-    /// Of two objects of one class whose boxes overlap by more than this (intersection over union), only the one with
-    /// the higher score is kept.
+    /// Maximum overlap (intersection over union) of two objects of a class; of others the one with the higher score is
+    /// kept.
     #[schemars(extend("unit" = "share"))]
     pub nms_iou: f64,
-    /// Names of the classes that are reported: everything that may move by itself, for nothing of it may serve as
-    /// background.
+    /// Classes that are segmented; all of them are kept out of the background.
     pub classes: Vec<String>,
-    /// Tiling of large frames.
+    /// Division of large frames into tiles, to find small objects.
     pub tiling: Tiling,
-    /// Overlap of neighbouring tiles: larger than the objects that the tiles are to find.
+    /// Overlap of neighboring tiles; larger than the objects to be found.
     #[schemars(extend("unit" = "share of a tile's side"))]
     pub tile_overlap: f64,
-    /// Longer side of the input, for networks that leave it open; those that scale by themselves (Mask R-CNN) take the
-    /// frame as it is.
+    /// Longer side of the network's input, for networks with a free input size.
     #[schemars(extend("unit" = "pixels"))]
     pub input_size: u32,
 }

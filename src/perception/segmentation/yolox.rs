@@ -12,7 +12,7 @@ use ::image::RgbImage;
 use super::classes::class_names;
 use super::letterbox::{Anchor, Letterbox, fitted};
 use super::views::View;
-use super::{Detector, DetectorOptions};
+use super::{Detector, DetectorOptions, MAX_OBJECTS};
 use crate::ffi::onnx::{Model, Tensor};
 use crate::image::resize_rgb_quickly;
 use crate::perception::PerceptionError;
@@ -26,8 +26,6 @@ const STRIDES: [usize; 3] = [8, 16, 32];
 const SIDE_STEP: u32 = 32;
 /// Columns of the output before those of the classes.
 const NUM_BOX_COLUMNS: usize = 5;
-/// At most this many objects per frame, the best ones.
-const MAX_OBJECTS: usize = 300;
 
 /// Returns true if a network's inputs and outputs are those of the family.
 pub(super) fn recognise(model: &Model) -> bool {

@@ -203,7 +203,7 @@ pub struct After {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrackerOptions {
-    /// Names of the classes that are tracked; detections of others are skipped.
+    /// Classes that are tracked; other detections are only kept out of the background.
     pub track_classes: Vec<String>,
     /// A track starts with a detection of at least this confidence; weaker ones only continue tracks.
     #[schemars(extend("unit" = "score, 0 to 1"))]

@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Point2;
 
+use super::super::ground::body_shape;
 use super::super::run::Run;
 use crate::camera::Camera;
 use crate::ground::{DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount};
@@ -43,7 +44,7 @@ impl<'a> Footing<'a> {
             (dominant, find_mount(self.background, None, options, seed).ok())
         });
         let (dominant, mount) = (dominant.as_ref(), mount.as_ref());
-        GroundChain { background: self.background, labelled: &[], dominant, mount }
+        GroundChain { background: self.background, labelled: &[], dominant, mount, shape: body_shape(self.run.options) }
     }
 
     /// Poses of the views of an object; `None` for one whose perspective, in pixels, is more than `weak_px`, or where

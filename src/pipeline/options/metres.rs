@@ -12,37 +12,35 @@ use crate::metric::{KnownLength, Measured, TimeOffset, UtcOffset};
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum TelemetryChoice {
-    /// A file next to the video with its stem, else what is inside the video, else what photographs say of their
-    /// places.
+    /// File with the video's stem, otherwise data in the video, otherwise EXIF positions of photographs.
     #[default]
     Auto,
-    /// None.
+    /// No telemetry.
     None,
-    /// A log: DJI's subtitles, GPX, NMEA or CSV.
+    /// Log file: DJI subtitles, GPX, NMEA or CSV.
     File(PathBuf),
 }
 
-/// Where metres come from, besides what vehicles are like. All that is there is weighed together.
+/// Sources of the metric scale besides typical vehicle sizes; all are fused.
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MetricOptions {
-    /// Which telemetry is taken.
+    /// Telemetry.
     pub telemetry: TelemetryChoice,
-    /// Time of the telemetry minus time of the video, with its standard deviation: `"0.7±0.1"`. The time of a log with
-    /// a clock counts from its first fix. `null`: 0 for logs that belong to a video, else it is found.
+    /// Telemetry time minus video time, with standard deviation: `"0.7±0.1"`; `null` is 0 for logs that belong to the
+    /// video, otherwise estimated.
     #[schemars(with = "Option<String>", extend("unit" = "seconds, as text"))]
     pub time_offset: Option<TimeOffset>,
-    /// Local time minus UTC of logs and photographs whose clock states no zone: `"+02:00"`. `null`: their dates stay
-    /// local.
+    /// Local time minus UTC of logs and photographs without a time zone: `"+02:00"`.
     #[schemars(with = "Option<String>", extend("unit" = "±HH:MM, as text"))]
     pub utc_offset: Option<UtcOffset>,
-    /// Height of the camera over the ground, on average over the video, with its standard deviation: `"1.45±0.05"`.
+    /// Mean height of the camera above the ground, with standard deviation: `"1.45±0.05"`.
     #[schemars(with = "Option<String>", extend("unit" = "metres, as text"))]
     pub camera_height: Option<Measured>,
-    /// Metres per unit of the background, with their standard deviation: `"12.3±0.1"`.
+    /// Meters per unit of the background, with standard deviation: `"12.3±0.1"`.
     #[schemars(with = "Option<String>", extend("unit" = "metres per unit, as text"))]
     pub scale: Option<Measured>,
-    /// Lengths, widths and heights of vehicles that are known, with their standard deviations: `"1:length=4.47±0.02"`.
+    /// Known dimensions of vehicles, with standard deviation: `"1:length=4.47±0.02"`.
     #[schemars(with = "Vec<String>", extend("unit" = "metres, as text"))]
     pub known_lengths: Vec<KnownLength>,
 }

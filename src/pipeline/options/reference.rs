@@ -3,14 +3,17 @@
 use serde_json::{Value, json};
 
 use super::Options;
+use super::public::{is_public, spelled};
 use super::schema::{self, Node, join};
 use crate::sfm::{self, FrontEndOptions, Target};
 
 /// An option.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OptionRow {
-    /// Its path, separated by dots.
+    /// Its path as users write it, separated by dots.
     pub key: String,
+    /// False for an option below `tuning`.
+    pub is_public: bool,
     /// Its value in each of the trees that were asked for, as JSON.
     pub values: Vec<String>,
     /// The unit of its value, where that has one.
@@ -40,10 +43,12 @@ impl Options {
         for target in ["background", "objects"] {
             like[target]["front_end"]["kind"] = default[target]["front_end"]["kind"].clone();
         }
-        rows(schema::root(), "", &[json!(self), like])
+        let all = rows(schema::root(), "", &[json!(self), like]);
+        let (public, tuning): (Vec<_>, Vec<_>) = all.into_iter().partition(|row| row.is_public);
+        public.into_iter().chain(tuning).collect()
     }
 
-    /// All options with their defaults.
+    /// The public options with their defaults.
     pub fn reference() -> Vec<OptionSection> {
         let (tree, schema) = (json!(Self::default()), schema::root());
         let Node::Group(known) = Node::of(schema) else { return Vec::new() };
@@ -56,11 +61,13 @@ impl Options {
                 "background" => sections.extend(targets(schema)),
                 "objects" => {}
                 _ => {
-                    let rows = rows(schema, name, &[tree[name].clone()]);
+                    let mut rows = rows(schema, name, &[tree[name].clone()]);
+                    rows.retain(|row| row.is_public);
                     sections.push(section(format!("`{name}`"), schema::described(schema), rows));
                 }
             }
         }
+        sections.retain(|section| !section.rows.is_empty());
         sections
     }
 }
@@ -69,26 +76,20 @@ fn section(title: String, about: String, rows: Vec<OptionRow>) -> OptionSection 
     OptionSection { title, about, columns: vec!["default".to_owned()], rows }
 }
 
-/// The sections of structure from motion, which background and objects have in common.
+/// The options of structure from motion, which background and objects have in common.
 fn targets(schema: &Value) -> Vec<OptionSection> {
-    let both = [Target::Background, Target::Object].map(|target| (target, sfm::Options::of(target)));
-    let video = both.clone().map(|(target, options)| json!(options.with_video(target)));
-    let sift = both.map(|(target, options)| json!(options.with_sift(target)));
-    let part = |name: &str, about: &str, trees: &[Value]| {
-        let schema = &schema["properties"][name];
-        let values: Vec<Value> = trees.iter().map(|tree| tree[name].clone()).collect();
-        OptionSection {
-            title: format!("`background.{name}` and `objects.{name}`{about}"),
-            about: schema::described(schema),
-            columns: ["background", "objects"].map(str::to_owned).to_vec(),
-            rows: rows(schema, name, &values),
-        }
-    };
-    vec![
-        part("front_end", " of kind `video`", &video),
-        part("front_end", " of kind `sift`", &sift),
-        part("mapper", "", &video),
-    ]
+    let trees = [Target::Background, Target::Object].map(|target| json!(sfm::Options::of(target)));
+    let mut rows = rows(schema, "background", &trees);
+    rows.retain(|row| row.is_public);
+    for row in &mut rows {
+        row.key = row.key.replacen("background.", "", 1);
+    }
+    vec![OptionSection {
+        title: "`background` and `objects`".to_owned(),
+        about: schema::described(schema),
+        columns: ["background", "objects"].map(str::to_owned).to_vec(),
+        rows,
+    }]
 }
 
 /// The options at and below a place of the tree.
@@ -105,12 +106,13 @@ fn rows(schema: &Value, path: &str, trees: &[Value]) -> Vec<OptionRow> {
         Node::Kinds(kinds) => {
             let known = trees.first().and_then(|tree| schema::of_kind(kinds, &tree["kind"]));
             let mut found = known.map_or_else(Vec::new, group);
-            let kind = join(path, "kind");
+            let kind = spelled(&join(path, "kind"));
             found.iter_mut().filter(|row| row.key == kind).for_each(|row| row.effect = schema::effect(schema));
             found
         }
         Node::ById | Node::Leaf => vec![OptionRow {
-            key: path.to_owned(),
+            key: spelled(path),
+            is_public: is_public(path),
             values: trees.iter().map(|value| schema::written(schema, value)).collect(),
             unit: schema::unit(path, schema),
             effect: schema::effect(schema),

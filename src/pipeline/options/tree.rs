@@ -7,12 +7,14 @@
 use serde_json::{Map, Value, json};
 
 use super::Options;
+use super::public::{TUNING, in_tree, spelled};
 use super::schema::{self, Node, join};
 use crate::limits::{Checked, OptionError};
 use crate::sfm::{self, Target};
 
 impl Options {
-    /// These options with those that a tree of JSON gives instead.
+    /// These options with those that a tree of JSON gives instead: public ones, and others below `tuning`. Every option
+    /// is accepted at either place.
     ///
     /// Where it names another `kind` of front end, the other options of that kind begin with their defaults.
     ///
@@ -21,7 +23,13 @@ impl Options {
     /// value that is none of its option.
     pub fn with_tree(&self, given: &Value) -> Result<Self, OptionError> {
         let mut options = self.clone();
-        lay(&mut options, "", schema::root(), given)?;
+        let mut public = given.clone();
+        let tuning = public.as_object_mut().and_then(|group| group.shift_remove(TUNING));
+        lay(&mut options, "", schema::root(), &public)?;
+        if let Some(tuning) = tuning {
+            let spelled = |error: OptionError| OptionError::new(join(TUNING, &error.key), error.reason);
+            lay(&mut options, "", schema::root(), &tuning).map_err(spelled)?;
+        }
         Ok(options)
     }
 
@@ -46,12 +54,12 @@ impl Options {
         let without_machine = |options: &Self| Self { threads: None, memory_limit: None, ..options.clone() };
         let mut keys = Vec::new();
         compare("", &tree(&without_machine(self)), &tree(&without_machine(other)), &mut keys);
-        keys
+        keys.iter().map(|key| spelled(key)).collect()
     }
 
     /// The value of an option as JSON; `null` for a key that is not in the tree.
     pub fn value(&self, key: &str) -> Value {
-        tree(self).pointer(&pointer(key)).cloned().unwrap_or_default()
+        tree(self).pointer(&pointer(in_tree(key))).cloned().unwrap_or_default()
     }
 }
 
@@ -176,11 +184,12 @@ fn meant(path: &str, name: &str, names: &[&str]) -> Option<String> {
     const NEAR: f64 = 0.85;
     let near = names.iter().map(|other| (strsim::jaro_winkler(name, other), other)).filter(|(near, _)| *near >= NEAR);
     if let Some((_, nearest)) = near.max_by(|a, b| a.0.total_cmp(&b.0)) {
-        return Some(join(path, nearest));
+        return Some(spelled(&join(path, nearest)));
     }
     let all = schema::paths(schema::root(), "");
     let mut namesakes: Vec<String> = all.into_iter().filter(|path| path.rsplit('.').next() == Some(name)).collect();
     namesakes.dedup();
+    let namesakes: Vec<String> = namesakes.iter().map(|path| spelled(path)).collect();
     (!namesakes.is_empty()).then(|| namesakes.join(" or "))
 }
 
@@ -294,11 +303,14 @@ mod tests {
     #[test]
     fn misspelt_and_misplaced_keys_are_told_what_is_meant() {
         let said = refused(json!({ "scale": { "joint": { "independent_point": 5 } } }));
-        assert!(said.contains("did you mean scale.joint.independent_points?"), "{said}");
+        assert!(said.contains("did you mean tuning.scale.joint.independent_points?"), "{said}");
         let said = refused(json!({ "max_pair_matches": 5 }));
         assert!(said.contains("option max_pair_matches: unknown option"), "{said}");
         let said = refused(json!({ "min_pair_matches": 5 }));
-        assert!(said.contains("background.front_end.min_pair_matches or objects.front_end.min_pair_matches"), "{said}");
+        assert!(
+            said.contains("tuning.background.front_end.min_pair_matches or tuning.objects.front_end.min_pair_matches"),
+            "{said}"
+        );
     }
 
     #[test]

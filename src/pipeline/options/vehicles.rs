@@ -12,12 +12,12 @@ use crate::limits::{Checked, within};
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum DetectorChoice {
-    /// The one that comes with the program.
+    /// Bundled detector.
     #[default]
     Default,
-    /// None: vehicles are found by their motion alone.
+    /// Detection by motion only.
     None,
-    /// An ONNX file of the same family.
+    /// ONNX file of the same family.
     File(PathBuf),
 }
 
@@ -38,10 +38,10 @@ impl FromStr for DetectorChoice {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MaskChoice {
-    /// The mask network that comes with the program.
+    /// Bundled network.
     #[default]
     Default,
-    /// Colours alone (`GrabCut`): coarse masks.
+    /// Coarse masks from colors (`GrabCut`).
     None,
 }
 
@@ -49,10 +49,10 @@ pub enum MaskChoice {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MotionChoice {
-    /// Everything that moves against the background is a vehicle, whatever it looks like.
+    /// Everything that moves against the background is a vehicle.
     #[default]
     On,
-    /// Motion finds nothing; it still says whether what the detector finds moves.
+    /// Motion only classifies detections as moving or stationary.
     Off,
 }
 
@@ -90,10 +90,9 @@ pub struct VehicleOptions {
     pub detector: DetectorChoice,
     /// Detection by motion.
     pub motion: MotionChoice,
-    /// Segmenter of their boxes.
+    /// Segmentation of the detected boxes.
     pub mask_network: MaskChoice,
-    /// Every so many frames the mask network is asked again; between, masks are carried by optical flow. Without a
-    /// number as many frames as there are in 0.4 seconds, but from 2 to 12.
+    /// Frames between two runs of the mask network; `null` for 0.4 s, 2 to 12 frames. Masks are propagated in between.
     #[schemars(extend("unit" = "frames"))]
     pub segment_every: Option<u32>,
 }

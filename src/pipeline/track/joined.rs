@@ -14,7 +14,7 @@ use super::places::{Course, Ground, Side, Spot, course, near};
 use crate::io::{IoError, RunFolder, masks};
 use crate::perception::joining::{Colours, Joints, Pair, Span, agreeing, join, may_be_one};
 use crate::pipeline::run::{Outcome, Run};
-use crate::pipeline::{PipelineError, Stage, motion, pictures};
+use crate::pipeline::{PipelineError, Stage, motion, order, pictures};
 use crate::scene::{Apart, Frame, FrameId, Gap, Mask, ObjectId, Sameness};
 use crate::sfm::features::{FeatureOptions, Features, extract};
 use crate::sfm::matching::{MatchOptions, match_features};
@@ -59,7 +59,9 @@ pub(super) fn join_pieces(
     }
     let pieces = &candidates.pieces;
     let looks = looks(run, folder, followed, &candidates, outcome)?;
-    let pairs: Vec<Pair> = candidates.pairs.iter().map(|pair| compared(pair, pieces, &looks)).collect();
+    let (_, objects) = order::sfm_options(run)?;
+    let matching = MatchOptions { max_ratio: MAX_RATIO, ..*objects.front_end.matching() };
+    let pairs: Vec<Pair> = candidates.pairs.iter().map(|pair| compared(pair, pieces, &looks, &matching)).collect();
     let spans: Vec<Span> = pieces.iter().map(|piece| piece.span).collect();
     let Joints { joined, apart } = join(&spans, &pairs);
     for (pair, reason) in apart.iter().filter(|(pair, _)| pair.evidence.place.is_some_and(|place| place <= 1.0)) {
@@ -209,7 +211,7 @@ fn looks(
 }
 
 /// The pair with what its views have in common.
-fn compared(pair: &Pair, pieces: &[Piece], looks: &BTreeMap<(usize, FrameId), Look>) -> Pair {
+fn compared(pair: &Pair, pieces: &[Piece], looks: &BTreeMap<(usize, FrameId), Look>, matching: &MatchOptions) -> Pair {
     let (Some(end), Some(beginning)) = (&pieces[pair.before].end, &pieces[pair.after].beginning) else { return *pair };
     let views = |piece: usize, course: &Course| {
         let frames: BTreeSet<FrameId> = frames_of(course).into();
@@ -220,20 +222,19 @@ fn compared(pair: &Pair, pieces: &[Piece], looks: &BTreeMap<(usize, FrameId), Lo
     let similarity = |(a, b): &(&Look, &Look)| Some(a.colours.as_ref()?.similarity(b.colours.as_ref()?));
     let tolerance_px = TOLERANCE * beginning.spot.side_px().max(end.spot.side_px());
     let colours = both.iter().filter_map(similarity).max_by(f64::total_cmp);
-    let points = both.iter().filter_map(|(a, b)| in_common(a, b, tolerance_px)).max();
+    let points = both.iter().filter_map(|(a, b)| in_common(a, b, tolerance_px, matching)).max();
     let (num_points, num_matches) = points.unzip();
     let colours = colours.or(pair.evidence.colours);
     Pair { evidence: Sameness { colours, num_points, num_matches, ..pair.evidence }, ..*pair }
 }
 
 /// Points that two views show in one arrangement, and those that look alike; `None` if a view shows too little.
-fn in_common(a: &Look, b: &Look, tolerance_px: f64) -> Option<(usize, usize)> {
+fn in_common(a: &Look, b: &Look, tolerance_px: f64, matching: &MatchOptions) -> Option<(usize, usize)> {
     if a.features.len().min(b.features.len()) < MIN_FEATURES {
         return None;
     }
     let at = |features: &Features, k: u32| features.pixels[k as usize].coords.into();
-    let options = MatchOptions { max_ratio: MAX_RATIO, ..MatchOptions::default() };
-    let matches = match_features(&a.features, &b.features, &options);
+    let matches = match_features(&a.features, &b.features, matching);
     let matches: Vec<_> = matches.iter().map(|[i, j]| (at(&a.features, *i), at(&b.features, *j))).collect();
     Some((agreeing(&matches, tolerance_px), matches.len()))
 }

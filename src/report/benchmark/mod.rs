@@ -1,11 +1,13 @@
 //! The results on a data set as Markdown tables and as the paper's two bar charts; calibration and breakdown likewise.
 
+mod ablation;
 mod breakdown;
 mod calibration;
 mod charts;
 mod pages;
 mod table;
 
+pub use ablation::ablation_table;
 pub use breakdown::breakdown_charts;
 pub use calibration::{calibration, calibration_summary};
 pub use charts::{scale_deviation_chart, trajectory_error_chart};

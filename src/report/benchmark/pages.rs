@@ -11,7 +11,7 @@ pub const ATTENTION_ERROR_M: f64 = 0.3;
 /// Registered share of the object's or background's frames below which it is.
 pub const ATTENTION_FRACTION: f64 = 0.98;
 
-const NONE: &str = "–";
+pub(super) const NONE: &str = "–";
 
 /// The whole page: summary, every sequence, others next to it, and what needs a reason.
 pub fn markdown(own: &Benchmark, others: &[Benchmark]) -> String {
@@ -165,7 +165,7 @@ fn mean_of(statistics: &Statistics, digits: usize) -> String {
     }
 }
 
-fn number(value: Option<f64>, digits: usize) -> String {
+pub(super) fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or(NONE.to_owned(), |value| format!("{value:.digits$}"))
 }
 

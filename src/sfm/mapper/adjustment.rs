@@ -41,11 +41,11 @@ pub struct Stretch {
 
 impl Scope {
     /// When an adjustment ends: after so many iterations, or at so small a share of the cost.
-    pub fn limits(&self) -> (usize, f64) {
+    pub fn limits(&self, options: &Options) -> (usize, f64) {
         match self {
             Self::Stretch(stretch) => stretch.limits,
             Self::Everything | Self::Selected { .. } => (30, 1e-6),
-            Self::Roughly => (30, 1e-4),
+            Self::Roughly => (30, options.coarse_tolerance),
             Self::Around(_) => (10, 1e-4),
         }
     }
@@ -115,7 +115,7 @@ pub fn adjust(
         (_, false) => Ties::All,
     };
     let (mut problem, mut parts) = build_with(map, &tracks, &free_views, &freedom, noise, &ties);
-    let (max_iterations, function_tolerance) = scope.limits();
+    let (max_iterations, function_tolerance) = scope.limits(options);
     let loss = options.loss(noise);
     let bundle_options = bundle::Options { loss, max_iterations, function_tolerance, ..bundle::Options::default() };
     let mut summary = bundle::adjust(&mut problem, &bundle_options)?;

@@ -26,6 +26,9 @@ pub use known_poses::KnownPoses;
 pub use submaps::SubMap;
 pub use unjoined::without_joints;
 
+/// Relative standard deviation of a focal length beyond which it counts as poorly determined.
+const LOOSE: f64 = 0.01;
+
 /// A map, what has been tried on it, and how to go on.
 #[derive(Clone)]
 pub struct Growth<'a> {
@@ -185,7 +188,6 @@ impl<'a> Growth<'a> {
 
     /// A word where the focal length is not known to a percent.
     fn focal_remark(&self) -> Option<Remark> {
-        const LOOSE: f64 = 0.01;
         let deviation = self.focal_deviations[lens::leading_camera(&self.map)?].filter(|found| *found > LOOSE)?;
         Some(Remark::LooseFocalLength { percent: 100.0 * deviation })
     }

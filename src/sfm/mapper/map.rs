@@ -12,7 +12,7 @@ use nalgebra::{Point2, Point3};
 use super::{Intrinsics, KnownIntrinsics, Noise};
 use crate::bundle::Whitening;
 use crate::camera::Camera;
-use crate::math::{Rigid3, upper_median};
+use crate::math::{RAYLEIGH_MEDIAN, Rigid3, upper_median};
 use crate::scene::{CameraId, Image, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 use crate::sfm::resection::PixelsAndPoints;
 use crate::sfm::tracks::{self, Feature, Track, TrackTable};
@@ -365,7 +365,6 @@ impl<'a> Map<'a> {
     /// coordinate under Gaussian noise (a Rayleigh median is 1.177 σ). Of long videos a part of the tracks, all over
     /// them, tells as much as all.
     pub fn noise(&self) -> Noise {
-        const RAYLEIGH_MEDIAN: f64 = 1.177_41;
         const ENOUGH_TRACKS: usize = 20_000;
         let errors: Vec<f64> = (0..self.points.len())
             .step_by((self.points.len() / ENOUGH_TRACKS).max(1))

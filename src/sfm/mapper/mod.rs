@@ -52,79 +52,67 @@ use starts::Task;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Options {
-    /// Fewest inliers of the pair that starts the map. Everything is measured against this pair, so it must have
-    /// several times the five points that any five-point solution explains; small objects do not offer more than the
-    /// default.
+    /// Minimum number of inliers of the initial pair.
     #[schemars(extend("unit" = "points"))]
     pub min_initial_inliers: usize,
-    /// Median angle at which a starting pair is wide enough; narrower ones are taken when there is none. Depth is
-    /// uncertain with one over the angle, and much wider pairs share few points.
+    /// Median triangulation angle from which an initial pair is preferred.
     pub initial_angle_deg: f64,
-    /// Fewest inliers with which a view is registered. Three points make a pose, and a few more fit it by chance where
-    /// many are wrong; seven is what small objects offer.
+    /// Minimum number of inliers of a registered view.
     #[schemars(extend("unit" = "points"))]
     pub min_resection_inliers: usize,
-    /// Fewest inliers of a resection as a share of the known points that the view sees: a pose that most of what is
-    /// seen contradicts is that of another copy of the same texture.
+    /// Minimum inlier ratio of a registered view.
     #[schemars(extend("unit" = "share"))]
     pub min_inlier_ratio: f64,
-    /// Epipolar and resection threshold. Wide, since poses are still rough when it is asked; points are judged by the
-    /// narrower `max_error_px` afterwards.
+    /// Maximum epipolar and resection error of an inlier.
     pub max_pose_error_px: f64,
-    /// Reprojection error above which an observation is taken out while the noise is not known, and in any case: a
-    /// corner that is so far off is another one.
+    /// Maximum reprojection error of an observation.
     pub max_error_px: f64,
-    /// The same as a multiple of the noise, once that was measured from the map itself; never below `min_error_px`.
-    /// Errors of tracks have long tails, of which eight standard deviations leave what bundle adjustment's loss can
-    /// bear. Only for views in order of time: features of photographs are of two kinds, some several times as exact as
-    /// the others (`refinement`), and the loss weighs both as they deserve.
+    /// Maximum reprojection error over the measured noise, for ordered views.
     #[schemars(extend("unit" = "standard deviations"))]
     pub max_error_sigmas: f64,
-    /// Reprojection error that is always let through, so that hardly any noise does not make outliers of observations
-    /// that are off by what models of lenses leave out.
+    /// Reprojection error below which no observation is rejected.
     pub min_error_px: f64,
-    /// Smallest angle between two rays of a point. Below a degree, an error of a tenth of a pixel moves a point by a
-    /// percent of its distance and more, and bundle adjustment would follow it. At focal lengths beyond 1536 px it is
-    /// smaller in proportion: the same error in pixels is a smaller angle there.
+    /// Minimum triangulation angle of a point at focal lengths up to 1536 px; smaller in proportion beyond.
     pub min_angle_deg: f64,
-    /// Scale of the robust loss of bundle adjustment while the noise is not known: about the error of a rough map, so
-    /// that good observations still count by their squares.
+    /// Scale of the robust loss before the noise is measured.
     pub loss_scale_px: f64,
-    /// The same as a multiple of the noise: at two standard deviations nineteen of twenty good observations count by
-    /// their squares, and systematic errors beyond pull no more than linearly.
+    /// Scale of the robust loss over the measured noise.
     #[schemars(extend("unit" = "standard deviations"))]
     pub loss_sigmas: f64,
-    /// Free poses of a local bundle adjustment: a new view changes those with which it shares points, and the cost
-    /// grows with the square of their number.
+    /// Free views of a local bundle adjustment.
     #[schemars(extend("unit" = "views"))]
     pub local_views: usize,
-    /// Growth of the number of views after which everything is adjusted. A fixed share, so that all global adjustments
-    /// together cost no more than a few times the last one.
+    /// Growth of the number of views that triggers a global bundle adjustment.
     #[schemars(extend("unit" = "factor"))]
     pub global_growth: f64,
-    /// Points per view in the global adjustments while the map grows, about five for each of the 48 parts of a picture:
-    /// to keep the shape of the map needs no more. The last adjustments take all.
+    /// Points per view in global adjustments of the growing map; the last ones use all.
     #[schemars(extend("unit" = "points"))]
     pub growth_points_per_view: usize,
-    /// Starts that are made in any case, far from one another, to keep the map that explains the tracks best. Objects
-    /// need several, since on one plane (a car's tail) a map may bend at residuals hardly larger than those of the
-    /// right one. Where two of them give maps that explain alike, and as much as right tracks let a map explain, there
-    /// is no third.
+    /// Minimum number of initialization attempts.
     #[schemars(extend("unit" = "starts"))]
     pub min_starts: usize,
-    /// Starts that are tried at most while none registers nearly all views: each costs a whole reconstruction.
+    /// Maximum number of initialization attempts.
     #[schemars(extend("unit" = "starts"))]
     pub max_starts: usize,
-    /// Perspective foreshortening, in pixels, below which the map is also initialized from pose priors, where there are
-    /// any: two views of so weak a perspective leave their rotation undetermined. 0 for never.
+    /// Perspective foreshortening below which the map is also initialized from pose priors; 0 for never.
     pub weak_perspective_px: f64,
-    /// True if views are in time order, so that a failed one can be retried from its neighbors. Unordered frames
-    /// (`order`) set it to false.
+    /// True if views are in temporal order.
     pub ordered: bool,
-    /// Views in time order after which a track is cut in two: three seconds of most videos. Longer ones fill the system
-    /// of bundle adjustment, so that a view would cost the more the longer the video is.
+    /// Number of views after which a track is split.
     #[schemars(extend("unit" = "views"))]
     pub max_track_views: usize,
+    /// Tolerance of the global adjustments between the end of growth and the last one, as a share of the cost.
+    #[schemars(extend("unit" = "share"))]
+    pub coarse_tolerance: f64,
+    /// True if initialization attempts end once two maps agree, or the map from pose priors is good.
+    pub stop_early: bool,
+    /// Pose discontinuities of a map that are repaired at most.
+    #[schemars(extend("unit" = "discontinuities"))]
+    pub max_folds: usize,
+    /// Views of a map beyond which it is adjusted in windows: up to here one adjustment takes no more memory than the
+    /// rest of the program.
+    #[schemars(extend("unit" = "views"))]
+    pub max_views_at_once: usize,
 }
 
 /// Scale of the loss below which a residual is rounding; a smaller one would only slow the solver down.
@@ -153,6 +141,10 @@ impl Options {
             weak_perspective_px: 0.0,
             ordered: true,
             max_track_views: 96,
+            coarse_tolerance: 1e-4,
+            stop_early: true,
+            max_folds: 3,
+            max_views_at_once: 800,
         }
     }
 
@@ -197,7 +189,10 @@ impl Options {
         within("max_starts", self.max_starts, 1..=1000)?;
         ordered(("min_starts", self.min_starts), ("max_starts", self.max_starts))?;
         within("weak_perspective_px", self.weak_perspective_px, 0.0..=1e6)?;
-        within("max_track_views", self.max_track_views, 4..=1_000_000_000)
+        within("max_track_views", self.max_track_views, 4..=1_000_000_000)?;
+        within("coarse_tolerance", self.coarse_tolerance, 1e-12..=0.1)?;
+        within("max_folds", self.max_folds, 0..=1000)?;
+        within("max_views_at_once", self.max_views_at_once, 800..=1_000_000_000)
     }
 
     /// The same for cameras: positions are found to a share of a pixel whatever the frame's size, so that it is the

@@ -47,9 +47,6 @@ const SAME_WORTH: f64 = 0.003;
 /// Rounds of starts that are made at most.
 const MAX_ROUNDS: u64 = 4;
 
-/// Folds of a map that are taken out at most.
-const MAX_FOLDS: usize = 3;
-
 /// Between the seeds of two rounds: far from those that people give.
 const ROUND_STRIDE: u64 = 0x9E37_79B9_7F4A_7C15;
 
@@ -105,7 +102,7 @@ impl<'a> Task<'a> {
                 let same = worths.iter().filter(|other| **other >= (1.0 - SAME_WORTH) * worth).count();
                 same > 1 && has_most(growth) && self.explains(growth, HEALTHY_SHARE)
             };
-            if best.as_ref().is_some_and(agree) {
+            if options.stop_early && best.as_ref().is_some_and(agree) {
                 break;
             }
             if num_starts >= options.min_starts && best.as_ref().is_some_and(|(_, growth)| is_good(growth)) {
@@ -143,7 +140,8 @@ impl<'a> Task<'a> {
         const AGREES: f64 = 0.7;
         let enough = if self.table.has_gaps() { HEALTHY_SHARE } else { PLAUSIBLE_SHARE };
         let agrees = self.beside.poses.is_some_and(|known| growth.agreement(known) >= AGREES);
-        agrees
+        self.options.stop_early
+            && agrees
             && growth.num_registered() as f64 >= GOOD_SHARE * self.num_usable() as f64
             && self.explains(growth, enough)
     }
@@ -198,7 +196,7 @@ impl<'a> Task<'a> {
                     best = (worth, other);
                 }
             }
-            if is_found_again {
+            if self.options.stop_early && is_found_again {
                 break;
             }
         }
@@ -208,7 +206,7 @@ impl<'a> Task<'a> {
     /// A video's map without its folds: the shorter side of each is grown again from the longer one, and what comes of
     /// it is taken where it lies flatter and explains about as much.
     pub fn without_folds(&self, mut best: Growth<'a>, seed: u64) -> Result<Growth<'a>, SfmError> {
-        for _ in 0..MAX_FOLDS {
+        for _ in 0..self.options.max_folds {
             let Some(hinge) = best.hinge() else { break };
             let Some((worth, other)) = self.grow_from(&best.longer_side(&hinge), seed)? else { break };
             let before = self.worth(&best);

@@ -30,9 +30,6 @@ use crate::camera::Camera;
 use crate::math::{Rigid3, Sim3, upper_median};
 use crate::sfm::SfmError;
 
-/// Maps with more views are adjusted in windows: up to here everything at once takes no more memory than the rest of
-/// the program.
-const LONG: usize = 800;
 /// Views of a window: four of the longest tracks.
 const WINDOW: usize = 400;
 /// Views from one window to the next, and so those that a view waits for before it is final.
@@ -40,7 +37,7 @@ pub const STEP: usize = 200;
 
 /// Returns true if a map is adjusted in windows: that of a video of one camera and many views, without loop closures.
 pub fn is_long(map: &Map<'_>, options: &Options) -> bool {
-    options.ordered && map.cameras.len() == 1 && !map.comes_back && map.num_registered() > LONG
+    options.ordered && map.cameras.len() == 1 && !map.comes_back && map.num_registered() > options.max_views_at_once
 }
 
 /// Adjusts the poses and points of a long map, every view in two windows; returns for every track whether its point
@@ -52,7 +49,7 @@ pub fn sweep(map: &mut Map<'_>, scope: &Scope, noise: Noise, options: &Options) 
         let end = views.len().min(start + WINDOW);
         let (first, last) = (views[start], views[end - 1]);
         let behind = last + 1;
-        let stretch = stretch_of(scope, first..behind, 0..behind);
+        let stretch = stretch_of(scope, first..behind, 0..behind, options);
         let before = Carrier::new(map, last);
         let taken = adjustment::adjust(map, &Scope::Stretch(stretch), Freedom::Nothing, noise, options)?;
         adjusted.iter_mut().zip(&taken).for_each(|(all, taken)| *all |= taken);
@@ -89,16 +86,16 @@ pub fn adjust_end(
     options: &Options,
 ) -> Result<Vec<bool>, SfmError> {
     let scope = Scope::Selected { per_view: options.growth_points_per_view };
-    let stretch = stretch_of(&scope, views, 0..usize::MAX);
+    let stretch = stretch_of(&scope, views, 0..usize::MAX, options);
     adjustment::adjust(map, &Scope::Stretch(stretch), Freedom::Nothing, noise, options)
 }
 
-fn stretch_of(scope: &Scope, views: Range<usize>, counted: Range<usize>) -> Stretch {
+fn stretch_of(scope: &Scope, views: Range<usize>, counted: Range<usize>, options: &Options) -> Stretch {
     let per_view = match scope {
         Scope::Selected { per_view } => Some(*per_view),
         _ => None,
     };
-    Stretch { views, counted, per_view, limits: scope.limits() }
+    Stretch { views, counted, per_view, limits: scope.limits(options) }
 }
 
 /// Stretches of a map that share no observation, on some points in every part of every view; of one that is not long
@@ -109,7 +106,7 @@ pub fn apart(map: &Map<'_>, options: &Options) -> Vec<Stretch> {
     let count = (views.len() / WINDOW).max(1);
     let place = |k: usize| k * views.len() / count;
     let ends = (0..count).map(|k| views[place(k)]..views[place(k + 1) - 1] + 1);
-    ends.map(|range| stretch_of(&scope, range.clone(), range)).collect()
+    ends.map(|range| stretch_of(&scope, range.clone(), range, options)).collect()
 }
 
 /// A view at the end of a window, as it was, and how deep its points lay.

@@ -43,6 +43,7 @@ const GUIDED: MatchOptions = MatchOptions { max_ratio: 0.85, max_distance: 0.65 
 /// The view at hand.
 pub struct Now<'a> {
     pub camera: &'a Camera,
+    pub matching: &'a MatchOptions,
     pub looks: &'a Looks,
     pub gray: &'a GrayImage,
     pub mask: &'a Mask,
@@ -104,7 +105,7 @@ struct Move {
 /// its lines.
 fn moves_between(before: &Looks, now: &Now<'_>) -> Vec<Move> {
     let pairs = before.pairs_with(now.looks);
-    let matched = |(a, b): &(&Look, &Look)| match_features(&a.features, &b.features, &MatchOptions::default());
+    let matched = |(a, b): &(&Look, &Look)| match_features(&a.features, &b.features, now.matching);
     let matches: Vec<Vec<[u32; 2]>> = pairs.iter().map(matched).collect();
     let ends: Vec<[Point2<f64>; 2]> = pairs.iter().zip(&matches).flat_map(|(pair, m)| ends_of(pair, m)).collect();
     let Some(geometry) = epipolar_geometry(now.camera, &ends) else { return Vec::new() };

@@ -11,7 +11,7 @@ use nalgebra::{Matrix2, Matrix2x3, Point2, Rotation2, Vector2};
 use super::SfmError;
 use crate::image::{GrayImage, resize_gray, warp_gray};
 use crate::scene::{BoundingBox, Mask};
-use crate::sfm::features::{FeatureOptions, Features, extract_gray};
+use crate::sfm::features::{FeatureOptions, Features, extract_gray, padded};
 
 /// Largest side of a picture in which features are found: they only lead to where points are looked for.
 const LARGEST_PX: u32 = 640;
@@ -93,7 +93,9 @@ struct Window {
 
 impl Window {
     fn new(gray: &GrayImage, mask: &Mask) -> Result<Self, SfmError> {
-        let bounds = mask.bounding_box().map_or(BoundingBox { x0: 0, y0: 0, x1: 1, y1: 1 }, |b| padded(b, gray));
+        let bounds = mask
+            .bounding_box()
+            .map_or(BoundingBox { x0: 0, y0: 0, x1: 1, y1: 1 }, |b| padded(b, gray.width(), gray.height()));
         let side = bounds.width().max(bounds.height());
         let divisor = side.div_ceil(LARGEST_PX).max(1);
         let (width, height) = ((bounds.width() / divisor).max(1), (bounds.height() / divisor).max(1));
@@ -152,16 +154,6 @@ fn middle(x: u32, y: u32) -> Vector2<f64> {
 
 fn affine(linear: Matrix2<f64>, shift: Vector2<f64>) -> Matrix2x3<f64> {
     Matrix2x3::from_columns(&[linear.column(0), linear.column(1), shift.column(0)])
-}
-
-fn padded(b: BoundingBox, gray: &GrayImage) -> BoundingBox {
-    const MARGIN_PX: u32 = 24;
-    BoundingBox {
-        x0: b.x0.saturating_sub(MARGIN_PX),
-        y0: b.y0.saturating_sub(MARGIN_PX),
-        x1: (b.x1 + MARGIN_PX).min(gray.width()),
-        y1: (b.y1 + MARGIN_PX).min(gray.height()),
-    }
 }
 
 fn features(picture: &GrayImage, mask: &Mask, doubled: bool) -> Result<Features, SfmError> {

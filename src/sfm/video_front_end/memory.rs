@@ -10,11 +10,11 @@ use std::collections::BTreeSet;
 
 use nalgebra::Point2;
 
-use super::SfmError;
 use super::bridge::{self, FoundAgain, Now};
 use super::key_view::KeyView;
 use super::live::Live;
 use super::looks::Looks;
+use super::{SfmError, VideoOptions};
 use crate::camera::Camera;
 use crate::image::GrayImage;
 use crate::scene::Mask;
@@ -65,6 +65,8 @@ struct Last {
 pub struct Memory {
     camera: Camera,
     patch_radius: i32,
+    matching: MatchOptions,
+    skip_tied: bool,
     keys: Vec<KeyView>,
     last: Option<Last>,
     /// The view that was tied to a place long ago last.
@@ -76,9 +78,19 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// Nothing seen yet. `patch_radius`, pixels, is that of the front end.
-    pub fn new(camera: Camera, patch_radius: i32) -> Self {
-        Self { camera, patch_radius, keys: Vec::new(), last: None, tied_at: None, apart_since: None, described: None }
+    /// Nothing seen yet.
+    pub fn new(camera: Camera, options: &VideoOptions) -> Self {
+        Self {
+            camera,
+            patch_radius: options.patch_radius_px,
+            matching: options.matching,
+            skip_tied: options.skip_tied_keyframes,
+            keys: Vec::new(),
+            last: None,
+            tied_at: None,
+            apart_since: None,
+            described: None,
+        }
     }
 
     /// Finds points of earlier views that are not alive, where the link to those views is weak.
@@ -105,15 +117,19 @@ impl Memory {
         }
         let mut looks = Looks::new(gray, mask)?;
         let chosen = self.chosen(view, &looks.plain.features, &alive);
-        let mut found = self.points_of(&chosen, &Now { camera: &self.camera, looks: &looks, gray, mask }, &alive);
+        let mut found = self.points_of(&chosen, &self.now(&looks, gray, mask), &alive);
         if found.is_empty() && (is_broken || self.apart_since.is_some()) {
             let chosen = self.chosen_to_tilt(view, &alive);
             self.tilt(&chosen, &mut looks)?;
-            found = self.points_of(&chosen, &Now { camera: &self.camera, looks: &looks, gray, mask }, &alive);
+            found = self.points_of(&chosen, &self.now(&looks, gray, mask), &alive);
         }
         self.note_ties(view, &found);
         self.described = Some(looks);
         Ok(found.into_iter().flat_map(|(_, points)| points).collect())
+    }
+
+    fn now<'a>(&'a self, looks: &'a Looks, gray: &'a GrayImage, mask: &'a Mask) -> Now<'a> {
+        Now { camera: &self.camera, matching: &self.matching, looks, gray, mask }
     }
 
     fn tilt(&mut self, chosen: &[Chosen], now: &mut Looks) -> Result<(), SfmError> {
@@ -262,13 +278,13 @@ impl Memory {
         let most = self.keys[keys.clone()].iter().map(|key| key.num_points).max().unwrap_or(0);
         let last = keys.clone().rev().take(NEAR_KEYS);
         let rich = keys.rev().filter(|key| shows_much(self.keys[*key].num_points, most)).take(NEAR_KEYS);
-        last.chain(rich).filter(|key| !Self::is_tied(&self.keys[*key], alive)).collect()
+        last.chain(rich).filter(|key| !self.skip_tied || !Self::is_tied(&self.keys[*key], alive)).collect()
     }
 
     fn place_long_ago(&self, num_far: usize, features: &Features) -> Option<Chosen> {
         let glance = |key: &usize| {
             let seen = &self.keys[*key].looks.plain.features;
-            match_strongest(seen, features, GLANCE_FEATURES, &MatchOptions::default()).len() >= GLANCE_MATCHES
+            match_strongest(seen, features, GLANCE_FEATURES, &self.matching).len() >= GLANCE_MATCHES
         };
         let looked: Vec<Chosen> = (0..num_far)
             .filter(glance)
@@ -279,7 +295,7 @@ impl Memory {
     }
 
     fn num_matches(&self, key: usize, features: &Features) -> usize {
-        match_features(&self.keys[key].looks.plain.features, features, &MatchOptions::default()).len()
+        match_features(&self.keys[key].looks.plain.features, features, &self.matching).len()
     }
 }
 

@@ -23,9 +23,13 @@ fn texture() -> GrayImage {
 
 /// Tracks of a window that moves over the texture; its corners, whole pixels, by frame. One frame may be hidden.
 fn followed(corners: &[[u32; 2]], hidden: Option<u32>) -> TrackTable {
+    followed_with(VideoOptions::object(), corners, hidden)
+}
+
+fn followed_with(options: VideoOptions, corners: &[[u32; 2]], hidden: Option<u32>) -> TrackTable {
     const SIZE: [u32; 2] = [320, 240];
     let texture = texture();
-    let mut front_end = VideoFrontEnd::new(VideoOptions::object(), Camera::prior(SIZE[0], SIZE[1]));
+    let mut front_end = VideoFrontEnd::new(options, Camera::prior(SIZE[0], SIZE[1]));
     for (k, [x, y]) in (0u32..).zip(corners) {
         let window = ::image::imageops::crop_imm(&texture, *x, *y, SIZE[0], SIZE[1]).to_image();
         let image = RgbImage::from_fn(SIZE[0], SIZE[1], |x, y| ::image::Rgb([window.get_pixel(x, y).0[0]; 3]));
@@ -75,4 +79,18 @@ fn a_place_that_comes_back_is_tied_for_a_few_views() {
     // One joint in five may be wrong (docs/sfm.md).
     let num_right = drifts.iter().filter(|drift| **drift < 0.5).count();
     assert!(5 * num_right >= 4 * drifts.len(), "{drifts:?}");
+}
+
+#[test]
+fn re_detection_matches_as_the_options_say() {
+    let here = |k: u32| [2 * k, k];
+    let elsewhere = (0..3).map(|k| [500 + k, 200]);
+    let corners: Vec<[u32; 2]> = (0..5).map(here).chain(elsewhere).chain((5..8).map(here)).collect();
+    let num_found = |matching: MatchOptions| {
+        let options = VideoOptions { matching, ..VideoOptions::object() };
+        crossing(&followed_with(options, &corners, None), 3, 9).len()
+    };
+    assert!(num_found(MatchOptions::default()) >= 20);
+    // A few points survive by tracking alone.
+    assert!(num_found(MatchOptions { max_ratio: -1.0, ..MatchOptions::default() }) < 10);
 }

@@ -22,8 +22,8 @@ use nalgebra::{Matrix3, Point3, Rotation3, Unit, UnitQuaternion, Vector3};
 use self::fit::{Expected, Fit, Reach, Unknowns};
 use self::outline::Sight;
 use super::contact::solid_points;
-use super::{Body, ContactOptions, Silhouette, View, Views, forward_axis};
-use crate::math::{Rigid3, median, symmetric_eigen};
+use super::{Body, Options, Silhouette, View, Views, forward_axis};
+use crate::math::{Rigid3, median, quantile, symmetric_eigen};
 use crate::scene::{Estimate, FrameId, GroundPlane, Image, ObjectTrajectory, Reconstruction};
 
 /// An object whose extents are asked for.
@@ -39,6 +39,8 @@ pub struct Subject<'a> {
     pub planes: &'a BTreeMap<FrameId, GroundPlane>,
     /// The outlines of its masks; those that the border of the picture cuts are absent.
     pub silhouettes: &'a BTreeMap<FrameId, Silhouette>,
+    /// Options with which its scale ratio was estimated.
+    pub options: &'a Options,
 }
 
 /// Size of an object, in units of the background; `None` for dimensions that were not visible. Standard deviations are
@@ -146,10 +148,10 @@ struct Start {
 
 impl Start {
     fn of(subject: &Subject) -> Option<Self> {
-        let views = Views::new(subject.background, subject.object, subject.planes).views;
+        let views = Views::new(subject.background, subject.object, subject.planes, subject.options).views;
         let up = views.iter().map(|view| view.normal_in_object).sum::<Vector3<f64>>();
         let up = Unit::try_new(up, f64::EPSILON)?;
-        let points = solid_points(subject.object, &ContactOptions::default());
+        let points = solid_points(subject.object, &subject.options.joint.contact);
         let middle = Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64);
         let ratio = subject.trajectory.scale.ratio;
         // Where the plane of a view crosses the vertical through the middle.
@@ -166,9 +168,7 @@ impl Start {
         let points: Vec<_> = points.iter().map(|p| vehicle_from_object * *p).collect();
         let spread = |k: usize| {
             let mut along: Vec<f64> = points.iter().map(|p| p[k]).collect();
-            along.sort_by(f64::total_cmp);
-            let at = |q: f64| along.get((q * along.len().saturating_sub(1) as f64).round() as usize).copied();
-            Some([at(0.02)?, at(0.98)?])
+            Some([quantile(&mut along, 0.02)?, quantile(&mut along, 0.98)?])
         };
         let ([x0, x1], [y0, y1], [_, top]) = (spread(0)?, spread(1)?, spread(2)?);
         let (size, reach) = (Vector3::new(x1 - x0, y1 - y0, TOP * top), [x1, -x0, y1, -y0]);

@@ -22,6 +22,7 @@ struct World {
     planes: BTreeMap<FrameId, GroundPlane>,
     silhouettes: BTreeMap<FrameId, Silhouette>,
     trajectory: ObjectTrajectory,
+    options: Options,
 }
 
 fn looking_at(eye: Point3<f64>, target: Point3<f64>) -> Rigid3 {
@@ -68,7 +69,7 @@ fn world(azimuths: &[f64]) -> World {
     let description = ObjectDescription { id: ObjectId(1), class: "car".into(), confidence: 1.0 };
     let scale = ScaleEstimate { std: Some(0.01 * RATIO), ..ScaleEstimate::new(RATIO, ScaleMethod::Joint) };
     let trajectory = assemble(description, &background, &object, scale, &frames, LengthUnit::Background);
-    World { object, background, planes, silhouettes, trajectory }
+    World { object, background, planes, silhouettes, trajectory, options: Options::default() }
 }
 
 fn level() -> GroundPlane {
@@ -95,8 +96,8 @@ impl World {
     }
 
     fn extents(&self) -> Extents {
-        let Self { object, background, planes, silhouettes, trajectory } = self;
-        extents(&Subject { trajectory, object, background, planes, silhouettes })
+        let Self { object, background, planes, silhouettes, trajectory, options } = self;
+        extents(&Subject { trajectory, object, background, planes, silhouettes, options })
     }
 }
 
@@ -155,4 +156,14 @@ fn what_was_not_seen_has_no_extents() {
     assert_eq!(world.extents(), Extents::default());
     world.object.points.clear();
     assert_eq!(world.extents(), Extents::default());
+}
+
+#[test]
+fn outliers_are_those_of_the_options_of_the_run() {
+    let azimuths: Vec<f64> = (0..12).map(|k| 30.0 * f64::from(k)).collect();
+    let mut world = world(&azimuths).drive();
+    let default = world.extents();
+    assert!(default.length.is_some());
+    world.options.joint.contact.max_deviation = 0.9;
+    assert_ne!(world.extents(), default);
 }

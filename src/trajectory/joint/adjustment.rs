@@ -7,7 +7,7 @@ use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 use super::precision::for_each_residual;
 use super::{Grounded, JointOptions};
 use crate::bundle::{self, BundleError, CameraBlock, PlanePrior, PointPrior, Problem, Wanted, Whitening};
-use crate::math::{RobustLoss, Sim3, median, umeyama};
+use crate::math::{RobustLoss, STD_PER_MAD, Sim3, median, umeyama};
 use crate::scene::{FrameId, Image, Reconstruction};
 use crate::trajectory::assemble::poses;
 use crate::trajectory::mirror::mean_normal;
@@ -69,7 +69,7 @@ impl<'a> Adjustment<'a> {
     pub(super) fn new(grounded: &'a Grounded<'a>, views: &Views, options: &'a Options) -> Result<Self, ScaleError> {
         let (up, _) = mean_normal(views).ok_or(ScaleError::NoMeanNormal { num_views: views.views.len() })?;
         let all_frames = least_squares(views, &options.least_squares);
-        let options = &options.joint;
+        let (all_options, options) = (options, &options.joint);
         let ratio = start(&all_frames, views)?;
         let spread = all_frames.as_ref().map_or(f64::INFINITY, |found| found.residual_std);
         let level = UnitQuaternion::rotation_between(&up, &Vector3::z())
@@ -86,10 +86,10 @@ impl<'a> Adjustment<'a> {
         object.transform(&Sim3::new(ratio, level, lift));
         let mut residuals = Vec::new();
         for_each_residual(&object, |_, residual| residuals.extend([residual.x.abs(), residual.y.abs()]));
-        let noise_px = 1.4826 * median(residuals).ok_or(ScaleError::NoObservations)?;
+        let noise_px = STD_PER_MAD * median(residuals).ok_or(ScaleError::NoObservations)?;
         let noise_px = noise_px.max(1e-3);
         let contact_options = grounded.body.contact(&options.contact);
-        let steadiness = Steadiness::of(grounded.background, grounded.object, grounded.planes, ratio);
+        let steadiness = Steadiness::of(grounded.background, grounded.object, grounded.planes, ratio, all_options);
         if !steadiness.outlying.is_empty() {
             tracing::debug!("outlying ground planes: {:?}", steadiness.outlying);
         }
@@ -114,12 +114,12 @@ impl<'a> Adjustment<'a> {
 
     /// The same, as little believed as can be: how little an object wanders in a few frames is no proof.
     pub(super) fn in_doubt(&self) -> Self {
-        Self { wander: self.options.sigma_distance[1], ..self.clone() }
+        Self { wander: self.options.max_drift(), ..self.clone() }
     }
 
     /// Returns true if its weight is minimal.
     pub(super) fn is_in_doubt(&self) -> bool {
-        self.wander >= self.options.sigma_distance[1]
+        self.wander >= self.options.max_drift()
     }
 
     pub(super) fn options(&self) -> &'a JointOptions {
@@ -322,8 +322,8 @@ mod tests {
         let silhouettes = BTreeMap::new();
         let body = crate::trajectory::Body::Car;
         let grounded = Grounded { background, object, planes, silhouettes: &silhouettes, frames, body };
-        let views = Views::new(background, object, planes);
         let options = Options::default();
+        let views = Views::new(background, object, planes, &options);
         let found = Adjustment::new(&grounded, &views, &options).unwrap().planes();
         assert_eq!(found.len(), planes.len() - 3);
         let sigmas = |poses: std::ops::Range<usize>| {

@@ -71,6 +71,16 @@ pub struct JointOptions {
     /// Share of the points that stays in any case: the surest.
     #[schemars(extend("unit" = "share"))]
     pub least_share: f64,
+    /// Jackknife over time groups, over its expectation, beyond which ground planes get their largest standard
+    /// deviation: √(χ²/4), 5 % of four degrees of freedom.
+    #[schemars(extend("unit" = "factor"))]
+    pub max_group_spread: f64,
+    /// True if only the larger of the two jackknives counts; false for their sum.
+    pub larger_jackknife: bool,
+    /// True if ground planes that deviate from those of neighboring frames lose weight or are rejected.
+    pub compare_planes: bool,
+    /// True if points are drawn onto the surface of their neighbors.
+    pub smooth_surface: bool,
     /// Where the vehicle touches the ground.
     pub contact: ContactOptions,
 }
@@ -88,12 +98,21 @@ impl Default for JointOptions {
             max_error_growth: 3.0,
             max_deviation: 0.05,
             least_share: 0.5,
+            max_group_spread: 1.54,
+            larger_jackknife: true,
+            compare_planes: true,
+            smooth_surface: true,
             contact: ContactOptions::default(),
         }
     }
 }
 
 impl JointOptions {
+    /// Largest assumed drift of the object's height over its planes, as a share of [`View::lever`](super::View::lever).
+    pub fn max_drift(&self) -> f64 {
+        self.sigma_distance[1]
+    }
+
     /// Rejects what cannot be worked with.
     ///
     /// # Errors
@@ -113,6 +132,7 @@ impl JointOptions {
         within("max_error_growth", self.max_error_growth, 0.1..=1000.0)?;
         within("max_deviation", self.max_deviation, 1e-6..=1000.0)?;
         within("least_share", self.least_share, 0.0..=1.0)?;
+        within("max_group_spread", self.max_group_spread, 1.0..=1e6)?;
         under("contact", self.contact.check())
     }
 }
@@ -172,16 +192,13 @@ pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Jo
     }
     let object = mirrored(grounded.object);
     let other = Grounded { object: &object, ..*grounded };
-    let mirrored = Settled::of(&other, &Views::new(grounded.background, &object, grounded.planes), options);
+    let mirrored = Settled::of(&other, &Views::new(grounded.background, &object, grounded.planes, options), options);
     match (as_it_is, mirrored) {
         (Ok(first), Ok(second)) if second.is_likelier_than(&first) => second.finished(&other, true),
         (Err(_), Ok(second)) => second.finished(&other, true),
         (first, _) => first?.finished(grounded, false),
     }
 }
-
-/// Factor beyond the expectation by which stretches of frames may differ: √(χ²/4), 5 % of four degrees of freedom.
-const LARGEST_SPREAD: f64 = 1.54;
 
 /// Fewest frames whose stretches tell: four to each.
 const FRAMES_THAT_TELL: usize = 20;
@@ -231,7 +248,9 @@ impl<'a> Settled<'a> {
         let frames = spread::over_frames(&self.adjustment);
         let expected = self.adjustment.in_doubt().relative_std(&self.contact.known())?;
         let tells = self.adjustment.object.images.len() >= FRAMES_THAT_TELL && !self.adjustment.is_in_doubt();
-        let Some(differ_by) = frames.filter(|frames| tells && *frames > LARGEST_SPREAD * expected) else {
+        let Some(differ_by) =
+            frames.filter(|frames| tells && *frames > self.adjustment.options().max_group_spread * expected)
+        else {
             return Ok((self, frames));
         };
         tracing::debug!("ground planes downweighted: parts of the clip differ by {differ_by:.4}, not {expected:.4}");
@@ -258,7 +277,7 @@ impl<'a> Settled<'a> {
         object.transform(&object_from_ground);
         let radius = object_radius(&object);
         let covariances = point_covariances(&object);
-        let deviations = draw_onto_surface(&mut object, &covariances, radius);
+        let deviations = draw_onto_surface(&mut object, &covariances, radius, options.smooth_surface);
         let uncertain = uncertain_points(&deviations, options.max_deviation * radius, options.least_share);
         object.remove_points(&uncertain);
         set_errors(&mut object);
@@ -289,7 +308,8 @@ fn shares(adjustment: &Adjustment, contact: &Contact, frames: Option<f64>) -> Re
     let of_contact_known = doubted.relative_std(&contact.known())?;
     let tracks = spread::over_tracks(adjustment).unwrap_or(of_contact_known);
     let frames = frames.unwrap_or(of_contact_known);
-    let [tracks, frames] = spread::counted_once([tracks, frames]);
+    let stds = [tracks, frames];
+    let [tracks, frames] = if adjustment.options().larger_jackknife { spread::counted_once(stds) } else { stds };
     Ok(ScaleShares {
         tracks,
         frames,

@@ -78,12 +78,14 @@ struct Neighbour {
 ///
 /// * `covariances` – of the points' places, as [`point_covariances`](super::precision::point_covariances) gives them.
 /// * `radius` – the object's.
+/// * `is_smooth` – false to leave the points where they are.
 ///
 /// Returns the points' standard deviations afterwards, in the model's unit; infinite for those that nothing determines.
 pub(super) fn draw_onto_surface(
     model: &mut Reconstruction,
     covariances: &BTreeMap<Point3dId, Option<Matrix3<f64>>>,
     radius: f64,
+    is_smooth: bool,
 ) -> BTreeMap<Point3dId, f64> {
     let known = covariances.iter().filter_map(|(id, covariance)| {
         let position = model.points.get(id)?.position;
@@ -92,7 +94,8 @@ pub(super) fn draw_onto_surface(
     let points: Vec<Blurred> = known.filter(|p| p.worst.is_finite() && p.position.coords.sum().is_finite()).collect();
     let mut deviations: BTreeMap<Point3dId, f64> = model.points.keys().map(|id| (*id, f64::INFINITY)).collect();
     for point in &points {
-        let (shift, worst) = drawn(point, &points, radius).unwrap_or((0.0, point.worst));
+        let moved = is_smooth.then(|| drawn(point, &points, radius)).flatten();
+        let (shift, worst) = moved.unwrap_or((0.0, point.worst));
         if let Some(moved) = model.points.get_mut(&point.id) {
             moved.position += point.direction() * shift;
         }
@@ -193,7 +196,7 @@ mod tests {
             let ids: Vec<u64> = (first..200).step_by(step).collect();
             ids.iter().map(|id| off(model, *id)).sum::<f64>() / ids.len() as f64
         };
-        let deviations = draw_onto_surface(&mut model, &covariances, 1.0);
+        let deviations = draw_onto_surface(&mut model, &covariances, 1.0, true);
         assert!(mean(&model, 4, 0) < 0.25 * mean(&before, 4, 0), "{}", mean(&model, 4, 0));
         assert!(mean(&model, 4, 1) < 1.2 * mean(&before, 4, 1));
         assert!(deviations[&Point3dId(0)] < 0.05 && deviations[&Point3dId(1)] <= 0.011);

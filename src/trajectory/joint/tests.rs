@@ -26,7 +26,7 @@ fn solve(
     silhouettes: &BTreeMap<FrameId, Silhouette>,
 ) -> Result<Joint, ScaleError> {
     let Drive { background, planes, frames, .. } = world;
-    let views = Views::new(background, object, planes);
+    let views = Views::new(background, object, planes, &crate::trajectory::Options::default());
     joint(
         &Grounded { background, object, planes, silhouettes, frames, body: Body::Car },
         &views,
@@ -90,7 +90,7 @@ fn planes_that_drift_with_the_object_are_believed_least() {
         let height = plane.normal.dot(&(camera - plane.point));
         plane.point -= plane.normal * (height * SHARE * (0.5 - k as f64 / count));
     }
-    let views = Views::new(&world.background, &object, &world.planes);
+    let views = Views::new(&world.background, &object, &world.planes, &crate::trajectory::Options::default());
     let silhouettes = silhouettes(&world);
     let Drive { background, planes, frames, .. } = &world;
     let grounded = Grounded { background, object: &object, planes, silhouettes: &silhouettes, frames, body: Body::Car };

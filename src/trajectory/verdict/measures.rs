@@ -122,8 +122,8 @@ fn over_ground(candidate: &Candidate, points: &[Point3<f64>]) -> Vec<(FrameId, [
 /// Heights of the middle over the planes that can tell whether the vehicle rises or sinks: those that are known well
 /// enough, and do not stand out from their neighbours'.
 fn middles(candidate: &Candidate, over_ground: &[(FrameId, [f64; 3])], height: f64) -> Vec<f64> {
-    let Candidate { trajectory, object, background, planes, .. } = candidate;
-    let outlying = Steadiness::of(background, object, planes, trajectory.scale.ratio).outlying;
+    let Candidate { trajectory, object, background, planes, options, .. } = candidate;
+    let outlying = Steadiness::of(background, object, planes, trajectory.scale.ratio, options).outlying;
     let tells = |frame: &FrameId| {
         let own = planes.get(frame).map_or(0.0, GroundPlane::own_height_std);
         !(own > KNOWN * height || outlying.contains(frame))

@@ -31,7 +31,7 @@ mod visible;
 use std::collections::BTreeMap;
 
 use self::measures::Measures;
-use super::Views;
+use super::{Options, Views};
 use crate::math::rounding::{percent, significant};
 use crate::scene::{
     Finding, FocalChange, FrameId, GroundPlane, ObjectTrajectory, Reason, ReasonKind, Reconstruction, TimeBase,
@@ -51,6 +51,8 @@ pub struct Candidate<'a> {
     pub background: &'a Reconstruction,
     /// The local plane of each frame, in the background's frame.
     pub planes: &'a BTreeMap<FrameId, GroundPlane>,
+    /// Options with which its scale ratio was estimated.
+    pub options: &'a Options,
 }
 
 /// The verdict on every trajectory of a run, in their order. They are compared with one another, so all are needed at
@@ -79,8 +81,8 @@ pub fn verdicts(candidates: &[Candidate], time_base: TimeBase, focal_changes: &[
 /// Reasons from one trajectory alone.
 fn alone(candidate: &Candidate, measures: &Measures) -> Vec<Reason> {
     let class = class::of(&candidate.trajectory.class);
-    let views = Views::new(candidate.background, candidate.object, candidate.planes);
-    let mut reasons = scale::reasons(&candidate.trajectory.scale, &views);
+    let views = Views::new(candidate.background, candidate.object, candidate.planes, candidate.options);
+    let mut reasons = scale::reasons(&candidate.trajectory.scale, &views, candidate.options);
     let num_visible = candidate.tracked.map(|tracked| tracked.frames.len());
     reasons.push(support::amount(candidate.object.points.len(), candidate.trajectory.poses.len(), num_visible));
     reasons.extend(support::pixels(measures));
@@ -95,6 +97,9 @@ fn alone(candidate: &Candidate, measures: &Measures) -> Vec<Reason> {
     reasons
 }
 
+/// Weights of a minor and of a major doubt.
+const SMALL: f64 = 0.25;
+const HALF: f64 = 0.5;
 /// Doubts that sum up to this make a trajectory doubtful.
 const DOUBTFUL: f64 = 1.0;
 /// Doubts that sum up to this rule it out: nothing that is right is odd in so many ways.

@@ -1,12 +1,10 @@
 //! Determinacy and accuracy of the scale ratio, and agreement of other methods.
 
-use super::percent;
-use crate::math::median;
+use super::{HALF, SMALL, percent};
+use crate::math::{STD_PER_MAD, median};
 use crate::scene::ReasonKind::{Agreement, Determined, Deviation};
 use crate::scene::{Reason, ScaleEstimate, ScaleMethod};
-use crate::trajectory::{
-    ConstantDistanceOptions, LeastSquaresOptions, Views, constant_distance, intersection, least_squares,
-};
+use crate::trajectory::{Options, Views, constant_distance, intersection, least_squares};
 
 /// A relative standard deviation of the scale ratio up to which it counts as well determined.
 const GOOD_STD: f64 = 0.03;
@@ -23,8 +21,6 @@ const NOTHING_TO_SAY: f64 = 0.5;
 /// Standard deviations from which on two answers contradict one another, and from which on by far.
 const CONTRADICTS: f64 = 3.0;
 const CONTRADICTS_BY_FAR: f64 = 6.0;
-/// Weight of a deviation between the two bounds, and of one method that contradicts.
-const HALF: f64 = 0.5;
 
 /// Ratio by another method than the one in use.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,9 +33,9 @@ pub(super) struct Answer {
     pub(super) std: f64,
 }
 
-pub(super) fn reasons(scale: &ScaleEstimate, views: &Views) -> Vec<Reason> {
+pub(super) fn reasons(scale: &ScaleEstimate, views: &Views, options: &Options) -> Vec<Reason> {
     let mut reasons = vec![deviation(scale)];
-    reasons.extend(agreement(scale, &answers(scale, views)));
+    reasons.extend(agreement(scale, &answers(scale, views, options)));
     reasons
 }
 
@@ -58,7 +54,7 @@ pub(super) fn deviation(scale: &ScaleEstimate) -> Reason {
     match relative_std(scale) {
         _ if scale.degenerate => Reason::refutes(Determined, undetermined(scale)),
         Some(std) if std > WEAK_STD => Reason::doubts(Deviation, 1.0, beyond(std, WEAK_STD)),
-        Some(std) if std > GOOD_STD => Reason::doubts(Deviation, HALF * 0.5, said(std)),
+        Some(std) if std > GOOD_STD => Reason::doubts(Deviation, SMALL, said(std)),
         Some(std) => Reason::supports(Deviation, said(std)),
         None => {
             Reason::doubts(Deviation, 1.0, format!("scale uncertainty unknown: {} reports none", scale.method.name()))
@@ -71,24 +67,24 @@ fn undetermined(scale: &ScaleEstimate) -> String {
 }
 
 /// Ratios by the other methods for the unchanged model, with the standard deviation of each by its own residuals.
-fn answers(scale: &ScaleEstimate, views: &Views) -> Vec<Answer> {
+fn answers(scale: &ScaleEstimate, views: &Views, options: &Options) -> Vec<Answer> {
     let others = scale.alternatives.iter().filter(|(method, _)| **method != scale.method);
     let others = others.filter(|(_, ratio)| ratio.is_finite() && **ratio > 0.0);
-    others.map(|(&method, &ratio)| Answer { method, ratio, std: own_std(method, ratio, views) }).collect()
+    others.map(|(&method, &ratio)| Answer { method, ratio, std: own_std(method, ratio, views, options) }).collect()
 }
 
-fn own_std(method: ScaleMethod, ratio: f64, views: &Views) -> f64 {
-    let all_frames = || least_squares(views, &LeastSquaresOptions::default()).ok();
+fn own_std(method: ScaleMethod, ratio: f64, views: &Views, options: &Options) -> f64 {
+    let all_frames = || least_squares(views, &options.least_squares).ok();
     let std = match method {
         ScaleMethod::RobustLeastSquares => all_frames().map(|fit| (fit.std / ratio).max(LEAST_STD)),
         ScaleMethod::ConstantDistance => all_frames().and_then(|fit| {
-            let pair = constant_distance(views, &ConstantDistanceOptions::default()).ok()?;
+            let pair = constant_distance(views, &options.constant_distance).ok()?;
             let wanders = fit.residual_std.hypot(views.grazing_std(ratio));
             Some((wanders * (2.0 / pair.mean_denominator_sq).sqrt() / ratio).max(LEAST_STD))
         }),
         ScaleMethod::Intersection => intersection(views).ok().and_then(|found| {
             let off = found.per_frame.iter().map(|(_, own)| (own / ratio - 1.0).abs()).collect();
-            Some((1.4826 * median(off)?).max(LEAST_CONTACT_STD))
+            Some((STD_PER_MAD * median(off)?).max(LEAST_CONTACT_STD))
         }),
         ScaleMethod::Joint => None,
     };

@@ -1,6 +1,6 @@
 //! Sources of an object's detections, its motion, and its amount of data.
 
-use super::{Measures, percent, times};
+use super::{HALF, Measures, SMALL, percent, times};
 use crate::scene::ReasonKind::{Amount, Detection, Movement as MovementKind, Pixels};
 use crate::scene::{Movement, Outline, Reason, TrackedObject};
 
@@ -19,10 +19,6 @@ const SURE: f64 = 0.6;
 const POOR_MASKS: f64 = 0.8;
 /// Way, in heights of the vehicle, that something which stands cannot have gone.
 const STANDS_HEIGHTS: f64 = 2.0;
-
-/// Weight of what is not good, and of what is bad.
-const SMALL: f64 = 0.25;
-const HALF: f64 = 0.5;
 
 /// Checks the numbers of points and frames.
 ///

@@ -21,6 +21,7 @@ struct Car {
     world: Drive,
     trajectory: ObjectTrajectory,
     tracked: TrackedObject,
+    options: Options,
 }
 
 fn estimate(ratio: f64, relative_std: f64) -> ScaleEstimate {
@@ -46,7 +47,7 @@ fn car(id: u32, error: f64, options: &drive::Options) -> Car {
     let description = ObjectDescription { id: ObjectId(id), class: "car".into(), confidence: 0.8 };
     let scale = estimate(error * world.ratio, 0.01);
     let trajectory = assemble(description, &world.background, &world.object, scale, &world.frames, Unit::Background);
-    Car { world, trajectory, tracked }
+    Car { world, trajectory, tracked, options: Options::default() }
 }
 
 fn usual() -> drive::Options {
@@ -61,6 +62,7 @@ impl Car {
             object: &self.world.object,
             background: &self.world.background,
             planes: &self.world.planes,
+            options: &self.options,
         }
     }
 }
@@ -304,7 +306,8 @@ fn frames_without_seconds_have_no_speed_and_nothing_panics_on_little() {
     let of = |trajectory: &ObjectTrajectory, object: &Reconstruction| {
         let planes = BTreeMap::new();
         let background = &single.world.background;
-        let candidate = Candidate { trajectory, tracked: None, object, background, planes: &planes };
+        let candidate =
+            Candidate { trajectory, tracked: None, object, background, planes: &planes, options: &single.options };
         verdicts(&[candidate], TimeBase::Frames, &[]).remove(0)
     };
     let verdict = of(&single.trajectory, &single.world.object);
@@ -318,4 +321,25 @@ fn frames_without_seconds_have_no_speed_and_nothing_panics_on_little() {
     broken.poses.iter_mut().for_each(|pose| pose.position = [f64::NAN; 3]);
     let text = serde_json::to_string(&of(&broken, &single.world.object)).unwrap();
     assert!(!text.contains("NaN") && !text.contains("null"), "{text}");
+}
+
+#[test]
+fn other_methods_are_judged_with_the_options_of_the_run() {
+    // From a low camera errors of the planes' tilt count.
+    let low = drive::Options { camera_height_m: 3.0, ..usual() };
+    let mut car = car(1, 1.0, &low);
+    let ratio = car.world.ratio;
+    let methods = [ScaleMethod::RobustLeastSquares, ScaleMethod::ConstantDistance];
+    car.trajectory.scale.alternatives = methods.map(|method| (method, 1.02 * ratio)).into();
+    let finding = |options: Options| {
+        let car =
+            Car { options, world: car.world.clone(), trajectory: car.trajectory.clone(), tracked: car.tracked.clone() };
+        let reason = judge(&[car]).remove(0).reasons.into_iter().find(|reason| reason.kind == ReasonKind::Agreement);
+        reason.map(|reason| reason.says)
+    };
+    let default = finding(Options::default());
+    assert!(default.is_some());
+    let mut changed = Options::default();
+    changed.joint.sigma_distance = [0.003, 0.9];
+    assert_ne!(finding(changed), default);
 }

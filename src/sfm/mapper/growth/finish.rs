@@ -1,7 +1,7 @@
 //! The last adjustments of a map, and what they depend on.
 
 use super::super::view_graph::{self, Opinion, Thresholds, ViewGraph};
-use super::{Attempt, Growth};
+use super::{Attempt, Growth, LOOSE};
 use crate::math::{Rigid3, seeded_rng};
 use crate::sfm::SfmError;
 use crate::sfm::mapper::Noise;
@@ -89,7 +89,6 @@ impl Growth<'_> {
     /// of distortion and the principal point would take up what the model of the camera leaves out (the shutter that
     /// rolls down the picture), and bend the map: they go back to the guess.
     fn final_freedom(&mut self, unknown: &[usize]) -> Result<Freedom, SfmError> {
-        const LOOSE: f64 = 0.01;
         // Three standard deviations.
         const SIGNIFICANT: f64 = 9.0;
         let Noise::Measured { sigma_px } = self.noise else { return Ok(Freedom::at_first(&self.map)) };
