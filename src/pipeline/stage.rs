@@ -109,8 +109,8 @@ impl Stage {
             Self::Background | Self::Motion => 6,
             Self::Features | Self::Track => 5,
             Self::Ground | Self::Follow => 4,
-            Self::Segment => 3,
-            Self::Frames | Self::Metric | Self::Report => 2,
+            Self::Segment | Self::Metric => 3,
+            Self::Frames | Self::Report => 2,
         }
     }
 
