@@ -109,8 +109,8 @@ impl Stage {
             Self::Background | Self::Motion => 6,
             Self::Features | Self::Track => 5,
             Self::Ground | Self::Follow => 4,
-            Self::Segment | Self::Metric => 3,
-            Self::Frames | Self::Report => 2,
+            Self::Frames | Self::Segment | Self::Metric => 3,
+            Self::Report => 2,
         }
     }
 
