@@ -104,7 +104,7 @@ impl Stage {
     /// does that.
     pub(super) fn revision(self) -> u32 {
         match self {
-            Self::Scale => 9,
+            Self::Scale => 10,
             Self::Objects => 7,
             Self::Background | Self::Motion => 6,
             Self::Features | Self::Track => 5,
