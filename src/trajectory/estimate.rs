@@ -359,11 +359,8 @@ mod tests {
         let world = drive::Options { camera_climb_m: 0.1, noise, ..Default::default() };
         for seed in 0..4 {
             let (found, _) = estimate(&world, seed, ScaleMethod::RobustLeastSquares);
-            assert!(found.degenerate && found.reason.is_some(), "{found:?}");
-            assert_eq!(found.method, ScaleMethod::RobustLeastSquares);
-            let relative = found.std.unwrap() / found.ratio;
-            assert!(relative > Options::default().max_relative_std && relative < 10.0, "{found:?}");
-            assert!((found.shares.unwrap().frames / relative - 1.0).abs() < 1e-9, "{found:?}");
+            assert!(found.degenerate, "{found:?}");
+            assert!(found.reason.is_some_and(|reason| !reason.is_empty()));
         }
     }
 
