@@ -17,9 +17,10 @@ use rand::Rng as _;
 use rand_distr::{Distribution, StandardNormal};
 use tractrix::camera::Camera;
 use tractrix::math::{Rigid3, Rng, seeded_rng, umeyama};
-use tractrix::scene::{ImageId, Reconstruction};
-use tractrix::sfm::tracks::{Feature, Track, View};
+use tractrix::scene::Reconstruction;
+use tractrix::sfm::tracks::Track;
 use tractrix::sfm::{self, Intrinsics, TrackTable, mapper};
+use tractrix::synthetic::{empty_table, observe};
 
 const STEP: f64 = 1.0 / 12.0;
 const PLACES: usize = 200;
@@ -105,15 +106,7 @@ fn flight(frames: usize, back: bool) -> Truth {
 fn tracks(truth: &Truth, per_frame: usize, back: bool) -> TrackTable {
     let mut rng = seeded_rng(7, 0);
     let frames = truth.poses.len();
-    let view = |k: usize| View {
-        image: ImageId(k as u32 + 1),
-        name: format!("{k:06}.jpg"),
-        camera: 0,
-        pixels: Vec::new(),
-        rgb: Vec::new(),
-        whitening: Vec::new(),
-    };
-    let mut table = TrackTable { views: (0..frames).map(view).collect(), tracks: Vec::new() };
+    let mut table = empty_table(frames);
     // Tracks end where points leave the picture: half of their views are left, about.
     let per_view = (per_frame as f64 / 45.0).max(1.0) as usize;
     for first in 0..frames {
@@ -158,10 +151,7 @@ fn seen(
         let noise_px = if rng.random::<f64>() < 0.01 { 0.8 } else { 0.1 };
         let mut normal = || -> f64 { StandardNormal.sample(rng) };
         let pixel = exact + noise_px * Vector2::new(normal(), normal());
-        let source = &mut table.views[view];
-        track.push(Feature { view: view as u32, feature: source.pixels.len() as u32 });
-        source.pixels.push(pixel);
-        source.rgb.push([120; 3]);
+        observe(table, track, view, pixel);
     }
 }
 

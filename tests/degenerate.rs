@@ -16,11 +16,12 @@ use tractrix::metric::{
 use tractrix::scene::{FrameId, ImageId, ObjectId, Point3dId, Reconstruction, ScaleMethod, TimeBase, TrackedObject};
 use tractrix::sfm::resection::{self, PixelsAndPoints};
 use tractrix::sfm::solvers::{essential_five_point, homography_from_points, p3p};
-use tractrix::sfm::tracks::{Feature, Track, TrackTable, View};
+use tractrix::sfm::tracks::{Track, TrackTable};
 use tractrix::sfm::triangulation::{self, Limits};
 use tractrix::sfm::two_view::{self, Correspondences};
 use tractrix::sfm::{self, Intrinsics, Options, mapper};
 use tractrix::synthetic::drive::{self, Drive, drive};
+use tractrix::synthetic::{empty_table, observe};
 use tractrix::trajectory::{self, Candidate, CommonStd, Evidence, ModelOrigin, ObjectDescription, Sighting, Subject};
 
 /// Whether all numbers of a value are finite, by its debug output.
@@ -167,23 +168,12 @@ impl World {
 
     fn table(&self) -> TrackTable {
         let mut rng = seeded_rng(self.seed, 2);
-        let view = |k: usize| View {
-            image: ImageId(k as u32 + 1),
-            name: format!("{k:06}.jpg"),
-            camera: 0,
-            pixels: Vec::new(),
-            rgb: Vec::new(),
-            whitening: Vec::new(),
-        };
-        let mut table = TrackTable { views: (0..self.num_views).map(view).collect(), tracks: Vec::new() };
+        let mut table = empty_table(self.num_views);
         for point in self.points() {
             let mut track = Track::new();
             for (k, pose) in self.poses().iter().enumerate() {
                 let Some(pixel) = self.pixel(pose, point, &mut rng) else { continue };
-                let view = &mut table.views[k];
-                track.push(Feature { view: k as u32, feature: view.pixels.len() as u32 });
-                view.pixels.push(pixel);
-                view.rgb.push([90; 3]);
+                observe(&mut table, &mut track, k, pixel);
             }
             table.tracks.push(track);
         }

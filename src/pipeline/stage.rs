@@ -104,13 +104,13 @@ impl Stage {
     /// does that.
     pub(super) fn revision(self) -> u32 {
         match self {
-            Self::Scale => 9,
+            Self::Scale => 10,
             Self::Objects => 7,
             Self::Background | Self::Motion => 6,
             Self::Features | Self::Track => 5,
             Self::Ground | Self::Follow => 4,
-            Self::Segment => 3,
-            Self::Frames | Self::Metric | Self::Report => 2,
+            Self::Frames | Self::Segment | Self::Metric => 3,
+            Self::Report => 2,
         }
     }
 

@@ -5,6 +5,10 @@ pub mod drive;
 mod noisy;
 pub mod scene;
 pub mod showcase;
+#[cfg(feature = "sfm")]
+mod track_table;
 mod vehicle;
 
 pub use clip::write_clip;
+#[cfg(feature = "sfm")]
+pub use track_table::{empty_table, observe};

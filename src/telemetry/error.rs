@@ -56,6 +56,14 @@ pub enum TelemetryError {
         /// The file.
         path: PathBuf,
     },
+    /// The file names other files instead of holding positions.
+    #[error("{path}: a playlist ({format}), not a telemetry file; give the video files it names", path = path.display())]
+    Playlist {
+        /// The file.
+        path: PathBuf,
+        /// FFmpeg's name of the format.
+        format: String,
+    },
     /// The format is known, but no position can be had from it.
     #[error("{}: {what} without any position{}", path.display(), first_reason(.first.as_deref()))]
     NoFix {

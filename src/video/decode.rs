@@ -5,6 +5,7 @@ use ::image::RgbImage;
 
 use super::VideoError;
 use super::options::{Choice, Selection};
+use super::repeats::Change;
 use crate::scene::Frame;
 
 /// Properties of a decoded frame before conversion.
@@ -12,8 +13,8 @@ use crate::scene::Frame;
 pub(super) struct Inspection {
     /// Its size, pixels, if it differs from the first frame's.
     pub(super) other_size: Option<(u32, u32)>,
-    /// Mean difference from the frame inspected before, gray levels, if there is one of the same size.
-    pub(super) change: Option<f64>,
+    /// Difference from the frame inspected before, if there is one of the same size.
+    pub(super) change: Option<Change>,
     /// It is interlaced, and its fields differ.
     pub(super) is_combed: bool,
 }

@@ -87,7 +87,7 @@ fn pixels_become_square_before_frames_are_turned() {
     assert_eq!((info.stored_width, info.stored_height), (48, 48));
     assert_eq!((info.source_width, info.source_height, info.width, info.height), (48, 64, 48, 64));
     let scan = source.scan().unwrap();
-    assert_eq!(scan.frames.len() + scan.num_repeated, 5, "{:?}", scan.warnings);
+    assert_eq!((scan.frames.len(), scan.num_repeated), (5, 0), "{:?}", scan.warnings);
     assert!(scan.warnings[0].text.contains("48x48 pixels are stretched to 48x64"));
     assert!(images(&source).iter().all(|image| image.dimensions() == (48, 64)));
     let smaller = Options { max_dimension: Some(32), ..Options::default() };
@@ -134,12 +134,32 @@ fn repeated_frames_are_counted_and_not_listed() {
     assert_eq!((scan.frames.len(), scan.num_repeated), (70, 0), "{:?}", scan.warnings);
 }
 
+/// A gray object that moves before a stationary camera: at once, or in leaps with pauses; the light may flicker.
+#[test]
+fn a_stationary_camera_has_no_repeated_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.avi");
+    for (pause, flicker) in [(1, 0), (5, 0), (1, 60)] {
+        let image = |k: u32| {
+            let (left, light) = (20 + 8 * (k / pause), if k / 5 % 2 == 0 { 0 } else { flicker });
+            RgbImage::from_fn(320, 240, |x, y| {
+                let is_object = (left..left + 24).contains(&x) && (100..116).contains(&y);
+                let gray = if is_object { 130 } else { 80 + (x * 7 + y * 13) % 20 };
+                Rgb([(gray + light) as u8; 3])
+            })
+        };
+        write_clip(&path, 30, &(0..30).map(image).collect::<Vec<_>>()).unwrap();
+        let scan = Source::open(&path, &Options::default()).unwrap().scan().unwrap();
+        assert_eq!((scan.frames.len(), scan.num_repeated), (30, 0), "{pause} {flicker}: {:?}", scan.warnings);
+    }
+}
+
 #[test]
 fn what_an_edit_list_hides_is_not_missed() {
     let source = Source::open(&golden("edit_list.mp4"), &Options::default()).unwrap();
     let scan = source.scan().unwrap();
     assert_eq!(source.info().num_frames, Some(13));
-    assert_eq!(scan.frames.len() + scan.num_repeated, 13);
+    assert_eq!((scan.frames.len(), scan.num_repeated), (13, 0), "{:?}", scan.warnings);
     assert!(!scan.warnings.iter().any(|warning| warning.text.contains("truncated")), "{:?}", scan.warnings);
 }
 
@@ -147,7 +167,11 @@ fn what_an_edit_list_hides_is_not_missed() {
 fn frames_of_another_size_are_skipped_with_one_warning() {
     let source = Source::open(&golden("size_changes.ts"), &Options::default()).unwrap();
     let scan = source.scan().unwrap();
-    assert!(ids(&scan).iter().all(|id| *id < 6));
+    assert_eq!(ids(&scan), (0..6).collect::<Vec<_>>());
     let said: Vec<_> = scan.warnings.iter().filter(|warning| warning.text.contains("other size")).collect();
-    assert!(said.len() == 1 && said[0].text.contains("from frame 5 (48x32) on"), "{:?}", scan.warnings);
+    assert!(
+        said.len() == 1 && said[0].text.contains("6 of 12 frames") && said[0].text.contains("from frame 6 (48x32) on"),
+        "{:?}",
+        scan.warnings
+    );
 }

@@ -144,3 +144,47 @@ impl Stance {
 
 /// Factor with which the logistic function is nearest to the normal distribution's.
 const LOGISTIC: f64 = 1.702;
+
+#[cfg(test)]
+mod tests {
+    use super::super::EvidenceOptions;
+    use super::*;
+
+    /// Odds of motion of a car 1.5 m high at a distance, with tracks good to 3 % of the inverse depth.
+    ///
+    /// * `camera_m` – height of the camera.
+    /// * `speed` – its speed over the camera's; negative for an oncoming one.
+    /// * `hidden_m` – height of its lowest visible part.
+    fn odds(camera_m: f64, distance_m: f64, speed: f64, hidden_m: f64) -> f64 {
+        let [lowest, top] = [hidden_m / camera_m, 1.5 / camera_m];
+        // A static object that explains the tracks is 1 / (1 − speed) times as far away and as large.
+        let ratio = (1.0 - speed) / (1.0 - lowest);
+        let apparent_top = 1.0 - (1.0 - top) / (1.0 - speed);
+        let tolerance = EvidenceOptions::default().ground_tolerance + distance_m / camera_m / HORIZON;
+        let foot = Foot { ratio, std: 0.03 * ratio, tolerance, is_cut: false };
+        Stance::of(&[foot; MIN_FEET], vec![apparent_top; MIN_FEET]).unwrap().odds_of_motion()
+    }
+
+    #[test]
+    fn near_cars_are_told_apart_by_their_feet_and_far_ones_are_not() {
+        for camera_m in [1.2, 1.65] {
+            for hidden_m in [0.0, 0.25] {
+                let parked = odds(camera_m, 10.0, 0.0, hidden_m);
+                assert!(parked < 0.5, "{camera_m} {hidden_m}: {parked}");
+            }
+            assert!(odds(camera_m, 10.0, 0.8, 0.0) > 5.0);
+            assert!((0.1..5.0).contains(&odds(camera_m, 30.0, 0.3, 0.0)));
+        }
+    }
+
+    /// Table of docs/maths/motion.md.
+    #[test]
+    #[ignore = "prints figures"]
+    fn print_odds() {
+        for (camera_m, distance_m) in [(1.2, 10.0), (1.65, 10.0), (1.2, 30.0), (1.65, 30.0), (20.0, 30.0)] {
+            let of = |speed: f64, hidden_m: f64| format!("{:.2}", odds(camera_m, distance_m, speed, hidden_m));
+            let speeds = [0.0, -1.0, -0.5, 0.25, 0.45, 0.8].map(|speed| of(speed, 0.0)).join(" | ");
+            println!("| {camera_m} m, {distance_m} m | {} | {speeds} |", of(0.0, 0.25));
+        }
+    }
+}

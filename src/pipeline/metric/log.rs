@@ -123,13 +123,14 @@ fn inside(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
 /// * `track` – video track whose clock counts; `None` as in a run.
 ///
 /// # Errors
-/// [`TelemetryError::NoFix`] where the track says something else.
+/// [`TelemetryError::NoFix`] where the track says something else; [`TelemetryError::Playlist`].
 pub fn telemetry_inside(video: &Path, track: Option<u32>) -> Option<Result<Log, TelemetryError>> {
     let entries = match video::subtitles(video, track) {
         Err(VideoError::TextTooLarge { path, limit }) => {
             let (size_mib, most_mib) = (limit >> 20, limit >> 20);
             return Some(Err(TelemetryError::TooLarge { path, size_mib, most_mib }));
         }
+        Err(VideoError::Playlist { path, format }) => return Some(Err(TelemetryError::Playlist { path, format })),
         other => other.ok().filter(|entries| !entries.is_empty())?,
     };
     let numbered = (1..).zip(&entries);
@@ -210,5 +211,15 @@ mod tests {
         let found = from_files(&[path("a.srt"), path("a.csv")], MemoryLimit::of_machine(), &mut outcome).unwrap();
         assert_eq!((found.path, found.log.fixes.len(), found.origin), (path("a.csv"), 2, Origin::Beside));
         assert!(outcome.warnings.len() == 1 && outcome.warnings[0].contains("a.srt"), "{:?}", outcome.warnings);
+    }
+
+    #[test]
+    fn a_playlist_is_refused_as_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("list.m3u8");
+        fs::write(&path, "#EXTM3U\n#EXT-X-TARGETDURATION:2\n#EXTINF:1.0,\na.mp4\n#EXT-X-ENDLIST\n").unwrap();
+        assert!(matches!(telemetry::read(&path), Err(TelemetryError::Unknown { .. })));
+        let found = telemetry_inside(&path, None);
+        assert!(matches!(&found, Some(Err(TelemetryError::Playlist { format, .. })) if format == "hls"), "{found:?}");
     }
 }

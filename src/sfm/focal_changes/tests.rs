@@ -8,7 +8,8 @@ use super::*;
 use crate::math::{Rigid3, seeded_rng};
 use crate::scene::CameraId;
 use crate::sfm::mapper::{Options, reconstruct};
-use crate::sfm::tracks::{Feature, Track, TrackTable, View};
+use crate::sfm::tracks::{Track, TrackTable};
+use crate::synthetic::{empty_table, observe};
 
 const NUM_VIEWS: usize = 40;
 const FOCAL: f64 = 600.0;
@@ -50,15 +51,7 @@ fn points(motion: Motion) -> Vec<Point3<f64>> {
 fn table(motion: Motion, lens: &Camera, focal: impl Fn(usize) -> f64) -> TrackTable {
     let mut rng = seeded_rng(32, 0);
     let noise = Normal::new(0.0, 0.2).unwrap();
-    let view = |k: usize| View {
-        image: ImageId(k as u32 + 1),
-        name: format!("{k:06}.jpg"),
-        camera: 0,
-        pixels: Vec::new(),
-        rgb: Vec::new(),
-        whitening: Vec::new(),
-    };
-    let mut table = TrackTable { views: (0..NUM_VIEWS).map(view).collect(), tracks: Vec::new() };
+    let mut table = empty_table(NUM_VIEWS);
     for point in points(motion) {
         let mut track = Track::new();
         for k in 0..NUM_VIEWS {
@@ -67,10 +60,8 @@ fn table(motion: Motion, lens: &Camera, focal: impl Fn(usize) -> f64) -> TrackTa
             let Some(pixel) = camera.pixel_from_cam(in_cam).filter(|p| in_cam.z > 1.0 && camera.contains(*p)) else {
                 continue;
             };
-            let source = &mut table.views[k];
-            track.push(Feature { view: k as u32, feature: source.pixels.len() as u32 });
-            source.pixels.push(pixel + Vector2::from_fn(|_, _| noise.sample(&mut rng)));
-            source.rgb.push([120; 3]);
+            let pixel = pixel + Vector2::from_fn(|_, _| noise.sample(&mut rng));
+            observe(&mut table, &mut track, k, pixel);
         }
         table.tracks.push(track);
     }

@@ -19,7 +19,8 @@ use super::*;
 use crate::bundle::{self, CameraBlock, Problem};
 use crate::math::{Rigid3, Rng, seeded_rng, umeyama};
 use crate::scene::ImageId;
-use crate::sfm::tracks::{Feature, Track, View};
+use crate::sfm::tracks::{Feature, Track};
+use crate::synthetic::{empty_table, observe};
 
 /// A camera that flies along an arc and looks at a box of points.
 struct World {
@@ -54,15 +55,7 @@ fn tracks(world: &World, noise_px: f64, wrong: usize, rng: &mut Rng) -> TrackTab
 /// The same over windows of so many views.
 fn tracks_over(window: usize, world: &World, noise_px: f64, wrong: usize, rng: &mut Rng) -> TrackTable {
     let normal = Normal::new(0.0, noise_px.max(1e-12)).unwrap();
-    let view = |i: usize| View {
-        image: ImageId(i as u32 + 1),
-        name: format!("{i:06}.jpg"),
-        camera: 0,
-        pixels: Vec::new(),
-        rgb: Vec::new(),
-        whitening: Vec::new(),
-    };
-    let mut table = TrackTable { views: (0..world.poses.len()).map(view).collect(), tracks: Vec::new() };
+    let mut table = empty_table(world.poses.len());
     for (index, point) in world.points.iter().enumerate() {
         // Windows reach over both ends, so that the first and the last view see as much as the others.
         let end = rng.random_range(window / 2..world.poses.len() + window / 2);
@@ -74,10 +67,7 @@ fn tracks_over(window: usize, world: &World, noise_px: f64, wrong: usize, rng: &
             if index < wrong && view > first + window / 2 {
                 pixel = Point2::new(rng.random_range(0.0..960.0), rng.random_range(0.0..540.0));
             }
-            let source = &mut table.views[view];
-            track.push(Feature { view: view as u32, feature: source.pixels.len() as u32 });
-            source.pixels.push(pixel);
-            source.rgb.push([120; 3]);
+            observe(&mut table, &mut track, view, pixel);
         }
         table.tracks.push(track);
     }

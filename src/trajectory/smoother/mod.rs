@@ -72,8 +72,10 @@ const YAW_JERK: f64 = 0.05;
 const FORWARD: f64 = 0.02;
 /// Standard deviations by which a speed or a displacement must differ from zero to show a heading.
 const CLEAR: f64 = 3.0;
-/// Largest error of the scale ratio, in its standard deviations, that explains the path of a vehicle at rest.
-const RATIO_OFF: f64 = 2.0;
+/// Largest error of the scale ratio, in its standard deviations, that explains the path of a vehicle at rest. It is
+/// where lengths corrected for noise ([`travel`]) become positive: what is taken for rest up to here has no length in
+/// motion either, so that a vehicle at any speed keeps its coverage.
+const RATIO_OFF: f64 = 1.0;
 
 /// A vehicle's motion, metres and seconds.
 #[derive(Clone, Debug, PartialEq)]
@@ -100,16 +102,14 @@ pub fn smooth(sightings: &[Sighting], common: &CommonStd) -> Option<Smoothed> {
     }
     let origin = sightings[0].position_m;
     let moving = Kind { first: FIRST, usual_jerk: JERK, last_axis: VERTICAL, wander_s: &WANDER_S };
+    let in_motion = track(&sightings.iter().map(|s| s.observed(&origin)).collect::<Vec<_>>(), &moving)?;
+    // Also of a vehicle at rest: a slow one that moves along with the camera has the same positions, for another error
+    // of the ratio.
+    let moved = in_motion.response(&sightings.iter().map(|s| s.ratio_error(common.ratio)).collect::<Vec<_>>())?;
     let rest = at_rest(sightings, &origin, common.ratio, &moving);
     let stands = rest.is_some();
-    let positions = match rest {
-        Some(rest) => rest,
-        None => track(&sightings.iter().map(|s| s.observed(&origin)).collect::<Vec<_>>(), &moving)?,
-    };
-    // A vehicle at rest shows the error of the ratio, so that it is among the states.
-    let ratio = if stands { 0.0 } else { common.ratio };
-    let moved = positions.response(&sightings.iter().map(|s| s.ratio_error(ratio)).collect::<Vec<_>>())?;
-    let forward_std = forward_std(sightings).filter(|_| !stands);
+    let positions = rest.unwrap_or(in_motion);
+    let forward_std = forward_std(sightings, common.ratio).filter(|_| !stands);
     let headings = forward_std.and_then(|_| headings(sightings));
     let forward_std = forward_std.unwrap_or(FORWARD);
     let all = Tracks { sightings, origin, positions, moved, headings, forward_std, scale_std: common.scale };
@@ -124,7 +124,7 @@ pub fn smooth(sightings: &[Sighting], common: &CommonStd) -> Option<Smoothed> {
 }
 
 /// The positions of a vehicle at rest; `None` where they are likelier in motion, or where only a ratio that is off by
-/// more than two standard deviations would explain them.
+/// more than a standard deviation would explain them.
 ///
 /// An error of the ratio takes a vehicle at rest along with the camera, by that share of the camera's path. It is a
 /// state of both hypotheses, or else no vehicle that a moving camera sees would ever be at rest.
@@ -186,13 +186,15 @@ fn wander(sight: &Vector3<f64>, distance: f64) -> DMatrix<f64> {
 
 /// Deviation of the model's forward axis, radians, which the vehicle's motion shows; `None` unless that is beyond the
 /// errors of the positions that show it: of a vehicle that hardly moved the axis is noise.
-fn forward_std(sightings: &[Sighting]) -> Option<f64> {
+fn forward_std(sightings: &[Sighting], ratio: f64) -> Option<f64> {
     let first = &sightings[0];
     let way = |s: &Sighting| (s.position_m - first.position_m).norm();
     let furthest = sightings.iter().max_by(|a, b| way(a).total_cmp(&way(b)))?;
     let off = |s: &Sighting| WANDER * (s.position_m - s.camera_m).norm();
     let error = off(first).hypot(off(furthest));
-    (way(furthest) > CLEAR * error).then(|| FORWARD.hypot(error / way(furthest)))
+    // The ratio's error moves a parked vehicle along with the camera, which is not where its model points.
+    let by_ratio = (furthest.ratio_error(ratio) - first.ratio_error(ratio)).norm();
+    (way(furthest) > CLEAR * error.hypot(by_ratio)).then(|| FORWARD.hypot(error / way(furthest)))
 }
 
 /// The heading under white jerk; `None` unless the model points somewhere in every frame.

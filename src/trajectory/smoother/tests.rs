@@ -110,9 +110,11 @@ fn passed(share: f64, off: f64) -> Vec<Sighting> {
 fn rest_is_told_from_motion_by_the_positions_and_the_error_of_the_ratio() {
     let common = CommonStd { ratio: 0.05, scale: 0.0 };
     let speed = |share: f64, off: f64| smooth(&passed(share, off), &common).unwrap()[20];
-    for off in [0.0, 0.06, -0.06] {
+    // At rest the ratio still leaves open a motion of 5 % of the camera's.
+    for off in [0.0, 0.04, -0.04] {
         let motion = speed(0.0, off);
-        assert!(motion.speed_m_s.abs() < 0.1 && motion.speed_std_m_s < 0.2, "{off}: {motion:?}");
+        assert!(motion.speed_m_s.abs() < 0.1, "{off}: {motion:?}");
+        assert!((motion.speed_std_m_s - 0.4).abs() < 0.05, "{off}: {motion:?}");
     }
     // Neither a ratio that is farther off nor a slow vehicle ahead or oncoming is forced to rest.
     for (share, off) in [(0.0, 0.2), (0.45, 0.0), (0.2, 0.0), (-0.3, 0.0)] {
@@ -121,6 +123,18 @@ fn rest_is_told_from_motion_by_the_positions_and_the_error_of_the_ratio() {
         assert!((motion.speed_m_s - seen.abs()).abs() < 0.3, "{share} {off}: {motion:?}");
         assert!(motion.speed_std_m_s > 0.2, "{share} {off}: {motion:?}");
     }
+}
+
+#[test]
+fn the_error_of_the_ratio_shows_no_forward_axis() {
+    let common = CommonStd { ratio: 0.05, scale: 0.0 };
+    let heading = |share: f64, off: f64| {
+        let ahead = |s: Sighting| Sighting { forward: Some(Vector3::x()), ..s };
+        let seen: Vec<Sighting> = passed(share, off).into_iter().map(ahead).collect();
+        smooth(&seen, &common).unwrap()[20].heading_deg
+    };
+    assert_eq!(heading(0.0, 0.1), None);
+    assert!(heading(0.9, 0.1).is_some());
 }
 
 #[test]
@@ -235,10 +249,6 @@ fn path_lengths_are_unbiased_and_their_deviations_calibrated() {
     let commons = [KNOWN, CommonStd { ratio: 0.03, scale: 0.05 }, CommonStd { ratio: 0.2, scale: 0.02 }];
     for speed in [0.0, 0.3, 8.0] {
         for common in &commons {
-            // Weakness: with an uncertain ratio a creeping vehicle is taken for one at rest.
-            if speed == 0.3 && common.ratio > 0.0 {
-                continue;
-            }
             let found: Vec<Smoothed> =
                 (0..60).map(|seed| super::smooth(&drive(speed, common, seed), common).unwrap()).collect();
             let length = speed * 5.9;
@@ -250,7 +260,7 @@ fn path_lengths_are_unbiased_and_their_deviations_calibrated() {
             eprintln!("{speed} m/s, {common:?}: path {path:?}, displacement {displacement:?}, max {max:?}");
             for (bias, within) in [path, displacement] {
                 // A length that is about twice its deviation is on both sides of the limit of resolution.
-                assert!(bias.abs() < 1.0 && (0.4..=0.97).contains(&within), "{speed} {common:?} {path:?}");
+                assert!(bias.abs() < 0.8 && (0.4..=0.97).contains(&within), "{speed} {common:?} {path:?}");
             }
         }
     }

@@ -83,6 +83,7 @@ fn alone(candidate: &Candidate, measures: &Measures) -> Vec<Reason> {
     let class = class::of(&candidate.trajectory.class);
     let views = Views::new(candidate.background, candidate.object, candidate.planes, candidate.options);
     let mut reasons = scale::reasons(&candidate.trajectory.scale, &views, candidate.options);
+    let is_contradicted = reasons.iter().any(|r| r.kind == ReasonKind::Agreement && r.finding != Finding::Supports);
     let num_visible = candidate.tracked.map(|tracked| tracked.frames.len());
     reasons.push(support::amount(candidate.object.points.len(), candidate.trajectory.poses.len(), num_visible));
     reasons.extend(support::pixels(measures));
@@ -93,7 +94,7 @@ fn alone(candidate: &Candidate, measures: &Measures) -> Vec<Reason> {
     reasons.extend(ground::reasons(measures));
     reasons.extend(size::shape(measures, &class));
     reasons.extend(size::stretch(measures, &class));
-    reasons.extend(path::reasons(measures));
+    reasons.extend(path::reasons(measures, is_contradicted));
     reasons
 }
 

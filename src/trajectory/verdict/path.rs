@@ -5,7 +5,7 @@ use super::{Measures, percent, times};
 use crate::scene::Reason;
 use crate::scene::ReasonKind::Path;
 
-/// A path within this many heights of the vehicle goes nowhere: its noise says nothing.
+/// A path within this many heights of the vehicle goes nowhere: its noise says nothing by itself.
 const GOES_NOWHERE: f64 = 1.0;
 /// Ratio of the path's length to that of the smoothed one.
 const ZIGZAG: [f64; 2] = [1.25, 2.0];
@@ -21,9 +21,10 @@ const JUMP: [f64; 2] = [1.5, 6.0];
 /// whose model is folded or turned over 0.35 and more.
 const TURN: [f64; 2] = [0.17, 0.52];
 
-pub(super) fn reasons(measures: &Measures) -> Vec<Reason> {
+/// * `is_contradicted` – another method contradicts the scale.
+pub(super) fn reasons(measures: &Measures, is_contradicted: bool) -> Vec<Reason> {
     if measures.in_heights(measures.reach).is_none_or(|reach| reach < GOES_NOWHERE) {
-        return Vec::new();
+        return if is_contradicted { noise(measures).into_iter().collect() } else { Vec::new() };
     }
     let odd = [zigzag(measures), jitter(measures), backwards(measures), jumps(measures), turns(measures)];
     let odd: Vec<Reason> = odd.into_iter().flatten().collect();
@@ -31,6 +32,19 @@ pub(super) fn reasons(measures: &Measures) -> Vec<Reason> {
         true => vec![Reason::supports(Path, "smooth path along its heading")],
         false => odd,
     }
+}
+
+/// Doubt about a trajectory that is its own noise: no motion confirms a scale that another method contradicts.
+fn noise(measures: &Measures) -> Option<Reason> {
+    let [way, smooth] = measures.way;
+    let longer = way / smooth;
+    let said = || {
+        format!(
+            "trajectory within its noise (path {} times as long as the smoothed one), and the scale is contradicted",
+            times(longer)
+        )
+    };
+    (longer > ZIGZAG[0]).then(|| Reason::doubts(Path, 1.0, said()))
 }
 
 fn zigzag(measures: &Measures) -> Option<Reason> {

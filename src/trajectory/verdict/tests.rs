@@ -250,6 +250,25 @@ fn too_fast_backwards_and_jumping_paths_are_said() {
     assert!(verdict.against().any(|reason| reason.says.contains("backward")), "{verdict:#?}");
 }
 
+/// A distant vehicle whose trajectory is a zigzag of less than its height, at a scale that one method contradicts.
+#[test]
+fn a_trajectory_of_noise_at_a_contradicted_scale_is_at_best_doubtful() {
+    let judged = |zigzag: f64, contradicted: bool| {
+        let mut car = car(1, 1.0, &drive::Options { speed_m_s: 0.0, ..usual() });
+        let (up, size) = (normal(&car), height(&car));
+        let aside = up.cross(&Vector3::x()).normalize() * zigzag * size;
+        moved(&mut car, |k| if k % 2 == 0 { aside } else { -aside });
+        let scale = &mut car.trajectory.scale;
+        let factor = if contradicted { 1.8 } else { 1.0 };
+        scale.alternatives.insert(ScaleMethod::RobustLeastSquares, factor * scale.ratio);
+        let verdict = judge(&[car]).remove(0);
+        (finding(&verdict, ReasonKind::Path), verdict.state)
+    };
+    assert_eq!(judged(0.1, true).0, Some(Finding::Doubts));
+    assert!(judged(0.1, true).1 >= Trust::Doubtful);
+    assert_eq!(judged(0.1, false).0, None);
+}
+
 #[test]
 fn a_model_that_is_folded_is_not_trusted() {
     let turned = |degrees: f64| {

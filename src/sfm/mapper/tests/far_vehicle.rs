@@ -1,6 +1,7 @@
 //! A vehicle so far away that its pictures are nearly parallel projections.
 
 use super::*;
+use crate::sfm::tracks::View;
 use crate::synthetic::drive::{self, Drive};
 
 /// A vehicle of 25 to 30 pixels, seen from 150 m away.
