@@ -97,7 +97,7 @@ const OPENERS: [&str; 8] = [
     "io/atomic.rs",
     "limits/files.rs",
     "limits/memory.rs",
-    "pipeline/meter.rs",
+    "pipeline/driver/meter.rs",
 ];
 
 #[test]

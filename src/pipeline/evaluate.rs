@@ -3,7 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use super::{PipelineError, Workspace, report};
+use super::stages::report;
+use super::{PipelineError, Workspace};
 use crate::eval::{self, AsReconstructed, Evaluation, Input, MeshIndex, Model, ObjectInput, TruthFrame};
 use crate::io::{IoError, RunFolder, Sequence, SequenceFrame, atomic, masks};
 use crate::scene::{FrameId, Mask, ObjectId, ObjectTrajectory, Reconstruction, Trajectories};

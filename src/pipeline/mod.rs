@@ -7,78 +7,41 @@
 //!
 //! Entry point: [`run`].
 
-mod cameras;
-mod detections;
-mod ended;
+mod driver;
 mod error;
 mod evaluate;
-mod exports;
-mod features;
-mod fingerprint;
-mod follow;
-mod followed;
-mod found_features;
-mod frames;
-mod given_masks;
-mod given_models;
-mod ground;
-mod lens;
-mod masking;
-mod meter;
-mod metric;
-mod models;
-mod motion;
-mod networks;
-mod objects;
+mod inputs;
 mod options;
-mod order;
-mod own_file;
-mod pictures;
-mod preflight;
-mod progress;
-mod reopen;
-mod report;
-mod rhythm;
-mod run;
-mod run_json;
-mod scale;
-mod segment;
-mod stage;
-mod standing;
-mod strip;
-mod threads;
-mod track;
-mod unfit;
-mod workspace;
+mod stages;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-pub use ended::{Ended, Failed, Identity, Standing, is_begun, standing, standing_of_given};
+pub use driver::completion::{Ended, Failed, Identity, Standing, is_begun, standing, standing_of_given};
+pub use driver::meter::{Cost, process_cpu_s};
+use driver::progress::Muted;
+pub use driver::progress::{Plan, Planned, Progress, Silent};
+pub use driver::reopen::{arguments_of_run, known_frames, reopen};
+pub use driver::run::StageRecord;
+pub use driver::stage::Stage;
+pub use driver::workspace::{Marker, Overwrite, Workspace};
 pub use error::PipelineError;
 pub use evaluate::{Kept, evaluate, keep_evaluation};
-pub use found_features::found_features;
-pub use meter::{Cost, process_cpu_s};
-pub use metric::telemetry_inside;
-pub use models::{CameraReport, ModelReport};
 pub use options::{
     Ablation, DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MOST_THREADS,
     MaskChoice, MaskingOptions, MetricOptions, ModelFiles, MotionChoice, OptionRow, OptionSection, Options,
     TelemetryChoice, VehicleOptions,
 };
-use progress::Muted;
-pub use progress::{Plan, Planned, Progress, Silent};
-pub use reopen::{arguments_of_run, known_frames, reopen};
-pub use report::link_exports;
-pub use run::StageRecord;
-pub use stage::Stage;
-pub use workspace::{Marker, Overwrite, Workspace};
+pub use stages::background::{CameraReport, ModelReport};
+pub use stages::features::found_features::found_features;
+pub use stages::metric::telemetry_inside;
+pub use stages::report::link_exports;
 
 use crate::io::InputIdentity;
 use crate::scene::{Movement, ObjectId, TimeBase, TrackedObject};
-use run::{Outcome, Run};
+use driver::run::{Outcome, Run};
 
 /// Summary of a run.
 #[derive(Clone, Debug)]
@@ -151,18 +114,18 @@ pub struct Job<'a> {
 pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError> {
     let Job { options, goal, .. } = *job;
     options.check()?;
-    metric::check(options)?;
+    crate::pipeline::stages::metric::check(options)?;
     Workspace::inspect(job.output, &job.inputs())?;
     for (flag, path) in options.named_models() {
-        Workspace::inspect(job.output, &[(flag, given_models::place(path).as_path())])?;
+        Workspace::inspect(job.output, &[(flag, crate::pipeline::inputs::given_models::place(path).as_path())])?;
     }
-    let source = cameras::open(job.input, options)?;
-    preflight::check_pictures(&source, options)?;
+    let source = crate::pipeline::inputs::cameras::open(job.input, options)?;
+    crate::pipeline::inputs::preflight::check_pictures(&source, options)?;
     let workspace = Workspace::open(job.output)?;
     let identity = Identity::of(job.input, options);
     progress.plan(&Plan::new(&workspace, options, source.info(), goal));
     progress.begin("input", None);
-    let content = fingerprint::of_content(source.path());
+    let content = crate::pipeline::driver::fingerprint::of_content(source.path());
     progress.end();
     let content = content?;
     let path = std::fs::canonicalize(source.path()).unwrap_or_else(|_| source.path().to_owned());
@@ -172,7 +135,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
     let mut run = Run::new(options, &workspace, &source, job.arguments, progress);
     let result = stages(&mut run, goal, &content, &muted);
     let error = result.as_ref().err().map(ToString::to_string);
-    let written = run_json::write(&run, error.as_deref());
+    let written = crate::pipeline::driver::run_json::write(&run, error.as_deref());
     // What went wrong first says what to do: on a full disk it names the file that did not fit.
     result?;
     written?;
@@ -191,7 +154,9 @@ fn leave_record(job: &Job, workspace: &Workspace, of: Identity, summary: &Summar
 }
 
 fn summary(job: &Job, run: Run) -> Result<Summary, PipelineError> {
-    let background = (job.goal >= Stage::Background).then(|| models::background_report(&run)).transpose()?;
+    let background = (job.goal >= Stage::Background)
+        .then(|| crate::pipeline::stages::background::background_report(&run))
+        .transpose()?;
     let vehicles = vehicles(&run, job.goal)?;
     let (output, warnings, num_frames) = (job.output.to_owned(), run.warnings(), run.frames()?.len());
     let time_base = run.info().time_base();
@@ -203,14 +168,15 @@ fn vehicles(run: &Run, goal: Stage) -> Result<BTreeMap<ObjectId, Vehicle>, Pipel
         return Ok(BTreeMap::new());
     }
     let mut tracked: BTreeMap<ObjectId, TrackedObject> =
-        track::objects(run)?.into_iter().map(|object| (object.id, object)).collect();
-    let mut failures = if goal >= Stage::Scale { scale::failures(run)? } else { BTreeMap::new() };
+        crate::pipeline::stages::track::objects(run)?.into_iter().map(|object| (object.id, object)).collect();
+    let mut failures =
+        if goal >= Stage::Scale { crate::pipeline::stages::scale::failures(run)? } else { BTreeMap::new() };
     let vehicle = |(id, model): (ObjectId, ModelReport)| {
         let (class, movement) = tracked.remove(&id).map(|found| (found.class, found.movement.state)).unzip();
         let not_placed = failures.remove(&id.to_string());
         (id, Vehicle { class: class.unwrap_or_default(), movement, model, not_placed })
     };
-    Ok(objects::reports(run)?.into_iter().map(vehicle).collect())
+    Ok(crate::pipeline::stages::objects::reports(run)?.into_iter().map(vehicle).collect())
 }
 
 impl Job<'_> {
@@ -225,13 +191,15 @@ impl Job<'_> {
 
 fn stages<'a>(run: &mut Run<'a>, goal: Stage, input: &str, muted: &'a Muted<'a>) -> Result<(), PipelineError> {
     run.goal = goal;
-    preflight::check_camera(run)?;
+    crate::pipeline::inputs::preflight::check_camera(run)?;
     for stage in Stage::ALL.into_iter().filter(|stage| *stage <= goal) {
         one_stage(run, stage, input)?;
         match stage {
-            Stage::Frames => preflight::check_files(run, &open_stages(run, goal, input)?)?,
+            Stage::Frames => crate::pipeline::inputs::preflight::check_files(run, &open_stages(run, goal, input)?)?,
             // Without a background later stages write down that there is nothing, which is not worth a word.
-            Stage::Track if models::background_report(run)?.failure.is_some() => run.progress = muted,
+            Stage::Track if crate::pipeline::stages::background::background_report(run)?.failure.is_some() => {
+                run.progress = muted
+            }
             _ => {}
         }
     }
@@ -250,17 +218,17 @@ fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<(), PipelineErr
 /// Everything that a stage's result depends on besides the stages before it.
 fn depends_on(run: &Run, stage: Stage, input: &str) -> Result<Value, PipelineError> {
     Ok(match stage {
-        Stage::Frames => frames::depends_on(run, input),
-        Stage::Segment => segment::depends_on(run)?,
-        Stage::Features => features::depends_on(run)?,
-        Stage::Background => models::background_depends_on(run)?,
-        Stage::Motion => motion::depends_on(run)?,
-        Stage::Track => track::depends_on(run)?,
-        Stage::Follow => follow::depends_on(run)?,
-        Stage::Objects => objects::depends_on(run)?,
-        Stage::Ground => ground::depends_on(run)?,
-        Stage::Scale => scale::depends_on(run),
-        Stage::Metric => metric::depends_on(run),
+        Stage::Frames => crate::pipeline::stages::frames::depends_on(run, input),
+        Stage::Segment => crate::pipeline::stages::segment::depends_on(run)?,
+        Stage::Features => crate::pipeline::stages::features::depends_on(run)?,
+        Stage::Background => crate::pipeline::stages::background::background_depends_on(run)?,
+        Stage::Motion => crate::pipeline::stages::motion::depends_on(run)?,
+        Stage::Track => crate::pipeline::stages::track::depends_on(run)?,
+        Stage::Follow => crate::pipeline::stages::follow::depends_on(run)?,
+        Stage::Objects => crate::pipeline::stages::objects::depends_on(run)?,
+        Stage::Ground => crate::pipeline::stages::ground::depends_on(run)?,
+        Stage::Scale => crate::pipeline::stages::scale::depends_on(run),
+        Stage::Metric => crate::pipeline::stages::metric::depends_on(run),
         Stage::Report => json!({ "arguments": run.arguments }),
     })
 }
@@ -268,30 +236,30 @@ fn depends_on(run: &Run, stage: Stage, input: &str) -> Result<Value, PipelineErr
 /// Prefixes of the folders in which a stage keeps intermediate files, by the options that it works with.
 fn intermediates(stage: Stage) -> &'static [&'static str] {
     match stage {
-        Stage::Segment => &[segment::MASKS, segment::BOXES],
-        Stage::Features => &[features::PREFIX],
-        Stage::Motion => &[motion::PREFIX],
-        Stage::Track => &[track::ANSWERS],
-        Stage::Follow => &[follow::PREFIX],
-        Stage::Ground => &[ground::MASKS],
+        Stage::Segment => &[crate::pipeline::stages::segment::MASKS, crate::pipeline::stages::segment::BOXES],
+        Stage::Features => &[crate::pipeline::stages::features::PREFIX],
+        Stage::Motion => &[crate::pipeline::stages::motion::PREFIX],
+        Stage::Track => &[crate::pipeline::stages::track::ANSWERS],
+        Stage::Follow => &[crate::pipeline::stages::follow::PREFIX],
+        Stage::Ground => &[crate::pipeline::stages::ground::MASKS],
         Stage::Frames | Stage::Background | Stage::Objects | Stage::Scale | Stage::Metric | Stage::Report => &[],
     }
 }
 
 fn work(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, PipelineError> {
     match stage {
-        Stage::Frames => frames::work(run),
-        Stage::Segment => segment::work(run, fingerprint),
-        Stage::Features => features::work(run, fingerprint),
-        Stage::Background => models::background_work(run),
-        Stage::Motion => motion::work(run, fingerprint),
-        Stage::Track => track::work(run, fingerprint),
-        Stage::Follow => follow::work(run, fingerprint),
-        Stage::Objects => objects::work(run, fingerprint),
-        Stage::Ground => ground::work(run, fingerprint),
-        Stage::Scale => scale::work(run),
-        Stage::Metric => metric::work(run),
-        Stage::Report => report::work(run),
+        Stage::Frames => crate::pipeline::stages::frames::work(run),
+        Stage::Segment => crate::pipeline::stages::segment::work(run, fingerprint),
+        Stage::Features => crate::pipeline::stages::features::work(run, fingerprint),
+        Stage::Background => crate::pipeline::stages::background::background_work(run),
+        Stage::Motion => crate::pipeline::stages::motion::work(run, fingerprint),
+        Stage::Track => crate::pipeline::stages::track::work(run, fingerprint),
+        Stage::Follow => crate::pipeline::stages::follow::work(run, fingerprint),
+        Stage::Objects => crate::pipeline::stages::objects::work(run, fingerprint),
+        Stage::Ground => crate::pipeline::stages::ground::work(run, fingerprint),
+        Stage::Scale => crate::pipeline::stages::scale::work(run),
+        Stage::Metric => crate::pipeline::stages::metric::work(run),
+        Stage::Report => crate::pipeline::stages::report::work(run),
     }
 }
 
@@ -306,7 +274,8 @@ fn open_stages(run: &Run, goal: Stage, input: &str) -> Result<Vec<Stage>, Pipeli
     let mut open = Vec::new();
     for stage in stages {
         let upstream: Vec<&str> = stage.after().iter().map(|before| fingerprints[before].as_str()).collect();
-        let fingerprint = fingerprint::of_stage(stage, &depends_on(run, stage, input)?, &upstream);
+        let fingerprint =
+            crate::pipeline::driver::fingerprint::of_stage(stage, &depends_on(run, stage, input)?, &upstream);
         if !run.is_done(stage, &fingerprint) {
             open.push(stage);
         }

@@ -1,0 +1,131 @@
+//! Cost of a piece of work: elapsed time, processor time, memory.
+//!
+//! The kernel keeps the largest memory of a process since it began (VmHWM), and lets it be set back; but then nobody
+//! who looks from outside sees the peak any more. So it is left alone: where it rose during a stage it is that stage's
+//! peak, and where it did not, the largest of samples is.
+
+use std::fs;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use rustix::time::{ClockId, clock_gettime};
+use serde::{Deserialize, Serialize};
+
+/// The cost of a stage.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Cost {
+    /// Elapsed time, seconds.
+    pub wall_s: f64,
+    /// User and system time of all threads, seconds.
+    pub cpu_s: f64,
+    /// Largest resident memory of the process during the stage, MiB.
+    pub peak_rss_mib: f64,
+}
+
+/// Time between two samples of the memory in use.
+const SAMPLE_EVERY: Duration = Duration::from_millis(20);
+
+/// Runs from its making to [`Meter::read`].
+pub(in crate::pipeline) struct Meter {
+    started: Instant,
+    cpu_s: f64,
+    /// Largest memory of the process before, MiB.
+    peak_before_mib: f64,
+    samples: Arc<Samples>,
+}
+
+/// State shared by the sampling thread and its meter.
+#[derive(Default)]
+struct Samples {
+    /// Largest sample, bytes.
+    largest: AtomicU64,
+    is_over: AtomicBool,
+}
+
+impl Meter {
+    pub(in crate::pipeline) fn start() -> Self {
+        let samples = Arc::new(Samples::default());
+        samples.take();
+        let shared = Arc::clone(&samples);
+        // Without a thread to spare, the sample of the beginning and that of the end have to do.
+        let _ = thread::Builder::new().name("memory".into()).spawn(move || {
+            while !shared.is_over.load(Ordering::Relaxed) {
+                thread::sleep(SAMPLE_EVERY);
+                shared.take();
+            }
+        });
+        let peak_before_mib = status_mib("VmHWM:").unwrap_or(0.0);
+        Self { started: Instant::now(), cpu_s: process_cpu_s(), peak_before_mib, samples }
+    }
+
+    pub(in crate::pipeline) fn read(&self) -> Cost {
+        self.samples.take();
+        let peak_mib = status_mib("VmHWM:").unwrap_or(0.0);
+        let sampled_mib = self.samples.largest.load(Ordering::Relaxed) as f64 / f64::from(1 << 20);
+        Cost {
+            wall_s: self.started.elapsed().as_secs_f64(),
+            cpu_s: process_cpu_s() - self.cpu_s,
+            peak_rss_mib: if peak_mib > self.peak_before_mib { peak_mib } else { sampled_mib },
+        }
+    }
+}
+
+impl Drop for Meter {
+    fn drop(&mut self) {
+        self.samples.is_over.store(true, Ordering::Relaxed);
+    }
+}
+
+impl Samples {
+    fn take(&self) {
+        let bytes = status_mib("VmRSS:").unwrap_or(0.0) * f64::from(1 << 20);
+        self.largest.fetch_max(bytes as u64, Ordering::Relaxed);
+    }
+}
+
+/// Processor time of the process so far, all threads, seconds.
+pub fn process_cpu_s() -> f64 {
+    let time = clock_gettime(ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+/// A line of `/proc/self/status` that is given in kB.
+fn status_mib(key: &str) -> Option<f64> {
+    let status = fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix(key))?;
+    let kib: f64 = line.split_whitespace().next()?.parse().ok()?;
+    Some(kib / 1024.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn work_and_memory_are_seen() {
+        let meter = Meter::start();
+        let block = vec![1u8; 64 << 20];
+        let sum: u64 = block.iter().map(|&b| u64::from(b)).sum();
+        let cost = meter.read();
+        assert_eq!(sum, 64 << 20);
+        assert!(cost.peak_rss_mib > 64.0, "{cost:?}");
+        assert!(cost.wall_s > 0.0 && cost.cpu_s > 0.0, "{cost:?}");
+    }
+
+    #[test]
+    fn who_looks_from_outside_still_sees_the_largest_of_all() {
+        let first = {
+            let meter = Meter::start();
+            let block = vec![1u8; 256 << 20];
+            assert_eq!(block.iter().map(|&b| usize::from(b)).sum::<usize>(), 256 << 20);
+            meter.read().peak_rss_mib
+        };
+        let second = Meter::start().read().peak_rss_mib;
+        let of_process = status_mib("VmHWM:").unwrap();
+        assert!(first > 256.0 && second > 0.0);
+        // The kernel counts by thread and adds up now and then.
+        assert!(of_process > first - 8.0, "{of_process} {first} {second}");
+    }
+}

@@ -1,0 +1,180 @@
+//! Progress of a run; the terminal shows it, a library user may ignore it.
+
+use crate::pipeline::{Instances, Options, Stage, Workspace};
+use crate::video::{self, Info, Position};
+
+/// Receiver of the progress of a run.
+pub trait Progress: Sync {
+    /// Announces the plan, before the first stage.
+    fn plan(&self, _: &Plan) {}
+    /// A stage begins, with `total` steps where that is known; the same name again begins its next part, whose steps
+    /// are counted from 0. `input` is read before the first stage.
+    fn begin(&self, stage: &str, total: Option<u64>);
+    /// Another step is done.
+    fn step(&self);
+    /// So many steps are done. Never goes back: fewer than before change nothing.
+    fn reach(&self, done: u64);
+    /// Something that a person should know, and that is no fault.
+    fn note(&self, _: &str) {}
+    /// The stage is over.
+    fn end(&self);
+    /// A stage is left out because an earlier run had done it.
+    fn skip(&self, stage: &str);
+    /// Returns true if the run is to end at the next unit of work: a frame, an object, a stage. Finished work stays.
+    fn is_stopped(&self) -> bool {
+        false
+    }
+}
+
+/// Says nothing.
+pub struct Silent;
+
+impl Progress for Silent {
+    fn begin(&self, _: &str, _: Option<u64>) {}
+    fn step(&self) {}
+    fn reach(&self, _: u64) {}
+    fn end(&self) {}
+    fn skip(&self, _: &str) {}
+}
+
+/// Says nothing of how far a run is, and stops it where another one does.
+pub(in crate::pipeline) struct Muted<'a>(pub(in crate::pipeline) &'a dyn Progress);
+
+impl Progress for Muted<'_> {
+    fn begin(&self, _: &str, _: Option<u64>) {}
+    fn step(&self) {}
+    fn reach(&self, _: u64) {}
+    fn end(&self) {}
+    fn skip(&self, _: &str) {}
+    fn is_stopped(&self) -> bool {
+        self.0.is_stopped()
+    }
+}
+
+/// The stages up to a goal, in order, and how long each should take.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Plan {
+    /// Ascending.
+    pub stages: Vec<Planned>,
+}
+
+/// A stage that is to be done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Planned {
+    /// Which one.
+    pub stage: Stage,
+    /// Seconds that it should take: what it took an earlier run in the same folder; else what it usually takes, at the
+    /// pace of the stages of which that is known.
+    pub expected_s: f64,
+}
+
+impl Plan {
+    /// From what is known before the first frame is looked at.
+    pub(in crate::pipeline) fn new(workspace: &Workspace, options: &Options, info: &Info, goal: Stage) -> Self {
+        let stages: Vec<Stage> = Stage::ALL.into_iter().filter(|stage| *stage <= goal).collect();
+        let before = |stage: Stage| workspace.marker(stage).map(|marker| marker.cost.wall_s);
+        let usual = |stage: Stage| usual_s(stage, options, info);
+        let known = stages.iter().filter_map(|&stage| Some((before(stage)?, usual(stage))));
+        let (took, usually) = known.fold((0.0, 0.0), |(a, b), (x, y)| (a + x, b + y));
+        let pace = if took > 0.0 && usually > 0.0 { took / usually } else { 1.0 };
+        let planned =
+            |stage: Stage| Planned { stage, expected_s: before(stage).unwrap_or_else(|| pace * usual(stage)) };
+        Self { stages: stages.into_iter().map(planned).collect() }
+    }
+}
+
+/// Frames that a video has whose container does not say it.
+const UNSTATED_FRAMES: u32 = 300;
+
+/// Seconds that a stage usually takes, on two cores of 2020. Only the shares matter much: the terminal corrects the
+/// pace while it watches.
+fn usual_s(stage: Stage, options: &Options, info: &Info) -> f64 {
+    let frames = num_frames(&options.video, info);
+    let megapixels = f64::from(info.width) * f64::from(info.height) * 1e-6;
+    let with_model = matches!(options.instances, Instances::Model(_));
+    let found_by_default = options.instances == Instances::Vehicles;
+    let is_looked_for = options.instances != Instances::None;
+    let with_ground_model = matches!(options.ground_labels, crate::pipeline::GroundLabels::Model(_));
+    let (per_frame, per_megapixel) = match stage {
+        Stage::Frames => (0.0, 0.01),
+        Stage::Segment if found_by_default || with_model => (0.1, 0.02),
+        Stage::Segment => (0.0, 0.0),
+        Stage::Features => (0.0, 0.15),
+        Stage::Motion if is_looked_for => (0.0, 0.08),
+        Stage::Motion => (0.0, 0.0),
+        Stage::Track if found_by_default => (0.2, 0.1),
+        Stage::Track if with_model => (0.0, 0.08),
+        Stage::Track => (0.0, 0.02),
+        Stage::Follow => (0.0, 0.05),
+        Stage::Background => (0.03, 0.0),
+        Stage::Objects => (0.03, 0.0),
+        Stage::Ground if with_ground_model => (0.3, 0.0),
+        Stage::Ground => (0.002, 0.0),
+        Stage::Scale => (0.005, 0.0),
+        Stage::Metric => (0.002, 0.0),
+        Stage::Report => (0.01, 0.0),
+    };
+    frames * (per_frame + per_megapixel * megapixels)
+}
+
+/// Number of frames that the options choose, as far as the metadata tell.
+fn num_frames(options: &video::Options, info: &Info) -> f64 {
+    let all = f64::from(info.num_frames.unwrap_or(UNSTATED_FRAMES));
+    let index = |position: Position| match position {
+        Position::Frame(index) => f64::from(index),
+        Position::Seconds(seconds) => info.fps.map_or(all, |fps| seconds * fps),
+    };
+    let first = options.start.map_or(0.0, index);
+    let end = options.end.map_or(all, index).min(all);
+    ((end - first) / f64::from(options.every.max(1))).max(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::pipeline::{Cost, Marker};
+    use crate::video::Kind;
+
+    fn info() -> Info {
+        Info {
+            kind: Kind::Video,
+            width: 1000,
+            height: 1000,
+            source_width: 1000,
+            source_height: 1000,
+            stored_width: 1000,
+            stored_height: 1000,
+            video_track: Some(0),
+            fps: None,
+            num_frames: Some(100),
+            rotation_deg: 0,
+            exif_focal_px: None,
+        }
+    }
+
+    #[test]
+    fn an_earlier_run_tells_the_pace_of_this_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let workspace = Workspace::open(folder.path()).unwrap();
+        let plan = |goal| Plan::new(&workspace, &Options::default(), &info(), goal);
+        let fresh = plan(Stage::Report);
+        assert_eq!(fresh.stages.iter().map(|planned| planned.stage).collect::<Vec<_>>(), Stage::ALL);
+        assert_eq!(plan(Stage::Track).stages.len(), 6);
+        let expected = |plan: &Plan, stage| plan.stages.iter().find(|p| p.stage == stage).unwrap().expected_s;
+        let wall_s = 4.0 * expected(&fresh, Stage::Features);
+        let marker = Marker {
+            fingerprint: String::new(),
+            cost: Cost { wall_s, ..Cost::default() },
+            warnings: Vec::new(),
+            figures: BTreeMap::new(),
+            outputs: Vec::new(),
+        };
+        workspace.set_marker(Stage::Features, &marker).unwrap();
+        let again = plan(Stage::Report);
+        assert_eq!(expected(&again, Stage::Features), wall_s);
+        let ratio = expected(&again, Stage::Background) / expected(&fresh, Stage::Background);
+        assert!((ratio - 4.0).abs() < 1e-12, "{ratio}");
+    }
+}

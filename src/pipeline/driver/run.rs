@@ -1,0 +1,220 @@
+//! The driver: which stages are done already, which have to be done, and what they cost.
+
+use std::cell::{Cell, OnceCell};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use super::meter::Meter;
+use super::workspace::{Marker, Workspace};
+use super::{fingerprint, intermediate};
+use crate::ffi::memory;
+use crate::pipeline::{Options, PipelineError, Progress, Stage};
+use crate::scene::{Frame, Warning};
+use crate::video::{Info, Source};
+
+/// Results of a stage besides its files.
+#[derive(Debug, Default)]
+pub(in crate::pipeline) struct Outcome {
+    /// Problems although there is a result.
+    pub(in crate::pipeline) warnings: Vec<String>,
+    /// Counts and measures, by name.
+    pub(in crate::pipeline) figures: BTreeMap<String, Value>,
+    /// Files and folders that the stage made, absolute.
+    pub(in crate::pipeline) outputs: Vec<PathBuf>,
+}
+
+impl Outcome {
+    pub(in crate::pipeline) fn warn(&mut self, warning: Warning) {
+        tracing::warn!("{warning}");
+        self.note(warning);
+    }
+
+    /// As [`Outcome::warn`], of what the end of the run says anyway.
+    pub(in crate::pipeline) fn note(&mut self, warning: Warning) {
+        self.warnings.push(warning.to_string());
+    }
+
+    pub(in crate::pipeline) fn figure(&mut self, name: &str, value: impl Into<Value>) {
+        self.figures.insert(name.to_owned(), value.into());
+    }
+}
+
+/// A stage as it stands at the end of a run.
+#[derive(Clone, Debug)]
+pub struct StageRecord {
+    /// Which one.
+    pub stage: Stage,
+    /// Marker of the stage.
+    pub marker: Marker,
+    /// True if an earlier run did it.
+    pub reused: bool,
+}
+
+/// One run under way.
+pub(in crate::pipeline) struct Run<'a> {
+    pub(in crate::pipeline) options: &'a Options,
+    pub(in crate::pipeline) workspace: &'a Workspace,
+    pub(in crate::pipeline) source: &'a Source,
+    pub(in crate::pipeline) arguments: &'a [String],
+    pub(in crate::pipeline) progress: &'a dyn Progress,
+    /// The last stage that is to be done.
+    pub(in crate::pipeline) goal: Stage,
+    pub(in crate::pipeline) records: Vec<StageRecord>,
+    /// Anomalies of the input, found before any stage.
+    warnings: Vec<String>,
+    frames: OnceCell<Vec<Frame>>,
+    said_anew: Cell<bool>,
+}
+
+impl<'a> Run<'a> {
+    pub(in crate::pipeline) fn new(
+        options: &'a Options,
+        workspace: &'a Workspace,
+        source: &'a Source,
+        arguments: &'a [String],
+        progress: &'a dyn Progress,
+    ) -> Self {
+        let (records, warnings, frames, said_anew) = (Vec::new(), Vec::new(), OnceCell::new(), Cell::new(false));
+        let goal = Stage::Report;
+        Self { options, workspace, source, arguments, progress, goal, records, warnings, frames, said_anew }
+    }
+
+    pub(in crate::pipeline) fn input(&self) -> &Path {
+        self.source.path()
+    }
+
+    pub(in crate::pipeline) fn info(&self) -> &Info {
+        self.source.info()
+    }
+
+    /// The chosen frames; the stage `frames` must be done.
+    pub(in crate::pipeline) fn frames(&self) -> Result<&[Frame], PipelineError> {
+        if self.frames.get().is_none() {
+            let frames: Vec<Frame> = self.workspace.read_state("frames-list.json")?;
+            let frames = intermediate::checked(frames)
+                .map_err(|flaw| intermediate::damaged(&self.workspace.state("frames-list.json"), flaw))?;
+            let _ = self.frames.set(frames);
+        }
+        Ok(self.frames.get().map_or(&[], Vec::as_slice))
+    }
+
+    /// Says that a step is done, and whether there may be another one.
+    ///
+    /// # Errors
+    /// As [`Self::go_on`].
+    pub(in crate::pipeline) fn step(&self) -> Result<(), PipelineError> {
+        self.progress.step();
+        self.go_on()
+    }
+
+    /// To be asked between units of work, when all that is done is in its place.
+    ///
+    /// # Errors
+    /// [`PipelineError::Stopped`].
+    pub(in crate::pipeline) fn go_on(&self) -> Result<(), PipelineError> {
+        match self.progress.is_stopped() {
+            true => Err(PipelineError::Stopped),
+            false => Ok(()),
+        }
+    }
+
+    /// Does a stage, unless it is done already.
+    ///
+    /// * `depends_on` – everything that its result depends on besides the stages before it.
+    /// * `work` – is given the fingerprint of all that.
+    pub(in crate::pipeline) fn stage(
+        &mut self,
+        stage: Stage,
+        depends_on: Value,
+        work: impl FnOnce(&Self, &str) -> Result<Outcome, PipelineError>,
+    ) -> Result<(), PipelineError> {
+        self.go_on()?;
+        let upstream: Vec<&str> = stage.after().iter().map(|&stage| self.fingerprint(stage)).collect();
+        let fingerprint = fingerprint::of_stage(stage, &depends_on, &upstream);
+        let before = self.workspace.marker(stage);
+        let is_other = before.as_ref().is_some_and(|marker| marker.fingerprint != fingerprint);
+        let same = before.filter(|marker| !is_other && self.workspace.has_outputs(marker));
+        if let Some(marker) = same {
+            self.progress.skip(stage.name());
+            self.records.push(StageRecord { stage, marker, reused: true });
+            return Ok(());
+        }
+        if is_other {
+            self.say_what_is_done_anew(stage);
+        }
+        self.workspace.clear_marker(stage)?;
+        for prefix in crate::pipeline::intermediates(stage) {
+            self.workspace.remove_intermediate(prefix, &fingerprint)?;
+        }
+        self.progress.begin(stage.name(), None);
+        let meter = Meter::start();
+        let outcome = work(self, &fingerprint);
+        self.progress.end();
+        let Outcome { warnings, figures, outputs } = outcome?;
+        let cost = meter.read();
+        memory::give_back();
+        // A folder into which a stage puts no file is not there: nothing of the result depends on it.
+        let outputs = outputs.iter().filter(|path| path.exists());
+        let outputs = outputs.map(|path| path.strip_prefix(self.workspace.root()).unwrap_or(path).to_owned()).collect();
+        let marker = Marker { fingerprint, cost, warnings, figures, outputs };
+        self.workspace.set_marker(stage, &marker)?;
+        self.records.push(StageRecord { stage, marker, reused: false });
+        Ok(())
+    }
+
+    /// Returns true if an earlier run left the results of a stage with this fingerprint.
+    pub(in crate::pipeline) fn is_done(&self, stage: Stage, fingerprint: &str) -> bool {
+        let marker = self.workspace.marker(stage);
+        marker.is_some_and(|marker| marker.fingerprint == fingerprint && self.workspace.has_outputs(&marker))
+    }
+
+    /// Says once, of the first stage whose options have changed, which results are replaced.
+    fn say_what_is_done_anew(&self, first: Stage) {
+        if first == Stage::Report || self.said_anew.replace(true) {
+            return;
+        }
+        let stages: Vec<&str> = first.and_dependents().into_iter().map(Stage::name).collect();
+        self.progress.note(&format!("options changed: re-running {}", stages.join(", ")));
+    }
+
+    /// The fingerprint of a stage that this run has been through; empty for one that it left out.
+    pub(in crate::pipeline) fn fingerprint(&self, stage: Stage) -> &str {
+        self.records.iter().find(|record| record.stage == stage).map_or("", |record| &record.marker.fingerprint)
+    }
+
+    /// Takes over what an earlier run did, as far as it went.
+    pub(in crate::pipeline) fn recall(&mut self) {
+        let done = Stage::ALL
+            .into_iter()
+            .filter_map(|stage| self.workspace.marker(stage).map(|marker| StageRecord { stage, marker, reused: true }));
+        self.records = done.collect();
+    }
+
+    /// Returns true if all stages so far were reused.
+    pub(in crate::pipeline) fn all_reused(&self) -> bool {
+        self.records.iter().all(|record| record.reused)
+    }
+
+    /// Says what is odd about what was given.
+    pub(in crate::pipeline) fn warn(&mut self, warning: Warning) {
+        tracing::warn!("{warning}");
+        self.warnings.push(warning.to_string());
+    }
+
+    /// All warnings so far, in order.
+    pub(in crate::pipeline) fn warnings(&self) -> Vec<String> {
+        self.all_warnings().cloned().collect()
+    }
+
+    /// Returns true if an earlier stage gave this warning.
+    pub(in crate::pipeline) fn has_warned(&self, warning: &Warning) -> bool {
+        let displayed = warning.to_string();
+        self.all_warnings().any(|warning| *warning == displayed)
+    }
+
+    fn all_warnings(&self) -> impl Iterator<Item = &String> {
+        self.warnings.iter().chain(self.records.iter().flat_map(|record| &record.marker.warnings))
+    }
+}

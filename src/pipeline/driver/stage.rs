@@ -1,0 +1,127 @@
+//! The stages of a run: their order, and their names in files and messages.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// The stages of a run, in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Stage {
+    /// Which frames there are, at which times.
+    Frames,
+    /// Instances in every frame.
+    Segment,
+    /// Tracks of image points on the background.
+    Features,
+    /// Structure from motion of the background.
+    Background,
+    /// Points and objects that move against the background.
+    Motion,
+    /// One mask per object and frame.
+    Track,
+    /// Tracks of image points on every object.
+    Follow,
+    /// Structure from motion of every object.
+    Objects,
+    /// Ground points and local planes.
+    Ground,
+    /// Scale ratios and trajectories.
+    Scale,
+    /// Trajectories in metres and on the map.
+    Metric,
+    /// The page to look at.
+    Report,
+}
+
+impl Stage {
+    /// All of them, in order.
+    pub const ALL: [Self; 12] = [
+        Self::Frames,
+        Self::Segment,
+        Self::Features,
+        Self::Background,
+        Self::Motion,
+        Self::Track,
+        Self::Follow,
+        Self::Objects,
+        Self::Ground,
+        Self::Scale,
+        Self::Metric,
+        Self::Report,
+    ];
+
+    /// The name in `run.json` and in messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Frames => "frames",
+            Self::Segment => "segment",
+            Self::Features => "features",
+            Self::Background => "background",
+            Self::Motion => "motion",
+            Self::Track => "track",
+            Self::Follow => "follow",
+            Self::Objects => "objects",
+            Self::Ground => "ground",
+            Self::Scale => "scale",
+            Self::Metric => "metric",
+            Self::Report => "report",
+        }
+    }
+
+    /// The stages whose results this one reads.
+    pub fn after(self) -> &'static [Self] {
+        use Stage::{Background, Features, Follow, Frames, Ground, Metric, Motion, Objects, Scale, Segment, Track};
+        match self {
+            Frames => &[],
+            Segment => &[Frames],
+            Features => &[Frames, Segment],
+            Background => &[Features],
+            Motion => &[Segment, Background],
+            Track => &[Segment, Motion],
+            Follow => &[Track],
+            Objects => &[Follow, Background],
+            Ground => &[Background, Objects],
+            Scale => &[Ground],
+            Metric => &[Scale],
+            Self::Report => &[Metric],
+        }
+    }
+
+    /// This stage and all that come after it, directly or not.
+    pub fn and_dependents(self) -> Vec<Self> {
+        let mut found = vec![self];
+        for stage in Self::ALL {
+            if !found.contains(&stage) && stage.after().iter().any(|before| found.contains(before)) {
+                found.push(stage);
+            }
+        }
+        found
+    }
+
+    /// Revision of a stage's results, for releases: raised when they change although the options do not, so that
+    /// results of an older release are not reused. In every other build the hash of the sources ([`crate::VERSION`])
+    /// does that.
+    pub(in crate::pipeline) fn revision(self) -> u32 {
+        match self {
+            Self::Scale => 10,
+            Self::Objects => 7,
+            Self::Background | Self::Motion => 6,
+            Self::Features | Self::Track => 5,
+            Self::Ground | Self::Follow => 4,
+            Self::Frames | Self::Segment | Self::Metric => 3,
+            Self::Report => 2,
+        }
+    }
+
+    /// The stage of a name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|stage| stage.name() == name)
+    }
+}
+
+impl fmt::Display for Stage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.name().fmt(f)
+    }
+}

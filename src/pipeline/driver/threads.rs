@@ -1,0 +1,15 @@
+//! Work on as many threads as the options ask for.
+
+use crate::limits::OptionError;
+use crate::pipeline::PipelineError;
+
+/// Does `work` on so many threads: on those of the caller's pool, unless another number is asked for.
+pub(in crate::pipeline) fn on_threads<T: Send>(
+    threads: Option<usize>,
+    work: impl FnOnce() -> T + Send,
+) -> Result<T, PipelineError> {
+    let Some(threads) = threads.filter(|&threads| threads != rayon::current_num_threads()) else { return Ok(work()) };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    let pool = pool.map_err(|error| OptionError::new("threads", format!("cannot be started: {error}")))?;
+    Ok(pool.install(work))
+}

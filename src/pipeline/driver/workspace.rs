@@ -1,0 +1,289 @@
+//! The output folder while a run has it: the public results, and what the run needs to go on where it was.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::ops::Deref;
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::fingerprint;
+use super::meter::Cost;
+use crate::io::{InputIdentity, IoError, OwnedFolder, RunFolder, atomic, refuse_own_input};
+use crate::limits::files;
+use crate::pipeline::{PipelineError, Stage};
+use crate::scene::ObjectId;
+
+/// An output folder that this process has for itself. What lies where in it is [`RunFolder`]'s to say.
+#[derive(Debug)]
+pub struct Workspace {
+    owned: OwnedFolder,
+    places: RunFolder,
+}
+
+impl Deref for Workspace {
+    type Target = RunFolder;
+
+    fn deref(&self) -> &RunFolder {
+        &self.places
+    }
+}
+
+/// Results that may be discarded for new ones.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Overwrite {
+    /// Results of the same input alone.
+    #[default]
+    SameInput,
+    /// Results of another input, too.
+    AnyInput,
+}
+
+/// Marker of a finished stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Marker {
+    /// Hash of everything that the result was made from.
+    pub fingerprint: String,
+    /// Cost when it was made.
+    #[serde(flatten)]
+    pub cost: Cost,
+    /// Problems although there is a result.
+    pub warnings: Vec<String>,
+    /// Counts and measures, by name.
+    pub figures: BTreeMap<String, serde_json::Value>,
+    /// Files and folders that belong to the result, relative to the output folder; without one of them it is made
+    /// again.
+    pub outputs: Vec<PathBuf>,
+}
+
+impl Workspace {
+    /// Looks whether a run may write into a folder, and whether all that it reads lies elsewhere; changes nothing.
+    ///
+    /// * `inputs` – what is read, after the flag that named it.
+    ///
+    /// # Errors
+    /// [`PipelineError::Folder`] says what is in the way.
+    pub fn inspect(output: &Path, inputs: &[(&str, &Path)]) -> Result<(), PipelineError> {
+        OwnedFolder::inspect(output, RunFolder::MADE_BY, RunFolder::place)?;
+        for (flag, input) in inputs {
+            refuse_own_input(output, RunFolder::place, flag, input)?;
+        }
+        Ok(())
+    }
+
+    /// Makes the folder if need be and takes it.
+    ///
+    /// # Errors
+    /// [`PipelineError::Folder`] if it is not a run's own, cannot be written to, or if another run has it.
+    pub fn open(output: &Path) -> Result<Self, PipelineError> {
+        let owned = OwnedFolder::open(output, RunFolder::MADE_BY, RunFolder::place)?;
+        let places = RunFolder::at(owned.root());
+        Ok(Self { owned, places })
+    }
+
+    /// Returns true if a folder was made by a run.
+    pub fn is_own(output: &Path) -> bool {
+        OwnedFolder::is_own(output, RunFolder::MADE_BY)
+    }
+
+    /// Says what the results are made from; results of another input go, if that is allowed.
+    ///
+    /// # Errors
+    /// [`PipelineError::Folder`] where it is not.
+    pub fn claim(&self, input: InputIdentity, overwrite: Overwrite) -> Result<(), PipelineError> {
+        Ok(self.owned.claim(input, overwrite == Overwrite::AnyInput)?)
+    }
+
+    /// The input of the results in an output folder, where its manifest says it.
+    pub(in crate::pipeline) fn input_of(output: &Path) -> Option<InputIdentity> {
+        OwnedFolder::input_of(output, RunFolder::MADE_BY)
+    }
+
+    /// Input of the results.
+    pub fn claimed_by(&self) -> Option<InputIdentity> {
+        self.owned.input()
+    }
+
+    /// Puts a public file in its place, whole, through `fill`, which is given the path.
+    ///
+    /// # Errors
+    /// What `fill` says, or [`PipelineError::Folder`].
+    pub fn put_file<E>(&self, path: &Path, fill: impl FnOnce(&Path) -> Result<(), E>) -> Result<(), PipelineError>
+    where
+        PipelineError: From<E>,
+    {
+        self.owned.put_file(path, |fresh| fill(fresh).map_err(PipelineError::from))
+    }
+
+    /// Puts a public folder in its place, whole, through `fill`, which gets an empty one.
+    ///
+    /// # Errors
+    /// As [`Self::put_file`].
+    pub fn put_folder<T>(
+        &self,
+        path: &Path,
+        fill: impl FnOnce(&Path) -> Result<T, PipelineError>,
+    ) -> Result<T, PipelineError> {
+        self.owned.put_folder(path, fill)
+    }
+
+    /// Removes a run's own public files at and below a path.
+    ///
+    /// # Errors
+    /// [`PipelineError::Folder`] if the system refuses.
+    pub fn remove(&self, path: &Path) -> Result<(), PipelineError> {
+        Ok(self.owned.remove(path)?)
+    }
+
+    /// Removes a run's own files of all objects in `folder` but those to `keep`.
+    ///
+    /// # Errors
+    /// As [`Self::remove`].
+    pub fn keep_objects(&self, folder: &Path, keep: impl Fn(ObjectId) -> bool) -> Result<(), PipelineError> {
+        let others = RunFolder::ids_in(folder).into_iter().filter(|id| !keep(*id));
+        others.into_iter().try_for_each(|id| self.remove(&folder.join(id.to_string())))
+    }
+
+    /// A file of the run's own, of which nothing public hangs.
+    pub fn state(&self, name: &str) -> PathBuf {
+        self.root().join(RunFolder::STATE).join(name)
+    }
+
+    /// The folder of objects' models that are not yet compared with the masks; there only while that is to be done.
+    pub fn unchecked_objects(&self) -> PathBuf {
+        self.state("objects-unchecked")
+    }
+
+    /// Marker of a stage, if it can be read.
+    pub fn marker(&self, stage: Stage) -> Option<Marker> {
+        self.read_state(&marker_name(stage)).ok()
+    }
+
+    /// Says that a stage is done. Everything that it made must be in its place before.
+    pub fn set_marker(&self, stage: Stage, marker: &Marker) -> Result<(), PipelineError> {
+        Ok(atomic::write_json(&self.state(&marker_name(stage)), marker)?)
+    }
+
+    /// Says that a stage is not done. To be called before its results are touched.
+    pub fn clear_marker(&self, stage: Stage) -> Result<(), PipelineError> {
+        Ok(atomic::remove(&self.state(&marker_name(stage)))?)
+    }
+
+    /// Takes a file of the run's own away for good.
+    pub(in crate::pipeline) fn remove_record(&self, name: &str) -> Result<(), PipelineError> {
+        Ok(atomic::remove(&self.state(name))?)
+    }
+
+    /// Returns true if a process uses an output folder.
+    pub(in crate::pipeline) fn is_busy(output: &Path) -> bool {
+        OwnedFolder::is_busy(output)
+    }
+
+    /// Returns true if a stage is marked as done in an output folder and all its outputs exist.
+    pub(in crate::pipeline) fn has_results_of(output: &Path, stage: Stage) -> bool {
+        let path = output.join(RunFolder::STATE).join(marker_name(stage));
+        let marker: Option<Marker> = files::read(&path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+        marker.is_some_and(|marker| marker.outputs.iter().all(|path| output.join(path).exists()))
+    }
+
+    /// Returns true if every output of a marked stage still exists.
+    pub fn has_outputs(&self, marker: &Marker) -> bool {
+        marker.outputs.iter().all(|path| self.root().join(path).exists())
+    }
+
+    /// Reads a value that [`Workspace::write_state`] wrote.
+    ///
+    /// # Errors
+    /// [`PipelineError::State`] if it is missing or was changed by other hands.
+    pub fn read_state<T: DeserializeOwned>(&self, name: &str) -> Result<T, PipelineError> {
+        let path = self.state(name);
+        let damaged = |reason: String| PipelineError::State { path: path.clone(), reason };
+        let bytes = files::read(&path).map_err(|e| damaged(e.to_string()))?;
+        serde_json::from_slice(&bytes).map_err(|e| damaged(e.to_string()))
+    }
+
+    /// Writes a value of the run's own.
+    pub fn write_state(&self, name: &str, value: &impl Serialize) -> Result<(), PipelineError> {
+        Ok(atomic::write_json(&self.state(name), value)?)
+    }
+
+    /// Creates the folder for intermediate files of a stage's fingerprint, if it is not there.
+    pub fn intermediate(&self, prefix: &str, fingerprint: &str) -> Result<PathBuf, PipelineError> {
+        let folder = self.state(&fingerprint::folder_name(prefix, fingerprint));
+        atomic::create_folders(&folder)?;
+        Ok(folder)
+    }
+
+    /// Removes the folders for intermediate files of other fingerprints: they belong to other options.
+    pub fn remove_intermediate(&self, prefix: &str, fingerprint: &str) -> Result<(), PipelineError> {
+        let keep = fingerprint::folder_name(prefix, fingerprint);
+        let state = self.root().join(RunFolder::STATE);
+        for entry in fs::read_dir(&state).map_err(IoError::system("read", &state))? {
+            let entry = entry.map_err(IoError::system("read", &state))?;
+            let name = entry.file_name();
+            let name = name.to_string_lossy();
+            let is_fingerprint = |rest: &str| !rest.is_empty() && rest.chars().all(|c| c.is_ascii_hexdigit());
+            if name != keep && name.strip_prefix(prefix).is_some_and(is_fingerprint) {
+                self.remove_state(&entry.path())?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Removes a folder of the run's own, if it is there.
+    pub fn remove_state(&self, path: &Path) -> Result<(), PipelineError> {
+        Ok(atomic::remove_folder(path)?)
+    }
+}
+
+fn marker_name(stage: Stage) -> String {
+    format!("{stage}.json")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::FolderError;
+
+    #[test]
+    fn one_process_at_a_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = Workspace::open(&folder.path().join("out")).unwrap();
+        assert!(matches!(Workspace::open(first.root()), Err(PipelineError::Folder(FolderError::Busy { .. }))));
+        let root = first.root().to_owned();
+        drop(first);
+        assert!(Workspace::open(&root).is_ok());
+    }
+
+    #[test]
+    fn a_place_below_a_file_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        fs::write(&file, b"").unwrap();
+        assert!(matches!(Workspace::open(&file.join("out")), Err(PipelineError::Folder(FolderError::System { .. }))));
+    }
+
+    #[test]
+    fn markers_come_and_go_and_damaged_ones_count_as_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let workspace = Workspace::open(folder.path()).unwrap();
+        assert_eq!(workspace.marker(Stage::Track), None);
+        let marker = Marker {
+            fingerprint: "f".to_owned(),
+            cost: Cost::default(),
+            warnings: vec![],
+            figures: BTreeMap::new(),
+            outputs: vec!["tracks".into()],
+        };
+        workspace.set_marker(Stage::Track, &marker).unwrap();
+        assert_eq!(workspace.marker(Stage::Track).as_ref(), Some(&marker));
+        assert!(!workspace.has_outputs(&marker));
+        fs::create_dir(workspace.tracks()).unwrap();
+        assert!(workspace.has_outputs(&marker));
+        fs::write(workspace.state("track.json"), b"{\"finger").unwrap();
+        assert_eq!(workspace.marker(Stage::Track), None);
+        workspace.clear_marker(Stage::Track).unwrap();
+        workspace.clear_marker(Stage::Track).unwrap();
+    }
+}

@@ -1,0 +1,258 @@
+//! The cameras that the background's pictures come from.
+//!
+//! A video has one. Photographs may have several: one for each size, orientation, and camera and focal length that
+//! their EXIF data name. Where vehicles are looked for, and where pictures follow one another in time, all must have
+//! one size, and one camera is assumed.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::order;
+use crate::camera::Camera;
+use crate::io::colmap;
+use crate::pipeline::driver::run::Run;
+use crate::pipeline::options::{CameraOrigin, IntrinsicsSource, not_intrinsics, unknown_camera};
+use crate::pipeline::{Instances, Options, PipelineError};
+use crate::scene::{Frame, FrameId, Warning};
+use crate::sfm::Intrinsics;
+use crate::video::{PictureCamera, Source};
+
+/// A camera before the background is reconstructed, at the size of its pictures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::pipeline) struct InitialCamera {
+    pub(in crate::pipeline) camera: Camera,
+    pub(in crate::pipeline) origin: CameraOrigin,
+}
+
+impl InitialCamera {
+    /// Prior knowledge of its intrinsics.
+    pub(in crate::pipeline) fn known(&self) -> Intrinsics {
+        match self.origin {
+            CameraOrigin::Given => Intrinsics::Fixed,
+            CameraOrigin::Exif => Intrinsics::Stated,
+            CameraOrigin::Guess => Intrinsics::Refined,
+        }
+    }
+}
+
+/// Opens the input: pictures of all sizes where they may be photographs and only a model of the background is made.
+pub(in crate::pipeline) fn open(input: &Path, options: &Options) -> Result<Source, PipelineError> {
+    let only_a_model = options.instances == Instances::None && options.background_model.is_none();
+    let photographs = only_a_model && order::of_options(options) != Some(true);
+    Ok(match photographs {
+        true => Source::open_photographs(input, &options.video)?,
+        false => Source::open(input, &options.video)?,
+    })
+}
+
+/// The cameras of the pictures; of those that follow one another in time there is one. The stage `frames` must be done.
+pub(in crate::pipeline) fn initial(run: &Run) -> Result<Vec<InitialCamera>, PipelineError> {
+    let taken = taken(run)?;
+    let given = of_options(run, taken)?;
+    let example = given.iter().flatten().next().copied();
+    let camera = |(taken, given): (&PictureCamera, Option<Camera>)| match given {
+        Some(camera) => Ok(InitialCamera { camera, origin: CameraOrigin::Given }),
+        None => {
+            let (camera, origin) = unknown_camera(taken, &order::found(run)?);
+            let beside = example.filter(|_| origin == CameraOrigin::Guess).map(|given| guess_beside(&given, taken));
+            Ok(InitialCamera { camera: beside.unwrap_or(camera), origin })
+        }
+    };
+    taken.iter().zip(given).map(camera).collect()
+}
+
+/// The guess for pictures of which nothing is stated next to a camera that is given: they may well be its own, reduced
+/// or turned, so that field of view, shape of the pixels and distortion are taken from it.
+fn guess_beside(given: &Camera, pictures: &PictureCamera) -> Camera {
+    let (width, height) = (pictures.width, pictures.height);
+    let scale = f64::from(width.max(height)) / f64::from(given.width.max(given.height));
+    let [fx, fy] = given.focal.map(|focal| focal * scale);
+    let is_turned = (given.width > given.height) != (width > height);
+    Camera {
+        focal: if is_turned { [fy, fx] } else { [fx, fy] },
+        radial: given.radial,
+        ..Camera::prior_of_photograph(width, height)
+    }
+}
+
+fn of_options(run: &Run, taken: &[PictureCamera]) -> Result<Vec<Option<Camera>>, PipelineError> {
+    match &run.options.intrinsics {
+        Some(given) => given_cameras(given, taken),
+        None => Ok(vec![None; taken.len()]),
+    }
+}
+
+/// The cameras that the options give, before any stage; each once.
+pub(in crate::pipeline) fn given(run: &Run) -> Result<Vec<Camera>, PipelineError> {
+    let mut given: Vec<Camera> = of_options(run, run.source.cameras())?.into_iter().flatten().collect();
+    given.dedup();
+    Ok(given)
+}
+
+/// The first of them, which took all pictures where vehicles are looked for.
+pub(in crate::pipeline) fn first(run: &Run) -> Result<InitialCamera, PipelineError> {
+    let path = run.input().display();
+    initial(run)?.first().copied().ok_or_else(|| PipelineError::Options(format!("{path}: no image in it")))
+}
+
+/// Cameras of the images that are used.
+fn taken<'a>(run: &Run<'a>) -> Result<&'a [PictureCamera], PipelineError> {
+    let all = run.source.cameras();
+    let is_one = all.len() > 1 && order::found(run)?.in_time;
+    Ok(if is_one { &all[..1] } else { all })
+}
+
+/// By frame, the place of its camera among [`initial`]; frames that are not there are of the first one.
+pub(in crate::pipeline) fn of_frames(run: &Run) -> Result<BTreeMap<FrameId, usize>, PipelineError> {
+    let of_camera = |(camera, taken): (usize, &PictureCamera)| {
+        taken.frames.iter().map(|&frame| (frame, camera)).collect::<Vec<_>>()
+    };
+    Ok(taken(run)?.iter().enumerate().flat_map(of_camera).collect())
+}
+
+/// Leaves out the frames of a video that have another size than the first one, and says of each why.
+pub(in crate::pipeline) fn of_one_size(source: &Source, frames: Vec<Frame>) -> (Vec<Frame>, Vec<Warning>) {
+    let mut said = Vec::new();
+    let mut is_alike = |frame: &Frame| match source.of_another_size(frame) {
+        Some(reason) => {
+            said.push(reason);
+            false
+        }
+        None => true,
+    };
+    let kept = frames.into_iter().filter(&mut is_alike).collect();
+    (kept, said)
+}
+
+/// Images of several sizes that `--intrinsics` does not cover.
+pub(in crate::pipeline) fn not_covered(run: &Run, cameras: &[InitialCamera]) -> Option<String> {
+    let is_given = |camera: &&InitialCamera| camera.origin == CameraOrigin::Given;
+    let open = cameras.iter().zip(taken(run).ok()?).find(|(camera, _)| !is_given(camera))?;
+    cameras.iter().find(is_given)?;
+    let num_open = cameras.iter().filter(|camera| !is_given(camera)).count();
+    let first = open.1.frames.first().and_then(|id| run.frames().ok()?.iter().find(|frame| frame.id == *id));
+    let name = first.map_or("", |frame| frame.name.as_str());
+    Some(format!(
+        "--intrinsics: {num_open} of the {} cameras not covered, the first took {name} ({}x{} pixels); they are \
+         estimated with the background, or give a cameras.txt with one camera per image size",
+        cameras.len(),
+        open.1.source_width,
+        open.1.source_height
+    ))
+}
+
+/// The cameras that the user gives, at the size of the pictures; `None` for those of which nothing is stated. Four or
+/// six numbers are those of the pictures of the first size; a file has a camera for each size that it speaks of, and
+/// where it has only one, of another size than all pictures, it is that of the first size, scaled.
+fn given_cameras(intrinsics: &IntrinsicsSource, taken: &[PictureCamera]) -> Result<Vec<Option<Camera>>, PipelineError> {
+    let source_size = |pictures: &PictureCamera| (pictures.source_width, pictures.source_height);
+    let Some(first) = taken.first().map(source_size) else { return Ok(Vec::new()) };
+    let of_first = |camera: Camera| {
+        let at_size = |pictures: &PictureCamera| {
+            (source_size(pictures) == first).then(|| camera.resized(pictures.width, pictures.height))
+        };
+        taken.iter().map(at_size).collect()
+    };
+    let path = match intrinsics {
+        IntrinsicsSource::Given(values) => {
+            let camera = Camera::prior(first.0, first.1).with_parameters(values);
+            return camera.map(of_first).ok_or_else(|| PipelineError::Options(not_intrinsics(values.len())));
+        }
+        IntrinsicsSource::File(path) => path,
+    };
+    let cameras: Vec<Camera> = colmap::read_cameras(path)?.into_values().collect();
+    let given: Vec<Option<Camera>> =
+        taken.iter().map(|pictures| of_size(path, &cameras, pictures)).collect::<Result<_, _>>()?;
+    match (given.iter().any(Option::is_some), cameras.as_slice()) {
+        (true, _) => Ok(given),
+        (false, [only]) => Ok(of_first(*only)),
+        (false, _) => Err(PipelineError::Options(format!(
+            "{}: expected exactly one camera, or one per image size; none of its {} is for {}x{} pixels",
+            path.display(),
+            cameras.len(),
+            first.0,
+            first.1
+        ))),
+    }
+}
+
+/// The one camera of a file that has the size of the pictures, as they are stored or as they are given out.
+fn of_size(path: &Path, cameras: &[Camera], pictures: &PictureCamera) -> Result<Option<Camera>, PipelineError> {
+    let sizes = [(pictures.source_width, pictures.source_height), (pictures.width, pictures.height)];
+    for (width, height) in sizes {
+        let mut found = cameras.iter().filter(|camera| (camera.width, camera.height) == (width, height));
+        match (found.next(), found.next()) {
+            (Some(camera), None) => return Ok(Some(camera.resized(pictures.width, pictures.height))),
+            (Some(_), Some(_)) => {
+                return Err(PipelineError::Options(format!(
+                    "{}: expected exactly one camera, or one per image size; several are for {width}x{height} pixels",
+                    path.display()
+                )));
+            }
+            (None, _) => {}
+        }
+    }
+    Ok(None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pictures(source: (u32, u32), given_out: (u32, u32)) -> PictureCamera {
+        PictureCamera {
+            width: given_out.0,
+            height: given_out.1,
+            source_width: source.0,
+            source_height: source.1,
+            exif_focal_px: None,
+            frames: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn numbers_are_for_pictures_of_the_first_size() {
+        let given = IntrinsicsSource::Given(vec![880.0, 880.0, 480.0, 270.0, 0.0, 0.0]);
+        let taken =
+            [pictures((960, 540), (480, 270)), pictures((540, 960), (270, 480)), pictures((960, 540), (480, 270))];
+        let found = given_cameras(&given, &taken).unwrap();
+        let camera = found[0].unwrap();
+        assert_eq!((camera.focal, camera.principal), ([440.0; 2], [240.0, 135.0]));
+        assert_eq!((found[1], found[2]), (None, Some(camera)));
+    }
+
+    #[test]
+    fn beside_a_given_camera_its_field_of_view_is_guessed() {
+        let given = Camera { radial: [0.1, 0.0], ..Camera::with_focal(1000, 600, 900.0) };
+        let given = Camera { focal: [900.0, 910.0], ..given };
+        let turned = guess_beside(&given, &pictures((300, 500), (300, 500)));
+        assert_eq!((turned.focal, turned.principal, turned.radial), ([455.0, 450.0], [150.0, 250.0], [0.1, 0.0]));
+        assert_eq!(guess_beside(&given, &pictures((2000, 900), (1000, 450))).focal, [900.0, 910.0]);
+    }
+
+    #[test]
+    fn a_file_has_a_camera_for_each_size() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |text: &str| {
+            let path = folder.path().join("cameras.txt");
+            std::fs::write(&path, text).unwrap();
+            IntrinsicsSource::File(path)
+        };
+        let two = "1 PINHOLE 960 540 880 880 480 270\n2 PINHOLE 540 960 700 700 270 480\n";
+        let taken =
+            [pictures((540, 960), (270, 480)), pictures((100, 80), (100, 80)), pictures((960, 540), (480, 270))];
+        let found = given_cameras(&file(two), &taken).unwrap();
+        let focal = |k: usize| found[k].map(|camera: Camera| camera.focal[0]);
+        assert_eq!([focal(0), focal(1), focal(2)], [Some(350.0), None, Some(440.0)]);
+        // One camera of another size is that of the first pictures, scaled.
+        let one = given_cameras(&file("1 PINHOLE 1080 1920 1400 1400 540 960\n"), &taken).unwrap();
+        assert_eq!((one[0].map(|camera| camera.focal[0]), one[1]), (Some(350.0), None));
+        let twice = "1 PINHOLE 540 960 880 880 270 480\n2 PINHOLE 540 960 700 700 270 480\n";
+        for (text, expected) in
+            [(twice, "several are for 540x960"), ("1 PINHOLE 9 9 9 9 4 4\n2 PINHOLE 8 8 9 9 4 4\n", "none of its 2")]
+        {
+            let error = given_cameras(&file(text), &taken).unwrap_err().to_string();
+            assert!(error.contains(expected) && error.contains("cameras.txt"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,9 @@
+//! Inputs of a run: images and cameras, given masks and models, networks, and checks before the first long stage.
+
+pub(in crate::pipeline) mod cameras;
+pub(in crate::pipeline) mod given_masks;
+pub(in crate::pipeline) mod given_models;
+pub(in crate::pipeline) mod images;
+pub(in crate::pipeline) mod networks;
+pub(in crate::pipeline) mod order;
+pub(in crate::pipeline) mod preflight;

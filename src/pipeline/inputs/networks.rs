@@ -1,0 +1,196 @@
+//! The networks with which the program finds vehicles by itself: which there are, and what stands in for those that are
+//! missing.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use crate::ffi::onnx;
+use crate::perception::{
+    DefaultModels, Detector, GrabCut, PerceptionError, Prompter, default_descriptions, default_models, load_detector,
+    load_prompter,
+};
+use crate::pipeline::driver::fingerprint;
+use crate::pipeline::driver::run::Run;
+use crate::pipeline::{DetectorChoice, MaskChoice, Options, PipelineError};
+
+/// Available networks of those that the options choose.
+#[derive(Clone, Debug, Default)]
+pub(in crate::pipeline) struct Networks {
+    /// The detector.
+    pub(in crate::pipeline) detector: Option<PathBuf>,
+    /// The two parts of the mask network.
+    masks: Option<[PathBuf; 2]>,
+    /// Missing networks, with the consequence.
+    pub(in crate::pipeline) doubts: Vec<String>,
+}
+
+impl Networks {
+    /// The networks that the options of a run choose, as far as they are there.
+    ///
+    /// # Errors
+    /// An environment variable names a runtime or networks that are needed and cannot be used.
+    pub(in crate::pipeline) fn of(run: &Run) -> Result<Self, PipelineError> {
+        Ok(Self::chosen(run.options, shipped())?)
+    }
+
+    /// * `shipped` – the networks that come with the program, or why they cannot be used.
+    fn chosen(options: &Options, shipped: Result<DefaultModels, PerceptionError>) -> Result<Self, PerceptionError> {
+        let is_needed = matches!(options.vehicles.detector, DetectorChoice::Default)
+            || matches!(options.vehicles.mask_network, MaskChoice::Default);
+        let shipped = match shipped {
+            Err(error) if is_needed && error.is_of_variable() => return Err(error),
+            shipped => shipped.map_err(|error| error.to_string()),
+        };
+        let mut networks = Self::default();
+        let mut default = |means: &str| {
+            shipped.as_ref().map_err(|reason| networks.doubts.push(format!("{means}: {reason}"))).ok().cloned()
+        };
+        let detector = match &options.vehicles.detector {
+            DetectorChoice::None => None,
+            DetectorChoice::File(path) => Some(path.clone()),
+            DetectorChoice::Default => {
+                default("no detector: vehicles are detected by motion only").map(|found| found.detector)
+            }
+        };
+        let masks = match options.vehicles.mask_network {
+            MaskChoice::None => None,
+            MaskChoice::Default => default("no mask network: masks are by color only")
+                .map(|found| [found.mask_encoder, found.mask_decoder]),
+        };
+        Ok(Self { detector, masks, ..networks })
+    }
+
+    /// The detector, where there is one.
+    pub(in crate::pipeline) fn load_detector(&self, run: &Run) -> Result<Option<Box<dyn Detector>>, PipelineError> {
+        let load = |path: &Path| load_detector(path, &run.options.detector, run.options.resources());
+        Ok(self.detector.as_deref().map(load).transpose()?)
+    }
+
+    /// Segmenter of boxes: the mask network, or colors alone.
+    pub(in crate::pipeline) fn load_prompter(&self, run: &Run) -> Result<Box<dyn Prompter>, PipelineError> {
+        let options = &run.options.prompt;
+        Ok(match &self.masks {
+            Some([encoder, decoder]) => load_prompter(encoder, decoder, options, run.options.resources())?,
+            None => Box::new(GrabCut::new(options)),
+        })
+    }
+
+    /// Refuses a detector that cannot be used.
+    ///
+    /// # Errors
+    /// As [`Self::load_detector`].
+    pub(in crate::pipeline) fn check_detector(&self, run: &Run) -> Result<(), PipelineError> {
+        match came_with_the_program(self.detector.as_slice(), "boxes")? {
+            true => Ok(()),
+            false => self.load_detector(run).map(drop),
+        }
+    }
+
+    /// Refuses a mask network that cannot be used.
+    ///
+    /// # Errors
+    /// As [`Self::load_prompter`].
+    pub(in crate::pipeline) fn check_prompter(&self, run: &Run) -> Result<(), PipelineError> {
+        match came_with_the_program(self.masks.as_ref().map_or(&[], |parts| &parts[..]), "box-masks")? {
+            true => Ok(()),
+            false => self.load_prompter(run).map(drop),
+        }
+    }
+
+    /// Inputs of the detector's boxes.
+    pub(in crate::pipeline) fn fingerprint_of_detector(&self) -> Result<Value, PipelineError> {
+        Ok(json!(self.detector.as_deref().map(fingerprint::of_content).transpose()?))
+    }
+
+    /// Inputs of the masks of boxes.
+    pub(in crate::pipeline) fn fingerprint_of_masks(&self) -> Result<Value, PipelineError> {
+        let parts = self.masks.iter().flatten().map(|path| fingerprint::of_content(path));
+        Ok(json!(parts.collect::<Result<Vec<_>, _>>()?))
+    }
+}
+
+/// Returns true if files are, byte for byte, networks for a task that come with the program: those are known to work,
+/// and loading them for a check would take half a second.
+fn came_with_the_program(files: &[PathBuf], task: &str) -> Result<bool, PipelineError> {
+    let shipped = default_descriptions()?;
+    for file in files {
+        let hash = fingerprint::of_content(file)?;
+        if !shipped.iter().any(|description| description.task == task && description.sha256 == hash) {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// The networks that come with the program, if they and what runs them are there.
+fn shipped() -> Result<DefaultModels, PerceptionError> {
+    match (default_models(), onnx::probe().map_err(PerceptionError::from)) {
+        // What the user has named comes first.
+        (Err(error), _) | (_, Err(error)) if error.is_of_variable() => Err(error),
+        (Err(error), _) | (_, Err(error)) => Err(error),
+        (Ok(models), Ok(_)) => Ok(models),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ffi::onnx::OnnxError;
+
+    fn there() -> DefaultModels {
+        let [detector, mask_encoder, mask_decoder] = ["d", "e", "f"].map(PathBuf::from);
+        DefaultModels { detector, mask_encoder, mask_decoder }
+    }
+
+    fn missing() -> PerceptionError {
+        PerceptionError::NoModels { tried: vec!["folder not found".into()] }
+    }
+
+    #[test]
+    fn a_variable_that_names_nothing_is_an_error_where_networks_are_needed() {
+        let models = || PerceptionError::NamedModels { reason: "none".into() };
+        let runtime =
+            || PerceptionError::from(OnnxError::NamedRuntime { variable: "ORT_DYLIB_PATH", reason: "none".into() });
+        let mut options = Options::default();
+        let said = |options: &Options, error| Networks::chosen(options, Err(error)).map_err(|error| error.to_string());
+        assert!(said(&options, models()).unwrap_err().contains("TRACTRIX_MODELS"));
+        options.vehicles.detector = DetectorChoice::None;
+        assert!(said(&options, runtime()).unwrap_err().contains("ORT_DYLIB_PATH"));
+        options.vehicles.mask_network = MaskChoice::None;
+        assert!(said(&options, models()).is_ok() && said(&options, runtime()).is_ok(), "no network is needed");
+    }
+
+    #[test]
+    fn what_is_missing_is_said_and_stood_in_for() {
+        let networks = Networks::chosen(&Options::default(), Err(missing())).unwrap();
+        assert!(networks.detector.is_none() && networks.masks.is_none());
+        let [detector, masks] = &networks.doubts[..] else { panic!("two doubts: {:?}", networks.doubts) };
+        assert!(detector.contains("motion only") && masks.contains("color only"));
+        assert!(networks.doubts.iter().all(|doubt| doubt.ends_with("folder not found")));
+    }
+
+    #[test]
+    fn a_shipped_network_is_known_for_its_own_task_alone() {
+        let Ok(DefaultModels { detector, mask_encoder, mask_decoder }) = default_models() else {
+            println!("skipped: no networks beside the program");
+            return;
+        };
+        let known = |file: &PathBuf, task| came_with_the_program(std::slice::from_ref(file), task).unwrap();
+        assert!(known(&detector, "boxes") && known(&mask_encoder, "box-masks") && known(&mask_decoder, "box-masks"));
+        assert!(!known(&mask_decoder, "boxes") && !known(&detector, "box-masks"));
+    }
+
+    #[test]
+    fn what_is_not_wanted_is_no_doubt() {
+        let mut options = Options::default();
+        options.vehicles.detector = DetectorChoice::None;
+        let networks = Networks::chosen(&options, Ok(there())).unwrap();
+        assert!(networks.detector.is_none() && networks.masks.is_some() && networks.doubts.is_empty());
+        options.vehicles.detector = DetectorChoice::File("mine.onnx".into());
+        options.vehicles.mask_network = MaskChoice::None;
+        let networks = Networks::chosen(&options, Err(missing())).unwrap();
+        assert_eq!(networks.detector, Some("mine.onnx".into()));
+        assert!(networks.masks.is_none() && networks.doubts.is_empty());
+    }
+}

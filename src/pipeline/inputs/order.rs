@@ -1,0 +1,141 @@
+//! Temporal order of the images, and the front end that follows from it.
+
+use std::collections::BTreeSet;
+
+use serde::{Deserialize, Serialize};
+
+use crate::image::gray_from_rgb;
+use crate::pipeline::driver::run::Run;
+use crate::pipeline::options::{FeatureKind, FrameOrder};
+use crate::pipeline::{Options, PipelineError};
+use crate::scene::{Frame, FrameId};
+use crate::sfm::{self, Target};
+use crate::video::Kind;
+
+/// Where the order is written down.
+pub(in crate::pipeline) const STATE: &str = "frames-order.json";
+
+/// Share of followed corners from which on pictures count as frames of a video.
+const FOLLOWED_SHARE: f64 = 0.6;
+
+/// Temporal order of the images.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(in crate::pipeline) struct Order {
+    /// True if the images are in time order.
+    pub(in crate::pipeline) in_time: bool,
+    /// Median share of corners that could be followed from a picture to the next, where that was measured.
+    pub(in crate::pipeline) followed_share: Option<f64>,
+}
+
+impl Order {
+    /// Remark on the order and the option that changes it, where it was detected from the images.
+    pub(in crate::pipeline) fn said(&self) -> Option<String> {
+        let percent = 100.0 * self.followed_share?;
+        let seen = format!("{percent:.0} % of the corners are tracked into the next image");
+        Some(match self.in_time {
+            true => {
+                format!("images treated as frames of a video, since {seen}; --order none treats them as photographs")
+            }
+            false => format!(
+                "images treated as unordered photographs, since only {seen}; --order time treats them as frames of a \
+                 video, which is much faster"
+            ),
+        })
+    }
+}
+
+/// Order that options and input state; `None` if it has to be measured.
+pub(in crate::pipeline) fn stated(run: &Run) -> Option<bool> {
+    of_options(run.options).or_else(|| (run.info().kind == Kind::Video).then_some(true))
+}
+
+/// The same of a folder, where the options say it.
+pub(in crate::pipeline) fn of_options(options: &Options) -> Option<bool> {
+    match (options.order, options.features) {
+        (FrameOrder::Time, _) | (FrameOrder::Auto, FeatureKind::Video) => Some(true),
+        (FrameOrder::None, _) => Some(false),
+        (FrameOrder::Auto, _) => options.video.fps.is_some().then_some(true),
+    }
+}
+
+/// Finds the order and writes it down for later stages.
+pub(in crate::pipeline) fn find(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> {
+    let order = match stated(run) {
+        Some(in_time) => Order { in_time, followed_share: None },
+        None => measured(run, frames)?,
+    };
+    run.workspace.write_state(STATE, &order)?;
+    Ok(order)
+}
+
+/// Follows corners between a few pictures and their successors, evenly over the folder.
+fn measured(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> {
+    const NUM_PAIRS: usize = 7;
+    let last = frames.len().saturating_sub(1);
+    let firsts: BTreeSet<usize> = (0..NUM_PAIRS).map(|k| last * (2 * k + 1) / (2 * NUM_PAIRS)).collect();
+    let firsts: Vec<usize> = firsts.into_iter().filter(|&first| first < last).collect();
+    let ids: BTreeSet<FrameId> = firsts.iter().flat_map(|&k| [frames[k].id, frames[k + 1].id]).collect();
+    let mut pictures = std::collections::BTreeMap::new();
+    for (frame, picture) in run.source.frames_at(ids)?.flatten() {
+        pictures.insert(frame.id, gray_from_rgb(&picture).map_err(sfm::SfmError::from)?);
+    }
+    let mut shares = Vec::new();
+    for k in firsts {
+        if let (Some(a), Some(b)) = (pictures.get(&frames[k].id), pictures.get(&frames[k + 1].id)) {
+            // No video changes its size.
+            let is_alike = a.dimensions() == b.dimensions();
+            shares.push(if is_alike { sfm::order::followed_share(a, b)? } else { 0.0 });
+        }
+    }
+    shares.sort_by(f64::total_cmp);
+    let share = shares.get(shares.len() / 2).copied();
+    Ok(Order { in_time: share.is_some_and(|share| share >= FOLLOWED_SHARE), followed_share: share })
+}
+
+/// The order that was found; the stage `frames` must be done.
+pub(in crate::pipeline) fn found(run: &Run) -> Result<Order, PipelineError> {
+    run.workspace.read_state(STATE)
+}
+
+/// Structure from motion of the background and of objects as options, input and order want it. The stage `frames` must
+/// be done.
+pub(in crate::pipeline) fn sfm_options(run: &Run) -> Result<(sfm::Options, sfm::Options), PipelineError> {
+    Ok(resolved(run.options, found(run)?.in_time))
+}
+
+fn resolved(options: &Options, in_time: bool) -> (sfm::Options, sfm::Options) {
+    let (background, objects) = (options.background.clone(), options.objects.clone());
+    if !in_time {
+        return (background.without_order(Target::Background), objects.without_order(Target::Object));
+    }
+    match options.features {
+        FeatureKind::Auto => (background, objects),
+        FeatureKind::Video => (background.with_video(Target::Background), objects.with_video(Target::Object)),
+        FeatureKind::Sift => (background.with_sift(Target::Background), objects.with_sift(Target::Object)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sfm::FrontEndOptions;
+    use crate::sfm::sift_front_end::Pairing;
+
+    #[test]
+    fn features_and_order_choose_the_front_end() {
+        let with = |features| Options { features, ..Options::default() };
+        let (background, objects) = resolved(&with(FeatureKind::Auto), true);
+        assert!(matches!(background.front_end, FrontEndOptions::Video(_)) && background.mapper.ordered);
+        assert!(matches!(objects.front_end, FrontEndOptions::Video(_)));
+        let (background, objects) = resolved(&with(FeatureKind::Sift), true);
+        for found in [&background, &objects] {
+            let FrontEndOptions::Sift(sift) = &found.front_end else { panic!("asked for SIFT") };
+            assert!(matches!(sift.pairing, Pairing::Sequential { .. }) && found.mapper.ordered);
+        }
+        for features in [FeatureKind::Auto, FeatureKind::Sift] {
+            let (background, _) = resolved(&with(features), false);
+            let FrontEndOptions::Sift(sift) = &background.front_end else { panic!("photographs need SIFT") };
+            assert!(sift.pairing == Pairing::Exhaustive && !background.mapper.ordered);
+        }
+    }
+}

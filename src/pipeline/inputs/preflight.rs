@@ -1,0 +1,133 @@
+//! Checks before the first long stage.
+//!
+//! A model that cannot be used, a mask that does not fit: an hour of work must not come before an error in a file that
+//! is needed last. What an earlier run has done already is not looked at again.
+
+use std::collections::BTreeSet;
+
+use super::cameras;
+use super::given_masks::MaskFolder;
+use super::given_models::{self, Target};
+use super::networks::Networks;
+use crate::pipeline::driver::run::Run;
+use crate::pipeline::stages::background::calibration_check;
+use crate::pipeline::stages::{ground, segment, track};
+use crate::pipeline::{GroundLabels, Instances, Options, PipelineError, Stage};
+use crate::scene::{LabelMap, ObjectId};
+use crate::video::{PictureCamera, Source};
+
+/// Memory of an image while it is processed: as its file holds it and decoded, and at the size of the frames with
+/// everything that is made of it. Three images of 13,000 × 13,000 pixels took 36 bytes per pixel.
+const SOURCE_BYTES_PER_PIXEL: u128 = 8;
+const FRAME_BYTES_PER_PIXEL: u128 = 32;
+
+/// Looks whether memory holds the pictures.
+///
+/// # Errors
+/// [`PipelineError::Memory`] says of which size they are, and what to do.
+pub(in crate::pipeline) fn check_pictures(source: &Source, options: &Options) -> Result<(), PipelineError> {
+    let pixels = |width: u32, height: u32| u128::from(width) * u128::from(height);
+    for camera in source.cameras() {
+        let PictureCamera { width, height, source_width, source_height, .. } = *camera;
+        let needed = SOURCE_BYTES_PER_PIXEL * pixels(source_width, source_height)
+            + FRAME_BYTES_PER_PIXEL * pixels(width, height);
+        let what = || {
+            let path = source.path().display();
+            format!("{path}: processing images of {source_width}x{source_height} pixels (--max-dimension reduces them)")
+        };
+        options.memory().check(what, needed)?;
+    }
+    Ok(())
+}
+
+/// Looks at the camera that was given; needs nothing but the input's size.
+///
+/// # Errors
+/// [`PipelineError::Options`] for intrinsics that cannot be meant.
+pub(in crate::pipeline) fn check_camera(run: &mut Run) -> Result<(), PipelineError> {
+    if run.options.intrinsics.is_none() {
+        return Ok(());
+    }
+    for camera in cameras::given(run)? {
+        if let Some(reason) = calibration_check::impossible(&camera) {
+            return Err(PipelineError::Options(reason));
+        }
+        calibration_check::doubts(&camera).into_iter().for_each(|doubt| run.warn(doubt));
+    }
+    Ok(())
+}
+
+/// Looks at every file that the stages are given which are still to be done; `frames` must be done.
+///
+/// # Errors
+/// What the stage itself would say of the file.
+pub(in crate::pipeline) fn check_files(run: &Run, open: &[Stage]) -> Result<(), PipelineError> {
+    open.iter().try_for_each(|stage| match stage {
+        Stage::Segment => segmentation_model(run),
+        Stage::Features => given_masks(run),
+        Stage::Track => networks_of_tracking(run),
+        Stage::Follow => object_ids(run),
+        Stage::Background => background_model(run),
+        Stage::Objects => object_models(run),
+        Stage::Ground => ground_labels(run),
+        Stage::Frames | Stage::Motion | Stage::Scale | Stage::Metric | Stage::Report => Ok(()),
+    })
+}
+
+fn segmentation_model(run: &Run) -> Result<(), PipelineError> {
+    match &run.options.instances {
+        Instances::Model(path) => segment::load(run, path).map(drop),
+        Instances::Vehicles => Networks::of(run)?.check_detector(run),
+        Instances::None | Instances::Masks(_) => Ok(()),
+    }
+}
+
+fn given_masks(run: &Run) -> Result<(), PipelineError> {
+    match &run.options.instances {
+        Instances::Masks(folder) => MaskFolder::open(folder, run.frames()?, run.info())?.check(),
+        Instances::None | Instances::Model(_) | Instances::Vehicles => Ok(()),
+    }
+}
+
+fn networks_of_tracking(run: &Run) -> Result<(), PipelineError> {
+    match &run.options.instances {
+        Instances::None | Instances::Masks(_) => Ok(()),
+        Instances::Model(_) => track::load_flow_estimator(run).map(drop),
+        Instances::Vehicles => {
+            track::load_flow_estimator(run)?;
+            Networks::of(run)?.check_prompter(run)
+        }
+    }
+}
+
+/// Given masks say which objects there are before anything is tracked.
+fn object_ids(run: &Run) -> Result<(), PipelineError> {
+    let Instances::Masks(folder) = &run.options.instances else { return Ok(()) };
+    if run.options.object_models.is_empty() {
+        return Ok(());
+    }
+    let frames = run.frames()?;
+    let files = MaskFolder::open(folder, frames, run.info())?;
+    let mut ids = BTreeSet::new();
+    for frame in frames {
+        let labels = files.labels(frame.id)?;
+        ids.extend(labels.iter().flat_map(LabelMap::present).map(|label| ObjectId(label.into())));
+    }
+    track::check_models(run, &ids)
+}
+
+fn background_model(run: &Run) -> Result<(), PipelineError> {
+    run.options.background_model.iter().try_for_each(|path| given_models::read(path, Target::Background, run).map(drop))
+}
+
+fn object_models(run: &Run) -> Result<(), PipelineError> {
+    run.options.object_models.values().try_for_each(|path| given_models::read(path, Target::Object, run).map(drop))
+}
+
+fn ground_labels(run: &Run) -> Result<(), PipelineError> {
+    match &run.options.ground_labels {
+        GroundLabels::Geometric => Ok(()),
+        GroundLabels::Masks { folder, .. } => MaskFolder::open(folder, run.frames()?, run.info())?.check(),
+        GroundLabels::Model(path) => ground::load(run, path).map(drop),
+    }
+}

@@ -1,0 +1,124 @@
+//! Evidence against given intrinsics.
+
+use crate::camera::Camera;
+use crate::scene::{Topic, Warning};
+
+/// Largest field of view that a pinhole with radial distortion describes, degrees.
+const MAX_FIELD_DEG: f64 = 150.0;
+/// Smallest field of view that a lens has, degrees: a telescope's.
+const MIN_FIELD_DEG: f64 = 0.5;
+/// Below this a lens is a strong telephoto lens, degrees; more often the focal length is wrong.
+const NARROW_FIELD_DEG: f64 = 10.0;
+/// Ratio of fx and fy beyond which differ too much: the strongest anamorphic lenses have 2.
+const MAX_ASPECT: f64 = 2.5;
+/// Ratio of fx and fy from which on a lens is anamorphic.
+const ODD_ASPECT: f64 = 1.1;
+/// Distance of the centre from the picture's middle, as a share of the side, from which on the picture was cut out of
+/// another.
+const ODD_CENTRE: f64 = 0.25;
+
+/// Why a camera cannot be meant, with what to do; `None` for one that can.
+pub(in crate::pipeline) fn impossible(camera: &Camera) -> Option<String> {
+    let (field_deg, picture) = (field_deg(camera), picture(camera));
+    if !(MIN_FIELD_DEG..=MAX_FIELD_DEG).contains(&field_deg) {
+        return Some(format!(
+            "--intrinsics: focal length {:.1} px in images of {picture} gives a field of view of {field_deg:.0}°, \
+             impossible for such a lens; give focal lengths in pixels of the source, not in millimeters",
+            camera.mean_focal()
+        ));
+    }
+    let [cx, cy] = camera.principal;
+    if !(0.0..=f64::from(camera.width)).contains(&cx) || !(0.0..=f64::from(camera.height)).contains(&cy) {
+        return Some(format!(
+            "--intrinsics: principal point ({cx:.1}, {cy:.1}) outside the image of {picture}; give cx and cy in pixels \
+             of the source, as fx,fy,cx,cy"
+        ));
+    }
+    let aspect = aspect(camera);
+    (aspect > MAX_ASPECT).then(|| {
+        let [fx, fy] = camera.focal;
+        format!("--intrinsics: fx {fx:.1} and fy {fy:.1} differ too much; give them as fx,fy,cx,cy")
+    })
+}
+
+/// Anomalies of a plausible camera.
+pub(in crate::pipeline) fn doubts(camera: &Camera) -> Vec<Warning> {
+    let mut doubts = Vec::new();
+    let (field_deg, aspect) = (field_deg(camera), aspect(camera));
+    if field_deg < NARROW_FIELD_DEG {
+        doubts.push(format!(
+            "--intrinsics: field of view {field_deg:.1}°, that of a strong telephoto lens; otherwise the focal length \
+             is wrong (it is in pixels of the source)"
+        ));
+    }
+    if aspect > ODD_ASPECT {
+        let [fx, fy] = camera.focal;
+        doubts.push(format!(
+            "--intrinsics: fx {fx:.1} and fy {fy:.1} differ; correct only for a stretched image or an anamorphic lens"
+        ));
+    }
+    let off = |centre: f64, side: u32| (centre / f64::from(side) - 0.5).abs();
+    let [cx, cy] = camera.principal;
+    if off(cx, camera.width).max(off(cy, camera.height)) > ODD_CENTRE {
+        doubts.push(format!(
+            "--intrinsics: principal point ({cx:.1}, {cy:.1}) far from the center of the image of {}; correct only for \
+             an image cropped from a larger one",
+            picture(camera)
+        ));
+    }
+    doubts.into_iter().map(|doubt: String| Topic::IntrinsicsDoubtful.warning(doubt)).collect()
+}
+
+/// Across the longer side of the picture.
+fn field_deg(camera: &Camera) -> f64 {
+    let half = f64::from(camera.width.max(camera.height)) / 2.0;
+    2.0 * half.atan2(camera.mean_focal()).to_degrees()
+}
+
+fn aspect(camera: &Camera) -> f64 {
+    let [fx, fy] = camera.focal;
+    (fx / fy).max(fy / fx)
+}
+
+fn picture(camera: &Camera) -> String {
+    format!("{}x{} pixels", camera.width, camera.height)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera(values: [f64; 4]) -> Camera {
+        let [fx, fy, cx, cy] = values;
+        Camera::prior(960, 540).with_intrinsics([fx, fy, cx, cy, 0.0, 0.0])
+    }
+
+    #[test]
+    fn what_no_lens_has_is_refused_by_name() {
+        let cases = [
+            ([5.0, 5.0, 480.0, 270.0], "field of view of 179°"),
+            ([880.0, 880.0, 4800.0, 270.0], "outside the image of 960x540"),
+            ([880.0, 88.0, 480.0, 270.0], "differ too much"),
+        ];
+        for (values, expected) in cases {
+            let reason = impossible(&camera(values)).unwrap();
+            assert!(reason.contains(expected) && reason.contains("--intrinsics"), "{reason}");
+        }
+    }
+
+    #[test]
+    fn what_is_odd_is_let_through_with_a_word() {
+        let plain = camera([880.0, 880.0, 480.0, 270.0]);
+        assert_eq!((impossible(&plain), doubts(&plain)), (None, Vec::new()));
+        for (values, expected) in [
+            ([9000.0, 9000.0, 480.0, 270.0], "telephoto"),
+            ([880.0, 660.0, 480.0, 270.0], "anamorphic"),
+            ([880.0, 880.0, 900.0, 270.0], "cropped"),
+        ] {
+            let odd = camera(values);
+            assert_eq!(impossible(&odd), None);
+            let said = doubts(&odd);
+            assert!(said.len() == 1 && said[0].text.contains(expected), "{said:?}");
+        }
+    }
+}

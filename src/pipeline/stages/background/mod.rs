@@ -1,0 +1,354 @@
+//! Stage `background`, and what it shares with `objects`: a model, reconstructed or given.
+
+pub(in crate::pipeline) mod calibration_check;
+pub(in crate::pipeline) mod failure;
+pub(in crate::pipeline) mod point_cloud;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::features;
+use crate::bundle;
+use crate::camera::Camera;
+use crate::io::colmap;
+use crate::pipeline::PipelineError;
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::driver::threads::on_threads;
+use crate::pipeline::inputs::given_models::{self, Target};
+use crate::pipeline::inputs::{cameras, order};
+use crate::pipeline::options::ModelFiles;
+use crate::scene::{CameraId, FocalChange, FrameId, Reconstruction, Topic, Warning};
+use crate::sfm::mapper::Remark;
+use crate::sfm::{self, Beside, mapper};
+
+/// Report on a model.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ModelReport {
+    /// True if the user gave it.
+    pub given: bool,
+    /// Frames in which the target is visible.
+    pub num_visible: usize,
+    /// Frames whose camera is known.
+    pub num_registered: usize,
+    /// Frames in which the target is visible and the camera is not known, and why.
+    pub unregistered: BTreeMap<FrameId, String>,
+    /// Why there is no model at all, where there is none.
+    pub failure: Option<String>,
+    /// Points.
+    pub num_points: usize,
+    /// Observations of these points.
+    pub num_observations: usize,
+    /// Points that were rejected since they came to lie behind a camera that observes them, or at infinity.
+    #[serde(default)]
+    pub num_infinite_points: usize,
+    /// Mean reprojection error, pixels; `None` without observations.
+    pub mean_error_px: Option<f64>,
+    /// Weaknesses of the model: a planar scene, forward motion, ...
+    pub remarks: Vec<Warning>,
+    /// Points that were taken out because they project next to the object's masks.
+    pub num_outside_masks: usize,
+    /// The first of its cameras.
+    pub camera: Option<Camera>,
+    /// Focal length of the first camera, pixels.
+    #[serde(default)]
+    pub focal_length_px: Option<f64>,
+    /// Standard deviation of that focal length, pixels; `None` where it was given and not looked for.
+    #[serde(default)]
+    pub focal_std_px: Option<f64>,
+    /// Changes of the focal length during the video, which the model takes for motion.
+    #[serde(default)]
+    pub focal_changes: Vec<FocalChange>,
+    /// All cameras, of a model that was reconstructed.
+    #[serde(default)]
+    pub cameras: Vec<CameraReport>,
+}
+
+/// A camera of a model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraReport {
+    /// Its id in the model.
+    pub id: CameraId,
+    /// Its intrinsics.
+    pub camera: Camera,
+    /// Standard deviation of its focal length, pixels; `None` where it was given, or where eight other cameras took
+    /// more pictures.
+    pub focal_std_px: Option<f64>,
+    /// Its registered frames.
+    pub frames: Vec<FrameId>,
+}
+
+impl ModelReport {
+    pub(in crate::pipeline) fn describe_points(&mut self, model: &Reconstruction) {
+        self.num_points = model.points.len();
+        self.num_observations = model.points.values().map(|point| point.track.len()).sum();
+        self.mean_error_px = model.mean_reprojection_error_px();
+        self.camera = model.cameras.values().next().copied();
+        self.focal_length_px = self.camera.as_ref().map(Camera::mean_focal);
+    }
+
+    /// `focal_deviations` are shares, by place of the camera.
+    fn describe_cameras(&mut self, model: &Reconstruction, focal_deviations: &[Option<f64>]) {
+        let frames_of = |id: CameraId| {
+            model.images.iter().filter(|(_, image)| image.camera == id).map(|(image, _)| image.frame()).collect()
+        };
+        let described = |(&id, camera): (&CameraId, &Camera)| {
+            let share = (id.0 as usize).checked_sub(1).and_then(|place| *focal_deviations.get(place)?);
+            let focal_std_px = share.map(|share| share * camera.mean_focal());
+            CameraReport { id, camera: *camera, focal_std_px, frames: frames_of(id) }
+        };
+        self.cameras = model.cameras.iter().map(described).collect();
+        self.focal_std_px = self.cameras.first().and_then(|first| first.focal_std_px);
+    }
+
+    /// Standard deviation of the focal length as a share of it; `None` where it was given.
+    pub(in crate::pipeline) fn focal_deviation(&self) -> Option<f64> {
+        Some(self.focal_std_px? / self.focal_length_px?)
+    }
+}
+
+/// Images whose position's standard deviation is computed: enough for a median.
+const DEVIATION_IMAGES: usize = 16;
+const BACKGROUND_REPORT: &str = "background-report.json";
+
+pub(in crate::pipeline) fn background_depends_on(run: &Run) -> Result<Value, PipelineError> {
+    let origins: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| initial.origin).collect();
+    let (background, _) = order::sfm_options(run)?;
+    let given = run.options.background_model.as_deref().map(given_models::fingerprint).transpose()?;
+    let depends_on = json!({
+        "model": given,
+        "camera_origins": origins,
+        "options": background.mapper,
+        "seed": run.options.seed,
+    });
+    Ok(with_model_files(depends_on, run))
+}
+
+/// Inputs of a stage that writes models, with their form if one was requested.
+pub(in crate::pipeline) fn with_model_files(mut depends_on: Value, run: &Run) -> Value {
+    if run.options.model_files != ModelFiles::Auto {
+        depends_on["model_files"] = json!(run.options.model_files);
+    }
+    depends_on
+}
+
+pub(in crate::pipeline) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    let (model, mut report) = match &run.options.background_model {
+        Some(path) => given_models::read(path, Target::Background, run)?,
+        None => {
+            let initial = cameras::initial(run)?;
+            let cameras: Vec<_> = initial.iter().map(|initial| (initial.camera, initial.known())).collect();
+            let table = features::of_background(run)?;
+            let num_frames = table.views.len() as u64;
+            run.progress.begin("background", Some(num_frames));
+            let mut watch = |share: f64| run.progress.reach((share * num_frames as f64) as u64);
+            reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, Beside::default(), &mut watch)?
+        }
+    };
+    if order::found(run)?.in_time {
+        report.focal_changes = focal_changes(run, &model, report.given)?;
+    }
+    if let Some(failure) = &mut report.failure {
+        failure.push_str(&cure_of_large_frames(run.info().width, run.info().height));
+        failure.push_str(&failure::reasons(run)?);
+        let text = format!("background not reconstructed: {failure}");
+        outcome.note(Topic::BackgroundNotReconstructed.warning(text));
+    } else {
+        report.remarks.iter().for_each(|remark| outcome.warn(remark.of("background")));
+        report.focal_changes.iter().for_each(|change| outcome.warn(warning_of(change)));
+        warn_of_gaps("background", &report, &mut outcome);
+    }
+    if let Some(figures) = center_figures(&model) {
+        outcome.figure("camera_center_deviation", figures);
+    }
+    store(run, &run.workspace.background(), &model)?;
+    run.workspace.write_state(BACKGROUND_REPORT, &report)?;
+    outcome.figure("num_registered", report.num_registered);
+    outcome.figure("num_points", report.num_points);
+    outcome.figure("num_infinite_points", report.num_infinite_points);
+    outcome.figure("mean_error_px", report.mean_error_px);
+    if let Some(camera) = model.cameras.values().next() {
+        let values = if camera.higher.are_zero() { json!(camera.intrinsics()) } else { json!(camera.parameters()) };
+        outcome.figure("intrinsics", values);
+        outcome.figure("focal_length_px", report.focal_length_px);
+        outcome.figure("focal_std_px", report.focal_std_px);
+    }
+    if !report.focal_changes.is_empty() {
+        outcome.figure("focal_changes", json!(report.focal_changes));
+    }
+    if report.cameras.len() > 1 {
+        outcome.figure("cameras", json!(report.cameras));
+    }
+    outcome.outputs.extend([run.workspace.background(), run.workspace.state(BACKGROUND_REPORT)]);
+    Ok(outcome)
+}
+
+/// Changes of the focal length in a video's background.
+fn focal_changes(run: &Run, model: &Reconstruction, is_given: bool) -> Result<Vec<FocalChange>, PipelineError> {
+    let known = match is_given {
+        true => sfm::Intrinsics::Fixed,
+        false => cameras::first(run)?.known(),
+    };
+    on_threads(run.options.threads, || sfm::focal_changes(model, known))
+}
+
+fn warning_of(change: &FocalChange) -> Warning {
+    let text = format!("background: {change}, which looks like camera motion; cut the clip there or use a fixed zoom");
+    Topic::FocalLengthChanges.warning(text)
+}
+
+fn warning_of_remark(remark: &Remark) -> Warning {
+    let topic = match remark {
+        Remark::PlanarScene { .. } => Topic::PlanarScene,
+        Remark::ForwardMotion => Topic::ForwardMotion,
+        Remark::LooseFocalLength { .. } => Topic::FocalLengthUncertain,
+    };
+    topic.warning(remark.to_string())
+}
+
+/// Remedy where large frames gave no model; empty for others. Points are tracked within a fixed number of pixels: in
+/// larger frames those near the camera move too far between frames, and the rest are far away and have hardly any
+/// parallax.
+fn cure_of_large_frames(width: u32, height: u32) -> String {
+    const LARGE_PX: u32 = 1280;
+    match width.max(height) > LARGE_PX {
+        true => {
+            format!(" (or frames of {width}x{height} pixels are too large: try --max-dimension {LARGE_PX})")
+        }
+        false => String::new(),
+    }
+}
+
+/// Standard deviations of the camera positions, in units of the background; `None` where there is too little data.
+fn center_figures(model: &Reconstruction) -> Option<Value> {
+    // A model that leaves something undetermined has no such figures, which is no reason to stop.
+    let found = bundle::center_deviations(model, DEVIATION_IMAGES).ok()??;
+    let mut centers: Vec<f64> = found.centers.into_values().collect();
+    centers.sort_by(f64::total_cmp);
+    let (median, largest) = (centers.get(centers.len() / 2)?, centers.last()?);
+    Some(json!({ "median": median, "max": largest, "pixel_px": found.pixel_px }))
+}
+
+/// The background's model; the stage must be done.
+pub(in crate::pipeline) fn background(run: &Run) -> Result<(Reconstruction, ModelReport), PipelineError> {
+    Ok((run.workspace.read_background()?, background_report(run)?))
+}
+
+/// Report on the background's model; the stage must be done.
+pub(in crate::pipeline) fn background_report(run: &Run) -> Result<ModelReport, PipelineError> {
+    run.workspace.read_state(BACKGROUND_REPORT)
+}
+
+/// Standard deviation of the background's focal length as a share of it, what is known of lenses beforehand included;
+/// `None` where it was given. The stage must be done.
+pub(in crate::pipeline) fn focal_deviation(run: &Run) -> Result<Option<f64>, PipelineError> {
+    Ok(background_report(run)?.focal_deviation())
+}
+
+/// The one place where structure from motion is called. `beside` has the priors; `watch` receives the
+/// finished share.
+pub(in crate::pipeline) fn reconstruct(
+    run: &Run,
+    mut table: sfm::TrackTable,
+    cameras: &[(Camera, sfm::Intrinsics)],
+    options: &mapper::Options,
+    beside: Beside<'_>,
+    watch: &mut (dyn FnMut(f64) + Send),
+) -> Result<(Reconstruction, ModelReport), PipelineError> {
+    let (threads, seed) = (run.options.threads, run.options.seed);
+    let (cameras, known): (Vec<Camera>, Vec<sfm::Intrinsics>) = cameras.iter().copied().unzip();
+    if let Some(view) = table.views.iter().find(|view| view.camera >= cameras.len()) {
+        return Err(sfm::SfmError::NoCamera { camera: view.camera, count: cameras.len() }.into());
+    }
+    let (mut model, report) = on_threads(threads, || {
+        // Only videos have long tracks, and one camera.
+        let of_video = known.first().copied().unwrap_or(sfm::Intrinsics::Refined);
+        sfm::cut_long_tracks(&mut table, &cameras, of_video, options, seed);
+        sfm::reconstruct_consuming(table, &cameras, known, options, seed, beside, watch)
+    })??;
+    if model.is_empty() {
+        // Even an empty model says which cameras it would have had.
+        model.cameras = (1..).map(CameraId).zip(cameras).collect();
+    } else {
+        let used: BTreeSet<CameraId> = model.images.values().map(|image| image.camera).collect();
+        model.cameras.retain(|id, _| used.contains(id));
+    }
+    let unregistered = report
+        .views
+        .iter()
+        .filter_map(|view| Some((FrameId(view.image.0.checked_sub(1)?), view.failure.as_ref()?.to_string())))
+        .collect();
+    let failure =
+        model.is_empty().then(|| report.failure.clone().unwrap_or_else(|| "no frame is registered".to_owned()));
+    let mut described = ModelReport {
+        num_visible: report.views.len(),
+        num_registered: report.num_registered(),
+        unregistered,
+        failure,
+        num_infinite_points: report.num_infinite_points,
+        remarks: report.remarks.iter().map(warning_of_remark).collect(),
+        ..ModelReport::default()
+    };
+    described.describe_points(&model);
+    described.describe_cameras(&model, &report.focal_deviations);
+    Ok((model, described))
+}
+
+/// Puts a model in its public place, whole.
+pub(in crate::pipeline) fn store(run: &Run, folder: &Path, model: &Reconstruction) -> Result<(), PipelineError> {
+    run.workspace.put_folder(folder, |fresh| Ok(colmap::write(fresh, model, run.options.model_files.into())?))
+}
+
+/// Warns where a target is visible in frames whose camera is not known.
+pub(in crate::pipeline) fn warn_of_gaps(target: &str, report: &ModelReport, outcome: &mut Outcome) {
+    let missing = report.unregistered.len();
+    if missing == 0 {
+        return;
+    }
+    let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
+    for reason in report.unregistered.values() {
+        *reasons.entry(reason).or_default() += 1;
+    }
+    let commonest = reasons.iter().max_by_key(|(_, count)| **count).map_or("", |(reason, _)| *reason);
+    let frames = ranges(report.unregistered.keys().map(|frame| frame.0));
+    outcome.warn(Topic::FramesNotRegistered.warning(format!(
+        "{target}: {missing} of {} frames not registered ({frames}); most frequent reason: {commonest}",
+        report.num_visible
+    )));
+}
+
+/// Ascending numbers in words: "3 to 7, 9", the first few ranges of them.
+fn ranges(numbers: impl Iterator<Item = u32>) -> String {
+    const MOST: usize = 5;
+    let mut ranges: Vec<[u32; 2]> = Vec::new();
+    for number in numbers {
+        match ranges.last_mut() {
+            Some([_, last]) if *last + 1 == number => *last = number,
+            _ => ranges.push([number, number]),
+        }
+    }
+    let word = |[first, last]: &[u32; 2]| if first == last { first.to_string() } else { format!("{first} to {last}") };
+    let words: Vec<String> = ranges.iter().take(MOST).map(word).collect();
+    let more = ranges.len().saturating_sub(MOST);
+    if more == 0 { words.join(", ") } else { format!("{} and {more} more ranges", words.join(", ")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn missing_frames_are_named_in_ranges() {
+        assert_eq!(ranges([3, 4, 5, 9, 11, 12].into_iter()), "3 to 5, 9, 11 to 12");
+        assert_eq!(ranges((0..14).step_by(2)), "0, 2, 4, 6, 8 and 2 more ranges");
+    }
+
+    #[test]
+    fn large_frames_have_a_cure() {
+        assert!(cure_of_large_frames(1920, 1080).contains("--max-dimension 1280"));
+        assert_eq!(cure_of_large_frames(720, 1280), "");
+    }
+}

@@ -1,0 +1,81 @@
+//! All image points that a run followed on the background, also where no point or pose came of them.
+
+use std::path::{Path, PathBuf};
+
+use super::{BACKGROUND, PREFIX, TrackStore};
+use crate::io::database::{Features, View};
+use crate::io::{IoError, RunFolder};
+use crate::pipeline::PipelineError;
+use crate::scene::{CameraId, TrackElement};
+use crate::sfm::TrackTable;
+use crate::sfm::tracks::{self, Feature};
+
+/// The features of the background's frames and what tracks they belong to; `None` if the folder has none: it is no
+/// output folder, or its background was given.
+///
+/// # Errors
+/// A folder that cannot be read, or a damaged file in it.
+pub fn found_features(output: &Path) -> Result<Option<Features>, PipelineError> {
+    match folder_of_tracks(&output.join(RunFolder::STATE))?.map(|folder| TrackStore { folder }) {
+        Some(store) if store.path(BACKGROUND).is_file() => Ok(Some(features(store.read(BACKGROUND)?))),
+        _ => Ok(None),
+    }
+}
+
+/// A run keeps one folder of background features, whose name ends in what they were made from.
+fn folder_of_tracks(state: &Path) -> Result<Option<PathBuf>, PipelineError> {
+    if !state.is_dir() {
+        return Ok(None);
+    }
+    let entries = std::fs::read_dir(state).map_err(IoError::system("read", state))?;
+    let is_found = |entry: &std::fs::DirEntry| entry.file_name().to_string_lossy().starts_with(PREFIX);
+    Ok(entries.flatten().filter(is_found).map(|entry| entry.path()).filter(|path| path.is_dir()).min())
+}
+
+fn features(table: TrackTable) -> Features {
+    let element = |feature: &Feature| {
+        let image = table.views.get(feature.view as usize)?.image;
+        Some(TrackElement { image, observation_idx: feature.feature })
+    };
+    let tracks = table.tracks.iter().map(|track| track.iter().filter_map(element).collect()).collect();
+    let view = |view: tracks::View| {
+        let camera = CameraId(view.camera as u32 + 1);
+        (view.image, View { name: view.name, camera, pixels: view.pixels })
+    };
+    Features { views: table.views.into_iter().map(view).collect(), tracks }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point2;
+
+    use super::*;
+    use crate::scene::ImageId;
+
+    #[test]
+    fn the_tracks_of_a_run_are_found_in_its_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(found_features(folder.path()).unwrap().is_none());
+        let state = folder.path().join(".tractrix/features-0123");
+        std::fs::create_dir_all(&state).unwrap();
+        assert!(found_features(folder.path()).unwrap().is_none());
+        let view = |k: u32| tracks::View {
+            image: ImageId(k),
+            name: format!("{k}.jpg"),
+            camera: 0,
+            pixels: vec![Point2::new(1.5, 2.5); 3],
+            rgb: vec![[0; 3]; 3],
+            whitening: Vec::new(),
+        };
+        let track = vec![Feature { view: 0, feature: 2 }, Feature { view: 1, feature: 0 }];
+        let table = TrackTable { views: vec![view(4), view(7)], tracks: vec![track] };
+        TrackStore { folder: state.clone() }.write(BACKGROUND, &table).unwrap();
+        let found = found_features(folder.path()).unwrap().unwrap();
+        assert_eq!(found.views.keys().copied().collect::<Vec<_>>(), [ImageId(4), ImageId(7)]);
+        let element = |image, observation_idx| TrackElement { image: ImageId(image), observation_idx };
+        assert_eq!(found.tracks, [vec![element(4, 2), element(7, 0)]]);
+        std::fs::write(state.join("background.bin"), [255; 7]).unwrap();
+        let said = found_features(folder.path()).unwrap_err().to_string();
+        assert!(said.contains(&format!("delete {}, and", state.display())), "{said}");
+    }
+}

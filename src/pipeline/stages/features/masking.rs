@@ -1,0 +1,110 @@
+//! Which pixels are background: it keeps away from all that moves or may move.
+
+use crate::pipeline::driver::run::Run;
+use crate::pipeline::inputs::given_masks::MaskFolder;
+use crate::pipeline::stages::segment;
+use crate::pipeline::stages::segment::detections::DetectionFolder;
+use crate::pipeline::{Instances, PipelineError};
+use crate::scene::{BoxDetection, Frame, FrameId, Mask};
+
+/// Where something is that may move by itself.
+enum Movable {
+    /// Nobody looked.
+    Nothing,
+    /// Masks that the user gives.
+    Given(MaskFolder),
+    /// Instances by a network, also those that are not tracked: a parked car may leave, and a person walks.
+    Masks(DetectionFolder),
+    /// The same as boxes, in the frames at which the detector looked, ascending.
+    Boxes(segment::BoxFolder, Vec<FrameId>),
+}
+
+/// Gives the background's masks of frames.
+pub(in crate::pipeline) struct Masking {
+    movable: Movable,
+    dilation_px: u32,
+}
+
+impl Masking {
+    /// The stage `segment` must be done.
+    pub(in crate::pipeline) fn new(run: &Run) -> Result<Self, PipelineError> {
+        let longer_px = run.info().width.max(run.info().height);
+        let dilation_px = (run.options.masking.dilation * f64::from(longer_px)).round() as u32;
+        let movable = match &run.options.instances {
+            Instances::None => Movable::Nothing,
+            Instances::Masks(folder) => Movable::Given(MaskFolder::open(folder, run.frames()?, run.info())?),
+            Instances::Model(_) => Movable::Masks(segment::finished(run)),
+            Instances::Vehicles => {
+                let boxes = segment::finished_boxes(run);
+                let looked = run.frames()?.iter().filter(|frame| boxes.has(frame)).map(|frame| frame.id).collect();
+                Movable::Boxes(boxes, looked)
+            }
+        };
+        Ok(Self { movable, dilation_px })
+    }
+
+    /// Where nothing moves in a frame, whose picture has a size.
+    pub(in crate::pipeline) fn background(&self, frame: &Frame, size: (u32, u32)) -> Result<Mask, PipelineError> {
+        Ok(self.movable(frame, size)?.dilated(self.dilation_px).complement())
+    }
+
+    fn movable(&self, frame: &Frame, (width, height): (u32, u32)) -> Result<Mask, PipelineError> {
+        let mut movable = Mask::empty(width, height);
+        match &self.movable {
+            Movable::Nothing => {}
+            Movable::Given(folder) => return Ok(folder.labels(frame.id)?.map_or(movable, |labels| labels.any())),
+            Movable::Masks(folder) => folder.read(frame.id)?.iter().for_each(|found| movable.union_with(&found.mask)),
+            Movable::Boxes(folder, looked) => {
+                for near in nearest(looked, frame.id) {
+                    folder.read(near)?.iter().for_each(|found| fill(&mut movable, found));
+                }
+            }
+        }
+        Ok(movable)
+    }
+}
+
+/// A frame itself if it is among those that were looked at, else the ones before and after it: what moves between two
+/// looks lies between two boxes that overlap or nearly do.
+///
+/// * `looked` – ascending.
+fn nearest(looked: &[FrameId], frame: FrameId) -> Vec<FrameId> {
+    match looked.binary_search(&frame) {
+        Ok(_) => vec![frame],
+        Err(after) => looked[after.saturating_sub(1)..looked.len().min(after + 1)].to_vec(),
+    }
+}
+
+/// Sets the pixels of a box.
+fn fill(mask: &mut Mask, found: &BoxDetection) {
+    let rect = found.rect.clipped(mask.width(), mask.height());
+    let (columns, rows) =
+        (rect.x0.floor() as u32..rect.x1.ceil() as u32, rect.y0.floor() as u32..rect.y1.ceil() as u32);
+    for y in rows {
+        columns.clone().for_each(|x| mask.set(x, y, true));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Finder, Rect};
+
+    #[test]
+    fn boxes_are_filled_as_far_as_the_picture_goes() {
+        let mut mask = Mask::empty(6, 4);
+        let rect = Rect { x0: 3.5, y0: -2.0, x1: 9.0, y1: 1.2 };
+        fill(&mut mask, &BoxDetection { class: "car".into(), confidence: 0.5, rect, finder: Finder::Detector });
+        assert_eq!(mask, Mask::from_fn(6, 4, |x, y| x >= 3 && y < 2));
+    }
+
+    #[test]
+    fn between_two_looks_both_count() {
+        let looked = [2, 4, 9].map(FrameId);
+        assert_eq!(nearest(&looked, FrameId(4)), [FrameId(4)]);
+        assert_eq!(nearest(&looked, FrameId(3)), [FrameId(2), FrameId(4)]);
+        assert_eq!(nearest(&looked, FrameId(0)), [FrameId(2)]);
+        assert_eq!(nearest(&looked, FrameId(11)), [FrameId(9)]);
+        assert_eq!(nearest(&[], FrameId(1)), []);
+    }
+}

@@ -1,0 +1,154 @@
+//! Stage `features`: tracks of image points on the background. Besides, how such tracks lie on disk.
+
+pub(in crate::pipeline) mod found_features;
+pub(in crate::pipeline) mod masking;
+pub(in crate::pipeline) mod thumbnails;
+
+use std::path::PathBuf;
+
+use serde_json::{Value, json};
+
+use super::motion::followed::{self, Follower};
+use crate::image::RgbImage;
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::driver::{fingerprint, intermediate};
+use crate::pipeline::inputs::{cameras, images, order};
+use crate::pipeline::{Instances, PipelineError, Stage};
+use crate::scene::{Frame, Topic};
+use crate::sfm::{FrontEnd, TrackTable};
+use crate::video::VideoError;
+use masking::Masking;
+use thumbnails::Keeper;
+
+pub(in crate::pipeline) const PREFIX: &str = "features-";
+pub(in crate::pipeline) const BACKGROUND: &str = "background";
+
+pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+    let cameras: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| initial.camera).collect();
+    let (background, _) = order::sfm_options(run)?;
+    Ok(json!({
+        "cameras": cameras,
+        "masking": run.options.masking,
+        "background": background.front_end,
+        "given_background": run.options.background_model.is_some(),
+        "masks": given_masks(run)?,
+        "seed": run.options.seed,
+    }))
+}
+
+/// The masks that are given, which no stage before this one reads.
+fn given_masks(run: &Run) -> Result<Option<String>, PipelineError> {
+    match &run.options.instances {
+        Instances::Masks(folder) => Ok(Some(fingerprint::of_content(folder)?)),
+        Instances::None | Instances::Model(_) | Instances::Vehicles => Ok(None),
+    }
+}
+
+pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    let store = TrackStore::fresh(run, PREFIX, fingerprint)?;
+    if run.options.background_model.is_none() {
+        let mut beside = Beside { points: Follower::beside_features(run)?, strip: Keeper::beside_features(run)? };
+        let table = follow_background(run, &mut beside, &mut outcome)?;
+        beside.write(run, &store)?;
+        outcome.figure("background_tracks", table.tracks.len());
+        store.write(BACKGROUND, &table)?;
+    }
+    outcome.outputs.push(store.folder);
+    Ok(outcome)
+}
+
+/// Work for which later stages of the same run would decode the images again.
+struct Beside {
+    points: Option<Follower>,
+    strip: Option<Keeper>,
+}
+
+impl Beside {
+    fn push(&mut self, frame: &Frame, picture: &RgbImage) -> Result<(), PipelineError> {
+        if let Some(strip) = &mut self.strip {
+            strip.push(frame, picture);
+        }
+        self.points.as_mut().map_or(Ok(()), |points| points.push(frame, picture))
+    }
+
+    fn write(self, run: &Run, store: &TrackStore) -> Result<(), PipelineError> {
+        if let Some(strip) = &self.strip {
+            strip.write(&store.folder)?;
+        }
+        let write = |points: Follower| intermediate::write(&store.path(&followed::name(run)), &points.finish());
+        self.points.map_or(Ok(()), write)
+    }
+}
+
+/// Tracks of the background, and what is made on the way.
+fn follow_background(run: &Run, beside: &mut Beside, outcome: &mut Outcome) -> Result<TrackTable, PipelineError> {
+    let initial = cameras::initial(run)?;
+    if let Some(open) = cameras::not_covered(run, &initial) {
+        outcome.warn(Topic::IntrinsicsIncomplete.warning(open));
+    }
+    let camera_of = cameras::of_frames(run)?;
+    let (options, _) = order::sfm_options(run)?;
+    let masking = Masking::new(run)?;
+    let initial = initial.into_iter().map(|initial| initial.camera).collect();
+    let mut background = FrontEnd::of_cameras(&options.front_end, initial)?;
+    let frames = run.frames()?;
+    let wanted = frames.iter().map(|frame| frame.id).collect();
+    let mut num_decoded = 0u64;
+    images::for_each(
+        run,
+        Stage::Features,
+        (run.source.frames_at(wanted)?, frames.len()),
+        outcome,
+        |frame, picture| {
+            let mask = masking.background(&frame, picture.dimensions())?;
+            let camera = camera_of.get(&frame.id).copied().unwrap_or_default();
+            num_decoded += 1;
+            beside.push(&frame, &picture)?;
+            Ok(background.push_of(camera, &frame, &picture, &mask)?)
+        },
+    )?;
+    if num_decoded == 0 {
+        // No result, which later runs would take over: memory may have been short.
+        return Err(VideoError::NoFrames { path: run.input().to_owned() }.into());
+    }
+    Ok(background.finish(run.options.seed)?)
+}
+
+/// The tracks of the background; the stage must be done.
+pub(in crate::pipeline) fn of_background(run: &Run) -> Result<TrackTable, PipelineError> {
+    TrackStore::done(run, PREFIX, Stage::Features).read(BACKGROUND)
+}
+
+/// A stage's folder of tracks, one file per target.
+pub(in crate::pipeline) struct TrackStore {
+    pub(in crate::pipeline) folder: PathBuf,
+}
+
+impl TrackStore {
+    /// For a stage at work; takes away what it left before for other options.
+    pub(in crate::pipeline) fn fresh(run: &Run, prefix: &str, fingerprint: &str) -> Result<Self, PipelineError> {
+        Ok(Self { folder: run.workspace.intermediate(prefix, fingerprint)? })
+    }
+
+    /// Of a stage that is done.
+    pub(in crate::pipeline) fn done(run: &Run, prefix: &str, stage: Stage) -> Self {
+        Self {
+            folder: run
+                .workspace
+                .state(&crate::pipeline::driver::fingerprint::folder_name(prefix, run.fingerprint(stage))),
+        }
+    }
+
+    pub(in crate::pipeline) fn write(&self, target: &str, table: &TrackTable) -> Result<(), PipelineError> {
+        intermediate::write(&self.path(target), table)
+    }
+
+    pub(in crate::pipeline) fn read(&self, target: &str) -> Result<TrackTable, PipelineError> {
+        intermediate::read(&self.path(target))
+    }
+
+    pub(in crate::pipeline) fn path(&self, target: &str) -> PathBuf {
+        self.folder.join(format!("{target}.bin"))
+    }
+}

@@ -1,0 +1,65 @@
+//! Stage `follow`: tracks of image points on every object, inside its masks.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+
+use super::features::{self, TrackStore};
+use super::track;
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::inputs::{cameras, images, order};
+use crate::pipeline::{PipelineError, Stage};
+use crate::scene::ObjectId;
+use crate::sfm::{FrontEnd, TrackTable};
+
+pub(in crate::pipeline) const PREFIX: &str = "follow-";
+
+pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+    let camera = cameras::first(run)?.camera;
+    let (_, objects) = order::sfm_options(run)?;
+    Ok(json!({
+        "camera": camera,
+        "objects": objects.front_end,
+        "given_objects": run.options.object_models.keys().collect::<Vec<_>>(),
+        "only_objects": run.options.only_objects,
+        "seed": run.options.seed,
+    }))
+}
+
+pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    let objects = track::objects(run)?;
+    track::check_ids(run, &objects, &mut outcome)?;
+    let camera = cameras::first(run)?.camera;
+    let (_, sfm_options) = order::sfm_options(run)?;
+    let options = run.options;
+    let wanted = objects.iter().filter(|object| object.left_out.is_none()).map(|object| object.id);
+    let wanted = wanted.filter(|id| options.wants(*id) && !options.object_models.contains_key(id));
+    let mut front_ends: BTreeMap<ObjectId, FrontEnd> =
+        wanted.map(|id| (id, FrontEnd::new(&sfm_options.front_end, camera))).collect();
+
+    let frames = run.frames()?;
+    let visible = frames.iter().filter(|frame| objects.iter().any(|object| object.frames.contains(&frame.id)));
+    let visible: std::collections::BTreeSet<_> = visible.map(|frame| frame.id).collect();
+    let frames = (run.source.frames_at(visible.clone())?, visible.len());
+    images::for_each(run, Stage::Follow, frames, &mut outcome, |frame, picture| {
+        for (id, mask) in track::masks_of(run, &objects, &frame)? {
+            if let Some(front_end) = front_ends.get_mut(&id) {
+                front_end.push(&frame, &picture, &mask)?;
+            }
+        }
+        Ok(())
+    })?;
+
+    let store = TrackStore::fresh(run, PREFIX, fingerprint)?;
+    for (id, front_end) in front_ends {
+        store.write(&id.to_string(), &front_end.finish(options.seed)?)?;
+    }
+    outcome.outputs.push(store.folder);
+    Ok(outcome)
+}
+
+/// The tracks of one object; the stage must be done.
+pub(in crate::pipeline) fn of_object(run: &Run, id: ObjectId) -> Result<TrackTable, PipelineError> {
+    features::TrackStore::done(run, PREFIX, Stage::Follow).read(&id.to_string())
+}

@@ -1,0 +1,50 @@
+//! Stage `frames`: the list of frames that all other stages go by.
+
+use serde_json::{Value, json};
+
+use crate::pipeline::PipelineError;
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::inputs::cameras;
+use crate::pipeline::inputs::order;
+use crate::scene::{TimeBase, Topic};
+use crate::video::Kind;
+
+pub(in crate::pipeline) fn depends_on(run: &Run, input: &str) -> Value {
+    json!({ "input": input, "video": run.options.video, "in_time": order::stated(run) })
+}
+
+pub(in crate::pipeline) fn work(run: &Run) -> Result<Outcome, PipelineError> {
+    let scan = run.source.scan()?;
+    let order = order::find(run, &scan.frames)?;
+    let (frames, left_out) = match order.in_time {
+        true => cameras::of_one_size(run.source, scan.frames),
+        false => (scan.frames, Vec::new()),
+    };
+    run.workspace.write_state("frames-list.json", &frames)?;
+    let mut outcome = Outcome::default();
+    for warning in scan.warnings.into_iter().chain(left_out) {
+        outcome.warn(warning);
+    }
+    if order.in_time && run.info().time_base() == TimeBase::Frames {
+        let text = "frame rate unknown: times are frame numbers; give --fps RATE for seconds";
+        outcome.warn(Topic::NoFrameRate.warning(text));
+    }
+    if run.info().kind == Kind::Video && run.options.video.fps.is_some() {
+        let text = "--fps ignored: it is for folders of images; a video has its own time stamps";
+        outcome.warn(Topic::FrameRateIgnored.warning(text));
+    }
+    if let Some(said) = order.said() {
+        tracing::info!("{said}");
+        outcome.note(Topic::ImageOrderDetected.warning(said));
+    }
+    outcome.figure("num_frames", frames.len());
+    outcome.figure("num_repeated", scan.num_repeated);
+    outcome.figure("width", run.info().width);
+    outcome.figure("height", run.info().height);
+    outcome.figure("in_time", order.in_time);
+    if let Some(share) = order.followed_share {
+        outcome.figure("followed_share", share);
+    }
+    outcome.outputs.extend([run.workspace.state("frames-list.json"), run.workspace.state(order::STATE)]);
+    Ok(outcome)
+}

@@ -1,0 +1,262 @@
+//! Stage `ground`: which background points are ground, and the plane near every object in every frame.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use super::{background, objects};
+use crate::ground::{BodyShape, DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount, label_points};
+use crate::io::{RunFolder, masks};
+use crate::perception::{GroundSegmenter, load_ground_segmenter};
+use crate::pipeline::driver::fingerprint;
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::inputs::given_masks::MaskFolder;
+use crate::pipeline::inputs::images;
+use crate::pipeline::{GroundLabels, Options, PipelineError, Stage};
+use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Reconstruction, Topic};
+
+/// The name of the list of frames that have no plane, and why.
+const SKIPPED: &str = "ground-skipped.json";
+/// Prefix of the folder of masks that the user's network found.
+pub(in crate::pipeline) const MASKS: &str = "ground-masks-";
+
+pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+    let labels = match &run.options.ground_labels {
+        GroundLabels::Geometric => json!("geometric"),
+        GroundLabels::Masks { folder, label } => json!({ "masks": fingerprint::of_content(folder)?, "label": label }),
+        GroundLabels::Model(path) => json!({
+            "model": fingerprint::of_content(path)?,
+            "options": run.options.ground_segmentation,
+        }),
+    };
+    Ok(json!({
+        "labels": labels,
+        "options": run.options.ground,
+        "shape": body_shape(run.options),
+        "seed": run.options.seed,
+    }))
+}
+
+/// Assumptions on the shape of vehicles.
+pub(in crate::pipeline) fn body_shape(options: &Options) -> BodyShape {
+    let contact = &options.scale.joint.contact;
+    BodyShape { clearance: contact.lowest[0], max_deviation: contact.max_deviation }
+}
+
+pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    let (background, _) = background::background(run)?;
+    let found = match background.is_empty() {
+        true => Found::nothing(),
+        false => find(run, &background, fingerprint, &mut outcome)?,
+    };
+    let mut ground = Ground { source: found.source(), point_ids: found.point_ids(), planes: BTreeMap::new() };
+    let mut skipped: BTreeMap<String, BTreeMap<FrameId, String>> = BTreeMap::new();
+    let mut bases: BTreeMap<String, BTreeMap<&str, usize>> = BTreeMap::new();
+    let chain = found.chain(&background, run.options);
+    for (id, report) in objects::reports(run)? {
+        let Some(object) = objects::as_reconstructed(run, id, &report)? else { continue };
+        let found = chain.planes(id, &object, &run.options.ground, run.options.seed);
+        if let Some(first) = found.skipped.first() {
+            let (missing, all) = (found.skipped.len(), found.skipped.len() + found.planes.len());
+            let text = format!("object {id}: {missing} of {all} frames without a ground plane: {}", first.reason);
+            outcome.warn(Topic::FramesWithoutGroundPlane.warning(text));
+        }
+        let counts = bases.entry(id.to_string()).or_default();
+        found.planes.values().for_each(|plane| *counts.entry(plane.basis.name()).or_default() += 1);
+        ground.planes.extend(found.planes.into_iter().map(|(frame, plane)| ((id, frame), plane)));
+        let reasons = found.skipped.into_iter().map(|skip| (skip.frame, skip.reason.to_string())).collect();
+        skipped.insert(id.to_string(), reasons);
+    }
+    outcome.figure("source", json!(ground.source));
+    outcome.figure("num_points", ground.point_ids.len());
+    outcome.figure("num_planes", ground.planes.len());
+    outcome.figure("bases", json!(bases));
+    if let Some(mount) = &found.mount {
+        outcome.figure(
+            "mount",
+            json!({
+                "height": mount.height,
+                "height_std": mount.height_std,
+                "wander": mount.wander,
+                "num_points": mount.num_points,
+            }),
+        );
+    }
+    let path = run.workspace.ground();
+    run.workspace.put_file(&path, |fresh| crate::io::ground::write(fresh, &ground))?;
+    run.workspace.write_state(SKIPPED, &skipped)?;
+    outcome.outputs.extend([path, run.workspace.state(SKIPPED)]);
+    Ok(outcome)
+}
+
+/// Results that the stage computes before any object.
+struct Found {
+    /// Labelled points and where the labels come from.
+    labelled: Option<(GroundSource, Vec<Point3dId>)>,
+    dominant: Option<DominantPlane>,
+    mount: Option<Mount>,
+}
+
+impl Found {
+    fn nothing() -> Self {
+        Self { labelled: None, dominant: None, mount: None }
+    }
+
+    fn source(&self) -> GroundSource {
+        self.labelled.as_ref().map_or(GroundSource::Geometric, |(source, _)| *source)
+    }
+
+    fn point_ids(&self) -> Vec<Point3dId> {
+        match (&self.labelled, &self.dominant) {
+            (Some((_, labelled)), _) => labelled.clone(),
+            (None, Some(dominant)) => dominant.point_ids.clone(),
+            (None, None) => Vec::new(),
+        }
+    }
+
+    fn chain<'a>(&'a self, background: &'a Reconstruction, options: &Options) -> GroundChain<'a> {
+        GroundChain {
+            background,
+            labelled: self.labelled.as_ref().map_or(&[], |(_, points)| points),
+            dominant: self.dominant.as_ref(),
+            mount: self.mount.as_ref(),
+            shape: body_shape(options),
+        }
+    }
+}
+
+/// Every source of the chain, for the whole place.
+fn find(
+    run: &Run,
+    background: &Reconstruction,
+    fingerprint: &str,
+    outcome: &mut Outcome,
+) -> Result<Found, PipelineError> {
+    let labelled = labelled_points(run, background, fingerprint, outcome)?;
+    let options = &run.options.ground;
+    let dominant = match dominant_plane_points(background, options, run.options.seed) {
+        Ok(plane) => Some(plane),
+        Err(error) if labelled.is_none() => {
+            outcome.warn(Topic::NoGroundFound.warning(format!("no ground found: {error}")));
+            None
+        }
+        Err(_) => None,
+    };
+    let points = labelled.as_ref().map(|(_, points)| points.as_slice());
+    let of_labels = points.and_then(|points| find_mount(background, Some(points), options, run.options.seed).ok());
+    let mount = match of_labels {
+        Some(mount) => Ok(mount),
+        None => find_mount(background, None, options, run.options.seed),
+    };
+    match &mount {
+        Ok(_) => tracing::info!("camera mount: one plane in the camera's frame is the ground"),
+        Err(reason) => tracing::debug!("camera mount not assumed: {reason}"),
+    }
+    Ok(Found { labelled, dominant, mount: mount.ok() })
+}
+
+/// The ground; the stage must be done.
+pub(in crate::pipeline) fn ground(run: &Run) -> Result<Ground, PipelineError> {
+    Ok(run.workspace.read_ground()?)
+}
+
+/// The points that labels call ground; `None` where there are no labels, or none that says so of any point.
+fn labelled_points(
+    run: &Run,
+    background: &Reconstruction,
+    fingerprint: &str,
+    outcome: &mut Outcome,
+) -> Result<Option<(GroundSource, Vec<Point3dId>)>, PipelineError> {
+    let (source, points) = match &run.options.ground_labels {
+        GroundLabels::Geometric => {
+            let text = "no ground labels: the ground is estimated from 3D points; give --ground-model or \
+                        --ground-masks to improve it";
+            outcome.warn(Topic::NoGroundLabels.warning(text));
+            return Ok(None);
+        }
+        GroundLabels::Masks { folder, label } => {
+            (GroundSource::Masks, vote_of_masks(run, background, folder, *label, outcome)?)
+        }
+        GroundLabels::Model(path) => {
+            let folder = ground_masks(run, background, path, fingerprint, outcome)?;
+            (GroundSource::Model, vote_of_masks(run, background, &folder, None, outcome)?)
+        }
+    };
+    if points.is_empty() {
+        let text = "no background point is labeled as ground: the labels are ignored";
+        outcome.warn(Topic::LabelsWithoutGround.warning(text));
+        return Ok(None);
+    }
+    Ok(Some((source, points)))
+}
+
+/// Lets the labels under the observations vote, holding one label map at a time.
+fn vote_of_masks(
+    run: &Run,
+    background: &Reconstruction,
+    folder: &Path,
+    label: Option<u8>,
+    outcome: &mut Outcome,
+) -> Result<Vec<Point3dId>, PipelineError> {
+    let frames = run.frames()?;
+    let files = MaskFolder::open(folder, frames, run.info())?;
+    // Frames that a model was not asked for, since they are not registered, are not missing.
+    if matches!(run.options.ground_labels, GroundLabels::Masks { .. })
+        && let Some(warning) = files.warning(folder, frames)
+    {
+        outcome.warn(warning);
+    }
+    let by_name: BTreeMap<&str, FrameId> = frames.iter().map(|frame| (frame.name.as_str(), frame.id)).collect();
+    let mut current: Option<(String, Option<LabelMap>)> = None;
+    let mut failure = None;
+    let points = label_points(background, run.options.ground.min_observations, |image, pixel| {
+        if current.as_ref().is_none_or(|(name, _)| *name != image.name) {
+            let labels = by_name.get(image.name.as_str()).map_or(Ok(None), |&id| files.labels(id));
+            let labels = labels.unwrap_or_else(|error| {
+                failure.get_or_insert(error);
+                None
+            });
+            current = Some((image.name.clone(), labels));
+        }
+        let labels = current.as_ref()?.1.as_ref()?;
+        let value = value_at(labels, pixel.x, pixel.y)?;
+        Some(label.map_or(value != 0, |label| value == label))
+    });
+    failure.map_or(Ok(points), Err)
+}
+
+/// The label of the pixel that holds an image position; `None` outside.
+fn value_at(labels: &LabelMap, x: f64, y: f64) -> Option<u8> {
+    let inside = x >= 0.0 && y >= 0.0 && x < f64::from(labels.width) && y < f64::from(labels.height);
+    inside.then(|| labels.labels[y as usize * labels.width as usize + x as usize])
+}
+
+/// Loads the semantic model with the options of the run.
+pub(in crate::pipeline) fn load(run: &Run, model: &Path) -> Result<Box<dyn GroundSegmenter>, PipelineError> {
+    Ok(load_ground_segmenter(model, &run.options.ground_segmentation, run.options.resources())?)
+}
+
+/// Asks the semantic model for every registered frame that it was not asked for before; gives the folder of the
+/// answers.
+fn ground_masks(
+    run: &Run,
+    background: &Reconstruction,
+    model: &Path,
+    fingerprint: &str,
+    outcome: &mut Outcome,
+) -> Result<PathBuf, PipelineError> {
+    let folder = run.workspace.intermediate(MASKS, fingerprint)?;
+    let mut segmenter = load(run, model)?;
+    let registered: BTreeSet<&str> = background.images.values().map(|image| image.name.as_str()).collect();
+    let is_open = |frame: &&Frame| {
+        registered.contains(frame.name.as_str()) && !folder.join(RunFolder::mask_name(frame)).is_file()
+    };
+    let open: BTreeSet<FrameId> = run.frames()?.iter().filter(is_open).map(|frame| frame.id).collect();
+    let frames = (run.source.frames_at(open.clone())?, open.len());
+    images::for_each(run, Stage::Ground, frames, outcome, |frame, picture| {
+        Ok(masks::write_mask(&folder.join(RunFolder::mask_name(&frame)), &segmenter.ground_mask(&picture)?)?)
+    })?;
+    Ok(folder)
+}

@@ -1,0 +1,91 @@
+//! Dates of a run: the clock of a receiver's log, or the EXIF blocks of photographs.
+
+use std::collections::BTreeMap;
+
+use super::aligned::Aligned;
+use super::log::{Origin, Telemetry};
+use crate::math::median;
+use crate::metric::UtcOffset;
+use crate::pipeline::driver::run::Run;
+use crate::scene::{ClockZone, Dates};
+use crate::telemetry::{self, ClockKind, Fix};
+use crate::video::{self, Kind, Taken};
+
+/// The sixth of January 1980, where the time of satellites begins: no receiver states an earlier one, so that a smaller
+/// time counts from the video's start.
+const EARLIEST_S: f64 = 315_964_800.0;
+
+/// Dates of the run; `None` where nothing states any.
+pub(super) fn find(run: &Run, telemetry: Option<&Telemetry>, aligned: Option<&Aligned>) -> Option<Dates> {
+    let utc_offset = run.options.metric.utc_offset;
+    if run.info().kind == Kind::Folder
+        && let Some(dates) = of_photographs(run, utc_offset)
+    {
+        return Some(dates);
+    }
+    let telemetry = telemetry.filter(|telemetry| telemetry.origin != Origin::Photographs)?;
+    let zone = match telemetry.log.clock {
+        ClockKind::Utc => ClockZone::Utc,
+        ClockKind::Local => ClockZone::Local,
+        ClockKind::TimeOfDay | ClockKind::Absent => return None,
+    };
+    let stated_s = run.options.metric.time_offset.map_or(0.0, |offset| offset.mean_s);
+    let log_from_video_s = aligned.map_or(stated_s, Aligned::clock_offset_s);
+    let start_s = match clock_from_log_s(&telemetry.log.fixes) {
+        Some(clock_from_log_s) => log_from_video_s + clock_from_log_s,
+        // Times of the log are those of its clock.
+        None => aligned.map(|_| log_from_video_s)?,
+    };
+    (start_s >= EARLIEST_S).then(|| match (zone, utc_offset) {
+        (ClockZone::Local, Some(offset)) => dated(start_s - offset.seconds(), ClockZone::Utc),
+        _ => dated(start_s, zone),
+    })
+}
+
+fn dated(start_s: f64, zone: ClockZone) -> Dates {
+    Dates { start_s: Some(start_s), zone, images: BTreeMap::new() }
+}
+
+/// Time of the clock minus time in the video of a log that states both for its fixes: the median, for the steps of
+/// either differ.
+fn clock_from_log_s(fixes: &[Fix]) -> Option<f64> {
+    let by_video = fixes.iter().all(|fix| fix.video_s.is_some());
+    median(fixes.iter().filter_map(|fix| Some(fix.clock_s? - fix.video_s?)).collect()).filter(|_| by_video)
+}
+
+/// `None` where no photograph states a date.
+fn of_photographs(run: &Run, utc_offset: Option<UtcOffset>) -> Option<Dates> {
+    let frames = run.frames().ok()?;
+    let taken = |name: &str| Some((name.to_owned(), video::taken(&run.input().join(name))?));
+    let taken: Vec<(String, Taken)> = frames.iter().filter_map(|frame| taken(&frame.name)).collect();
+    let images: BTreeMap<String, String> =
+        taken.into_iter().map(|(name, taken)| (name, spelled(&taken, utc_offset))).collect();
+    (!images.is_empty()).then_some(Dates { start_s: None, zone: ClockZone::PerImage, images })
+}
+
+/// ISO 8601: with `Z` where the zone is known, else local time without one.
+fn spelled(taken: &Taken, utc_offset: Option<UtcOffset>) -> String {
+    let stated = taken.utc_offset.as_deref().and_then(|text| text.parse::<UtcOffset>().ok());
+    let offset = stated.or(utc_offset);
+    let Some(offset) = offset else { return taken.local.clone() };
+    let utc = telemetry::clock_s(&taken.local).and_then(|local_s| telemetry::date(local_s - offset.seconds(), true));
+    utc.unwrap_or_else(|| taken.local.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn taken(utc_offset: Option<&str>) -> Taken {
+        Taken { local: "2014-05-01T10:00:00.25".into(), utc_offset: utc_offset.map(str::to_owned) }
+    }
+
+    #[test]
+    fn photographs_keep_local_time_until_a_zone_is_known() {
+        assert_eq!(spelled(&taken(None), None), "2014-05-01T10:00:00.25");
+        assert_eq!(spelled(&taken(Some("+02:00")), None), "2014-05-01T08:00:00.25Z");
+        assert_eq!(spelled(&taken(None), "-03:30".parse().ok()), "2014-05-01T13:30:00.25Z");
+        assert_eq!(spelled(&taken(Some("+02:00")), "-03:30".parse().ok()), "2014-05-01T08:00:00.25Z", "stated wins");
+        assert_eq!(spelled(&taken(Some("  :  ")), None), "2014-05-01T10:00:00.25");
+    }
+}

@@ -1,0 +1,225 @@
+//! Which telemetry belongs to the input.
+
+use std::path::{Path, PathBuf};
+
+use crate::limits::memory::MemoryLimit;
+use crate::pipeline::TelemetryChoice;
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::scene::Topic;
+use crate::telemetry::{self, Log, TelemetryError};
+use crate::video::{self, Kind, VideoError};
+
+/// Where telemetry was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Origin {
+    /// The user named it.
+    Named,
+    /// In a file next to the video.
+    Beside,
+    /// In the video's text track.
+    Inside,
+    /// In the photographs themselves.
+    Photographs,
+}
+
+/// A log and where it comes from.
+pub(super) struct Telemetry {
+    pub(super) log: Log,
+    pub(super) path: PathBuf,
+    pub(super) origin: Origin,
+}
+
+/// Name endings of logs next to a video; the first that holds telemetry is taken.
+const EXTENSIONS: [&str; 6] = ["srt", "gpx", "csv", "nmea", "log", "txt"];
+
+/// The files whose content decides what is found, besides the input itself.
+pub(super) fn files(run: &Run) -> Vec<PathBuf> {
+    match &run.options.metric.telemetry {
+        TelemetryChoice::None => Vec::new(),
+        TelemetryChoice::File(path) => vec![path.clone()],
+        TelemetryChoice::Auto if run.info().kind == Kind::Video => beside(run.input()),
+        TelemetryChoice::Auto => Vec::new(),
+    }
+}
+
+/// The files next to a video with its stem and the extension of a log, in the order of [`EXTENSIONS`].
+pub(in crate::pipeline) fn beside(video: &Path) -> Vec<PathBuf> {
+    let (Some(folder), Some(stem)) = (video.parent(), video.file_stem()) else { return Vec::new() };
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let rank = |path: &Path| {
+        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+        EXTENSIONS.iter().position(|known| *known == extension).filter(|_| path.file_stem() == Some(stem))
+    };
+    let ranked = entries.filter_map(|entry| Some((rank(&entry.path())?, entry.path())));
+    let mut found: Vec<(usize, PathBuf)> = ranked.filter(|(_, path)| path.is_file() && path != video).collect();
+    found.sort();
+    found.into_iter().map(|(_, path)| path).collect()
+}
+
+/// The telemetry of the input; what is odd about it is reported.
+pub(super) fn find(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
+    let found = match &run.options.metric.telemetry {
+        TelemetryChoice::None => None,
+        TelemetryChoice::File(path) => named(path, run.options.memory(), outcome),
+        TelemetryChoice::Auto if run.info().kind == Kind::Video => {
+            from_files(&beside(run.input()), run.options.memory(), outcome).or_else(|| inside(run, outcome))
+        }
+        TelemetryChoice::Auto => photographs(run),
+    };
+    if let Some(found) = &found {
+        say(found, outcome);
+    }
+    found
+}
+
+fn named(path: &Path, memory: MemoryLimit, outcome: &mut Outcome) -> Option<Telemetry> {
+    match telemetry::read_within(path, memory) {
+        Ok(log) => Some(Telemetry { log, path: path.to_owned(), origin: Origin::Named }),
+        Err(error) => {
+            let text = format!("telemetry gives no scale: {}", with_cause(&error));
+            outcome.warn(Topic::TelemetryUnreadable.warning(text));
+            None
+        }
+    }
+}
+
+fn from_files(paths: &[PathBuf], memory: MemoryLimit, outcome: &mut Outcome) -> Option<Telemetry> {
+    paths.iter().find_map(|path| match telemetry::read_within(path, memory) {
+        Ok(log) => Some(Telemetry { log, path: path.clone(), origin: Origin::Beside }),
+        Err(error) => {
+            let text = format!("file next to the video ignored as telemetry: {}", with_cause(&error));
+            let warning = Topic::TelemetryUnreadable.warning(text);
+            match error {
+                // It may well be telemetry.
+                TelemetryError::TooLarge { .. } | TelemetryError::TooMany { .. } => outcome.warn(warning),
+                _ => {
+                    tracing::info!("{warning}");
+                    outcome.note(warning);
+                }
+            }
+            None
+        }
+    })
+}
+
+fn inside(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
+    let video = run.input();
+    match telemetry_inside(video, run.options.video.track) {
+        Some(Ok(log)) => Some(Telemetry { log, path: video.to_owned(), origin: Origin::Inside }),
+        Some(Err(error)) => {
+            let text = format!("text track of the video ignored as telemetry: {}", with_cause(&error));
+            let warning = Topic::TelemetryUnreadable.warning(text);
+            tracing::info!("{warning}");
+            outcome.note(warning);
+            None
+        }
+        None => None,
+    }
+}
+
+/// Reads the telemetry in the text track of a video; `None` where it has no text track, or is no video.
+///
+/// * `track` – video track whose clock counts; `None` as in a run.
+///
+/// # Errors
+/// [`TelemetryError::NoFix`] where the track says something else; [`TelemetryError::Playlist`].
+pub fn telemetry_inside(video: &Path, track: Option<u32>) -> Option<Result<Log, TelemetryError>> {
+    let entries = match video::subtitles(video, track) {
+        Err(VideoError::TextTooLarge { path, limit }) => {
+            let (size_mib, most_mib) = (limit >> 20, limit >> 20);
+            return Some(Err(TelemetryError::TooLarge { path, size_mib, most_mib }));
+        }
+        Err(VideoError::Playlist { path, format }) => return Some(Err(TelemetryError::Playlist { path, format })),
+        other => other.ok().filter(|entries| !entries.is_empty())?,
+    };
+    let numbered = (1..).zip(&entries);
+    let subtitles: Vec<telemetry::Subtitle> = numbered
+        .map(|(line, entry)| telemetry::Subtitle {
+            line,
+            start_s: Some(entry.start_s),
+            lines: entry.text.lines().map(str::trim).collect(),
+        })
+        .collect();
+    Some(telemetry::read_subtitles(&subtitles, video))
+}
+
+/// If none of so many photographs knows its place, the others are not asked.
+const NUM_TRIED: usize = 8;
+
+fn photographs(run: &Run) -> Option<Telemetry> {
+    let frames = run.frames().ok()?;
+    let paths: Vec<PathBuf> = frames.iter().map(|frame| run.input().join(&frame.name)).collect();
+    telemetry::read_photographs(&paths[..paths.len().min(NUM_TRIED)]).ok()?;
+    let log = telemetry::read_photographs(&paths).ok()?;
+    Some(Telemetry { log, path: run.input().to_owned(), origin: Origin::Photographs })
+}
+
+fn say(found: &Telemetry, outcome: &mut Outcome) {
+    let Telemetry { log, path, origin } = found;
+    let whence = match origin {
+        Origin::Named => "given",
+        Origin::Beside => "found next to the video",
+        Origin::Inside => "text track of the video",
+        Origin::Photographs => "EXIF positions of the photographs",
+    };
+    tracing::info!("telemetry: {} ({whence}), {} positions", path.display(), log.fixes.len());
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    outcome.figure("telemetry", serde_json::json!({ "file": name, "found": whence, "num_fixes": log.fixes.len() }));
+    if let Some(first) = log.passed_over.first() {
+        let text = format!("{}: {} skipped, the first: {first}", path.display(), positions(log.num_passed_over));
+        outcome.warn(Topic::TelemetryLinesSkipped.warning(text));
+    }
+}
+
+fn positions(number: usize) -> String {
+    format!("{number} {}", if number == 1 { "position" } else { "positions" })
+}
+
+/// An error with what the system says.
+fn with_cause(error: &TelemetryError) -> String {
+    match std::error::Error::source(error) {
+        Some(cause) => format!("{error}: {cause}"),
+        None => error.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn logs_beside_a_video_have_its_stem() {
+        let folder = tempfile::tempdir().unwrap();
+        let video = folder.path().join("DJI_0001.MP4");
+        for name in ["DJI_0001.MP4", "DJI_0001.csv", "DJI_0001.SRT", "DJI_0002.SRT", "DJI_0001.jpg", "DJI_0001"] {
+            fs::write(folder.path().join(name), "x").unwrap();
+        }
+        let names: Vec<_> = beside(&video).iter().map(|path| path.file_name().unwrap().to_owned()).collect();
+        assert_eq!(names, ["DJI_0001.SRT", "DJI_0001.csv"]);
+    }
+
+    #[test]
+    fn what_lies_beside_a_video_and_is_no_telemetry_is_said_and_passed_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        fs::write(path("a.srt"), "1\n00:00:00,000 --> 00:00:01,000\nHello\n").unwrap();
+        fs::write(path("a.csv"), "time,latitude,longitude\n0,47.1,8.5\n1,47.2,8.5\n").unwrap();
+        let mut outcome = Outcome::default();
+        let found = from_files(&[path("a.srt"), path("a.csv")], MemoryLimit::of_machine(), &mut outcome).unwrap();
+        assert_eq!((found.path, found.log.fixes.len(), found.origin), (path("a.csv"), 2, Origin::Beside));
+        assert!(outcome.warnings.len() == 1 && outcome.warnings[0].contains("a.srt"), "{:?}", outcome.warnings);
+    }
+
+    #[test]
+    fn a_playlist_is_refused_as_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("list.m3u8");
+        fs::write(&path, "#EXTM3U\n#EXT-X-TARGETDURATION:2\n#EXTINF:1.0,\na.mp4\n#EXT-X-ENDLIST\n").unwrap();
+        assert!(matches!(telemetry::read(&path), Err(TelemetryError::Unknown { .. })));
+        let found = telemetry_inside(&path, None);
+        assert!(matches!(&found, Some(Err(TelemetryError::Playlist { format, .. })) if format == "hls"), "{found:?}");
+    }
+}

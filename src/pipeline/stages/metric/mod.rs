@@ -1,0 +1,225 @@
+//! Stage `metric`: metres per unit from all sources, and the trajectories in metres and on the map.
+//!
+//! The stage `scale` leaves the trajectories in units of the background; this one writes `trajectories.json` whole,
+//! with the same trajectories and their metres next to them. Where nothing gives metres it says why, and everything
+//! else stays as it was.
+
+mod aligned;
+mod dates;
+mod log;
+mod placed;
+mod sources;
+mod vehicles;
+
+use std::collections::BTreeMap;
+
+use nalgebra::Point3;
+use serde_json::{Value, json};
+
+use super::{background, scale};
+use crate::math::median;
+use crate::math::rounding::{figure, percent, significant};
+use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
+use crate::pipeline::driver::fingerprint;
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::{MetricOptions, Options, PipelineError, TelemetryChoice};
+use crate::scene::{
+    Metric, MetricFrame, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, Topic, Trajectories,
+};
+use crate::telemetry;
+use aligned::Aligned;
+pub(in crate::pipeline) use log::beside as logs_beside;
+pub use log::telemetry_inside;
+use placed::Placing;
+use sources::Ground;
+pub(in crate::pipeline) use vehicles::Size;
+
+/// Inputs of this stage alone: the options of meters, and the content of telemetry files.
+pub(in crate::pipeline) fn depends_on(run: &Run) -> Value {
+    let MetricOptions { telemetry, time_offset, utc_offset, camera_height, scale, known_lengths } = &run.options.metric;
+    let files = log::files(run);
+    // What cannot be read next to a video is no telemetry; what was named has been read before.
+    let contents: Vec<Option<String>> = files.iter().map(|file| fingerprint::of_content(file).ok()).collect();
+    let is_looked_for = *telemetry != TelemetryChoice::None;
+    json!({
+        "telemetry": { "is_looked_for": is_looked_for, "files": contents },
+        "time_offset": time_offset,
+        "utc_offset": utc_offset,
+        "camera_height": camera_height,
+        "scale": scale,
+        "known_lengths": known_lengths,
+    })
+}
+
+/// Reads the telemetry that is named, so that what is wrong with it is reported before any work.
+///
+/// # Errors
+/// [`PipelineError::Telemetry`] names the file and the cure.
+pub(in crate::pipeline) fn check(options: &Options) -> Result<(), PipelineError> {
+    match &options.metric.telemetry {
+        TelemetryChoice::File(path) => Ok(telemetry::read_within(path, options.memory()).map(drop)?),
+        TelemetryChoice::Auto | TelemetryChoice::None => Ok(()),
+    }
+}
+
+pub(in crate::pipeline) fn work(run: &Run) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    let (background, _) = background::background(run)?;
+    let trajectories = scale::in_units(run)?;
+    let sizes = scale::sizes(run)?;
+    let found = match background.is_empty() {
+        true => Found::unknown("no background"),
+        false => find(run, &background, &trajectories, &sizes, &mut outcome)?,
+    };
+    describe(&found.metric, &mut outcome);
+    let mut objects = trajectories.objects;
+    let nominal = match found.metric.frame {
+        None if !objects.is_empty() => Some(nominal_frame(&Ground::of(run, &background)?, &background, &objects)),
+        _ => None,
+    };
+    if let Some(frame) = found.metric.frame.as_ref().or(nominal.as_ref()) {
+        let placing = Placing::new(&background, frame, found.map, run.info().time_base());
+        for trajectory in &mut objects {
+            match &nominal {
+                Some(_) => placing.fill_units(trajectory),
+                None => {
+                    placing.fill(trajectory);
+                    trajectory.dimensions = sizes.get(&trajectory.id).map(|size| size.in_metres(frame));
+                }
+            }
+        }
+    }
+    let all = Trajectories { unit: trajectories.unit, metric: Some(found.metric), objects };
+    // What was exported has the metres of before.
+    run.workspace.remove(&run.workspace.exports())?;
+    let path = run.workspace.trajectories();
+    run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
+    outcome.outputs.push(path);
+    Ok(outcome)
+}
+
+/// Metres, and the map where it is known.
+struct Found {
+    metric: Metric,
+    map: Option<telemetry::LocalFrame>,
+}
+
+impl Found {
+    fn unknown(reason: impl Into<String>) -> Self {
+        let metric = Metric {
+            verdict: MetricVerdict::Unknown,
+            reason: Some(reason.into()),
+            frame: None,
+            shares: Vec::new(),
+            contradictions: Vec::new(),
+            time_offset_s: None,
+            time_offset_std_s: None,
+            dates: None,
+        };
+        Self { metric, map: None }
+    }
+}
+
+fn find(
+    run: &Run,
+    background: &Reconstruction,
+    trajectories: &Trajectories,
+    sizes: &BTreeMap<ObjectId, Size>,
+    outcome: &mut Outcome,
+) -> Result<Found, PipelineError> {
+    let ground = Ground::of(run, background)?;
+    let telemetry = log::find(run, outcome);
+    let aligned = telemetry.as_ref().and_then(|telemetry| aligned::align(run, background, &ground, telemetry, outcome));
+    let dates = dates::find(run, telemetry.as_ref(), aligned.as_ref());
+    let mut sources: Vec<Source> = aligned.iter().map(Aligned::source).collect();
+    sources.extend(sources::measured(run, &ground, outcome));
+    sources.extend(vehicles::known(run, sizes, outcome));
+    let alike = vehicles::alike(trajectories, sizes);
+    alike.warn(outcome);
+    sources.extend(alike.source.clone());
+    let Some(fused) = fuse(&sources) else {
+        let unknown = Found::unknown(NOTHING);
+        return Ok(Found { metric: Metric { dates, ..unknown.metric }, ..unknown });
+    };
+    warn_of_contradictions(&fused, outcome);
+    let frame = match &aligned {
+        Some(aligned) => frame_on_map(&fused, &aligned.alignment, aligned.origin()),
+        None => frame_on_ground(&fused, &ground.level(background)),
+    };
+    let metric = Metric {
+        verdict: fused.verdict,
+        reason: Some(sentence(&fused, &frame)),
+        frame: Some(frame),
+        shares: fused.shares,
+        contradictions: fused.contradictions.into_iter().chain(alike.contradictions()).collect(),
+        time_offset_s: aligned.as_ref().map(|aligned| aligned.clock_offset_s()),
+        time_offset_std_s: aligned.as_ref().map(|aligned| aligned.alignment.offset_std_s),
+        dates,
+    };
+    Ok(Found { metric, map: aligned.map(|aligned| aligned.map) })
+}
+
+/// Distance from camera to vehicle that represents the median of a result without metres: between a dashcam's 10 m and
+/// a drone's 50 m. Lengths in units hardly depend on it: it sets how sharply a vehicle may turn, within the decades
+/// over which the smoother searches.
+const NOMINAL_DISTANCE_M: f64 = 20.0;
+
+/// A frame of nominal scale, in which trajectories are smoothed where metres are unknown.
+fn nominal_frame(ground: &Ground, background: &Reconstruction, objects: &[ObjectTrajectory]) -> MetricFrame {
+    let centers: BTreeMap<&str, Point3<f64>> =
+        background.images.values().map(|image| (image.name.as_str(), image.cam_from_world.center())).collect();
+    let distance = |pose: &ObjectPose| Some((Point3::from(pose.position) - centers.get(pose.name.as_str())?).norm());
+    let poses = objects.iter().flat_map(|object| &object.poses);
+    let distances: Vec<f64> = poses.filter_map(distance).filter(|d| d.is_finite() && *d > 0.0).collect();
+    let fused = Fused {
+        scale: median(distances).map_or(1.0, |distance| NOMINAL_DISTANCE_M / distance),
+        std: 0.0,
+        verdict: MetricVerdict::Unknown,
+        shares: Vec::new(),
+        contradictions: Vec::new(),
+    };
+    frame_on_ground(&fused, &ground.level(background))
+}
+
+/// Why metres are unknown.
+const NOTHING: &str = "no source of scale: no matching telemetry, no known length, no vehicle of a class with known \
+     sizes; give --telemetry FILE, --camera-height METERS, --known-length ID:length=METERS or --scale METERS";
+
+/// On what the metres rest, and how well they are known.
+fn sentence(fused: &Fused, frame: &MetricFrame) -> String {
+    let basis = match fused.verdict {
+        MetricVerdict::Surveyed => "scale from measurements",
+        MetricVerdict::Telemetry => "scale from GPS positions",
+        MetricVerdict::PriorOnly if fused.shares.len() > 1 => "scale mostly from typical vehicle sizes",
+        MetricVerdict::PriorOnly => "scale from typical vehicle sizes only (no measurement given)",
+        MetricVerdict::Unknown => "scale unknown",
+    };
+    let discord = if fused.contradictions.is_empty() { "" } else { "; sources contradict one another" };
+    let std = percent(frame.log_scale_std());
+    format!("{basis}: ±{std} (1σ), the same factor for every length and speed{discord}")
+}
+
+fn warn_of_contradictions(fused: &Fused, outcome: &mut Outcome) {
+    for contradiction in &fused.contradictions {
+        outcome.warn(Topic::SourcesContradict.warning(format!(
+            "{} contradicts the other sources of scale: {} times their meters per unit ({} standard deviations); check \
+             it",
+            contradiction.source,
+            figure(contradiction.ratio),
+            significant(contradiction.deviations, 2)
+        )));
+    }
+}
+
+fn describe(metric: &Metric, outcome: &mut Outcome) {
+    if let Some(reason) = &metric.reason {
+        tracing::info!("{reason}");
+        outcome.figure("reason", reason.as_str());
+    }
+    outcome.figure("verdict", metric.verdict.name());
+    if let Some(frame) = &metric.frame {
+        outcome.figure("scale", frame.scale);
+        outcome.figure("scale_std", frame.std.scale);
+        outcome.figure("shares", json!(metric.shares));
+    }
+}

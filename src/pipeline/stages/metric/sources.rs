@@ -1,0 +1,112 @@
+//! Measured or given lengths, divided by the same in units of the background.
+
+use nalgebra::{Point3, Vector3};
+
+use super::super::ground;
+use crate::ground::{CameraHeight, HeightFailure, camera_height};
+use crate::metric::{Kind, Level, Measured, Source};
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::{PipelineError, Stage};
+use crate::scene::{Reconstruction, Topic};
+
+/// The ground of the background, as far as metres need it.
+pub(super) struct Ground {
+    /// Up by the ground's normal, and its standard deviation as the vertical, radians.
+    pub(super) normal: Option<(Vector3<f64>, f64)>,
+    below: Result<CameraHeight, HeightFailure>,
+    /// Height over the road of a camera fixed to a vehicle.
+    mount: Option<Measured>,
+}
+
+/// Standard deviation of the slope of roads along their way, radians: half of the 4.5 to 8 % up to which guidelines let
+/// country roads rise (FGSV, *Richtlinien für die Anlage von Landstraßen*, 2012).
+const SLOPE_STD: f64 = 0.035;
+
+/// Standard deviation of a camera's tilt where no ground is visible, radians.
+const CAMERA_TILT_STD: f64 = 0.5;
+
+impl Ground {
+    pub(super) fn of(run: &Run, background: &Reconstruction) -> Result<Self, PipelineError> {
+        let points = ground::ground(run)?.point_ids;
+        let below = camera_height(background, &points, &run.options.ground, run.options.seed);
+        let normal = below.as_ref().ok().map(|found| (found.up_in_world, SLOPE_STD.hypot(0.5 * found.tilt_spread)));
+        Ok(Self { normal, below, mount: mount(run) })
+    }
+
+    /// Height of the camera, units of the background.
+    fn height(&self) -> Result<Measured, String> {
+        let of_planes = || {
+            let found = self.below.as_ref().map_err(ToString::to_string)?;
+            Measured::new(found.mean, found.std).ok_or_else(|| "the height above the ground is undetermined".to_owned())
+        };
+        self.mount.map_or_else(of_planes, Ok)
+    }
+
+    /// Climb of the camera, as a share of its height.
+    fn spread(&self) -> f64 {
+        self.below.as_ref().map_or(0.0, |found| found.spread)
+    }
+
+    /// The vertical and an origin where there is no map.
+    pub(super) fn level(&self, background: &Reconstruction) -> Level {
+        let poses = || background.images.values().map(|image| image.cam_from_world);
+        let ahead = poses().next().map(|pose| (pose.rotation.inverse() * Vector3::z(), pose.rotation.inverse()));
+        let of_cameras = || poses().map(|pose| pose.rotation.inverse() * -Vector3::y()).sum::<Vector3<f64>>();
+        let (up_in_world, tilt_std) = self.normal.unwrap_or_else(|| (of_cameras(), CAMERA_TILT_STD));
+        let first = poses().next().map_or_else(Point3::origin, |pose| pose.center());
+        let forward = ahead.map_or_else(Vector3::z, |(forward, upper)| {
+            // Straight down the upper edge of the picture is what lies ahead.
+            let is_steep = forward.angle(&-up_in_world) < 0.3;
+            if is_steep { upper * -Vector3::y() } else { forward }
+        });
+        Level {
+            up_in_world: up_in_world.try_normalize(f64::EPSILON).unwrap_or_else(|| -Vector3::y()),
+            tilt_std,
+            ahead_in_world: forward,
+            origin_in_world: self.below.as_ref().map_or(first, |found| found.foot_in_world),
+        }
+    }
+}
+
+/// Camera fixed to a vehicle, as the stage `ground` found it.
+fn mount(run: &Run) -> Option<Measured> {
+    let record = run.records.iter().find(|record| record.stage == Stage::Ground)?;
+    let mount = record.marker.figures.get("mount")?;
+    let number = |name: &str| mount.get(name).and_then(serde_json::Value::as_f64);
+    let (height, std, wander) = (number("height")?, number("height_std")?, number("wander")?);
+    Measured::new(height, std.hypot(wander * height))
+}
+
+/// Measured or given lengths.
+pub(super) fn measured(run: &Run, ground: &Ground, outcome: &mut Outcome) -> Vec<Source> {
+    let options = &run.options.metric;
+    let given = options.scale.map(|scale| source("given scale", scale.log()));
+    given.into_iter().chain(options.camera_height.and_then(|height| of_height(height, ground, outcome))).collect()
+}
+
+fn source(name: &str, (log_scale, std): (f64, f64)) -> Source {
+    Source { name: name.to_owned(), kind: Kind::Surveyed, log_scale, std }
+}
+
+/// Above this a camera climbs so much that one height is hardly what somebody measured, as a share.
+const MAX_SPREAD: f64 = 0.15;
+
+fn of_height(given: Measured, ground: &Ground, outcome: &mut Outcome) -> Option<Source> {
+    match ground.height() {
+        Err(reason) => {
+            outcome.warn(Topic::CameraHeightUnusable.warning(format!("--camera-height gives no scale: {reason}")));
+            None
+        }
+        Ok(height) => {
+            if ground.spread() > MAX_SPREAD {
+                outcome.warn(Topic::CameraHeightUnusable.warning(format!(
+                    "--camera-height: height above ground varies by ±{:.0} %; the value is taken as the mean over the \
+                     frames",
+                    100.0 * ground.spread()
+                )));
+            }
+            outcome.figure("camera_height", serde_json::json!({ "units": height.value, "units_std": height.std }));
+            Some(source("camera height", given.log_ratio(&height)))
+        }
+    }
+}

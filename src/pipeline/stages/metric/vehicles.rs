@@ -1,0 +1,206 @@
+//! Metres from the vehicles' sizes, and their sizes in metres.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::metric::{
+    Dimension, Extent, Kind, KnownLength, Measured, OddVehicle, Oddity, Source, VehicleClass, VehicleSizes,
+    vehicle_sizes,
+};
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::scene::{
+    Dimensions, Estimate, MetricContradiction, MetricFrame, ObjectId, ObjectTrajectory, Topic, Trajectories, Trust,
+};
+
+/// Size of an object, in units of the background; `None` for a dimension that was never visible.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(in crate::pipeline) struct Size {
+    /// Between its ends.
+    pub(in crate::pipeline) length: Option<Estimate>,
+    /// Between its sides.
+    pub(in crate::pipeline) width: Option<Estimate>,
+    /// Above the ground.
+    pub(in crate::pipeline) height: Option<Estimate>,
+}
+
+impl Size {
+    fn of(&self, dimension: Dimension) -> Option<Estimate> {
+        match dimension {
+            Dimension::Length => self.length,
+            Dimension::Width => self.width,
+            Dimension::Height => self.height,
+        }
+    }
+
+    /// The same in metres, with the deviation of the scale.
+    pub(super) fn in_metres(&self, frame: &MetricFrame) -> Dimensions {
+        let log_scale_std = frame.log_scale_std();
+        let metres = |units: Estimate| {
+            let value = frame.scale * units.value;
+            Estimate { value, std: value * log_scale_std.hypot(units.std / units.value) }
+        };
+        Dimensions {
+            length_m: self.length.map(metres),
+            width_m: self.width.map(metres),
+            height_m: self.height.map(metres),
+        }
+    }
+}
+
+/// Known dimensions of single vehicles, each a source of its own.
+pub(super) fn known(run: &Run, sizes: &BTreeMap<ObjectId, Size>, outcome: &mut Outcome) -> Vec<Source> {
+    let known = run.options.metric.known_lengths.iter();
+    let source = |known: &KnownLength| match of_length(known, sizes) {
+        Ok(source) => Some(source),
+        Err(reason) => {
+            outcome
+                .warn(Topic::KnownLengthUnusable.warning(format!("--known-length {known} gives no scale: {reason}")));
+            None
+        }
+    };
+    known.filter_map(source).collect()
+}
+
+fn of_length(known: &KnownLength, sizes: &BTreeMap<ObjectId, Size>) -> Result<Source, String> {
+    let KnownLength { object, dimension, length } = known;
+    let name = dimension.name();
+    let size = sizes.get(object).ok_or_else(|| format!("vehicle {object}: no trajectory"))?;
+    let units = size.of(*dimension).and_then(|units| Measured::new(units.value, units.std));
+    let units = units.ok_or_else(|| format!("vehicle {object}: {name} not measured, never visible well enough"))?;
+    let (log_scale, std) = length.log_ratio(&units);
+    Ok(Source { name: format!("{name} of vehicle {object}"), kind: Kind::Surveyed, log_scale, std })
+}
+
+/// Meters by typical vehicle sizes, and the vehicles with anomalies.
+#[derive(Debug, Default)]
+pub(super) struct Alike {
+    /// As one source; `None` where no vehicle is of a class whose members are alike.
+    pub(super) source: Option<Source>,
+    odd: Vec<OddVehicle>,
+}
+
+/// Asks the vehicles that can be trusted; only where these say nothing, the doubtful ones.
+pub(super) fn alike(trajectories: &Trajectories, sizes: &BTreeMap<ObjectId, Size>) -> Alike {
+    let usable = || trajectories.objects.iter().filter(|trajectory| !trajectory.is_ruled_out());
+    let ask = |vehicles: Vec<&ObjectTrajectory>| {
+        let extents: Vec<Extent> = vehicles.into_iter().flat_map(|trajectory| extents(trajectory, sizes)).collect();
+        Alike::of(vehicle_sizes(&extents))
+    };
+    let trusted = ask(usable().filter(|trajectory| !is_doubtful(trajectory)).collect());
+    if trusted.source.is_some() {
+        return trusted;
+    }
+    let doubtful = ask(usable().filter(|trajectory| is_doubtful(trajectory)).collect());
+    Alike { source: doubtful.source, odd: [trusted.odd, doubtful.odd].concat() }
+}
+
+fn is_doubtful(trajectory: &ObjectTrajectory) -> bool {
+    trajectory.verdict.as_ref().is_some_and(|verdict| verdict.state >= Trust::Doubtful)
+}
+
+impl Alike {
+    fn of(found: VehicleSizes) -> Self {
+        let name = "typical vehicle sizes".to_owned();
+        let source = |(log_scale, std)| Source { name, kind: Kind::Prior, log_scale, std };
+        Self { source: found.log_scale.map(source), odd: found.odd }
+    }
+
+    /// Says which vehicles are odd.
+    pub(super) fn warn(&self, outcome: &mut Outcome) {
+        for OddVehicle { vehicle, oddity, deviations } in &self.odd {
+            let text = match oddity {
+                Oddity::Shape => format!(
+                    "vehicle {vehicle}: proportions differ from its class ({deviations:.1} standard deviations off); \
+                     its size is not used for the scale"
+                ),
+                Oddity::Scale(ratio) => format!(
+                    "vehicle {vehicle}: size contradicts the other vehicles ({ratio:.3} times their meters per unit, \
+                     {deviations:.1} standard deviations)"
+                ),
+            };
+            outcome.warn(Topic::VehicleProportionsOdd.warning(text));
+        }
+    }
+
+    /// The vehicles that contradict the others, as the result has contradictions.
+    pub(super) fn contradictions(&self) -> impl Iterator<Item = MetricContradiction> {
+        self.odd.iter().filter_map(|&OddVehicle { vehicle, oddity, deviations }| match oddity {
+            Oddity::Shape => None,
+            Oddity::Scale(ratio) => {
+                Some(MetricContradiction { source: format!("size of vehicle {vehicle}"), ratio, deviations })
+            }
+        })
+    }
+}
+
+fn extents(trajectory: &ObjectTrajectory, sizes: &BTreeMap<ObjectId, Size>) -> Vec<Extent> {
+    let Some(size) = sizes.get(&trajectory.id) else { return Vec::new() };
+    let Some(class) = VehicleClass::from_label(&trajectory.class) else { return Vec::new() };
+    let ratio_std = trajectory.scale.std.unwrap_or(0.0) / trajectory.scale.ratio;
+    let extent = |dimension| {
+        let Estimate { value, std } = size.of(dimension)?;
+        // The deviation of a size has that of the ratio in it.
+        let std = (std * std - (ratio_std * value).powi(2)).max(0.0).sqrt().max(MIN_STD * value);
+        Some(Extent { vehicle: trajectory.id.0, class, dimension, value, std, ratio_std })
+    };
+    [Dimension::Length, Dimension::Width, Dimension::Height].into_iter().filter_map(extent).collect()
+}
+
+/// No extent is known better, as a share.
+const MIN_STD: f64 = 1e-3;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{ScaleEstimate, ScaleMethod, Unit, Verdict};
+
+    fn sizes() -> BTreeMap<ObjectId, Size> {
+        let length = Some(Estimate { value: 2.0, std: 0.02 });
+        [(ObjectId(3), Size { length, ..Size::default() })].into()
+    }
+
+    #[test]
+    fn a_known_length_over_its_units_is_a_source() {
+        let found = of_length(&"3:length=4.4±0.044".parse().unwrap(), &sizes()).unwrap();
+        assert!((found.log_scale - 2.2f64.ln()).abs() < 1e-12 && (found.std - 0.01f64.hypot(0.01)).abs() < 1e-12);
+        assert_eq!(found.name, "length of vehicle 3");
+    }
+
+    #[test]
+    fn what_was_not_seen_is_said() {
+        let of = |text: &str| of_length(&text.parse().unwrap(), &sizes()).unwrap_err();
+        assert!(of("3:width=1.8").contains("vehicle 3: width not measured"));
+        assert!(of("4:length=4.4").contains("vehicle 4: no trajectory"));
+    }
+
+    /// A car 4.3 units long that can be trusted so far, with its size.
+    fn car(id: u32, factor: f64, state: Trust) -> (ObjectTrajectory, (ObjectId, Size)) {
+        let trajectory = ObjectTrajectory {
+            id: ObjectId(id),
+            class: "car".to_owned(),
+            confidence: 1.0,
+            scale: ScaleEstimate::new(1.0, ScaleMethod::Joint),
+            ground: BTreeMap::new(),
+            verdict: Some(Verdict { state, reasons: Vec::new() }),
+            dimensions: None,
+            travel: None,
+            poses: Vec::new(),
+        };
+        let extent = |units: f64| Some(Estimate { value: factor * units, std: 0.02 * factor * units });
+        (trajectory, (ObjectId(id), Size { length: extent(4.3), width: extent(1.8), height: extent(1.48) }))
+    }
+
+    #[test]
+    fn doubtful_vehicles_are_asked_last() {
+        let ask = |cars: Vec<(ObjectTrajectory, (ObjectId, Size))>| {
+            let (objects, sizes): (Vec<_>, Vec<_>) = cars.into_iter().unzip();
+            let all = Trajectories { unit: Unit::Background, metric: None, objects };
+            alike(&all, &sizes.into_iter().collect()).source
+        };
+        let (good, doubtful) = (|| car(1, 1.0, Trust::Fair), || car(2, 1.5, Trust::Doubtful));
+        assert_eq!(ask(vec![good(), doubtful()]), ask(vec![good()]));
+        assert!(ask(vec![doubtful()]).is_some());
+        assert!(ask(vec![car(3, 1.0, Trust::Rejected)]).is_none());
+    }
+}

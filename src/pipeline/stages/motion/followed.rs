@@ -1,0 +1,100 @@
+//! Points followed all over the pictures, for the stage `motion`.
+//!
+//! Following needs nothing but pictures. The stage `features` goes through all of them anyway, and where `motion`
+//! comes after it in the same run the points are followed on the way: a video is decoded once for both. What they
+//! became lies next to the tracks of `features`, under a name that tells the options; where it is not, `motion` follows
+//! by itself, to the same result.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::image::{RgbImage, gray_from_rgb};
+use crate::perception::PerceptionError;
+use crate::perception::motion::{PointFollower, PointTrack};
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::driver::{fingerprint, intermediate};
+use crate::pipeline::inputs::{images, order};
+use crate::pipeline::stages::features;
+use crate::pipeline::{Instances, PipelineError, Stage};
+use crate::scene::{Frame, FrameId};
+
+/// Points and the frames that their tracks count, from 0: those that could be decoded.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub(in crate::pipeline) struct Followed {
+    pub(in crate::pipeline) frames: Vec<Frame>,
+    pub(in crate::pipeline) tracks: Vec<PointTrack>,
+}
+
+/// Returns true if motion is wanted and the images are in time order.
+pub(in crate::pipeline) fn is_wanted(run: &Run) -> Result<bool, PipelineError> {
+    Ok(order::found(run)?.in_time && run.options.instances != Instances::None)
+}
+
+/// Follows points from picture to picture.
+pub(in crate::pipeline) struct Follower {
+    points: PointFollower,
+    frames: Vec<Frame>,
+}
+
+impl Follower {
+    /// Nothing seen yet.
+    pub(in crate::pipeline) fn new(run: &Run) -> Self {
+        let size = (run.info().width, run.info().height);
+        Self { points: PointFollower::new(&run.options.motion.follower, size), frames: Vec::new() }
+    }
+
+    /// One that works next to the stage `features`, if `motion` comes after it in this run.
+    pub(in crate::pipeline) fn beside_features(run: &Run) -> Result<Option<Self>, PipelineError> {
+        Ok((run.goal >= Stage::Motion && is_wanted(run)?).then(|| Self::new(run)))
+    }
+
+    /// Takes the next frame.
+    pub(in crate::pipeline) fn push(&mut self, frame: &Frame, picture: &RgbImage) -> Result<(), PipelineError> {
+        self.points.push(&gray_from_rgb(picture).map_err(PerceptionError::from)?)?;
+        self.frames.push(frame.clone());
+        Ok(())
+    }
+
+    /// Tracks of all points.
+    pub(in crate::pipeline) fn finish(self) -> Followed {
+        Followed { frames: self.frames, tracks: self.points.finish() }
+    }
+}
+
+/// Name of the file, without its ending.
+pub(in crate::pipeline) fn name(run: &Run) -> String {
+    fingerprint::folder_name("points-", &fingerprint::of_value(&run.options.motion.follower))
+}
+
+/// Points that the stage `features` left; otherwise they are tracked now, and kept in `folder`.
+pub(in crate::pipeline) fn points(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<Followed, PipelineError> {
+    let beside = beside_features(run);
+    if beside.is_file() {
+        return intermediate::read(&beside);
+    }
+    let mut follower = Follower::new(run);
+    let wanted: BTreeSet<FrameId> = run.frames()?.iter().map(|frame| frame.id).collect();
+    let number = wanted.len();
+    let frames = (run.source.frames_at(wanted)?, number);
+    images::for_each(run, Stage::Motion, frames, outcome, |frame, picture| follower.push(&frame, &picture))?;
+    let followed = follower.finish();
+    intermediate::write(&folder.join(file_name(run)), &followed)?;
+    Ok(followed)
+}
+
+/// Points that [`points`] gave; `folder` is where it may be kept.
+pub(in crate::pipeline) fn kept_points(run: &Run, folder: &Path) -> Result<Followed, PipelineError> {
+    let beside = beside_features(run);
+    intermediate::read(&if beside.is_file() { beside } else { folder.join(file_name(run)) })
+}
+
+fn beside_features(run: &Run) -> PathBuf {
+    let folder = fingerprint::folder_name(features::PREFIX, run.fingerprint(Stage::Features));
+    run.workspace.state(&folder).join(file_name(run))
+}
+
+fn file_name(run: &Run) -> String {
+    format!("{}.bin", name(run))
+}

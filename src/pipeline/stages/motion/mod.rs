@@ -1,0 +1,182 @@
+//! Stage `motion`: what moves against the background.
+//!
+//! Points are followed all over the picture and held against the background's cameras and the ground. Following needs
+//! pictures alone, so that the stage `features` does it where it goes through them all ([`super::motion::followed`]). What this
+//! stage leaves are boxes of what moves, frame by frame, and what is known of each point: the next stage asks whether
+//! the objects moved whose masks it has.
+
+pub(in crate::pipeline) mod followed;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use nalgebra::Point3;
+use serde_json::{Value, json};
+
+use super::background;
+use super::segment::detections::FrameFolder;
+use super::track::stationary_boxes;
+use crate::ground::dominant_plane_points;
+use crate::perception::motion::{GroundModel, Mover, PointTrack, Surroundings, TrackLabel, View, classify, movers};
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::driver::{fingerprint, intermediate};
+use crate::pipeline::{Instances, MotionChoice, PipelineError, Stage};
+use crate::scene::{BoxDetection, Finder, Frame, FrameId, ImageId, Reconstruction, Topic};
+use followed::Followed;
+
+pub(in crate::pipeline) const PREFIX: &str = "motion-";
+const LABELS: &str = "labels.bin";
+/// Class of a vehicle that was found by its motion alone.
+const CLASS: &str = "vehicle";
+
+/// The points of a run and what is known of each.
+#[derive(Debug, Default)]
+pub(in crate::pipeline) struct Points {
+    /// The frames that tracks count, from 0: those that could be decoded.
+    pub(in crate::pipeline) frames: Vec<FrameId>,
+    pub(in crate::pipeline) tracks: Vec<PointTrack>,
+    pub(in crate::pipeline) labels: Vec<TrackLabel>,
+}
+
+pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+    if !followed::is_wanted(run)? {
+        return Ok(json!("none"));
+    }
+    Ok(json!({
+        "options": run.options.motion,
+        "finds": finds(run),
+        "ground": run.options.ground,
+        "seed": run.options.seed,
+    }))
+}
+
+/// Returns true if motion detects vehicles, besides deciding which of them move.
+fn finds(run: &Run) -> bool {
+    run.options.instances == Instances::Vehicles && run.options.vehicles.motion == MotionChoice::On
+}
+
+pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    if !followed::is_wanted(run)? {
+        return Ok(outcome);
+    }
+    let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
+    let Followed { frames, tracks } = followed::points(run, &folder, &mut outcome)?;
+    // Of a long video the background takes as much room as what comes now.
+    let world = World::new(run, &background::background(run)?.0, &frames, &mut outcome);
+    let labels = classify(&tracks, &world.surroundings(run), &run.options.motion.evidence);
+    let found = match finds(run) {
+        true => movers(&tracks, &labels, &world.surroundings(run), &run.options.motion),
+        false => Vec::new(),
+    };
+    outcome.figure("num_points", tracks.len());
+    outcome.figure("num_movers", found.len());
+    if finds(run) {
+        stationary_boxes::write(run, &folder, &frames, &tracks, &labels)?;
+    }
+    write_boxes(&folder, &frames, &found)?;
+    intermediate::write(&folder.join(LABELS), &labels)?;
+    outcome.outputs.push(folder);
+    Ok(outcome)
+}
+
+/// The background as motion is held against it.
+pub(in crate::pipeline) struct World {
+    times_s: Vec<f64>,
+    /// Per frame its camera, where the background has one.
+    pub(in crate::pipeline) views: Vec<Option<View>>,
+    /// The ground, if it was found.
+    pub(in crate::pipeline) ground: Option<GroundModel>,
+}
+
+/// The background as later stages hold frames against it; `None` where frames do not follow one another in time, or
+/// motion is not looked at.
+pub(in crate::pipeline) fn world(run: &Run, frames: &[Frame]) -> Result<Option<World>, PipelineError> {
+    if !followed::is_wanted(run)? {
+        return Ok(None);
+    }
+    let (background, _) = background::background(run)?;
+    Ok(Some(World::new(run, &background, frames, &mut Outcome::default())))
+}
+
+impl World {
+    fn new(run: &Run, background: &Reconstruction, frames: &[Frame], outcome: &mut Outcome) -> Self {
+        let view = |frame: &Frame| {
+            let image = background.images.get(&ImageId::from(frame.id))?;
+            let camera = *background.cameras.get(&image.camera)?;
+            Some(View { camera, cam_from_world: image.cam_from_world })
+        };
+        let times_s = frames.iter().map(|frame| frame.time_s).collect();
+        Self { times_s, views: frames.iter().map(view).collect(), ground: ground(run, background, outcome) }
+    }
+
+    fn surroundings(&self, run: &Run) -> Surroundings<'_> {
+        Surroundings {
+            size: (run.info().width, run.info().height),
+            times_s: &self.times_s,
+            views: &self.views,
+            ground: self.ground.as_ref(),
+        }
+    }
+}
+
+/// The dominant plane below the camera and what was grown from it, whatever labels are given: they come later.
+fn ground(run: &Run, background: &Reconstruction, outcome: &mut Outcome) -> Option<GroundModel> {
+    if background.is_empty() {
+        return None;
+    }
+    match dominant_plane_points(background, &run.options.ground, run.options.seed) {
+        Ok(plane) => {
+            let position = |id| background.points.get(id).map(|point| point.position);
+            let points: Vec<Point3<f64>> = plane.point_ids.iter().filter_map(position).collect();
+            GroundModel::new(plane.normal, plane.point, &points)
+        }
+        Err(error) => {
+            let text = format!("motion detection without the ground: {error}");
+            outcome.note(Topic::MotionWithoutGround.warning(text));
+            None
+        }
+    }
+}
+
+fn write_boxes(folder: &Path, frames: &[Frame], found: &[Mover]) -> Result<(), PipelineError> {
+    let store: FrameFolder<BoxDetection> = FrameFolder::new(folder.to_owned());
+    let mut boxes: BTreeMap<u32, Vec<BoxDetection>> = BTreeMap::new();
+    for mover in found {
+        for (&index, &rect) in &mover.boxes {
+            let (class, confidence, finder) = (CLASS.to_owned(), mover.confidence, Finder::Motion);
+            boxes.entry(index).or_default().push(BoxDetection { class, confidence, rect, finder });
+        }
+    }
+    for (index, boxes) in boxes {
+        if let Some(frame) = frames.get(index as usize) {
+            store.write(frame, &boxes)?;
+        }
+    }
+    Ok(())
+}
+
+pub(in crate::pipeline) fn folder(run: &Run) -> PathBuf {
+    run.workspace.state(&fingerprint::folder_name(PREFIX, run.fingerprint(Stage::Motion)))
+}
+
+/// The boxes of what moves; the stage must be done.
+pub(in crate::pipeline) fn boxes(run: &Run) -> FrameFolder<BoxDetection> {
+    FrameFolder::new(folder(run))
+}
+
+/// The points and what is known of them; none where motion was not looked at. The stage must be done.
+pub(in crate::pipeline) fn points(run: &Run) -> Result<Points, PipelineError> {
+    if !followed::is_wanted(run)? {
+        return Ok(Points::default());
+    }
+    let folder = folder(run);
+    let Followed { frames, tracks } = followed::kept_points(run, &folder)?;
+    let path = folder.join(LABELS);
+    let points = Points {
+        frames: frames.into_iter().map(|frame| frame.id).collect(),
+        tracks,
+        labels: intermediate::read(&path)?,
+    };
+    intermediate::flaw_of_labels(&points).map_or(Ok(points), |flaw| Err(intermediate::damaged(&path, flaw)))
+}

@@ -1,0 +1,90 @@
+//! Poses about small objects, from the ground alone.
+//!
+//! A start of structure from motion that depends on no chance: the object stands on the ground and points where it goes
+//! ([`standing`]). The planes are those that are found without labels, before the object has a model: rough poses need
+//! no better ones, and the stage `ground` finds those.
+
+use std::cell::OnceCell;
+use std::collections::BTreeMap;
+
+use nalgebra::Point2;
+
+use super::super::ground::body_shape;
+use crate::camera::Camera;
+use crate::ground::{DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount};
+use crate::math::{Rigid3, median};
+use crate::pipeline::driver::run::Run;
+use crate::scene::{FrameId, Image, ObjectId, Observation, Point3dId, Reconstruction};
+use crate::sfm::KnownPoses;
+use crate::sfm::tracks::{TrackTable, View};
+use crate::trajectory::{Sight, standing};
+
+/// By what share of its extent the middle of what is seen of an object may lie next to its middle.
+const OFF_MIDDLE: f64 = 0.25;
+/// Fewest features that show where an object is.
+const MIN_FEATURES: usize = 5;
+
+/// The ground of a place, as far as it can be determined without labels.
+pub(super) struct Footing<'a> {
+    run: &'a Run<'a>,
+    background: &'a Reconstruction,
+    /// Found when the first small object asks for it.
+    found: OnceCell<(Option<DominantPlane>, Option<Mount>)>,
+}
+
+impl<'a> Footing<'a> {
+    pub(super) fn new(run: &'a Run<'a>, background: &'a Reconstruction) -> Self {
+        Self { run, background, found: OnceCell::new() }
+    }
+
+    fn chain(&self) -> GroundChain<'_> {
+        let (options, seed) = (&self.run.options.ground, self.run.options.seed);
+        let (dominant, mount) = self.found.get_or_init(|| {
+            let dominant = dominant_plane_points(self.background, options, seed).ok();
+            (dominant, find_mount(self.background, None, options, seed).ok())
+        });
+        let (dominant, mount) = (dominant.as_ref(), mount.as_ref());
+        GroundChain { background: self.background, labelled: &[], dominant, mount, shape: body_shape(self.run.options) }
+    }
+
+    /// Poses of the views of an object; `None` for one whose perspective, in pixels, is more than `weak_px`, or where
+    /// there is no ground.
+    pub(super) fn poses(&self, id: ObjectId, table: &TrackTable, camera: &Camera, weak_px: f64) -> Option<KnownPoses> {
+        let sights: BTreeMap<FrameId, Sight> =
+            table.views.iter().filter_map(|view| Some((view.image.frame(), sight(view)?))).collect();
+        let extent_px = median(sights.values().map(|sight| sight.extent_px).collect())?;
+        // An object as long as deep looks so much larger in front than behind.
+        if extent_px * extent_px / camera.mean_focal() >= weak_px {
+            return None;
+        }
+        let options = self.run.options;
+        let planes = self.chain().planes(id, &without_poses(table), &options.ground, options.seed).planes;
+        let found = standing(self.background, &planes, &sights);
+        let poses = table.views.iter().map(|view| found.get(&view.image.frame()).copied()).collect();
+        (!found.is_empty()).then_some(KnownPoses { poses, error_px: OFF_MIDDLE * extent_px })
+    }
+}
+
+/// Where a view shows its object: the box round its features.
+fn sight(view: &View) -> Option<Sight> {
+    let ends = [0, 1].map(|axis| {
+        let along = || view.pixels.iter().map(|pixel| pixel[axis]);
+        (along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max))
+    });
+    let middle = Point2::from(ends.map(|(least, most)| 0.5 * (least + most)));
+    let extent_px = ends.map(|(least, most)| most - least).into_iter().fold(0.0, f64::max);
+    (view.pixels.len() >= MIN_FEATURES && extent_px.is_finite()).then_some(Sight { middle, extent_px })
+}
+
+/// Where an object is seen, as a model without points: that is all that local planes ask for.
+fn without_poses(table: &TrackTable) -> Reconstruction {
+    let seen = |pixel: &Point2<f64>| Observation { pixel: *pixel, point: Some(Point3dId(1)) };
+    let image = |view: &View| Image {
+        name: view.name.clone(),
+        camera: crate::scene::CameraId(1),
+        cam_from_world: Rigid3::identity(),
+        observations: view.pixels.iter().map(seen).collect(),
+    };
+    let images = table.views.iter().map(|view| (view.image, image(view))).collect();
+    Reconstruction { images, ..Reconstruction::default() }
+}

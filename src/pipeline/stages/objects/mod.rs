@@ -1,0 +1,315 @@
+//! Stage `objects`: a model of every object, reconstructed or given.
+//!
+//! First every object is reconstructed, and what is finished is kept one by one. Then one pass through the frames
+//! compares all of them with the masks, and the points that lie next to those are taken out. An object's marker says
+//! which of the two is done: a run that is killed in the pass does it again for the objects that have not been through
+//! it.
+
+mod footing;
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::background::{self, ModelReport};
+use super::track;
+use super::{follow, ground};
+use crate::camera::Camera;
+use crate::io::colmap;
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::inputs::given_models::{self, Target};
+use crate::pipeline::inputs::order;
+use crate::pipeline::{PipelineError, Stage};
+use crate::scene::{BoundingBox, Frame, Image, ImageId, Mask, ObjectId, Reconstruction, Topic, TrackedObject};
+use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes, Silhouettes};
+use crate::sfm::{self, Beside};
+use footing::Footing;
+
+const REPORTS: &str = "objects-report.json";
+/// Why there is no model where it is not the object's fault.
+const NO_BACKGROUND: &str = "no background to place it in";
+/// Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
+const BORDER_PX: f64 = 1.0;
+const BORDER: f64 = 0.01;
+/// Frames by whose masks maps of an object are distinguished, and the memory that they may take.
+const MOST_SILHOUETTES: usize = 32;
+const LEAST_SILHOUETTES: usize = 8;
+const SILHOUETTES_BYTES: usize = 64 << 20;
+
+pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+    let given: Result<BTreeMap<_, _>, PipelineError> =
+        run.options.object_models.iter().map(|(id, path)| Ok((id, given_models::fingerprint(path)?))).collect();
+    let (_, objects) = order::sfm_options(run)?;
+    let depends_on = json!({
+        "models": given?,
+        "only": run.options.only_objects,
+        "options": objects.mapper,
+        "ground": run.options.ground,
+        "shape": ground::body_shape(run.options),
+        "seed": run.options.seed,
+    });
+    Ok(background::with_model_files(depends_on, run))
+}
+
+pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    let tracked = track::objects(run)?;
+    let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
+    let (background, _) = background::background(run)?;
+    let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
+    let place = Place { camera, footing: Footing::new(run, &background) };
+    // The frames of every object, and then all frames again for the masks.
+    let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
+    run.progress.begin("objects", Some(num_views as u64));
+    let mut markers = BTreeMap::new();
+    let mut num_done = 0;
+    for object in wanted {
+        run.go_on()?;
+        let (before, of_this) = (num_done, object.frames.len());
+        let mut watch = |share: f64| run.progress.reach(before + (share * of_this as f64) as u64);
+        markers.insert(object.id, one_object(run, object, &tracked, &place, fingerprint, &mut watch)?);
+        num_done += of_this as u64;
+        run.progress.reach(num_done);
+    }
+    check_silhouettes(run, &tracked, &mut markers)?;
+    let reports: BTreeMap<ObjectId, ModelReport> =
+        markers.into_iter().map(|(id, marker)| (id, marker.report)).collect();
+    for (id, report) in &reports {
+        describe(*id, report, &mut outcome);
+    }
+    run.workspace.keep_objects(&run.workspace.all_as_reconstructed(), |id| reports.contains_key(&id))?;
+    let models = reports.iter().filter(|(_, report)| report.failure.is_none());
+    outcome.outputs.extend(models.map(|(&id, _)| run.workspace.as_reconstructed(id)));
+    run.workspace.write_state(REPORTS, &reports)?;
+    outcome.outputs.push(run.workspace.state(REPORTS));
+    Ok(outcome)
+}
+
+fn describe(id: ObjectId, report: &ModelReport, outcome: &mut Outcome) {
+    match &report.failure {
+        // That is what the whole run ends with.
+        Some(failure) if failure == NO_BACKGROUND => {
+            outcome.note(Topic::VehicleNotReconstructed.warning(format!("object {id}: not reconstructed: {failure}")))
+        }
+        Some(failure) => {
+            outcome.warn(Topic::VehicleNotReconstructed.warning(format!("object {id}: not reconstructed: {failure}")))
+        }
+        None => background::warn_of_gaps(&format!("object {id}"), report, outcome),
+    }
+    if report.given {
+        report.remarks.iter().for_each(|remark| outcome.warn(remark.of(&format!("object {id}"))));
+    }
+    outcome.figure(
+        &format!("object_{id}"),
+        json!({
+            "num_visible": report.num_visible,
+            "num_registered": report.num_registered,
+            "num_points": report.num_points,
+            "mean_error_px": report.mean_error_px,
+            "num_infinite_points": report.num_infinite_points,
+            "num_outside_masks": report.num_outside_masks,
+        }),
+    );
+}
+
+/// The reports of all objects; the stage must be done.
+pub(in crate::pipeline) fn reports(run: &Run) -> Result<BTreeMap<ObjectId, ModelReport>, PipelineError> {
+    run.workspace.read_state(REPORTS)
+}
+
+/// One object's model as structure from motion left it, where it has one.
+pub(in crate::pipeline) fn as_reconstructed(
+    run: &Run,
+    id: ObjectId,
+    report: &ModelReport,
+) -> Result<Option<Reconstruction>, PipelineError> {
+    report.failure.is_none().then(|| Ok(run.workspace.read_as_reconstructed(id)?)).transpose()
+}
+
+/// Progress of an object, for a run that was stopped in this stage.
+#[derive(Serialize, Deserialize)]
+struct ObjectMarker {
+    fingerprint: String,
+    /// True if the model was compared with the masks, or needs no comparison.
+    is_checked: bool,
+    report: ModelReport,
+}
+
+impl ObjectMarker {
+    /// Returns true if the models that the marker names exist.
+    fn has_models(&self, run: &Run, id: ObjectId) -> bool {
+        let workspace = run.workspace;
+        let are_there = match self.is_checked {
+            true => workspace.as_reconstructed(id).is_dir(),
+            false => workspace.unchecked_objects().join(id.to_string()).is_dir(),
+        };
+        are_there || self.report.failure.is_some()
+    }
+
+    /// To be called when the models are in their places.
+    fn write(&self, run: &Run, id: ObjectId) -> Result<(), PipelineError> {
+        run.workspace.write_state(&marker_name(id), self)
+    }
+}
+
+fn marker_name(id: ObjectId) -> String {
+    format!("object-{id}.json")
+}
+
+/// Context of the objects' reconstructions.
+struct Place<'a> {
+    /// `None` without a background.
+    camera: Option<Camera>,
+    footing: Footing<'a>,
+}
+
+/// One object's reconstruction, which is still to be compared with the masks; or its model that was given.
+fn one_object(
+    run: &Run,
+    object: &TrackedObject,
+    tracked: &[TrackedObject],
+    place: &Place<'_>,
+    fingerprint: &str,
+    watch: &mut (dyn FnMut(f64) + Send),
+) -> Result<ObjectMarker, PipelineError> {
+    let id = object.id;
+    let before: Option<ObjectMarker> = run.workspace.read_state(&marker_name(id)).ok();
+    if let Some(before) = before.filter(|marker| marker.fingerprint == fingerprint && marker.has_models(run, id)) {
+        return Ok(before);
+    }
+    let given = run.options.object_models.get(&id);
+    let failed =
+        |failure: String| (Reconstruction::default(), ModelReport { failure: Some(failure), ..ModelReport::default() });
+    let (model, mut report) = match (given, place.camera) {
+        (Some(path), _) => given_models::read(path, Target::Object, run)?,
+        (None, _) if object.left_out.is_some() => failed(object.left_out.clone().unwrap_or_default()),
+        (None, Some(camera)) => {
+            let table = follow::of_object(run, id)?;
+            let options = order::sfm_options(run)?.1.mapper;
+            let silhouettes = table.has_gaps().then(|| silhouettes(run, object, tracked)).transpose()?;
+            let cameras = [(camera, sfm::Intrinsics::Fixed)];
+            let poses = place.footing.poses(id, &table, &camera, options.weak_perspective_px);
+            let beside = Beside { silhouettes: silhouettes.as_ref(), poses: poses.as_ref() };
+            background::reconstruct(run, table, &cameras, &options, beside, watch)?
+        }
+        (None, None) => failed(NO_BACKGROUND.to_owned()),
+    };
+    report.num_visible = object.frames.len();
+    let is_checked = given.is_some() || report.failure.is_some();
+    if report.failure.is_some() {
+        run.workspace.remove(&run.workspace.as_reconstructed(id))?;
+    } else if is_checked {
+        background::store(run, &run.workspace.as_reconstructed(id), &model)?;
+    } else {
+        let folder = run.workspace.unchecked_objects().join(id.to_string());
+        run.workspace.remove_state(&folder)?;
+        colmap::write(&folder, &model, colmap::Encoding::Auto)?;
+    }
+    let marker = ObjectMarker { fingerprint: fingerprint.to_owned(), is_checked, report };
+    marker.write(run, id)?;
+    Ok(marker)
+}
+
+/// A mask, grown by what its border may be off.
+fn grown(mask: &Mask, bounds: BoundingBox) -> Mask {
+    let longer_px = f64::from(bounds.width().max(bounds.height()));
+    mask.dilated((BORDER_PX + BORDER * longer_px).round() as u32)
+}
+
+/// An object's silhouettes in some of its frames, evenly spread: as many as fit [`SILHOUETTES_BYTES`].
+fn silhouettes(run: &Run, object: &TrackedObject, tracked: &[TrackedObject]) -> Result<Silhouettes, PipelineError> {
+    let mut found = Silhouettes::default();
+    let is_seen = |frame: &&Frame| object.frames.binary_search(&frame.id).is_ok();
+    let frames: Vec<&Frame> = run.frames()?.iter().filter(is_seen).collect();
+    let bytes_of_frame = 2 * run.info().width as usize * run.info().height as usize;
+    let most = (SILHOUETTES_BYTES / bytes_of_frame.max(1)).clamp(LEAST_SILHOUETTES, MOST_SILHOUETTES);
+    for frame in frames.iter().step_by(frames.len().div_ceil(most).max(1)) {
+        let masks = track::masks_of(run, tracked, frame)?;
+        let (own, others): (Vec<_>, Vec<_>) = masks.iter().partition(|(id, _)| *id == object.id);
+        let own = own.first().and_then(|(_, mask)| Some((mask, mask.bounding_box()?)));
+        let Some((mask, bounds)) = own else { continue };
+        let mut hidden = Mask::empty(mask.width(), mask.height());
+        others.iter().for_each(|(_, other)| hidden.union_with(other));
+        found.add(ImageId::from(frame.id), grown(mask, bounds), hidden);
+    }
+    Ok(found)
+}
+
+/// A reconstruction that is being compared with the masks.
+struct Unchecked {
+    model: Reconstruction,
+    votes: SilhouetteVotes,
+}
+
+/// Takes the points out of all unchecked reconstructions that lie next to their masks; every mask is read once.
+fn check_silhouettes(
+    run: &Run,
+    tracked: &[TrackedObject],
+    markers: &mut BTreeMap<ObjectId, ObjectMarker>,
+) -> Result<(), PipelineError> {
+    let folder = run.workspace.unchecked_objects();
+    let unchecked = markers.iter().filter(|(_, marker)| !marker.is_checked).map(|(&id, _)| {
+        let model = colmap::read(&folder.join(id.to_string()))?;
+        Ok((id, Unchecked { model, votes: SilhouetteVotes::default() }))
+    });
+    let mut unchecked: BTreeMap<ObjectId, Unchecked> = unchecked.collect::<Result<_, PipelineError>>()?;
+    vote(run, tracked, &mut unchecked)?;
+    for (id, Unchecked { mut model, votes }) in unchecked {
+        let Some(marker) = markers.get_mut(&id) else { continue };
+        let outside = votes.outside(&SilhouetteOptions::default());
+        model.remove_points(&outside);
+        marker.report.num_outside_masks = outside.len();
+        drop_bare_views(&mut model, &mut marker.report);
+        marker.report.describe_points(&model);
+        background::store(run, &run.workspace.as_reconstructed(id), &model)?;
+        marker.is_checked = true;
+        marker.write(run, id)?;
+    }
+    run.workspace.remove_state(&folder)
+}
+
+/// Takes out the views to which too few points are left: nothing holds their poses, and an adjustment with the ground
+/// would end at them.
+fn drop_bare_views(model: &mut Reconstruction, report: &mut ModelReport) {
+    // Three leave four poses, and of four or five it cannot be determined which one is wrong.
+    const HOLD_A_POSE: usize = 6;
+    let num_seen = |image: &Image| image.observations.iter().filter(|seen| seen.point.is_some()).count();
+    let bare: Vec<ImageId> =
+        model.images.iter().filter(|(_, image)| num_seen(image) < HOLD_A_POSE).map(|(id, _)| *id).collect();
+    for id in &bare {
+        let reason = format!("fewer than {HOLD_A_POSE} of its visible points are inside the masks of other frames");
+        report.unregistered.insert(id.frame(), reason);
+    }
+    model.remove_images(&bare);
+    report.num_registered = model.images.len();
+}
+
+/// Compares reconstructions with the masks of all frames.
+fn vote(
+    run: &Run,
+    tracked: &[TrackedObject],
+    unchecked: &mut BTreeMap<ObjectId, Unchecked>,
+) -> Result<(), PipelineError> {
+    if unchecked.is_empty() {
+        return Ok(());
+    }
+    let frames = run.frames()?;
+    run.progress.begin(Stage::Objects.name(), Some(frames.len() as u64));
+    for frame in frames {
+        run.step()?;
+        let image = ImageId::from(frame.id);
+        if unchecked.values().all(|object| !object.model.images.contains_key(&image)) {
+            continue;
+        }
+        let masks = track::masks_of(run, tracked, frame)?;
+        for (id, mask) in &masks {
+            let Some(Unchecked { model, votes }) = unchecked.get_mut(id) else { continue };
+            let Some(bounds) = mask.bounding_box().filter(|_| model.images.contains_key(&image)) else { continue };
+            let silhouette = grown(mask, bounds);
+            let is_hidden = |x, y| masks.iter().any(|(other, mask)| other != id && mask.contains(x, y));
+            votes.add(model, image, &silhouette, is_hidden);
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,304 @@
+//! Stage `report`: the page to look at, from what all stages left behind.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::background::{self, ModelReport};
+use super::features::thumbnails;
+use super::{ground, objects, scale, track};
+use crate::eval::Evaluation;
+use crate::io::json;
+use crate::math::rounding::with_std;
+use crate::pipeline::driver::reopen::check_input;
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::inputs::cameras;
+use crate::pipeline::options::CameraOrigin;
+use crate::pipeline::{Options, PipelineError, Silent, Workspace};
+use crate::report::{self, Data, Fact, Missing, Model, Object, Part, Thumbnail};
+use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
+use crate::trajectory::{Views, intersection};
+use crate::video::Kind;
+
+/// Makes the page of a finished run again, with what was put into the folder since.
+///
+/// # Errors
+/// The input is no longer where it was, or the run is not finished.
+pub(in crate::pipeline) fn renew(workspace: &Workspace) -> Result<(), PipelineError> {
+    let told: Told = json::read(&workspace.run_json())?;
+    let input = workspace.claimed_by().map_or(told.input.path, |input| input.path);
+    check_input(workspace.root(), &input)?;
+    let source = cameras::open(&input, &told.options)?;
+    let mut run = Run::new(&told.options, workspace, &source, &told.arguments, &Silent);
+    run.recall();
+    work(&run).map(drop)
+}
+
+/// Makes the page of an output folder again, so that it links to what was exported.
+///
+/// # Errors
+/// The input is no longer where it was, the run is not finished, or another run is at work on the folder.
+pub fn link_exports(output: &Path) -> Result<(), PipelineError> {
+    renew(&Workspace::open(output)?)
+}
+
+/// Parts of `run.json` that the report uses.
+#[derive(Deserialize)]
+struct Told {
+    arguments: Vec<String>,
+    input: ToldInput,
+    options: Options,
+}
+
+#[derive(Deserialize)]
+struct ToldInput {
+    path: PathBuf,
+}
+
+pub(in crate::pipeline) fn work(run: &Run) -> Result<Outcome, PipelineError> {
+    let frames = run.frames()?;
+    let tracked = track::objects(run)?;
+    let (background, background_report) = background::background(run)?;
+    let reports = objects::reports(run)?;
+    let object_models = object_models(run, &reports)?;
+    let trajectories = scale::trajectories(run)?;
+    let ground = ground::ground(run)?;
+    let failures = scale::failures(run)?;
+    let evaluation = evaluation(run)?;
+    let data = Data {
+        title: run.input().file_name().map_or_else(|| "input".into(), |name| name.to_string_lossy().into_owned()),
+        input: input_facts(run, &background)?,
+        version: crate::VERSION.to_owned(),
+        arguments: run.arguments.to_vec(),
+        time_base: run.info().time_base(),
+        frames,
+        missing: missing(&background_report),
+        background: Model { reconstruction: &background, unregistered: background_report.unregistered },
+        metric: trajectories.metric.as_ref(),
+        ground: Some(&ground),
+        objects: objects(&tracked, &reports, &object_models, &trajectories, &failures, |id, model| {
+            ratio_per_frame(run, &background, model, &ground, id)
+        }),
+        strip: strip(run, &tracked)?,
+        warnings: run.warnings(),
+        stages: stages(run),
+        evaluation: evaluation.as_ref(),
+        parts: parts(run, &reports, &trajectories),
+    };
+    let path = run.workspace.report();
+    run.workspace.put_file(&path, |fresh| report::write(fresh, &data))?;
+    Ok(Outcome { outputs: vec![path], ..Outcome::default() })
+}
+
+fn object_models(
+    run: &Run,
+    reports: &BTreeMap<ObjectId, ModelReport>,
+) -> Result<BTreeMap<ObjectId, Reconstruction>, PipelineError> {
+    let mut models = BTreeMap::new();
+    for (&id, report) in reports {
+        if report.failure.is_none() {
+            models.insert(id, run.workspace.read_object(id)?);
+        }
+    }
+    Ok(models)
+}
+
+fn objects<'a>(
+    tracked: &'a [TrackedObject],
+    reports: &BTreeMap<ObjectId, ModelReport>,
+    models: &'a BTreeMap<ObjectId, Reconstruction>,
+    trajectories: &'a Trajectories,
+    failures: &BTreeMap<String, String>,
+    ratios: impl Fn(ObjectId, &Reconstruction) -> Vec<(FrameId, f64)>,
+) -> Vec<Object<'a>> {
+    let object = |tracked: &'a TrackedObject| {
+        let report = reports.get(&tracked.id);
+        let unregistered = report.map(|report| report.unregistered.clone()).unwrap_or_default();
+        let failure = report.and_then(|report| report.failure.clone());
+        Object {
+            id: tracked.id,
+            class: tracked.class.clone(),
+            confidence: tracked.confidence,
+            tracked: Some(tracked),
+            visible: tracked.frames.clone(),
+            model: models.get(&tracked.id).map(|reconstruction| Model { reconstruction, unregistered }),
+            trajectory: trajectories.objects.iter().find(|trajectory| trajectory.id == tracked.id),
+            ratio_per_frame: models.get(&tracked.id).map(|model| ratios(tracked.id, model)).unwrap_or_default(),
+            failure: failure.or_else(|| failures.get(&tracked.id.to_string()).cloned()),
+        }
+    };
+    tracked.iter().map(object).collect()
+}
+
+/// Scale ratio of an object by its ground contact in each frame alone; empty where there is none.
+fn ratio_per_frame(
+    run: &Run,
+    background: &Reconstruction,
+    model: &Reconstruction,
+    ground: &Ground,
+    id: ObjectId,
+) -> Vec<(FrameId, f64)> {
+    let views = Views::new(background, model, &scale::planes(ground, id), &run.options.scale);
+    intersection(&views).map(|found| found.per_frame).unwrap_or_default()
+}
+
+/// Evaluation of this result, if there is one.
+fn evaluation(run: &Run) -> Result<Option<Evaluation>, PipelineError> {
+    let path = run.workspace.evaluation();
+    Ok(if path.exists() { Some(json::read(&path)?) } else { None })
+}
+
+/// Files next to the page.
+fn parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>, trajectories: &Trajectories) -> Vec<Part> {
+    let folder = &run.workspace;
+    let part = |object: Option<ObjectId>, path: PathBuf, holds: &str| Part {
+        object,
+        path: link(folder.root(), &path),
+        holds: holds.into(),
+    };
+    let whole = |path: PathBuf, holds: &str| part(None, path, holds);
+    let mut parts = vec![
+        whole(folder.trajectories(), "trajectories, frame by frame"),
+        whole(folder.run_json(), "options, cost and warnings of the run"),
+        whole(folder.ground(), "ground points, and the local ground plane of every vehicle and frame"),
+        whole(folder.tracks(), "vehicle masks"),
+        whole(folder.background(), "cameras and points of the background, as a COLMAP model"),
+        whole(folder.background_points(), "background points, for viewing"),
+    ];
+    if folder.evaluation().exists() {
+        parts.push(whole(folder.evaluation(), "comparison with the ground truth"));
+    }
+    parts.extend(exported(&folder.exports()).into_iter().map(|(path, holds)| whole(path, &holds)));
+    for id in reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id) {
+        parts.push(part(Some(id), folder.object(id), "cameras and points, as a COLMAP model"));
+        parts.push(part(Some(id), folder.as_reconstructed(id), "the same before adjustment with the ground"));
+    }
+    for id in trajectories.objects.iter().map(|trajectory| trajectory.id) {
+        parts.push(part(Some(id), folder.object_points(id), "points along the trajectory, for viewing"));
+    }
+    parts
+}
+
+/// Files of `tractrix export`, by name, with their size and the programs that open them.
+fn exported(folder: &Path) -> Vec<(PathBuf, String)> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut found: Vec<(PathBuf, String)> = entries
+        .filter_map(|entry| {
+            let opens = opened_by(&entry.file_name().to_string_lossy())?;
+            let size = entry.metadata().ok().filter(std::fs::Metadata::is_file).map(|file| file.len());
+            let said = size.map_or_else(String::new, |bytes| format!(" ({} kB)", bytes.div_ceil(1000)));
+            Some((entry.path(), format!("exported: {opens}{said}")))
+        })
+        .collect();
+    found.sort();
+    found
+}
+
+/// Purpose of an export; `None` for an unknown name.
+fn opened_by(name: &str) -> Option<&'static str> {
+    Some(match name.rsplit_once('.').map_or(name, |(_, extension)| extension) {
+        "csv" => "table, for spreadsheets, pandas and R",
+        "geojson" => "georeferenced positions, for QGIS and GDAL",
+        "kml" => "georeferenced positions with times, for Google Earth",
+        "gpx" => "camera path, for GPS programs",
+        "json" => "trajectories with the keys of version 2, for older scripts",
+        "glb" => "animated scene, for Blender and glTF viewers",
+        "mp4" => "video with ids, speeds and paths, for any player",
+        "tum" | "kitti" => "poses, for evo",
+        "colmap" => "COLMAP workspace, for densification",
+        _ => return None,
+    })
+}
+
+/// The link from the page to a file or folder next to it.
+fn link(root: &Path, path: &Path) -> String {
+    let relative = path.strip_prefix(root).unwrap_or(path);
+    let names: Vec<_> = relative.iter().map(|name| name.to_string_lossy()).collect();
+    let end = if relative.extension().is_some() { "" } else { "/" };
+    names.join("/") + end
+}
+
+fn missing(background: &ModelReport) -> Vec<Missing> {
+    let what = "the background".to_owned();
+    background.failure.iter().map(|reason| Missing { what: what.clone(), reason: reason.clone() }).collect()
+}
+
+/// Pictures of evenly spread frames, with the masks over them.
+fn strip(run: &Run, tracked: &[TrackedObject]) -> Result<Vec<Thumbnail>, PipelineError> {
+    let mut thumbnails = Vec::new();
+    for (frame, picture) in thumbnails::pictures(run)? {
+        let masks = track::masks_of(run, tracked, &frame)?;
+        let masks: Vec<_> = masks.iter().map(|(id, mask)| (*id, mask)).collect();
+        thumbnails.push(Thumbnail::new(frame.id, &picture, &masks)?);
+    }
+    Ok(thumbnails)
+}
+
+fn stages(run: &Run) -> Vec<report::Stage> {
+    let stage = |record: &crate::pipeline::StageRecord| report::Stage {
+        name: record.stage.name().to_owned(),
+        wall_s: record.marker.cost.wall_s,
+        cpu_s: record.marker.cost.cpu_s,
+        peak_rss_mib: record.marker.cost.peak_rss_mib,
+        reused: record.reused,
+    };
+    run.records.iter().map(stage).collect()
+}
+
+fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, PipelineError> {
+    let info = run.info();
+    let kind = match info.kind {
+        Kind::Video => "video file",
+        Kind::Folder => "folder of images",
+    };
+    let mut facts =
+        vec![Fact::new("Input", kind), Fact::new("Frame size", format!("{} × {}", info.width, info.height))];
+    if (info.source_width, info.source_height) != (info.width, info.height) {
+        facts.push(Fact::new("Source size", format!("{} × {}", info.source_width, info.source_height)));
+    }
+    if (info.stored_width, info.stored_height) != (info.source_width, info.source_height) {
+        let stored = format!("{} × {}", info.stored_width, info.stored_height);
+        facts.push(Fact::new("Stored size", stored).with_note("pixels were not square"));
+    }
+    if let Some(fps) = info.fps {
+        facts.push(Fact::new("Nominal rate", format!("{fps:.3} frames/s")));
+    }
+    if info.rotation_deg != 0 {
+        facts.push(Fact::new("Rotation applied", format!("{}°", info.rotation_deg)));
+    }
+    let origin = match cameras::first(run)?.origin {
+        CameraOrigin::Given => "given",
+        CameraOrigin::Exif => "from EXIF, refined with the background",
+        CameraOrigin::Guess => "estimated with the background",
+    };
+    // A background that was not reconstructed has only the camera to begin with.
+    let found = background.cameras.values().next().filter(|_| !background.images.is_empty());
+    if let Some(camera) = found {
+        let focal = match background::focal_deviation(run)? {
+            Some(share) => format!("{} px", with_std(camera.mean_focal(), share * camera.mean_focal())),
+            None => format!("{:.1} px", camera.mean_focal()),
+        };
+        facts.push(Fact::new("Focal length", focal).with_note(origin));
+    }
+    if background.cameras.len() > 1 {
+        facts.push(
+            Fact::new("Cameras", background.cameras.len().to_string()).with_note("focal length of the first one"),
+        );
+    }
+    Ok(facts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exports_say_what_opens_them() {
+        let names =
+            ["vehicles.csv", "trajectories.geojson", "trajectories.kml", "camera.gpx", "scene.glb", "annotated.mp4"];
+        assert!(names.into_iter().chain(["tum", "kitti", "colmap"]).all(|name| opened_by(name).is_some()));
+        assert_eq!(opened_by("notes.txt"), None);
+        assert!(exported(Path::new("folder not found")).is_empty());
+    }
+}

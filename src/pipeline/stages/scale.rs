@@ -1,0 +1,282 @@
+//! Stage `scale`: the scale ratio of every object, and its trajectory.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde_json::{Value, json};
+
+use super::background::ModelReport;
+use super::background::{self, point_cloud};
+use super::metric::Size;
+use super::track;
+use super::{ground, objects};
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::{PipelineError, Stage};
+use crate::scene::{
+    FocalChange, Frame, FrameId, Ground, GroundPlane, ObjectId, ObjectTrajectory, Reconstruction, ScaleMethod, Topic,
+    TrackedObject, Trajectories, Unit, Verdict,
+};
+use crate::trajectory::{
+    self, Adjustment, Candidate, Evidence, Extents, ModelOrigin, ObjectDescription, Silhouette, Subject, extents,
+};
+
+/// The name of the trajectories as this stage leaves them, in units of the background.
+const IN_UNITS: &str = "scale-trajectories.json";
+
+/// The name of the objects' sizes, in units of the background.
+const SIZES: &str = "scale-sizes.json";
+
+/// The name of the list of objects without a trajectory, and why.
+const FAILURES: &str = "scale-failures.json";
+
+pub(in crate::pipeline) fn depends_on(run: &Run) -> Value {
+    json!({ "options": run.options.scale })
+}
+
+pub(in crate::pipeline) fn work(run: &Run) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    let (background, _) = background::background(run)?;
+    let reports = objects::reports(run)?;
+    clear(run, &reports)?;
+    outcome.outputs.push(point_cloud::background(run, &background)?);
+    let tracked = track::objects(run)?;
+    let scene = Scene::read(run, &background, &reports)?;
+    let mut found = Found::default();
+    for tracked in &tracked {
+        if let Some(report) = reports.get(&tracked.id) {
+            scene.place(tracked, report, &mut found, &mut outcome)?;
+        }
+    }
+    outcome.figure("num_trajectories", found.placed.len());
+    let focal_changes = background::background_report(run)?.focal_changes;
+    let objects = judged(run, found.placed, &background, &focal_changes, &mut outcome);
+    let all = Trajectories { unit: Unit::Background, metric: None, objects };
+    let path = run.workspace.trajectories();
+    crate::io::trajectories::write(&run.workspace.state(IN_UNITS), &all)?;
+    run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
+    run.workspace.write_state(FAILURES, &found.failures)?;
+    run.workspace.write_state(SIZES, &found.sizes)?;
+    let states = [IN_UNITS, FAILURES, SIZES].map(|name| run.workspace.state(name));
+    outcome.outputs.extend(states.into_iter().chain([path]));
+    Ok(outcome)
+}
+
+/// Takes away what speaks of the trajectories that are replaced.
+fn clear(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result<(), PipelineError> {
+    // The file of trajectories is made again without metres, which the stage `metric` writes into it.
+    run.workspace.clear_marker(Stage::Metric)?;
+    run.workspace.remove(&run.workspace.evaluation())?;
+    run.workspace.remove(&run.workspace.exports())?;
+    run.workspace.remove(&run.workspace.point_clouds())?;
+    let has_model = |id| reports.get(&id).is_some_and(|report| report.failure.is_none());
+    run.workspace.keep_objects(&run.workspace.objects(), has_model)
+}
+
+/// Context of the objects' trajectories.
+struct Scene<'a, 'r> {
+    run: &'a Run<'r>,
+    background: &'a Reconstruction,
+    ground: Ground,
+    frames: &'a [Frame],
+    focal_std: Option<f64>,
+    silhouettes: BTreeMap<ObjectId, BTreeMap<FrameId, Silhouette>>,
+}
+
+/// Outcomes of the objects.
+#[derive(Default)]
+struct Found<'a> {
+    placed: Vec<Placed<'a>>,
+    failures: BTreeMap<String, String>,
+    sizes: BTreeMap<ObjectId, Size>,
+}
+
+impl<'a, 'r> Scene<'a, 'r> {
+    fn read(
+        run: &'a Run<'r>,
+        background: &'a Reconstruction,
+        reports: &BTreeMap<ObjectId, ModelReport>,
+    ) -> Result<Self, PipelineError> {
+        let frames = run.frames()?;
+        let with_model = reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id).collect();
+        Ok(Self {
+            run,
+            background,
+            ground: ground::ground(run)?,
+            frames,
+            focal_std: background::focal_deviation(run)?,
+            silhouettes: silhouettes(run, frames, &with_model)?,
+        })
+    }
+
+    /// Places one object that has a model.
+    fn place(
+        &self,
+        tracked: &'a TrackedObject,
+        report: &ModelReport,
+        found: &mut Found<'a>,
+        outcome: &mut Outcome,
+    ) -> Result<(), PipelineError> {
+        let run = self.run;
+        let Some(object) = objects::as_reconstructed(run, tracked.id, report)? else { return Ok(()) };
+        let planes = planes(&self.ground, tracked.id);
+        let unseen = BTreeMap::new();
+        let silhouettes = self.silhouettes.get(&tracked.id).unwrap_or(&unseen);
+        let evidence = Evidence {
+            description: description(tracked),
+            origin: if report.given { ModelOrigin::Given } else { ModelOrigin::Reconstructed },
+            background: self.background,
+            object: &object,
+            planes: &planes,
+            silhouettes,
+            frames: self.frames,
+            focal_std: self.focal_std,
+        };
+        let placed = trajectory::place(&evidence, &run.options.scale);
+        background::store(run, &run.workspace.object(tracked.id), &placed.object)?;
+        outcome.outputs.push(run.workspace.object(tracked.id));
+        describe_adjustment(tracked.id, &placed.adjustment, outcome);
+        match placed.trajectory {
+            Ok(trajectory) => {
+                outcome.outputs.push(point_cloud::object(run, &trajectory, &placed.object)?);
+                warn_of_scale(&trajectory, outcome);
+                let size = size(&trajectory, &placed.object, self.background, &planes, silhouettes, &run.options.scale);
+                found.sizes.insert(tracked.id, size);
+                found.placed.push(Placed { trajectory, tracked, object: placed.object, planes });
+            }
+            Err(reason) => {
+                outcome.warn(Topic::NoTrajectory.warning(format!("object {}: no trajectory: {reason}", tracked.id)));
+                found.failures.insert(tracked.id.to_string(), reason.to_string());
+            }
+        }
+        Ok(())
+    }
+}
+
+fn warn_of_scale(trajectory: &ObjectTrajectory, outcome: &mut Outcome) {
+    if let Some(reason) = &trajectory.scale.reason {
+        let text = format!("object {}: scale undetermined: {reason}", trajectory.id);
+        outcome.warn(Topic::ScaleUndetermined.warning(text));
+    }
+}
+
+/// Size of an object, in units of the background.
+fn size(
+    trajectory: &ObjectTrajectory,
+    object: &Reconstruction,
+    background: &Reconstruction,
+    planes: &BTreeMap<FrameId, GroundPlane>,
+    silhouettes: &BTreeMap<FrameId, Silhouette>,
+    options: &trajectory::Options,
+) -> Size {
+    let subject = Subject { trajectory, object, background, planes, silhouettes, options };
+    let Extents { length, width, height } = extents(&subject);
+    Size { length, width, height }
+}
+
+/// An object that has a trajectory, until all of them are judged together.
+struct Placed<'a> {
+    trajectory: ObjectTrajectory,
+    tracked: &'a TrackedObject,
+    object: Reconstruction,
+    planes: BTreeMap<FrameId, GroundPlane>,
+}
+
+impl Placed<'_> {
+    fn candidate<'a>(&'a self, background: &'a Reconstruction, options: &'a trajectory::Options) -> Candidate<'a> {
+        let Self { trajectory, tracked, object, planes } = self;
+        Candidate { trajectory, tracked: Some(tracked), object, background, planes, options }
+    }
+}
+
+/// The trajectories with the verdict on each.
+fn judged(
+    run: &Run,
+    found: Vec<Placed>,
+    background: &Reconstruction,
+    focal_changes: &[FocalChange],
+    outcome: &mut Outcome,
+) -> Vec<ObjectTrajectory> {
+    let candidates: Vec<Candidate> =
+        found.iter().map(|placed| placed.candidate(background, &run.options.scale)).collect();
+    let verdicts = trajectory::verdicts(&candidates, run.info().time_base(), focal_changes);
+    let judge = |(placed, verdict): (Placed, Verdict)| {
+        let id = placed.trajectory.id;
+        let first = verdict.against().next().filter(|_| verdict.is_refuted() && !placed.trajectory.scale.degenerate);
+        if let Some(reason) = first {
+            outcome.warn(Topic::VehicleRejected.warning(format!("object {id}: rejected: {}", reason.says)));
+        }
+        outcome.figure(&format!("verdict_{id}"), json!(verdict.state));
+        ObjectTrajectory { verdict: Some(verdict), ..placed.trajectory }
+    };
+    found.into_iter().zip(verdicts).map(judge).collect()
+}
+
+fn description(tracked: &TrackedObject) -> ObjectDescription {
+    ObjectDescription { id: tracked.id, class: tracked.class.clone(), confidence: tracked.confidence }
+}
+
+/// The local planes under one object.
+pub(in crate::pipeline) fn planes(ground: &Ground, id: ObjectId) -> BTreeMap<FrameId, GroundPlane> {
+    let planes = ground.planes.iter().filter(|((of, _), _)| *of == id);
+    planes.map(|(&(_, frame), &plane)| (frame, plane)).collect()
+}
+
+fn describe_adjustment(id: ObjectId, adjustment: &Adjustment, outcome: &mut Outcome) {
+    match adjustment {
+        Adjustment::None => {}
+        Adjustment::Failed(error) => {
+            let text = format!("object {id}: not adjusted with the ground: {error}");
+            outcome.warn(Topic::NotAdjustedWithGround.warning(text));
+        }
+        Adjustment::Done(found) => outcome.figure(
+            &format!("object_{id}"),
+            json!({
+                "mirrored": found.mirrored,
+                "frames_with_outline": found.frames_with_outline,
+                "median_error_px": found.error_px,
+                "num_uncertain_points": found.num_uncertain,
+            }),
+        ),
+    }
+}
+
+/// The trajectories, with their metres after the stage `metric`; this stage must be done.
+pub(in crate::pipeline) fn trajectories(run: &Run) -> Result<Trajectories, PipelineError> {
+    Ok(run.workspace.read_trajectories()?)
+}
+
+/// The trajectories in units of the background, without metres; the stage must be done.
+pub(in crate::pipeline) fn in_units(run: &Run) -> Result<Trajectories, PipelineError> {
+    Ok(crate::io::trajectories::read(&run.workspace.state(IN_UNITS))?)
+}
+
+/// Sizes of the objects, in units of the background; the stage must be done.
+pub(in crate::pipeline) fn sizes(run: &Run) -> Result<BTreeMap<ObjectId, Size>, PipelineError> {
+    run.workspace.read_state(SIZES)
+}
+
+/// Why objects have no trajectory although they have a model, by id; the stage must be done.
+pub(in crate::pipeline) fn failures(run: &Run) -> Result<BTreeMap<String, String>, PipelineError> {
+    run.workspace.read_state(FAILURES)
+}
+
+/// The outlines of objects, where any is to be adjusted with the ground.
+fn silhouettes(
+    run: &Run,
+    frames: &[Frame],
+    wanted: &BTreeSet<ObjectId>,
+) -> Result<BTreeMap<ObjectId, BTreeMap<FrameId, Silhouette>>, PipelineError> {
+    let mut found: BTreeMap<ObjectId, BTreeMap<FrameId, Silhouette>> = BTreeMap::new();
+    if run.options.scale.method != ScaleMethod::Joint {
+        return Ok(found);
+    }
+    let mut objects = track::objects(run)?;
+    objects.retain(|object| wanted.contains(&object.id));
+    for frame in frames {
+        for (id, mask) in track::masks_of(run, &objects, frame)? {
+            if let Some(silhouette) = Silhouette::of(&mask) {
+                found.entry(id).or_default().insert(frame.id, silhouette);
+            }
+        }
+    }
+    Ok(found)
+}

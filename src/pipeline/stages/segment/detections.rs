@@ -1,0 +1,185 @@
+//! Detections on disk: one small file per frame, so that a run that was killed need not run the network again.
+
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::io::{IoError, atomic};
+use crate::limits::files;
+use crate::pipeline::PipelineError;
+use crate::pipeline::driver::intermediate::{self, Content, damaged};
+use crate::scene::{Detection, Frame, FrameId, Mask};
+
+/// A folder with a list of things per frame.
+#[derive(Clone, Debug)]
+pub(in crate::pipeline) struct FrameFolder<T> {
+    folder: PathBuf,
+    things: PhantomData<T>,
+}
+
+impl<T: Serialize + Content> FrameFolder<T> {
+    pub(in crate::pipeline) fn new(folder: PathBuf) -> Self {
+        Self { folder, things: PhantomData }
+    }
+
+    fn path(&self, frame: FrameId) -> PathBuf {
+        self.folder.join(format!("{:06}.bin", frame.0))
+    }
+
+    pub(in crate::pipeline) fn has(&self, frame: &Frame) -> bool {
+        self.path(frame.id).is_file()
+    }
+
+    pub(in crate::pipeline) fn write(&self, frame: &Frame, found: &[T]) -> Result<(), PipelineError> {
+        let path = self.path(frame.id);
+        let bytes = postcard::to_stdvec(found).map_err(|e| damaged(&path, e))?;
+        Ok(atomic::write(&path, &bytes)?)
+    }
+
+    /// Number of detections of a frame; zero for one that could not be decoded.
+    pub(in crate::pipeline) fn count(&self, frame: FrameId) -> Result<u64, PipelineError> {
+        let path = self.path(frame);
+        let Some(bytes) = bytes_of(&path)? else { return Ok(0) };
+        // A list begins with its length.
+        let (count, _) = postcard::take_from_bytes(&bytes).map_err(|e| damaged(&path, e))?;
+        Ok(count)
+    }
+
+    /// The things of a frame; none for one that could not be decoded.
+    pub(in crate::pipeline) fn read(&self, frame: FrameId) -> Result<Vec<T>, PipelineError> {
+        let path = self.path(frame);
+        let Some(bytes) = bytes_of(&path)? else { return Ok(Vec::new()) };
+        intermediate::taken(&bytes).map_err(|e| damaged(&path, e))
+    }
+}
+
+/// A detection with its mask as run lengths, clear pixels first.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Stored {
+    class: String,
+    confidence: f64,
+    runs: Vec<u32>,
+}
+
+impl Content for Stored {
+    fn flaw(&self) -> Option<String> {
+        intermediate::share(self.confidence)
+    }
+}
+
+/// The detections of a run, by frame.
+#[derive(Clone, Debug)]
+pub(in crate::pipeline) struct DetectionFolder {
+    files: FrameFolder<Stored>,
+    size: (u32, u32),
+}
+
+impl DetectionFolder {
+    pub(in crate::pipeline) fn new(folder: PathBuf, size: (u32, u32)) -> Self {
+        Self { files: FrameFolder::new(folder), size }
+    }
+
+    pub(in crate::pipeline) fn has(&self, frame: &Frame) -> bool {
+        self.files.has(frame)
+    }
+
+    pub(in crate::pipeline) fn write(&self, frame: &Frame, detections: &[Detection]) -> Result<(), PipelineError> {
+        let stored =
+            |d: &Detection| Stored { class: d.class.clone(), confidence: d.confidence, runs: runs_of_mask(&d.mask) };
+        self.files.write(frame, &detections.iter().map(stored).collect::<Vec<_>>())
+    }
+
+    /// As [`FrameFolder::count`].
+    pub(in crate::pipeline) fn count(&self, frame: FrameId) -> Result<u64, PipelineError> {
+        self.files.count(frame)
+    }
+
+    /// The detections of a frame; none for one that could not be decoded.
+    pub(in crate::pipeline) fn read(&self, frame: FrameId) -> Result<Vec<Detection>, PipelineError> {
+        let detection = |s: Stored| {
+            let wrong = || damaged(&self.files.path(frame), "a mask differs in size from its frame");
+            let mask = mask_of_runs(&s.runs, self.size).ok_or_else(wrong)?;
+            Ok(Detection { class: s.class, confidence: s.confidence, mask })
+        };
+        self.files.read(frame)?.into_iter().map(detection).collect()
+    }
+}
+
+/// The content of a file; `None` where there is none.
+fn bytes_of(path: &Path) -> Result<Option<Vec<u8>>, PipelineError> {
+    match files::read(path) {
+        Ok(bytes) => Ok(Some(bytes)),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(IoError::system("read", path)(error).into()),
+    }
+}
+
+/// A mask as run lengths, clear pixels first.
+pub(in crate::pipeline) fn runs_of_mask(mask: &Mask) -> Vec<u32> {
+    let mut runs = vec![0];
+    let mut value = false;
+    for &pixel in mask.pixels() {
+        if pixel != value {
+            runs.push(0);
+            value = pixel;
+        }
+        *runs.last_mut().expect("starts with one run") += 1;
+    }
+    runs
+}
+
+/// The mask of run lengths, if it has the size.
+pub(in crate::pipeline) fn mask_of_runs(runs: &[u32], (width, height): (u32, u32)) -> Option<Mask> {
+    let total: u64 = runs.iter().map(|&run| u64::from(run)).sum();
+    if total != u64::from(width) * u64::from(height) {
+        return None;
+    }
+    let mut mask = Mask::empty(width, height);
+    let (mut at, mut value) = (0, false);
+    for &run in runs {
+        mask.pixels_mut()[at..at + run as usize].fill(value);
+        at += run as usize;
+        value = !value;
+    }
+    Some(mask)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn detections_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = DetectionFolder::new(folder.path().to_owned(), (7, 5));
+        let frame = Frame { id: FrameId(3), name: "000003.jpg".into(), time_s: 0.0 };
+        let found: Vec<Detection> = [|x, y| x > 2 && y > 1, |_, _| true, |_, _| false]
+            .iter()
+            .map(|inside: &fn(u32, u32) -> bool| Mask::from_fn(7, 5, inside))
+            .map(|mask| Detection { class: "car".into(), confidence: 0.25, mask })
+            .collect();
+        assert!(!store.has(&frame));
+        store.write(&frame, &found).unwrap();
+        assert!(store.has(&frame));
+        assert_eq!(store.read(frame.id).unwrap(), found);
+        assert_eq!((store.count(frame.id).unwrap(), store.count(FrameId(4)).unwrap()), (3, 0));
+        assert!(store.read(FrameId(4)).unwrap().is_empty());
+    }
+
+    #[test]
+    fn damaged_files_are_errors() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = DetectionFolder::new(folder.path().to_owned(), (7, 5));
+        let frame = Frame { id: FrameId(3), name: "000003.jpg".into(), time_s: 0.0 };
+        store.write(&frame, &[Detection { class: "car".into(), confidence: 0.5, mask: Mask::empty(7, 5) }]).unwrap();
+        let bytes = std::fs::read(store.files.path(frame.id)).unwrap();
+        for length in 0..bytes.len() {
+            std::fs::write(store.files.path(frame.id), &bytes[..length]).unwrap();
+            assert!(store.read(frame.id).is_err(), "cut at {length}");
+        }
+        std::fs::write(store.files.path(frame.id), &bytes).unwrap();
+        let other = DetectionFolder::new(folder.path().to_owned(), (7, 6));
+        assert!(other.read(frame.id).is_err());
+    }
+}

@@ -1,0 +1,89 @@
+//! In which frames the networks look: they take longer than all else, and between two looks little changes.
+//!
+//! The detector looks in every `detector`-th frame, the mask network in every `masks`-th, which is one in which the
+//! detector looks as well unless the user chooses, and both look in the last one. What was found is carried by optical
+//! flow between.
+
+use crate::math::upper_median;
+use crate::pipeline::PipelineError;
+use crate::pipeline::driver::run::Run;
+use crate::scene::Frame;
+
+/// Time from one look of the detector to the next, seconds.
+const DETECTOR_S: f64 = 0.2;
+/// Time from one look of the mask network to the next, seconds.
+const MASKS_S: f64 = 0.4;
+/// Frames that the detector passes over at most, and one more.
+const MAX_DETECTOR: usize = 6;
+/// The same of the mask network.
+const MAX_MASKS: usize = 12;
+
+/// Which frames are looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::pipeline) struct Rhythm {
+    /// The detector looks in every so many frames.
+    pub(in crate::pipeline) detector: usize,
+    /// The mask network is asked in every so many frames.
+    pub(in crate::pipeline) masks: usize,
+    num_frames: usize,
+}
+
+impl Rhythm {
+    /// That of a run, whose frames must be known.
+    pub(in crate::pipeline) fn of(run: &Run) -> Result<Self, PipelineError> {
+        let frames = run.frames()?;
+        Ok(Self::new(step_s(frames), run.options.vehicles.segment_every, frames.len()))
+    }
+
+    /// * `step_s` – time from one frame to the next, seconds; `None` where there is one frame.
+    /// * `chosen` – frames from one look of the mask network to the next, as the user wants it.
+    fn new(step_s: Option<f64>, chosen: Option<u32>, num_frames: usize) -> Self {
+        let step_s = step_s.filter(|step_s| *step_s > 0.0).unwrap_or(f64::INFINITY);
+        let detector = ((DETECTOR_S / step_s).round() as usize).clamp(1, MAX_DETECTOR);
+        let looks = ((MASKS_S / (step_s * detector as f64)).round() as usize).max(1);
+        let masks = (looks * detector).clamp(2, MAX_MASKS);
+        Self { detector, masks: chosen.map_or(masks, |chosen| chosen.max(1) as usize), num_frames }
+    }
+
+    /// Returns true if the detector runs on the `index`-th frame.
+    pub(in crate::pipeline) fn is_detected(&self, index: usize) -> bool {
+        index.is_multiple_of(self.detector) || index + 1 == self.num_frames
+    }
+
+    /// Returns true if the mask network runs on the `index`-th frame.
+    pub(in crate::pipeline) fn is_asked(&self, index: usize) -> bool {
+        index.is_multiple_of(self.masks) || index + 1 == self.num_frames
+    }
+}
+
+/// Median time from one frame to the next, seconds; `None` for a single frame.
+fn step_s(frames: &[Frame]) -> Option<f64> {
+    upper_median(frames.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn networks_look_as_often_as_time_goes_by() {
+        let of = |step_s| {
+            let rhythm = Rhythm::new(step_s, None, 100);
+            (rhythm.detector, rhythm.masks)
+        };
+        let steps = [Some(0.1), Some(0.1 + 1e-9), Some(0.04), Some(1.0 / 30.0), Some(1.0), Some(0.001), None];
+        assert_eq!(steps.map(of), [(2, 4), (2, 4), (5, 10), (6, 12), (1, 2), (6, 12), (1, 2)]);
+        assert_eq!(of(Some(0.0)), (1, 2));
+    }
+
+    #[test]
+    fn masks_are_asked_for_where_the_detector_looks_and_in_the_last_frame() {
+        let rhythm = Rhythm::new(Some(0.1), None, 8);
+        let looked = |is: fn(&Rhythm, usize) -> bool| (0..8).filter(|k| is(&rhythm, *k)).collect::<Vec<_>>();
+        assert_eq!(looked(Rhythm::is_detected), [0, 2, 4, 6, 7]);
+        assert_eq!(looked(Rhythm::is_asked), [0, 4, 7]);
+        let chosen = Rhythm::new(Some(0.1), Some(3), 8);
+        assert_eq!((0..8).filter(|k| chosen.is_asked(*k)).collect::<Vec<_>>(), [0, 3, 6, 7]);
+        assert!((0..8).all(|k| chosen.is_detected(k) == rhythm.is_detected(k)));
+    }
+}

@@ -1,0 +1,144 @@
+//! Objects before they were found: followed back from their first masks.
+//!
+//! Video is decoded forward, so the frames before first masks are gathered in windows of bounded memory, each of which
+//! is gone through from its end. How far back an object is followed is bounded by its window.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::RangeInclusive;
+use std::path::Path;
+
+use ::image::RgbImage;
+
+use super::found::{Finds, Followed};
+use crate::io::{RunFolder, masks};
+use crate::perception::{BackwardTracker, Correction, Evidence, Extension, FlowEstimator, TrackSummary, TrackedMask};
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::inputs::images;
+use crate::pipeline::{PipelineError, Stage};
+use crate::scene::{Frame, FrameId, ObjectId, TrackedObject};
+
+/// Bytes of pictures that a window may hold.
+const WINDOW_BYTES: usize = 160 << 20;
+/// Frames that a window may hold.
+const MAX_WINDOW: usize = 64;
+
+/// Extends the objects to frames before those in which they were found; adds masks to `folder`.
+pub(super) fn extend(
+    run: &Run,
+    finds: &mut Finds,
+    folder: &Path,
+    followed: &mut [Followed],
+    outcome: &mut Outcome,
+) -> Result<(), PipelineError> {
+    let frames = run.frames()?;
+    let index: BTreeMap<FrameId, usize> = frames.iter().enumerate().map(|(k, frame)| (frame.id, k)).collect();
+    let starts: BTreeSet<usize> = followed.iter().filter_map(|f| index.get(&f.summary.first).copied()).collect();
+    let picture_bytes = 3 * run.info().width as usize * run.info().height as usize;
+    let most = (WINDOW_BYTES / picture_bytes.max(1)).clamp(2, MAX_WINDOW);
+    let windows = windows(&starts, most);
+    let wanted: BTreeSet<FrameId> =
+        windows.iter().flat_map(|window| frames[window.clone()].iter().map(|frame| frame.id)).collect();
+    let mut flow = super::load_flow_estimator(run)?;
+    let mut open = windows.into_iter().peekable();
+    let mut gathered: Vec<(Frame, RgbImage)> = Vec::new();
+    let passed = (run.source.frames_at(wanted.clone())?, wanted.len());
+    images::for_each(run, Stage::Track, passed, outcome, |frame, picture| {
+        let at = index.get(&frame.id).copied().unwrap_or_default();
+        while open.next_if(|window| *window.end() < at).is_some() {
+            gathered.clear();
+        }
+        gathered.push((frame, picture));
+        if open.next_if(|window| *window.end() == at).is_some() {
+            follow_back(run, finds, folder, followed, &mut *flow, &std::mem::take(&mut gathered))?;
+        }
+        Ok(())
+    })
+}
+
+/// Windows of frames that end with a first mask each and hold those that come shortly before it.
+///
+/// * `starts` – frames with first masks.
+/// * `most` – frames of a window.
+fn windows(starts: &BTreeSet<usize>, most: usize) -> Vec<RangeInclusive<usize>> {
+    let mut windows: Vec<RangeInclusive<usize>> = Vec::new();
+    for &start in starts.iter().filter(|start| **start > 0) {
+        match windows.last_mut() {
+            Some(last) if start - last.start() < most => *last = *last.start()..=start,
+            last => {
+                let free = last.map_or(0, |last| last.end() + 1);
+                windows.push((start + 1).saturating_sub(most).max(free)..=start);
+            }
+        }
+    }
+    windows
+}
+
+/// Goes through a window from its end.
+fn follow_back(
+    run: &Run,
+    finds: &mut Finds,
+    folder: &Path,
+    followed: &mut [Followed],
+    flow: &mut dyn FlowEstimator,
+    window: &[(Frame, RgbImage)],
+) -> Result<(), PipelineError> {
+    let ids: BTreeSet<FrameId> = window.iter().map(|(frame, _)| frame.id).collect();
+    let starting = followed.iter().filter(|f| ids.contains(&f.summary.first)).map(|f| f.summary.clone());
+    let starting: Vec<TrackSummary> = starting.collect();
+    let objects: Vec<TrackedObject> = followed.iter().map(|f| f.object.clone()).collect();
+    let mut tracker = BackwardTracker::new(run.options.tracker.clone(), &starting);
+    let mut found: Vec<(Frame, TrackedMask)> = Vec::new();
+    let mut later: Option<&RgbImage> = None;
+    for (frame, picture) in window.iter().rev() {
+        let known = super::masks_in(run, folder, &objects, frame)?;
+        let near = |later| flow.flow_near(later, picture, &tracker.places());
+        let carried = later.filter(|_| tracker.is_following()).map(near).transpose()?;
+        let prompter = finds.prompter_backward(frame);
+        let earlier = tracker.advance(frame, picture, &known, prompter, carried.as_ref())?;
+        found.extend(earlier.into_iter().map(|mask| (frame.clone(), mask)));
+        for Correction { frame, object, mask } in tracker.take_corrections() {
+            let known = found.iter_mut().find(|(known, found)| known.id == frame && found.object == object);
+            known.into_iter().for_each(|(_, found)| found.mask = mask.clone());
+        }
+        later = Some(picture);
+    }
+    let extensions: BTreeMap<ObjectId, Extension> = tracker.finish().into_iter().map(|e| (e.object, e)).collect();
+    for (frame, mask) in found {
+        let is_sure = extensions.get(&mask.object).is_some_and(|extension| extension.first <= frame.id);
+        let object = followed.iter_mut().map(|f| &mut f.object).find(|object| object.id == mask.object);
+        if let (true, Some(object)) = (is_sure, object) {
+            let path = folder.join(object.id.to_string()).join(RunFolder::mask_name(&frame));
+            masks::write_mask(&path, &mask.mask)?;
+            add(object, &frame, &mask);
+        }
+    }
+    Ok(())
+}
+
+/// Adds a frame to what is known of an object.
+fn add(object: &mut TrackedObject, frame: &Frame, mask: &TrackedMask) {
+    if let Err(place) = object.frames.binary_search(&frame.id) {
+        object.frames.insert(place, frame.id);
+        match mask.evidence {
+            Evidence::Carried => object.found_in.carried += 1,
+            Evidence::Prompted { .. } | Evidence::Detected { .. } => object.found_in.prompted += 1,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn windows_end_with_first_masks_and_are_bounded() {
+        let of = |starts: &[usize], most| windows(&starts.iter().copied().collect(), most);
+        assert_eq!(of(&[0], 10), []);
+        assert_eq!(of(&[0, 4], 10), [0..=4]);
+        assert_eq!(of(&[30], 10), [21..=30]);
+        // What starts within a window shares it; the next one begins behind it.
+        assert_eq!(of(&[12, 15, 40], 30), [0..=15, 16..=40]);
+        assert_eq!(of(&[30, 35], 10), [21..=30, 31..=35]);
+        assert!(of(&[5, 9, 30, 31, 77], 8).iter().all(|window| window.end() - window.start() < 8));
+    }
+}

@@ -1,0 +1,56 @@
+//! Tracks from masks that are given: one object per label.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::io::{RunFolder, masks};
+use crate::pipeline::PipelineError;
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::inputs::given_masks::MaskFolder;
+use crate::scene::{FoundIn, FrameId, ObjectId, Outline, TrackedObject};
+
+/// Class of objects in given masks, which state none.
+const CLASS: &str = "vehicle";
+
+/// Writes one mask per label of the given label maps into `folder`.
+pub(super) fn split(
+    run: &Run,
+    given: &Path,
+    folder: &Path,
+    outcome: &mut Outcome,
+) -> Result<Vec<TrackedObject>, PipelineError> {
+    let frames = run.frames()?;
+    let files = MaskFolder::open(given, frames, run.info())?;
+    if let Some(warning) = files.warning(given, frames) {
+        outcome.warn(warning);
+    }
+    outcome.figure("num_frames_without_mask", files.missing.len());
+    run.progress.begin("track", Some(frames.len() as u64));
+    let mut seen: BTreeMap<ObjectId, Vec<FrameId>> = BTreeMap::new();
+    for frame in frames {
+        run.step()?;
+        let Some(labels) = files.labels(frame.id)? else { continue };
+        for label in labels.present() {
+            let id = ObjectId(label.into());
+            masks::write_mask(&folder.join(id.to_string()).join(RunFolder::mask_name(frame)), &labels.mask(label))?;
+            seen.entry(id).or_default().push(frame.id);
+        }
+    }
+    Ok(seen.into_iter().map(|(id, frames)| object(id, frames)).collect())
+}
+
+fn object(id: ObjectId, frames: Vec<FrameId>) -> TrackedObject {
+    TrackedObject {
+        id,
+        class: CLASS.to_owned(),
+        confidence: 1.0,
+        found_in: FoundIn { given: frames.len(), ..FoundIn::default() },
+        outline: Outline::Given,
+        mask_quality: None,
+        movement: super::movement::unknown(),
+        left_out: None,
+        frames,
+        gaps: Vec::new(),
+        apart: Vec::new(),
+    }
+}

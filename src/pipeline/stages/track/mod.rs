@@ -1,0 +1,186 @@
+//! Stage `track`: one mask per object and frame, what found each object, and whether it moved.
+
+mod backward;
+mod found;
+mod given;
+mod joined;
+mod kept;
+mod movement;
+mod places;
+pub(in crate::pipeline) mod stationary_boxes;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use self::found::{Finds, Followed};
+use super::segment::schedule::Rhythm;
+use crate::io::{RunFolder, masks};
+use crate::perception::{FlowEstimator, Sighted, TrackSummary, load_flow, support};
+use crate::pipeline::driver::fingerprint;
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::inputs::networks::Networks;
+use crate::pipeline::inputs::order;
+use crate::pipeline::{Instances, PipelineError};
+use crate::scene::{Frame, Mask, Movement, ObjectId, Topic, TrackedObject};
+
+/// Where masks that were asked for are kept while the stage is at work.
+pub(in crate::pipeline) const ANSWERS: &str = "answers-";
+
+pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+    let options = run.options;
+    let following = || -> Result<Value, PipelineError> {
+        let flow_model = options.flow_model.as_deref().map(fingerprint::of_content).transpose()?;
+        let (_, objects) = order::sfm_options(run)?;
+        Ok(json!({
+            "tracker": options.tracker,
+            "flow": { "options": options.flow, "model": flow_model },
+            "matching": objects.front_end.matching(),
+        }))
+    };
+    Ok(match &options.instances {
+        Instances::None => json!("none"),
+        Instances::Masks(folder) => json!({ "masks": fingerprint::of_content(folder)? }),
+        Instances::Model(_) => following()?,
+        Instances::Vehicles => json!({
+            "following": following()?,
+            "masks": Networks::of(run)?.fingerprint_of_masks()?,
+            "prompt": options.prompt,
+            "every": Rhythm::of(run)?.masks,
+        }),
+    })
+}
+
+pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+    let mut outcome = Outcome::default();
+    let answers = run.workspace.intermediate(ANSWERS, fingerprint)?;
+    let objects = run.workspace.put_folder(&run.workspace.tracks(), |folder| {
+        let (mut objects, summaries) = tracked(run, folder, &answers, &mut outcome)?;
+        let sighted = movement::find(run, folder, &mut objects)?;
+        leave_out(&mut objects, &summaries, &sighted, &mut outcome);
+        Ok(objects)
+    })?;
+    if objects.is_empty() && run.options.instances != Instances::None {
+        let text = "no vehicle tracked: the result has no vehicle trajectories";
+        outcome.warn(Topic::NoVehicleTracked.warning(text));
+    }
+    run.workspace.remove_state(&answers)?;
+    run.workspace.put_file(&run.workspace.tracked(), |fresh| crate::io::tracks::write(fresh, &objects))?;
+    outcome.figure("num_objects", objects.len());
+    outcome.figure("num_moving", objects.iter().filter(|object| object.movement.state == Movement::Moving).count());
+    outcome.outputs.extend([run.workspace.tracks(), run.workspace.tracked()]);
+    Ok(outcome)
+}
+
+fn tracked(
+    run: &Run,
+    folder: &Path,
+    answers: &Path,
+    outcome: &mut Outcome,
+) -> Result<(Vec<TrackedObject>, BTreeMap<ObjectId, TrackSummary>), PipelineError> {
+    let split = |followed: Vec<Followed>| followed.into_iter().map(|f| (f.object, (f.summary.id, f.summary))).unzip();
+    Ok(match &run.options.instances {
+        Instances::None => (Vec::new(), BTreeMap::new()),
+        Instances::Masks(masks) => (given::split(run, masks, folder, outcome)?, BTreeMap::new()),
+        Instances::Model(_) => {
+            let mut followed = found::follow(run, &mut Finds::masks(run), folder, outcome)?;
+            joined::join_pieces(run, folder, &mut followed, outcome)?;
+            let (objects, _): (Vec<_>, BTreeMap<_, _>) = split(followed);
+            (objects, BTreeMap::new())
+        }
+        Instances::Vehicles => {
+            let mut finds = Finds::boxes(run, answers.to_owned(), outcome)?;
+            let mut followed = found::follow(run, &mut finds, folder, outcome)?;
+            backward::extend(run, &mut finds, folder, &mut followed, outcome)?;
+            joined::join_pieces(run, folder, &mut followed, outcome)?;
+            split(followed)
+        }
+    })
+}
+
+/// Says of the objects that are not vehicles enough that they are not reconstructed.
+///
+/// * `summaries` – of the objects that the program found by itself.
+/// * `sighted` – what the masks say of each.
+fn leave_out(
+    objects: &mut [TrackedObject],
+    summaries: &BTreeMap<ObjectId, TrackSummary>,
+    sighted: &BTreeMap<ObjectId, Sighted>,
+    outcome: &mut Outcome,
+) {
+    for object in objects {
+        let Some((summary, sighted)) = summaries.get(&object.id).zip(sighted.get(&object.id)) else { continue };
+        if let Err(reason) = support(summary, sighted) {
+            outcome.warn(Topic::VehicleSkipped.warning(format!("object {}: skipped: {reason}", object.id)));
+            object.left_out = Some(reason.to_string());
+        }
+    }
+}
+
+/// The tracked objects; the stage must be done.
+pub(in crate::pipeline) fn objects(run: &Run) -> Result<Vec<TrackedObject>, PipelineError> {
+    Ok(run.workspace.read_tracked()?)
+}
+
+/// The masks of all tracked objects in one frame.
+pub(in crate::pipeline) fn masks_of(
+    run: &Run,
+    objects: &[TrackedObject],
+    frame: &Frame,
+) -> Result<Vec<(ObjectId, Mask)>, PipelineError> {
+    masks_in(run, &run.workspace.tracks(), objects, frame)
+}
+
+/// As [`masks_of`], of a folder that is still in the making.
+fn masks_in(
+    run: &Run,
+    folder: &Path,
+    objects: &[TrackedObject],
+    frame: &Frame,
+) -> Result<Vec<(ObjectId, Mask)>, PipelineError> {
+    let size = (run.info().width, run.info().height);
+    let seen = objects.iter().filter(|object| object.frames.binary_search(&frame.id).is_ok());
+    let path = |object: &TrackedObject| folder.join(object.id.to_string()).join(RunFolder::mask_name(frame));
+    seen.map(|object| Ok((object.id, masks::read_mask(&path(object), size)?))).collect()
+}
+
+/// The optical flow of the run's options.
+pub(in crate::pipeline) fn load_flow_estimator(run: &Run) -> Result<Box<dyn FlowEstimator>, PipelineError> {
+    let options = run.options;
+    Ok(load_flow(options.flow_model.as_deref(), &options.flow, options.resources())?)
+}
+
+/// Refuses models of objects that there are not.
+///
+/// # Errors
+/// [`PipelineError::Options`] says which there are.
+pub(in crate::pipeline) fn check_models(run: &Run, ids: &BTreeSet<ObjectId>) -> Result<(), PipelineError> {
+    let unknown = run.options.object_models.keys().find(|id| !ids.contains(id));
+    let Some(id) = unknown else { return Ok(()) };
+    let text = format!("--object-model {id}=...: object {id} does not exist; tracked: {}", list(ids));
+    Err(PipelineError::Options(text))
+}
+
+/// Holds what was asked for by id against what was tracked.
+///
+/// # Errors
+/// As [`check_models`].
+pub(in crate::pipeline) fn check_ids(
+    run: &Run,
+    tracked: &[TrackedObject],
+    outcome: &mut Outcome,
+) -> Result<(), PipelineError> {
+    let ids: BTreeSet<ObjectId> = tracked.iter().map(|object| object.id).collect();
+    check_models(run, &ids)?;
+    for id in run.options.only_objects.difference(&ids) {
+        let text = format!("--only-object {id}: object {id} does not exist; tracked: {}", list(&ids));
+        outcome.warn(Topic::UnknownVehicle.warning(text));
+    }
+    Ok(())
+}
+
+fn list(ids: &BTreeSet<ObjectId>) -> String {
+    let ids: Vec<String> = ids.iter().map(ToString::to_string).collect();
+    if ids.is_empty() { "none".to_owned() } else { ids.join(", ") }
+}

@@ -1,0 +1,142 @@
+//! Which of the tracked objects moved: the points of the stage `motion` that lie on their masks say it.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::perception::Sighted;
+use crate::perception::motion::{Foot, Judgement, MovementReason, PointOnObject, StaticPoint, judge};
+use crate::pipeline::PipelineError;
+use crate::pipeline::driver::run::Run;
+use crate::pipeline::stages::motion::{self, Points, World};
+use crate::scene::{FoundIn, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, TrackedObject};
+
+/// Finding where nothing was examined.
+pub(super) fn unknown() -> MovementFinding {
+    MovementFinding { state: Movement::Undetermined, reason: "unordered images show no motion".to_owned() }
+}
+
+/// Says of every object whether it moved; its masks lie in `folder`, which is still in the making. Gives what its masks
+/// say of it; nothing where nothing was looked at.
+pub(super) fn find(
+    run: &Run,
+    folder: &Path,
+    objects: &mut [TrackedObject],
+) -> Result<BTreeMap<ObjectId, Sighted>, PipelineError> {
+    let points = motion::points(run)?;
+    let size = (run.info().width, run.info().height);
+    let on = if points.frames.is_empty() { BTreeMap::new() } else { on_objects(run, folder, objects, &points)? };
+    let second = frames_per_second(run.frames()?);
+    let none = OnObject::default();
+    let mut sighted = BTreeMap::new();
+    for object in objects {
+        let on_it = on.get(&object.id).unwrap_or(&none);
+        let tracks: Vec<_> = on_it
+            .counts
+            .iter()
+            .map(|(&track, &count)| {
+                let foot = on_it.feet.get(&track).copied();
+                let (track, label) = (&points.tracks[track], &points.labels[track]);
+                PointOnObject { track, label, inside: count as f64 / track.pixels.len().max(1) as f64, foot }
+            })
+            .collect();
+        let judged = judge(&tracks, second);
+        if !points.frames.is_empty() {
+            object.movement = finding(object, &judged);
+        }
+        let (num_frames, movement) = (object.frames.len(), object.movement.state);
+        let (mean_share, is_flat) = (on_it.mean_share(size), judged.is_flat);
+        sighted.insert(object.id, Sighted { num_frames, mean_share, movement, is_flat });
+    }
+    Ok(sighted)
+}
+
+/// Mean rate of the frames, Hz.
+fn frames_per_second(frames: &[Frame]) -> f64 {
+    let (Some(first), Some(last)) = (frames.first(), frames.last()) else { return 1.0 };
+    let duration = last.time_s - first.time_s;
+    if duration > 0.0 { (frames.len() - 1) as f64 / duration } else { 1.0 }
+}
+
+/// Points on an object's masks.
+#[derive(Default)]
+struct OnObject {
+    /// Per track of a point the number of frames in which it does.
+    counts: BTreeMap<usize, usize>,
+    /// Per track the foot of the object below its point.
+    feet: BTreeMap<usize, Foot>,
+    /// Pixels of all masks, and their number.
+    area: usize,
+    num_masks: usize,
+}
+
+impl OnObject {
+    /// Mean share of the picture that the masks cover.
+    fn mean_share(&self, (width, height): (u32, u32)) -> f64 {
+        let all = f64::from(width) * f64::from(height) * self.num_masks.max(1) as f64;
+        self.area as f64 / all.max(1.0)
+    }
+}
+
+/// That its foot would float says of a vehicle that it comes nearer; of anything else, that it is a tree, a sign or a
+/// balcony.
+fn finding(object: &TrackedObject, judged: &Judgement) -> MovementFinding {
+    let FoundIn { given, .. } = object.found_in;
+    let is_vehicle = given > 0 || object.found_in.by_detector() > object.found_in.motion;
+    if judged.reason == MovementReason::FootFloats && !is_vehicle {
+        let reason = "it approaches, or it is tall: a stationary object would float above the ground";
+        return MovementFinding { state: Movement::Undetermined, reason: reason.to_owned() };
+    }
+    MovementFinding { state: judged.movement, reason: judged.to_string() }
+}
+
+/// Points on the masks of each object.
+fn on_objects(
+    run: &Run,
+    folder: &Path,
+    objects: &[TrackedObject],
+    points: &Points,
+) -> Result<BTreeMap<ObjectId, OnObject>, PipelineError> {
+    let names: BTreeMap<FrameId, &Frame> = run.frames()?.iter().map(|frame| (frame.id, frame)).collect();
+    let seen: Vec<Frame> = points.frames.iter().filter_map(|id| Some((*names.get(id)?).clone())).collect();
+    // Without every frame's name the world's frames are not those that tracks count.
+    let world = if seen.len() == points.frames.len() { motion::world(run, &seen)? } else { None };
+    let tolerance = run.options.motion.evidence.ground_tolerance;
+    let mut starting: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    for (k, track) in points.tracks.iter().enumerate() {
+        starting.entry(track.first).or_default().push(k);
+    }
+    let mut live: Vec<usize> = Vec::new();
+    let mut found: BTreeMap<ObjectId, OnObject> = BTreeMap::new();
+    for (index, id) in (0u32..).zip(&points.frames) {
+        live.extend(starting.remove(&index).into_iter().flatten());
+        live.retain(|&k| points.tracks[k].end() > index);
+        let Some(frame) = names.get(id) else { continue };
+        for (object, mask) in super::masks_in(run, folder, objects, frame)? {
+            let on_it = found.entry(object).or_default();
+            on_it.area += mask.area_px2();
+            on_it.num_masks += 1;
+            for &k in &live {
+                let Some(pixel) = points.tracks[k].at(index).filter(|[x, y]| mask.contains(*x, *y)) else { continue };
+                *on_it.counts.entry(k).or_default() += 1;
+                let point = points.labels[k].static_point.filter(|point| point.frame == index);
+                if let Some((world, point)) = world.as_ref().zip(point) {
+                    let foot = foot(world, &mask, pixel, &point, tolerance);
+                    on_it.feet.extend(foot.map(|foot| (k, foot)));
+                }
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// The foot of an object below one of its points: where its mask ends in the point's column.
+fn foot(world: &World, mask: &Mask, [x, y]: [f64; 2], point: &StaticPoint, ground_tolerance: f64) -> Option<Foot> {
+    let view = world.views.get(point.frame as usize)?.as_ref()?;
+    let (column, first) = (x.floor() as i64, y.floor() as i64);
+    let last = (first..i64::from(mask.height())).rev().find(|&row| mask.get(column, row))?;
+    let is_cut = last + CUT_PX >= i64::from(mask.height());
+    world.ground.as_ref()?.foot(view, [x, (last + 1) as f64], is_cut, point, ground_tolerance)
+}
+
+/// Rows above the lower border of the picture at which a mask is cut off by it: networks leave the last ones out.
+const CUT_PX: i64 = 3;

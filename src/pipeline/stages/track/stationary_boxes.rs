@@ -1,0 +1,88 @@
+//! Which boxes of the detector show something that stands, by the points that the stage `motion` followed.
+//!
+//! The stage that knows the points says it of every box, so that the tracker need not hold them.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::perception::FoundBox;
+use crate::perception::motion::{PointTrack, TrackLabel, shows_standing};
+use crate::pipeline::PipelineError;
+use crate::pipeline::driver::intermediate::{self, Content};
+use crate::pipeline::driver::run::Run;
+use crate::pipeline::stages::segment::detections::FrameFolder;
+use crate::pipeline::stages::{motion, segment};
+use crate::scene::{Frame, FrameId, Rect};
+
+/// Where it is kept, in the folder of the stage `motion`.
+const FOLDER: &str = "standing";
+
+/// The boxes of a frame of which something is known.
+type Known = FrameFolder<StandingBox>;
+
+/// Which of a frame's boxes stands, by its number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+struct StandingBox(u32);
+
+impl Content for StandingBox {
+    fn flaw(&self) -> Option<String> {
+        None
+    }
+}
+
+fn known(motion_folder: &Path) -> Known {
+    FrameFolder::new(motion_folder.join(FOLDER))
+}
+
+/// Says of all boxes of the detector which of them stand.
+///
+/// * `frames` – those that `tracks` count.
+pub(in crate::pipeline) fn write(
+    run: &Run,
+    motion_folder: &Path,
+    frames: &[Frame],
+    tracks: &[PointTrack],
+    labels: &[TrackLabel],
+) -> Result<(), PipelineError> {
+    let path = motion_folder.join(FOLDER);
+    std::fs::create_dir_all(&path).map_err(crate::io::IoError::system("create", &path))?;
+    let (detected, known) = (segment::finished_boxes(run), known(motion_folder));
+    let mut starting: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    for (k, track) in tracks.iter().enumerate() {
+        starting.entry(track.first).or_default().push(k);
+    }
+    let mut live: Vec<usize> = Vec::new();
+    for (index, frame) in (0u32..).zip(frames) {
+        live.extend(starting.remove(&index).into_iter().flatten());
+        live.retain(|&k| tracks[k].end() > index);
+        let boxes = detected.read(frame.id)?;
+        if boxes.is_empty() {
+            continue;
+        }
+        let seen: Vec<([f64; 2], &TrackLabel)> =
+            live.iter().filter_map(|&k| Some((tracks[k].at(index)?, &labels[k]))).collect();
+        let stands = |rect: &Rect| {
+            shows_standing(seen.iter().filter(|([x, y], _)| rect.contains(*x, *y)).map(|(_, label)| label.verdict))
+        };
+        let standing: Vec<StandingBox> =
+            (0u32..).zip(&boxes).filter(|(_, found)| stands(&found.rect)).map(|(k, _)| StandingBox(k)).collect();
+        known.write(frame, &standing)?;
+    }
+    Ok(())
+}
+
+/// The boxes of the detector in a frame, and which of them stand. The stages `segment` and `motion` must be done.
+pub(in crate::pipeline) fn boxes(
+    run: &Run,
+    detected: &segment::BoxFolder,
+    frame: FrameId,
+) -> Result<Vec<FoundBox>, PipelineError> {
+    let mut found: Vec<FoundBox> = detected.read(frame)?.into_iter().map(FoundBox::from).collect();
+    let path = motion::folder(run);
+    for StandingBox(number) in known(&path).read(frame)? {
+        let wrong =
+            || intermediate::damaged(&path.join(FOLDER), format!("frame {}: box {number} does not exist", frame.0));
+        found.get_mut(number as usize).ok_or_else(wrong)?.stands = true;
+    }
+    Ok(found)
+}
