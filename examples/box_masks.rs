@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use rustix::time::{ClockId, clock_gettime};
-use tractrix::perception::{GrabCut, PromptOptions, Prompter, default_models, load_prompter};
+use tractrix::networks::{GrabCut, PromptOptions, Prompter, default_models, load_prompter};
 use tractrix::scene::{Mask, Rect};
 use tractrix::video::Source;
 

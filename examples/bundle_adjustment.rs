@@ -8,7 +8,7 @@
 use std::error::Error;
 
 use tractrix::bundle::{CameraBlock, Options, Problem, adjust};
-use tractrix::io::colmap;
+use tractrix::io::interchange::colmap;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();

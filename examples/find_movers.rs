@@ -16,7 +16,7 @@ use std::time::Instant;
 use image::{Rgb, RgbImage};
 use tractrix::ground;
 use tractrix::image::gray_from_rgb;
-use tractrix::perception::motion::{
+use tractrix::motion::{
     GroundModel, MotionOptions, Mover, PointFollower, PointTrack, Surroundings, TrackLabel, Verdict, View, classify,
     movers,
 };
@@ -41,7 +41,7 @@ fn main() -> Result<()> {
     };
     let options = MotionOptions::default();
     let followed = follow(video.as_ref(), &options)?;
-    let background = tractrix::io::colmap::read(model.as_ref())?;
+    let background = tractrix::io::interchange::colmap::read(model.as_ref())?;
     let ground = ground_of(&background);
     let views = views(&background, &followed.ids);
     let surroundings =

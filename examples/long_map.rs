@@ -16,10 +16,11 @@ use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
 use rand::Rng as _;
 use rand_distr::{Distribution, StandardNormal};
 use tractrix::camera::Camera;
+use tractrix::features::TrackTable;
+use tractrix::features::tracks::Track;
+use tractrix::mapper::{self, Intrinsics};
 use tractrix::math::{Rigid3, Rng, seeded_rng, umeyama};
 use tractrix::scene::Reconstruction;
-use tractrix::sfm::tracks::Track;
-use tractrix::sfm::{self, Intrinsics, TrackTable, mapper};
 use tractrix::synthetic::{empty_table, observe};
 
 const STEP: f64 = 1.0 / 12.0;
@@ -68,8 +69,8 @@ fn map(mut table: TrackTable, camera: Camera, known: Intrinsics) -> Result<Recon
     let (start, cpu) = (Instant::now(), tractrix::pipeline::process_cpu_s());
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     let (model, report) = pool.install(|| {
-        sfm::cut_long_tracks(&mut table, &[camera], known, &options, 0);
-        sfm::reconstruct_consuming(table, &[camera], known, &options, 0, sfm::Beside::default(), &mut |_| {})
+        mapper::cut_long_tracks(&mut table, &[camera], known, &options, 0);
+        mapper::reconstruct_consuming(table, &[camera], known, &options, 0, mapper::Beside::default(), &mut |_| {})
     })?;
     let cpu = tractrix::pipeline::process_cpu_s() - cpu;
     println!(

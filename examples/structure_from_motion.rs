@@ -7,8 +7,9 @@
 use std::error::Error;
 
 use tractrix::camera::Camera;
-use tractrix::io::colmap;
-use tractrix::sfm::{self, Intrinsics};
+use tractrix::io::interchange::colmap;
+use tractrix::mapper::Intrinsics;
+use tractrix::sfm;
 use tractrix::video::{self, Source};
 
 fn main() -> Result<(), Box<dyn Error>> {

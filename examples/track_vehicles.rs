@@ -11,11 +11,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use image::{Rgb, RgbImage};
-use tractrix::perception::{
-    Evidence, FlowOptions, Look, SegmentationOptions, TrackSummary, TrackedMask, Tracker, TrackerOptions, load_flow,
-    load_segmenter,
-};
+use tractrix::networks::{FlowOptions, SegmentationOptions, load_flow, load_segmenter};
 use tractrix::scene::{Frame, Mask, ObjectId};
+use tractrix::tracking::{Evidence, Look, TrackSummary, TrackedMask, Tracker, TrackerOptions};
 use tractrix::video::Source;
 
 /// How long each part took, all frames together.

@@ -3,7 +3,7 @@
 //! The method is that of Bullinger et al., *3D Trajectory Reconstruction of Dynamic Objects Using Planarity
 //! Constraints*; equation labels in the documentation (`eq. determine_s3`) are the paper's.
 //!
-//! Data goes one way: [`video`] → [`perception`] → [`sfm`] → [`ground`] → [`trajectory`] → outputs. The stage rooms
+//! Data goes one way: [`video`] → [`networks`], [`tracking`] → [`features`] → [`mapper`] → [`ground`] → [`trajectory`] → outputs. The stage rooms
 //! never call one another; [`pipeline`] passes the nouns of [`scene`] along. `docs/architecture.md` is the map, and
 //! `tests/layers.rs` holds the code against it.
 //!
@@ -38,23 +38,33 @@
 
 pub mod bundle;
 pub mod camera;
+pub mod checks;
 #[cfg(feature = "cli")]
 pub mod cli;
 #[cfg(feature = "eval")]
 pub mod eval;
 #[cfg(feature = "export")]
 pub mod export;
+#[cfg(feature = "sfm")]
+pub mod features;
 #[cfg(any(feature = "video", feature = "perception"))]
 pub mod ffi;
+pub mod files;
+#[cfg(feature = "sfm")]
+pub mod geometry;
 pub mod ground;
 #[cfg(feature = "opencv")]
 pub mod image;
 pub mod io;
-pub mod limits;
+#[cfg(feature = "sfm")]
+pub mod mapper;
 pub mod math;
+pub mod memory;
 pub mod metric;
 #[cfg(feature = "perception")]
-pub mod perception;
+pub mod motion;
+#[cfg(feature = "perception")]
+pub mod networks;
 #[cfg(feature = "pipeline")]
 pub mod pipeline;
 #[cfg(feature = "report")]
@@ -66,6 +76,8 @@ pub mod sfm;
 pub mod synthetic;
 #[cfg(feature = "telemetry")]
 pub mod telemetry;
+#[cfg(feature = "perception")]
+pub mod tracking;
 pub mod trajectory;
 #[cfg(feature = "video")]
 pub mod video;

@@ -8,18 +8,19 @@ use proptest::prelude::*;
 use rand::Rng as _;
 use tractrix::bundle::{self, CameraBlock, Problem, Wanted, Whitening};
 use tractrix::camera::Camera;
+use tractrix::features::tracks::{Track, TrackTable};
+use tractrix::geometry::resection::{self, PixelsAndPoints};
+use tractrix::geometry::solvers::{essential_five_point, homography_from_points, p3p};
+use tractrix::geometry::triangulation::{self, Limits};
+use tractrix::geometry::two_view::{self, Correspondences};
 use tractrix::ground::{self, GroundChain};
+use tractrix::mapper::{self, Intrinsics};
 use tractrix::math::{Rigid3, Rng, RobustLoss, Sim3, seeded_rng, umeyama};
 use tractrix::metric::{
     CameraPath, Dimension, Extent, Offset, PositionFix, Support, VehicleClass, align_to_fixes, vehicle_sizes,
 };
 use tractrix::scene::{FrameId, ImageId, ObjectId, Point3dId, Reconstruction, ScaleMethod, TimeBase, TrackedObject};
-use tractrix::sfm::resection::{self, PixelsAndPoints};
-use tractrix::sfm::solvers::{essential_five_point, homography_from_points, p3p};
-use tractrix::sfm::tracks::{Track, TrackTable};
-use tractrix::sfm::triangulation::{self, Limits};
-use tractrix::sfm::two_view::{self, Correspondences};
-use tractrix::sfm::{self, Intrinsics, Options, mapper};
+use tractrix::sfm::Options;
 use tractrix::synthetic::drive::{self, Drive, drive};
 use tractrix::synthetic::{empty_table, observe};
 use tractrix::trajectory::{self, Candidate, CommonStd, Evidence, ModelOrigin, ObjectDescription, Sighting, Subject};
@@ -311,7 +312,7 @@ proptest! {
         let (model, report) = mapper::reconstruct(&table, &[camera], known, &options, 1).unwrap();
         prop_finite!(numbers(&model));
         prop_finite!(report);
-        prop_finite!(sfm::focal_changes(&model, known));
+        prop_finite!(mapper::focal_changes(&model, known));
         if let Ok(Some(found)) = bundle::center_deviations(&model, 16) {
             prop_finite!(found);
         }

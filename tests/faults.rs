@@ -17,7 +17,8 @@ use common::{Place, drive, json, outcome, tractrix};
 use image::RgbImage;
 use rand::Rng as _;
 use rustix::process::{Pid, Signal, kill_process};
-use tractrix::io::{Sequence, colmap, ply, trajectories};
+use tractrix::io::interchange::{colmap, ply};
+use tractrix::io::{Sequence, trajectories};
 
 const NUM_FRAMES: u32 = 12;
 /// More than any refusal takes on a slow machine, and less than any hang.
@@ -398,7 +399,7 @@ fn own_files_that_are_damaged_are_named_with_a_cure_and_lead_nowhere() {
     let mut features = fs::read_dir(&state).unwrap().map(|entry| entry.unwrap().path()).filter(is_features);
     let folder = features.find(|path| path.is_dir()).unwrap();
     let file = folder.join("background.bin");
-    let mut table: tractrix::sfm::TrackTable = postcard::from_bytes(&fs::read(&file).unwrap()).unwrap();
+    let mut table: tractrix::features::TrackTable = postcard::from_bytes(&fs::read(&file).unwrap()).unwrap();
     table.tracks[0][0].view = 99;
     fs::write(&file, postcard::to_stdvec(&table).unwrap()).unwrap();
     let other = ["--set", "background.mapper.max_error_px=2.5"];

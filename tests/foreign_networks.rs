@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use image::{Rgb, RgbImage};
 use serde_json::Value;
-use tractrix::perception::{GroundOptions, SegmentationOptions, load_ground_segmenter, load_segmenter};
+use tractrix::networks::{GroundOptions, SegmentationOptions, load_ground_segmenter, load_segmenter};
 use tractrix::scene::Mask;
 
 /// Whether networks can be run here.

@@ -95,8 +95,8 @@ const OPENERS: [&str; 8] = [
     "export/annotate.rs",
     "ffi/onnx/library.rs",
     "io/atomic.rs",
-    "limits/files.rs",
-    "limits/memory.rs",
+    "files/mod.rs",
+    "memory/mod.rs",
     "pipeline/driver/meter.rs",
 ];
 

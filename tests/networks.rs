@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use image::RgbImage;
 use tractrix::ffi::onnx;
-use tractrix::perception::{
+use tractrix::networks::{
     DetectorOptions, GrabCut, PromptOptions, Prompter, default_models, load_detector, load_prompter,
 };
 use tractrix::scene::{BoxDetection, Mask, Rect};

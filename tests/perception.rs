@@ -6,11 +6,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
-use tractrix::perception::{
-    FlowOptions, GroundOptions, Look, SegmentationOptions, TrackSummary, TrackedMask, Tracker, TrackerOptions,
-    load_flow, load_ground_segmenter, load_segmenter,
+use tractrix::networks::{
+    FlowOptions, GroundOptions, SegmentationOptions, load_flow, load_ground_segmenter, load_segmenter,
 };
 use tractrix::scene::{BoundingBox, Frame, Mask, ObjectId};
+use tractrix::tracking::{Look, TrackSummary, TrackedMask, Tracker, TrackerOptions};
 use tractrix::video::Source;
 
 const MODEL: &str = "models/yolov8n-seg_640_fromint8.onnx";

@@ -212,7 +212,7 @@ fn a_drive_becomes_a_trajectory() {
         serde_json::from_value::<[f64; 3]>(frame["position"].clone()).unwrap().into()
     };
     let way = (position(&frames[frames.len() - 1]) - position(&frames[0])).norm();
-    let background = tractrix::io::colmap::read(&place.path("out/background")).unwrap();
+    let background = tractrix::io::interchange::colmap::read(&place.path("out/background")).unwrap();
     let centers: Vec<_> = background.images.values().map(|image| image.cam_from_world.center()).collect();
     let camera_way = (centers[centers.len() - 1] - centers[0]).norm();
     let truth = nalgebra::Vector2::new(9.0f64, 2.5).norm() / nalgebra::Vector3::new(8.0f64, -3.0, 4.0).norm();
@@ -252,7 +252,7 @@ fn models_of_other_programs_are_taken_as_they_are_and_read_again_when_they_chang
     let given = ["--background-model", &background, "--object-model", &object];
     place.run("given", &given);
     for model in ["background", "objects/1"] {
-        let read = |out: &str| tractrix::io::colmap::read(&place.path(out).join(model)).unwrap();
+        let read = |out: &str| tractrix::io::interchange::colmap::read(&place.path(out).join(model)).unwrap();
         let (own, other) = (read("out"), read("given"));
         assert!(own.images.keys().eq(other.images.keys()) && !own.images.is_empty());
         let centers = own.images.values().zip(other.images.values());

@@ -17,7 +17,7 @@
 //!
 //! ```
 //! use tractrix::bundle::{CameraBlock, Options, Problem, adjust};
-//! use tractrix::io::colmap;
+//! use tractrix::io::interchange::colmap;
 //!
 //! let mut model = colmap::read("tests/golden/models/colmap_text".as_ref())?;
 //! let mut problem = Problem::from_reconstruction(&model, |_, camera| CameraBlock::fixed(*camera));

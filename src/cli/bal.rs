@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::output::{Failure, Form, show};
 use crate::bundle::{Behind, CameraBlock, Gauge, LinearSolver, Options, Problem, Summary, adjust};
-use crate::io::bal;
+use crate::io::interchange::bal;
 use crate::pipeline::{MOST_THREADS, process_cpu_s};
 
 /// Solve a "Bundle Adjustment in the Large" problem (each camera with its own f, k1, k2) and print the result

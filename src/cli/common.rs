@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 
 use super::output::Failure;
-use crate::limits::files;
-use crate::limits::memory::MemoryLimit;
+use crate::files;
+use crate::memory::MemoryLimit;
 use crate::pipeline::Options;
 use crate::scene::ScaleMethod;
 

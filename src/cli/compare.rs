@@ -6,7 +6,8 @@ use serde_json::Value;
 
 use super::output::{Failure, Form, show};
 use crate::eval::comparison::{Comparison, Cost, LengthUnit, MatchBy, Side, compare};
-use crate::io::{IoError, RunFolder, Sequence, json, model, refuse_place_of_results};
+use crate::io::interchange::model;
+use crate::io::{IoError, RunFolder, Sequence, json, refuse_place_of_results};
 use crate::report::comparison as page;
 use crate::scene::{CameraId, Image, ImageId, Reconstruction};
 

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::output::{Failure, Form, show};
-use crate::io::database::{self, Features};
-use crate::io::model::{self, Format};
-use crate::io::{Losses, colmap};
+use crate::io::Losses;
+use crate::io::interchange::colmap;
+use crate::io::interchange::database::{self, Features};
+use crate::io::interchange::model::{self, Format};
 use crate::pipeline;
 use crate::scene::Reconstruction;
 

@@ -11,8 +11,8 @@ use sha2::{Digest, Sha256};
 use super::output::{Failure, Form, show};
 use crate::ffi::onnx::OnnxError;
 use crate::ffi::{ffmpeg, onnx};
-use crate::limits::files;
-use crate::perception::{
+use crate::files;
+use crate::networks::{
     FlowOptions, GroundOptions, ModelDescription, PerceptionError, SegmentationOptions, default_descriptions,
     default_models, load_flow, load_ground_segmenter, load_segmenter,
 };

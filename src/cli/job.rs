@@ -8,7 +8,6 @@ use anyhow::Context;
 use super::common::CommonArgs;
 use super::output::Failure;
 use crate::io::{IoError, Sequence};
-use crate::limits::{files, memory};
 use crate::metric::{KnownLength, Measured, TimeOffset, UtcOffset};
 use crate::pipeline::{
     DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskChoice, MetricOptions,
@@ -16,6 +15,7 @@ use crate::pipeline::{
 };
 use crate::scene::ObjectId;
 use crate::video::{Position, Turning};
+use crate::{files, memory};
 
 /// Flags that exclude those of the program's own perception.
 const OWN_MASKS: [&str; 2] = ["masks", "segmentation_model"];

@@ -40,7 +40,7 @@ use clap::Parser;
 use output::{Failure, Form};
 use terminal::{Talk, Verbosity};
 
-use crate::limits::text::printable;
+use crate::checks::text::printable;
 
 /// Runs the program on the arguments of the process.
 pub fn main() -> ExitCode {

@@ -6,9 +6,9 @@ use std::io::{self, BufWriter, Write};
 use serde_json::{Value, json};
 
 use super::stop::{Signal, TRY_AGAIN};
+use crate::checks::text::printable;
 use crate::export::ExportError;
 use crate::io::FolderError;
-use crate::limits::text::printable;
 use crate::pipeline::PipelineError;
 
 /// Why a command ends without having done what was asked.

@@ -15,7 +15,7 @@ use super::course::{Course, Event, Moment};
 use super::forecast::in_words;
 use super::output::{Failure, Form};
 use super::stop::{Signal, Stop};
-use crate::limits::text::printable;
+use crate::checks::text::printable;
 use crate::pipeline::{Plan, Progress};
 
 /// The environment variable that sets what is logged, in `tracing`'s filter language.

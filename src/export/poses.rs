@@ -85,7 +85,7 @@ fn frame_in_words(results: &Results) -> String {
 mod tests {
     use super::*;
     use crate::export::testing::{results, with_metres};
-    use crate::io::camera_path;
+    use crate::io::interchange::camera_path;
     use crate::scene::ImageId;
 
     #[test]

@@ -6,7 +6,8 @@ use std::path::Path;
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::{Results, View};
-use crate::io::{RunFolder, atomic, colmap, trajectories};
+use crate::io::interchange::colmap;
+use crate::io::{RunFolder, atomic, trajectories};
 use crate::math::Sim3;
 use crate::scene::{
     ClockZone, Dates, Dimensions, Estimate, Frame, ImageId, MapOrigin, Metric, MetricAxes, MetricFrame, MetricPose,

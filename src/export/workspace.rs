@@ -15,7 +15,8 @@ use ::image::{ImageFormat, RgbImage};
 use super::annotate::masks_of;
 use super::write::Pictures;
 use super::{ExportError, Results, View};
-use crate::io::{ExportFolder, IoError, RunFolder, colmap, masks};
+use crate::io::interchange::colmap;
+use crate::io::{ExportFolder, IoError, RunFolder, masks};
 use crate::scene::{FrameId, Mask, Movement, ObjectId};
 
 /// JPEG quality: next to nothing is lost.

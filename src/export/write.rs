@@ -204,7 +204,8 @@ mod tests {
 
     use super::*;
     use crate::export::testing::{results_of, with_metres, write_run};
-    use crate::io::{FolderError, colmap, masks};
+    use crate::io::interchange::colmap;
+    use crate::io::{FolderError, masks};
     use crate::synthetic::showcase::{Showcase, showcase};
     use crate::synthetic::write_clip;
     use crate::video::Options;

@@ -24,7 +24,7 @@ mod way_plane;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::limits::{Checked, ordered, within};
+use crate::checks::{Checked, ordered, within};
 pub use chain::GroundChain;
 pub use dominant::{DominantPlane, GroundError, dominant_plane_points};
 pub use height::{CameraHeight, HeightFailure, camera_height};
@@ -79,7 +79,7 @@ impl Options {
     /// Rejects what cannot be worked with.
     ///
     /// # Errors
-    /// [`OptionError`](crate::limits::OptionError) names the option.
+    /// [`OptionError`](crate::checks::OptionError) names the option.
     pub fn check(&self) -> Checked {
         within("min_observations", self.min_observations, 2..=1_000_000)?;
         within("num_neighbors", self.num_neighbors, 3..=100_000)?;
@@ -95,7 +95,7 @@ impl Options {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::limits::testing::variations;
+    use crate::checks::testing::variations;
     use crate::scene::ObjectId;
     use crate::synthetic::drive::{self, drive};
 

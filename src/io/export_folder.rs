@@ -4,8 +4,9 @@
 
 use std::path::Path;
 
+use super::interchange::colmap;
 use super::run_folder::object_id;
-use super::{Place, RunFolder, colmap};
+use super::{Place, RunFolder};
 
 /// The folder of exported files.
 #[derive(Clone, Copy, Debug)]

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::de::DeserializeOwned;
 
 use super::IoError;
-use crate::limits::files;
+use crate::files;
 
 /// Reads a JSON file as a value.
 ///

@@ -10,7 +10,7 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageDecoder, ImageEncoder};
 
 use super::{IoError, atomic};
-use crate::limits::files;
+use crate::files;
 use crate::scene::{LabelMap, Mask};
 
 /// Reads a label map: 0 is background, k is object (or class) k. `frame_size` is the width and height of its frame.

@@ -6,7 +6,7 @@
 //! `docs/formats.md` describes the formats.
 //!
 //! ```
-//! use tractrix::io::{colmap, model};
+//! use tractrix::io::interchange::{colmap, model};
 //!
 //! // Recognised by content: COLMAP, an output folder, OpenMVG, OpenSfM, nerfstudio, NVM, Bundler, TUM, KITTI.
 //! let (from_openmvg, _) = model::read("tests/golden/models/openmvg/sfm_data.json".as_ref())?;
@@ -15,42 +15,27 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-mod assembly;
 pub mod atomic;
-pub mod bal;
-pub mod bundler;
-mod bytes;
-pub mod camera_path;
-mod centered;
-pub mod colmap;
-#[cfg(feature = "database")]
-pub mod database;
 mod error;
 mod export_folder;
 mod extent;
 pub mod ground;
+pub mod interchange;
 pub mod json;
 pub mod masks;
-pub mod model;
-pub mod nerfstudio;
-pub mod nvm;
-pub mod openmvg;
-pub mod opensfm;
 mod owned_folder;
-pub mod ply;
 mod run_folder;
 mod sequence;
 #[cfg(test)]
 pub(crate) mod testing;
 pub mod tracks;
 pub mod trajectories;
-mod words;
 
-pub use assembly::Losses;
 pub use error::IoError;
 pub use export_folder::ExportFolder;
 #[cfg(feature = "pipeline")]
 pub(crate) use extent::is_sensible;
+pub use interchange::assembly::Losses;
 pub use owned_folder::{FolderError, InputIdentity, OwnedFolder, Place, refuse_own_input, refuse_place_of_results};
 pub use run_folder::RunFolder;
 pub use sequence::{GROUND_LABEL, Sequence, SequenceFrame, TARGET_LABEL};

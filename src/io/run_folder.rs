@@ -7,8 +7,9 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use super::interchange::colmap;
 use super::owned_folder::Place;
-use super::{ExportFolder, IoError, colmap, ground, masks, tracks, trajectories};
+use super::{ExportFolder, IoError, ground, masks, tracks, trajectories};
 use crate::scene::{Frame, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
 
 /// The output folder of a run, which need not be there yet.

@@ -9,7 +9,8 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 use super::extent::is_sensible;
-use super::{IoError, json, masks, ply};
+use super::interchange::ply;
+use super::{IoError, json, masks};
 use crate::camera::Camera;
 use crate::math::Rigid3;
 use crate::scene::{FrameId, LabelMap, Mask, TriangleMesh};

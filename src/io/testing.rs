@@ -61,7 +61,8 @@ pub(crate) fn model_with(lenses: &[Camera]) -> Reconstruction {
             })
             .collect();
         let id = Point3dId(1 + k + 3 * (k / 6));
-        super::assembly::add_point(&mut model, id, position, [10 * k as u8, 200, 3], seen.into_iter()).unwrap();
+        super::interchange::assembly::add_point(&mut model, id, position, [10 * k as u8, 200, 3], seen.into_iter())
+            .unwrap();
     }
     model
 }

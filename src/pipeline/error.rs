@@ -3,12 +3,13 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::checks::OptionError;
+use crate::features::FeatureError;
 use crate::io::{FolderError, IoError, RunFolder};
-use crate::limits::OptionError;
-use crate::limits::memory::TooMuch;
-use crate::perception::PerceptionError;
+use crate::mapper::MapperError;
+use crate::memory::TooMuch;
+use crate::networks::PerceptionError;
 use crate::report::ReportError;
-use crate::sfm::SfmError;
 use crate::telemetry::TelemetryError;
 use crate::video::VideoError;
 
@@ -21,9 +22,12 @@ pub enum PipelineError {
     /// Segmentation, flow, tracking.
     #[error(transparent)]
     Perception(#[from] PerceptionError),
-    /// Structure from motion.
+    /// Features could not be detected or tracked.
     #[error(transparent)]
-    Sfm(#[from] SfmError),
+    Features(#[from] FeatureError),
+    /// The mapper refused its input.
+    #[error(transparent)]
+    Mapper(#[from] MapperError),
     /// The page.
     #[error(transparent)]
     Report(#[from] ReportError),

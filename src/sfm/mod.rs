@@ -1,11 +1,12 @@
 //! Structure from motion: cameras and points of the background, and of each object, from what is seen of them.
 //!
-//! A [`FrontEnd`] turns frames and masks into a [`TrackTable`]; [`reconstruct`] turns that into a reconstruction. Both
-//! serve background and objects alike; only their [`Options`] differ. [`reconstruct_pictures`] does both in one call:
+//! [`features`](crate::features) makes tracks of image points, [`mapper`](crate::mapper) reconstructs cameras and points
+//! from them. Both serve background and objects alike; only their [`Options`] differ. [`reconstruct_pictures`] runs both:
 //!
 //! ```no_run
 //! use tractrix::camera::Camera;
-//! use tractrix::sfm::{self, Intrinsics};
+//! use tractrix::mapper::Intrinsics;
+//! use tractrix::sfm;
 //! use tractrix::video::{self, Source};
 //!
 //! let source = Source::open("photos".as_ref(), &video::Options::default())?;
@@ -17,52 +18,19 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-pub mod features;
-mod focal_changes;
-pub mod large_frames;
-pub mod mapper;
-pub mod matching;
-pub mod order;
-pub mod patch;
-pub mod refinement;
-pub mod resection;
-pub mod sift;
-pub mod sift_front_end;
-pub mod silhouette;
-pub mod solvers;
-pub mod tracks;
-pub mod triangulation;
-pub mod two_view;
-pub mod video_front_end;
-
 mod error;
-mod front_end;
 mod pictures;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::limits::{Checked, under};
 pub use error::SfmError;
-pub use focal_changes::focal_changes;
-pub use front_end::{FrontEnd, FrontEndOptions};
-pub use mapper::{
-    Beside, Intrinsics, KnownIntrinsics, KnownPoses, Report, cut_long_tracks, reconstruct, reconstruct_consuming,
-    reconstruct_watched,
-};
 pub use pictures::reconstruct_pictures;
-use sift_front_end::{Pairing, SiftOptions};
-pub use tracks::TrackTable;
-use video_front_end::VideoOptions;
 
-/// Target of a reconstruction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Target {
-    /// The static background: most of the image, with many points.
-    Background,
-    /// One vehicle: a small part of the picture, with few points.
-    Object,
-}
+use crate::checks::{Checked, under};
+use crate::features::sift_front_end::{Pairing, SiftOptions};
+use crate::features::video_front_end::VideoOptions;
+use crate::features::{FrontEndOptions, Target};
 
 /// Options of the reconstruction of one target.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -74,7 +42,7 @@ pub struct Options {
     /// views.
     pub front_end: FrontEndOptions,
     /// From tracks to a map.
-    pub mapper: mapper::Options,
+    pub mapper: crate::mapper::Options,
 }
 
 impl Options {
@@ -89,12 +57,12 @@ impl Options {
     /// For the background of a video.
     pub fn background() -> Self {
         let front_end = FrontEndOptions::Video(VideoOptions::background());
-        Self { front_end, mapper: mapper::Options::background() }
+        Self { front_end, mapper: crate::mapper::Options::background() }
     }
 
     /// For one object of a video.
     pub fn object() -> Self {
-        Self { front_end: FrontEndOptions::Video(VideoOptions::object()), mapper: mapper::Options::object() }
+        Self { front_end: FrontEndOptions::Video(VideoOptions::object()), mapper: crate::mapper::Options::object() }
     }
 
     /// For photographs in no order.
@@ -128,13 +96,13 @@ impl Options {
             (FrontEndOptions::Video(_), Target::Object) => all_pairs(SiftOptions::object()),
             (FrontEndOptions::Video(_), Target::Background) => FrontEndOptions::unordered(),
         };
-        Self { front_end, mapper: mapper::Options { ordered: false, ..self.mapper } }
+        Self { front_end, mapper: crate::mapper::Options { ordered: false, ..self.mapper } }
     }
 
     /// Rejects what cannot be worked with.
     ///
     /// # Errors
-    /// [`OptionError`](crate::limits::OptionError) names the option.
+    /// [`OptionError`](crate::checks::OptionError) names the option.
     pub fn check(&self) -> Checked {
         under("front_end", self.front_end.check())?;
         under("mapper", self.mapper.check())

@@ -1,9 +1,10 @@
 //! Structure from motion of a row of pictures in one call.
 
-use super::mapper::{Intrinsics, Report, cut_long_tracks, reconstruct};
-use super::{FrontEnd, Options, SfmError};
+use super::{Options, SfmError};
 use crate::camera::Camera;
+use crate::features::FrontEnd;
 use crate::image::RgbImage;
+use crate::mapper::{Intrinsics, Report, cut_long_tracks, reconstruct};
 use crate::scene::{Frame, Mask, Reconstruction};
 
 /// Reconstructs what one camera took: tracks of image points, then cameras and points that explain them.

@@ -2,8 +2,8 @@
 
 use nalgebra::Point2;
 
+use crate::features::tracks::{Feature, Track, TrackTable, View};
 use crate::scene::ImageId;
-use crate::sfm::tracks::{Feature, Track, TrackTable, View};
 
 /// Returns a table of views without observations. Image ids count from 1 in time.
 pub fn empty_table(num_views: usize) -> TrackTable {

@@ -5,7 +5,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use crate::limits::memory::MemoryLimit;
+use crate::memory::MemoryLimit;
 
 /// One position of the receiver.
 #[derive(Clone, Debug, PartialEq)]

@@ -13,7 +13,7 @@ use super::error::TelemetryError;
 use super::fix::{ClockKind, Fix, HeightDatum, Log, Position, Receiver};
 use super::read::bytes_of;
 use super::time;
-use crate::limits::memory::MemoryLimit;
+use crate::memory::MemoryLimit;
 
 /// The name in reports.
 pub(super) const DIALECT: &str = "exif";

@@ -9,8 +9,8 @@ use super::fix::{ClockKind, Log, Room};
 use super::srt::{self, Subtitle};
 use super::text::decode;
 use super::{Kind, csv, dji, gpx, nmea, order, photographs};
-use crate::limits::files;
-use crate::limits::memory::MemoryLimit;
+use crate::files;
+use crate::memory::MemoryLimit;
 
 /// Ten hours of a drone that writes at 60 Hz.
 const MOST_MIB: u64 = 512;

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 use super::fix::Room;
 use super::*;
-use crate::limits::memory::MemoryLimit;
+use crate::memory::MemoryLimit;
 
 /// One file of each format, written by hand.
 const SEEDS: [&str; 8] = [

@@ -25,7 +25,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{ScaleError, View, Views};
-use crate::limits::{Checked, within};
+use crate::checks::{Checked, within};
 use crate::scene::FrameId;
 
 /// Limits of the search; its result is the paper's as long as they are not reached.
@@ -51,7 +51,7 @@ impl ConstantDistanceOptions {
     /// Rejects what cannot be worked with.
     ///
     /// # Errors
-    /// [`OptionError`](crate::limits::OptionError) names the option.
+    /// [`OptionError`](crate::checks::OptionError) names the option.
     pub fn check(&self) -> Checked {
         within("max_pairs", self.max_pairs, 1..=100_000_000)?;
         within("max_ratios", self.max_ratios, 1..=1_000_000_000_000)

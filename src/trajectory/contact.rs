@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::silhouette::Silhouette;
 
-use crate::limits::{Checked, OptionError, within};
+use crate::checks::{Checked, OptionError, within};
 use crate::math::{median, quantile};
 use crate::scene::{FrameId, Image, Reconstruction};
 
@@ -83,7 +83,7 @@ impl ContactOptions {
     /// Rejects what cannot be worked with.
     ///
     /// # Errors
-    /// [`OptionError`](crate::limits::OptionError) names the option.
+    /// [`OptionError`](crate::checks::OptionError) names the option.
     pub fn check(&self) -> Checked {
         within("min_track", self.min_track, 2..=1_000_000)?;
         within("max_deviation", self.max_deviation, 0.1..=1000.0)?;

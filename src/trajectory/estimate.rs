@@ -12,7 +12,7 @@ use super::{
     ConstantDistance, ConstantDistanceOptions, Joint, JointOptions, LeastSquares, LeastSquaresOptions, ScaleError,
     Views, constant_distance, intersection, least_squares,
 };
-use crate::limits::{Checked, under, within};
+use crate::checks::{Checked, under, within};
 use crate::math::rounding::percent;
 use crate::scene::{Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport};
 
@@ -49,7 +49,7 @@ impl Options {
     /// Rejects what cannot be worked with.
     ///
     /// # Errors
-    /// [`OptionError`](crate::limits::OptionError) names the option.
+    /// [`OptionError`](crate::checks::OptionError) names the option.
     pub fn check(&self) -> Checked {
         under("constant_distance", self.constant_distance.check())?;
         under("least_squares", self.least_squares.check())?;

@@ -30,7 +30,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{ScaleError, Views};
-use crate::limits::{Checked, within};
+use crate::checks::{Checked, within};
 use crate::math::{STD_PER_MAD, median};
 
 /// Robustness of the fit.
@@ -61,7 +61,7 @@ impl LeastSquaresOptions {
     /// Rejects what cannot be worked with.
     ///
     /// # Errors
-    /// [`OptionError`](crate::limits::OptionError) names the option.
+    /// [`OptionError`](crate::checks::OptionError) names the option.
     pub fn check(&self) -> Checked {
         within("tukey_scale", self.tukey_scale, 0.1..=1000.0)?;
         within("neighbours", self.neighbours, 1..=1000)?;

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::VideoError;
 use crate::ffi::ffmpeg::{FfmpegError, Stream, StreamKind};
-use crate::limits::files;
+use crate::files;
 
 /// Error of a file without a video track, with its other tracks in words.
 pub(super) fn no_pictures(path: &Path, streams: &[Stream]) -> VideoError {

@@ -4,8 +4,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use crate::ffi::ffmpeg::FfmpegError;
+use crate::files;
 use crate::image::ImageError;
-use crate::limits::files;
 
 /// Refuses what is no regular file: FFmpeg would wait for whoever writes into a pipe.
 ///
@@ -93,7 +93,7 @@ pub enum VideoError {
     /// A text track that memory does not hold.
     #[error(
         "{path}: text track larger than {limit}, a quarter of the memory limit; raise --memory-limit",
-        path = path.display(), limit = crate::limits::memory::in_words(*limit)
+        path = path.display(), limit = crate::memory::in_words(*limit)
     )]
     TextTooLarge {
         /// The input.
@@ -153,7 +153,7 @@ pub enum VideoError {
     },
     /// The options contradict one another, or one cannot be worked with.
     #[error(transparent)]
-    Option(#[from] crate::limits::OptionError),
+    Option(#[from] crate::checks::OptionError),
     /// One frame cannot be decoded.
     #[error("{path}: frame {frame} cannot be decoded: {reason}", path = path.display())]
     Frame {

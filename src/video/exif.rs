@@ -7,7 +7,7 @@ use std::path::Path;
 use ::image::metadata::Orientation;
 use exif::{DateTime, Exif, In, Tag, Value};
 
-use crate::limits::files;
+use crate::files;
 
 /// Longer side of a picture on film, to which `FocalLengthIn35mmFilm` refers, millimetres. Equivalent are focal lengths
 /// that show as much over the diagonal of a sensor as over that of a film frame, 43.27 mm. Of a sensor of 3:2, as film

@@ -13,8 +13,8 @@ use ::image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
 use super::decode::Decoder;
 use super::source::Cameras;
 use super::{Turning, VideoError, exif, jpeg};
+use crate::files;
 use crate::image::resize_rgb;
-use crate::limits::files;
 use crate::scene::{Frame, FrameId, Topic, Warning};
 
 /// Extensions that are taken for images, in lower case.

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::limits::{Checked, OptionError, within};
+use crate::checks::{Checked, OptionError, within};
 use crate::scene::{Frame, FrameId};
 
 /// A place in the source: a time or a frame.

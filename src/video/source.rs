@@ -15,8 +15,8 @@ use super::options::Selection;
 use super::survey::Survey;
 use super::{Frames, Options, VideoError, shape};
 use crate::ffi::ffmpeg::Purpose;
+use crate::files;
 use crate::image::scale_to_fit;
-use crate::limits::files;
 use crate::scene::{Frame, FrameId, TimeBase, Topic, Warning};
 
 /// Kind of input.

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::error::regular;
 use super::{VideoError, diagnosis, tracks};
 use crate::ffi::ffmpeg::{MediaFile, Packet, Stream, StreamKind, TextCoding};
-use crate::limits::memory;
+use crate::memory;
 
 /// A text and when it is to be shown.
 #[derive(Clone, Debug, PartialEq)]

@@ -7,8 +7,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use rand::Rng as _;
-use tractrix::io::model::{self, Format};
-use tractrix::io::{Sequence, bal, colmap, ground, masks, ply, tracks, trajectories};
+use tractrix::io::interchange::model::{self, Format};
+use tractrix::io::interchange::{bal, colmap, ply};
+use tractrix::io::{Sequence, ground, masks, tracks, trajectories};
 use tractrix::math::Rng;
 use tractrix::scene::{LabelMap, TriangleMesh};
 

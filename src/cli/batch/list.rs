@@ -14,7 +14,7 @@ use anyhow::Context;
 
 use super::words;
 use crate::cli::output::Failure;
-use crate::limits::files;
+use crate::files;
 
 /// Name endings of video files, in lower case.
 const VIDEOS: [&str; 18] = [

@@ -21,7 +21,7 @@ use rustix::process::{Signal, getpid, getppid, kill_process, set_parent_process_
 use super::job::JobArgs;
 use super::output::{Failure, Form};
 use super::terminal::Talk;
-use crate::limits::memory::MemoryLimit;
+use crate::memory::MemoryLimit;
 use item::Maker;
 use list::List;
 use side_by_side::Share;

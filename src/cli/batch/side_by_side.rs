@@ -19,7 +19,7 @@ use super::status::{Fate, State, counted, show_counts};
 use super::words::alone;
 use crate::cli::output::{Failure, Form};
 use crate::cli::terminal::Talk;
-use crate::limits::memory::MemoryLimit;
+use crate::memory::MemoryLimit;
 use crate::pipeline::{Ended, Identity, Standing};
 
 /// Grace period of jobs that were asked to end.

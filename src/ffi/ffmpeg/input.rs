@@ -14,7 +14,7 @@ use ffmpeg_sys_the_third as sys;
 use rustix::io::Errno;
 
 use super::FfmpegError;
-use crate::limits::files;
+use crate::files;
 
 /// Bytes that are read at once, as many as FFmpeg's own reader of files takes.
 const BUFFER_BYTES: usize = 32 << 10;

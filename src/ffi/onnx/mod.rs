@@ -11,7 +11,7 @@ mod model;
 
 use std::path::PathBuf;
 
-use crate::limits::memory::{MemoryLimit, TooMuch};
+use crate::memory::{MemoryLimit, TooMuch};
 
 pub use self::library::{MINIMUM_VERSION, RuntimeInfo, is_in_place, probe};
 pub use self::model::{Model, Tensor, TensorInfo};

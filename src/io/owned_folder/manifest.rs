@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{FolderError, InputIdentity, Place, Places, STATE, is_inside};
-use crate::limits::files;
+use crate::files;
 
 /// Its name in the state folder.
 pub(super) const MANIFEST: &str = "manifest.json";

@@ -17,9 +17,9 @@ use serde_json::{Value, json};
 use super::fingerprint;
 use super::workspace::Workspace;
 use crate::ffi::onnx;
+use crate::files;
 use crate::io::RunFolder;
-use crate::limits::files;
-use crate::perception::default_models;
+use crate::networks::default_models;
 use crate::pipeline::stages::metric;
 use crate::pipeline::{Instances, Options, PipelineError, Stage, TelemetryChoice};
 

@@ -8,7 +8,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
-use crate::limits::files;
+use crate::files;
 use crate::pipeline::{PipelineError, Stage};
 
 /// Hash of anything that can be written as JSON, and of the code: a program built from other sources has another one.

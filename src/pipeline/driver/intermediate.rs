@@ -7,14 +7,14 @@ use std::path::{Component, Path};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use crate::features::TrackTable;
+use crate::files;
 use crate::io::{IoError, atomic, is_sensible};
-use crate::limits::files;
-use crate::perception::motion::{PointTrack, TrackLabel};
+use crate::motion::{PointTrack, TrackLabel};
 use crate::pipeline::PipelineError;
 use crate::pipeline::stages::motion::Points;
 use crate::pipeline::stages::motion::followed::Followed;
 use crate::scene::{BoxDetection, Frame, Rect};
-use crate::sfm::TrackTable;
 
 /// Content of an intermediate file.
 pub(in crate::pipeline) trait Content: DeserializeOwned {
@@ -194,9 +194,9 @@ mod tests {
     use serde::Serialize;
 
     use super::*;
+    use crate::features::tracks::{Feature, View};
     use crate::math::{Rng, seeded_rng};
     use crate::scene::{Finder, FrameId, ImageId};
-    use crate::sfm::tracks::{Feature, View};
 
     fn table() -> TrackTable {
         let view = |k: u32| View {

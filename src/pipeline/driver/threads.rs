@@ -1,6 +1,6 @@
 //! Work on as many threads as the options ask for.
 
-use crate::limits::OptionError;
+use crate::checks::OptionError;
 use crate::pipeline::PipelineError;
 
 /// Does `work` on so many threads: on those of the caller's pool, unless another number is asked for.

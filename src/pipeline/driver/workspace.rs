@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 
 use super::fingerprint;
 use super::meter::Cost;
+use crate::files;
 use crate::io::{InputIdentity, IoError, OwnedFolder, RunFolder, atomic, refuse_own_input};
-use crate::limits::files;
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::ObjectId;
 

@@ -2,8 +2,9 @@ use nalgebra::Point3;
 
 use super::*;
 use crate::eval::trajectory;
+use crate::io::interchange::{colmap, openmvg};
 use crate::io::testing::{in_data, in_repository};
-use crate::io::{colmap, openmvg, trajectories};
+use crate::io::trajectories;
 use crate::math::Rigid3;
 use crate::scene::{CameraId, Image, ImageId, ObjectPose, Point3d, Point3dId, ScaleEstimate, ScaleMethod, Unit};
 

@@ -9,12 +9,12 @@ use std::path::Path;
 
 use super::order;
 use crate::camera::Camera;
-use crate::io::colmap;
+use crate::io::interchange::colmap;
+use crate::mapper::Intrinsics;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::options::{CameraOrigin, IntrinsicsSource, not_intrinsics, unknown_camera};
 use crate::pipeline::{Instances, Options, PipelineError};
 use crate::scene::{Frame, FrameId, Warning};
-use crate::sfm::Intrinsics;
 use crate::video::{PictureCamera, Source};
 
 /// A camera before the background is reconstructed, at the size of its pictures.

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::files;
 use crate::io::{IoError, masks};
-use crate::limits::files;
 use crate::pipeline::PipelineError;
 use crate::scene::{Frame, FrameId, LabelMap, Topic, Warning};
 use crate::video::Info;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 
 use crate::ffi::onnx;
-use crate::perception::{
+use crate::networks::{
     DefaultModels, Detector, GrabCut, PerceptionError, Prompter, default_descriptions, default_models, load_detector,
     load_prompter,
 };

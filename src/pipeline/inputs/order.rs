@@ -1,15 +1,17 @@
 //! Temporal order of the images, and the front end that follows from it.
 
+use crate::features;
 use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
+use crate::features::Target;
 use crate::image::gray_from_rgb;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::options::{FeatureKind, FrameOrder};
 use crate::pipeline::{Options, PipelineError};
 use crate::scene::{Frame, FrameId};
-use crate::sfm::{self, Target};
+use crate::sfm;
 use crate::video::Kind;
 
 /// Where the order is written down.
@@ -77,14 +79,14 @@ fn measured(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> {
     let ids: BTreeSet<FrameId> = firsts.iter().flat_map(|&k| [frames[k].id, frames[k + 1].id]).collect();
     let mut pictures = std::collections::BTreeMap::new();
     for (frame, picture) in run.source.frames_at(ids)?.flatten() {
-        pictures.insert(frame.id, gray_from_rgb(&picture).map_err(sfm::SfmError::from)?);
+        pictures.insert(frame.id, gray_from_rgb(&picture).map_err(crate::features::FeatureError::from)?);
     }
     let mut shares = Vec::new();
     for k in firsts {
         if let (Some(a), Some(b)) = (pictures.get(&frames[k].id), pictures.get(&frames[k + 1].id)) {
             // No video changes its size.
             let is_alike = a.dimensions() == b.dimensions();
-            shares.push(if is_alike { sfm::order::followed_share(a, b)? } else { 0.0 });
+            shares.push(if is_alike { features::order::followed_share(a, b)? } else { 0.0 });
         }
     }
     shares.sort_by(f64::total_cmp);
@@ -118,8 +120,8 @@ fn resolved(options: &Options, in_time: bool) -> (sfm::Options, sfm::Options) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sfm::FrontEndOptions;
-    use crate::sfm::sift_front_end::Pairing;
+    use crate::features::FrontEndOptions;
+    use crate::features::sift_front_end::Pairing;
 
     #[test]
     fn features_and_order_choose_the_front_end() {

@@ -1,7 +1,7 @@
 //! Switches of single mechanisms, for ablations.
 
 use super::Options;
-use crate::limits::OptionError;
+use crate::checks::OptionError;
 
 /// A mechanism that can be switched off by options.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::limits::{Checked, OptionError, within};
+use crate::checks::{Checked, OptionError, within};
 use crate::metric::{KnownLength, Measured, TimeOffset, UtcOffset};
 
 /// Which telemetry is taken.

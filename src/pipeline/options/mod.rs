@@ -23,15 +23,14 @@ pub use vehicles::{DetectorChoice, MaskChoice, MotionChoice, VehicleOptions};
 use super::PipelineError;
 use super::inputs::order::Order;
 use crate::camera::Camera;
+use crate::checks::{Checked, OptionError, under, within};
 use crate::ffi::onnx::Resources;
-use crate::io::colmap::Encoding;
-use crate::limits::memory::MemoryLimit;
-use crate::limits::{Checked, OptionError, under, within};
-use crate::perception::motion::MotionOptions;
-use crate::perception::{
-    DetectorOptions, FlowOptions, GroundOptions, PromptOptions, SegmentationOptions, TrackerOptions,
-};
+use crate::io::interchange::colmap::Encoding;
+use crate::memory::MemoryLimit;
+use crate::motion::MotionOptions;
+use crate::networks::{DetectorOptions, FlowOptions, GroundOptions, PromptOptions, SegmentationOptions};
 use crate::scene::ObjectId;
+use crate::tracking::TrackerOptions;
 use crate::{ground, sfm, trajectory, video};
 
 /// Where the vehicles' masks come from.
@@ -448,8 +447,8 @@ mod tests {
             ground_labels: GroundLabels::Masks { folder: "masks".into(), label: Some(3) },
             intrinsics: Some(IntrinsicsSource::Given(vec![800.0, 800.0, 480.0, 270.0, 0.0, 0.0])),
             only_objects: [ObjectId(1)].into(),
-            background: options.background.clone().with_sift(sfm::Target::Background),
-            objects: options.objects.clone().with_sift(sfm::Target::Object),
+            background: options.background.clone().with_sift(crate::features::Target::Background),
+            objects: options.objects.clone().with_sift(crate::features::Target::Object),
             threads: Some(2),
             ..options
         }
@@ -464,7 +463,7 @@ mod tests {
         for options in [Options::default(), full()] {
             assert!(options.check().is_ok());
             let tree = json!(options);
-            let paths = crate::limits::testing::numbers(&tree, "");
+            let paths = crate::checks::testing::numbers(&tree, "");
             assert!(paths.len() > 90, "{}", paths.len());
             for (path, value) in paths.iter().flat_map(|path| wrong.iter().map(move |value| (path, value))) {
                 let mut given = tree.clone();

@@ -131,7 +131,7 @@ mod tests {
     #[test]
     fn the_tree_is_divided_into_public_options_and_tuning() {
         let sift = |options: Options| Options {
-            objects: options.objects.clone().with_sift(crate::sfm::Target::Object),
+            objects: options.objects.clone().with_sift(crate::features::Target::Object),
             ..options
         };
         for options in [Options::default(), sift(Options::default())] {

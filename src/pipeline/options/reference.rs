@@ -5,7 +5,8 @@ use serde_json::{Value, json};
 use super::Options;
 use super::public::{is_public, spelled};
 use super::schema::{self, Node, join};
-use crate::sfm::{self, FrontEndOptions, Target};
+use crate::features::{FrontEndOptions, Target};
+use crate::sfm;
 
 /// An option.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -9,8 +9,9 @@ use serde_json::{Map, Value, json};
 use super::Options;
 use super::public::{TUNING, in_tree, spelled};
 use super::schema::{self, Node, join};
-use crate::limits::{Checked, OptionError};
-use crate::sfm::{self, Target};
+use crate::checks::{Checked, OptionError};
+use crate::features::Target;
+use crate::sfm;
 
 impl Options {
     /// These options with those that a tree of JSON gives instead: public ones, and others below `tuning`. Every option
@@ -196,8 +197,8 @@ fn meant(path: &str, name: &str, names: &[&str]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sfm::FrontEndOptions;
-    use crate::sfm::sift_front_end::SiftOptions;
+    use crate::features::FrontEndOptions;
+    use crate::features::sift_front_end::SiftOptions;
 
     fn laid(given: Value) -> Result<Options, OptionError> {
         Options::default().with_tree(&given)

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::limits::{Checked, within};
+use crate::checks::{Checked, within};
 
 /// The detector.
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
@@ -112,7 +112,7 @@ impl VehicleOptions {
     /// Rejects what cannot be worked with.
     ///
     /// # Errors
-    /// [`OptionError`](crate::limits::OptionError) names the option.
+    /// [`OptionError`](crate::checks::OptionError) names the option.
     pub fn check(&self) -> Checked {
         self.segment_every.map_or(Ok(()), |every| within("segment_every", every, 1..=1000))
     }

@@ -6,11 +6,11 @@ use serde_json::{Value, json};
 
 use super::features::{self, TrackStore};
 use super::track;
+use crate::features::{FrontEnd, TrackTable};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{cameras, images, order};
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::ObjectId;
-use crate::sfm::{FrontEnd, TrackTable};
 
 pub(in crate::pipeline) const PREFIX: &str = "follow-";
 

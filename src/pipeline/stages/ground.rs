@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use super::{background, objects};
 use crate::ground::{BodyShape, DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount, label_points};
 use crate::io::{RunFolder, masks};
-use crate::perception::{GroundSegmenter, load_ground_segmenter};
+use crate::networks::{GroundSegmenter, load_ground_segmenter};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_masks::MaskFolder;

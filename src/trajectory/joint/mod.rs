@@ -27,7 +27,7 @@ use self::precision::{median_error_px, point_covariances, set_errors, uncertain_
 use self::surface::draw_onto_surface;
 use super::mirror::{mean_normal, mirrored};
 use super::{Body, Contact, ContactOptions, Options, ScaleError, Silhouette, Views, object_center};
-use crate::limits::{Checked, OptionError, under, within};
+use crate::checks::{Checked, OptionError, under, within};
 use crate::math::median;
 use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction, ScaleShares};
 
@@ -116,7 +116,7 @@ impl JointOptions {
     /// Rejects what cannot be worked with.
     ///
     /// # Errors
-    /// [`OptionError`](crate::limits::OptionError) names the option.
+    /// [`OptionError`](crate::checks::OptionError) names the option.
     pub fn check(&self) -> Checked {
         let [least, most] = self.sigma_distance;
         if !(least > 0.0 && least <= most && most <= 1.0) {

@@ -185,7 +185,7 @@ fn options_that_pass_the_check_do_no_harm() {
     let silhouettes = silhouettes(&world);
     let description = ObjectDescription { id: ObjectId(1), class: "car".to_owned(), confidence: 1.0 };
     let mut num_passed = 0;
-    for (changed, options) in crate::limits::testing::variations(&crate::trajectory::Options::default()) {
+    for (changed, options) in crate::checks::testing::variations(&crate::trajectory::Options::default()) {
         if options.check().is_err() {
             continue;
         }

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use super::cameras;
 use crate::io::RunFolder;
-use crate::io::model::{self, Format};
+use crate::io::interchange::model::{self, Format};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::Run;
@@ -149,7 +149,8 @@ mod tests {
     }
 
     fn golden() -> (Reconstruction, Vec<Frame>, (u32, u32)) {
-        let mut model = crate::io::colmap::read(&in_repository("tests/golden/models/colmap_text")).unwrap();
+        let mut model =
+            crate::io::interchange::colmap::read(&in_repository("tests/golden/models/colmap_text")).unwrap();
         // Frames have one size; the golden model has two cameras.
         let first = *model.cameras.values().next().unwrap();
         model.cameras.values_mut().for_each(|camera| *camera = camera.resized(first.width, first.height));

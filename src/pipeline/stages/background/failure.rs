@@ -2,11 +2,11 @@
 
 use std::collections::BTreeSet;
 
+use crate::features::FeatureError;
 use crate::image::{GrayImage, gray_from_rgb};
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::features::masking::Masking;
 use crate::pipeline::{Instances, PipelineError};
-use crate::sfm::SfmError;
 
 /// Frames that are examined, evenly over the input.
 const NUM_EXAMINED: usize = 5;
@@ -40,7 +40,7 @@ pub(in crate::pipeline) fn reasons(run: &Run) -> Result<String, PipelineError> {
     let masking = Masking::new(run)?;
     let mut found = Vec::new();
     for (frame, image) in run.source.frames_at(ids)?.flatten() {
-        let gray = gray_from_rgb(&image).map_err(SfmError::from)?;
+        let gray = gray_from_rgb(&image).map_err(FeatureError::from)?;
         let background = masking.background(&frame, image.dimensions())?;
         let num_pixels = f64::from(image.width()) * f64::from(image.height());
         let masked = 1.0 - background.area_px2() as f64 / num_pixels.max(1.0);

@@ -13,7 +13,9 @@ use serde_json::{Value, json};
 use super::features;
 use crate::bundle;
 use crate::camera::Camera;
-use crate::io::colmap;
+use crate::io::interchange::colmap;
+use crate::mapper::Remark;
+use crate::mapper::{self, Beside};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::threads::on_threads;
@@ -21,8 +23,6 @@ use crate::pipeline::inputs::given_models::{self, Target};
 use crate::pipeline::inputs::{cameras, order};
 use crate::pipeline::options::ModelFiles;
 use crate::scene::{CameraId, FocalChange, FrameId, Reconstruction, Topic, Warning};
-use crate::sfm::mapper::Remark;
-use crate::sfm::{self, Beside, mapper};
 
 /// Report on a model.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -189,10 +189,10 @@ pub(in crate::pipeline) fn background_work(run: &Run) -> Result<Outcome, Pipelin
 /// Changes of the focal length in a video's background.
 fn focal_changes(run: &Run, model: &Reconstruction, is_given: bool) -> Result<Vec<FocalChange>, PipelineError> {
     let known = match is_given {
-        true => sfm::Intrinsics::Fixed,
+        true => mapper::Intrinsics::Fixed,
         false => cameras::first(run)?.known(),
     };
-    on_threads(run.options.threads, || sfm::focal_changes(model, known))
+    on_threads(run.options.threads, || crate::mapper::focal_changes(model, known))
 }
 
 fn warning_of(change: &FocalChange) -> Warning {
@@ -252,22 +252,22 @@ pub(in crate::pipeline) fn focal_deviation(run: &Run) -> Result<Option<f64>, Pip
 /// finished share.
 pub(in crate::pipeline) fn reconstruct(
     run: &Run,
-    mut table: sfm::TrackTable,
-    cameras: &[(Camera, sfm::Intrinsics)],
+    mut table: crate::features::TrackTable,
+    cameras: &[(Camera, mapper::Intrinsics)],
     options: &mapper::Options,
     beside: Beside<'_>,
     watch: &mut (dyn FnMut(f64) + Send),
 ) -> Result<(Reconstruction, ModelReport), PipelineError> {
     let (threads, seed) = (run.options.threads, run.options.seed);
-    let (cameras, known): (Vec<Camera>, Vec<sfm::Intrinsics>) = cameras.iter().copied().unzip();
+    let (cameras, known): (Vec<Camera>, Vec<mapper::Intrinsics>) = cameras.iter().copied().unzip();
     if let Some(view) = table.views.iter().find(|view| view.camera >= cameras.len()) {
-        return Err(sfm::SfmError::NoCamera { camera: view.camera, count: cameras.len() }.into());
+        return Err(crate::mapper::MapperError::NoCamera { camera: view.camera, count: cameras.len() }.into());
     }
     let (mut model, report) = on_threads(threads, || {
         // Only videos have long tracks, and one camera.
-        let of_video = known.first().copied().unwrap_or(sfm::Intrinsics::Refined);
-        sfm::cut_long_tracks(&mut table, &cameras, of_video, options, seed);
-        sfm::reconstruct_consuming(table, &cameras, known, options, seed, beside, watch)
+        let of_video = known.first().copied().unwrap_or(mapper::Intrinsics::Refined);
+        mapper::cut_long_tracks(&mut table, &cameras, of_video, options, seed);
+        mapper::reconstruct_consuming(table, &cameras, known, options, seed, beside, watch)
     })??;
     if model.is_empty() {
         // Even an empty model says which cameras it would have had.

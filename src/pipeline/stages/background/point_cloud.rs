@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use nalgebra::Point3;
 
-use crate::io::ply;
+use crate::io::interchange::ply;
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::Run;
 use crate::scene::{ObjectTrajectory, Reconstruction};

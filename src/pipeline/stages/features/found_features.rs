@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use super::{BACKGROUND, PREFIX, TrackStore};
-use crate::io::database::{Features, View};
+use crate::features::TrackTable;
+use crate::features::tracks::{self, Feature};
+use crate::io::interchange::database::{Features, View};
 use crate::io::{IoError, RunFolder};
 use crate::pipeline::PipelineError;
 use crate::scene::{CameraId, TrackElement};
-use crate::sfm::TrackTable;
-use crate::sfm::tracks::{self, Feature};
 
 /// The features of the background's frames and what tracks they belong to; `None` if the folder has none: it is no
 /// output folder, or its background was given.

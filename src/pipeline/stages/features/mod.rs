@@ -9,13 +9,13 @@ use std::path::PathBuf;
 use serde_json::{Value, json};
 
 use super::motion::followed::{self, Follower};
+use crate::features::{FrontEnd, TrackTable};
 use crate::image::RgbImage;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::inputs::{cameras, images, order};
 use crate::pipeline::{Instances, PipelineError, Stage};
 use crate::scene::{Frame, Topic};
-use crate::sfm::{FrontEnd, TrackTable};
 use crate::video::VideoError;
 use masking::Masking;
 use thumbnails::Keeper;

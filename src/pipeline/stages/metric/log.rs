@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::limits::memory::MemoryLimit;
+use crate::memory::MemoryLimit;
 use crate::pipeline::TelemetryChoice;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::scene::Topic;

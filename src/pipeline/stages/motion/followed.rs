@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::image::{RgbImage, gray_from_rgb};
-use crate::perception::PerceptionError;
-use crate::perception::motion::{PointFollower, PointTrack};
+use crate::motion::{PointFollower, PointTrack};
+use crate::networks::PerceptionError;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::inputs::{images, order};

@@ -17,7 +17,7 @@ use super::background;
 use super::segment::detections::FrameFolder;
 use super::track::stationary_boxes;
 use crate::ground::dominant_plane_points;
-use crate::perception::motion::{GroundModel, Mover, PointTrack, Surroundings, TrackLabel, View, classify, movers};
+use crate::motion::{GroundModel, Mover, PointTrack, Surroundings, TrackLabel, View, classify, movers};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::{Instances, MotionChoice, PipelineError, Stage};

@@ -11,12 +11,12 @@ use nalgebra::Point2;
 
 use super::super::ground::body_shape;
 use crate::camera::Camera;
+use crate::features::tracks::{TrackTable, View};
 use crate::ground::{DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount};
+use crate::mapper::KnownPoses;
 use crate::math::{Rigid3, median};
 use crate::pipeline::driver::run::Run;
 use crate::scene::{FrameId, Image, ObjectId, Observation, Point3dId, Reconstruction};
-use crate::sfm::KnownPoses;
-use crate::sfm::tracks::{TrackTable, View};
 use crate::trajectory::{Sight, standing};
 
 /// By what share of its extent the middle of what is seen of an object may lie next to its middle.

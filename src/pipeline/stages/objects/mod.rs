@@ -7,6 +7,7 @@
 
 mod footing;
 
+use crate::mapper;
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
@@ -16,14 +17,14 @@ use super::background::{self, ModelReport};
 use super::track;
 use super::{follow, ground};
 use crate::camera::Camera;
-use crate::io::colmap;
+use crate::io::interchange::colmap;
+use crate::mapper::Beside;
+use crate::mapper::silhouette::{SilhouetteOptions, SilhouetteVotes, Silhouettes};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_models::{self, Target};
 use crate::pipeline::inputs::order;
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{BoundingBox, Frame, Image, ImageId, Mask, ObjectId, Reconstruction, Topic, TrackedObject};
-use crate::sfm::silhouette::{SilhouetteOptions, SilhouetteVotes, Silhouettes};
-use crate::sfm::{self, Beside};
 use footing::Footing;
 
 const REPORTS: &str = "objects-report.json";
@@ -188,7 +189,7 @@ fn one_object(
             let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
             let silhouettes = table.has_gaps().then(|| silhouettes(run, object, tracked)).transpose()?;
-            let cameras = [(camera, sfm::Intrinsics::Fixed)];
+            let cameras = [(camera, mapper::Intrinsics::Fixed)];
             let poses = place.footing.poses(id, &table, &camera, options.weak_perspective_px);
             let beside = Beside { silhouettes: silhouettes.as_ref(), poses: poses.as_ref() };
             background::reconstruct(run, table, &cameras, &options, beside, watch)?

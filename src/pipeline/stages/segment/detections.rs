@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::files;
 use crate::io::{IoError, atomic};
-use crate::limits::files;
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::intermediate::{self, Content, damaged};
 use crate::scene::{Detection, Frame, FrameId, Mask};

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use crate::perception::{Segmenter, load_segmenter};
+use crate::networks::{Segmenter, load_segmenter};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;

@@ -11,11 +11,12 @@ use ::image::RgbImage;
 
 use super::found::{Finds, Followed};
 use crate::io::{RunFolder, masks};
-use crate::perception::{BackwardTracker, Correction, Evidence, Extension, FlowEstimator, TrackSummary, TrackedMask};
+use crate::networks::FlowEstimator;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{Frame, FrameId, ObjectId, TrackedObject};
+use crate::tracking::{BackwardTracker, Correction, Evidence, Extension, TrackSummary, TrackedMask};
 
 /// Bytes of pictures that a window may hold.
 const WINDOW_BYTES: usize = 160 << 20;

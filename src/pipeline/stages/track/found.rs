@@ -8,9 +8,7 @@ use ::image::RgbImage;
 use super::kept::{Kept, Pass};
 use super::stationary_boxes;
 use crate::io::{IoError, RunFolder, masks};
-use crate::perception::{
-    Correction, FoundBox, Look, LookedBy, PassedOver, Prompter, TrackSummary, TrackedMask, Tracker,
-};
+use crate::networks::Prompter;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
 use crate::pipeline::inputs::networks::Networks;
@@ -19,6 +17,7 @@ use crate::pipeline::stages::segment::schedule::Rhythm;
 use crate::pipeline::stages::{motion, segment};
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{BoxDetection, Frame, FrameId, ObjectId, Topic, TrackedObject};
+use crate::tracking::{Correction, FoundBox, Look, LookedBy, PassedOver, TrackSummary, TrackedMask, Tracker};
 
 /// Where what was found in the frames comes from.
 pub(super) enum Finds {

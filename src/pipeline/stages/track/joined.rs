@@ -11,15 +11,15 @@ use std::path::Path;
 
 use super::found::Followed;
 use super::places::{Course, Ground, Side, Spot, course, near};
+use crate::features::matching::{MatchOptions, match_features};
+use crate::features::rootsift::{FeatureOptions, Features, extract};
 use crate::io::{IoError, RunFolder, masks};
-use crate::perception::joining::{Colours, Joints, Pair, Span, agreeing, join, may_be_one};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{images, order};
 use crate::pipeline::stages::motion;
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{Apart, Frame, FrameId, Gap, Mask, ObjectId, Sameness};
-use crate::sfm::features::{FeatureOptions, Features, extract};
-use crate::sfm::matching::{MatchOptions, match_features};
+use crate::tracking::joining::{Colours, Joints, Pair, Span, agreeing, join, may_be_one};
 
 /// Seconds for which an object may be away.
 const MAX_GAP_S: f64 = 10.0;

@@ -9,7 +9,7 @@ use ::image::RgbImage;
 use serde::{Deserialize, Serialize};
 
 use crate::io::atomic;
-use crate::perception::{PerceptionError, Prompted, Prompter};
+use crate::networks::{PerceptionError, Prompted, Prompter};
 use crate::pipeline::driver::intermediate::{self, Content};
 use crate::pipeline::stages::segment::detections::{mask_of_runs, runs_of_mask};
 use crate::scene::{FrameId, Rect};

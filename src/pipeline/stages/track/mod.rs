@@ -17,13 +17,14 @@ use serde_json::{Value, json};
 use self::found::{Finds, Followed};
 use super::segment::schedule::Rhythm;
 use crate::io::{RunFolder, masks};
-use crate::perception::{FlowEstimator, Sighted, TrackSummary, load_flow, support};
+use crate::networks::{FlowEstimator, load_flow};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::networks::Networks;
 use crate::pipeline::inputs::order;
 use crate::pipeline::{Instances, PipelineError};
 use crate::scene::{Frame, Mask, Movement, ObjectId, Topic, TrackedObject};
+use crate::tracking::{Sighted, TrackSummary, support};
 
 /// Where masks that were asked for are kept while the stage is at work.
 pub(in crate::pipeline) const ANSWERS: &str = "answers-";

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::perception::Sighted;
-use crate::perception::motion::{Foot, Judgement, MovementReason, PointOnObject, StaticPoint, judge};
+use crate::motion::{Foot, Judgement, MovementReason, PointOnObject, StaticPoint, judge};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::motion::{self, Points, World};
 use crate::scene::{FoundIn, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, TrackedObject};
+use crate::tracking::Sighted;
 
 /// Finding where nothing was examined.
 pub(super) fn unknown() -> MovementFinding {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Point3;
 
-use crate::perception::motion::View;
+use crate::motion::View;
 use crate::pipeline::stages::motion::World;
 use crate::scene::{BoundingBox, FrameId, Mask};
 

@@ -5,14 +5,14 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::perception::FoundBox;
-use crate::perception::motion::{PointTrack, TrackLabel, shows_standing};
+use crate::motion::{PointTrack, TrackLabel, shows_standing};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::intermediate::{self, Content};
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::segment::detections::FrameFolder;
 use crate::pipeline::stages::{motion, segment};
 use crate::scene::{Frame, FrameId, Rect};
+use crate::tracking::FoundBox;
 
 /// Where it is kept, in the folder of the stage `motion`.
 const FOLDER: &str = "standing";

@@ -1,0 +1,123 @@
+//! Points followed through frames that are larger than those which the options are made for.
+//!
+//! What moves by so many pixels in a frame of 1280 moves by three times as many in one of 3840. Each doubling of the
+//! longer side beyond 1280 pixels adds a level to the pyramid, so that the same motion is followed. Beyond 1920 pixels
+//! the patch of a point would show little more than noise and blur, and pictures cost the square of their side: larger
+//! frames are reduced to 1920, and positions are given in pixels of the frame. A target whose first mask fits in 1920
+//! pixels is small, and keeps its detail.
+
+use super::tracks::TrackTable;
+use super::video_front_end::{VideoFrontEnd, VideoOptions};
+use crate::camera::Camera;
+use crate::features::FeatureError;
+use crate::image::{RgbImage, resize_rgb, scale_to_fit};
+use crate::scene::{Frame, Mask};
+
+/// Longer side from which on the pyramid grows.
+const USUAL_SIDE_PX: u32 = 1280;
+/// Longer side of what points are followed in, at the most.
+const MAX_SIDE_PX: u32 = 1920;
+
+/// A [`VideoFrontEnd`] for frames of any size.
+pub struct AnySizeFrontEnd {
+    options: VideoOptions,
+    camera: Camera,
+    at_work: Option<(Box<VideoFrontEnd>, Reduction)>,
+}
+
+/// Reduction of large frames.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Reduction {
+    None,
+    ToMaxSide,
+}
+
+impl AnySizeFrontEnd {
+    /// Nothing seen yet. `camera`, of whole frames, serves to verify points that are found again; a guess will do.
+    pub fn new(options: VideoOptions, camera: Camera) -> Self {
+        Self { options, camera, at_work: None }
+    }
+
+    /// Adds the next frame, looking only where the mask, of the frame's size, is set.
+    ///
+    /// # Errors
+    /// [`FeatureError::OpenCv`] if OpenCV fails.
+    pub fn push(&mut self, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), FeatureError> {
+        let (options, camera) = (&self.options, &self.camera);
+        let (front_end, reduction) = self.at_work.get_or_insert_with(|| begin(options, camera, image, mask));
+        if *reduction == Reduction::None {
+            return front_end.push(frame, image, mask);
+        }
+        let (width, height) = scale_to_fit(image.width(), image.height(), MAX_SIDE_PX);
+        let scale = scale(image.dimensions(), (width, height));
+        front_end.push(frame, &resize_rgb(image, width, height)?, &reduced(mask, width, height))?;
+        front_end.enlarge_last(scale);
+        Ok(())
+    }
+
+    /// The tracks.
+    pub fn finish(self) -> TrackTable {
+        self.at_work.map_or_else(TrackTable::default, |(front_end, _)| front_end.finish())
+    }
+}
+
+fn begin(options: &VideoOptions, camera: &Camera, image: &RgbImage, mask: &Mask) -> (Box<VideoFrontEnd>, Reduction) {
+    let extent = mask.bounding_box().map_or(0, |b| b.width().max(b.height()));
+    let reduction = if extent > MAX_SIDE_PX { Reduction::ToMaxSide } else { Reduction::None };
+    let side = image.width().max(image.height());
+    let side = if reduction == Reduction::ToMaxSide { side.min(MAX_SIDE_PX) } else { side };
+    let more = (f64::from(side) / f64::from(USUAL_SIDE_PX)).log2().ceil().max(0.0) as i32;
+    let options = VideoOptions { pyramid_levels: options.pyramid_levels + more, ..options.clone() };
+    let camera = match reduction {
+        Reduction::None => *camera,
+        Reduction::ToMaxSide => {
+            let (width, height) = scale_to_fit(image.width(), image.height(), MAX_SIDE_PX);
+            camera.resized(width, height)
+        }
+    };
+    (Box::new(VideoFrontEnd::new(options, camera)), reduction)
+}
+
+/// Frame pixels per reduced pixel, across and down.
+fn scale(full: (u32, u32), reduced: (u32, u32)) -> [f64; 2] {
+    [f64::from(full.0) / f64::from(reduced.0), f64::from(full.1) / f64::from(reduced.1)]
+}
+
+/// A mask at a smaller size: set where the pixel in the middle is.
+fn reduced(mask: &Mask, width: u32, height: u32) -> Mask {
+    let [across, down] = scale((mask.width(), mask.height()), (width, height));
+    Mask::from_fn(width, height, |x, y| mask.contains((f64::from(x) + 0.5) * across, (f64::from(y) + 0.5) * down))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::seeded_rng;
+    use crate::scene::FrameId;
+    use rand::Rng as _;
+
+    #[test]
+    fn positions_are_those_of_the_whole_frame() {
+        const STEP_PX: u32 = 24;
+        let mut rng = seeded_rng(1, 0);
+        let coarse = RgbImage::from_fn(200, 10, |_, _| ::image::Rgb([rng.random(); 3]));
+        let whole = ::image::imageops::resize(&coarse, 4000, 200, ::image::imageops::FilterType::CatmullRom);
+        let options = VideoOptions { min_track_length: 3, ..VideoOptions::background() };
+        let mut front_end = AnySizeFrontEnd::new(options, Camera::prior(3840, 200));
+        for k in 0..3 {
+            let picture = ::image::imageops::crop_imm(&whole, STEP_PX * k, 0, 3840, 200).to_image();
+            let frame = Frame { id: FrameId(k), name: format!("{k}.png"), time_s: f64::from(k) };
+            front_end.push(&frame, &picture, &Mask::full(3840, 200)).unwrap();
+        }
+        let table = front_end.finish();
+        assert!(table.tracks.len() > 50, "{}", table.tracks.len());
+        let mut errors: Vec<f64> = table
+            .tracks
+            .iter()
+            .map(|track| (table.pixel(track[0]).x - table.pixel(track[2]).x - f64::from(2 * STEP_PX)).abs())
+            .collect();
+        errors.sort_by(f64::total_cmp);
+        assert!(errors[errors.len() / 2] < 0.2, "{errors:?}");
+        assert!(table.views[0].pixels.iter().any(|p| p.x > 3000.0));
+    }
+}

@@ -1,0 +1,277 @@
+//! From frames to tracks by SIFT: features in every frame, matches between frames near in time, verified by geometry.
+
+use std::collections::BTreeSet;
+
+use nalgebra::Vector2;
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::Target;
+use super::matching::{MatchOptions, match_features};
+use super::refinement::{self, Pyramid};
+use super::rootsift::{FeatureOptions, Features, extract};
+use super::tracks::{PairMatches, TrackTable, View, tracks_from_matches};
+use crate::camera::Camera;
+use crate::checks::{Checked, under, within};
+use crate::features::FeatureError;
+use crate::geometry::two_view::{self, Correspondences};
+use crate::image::{GrayImage, RgbImage, gray_from_rgb};
+use crate::math::seeded_rng;
+use crate::scene::{Frame, Mask};
+
+/// Which pairs of views are matched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Pairing {
+    /// Each with the next ones, and with those 2, 4, 8, … beyond: for frames of a video.
+    Sequential {
+        /// Number of following frames.
+        #[schemars(extend("unit" = "views"))]
+        window: usize,
+    },
+    /// All with all: for photographs in no order. The cost grows with the square of their number.
+    Exhaustive,
+}
+
+/// Options of the SIFT front end.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SiftOptions {
+    /// Features of a frame.
+    pub features: FeatureOptions,
+    /// When two features match.
+    pub matching: MatchOptions,
+    /// Which views are matched.
+    pub pairing: Pairing,
+    /// Distance from the epipolar line up to which a match counts as verified.
+    pub max_epipolar_error_px: f64,
+    /// Fewest verified matches of a pair that counts: fewer agree by chance.
+    #[schemars(extend("unit" = "matches"))]
+    pub min_pair_matches: usize,
+    /// Largest number of pixels of all images together up to which positions are refined by comparing pictures;
+    /// the pictures are kept for that. 0 leaves the positions as they were found.
+    #[schemars(extend("unit" = "million pixels"))]
+    pub max_refined_mpx: f64,
+    /// Shortest track that is kept, where there are as many views.
+    #[schemars(extend("unit" = "views"))]
+    pub min_track_length: usize,
+}
+
+impl SiftOptions {
+    /// For a target.
+    pub fn of(target: Target) -> Self {
+        match target {
+            Target::Background => Self::background(),
+            Target::Object => Self::object(),
+        }
+    }
+
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::checks::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        under("features", self.features.check())?;
+        under("matching", self.matching.check())?;
+        if let Pairing::Sequential { window } = self.pairing {
+            within("pairing.sequential.window", window, 1..=10_000)?;
+        }
+        within("max_epipolar_error_px", self.max_epipolar_error_px, 0.01..=1000.0)?;
+        within("min_pair_matches", self.min_pair_matches, 5..=60_000)?;
+        within("max_refined_mpx", self.max_refined_mpx, 0.0..=100_000.0)?;
+        within("min_track_length", self.min_track_length, 2..=1_000_000)
+    }
+
+    /// For the background of a video.
+    pub fn background() -> Self {
+        Self {
+            features: FeatureOptions::background(),
+            matching: MatchOptions::default(),
+            pairing: Pairing::Sequential { window: 5 },
+            max_epipolar_error_px: 3.0,
+            min_pair_matches: 15,
+            max_refined_mpx: 400.0,
+            min_track_length: 3,
+        }
+    }
+
+    /// For one object of a video.
+    pub fn object() -> Self {
+        Self {
+            features: FeatureOptions::object(),
+            pairing: Pairing::Sequential { window: 8 },
+            max_epipolar_error_px: 2.0,
+            min_pair_matches: 8,
+            ..Self::background()
+        }
+    }
+}
+
+/// Collects features frame by frame.
+pub struct SiftFrontEnd {
+    options: SiftOptions,
+    cameras: Vec<Camera>,
+    views: Vec<View>,
+    features: Vec<Features>,
+    waiting: Vec<Waiting>,
+    /// Grey pictures for refinement, as long as they are not too many.
+    pictures: Vec<GrayImage>,
+    num_pixels: f64,
+}
+
+/// A frame whose features are still to be found.
+struct Waiting {
+    frame: Frame,
+    camera: usize,
+    image: RgbImage,
+    mask: Mask,
+}
+
+impl SiftFrontEnd {
+    /// `cameras` serve to verify matches; guesses will do.
+    pub fn new(options: SiftOptions, cameras: Vec<Camera>) -> Self {
+        Self {
+            options,
+            cameras,
+            views: Vec::new(),
+            features: Vec::new(),
+            waiting: Vec::new(),
+            pictures: Vec::new(),
+            num_pixels: 0.0,
+        }
+    }
+
+    /// Number of cameras of the frames.
+    pub fn num_cameras(&self) -> usize {
+        self.cameras.len()
+    }
+
+    /// Adds a frame of one of the cameras, looking only where the mask is set.
+    ///
+    /// # Errors
+    /// [`FeatureError::OpenCv`] if OpenCV fails, on this frame or on one before it: as many frames are worked on at a time
+    /// as there are threads.
+    pub fn push(&mut self, frame: &Frame, camera: usize, image: &RgbImage, mask: &Mask) -> Result<(), FeatureError> {
+        self.waiting.push(Waiting { frame: frame.clone(), camera, image: image.clone(), mask: mask.clone() });
+        if self.waiting.len() < rayon::current_num_threads() { Ok(()) } else { self.work_off() }
+    }
+
+    fn work_off(&mut self) -> Result<(), FeatureError> {
+        let waiting = std::mem::take(&mut self.waiting);
+        let found: Result<Vec<Features>, FeatureError> =
+            waiting.par_iter().map(|w| extract(&w.image, &w.mask, &self.options.features)).collect();
+        for (Waiting { frame, camera, image, .. }, mut features) in waiting.into_iter().zip(found?) {
+            self.keep_picture(&image)?;
+            self.views.push(View {
+                image: frame.id.into(),
+                name: frame.name,
+                camera,
+                pixels: features.pixels.clone(),
+                rgb: std::mem::take(&mut features.rgb),
+                whitening: Vec::new(),
+            });
+            self.features.push(features);
+        }
+        Ok(())
+    }
+
+    fn keep_picture(&mut self, image: &RgbImage) -> Result<(), FeatureError> {
+        self.num_pixels += f64::from(image.width()) * f64::from(image.height());
+        if self.num_pixels > 1e6 * self.options.max_refined_mpx {
+            self.pictures.clear();
+        } else {
+            self.pictures.push(gray_from_rgb(image)?);
+        }
+        Ok(())
+    }
+
+    /// Matches, verifies and joins to tracks.
+    ///
+    /// # Errors
+    /// As [`SiftFrontEnd::push`].
+    pub fn finish(mut self, seed: u64) -> Result<TrackTable, FeatureError> {
+        self.work_off()?;
+        let normalized: Vec<Vec<Vector2<f64>>> = self
+            .features
+            .par_iter()
+            .enumerate()
+            .map(|(v, f)| f.pixels.iter().map(|&p| self.camera_of(v).normalized_from_pixel(p)).collect())
+            .collect();
+        let pairs: Vec<PairMatches> = pairs_of(self.features.len(), self.options.pairing)
+            .into_par_iter()
+            .filter_map(|views| self.verified(views, &normalized, seed))
+            .collect();
+        let counts: Vec<usize> = self.features.iter().map(Features::len).collect();
+        let num_seen = counts.iter().filter(|&&n| n > 0).count();
+        let min_length = self.options.min_track_length.min(num_seen);
+        let mut table = TrackTable { tracks: tracks_from_matches(&counts, &pairs, min_length), views: self.views };
+        if self.pictures.len() == table.views.len() {
+            let pyramids: Result<Vec<Pyramid>, FeatureError> =
+                self.pictures.into_par_iter().map(Pyramid::new).collect();
+            let shapes: Vec<_> = self.features.into_iter().map(|f| f.shapes).collect();
+            let moved = refinement::refine(&mut table, &shapes, &pyramids?);
+            tracing::debug!("{moved} of {} positions refined", table.num_observations());
+        }
+        Ok(table)
+    }
+
+    fn camera_of(&self, view: usize) -> &Camera {
+        &self.cameras[self.views[view].camera]
+    }
+
+    fn cameras_differ(&self, [first, second]: [usize; 2]) -> bool {
+        self.views[first].camera != self.views[second].camera
+    }
+
+    fn verified(&self, views: [usize; 2], normalized: &[Vec<Vector2<f64>>], seed: u64) -> Option<PairMatches> {
+        let matches = match_features(&self.features[views[0]], &self.features[views[1]], &self.options.matching);
+        if matches.len() < self.options.min_pair_matches {
+            return None;
+        }
+        let side = |s: usize| matches.iter().map(|m| normalized[views[s]][m[s] as usize]).collect::<Vec<_>>();
+        let (first, second) = (side(0), side(1));
+        let pairs = Correspondences { first: &first, second: &second };
+        let stream = (views[0] as u64) << 32 | views[1] as u64;
+        let focal = views.map(|v| self.camera_of(v).mean_focal());
+        let max_error = self.options.max_epipolar_error_px / (focal[0] * focal[1]).sqrt();
+        let inliers = match self.cameras_differ(views) {
+            true => two_view::verify_of_two_cameras(&pairs, max_error, &mut seeded_rng(seed, stream)),
+            false => two_view::verify(&pairs, max_error, &mut seeded_rng(seed, stream)),
+        };
+        (inliers.len() >= self.options.min_pair_matches).then(|| PairMatches {
+            views: views.map(|v| v as u32),
+            matches: inliers.into_iter().map(|i| matches[i]).collect(),
+        })
+    }
+}
+
+/// The pairs to match, ascending.
+fn pairs_of(n: usize, pairing: Pairing) -> Vec<[usize; 2]> {
+    let mut pairs = BTreeSet::new();
+    match pairing {
+        Pairing::Exhaustive => (0..n).for_each(|i| pairs.extend((i + 1..n).map(|j| [i, j]))),
+        Pairing::Sequential { window } => {
+            for i in 0..n {
+                pairs.extend((i + 1..=i + window).filter(|&j| j < n).map(|j| [i, j]));
+                let powers = (1..).map(|k| i + window + (1 << k)).take_while(|&j| j < n);
+                pairs.extend(powers.map(|j| [i, j]));
+            }
+        }
+    }
+    pairs.into_iter().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pairs_reach_near_and_far() {
+        let pairs = pairs_of(20, Pairing::Sequential { window: 2 });
+        assert!(pairs.contains(&[0, 1]) && pairs.contains(&[0, 2]) && pairs.contains(&[0, 4]));
+        assert!(pairs.contains(&[0, 18]) && !pairs.contains(&[0, 3]));
+        assert_eq!(pairs_of(5, Pairing::Exhaustive).len(), 10);
+        assert!(pairs_of(1, Pairing::Exhaustive).is_empty());
+    }
+}

@@ -1,0 +1,292 @@
+//! From the frames of a video to tracks: points are followed from frame to frame, and each is measured against its
+//! first sight.
+//!
+//! A point is found where both eigenvalues of the structure tensor are large (J. Shi, C. Tomasi, *Good Features to
+//! Track*, CVPR 1994), predicted in the next frame by pyramidal Lucas-Kanade with a forward-backward check
+//! (`following`), and then aligned with the patch that was cut when it was found ([`super::patch`]), which
+//! keeps long tracks from drifting. A point that Lucas-Kanade loses is looked for again where its neighbours'
+//! motion leads. Every position comes with how exactly the patch fixes it ([`Whitening`](crate::bundle::Whitening)).
+//!
+//! What was lost for longer, behind something else or out of the picture, is found again by appearance (`memory`,
+//! `bridge`).
+
+mod bridge;
+mod corners;
+mod following;
+mod key_view;
+mod live;
+mod looks;
+mod memory;
+mod reach;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::{Matrix2, Point2, Vector2};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::Target;
+use super::matching::MatchOptions;
+use super::patch::{Patch, Warp};
+use super::tracks::{Feature, Track, TrackTable, View};
+use crate::camera::Camera;
+use crate::checks::{Checked, under, within};
+use crate::features::FeatureError;
+use crate::image::{CornerStrength, GrayImage, Pyramid, RgbImage, gray_from_rgb};
+use crate::scene::{BoundingBox, Frame, Mask};
+use live::{Live, whitening};
+use memory::Memory;
+use reach::{Extent, Reach};
+
+/// Where a point that was followed before is looked for first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum FirstLook {
+    /// Where its last step leads, in the finest pictures; through the whole pyramid if it is not there.
+    Predicted,
+    /// Where it was, through the whole pyramid.
+    Pyramid,
+}
+
+/// Options of the video front end.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct VideoOptions {
+    /// Points followed at a time, at the most: more make poses surer and everything slower.
+    #[schemars(extend("unit" = "points"))]
+    pub max_points: usize,
+    /// Smallest distance of a new point to any other: spreads the points over the picture.
+    pub min_distance_px: f64,
+    /// Smallest corner strength relative to the strongest in the frame.
+    #[schemars(extend("unit" = "share"))]
+    pub quality: f64,
+    /// Half the side of the prediction window.
+    pub window_radius_px: i32,
+    /// Half the side of the patch that is compared with a point's first sight.
+    pub patch_radius_px: i32,
+    /// Levels of the pyramid above the image: each doubles the motion from frame to frame that can be followed.
+    #[schemars(extend("unit" = "levels"))]
+    pub pyramid_levels: i32,
+    /// Where a point that was followed before is looked for first.
+    pub first_look: FirstLook,
+    /// Largest distance between a point and where tracking back from its successor leads.
+    pub max_round_trip_px: f32,
+    /// Smallest correlation with the first patch.
+    #[schemars(extend("unit" = "correlation"))]
+    pub min_correlation: f32,
+    /// Smallest correlation with the first patch of a point that is found again where its neighbours' motion leads.
+    #[schemars(extend("unit" = "correlation"))]
+    pub min_found_again: f32,
+    /// Distance that points keep from the mask's border: what lies on an outline belongs to no surface.
+    pub border_px: u32,
+    /// Shortest track that is kept.
+    #[schemars(extend("unit" = "views"))]
+    pub min_track_length: usize,
+    /// True if keyframes that share enough live points are not searched for lost ones.
+    pub skip_tied_keyframes: bool,
+    /// Descriptor matching of re-detection.
+    pub matching: MatchOptions,
+}
+
+impl VideoOptions {
+    /// For a target.
+    pub fn of(target: Target) -> Self {
+        match target {
+            Target::Background => Self::background(),
+            Target::Object => Self::object(),
+        }
+    }
+
+    /// Rejects what cannot be worked with. Upper limits keep a picture's points and patches within memory.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::checks::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("max_points", self.max_points, 1..=100_000)?;
+        within("min_distance_px", self.min_distance_px, 0.0..=1000.0)?;
+        within("quality", self.quality, 1e-9..=1.0)?;
+        within("window_radius_px", self.window_radius_px, 1..=100)?;
+        within("patch_radius_px", self.patch_radius_px, 1..=100)?;
+        within("pyramid_levels", self.pyramid_levels, 0..=10)?;
+        within("max_round_trip_px", self.max_round_trip_px, 0.0..=1000.0)?;
+        within("min_correlation", self.min_correlation, -1.0..=1.0)?;
+        within("min_found_again", self.min_found_again, -1.0..=1.0)?;
+        within("border_px", self.border_px, 0..=1000)?;
+        within("min_track_length", self.min_track_length, 2..=1_000_000)?;
+        under("matching", self.matching.check())
+    }
+
+    /// For the background.
+    pub fn background() -> Self {
+        Self {
+            max_points: 1500,
+            min_distance_px: 12.0,
+            quality: 0.003,
+            window_radius_px: 7,
+            patch_radius_px: 7,
+            pyramid_levels: 3,
+            first_look: FirstLook::Predicted,
+            max_round_trip_px: 0.7,
+            min_correlation: 0.7,
+            min_found_again: 0.8,
+            border_px: 0,
+            min_track_length: 4,
+            skip_tied_keyframes: true,
+            matching: MatchOptions::default(),
+        }
+    }
+
+    /// For one object: denser, and with smaller windows, since it is small and its surfaces end soon; and from coarse
+    /// pictures on, since it moves on its own, and the road next to it is near.
+    pub fn object() -> Self {
+        let first_look = FirstLook::Pyramid;
+        Self { max_points: 800, min_distance_px: 4.0, quality: 0.002, border_px: 2, first_look, ..Self::background() }
+    }
+}
+
+/// Follows points frame by frame.
+pub struct VideoFrontEnd {
+    options: VideoOptions,
+    previous: Option<Pyramid>,
+    /// Where the target was in the last frame.
+    extent: Option<Extent>,
+    /// Search range round a point in the current frame, and displacement of the target to it.
+    reach: Reach,
+    shift: Option<Vector2<f32>>,
+    live: Vec<Live>,
+    memory: Memory,
+    table: TrackTable,
+}
+
+impl VideoFrontEnd {
+    /// Nothing seen yet. `camera` serves to verify points that are found again; a guess will do.
+    pub fn new(options: VideoOptions, camera: Camera) -> Self {
+        let memory = Memory::new(camera, &options);
+        let reach = Reach::new(&options, None);
+        let (live, table) = (Vec::new(), TrackTable::default());
+        Self { options, previous: None, extent: None, reach, shift: None, live, memory, table }
+    }
+
+    /// Adds the next frame, looking only where the mask is set.
+    ///
+    /// # Errors
+    /// [`FeatureError::OpenCv`] if OpenCV fails.
+    pub fn push(&mut self, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), FeatureError> {
+        let gray = gray_from_rgb(image)?;
+        let extent = Extent::of(mask);
+        self.reach = Reach::new(&self.options, extent);
+        self.shift = reach::shift(&self.options, self.extent, extent);
+        self.extent = extent;
+        let mask = mask.eroded(self.reach.border_px);
+        let pyramid = Pyramid::new(gray, self.options.pyramid_levels.max(0) as usize)?;
+        if let Some(previous) = self.previous.take() {
+            self.follow(&previous, &pyramid, &mask);
+        }
+        let gray = pyramid.picture();
+        self.find_again(gray, &mask)?;
+        self.find_new(gray, &mask)?;
+        self.memory.remember(self.table.views.len(), gray.clone(), mask, &self.live);
+        self.record(frame, image);
+        self.previous = Some(pyramid);
+        Ok(())
+    }
+
+    /// Gives the positions of the last frame in pixels that are so much smaller across and down.
+    pub fn enlarge_last(&mut self, [across, down]: [f64; 2]) {
+        for pixel in self.table.views.last_mut().into_iter().flat_map(|view| &mut view.pixels) {
+            *pixel = Point2::new(pixel.x * across, pixel.y * down);
+        }
+    }
+
+    /// The tracks.
+    pub fn finish(mut self) -> TrackTable {
+        let min_length = self.options.min_track_length.min(self.table.views.len()).max(2);
+        self.table.tracks.retain(|track| track.len() >= min_length);
+        self.table
+    }
+
+    /// Goes on with points that were lost in earlier frames and are seen here. Where a newer point lies at the same
+    /// place, the older one goes on.
+    fn find_again(&mut self, gray: &GrayImage, mask: &Mask) -> Result<(), FeatureError> {
+        const SAME_PX: f32 = 2.0;
+        let found = self.memory.find_again(self.table.views.len(), gray, mask, &self.live)?;
+        let found: Vec<Live> = found.into_iter().map(Live::from).collect();
+        let goes_on = |point: &Live| found.iter().all(|f| (f.warp.center - point.warp.center).norm() > SAME_PX);
+        self.live.retain(goes_on);
+        self.live.extend(found);
+        Ok(())
+    }
+
+    /// Fills up to the wanted number of points, away from those that are followed already.
+    fn find_new(&mut self, gray: &GrayImage, mask: &Mask) -> Result<(), FeatureError> {
+        let wanted = self.options.max_points.saturating_sub(self.live.len());
+        let mut free = mask.clone();
+        let reach = self.reach.min_distance_px.ceil() as i64;
+        for point in &self.live {
+            clear_disc(&mut free, point.warp.center, reach);
+        }
+        let Some(bounds) = free.bounding_box().filter(|_| wanted > 0) else { return Ok(()) };
+        for center in self.corners(gray, &free, bounds, wanted) {
+            if let Some(patch) = Patch::cut(gray, center, self.reach.patch_radius_px) {
+                let track = self.table.tracks.len();
+                self.table.tracks.push(Track::new());
+                let warp = Warp { shape: Matrix2::identity(), center };
+                let whitening = whitening(patch.covariance(&warp.shape, TYPICAL_DIFFERENCE));
+                self.live.push(Live { track, patch, warp, whitening, step: None, views_left: None });
+            }
+        }
+        Ok(())
+    }
+
+    /// The strongest corners of the pixels that are set, all of which lie within some bounds: of a small object no more
+    /// than its surroundings are looked at.
+    fn corners(&self, gray: &GrayImage, free: &Mask, bounds: BoundingBox, wanted: usize) -> Vec<Point2<f32>> {
+        /// Border that the strength of a corner depends on.
+        const MARGIN_PX: u32 = 8;
+        let (x0, y0) = (bounds.x0.saturating_sub(MARGIN_PX), bounds.y0.saturating_sub(MARGIN_PX));
+        let x1 = bounds.x1.saturating_add(MARGIN_PX).min(gray.width());
+        let y1 = bounds.y1.saturating_add(MARGIN_PX).min(gray.height());
+        let crop = ::image::imageops::crop_imm(gray, x0, y0, x1 - x0, y1 - y0).to_image();
+        let (pixels, width) = (free.pixels(), free.width() as usize);
+        let is_free = |x: usize, y: usize| pixels[(y + y0 as usize) * width + x + x0 as usize];
+        let (quality, apart) = (self.options.quality, self.reach.min_distance_px);
+        let found = corners::strongest(&CornerStrength::of(&crop), is_free, wanted, quality, apart);
+        found.into_iter().map(|corner| corner + Vector2::new(x0 as f32, y0 as f32)).collect()
+    }
+
+    fn record(&mut self, frame: &Frame, image: &RgbImage) {
+        let view = self.table.views.len() as u32;
+        let mut source = View {
+            image: frame.id.into(),
+            name: frame.name.clone(),
+            camera: 0,
+            pixels: Vec::new(),
+            rgb: Vec::new(),
+            whitening: Vec::new(),
+        };
+        for (feature, point) in self.live.iter().enumerate() {
+            let pixel = point.warp.center.cast::<f64>();
+            let colour = image.get_pixel_checked(pixel.x as u32, pixel.y as u32);
+            source.pixels.push(pixel);
+            source.whitening.push(point.whitening);
+            source.rgb.push(colour.map_or([0; 3], |c| c.0));
+            self.table.tracks[point.track].push(Feature { view, feature: feature as u32 });
+        }
+        self.table.views.push(source);
+    }
+}
+
+/// Mean squared difference between a patch and its next sight.
+const TYPICAL_DIFFERENCE: f32 = 0.05;
+
+fn clear_disc(mask: &mut Mask, center: Point2<f32>, reach: i64) {
+    let (cx, cy) = (center.x as i64, center.y as i64);
+    for y in (cy - reach).max(0)..=(cy + reach).min(i64::from(mask.height()) - 1) {
+        let half = (reach * reach - (y - cy).pow(2)).isqrt();
+        let row = y as usize * mask.width() as usize;
+        let (first, end) = ((cx - half).max(0) as usize, (cx + half + 1).clamp(0, i64::from(mask.width())) as usize);
+        if first < end {
+            mask.pixels_mut()[row + first..row + end].fill(false);
+        }
+    }
+}

@@ -1,0 +1,202 @@
+//! Reconstructions in whatever supported format they come.
+
+mod detect;
+#[cfg(test)]
+mod properties;
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use super::assembly::check_finite;
+use super::{bundler, camera_path, colmap, nerfstudio, nvm, openmvg, opensfm, ply};
+use crate::io::{FolderError, IoError, Losses, refuse_place_of_results};
+use crate::scene::Reconstruction;
+
+pub use detect::detect;
+
+/// A format of reconstructions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// COLMAP's text files, a folder.
+    ColmapText,
+    /// COLMAP's binary files, a folder.
+    ColmapBinary,
+    /// OpenMVG's `sfm_data.json`.
+    OpenMvg,
+    /// OpenSfM's `reconstruction.json`, with `tracks.csv` next to it.
+    OpenSfm,
+    /// nerfstudio's `transforms.json`.
+    Nerfstudio,
+    /// VisualSFM's `.nvm`.
+    Nvm,
+    /// Bundler's `bundle.out`.
+    Bundler,
+    /// A camera path in TUM's form; read only.
+    Tum,
+    /// A camera path in KITTI's form; read only.
+    Kitti,
+    /// Coloured points, `.ply`; written only.
+    Ply,
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::ColmapText => "COLMAP (text)",
+            Self::ColmapBinary => "COLMAP (binary)",
+            Self::OpenMvg => "OpenMVG",
+            Self::OpenSfm => "OpenSfM",
+            Self::Nerfstudio => "nerfstudio",
+            Self::Nvm => "NVM",
+            Self::Bundler => "Bundler",
+            Self::Tum => "TUM",
+            Self::Kitti => "KITTI",
+            Self::Ply => "PLY",
+        })
+    }
+}
+
+/// Reads a reconstruction for comparing or converting, whatever its lenses are, and says in which format it came.
+///
+/// # Errors
+/// Nothing there, no format that is read (with what to do about it), what the format's reader says, or numbers so large
+/// that what follows from them is none.
+pub fn read(path: &Path) -> Result<(Reconstruction, Format), IoError> {
+    let (place, format) = detect(path)?;
+    let model = match format {
+        Format::ColmapText | Format::ColmapBinary => colmap::read_any(&place),
+        Format::OpenMvg => openmvg::read(&place),
+        Format::OpenSfm => opensfm::read(&place),
+        Format::Nerfstudio => nerfstudio::read(&place),
+        Format::Nvm => nvm::read(&place),
+        Format::Bundler => bundler::read(&place),
+        Format::Tum => camera_path::read_tum(&place),
+        Format::Kitti => camera_path::read_kitti(&place),
+        Format::Ply => Err(detect::points_alone(&place)),
+    }?;
+    check_finite(&place, &model)?;
+    Ok((model, format))
+}
+
+/// Reads a reconstruction whose points are to be projected.
+///
+/// # Errors
+/// As [`read`]; a camera that this program cannot project with.
+pub fn read_for_geometry(path: &Path) -> Result<(Reconstruction, Format), IoError> {
+    let (model, format) = read(path)?;
+    match model.first_foreign() {
+        Some((id, name)) => Err(colmap::foreign_camera(path, id, name)),
+        None => Ok((model, format)),
+    }
+}
+
+/// Writes a reconstruction and says what the format had no place for. To PLY go its points alone.
+///
+/// # Errors
+/// A format that is only read, or what the format's writer says.
+pub fn write(path: &Path, model: &Reconstruction, format: Format) -> Result<Losses, IoError> {
+    match format {
+        Format::ColmapText => colmap::write_text(path, model).map(|()| Losses::default()),
+        Format::ColmapBinary => colmap::write_binary(path, model).map(|()| Losses::default()),
+        Format::OpenMvg => openmvg::write(path, model),
+        Format::OpenSfm => opensfm::write(path, model),
+        Format::Nerfstudio => nerfstudio::write(path, model),
+        Format::Nvm => nvm::write(path, model),
+        Format::Bundler => bundler::write(path, model),
+        Format::Tum | Format::Kitti => Err(IoError::Unsupported {
+            path: path.into(),
+            what: format!("writing a camera path in {format} format"),
+            cure: "write a COLMAP model instead".into(),
+        }),
+        Format::Ply => {
+            let points: Vec<_> = model.points.values().map(|p| (p.position, p.rgb)).collect();
+            let losses = Losses::default().counted(
+                model.images.len(),
+                "camera skipped: the format stores points only",
+                "cameras skipped: the format stores points only",
+            );
+            ply::write_points(path, &points).map(|()| losses)
+        }
+    }
+}
+
+/// Looks whether `files` may be written, at or in `output`: none is written through a link or over the one that is
+/// read, and over others only if `overwrite` is set.
+///
+/// # Errors
+/// [`FolderError`] says what is in the way.
+pub fn check_target(input: &Path, output: &Path, files: &[PathBuf], overwrite: bool) -> Result<(), FolderError> {
+    let is_same =
+        |a: &Path, b: &Path| std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(b).is_ok_and(|b| a == b));
+    if is_same(input, output) || files.iter().any(|file| is_same(input, file)) {
+        return Err(FolderError::OwnInput { flag: "IN".to_owned(), input: input.to_owned() });
+    }
+    for file in files {
+        refuse_place_of_results(file)?;
+        let Ok(found) = std::fs::symlink_metadata(file) else { continue };
+        let shown = || file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if found.file_type().is_symlink() {
+            return Err(FolderError::Link { path: output.to_owned(), link: shown() });
+        }
+        if !overwrite {
+            return Err(FolderError::Exists { path: file.clone() });
+        }
+    }
+    Ok(())
+}
+
+/// The files that a reconstruction is written to.
+pub fn files_of(output: &Path, format: Format) -> Vec<PathBuf> {
+    match format {
+        Format::ColmapText => colmap::TEXT_FILES.iter().map(|name| output.join(name)).collect(),
+        Format::ColmapBinary => colmap::BINARY_FILES.iter().map(|name| output.join(name)).collect(),
+        Format::OpenSfm => opensfm::files(output).into(),
+        Format::Nerfstudio => nerfstudio::files(output).into(),
+        Format::Bundler => bundler::files(output).into(),
+        Format::Ply | Format::OpenMvg | Format::Nvm | Format::Tum | Format::Kitti => vec![output.to_owned()],
+    }
+}
+
+/// Files that are read of a model at a path that [`detect`] gave: the whole COLMAP folder, or the files that exist.
+pub fn files_read(place: &Path, format: Format) -> Vec<PathBuf> {
+    let beside = match format {
+        Format::OpenSfm => opensfm::files(place)[1..].to_vec(),
+        Format::Bundler => bundler::lists(place).to_vec(),
+        _ => Vec::new(),
+    };
+    let beside = beside.into_iter().filter(|file| file.is_file());
+    std::iter::once(place.to_owned()).chain(beside).collect()
+}
+
+/// The format in which a conversion of a model that came as `from` writes to `to`, if none is asked for: what the name
+/// says, else the other COLMAP form than the one read. Text comes first where it can hold the names of the images.
+///
+/// # Errors
+/// A JSON file whose name says nothing: three formats are written as JSON.
+pub fn format_for(from: Format, to: &Path, model: &Reconstruction) -> Result<Format, IoError> {
+    let named = |name: &str| to.file_name().is_some_and(|n| n.eq_ignore_ascii_case(name));
+    let ends = |extension: &str| to.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
+    let by_name = [
+        (ends("ply"), Format::Ply),
+        (ends("nvm"), Format::Nvm),
+        (ends("out"), Format::Bundler),
+        (named("sfm_data.json"), Format::OpenMvg),
+        (named("reconstruction.json"), Format::OpenSfm),
+        (named("transforms.json"), Format::Nerfstudio),
+    ];
+    Ok(if let Some((_, format)) = by_name.into_iter().find(|(is_named, _)| *is_named) {
+        format
+    } else if ends("json") {
+        return Err(IoError::Unsupported {
+            path: to.into(),
+            what: "JSON file of unknown format".into(),
+            cure: "name it sfm_data.json (OpenMVG), reconstruction.json (OpenSfM) or transforms.json (nerfstudio), or \
+                 give the format with --to"
+                .into(),
+        });
+    } else if from == Format::ColmapText || colmap::check_text_names(to, model).is_err() {
+        Format::ColmapBinary
+    } else {
+        Format::ColmapText
+    })
+}

@@ -1,0 +1,20 @@
+//! Errors of the mapper other than degenerate geometry, which is an answer.
+
+/// Error of a reconstruction.
+#[derive(Debug, thiserror::Error)]
+pub enum MapperError {
+    /// An invalid option.
+    #[error(transparent)]
+    Option(#[from] crate::checks::OptionError),
+    /// The mapper handed over an adjustment problem that contradicts itself.
+    #[error("bundle adjustment: {0}")]
+    Bundle(#[from] crate::bundle::BundleError),
+    /// A frame is reported to be of a camera that was not given.
+    #[error("camera {camera} of {count} does not exist: give its intrinsics, or an estimate, with the others")]
+    NoCamera {
+        /// Its index in the list, from 0.
+        camera: usize,
+        /// Number given.
+        count: usize,
+    },
+}

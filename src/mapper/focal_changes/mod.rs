@@ -1,0 +1,318 @@
+//! Changes of the focal length in a video: a zoom, a switch of lenses, a crop by an editor.
+//!
+//! A map has one focal length for all frames of a video. Where that of the video changes, the map takes it for motion
+//! along the line of sight, at residuals that are hardly larger. The two differ: motion moves near points by more than
+//! far ones, a zoom moves all alike. So the map is adjusted again, with a focal length for every view,
+//!
+//! ```text
+//! f_t = f exp(g_t),
+//! ```
+//!
+//! and g_t − g_0 is compared with its standard deviation. That is small also where the motion does not determine f
+//! itself, as forward motion does not: the views see common points. On one plane seen from above a zoom is the same as
+//! a change of height, and the standard deviation is large.
+//!
+//! Errors that all views have in common, of distortion and of points that slide with the view, accumulate from view to
+//! view. They are covered by [`COMMON_ERROR_FACTOR`], and by a jackknife: the points of the left and of the right half
+//! of the image must show the change each by themselves.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::COMMON_ERROR_FACTOR;
+use super::Intrinsics;
+use crate::bundle::{
+    self, BundleError, CameraBlock, IntrinsicsPrior, Observation, PointBlock, PoseBlock, Problem, Wanted,
+};
+use crate::camera::Camera;
+use crate::math::{RAYLEIGH_MEDIAN, Rigid3, RobustLoss, upper_median};
+use crate::scene::{FocalChange, Image, ImageId, Point3dId, Reconstruction};
+
+/// Smallest change of ln f that counts. Stabilization and focus breathing change the focal length by 1 to 3 %, and a
+/// principal point that is off by a hundredth of the image looks like a change by 2 %.
+const LEAST_CHANGE: f64 = 0.05;
+/// Standard deviations of a change that is significant.
+const SIGNIFICANT: f64 = 3.0;
+/// Views that are adjusted at once, so that the cost per view does not depend on the length of the video; a change
+/// within half as many views lies within one window.
+const WINDOW: usize = 400;
+/// Views with fewer selected points take no part.
+const LEAST_POINTS: usize = 20;
+/// The same for one half of the image: ten equations for the seven unknowns of a view.
+const LEAST_HALF: usize = 5;
+/// Fewer views show no change.
+const LEAST_VIEWS: usize = 8;
+/// Views of the running median: single ones that are blurred or hidden do not count.
+const MEDIAN_VIEWS: usize = 5;
+
+/// The changes of the focal length in a video's map with one camera; none in a map of several cameras.
+///
+/// * `intrinsics` – what was known of the camera: if it was not given, the principal point of the map is not trusted,
+///   since it absorbs a part of a zoom.
+pub fn focal_changes(model: &Reconstruction, intrinsics: Intrinsics) -> Vec<FocalChange> {
+    let Some((id, camera)) = model.cameras.first_key_value().filter(|_| model.cameras.len() == 1) else {
+        return Vec::new();
+    };
+    if !model.can_project(*id) {
+        return Vec::new();
+    }
+    let trusted = match intrinsics {
+        Intrinsics::Fixed => *camera,
+        _ => Camera { principal: Camera::prior(camera.width, camera.height).principal, ..*camera },
+    };
+    let images: Vec<(ImageId, &Image)> = model.images.iter().map(|(id, image)| (*id, image)).collect();
+    let mut changes: Vec<FocalChange> = Vec::new();
+    for window in windows(images.len()) {
+        let found = Window::new(model, [*camera, trusted], &images[window]).change().unwrap_or_else(|error| {
+            // What leaves the focal lengths undetermined shows no change.
+            tracing::debug!("focal length of every view: {error}");
+            None
+        });
+        // The same change may lie in two windows.
+        changes.extend(found.filter(|change| changes.last().is_none_or(|last| change.first >= last.last)));
+    }
+    changes
+}
+
+/// Windows of views, each beginning in the middle of the one before it.
+fn windows(num_views: usize) -> Vec<Range<usize>> {
+    let starts = (0..num_views.saturating_sub(WINDOW / 2).max(1)).step_by(WINDOW / 2);
+    starts.map(|start| start..num_views.min(start + WINDOW)).collect()
+}
+
+/// Which points take part.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Part {
+    All,
+    Left,
+    Right,
+}
+
+/// Views that are adjusted at once, and the points that take part.
+struct Window<'a> {
+    model: &'a Reconstruction,
+    map_camera: Camera,
+    camera: Camera,
+    views: Vec<(ImageId, &'a Image)>,
+    points: BTreeSet<Point3dId>,
+}
+
+/// ln f of every view, its standard deviation relative to that of the first view, and the points that it sees.
+struct FocalLengths {
+    log: Vec<f64>,
+    std: Vec<f64>,
+    num_points: Vec<usize>,
+}
+
+impl<'a> Window<'a> {
+    fn new(model: &'a Reconstruction, cameras: [Camera; 2], views: &[(ImageId, &'a Image)]) -> Self {
+        let [map_camera, camera] = cameras;
+        let mut window = Self { model, map_camera, camera, views: views.to_vec(), points: BTreeSet::new() };
+        window.select();
+        let Self { views, points, .. } = &mut window;
+        let num_selected =
+            |image: &Image| image.observations.iter().filter(|o| o.point.is_some_and(|p| points.contains(&p))).count();
+        views.retain(|(_, image)| num_selected(image) >= LEAST_POINTS);
+        window
+    }
+
+    /// Selects the longest tracks in every part of every view.
+    fn select(&mut self) {
+        const GRID: [usize; 2] = [8, 6];
+        const PER_CELL: usize = 2;
+        // Two views show a point at any depth and focal length.
+        const LEAST_TRACK: usize = 3;
+        let [width, height] = [self.camera.width, self.camera.height].map(f64::from);
+        let cell = |at: f64, side: f64, n: usize| ((at / side * n as f64) as usize).min(n - 1);
+        for (_, image) in &self.views {
+            let mut cells: BTreeMap<usize, Vec<(bool, usize, Point3dId)>> = BTreeMap::new();
+            for (seen, id) in image.observations.iter().filter_map(|seen| Some((seen, seen.point?))) {
+                let Some(length) = self.model.points.get(&id).map(|point| point.track.len()) else { continue };
+                let at = cell(seen.pixel.y, height, GRID[1]) * GRID[0] + cell(seen.pixel.x, width, GRID[0]);
+                if length >= LEAST_TRACK {
+                    let key = (!self.points.contains(&id), usize::MAX - length, id);
+                    cells.entry(at).or_default().push(key);
+                }
+            }
+            for mut cell in cells.into_values() {
+                cell.sort_unstable();
+                self.points.extend(cell.into_iter().take(PER_CELL).map(|(.., id)| id));
+            }
+        }
+    }
+
+    fn change(&self) -> Result<Option<FocalChange>, BundleError> {
+        if self.views.len() < LEAST_VIEWS {
+            return Ok(None);
+        }
+        let whole = self.focal_lengths(Part::All)?;
+        let change = whole.relative_to_first();
+        let common = |t: usize| COMMON_ERROR_FACTOR * whole.std[t];
+        let is_significant = |t: usize, std: f64| change[t].abs() > LEAST_CHANGE.max(SIGNIFICANT * std);
+        // A focal length that is not positive has no logarithm.
+        let is_determined = change.iter().all(|log| log.is_finite());
+        if !is_determined || !(0..change.len()).any(|t| is_significant(t, common(t))) {
+            return Ok(None);
+        }
+        let [left, right] = [self.focal_lengths(Part::Left)?, self.focal_lengths(Part::Right)?];
+        let is_seen =
+            |t: usize| [&left, &right].iter().all(|half| half.num_points[0].min(half.num_points[t]) >= LEAST_HALF);
+        let (by_left, by_right) = (left.relative_to_first(), right.relative_to_first());
+        let halves = |t: usize| {
+            let off = 0.5 * (by_left[t] - by_right[t]).abs();
+            if is_seen(t) && off.is_finite() { off } else { f64::INFINITY }
+        };
+        if !(0..change.len()).any(|t| is_significant(t, common(t).hypot(halves(t)))) {
+            return Ok(None);
+        }
+        let frame = |t: usize| self.views[t].0.frame();
+        let ([first, last], largest) = span(&change);
+        Ok(Some(FocalChange { first: frame(first), last: frame(last), factor: largest.exp() }))
+    }
+
+    /// Adjusts everything with a focal length for every view.
+    fn focal_lengths(&self, part: Part) -> Result<FocalLengths, BundleError> {
+        // The residuals of the first round are those of the map.
+        const ROUNDS: usize = 2;
+        let mut problem = self.problem(part);
+        let focal = self.camera.focal;
+        for _ in 0..ROUNDS {
+            let sigma_px = noise(&problem);
+            problem.priors.intrinsics =
+                (0..problem.cameras.len()).map(|camera| prior(camera, &self.camera, sigma_px)).collect();
+            bundle::adjust(&mut problem, &options(sigma_px))?;
+        }
+        let log = problem.cameras.iter().map(|block| (block.camera.focal[0] / focal[0]).ln()).collect();
+        let mut std = vec![0.0; self.views.len()];
+        if part == Part::All {
+            let sigma_px = noise(&problem);
+            problem.cameras[0].free = CameraBlock::fixed(self.camera).free;
+            let wanted = Wanted { cameras: (1..self.views.len()).collect(), ..Wanted::default() };
+            let found = bundle::covariances(&problem, &options(sigma_px), &wanted)?;
+            for (t, covariance) in (1..).zip(found.cameras) {
+                std[t] = sigma_px * covariance[(0, 0)].sqrt() / problem.cameras[t].camera.focal[0];
+            }
+        }
+        let mut num_points = vec![0; self.views.len()];
+        problem.observations.iter().for_each(|o| num_points[o.pose as usize] += 1);
+        Ok(FocalLengths { log, std, num_points })
+    }
+
+    fn problem(&self, part: Part) -> Problem {
+        let free = [true, true, false, false, false, false];
+        let block = CameraBlock { camera: self.camera, free, tie_focal: true };
+        // With another principal point than the map's, a view that is turned sees nearly the same.
+        let middle = Camera::prior(self.camera.width, self.camera.height).principal.into();
+        let [old, new] = [&self.map_camera, &self.camera].map(|camera| camera.ray_from_pixel(middle));
+        let turn = UnitQuaternion::rotation_between(&old, &new).unwrap_or_default();
+        let turn = Rigid3::new(turn, Vector3::zeros());
+        let pose = |(camera, (_, image)): (usize, &(ImageId, &Image))| PoseBlock {
+            cam_from_world: turn * image.cam_from_world,
+            camera,
+            fixed: false,
+        };
+        let mut problem = Problem {
+            cameras: vec![block; self.views.len()],
+            poses: self.views.iter().enumerate().map(pose).collect(),
+            ..Problem::default()
+        };
+        let view_of: BTreeMap<ImageId, u32> = self.views.iter().map(|(id, _)| *id).zip(0..).collect();
+        for point in self.points.iter().filter_map(|id| self.model.points.get(id)) {
+            let seen: Vec<_> = point
+                .track
+                .iter()
+                .filter_map(|element| {
+                    let view = *view_of.get(&element.image)?;
+                    let observations = &self.views[view as usize].1.observations;
+                    Some((view, observations.get(element.observation_idx as usize)?.pixel))
+                })
+                .collect();
+            let middle = seen.iter().map(|(_, pixel)| pixel.x).sum::<f64>() / seen.len().max(1) as f64;
+            let is_left = middle < 0.5 * f64::from(self.camera.width);
+            let is_of_part = part == Part::All || (part == Part::Left) == is_left;
+            if seen.len() < 2 || !is_of_part {
+                continue;
+            }
+            let index = problem.points.len() as u32;
+            problem.points.push(PointBlock { position: point.position, fixed: false });
+            problem.observations.extend(seen.into_iter().map(|(view, pixel)| Observation::new(view, index, pixel)));
+        }
+        problem
+    }
+}
+
+impl FocalLengths {
+    /// ln f of every view relative to the first ones, as a running median.
+    fn relative_to_first(&self) -> Vec<f64> {
+        let median_round = |t: usize| {
+            let round =
+                self.log[t.saturating_sub(MEDIAN_VIEWS / 2)..self.log.len().min(t + MEDIAN_VIEWS / 2 + 1)].to_vec();
+            upper_median(round).unwrap_or_default()
+        };
+        let smooth: Vec<f64> = (0..self.log.len()).map(median_round).collect();
+        smooth.iter().map(|log| log - smooth[0]).collect()
+    }
+}
+
+/// Robust standard deviation of a pixel coordinate: the median residual as that of a Gaussian.
+fn noise(problem: &Problem) -> f64 {
+    // Less is rounding.
+    const LEAST_PX: f64 = 1e-3;
+    let residual = |o: &Observation| {
+        let pose = &problem.poses[o.pose as usize];
+        let point_in_cam = pose.cam_from_world * problem.points[o.point as usize].position;
+        let pixel = problem.cameras[pose.camera].camera.pixel_from_cam(point_in_cam)?;
+        Some((pixel - o.pixel).norm())
+    };
+    let median = upper_median(problem.observations.iter().filter_map(residual).collect());
+    median.map_or(LEAST_PX, |median| (median / RAYLEIGH_MEDIAN).max(LEAST_PX))
+}
+
+fn options(sigma_px: f64) -> bundle::Options {
+    // Two standard deviations, as in the mapper.
+    let loss = RobustLoss::SoftL1 { scale: 2.0 * sigma_px };
+    // A zoom and a motion that represents it differ little in cost.
+    bundle::Options { loss, function_tolerance: 1e-7, max_iterations: 100, ..bundle::Options::default() }
+}
+
+/// Holds a focal length near that of the map where the observations leave it open: from 0.45 to 2.2 times as long
+/// within two standard deviations, which no zoom lens of a phone, a drone or a dash camera exceeds within a clip.
+fn prior(camera: usize, intrinsics: &Camera, sigma_px: f64) -> IntrinsicsPrior {
+    const LOG_FOCAL: f64 = 0.4;
+    let mut sigma = [f64::INFINITY; 6];
+    for (sigma, focal) in sigma.iter_mut().zip(intrinsics.focal) {
+        // It counts once for fx and once for fy, in units of observations with common errors.
+        *sigma = std::f64::consts::SQRT_2 * LOG_FOCAL * focal / (COMMON_ERROR_FACTOR * sigma_px);
+    }
+    IntrinsicsPrior { camera, values: intrinsics.intrinsics(), sigma }
+}
+
+/// Where a series changes, and by how much.
+///
+/// With forward motion a steady zoom and a steady change of speed differ little, so that a series may drift from its
+/// beginning to its end: where it changes within a much shorter time but for a drift, that is the change.
+fn span(change: &[f64]) -> ([usize; 2], f64) {
+    let rate = upper_median(change.windows(2).map(|pair| pair[1] - pair[0]).collect()).unwrap_or_default();
+    let without_drift: Vec<f64> = (0..).zip(change).map(|(t, log)| log - rate * f64::from(t)).collect();
+    let (whole, part) = (between_levels(change), between_levels(&without_drift));
+    let length = |([first, last], _): ([usize; 2], f64)| last - first;
+    if part.1.abs() > LEAST_CHANGE && 2 * length(part) < length(whole) { part } else { whole }
+}
+
+/// From the last view at the first level of a series to the first one from which it stays at the last level, and the
+/// largest change on the way.
+fn between_levels(change: &[f64]) -> ([usize; 2], f64) {
+    let largest = change.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
+    // Levels drift by a part of the change.
+    let tolerance = (0.5 * LEAST_CHANGE).max(0.1 * largest.abs());
+    let end = change.len() - 1;
+    let last_level = change[end];
+    let first = change.iter().position(|c| c.abs() > tolerance).map_or(0, |left| left.saturating_sub(1));
+    let last = change.iter().rposition(|c| (c - last_level).abs() > tolerance).map_or(end, |away| away + 1);
+    ([first.min(last), last.max(first)], largest)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,231 @@
+//! The pair of views that starts a map: many common points, a wide angle, and not one plane or a mere turn.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector2;
+
+use super::motion::{self, PairMotion, Survey};
+use super::{Intrinsics, KnownIntrinsics, Options};
+use crate::camera::Camera;
+use crate::features::tracks::TrackTable;
+use crate::geometry::two_view::{self, Correspondences, TwoViewGeometry};
+use crate::math::{Rigid3, seeded_rng, upper_median};
+
+/// A candidate start.
+#[derive(Clone, Debug)]
+pub struct InitialPair {
+    /// Its two views.
+    pub views: [usize; 2],
+    /// Second camera from first, unit baseline.
+    pub cam2_from_cam1: Rigid3,
+    /// Median angle at the common points, radians.
+    pub median_angle: f64,
+    /// See [`TwoViewGeometry::homography_ratio`].
+    pub homography_ratio: f64,
+}
+
+/// So many views are tried as partners; of longer sequences they are chosen evenly.
+const MAX_VIEWS: usize = 48;
+/// Views that are tried lie no farther apart, however long the video is: tracks end after 96, and views farther apart
+/// than those live have nothing in common.
+const MAX_STEP: usize = 24;
+/// Median displacement of the common points below which two views count as one: whatever geometry fits is noise.
+const MIN_DISPLACEMENT_PX: f64 = 0.5;
+/// Pairs whose geometry is estimated.
+const MAX_ESTIMATED: usize = 60;
+
+/// Candidate starts, best first, and what all pairs tell of the motion. No start when no pair has enough common points
+/// with any angle between them.
+pub fn ranked(
+    table: &TrackTable,
+    cameras: &[Camera],
+    known: &KnownIntrinsics,
+    options: &Options,
+    seed: u64,
+) -> (Vec<InitialPair>, Survey) {
+    let common = common_tracks(table, options.min_initial_inliers);
+    let mut survey = Survey::default();
+    let mut estimated: Vec<(f64, InitialPair)> = promising(table, cameras, common, &mut survey)
+        .into_iter()
+        .filter_map(|(views, tracks)| {
+            let geometry = geometry_of(table, cameras, options, seed, views, &tracks)?;
+            let of_views = views.map(|view| table.views[view].camera);
+            let intrinsics = known.of_pair(of_views);
+            let score = score(&geometry, options) * worth_of_cameras(of_views, intrinsics);
+            let pair = InitialPair {
+                views,
+                cam2_from_cam1: geometry.cam2_from_cam1,
+                median_angle: geometry.median_angle,
+                homography_ratio: geometry.homography_ratio,
+            };
+            let motion = motion::of_pair(&geometry, intrinsics);
+            survey.add(motion);
+            let usable = motion == PairMotion::Other
+                && geometry.inliers.len() >= options.min_initial_inliers
+                && geometry.median_angle >= options.min_angle_deg.to_radians();
+            usable.then_some((score, pair))
+        })
+        .collect();
+    estimated.sort_by(|a, b| b.0.total_cmp(&a.0));
+    (distinct(estimated.into_iter().map(|(_, pair)| pair)), survey)
+}
+
+/// Inliers count up to a number that determines the geometry well, angles up to the wanted one; a start that one
+/// homography explains is worth a fraction.
+fn score(geometry: &TwoViewGeometry, options: &Options) -> f64 {
+    const ENOUGH_INLIERS: f64 = 300.0;
+    const PLANAR_DISCOUNT: f64 = 0.7;
+    let inliers = (geometry.inliers.len() as f64).min(ENOUGH_INLIERS).sqrt();
+    let angle = geometry.median_angle.to_degrees().min(options.initial_angle_deg);
+    inliers * angle * (1.0 - PLANAR_DISCOUNT * geometry.homography_ratio.min(1.0))
+}
+
+/// A pair of two cameras whose focal lengths are both guessed, each wrong by another factor, is worth less than one of
+/// a single camera, which a common factor does little harm.
+fn worth_of_cameras([first, second]: [usize; 2], intrinsics: Intrinsics) -> f64 {
+    const OF_TWO_GUESSED: f64 = 0.5;
+    if first != second && intrinsics == Intrinsics::Refined { OF_TWO_GUESSED } else { 1.0 }
+}
+
+type PairTracks = ([usize; 2], Vec<usize>);
+
+/// Tracks that two views have in common, for pairs with enough of them.
+fn common_tracks(table: &TrackTable, min_common: usize) -> Vec<PairTracks> {
+    let step = table.views.len().div_ceil(MAX_VIEWS).clamp(1, MAX_STEP);
+    let mut common: BTreeMap<[usize; 2], Vec<usize>> = BTreeMap::new();
+    for (index, track) in table.tracks.iter().enumerate() {
+        let views: Vec<usize> = track.iter().map(|f| f.view as usize).filter(|v| v % step == 0).collect();
+        for (i, &a) in views.iter().enumerate() {
+            for &b in &views[i + 1..] {
+                common.entry([a, b]).or_default().push(index);
+            }
+        }
+    }
+    common.into_iter().filter(|(_, tracks)| tracks.len() >= min_common).collect()
+}
+
+/// The pairs with the largest product of common points (up to a number that suffices) and median displacement, which
+/// represents the baseline until the geometry is known. Pairs between which nothing moves are only counted.
+fn promising(table: &TrackTable, cameras: &[Camera], common: Vec<PairTracks>, survey: &mut Survey) -> Vec<PairTracks> {
+    let mut rate = |(views, tracks): PairTracks| {
+        let median = median_displacement(table, cameras, &tracks, views)?;
+        let count = (tracks.len() as f64).min(400.0);
+        if median < MIN_DISPLACEMENT_PX {
+            survey.add(PairMotion::Still);
+            return None;
+        }
+        Some((count.sqrt() * median.sqrt(), (views, tracks)))
+    };
+    let mut rated: Vec<(f64, PairTracks)> = common.into_iter().filter_map(&mut rate).collect();
+    rated.sort_by(|a, b| b.0.total_cmp(&a.0));
+    // Every other candidate from the whole list, so that one kind of pair (far apart, few points) does not fill it.
+    let step = (rated.len() / MAX_ESTIMATED).max(1);
+    let head = MAX_ESTIMATED / 2;
+    let (front, rest): (Vec<_>, Vec<_>) = rated.into_iter().enumerate().partition(|(i, _)| *i < head);
+    let spread = rest.into_iter().filter(|(i, _)| i % step == 0).take(MAX_ESTIMATED - head);
+    front.into_iter().chain(spread).map(|(_, (_, pair))| pair).collect()
+}
+
+/// Returns true if the common tracks of two views show no parallax between them.
+pub fn is_still(table: &TrackTable, cameras: &[Camera], tracks: &[usize], views: [usize; 2]) -> bool {
+    median_displacement(table, cameras, tracks, views).is_none_or(|median| median < MIN_DISPLACEMENT_PX)
+}
+
+/// In pixels; of views of two cameras, in those of the first.
+fn median_displacement(table: &TrackTable, cameras: &[Camera], tracks: &[usize], views: [usize; 2]) -> Option<f64> {
+    let [first, second] = views.map(|view| table.views[view].camera);
+    let displacement = |&track: &usize| {
+        let [a, b] = views.map(|view| table.tracks[track].iter().find(|f| f.view as usize == view).copied());
+        let (a, b) = (table.pixel(a?), table.pixel(b?));
+        if first == second {
+            return Some((a - b).norm());
+        }
+        let (a, b) = (cameras[first].normalized_from_pixel(a), cameras[second].normalized_from_pixel(b));
+        Some(cameras[first].mean_focal() * (a - b).norm())
+    };
+    upper_median(tracks.iter().filter_map(displacement).collect())
+}
+
+/// Two-view geometry of some common tracks.
+pub fn geometry_of(
+    table: &TrackTable,
+    cameras: &[Camera],
+    options: &Options,
+    seed: u64,
+    views: [usize; 2],
+    tracks: &[usize],
+) -> Option<TwoViewGeometry> {
+    let camera = |side: usize| &cameras[table.views[views[side]].camera];
+    let normalized = |side: usize| -> Vec<Vector2<f64>> {
+        let feature = |t: &usize| table.tracks[*t].iter().find(|f| f.view as usize == views[side]).copied();
+        tracks.iter().filter_map(feature).map(|f| camera(side).normalized_from_pixel(table.pixel(f))).collect()
+    };
+    let (first, second) = (normalized(0), normalized(1));
+    let mean_focal = (camera(0).mean_focal() * camera(1).mean_focal()).sqrt();
+    let stream = (views[0] as u64) << 32 | views[1] as u64;
+    let pairs = Correspondences { first: &first, second: &second };
+    two_view::estimate(&pairs, options.max_pose_error_px / mean_focal, &mut seeded_rng(seed, stream))
+}
+
+/// The same pairs in another order: first the best of every neighbourhood, best first, then all others. Two pairs are
+/// neighbours if both their first and their second views lie less than a sixth of all views apart.
+pub fn far_from_one_another(pairs: Vec<InitialPair>, num_views: usize) -> Vec<InitialPair> {
+    let least = num_views.div_ceil(6);
+    let mut far: Vec<InitialPair> = Vec::new();
+    let mut near = Vec::new();
+    for pair in pairs {
+        let is_near = |other: &InitialPair| (0..2).all(|side| other.views[side].abs_diff(pair.views[side]) < least);
+        if far.iter().any(is_near) { near.push(pair) } else { far.push(pair) }
+    }
+    far.append(&mut near);
+    far
+}
+
+/// Leaves out a pair when a better one lies within two views of it on both sides: a second start should differ.
+fn distinct(pairs: impl Iterator<Item = InitialPair>) -> Vec<InitialPair> {
+    const NEAR: usize = 2;
+    let mut kept: Vec<InitialPair> = Vec::new();
+    for pair in pairs {
+        let near = |other: &InitialPair| (0..2).all(|side| other.views[side].abs_diff(pair.views[side]) <= NEAR);
+        if !kept.iter().any(near) {
+            kept.push(pair);
+        }
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::tracks::{Feature, View};
+    use crate::scene::ImageId;
+
+    #[test]
+    fn the_next_start_lies_elsewhere() {
+        let pair =
+            |views| InitialPair { views, cam2_from_cam1: Rigid3::identity(), median_angle: 0.2, homography_ratio: 0.1 };
+        let best_first = [[10, 20], [12, 22], [10, 30], [40, 50], [41, 49]];
+        let order = far_from_one_another(best_first.map(pair).to_vec(), 60);
+        assert_eq!(
+            order.iter().map(|p| p.views).collect::<Vec<_>>(),
+            [[10, 20], [10, 30], [40, 50], [12, 22], [41, 49]]
+        );
+        assert_eq!(distinct(best_first.map(pair).into_iter()).len(), 3);
+    }
+
+    #[test]
+    fn a_video_of_any_length_has_pairs() {
+        let view = |k: u32| View {
+            image: ImageId(k),
+            name: String::new(),
+            camera: 0,
+            pixels: Vec::new(),
+            rgb: Vec::new(),
+            whitening: Vec::new(),
+        };
+        let track = |first: u32| (first..first + 80).map(|view| Feature { view, feature: 0 }).collect();
+        let table = TrackTable { views: (0..6000).map(view).collect(), tracks: (0..5900).map(track).collect() };
+        let pairs = common_tracks(&table, 50);
+        assert!(pairs.len() > 200 && pairs.iter().all(|([a, b], tracks)| b - a < 80 && tracks.len() >= 50));
+    }
+}

@@ -1,0 +1,306 @@
+//! Intrinsics from the motion, with their priors.
+//!
+//! The focal length of a map has a posterior: what the observations tell, and a prior round the guess. Both are terms
+//! of the same sum, so that a weak motion ends near the guess and a strong one does not feel it.
+//!
+//! *What the observations tell.* A focal length f e^(± δ) is held, and everything else is adjusted to it (a profile of
+//! the cost). With C(δ) = ½ Σ ρ, the curvature is H = (C(δ) + C(−δ) − 2 C(0)) / δ², and the points p, in groups g
+//! that may err together, each pull with s_g = Σ_p (C_p(δ) − C_p(−δ)) / 2 δ. Were errors independent from group to
+//! group, the deviation of ln f would be √(Σ s_g²) / H (the sandwich of P. Huber, *The behavior of maximum likelihood
+//! estimates under nonstandard conditions*, 1967, for the profile). It is so whatever the errors within a group have in
+//! common: that a track slides, that a part of the picture is bent.
+
+use super::adjustment::{self, Freedom, Scope, Stretch};
+use super::map::Map;
+use super::windows::{self, LensEvidence};
+use super::{Noise, Options};
+use crate::bundle::{self, IntrinsicsPrior, Problem};
+use crate::camera::Camera;
+use crate::mapper::MapperError;
+use crate::math::RobustLoss;
+
+/// Factor on the residuals' noise for errors common to all observations: those of the model of the lens or of the
+/// shutter, and points that slide with the view. Such errors do not average out.
+pub(super) const COMMON_ERROR_FACTOR: f64 = 5.0;
+
+/// Less noise is rounding, of tracks without any.
+const MIN_SIGMA_PX: f64 = 1e-6;
+
+/// A pull towards the guess, in units of observations with common errors ([`COMMON_ERROR_FACTOR`]): it counts where
+/// these leave a parameter open.
+///
+/// The focal length is held log-normally to the guess, ln f ~ N(ln f₀, s²), which near the present f is a normal
+/// distribution of f about f (1 − ln(f / f₀)) with deviation s f; the two values fx and fy share it.
+///
+/// The principal point is held to the middle as lenses are built, within a hundredth of the picture. Where views turn
+/// and spread it moves freely; on a single flight looking straight down, where it could take up common errors, it
+/// stays.
+pub(super) fn prior(camera_idx: usize, map: &Map<'_>, noise: Noise) -> IntrinsicsPrior {
+    const SIGMA_PRINCIPAL: f64 = 0.01;
+    const SIGMA_RADIAL: f64 = 0.2;
+    let camera = &map.cameras[camera_idx];
+    // Observations count with a standard deviation of one pixel, so that those of the prior are in units of their true
+    // one.
+    let unit_px = match noise {
+        Noise::Measured { sigma_px } if sigma_px > 0.0 => COMMON_ERROR_FACTOR * sigma_px,
+        _ => 1.0,
+    };
+    let off = off_guess(map, camera_idx);
+    let [width, height] = [camera.width, camera.height].map(f64::from);
+    let mut values = [0.0, 0.0, 0.5 * width, 0.5 * height, 0.0, 0.0];
+    let mut sigma = [
+        0.0,
+        0.0,
+        SIGMA_PRINCIPAL * width.max(height),
+        SIGMA_PRINCIPAL * width.max(height),
+        SIGMA_RADIAL,
+        SIGMA_RADIAL,
+    ];
+    for (k, focal) in camera.focal.into_iter().enumerate() {
+        values[k] = focal * (1.0 - off);
+        sigma[k] = std::f64::consts::SQRT_2 * map.known.of(camera_idx).guess_deviation() * focal;
+    }
+    IntrinsicsPrior { camera: camera_idx, values, sigma: sigma.map(|s| s / unit_px) }
+}
+
+/// ln of the focal length over that of the guess.
+fn off_guess(map: &Map<'_>, camera_idx: usize) -> f64 {
+    (map.cameras[camera_idx].mean_focal() / map.guess[camera_idx].mean_focal()).ln()
+}
+
+/// Focal length by the observations alone.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct FocalEvidence {
+    /// Standard deviation of ln f if all observations err together ([`COMMON_ERROR_FACTOR`]); infinite where the motion
+    /// leaves it open.
+    pub together: f64,
+    /// The same if they err together within groups only (the sandwich above).
+    in_groups: f64,
+    /// Shift of ln f that the used observations, some in every part of every view, would cause from its present value;
+    /// with the prior.
+    shift: f64,
+}
+
+impl FocalEvidence {
+    /// Standard deviation of ln f with what is known beforehand (deviation `guess`).
+    ///
+    /// Errors that groups have in common with one another do not show in the sandwich; a factor of two covers them on
+    /// the sequences of docs/benchmarks/focal-length.md. Beyond a factor of e nothing is known at all.
+    pub fn deviation(&self, guess: f64) -> f64 {
+        const FACTOR: f64 = 2.0;
+        const MOST: f64 = 1.0;
+        let information = (FACTOR * self.in_groups).powi(-2) + guess.powi(-2);
+        information.sqrt().recip().hypot(self.shift).min(MOST)
+    }
+}
+
+/// Of the cameras that are looked for, the one with most registered views.
+pub(super) fn leading_camera(map: &Map<'_>) -> Option<usize> {
+    let counts = map.num_views_of_cameras();
+    map.unknown_cameras().max_by_key(|&camera| (counts[camera], usize::MAX - camera))
+}
+
+/// The cameras that are asked for their deviation: of those that are looked for and see something, the first one, and
+/// those with most views, as far as it costs no more than the last adjustments do.
+pub(super) fn asked_cameras(map: &Map<'_>) -> Vec<usize> {
+    const MOST: usize = 8;
+    let counts = map.num_views_of_cameras();
+    let mut asked: Vec<usize> = map.unknown_cameras().filter(|&camera| counts[camera] > 0).collect();
+    asked.sort_by_key(|&camera| (camera > 0, usize::MAX - counts[camera], camera));
+    asked.truncate(MOST);
+    asked
+}
+
+/// Asks what the observations tell of the focal length of a camera, or of a factor of those of several, by holding them
+/// off on both sides.
+pub(super) fn focal_evidence(
+    map: &Map<'_>,
+    asked: &[usize],
+    sigma_px: f64,
+    options: &Options,
+) -> Result<FocalEvidence, MapperError> {
+    const CHANGE: f64 = 0.03;
+    let sigma_px = sigma_px.max(MIN_SIGMA_PX);
+    let nothing = FocalEvidence { together: f64::INFINITY, in_groups: f64::INFINITY, shift: 0.0 };
+    let Some(&first) = asked.first() else { return Ok(nothing) };
+    let probe = Probe::new(map, sigma_px, options);
+    let held = |change: f64| {
+        probe.adjusted(map, Freedom::FocalAndRadial, &|trial| {
+            // Of the others' focal lengths what is known beforehand counts as before.
+            trial.priors.intrinsics.retain(|prior| !asked.contains(&prior.camera));
+            for &camera in asked {
+                let block = &mut trial.cameras[camera];
+                block.camera.focal = block.camera.focal.map(|f| f * change.exp());
+                (block.free[0], block.free[1]) = (false, false);
+            }
+        })
+    };
+    let (less, here, more) = (held(-CHANGE)?, held(0.0)?, held(CHANGE)?);
+    let curvature = (more.cost + less.cost - 2.0 * here.cost) / CHANGE.powi(2);
+    if !(curvature > 0.0 && curvature.is_finite()) {
+        return Ok(nothing);
+    }
+    let slope = (more.cost - less.cost) / (2.0 * CHANGE);
+    let weight = (COMMON_ERROR_FACTOR * sigma_px).powi(-2);
+    let (off, stiffness) = (off_guess(map, first), map.known.of(first).guess_deviation().powi(-2));
+    let pulls = more.by_group.iter().zip(&less.by_group).map(|(more, less)| (more - less) / (2.0 * CHANGE));
+    // What is left of the slope is the prior's and the shift, and no group's own.
+    let mean = slope / NUM_GROUPS as f64;
+    let spread: f64 = pulls.map(|pull| (pull - mean).powi(2)).sum();
+    Ok(FocalEvidence {
+        together: COMMON_ERROR_FACTOR * sigma_px / curvature.sqrt(),
+        in_groups: spread.sqrt() / curvature,
+        shift: -(weight * slope + stiffness * off) / (weight * curvature + stiffness),
+    })
+}
+
+/// Standard deviation of ln f of a camera if all observations err together, from the normal equations where the map
+/// stands: what [`focal_evidence`] finds by adjusting three times over, as far as the problem is linear. Infinite where
+/// the motion leaves it open.
+pub(super) fn focal_deviation_here(
+    map: &Map<'_>,
+    camera: usize,
+    sigma_px: f64,
+    options: &Options,
+) -> Result<f64, MapperError> {
+    let sigma_px = sigma_px.max(MIN_SIGMA_PX);
+    let probe = Probe::new(map, sigma_px, options);
+    let bundle_options = bundle::Options { loss: options.loss(probe.noise), ..bundle::Options::default() };
+    let mut told: Option<LensEvidence> = None;
+    for part in &probe.parts {
+        let mut problem = probe.trial(map, part, Freedom::FocalAndRadial);
+        problem.priors.intrinsics.retain(|prior| prior.camera != camera);
+        told.get_or_insert_with(|| LensEvidence::none(camera, &problem)).add(&problem, &bundle_options)?;
+    }
+    let deviation_px = told.and_then(|told| told.first_deviation()).unwrap_or(f64::INFINITY);
+    Ok(COMMON_ERROR_FACTOR * sigma_px * deviation_px / map.cameras[camera].mean_focal())
+}
+
+/// Gain of the first coefficient of distortion, in units of the common errors squared, where it is the only one.
+pub(super) fn first_radial_gain(map: &Map<'_>, sigma_px: f64, options: &Options) -> Result<f64, MapperError> {
+    let probe = Probe::new(map, sigma_px, options);
+    let without_radial = |trial: &mut Problem| {
+        trial.priors.intrinsics.clear();
+        let adjusted = trial.cameras.iter_mut().filter(|block| block.free[0]);
+        adjusted.for_each(|block| block.camera.radial = [0.0; 2]);
+    };
+    let cost = |freedom| Ok::<_, MapperError>(probe.adjusted(map, freedom, &without_radial)?.cost);
+    let gain = cost(Freedom::Focal)? - cost(Freedom::FocalAndFirstRadial)?;
+    Ok(2.0 * gain / (COMMON_ERROR_FACTOR * sigma_px).powi(2))
+}
+
+/// Adjustments on trial, of some points in every part of every view.
+struct Probe<'a> {
+    /// One, but of long videos, which are asked in stretches, each by itself.
+    parts: Vec<Part>,
+    noise: Noise,
+    options: &'a Options,
+}
+
+/// Parameters that are adjusted together.
+enum Part {
+    All { tracks: Vec<bool>, free_views: Vec<bool> },
+    Stretch { stretch: Stretch, time: [f64; 2] },
+}
+
+impl Part {
+    /// When it begins, and how long it is, as shares of the whole.
+    fn time(&self) -> [f64; 2] {
+        match self {
+            Self::All { .. } => [0.0, 1.0],
+            Self::Stretch { time, .. } => *time,
+        }
+    }
+}
+
+/// A problem after adjustment.
+struct Adjusted {
+    /// ½ Σ ρ.
+    cost: f64,
+    /// The same by group of points.
+    by_group: Vec<f64>,
+}
+
+/// Groups of points: parts of the picture, across, down and in time.
+const GROUPS: [usize; 3] = [4, 3, 4];
+const NUM_GROUPS: usize = GROUPS[0] * GROUPS[1] * GROUPS[2];
+
+impl<'a> Probe<'a> {
+    fn new(map: &Map<'_>, sigma_px: f64, options: &'a Options) -> Self {
+        let stretches = if windows::is_long(map, options) { windows::apart(map, options) } else { Vec::new() };
+        let length = map.poses.len().max(1) as f64;
+        let in_time = |stretch: Stretch| {
+            let time = [stretch.views.start, stretch.views.len()].map(|views| views as f64 / length);
+            Part::Stretch { stretch, time }
+        };
+        let mut parts: Vec<Part> = stretches.into_iter().map(in_time).collect();
+        if parts.is_empty() {
+            let scope = Scope::Selected { per_view: options.growth_points_per_view };
+            let (tracks, free_views) = adjustment::taking_part(map, &scope, options);
+            parts.push(Part::All { tracks, free_views });
+        }
+        Self { parts, noise: Noise::Measured { sigma_px }, options }
+    }
+
+    fn trial(&self, map: &Map<'_>, part: &Part, freedom: Freedom) -> Problem {
+        match part {
+            Part::All { tracks, free_views } => {
+                adjustment::build(map, tracks, free_views, freedom, self.noise, self.options).0
+            }
+            Part::Stretch { stretch, .. } => adjustment::build_stretch(map, stretch, freedom, self.noise, self.options),
+        }
+    }
+
+    /// All parts after adjustment, each from what `change` makes of it.
+    fn adjusted(
+        &self,
+        map: &Map<'_>,
+        freedom: Freedom,
+        change: &dyn Fn(&mut Problem),
+    ) -> Result<Adjusted, MapperError> {
+        let loss = self.options.loss(self.noise);
+        let bundle_options =
+            bundle::Options { loss, max_iterations: 20, function_tolerance: 1e-5, ..bundle::Options::default() };
+        let mut total = Adjusted { cost: 0.0, by_group: vec![0.0; NUM_GROUPS] };
+        for part in &self.parts {
+            let mut problem = self.trial(map, part, freedom);
+            change(&mut problem);
+            total.cost += bundle::adjust(&mut problem, &bundle_options)?.final_cost;
+            add_costs_by_group(&problem, loss, part.time(), &mut total.by_group);
+        }
+        Ok(total)
+    }
+}
+
+/// Adds ½ Σ ρ of the points of each group; a point belongs where the middle of its observations lies.
+fn add_costs_by_group(problem: &Problem, loss: RobustLoss, [start, length]: [f64; 2], costs: &mut [f64]) {
+    let mut points = vec![(0.0, [0.0; 3], 0.0); problem.points.len()];
+    for o in &problem.observations {
+        let pose = &problem.poses[o.pose as usize];
+        let camera = &problem.cameras[pose.camera].camera;
+        let error = camera.project(pose.cam_from_world * problem.points[o.point as usize].position).pixel - o.pixel;
+        let (cost, place, count) = &mut points[o.point as usize];
+        *cost += 0.5 * loss.evaluate(o.whitening.norm_sq(error))[0];
+        *count += 1.0;
+        let [width, height] = [camera.width, camera.height].map(f64::from);
+        let time = start + length * f64::from(o.pose) / problem.poses.len() as f64;
+        let at = [o.pixel.x / width, o.pixel.y / height, time];
+        place.iter_mut().zip(at).for_each(|(sum, at)| *sum += at);
+    }
+    for (cost, place, count) in points.into_iter().filter(|(cost, ..)| cost.is_finite()) {
+        let cell = |k: usize| ((place[k] / f64::max(count, 1.0) * GROUPS[k] as f64) as usize).min(GROUPS[k] - 1);
+        costs[(cell(2) * GROUPS[1] + cell(1)) * GROUPS[0] + cell(0)] += cost;
+    }
+}
+
+/// Returns true if such a lens is plausible: a field of view between 9 and 157 degrees over the longer side, and
+/// distortion that is monotonic from the center to the corner.
+pub(super) fn is_plausible(camera: &Camera) -> bool {
+    let side = f64::from(camera.width.max(camera.height));
+    let focal_ok = (0.1 * side..=6.0 * side).contains(&camera.mean_focal());
+    let corner = 0.5 * f64::from(camera.width).hypot(f64::from(camera.height)) / camera.mean_focal();
+    let [k1, k2] = camera.radial;
+    let r2 = corner * corner;
+    let monotonic = 1.0 + 3.0 * k1 * r2 + 5.0 * k2 * r2 * r2 > 0.0 && 1.0 + k1 * r2 + k2 * r2 * r2 < 2.0;
+    focal_ok && monotonic
+}

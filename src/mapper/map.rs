@@ -1,0 +1,450 @@
+//! The state of a growing map.
+
+mod joints;
+mod rejection;
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use nalgebra::{Point2, Point3};
+
+use super::{Intrinsics, KnownIntrinsics, Noise};
+use crate::bundle::Whitening;
+use crate::camera::Camera;
+use crate::features::tracks::{self, Feature, Track, TrackTable};
+use crate::geometry::resection::PixelsAndPoints;
+use crate::geometry::triangulation::{self, Limits, View, widest_angle};
+use crate::math::{RAYLEIGH_MEDIAN, Rigid3, upper_median};
+use crate::scene::{CameraId, Image, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
+
+/// A track whose point is known.
+#[derive(Clone, Debug)]
+pub struct MapPoint {
+    /// In the world.
+    pub position: Point3<f64>,
+    /// For each feature of the track, whether it is an observation of the point: its view is registered and it fits.
+    pub active: Vec<bool>,
+}
+
+/// Tracks to be reconstructed. Its tracks are a copy where tracks had to be split at gaps; its views, which take most
+/// of the memory, never are.
+#[derive(Clone)]
+pub struct Table<'a> {
+    /// As in [`TrackTable`].
+    pub views: &'a [tracks::View],
+    /// As in [`TrackTable`].
+    pub tracks: Cow<'a, [Track]>,
+}
+
+impl<'a> Table<'a> {
+    fn of(table: &'a TrackTable) -> Self {
+        Self { views: &table.views, tracks: Cow::Borrowed(&table.tracks) }
+    }
+
+    /// Position of a feature.
+    pub fn pixel(&self, feature: Feature) -> Point2<f64> {
+        self.views[feature.view as usize].pixels[feature.feature as usize]
+    }
+
+    /// Whitening of a feature's position error.
+    pub fn whitening(&self, feature: Feature) -> Whitening {
+        self.views[feature.view as usize].whitening_of(feature.feature)
+    }
+}
+
+/// Features of each view that belong to tracks.
+fn slots_of_view(table: &Table<'_>) -> Vec<Vec<Slot>> {
+    let mut counts = vec![0; table.views.len()];
+    table.tracks.iter().flatten().for_each(|feature| counts[feature.view as usize] += 1);
+    let mut slots: Vec<Vec<Slot>> = counts.into_iter().map(Vec::with_capacity).collect();
+    for (track, features) in (0..).zip(table.tracks.iter()) {
+        for (slot, feature) in (0..).zip(features) {
+            slots[feature.view as usize].push(Slot { track, slot });
+        }
+    }
+    slots
+}
+
+/// Place of a feature in its track.
+#[derive(Clone, Copy, Debug)]
+pub struct Slot {
+    /// Track index.
+    pub track: u32,
+    /// Index in the track.
+    pub slot: u32,
+}
+
+/// Poses and points found so far.
+#[derive(Clone)]
+pub struct Map<'a> {
+    /// Tracks to be reconstructed.
+    pub table: Table<'a>,
+    /// Intrinsics.
+    pub cameras: Vec<Camera>,
+    /// Intrinsics as they were at the start.
+    pub guess: Vec<Camera>,
+    /// Prior knowledge of the intrinsics.
+    pub known: KnownIntrinsics,
+    /// World to camera, by view; `None` where not registered.
+    pub poses: Vec<Option<Rigid3>>,
+    /// By track.
+    points: Vec<Option<MapPoint>>,
+    /// Features of each view that belong to tracks.
+    slots_of_view: Vec<Vec<Slot>>,
+    /// Number of its features with a known point, by view.
+    num_visible: Vec<usize>,
+    /// True if there are loop closures, so that views far apart in time share points.
+    pub comes_back: bool,
+}
+
+impl<'a> Map<'a> {
+    /// Nothing known yet.
+    pub fn new(table: &'a TrackTable, cameras: &[Camera]) -> Self {
+        let table = Table::of(table);
+        Self {
+            cameras: cameras.to_vec(),
+            guess: cameras.to_vec(),
+            known: Intrinsics::Refined.into(),
+            poses: vec![None; table.views.len()],
+            points: vec![None; table.tracks.len()],
+            num_visible: vec![0; table.views.len()],
+            slots_of_view: slots_of_view(&table),
+            comes_back: false,
+            table,
+        }
+    }
+
+    /// The same with intrinsics that are so well known at the start.
+    pub fn knowing(self, known: KnownIntrinsics) -> Self {
+        Self { known, ..self }
+    }
+
+    /// The cameras whose intrinsics are looked for, ascending.
+    pub fn unknown_cameras(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.cameras.len()).filter(|&camera| self.known.of(camera) != Intrinsics::Fixed)
+    }
+
+    /// Registered views, by camera.
+    pub fn num_views_of_cameras(&self) -> Vec<usize> {
+        let mut counts = vec![0; self.cameras.len()];
+        self.registered().for_each(|view| counts[self.table.views[view].camera] += 1);
+        counts
+    }
+
+    /// Known points that registered views see, by camera; one that two views see counts twice.
+    pub fn num_points_of_cameras(&self) -> Vec<usize> {
+        let mut counts = vec![0; self.cameras.len()];
+        self.registered().for_each(|view| counts[self.table.views[view].camera] += self.num_visible[view]);
+        counts
+    }
+
+    /// Registered views.
+    pub fn num_registered(&self) -> usize {
+        self.poses.iter().flatten().count()
+    }
+
+    /// Registered views, ascending.
+    pub fn registered(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.poses.len()).filter(|&view| self.poses[view].is_some())
+    }
+
+    /// Known points.
+    pub fn num_points(&self) -> usize {
+        self.points.iter().flatten().count()
+    }
+
+    /// The point of a track, if known.
+    pub fn point(&self, track: usize) -> Option<&MapPoint> {
+        self.points[track].as_ref()
+    }
+
+    /// Moves a known point.
+    pub fn move_point(&mut self, track: usize, position: Point3<f64>) {
+        if let Some(point) = &mut self.points[track] {
+            point.position = position;
+        }
+    }
+
+    /// Numbers of a view's features that belong to tracks, and of those with a known point.
+    pub fn visibility(&self, view: usize) -> (usize, usize) {
+        (self.slots_of_view[view].len(), self.num_visible[view])
+    }
+
+    /// Features of a view whose points are known.
+    pub fn visible(&self, view: usize) -> Vec<Slot> {
+        self.slots_of_view[view].iter().copied().filter(|s| self.points[s.track as usize].is_some()).collect()
+    }
+
+    /// View and position of a feature of a track.
+    pub fn feature(&self, track: usize, slot: usize) -> (usize, Point2<f64>) {
+        let feature = self.table.tracks[track][slot];
+        (feature.view as usize, self.table.pixel(feature))
+    }
+
+    /// The intrinsics of a view.
+    pub fn camera_of(&self, view: usize) -> &Camera {
+        &self.cameras[self.table.views[view].camera]
+    }
+
+    /// Pixels and points at some features of a view, for resection.
+    pub fn pixels_and_points(&self, slots: &[Slot]) -> (Vec<Point2<f64>>, Vec<Point3<f64>>) {
+        slots
+            .iter()
+            .filter_map(|s| {
+                let point = self.points[s.track as usize].as_ref()?;
+                Some((self.feature(s.track as usize, s.slot as usize).1, point.position))
+            })
+            .unzip()
+    }
+
+    /// The data of a resection, over buffers made by [`Map::pixels_and_points`].
+    pub fn resection_data<'b>(
+        &'b self,
+        view: usize,
+        (pixels, points): &'b (Vec<Point2<f64>>, Vec<Point3<f64>>),
+    ) -> PixelsAndPoints<'b> {
+        PixelsAndPoints { camera: self.camera_of(view), pixels, points }
+    }
+
+    /// Marks features as observations of their points.
+    pub fn activate(&mut self, slots: impl IntoIterator<Item = Slot>) {
+        for s in slots {
+            if let Some(point) = &mut self.points[s.track as usize] {
+                point.active[s.slot as usize] = true;
+            }
+        }
+    }
+
+    /// Takes a view out again, with all its observations.
+    pub fn unregister(&mut self, view: usize) {
+        self.poses[view] = None;
+        for s in self.slots_of_view[view].clone() {
+            if let Some(point) = &mut self.points[s.track as usize] {
+                point.active[s.slot as usize] = false;
+            }
+        }
+    }
+
+    /// Triangulates the unknown points that a view sees; returns how many were found.
+    pub fn triangulate_seen_by(&mut self, view: usize, limits: &Limits) -> usize {
+        let unknown: Vec<usize> = self.slots_of_view[view]
+            .iter()
+            .map(|s| s.track as usize)
+            .filter(|&track| self.points[track].is_none())
+            .collect();
+        unknown.into_iter().filter(|&track| self.triangulate(track, limits)).count()
+    }
+
+    /// Triangulates every unknown point; returns how many were found.
+    pub fn triangulate_all(&mut self, limits: &Limits) -> usize {
+        (0..self.points.len()).filter(|&t| self.points[t].is_none() && self.triangulate(t, limits)).count()
+    }
+
+    fn triangulate(&mut self, track: usize, limits: &Limits) -> bool {
+        let slots: Vec<usize> =
+            (0..self.table.tracks[track].len()).filter(|&slot| self.pose_at(track, slot).is_some()).collect();
+        if slots.len() < 2 {
+            return false;
+        }
+        let views: Vec<View<'_>> = slots.iter().filter_map(|&slot| self.view_at(track, slot)).collect();
+        let Some(found) = triangulation::triangulate(&views, limits) else { return false };
+        let mut active = vec![false; self.table.tracks[track].len()];
+        for (&slot, inlier) in slots.iter().zip(found.inliers) {
+            active[slot] = inlier;
+        }
+        self.set_point(track, Some(MapPoint { position: found.position, active }));
+        true
+    }
+
+    /// Triangulates known points again from their observations, leaving out those for which `keep` holds (they were
+    /// adjusted already). A point whose observations no longer meet is dropped.
+    pub fn retriangulate(&mut self, limits: &Limits, keep: &[bool]) {
+        for track in 0..self.points.len() {
+            if self.points[track].is_some() && !keep[track] {
+                self.set_point(track, None);
+                self.triangulate(track, limits);
+            }
+        }
+    }
+
+    /// Adds the registered views that see known points and fit, and takes out observations that do not, points with
+    /// fewer than two observations, and points without an angle. Returns how many observations changed.
+    pub fn update_observations(&mut self, limits: &Limits) -> usize {
+        (0..self.points.len()).map(|track| self.update_point(track, limits)).sum()
+    }
+
+    /// The same of one point.
+    fn update_point(&mut self, track: usize, limits: &Limits) -> usize {
+        let max_sq = limits.max_error_px * limits.max_error_px;
+        let Some(point) = &self.points[track] else { return 0 };
+        let position = point.position;
+        let fits = |slot: usize| self.view_at(track, slot).is_some_and(|v| v.error_sq(position) <= max_sq);
+        let active: Vec<bool> = (0..point.active.len()).map(fits).collect();
+        let changed = active.iter().zip(&point.active).filter(|(a, b)| a != b).count();
+        let centers = (0..active.len())
+            .filter(|&slot| active[slot])
+            .filter_map(|slot| self.pose_at(track, slot).map(Rigid3::center));
+        let enough = active.iter().filter(|&&a| a).count() >= 2;
+        if enough && widest_angle(position, centers) >= limits.min_angle {
+            self.points[track] = Some(MapPoint { position, active });
+        } else {
+            self.set_point(track, None);
+        }
+        changed
+    }
+
+    /// Triangulates again what some views see, leaving out points for which `keep` holds (they were adjusted already),
+    /// and adds and takes out observations of all that they see.
+    pub fn renew(&mut self, views: Range<usize>, limits: &Limits, keep: &[bool]) {
+        let mut tracks: Vec<usize> =
+            self.slots_of_view[views].iter().flatten().map(|slot| slot.track as usize).collect();
+        tracks.sort_unstable();
+        tracks.dedup();
+        for track in tracks {
+            if !keep[track] {
+                self.set_point(track, None);
+                self.triangulate(track, limits);
+            }
+            self.update_point(track, limits);
+        }
+    }
+
+    /// Looks whether points were lost for more than so many views and found again, more than chance would have it.
+    pub fn look_for_places_that_come_back(&mut self, gap: usize) {
+        const FEW: usize = 20;
+        let is_far = |pair: &[Feature]| (pair[1].view - pair[0].view) as usize > gap;
+        self.comes_back = self.table.tracks.iter().filter(|track| track.windows(2).any(is_far)).nth(FEW).is_some();
+    }
+
+    fn set_point(&mut self, track: usize, point: Option<MapPoint>) {
+        let (before, after) = (self.points[track].is_some(), point.is_some());
+        self.points[track] = point;
+        if before != after {
+            for feature in &self.table.tracks[track] {
+                let count = &mut self.num_visible[feature.view as usize];
+                *count = if after { *count + 1 } else { *count - 1 };
+            }
+        }
+    }
+
+    fn pose_at(&self, track: usize, slot: usize) -> Option<&Rigid3> {
+        self.poses[self.table.tracks[track][slot].view as usize].as_ref()
+    }
+
+    fn view_at(&self, track: usize, slot: usize) -> Option<View<'_>> {
+        let (view, pixel) = self.feature(track, slot);
+        let whitening = self.table.whitening(self.table.tracks[track][slot]);
+        Some(View { camera: self.camera_of(view), cam_from_world: self.poses[view].as_ref()?, pixel, whitening })
+    }
+
+    /// Observations of a known point: slot, view and pixel.
+    pub fn observations(&self, track: usize) -> impl Iterator<Item = (usize, usize, Point2<f64>)> + '_ {
+        let active = self.points[track].iter().flat_map(|p| p.active.iter().enumerate());
+        active.filter(|(_, active)| **active).map(move |(slot, _)| {
+            let (view, pixel) = self.feature(track, slot);
+            (slot, view, pixel)
+        })
+    }
+
+    /// Number of observations that the map explains: each counts from 1, where it fits exactly, to 0 at `max_error` (in
+    /// units of the whitening) or where its point or view is unknown.
+    pub fn num_explained(&self, max_error: f64) -> f64 {
+        let misfit = |track: usize, position: Point3<f64>, slot: usize| {
+            self.view_at(track, slot).map_or(1.0, |view| (view.error_sq(position) / max_error.powi(2)).min(1.0))
+        };
+        (0..self.points.len())
+            .filter_map(|track| Some((track, self.points[track].as_ref()?.position)))
+            .map(|(track, position)| {
+                self.observations(track).map(|(slot, _, _)| 1.0 - misfit(track, position, slot)).sum::<f64>()
+            })
+            .sum()
+    }
+
+    /// Robust noise of the observations: the median distance to the projection, as the standard deviation of a
+    /// coordinate under Gaussian noise (a Rayleigh median is 1.177 σ). Of long videos a part of the tracks, all over
+    /// them, tells as much as all.
+    pub fn noise(&self) -> Noise {
+        const ENOUGH_TRACKS: usize = 20_000;
+        let errors: Vec<f64> = (0..self.points.len())
+            .step_by((self.points.len() / ENOUGH_TRACKS).max(1))
+            .filter_map(|track| Some((track, self.points[track].as_ref()?.position)))
+            .flat_map(|(track, position)| {
+                self.observations(track)
+                    .filter_map(move |(slot, _, _)| Some(self.view_at(track, slot)?.error_sq(position).sqrt()))
+            })
+            .collect();
+        upper_median(errors).map_or(Noise::Unknown, |median| Noise::Measured { sigma_px: median / RAYLEIGH_MEDIAN })
+    }
+
+    /// The result, in COLMAP's terms: registered views with all their features, points with their observations.
+    pub fn into_reconstruction(self) -> Reconstruction {
+        let views = self.table.views;
+        self.into_found().with_views(views.iter().cloned())
+    }
+
+    /// Result of the reconstruction, without the views.
+    pub fn into_found(mut self) -> Found {
+        self.slots_of_view = Vec::new();
+        let cameras = self.cameras.iter().enumerate().map(|(i, c)| (camera_id(i), *c)).collect();
+        let mut points = BTreeMap::new();
+        for track in 0..self.points.len() {
+            if let Some(point) = self.colmap_point(track) {
+                points.insert(Point3dId(points.len() as u64 + 1), point);
+            }
+            self.points[track] = None;
+        }
+        Found { cameras, poses: self.poses, points }
+    }
+
+    fn colmap_point(&self, track: usize) -> Option<Point3d> {
+        let position = self.points[track].as_ref()?.position;
+        let mut elements = Vec::new();
+        let (mut rgb_sum, mut error_sum) = ([0u32; 3], 0.0);
+        for (slot, view, _) in self.observations(track) {
+            let feature = self.table.tracks[track][slot];
+            let source = &self.table.views[view];
+            elements.push(TrackElement { image: source.image, observation_idx: feature.feature });
+            for (sum, c) in rgb_sum.iter_mut().zip(source.rgb[feature.feature as usize]) {
+                *sum += u32::from(c);
+            }
+            error_sum +=
+                View { whitening: Whitening::IDENTITY, ..self.view_at(track, slot)? }.error_sq(position).sqrt();
+        }
+        let n = elements.len();
+        let rgb = rgb_sum.map(|sum| (sum / (n as u32).max(1)) as u8);
+        (n >= 2).then(|| Point3d { position, rgb, error_px: error_sum / n as f64, track: elements })
+    }
+}
+
+fn camera_id(camera: usize) -> CameraId {
+    CameraId(camera as u32 + 1)
+}
+
+/// A map without its views.
+pub struct Found {
+    cameras: BTreeMap<CameraId, Camera>,
+    poses: Vec<Option<Rigid3>>,
+    points: BTreeMap<Point3dId, Point3d>,
+}
+
+impl Found {
+    /// The whole, with the views that it was found in: each may go as soon as its features are taken over.
+    pub fn with_views(self, views: impl Iterator<Item = tracks::View>) -> Reconstruction {
+        let mut images = BTreeMap::new();
+        for (pose, view) in self.poses.iter().zip(views) {
+            let Some(cam_from_world) = *pose else { continue };
+            let observations = view.pixels.iter().map(|&pixel| Observation { pixel, point: None }).collect();
+            let image = Image { name: view.name, camera: camera_id(view.camera), cam_from_world, observations };
+            images.insert(view.image, image);
+        }
+        for (&id, point) in &self.points {
+            for element in &point.track {
+                if let Some(image) = images.get_mut(&element.image) {
+                    image.observations[element.observation_idx as usize].point = Some(id);
+                }
+            }
+        }
+        Reconstruction { cameras: self.cameras, images, points: self.points, ..Reconstruction::default() }
+    }
+}

@@ -1,0 +1,31 @@
+//! Points that have no finite position or projection.
+//!
+//! Bundle adjustment projects through the center of a camera: the cost of a point that passes a camera, as points near
+//! the line of motion do, stays finite, and its final position may lie behind a camera that observes it. A point whose
+//! rays become parallel moves off to infinity. Neither has a reprojection error that means anything.
+
+use super::Map;
+use crate::geometry::triangulation::widest_angle;
+use crate::math::Rigid3;
+
+/// Smallest parallax of a point, radians: less than a thousandth of a pixel at a focal length of 1000 px, so that no
+/// measurement tells it from infinity.
+const LEAST_PARALLAX: f64 = 1e-6;
+
+impl Map<'_> {
+    /// Rejects points behind a camera that observes them, at infinity, or not finite; returns their number.
+    pub fn reject_infinite_points(&mut self) -> usize {
+        let is_infinite = |track: &usize| self.points[*track].is_some() && !self.has_finite_errors(*track);
+        let infinite: Vec<usize> = (0..self.points.len()).filter(is_infinite).collect();
+        infinite.iter().for_each(|&track| self.set_point(track, None));
+        infinite.len()
+    }
+
+    fn has_finite_errors(&self, track: usize) -> bool {
+        let Some(point) = &self.points[track] else { return false };
+        let views = || self.observations(track).filter_map(|(slot, ..)| self.view_at(track, slot));
+        let centers = views().map(|view| Rigid3::center(view.cam_from_world));
+        views().all(|view| view.error_sq(point.position).is_finite())
+            && widest_angle(point.position, centers) >= LEAST_PARALLAX
+    }
+}

@@ -1,0 +1,362 @@
+//! Incremental reconstruction of one target (the background, or one object) from its tracks.
+//!
+//! A pair of views with many common points and a wide angle starts the map. Views are added one by one, the one that
+//! sees most known points first: its pose by P3P ([`crate::geometry::resection`]), new points by triangulation
+//! ([`crate::geometry::triangulation`]), then a local bundle adjustment round it, and a global one whenever the map has grown by
+//! a fixed share. Views that fail are tried again when they see more points, and at the end, for a video, from the
+//! poses of their neighbours. Views that contradict what pairs of views say by themselves are taken out and tried again
+//! (`view_graph`). When a start does not carry far, the next pair is tried, and the largest map is kept. Views that are
+//! left over grow maps of their own, which are joined to it where enough ties them (`growth::submaps`).
+//!
+//! Every view that is not part of the result has a [`Reason`] in the [`Report`].
+
+mod adjustment;
+mod apart;
+mod error;
+mod focal_changes;
+mod growth;
+mod initial_pair;
+mod known;
+mod lens;
+mod long_tracks;
+mod map;
+mod motion;
+mod report;
+pub mod silhouette;
+mod starts;
+#[cfg(test)]
+mod tests;
+mod view_graph;
+mod windows;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use growth::KnownPoses;
+pub use known::{Intrinsics, KnownIntrinsics};
+use lens::COMMON_ERROR_FACTOR;
+pub use long_tracks::cut_long_tracks;
+pub use motion::Remark;
+pub use report::{Outcome, Reason, Report};
+
+use crate::camera::Camera;
+use crate::checks::{Checked, ordered, within};
+use crate::features::tracks::TrackTable;
+use crate::geometry::triangulation::Limits;
+use crate::math::RobustLoss;
+use crate::scene::Reconstruction;
+pub use error::MapperError;
+pub use focal_changes::focal_changes;
+use growth::SubMap;
+use map::Found;
+use silhouette::Silhouettes;
+use starts::Task;
+
+/// Options of the mapper.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Options {
+    /// Minimum number of inliers of the initial pair.
+    #[schemars(extend("unit" = "points"))]
+    pub min_initial_inliers: usize,
+    /// Median triangulation angle from which an initial pair is preferred.
+    pub initial_angle_deg: f64,
+    /// Minimum number of inliers of a registered view.
+    #[schemars(extend("unit" = "points"))]
+    pub min_resection_inliers: usize,
+    /// Minimum inlier ratio of a registered view.
+    #[schemars(extend("unit" = "share"))]
+    pub min_inlier_ratio: f64,
+    /// Maximum epipolar and resection error of an inlier.
+    pub max_pose_error_px: f64,
+    /// Maximum reprojection error of an observation.
+    pub max_error_px: f64,
+    /// Maximum reprojection error over the measured noise, for ordered views.
+    #[schemars(extend("unit" = "standard deviations"))]
+    pub max_error_sigmas: f64,
+    /// Reprojection error below which no observation is rejected.
+    pub min_error_px: f64,
+    /// Minimum triangulation angle of a point at focal lengths up to 1536 px; smaller in proportion beyond.
+    pub min_angle_deg: f64,
+    /// Scale of the robust loss before the noise is measured.
+    pub loss_scale_px: f64,
+    /// Scale of the robust loss over the measured noise.
+    #[schemars(extend("unit" = "standard deviations"))]
+    pub loss_sigmas: f64,
+    /// Free views of a local bundle adjustment.
+    #[schemars(extend("unit" = "views"))]
+    pub local_views: usize,
+    /// Growth of the number of views that triggers a global bundle adjustment.
+    #[schemars(extend("unit" = "factor"))]
+    pub global_growth: f64,
+    /// Points per view in global adjustments of the growing map; the last ones use all.
+    #[schemars(extend("unit" = "points"))]
+    pub growth_points_per_view: usize,
+    /// Minimum number of initialization attempts.
+    #[schemars(extend("unit" = "starts"))]
+    pub min_starts: usize,
+    /// Maximum number of initialization attempts.
+    #[schemars(extend("unit" = "starts"))]
+    pub max_starts: usize,
+    /// Perspective foreshortening below which the map is also initialized from pose priors; 0 for never.
+    pub weak_perspective_px: f64,
+    /// True if views are in temporal order.
+    pub ordered: bool,
+    /// Number of views after which a track is split.
+    #[schemars(extend("unit" = "views"))]
+    pub max_track_views: usize,
+    /// Tolerance of the global adjustments between the end of growth and the last one, as a share of the cost.
+    #[schemars(extend("unit" = "share"))]
+    pub coarse_tolerance: f64,
+    /// True if initialization attempts end once two maps agree, or the map from pose priors is good.
+    pub stop_early: bool,
+    /// Pose discontinuities of a map that are repaired at most.
+    #[schemars(extend("unit" = "discontinuities"))]
+    pub max_folds: usize,
+    /// Views of a map beyond which it is adjusted in windows: up to here one adjustment takes no more memory than the
+    /// rest of the program.
+    #[schemars(extend("unit" = "views"))]
+    pub max_views_at_once: usize,
+}
+
+/// Scale of the loss below which a residual is rounding; a smaller one would only slow the solver down.
+const MIN_LOSS_SCALE_PX: f64 = 0.02;
+
+impl Options {
+    /// For the background.
+    pub fn background() -> Self {
+        Self {
+            min_initial_inliers: 60,
+            initial_angle_deg: 12.0,
+            min_resection_inliers: 20,
+            min_inlier_ratio: 0.2,
+            max_pose_error_px: 4.0,
+            max_error_px: 3.0,
+            max_error_sigmas: 8.0,
+            min_error_px: 0.4,
+            min_angle_deg: 1.0,
+            loss_scale_px: 1.0,
+            loss_sigmas: 2.0,
+            local_views: 6,
+            global_growth: 1.3,
+            growth_points_per_view: 250,
+            min_starts: 1,
+            max_starts: 3,
+            weak_perspective_px: 0.0,
+            ordered: true,
+            max_track_views: 96,
+            coarse_tolerance: 1e-4,
+            stop_early: true,
+            max_folds: 3,
+            max_views_at_once: 800,
+        }
+    }
+
+    /// For one object: far fewer points, so less is asked of them, and they must fit better.
+    pub fn object() -> Self {
+        Self {
+            min_initial_inliers: 16,
+            initial_angle_deg: 8.0,
+            min_resection_inliers: 7,
+            min_inlier_ratio: 0.25,
+            max_pose_error_px: 3.0,
+            max_error_px: 2.0,
+            min_angle_deg: 1.0,
+            min_starts: 3,
+            max_starts: 5,
+            weak_perspective_px: 15.0,
+            ..Self::background()
+        }
+    }
+
+    /// Rejects limits that cannot be kept, contradict one another or would never end.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::checks::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("min_initial_inliers", self.min_initial_inliers, 6..=1_000_000)?;
+        within("initial_angle_deg", self.initial_angle_deg, 0.0..=90.0)?;
+        within("min_resection_inliers", self.min_resection_inliers, 4..=1_000_000)?;
+        within("min_inlier_ratio", self.min_inlier_ratio, 0.0..=1.0)?;
+        within("max_pose_error_px", self.max_pose_error_px, 0.01..=1000.0)?;
+        within("max_error_px", self.max_error_px, 0.01..=1000.0)?;
+        within("max_error_sigmas", self.max_error_sigmas, 0.1..=1000.0)?;
+        within("min_error_px", self.min_error_px, 0.001..=1000.0)?;
+        ordered(("min_error_px", self.min_error_px), ("max_error_px", self.max_error_px))?;
+        within("min_angle_deg", self.min_angle_deg, 0.0..=90.0)?;
+        within("loss_scale_px", self.loss_scale_px, MIN_LOSS_SCALE_PX..=1000.0)?;
+        within("loss_sigmas", self.loss_sigmas, 0.01..=1000.0)?;
+        within("local_views", self.local_views, 1..=10_000)?;
+        within("global_growth", self.global_growth, 1.01..=1000.0)?;
+        within("growth_points_per_view", self.growth_points_per_view, 1..=1_000_000)?;
+        within("min_starts", self.min_starts, 1..=1000)?;
+        within("max_starts", self.max_starts, 1..=1000)?;
+        ordered(("min_starts", self.min_starts), ("max_starts", self.max_starts))?;
+        within("weak_perspective_px", self.weak_perspective_px, 0.0..=1e6)?;
+        within("max_track_views", self.max_track_views, 4..=1_000_000_000)?;
+        within("coarse_tolerance", self.coarse_tolerance, 1e-12..=0.1)?;
+        within("max_folds", self.max_folds, 0..=1000)?;
+        within("max_views_at_once", self.max_views_at_once, 800..=1_000_000_000)
+    }
+
+    /// The same for cameras: positions are found to a share of a pixel whatever the frame's size, so that it is the
+    /// parallax in pixels, f · angle, that tells a depth. `min_angle_deg` holds up to a focal length of 1536 px, a
+    /// field of view of 45° in frames of 1280 pixels; beyond, the parallax counts that it makes there.
+    fn at_focal(&self, cameras: &[Camera]) -> Self {
+        const USUAL_FOCAL_PX: f64 = 1536.0;
+        let longest = cameras.iter().map(Camera::mean_focal).fold(USUAL_FOCAL_PX, f64::max);
+        Self { min_angle_deg: self.min_angle_deg * USUAL_FOCAL_PX / longest, ..self.clone() }
+    }
+
+    /// Limits of inlier observations at a noise.
+    fn limits(&self, noise: Noise) -> Limits {
+        let max_error_px = match noise {
+            Noise::Measured { sigma_px } if self.ordered => {
+                (self.max_error_sigmas * sigma_px).clamp(self.min_error_px, self.max_error_px)
+            }
+            Noise::Measured { .. } | Noise::Unknown => self.max_error_px,
+        };
+        Limits { max_error_px, min_angle: self.min_angle_deg.to_radians() }
+    }
+
+    /// The loss of bundle adjustment at a noise.
+    fn loss(&self, noise: Noise) -> RobustLoss {
+        let scale = match noise {
+            Noise::Unknown => self.loss_scale_px,
+            Noise::Measured { sigma_px } => (self.loss_sigmas * sigma_px).clamp(MIN_LOSS_SCALE_PX, self.loss_scale_px),
+        };
+        RobustLoss::SoftL1 { scale }
+    }
+}
+
+/// Noise of observations: residuals of the points' projections.
+///
+/// Features of different front ends, videos and objects differ tenfold in it, and a loss or a threshold that is wide
+/// for the data lets systematic errors in: on the shared rendered sequence measured limits took the camera error of the
+/// background from 2.8 to 0.5 mm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Noise {
+    /// Nothing adjusted yet.
+    Unknown,
+    /// Robust standard deviation of a coordinate.
+    Measured {
+        /// Pixels; where positions carry a covariance, of a good corner (a whitening of one).
+        sigma_px: f64,
+    },
+}
+
+/// Prior knowledge of a target besides its tracks.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Beside<'a> {
+    /// Of an object: of maps that explain less than good tracks let a map explain, the one whose points lie within them
+    /// is taken.
+    pub silhouettes: Option<&'a Silhouettes>,
+    /// Poses of the views, roughly. A map starts from them, too, and maps whose views turn otherwise are worth less.
+    pub poses: Option<&'a KnownPoses>,
+}
+
+/// Builds the map that explains the tracks best.
+///
+/// A start on few points or on one plane (a car's tail) may grow into a map that is bent at one frame, whose residuals
+/// are hardly larger than those of the right one, so that objects are built from several starts.
+///
+/// Long videos cost the least after [`cut_long_tracks`].
+///
+/// * `cameras` – intrinsics, indexed by [`crate::features::tracks::View::camera`].
+/// * `intrinsics` – what is known of them: alike of all cameras, or of each.
+///
+/// The reconstruction is empty when no pair of views can start one; the report then says why.
+///
+/// Adjustments run on the threads of the caller's rayon pool.
+///
+/// # Errors
+/// [`MapperError::Option`] for options that [`Options::check`] refuses; [`MapperError::Bundle`] only on an invalid bundle
+/// adjustment problem, which would be a bug.
+pub fn reconstruct(
+    table: &TrackTable,
+    cameras: &[Camera],
+    intrinsics: impl Into<KnownIntrinsics>,
+    options: &Options,
+    seed: u64,
+) -> Result<(Reconstruction, Report), MapperError> {
+    reconstruct_watched(table, cameras, intrinsics, options, seed, Beside::default(), &mut |_| {})
+}
+
+/// As [`reconstruct`], with the priors `beside` the tracks. `watch` receives the finished share of the work
+/// from time to time, as far as that can be determined: starts that turn out to be needed set it back.
+///
+/// # Errors
+/// As [`reconstruct`].
+pub fn reconstruct_watched(
+    table: &TrackTable,
+    cameras: &[Camera],
+    intrinsics: impl Into<KnownIntrinsics>,
+    options: &Options,
+    seed: u64,
+    beside: Beside<'_>,
+    watch: &mut dyn FnMut(f64),
+) -> Result<(Reconstruction, Report), MapperError> {
+    let (found, report) = found(table, cameras, intrinsics.into(), options, seed, beside, watch)?;
+    Ok(with_views(found, report, table.views.iter().cloned()))
+}
+
+/// As [`reconstruct_watched`], of tracks that are not needed any more: those of a long video and the map that is made
+/// of them do not lie in memory together.
+///
+/// # Errors
+/// As [`reconstruct`].
+pub fn reconstruct_consuming(
+    table: TrackTable,
+    cameras: &[Camera],
+    intrinsics: impl Into<KnownIntrinsics>,
+    options: &Options,
+    seed: u64,
+    beside: Beside<'_>,
+    watch: &mut dyn FnMut(f64),
+) -> Result<(Reconstruction, Report), MapperError> {
+    let (found, report) = found(&table, cameras, intrinsics.into(), options, seed, beside, watch)?;
+    let TrackTable { views, tracks } = table;
+    drop(tracks);
+    Ok(with_views(found, report, views.into_iter()))
+}
+
+fn with_views(
+    found: Option<Found>,
+    mut report: Report,
+    views: impl Iterator<Item = crate::features::tracks::View>,
+) -> (Reconstruction, Report) {
+    let reconstruction = found.map(|found| found.with_views(views)).unwrap_or_default();
+    report.mean_error_px = reconstruction.mean_reprojection_error_px();
+    (reconstruction, report)
+}
+
+fn found(
+    table: &TrackTable,
+    cameras: &[Camera],
+    known: KnownIntrinsics,
+    options: &Options,
+    seed: u64,
+    beside: Beside<'_>,
+    watch: &mut dyn FnMut(f64),
+) -> Result<(Option<Found>, Report), MapperError> {
+    options.check()?;
+    let options = &options.at_focal(cameras);
+    let task = Task { table, cameras, known: &known, options, beside };
+    let starts = task.grow_from_starts(seed, watch)?;
+    let Some(mut growth) = starts.best else {
+        let report = Report::without_start(table, starts.pairs.len(), starts.tried, &starts.survey);
+        return Ok((None, report));
+    };
+    if options.ordered && options.min_starts > 1 {
+        growth = task.best_of_rounds(growth, seed)?;
+        growth = task.without_folds(growth, seed)?;
+    }
+    growth.join_left_over(&|rest, cameras, known| {
+        // Of views that are left over, no other map says what the silhouettes have to tell apart.
+        let task = Task { table: rest, cameras, known, options, beside: Beside::default() };
+        Ok(task.grow_from_starts(seed, &mut |_| {})?.best.as_ref().map(SubMap::of))
+    })?;
+    let (map, mut report) = growth.into_result();
+    report.num_starts = starts.tried;
+    Ok((Some(map.into_found()), report))
+}

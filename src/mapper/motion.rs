@@ -1,0 +1,244 @@
+//! Motion from which no map, or only a weak one, can come: recognized and reported.
+//!
+//! - A **still** camera moves no point.
+//! - A camera that only **turns** moves all points by one homography, H = K R K⁻¹: K⁻¹ H K is a rotation for some focal
+//!   length. Five-point geometry fits such pairs as well, with any translation, and points far away; they must not
+//!   start a map.
+//! - A **plane** moves by a homography too, but not by one of that kind. With known intrinsics it is reconstructed like
+//!   anything else; without, the focal length is weak.
+//! - **Forward** motion is reconstructed, with points near the middle of the picture that are far less certain in
+//!   depth.
+
+use std::fmt;
+
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::Intrinsics;
+use super::map::Map;
+use crate::geometry::two_view::TwoViewGeometry;
+use crate::math::symmetric_eigen;
+
+/// Motion between two views, as far as they determine it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PairMotion {
+    /// Points stay where they are.
+    Still,
+    /// All points move as by a turn of the camera.
+    Turn,
+    /// Anything else.
+    Other,
+}
+
+/// Judges a pair between which something moves by its homography.
+pub fn of_pair(geometry: &TwoViewGeometry, intrinsics: Intrinsics) -> PairMotion {
+    const EXPLAINED: f64 = 0.9;
+    let turn = geometry.homography.is_some_and(|h| geometry.homography_share >= EXPLAINED && is_turn(&h, intrinsics));
+    if turn { PairMotion::Turn } else { PairMotion::Other }
+}
+
+/// Returns true if a homography between normalized positions is a rotation, for the given or for any focal length.
+fn is_turn(homography: &Matrix3<f64>, intrinsics: Intrinsics) -> bool {
+    // Of a plane that is seen under two directions it differs by about their angle: this is half a degree.
+    const TOLERANCE: f64 = 0.008;
+    const STEPS: i32 = 40;
+    let scales: Vec<f64> = match intrinsics {
+        Intrinsics::Fixed => vec![1.0],
+        // From 0.4 to 2.5 times the guess.
+        Intrinsics::Stated | Intrinsics::Refined => {
+            (-STEPS..=STEPS).map(|k| 2.5f64.powf(f64::from(k) / f64::from(STEPS))).collect()
+        }
+    };
+    let deviation = |&scale: &f64| {
+        let s = Matrix3::from_diagonal(&Vector3::new(scale, scale, 1.0));
+        let Some(inverse) = s.try_inverse() else { return f64::INFINITY };
+        let m = inverse * homography * s;
+        let determinant = m.determinant();
+        let m = m / determinant.cbrt();
+        (m.transpose() * m - Matrix3::identity()).norm()
+    };
+    let least = scales.iter().map(deviation).fold(f64::INFINITY, f64::min);
+    least <= TOLERANCE
+}
+
+/// Counts of what the pairs of views tell.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Survey {
+    still: usize,
+    turning: usize,
+    total: usize,
+}
+
+impl Survey {
+    /// One pair more.
+    pub fn add(&mut self, motion: PairMotion) {
+        self.total += 1;
+        match motion {
+            PairMotion::Still => self.still += 1,
+            PairMotion::Turn => self.turning += 1,
+            PairMotion::Other => (),
+        }
+    }
+
+    /// Why no map can start, where that lies in the motion.
+    pub fn failure(&self) -> Option<String> {
+        const MOST: f64 = 0.7;
+        let is_most = |count: usize| count > 0 && count as f64 >= MOST * self.total as f64;
+        if is_most(self.still) {
+            Some(format!(
+                "camera stationary: no motion in {} of {} pairs of frames; the camera must move around the target",
+                self.still, self.total
+            ))
+        } else if is_most(self.turning) || is_most(self.turning + self.still) {
+            Some(format!(
+                "camera only rotates ({} of {} pairs of frames), which gives no depth; it must translate",
+                self.turning, self.total
+            ))
+        } else {
+            None
+        }
+    }
+}
+
+/// Weakness of a map.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", tag = "kind")]
+pub enum Remark {
+    /// All points lie near one plane.
+    PlanarScene {
+        /// True if the focal length was to be estimated from it.
+        intrinsics_refined: bool,
+    },
+    /// The camera moves along its line of sight.
+    ForwardMotion,
+    /// The motion hardly tells the focal length.
+    LooseFocalLength {
+        /// Standard deviation, percent.
+        percent: f64,
+    },
+}
+
+impl fmt::Display for Remark {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::PlanarScene { intrinsics_refined: false } => write!(f, "all points are near one plane"),
+            Self::PlanarScene { intrinsics_refined: true } => {
+                write!(f, "all points are near one plane, where the focal length is uncertain; give --intrinsics")
+            }
+            Self::ForwardMotion => {
+                write!(f, "camera moves along its line of sight: points near the image center have uncertain depth")
+            }
+            Self::LooseFocalLength { percent } => {
+                // Beyond this the number itself means nothing.
+                const UNKNOWN: f64 = 20.0;
+                if *percent < UNKNOWN {
+                    write!(f, "focal length uncertain (±{percent:.1} %)")?;
+                } else {
+                    write!(f, "focal length almost undetermined by the motion")?;
+                }
+                write!(f, ": higher distortion terms are not estimated; give --intrinsics")
+            }
+        }
+    }
+}
+
+/// Remarks on the shape of a finished map.
+pub fn remarks_on(map: &Map<'_>) -> Vec<Remark> {
+    let mut out = Vec::new();
+    if is_planar(map) {
+        out.push(Remark::PlanarScene { intrinsics_refined: map.unknown_cameras().next().is_some() });
+    }
+    if is_forward(map) {
+        out.push(Remark::ForwardMotion);
+    }
+    out
+}
+
+/// Returns true if nine points in ten lie within a hundredth of the median distance of a plane.
+fn is_planar(map: &Map<'_>) -> bool {
+    const MAX_THICKNESS: f64 = 0.01;
+    const SHARE: f64 = 0.9;
+    let mut points: Vec<Vector3<f64>> =
+        (0..map.table.tracks.len()).filter_map(|t| Some(map.point(t)?.position.coords)).collect();
+    let Some(center) = map.registered().next().and_then(|v| map.poses[v]).map(|pose| pose.center().coords) else {
+        return false;
+    };
+    if points.len() < 20 {
+        return false;
+    }
+    let middle = |mut values: Vec<f64>, share: f64| {
+        let k = ((values.len() - 1) as f64 * share) as usize;
+        *values.select_nth_unstable_by(k, f64::total_cmp).1
+    };
+    let distance = middle(points.iter().map(|p| (p - center).norm()).collect(), 0.5);
+    // Three rounds of fitting, each on the nearest nine tenths: points far off the plane would tilt it.
+    let mut thickness = f64::INFINITY;
+    for _ in 0..3 {
+        let mean = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+        let scatter = points.iter().fold(Matrix3::zeros(), |s, p| s + (p - mean) * (p - mean).transpose());
+        let Some(eigen) = symmetric_eigen(scatter) else { return false };
+        let normal = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
+        let off: Vec<f64> = points.iter().map(|p| (p - mean).dot(&normal).abs()).collect();
+        let limit = middle(off.clone(), SHARE);
+        if thickness.is_infinite() {
+            thickness = limit;
+        }
+        thickness = thickness.min(limit);
+        let keep: Vec<Vector3<f64>> =
+            points.iter().zip(&off).filter(|(_, d)| **d <= 3.0 * limit).map(|(p, _)| *p).collect();
+        points = keep;
+    }
+    thickness <= MAX_THICKNESS * distance
+}
+
+/// Returns true if nearly all steps from view to view go along the line of sight.
+fn is_forward(map: &Map<'_>) -> bool {
+    const MAX_ANGLE: f64 = 0.2;
+    const SHARE: f64 = 0.9;
+    let poses: Vec<_> = map.registered().filter_map(|v| map.poses[v]).collect();
+    let steps: Vec<Vector3<f64>> = poses.windows(2).map(|w| w[1].center() - w[0].center()).collect();
+    let longest = steps.iter().map(Vector3::norm).fold(0.0, f64::max);
+    let along = poses.iter().zip(&steps).filter(|(_, step)| step.norm() > 0.1 * longest).map(|(pose, step)| {
+        let forward = pose.rotation.inverse() * Vector3::z();
+        let angle = forward.angle(step);
+        angle.min(std::f64::consts::PI - angle) <= MAX_ANGLE
+    });
+    let along: Vec<bool> = along.collect();
+    along.len() >= 2 && along.iter().filter(|&&a| a).count() as f64 >= SHARE * along.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Rotation3, Unit};
+
+    use super::*;
+
+    #[test]
+    fn a_homography_of_a_turn_is_one_for_the_right_focal_length_only() {
+        let turn = *Rotation3::from_axis_angle(&Unit::new_normalize(Vector3::new(0.2, 1.0, 0.1)), 0.3).matrix();
+        assert!(is_turn(&turn, Intrinsics::Fixed));
+        // Normalised with a focal length that is 1.4 times too short.
+        let s = Matrix3::from_diagonal(&Vector3::new(1.4, 1.4, 1.0));
+        let guessed = s * turn * s.try_inverse().unwrap();
+        assert!(!is_turn(&guessed, Intrinsics::Fixed) && is_turn(&guessed, Intrinsics::Refined));
+        // A plane two units away, the camera moved aside by a tenth of a unit, and turned.
+        let normal = Vector3::new(0.1, 0.2, 1.0).normalize();
+        let plane = turn + Vector3::new(0.1, 0.02, 0.0) * normal.transpose() / 2.0;
+        assert!(!is_turn(&plane, Intrinsics::Fixed) && !is_turn(&plane, Intrinsics::Refined));
+    }
+
+    #[test]
+    fn a_survey_blames_the_motion_only_where_most_pairs_do() {
+        let of = |still: usize, turning: usize, total: usize| Survey { still, turning, total }.failure();
+        assert!(of(9, 0, 10).unwrap().contains("camera stationary"));
+        assert!(of(1, 8, 10).unwrap().contains("only rotates"));
+        assert!(of(2, 3, 10).is_none() && of(0, 0, 0).is_none());
+    }
+
+    #[test]
+    fn remarks_read_well() {
+        let loose = |percent| Remark::LooseFocalLength { percent }.to_string();
+        assert!(loose(2.31).starts_with("focal length uncertain (±2.3 %):"));
+        assert!(loose(100.0).starts_with("focal length almost undetermined by the motion:"));
+    }
+}

@@ -1,0 +1,191 @@
+//! Outcome of every view.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::map::Map;
+use super::motion::{Remark, Survey};
+use crate::features::tracks::TrackTable;
+use crate::scene::ImageId;
+
+/// Why a view is not part of the map.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", tag = "kind")]
+pub enum Reason {
+    /// The target is not seen, or nothing on it could be determined from its surroundings.
+    NoFeatures,
+    /// Features, but none that another view shows too.
+    NoMatches {
+        /// Features found.
+        features: usize,
+    },
+    /// Too few of its features belong to known points.
+    TooFewPoints {
+        /// Known points that it sees.
+        visible: usize,
+        /// Known points that it would need.
+        needed: usize,
+    },
+    /// No pose on which enough of its points agree.
+    NoPose {
+        /// Known points that it sees.
+        visible: usize,
+        /// Most of them that agreed on one pose.
+        inliers: usize,
+    },
+    /// It fits nowhere without contradicting the pairs that it makes with others, as on repeated structure.
+    Contradicted {
+        /// Points of pairs that agree with its best pose.
+        agreeing: usize,
+        /// Points of pairs that contradict it.
+        contradicting: usize,
+    },
+    /// It belongs to a stretch of the video that hangs together, and that nothing ties to the rest.
+    Apart {
+        /// Names of the first and the last view of the stretch.
+        ends: [String; 2],
+    },
+    /// It belongs to a map of its own, which could not be joined to the largest one.
+    OwnMap {
+        /// Names of its first and its last view.
+        ends: [String; 2],
+        /// Its views.
+        views: usize,
+        /// Tracks that it shares with the largest map.
+        shared: usize,
+        /// Number of tracks that agree on the alignment of the two maps.
+        agreeing: usize,
+        /// Number required.
+        needed: usize,
+    },
+    /// Nothing was reconstructed at all.
+    NoStart,
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoFeatures => write!(f, "no features"),
+            Self::NoMatches { features } => write!(f, "none of its {features} features is observed in another frame"),
+            Self::TooFewPoints { visible, needed } => {
+                write!(f, "too few 2D–3D matches: {visible}, at least {needed} needed")
+            }
+            Self::NoPose { visible, inliers } => {
+                write!(f, "no pose: only {inliers} of {visible} 2D–3D matches agree")
+            }
+            Self::Contradicted { agreeing, contradicting } => write!(
+                f,
+                "its best pose contradicts {contradicting} points shared with other frames, and agrees with {agreeing}"
+            ),
+            Self::Apart { ends: [first, last] } => {
+                write!(f, "{first} to {last} form a group with too few points in common with the rest")
+            }
+            Self::OwnMap { ends: [first, last], views, shared, agreeing, needed } => {
+                write!(f, "{first} to {last} form a separate map with {views} frames: ")?;
+                match agreeing < needed {
+                    true => write!(
+                        f,
+                        "{agreeing} of {shared} shared points agree on its alignment, at least {needed} needed"
+                    ),
+                    false => write!(f, "{agreeing} shared points, but the maps are inconsistent"),
+                }
+            }
+            Self::NoStart => write!(f, "no initial pair of frames found"),
+        }
+    }
+}
+
+/// Outcome of one view.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Outcome {
+    /// The image.
+    pub image: ImageId,
+    /// Its name.
+    pub name: String,
+    /// `None` when it is registered.
+    pub failure: Option<Reason>,
+}
+
+/// Summary of a reconstruction.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Every view, in the order of the table.
+    pub views: Vec<Outcome>,
+    /// Names of the pair that started the map.
+    pub initial_pair: Option<[String; 2]>,
+    /// Median angle of that pair, degrees.
+    pub initial_angle_deg: f64,
+    /// Inliers of one homography over inliers of the epipolar geometry, for that pair: near one for a plane.
+    pub initial_homography_ratio: f64,
+    /// Starts that were tried.
+    pub num_starts: usize,
+    /// Points of the map.
+    pub num_points: usize,
+    /// Their observations.
+    pub num_observations: usize,
+    /// Points that the last adjustments left behind a camera that observes them, or at infinity: they are not part of
+    /// the map.
+    #[serde(default)]
+    pub num_infinite_points: usize,
+    /// Mean reprojection error, pixels.
+    pub mean_error_px: Option<f64>,
+    /// By camera: standard deviation of the focal length as a share of it, with what is known of lenses beforehand;
+    /// `None` where it was held, or no registered view is of this camera, or many cameras have more views.
+    #[serde(default)]
+    pub focal_deviations: Vec<Option<f64>>,
+    /// Weaknesses of the map, in the motion and in the scene.
+    #[serde(default)]
+    pub remarks: Vec<Remark>,
+    /// Why nothing was reconstructed, where nothing was.
+    pub failure: Option<String>,
+}
+
+impl Report {
+    /// Registered views.
+    pub fn num_registered(&self) -> usize {
+        self.views.iter().filter(|v| v.failure.is_none()).count()
+    }
+
+    /// Views that are not registered.
+    pub fn failures(&self) -> impl Iterator<Item = (&str, &Reason)> {
+        self.views.iter().filter_map(|v| Some((v.name.as_str(), v.failure.as_ref()?)))
+    }
+
+    /// The same of the first camera.
+    pub fn focal_deviation(&self) -> Option<f64> {
+        self.focal_deviations.first().copied().flatten()
+    }
+
+    pub(super) fn of_views(map: &Map<'_>, failure: impl Fn(usize) -> Option<Reason>) -> Vec<Outcome> {
+        let outcome = |(view, source): (usize, &crate::features::tracks::View)| Outcome {
+            image: source.image,
+            name: source.name.clone(),
+            failure: if map.poses[view].is_some() { None } else { failure(view) },
+        };
+        map.table.views.iter().enumerate().map(outcome).collect()
+    }
+
+    /// The report of a target that no pair of views could start.
+    pub(super) fn without_start(table: &TrackTable, num_pairs: usize, num_starts: usize, survey: &Survey) -> Self {
+        let map = Map::new(table, &[]);
+        let seen = |view: &crate::features::tracks::View| !view.pixels.is_empty();
+        let num_seen = table.views.iter().filter(|v| seen(v)).count();
+        let failure = if num_seen < 2 {
+            format!("features in {num_seen} of {} frames; a reconstruction needs at least two", table.views.len())
+        } else if table.tracks.is_empty() {
+            "no feature could be tracked from one frame to another".to_owned()
+        } else if let Some(motion) = survey.failure() {
+            motion
+        } else if num_pairs == 0 {
+            "no pair of frames has enough common points from different directions: the camera hardly moves around the \
+             target, or the target is too small or lacks texture"
+                .to_owned()
+        } else {
+            format!("{num_starts} initial pairs of frames tried, none gave a stable set of points")
+        };
+        let reason =
+            |view: usize| Some(if table.views[view].pixels.is_empty() { Reason::NoFeatures } else { Reason::NoStart });
+        Self { views: Self::of_views(&map, reason), num_starts, failure: Some(failure), ..Self::default() }
+    }
+}

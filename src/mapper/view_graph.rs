@@ -1,0 +1,283 @@
+//! Consistency of registered views with the relative motions of pairs of views.
+//!
+//! On repeated structure (the windows of a façade, the two sides of a symmetric building) a view can be registered at
+//! the wrong copy: enough points agree, and bundle adjustment cannot carry it away. Its true neighbours know better:
+//! with them it shares many points that one epipolar geometry explains, but of which the map explains few. Such points
+//! may not even be in the map: seen by two views that are wrongly placed, they have no position. Where the map explains
+//! less than half of all that two views share, their motion is therefore found from these points alone, and its turn
+//! and direction are compared with the map's.
+//!
+//! A view may also be wrong by less: next to one of many bars, bricks or sills that look alike, a part of a baseline
+//! away from its place. Most points still fit to some pixels, and turn and direction are hardly off. So for views in no
+//! order every pair is asked again, at the noise of the map: the epipolar geometry that the map gives to the two
+//! views must explain half of their common tracks, or half as many as the one that they find by themselves. That is
+//! fair to pairs whose motion is uncertain (a plane, a short baseline): what they find explains hardly more than the
+//! map's.
+//!
+//! A pair that contradicts the map speaks against both its views, a pair whose points fit in both speaks for them, each
+//! with the number of its points; a view that has more against it than for it is taken out, the worst first, and what
+//! it was blamed for is taken back.
+
+use std::collections::BTreeSet;
+
+use nalgebra::Vector2;
+
+use super::map::Map;
+use crate::geometry::two_view::{self, Correspondences, TwoViewGeometry};
+use crate::math::{Rng, seeded_rng};
+
+/// Pairs that are looked at, of those that share most points with a view.
+const MAX_PARTNERS: usize = 10;
+/// Fewest known points that a pair must have in common to say anything.
+const MIN_COMMON: usize = 15;
+/// A pair of which the map explains at least this share of the common points agrees with it.
+const AGREEING_SHARE: f64 = 0.5;
+/// A pair of which the map explains at most this share contradicts it, if one epipolar geometry explains twice as many.
+const CONTRADICTING_SHARE: f64 = 0.3;
+/// At the noise of the map, its epipolar geometry explains less than this share of what the pair's own one does.
+const FINE_SHARE: f64 = 0.5;
+
+/// Verdict of a pair of registered views on the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Opinion {
+    /// The views.
+    pub views: [usize; 2],
+    /// Points for the map; 0 where the pair contradicts it.
+    pub agreeing: usize,
+    /// Points against it.
+    pub contradicting: usize,
+}
+
+/// Up to where positions agree.
+#[derive(Clone, Copy, Debug)]
+pub struct Thresholds {
+    /// Epipolar and reprojection threshold, pixels.
+    pub max_error_px: f64,
+    /// The same at the noise of the map, pixels; `None` where pairs are not asked for it.
+    pub fine_px: Option<f64>,
+}
+
+/// The pairs of views that share most points.
+pub struct ViewGraph {
+    pairs: BTreeSet<[usize; 2]>,
+    /// By view, ascending. What two views have in common is looked up when it is needed: that of all pairs of a long
+    /// video would take as much room as its tracks.
+    tracks_of: Vec<Vec<u32>>,
+    thresholds: Thresholds,
+    seed: u64,
+}
+
+impl ViewGraph {
+    /// Of all views of a map's table, registered or not.
+    pub fn new(map: &Map<'_>, thresholds: Thresholds, seed: u64) -> Self {
+        let tracks = &map.table.tracks;
+        let mut tracks_of: Vec<Vec<u32>> = vec![Vec::new(); map.poses.len()];
+        for (index, track) in tracks.iter().enumerate() {
+            track.iter().for_each(|f| tracks_of[f.view as usize].push(index as u32));
+        }
+        let mut pairs = BTreeSet::new();
+        let mut shared = vec![0usize; tracks_of.len()];
+        for (view, own) in tracks_of.iter().enumerate() {
+            shared.fill(0);
+            for feature in own.iter().flat_map(|&track| &tracks[track as usize]) {
+                shared[feature.view as usize] += 1;
+            }
+            let is_partner = |&other: &usize| other != view && shared[other] >= MIN_COMMON;
+            let mut partners: Vec<usize> = (0..shared.len()).filter(is_partner).collect();
+            partners.sort_by_key(|&other| (usize::MAX - shared[other], other));
+            for other in partners.into_iter().take(MAX_PARTNERS) {
+                pairs.insert([view.min(other), view.max(other)]);
+            }
+        }
+        Self { pairs, tracks_of, thresholds, seed }
+    }
+
+    /// Tracks that two views have in common.
+    fn common(&self, [a, b]: [usize; 2]) -> Vec<u32> {
+        let seen_by_b = |track: &&u32| self.tracks_of[b].binary_search(track).is_ok();
+        self.tracks_of[a].iter().filter(seen_by_b).copied().collect()
+    }
+
+    /// Verdicts of pairs of registered views; only of those of one view, where it is given.
+    pub fn opinions(&self, map: &Map<'_>, of: Option<usize>) -> Vec<Opinion> {
+        let wanted = |views: &[usize; 2]| {
+            of.is_none_or(|view| views.contains(&view)) && views.iter().all(|&v| map.poses[v].is_some())
+        };
+        self.pairs
+            .iter()
+            .filter(|views| wanted(views))
+            .filter_map(|views| {
+                let tracks = self.common(*views);
+                let said = [self.opinion(map, *views, &tracks), self.fine_opinion(map, *views, &tracks)];
+                // What speaks against the map goes before what speaks for it.
+                said.into_iter().flatten().max_by_key(|opinion| (opinion.contradicting, opinion.agreeing))
+            })
+            .collect()
+    }
+
+    /// Compares the epipolar geometry of the map with the one that two views have by themselves, by the tracks that
+    /// each explains at the map's noise.
+    fn fine_opinion(&self, map: &Map<'_>, views: [usize; 2], tracks: &[u32]) -> Option<Opinion> {
+        let max_error_px = self.thresholds.fine_px?;
+        let common: Vec<usize> = tracks.iter().map(|&t| t as usize).collect();
+        let (first, second) = (map.poses[views[0]]?, map.poses[views[1]]?);
+        let in_map = second * first.inverse();
+        let explained = self.on_pair(map, views, &common, max_error_px, |pairs, max_error, _| {
+            two_view::num_explained(pairs, &in_map, max_error)
+        })?;
+        if explained as f64 >= FINE_SHARE * common.len() as f64 {
+            return Some(Opinion { views, agreeing: explained, contradicting: 0 });
+        }
+        let by_itself = self.on_pair(map, views, &common, max_error_px, |pairs, max_error, rng| {
+            two_view::verify(pairs, max_error, rng).len()
+        });
+        let contradicts = by_itself >= MIN_COMMON && (explained as f64) < FINE_SHARE * by_itself as f64;
+        contradicts.then_some(Opinion { views, agreeing: 0, contradicting: by_itself - explained })
+    }
+
+    fn opinion(&self, map: &Map<'_>, views: [usize; 2], tracks: &[u32]) -> Option<Opinion> {
+        let common: Vec<usize> = tracks.iter().map(|&t| t as usize).collect();
+        let known: Vec<usize> = common.iter().copied().filter(|&t| map.point(t).is_some()).collect();
+        let fits = known.iter().filter(|&&t| views.iter().all(|&v| self.fits(map, t, v))).count();
+        let is_share = |share: f64, of: &[usize]| fits as f64 >= share * of.len() as f64;
+        let agrees = Some(Opinion { views, agreeing: fits, contradicting: 0 });
+        let needed = MIN_COMMON.max(2 * fits);
+        let contradicts =
+            |points: usize| (points >= needed).then_some(Opinion { views, agreeing: 0, contradicting: points });
+        if known.len() >= MIN_COMMON && is_share(AGREEING_SHARE, &common) {
+            return agrees;
+        }
+        if known.len() >= MIN_COMMON && !is_share(CONTRADICTING_SHARE, &known) {
+            return contradicts(self.epipolar_inliers(map, views, &known));
+        }
+        let by_itself = self.motion_by_itself(map, views, &common, needed);
+        if let Some(found) = by_itself.filter(|found| contradicted_by(map, views, found)) {
+            return contradicts(found.inliers.len());
+        }
+        agrees.filter(|_| known.len() >= MIN_COMMON && is_share(AGREEING_SHARE, &known))
+    }
+
+    fn fits(&self, map: &Map<'_>, track: usize, view: usize) -> bool {
+        let (Some(point), Some(pose)) = (map.point(track), &map.poses[view]) else { return false };
+        let Some(feature) = map.table.tracks[track].iter().find(|f| f.view as usize == view) else { return false };
+        map.camera_of(view)
+            .pixel_from_cam(*pose * point.position)
+            .is_some_and(|pixel| (pixel - map.table.pixel(*feature)).norm() <= self.thresholds.max_error_px)
+    }
+
+    /// Number of tracks that one epipolar geometry of the two views explains.
+    fn epipolar_inliers(&self, map: &Map<'_>, views: [usize; 2], tracks: &[usize]) -> usize {
+        let max_error_px = self.thresholds.max_error_px;
+        self.on_pair(map, views, tracks, max_error_px, |pairs, max_error, rng| {
+            two_view::verify(pairs, max_error, rng).len()
+        })
+    }
+
+    /// The motion between two views that most of the tracks agree on, where these are as many as `needed`.
+    fn motion_by_itself(
+        &self,
+        map: &Map<'_>,
+        views: [usize; 2],
+        tracks: &[usize],
+        needed: usize,
+    ) -> Option<TwoViewGeometry> {
+        self.on_pair(map, views, tracks, self.thresholds.max_error_px, |pairs, max_error, rng| {
+            two_view::estimate_with(pairs, max_error, needed, rng)
+        })
+    }
+
+    fn on_pair<T>(
+        &self,
+        map: &Map<'_>,
+        views: [usize; 2],
+        tracks: &[usize],
+        max_error_px: f64,
+        ask: impl Fn(&Correspondences<'_>, f64, &mut Rng) -> T,
+    ) -> T {
+        let normalized = |view: usize| -> Vec<Vector2<f64>> {
+            let feature = |t: &usize| map.table.tracks[*t].iter().find(|f| f.view as usize == view);
+            let camera = map.camera_of(view);
+            tracks.iter().filter_map(feature).map(|f| camera.normalized_from_pixel(map.table.pixel(*f))).collect()
+        };
+        let (first, second) = (normalized(views[0]), normalized(views[1]));
+        let mean_focal = (map.camera_of(views[0]).mean_focal() * map.camera_of(views[1]).mean_focal()).sqrt();
+        let stream = (views[0] as u64) << 32 | views[1] as u64;
+        let pairs = Correspondences { first: &first, second: &second };
+        ask(&pairs, max_error_px / mean_focal, &mut seeded_rng(self.seed, stream))
+    }
+}
+
+/// Returns true if the relative motion that two views have by themselves differs from that of the map: in its rotation,
+/// or in its direction where the triangulation angle determines it. On a plane, where two motions explain the same
+/// points, there is no verdict.
+fn contradicted_by(map: &Map<'_>, [a, b]: [usize; 2], found: &TwoViewGeometry) -> bool {
+    const MAX_TURN_DEG: f64 = 3.0;
+    const MAX_DIRECTION_DEG: f64 = 25.0;
+    const MIN_ANGLE_DEG: f64 = 2.0;
+    const PLANAR: f64 = 0.8;
+    let (Some(first), Some(second)) = (map.poses[a], map.poses[b]) else { return false };
+    if found.homography_ratio > PLANAR {
+        return false;
+    }
+    let in_map = second * first.inverse();
+    let turn = in_map.rotation.angle_to(&found.cam2_from_cam1.rotation).to_degrees();
+    let direction = in_map.translation.angle(&found.cam2_from_cam1.translation).to_degrees();
+    turn > MAX_TURN_DEG || (found.median_angle.to_degrees() >= MIN_ANGLE_DEG && direction > MAX_DIRECTION_DEG)
+}
+
+/// Points for and against a view.
+pub fn balance(opinions: &[Opinion], view: usize) -> (usize, usize) {
+    let own = opinions.iter().filter(|o| o.views.contains(&view));
+    own.fold((0, 0), |(agreeing, against), o| (agreeing + o.agreeing, against + o.contradicting))
+}
+
+/// The views that have more against them than for them, the worst first; opinions of pairs with a worse view do not
+/// count.
+pub fn contradicted(mut opinions: Vec<Opinion>) -> Vec<usize> {
+    let mut out = Vec::new();
+    loop {
+        let mut views: Vec<usize> = opinions.iter().flat_map(|o| o.views).collect();
+        views.sort_unstable();
+        views.dedup();
+        let share = |view: usize| {
+            let (agreeing, against) = balance(&opinions, view);
+            against as f64 / (agreeing + against).max(1) as f64
+        };
+        // The first of equals, so that the result does not depend on anything else.
+        let worst = views.into_iter().rev().max_by(|&a, &b| share(a).total_cmp(&share(b)));
+        match worst.filter(|&view| share(view) > 0.5) {
+            Some(view) => {
+                opinions.retain(|o| !o.views.contains(&view));
+                out.push(view);
+            }
+            None => return out,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn opinion(a: usize, b: usize, agreeing: usize, contradicting: usize) -> Opinion {
+        Opinion { views: [a, b], agreeing, contradicting }
+    }
+
+    #[test]
+    fn the_view_that_most_speak_against_is_named_and_its_accusers_are_not() {
+        let opinions = vec![
+            opinion(0, 1, 200, 0),
+            opinion(1, 2, 200, 0),
+            opinion(3, 4, 180, 0),
+            // View 5 agrees with 0 and contradicts those round it; 2 has nobody else but 1.
+            opinion(0, 5, 60, 0),
+            opinion(3, 5, 0, 150),
+            opinion(4, 5, 0, 150),
+            opinion(2, 5, 0, 250),
+        ];
+        assert_eq!(balance(&opinions, 5), (60, 550));
+        assert_eq!(contradicted(opinions), [5]);
+        assert!(contradicted(vec![opinion(0, 1, 20, 0), opinion(1, 2, 0, 15)]).contains(&2));
+        assert!(contradicted(Vec::new()).is_empty());
+    }
+}

@@ -1,0 +1,133 @@
+//! Errors of perception.
+
+use std::path::PathBuf;
+
+use crate::ffi::onnx::{OnnxError, TensorInfo};
+use crate::image::ImageError;
+use crate::scene::FrameId;
+
+/// Errors of perception; each message names the file or value at fault and the remedy.
+#[derive(Debug, thiserror::Error)]
+pub enum PerceptionError {
+    /// The network or its runtime could not be used.
+    #[error(transparent)]
+    Onnx(#[from] OnnxError),
+    /// An image operation failed.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// OpenCV failed.
+    #[error("OpenCV: {0}")]
+    OpenCv(#[from] opencv::Error),
+    /// The network belongs to no family that is known.
+    #[error(
+        "{}: unknown {task} network, by its inputs and outputs.\n  inputs: {}\n  outputs: {}\nSupported: {supported}",
+        path.display(), list(inputs), list(outputs)
+    )]
+    UnknownLayout {
+        /// The model file.
+        path: PathBuf,
+        /// Task of the network.
+        task: &'static str,
+        /// Its inputs.
+        inputs: Vec<TensorInfo>,
+        /// Its outputs.
+        outputs: Vec<TensorInfo>,
+        /// The families that are supported.
+        supported: &'static str,
+    },
+    /// The names of a network's classes are unknown.
+    #[error(
+        "{}: {num_classes} classes without names (no `names` in the metadata); put a list `classes = [...]` into {}",
+        path.display(), sidecar.display()
+    )]
+    NoClassNames {
+        /// The model file.
+        path: PathBuf,
+        /// Number of its classes.
+        num_classes: usize,
+        /// Where the names can be given.
+        sidecar: PathBuf,
+    },
+    /// None of the network's classes is wanted.
+    #[error("{}: none of the requested classes ({}) found; the network has {}",
+        path.display(), wanted.join(", "), found.join(", "))]
+    NoWantedClass {
+        /// The model file.
+        path: PathBuf,
+        /// The classes asked for.
+        wanted: Vec<String>,
+        /// The classes that the network has.
+        found: Vec<String>,
+    },
+    /// A network gave a result of another shape than its family promises.
+    #[error(
+        "{}: output of unexpected shape {found:?}; expected {expected}",
+        path.display()
+    )]
+    Output {
+        /// The model file.
+        path: PathBuf,
+        /// The shape that was found.
+        found: Vec<usize>,
+        /// The shape that was expected, in words.
+        expected: String,
+    },
+    /// The networks that come with the program are nowhere.
+    #[error(
+        "bundled networks not found; put the program's folder `models` next to the executable, or set the environment \
+         variable TRACTRIX_MODELS to its path\n\
+           tried: {}",
+        tried.join("\n  tried: ")
+    )]
+    NoModels {
+        /// Each place that was tried, with what it lacks.
+        tried: Vec<String>,
+    },
+    /// The folder that TRACTRIX_MODELS names does not hold the networks that come with the program.
+    #[error("TRACTRIX_MODELS: the networks it names cannot be used: {reason}; correct the variable, or unset it")]
+    NamedModels {
+        /// Missing part, with the path.
+        reason: String,
+    },
+    /// A model description cannot be read.
+    #[error("{}: invalid model description: {reason}", path.display())]
+    Description {
+        /// The description file.
+        path: PathBuf,
+        /// Problem, with the line.
+        reason: String,
+    },
+    /// An option contradicts another, or cannot be worked with.
+    #[error(transparent)]
+    Option(#[from] crate::checks::OptionError),
+    /// Things that belong to one frame differ in size.
+    #[error("{what}: size {found:?} differs from that of the frame, {expected:?}")]
+    SizeMismatch {
+        /// Subject with the wrong size.
+        what: String,
+        /// Width and height of the frame.
+        expected: (u32, u32),
+        /// Width and height that were found.
+        found: (u32, u32),
+    },
+    /// The tracker was given a frame that is not later than the one before.
+    #[error("tracker: frame {found:?} after frame {previous:?}; frames must be in order")]
+    FrameOrder {
+        /// The frame before.
+        previous: FrameId,
+        /// The frame at fault.
+        found: FrameId,
+    },
+}
+
+impl PerceptionError {
+    /// Reports that an environment variable names a runtime or networks that cannot be used.
+    pub fn is_of_variable(&self) -> bool {
+        matches!(self, Self::NamedModels { .. } | Self::Onnx(OnnxError::NamedRuntime { .. }))
+    }
+}
+
+fn list(tensors: &[TensorInfo]) -> String {
+    let all: Vec<String> = tensors.iter().map(ToString::to_string).collect();
+    if all.is_empty() { "none".to_owned() } else { all.join("; ") }
+}

@@ -1,0 +1,196 @@
+//! Dense optical flow between two frames, with a forward-backward check.
+//!
+//! Both estimators compute the flow from the first frame to the second and from the second to the first. A pixel is
+//! consistent if going there and back ends near where it began: |f + b|² ≤ α (|f|² + |b|²) + β (Sundaram, Brox and
+//! Keutzer, *Dense point trajectories by GPU-accelerated large displacement optical flow*, 2010). What gets occluded,
+//! leaves the frame or is matched wrongly fails.
+
+mod dis;
+mod network;
+mod parts;
+
+use std::path::Path;
+
+use ::image::RgbImage;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use self::dis::{DisFlow, DisPreset};
+pub use self::network::OnnxFlow;
+use super::tensor::Between;
+use super::{INPUT_SIZES, PerceptionError};
+use crate::checks::{Checked, within};
+use crate::ffi::onnx::Resources;
+use crate::scene::{Flow, Rect};
+
+/// Estimates where the pixels of one frame lie in another.
+pub trait FlowEstimator {
+    /// The flow from one frame to another of the same size, at their size.
+    ///
+    /// # Errors
+    /// [`PerceptionError::SizeMismatch`] if the frames differ in size; whatever the estimator runs into.
+    fn flow(&mut self, from: &RgbImage, to: &RgbImage) -> Result<Flow, PerceptionError>;
+
+    /// The flow in and near some boxes of the first frame. Elsewhere it may be left out: no pixel is consistent there.
+    ///
+    /// # Errors
+    /// As [`FlowEstimator::flow`].
+    fn flow_near(&mut self, from: &RgbImage, to: &RgbImage, boxes: &[Rect]) -> Result<Flow, PerceptionError> {
+        if boxes.is_empty() {
+            check_sizes(from, to)?;
+            return Ok(parts::nothing(from.dimensions()));
+        }
+        self.flow(from, to)
+    }
+}
+
+/// Options of optical flow.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct FlowOptions {
+    /// Quality of DIS.
+    pub preset: DisPreset,
+    /// Frames with a longer side are shrunk to this many pixels for the estimate; the flow is given at full size.
+    #[schemars(extend("unit" = "pixels"))]
+    pub max_dimension: u32,
+    /// Share α of the squared lengths of both flows that the way there and back may miss by.
+    #[schemars(extend("unit" = "share"))]
+    pub consistency_relative: f32,
+    /// Squared pixels β, at the size of the estimate, that the way there and back may miss by in any case.
+    pub consistency_absolute_px2: f32,
+}
+
+impl Default for FlowOptions {
+    fn default() -> Self {
+        Self { preset: DisPreset::Fast, max_dimension: 960, consistency_relative: 0.01, consistency_absolute_px2: 0.5 }
+    }
+}
+
+impl FlowOptions {
+    /// Rejects what cannot be worked with.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::checks::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("max_dimension", self.max_dimension, INPUT_SIZES)?;
+        // |f + b|² is never more than twice |f|² + |b|².
+        within("consistency_relative", self.consistency_relative, 0.0..=2.0)?;
+        within("consistency_absolute_px2", self.consistency_absolute_px2, 0.0..=1e6)
+    }
+}
+
+/// The flow estimator: a network if one is given, otherwise OpenCV's DIS. `resources` is what a network may take, or
+/// a number of threads; 0 is one per core.
+///
+/// # Errors
+/// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] if the network does
+/// not take two images and give a flow field.
+pub fn load_flow(
+    network: Option<&Path>,
+    options: &FlowOptions,
+    resources: impl Into<Resources>,
+) -> Result<Box<dyn FlowEstimator>, PerceptionError> {
+    options.check()?;
+    match network {
+        Some(path) => Ok(Box::new(OnnxFlow::load(path, options, resources)?)),
+        None => Ok(Box::new(DisFlow::new(options)?)),
+    }
+}
+
+/// Refuses frames of different sizes.
+fn check_sizes(from: &RgbImage, to: &RgbImage) -> Result<(), PerceptionError> {
+    if from.dimensions() == to.dimensions() {
+        return Ok(());
+    }
+    let what = "the second frame of a flow".to_owned();
+    Err(PerceptionError::SizeMismatch { what, expected: from.dimensions(), found: to.dimensions() })
+}
+
+/// A flow field at the size of the estimate: displacements in x and in y, row-major, in its own pixels.
+struct Field {
+    width: usize,
+    height: usize,
+    dx: Vec<f32>,
+    dy: Vec<f32>,
+}
+
+impl Field {
+    fn from_pairs(width: usize, height: usize, pairs: impl Iterator<Item = [f32; 2]>) -> Self {
+        let (dx, dy) = pairs.map(|[x, y]| (x, y)).unzip();
+        Self { width, height, dx, dy }
+    }
+
+    /// Displacement at a position in pixels, first centre at (0.5, 0.5).
+    fn sample(&self, x: f32, y: f32) -> [f32; 2] {
+        let between = Between::new(x, y, self.width, self.height);
+        [between.value(&self.dx), between.value(&self.dy)]
+    }
+}
+
+/// Where the way there and back ends near its start.
+fn consistent(forward: &Field, backward: &Field, options: &FlowOptions) -> Vec<bool> {
+    let mut out = Vec::with_capacity(forward.dx.len());
+    for y in 0..forward.height {
+        for x in 0..forward.width {
+            let i = y * forward.width + x;
+            let (fx, fy) = (forward.dx[i], forward.dy[i]);
+            let (u, v) = (x as f32 + 0.5 + fx, y as f32 + 0.5 + fy);
+            let inside = u >= 0.0 && v >= 0.0 && u <= forward.width as f32 && v <= forward.height as f32;
+            out.push(
+                inside && {
+                    let [bx, by] = backward.sample(u, v);
+                    let miss = (fx + bx).powi(2) + (fy + by).powi(2);
+                    let lengths = fx * fx + fy * fy + bx * bx + by * by;
+                    miss <= options.consistency_relative * lengths + options.consistency_absolute_px2
+                },
+            );
+        }
+    }
+    out
+}
+
+/// A flow at the frame's size from an estimate at another.
+fn at_frame_size(forward: &Field, consistent: &[bool], width: u32, height: u32) -> Flow {
+    if (forward.width, forward.height) == (width as usize, height as usize) {
+        let displacement = forward.dx.iter().zip(&forward.dy).map(|(&x, &y)| [x, y]).collect();
+        return Flow { width, height, displacement, consistent: consistent.to_vec() };
+    }
+    let (per_x, per_y) = (forward.width as f32 / width as f32, forward.height as f32 / height as f32);
+    let size = width as usize * height as usize;
+    let mut flow = Flow { width, height, displacement: Vec::with_capacity(size), consistent: Vec::with_capacity(size) };
+    for y in 0..height {
+        let v = (y as f32 + 0.5) * per_y;
+        for x in 0..width {
+            let u = (x as f32 + 0.5) * per_x;
+            let [dx, dy] = forward.sample(u, v);
+            flow.displacement.push([dx / per_x, dy / per_y]);
+            let cell = (v as usize).min(forward.height - 1) * forward.width + (u as usize).min(forward.width - 1);
+            flow.consistent.push(consistent[cell]);
+        }
+    }
+    flow
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn uniform(width: usize, height: usize, d: [f32; 2]) -> Field {
+        Field::from_pairs(width, height, std::iter::repeat_n(d, width * height))
+    }
+
+    #[test]
+    fn what_comes_back_is_consistent_and_what_leaves_is_not() {
+        let ok = consistent(&uniform(8, 4, [2.0, 0.0]), &uniform(8, 4, [-2.0, 0.0]), &FlowOptions::default());
+        assert_eq!(ok[..8], [true, true, true, true, true, true, false, false]);
+        let bad = consistent(&uniform(8, 4, [2.0, 0.0]), &uniform(8, 4, [0.0, 0.0]), &FlowOptions::default());
+        assert!(!bad.contains(&true));
+    }
+
+    #[test]
+    fn a_flow_grows_with_its_frame() {
+        let flow = at_frame_size(&uniform(4, 3, [1.0, -0.5]), &[true; 12], 8, 6);
+        assert_eq!((flow.at(7, 5), flow.is_consistent(7, 5)), ([2.0, -1.0], true));
+        assert_eq!(flow.displacement.len(), 48);
+    }
+}

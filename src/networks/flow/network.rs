@@ -1,0 +1,105 @@
+//! A flow network: two images in, one flow field out, as RAFT and its kin.
+
+use std::path::Path;
+
+use ::image::RgbImage;
+
+use super::{Field, FlowEstimator, FlowOptions, at_frame_size, check_sizes, consistent};
+use crate::ffi::onnx::{Model, Resources, Tensor, TensorInfo};
+use crate::image::{resize_rgb, scale_to_fit};
+use crate::networks::PerceptionError;
+use crate::networks::description::{Preprocessing, find_known, read_sidecar};
+use crate::networks::tensor::tensor_from_image;
+use crate::scene::Flow;
+
+/// RAFT works at an eighth of the input, so open sides are multiples of this.
+const STRIDE: u32 = 8;
+/// RAFT's correlation pyramid has four levels, so sides below this leave nothing at its top.
+const MIN_SIDE: u32 = 128;
+
+/// A flow network, ready to run.
+pub struct OnnxFlow {
+    model: Model,
+    options: FlowOptions,
+    preprocessing: Preprocessing,
+    /// The output that holds the flow: the last that can, which is the finest of RAFT's iterations.
+    output_idx: usize,
+}
+
+fn is_image(tensor: &TensorInfo) -> bool {
+    tensor.shape.len() == 4 && tensor.shape[1].is_none_or(|channels| channels == 3)
+}
+
+fn is_flow(tensor: &TensorInfo) -> bool {
+    tensor.shape.len() == 4 && tensor.shape[1].is_none_or(|channels| channels == 2)
+}
+
+impl OnnxFlow {
+    /// Loads a network with two inputs [1, 3, h, w] and an output [1, 2, h, w] of displacements in x and y, in pixels
+    /// of the input. Pixels become RGB between -1 and 1 (torchvision's RAFT) unless a description next to it says
+    /// otherwise. `resources` is what it may take, or a number of threads; 0 is one per core.
+    ///
+    /// # Errors
+    /// [`PerceptionError::UnknownLayout`] if inputs and outputs are others.
+    pub fn load(path: &Path, options: &FlowOptions, resources: impl Into<Resources>) -> Result<Self, PerceptionError> {
+        let model = Model::load(path, resources)?;
+        let output_idx = model.outputs().iter().rposition(is_flow);
+        let (2, true, Some(output_idx)) = (model.inputs().len(), model.inputs().iter().all(is_image), output_idx)
+        else {
+            return Err(PerceptionError::UnknownLayout {
+                path: path.to_path_buf(),
+                task: "optical flow",
+                inputs: model.inputs().to_vec(),
+                outputs: model.outputs().to_vec(),
+                supported: "RAFT-like networks: two images [1, 3, h, w] in, displacements [1, 2, h, w] out",
+            });
+        };
+        let description = match read_sidecar(path)? {
+            Some(description) => Some(description),
+            None => find_known(&model, "flow")?,
+        };
+        let raft = Preprocessing { mean: [127.5; 3], std: [127.5; 3], scale: 1.0, ..Preprocessing::default() };
+        let preprocessing = description.and_then(|d| d.preprocessing).unwrap_or(raft);
+        Ok(Self { model, options: options.clone(), preprocessing, output_idx })
+    }
+
+    /// Width and height of the input for a frame.
+    fn input_size(&self, frame: (u32, u32)) -> (u32, u32) {
+        let side = |index: usize| self.model.inputs()[0].shape[index].and_then(|s| u32::try_from(s).ok());
+        let (width, height) = scale_to_fit(frame.0, frame.1, self.options.max_dimension);
+        let open = |length: u32| (length.div_ceil(STRIDE) * STRIDE).max(MIN_SIDE);
+        (side(3).unwrap_or_else(|| open(width)), side(2).unwrap_or_else(|| open(height)))
+    }
+
+    fn estimate(&mut self, from: &Tensor, to: &Tensor) -> Result<Field, PerceptionError> {
+        let mut outputs = self.model.run(&[from.clone(), to.clone()])?;
+        let output = outputs.swap_remove(self.output_idx);
+        let (height, width) = (from.shape[2], from.shape[3]);
+        if output.shape != [1, 2, height, width] {
+            return Err(PerceptionError::Output {
+                path: self.model.path().to_path_buf(),
+                found: output.shape,
+                expected: format!("[1, 2, {height}, {width}], as large as the input"),
+            });
+        }
+        let (dx, dy) = output.values.split_at(height * width);
+        Ok(Field { width, height, dx: dx.to_vec(), dy: dy.to_vec() })
+    }
+}
+
+impl FlowEstimator for OnnxFlow {
+    fn flow(&mut self, from: &RgbImage, to: &RgbImage) -> Result<Flow, PerceptionError> {
+        check_sizes(from, to)?;
+        let (width, height) = from.dimensions();
+        if width == 0 || height == 0 {
+            return Ok(Flow { width, height, displacement: Vec::new(), consistent: Vec::new() });
+        }
+        let (w, h) = self.input_size((width, height));
+        let from = tensor_from_image(&resize_rgb(from, w, h)?, &self.preprocessing);
+        let to = tensor_from_image(&resize_rgb(to, w, h)?, &self.preprocessing);
+        let forward = self.estimate(&from, &to)?;
+        let backward = self.estimate(&to, &from)?;
+        let ok = consistent(&forward, &backward, &self.options);
+        Ok(at_frame_size(&forward, &ok, width, height))
+    }
+}

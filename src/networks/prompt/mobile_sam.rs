@@ -1,0 +1,393 @@
+//! Masks of boxes by MobileSAM (Zhang et al., *Faster Segment Anything*, 2023) or a network of its form: an encoder
+//! looks at a part of the frame, a decoder says what the object in a box is.
+//!
+//! Encoder: image [1, 3, H, W], RGB, (v − mean) / std, H and W multiples of 16, black beyond the picture's mean where
+//! the part does not fill it; out: embedding [1, c, H/16, W/16]. Decoder: the embedding; points [1, 2, 2], corners of
+//! the box in pixels of the input whose first centre is at 0; labels [1, 2], 2 and 3 (the first corner, the second);
+//! out: logits [1, m, H/4, W/4] and the overlap that the network expects of each, [1, m].
+//!
+//! **Where it looks.** What is small in the input is found badly, so that the part is a few times as large as the box;
+//! boxes that lie in one and are not too small for it share it (`window`), for the encoder takes nearly all the time.
+//!
+//! **Which mask.** The network offers several, from a part of the object to all that moves with it, and its own figures
+//! often prefer the part. The box knows better. A mask's quality is the product of its expected overlap, of its
+//! stability (the overlap of what two thresholds of the logits mark, one above and one below zero), and of how well its
+//! own bounding box agrees with the box asked for. The mask of the highest quality is taken. Masks of what is no
+//! object, a piece of road between two shadows, are expected to be good now and then, but they are rarely stable.
+
+use std::path::Path;
+
+use ::image::RgbImage;
+
+use super::options::PromptOptions;
+use super::outline::one_part;
+use super::window::{Placement, Share, Window, shares};
+use super::{Prompted, Prompter, agreement, visible};
+use crate::ffi::onnx::{Model, Resources, Tensor, TensorInfo};
+use crate::networks::PerceptionError;
+use crate::networks::description::Preprocessing;
+use crate::networks::tensor::{Plane, tensor_from_image};
+use crate::scene::{Mask, Rect};
+
+/// Pixels of the input along one side of a cell of the logits.
+const LOGIT_STEP: f64 = 4.0;
+/// A mask is stable as far as a threshold for its logits that is raised or lowered by so much gives the same one.
+const STABILITY_OFFSET: f32 = 1.0;
+/// A mask of this quality is worth asking again for, in the box round it.
+const LOOSE_QUALITY: f64 = 0.5;
+/// Overlap of two answers that mean the same object.
+const CONFIRMED_OVERLAP: f64 = 0.8;
+/// Labels of a box's two corners.
+const CORNERS: [f32; 2] = [2.0, 3.0];
+
+/// Loads the two parts of the network. `resources` is what each may take, or a number of threads; 0 is one per core.
+///
+/// # Errors
+/// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] names the part whose
+/// inputs and outputs are others; errors of the runtime say how to get it.
+pub fn load_prompter(
+    encoder: &Path,
+    decoder: &Path,
+    options: &PromptOptions,
+    resources: impl Into<Resources>,
+) -> Result<Box<dyn Prompter>, PerceptionError> {
+    options.check()?;
+    let resources = resources.into();
+    let encoder = Model::load(encoder, resources)?;
+    let decoder = Model::load(decoder, resources)?;
+    refuse_unless(is_encoder(&encoder), &encoder, "an encoder: image [1, 3, H, W] in, embedding [1, c, h, w] out")?;
+    refuse_unless(
+        is_decoder(&decoder),
+        &decoder,
+        "a decoder: embedding [1, c, h, w], points [1, n, 2], labels [1, n] in; masks [1, m, h, w], scores [1, m] out",
+    )?;
+    Ok(Box::new(MobileSam { encoder, decoder, options: options.clone() }))
+}
+
+fn ranks(tensors: &[TensorInfo]) -> Vec<usize> {
+    tensors.iter().map(|tensor| tensor.shape.len()).collect()
+}
+
+fn is_encoder(model: &Model) -> bool {
+    ranks(model.inputs()) == [4] && ranks(model.outputs()) == [4] && model.inputs()[0].shape[1] == Some(3)
+}
+
+fn is_decoder(model: &Model) -> bool {
+    ranks(model.inputs()) == [4, 3, 2] && ranks(model.outputs()) == [4, 2]
+}
+
+fn refuse_unless(fits: bool, model: &Model, supported: &'static str) -> Result<(), PerceptionError> {
+    if fits {
+        return Ok(());
+    }
+    Err(PerceptionError::UnknownLayout {
+        path: model.path().to_path_buf(),
+        task: "box mask",
+        inputs: model.inputs().to_vec(),
+        outputs: model.outputs().to_vec(),
+        supported,
+    })
+}
+
+/// Both parts of the network, ready to run.
+struct MobileSam {
+    encoder: Model,
+    decoder: Model,
+    options: PromptOptions,
+}
+
+impl Prompter for MobileSam {
+    fn masks(&mut self, image: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<Prompted>>, PerceptionError> {
+        let frame = image.dimensions();
+        let boxes: Vec<Rect> = boxes.iter().map(|rect| visible(rect, frame)).collect();
+        let mut found = vec![None; boxes.len()];
+        for Share { window, boxes: inside } in shares(&boxes, frame, &self.options) {
+            let (embedding, placement) = self.encode(image, window)?;
+            for b in inside {
+                found[b] = self.ask(&embedding, &placement, &boxes[b], frame)?;
+            }
+        }
+        Ok(found)
+    }
+
+    fn is_coarse(&self) -> bool {
+        false
+    }
+}
+
+impl MobileSam {
+    /// Looks at a part of the frame.
+    fn encode(&mut self, image: &RgbImage, window: Window) -> Result<(Tensor, Placement), PerceptionError> {
+        let placement = Placement::new(window, self.options.input_size);
+        let pixels = tensor_from_image(&placement.pixels(image, window)?, &imagenet());
+        let mut outputs = self.encoder.run(&[padded(&pixels, placement.input)])?;
+        match outputs.pop() {
+            Some(embedding) if outputs.is_empty() && embedding.shape.len() == 4 => Ok((embedding, placement)),
+            other => Err(wrong_output(&self.encoder, other, "one embedding [1, c, h, w]")),
+        }
+    }
+
+    /// The object in a box. A box that is too large for what is clearly in it, as those of motion are, is drawn
+    /// tighter, and the question asked again.
+    fn ask(
+        &mut self,
+        embedding: &Tensor,
+        placement: &Placement,
+        rect: &Rect,
+        frame: (u32, u32),
+    ) -> Result<Option<Prompted>, PerceptionError> {
+        let answers = self.decode(embedding, placement, rect)?;
+        if let Some(found) = best(&answers, placement, rect, frame, &self.options) {
+            return Ok(Some(found));
+        }
+        let loose = PromptOptions { min_quality: LOOSE_QUALITY.min(self.options.min_quality), ..self.options.clone() };
+        let Some(first) = best(&answers, placement, rect, frame, &loose) else { return Ok(None) };
+        let Some(tight) = first.mask.bounding_box().map(Rect::from) else { return Ok(None) };
+        let answers = self.decode(embedding, placement, &tight)?;
+        let second = best(&answers, placement, &tight, frame, &self.options);
+        let lost = agreement(&tight, rect).sqrt();
+        let confirmed = second.filter(|second| second.mask.iou(&first.mask) >= CONFIRMED_OVERLAP);
+        let judged = confirmed.map(|second| Prompted { quality: second.quality * lost, ..second });
+        Ok(judged.filter(|found| found.quality >= self.options.min_quality))
+    }
+
+    /// Asks for the object in a box.
+    fn decode(&mut self, embedding: &Tensor, placement: &Placement, rect: &Rect) -> Result<Answers, PerceptionError> {
+        let corners = [[rect.x0, rect.y0], [rect.x1, rect.y1]];
+        let values = corners.map(|[x, y]| placement.input_from_frame(x, y).map(|v| (v - 0.5) as f32)).concat();
+        let points = Tensor { shape: vec![1, 2, 2], values };
+        let labels = Tensor { shape: vec![1, 2], values: CORNERS.to_vec() };
+        let mut outputs = self.decoder.run(&[embedding.clone(), points, labels])?.into_iter();
+        let (Some(masks), Some(scores)) = (outputs.next(), outputs.next()) else {
+            return Err(wrong_output(&self.decoder, None, "masks and scores"));
+        };
+        let [1, num, height, width] = masks.shape[..] else {
+            return Err(wrong_output(&self.decoder, Some(masks), "masks [1, m, h, w]"));
+        };
+        if scores.shape != [1, num] || width == 0 || height == 0 {
+            return Err(wrong_output(&self.decoder, Some(scores), "one score for each mask, [1, m]"));
+        }
+        Ok(Answers { width, height, logits: masks.values, scores: scores.values })
+    }
+}
+
+/// RGB with ImageNet's mean and deviation.
+fn imagenet() -> Preprocessing {
+    Preprocessing {
+        mean: [123.675, 116.28, 103.53],
+        std: [58.395, 57.12, 57.375],
+        scale: 1.0,
+        ..Preprocessing::default()
+    }
+}
+
+/// A tensor [1, 3, h, w] with zeros to the right and below, up to an input's width and height.
+fn padded(pixels: &Tensor, (width, height): (u32, u32)) -> Tensor {
+    let (from_height, from_width) = (pixels.shape[2], pixels.shape[3]);
+    let (height, width) = (height as usize, width as usize);
+    let mut out = Tensor::zeros(&[1, 3, height, width]);
+    for (row_idx, row) in pixels.values.chunks_exact(from_width).enumerate() {
+        let (channel, y) = (row_idx / from_height, row_idx % from_height);
+        let start = (channel * height + y) * width;
+        out.values[start..start + from_width].copy_from_slice(row);
+    }
+    out
+}
+
+fn wrong_output(model: &Model, found: Option<Tensor>, expected: &str) -> PerceptionError {
+    PerceptionError::Output {
+        path: model.path().to_path_buf(),
+        found: found.map_or_else(Vec::new, |tensor| tensor.shape),
+        expected: expected.to_owned(),
+    }
+}
+
+/// Outputs of the decoder for one box.
+struct Answers {
+    /// Width and height of a mask's logits, cells.
+    width: usize,
+    height: usize,
+    /// One mask after the other.
+    logits: Vec<f32>,
+    /// One per mask.
+    scores: Vec<f32>,
+}
+
+/// The mask of the highest quality that passes all gates.
+fn best(
+    answers: &Answers,
+    placement: &Placement,
+    rect: &Rect,
+    frame: (u32, u32),
+    options: &PromptOptions,
+) -> Option<Prompted> {
+    let mut best: Option<Offer> = None;
+    let planes = answers.logits.chunks_exact(answers.width * answers.height);
+    for (values, &score) in planes.zip(&answers.scores) {
+        let plane = Plane { width: answers.width, height: answers.height, values };
+        let quality = f64::from(score).clamp(0.0, 1.0) * stability(&plane);
+        // It only falls by how well the mask fits its box, which takes most of the time to find out.
+        let is_worse = best.as_ref().is_some_and(|best| quality <= best.quality);
+        if quality >= options.min_quality && !is_worse {
+            let next = offer(&plane, quality, placement, rect, frame, options);
+            best = match (best, next) {
+                (Some(best), Some(next)) if next.quality <= best.quality => Some(best),
+                (best, next) => next.or(best),
+            };
+        }
+    }
+    best.map(|best| Prompted { mask: best.mask.in_frame(frame), quality: best.quality })
+}
+
+/// One mask that could be the object's.
+struct Offer {
+    mask: Local,
+    quality: f64,
+}
+
+/// A mask of a part of the frame.
+struct Local {
+    window: Window,
+    mask: Mask,
+}
+
+impl Local {
+    /// The box round its pixels, in the frame.
+    fn rect(&self) -> Option<Rect> {
+        let inner = Rect::from(self.mask.bounding_box()?);
+        let [x, y] = [self.window.x0, self.window.y0].map(f64::from);
+        Some(Rect { x0: inner.x0 + x, y0: inner.y0 + y, x1: inner.x1 + x, y1: inner.y1 + y })
+    }
+
+    /// The same pixels in the whole frame.
+    fn in_frame(&self, (width, height): (u32, u32)) -> Mask {
+        let mut all = Mask::empty(width, height);
+        for y in 0..self.window.height {
+            for x in 0..self.window.width {
+                if self.mask.get(i64::from(x), i64::from(y)) {
+                    all.set(self.window.x0 + x, self.window.y0 + y, true);
+                }
+            }
+        }
+        all
+    }
+}
+
+/// The mask that a plane of logits says, if it passes the gates: enough of what is marked lies at the box, it fills
+/// neither too little nor too much of it, and its quality suffices.
+///
+/// * `quality` – of a mask that fits its box.
+fn offer(
+    plane: &Plane<'_>,
+    quality: f64,
+    placement: &Placement,
+    rect: &Rect,
+    frame: (u32, u32),
+    options: &PromptOptions,
+) -> Option<Offer> {
+    let window = Window::of_pixels(&rect.grown(options.margin), frame)?;
+    let marked = marked(plane, placement, window);
+    let marked_px2 = marked.area_px2() as f64;
+    let local = Local { window, mask: one_part(&marked) };
+    let fill = local.mask.area_px2() as f64 / rect.area_px2();
+    let quality = quality * agreement(&local.rect()?, rect);
+    let passes = marked_px2 >= options.min_inside * everywhere_px2(plane, placement)
+        && (options.min_fill..=options.max_fill).contains(&fill)
+        && quality >= options.min_quality;
+    passes.then_some(Offer { mask: local, quality })
+}
+
+/// The pixels of a part of the frame at whose centres the logits are positive.
+fn marked(plane: &Plane<'_>, placement: &Placement, window: Window) -> Mask {
+    Mask::from_fn(window.width, window.height, |x, y| {
+        let [u, v] = placement.input_from_frame(f64::from(window.x0 + x) + 0.5, f64::from(window.y0 + y) + 0.5);
+        plane.sample((u / LOGIT_STEP) as f32, (v / LOGIT_STEP) as f32) > 0.0
+    })
+}
+
+/// The overlap of what a threshold above and one below zero mark, 0 to 1.
+fn stability(plane: &Plane<'_>) -> f64 {
+    let above = |threshold: f32| plane.values.iter().filter(|&&logit| logit > threshold).count() as f64;
+    above(STABILITY_OFFSET) / above(-STABILITY_OFFSET).max(1.0)
+}
+
+/// Area of the mask in the whole input, in pixels of the frame.
+fn everywhere_px2(plane: &Plane<'_>, placement: &Placement) -> f64 {
+    let cells = plane.values.iter().filter(|&&logit| logit > 0.0).count();
+    cells as f64 * LOGIT_STEP * LOGIT_STEP / placement.area_scale()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FRAME: (u32, u32) = (400, 300);
+    const BOX: Rect = Rect { x0: 180.0, y0: 140.0, x1: 220.0, y1: 160.0 };
+
+    /// Where the box is looked at: four pixels of the input per pixel of the frame, so that a cell is a pixel.
+    fn placement() -> Placement {
+        Placement::new(Window { x0: 144, y0: 94, width: 112, height: 112 }, 448)
+    }
+
+    /// The answer whose logits have a value per pixel of the frame.
+    fn answer(logit: impl Fn(f64, f64) -> f32, score: f32) -> Answers {
+        let at = |cell: usize| logit(144.5 + (cell % 112) as f64, 94.5 + (cell / 112) as f64);
+        Answers { width: 112, height: 112, logits: (0..112 * 112).map(at).collect(), scores: vec![score] }
+    }
+
+    fn inside(rect: Rect) -> impl Fn(f64, f64) -> f32 {
+        move |x, y| if rect.contains(x, y) { 5.0 } else { -5.0 }
+    }
+
+    fn judged(answers: &Answers) -> Option<Prompted> {
+        best(answers, &placement(), &BOX, FRAME, &PromptOptions::default())
+    }
+
+    #[test]
+    fn a_mask_that_fits_its_box_keeps_its_place_in_the_frame() {
+        let found = judged(&answer(inside(BOX), 0.9)).unwrap();
+        let truth = Mask::from_fn(FRAME.0, FRAME.1, |x, y| BOX.contains(f64::from(x) + 0.5, f64::from(y) + 0.5));
+        assert_eq!(found.mask, truth);
+        assert!((found.quality - 0.9).abs() < 1e-6, "{}", found.quality);
+    }
+
+    #[test]
+    fn edges_between_cells_are_interpolated() {
+        // The logit falls through zero at x = 200.25, between the centres of two cells.
+        let found = answer(|x, y| if BOX.contains(x, y) { (200.25 - x) as f32 } else { -5.0 }, 1.0);
+        let plane = Plane { width: 112, height: 112, values: &found.logits };
+        let window = Window::of_pixels(&BOX, FRAME).unwrap();
+        let marked = marked(&plane, &placement(), window);
+        assert_eq!(marked.bounding_box().unwrap().x1 + window.x0, 200);
+        assert!(plane.sample(200.25 - 144.0, 150.0 - 94.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn gates_keep_out_what_is_no_object() {
+        let grown = |share: f64| BOX.grown(share);
+        assert_eq!(judged(&answer(inside(BOX), 0.5)), None, "the network expects little");
+        assert_eq!(judged(&answer(inside(grown(1.0)), 1.0)), None, "it leaves the box on all sides");
+        assert_eq!(judged(&answer(inside(grown(-0.2)), 1.0)), None, "it fills too little of the box");
+        assert_eq!(judged(&answer(|_, _| -5.0, 1.0)), None, "there is nothing");
+        assert_eq!(judged(&answer(|_, _| f32::NAN, f32::NAN)), None, "there are no numbers");
+        let unsure = |x: f64, y: f64| if BOX.contains(x, y) { 0.5 } else { -5.0 };
+        assert_eq!(judged(&answer(unsure, 1.0)), None, "it is not stable");
+    }
+
+    #[test]
+    fn the_offer_that_fits_the_box_goes_before_a_part_that_is_expected_to_be_better() {
+        let part = Rect { x1: 200.0, ..BOX };
+        let (whole, part) = (answer(inside(BOX), 0.85), answer(inside(part), 1.0));
+        let both = Answers { logits: [part.logits, whole.logits].concat(), scores: vec![1.0, 0.85], ..whole };
+        assert!((judged(&both).unwrap().quality - 0.85).abs() < 1e-6);
+    }
+
+    #[test]
+    fn what_the_window_does_not_fill_is_zero() {
+        let pixels = Tensor { shape: vec![1, 3, 1, 2], values: vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0] };
+        let input = padded(&pixels, (3, 2));
+        assert_eq!(input.shape, [1, 3, 2, 3]);
+        let expected = [1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 3.0, 4.0, 0.0, 0.0, 0.0, 0.0, 5.0, 6.0, 0.0, 0.0, 0.0, 0.0];
+        assert_eq!(input.values, expected);
+    }
+}

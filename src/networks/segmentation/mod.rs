@@ -1,0 +1,185 @@
+//! Instance segmentation: the objects of one frame, each with its own mask.
+
+mod classes;
+mod detection;
+mod letterbox;
+mod mask_rcnn;
+mod suppression;
+mod views;
+mod yolo;
+mod yolox;
+
+use std::path::Path;
+
+use ::image::RgbImage;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use self::detection::{DetectorOptions, load_detector};
+use self::mask_rcnn::MaskRcnn;
+use self::yolo::YoloSeg;
+use super::{INPUT_SIZES, PerceptionError};
+use crate::checks::{Checked, some_of, within};
+use crate::ffi::onnx::{Model, Resources};
+use crate::scene::{BoxDetection, Detection};
+
+/// At most this many objects per frame, the best ones: a bound on memory for networks that fire everywhere.
+const MAX_OBJECTS: usize = 300;
+
+/// Finds the movable objects of a frame.
+pub trait Segmenter {
+    /// The objects found in `image`, each with a mask of the image's size; highest confidence first.
+    ///
+    /// # Errors
+    /// When the network cannot be run or answers in a shape that its family does not allow.
+    fn segment(&mut self, image: &RgbImage) -> Result<Vec<Detection>, PerceptionError>;
+}
+
+/// Finds the movable objects of a frame as boxes.
+pub trait Detector {
+    /// The objects found in `image`; highest confidence first.
+    ///
+    /// # Errors
+    /// When the network cannot be run or answers in a shape that its family does not allow.
+    fn detect(&mut self, image: &RgbImage) -> Result<Vec<BoxDetection>, PerceptionError>;
+}
+
+/// Treatment of frames that are larger than the network's input.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Tiling {
+    /// The whole frame only, shrunk to the network's input.
+    #[default]
+    Off,
+    /// The whole frame, and besides it overlapping tiles of the input's size at full resolution wherever the frame is
+    /// larger than the input. Finds small objects; costs one run of the network per tile.
+    On,
+}
+
+/// Options of instance segmentation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct SegmentationOptions {
+    /// Minimum score of an object.
+    #[schemars(extend("unit" = "score, 0 to 1"))]
+    pub confidence: f64,
+    /// Maximum overlap (intersection over union) of two objects of a class; of others the one with the higher score is
+    /// kept.
+    #[schemars(extend("unit" = "share"))]
+    pub nms_iou: f64,
+    /// Classes that are segmented; all of them are kept out of the background.
+    pub classes: Vec<String>,
+    /// Division of large frames into tiles, to find small objects.
+    pub tiling: Tiling,
+    /// Overlap of neighboring tiles; larger than the objects to be found.
+    #[schemars(extend("unit" = "share of a tile's side"))]
+    pub tile_overlap: f64,
+    /// Longer side of the network's input, for networks with a free input size.
+    #[schemars(extend("unit" = "pixels"))]
+    pub input_size: u32,
+}
+
+/// Classes that move by themselves, in the words of COCO, Cityscapes and the common drone data sets.
+const MOVABLE: [&str; 25] = [
+    "car",
+    "truck",
+    "bus",
+    "van",
+    "motorcycle",
+    "motor",
+    "motorbike",
+    "bicycle",
+    "person",
+    "pedestrian",
+    "people",
+    "rider",
+    "train",
+    "tram",
+    "tricycle",
+    "awning-tricycle",
+    "trailer",
+    "caravan",
+    "vehicle",
+    "boat",
+    "airplane",
+    "dog",
+    "horse",
+    "cow",
+    "sheep",
+];
+
+/// Names of everything that moves by itself.
+fn movable() -> Vec<String> {
+    MOVABLE.map(str::to_owned).to_vec()
+}
+
+impl Default for SegmentationOptions {
+    fn default() -> Self {
+        Self {
+            confidence: 0.25,
+            nms_iou: 0.6,
+            classes: movable(),
+            tiling: Tiling::Off,
+            tile_overlap: 0.2,
+            input_size: 640,
+        }
+    }
+}
+
+impl SegmentationOptions {
+    /// Refuses values that make no sense.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::checks::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("confidence", self.confidence, 0.0..=1.0)?;
+        within("nms_iou", self.nms_iou, 0.0..=1.0)?;
+        some_of("classes", &self.classes)?;
+        within("tile_overlap", self.tile_overlap, 0.0..=0.8)?;
+        within("input_size", self.input_size, INPUT_SIZES)
+    }
+}
+
+/// Loads a network for instance segmentation; its family is recognised from its inputs and outputs. `resources` is what
+/// it may take, or a number of threads; 0 is one per core.
+///
+/// # Errors
+/// [`PerceptionError::UnknownLayout`] lists what was found and what is supported; [`PerceptionError::NoClassNames`] and
+/// [`PerceptionError::NoWantedClass`] say what is wrong with its classes; errors of the runtime say how to get it.
+pub fn load_segmenter(
+    path: &Path,
+    options: &SegmentationOptions,
+    resources: impl Into<Resources>,
+) -> Result<Box<dyn Segmenter>, PerceptionError> {
+    options.check()?;
+    let model = Model::load(path, resources)?;
+    if yolo::recognise(&model) {
+        return Ok(Box::new(YoloSeg::new(model, options)?));
+    }
+    if mask_rcnn::recognise(&model) {
+        return Ok(Box::new(MaskRcnn::new(model, options)?));
+    }
+    Err(PerceptionError::UnknownLayout {
+        path: path.to_path_buf(),
+        task: "instance segmentation",
+        inputs: model.inputs().to_vec(),
+        outputs: model.outputs().to_vec(),
+        supported: "the YOLO-seg family (YOLOv8-seg, YOLO11-seg): one image [1, 3, h, w] in; \
+                    [1, 4 + classes + k, n] and prototypes [1, k, h, w] out; torchvision's Mask R-CNN: one image \
+                    [3, h, w] in; boxes [n, 4], labels [n], scores [n], masks [n, 1, h, w] out; see docs/perception.md",
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_out_of_range_are_refused_by_name() {
+        assert!(SegmentationOptions::default().check().is_ok());
+        let bad = SegmentationOptions { nms_iou: 1.5, ..SegmentationOptions::default() };
+        assert!(bad.check().unwrap_err().to_string().contains("nms_iou"));
+        let nan = SegmentationOptions { confidence: f64::NAN, ..SegmentationOptions::default() };
+        assert!(nan.check().is_err());
+    }
+}

@@ -1,0 +1,229 @@
+//! Objects before they were found: their masks, followed back in time.
+//!
+//! A detector may see a vehicle late, and a track starts only where somebody asks for a mask. When all frames are
+//! through, the frames are given again, the last one first, and every object is followed from its first mask to earlier
+//! frames: by flow, and by masks asked for in the box of the carried one. Memory is one mask per object.
+//!
+//! An object is followed no further where it leaves the picture or becomes too small, where flow, colours or the new
+//! masks fail, or where another object has its pixels ([`End`]).
+
+use std::collections::BTreeMap;
+
+use ::image::RgbImage;
+use serde::{Deserialize, Serialize};
+
+use super::appearance::Appearance;
+use super::boxes::View;
+use super::region::Region;
+use super::track::{Moment, Presence, Track, leaves};
+use super::tracker::{Sighting, Tracker};
+use super::{Correction, Look, TrackSummary, TrackedMask, TrackerOptions};
+use crate::networks::{PerceptionError, Prompter};
+use crate::scene::{Flow, Frame, FrameId, Mask, ObjectId, Rect};
+
+/// A mask of which more than this share belongs to another object shows that one.
+const MET: f64 = 0.5;
+
+/// Why an object is followed back no further.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum End {
+    /// There are no earlier frames.
+    Start,
+    /// It leaves the picture.
+    Left,
+    /// It becomes too small, is hidden, or its masks do not fit any more.
+    Lost,
+    /// Its place is taken by another object, which may be the same vehicle if it ends there.
+    Met(ObjectId),
+}
+
+/// Backward extension of an object's track.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Extension {
+    /// Which object.
+    pub object: ObjectId,
+    /// The first frame with a mask that can be trusted. Masks reported for earlier frames are guesses: drop them.
+    pub first: FrameId,
+    /// Frames before its first mask until now, from `first` on, with a mask.
+    pub num_frames: usize,
+    /// Why it is followed no further.
+    pub end: End,
+}
+
+/// Follows objects back in time from their first masks; see the module.
+#[derive(Clone, Debug)]
+pub struct BackwardTracker {
+    tracker: Tracker,
+    /// Per object its first frame until now, and what its masks were worth.
+    starts: BTreeMap<ObjectId, (FrameId, f64)>,
+    finished: Vec<Extension>,
+}
+
+impl BackwardTracker {
+    /// For the objects of these summaries, under their lasting ids.
+    pub fn new(options: TrackerOptions, objects: &[TrackSummary]) -> Self {
+        let start = |object: &TrackSummary| (object.id, (object.first, object.mask_quality.unwrap_or(1.0)));
+        Self { tracker: Tracker::new(options), starts: objects.iter().map(start).collect(), finished: Vec::new() }
+    }
+
+    /// Returns true if any object is being followed; otherwise flow and masks need not be computed.
+    pub fn is_following(&self) -> bool {
+        !self.tracker.tracks.is_empty()
+    }
+
+    /// The places in which flow is of use.
+    pub fn places(&self) -> Vec<Rect> {
+        self.tracker.places()
+    }
+
+    /// As [`Tracker::take_corrections`]: masks of frames that were given before, which are later ones.
+    pub fn take_corrections(&mut self) -> Vec<Correction> {
+        self.tracker.take_corrections()
+    }
+
+    /// Takes the next earlier frame.
+    ///
+    /// * `known` – the masks that objects have in this frame until now, by lasting id.
+    /// * `prompter` – whom to ask for masks; `None` where they are carried.
+    /// * `flow` – from the frame given before, which is the later one, to this one.
+    ///
+    /// Returns the new masks, ascending by lasting id; they overlap neither one another nor those that are known.
+    ///
+    /// # Errors
+    /// [`PerceptionError::SizeMismatch`] if image, masks and flow differ in size, [`PerceptionError::FrameOrder`] if
+    /// the frame is not earlier than the last one; whatever the prompter runs into.
+    pub fn advance(
+        &mut self,
+        frame: &Frame,
+        image: &RgbImage,
+        known: &[(ObjectId, Mask)],
+        prompter: Option<&mut dyn Prompter>,
+        flow: Option<&Flow>,
+    ) -> Result<Vec<TrackedMask>, PerceptionError> {
+        let elapsed_s = self.check(frame, image, known, flow)?;
+        let now = Moment { count: 0, frame: frame.id, time_s: frame.time_s };
+        let view = View { image, flow, now, elapsed_s };
+        let seen = self.tracker.follow_boxes(&view, Vec::new(), prompter)?;
+        let known: Vec<(ObjectId, Region)> =
+            known.iter().filter_map(|(object, mask)| Some((*object, Region::from_mask(mask)?))).collect();
+        let masks = self.cut(&seen, frame.id, &known, image.dimensions());
+        self.end_tracks(&seen, &known, frame.id, image.dimensions());
+        self.start(image, &known, now);
+        self.tracker.last_frame = Some((frame.id, frame.time_s, image.dimensions()));
+        self.tracker.last_picture = Some(image.clone());
+        Ok(masks)
+    }
+
+    /// Extensions of all objects, ascending by id. Objects whose first frame never came are omitted.
+    pub fn finish(mut self) -> Vec<Extension> {
+        let left = self.tracker.tracks.iter().map(|track| extension(track, End::Start));
+        self.finished.extend(left);
+        self.finished.sort_by_key(|extension| extension.object);
+        self.finished
+    }
+
+    /// Checks order and sizes; gives the seconds to the frame given before.
+    fn check(
+        &self,
+        frame: &Frame,
+        image: &RgbImage,
+        known: &[(ObjectId, Mask)],
+        flow: Option<&Flow>,
+    ) -> Result<f64, PerceptionError> {
+        for (_, mask) in known {
+            self.tracker.same_size("a known mask", frame, image, (mask.width(), mask.height()))?;
+        }
+        self.tracker.check_sizes(frame, image, &Look::NotLooked, flow)?;
+        match self.tracker.last_frame {
+            Some((previous, ..)) if frame.id >= previous => {
+                Err(PerceptionError::FrameOrder { previous, found: frame.id })
+            }
+            Some((_, time_s, _)) => Ok((time_s - frame.time_s).max(0.0)),
+            None => Ok(0.0),
+        }
+    }
+
+    /// The masks of the frame, without the pixels that are known to be others'.
+    fn cut(
+        &mut self,
+        seen: &[Sighting],
+        frame: FrameId,
+        known: &[(ObjectId, Region)],
+        size: (u32, u32),
+    ) -> Vec<TrackedMask> {
+        let is_free = |x: u32, y: u32| known.iter().all(|(_, region)| !region.contains(x, y));
+        let cut = |s: &Sighting| {
+            let is_met = who_is_met(&self.tracker.tracks[s.track_idx], &s.region, known).is_some();
+            let region = s.region.filtered(is_free).filter(|_| !is_met)?;
+            Some(Sighting { region, ..*s })
+        };
+        let cut = seen.iter().filter_map(cut).collect();
+        self.tracker.report(cut, frame, known.to_vec(), size)
+    }
+
+    /// Ends the tracks that were not seen, and those whose place is another's.
+    fn end_tracks(
+        &mut self,
+        seen: &[Sighting],
+        known: &[(ObjectId, Region)],
+        frame: FrameId,
+        (width, height): (u32, u32),
+    ) {
+        let tracks = std::mem::take(&mut self.tracker.tracks);
+        for (track_idx, track) in tracks.into_iter().enumerate() {
+            let region = seen.iter().find(|s| s.track_idx == track_idx).map(|s| &s.region);
+            let met = who_is_met(&track, region.unwrap_or(&track.region), known);
+            match (met, region) {
+                (Some(other), _) => self.finished.push(self.until_met(&track, other, frame)),
+                (None, None) if leaves_at_rim(&track, width, height) => {
+                    self.finished.push(extension(&track, End::Left));
+                }
+                (None, None) => self.finished.push(extension(&track, End::Lost)),
+                (None, Some(_)) => self.tracker.tracks.push(track),
+            }
+        }
+    }
+
+    /// The extension of a track that meets another object in a frame, which is not its own any more.
+    fn until_met(&self, track: &Track, other: ObjectId, frame: FrameId) -> Extension {
+        let extension = extension(track, End::Met(other));
+        match self.tracker.last_frame {
+            Some((later, ..)) if extension.first == frame => {
+                Extension { first: later, num_frames: extension.num_frames.saturating_sub(1), ..extension }
+            }
+            _ => extension,
+        }
+    }
+
+    /// Begins with the objects whose first mask this frame has.
+    fn start(&mut self, image: &RgbImage, known: &[(ObjectId, Region)], now: Moment) {
+        for (object, region) in known {
+            let Some(&(first, quality)) = self.starts.get(object) else { continue };
+            if first == now.frame {
+                let appearance = Appearance::of(image, region);
+                self.tracker.tracks.push(Track::resume(*object, region.clone(), appearance, quality, now));
+            }
+        }
+    }
+}
+
+fn extension(track: &Track, end: End) -> Extension {
+    let num_frames = track.num_frames_resumed();
+    Extension { object: track.provisional, first: track.last_detected.frame, num_frames, end }
+}
+
+/// The other object to which most of a region belongs.
+fn who_is_met(track: &Track, region: &Region, known: &[(ObjectId, Region)]) -> Option<ObjectId> {
+    let share = |other: &&(ObjectId, Region)| region.covered_by(&other.1);
+    let others = known.iter().filter(|(object, _)| *object != track.provisional);
+    let most = others.max_by(|a, b| share(a).total_cmp(&share(b)))?;
+    (share(&most) > MET).then_some(most.0)
+}
+
+/// Returns true if a lost object was at the image border.
+fn leaves_at_rim(track: &Track, width: u32, height: u32) -> bool {
+    let b = track.region.bounds();
+    let at_rim = b.x0 == 0 || b.y0 == 0 || b.x1 >= width || b.y1 >= height;
+    matches!(track.presence, Presence::Lost(_)) && (at_rim || leaves(b, [0.0; 2], width, height))
+}

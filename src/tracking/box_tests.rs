@@ -1,0 +1,434 @@
+//! Tests of objects with known boxes, and masks in some frames only.
+
+use super::world::{HEIGHT, Thing, WIDTH, World, found_boxes};
+use super::*;
+use crate::networks::Prompted;
+use crate::scene::{Finder, Rect};
+
+const RED: [u8; 3] = [200, 30, 30];
+const BLUE: [u8; 3] = [30, 40, 210];
+
+fn honest(_: usize, answer: Prompted) -> Option<Prompted> {
+    Some(answer)
+}
+
+/// A car that crosses the picture in 40 frames.
+fn one_car() -> World {
+    World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30))])
+}
+
+/// Frames in which the object's own mask, between its first and last frame, overlaps a thing by more than 0.7.
+fn followed(world: &World, frames: &[Vec<TrackedMask>], track: &TrackSummary, thing: usize) -> usize {
+    let life = track.first.0 as usize..=track.last.0 as usize;
+    let is_there = |t: &usize| {
+        let truth = world.mask(*t, thing);
+        frames[*t].iter().any(|m| m.object == track.provisional && m.mask.iou(&truth) > 0.7)
+    };
+    life.filter(is_there).count()
+}
+
+#[test]
+fn a_car_is_followed_whatever_the_distance_of_key_frames() {
+    let world = one_car();
+    for every in [1, 5, 10] {
+        let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, Finder::Detector), &honest);
+        let [track] = &tracks[..] else { panic!("one track, every {every}: {tracks:#?}") };
+        assert_eq!((track.class.as_str(), track.found.detector, track.outline), ("car", 40, Outline::Network));
+        assert_eq!((track.first, track.last, track.num_looks), (FrameId(0), FrameId(39), 40));
+        assert_eq!(followed(&world, &frames, track, 0), 40, "every {every}");
+        assert!(track.mask_quality.is_some_and(|quality| (quality - 0.9).abs() < 1e-9));
+    }
+}
+
+#[test]
+fn frames_that_nobody_looked_at_are_not_missed() {
+    let world = one_car();
+    for every in [5, 10, 20] {
+        let mut tracker = Tracker::new(TrackerOptions { min_detections: 2, ..TrackerOptions::default() });
+        for t in 0..40 {
+            let flow = (t > 0).then(|| world.flow(t));
+            let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
+            let look = match t % every {
+                0 => Look::Boxes {
+                    found: found_boxes(world.boxes(t, Finder::Detector)),
+                    by: LookedBy::Detector,
+                    prompter: Some(&mut prompter),
+                },
+                _ => Look::NotLooked,
+            };
+            let masks = tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
+            assert!(masks.len() == 1 && masks[0].mask.iou(&world.mask(t, 0)) > 0.9, "frame {t}, every {every}");
+        }
+        let tracks = tracker.finish();
+        assert_eq!((tracks.len(), tracks[0].num_looks, tracks[0].found.detector), (1, 40 / every, 40 / every));
+        assert_eq!((tracks[0].found.carried, tracks[0].last), (40 - 40 / every, FrameId(39)));
+    }
+}
+
+#[test]
+fn a_new_mask_corrects_the_frames_that_are_nearer_to_it_than_to_the_last_one() {
+    let world = one_car();
+    // The first mask lacks a quarter of the car.
+    let narrow = |t: usize, answer: Prompted| {
+        let end = answer.mask.bounding_box().map_or(0, |b| if t == 0 { b.x1 - b.width() / 4 } else { b.x1 });
+        let mask = Mask::from_fn(WIDTH, HEIGHT, |x, y| x < end && answer.mask.get(x.into(), y.into()));
+        Some(Prompted { mask, ..answer })
+    };
+    let mut tracker = Tracker::new(TrackerOptions::default());
+    let mut corrected = Vec::new();
+    for t in 0..=8 {
+        let flow = (t > 0).then(|| world.flow(t));
+        let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &narrow };
+        let prompter = t.is_multiple_of(8).then_some(&mut prompter as &mut dyn Prompter);
+        let look =
+            Look::Boxes { found: found_boxes(world.boxes(t, Finder::Detector)), by: LookedBy::Detector, prompter };
+        let masks = tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
+        assert_eq!(masks[0].mask.iou(&world.mask(t, 0)) > 0.9, t == 8, "frame {t}");
+        corrected.extend(tracker.take_corrections());
+    }
+    assert_eq!(corrected.iter().map(|c| c.frame.0).collect::<Vec<_>>(), [7, 6, 5]);
+    assert!(corrected.iter().all(|c| c.mask == world.mask(c.frame.0 as usize, 0)));
+}
+
+#[test]
+fn a_detector_that_looks_now_and_then_is_judged_by_its_looks() {
+    let world = one_car();
+    let mut tracker = Tracker::new(TrackerOptions::default());
+    for t in 0..40 {
+        let flow = (t > 0).then(|| world.flow(t));
+        let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
+        let prompter = t.is_multiple_of(4).then_some(&mut prompter as &mut dyn Prompter);
+        let look = match t % 2 {
+            0 => Look::Boxes { found: found_boxes(world.boxes(t, Finder::Detector)), by: LookedBy::Detector, prompter },
+            _ => Look::Boxes { found: Vec::new(), by: LookedBy::Motion, prompter },
+        };
+        tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
+    }
+    let [track] = &tracker.finish()[..] else { panic!("one track") };
+    assert_eq!((track.num_looks, track.num_detector_looks, track.found.detector), (40, 20, 20));
+}
+
+#[test]
+fn what_stands_is_asked_about_less_often_until_it_drives_or_is_hidden() {
+    let asked_of = |world: &World| {
+        let asked = std::cell::RefCell::new(std::collections::BTreeSet::new());
+        let note = |t: usize, answer: Prompted| {
+            asked.borrow_mut().insert(t);
+            Some(answer)
+        };
+        let (frames, tracks) = world.track_boxes(64, 4, |t| world.boxes(t, Finder::Detector), &note);
+        assert_eq!(tracks.len(), 1, "{tracks:#?}");
+        (asked.take().into_iter().collect::<Vec<_>>(), followed(world, &frames, &tracks[0], 0))
+    };
+    // It moves with the background until it drives off.
+    let stands = |t: usize| 20 + t as i64 + 4 * t.saturating_sub(40) as i64;
+    let world = World { things: vec![Thing::car(RED, move |t| (stands(t), 30))], pan: (1, 0) };
+    assert_eq!(asked_of(&world), (vec![0, 4, 16, 28, 40, 44, 48, 52, 56, 60], 64));
+    // A pole comes before a part of it.
+    let pole = Thing { at: Box::new(|t| (180 - 2 * t as i64, 0)), ..Thing::wall(0, 5) };
+    let world = World { things: vec![Thing::car(RED, |_| (90, 30)), pole], pan: (0, 0) };
+    let before: Vec<usize> = (0..64).step_by(4).filter(|t| world.mask(*t, 0) != world.mask(0, 0)).collect();
+    let (asked, num_followed) = asked_of(&world);
+    assert!(num_followed >= 58, "{num_followed}");
+    assert!(asked.len() < 14 && before.iter().all(|t| asked.contains(t)), "{asked:?}, hidden at {before:?}");
+}
+
+#[test]
+fn a_detector_that_answers_in_one_frame_of_ten_suffices() {
+    let world = one_car();
+    for every in [1, 5, 10] {
+        // Never in a frame in which masks are asked for, but where they are in all.
+        let sometimes = |t: usize| if t % 10 == 3 { world.boxes(t, Finder::Detector) } else { Vec::new() };
+        let (frames, tracks) = world.track_boxes(40, every, sometimes, &honest);
+        let [track] = &tracks[..] else { panic!("one track, every {every}: {tracks:#?}") };
+        let start = 3_usize.next_multiple_of(every);
+        assert_eq!(track.first, FrameId(start as u32));
+        assert_eq!((track.found.detector, followed(&world, &frames, track, 0)), (4, 40 - start), "every {every}");
+    }
+}
+
+#[test]
+fn motion_finds_what_has_no_class_and_the_detector_names_it() {
+    let world = one_car();
+    let both = |t: usize| {
+        let mut found = world.boxes(t, Finder::Motion);
+        if t == 25 {
+            found.extend(world.boxes(t, Finder::Detector));
+        }
+        found
+    };
+    let (_, tracks) = world.track_boxes(40, 5, |t| world.boxes(t, Finder::Motion), &honest);
+    assert_eq!((tracks.len(), tracks[0].class.as_str(), tracks[0].found.motion), (1, "vehicle", 40));
+    let (_, tracks) = world.track_boxes(40, 5, both, &honest);
+    assert_eq!((tracks.len(), tracks[0].class.as_str()), (1, "car"));
+    assert_eq!((tracks[0].found.motion, tracks[0].found.both), (39, 1));
+    assert!((tracks[0].class_confidence - 0.9).abs() < 1e-9);
+}
+
+#[test]
+fn crossing_cars_of_one_colour_keep_their_ids() {
+    for every in [1, 3, 5] {
+        let world = World::still(vec![
+            Thing::car(RED, |t| (5 + 4 * t as i64, 30)),
+            Thing::car(RED, |t| (170 - 4 * t as i64, 34)),
+        ]);
+        let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, Finder::Detector), &honest);
+        let of = |t: usize, thing: usize| {
+            let truth = world.mask(t, thing);
+            frames[t].iter().find(|m| m.mask.iou(&truth) > 0.5).map(|m| m.object)
+        };
+        for thing in 0..2 {
+            assert!(of(2, thing).is_some());
+            assert_eq!(of(2, thing), of(39, thing), "thing {thing}, every {every}: {tracks:#?}");
+        }
+    }
+}
+
+#[test]
+fn one_car_overtakes_the_other() {
+    for every in [1, 5] {
+        let world =
+            World::still(vec![Thing::car(RED, |t| (60 + t as i64, 28)), Thing::car(BLUE, |t| (5 + 4 * t as i64, 36))]);
+        let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, Finder::Detector), &honest);
+        assert_eq!(tracks.len(), 2, "every {every}: {tracks:#?}");
+        for track in &tracks {
+            let of_each: Vec<usize> = (0..2).map(|thing| followed(&world, &frames, track, thing)).collect();
+            assert!(of_each.contains(&0) && of_each.iter().any(|n| *n > 25), "every {every}: {of_each:?}");
+        }
+    }
+}
+
+#[test]
+fn a_car_behind_a_pole_stays_itself() {
+    for every in [1, 5] {
+        let world = World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30)), Thing::wall(80, 8)]);
+        let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, Finder::Detector), &honest);
+        // Where masks are asked for in every fifth frame only, what comes up behind the pole may be a second piece.
+        let is_linked =
+            |track: &TrackSummary| track.after.is_some_and(|after| after.provisional == tracks[0].provisional);
+        assert!(tracks.len() <= if every == 1 { 1 } else { 2 }, "every {every}: {tracks:#?}");
+        assert!(tracks[1..].iter().all(is_linked), "every {every}: {tracks:#?}");
+        let num_followed: usize = tracks.iter().map(|track| followed(&world, &frames, track, 0)).sum();
+        assert!(num_followed >= 32, "every {every}: {num_followed}");
+    }
+}
+
+#[test]
+fn a_carried_mask_leaves_out_what_comes_before_the_car() {
+    let world = World::still(vec![Thing::car(RED, |t| (4 + 5 * t as i64, 30)), Thing::wall(80, 44)]);
+    // Masks are asked for once and never again: from then on they are carried.
+    let once = |t: usize, answer: Prompted| (t == 0).then_some(answer);
+    let (frames, _) = world.track_boxes(20, 30, |t| world.boxes(t, Finder::Detector), &once);
+    let on_wall = |t: usize| frames[t].iter().map(|m| m.mask.intersection_px2(&world.mask(t, 1))).max().unwrap_or(0);
+    // The wall takes 70 more pixels in every frame.
+    assert!((0..20).all(|t| on_wall(t) <= 28), "{:?}", (0..20).map(on_wall).collect::<Vec<_>>());
+    let hidden: Vec<usize> = (0..20).filter(|&t| world.mask(t, 0).area_px2() == 0).collect();
+    assert!(hidden.len() > 2 && hidden.into_iter().all(|t| frames[t].is_empty()));
+    let seen = |t: usize| frames[t].first().map_or(0.0, |m| m.mask.iou(&world.mask(t, 0)));
+    assert!((0..14).all(|t| seen(t) > 0.75), "{:?}", (0..20).map(seen).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_car_behind_a_wall_is_found_again() {
+    for every in [1, 5] {
+        let world = World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30)), Thing::wall(70, 50)]);
+        let (frames, tracks) = world.track_boxes(45, every, |t| world.boxes(t, Finder::Detector), &honest);
+        let [before, after] = &tracks[..] else { panic!("two pieces, every {every}: {tracks:#?}") };
+        assert_eq!(after.after.map(|after| after.provisional), Some(before.provisional), "every {every}");
+        let hidden = (0..45).filter(|&t| world.mask(t, 0).area_px2() == 0);
+        assert!(hidden.clone().count() > 3 && hidden.into_iter().all(|t| frames[t].is_empty()));
+    }
+}
+
+#[test]
+fn motion_over_two_cars_that_drive_together_leaves_two() {
+    let world =
+        World::still(vec![Thing::car(RED, |t| (4 + 3 * t as i64, 20)), Thing::car(BLUE, |t| (32 + 3 * t as i64, 20))]);
+    let merged = |t: usize| {
+        if t < 5 {
+            return world.boxes(t, Finder::Detector);
+        }
+        let boxes = world.boxes(t, Finder::Motion);
+        vec![BoxDetection { rect: boxes[0].rect.union(&boxes[1].rect), ..boxes[0].clone() }]
+    };
+    for every in [1, 5] {
+        let (frames, tracks) = world.track_boxes(40, every, merged, &honest);
+        assert_eq!(tracks.len(), 2, "every {every}: {tracks:#?}");
+        for (thing, track) in tracks.iter().enumerate() {
+            assert_eq!(followed(&world, &frames, track, thing), 40, "every {every}");
+            assert_eq!((track.found.detector, track.found.motion), (5, 35));
+        }
+    }
+}
+
+#[test]
+fn masks_that_are_road_or_half_the_car_give_way_to_the_carried_one() {
+    let world = one_car();
+    let patch = |t: usize, answer: Prompted| match t {
+        10 => Some(Prompted { mask: Mask::from_fn(WIDTH, HEIGHT, |_, y| y > 25), quality: 0.99 }),
+        15 => None,
+        20 => {
+            let left = answer.mask.bounding_box()?.x0 + 11;
+            let mask = Mask::from_fn(WIDTH, HEIGHT, |x, y| x < left && answer.mask.get(x.into(), y.into()));
+            Some(Prompted { mask, ..answer })
+        }
+        _ => Some(answer),
+    };
+    for finder in [Finder::Detector, Finder::Motion] {
+        // Boxes in the beginning only: from then on it lives by its own masks.
+        let found = |t: usize| if t < 6 { world.boxes(t, finder) } else { Vec::new() };
+        let (frames, tracks) = world.track_boxes(40, 5, found, &patch);
+        assert_eq!(tracks.len(), 1);
+        assert_eq!(followed(&world, &frames, &tracks[0], 0), 40);
+        let at_10 = frames[10].iter().map(|m| m.evidence).collect::<Vec<_>>();
+        assert_eq!(at_10, [Evidence::Carried]);
+        assert_eq!(frames[25][0].evidence, Evidence::Prompted { quality: 0.9 });
+    }
+}
+
+#[test]
+fn a_mask_that_fails_for_good_ends_the_track_where_it_was_last_right() {
+    let world = one_car();
+    let blind = |t: usize, answer: Prompted| (t < 15).then_some(answer);
+    let found = |t: usize| if t < 6 { world.boxes(t, Finder::Detector) } else { Vec::new() };
+    let (frames, tracks) = world.track_boxes(40, 5, found, &blind);
+    assert_eq!((tracks.len(), tracks[0].last), (1, FrameId(14)));
+    assert!(frames[35].is_empty());
+}
+
+#[test]
+fn a_false_box_gets_no_lasting_id() {
+    let world = one_car();
+    let alarm = |t: usize| {
+        let mut found = world.boxes(t, Finder::Detector);
+        if t == 10 || t == 12 {
+            let rect = Rect { x0: 20.0, y0: 55.0, x1: 50.0, y1: 75.0 };
+            found.push(BoxDetection { rect, ..found[0].clone() });
+        }
+        found
+    };
+    let (_, tracks) = world.track_boxes(40, 5, alarm, &honest);
+    assert_eq!(tracks.iter().map(|t| t.id).collect::<Vec<_>>(), [ObjectId(1)]);
+}
+
+#[test]
+fn the_same_boxes_give_the_same_result() {
+    let world = World::still(vec![
+        Thing::car(RED, |t| (5 + 4 * t as i64, 30)),
+        Thing::car(BLUE, |t| (170 - 4 * t as i64, 33)),
+        Thing::wall(90, 12),
+    ]);
+    let run = || world.track_boxes(40, 5, |t| world.boxes(t, Finder::Detector), &honest);
+    assert_eq!(run(), run());
+}
+
+#[test]
+fn a_prompter_that_answers_out_of_shape_is_refused() {
+    let world = one_car();
+    let small = |_: usize, answer: Prompted| Some(Prompted { mask: Mask::full(5, 5), ..answer });
+    let mut tracker = Tracker::new(TrackerOptions::default());
+    let mut prompter = world::WorldPrompter { world: &world, t: 0, num_asked: 0, spoil: &small };
+    let found = found_boxes(world.boxes(0, Finder::Detector));
+    let look = Look::Boxes { found, by: LookedBy::Detector, prompter: Some(&mut prompter) };
+    let wrong = tracker.advance(&World::frame(0), &world.image(0), look, None);
+    assert!(matches!(wrong, Err(crate::networks::PerceptionError::SizeMismatch { .. })));
+}
+
+/// Frames in which an object's mask overlaps a thing by more than 0.7, by lasting id.
+fn shown(world: &World, frames: &[Vec<TrackedMask>], object: u32, thing: usize) -> Vec<usize> {
+    let is_there = |t: &usize| {
+        let truth = world.mask(*t, thing);
+        frames[*t].iter().any(|m| m.object == ObjectId(object) && m.mask.iou(&truth) > 0.7)
+    };
+    (0..frames.len()).filter(is_there).collect()
+}
+
+#[test]
+fn a_car_that_was_found_late_gets_masks_from_its_first_frame_on() {
+    let world = one_car();
+    let late = |t: usize| if t < 22 { Vec::new() } else { world.boxes(t, Finder::Detector) };
+    for every in [1, 5, 10] {
+        let (mut frames, tracks) = world.track_boxes(40, every, late, &honest);
+        let first = 22_usize.next_multiple_of(every);
+        assert_eq!((tracks.len(), tracks[0].first), (1, FrameId(first as u32)));
+        let extensions = world.extend_back(&mut frames, &tracks, every, &honest);
+        let whole = Extension { object: ObjectId(1), first: FrameId(0), num_frames: first, end: End::Start };
+        assert_eq!(extensions, [whole]);
+        assert_eq!(shown(&world, &frames, 1, 0), (0..40).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn a_car_is_followed_back_to_where_it_enters_the_picture_and_no_further() {
+    let world = World::still(vec![Thing::car(RED, |t| (-60 + 4 * t as i64, 30))]);
+    let late = |t: usize| if t < 30 { Vec::new() } else { world.boxes(t, Finder::Detector) };
+    let (mut frames, tracks) = world.track_boxes(40, 5, late, &honest);
+    let extensions = world.extend_back(&mut frames, &tracks, 5, &honest);
+    assert_eq!((extensions.len(), extensions[0].end), (1, End::Left), "{extensions:?}");
+    // The car enters with frame 10 and is half visible in frame 13.
+    assert!((10..=13).contains(&extensions[0].first.0), "{extensions:?}");
+    assert!(frames[..10].iter().all(Vec::is_empty));
+}
+
+#[test]
+fn a_car_that_comes_from_behind_a_wall_is_not_followed_into_it() {
+    let world = World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30)), Thing::wall(0, 90)]);
+    let late = |t: usize| if t < 33 { Vec::new() } else { world.boxes(t, Finder::Detector) };
+    let (mut frames, tracks) = world.track_boxes(40, 5, late, &honest);
+    let extensions = world.extend_back(&mut frames, &tracks, 5, &honest);
+    assert_eq!(extensions[0].end, End::Lost);
+    let hidden = (0..40).filter(|&t| world.mask(t, 0).area_px2() == 0);
+    assert!(hidden.into_iter().all(|t| frames[t].is_empty()), "{extensions:?}");
+    assert!(shown(&world, &frames, 1, 0).len() >= 13, "{extensions:?}");
+}
+
+#[test]
+fn who_meets_another_object_is_followed_no_further() {
+    // One car under two ids: the first was lost for good while nobody saw it.
+    let world = one_car();
+    let (frames, tracks) = world.track_boxes(40, 1, |t| world.boxes(t, Finder::Detector), &honest);
+    let second = TrackSummary { id: ObjectId(2), first: FrameId(25), ..tracks[0].clone() };
+    let first = TrackSummary { last: FrameId(12), ..tracks[0].clone() };
+    let mut tracker = BackwardTracker::new(TrackerOptions::default(), &[first, second]);
+    for t in (0..40).rev() {
+        let id = if t > 12 { ObjectId(2) } else { ObjectId(1) };
+        let known = if (13..25).contains(&t) { Vec::new() } else { vec![(id, frames[t][0].mask.clone())] };
+        let flow = (t < 39).then(|| world.flow_between(t + 1, t));
+        tracker.advance(&World::frame(t), &world.image(t), &known, None, flow.as_ref()).unwrap();
+    }
+    let met = Extension { object: ObjectId(2), first: FrameId(13), num_frames: 12, end: End::Met(ObjectId(1)) };
+    let start = Extension { object: ObjectId(1), first: FrameId(0), num_frames: 0, end: End::Start };
+    assert_eq!(tracker.finish(), [start, met]);
+}
+
+#[test]
+fn frames_must_come_backward() {
+    let world = one_car();
+    let mut tracker = BackwardTracker::new(TrackerOptions::default(), &[]);
+    tracker.advance(&World::frame(5), &world.image(5), &[], None, None).unwrap();
+    let again = tracker.advance(&World::frame(6), &world.image(6), &[], None, None);
+    assert!(matches!(again, Err(crate::networks::PerceptionError::FrameOrder { .. })));
+    let other = tracker.advance(&World::frame(4), &::image::RgbImage::new(9, 9), &[], None, None);
+    assert!(matches!(other, Err(crate::networks::PerceptionError::SizeMismatch { .. })));
+}
+
+#[test]
+fn what_stands_starts_a_track_only_where_the_detector_is_sure() {
+    let world = one_car();
+    let tracked = |confidence: f64, stands: bool| {
+        let mut tracker = Tracker::new(TrackerOptions::default());
+        for t in 0..12 {
+            let flow = (t > 0).then(|| world.flow(t));
+            let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
+            let boxes = world.boxes(t, Finder::Detector).into_iter();
+            let found = boxes.map(|found| FoundBox { found: BoxDetection { confidence, ..found }, stands }).collect();
+            let look = Look::Boxes { found, by: LookedBy::Detector, prompter: Some(&mut prompter) };
+            tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
+        }
+        let passed_over = tracker.passed_over();
+        (tracker.finish().len(), passed_over)
+    };
+    assert_eq!(tracked(0.5, false), (1, PassedOver::default()));
+    assert_eq!(tracked(0.6, true), (1, PassedOver::default()));
+    assert_eq!(tracked(0.5, true), (0, PassedOver { num_boxes: 12, max_confidence: 0.5 }));
+}

@@ -1,0 +1,405 @@
+//! Following objects of which boxes are known, and masks only where they are asked for.
+
+use ::image::RgbImage;
+
+use super::appearance::Appearance;
+use super::assignment::assign;
+use super::carry::{Carried, carry_rect};
+use super::choice::{Expected, Fresh, MIN_SCORE, score, score_carried};
+use super::region::Region;
+use super::sights::{self, Finding, Sight};
+use super::track::{Asked, Moment, Prediction, Track};
+use super::tracker::{MAX_COVERED, Sighting, Tracker};
+use super::{Evidence, FoundBox, TrackerOptions};
+use crate::networks::{PerceptionError, Prompter};
+use crate::scene::{Flow, ObjectId, Outline, Rect};
+
+/// Overlap of boxes (intersection over union) that says as much as masks that overlap a little.
+const MIN_BOX_OVERLAP: f64 = 0.4;
+/// Two masks of which one lies in the other by more than this share show one object.
+const SAME_MASK: f64 = 0.7;
+/// A new mask that agrees so well with the outline of the whole object shows all of it.
+const SAME_OUTLINE: f64 = 0.85;
+/// A new mask that swallows a followed object by more than this share is no object of its own.
+const SWALLOWED: f64 = 0.8;
+
+/// A frame as the tracker sees it.
+pub(super) struct View<'a> {
+    pub(super) image: &'a RgbImage,
+    pub(super) flow: Option<&'a Flow>,
+    pub(super) now: Moment,
+    pub(super) elapsed_s: f64,
+}
+
+/// Detections of a frame, and their association with tracks.
+pub(super) struct Meeting {
+    pub(super) predictions: Vec<Prediction>,
+    /// Per track whether it is followed and its carried mask can be trusted.
+    is_carried: Vec<bool>,
+    /// Per track whether its carried mask serves without a new one, for the object stands.
+    pub(super) is_at_rest: Vec<bool>,
+    pub(super) sights: Vec<Sight>,
+    /// Per sight the mask in its box.
+    pub(super) masks: Vec<Option<Fresh>>,
+    /// Per track the masks in the box of its carried mask, and in that of its whole outline where a part is hidden.
+    pub(super) own_masks: Vec<Vec<Fresh>>,
+    /// Per track the sight that shows it.
+    sight_of: Vec<Option<usize>>,
+}
+
+impl Meeting {
+    pub(super) fn carried(&self, track: usize) -> Option<&Carried> {
+        self.predictions[track].carried.as_ref().filter(|_| self.is_carried[track])
+    }
+
+    fn sight(&self, track: usize) -> Option<&Sight> {
+        self.sight_of[track].map(|sight| &self.sights[sight])
+    }
+
+    /// The sights that show no track.
+    fn left(&self) -> Vec<usize> {
+        (0..self.sights.len()).filter(|s| !self.sight_of.contains(&Some(*s))).collect()
+    }
+}
+
+/// A mask that a track may have in a frame.
+struct Choice {
+    score: f64,
+    /// `None` for the carried one.
+    fresh: Option<Fresh>,
+}
+
+impl Tracker {
+    /// Follows all tracks into a frame of which boxes are known. Masks are asked of the prompter, if there is one;
+    /// otherwise they are carried, and boxes that show nothing that is followed wait.
+    pub(super) fn follow_boxes(
+        &mut self,
+        view: &View,
+        found: Vec<FoundBox>,
+        prompter: Option<&mut dyn Prompter>,
+    ) -> Result<Vec<Sighting>, PerceptionError> {
+        let mut meeting = self.meet(view, found);
+        let waiting = self.waiting_now(view.flow);
+        let Some(prompter) = prompter else {
+            self.associate_boxes(&mut meeting);
+            let left = meeting.left().into_iter().map(|s| meeting.sights[s].clone()).collect();
+            self.waiting = sights::wait(waiting, left);
+            return Ok(self.carry_all(view, &meeting));
+        };
+        meeting.sights = sights::join(waiting, meeting.sights);
+        meeting.is_at_rest = self.at_rest(view, &meeting);
+        let outline = if prompter.is_coarse() { Outline::Coarse } else { Outline::Network };
+        self.ask(view, prompter, &mut meeting)?;
+        self.waiting.clear();
+        self.associate_boxes(&mut meeting);
+        self.count_passed_over(&meeting);
+        let mut seen = self.choose(view, &meeting, outline);
+        self.look_for(view, &meeting, outline, &mut seen);
+        seen.extend(self.find_again(view, &mut meeting, outline, &seen));
+        self.lose_others(view, &meeting, &seen);
+        seen.extend(self.start_boxes(view, &meeting, outline, &seen));
+        Ok(seen)
+    }
+
+    /// Counts the boxes that would start a track if they did not stand.
+    fn count_passed_over(&mut self, meeting: &Meeting) {
+        for sight in meeting.left().into_iter().map(|s| &meeting.sights[s]) {
+            if sight.stands() && !may_start(sight, &self.options) && sight.confidence() >= self.options.start_confidence
+            {
+                self.passed_over.num_boxes += 1;
+                self.passed_over.max_confidence = self.passed_over.max_confidence.max(sight.confidence());
+            }
+        }
+    }
+
+    /// Where all tracks should be, and what boxes show.
+    fn meet(&self, view: &View, found: Vec<FoundBox>) -> Meeting {
+        let predictions = self.predict(&[], view.flow, view.image, view.elapsed_s);
+        let is_carried: Vec<bool> =
+            self.tracks.iter().zip(&predictions).map(|(track, p)| self.is_trusted(track, p, view.image)).collect();
+        let trusted = predictions.iter().zip(&is_carried).filter(|(_, is_carried)| **is_carried);
+        let rects: Vec<Rect> = trusted.filter_map(|(p, _)| Some(p.carried.as_ref()?.region.rect())).collect();
+        let sights = sights::merge(found, &rects, &self.options, view.image.dimensions());
+        let (num_tracks, num_sights) = (self.tracks.len(), sights.len());
+        Meeting {
+            predictions,
+            is_carried,
+            is_at_rest: vec![false; num_tracks],
+            sights,
+            masks: vec![None; num_sights],
+            own_masks: vec![Vec::new(); num_tracks],
+            sight_of: vec![None; num_tracks],
+        }
+    }
+
+    /// Returns true if the propagated mask of a followed object may be the object's.
+    fn is_trusted(&self, track: &Track, prediction: &Prediction, image: &RgbImage) -> bool {
+        prediction.carried.as_ref().filter(|_| !track.is_lost()).is_some_and(|carried| {
+            carried.share >= self.options.min_carried_share
+                && carried.region.area() >= self.options.min_area_px2
+                && !carried.is_nearly_hidden()
+                && looks_like(track, image, &carried.region, self.options.min_similarity)
+        })
+    }
+
+    /// The boxes that wait, moved to where they are in this frame.
+    fn waiting_now(&self, flow: Option<&Flow>) -> Vec<Sight> {
+        let moved = |sight: &Sight| {
+            let rect = flow.map_or(Some(sight.rect), |flow| carry_rect(&sight.rect, flow))?;
+            Some(sight.at(rect))
+        };
+        self.waiting.iter().filter_map(moved).collect()
+    }
+
+    /// Joins boxes and the tracks in sight, by their boxes and, where they are known, by their masks.
+    fn associate_boxes(&self, meeting: &mut Meeting) {
+        let rows: Vec<usize> = (0..self.tracks.len()).filter(|t| meeting.is_carried[*t]).collect();
+        let pairs = assign(rows.len(), meeting.sights.len(), |row, s| {
+            let (track, sight) = (&self.tracks[rows[row]], &meeting.sights[s]);
+            let carried = &meeting.carried(rows[row])?.region;
+            let by_box = carried.rect().iou(&sight.rect);
+            let by_mask = meeting.masks[s].as_ref().map_or(0.0, |fresh| fresh.region.iou(carried));
+            let meets = by_mask >= self.options.min_overlap || by_box >= MIN_BOX_OVERLAP;
+            (meets && track.may_be(sight.class())).then_some(0.5 * (by_box + by_mask))
+        });
+        for (row, sight) in pairs {
+            meeting.sight_of[rows[row]] = Some(sight);
+        }
+    }
+
+    /// Carries all masks on in a frame in which none is asked for.
+    fn carry_all(&mut self, view: &View, meeting: &Meeting) -> Vec<Sighting> {
+        let mut seen = Vec::new();
+        for track_idx in 0..self.tracks.len() {
+            match meeting.carried(track_idx) {
+                Some(carried) => {
+                    let evidence = self.keep_carried(track_idx, meeting, Asked::Not, view);
+                    seen.push(Sighting { track_idx, evidence, region: carried.region.clone() });
+                }
+                None => self.lose(track_idx, meeting, view.now),
+            }
+        }
+        seen
+    }
+
+    fn keep_carried(&mut self, track_idx: usize, meeting: &Meeting, asked: Asked, view: &View) -> Evidence {
+        let track = &mut self.tracks[track_idx];
+        note(track, meeting.sight(track_idx), IsNew::No, view.now);
+        track.carry_between(&meeting.predictions[track_idx], asked, view.now, view.elapsed_s);
+        meeting.sight(track_idx).map_or(Evidence::Carried, detected)
+    }
+
+    fn lose(&mut self, track_idx: usize, meeting: &Meeting, now: Moment) {
+        let track = &mut self.tracks[track_idx];
+        let moved = meeting.predictions[track_idx].moved.clone().unwrap_or_else(|| track.region.clone());
+        track.lose(moved, now);
+    }
+
+    /// Gives every track in sight the mask that fits it best. No two tracks get the same: the one for which more
+    /// speaks comes first, the other takes what is left, or is lost.
+    fn choose(&mut self, view: &View, meeting: &Meeting, outline: Outline) -> Vec<Sighting> {
+        let mut order: Vec<usize> = (0..self.tracks.len()).filter(|t| meeting.is_carried[*t]).collect();
+        let rank = |t: usize| (meeting.sight_of[t].is_some(), self.tracks[t].rank());
+        order.sort_by(|&a, &b| rank(b).cmp(&rank(a)).then(a.cmp(&b)));
+        let mut seen: Vec<Sighting> = Vec::new();
+        for track_idx in order {
+            let Some(carried) = meeting.carried(track_idx) else { continue };
+            let region_of = |choice: &Choice| match &choice.fresh {
+                Some(fresh) => fresh.region.clone(),
+                None => carried.region.clone(),
+            };
+            let choices = choices(&self.tracks[track_idx], meeting, track_idx, carried);
+            let Some(choice) = choices.into_iter().find(|choice| !is_taken(&region_of(choice), &seen)) else {
+                continue;
+            };
+            let region = region_of(&choice);
+            if let Some(evidence) = self.take(track_idx, choice, meeting, view, outline) {
+                seen.push(Sighting { track_idx, evidence, region });
+            }
+        }
+        seen
+    }
+
+    /// Continues a track with the mask that was chosen; `None` if it is the carried one and worn out.
+    fn take(
+        &mut self,
+        track_idx: usize,
+        choice: Choice,
+        meeting: &Meeting,
+        view: &View,
+        outline: Outline,
+    ) -> Option<Evidence> {
+        let Some(fresh) = choice.fresh else {
+            let is_worn_out = self.tracks[track_idx].is_worn_out(&self.options);
+            let asked = if meeting.is_at_rest[track_idx] { Asked::Not } else { Asked::InVain };
+            return (!is_worn_out).then(|| self.keep_carried(track_idx, meeting, asked, view));
+        };
+        let (track, sight) = (&mut self.tracks[track_idx], meeting.sight(track_idx));
+        if let Some(carried) = meeting.carried(track_idx) {
+            let retraced = track.way.retraced(&fresh.region, carried, view.image.dimensions());
+            self.retraced.extend(retraced.into_iter().map(|(frame, region)| (frame, track.provisional, region)));
+        }
+        note(track, sight, IsNew::Yes, view.now);
+        track.renew(&fresh, outline, &meeting.predictions[track_idx], view.now, view.elapsed_s);
+        Some(sight.map_or(Evidence::Prompted { quality: fresh.quality }, detected))
+    }
+
+    /// Continues tracks whose flow failed just now by the masks where they should be.
+    fn look_for(&mut self, view: &View, meeting: &Meeting, outline: Outline, seen: &mut Vec<Sighting>) {
+        for track_idx in (0..self.tracks.len()).filter(|t| !meeting.is_carried[*t]) {
+            let Some(place) = &meeting.predictions[track_idx].moved else { continue };
+            let is_shown = |fresh: &&Fresh| self.tracks[track_idx].is_shown_by(fresh, place);
+            let shown = meeting.own_masks[track_idx].iter().find(is_shown);
+            let Some(fresh) = shown.filter(|fresh| !is_explained(&fresh.region, seen)).cloned() else { continue };
+            self.lose(track_idx, meeting, view.now);
+            self.note_gap(track_idx, &fresh.region, fresh.appearance.as_ref(), view.now);
+            let region = fresh.region.clone();
+            let choice = Choice { score: 1.0, fresh: Some(fresh) };
+            let evidence = self.take(track_idx, choice, meeting, view, outline);
+            seen.extend(evidence.map(|evidence| Sighting { track_idx, evidence, region }));
+        }
+    }
+
+    /// Continues tracks that were lost a moment ago by masks at about their place, of about their size and like
+    /// colours.
+    fn find_again(&mut self, view: &View, meeting: &mut Meeting, outline: Outline, seen: &[Sighting]) -> Vec<Sighting> {
+        let may_return = |t: &usize| {
+            !meeting.is_carried[*t]
+                && seen.iter().all(|s| s.track_idx != *t)
+                && (!self.tracks[*t].is_lost() || self.tracks[*t].is_briefly_lost(view.now))
+        };
+        let rows: Vec<usize> = (0..self.tracks.len()).filter(may_return).collect();
+        let columns = meeting.left();
+        let pairs = assign(rows.len(), columns.len(), |row, column| {
+            let (track, sight) = (&self.tracks[rows[row]], &meeting.sights[columns[column]]);
+            let fresh = meeting.masks[columns[column]].as_ref().filter(|fresh| !is_explained(&fresh.region, seen))?;
+            let min_similarity = self.options.min_similarity;
+            let recognised = track.recognise(&fresh.region, fresh.appearance.as_ref(), view.now, min_similarity)?;
+            track.may_be(sight.class()).then_some(recognised.score)
+        });
+        let mut again: Vec<Sighting> = Vec::new();
+        for (row, column) in pairs {
+            let (track_idx, sight_idx) = (rows[row], columns[column]);
+            let Some(fresh) = meeting.masks[sight_idx].clone() else { continue };
+            if is_taken(&fresh.region, &again) {
+                continue;
+            }
+            meeting.sight_of[track_idx] = Some(sight_idx);
+            self.note_gap(track_idx, &fresh.region, fresh.appearance.as_ref(), view.now);
+            let region = fresh.region.clone();
+            let choice = Choice { score: 1.0, fresh: Some(fresh) };
+            let evidence = self.take(track_idx, choice, meeting, view, outline);
+            again.extend(evidence.map(|evidence| Sighting { track_idx, evidence, region }));
+        }
+        again
+    }
+
+    fn lose_others(&mut self, view: &View, meeting: &Meeting, seen: &[Sighting]) {
+        for track_idx in 0..self.tracks.len() {
+            if seen.iter().all(|s| s.track_idx != track_idx) {
+                self.lose(track_idx, meeting, view.now);
+            }
+        }
+    }
+
+    /// Starts tracks from boxes that are sure enough and show nothing that is followed, by the surest first.
+    fn start_boxes(&mut self, view: &View, meeting: &Meeting, outline: Outline, seen: &[Sighting]) -> Vec<Sighting> {
+        let mut left = meeting.left();
+        left.sort_by(|&a, &b| {
+            meeting.sights[b].confidence().total_cmp(&meeting.sights[a].confidence()).then(a.cmp(&b))
+        });
+        let mut started: Vec<Sighting> = Vec::new();
+        for (sight, fresh) in left.into_iter().filter_map(|s| Some((&meeting.sights[s], meeting.masks[s].as_ref()?))) {
+            let is_old = is_explained(&fresh.region, seen) || is_explained(&fresh.region, &started);
+            if is_old || !may_start(sight, &self.options) {
+                continue;
+            }
+            self.num_started += 1;
+            let track = Track::start_from_box(ObjectId(self.num_started), sight, fresh, outline, view.now);
+            self.add(track, fresh.appearance.as_ref(), view.now);
+            let (track_idx, region) = (self.tracks.len() - 1, fresh.region.clone());
+            started.push(Sighting { track_idx, evidence: detected(sight), region });
+        }
+        started
+    }
+}
+
+/// Returns true if a box is reliable enough to start a track: by its class, by its motion, or by both. A stationary
+/// object has only its class.
+pub(super) fn may_start(sight: &Sight, options: &TrackerOptions) -> bool {
+    let least =
+        if sight.stands() { options.start_standing.max(options.start_confidence) } else { options.start_confidence };
+    let surest = |of: fn(&Finding) -> Option<f64>| sight.findings().filter_map(of).fold(0.0, f64::max);
+    let (detector, motion) = (surest(|found| found.detector), surest(|found| found.motion));
+    let is_both = detector > 0.0 && motion >= options.start_confidence;
+    is_both || detector >= least || motion >= options.start_motion
+}
+
+/// Novelty of a frame's mask.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum IsNew {
+    Yes,
+    No,
+}
+
+/// Counts what shows the object in this frame: boxes, or else its mask alone.
+fn note(track: &mut Track, sight: Option<&Sight>, is_new: IsNew, now: Moment) {
+    match sight {
+        Some(sight) => track.note(sight, now),
+        None => track.count_unboxed(is_new == IsNew::Yes),
+    }
+}
+
+fn detected(sight: &Sight) -> Evidence {
+    Evidence::Detected { confidence: sight.confidence() }
+}
+
+/// The masks that a track may have, best first.
+fn choices(track: &Track, meeting: &Meeting, track_idx: usize, carried: &Carried) -> Vec<Choice> {
+    let expected = Expected {
+        carried: Some(&carried.region),
+        whole: carried.is_partly_hidden().then_some(&carried.whole),
+        rect: meeting.sight(track_idx).map(|sight| sight.rect),
+        area: track.full_area(),
+        appearance: track.appearance.as_ref(),
+    };
+    let in_sight = meeting.sight_of[track_idx].and_then(|sight| meeting.masks[sight].clone());
+    let new = in_sight.into_iter().chain(meeting.own_masks[track_idx].clone());
+    let new = new.filter_map(|fresh| uncovered(fresh, carried));
+    let mut choices: Vec<Choice> = new
+        .map(|fresh| Choice { score: score(&fresh, &expected), fresh: Some(fresh) })
+        .filter(|choice| choice.score >= MIN_SCORE)
+        .collect();
+    let old = score_carried(&carried.region, track.quality(), track.frames_carried() + 1, &expected);
+    choices.push(Choice { score: old, fresh: None });
+    choices.sort_by(|a, b| b.score.total_cmp(&a.score));
+    choices
+}
+
+/// A new mask without what comes before the object, unless it shows that nothing does any more; `None` if that is most
+/// of it.
+fn uncovered(fresh: Fresh, carried: &Carried) -> Option<Fresh> {
+    if fresh.region.iou(&carried.whole) >= SAME_OUTLINE {
+        return Some(fresh);
+    }
+    let region = carried.cover.cut(&fresh.region)?;
+    (2 * region.area() > fresh.region.area()).then_some(Fresh { region, ..fresh })
+}
+
+/// Returns true if the colors of a region match those of a track; unknown ones count as a match.
+fn looks_like(track: &Track, image: &RgbImage, region: &Region, min_similarity: f64) -> bool {
+    let looks = track.appearance.as_ref().zip(Appearance::of(image, region));
+    looks.is_none_or(|(before, now)| before.similarity(&now) >= min_similarity)
+}
+
+/// Returns true if a mask shows the object of another track.
+fn is_taken(region: &Region, seen: &[Sighting]) -> bool {
+    let same = |s: &Sighting| region.iou(&s.region) > 0.5 || region.covered_by(&s.region) > SAME_MASK;
+    seen.iter().any(same)
+}
+
+/// Returns true if a mask shows part of a followed object, or contains one.
+fn is_explained(region: &Region, seen: &[Sighting]) -> bool {
+    let known = |s: &Sighting| region.covered_by(&s.region) > MAX_COVERED || s.region.covered_by(region) > SWALLOWED;
+    seen.iter().any(known)
+}

@@ -1,0 +1,308 @@
+//! Mask tracking: which detection is which object.
+//!
+//! After Bullinger et al., *Instance Flow Based Online Multiple Object Tracking*, 2017: the mask of an object in frame
+//! t is carried to t + 1 by optical flow, and the carried masks are assigned to the new detections by mask overlap with
+//! the Hungarian algorithm. Beyond that:
+//!
+//! - An object without a detection keeps its carried mask for some frames ([`Evidence::Carried`]), as long as enough of
+//!   its pixels have a consistent flow and keep their colours: this bridges missed detections.
+//! - After that it is lost: nothing is reported, and its place moves on with the background's flow plus its own
+//!   velocity. For a moment ([`Gap`]) it is found again by place and colours. Later, what comes up there is an object
+//!   of its own that remembers which one it may be ([`After`]); whether it is asks for more evidence ([`joining`]).
+//! - Lasting ids are given when an object was detected several times within a few frames, so that a false alarm gets
+//!   none. Its masks from before are not lost: every mask is reported at once under a provisional id, and
+//!   [`Tracker::finish`] says which provisional ids became which objects.
+//!
+//! Where only boxes are known ([`Look::Boxes`]), masks are asked for in some frames and carried in the others:
+//!
+//! - Boxes of one frame that mean one object are joined. A box of motion that covers several objects speaks for each.
+//!   Boxes that show nothing that is followed wait, moved by flow, until masks are asked for.
+//! - Then every box is asked about, and every carried mask that no box repeats: so a track lives on where the detector
+//!   is blind. Masks and boxes meet the tracks by overlap (Hungarian again), lost ones by place and appearance.
+//! - Of the new masks and the carried one an object gets the one that fits its size, colours, place and box best
+//!   (`choice.rs`). No two objects get the same. A mask may fail twice in a row; then the object counts as lost once
+//!   its mask is older than [`TrackerOptions::max_carried`] frames.
+//! - When a new mask comes, it is carried back to the frames that are nearer to it than to the last one
+//!   (`retrace.rs`): [`Tracker::take_corrections`].
+//! - Pixels of a carried mask that show something which comes before the object are taken out of it (`cover.rs`), and
+//!   the outline of the whole object is carried besides: masks are asked for in its box, too, until all of it is seen
+//!   again.
+//! - Carrying between such frames is no miss, and confirmation counts boxes, not frames: an id is given with the third
+//!   box, whenever it comes, as long as the object was never lost.
+//! - Objects that were found late are followed back in time when all frames are through ([`BackwardTracker`]).
+//! - [`support`] says which objects are vehicles enough for a trajectory.
+//!
+//! The tracker is a plain function of its inputs: fed again with the detections that a killed run left behind, it gives
+//! the same ids.
+
+mod appearance;
+mod asking;
+mod assignment;
+mod backward;
+#[cfg(test)]
+mod box_tests;
+mod boxes;
+mod carry;
+mod choice;
+mod cover;
+pub mod joining;
+mod ledger;
+mod region;
+mod retrace;
+mod sights;
+mod support;
+#[cfg(test)]
+mod tests;
+mod track;
+mod tracker;
+#[cfg(test)]
+mod world;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use self::backward::{BackwardTracker, End, Extension};
+pub use self::retrace::Correction;
+pub use self::support::{Sighted, Unsupported, support};
+pub use self::tracker::Tracker;
+use crate::checks::{Checked, ordered, some_of, within};
+use crate::networks::Prompter;
+use crate::scene::{BoxDetection, Detection, FoundIn, FrameId, Gap, Mask, ObjectId, Outline, Sameness};
+
+/// Input of the tracker for one frame.
+pub enum Look<'a> {
+    /// An instance segmentation network looked at it.
+    Masks(Vec<Detection>),
+    /// Boxes of a detector, of motion, or of both.
+    Boxes {
+        /// Detections; may be empty.
+        found: Vec<FoundBox>,
+        /// Who looked for them.
+        by: LookedBy,
+        /// Whom to ask for the masks of boxes; `None` where masks are carried from earlier frames.
+        prompter: Option<&'a mut dyn Prompter>,
+    },
+    /// Nobody looked.
+    NotLooked,
+}
+
+/// A box that was found in a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundBox {
+    /// Detection, with its source.
+    pub found: BoxDetection,
+    /// True if its points show that it is stationary ([`shows_standing`](crate::motion::shows_standing)).
+    pub stands: bool,
+}
+
+impl From<BoxDetection> for FoundBox {
+    /// A box of which no points say anything.
+    fn from(found: BoxDetection) -> Self {
+        Self { found, stands: false }
+    }
+}
+
+/// Boxes of a detector that started no track, since they show something that stands
+/// ([`TrackerOptions::start_standing`]).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PassedOver {
+    /// Number of them, in the frames in which masks are segmented.
+    pub num_boxes: usize,
+    /// Maximum confidence of the detector, 0 to 1.
+    pub max_confidence: f64,
+}
+
+/// Who looked for boxes in a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LookedBy {
+    /// The detector, and motion besides.
+    Detector,
+    /// Motion alone: the detector passed the frame over.
+    Motion,
+}
+
+/// Evidence for a mask.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Evidence {
+    /// A detection of this frame. Where only boxes are known, the mask may be carried, and a box agrees with it.
+    Detected {
+        /// The model's score, 0 to 1.
+        confidence: f64,
+    },
+    /// A mask asked for in the place to which that of an earlier frame was carried; no box of this frame shows it.
+    Prompted {
+        /// Mask quality by the segmenter's own estimate, 0 to 1.
+        quality: f64,
+    },
+    /// The mask of an earlier frame, carried by optical flow.
+    Carried,
+}
+
+/// Where an object is in one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrackedMask {
+    /// Provisional id; [`TrackSummary::provisional`] joins it to the lasting one.
+    pub object: ObjectId,
+    /// Its pixels; the masks of one frame do not overlap.
+    pub mask: Mask,
+    /// Evidence for the mask.
+    pub evidence: Evidence,
+}
+
+/// Summary of an object over all frames.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrackSummary {
+    /// Lasting id: dense from 1 in the order in which the objects were confirmed.
+    pub id: ObjectId,
+    /// The id under which [`Tracker::advance`] reported its masks.
+    pub provisional: ObjectId,
+    /// The class that its detections name most, weighed by their confidence.
+    pub class: String,
+    /// Mean confidence of its detections.
+    pub confidence: f64,
+    /// The first frame in which it was detected.
+    pub first: FrameId,
+    /// The last frame in which it was detected, or in which its mask was renewed or not yet due. Masks carried beyond
+    /// it are guesses without confirmation: drop them.
+    pub last: FrameId,
+    /// Frames with a detection, by whatever.
+    pub num_detected: usize,
+    /// Frames between `first` and `last` with a carried mask.
+    pub num_carried: usize,
+    /// Mean number of pixels of its detected masks.
+    pub mean_area_px2: f64,
+    /// Sources of its detections.
+    pub found: FoundIn,
+    /// Frames of its life that somebody looked at.
+    pub num_looks: usize,
+    /// Those at which the detector looked.
+    pub num_detector_looks: usize,
+    /// Mean confidence of the detector's boxes, 0 to 1; 0 if there is none.
+    pub class_confidence: f64,
+    /// Mean quality of the masks that were asked for, 0 to 1; `None` if the masks are a segmentation network's own.
+    pub mask_quality: Option<f64>,
+    /// Quality of its outlines.
+    pub outline: Outline,
+    /// Where it was lost for a moment and found again, ascending.
+    pub gaps: Vec<Gap>,
+    /// The object that was lost for longer where this one came up, if it may be the same.
+    pub after: Option<After>,
+}
+
+/// Track that an object may continue.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct After {
+    /// Provisional id of the one that was lost.
+    pub provisional: ObjectId,
+    /// Evidence that both are one object, from the images alone.
+    pub evidence: Sameness,
+}
+
+/// Options of the tracker.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct TrackerOptions {
+    /// Classes that are tracked; other detections are only kept out of the background.
+    pub track_classes: Vec<String>,
+    /// A track starts with a detection of at least this confidence; weaker ones only continue tracks.
+    #[schemars(extend("unit" = "score, 0 to 1"))]
+    pub start_confidence: f64,
+    /// The same for what stands by the points in its box. What is named less surely gets no trajectory if it goes on
+    /// standing, and a mask for nothing; when it drives off, motion finds it, and it is followed back from there.
+    #[schemars(extend("unit" = "score, 0 to 1"))]
+    pub start_standing: f64,
+    /// A track starts with what only moves if motion is at least so sure of it: trees, poles and reflections move, too.
+    #[schemars(extend("unit" = "0 to 1"))]
+    pub start_motion: f64,
+    /// Detections with fewer pixels are skipped.
+    pub min_area_px2: usize,
+    /// Overlap (intersection over union) that a detection must have with the carried mask of its object.
+    #[schemars(extend("unit" = "share"))]
+    pub min_overlap: f64,
+    /// Of two detections of which one lies in the other by more than this share, only the surer one counts.
+    #[schemars(extend("unit" = "share"))]
+    pub duplicate_overlap: f64,
+    /// Detections that give an object its lasting id, if they lie within `confirm_window` looks. Boxes need not lie
+    /// close together.
+    #[schemars(extend("unit" = "detections"))]
+    pub min_detections: usize,
+    /// Looks (frames that somebody looked at) within which `min_detections` detections must lie.
+    #[schemars(extend("unit" = "frames"))]
+    pub confirm_window: usize,
+    /// Frames for which a mask is carried without a detection. Frames in which nobody asks for a mask do not count.
+    #[schemars(extend("unit" = "frames"))]
+    pub max_carried: usize,
+    /// Seconds for which the mask of what stands serves before a new one is asked for; at 0 it is asked for as often as
+    /// those of all others.
+    pub max_rest_secs: f64,
+    /// Share of a mask's pixels that must be carried by consistent flow for the carried mask to count.
+    #[schemars(extend("unit" = "share"))]
+    pub min_carried_share: f64,
+    /// Seconds for which a lost object may be taken up again, or a new one be linked to it.
+    pub max_lost_secs: f64,
+    /// Similarity of colours (Bhattacharyya coefficient) that a lost object must have to be found again.
+    #[schemars(extend("unit" = "0 to 1"))]
+    pub min_similarity: f64,
+}
+
+/// Vehicles, in the words of COCO, Cityscapes and the common drone data sets.
+const VEHICLES: [&str; 12] = [
+    "car",
+    "truck",
+    "bus",
+    "van",
+    "motorcycle",
+    "motor",
+    "motorbike",
+    "trailer",
+    "caravan",
+    "vehicle",
+    "tricycle",
+    "awning-tricycle",
+];
+
+impl Default for TrackerOptions {
+    fn default() -> Self {
+        Self {
+            track_classes: VEHICLES.map(str::to_owned).to_vec(),
+            start_confidence: 0.35,
+            start_standing: support::SURE_OF_STANDING,
+            start_motion: 0.85,
+            min_area_px2: 40,
+            min_overlap: 0.2,
+            duplicate_overlap: 0.7,
+            min_detections: 3,
+            confirm_window: 6,
+            max_carried: 8,
+            max_rest_secs: 1.0,
+            min_carried_share: 0.4,
+            max_lost_secs: 3.0,
+            min_similarity: 0.6,
+        }
+    }
+}
+
+impl TrackerOptions {
+    /// Refuses values that make no sense.
+    ///
+    /// # Errors
+    /// [`OptionError`](crate::checks::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        some_of("track_classes", &self.track_classes)?;
+        within("start_confidence", self.start_confidence, 0.0..=1.0)?;
+        within("start_standing", self.start_standing, 0.0..=1.0)?;
+        within("start_motion", self.start_motion, 0.0..=1.0)?;
+        within("min_area_px2", self.min_area_px2, 0..=1 << 30)?;
+        within("min_overlap", self.min_overlap, 0.0..=1.0)?;
+        within("duplicate_overlap", self.duplicate_overlap, 0.0..=1.0)?;
+        within("min_detections", self.min_detections, 1..=1_000_000)?;
+        ordered(("min_detections", self.min_detections), ("confirm_window", self.confirm_window))?;
+        within("confirm_window", self.confirm_window, 1..=1_000_000)?;
+        within("max_carried", self.max_carried, 0..=1_000_000)?;
+        within("max_rest_secs", self.max_rest_secs, 0.0..=1e9)?;
+        within("min_carried_share", self.min_carried_share, 0.0..=1.0)?;
+        within("max_lost_secs", self.max_lost_secs, 0.0..=1e9)?;
+        within("min_similarity", self.min_similarity, 0.0..=1.0)
+    }
+}

@@ -1,0 +1,222 @@
+//! A flat world for tests: coloured boxes slide over a background, with exact masks and exact flow.
+
+use ::image::{Rgb, RgbImage};
+
+use super::{BackwardTracker, Extension, FoundBox, Look, LookedBy, TrackSummary, TrackedMask, Tracker, TrackerOptions};
+use crate::networks::{PerceptionError, Prompted, Prompter};
+use crate::scene::{BoxDetection, Detection, Finder, Flow, Frame, FrameId, Mask, ObjectId, Rect};
+
+pub(super) const WIDTH: u32 = 200;
+pub(super) const HEIGHT: u32 = 80;
+pub(super) const FPS: f64 = 10.0;
+
+/// A box; later ones in the list hide earlier ones.
+pub(super) struct Thing {
+    /// Upper left corner at a frame.
+    pub(super) at: Box<dyn Fn(usize) -> (i64, i64)>,
+    pub(super) size: (i64, i64),
+    pub(super) colour: [u8; 3],
+    /// Class under which it is detected; `None` for what only hides others.
+    pub(super) class: Option<&'static str>,
+}
+
+impl Thing {
+    pub(super) fn car(colour: [u8; 3], at: impl Fn(usize) -> (i64, i64) + 'static) -> Self {
+        Self { at: Box::new(at), size: (24, 14), colour, class: Some("car") }
+    }
+
+    pub(super) fn wall(x: i64, width: i64) -> Self {
+        Self { at: Box::new(move |_| (x, 0)), size: (width, i64::from(HEIGHT)), colour: [90, 90, 90], class: None }
+    }
+
+    fn covers(&self, t: usize, x: u32, y: u32) -> bool {
+        let (left, top) = (self.at)(t);
+        let (dx, dy) = (i64::from(x) - left, i64::from(y) - top);
+        (0..self.size.0).contains(&dx) && (0..self.size.1).contains(&dy)
+    }
+}
+
+/// Things over a background that moves by `pan` pixels a frame.
+pub(super) struct World {
+    pub(super) things: Vec<Thing>,
+    pub(super) pan: (i64, i64),
+}
+
+impl World {
+    pub(super) fn still(things: Vec<Thing>) -> Self {
+        Self { things, pan: (0, 0) }
+    }
+
+    /// The thing that a pixel shows.
+    fn front(&self, t: usize, x: u32, y: u32) -> Option<usize> {
+        (0..self.things.len()).rev().find(|&i| self.things[i].covers(t, x, y))
+    }
+
+    /// The visible pixels of a thing.
+    pub(super) fn mask(&self, t: usize, thing: usize) -> Mask {
+        Mask::from_fn(WIDTH, HEIGHT, |x, y| self.front(t, x, y) == Some(thing))
+    }
+
+    pub(super) fn frame(t: usize) -> Frame {
+        Frame { id: FrameId(t as u32), name: format!("{t:06}.jpg"), time_s: t as f64 / FPS }
+    }
+
+    pub(super) fn image(&self, t: usize) -> RgbImage {
+        RgbImage::from_fn(WIDTH, HEIGHT, |x, y| {
+            Rgb(self.front(t, x, y).map_or([40, 120, 50], |i| self.things[i].colour))
+        })
+    }
+
+    /// Every detectable thing of which at least a third of the full size is visible.
+    pub(super) fn detections(&self, t: usize) -> Vec<Detection> {
+        let detect = |i: usize| {
+            let (thing, mask) = (&self.things[i], self.mask(t, i));
+            let visible = mask.area_px2() as f64 / (thing.size.0 * thing.size.1) as f64;
+            let class = thing.class.filter(|_| visible > 0.34)?.to_owned();
+            Some(Detection { class, confidence: 0.5 + 0.4 * visible, mask })
+        };
+        (0..self.things.len()).filter_map(detect).collect()
+    }
+
+    /// Exact flow from frame t - 1 to t; what is hidden or out of the frame at t is inconsistent.
+    pub(super) fn flow(&self, t: usize) -> Flow {
+        self.flow_between(t - 1, t)
+    }
+
+    /// Exact flow between neighbouring frames.
+    pub(super) fn flow_between(&self, from: usize, to: usize) -> Flow {
+        let shift = |i: Option<usize>| match i {
+            Some(i) => {
+                let (a, b) = ((self.things[i].at)(from), (self.things[i].at)(to));
+                (b.0 - a.0, b.1 - a.1)
+            }
+            None if to > from => self.pan,
+            None => (-self.pan.0, -self.pan.1),
+        };
+        let mut flow = Flow { width: WIDTH, height: HEIGHT, displacement: Vec::new(), consistent: Vec::new() };
+        for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y))) {
+            let front = self.front(from, x, y);
+            let (dx, dy) = shift(front);
+            let (u, v) = (i64::from(x) + dx, i64::from(y) + dy);
+            let inside = (0..i64::from(WIDTH)).contains(&u) && (0..i64::from(HEIGHT)).contains(&v);
+            flow.displacement.push([dx as f32, dy as f32]);
+            flow.consistent.push(inside && self.front(to, u as u32, v as u32) == front);
+        }
+        flow
+    }
+
+    /// Tracks frames 0 to `num_frames`; `seen` may change the detections of a frame.
+    pub(super) fn track(
+        &self,
+        num_frames: usize,
+        seen: impl Fn(usize, Vec<Detection>) -> Vec<Detection>,
+    ) -> (Vec<Vec<TrackedMask>>, Vec<TrackSummary>) {
+        let mut tracker = Tracker::new(TrackerOptions::default());
+        let mut frames = Vec::new();
+        for t in 0..num_frames {
+            let flow = (t > 0).then(|| self.flow(t));
+            let look = Look::Masks(seen(t, self.detections(t)));
+            frames.push(tracker.advance(&Self::frame(t), &self.image(t), look, flow.as_ref()).unwrap());
+        }
+        (frames, tracker.finish())
+    }
+}
+
+/// Gives the mask of the thing that fills a box best; in a box with nothing in it, the box itself as a poor mask.
+pub(super) struct WorldPrompter<'a> {
+    pub(super) world: &'a World,
+    pub(super) t: usize,
+    /// Number of box prompts so far.
+    pub(super) num_asked: usize,
+    /// Changes an answer.
+    pub(super) spoil: &'a dyn Fn(usize, Prompted) -> Option<Prompted>,
+}
+
+impl Prompter for WorldPrompter<'_> {
+    fn masks(&mut self, _: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<Prompted>>, PerceptionError> {
+        self.num_asked += boxes.len();
+        Ok(boxes.iter().map(|rect| (self.spoil)(self.t, self.answer(rect))).collect())
+    }
+
+    fn is_coarse(&self) -> bool {
+        false
+    }
+}
+
+impl WorldPrompter<'_> {
+    fn answer(&self, rect: &Rect) -> Prompted {
+        let masks = (0..self.world.things.len()).map(|thing| self.world.mask(self.t, thing));
+        let overlap = |mask: &Mask| mask.bounding_box().map_or(0.0, |b| Rect::from(b).iou(rect));
+        let best = masks.max_by(|a, b| overlap(a).total_cmp(&overlap(b))).filter(|mask| overlap(mask) > 0.4);
+        let filled = || Mask::from_fn(WIDTH, HEIGHT, |x, y| rect.contains(f64::from(x) + 0.5, f64::from(y) + 0.5));
+        best.map_or_else(|| Prompted { mask: filled(), quality: 0.5 }, |mask| Prompted { mask, quality: 0.9 })
+    }
+}
+
+/// The box of a thing as a detector or motion gives it.
+pub(super) fn found_boxes(boxes: Vec<BoxDetection>) -> Vec<FoundBox> {
+    boxes.into_iter().map(FoundBox::from).collect()
+}
+
+pub(super) fn box_of(detection: &Detection, finder: Finder) -> Option<BoxDetection> {
+    let rect = Rect::from(detection.mask.bounding_box()?);
+    let class = if finder == Finder::Motion { "vehicle".to_owned() } else { detection.class.clone() };
+    Some(BoxDetection { class, confidence: detection.confidence, rect, finder })
+}
+
+impl World {
+    /// The boxes of all detectable things.
+    pub(super) fn boxes(&self, t: usize, finder: Finder) -> Vec<BoxDetection> {
+        self.detections(t).iter().filter_map(|detection| box_of(detection, finder)).collect()
+    }
+
+    /// Tracks frames 0 to `num_frames` by boxes, with masks asked for in every `every`-th frame.
+    pub(super) fn track_boxes(
+        &self,
+        num_frames: usize,
+        every: usize,
+        boxes: impl Fn(usize) -> Vec<BoxDetection>,
+        spoil: &dyn Fn(usize, Prompted) -> Option<Prompted>,
+    ) -> (Vec<Vec<TrackedMask>>, Vec<TrackSummary>) {
+        let mut tracker = Tracker::new(TrackerOptions::default());
+        let mut frames = Vec::new();
+        for t in 0..num_frames {
+            let flow = (t > 0).then(|| self.flow(t));
+            let mut prompter = WorldPrompter { world: self, t, num_asked: 0, spoil };
+            let prompter = t.is_multiple_of(every).then_some(&mut prompter as &mut dyn Prompter);
+            let look = Look::Boxes { found: found_boxes(boxes(t)), by: LookedBy::Detector, prompter };
+            frames.push(tracker.advance(&Self::frame(t), &self.image(t), look, flow.as_ref()).unwrap());
+        }
+        (frames, tracker.finish())
+    }
+
+    /// Follows tracked objects back from the last frame to the first. Adds what can be trusted to their masks, which
+    /// get lasting ids.
+    pub(super) fn extend_back(
+        &self,
+        frames: &mut [Vec<TrackedMask>],
+        tracks: &[TrackSummary],
+        every: usize,
+        spoil: &dyn Fn(usize, Prompted) -> Option<Prompted>,
+    ) -> Vec<Extension> {
+        let lasting = |m: TrackedMask, t: usize| {
+            let track = tracks.iter().find(|track| track.provisional == m.object)?;
+            (track.first.0..=track.last.0).contains(&(t as u32)).then_some(TrackedMask { object: track.id, ..m })
+        };
+        let mut tracker = BackwardTracker::new(TrackerOptions::default(), tracks);
+        for t in (0..frames.len()).rev() {
+            frames[t] = std::mem::take(&mut frames[t]).into_iter().filter_map(|m| lasting(m, t)).collect();
+            let known: Vec<(ObjectId, Mask)> = frames[t].iter().map(|m| (m.object, m.mask.clone())).collect();
+            let flow = (t + 1 < frames.len()).then(|| self.flow_between(t + 1, t));
+            let mut prompter = WorldPrompter { world: self, t, num_asked: 0, spoil };
+            let prompter = t.is_multiple_of(every).then_some(&mut prompter as &mut dyn Prompter);
+            let earlier = tracker.advance(&Self::frame(t), &self.image(t), &known, prompter, flow.as_ref()).unwrap();
+            frames[t].extend(earlier);
+        }
+        let extensions = tracker.finish();
+        for (t, masks) in frames.iter_mut().enumerate() {
+            masks.retain(|m| extensions.iter().all(|e| e.object != m.object || e.first.0 as usize <= t));
+        }
+        extensions
+    }
+}
