@@ -307,7 +307,6 @@ proptest! {
             false => (Camera::prior(640, 360), Intrinsics::Refined),
         };
         let mut table = world.table();
-        prop_assert_eq!(table.flaw(), None);
         mapper::cut_long_tracks(&mut table, &[camera], known, &options, 1);
         let (model, report) = mapper::reconstruct(&table, &[camera], known, &options, 1).unwrap();
         prop_finite!(numbers(&model));

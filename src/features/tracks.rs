@@ -1,6 +1,6 @@
 //! Tracks: which features of which views show the same point.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
@@ -29,15 +29,6 @@ impl View {
     /// Whitening of a feature's position error.
     pub fn whitening_of(&self, feature: u32) -> Whitening {
         self.whitening.get(feature as usize).copied().unwrap_or(Whitening::IDENTITY)
-    }
-
-    /// Returns true if numbers are missing or not finite.
-    fn is_flawed(&self) -> bool {
-        let (count, num_known) = (self.pixels.len(), self.whitening.len());
-        let is_number = |pixel: &Point2<f64>| pixel.iter().all(|side| side.is_finite());
-        let are_whitenings = self.whitening.iter().all(|known| known.0.iter().all(|part| part.is_finite()));
-        let fits = self.rgb.len() == count && (num_known == 0 || num_known == count) && self.camera < u32::MAX as usize;
-        !(fits && are_whitenings && self.pixels.iter().all(is_number))
     }
 }
 
@@ -76,22 +67,6 @@ impl TrackTable {
     /// Whitening of a feature's position error.
     pub fn whitening(&self, feature: Feature) -> Whitening {
         self.views[feature.view as usize].whitening_of(feature.feature)
-    }
-
-    /// Contradiction in a table that was read from a file, in words: features that do not exist or are not finite;
-    /// tracks whose views do not ascend; two views of one image.
-    pub fn flaw(&self) -> Option<String> {
-        let mut images = BTreeSet::new();
-        let is_wrong = |view: &&View| view.is_flawed() || !images.insert(view.image);
-        if let Some(view) = self.views.iter().find(is_wrong) {
-            return Some(format!("contradictory features of {}", view.name));
-        }
-        let is_there = |seen: &Feature| {
-            self.views.get(seen.view as usize).is_some_and(|view| (seen.feature as usize) < view.pixels.len())
-        };
-        let is_whole = |track: &Track| track.iter().all(is_there) && track.is_sorted_by(|a, b| a.view < b.view);
-        let broken = self.tracks.iter().position(|track| !is_whole(track));
-        broken.map(|k| format!("track {k} contains features that do not exist"))
     }
 
     /// Position of a feature.

@@ -33,8 +33,6 @@ pub mod trajectories;
 
 pub use error::IoError;
 pub use export_folder::ExportFolder;
-#[cfg(feature = "pipeline")]
-pub(crate) use extent::is_sensible;
 pub use interchange::assembly::Losses;
 pub use owned_folder::{FolderError, InputIdentity, OwnedFolder, Place, refuse_own_input, refuse_place_of_results};
 pub use run_folder::RunFolder;

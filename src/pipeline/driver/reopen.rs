@@ -77,5 +77,5 @@ pub fn arguments_of_run(output: &Path) -> Option<Vec<String>> {
 /// The frames of the run in `output` with their times; `None` where its own files do not tell them any more.
 pub fn known_frames(output: &Path) -> Option<Vec<Frame>> {
     let frames = json::read(&output.join(RunFolder::STATE).join("frames-list.json")).ok()?;
-    intermediate::checked(frames).ok()
+    intermediate::checked_frames(frames).ok()
 }

@@ -93,7 +93,7 @@ impl<'a> Run<'a> {
     pub(in crate::pipeline) fn frames(&self) -> Result<&[Frame], PipelineError> {
         if self.frames.get().is_none() {
             let frames: Vec<Frame> = self.workspace.read_state("frames-list.json")?;
-            let frames = intermediate::checked(frames)
+            let frames = intermediate::checked_frames(frames)
                 .map_err(|flaw| intermediate::damaged(&self.workspace.state("frames-list.json"), flaw))?;
             let _ = self.frames.set(frames);
         }

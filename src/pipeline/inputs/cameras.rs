@@ -7,12 +7,14 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use serde::{Deserialize, Serialize};
+
 use super::order;
 use crate::camera::Camera;
 use crate::io::interchange::colmap;
 use crate::mapper::Intrinsics;
 use crate::pipeline::driver::run::Run;
-use crate::pipeline::options::{CameraOrigin, IntrinsicsSource, not_intrinsics, unknown_camera};
+use crate::pipeline::options::{IntrinsicsSource, not_intrinsics};
 use crate::pipeline::{Instances, Options, PipelineError};
 use crate::scene::{Frame, FrameId, Warning};
 use crate::video::{PictureCamera, Source};
@@ -195,6 +197,28 @@ fn of_size(path: &Path, cameras: &[Camera], pictures: &PictureCamera) -> Result<
     Ok(None)
 }
 
+/// The camera as the input tells it, where nobody gives it; what is guessed depends on how the pictures were taken.
+fn unknown_camera(pictures: &PictureCamera, order: &order::Order) -> (Camera, CameraOrigin) {
+    let (width, height) = (pictures.width, pictures.height);
+    match pictures.exif_focal_px {
+        Some(focal) => (Camera::with_focal(width, height, focal), CameraOrigin::Exif),
+        None if order.in_time => (Camera::prior(width, height), CameraOrigin::Guess),
+        None => (Camera::prior_of_photograph(width, height), CameraOrigin::Guess),
+    }
+}
+
+/// Where intrinsics come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(in crate::pipeline) enum CameraOrigin {
+    /// The user.
+    Given,
+    /// The photographs.
+    Exif,
+    /// Nothing: a guess, [`Camera::prior`] or [`Camera::prior_of_photograph`].
+    Guess,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -253,6 +277,25 @@ mod tests {
         {
             let error = given_cameras(&file(text), &taken).unwrap_err().to_string();
             assert!(error.contains(expected) && error.contains("cameras.txt"), "{error}");
+        }
+    }
+
+    #[test]
+    fn an_unknown_camera_is_stated_or_guessed() {
+        let pictures = |exif_focal_px| PictureCamera {
+            width: 480,
+            height: 270,
+            source_width: 960,
+            source_height: 540,
+            exif_focal_px,
+            frames: Vec::new(),
+        };
+        for (in_time, expected) in [(true, 360.0), (false, 480.0)] {
+            let order = order::Order { in_time, followed_share: None };
+            let (camera, origin) = unknown_camera(&pictures(None), &order);
+            assert_eq!((camera.focal, origin), ([expected; 2], CameraOrigin::Guess));
+            let (camera, origin) = unknown_camera(&pictures(Some(500.0)), &order);
+            assert_eq!((camera.focal, origin), ([500.0; 2], CameraOrigin::Exif));
         }
     }
 }

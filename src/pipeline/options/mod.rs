@@ -21,7 +21,6 @@ pub use reference::{OptionRow, OptionSection};
 pub use vehicles::{DetectorChoice, MaskChoice, MotionChoice, VehicleOptions};
 
 use super::PipelineError;
-use super::inputs::order::Order;
 use crate::camera::Camera;
 use crate::checks::{Checked, OptionError, under, within};
 use crate::ffi::onnx::Resources;
@@ -400,28 +399,6 @@ fn check_intrinsics(values: &[f64]) -> Checked {
     all.map_err(|e| OptionError::new("intrinsics", format!("{}: {}", e.key, e.reason)))
 }
 
-/// The camera as the input tells it, where nobody gives it; what is guessed depends on how the pictures were taken.
-pub(super) fn unknown_camera(pictures: &video::PictureCamera, order: &Order) -> (Camera, CameraOrigin) {
-    let (width, height) = (pictures.width, pictures.height);
-    match pictures.exif_focal_px {
-        Some(focal) => (Camera::with_focal(width, height, focal), CameraOrigin::Exif),
-        None if order.in_time => (Camera::prior(width, height), CameraOrigin::Guess),
-        None => (Camera::prior_of_photograph(width, height), CameraOrigin::Guess),
-    }
-}
-
-/// Where intrinsics come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub(super) enum CameraOrigin {
-    /// The user.
-    Given,
-    /// The photographs.
-    Exif,
-    /// Nothing: a guess, [`Camera::prior`] or [`Camera::prior_of_photograph`].
-    Guess,
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -519,24 +496,5 @@ mod tests {
         let wrong = Options { features: FeatureKind::Video, order: FrameOrder::None, ..Options::default() };
         assert!(wrong.check().is_err());
         assert!(Options { order: FrameOrder::Auto, ..wrong }.check().is_ok());
-    }
-
-    #[test]
-    fn an_unknown_camera_is_stated_or_guessed() {
-        let pictures = |exif_focal_px| video::PictureCamera {
-            width: 480,
-            height: 270,
-            source_width: 960,
-            source_height: 540,
-            exif_focal_px,
-            frames: Vec::new(),
-        };
-        for (in_time, expected) in [(true, 360.0), (false, 480.0)] {
-            let order = Order { in_time, followed_share: None };
-            let (camera, origin) = unknown_camera(&pictures(None), &order);
-            assert_eq!((camera.focal, origin), ([expected; 2], CameraOrigin::Guess));
-            let (camera, origin) = unknown_camera(&pictures(Some(500.0)), &order);
-            assert_eq!((camera.focal, origin), ([500.0; 2], CameraOrigin::Exif));
-        }
     }
 }

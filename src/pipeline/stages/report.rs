@@ -14,7 +14,7 @@ use crate::math::rounding::with_std;
 use crate::pipeline::driver::reopen::check_input;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::cameras;
-use crate::pipeline::options::CameraOrigin;
+use crate::pipeline::inputs::cameras::CameraOrigin;
 use crate::pipeline::{Options, PipelineError, Silent, Workspace};
 use crate::report::{self, Data, Fact, Missing, Model, Object, Part, Thumbnail};
 use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};

@@ -15,7 +15,7 @@ use crate::io::interchange::model::{self, Format};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::Run;
-use crate::pipeline::stages::background::ModelReport;
+use crate::pipeline::stages::background::model_report::ModelReport;
 use crate::scene::{Frame, ImageId, Reconstruction, Warning};
 use pictures::{Pictures, Sizes};
 

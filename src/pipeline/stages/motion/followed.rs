@@ -16,9 +16,11 @@ use crate::networks::PerceptionError;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::inputs::{images, order};
-use crate::pipeline::stages::features;
 use crate::pipeline::{Instances, PipelineError, Stage};
 use crate::scene::{Frame, FrameId};
+
+/// Prefix of the folder of the stage `features`, where the points lie that it tracked on the way.
+pub(in crate::pipeline) const FEATURES_PREFIX: &str = "features-";
 
 /// Points and the frames that their tracks count, from 0: those that could be decoded.
 #[derive(Debug, Default, Serialize, Deserialize)]
@@ -91,7 +93,7 @@ pub(in crate::pipeline) fn kept_points(run: &Run, folder: &Path) -> Result<Follo
 }
 
 fn beside_features(run: &Run) -> PathBuf {
-    let folder = fingerprint::folder_name(features::PREFIX, run.fingerprint(Stage::Features));
+    let folder = fingerprint::folder_name(FEATURES_PREFIX, run.fingerprint(Stage::Features));
     run.workspace.state(&folder).join(file_name(run))
 }
 

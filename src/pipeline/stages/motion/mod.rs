@@ -6,6 +6,7 @@
 //! the objects moved whose masks it has.
 
 pub(in crate::pipeline) mod followed;
+pub(in crate::pipeline) mod stationary_boxes;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,7 +16,6 @@ use serde_json::{Value, json};
 
 use super::background;
 use super::segment::detections::FrameFolder;
-use super::track::stationary_boxes;
 use crate::ground::dominant_plane_points;
 use crate::motion::{GroundModel, Mover, PointTrack, Surroundings, TrackLabel, View, classify, movers};
 use crate::pipeline::driver::run::{Outcome, Run};
@@ -172,11 +172,6 @@ pub(in crate::pipeline) fn points(run: &Run) -> Result<Points, PipelineError> {
     }
     let folder = folder(run);
     let Followed { frames, tracks } = followed::kept_points(run, &folder)?;
-    let path = folder.join(LABELS);
-    let points = Points {
-        frames: frames.into_iter().map(|frame| frame.id).collect(),
-        tracks,
-        labels: intermediate::read(&path)?,
-    };
-    intermediate::flaw_of_labels(&points).map_or(Ok(points), |flaw| Err(intermediate::damaged(&path, flaw)))
+    let frames = frames.into_iter().map(|frame| frame.id).collect();
+    Ok(Points { frames, tracks, labels: intermediate::read(&folder.join(LABELS))? })
 }

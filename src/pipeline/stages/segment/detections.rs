@@ -3,12 +3,13 @@
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::files;
 use crate::io::{IoError, atomic};
 use crate::pipeline::PipelineError;
-use crate::pipeline::driver::intermediate::{self, Content, damaged};
+use crate::pipeline::driver::intermediate::{self, damaged};
 use crate::scene::{Detection, Frame, FrameId, Mask};
 
 /// A folder with a list of things per frame.
@@ -18,7 +19,7 @@ pub(in crate::pipeline) struct FrameFolder<T> {
     things: PhantomData<T>,
 }
 
-impl<T: Serialize + Content> FrameFolder<T> {
+impl<T: Serialize + DeserializeOwned> FrameFolder<T> {
     pub(in crate::pipeline) fn new(folder: PathBuf) -> Self {
         Self { folder, things: PhantomData }
     }
@@ -33,7 +34,7 @@ impl<T: Serialize + Content> FrameFolder<T> {
 
     pub(in crate::pipeline) fn write(&self, frame: &Frame, found: &[T]) -> Result<(), PipelineError> {
         let path = self.path(frame.id);
-        let bytes = postcard::to_stdvec(found).map_err(|e| damaged(&path, e))?;
+        let bytes = intermediate::to_bytes(found).map_err(|e| damaged(&path, e))?;
         Ok(atomic::write(&path, &bytes)?)
     }
 
@@ -41,16 +42,15 @@ impl<T: Serialize + Content> FrameFolder<T> {
     pub(in crate::pipeline) fn count(&self, frame: FrameId) -> Result<u64, PipelineError> {
         let path = self.path(frame);
         let Some(bytes) = bytes_of(&path)? else { return Ok(0) };
-        // A list begins with its length.
-        let (count, _) = postcard::take_from_bytes(&bytes).map_err(|e| damaged(&path, e))?;
-        Ok(count)
+        let found: Vec<T> = intermediate::from_bytes(&bytes).map_err(|e| damaged(&path, e))?;
+        Ok(found.len() as u64)
     }
 
     /// The things of a frame; none for one that could not be decoded.
     pub(in crate::pipeline) fn read(&self, frame: FrameId) -> Result<Vec<T>, PipelineError> {
         let path = self.path(frame);
         let Some(bytes) = bytes_of(&path)? else { return Ok(Vec::new()) };
-        intermediate::taken(&bytes).map_err(|e| damaged(&path, e))
+        intermediate::from_bytes(&bytes).map_err(|e| damaged(&path, e))
     }
 }
 
@@ -60,12 +60,6 @@ struct Stored {
     class: String,
     confidence: f64,
     runs: Vec<u32>,
-}
-
-impl Content for Stored {
-    fn flaw(&self) -> Option<String> {
-        intermediate::share(self.confidence)
-    }
 }
 
 /// The detections of a run, by frame.

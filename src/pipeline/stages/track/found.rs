@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 use ::image::RgbImage;
 
 use super::kept::{Kept, Pass};
-use super::stationary_boxes;
 use crate::io::{IoError, RunFolder, masks};
 use crate::networks::Prompter;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
 use crate::pipeline::inputs::networks::Networks;
+use crate::pipeline::stages::motion::stationary_boxes;
 use crate::pipeline::stages::segment::detections::{DetectionFolder, FrameFolder};
 use crate::pipeline::stages::segment::schedule::Rhythm;
 use crate::pipeline::stages::{motion, segment};

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::io::atomic;
 use crate::networks::{PerceptionError, Prompted, Prompter};
-use crate::pipeline::driver::intermediate::{self, Content};
+use crate::pipeline::driver::intermediate;
 use crate::pipeline::stages::segment::detections::{mask_of_runs, runs_of_mask};
 use crate::scene::{FrameId, Rect};
 
@@ -44,13 +44,6 @@ struct Answer {
     quality: f64,
     /// Run lengths, clear pixels first.
     runs: Vec<u32>,
-}
-
-impl Content for Asked {
-    fn flaw(&self) -> Option<String> {
-        let boxes = self.boxes.iter().any(intermediate::is_wrong).then(|| "a box without size".to_owned());
-        boxes.or_else(|| self.answers.iter().flatten().find_map(|answer| intermediate::share(answer.quality)))
-    }
 }
 
 impl Kept {

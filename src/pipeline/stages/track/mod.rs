@@ -7,7 +7,6 @@ mod joined;
 mod kept;
 mod movement;
 mod places;
-pub(in crate::pipeline) mod stationary_boxes;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

@@ -7,10 +7,10 @@ use std::path::Path;
 
 use crate::motion::{PointTrack, TrackLabel, shows_standing};
 use crate::pipeline::PipelineError;
-use crate::pipeline::driver::intermediate::{self, Content};
+use crate::pipeline::driver::intermediate;
 use crate::pipeline::driver::run::Run;
+use crate::pipeline::stages::segment;
 use crate::pipeline::stages::segment::detections::FrameFolder;
-use crate::pipeline::stages::{motion, segment};
 use crate::scene::{Frame, FrameId, Rect};
 use crate::tracking::FoundBox;
 
@@ -23,12 +23,6 @@ type Known = FrameFolder<StandingBox>;
 /// Which of a frame's boxes stands, by its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 struct StandingBox(u32);
-
-impl Content for StandingBox {
-    fn flaw(&self) -> Option<String> {
-        None
-    }
-}
 
 fn known(motion_folder: &Path) -> Known {
     FrameFolder::new(motion_folder.join(FOLDER))
@@ -78,7 +72,7 @@ pub(in crate::pipeline) fn boxes(
     frame: FrameId,
 ) -> Result<Vec<FoundBox>, PipelineError> {
     let mut found: Vec<FoundBox> = detected.read(frame)?.into_iter().map(FoundBox::from).collect();
-    let path = motion::folder(run);
+    let path = super::folder(run);
     for StandingBox(number) in known(&path).read(frame)? {
         let wrong =
             || intermediate::damaged(&path.join(FOLDER), format!("frame {}: box {number} does not exist", frame.0));
