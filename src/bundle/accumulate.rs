@@ -7,8 +7,9 @@ use std::ops::Range;
 
 use super::camera_sums::{CAMERA_DIM, CameraSums, add_border};
 use super::layout::{Layout, NONE};
-use super::linearize::{OnePoint, Piece};
+use super::one_point::OnePoint;
 use super::pattern::Pattern;
+use super::piece::{Piece, reach};
 use super::residual::Residual;
 use super::simd::Fused;
 
@@ -52,15 +53,6 @@ pub(super) struct Sums<const D: usize> {
 fn zeros<T: Clone>(list: &mut Vec<T>, len: usize, zero: T) {
     list.clear();
     list.resize(len, zero);
-}
-
-/// Views that see the points of a piece, and those between.
-pub(super) fn reach(layout: &Layout, piece: &Piece) -> Range<usize> {
-    let (mut first, mut end) = (usize::MAX, 0);
-    for block in layout.obs_block[piece.obs.clone()].iter().filter(|block| **block != NONE) {
-        (first, end) = (first.min(*block as usize), end.max(*block as usize + 1));
-    }
-    if end == 0 { 0..0 } else { first..end }
 }
 
 impl<const D: usize> Sums<D> {

@@ -1,7 +1,7 @@
 //! The shared cameras' part of the reduced system: a dense block, and a border towards the views (eq. 10).
 
 use super::layout::{Layout, NONE};
-use super::linearize::OnePoint;
+use super::one_point::OnePoint;
 use super::priors::PriorTerms;
 use super::simd::Fused;
 

@@ -6,7 +6,8 @@
 //! for all else, so that they are worked out again. The numbers are the same, bit for bit.
 
 use super::layout::Layout;
-use super::linearize::{OnePoint, Pass, Piece};
+use super::one_point::{Eliminated, OnePoint};
+use super::piece::{Pass, Piece};
 use super::point::PointTerms;
 use super::residual::Residual;
 use super::simd::Fused;
@@ -14,17 +15,6 @@ use super::state::State;
 
 /// Bytes that may be kept: some 350,000 observations, a map of 300 to 400 frames.
 pub(super) const KEPT_BYTES: usize = 64 << 20;
-
-/// Data of one point that its step needs.
-#[derive(Clone, Copy)]
-pub(super) struct Eliminated<'a, const D: usize> {
-    /// Of its observations.
-    pub residuals: &'a [Residual<D>],
-    /// L⁻¹ Jₚᵀ J_c of its slots (eq. 9).
-    pub slots: &'a [[[f64; 6]; 3]],
-    /// Its normal equations.
-    pub terms: &'a PointTerms,
-}
 
 /// Data of the points of one piece, in their order.
 pub(super) struct Kept<const D: usize> {

@@ -4,8 +4,9 @@ use std::time::Instant;
 
 use super::kept::KEPT_BYTES;
 use super::layout::Layout;
-use super::linearize::{Linearization, Pass};
+use super::linearize::Linearization;
 use super::options::{LinearSolver, Options};
+use super::piece::Pass;
 use super::point::damping_scale;
 use super::priors;
 use super::problem::{BundleError, Problem};

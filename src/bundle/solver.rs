@@ -132,8 +132,9 @@ fn right_hand_side<const D: usize>(reduced: &Reduced<D>, out: &mut [f64]) {
 #[cfg(test)]
 mod tests {
     use super::super::layout::Layout;
-    use super::super::linearize::{Linearization, Pass};
+    use super::super::linearize::Linearization;
     use super::super::options::{Behind, Options};
+    use super::super::piece::Pass;
     use super::super::priors;
     use nalgebra::Vector2;
 

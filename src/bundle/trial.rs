@@ -1,9 +1,11 @@
 //! The step of the points, and the cost where it leads.
 
-use super::kept::{Eliminated, Kept, Source};
+use super::kept::{Kept, Source};
 use super::layout::{Layout, NONE};
-use super::linearize::{Linearization, Pass, Piece};
+use super::linearize::Linearization;
+use super::one_point::Eliminated;
 use super::parallel::in_order;
+use super::piece::{Pass, Piece};
 use super::residual::{plain_residual, point_in_cam, robust_cost, robust_cost_and_root};
 use super::simd::{Fused, Task, wide};
 use super::state::{State, View};

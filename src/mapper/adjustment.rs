@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::lens;
+use super::intrinsics_prior;
 use super::map::Map;
 use super::{Noise, Options};
 use crate::bundle::{self, CameraBlock, Observation, PointBlock, PoseBlock, Problem};
@@ -144,7 +144,7 @@ pub fn adjust(
 /// guess is better. Returns whether there were any.
 fn hold_odd_lenses(freedom: &mut [Freedom], problem: &Problem) -> bool {
     let is_odd = |(freedom, block): &(&mut Freedom, &CameraBlock)| {
-        **freedom != Freedom::Nothing && !lens::is_plausible(&block.camera)
+        **freedom != Freedom::Nothing && !intrinsics_prior::is_plausible(&block.camera)
     };
     let odd = freedom.iter_mut().zip(&problem.cameras).filter(is_odd);
     odd.map(|(freedom, _)| *freedom = Freedom::Nothing).count() > 0
@@ -243,7 +243,7 @@ fn build_with(
     let block = |(&camera, freedom): (&Camera, &Freedom)| CameraBlock { camera, free: freedom.mask(), tie_focal: true };
     problem.cameras = map.cameras.iter().zip(freedom).map(block).collect();
     let adjusted = (0..freedom.len()).filter(|&camera| freedom[camera] != Freedom::Nothing);
-    problem.priors.intrinsics = adjusted.map(|camera| lens::prior(camera, map, noise)).collect();
+    problem.priors.intrinsics = adjusted.map(|camera| intrinsics_prior::prior(camera, map, noise)).collect();
     let parts = parts(map, tracks, ties);
     let mut pose_of_view = vec![0; free_views.len()];
     for (pose, &view) in (0..).zip(&parts.views) {

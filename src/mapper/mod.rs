@@ -16,6 +16,7 @@ mod error;
 mod focal_changes;
 mod growth;
 mod initial_pair;
+mod intrinsics_prior;
 mod known;
 mod lens;
 mod long_tracks;
@@ -33,8 +34,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use growth::KnownPoses;
+use intrinsics_prior::COMMON_ERROR_FACTOR;
 pub use known::{Intrinsics, KnownIntrinsics};
-use lens::COMMON_ERROR_FACTOR;
 pub use long_tracks::cut_long_tracks;
 pub use motion::Remark;
 pub use report::{Outcome, Reason, Report};

@@ -24,7 +24,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::adjustment::{self, Freedom, Scope, Stretch};
 use super::map::Map;
-use super::{Noise, Options, lens};
+use super::{Noise, Options, intrinsics_prior};
 use crate::bundle::{self, BundleError, IntrinsicsPrior, Problem, Wanted};
 use crate::camera::Camera;
 use crate::mapper::MapperError;
@@ -208,7 +208,7 @@ impl LensEvidence {
 
     /// Adds how far from here a stretch sees the lens, if that is one that is built.
     fn add_pull(&mut self, information: DMatrix<f64>, found: &Camera, here: &Camera) {
-        if lens::is_plausible(found) {
+        if intrinsics_prior::is_plausible(found) {
             let (found, here) = (found.intrinsics(), here.intrinsics());
             let off = DVector::from_iterator(self.free.len(), self.free.iter().map(|&k| found[k] - here[k]));
             self.pull += information * off;
@@ -224,7 +224,7 @@ impl LensEvidence {
         self.free.iter().zip(step.iter()).for_each(|(&k, step)| values[k] += step);
         // One focal length: the second keeps its ratio to the first.
         values[1] = here.focal[1] * values[0] / here.focal[0];
-        Some(here.with_intrinsics(values)).filter(lens::is_plausible)
+        Some(here.with_intrinsics(values)).filter(intrinsics_prior::is_plausible)
     }
 }
 
@@ -246,7 +246,7 @@ pub fn refine_lens(map: &mut Map<'_>, freedom: Freedom, noise: Noise, options: &
         }
     }
     let Some(mut evidence) = all.filter(|evidence| !evidence.free.is_empty()) else { return Ok(()) };
-    evidence.add_prior(&lens::prior(0, map, noise), &here.intrinsics());
+    evidence.add_prior(&intrinsics_prior::prior(0, map, noise), &here.intrinsics());
     if let Some(found) = evidence.lens(&here) {
         tracing::debug!("focal length {:.3} → {:.3} px", here.mean_focal(), found.mean_focal());
         map.cameras[0] = found;

@@ -3,7 +3,8 @@
 use nalgebra::{DMatrix, Matrix3, Point2, SMatrix};
 
 use super::super::layout::{Layout, NONE};
-use super::super::linearize::{OnePoint, Pass};
+use super::super::one_point::OnePoint;
+use super::super::piece::Pass;
 use super::super::residual::{Derivatives, linearize};
 use super::super::simd::Two;
 use super::super::state::State;

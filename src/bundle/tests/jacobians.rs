@@ -3,7 +3,9 @@
 use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
 
 use super::super::layout::{Columns, Layout};
-use super::super::linearize::{Linearization, OnePoint, Pass};
+use super::super::linearize::Linearization;
+use super::super::one_point::OnePoint;
+use super::super::piece::Pass;
 use super::super::plane_prior;
 use super::super::priors;
 use super::super::residual::{Derivatives, linearize, plain_residual};
