@@ -20,7 +20,7 @@ use crate::video::VideoError;
 use masking::Masking;
 use thumbnails::Keeper;
 
-pub(in crate::pipeline) use followed::FEATURES_PREFIX as PREFIX;
+pub(in crate::pipeline) use super::motion::followed::FEATURES_PREFIX as PREFIX;
 pub(in crate::pipeline) const BACKGROUND: &str = "background";
 
 pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
