@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use rustix::time::{ClockId, clock_gettime};
-use tractrix::networks::{GrabCut, PromptOptions, Prompter, default_models, load_prompter};
+use tractrix::networks::{BoxSegmenter, GrabCut, PromptOptions, default_models, load_box_segmenter};
 use tractrix::scene::{Mask, Rect};
 use tractrix::video::Source;
 
@@ -50,14 +50,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     ];
     let models = default_models()?;
     for (name, options) in settings {
-        let mut network = load_prompter(&models.mask_encoder, &models.mask_decoder, &options, 1)?;
+        let mut network = load_box_segmenter(&models.mask_encoder, &models.mask_decoder, &options, 1)?;
         print(name, &cases, network.as_mut())?;
     }
     print("GrabCut", &cases, &mut GrabCut::new(&usual))
 }
 
 /// One line of the table.
-fn print(name: &str, cases: &[Case], prompter: &mut dyn Prompter) -> Result<(), Box<dyn Error>> {
+fn print(name: &str, cases: &[Case], prompter: &mut dyn BoxSegmenter) -> Result<(), Box<dyn Error>> {
     print!("{name:<24}");
     for share in [0.0, 0.1] {
         let start = cpu_secs();

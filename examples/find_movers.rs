@@ -105,7 +105,7 @@ fn print_counts(followed: &Followed, views: &[Option<View>], labels: &[TrackLabe
         labels.len(),
         count(TrackLabel::is_moving),
         count(|l| l.verdict == Verdict::Floating),
-        count(|l| l.verdict == Verdict::Standing),
+        count(|l| l.verdict == Verdict::Stationary),
         count(|l| l.verdict == Verdict::Fixed),
         1000.0 * followed.seconds / num_frames,
         1000.0 * seconds / num_frames
@@ -209,7 +209,7 @@ fn colour(label: &TrackLabel) -> [u8; 3] {
     match label.verdict {
         Verdict::Moving(_) => [255, 30, 30],
         Verdict::Floating => [255, 170, 0],
-        Verdict::Standing => [0, 190, 60],
+        Verdict::Stationary => [0, 190, 60],
         Verdict::Fixed => [200, 0, 255],
         Verdict::Undetermined => [150, 150, 150],
     }

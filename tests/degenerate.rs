@@ -23,7 +23,9 @@ use tractrix::scene::{FrameId, ImageId, ObjectId, Point3dId, Reconstruction, Sca
 use tractrix::sfm::Options;
 use tractrix::synthetic::drive::{self, Drive, drive};
 use tractrix::synthetic::{empty_table, observe};
-use tractrix::trajectory::{self, Candidate, CommonStd, Evidence, ModelOrigin, ObjectDescription, Sighting, Subject};
+use tractrix::trajectory::{
+    self, Candidate, CommonStd, Evidence, ModelOrigin, ObjectDescription, PositionMeasurement, Subject,
+};
 
 /// Whether all numbers of a value are finite, by its debug output.
 fn is_finite(value: &impl Debug) -> bool {
@@ -504,13 +506,13 @@ proptest! {
         places in prop::collection::vec((0..4u8, prop::sample::select(vec![0.0, 1e-9, 1.0, 3.0, 1e6, 1e12])), 0..12),
         camera in prop::sample::select(vec![0.0, 10.0, 1e9]),
     ) {
-        let sighting = |(k, (step, x)): (usize, &(u8, f64))| Sighting {
+        let sighting = |(k, (step, x)): (usize, &(u8, f64))| PositionMeasurement {
             time_s: 0.1 * (k / usize::from(*step).max(1)) as f64,
             position_m: Vector3::new(*x, 0.0, 0.0),
             camera_m: Vector3::new(camera, 0.0, 0.0),
             forward: (*step > 1).then(Vector3::x),
         };
-        let sightings: Vec<Sighting> = places.iter().enumerate().map(sighting).collect();
+        let sightings: Vec<PositionMeasurement> = places.iter().enumerate().map(sighting).collect();
         prop_finite!(trajectory::smooth(&sightings, &CommonStd { ratio: 0.02, scale: 0.01 }));
     }
 

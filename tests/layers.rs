@@ -97,7 +97,7 @@ const OPENERS: [&str; 8] = [
     "io/atomic.rs",
     "files/mod.rs",
     "memory/mod.rs",
-    "pipeline/driver/meter.rs",
+    "pipeline/driver/cost.rs",
 ];
 
 #[test]

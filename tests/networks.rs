@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use image::RgbImage;
 use tractrix::ffi::onnx;
 use tractrix::networks::{
-    DetectorOptions, GrabCut, PromptOptions, Prompter, default_models, load_detector, load_prompter,
+    BoxSegmenter, DetectorOptions, GrabCut, PromptOptions, default_models, load_box_segmenter, load_detector,
 };
 use tractrix::scene::{BoxDetection, Mask, Rect};
 use tractrix::video::Source;
@@ -38,9 +38,9 @@ fn can_run() -> bool {
     missing.is_none()
 }
 
-fn prompter(num_threads: usize) -> Box<dyn Prompter> {
+fn prompter(num_threads: usize) -> Box<dyn BoxSegmenter> {
     let models = default_models().unwrap();
-    load_prompter(&models.mask_encoder, &models.mask_decoder, &PromptOptions::default(), num_threads).unwrap()
+    load_box_segmenter(&models.mask_encoder, &models.mask_decoder, &PromptOptions::default(), num_threads).unwrap()
 }
 
 fn detect(image: &RgbImage, num_threads: usize) -> Vec<BoxDetection> {

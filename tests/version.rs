@@ -31,7 +31,7 @@ fn an_edited_constant_a_renamed_and_a_new_file_change_the_hash() {
     let root = TempDir::new().unwrap();
     let folder = root.path().join("src/ground");
     fs::create_dir_all(&folder).unwrap();
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/ground/path.rs");
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/ground/vehicle_trajectory.rs");
     let text = fs::read_to_string(source).unwrap();
     fs::write(folder.join("path.rs"), &text).unwrap();
     let before = sources::hash(root.path()).unwrap();

@@ -141,15 +141,20 @@ mod tests {
     use super::super::problem::{CameraBlock, Observation, PointPrior, PosePrior, Problem};
     use super::super::state::State;
     use super::*;
-    use crate::synthetic::scene::{self, Path, static_scene};
+    use crate::synthetic::scene::{self, CameraMotion, static_scene};
 
     const DAMPING: f64 = 1e-3;
 
     /// A flight over so many images with one camera.
     fn flight(num_images: u32) -> Problem {
         let num_points = 12 * num_images;
-        let options =
-            scene::Options { path: Path::Flight, num_images, num_points, noise_px: 0.5, ..scene::Options::default() };
+        let options = scene::Options {
+            path: CameraMotion::Flight,
+            num_images,
+            num_points,
+            noise_px: 0.5,
+            ..scene::Options::default()
+        };
         Problem::from_reconstruction(&static_scene(&options), |_, camera| CameraBlock::free_focal_and_radial(*camera))
     }
 

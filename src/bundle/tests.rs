@@ -10,7 +10,7 @@ use crate::bundle::Whitening;
 use crate::camera::Camera;
 use crate::math::{Rigid3, RobustLoss, umeyama};
 use crate::scene::Reconstruction;
-use crate::synthetic::scene::{self, Path, disturb, static_scene};
+use crate::synthetic::scene::{self, CameraMotion, disturb, static_scene};
 
 /// Truth, and a problem that starts away from it.
 fn disturbed(options: &scene::Options, block: fn(Camera) -> CameraBlock) -> (Reconstruction, Problem) {
@@ -49,7 +49,7 @@ fn errors(truth: &Reconstruction, problem: &Problem) -> (f64, f64, f64) {
 
 #[test]
 fn an_exact_world_is_found_exactly() {
-    for path in [Path::Arc, Path::Flight] {
+    for path in [CameraMotion::Arc, CameraMotion::Flight] {
         for camera_per_image in [false, true] {
             let options =
                 scene::Options { path, camera_per_image, num_images: 12, num_points: 200, ..Default::default() };
@@ -144,7 +144,7 @@ fn every_gauge_reaches_the_same_cost() {
 fn solvers_agree() {
     for (camera_per_image, num_images) in [(false, 80), (true, 70), (false, 12)] {
         let options = scene::Options {
-            path: Path::Flight,
+            path: CameraMotion::Flight,
             num_images,
             num_points: 900,
             noise_px: 0.5,
@@ -170,7 +170,7 @@ fn solvers_agree() {
 
 #[test]
 fn threads_do_not_change_a_bit() {
-    for path in [Path::Arc, Path::Flight] {
+    for path in [CameraMotion::Arc, CameraMotion::Flight] {
         let options = scene::Options { path, num_images: 66, num_points: 600, noise_px: 0.5, ..Default::default() };
         let (_, start) = disturbed(&options, CameraBlock::free_focal_and_radial);
         let solve = |threads| {

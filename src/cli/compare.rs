@@ -79,7 +79,7 @@ pub(super) fn run(args: &Args, arguments: &[std::ffi::OsString], form: Form) -> 
     }
     show(
         form,
-        &Failed { comparison: &comparison, error: serde_json::json!({ "message": why_not(&comparison) }) },
+        &FailedComparison { comparison: &comparison, error: serde_json::json!({ "message": why_not(&comparison) }) },
         || comparison.to_string(),
     )?;
     Err(Failure::Partial(anyhow::anyhow!(why_not(&comparison))))
@@ -87,7 +87,7 @@ pub(super) fn run(args: &Args, arguments: &[std::ffi::OsString], form: Form) -> 
 
 /// JSON output where nothing could be compared.
 #[derive(serde::Serialize)]
-struct Failed<'a> {
+struct FailedComparison<'a> {
     #[serde(flatten)]
     comparison: &'a Comparison,
     error: Value,

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::output::{Failure, Form, show};
-use crate::pipeline::{self, Kept};
+use crate::pipeline::{self, SavedEvaluation};
 use crate::scene::Topic;
 
 /// Compare the output of a run with a sequence of known truth
@@ -23,12 +23,12 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     show(form, &evaluation, || evaluation.to_string())?;
     let output = args.output.display();
     match pipeline::keep_evaluation(&args.output, &args.truth, &evaluation)? {
-        Kept::Everywhere => {}
-        Kept::WithoutPage(reason) => {
+        SavedEvaluation::Everywhere => {}
+        SavedEvaluation::WithoutPage(reason) => {
             let text = format!("{output}/report.html: evaluation not added: {reason}");
             tracing::warn!("{}", Topic::EvaluationNotKept.warning(text));
         }
-        Kept::Nowhere => {
+        SavedEvaluation::Nowhere => {
             let text = format!("{output}: not made by tractrix run; evaluation.json not written, --json prints it");
             tracing::warn!("{}", Topic::EvaluationNotKept.warning(text));
         }

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::output::{Failure, Form, show};
-use super::terminal::Talk;
-use crate::export::{self, Asked, ExportError, Exported, Format, Need, Pictures, Results, Target};
+use super::terminal::TerminalProgress;
+use crate::export::{self, ExportError, Exported, Format, MissingFormats, Need, Pictures, Results, Target};
 use crate::io::RunFolder;
 use crate::pipeline::{self, Progress};
 use crate::scene::Topic;
@@ -38,12 +38,12 @@ pub(super) struct Args {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Formats {
     formats: Vec<Format>,
-    asked: Asked,
+    asked: MissingFormats,
 }
 
 fn asked(list: &str) -> Result<Formats, String> {
     let formats = Format::listed(list)?;
-    Ok(Formats { formats, asked: if list.trim() == "all" { Asked::ForAll } else { Asked::ByName } })
+    Ok(Formats { formats, asked: if list.trim() == "all" { MissingFormats::ForAll } else { MissingFormats::ByName } })
 }
 
 #[derive(Debug, Serialize)]
@@ -65,7 +65,7 @@ impl Output {
 ///
 /// # Errors
 /// Why a format that was asked for by name cannot be made.
-pub(super) fn run(args: &Args, form: Form, talk: &Talk) -> Result<(), Failure> {
+pub(super) fn run(args: &Args, form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
     let folder = RunFolder::at(&args.run);
     let frames = pipeline::known_frames(&args.run);
     let results = Results::read(&folder, frames.as_deref())?;
@@ -121,9 +121,9 @@ mod tests {
     fn formats_are_listed_and_unknown_ones_refused() {
         assert_eq!(
             asked("csv,gltf").unwrap(),
-            Formats { formats: vec![Format::Csv, Format::Gltf], asked: Asked::ByName }
+            Formats { formats: vec![Format::Csv, Format::Gltf], asked: MissingFormats::ByName }
         );
-        assert_eq!(asked("all").unwrap().asked, Asked::ForAll);
+        assert_eq!(asked("all").unwrap().asked, MissingFormats::ForAll);
         assert!(asked("shapefile").unwrap_err().contains("'shapefile': unknown format; expected csv"));
     }
 }

@@ -13,7 +13,6 @@ mod calibrate;
 mod common;
 mod compare;
 mod convert;
-mod course;
 mod doctor;
 pub mod evaluate;
 mod export;
@@ -24,6 +23,7 @@ mod models;
 mod options;
 mod output;
 mod run;
+mod stage_progress;
 mod stop;
 mod summarize;
 mod summary;
@@ -38,7 +38,7 @@ use std::process::ExitCode;
 use args::{Args, Command};
 use clap::Parser;
 use output::{Failure, Form};
-use terminal::{Talk, Verbosity};
+use terminal::{TerminalProgress, Verbosity};
 
 use crate::checks::text::printable;
 
@@ -50,7 +50,7 @@ pub fn main() -> ExitCode {
         Ok(args) => args,
         Err(error) => return not_parsed(&error, &arguments),
     };
-    let talk = Talk::start(args.progress, verbosity(&args), form(&args));
+    let talk = TerminalProgress::start(args.progress, verbosity(&args), form(&args));
     match (dispatch(&args, &arguments, &talk), talk.stopped_by()) {
         (Ok(()), _) => ExitCode::SUCCESS,
         (Err(failure), Some(signal)) if failure.is_stop() => {
@@ -101,7 +101,7 @@ fn form(args: &Args) -> Form {
     }
 }
 
-fn dispatch(args: &Args, arguments: &[OsString], talk: &Talk) -> Result<(), Failure> {
+fn dispatch(args: &Args, arguments: &[OsString], talk: &TerminalProgress) -> Result<(), Failure> {
     let form = form(args);
     match &args.command {
         Command::Run(job)

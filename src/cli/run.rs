@@ -8,12 +8,18 @@ use super::job::{JobArgs, resolve, use_machine};
 use super::models;
 use super::output::{Failure, Form, show};
 use super::summary;
-use super::terminal::Talk;
+use super::terminal::TerminalProgress;
 use crate::io::RunFolder;
 use crate::pipeline::{self, Job, Overwrite, Stage, Summary};
 use crate::scene::Trajectories;
 
-pub(super) fn run(job: &JobArgs, goal: Stage, arguments: &[OsString], form: Form, talk: &Talk) -> Result<(), Failure> {
+pub(super) fn run(
+    job: &JobArgs,
+    goal: Stage,
+    arguments: &[OsString],
+    form: Form,
+    talk: &TerminalProgress,
+) -> Result<(), Failure> {
     let (input, options) = resolve(job, goal)?;
     use_machine(&options)?;
     let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
@@ -30,7 +36,7 @@ pub(super) fn run(job: &JobArgs, goal: Stage, arguments: &[OsString], form: Form
 }
 
 /// Does a run and prints what came of it.
-pub(super) fn perform(task: &Job, form: Form, talk: &Talk) -> Result<(), Failure> {
+pub(super) fn perform(task: &Job, form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
     let goal = task.goal;
     talk.ends_in_order();
     let summary = pipeline::run(task, talk)?;

@@ -93,7 +93,7 @@ fn why_not(vehicle: &Vehicle) -> &str {
 fn class(vehicle: &Vehicle) -> String {
     let class = if vehicle.class.is_empty() { "vehicle" } else { &vehicle.class };
     match vehicle.movement {
-        Some(state @ (Movement::Moving | Movement::Standing)) => format!("{class}, {}", state.name()),
+        Some(state @ (Movement::Moving | Movement::Stationary)) => format!("{class}, {}", state.name()),
         Some(Movement::Undetermined) | None => class.to_owned(),
     }
 }

@@ -11,9 +11,9 @@ use serde_json::json;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
 
-use super::course::{Course, Event, Moment};
 use super::forecast::in_words;
 use super::output::{Failure, Form};
+use super::stage_progress::{Event, Moment, StageProgress};
 use super::stop::{Signal, Stop};
 use crate::checks::text::printable;
 use crate::pipeline::{Plan, Progress};
@@ -86,16 +86,16 @@ impl Shown {
 }
 
 /// Says on stderr what is going on.
-pub(super) struct Talk {
+pub(super) struct TerminalProgress {
     voice: Voice,
     verbosity: Verbosity,
     stop: Stop,
-    course: Arc<Mutex<Course>>,
+    course: Arc<Mutex<StageProgress>>,
     /// Ends the thread that says how far a stage is when this is dropped.
     _ticker: Option<Sender<()>>,
 }
 
-impl Talk {
+impl TerminalProgress {
     /// Starts logging, and listening to signals, too.
     ///
     /// * `form` – form of the message on stdout if a signal ends the program.
@@ -107,7 +107,7 @@ impl Talk {
         }
         let voice = Voice { bar, shown };
         start_logging(voice.clone(), verbosity);
-        let course = Arc::new(Mutex::new(Course::new()));
+        let course = Arc::new(Mutex::new(StageProgress::new()));
         let ticker = shown.period().map(|period| start_ticker(period, voice.clone(), course.clone()));
         let last_words = voice.clone();
         let stop = Stop::listen(move |signal, order| {
@@ -157,7 +157,7 @@ impl Talk {
         self.stop.signal()
     }
 
-    fn course(&self) -> MutexGuard<'_, Course> {
+    fn course(&self) -> MutexGuard<'_, StageProgress> {
         lock(&self.course)
     }
 }
@@ -177,7 +177,7 @@ fn start_logging(voice: Voice, verbosity: Verbosity) {
 }
 
 /// Says how far the stage under way is, again and again, until the sender is gone.
-fn start_ticker(period: Duration, voice: Voice, course: Arc<Mutex<Course>>) -> Sender<()> {
+fn start_ticker(period: Duration, voice: Voice, course: Arc<Mutex<StageProgress>>) -> Sender<()> {
     let (sender, stop): (Sender<()>, Receiver<()>) = channel();
     thread::spawn(move || {
         while stop.recv_timeout(period) == Err(RecvTimeoutError::Timeout) {
@@ -188,12 +188,12 @@ fn start_ticker(period: Duration, voice: Voice, course: Arc<Mutex<Course>>) -> S
     sender
 }
 
-fn lock(course: &Mutex<Course>) -> MutexGuard<'_, Course> {
+fn lock(course: &Mutex<StageProgress>) -> MutexGuard<'_, StageProgress> {
     course.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Drawing the bar asks the course how much is left: it must not be locked while the bar is touched.
-impl Progress for Talk {
+impl Progress for TerminalProgress {
     fn plan(&self, plan: &Plan) {
         self.course().plan(plan);
     }
@@ -272,7 +272,7 @@ impl Voice {
     }
 
     /// Has the bar show a stage from its beginning.
-    fn show(&self, moment: Option<&Moment>, course: &Arc<Mutex<Course>>) {
+    fn show(&self, moment: Option<&Moment>, course: &Arc<Mutex<StageProgress>>) {
         let Some(moment) = moment.filter(|_| self.shown == Shown::Bar) else { return };
         let template = match moment.total {
             Some(_) => "{prefix} {bar:30} {pos}/{len}, {left}",

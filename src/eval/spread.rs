@@ -20,7 +20,7 @@ const SAME_DIRECTION: f64 = 0.009;
 
 /// Result of a run.
 #[derive(Clone, Debug)]
-pub struct Found {
+pub struct RunResult {
     /// Its cameras.
     pub cam_from_world: BTreeMap<FrameId, Rigid3>,
     /// Its trajectories.
@@ -57,11 +57,11 @@ impl Spread {
 }
 
 /// The vehicles that both runs place. Names of clip and variant are the caller's to fill in.
-pub fn spreads(first: &Found, second: &Found) -> Vec<Spread> {
+pub fn spreads(first: &RunResult, second: &RunResult) -> Vec<Spread> {
     let Some(unit) = first_per_second(first, second) else { return Vec::new() };
     let best = |object: &ObjectTrajectory| {
         let others = second.trajectories.objects.iter();
-        let pairs = others.filter_map(|other| Some((other, Sighted::new(first, second, object, other)?)));
+        let pairs = others.filter_map(|other| Some((other, RelativeVehicle::new(first, second, object, other)?)));
         let same = pairs.filter(|(_, sighted)| sighted.angle < SAME_DIRECTION);
         let (other, sighted) =
             same.max_by_key(|(other, sighted)| (sighted.ratios.len(), std::cmp::Reverse(other.id)))?;
@@ -88,9 +88,9 @@ fn spread(object: &ObjectTrajectory, other: &ObjectTrajectory, num_frames: usize
 }
 
 /// Units of the first run per unit of the second one.
-fn first_per_second(first: &Found, second: &Found) -> Option<f64> {
+fn first_per_second(first: &RunResult, second: &RunResult) -> Option<f64> {
     let both = || first.cam_from_world.keys().filter(|id| second.cam_from_world.contains_key(*id));
-    let spread = |found: &Found| {
+    let spread = |found: &RunResult| {
         let centers: Vec<Point3<f64>> = both().map(|id| found.cam_from_world[id].center()).collect();
         let mean = centers.iter().map(|center| center.coords).sum::<Vector3<f64>>() / centers.len() as f64;
         centers.iter().map(|center| (center.coords - mean).norm_squared()).sum::<f64>().sqrt()
@@ -100,15 +100,15 @@ fn first_per_second(first: &Found, second: &Found) -> Option<f64> {
 }
 
 /// A vehicle of each run as their cameras see it.
-struct Sighted {
+struct RelativeVehicle {
     /// Median angle between both directions.
     angle: f64,
     /// Distance in the second run over that in the first one, frame by frame, each in its own unit.
     ratios: Vec<f64>,
 }
 
-impl Sighted {
-    fn new(first: &Found, second: &Found, object: &ObjectTrajectory, other: &ObjectTrajectory) -> Option<Self> {
+impl RelativeVehicle {
+    fn new(first: &RunResult, second: &RunResult, object: &ObjectTrajectory, other: &ObjectTrajectory) -> Option<Self> {
         let (one, two) = (in_camera(first, object), in_camera(second, other));
         let both: Vec<(&Vector3<f64>, &Vector3<f64>)> =
             one.iter().filter_map(|(id, place)| Some((place, two.get(id)?))).collect();
@@ -119,7 +119,7 @@ impl Sighted {
 }
 
 /// Where a vehicle is in the frame of the camera, frame by frame.
-fn in_camera(found: &Found, object: &ObjectTrajectory) -> BTreeMap<FrameId, Vector3<f64>> {
+fn in_camera(found: &RunResult, object: &ObjectTrajectory) -> BTreeMap<FrameId, Vector3<f64>> {
     let place = |frame: &FrameId, position: [f64; 3]| {
         let camera = found.cam_from_world.get(frame)?;
         Some((*frame, (*camera * Point3::from(position)).coords))
@@ -135,7 +135,7 @@ mod tests {
     use nalgebra::UnitQuaternion;
 
     /// A camera that drives along x, and a car ahead; lengths in this unit, the car's distance wrong by a factor.
-    fn found(unit: f64, error: f64) -> Found {
+    fn found(unit: f64, error: f64) -> RunResult {
         let camera = |k: u32| Point3::new(f64::from(k) * unit, 0.0, 0.0);
         let pose = |k: u32| {
             let ahead = Vector3::new(1.0, 0.2, 20.0 + 0.3 * f64::from(k)) * unit * error;
@@ -166,7 +166,7 @@ mod tests {
         let cameras =
             (0..8).map(|k| (FrameId(k), Rigid3::from_rotation_and_center(UnitQuaternion::identity(), camera(k))));
         let trajectories = Trajectories { unit: Unit::Background, metric: None, objects: vec![car] };
-        Found { cam_from_world: cameras.collect(), trajectories }
+        RunResult { cam_from_world: cameras.collect(), trajectories }
     }
 
     #[test]

@@ -13,7 +13,7 @@ use nalgebra::{Point2, Point3};
 
 use super::facts::raw_speed;
 use super::write::Pictures;
-use super::{ExportError, Results, View};
+use super::{ExportError, RegisteredFrame, Results};
 use crate::ffi::ffmpeg::{Encoder, FfmpegError};
 use crate::image::{Canvas, Plate, RgbImage};
 use crate::io::{IoError, RunFolder, masks};
@@ -78,7 +78,7 @@ pub(super) fn masks_of(
 /// Draws what was found into pictures.
 struct Annotator<'a> {
     results: &'a Results,
-    views: BTreeMap<&'a str, &'a View>,
+    views: BTreeMap<&'a str, &'a RegisteredFrame>,
     /// The ways on the ground, in the background's frame.
     ways: BTreeMap<ObjectId, Vec<Point3<f64>>>,
 }

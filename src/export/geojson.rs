@@ -58,7 +58,7 @@ pub(super) fn vehicle_fixes(results: &Results, poses: &[ObjectPose]) -> Vec<Fix>
 
 /// Where the camera was.
 pub(super) fn camera_fixes(results: &Results) -> Vec<Fix> {
-    let fix = |view: &super::View| {
+    let fix = |view: &super::RegisteredFrame| {
         let place = results.place(view.cam_from_world.center())?;
         Some(Fix { place, image: view.frame.name.clone(), time_s: view.frame.time_s })
     };

@@ -32,6 +32,6 @@ pub use clock::Clock;
 pub use error::ExportError;
 pub use facts::Facts;
 pub use format::{Format, Need};
-pub use results::{Results, View};
+pub use results::{RegisteredFrame, Results};
 pub use target::Target;
-pub use write::{Asked, Exported, PassedOver, Pictures, Written, write};
+pub use write::{Exported, MissingFormats, Pictures, SkippedFormat, Written, write};

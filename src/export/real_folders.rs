@@ -1,6 +1,6 @@
 //! Exports of real output folders, to be opened by other programs (`scripts/benchmark/check_exports.py`).
 
-use super::{Asked, Format, Pictures, Results, Target, write};
+use super::{Format, MissingFormats, Pictures, Results, Target, write};
 use crate::io::RunFolder;
 use crate::video::{Options, Source};
 
@@ -15,7 +15,7 @@ fn every_format_of_a_run_is_written() {
     let source = Source::open(&results.input, &Options::default()).unwrap();
     let pictures = Pictures::new(&folder, Ok(&source), &|| ());
     let target = || Ok(Target::in_run(&folder)?);
-    let exported = write(&results, &Format::ALL, Asked::ForAll, &pictures, target).unwrap();
+    let exported = write(&results, &Format::ALL, MissingFormats::ForAll, &pictures, target).unwrap();
     for left in &exported.passed_over {
         assert_eq!(results.map().is_none(), left.reason.contains("no georeferenced positions"), "{left:?}");
     }

@@ -18,7 +18,7 @@ use crate::telemetry::{Geodetic, LocalFrame};
 
 /// A frame whose camera is known.
 #[derive(Clone, Debug, PartialEq)]
-pub struct View {
+pub struct RegisteredFrame {
     /// The frame.
     pub frame: Frame,
     /// Its image in the background's model.
@@ -41,7 +41,7 @@ pub struct Results {
     /// Unit of the frames' times.
     pub time_base: TimeBase,
     /// The frames with a known camera, ascending.
-    pub views: Vec<View>,
+    pub views: Vec<RegisteredFrame>,
     /// Where the vehicles were.
     pub trajectories: Trajectories,
     /// The background.
@@ -52,19 +52,19 @@ pub struct Results {
 
 /// Parts of `run.json` that exports use.
 #[derive(Deserialize)]
-struct Told {
-    input: ToldInput,
+struct RunJson {
+    input: InputJson,
 }
 
 #[derive(Deserialize)]
-struct ToldInput {
+struct InputJson {
     path: PathBuf,
-    info: ToldInfo,
+    info: InfoJson,
     times: TimeBase,
 }
 
 #[derive(Deserialize)]
-struct ToldInfo {
+struct InfoJson {
     width: u32,
     height: u32,
     fps: Option<f64>,
@@ -81,7 +81,7 @@ impl Results {
     pub fn read(folder: &RunFolder, frames: Option<&[Frame]>) -> Result<Self, ExportError> {
         let no_result = || ExportError::NoResult { path: folder.root().to_owned() };
         let trajectories = folder.read_trajectories().map_err(|error| absent_or(error, no_result))?;
-        let Told { input } = json::read(&folder.run_json()).map_err(|error| absent_or(error, no_result))?;
+        let RunJson { input } = json::read(&folder.run_json()).map_err(|error| absent_or(error, no_result))?;
         let background = folder.read_background()?;
         let times = Times::new(frames, &trajectories, &input);
         Ok(Self {
@@ -99,11 +99,11 @@ impl Results {
     pub(super) fn read_trajectories(folder: &RunFolder) -> Result<Self, ExportError> {
         let no_result = || ExportError::NoResult { path: folder.root().to_owned() };
         let trajectories = folder.read_trajectories().map_err(|error| absent_or(error, no_result))?;
-        let Told { input } = json::read(&folder.run_json()).map_err(|error| absent_or(error, no_result))?;
+        let RunJson { input } = json::read(&folder.run_json()).map_err(|error| absent_or(error, no_result))?;
         Ok(Self::of_trajectories(input, trajectories))
     }
 
-    fn of_trajectories(input: ToldInput, trajectories: Trajectories) -> Self {
+    fn of_trajectories(input: InputJson, trajectories: Trajectories) -> Self {
         Self {
             title: name_of(&input.path),
             size: (input.info.width, input.info.height),
@@ -213,7 +213,7 @@ struct Times<'a> {
 }
 
 impl<'a> Times<'a> {
-    fn new(frames: Option<&'a [Frame]>, trajectories: &'a Trajectories, input: &ToldInput) -> Self {
+    fn new(frames: Option<&'a [Frame]>, trajectories: &'a Trajectories, input: &InputJson) -> Self {
         let poses = trajectories.objects.iter().flat_map(|object| &object.poses);
         let mut known: HashMap<_, _> = poses.map(|pose| (pose.name.as_str(), (pose.frame, pose.time_s))).collect();
         let frames = frames.unwrap_or_default().iter();
@@ -232,13 +232,13 @@ impl<'a> Times<'a> {
 }
 
 /// The registered images whose intrinsics are known, in order of their frames.
-fn views(background: &Reconstruction, times: &Times) -> Vec<View> {
+fn views(background: &Reconstruction, times: &Times) -> Vec<RegisteredFrame> {
     let view = |(id, image): (&ImageId, &crate::scene::Image)| {
         let camera = *background.projecting_camera(image)?;
         let frame = times.frame(&image.name, *id);
-        Some((frame.id, View { frame, image: *id, camera, cam_from_world: image.cam_from_world }))
+        Some((frame.id, RegisteredFrame { frame, image: *id, camera, cam_from_world: image.cam_from_world }))
     };
-    let by_frame: BTreeMap<FrameId, View> = background.images.iter().filter_map(view).collect();
+    let by_frame: BTreeMap<FrameId, RegisteredFrame> = background.images.iter().filter_map(view).collect();
     by_frame.into_values().collect()
 }
 

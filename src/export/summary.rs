@@ -60,8 +60,8 @@ pub struct Summary {
 
 /// Parts of `run.json` on the course of a run.
 #[derive(Deserialize)]
-struct Told {
-    input: ToldInput,
+struct RunJson {
+    input: InputJson,
     #[serde(default)]
     warnings: Vec<String>,
     #[serde(default)]
@@ -69,7 +69,7 @@ struct Told {
 }
 
 #[derive(Deserialize)]
-struct ToldInput {
+struct InputJson {
     path: PathBuf,
 }
 
@@ -109,7 +109,7 @@ impl Summary {
 
     fn add(&mut self, run: &Path) {
         let folder = RunFolder::at(run);
-        let told: Told = match json_file::read(&folder.run_json()) {
+        let told: RunJson = match json_file::read(&folder.run_json()) {
             Ok(told) => told,
             Err(error) => return self.refuse(run, with_causes(&error)),
         };
@@ -124,7 +124,7 @@ impl Summary {
         }
     }
 
-    fn add_results(&mut self, folder: &RunFolder, told: &Told, results: &Results) {
+    fn add_results(&mut self, folder: &RunFolder, told: &RunJson, results: &Results) {
         self.num_runs += 1;
         let before = self.rows.len();
         let blank = Row { input: Some(told.input.path.clone()), ..Row::of_metres(folder.root(), results) };
@@ -261,7 +261,7 @@ fn nothing_in(folder: &Path) -> String {
 }
 
 /// Why a vehicle that was followed has no way: as the run warned, else what is known.
-fn why_no_way(id: ObjectId, told: &Told) -> String {
+fn why_no_way(id: ObjectId, told: &RunJson) -> String {
     let begins = ["not reconstructed", "skipped", "no trajectory"].map(|what| format!("object {id}: {what}: "));
     let reason = |warning: &String| {
         begins.iter().find_map(|begin| warning_text(warning).strip_prefix(begin.as_str()).map(str::to_owned))
@@ -327,7 +327,7 @@ mod tests {
             "object 12: skipped: far".to_owned(),
             "object 1: not reconstructed: dark [troubleshooting: vehicle-not-reconstructed]".to_owned(),
         ];
-        let told = Told { input: ToldInput { path: "a.mp4".into() }, warnings, error: None };
+        let told = RunJson { input: InputJson { path: "a.mp4".into() }, warnings, error: None };
         assert_eq!(why_no_way(ObjectId(1), &told), "dark");
         assert_eq!(why_no_way(ObjectId(12), &told), "far");
         assert_eq!(why_no_way(ObjectId(2), &told), "tracked, but without a trajectory");

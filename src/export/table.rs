@@ -8,7 +8,7 @@ use std::path::Path;
 use nalgebra::Point3;
 
 use super::facts::raw_speed;
-use super::{Clock, ExportError, Facts, Results, View};
+use super::{Clock, ExportError, Facts, RegisteredFrame, Results};
 use crate::io::{IoError, atomic};
 use crate::scene::{Estimate, MapPlace, MetricPose, Motion, ObjectTrajectory, TimeBase};
 
@@ -217,7 +217,7 @@ pub(super) fn camera(path: &Path, results: &Results) -> Result<(), ExportError> 
     write(path, &CAMERA_COLUMNS, results.views.iter().map(|view| view_cells(results, &clock, view)))
 }
 
-fn view_cells(results: &Results, clock: &Clock, view: &View) -> Vec<String> {
+fn view_cells(results: &Results, clock: &Clock, view: &RegisteredFrame) -> Vec<String> {
     let center = view.cam_from_world.center();
     let turn = view.cam_from_world.rotation.inverse();
     let mut cells = vec![view.frame.id.0.to_string(), view.frame.name.clone()];

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
-use super::{Results, View};
+use super::{RegisteredFrame, Results};
 use crate::io::interchange::colmap;
 use crate::io::{RunFolder, atomic, trajectories};
 use crate::math::Sim3;
@@ -44,11 +44,11 @@ fn without_metres(trajectory: &ObjectTrajectory) -> ObjectTrajectory {
     ObjectTrajectory { dimensions: None, travel: None, poses, ..trajectory.clone() }
 }
 
-fn view_of(found: &Showcase, frame: &Frame) -> Option<View> {
+fn view_of(found: &Showcase, frame: &Frame) -> Option<RegisteredFrame> {
     let image = ImageId::from(frame.id);
     let seen = found.background.images.get(&image)?;
     let camera = found.background.cameras[&seen.camera];
-    Some(View { frame: frame.clone(), image, camera, cam_from_world: seen.cam_from_world })
+    Some(RegisteredFrame { frame: frame.clone(), image, camera, cam_from_world: seen.cam_from_world })
 }
 
 /// The same with metres: a place on the map, dates, and a car that goes at eight metres per second.

@@ -14,7 +14,7 @@ use ::image::{ImageFormat, RgbImage};
 
 use super::annotate::masks_of;
 use super::write::Pictures;
-use super::{ExportError, Results, View};
+use super::{ExportError, RegisteredFrame, Results};
 use crate::io::interchange::colmap;
 use crate::io::{ExportFolder, IoError, RunFolder, masks};
 use crate::scene::{FrameId, Mask, Movement, ObjectId};
@@ -31,7 +31,7 @@ const MARGIN: f64 = 0.004;
 pub(super) fn write(folder: &Path, results: &Results, pictures: &Pictures) -> Result<(), ExportError> {
     check_names(folder, results)?;
     let standing = standing(pictures.folder())?;
-    let views: BTreeMap<FrameId, &View> = results.views.iter().map(|view| (view.frame.id, view)).collect();
+    let views: BTreeMap<FrameId, &RegisteredFrame> = results.views.iter().map(|view| (view.frame.id, view)).collect();
     let mut missing: BTreeSet<&str> = results.views.iter().map(|view| view.frame.name.as_str()).collect();
     for found in pictures.source()?.frames_at(views.keys().copied().collect())? {
         let (frame, picture) = found?;
@@ -68,7 +68,7 @@ fn standing(folder: &RunFolder) -> Result<BTreeSet<ObjectId>, ExportError> {
         Err(error) if error.is_not_found() => Vec::new(),
         tracked => tracked?,
     };
-    let still = tracked.iter().filter(|object| object.movement.state == Movement::Standing);
+    let still = tracked.iter().filter(|object| object.movement.state == Movement::Stationary);
     Ok(still.map(|object| object.id).collect())
 }
 

@@ -91,7 +91,7 @@ pub struct Written {
 
 /// A format that could not be made.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct PassedOver {
+pub struct SkippedFormat {
     /// Its name.
     pub format: &'static str,
     /// Why, and what to do about it.
@@ -104,12 +104,12 @@ pub struct Exported {
     /// In the order of [`Format::ALL`].
     pub written: Vec<Written>,
     /// Formats that could not be made of these results.
-    pub passed_over: Vec<PassedOver>,
+    pub passed_over: Vec<SkippedFormat>,
 }
 
 /// Treatment of formats that cannot be made of the results.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Asked {
+pub enum MissingFormats {
     /// Each by its name: what cannot be made is an error, and nothing is written.
     ByName,
     /// For all that there are: what cannot be made is skipped.
@@ -124,7 +124,7 @@ pub enum Asked {
 pub fn write(
     results: &Results,
     formats: &[Format],
-    asked: Asked,
+    asked: MissingFormats,
     pictures: &Pictures,
     target: impl FnOnce() -> Result<Target, ExportError>,
 ) -> Result<Exported, ExportError> {
@@ -133,9 +133,9 @@ pub fn write(
     for &format in formats {
         match obstacle(format, results, pictures) {
             None => possible.push(format),
-            Some(error) if asked == Asked::ByName => return Err(error),
+            Some(error) if asked == MissingFormats::ByName => return Err(error),
             Some(error) => {
-                exported.passed_over.push(PassedOver { format: format.name(), reason: error.to_string() });
+                exported.passed_over.push(SkippedFormat { format: format.name(), reason: error.to_string() });
             }
         }
     }
@@ -247,7 +247,7 @@ mod tests {
         let into = folder.path().join("exported");
         let all = || {
             let target = || Ok(Target::at(&into, &[("OUT", run.root())])?);
-            write(&results, &Format::ALL, Asked::ForAll, &pictures, target)
+            write(&results, &Format::ALL, MissingFormats::ForAll, &pictures, target)
         };
         let exported = all().unwrap();
         assert_eq!((exported.written.len(), exported.passed_over.len()), (Format::ALL.len(), 0));
@@ -286,13 +286,14 @@ mod tests {
         let into = folder.path().join("exported");
         let refused = |formats: &[Format]| {
             let target = || Ok(Target::at(&into, &[])?);
-            write(&results, formats, Asked::ByName, &pictures, target).unwrap_err().to_string()
+            write(&results, formats, MissingFormats::ByName, &pictures, target).unwrap_err().to_string()
         };
         let map = refused(&[Format::Csv, Format::Kml]);
         assert!(map.contains("--format kml") && map.contains("--telemetry"), "{map}");
         assert!(refused(&[Format::Video]).contains("--input"));
         assert!(!into.exists());
-        let exported = write(&results, &Format::ALL, Asked::ForAll, &pictures, || Ok(Target::at(&into, &[])?)).unwrap();
+        let exported =
+            write(&results, &Format::ALL, MissingFormats::ForAll, &pictures, || Ok(Target::at(&into, &[])?)).unwrap();
         let passed: Vec<_> = exported.passed_over.iter().map(|left| left.format).collect();
         assert_eq!(passed, ["geojson", "kml", "gpx", "video", "colmap"]);
         assert!(into.join("scene.glb").is_file() && !into.join("camera.gpx").exists());

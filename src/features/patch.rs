@@ -162,7 +162,7 @@ impl Patch {
     /// Compares an image with the template, in one pass over the patch; `None` where it has no structure. Gray values
     /// count from the template's mean, which keeps the sums small.
     #[inline(always)]
-    fn compare<const SIDE: usize>(&self, picture: &Picture<'_, SIDE>) -> Option<Seen> {
+    fn compare<const SIDE: usize>(&self, picture: &Picture<'_, SIDE>) -> Option<WarpedPatch> {
         let side = (2 * self.radius + 1) as usize;
         let (padded, num_pixels) = (padded(side), (side * side) as f32);
         let [mut sum, mut sum_sq, mut products] = [[0.0f32; LANES]; 3];
@@ -197,7 +197,7 @@ impl Patch {
         let deviation = (total(&sum_sq) / num_pixels - mean * mean).max(0.0).sqrt();
         let [[x, y], [x_column, y_column], [x_row, y_row]] =
             [alone, by_column, by_row].map(|axes| axes.map(|lanes| total(&lanes)));
-        (deviation >= MIN_DEVIATION).then(|| Seen {
+        (deviation >= MIN_DEVIATION).then(|| WarpedPatch {
             mean,
             deviation,
             jacobian: Vector6::new(x_column, x_row, y_column, y_row, x, y),
@@ -223,7 +223,7 @@ impl WithSimd for Alignment<'_> {
 }
 
 /// Image under a warp.
-struct Seen {
+struct WarpedPatch {
     /// Of the grey values, less the template's.
     mean: f32,
     deviation: f32,

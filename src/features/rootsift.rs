@@ -149,7 +149,7 @@ fn enlargement(window: BoundingBox, enlarge_below_px: u32) -> u32 {
     enlarge_below_px.div_ceil(side).clamp(1, 4)
 }
 
-fn collected(window: BoundingBox, scale: f64, found: &sift::Found) -> Features {
+fn collected(window: BoundingBox, scale: f64, found: &sift::Keypoints) -> Features {
     let mut features = Features::default();
     for (keypoint, descriptor) in found.keypoints.iter().zip(found.descriptors.chunks_exact(DESCRIPTOR_LEN)) {
         let (x, y) = (f64::from(keypoint.x) / scale, f64::from(keypoint.y) / scale);

@@ -13,12 +13,12 @@ use std::collections::BTreeMap;
 use nalgebra::Point2;
 
 use super::Options;
+use super::camera_mount::Mount;
 use super::dominant::DominantPlane;
 use super::driven::on_driven_ground;
 use super::local::{LocalPlanes, local_planes, lowest_foot, object_pixels};
-use super::mount::Mount;
-use super::path::BodyShape;
 use super::road::Road;
+use super::vehicle_trajectory::BodyShape;
 use crate::math::{STD_PER_MAD, median};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectId, PlaneBasis, Point3dId, Reconstruction};
 

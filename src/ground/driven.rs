@@ -14,7 +14,7 @@ use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 
 use super::Options;
 use super::local::UNEVENNESS;
-use super::path::{BodyShape, Path, Place};
+use super::vehicle_trajectory::{BodyShape, VehiclePosition, VehicleTrajectory};
 use crate::math::{Neighbors, STD_PER_MAD, median};
 use crate::scene::{FrameId, GroundPlane, PlaneBasis, Point3dId, Reconstruction};
 
@@ -55,7 +55,9 @@ pub(super) fn on_driven_ground(
 ) -> BTreeMap<FrameId, GroundPlane> {
     let mut better = planes.clone();
     for _ in 0..NUM_ROUNDS {
-        let Some(path) = Path::of(background, model, &better, options.min_observations, shape) else { break };
+        let Some(path) = VehicleTrajectory::of(background, model, &better, options.min_observations, shape) else {
+            break;
+        };
         let driven = Driven::new(background, ground_points, &path);
         let fits: BTreeMap<FrameId, Fit> = path
             .places
@@ -72,7 +74,7 @@ pub(super) fn on_driven_ground(
 
 /// The points on a path.
 struct Driven<'a> {
-    path: &'a Path,
+    path: &'a VehicleTrajectory,
     points: Vec<Point3<f64>>,
     tree: Option<Neighbors<3>>,
 }
@@ -87,7 +89,7 @@ struct Fit {
 }
 
 impl<'a> Driven<'a> {
-    fn new(background: &Reconstruction, ground_points: &[Point3dId], path: &'a Path) -> Self {
+    fn new(background: &Reconstruction, ground_points: &[Point3dId], path: &'a VehicleTrajectory) -> Self {
         let feet: Vec<[f64; 3]> = path.places.iter().map(|place| place.foot.into()).collect();
         let places = Neighbors::new(&feet);
         let nearest = |point: &Point3<f64>| Some(&path.places[*places.as_ref()?.nearest(&(*point).into(), 1).first()?]);
@@ -102,7 +104,7 @@ impl<'a> Driven<'a> {
     }
 
     /// Points on the path round a place, nearest first.
-    fn round(&self, place: &Place, num_neighbors: usize) -> Vec<Point3<f64>> {
+    fn round(&self, place: &VehiclePosition, num_neighbors: usize) -> Vec<Point3<f64>> {
         let Some(tree) = &self.tree else { return Vec::new() };
         let nearest = tree.nearest(&place.foot.into(), MAX_POINTS).into_iter().map(|k| self.points[k]);
         let counts = |(k, point): &(usize, Point3<f64>)| {
@@ -113,7 +115,7 @@ impl<'a> Driven<'a> {
     }
 
     /// The plane below the vehicle: as level as the one that is known, where the points say nothing else.
-    fn fit(&self, place: &Place, known: &GroundPlane, options: &Options) -> Option<Fit> {
+    fn fit(&self, place: &VehiclePosition, known: &GroundPlane, options: &Options) -> Option<Fit> {
         let origin = place.foot - known.normal * known.signed_distance(place.foot);
         let along = place.along.unwrap_or_else(|| any_across(&known.normal));
         let axes = Axes { origin, along, left: known.normal.cross(&along).normalize(), up: known.normal };
@@ -224,7 +226,7 @@ impl Slope {
 fn merged(
     planes: &BTreeMap<FrameId, GroundPlane>,
     fits: &BTreeMap<FrameId, Fit>,
-    path: &Path,
+    path: &VehicleTrajectory,
 ) -> Option<BTreeMap<FrameId, GroundPlane>> {
     let middle = median(fits.values().map(|fit| fit.above).collect())?;
     let spread = STD_PER_MAD * median(fits.values().map(|fit| (fit.above - middle).abs()).collect())?;

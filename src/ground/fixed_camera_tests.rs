@@ -3,7 +3,7 @@
 use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
 use rand::Rng as _;
 
-use super::path::SHAPE;
+use super::vehicle_trajectory::SHAPE;
 use super::{GroundChain, MountFailure, Options, find_mount};
 use crate::camera::Camera;
 use crate::math::{Rigid3, seeded_rng};
@@ -115,7 +115,7 @@ fn the_road_is_found_although_the_slope_has_more_points() {
         assert_eq!(found, find_mount(&model, None, &Options::default(), 3).unwrap());
         let roll = found.normal_in_cam.x.asin();
         assert!((found.height / HEIGHT - 1.0).abs() < 0.02 && roll.abs() < 0.01, "{found:?}");
-        assert!(found.wander < 0.02 && found.height_std < 0.02 * HEIGHT, "{found:?}");
+        assert!(found.drift < 0.02 && found.height_std < 0.02 * HEIGHT, "{found:?}");
     }
 }
 

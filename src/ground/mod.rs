@@ -5,6 +5,7 @@
 //! frame to the ground round the object (eq. 3 to 8). Everything is scale free: a background reconstruction has a unit
 //! of its own, so that tolerances are pixels, turned into lengths by the depth at which a point is seen (eq. 1).
 
+mod camera_mount;
 mod chain;
 mod dominant;
 mod driven;
@@ -13,26 +14,25 @@ mod fixed_camera_tests;
 mod height;
 mod labels;
 mod local;
-mod mount;
-mod path;
+mod observations;
 mod plane;
 mod road;
-mod sighting;
 mod supports;
-mod way_plane;
+mod trajectory_plane;
+mod vehicle_trajectory;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::checks::{Checked, ordered, within};
+pub use camera_mount::{Mount, MountFailure, find_mount};
 pub use chain::GroundChain;
 pub use dominant::{DominantPlane, GroundError, dominant_plane_points};
 pub use height::{CameraHeight, HeightFailure, camera_height};
 pub use labels::label_points;
 pub use local::{LocalPlanes, SkipReason, SkippedFrame, local_planes};
-pub use mount::{Mount, MountFailure, find_mount};
-pub use path::BodyShape;
 pub use plane::PlaneFailure;
+pub use vehicle_trajectory::BodyShape;
 
 /// Options of the ground estimation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

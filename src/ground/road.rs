@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point2, Point3, Vector3};
 
+use super::camera_mount::Mount;
 use super::local::lowest_foot;
-use super::mount::Mount;
 use crate::math::symmetric_eigen;
 use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction};
 
@@ -104,7 +104,7 @@ impl<'a> Road<'a> {
             None => (away.norm(), 0.0, mount.pitch_std),
         };
         let unknown =
-            hypot([mount.height_std, mount.wander * mount.height, across * mount.roll_std, across * CROSSFALL]);
+            hypot([mount.height_std, mount.drift * mount.height, across * mount.roll_std, across * CROSSFALL]);
         // Beyond the last place the road goes on as it was, and bends as much as it did (eq. 19).
         let guessed = 0.5 * self.bend * along * along;
         let half = guessed / 2.0_f64.sqrt();

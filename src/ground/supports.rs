@@ -4,11 +4,11 @@
 //! that one pass through the places serves all heights: each adds its coefficients at the first height that it
 //! supports, and takes them back behind the last.
 
-use super::way_plane::{Fit, Track};
+use super::trajectory_plane::{Fit, Track};
 use crate::scene::FrameId;
 
 /// One sight of a point, as a plane of a given inclination asks for it.
-struct Place {
+struct SupportObservation {
     frame: FrameId,
     /// The height of the camera over a plane through it.
     height: f64,
@@ -19,15 +19,15 @@ struct Place {
 }
 
 /// The places of many points.
-pub(super) struct Places(Vec<Place>);
+pub(super) struct Supports(Vec<SupportObservation>);
 
-impl Places {
+impl Supports {
     pub(super) fn new<'a>(tracks: impl IntoIterator<Item = &'a Track>, fit: &Fit) -> Self {
         let slope = fit.slope();
         let of_track = |track: &'a Track| {
             let slope = &slope;
             let share = 1.0 / track.places.len() as f64;
-            track.places.iter().zip(&track.tolerances).map(move |((place, frame), tolerance)| Place {
+            track.places.iter().zip(&track.tolerances).map(move |((place, frame), tolerance)| SupportObservation {
                 frame: *frame,
                 height: -slope(place),
                 tolerance: tolerance.off,
@@ -68,7 +68,7 @@ impl Places {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ground::way_plane::Tolerance;
+    use crate::ground::trajectory_plane::Tolerance;
     use crate::math::seeded_rng;
     use nalgebra::{Matrix3, Vector3};
     use rand::Rng as _;
@@ -86,7 +86,7 @@ mod tests {
         let tracks: Vec<Track> = (0..200).map(&mut track).collect();
         let heights: Vec<f64> = (0..40).map(|k| 0.75 + 0.05 * f64::from(k)).collect();
         let course = |frame: FrameId| 1.0 + 0.002 * f64::from(frame.0);
-        let found = Places::new(&tracks, &fit).supports(&heights, course);
+        let found = Supports::new(&tracks, &fit).supports(&heights, course);
         for (height, found) in heights.iter().zip(&found) {
             let slope = fit.slope();
             let one = |track: &Track| track.score(&slope, |frame| height * course(frame)).0;
@@ -94,6 +94,6 @@ mod tests {
             assert!((found - expected).abs() < 1e-9, "{height}: {found} {expected}");
         }
         assert!(found.iter().any(|support| *support > 3.0));
-        assert!(Places::new(&tracks, &fit).supports(&[], course).is_empty());
+        assert!(Supports::new(&tracks, &fit).supports(&[], course).is_empty());
     }
 }

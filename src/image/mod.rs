@@ -19,7 +19,7 @@ use std::num::TryFromIntError;
 pub use self::canvas::{Canvas, Plate};
 pub use self::corners::CornerStrength;
 pub use self::degrade::{blurred, noisy};
-pub use self::lucas_kanade::{Found, LucasKanade, Pyramid, Returned};
+pub use self::lucas_kanade::{LucasKanade, Pyramid, Returned, TrackedPoint};
 pub use self::opencv_mat::{
     borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_affine, mat_from_bytes, mat_from_f32, mat_from_gray,
     mat_from_rgb, rgb_from_bgr_mat, rgb_from_mat,

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::interchange::colmap;
 use super::run_folder::object_id;
-use super::{Place, RunFolder};
+use super::{PathRole, RunFolder};
 
 /// The folder of exported files.
 #[derive(Clone, Copy, Debug)]
@@ -64,27 +64,27 @@ impl ExportFolder {
     ];
 
     /// Role of a path of an export, relative to its own folder.
-    pub fn place(relative: &Path) -> Place {
+    pub fn place(relative: &Path) -> PathRole {
         let parts: Option<Vec<&str>> = relative.iter().map(|part| part.to_str()).collect();
         match parts.as_deref() {
-            Some([RunFolder::STATE, ..]) => Place::State,
+            Some([RunFolder::STATE, ..]) => PathRole::State,
             Some(parts) => Self::place_of(parts),
-            None => Place::Elsewhere,
+            None => PathRole::Elsewhere,
         }
     }
 
     /// The same by the names on the way.
-    pub(super) fn place_of(parts: &[&str]) -> Place {
+    pub(super) fn place_of(parts: &[&str]) -> PathRole {
         match *parts {
-            [] => Place::Folder,
-            [file] if Self::FILES.contains(&file) => Place::File,
-            [Self::TUM | Self::KITTI | Self::COLMAP] => Place::Folder,
-            [Self::TUM | Self::KITTI, file] if is_pose_file(file) => Place::File,
-            [Self::COLMAP, Self::IMAGES | Self::MASKS | Self::SPARSE] => Place::Folder,
-            [Self::COLMAP, Self::SPARSE, "0"] => Place::Folder,
-            [Self::COLMAP, Self::SPARSE, "0", file] if colmap::is_file_name(file) => Place::File,
-            [Self::COLMAP, Self::IMAGES | Self::MASKS, file] if !file.starts_with('.') => Place::File,
-            _ => Place::Elsewhere,
+            [] => PathRole::Folder,
+            [file] if Self::FILES.contains(&file) => PathRole::File,
+            [Self::TUM | Self::KITTI | Self::COLMAP] => PathRole::Folder,
+            [Self::TUM | Self::KITTI, file] if is_pose_file(file) => PathRole::File,
+            [Self::COLMAP, Self::IMAGES | Self::MASKS | Self::SPARSE] => PathRole::Folder,
+            [Self::COLMAP, Self::SPARSE, "0"] => PathRole::Folder,
+            [Self::COLMAP, Self::SPARSE, "0", file] if colmap::is_file_name(file) => PathRole::File,
+            [Self::COLMAP, Self::IMAGES | Self::MASKS, file] if !file.starts_with('.') => PathRole::File,
+            _ => PathRole::Elsewhere,
         }
     }
 }
@@ -104,15 +104,15 @@ mod tests {
     fn every_export_has_its_place_and_others_have_none() {
         let place = |path: &str| ExportFolder::place(Path::new(path));
         for file in ["vehicles.csv", "scene.glb", "tum/vehicle-12.txt", "kitti/camera.times.txt", "kitti/about.txt"] {
-            assert_eq!(place(file), Place::File, "{file}");
+            assert_eq!(place(file), PathRole::File, "{file}");
         }
         for file in ["colmap/images/000001.jpg", "colmap/masks/a.png.png", "colmap/sparse/0/cameras.bin"] {
-            assert_eq!(place(file), Place::File, "{file}");
+            assert_eq!(place(file), PathRole::File, "{file}");
         }
         for other in ["notes.txt", "tum/vehicle-01.txt", "colmap/dense/a", "colmap/sparse/1", "colmap/images/a/b.jpg"] {
-            assert_eq!(place(other), Place::Elsewhere, "{other}");
+            assert_eq!(place(other), PathRole::Elsewhere, "{other}");
         }
-        assert_eq!((place("colmap/sparse/0"), place(".tractrix/lock")), (Place::Folder, Place::State));
-        assert_eq!(RunFolder::place(Path::new("export/tum/camera.txt")), Place::File);
+        assert_eq!((place("colmap/sparse/0"), place(".tractrix/lock")), (PathRole::Folder, PathRole::State));
+        assert_eq!(RunFolder::place(Path::new("export/tum/camera.txt")), PathRole::File);
     }
 }

@@ -34,6 +34,6 @@ pub mod trajectories;
 pub use error::IoError;
 pub use export_folder::ExportFolder;
 pub use interchange::assembly::Losses;
-pub use owned_folder::{FolderError, InputIdentity, OwnedFolder, Place, refuse_own_input, refuse_place_of_results};
+pub use owned_folder::{FolderError, InputIdentity, OwnedFolder, PathRole, refuse_own_input, refuse_place_of_results};
 pub use run_folder::RunFolder;
 pub use sequence::{GROUND_LABEL, Sequence, SequenceFrame, TARGET_LABEL};

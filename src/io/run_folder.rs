@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::interchange::colmap;
-use super::owned_folder::Place;
+use super::owned_folder::PathRole;
 use super::{ExportFolder, IoError, ground, masks, tracks, trajectories};
 use crate::scene::{Frame, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
 
@@ -200,23 +200,23 @@ impl RunFolder {
     }
 
     /// Role of a path in a run's output folder, relative to it.
-    pub fn place(relative: &Path) -> Place {
+    pub fn place(relative: &Path) -> PathRole {
         let parts: Option<Vec<&str>> = relative.iter().map(|part| part.to_str()).collect();
-        let Some(parts) = parts else { return Place::Elsewhere };
+        let Some(parts) = parts else { return PathRole::Elsewhere };
         match parts[..] {
-            [] => Place::Folder,
-            [Self::STATE, ..] => Place::State,
-            [name] if DOCUMENTS.contains(&name) => Place::File,
-            [BACKGROUND | OBJECTS | AS_RECONSTRUCTED | TRACKS | POINT_CLOUDS] => Place::Folder,
-            [OBJECTS | AS_RECONSTRUCTED | TRACKS, id] if object_id(id).is_some() => Place::Folder,
-            [BACKGROUND, file] if colmap::is_file_name(file) => Place::File,
+            [] => PathRole::Folder,
+            [Self::STATE, ..] => PathRole::State,
+            [name] if DOCUMENTS.contains(&name) => PathRole::File,
+            [BACKGROUND | OBJECTS | AS_RECONSTRUCTED | TRACKS | POINT_CLOUDS] => PathRole::Folder,
+            [OBJECTS | AS_RECONSTRUCTED | TRACKS, id] if object_id(id).is_some() => PathRole::Folder,
+            [BACKGROUND, file] if colmap::is_file_name(file) => PathRole::File,
             [OBJECTS | AS_RECONSTRUCTED, id, file] if object_id(id).is_some() && colmap::is_file_name(file) => {
-                Place::File
+                PathRole::File
             }
-            [TRACKS, id, file] if object_id(id).is_some() && file.ends_with(".png") => Place::File,
-            [POINT_CLOUDS, file] if is_point_cloud(file) => Place::File,
+            [TRACKS, id, file] if object_id(id).is_some() && file.ends_with(".png") => PathRole::File,
+            [POINT_CLOUDS, file] if is_point_cloud(file) => PathRole::File,
             [EXPORTS, ref below @ ..] => ExportFolder::place_of(below),
-            _ => Place::Elsewhere,
+            _ => PathRole::Elsewhere,
         }
     }
 }
@@ -255,16 +255,16 @@ mod tests {
             folder.exports().join("vehicles.csv"),
         ];
         for file in files {
-            assert_eq!(RunFolder::place(file.strip_prefix("out").unwrap()), Place::File, "{}", file.display());
+            assert_eq!(RunFolder::place(file.strip_prefix("out").unwrap()), PathRole::File, "{}", file.display());
         }
         for folder in [folder.background(), folder.object(id), folder.tracks(), folder.point_clouds()] {
-            assert_eq!(RunFolder::place(folder.strip_prefix("out").unwrap()), Place::Folder, "{}", folder.display());
+            assert_eq!(RunFolder::place(folder.strip_prefix("out").unwrap()), PathRole::Folder, "{}", folder.display());
         }
         for other in
             ["notes.txt", "objects/my_models", "objects/007", "tracks/gps/t.gpx", "ply/scan.ply", "background/a"]
         {
-            assert_eq!(RunFolder::place(Path::new(other)), Place::Elsewhere, "{other}");
+            assert_eq!(RunFolder::place(Path::new(other)), PathRole::Elsewhere, "{other}");
         }
-        assert_eq!(RunFolder::place(Path::new(".tractrix/lock")), Place::State);
+        assert_eq!(RunFolder::place(Path::new(".tractrix/lock")), PathRole::State);
     }
 }

@@ -57,14 +57,14 @@ fn check(path: &Path, objects: &[TrackedObject]) -> Result<(), IoError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{FoundIn, FrameId, Movement, MovementFinding, ObjectId, Outline};
+    use crate::scene::{DetectionCounts, FrameId, Movement, MovementFinding, ObjectId, Outline};
 
     fn object(id: u32) -> TrackedObject {
         TrackedObject {
             id: ObjectId(id),
             class: "car".into(),
             confidence: 0.5,
-            found_in: FoundIn { detector: 2, carried: 1, ..FoundIn::default() },
+            found_in: DetectionCounts { detector: 2, carried: 1, ..DetectionCounts::default() },
             outline: Outline::Network,
             mask_quality: Some(0.9),
             movement: MovementFinding { state: Movement::Moving, reason: "12 of 14 points move".into() },

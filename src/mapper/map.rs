@@ -384,7 +384,7 @@ impl<'a> Map<'a> {
     }
 
     /// Result of the reconstruction, without the views.
-    pub fn into_found(mut self) -> Found {
+    pub fn into_found(mut self) -> MapPoints {
         self.slots_of_view = Vec::new();
         let cameras = self.cameras.iter().enumerate().map(|(i, c)| (camera_id(i), *c)).collect();
         let mut points = BTreeMap::new();
@@ -394,7 +394,7 @@ impl<'a> Map<'a> {
             }
             self.points[track] = None;
         }
-        Found { cameras, poses: self.poses, points }
+        MapPoints { cameras, poses: self.poses, points }
     }
 
     fn colmap_point(&self, track: usize) -> Option<Point3d> {
@@ -422,13 +422,13 @@ fn camera_id(camera: usize) -> CameraId {
 }
 
 /// A map without its views.
-pub struct Found {
+pub struct MapPoints {
     cameras: BTreeMap<CameraId, Camera>,
     poses: Vec<Option<Rigid3>>,
     points: BTreeMap<Point3dId, Point3d>,
 }
 
-impl Found {
+impl MapPoints {
     /// The whole, with the views that it was found in: each may go as soon as its features are taken over.
     pub fn with_views(self, views: impl Iterator<Item = tracks::View>) -> Reconstruction {
         let mut images = BTreeMap::new();

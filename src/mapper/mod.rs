@@ -6,25 +6,25 @@
 //! a fixed share. Views that fail are tried again when they see more points, and at the end, for a video, from the
 //! poses of their neighbours. Views that contradict what pairs of views say by themselves are taken out and tried again
 //! (`view_graph`). When a start does not carry far, the next pair is tried, and the largest map is kept. Views that are
-//! left over grow maps of their own, which are joined to it where enough ties them (`growth::submaps`).
+//! left over grow maps of their own, which are joined to it where enough ties them (`incremental_mapper::submaps`).
 //!
 //! Every view that is not part of the result has a [`Reason`] in the [`Report`].
 
 mod adjustment;
-mod apart;
 mod error;
 mod focal_changes;
-mod growth;
+mod focal_length;
+mod incremental_mapper;
 mod initial_pair;
+mod initialization;
 mod intrinsics_prior;
-mod known;
-mod lens;
+mod intrinsics_source;
 mod long_tracks;
 mod map;
 mod motion;
 mod report;
+mod separate_stretches;
 pub mod silhouette;
-mod starts;
 #[cfg(test)]
 mod tests;
 mod view_graph;
@@ -33,11 +33,11 @@ mod windows;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use growth::KnownPoses;
+pub use incremental_mapper::PosePriors;
 use intrinsics_prior::COMMON_ERROR_FACTOR;
-pub use known::{Intrinsics, KnownIntrinsics};
+pub use intrinsics_source::{Intrinsics, KnownIntrinsics};
 pub use long_tracks::cut_long_tracks;
-pub use motion::Remark;
+pub use motion::ModelWeakness;
 pub use report::{Outcome, Reason, Report};
 
 use crate::camera::Camera;
@@ -48,10 +48,10 @@ use crate::math::RobustLoss;
 use crate::scene::Reconstruction;
 pub use error::MapperError;
 pub use focal_changes::focal_changes;
-use growth::SubMap;
-use map::Found;
+use incremental_mapper::SubMap;
+use initialization::InitializationAttempt;
+use map::MapPoints;
 use silhouette::Silhouettes;
-use starts::Task;
 
 /// Options of the mapper.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -248,12 +248,12 @@ enum Noise {
 
 /// Prior knowledge of a target besides its tracks.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Beside<'a> {
+pub struct Priors<'a> {
     /// Of an object: of maps that explain less than good tracks let a map explain, the one whose points lie within them
     /// is taken.
     pub silhouettes: Option<&'a Silhouettes>,
     /// Poses of the views, roughly. A map starts from them, too, and maps whose views turn otherwise are worth less.
-    pub poses: Option<&'a KnownPoses>,
+    pub poses: Option<&'a PosePriors>,
 }
 
 /// Builds the map that explains the tracks best.
@@ -280,7 +280,7 @@ pub fn reconstruct(
     options: &Options,
     seed: u64,
 ) -> Result<(Reconstruction, Report), MapperError> {
-    reconstruct_watched(table, cameras, intrinsics, options, seed, Beside::default(), &mut |_| {})
+    reconstruct_watched(table, cameras, intrinsics, options, seed, Priors::default(), &mut |_| {})
 }
 
 /// As [`reconstruct`], with the priors `beside` the tracks. `watch` receives the finished share of the work
@@ -294,7 +294,7 @@ pub fn reconstruct_watched(
     intrinsics: impl Into<KnownIntrinsics>,
     options: &Options,
     seed: u64,
-    beside: Beside<'_>,
+    beside: Priors<'_>,
     watch: &mut dyn FnMut(f64),
 ) -> Result<(Reconstruction, Report), MapperError> {
     let (found, report) = found(table, cameras, intrinsics.into(), options, seed, beside, watch)?;
@@ -312,7 +312,7 @@ pub fn reconstruct_consuming(
     intrinsics: impl Into<KnownIntrinsics>,
     options: &Options,
     seed: u64,
-    beside: Beside<'_>,
+    beside: Priors<'_>,
     watch: &mut dyn FnMut(f64),
 ) -> Result<(Reconstruction, Report), MapperError> {
     let (found, report) = found(&table, cameras, intrinsics.into(), options, seed, beside, watch)?;
@@ -322,7 +322,7 @@ pub fn reconstruct_consuming(
 }
 
 fn with_views(
-    found: Option<Found>,
+    found: Option<MapPoints>,
     mut report: Report,
     views: impl Iterator<Item = crate::features::tracks::View>,
 ) -> (Reconstruction, Report) {
@@ -337,12 +337,12 @@ fn found(
     known: KnownIntrinsics,
     options: &Options,
     seed: u64,
-    beside: Beside<'_>,
+    beside: Priors<'_>,
     watch: &mut dyn FnMut(f64),
-) -> Result<(Option<Found>, Report), MapperError> {
+) -> Result<(Option<MapPoints>, Report), MapperError> {
     options.check()?;
     let options = &options.at_focal(cameras);
-    let task = Task { table, cameras, known: &known, options, beside };
+    let task = InitializationAttempt { table, cameras, known: &known, options, beside };
     let starts = task.grow_from_starts(seed, watch)?;
     let Some(mut growth) = starts.best else {
         let report = Report::without_start(table, starts.pairs.len(), starts.tried, &starts.survey);
@@ -354,7 +354,7 @@ fn found(
     }
     growth.join_left_over(&|rest, cameras, known| {
         // Of views that are left over, no other map says what the silhouettes have to tell apart.
-        let task = Task { table: rest, cameras, known, options, beside: Beside::default() };
+        let task = InitializationAttempt { table: rest, cameras, known, options, beside: Priors::default() };
         Ok(task.grow_from_starts(seed, &mut |_| {})?.best.as_ref().map(SubMap::of))
     })?;
     let (map, mut report) = growth.into_result();

@@ -103,7 +103,7 @@ impl Survey {
 /// Weakness of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
-pub enum Remark {
+pub enum ModelWeakness {
     /// All points lie near one plane.
     PlanarScene {
         /// True if the focal length was to be estimated from it.
@@ -118,7 +118,7 @@ pub enum Remark {
     },
 }
 
-impl fmt::Display for Remark {
+impl fmt::Display for ModelWeakness {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::PlanarScene { intrinsics_refined: false } => write!(f, "all points are near one plane"),
@@ -143,13 +143,13 @@ impl fmt::Display for Remark {
 }
 
 /// Remarks on the shape of a finished map.
-pub fn remarks_on(map: &Map<'_>) -> Vec<Remark> {
+pub fn remarks_on(map: &Map<'_>) -> Vec<ModelWeakness> {
     let mut out = Vec::new();
     if is_planar(map) {
-        out.push(Remark::PlanarScene { intrinsics_refined: map.unknown_cameras().next().is_some() });
+        out.push(ModelWeakness::PlanarScene { intrinsics_refined: map.unknown_cameras().next().is_some() });
     }
     if is_forward(map) {
-        out.push(Remark::ForwardMotion);
+        out.push(ModelWeakness::ForwardMotion);
     }
     out
 }
@@ -237,7 +237,7 @@ mod tests {
 
     #[test]
     fn remarks_read_well() {
-        let loose = |percent| Remark::LooseFocalLength { percent }.to_string();
+        let loose = |percent| ModelWeakness::LooseFocalLength { percent }.to_string();
         assert!(loose(2.31).starts_with("focal length uncertain (±2.3 %):"));
         assert!(loose(100.0).starts_with("focal length almost undetermined by the motion:"));
     }

@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::map::Map;
-use super::motion::{Remark, Survey};
+use super::motion::{ModelWeakness, Survey};
 use crate::features::tracks::TrackTable;
 use crate::scene::ImageId;
 
@@ -136,7 +136,7 @@ pub struct Report {
     pub focal_deviations: Vec<Option<f64>>,
     /// Weaknesses of the map, in the motion and in the scene.
     #[serde(default)]
-    pub remarks: Vec<Remark>,
+    pub remarks: Vec<ModelWeakness>,
     /// Why nothing was reconstructed, where nothing was.
     pub failure: Option<String>,
 }

@@ -39,7 +39,7 @@ const FINE_SHARE: f64 = 0.5;
 
 /// Verdict of a pair of registered views on the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Opinion {
+pub struct PairVerdict {
     /// The views.
     pub views: [usize; 2],
     /// Points for the map; 0 where the pair contradicts it.
@@ -99,7 +99,7 @@ impl ViewGraph {
     }
 
     /// Verdicts of pairs of registered views; only of those of one view, where it is given.
-    pub fn opinions(&self, map: &Map<'_>, of: Option<usize>) -> Vec<Opinion> {
+    pub fn opinions(&self, map: &Map<'_>, of: Option<usize>) -> Vec<PairVerdict> {
         let wanted = |views: &[usize; 2]| {
             of.is_none_or(|view| views.contains(&view)) && views.iter().all(|&v| map.poses[v].is_some())
         };
@@ -117,7 +117,7 @@ impl ViewGraph {
 
     /// Compares the epipolar geometry of the map with the one that two views have by themselves, by the tracks that
     /// each explains at the map's noise.
-    fn fine_opinion(&self, map: &Map<'_>, views: [usize; 2], tracks: &[u32]) -> Option<Opinion> {
+    fn fine_opinion(&self, map: &Map<'_>, views: [usize; 2], tracks: &[u32]) -> Option<PairVerdict> {
         let max_error_px = self.thresholds.fine_px?;
         let common: Vec<usize> = tracks.iter().map(|&t| t as usize).collect();
         let (first, second) = (map.poses[views[0]]?, map.poses[views[1]]?);
@@ -126,24 +126,24 @@ impl ViewGraph {
             two_view::num_explained(pairs, &in_map, max_error)
         })?;
         if explained as f64 >= FINE_SHARE * common.len() as f64 {
-            return Some(Opinion { views, agreeing: explained, contradicting: 0 });
+            return Some(PairVerdict { views, agreeing: explained, contradicting: 0 });
         }
         let by_itself = self.on_pair(map, views, &common, max_error_px, |pairs, max_error, rng| {
             two_view::verify(pairs, max_error, rng).len()
         });
         let contradicts = by_itself >= MIN_COMMON && (explained as f64) < FINE_SHARE * by_itself as f64;
-        contradicts.then_some(Opinion { views, agreeing: 0, contradicting: by_itself - explained })
+        contradicts.then_some(PairVerdict { views, agreeing: 0, contradicting: by_itself - explained })
     }
 
-    fn opinion(&self, map: &Map<'_>, views: [usize; 2], tracks: &[u32]) -> Option<Opinion> {
+    fn opinion(&self, map: &Map<'_>, views: [usize; 2], tracks: &[u32]) -> Option<PairVerdict> {
         let common: Vec<usize> = tracks.iter().map(|&t| t as usize).collect();
         let known: Vec<usize> = common.iter().copied().filter(|&t| map.point(t).is_some()).collect();
         let fits = known.iter().filter(|&&t| views.iter().all(|&v| self.fits(map, t, v))).count();
         let is_share = |share: f64, of: &[usize]| fits as f64 >= share * of.len() as f64;
-        let agrees = Some(Opinion { views, agreeing: fits, contradicting: 0 });
+        let agrees = Some(PairVerdict { views, agreeing: fits, contradicting: 0 });
         let needed = MIN_COMMON.max(2 * fits);
         let contradicts =
-            |points: usize| (points >= needed).then_some(Opinion { views, agreeing: 0, contradicting: points });
+            |points: usize| (points >= needed).then_some(PairVerdict { views, agreeing: 0, contradicting: points });
         if known.len() >= MIN_COMMON && is_share(AGREEING_SHARE, &common) {
             return agrees;
         }
@@ -226,14 +226,14 @@ fn contradicted_by(map: &Map<'_>, [a, b]: [usize; 2], found: &TwoViewGeometry) -
 }
 
 /// Points for and against a view.
-pub fn balance(opinions: &[Opinion], view: usize) -> (usize, usize) {
+pub fn balance(opinions: &[PairVerdict], view: usize) -> (usize, usize) {
     let own = opinions.iter().filter(|o| o.views.contains(&view));
     own.fold((0, 0), |(agreeing, against), o| (agreeing + o.agreeing, against + o.contradicting))
 }
 
 /// The views that have more against them than for them, the worst first; opinions of pairs with a worse view do not
 /// count.
-pub fn contradicted(mut opinions: Vec<Opinion>) -> Vec<usize> {
+pub fn contradicted(mut opinions: Vec<PairVerdict>) -> Vec<usize> {
     let mut out = Vec::new();
     loop {
         let mut views: Vec<usize> = opinions.iter().flat_map(|o| o.views).collect();
@@ -259,8 +259,8 @@ pub fn contradicted(mut opinions: Vec<Opinion>) -> Vec<usize> {
 mod tests {
     use super::*;
 
-    fn opinion(a: usize, b: usize, agreeing: usize, contradicting: usize) -> Opinion {
-        Opinion { views: [a, b], agreeing, contradicting }
+    fn opinion(a: usize, b: usize, agreeing: usize, contradicting: usize) -> PairVerdict {
+        PairVerdict { views: [a, b], agreeing, contradicting }
     }
 
     #[test]

@@ -11,7 +11,7 @@ use crate::scene::{MetricFrame, MetricPose};
 
 /// A point that is seen from a camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sighted {
+pub struct ObservedPoint {
     /// The point, in the frame of the background.
     pub point: Point3<f64>,
     /// The camera's centre, in the frame of the background.
@@ -22,7 +22,7 @@ pub struct Sighted {
     pub direction_std: f64,
 }
 
-impl Sighted {
+impl ObservedPoint {
     fn ray_m(&self, frame: &MetricFrame) -> Vector3<f64> {
         let metric_from_world = frame.metric_from_world();
         metric_from_world.rotation * (self.point - self.center) * metric_from_world.scale
@@ -30,7 +30,7 @@ impl Sighted {
 }
 
 /// Position and distance in metres, relative to the camera; motion and place are for others to say.
-pub fn metric_pose(frame: &MetricFrame, sighted: &Sighted) -> MetricPose {
+pub fn metric_pose(frame: &MetricFrame, sighted: &ObservedPoint) -> MetricPose {
     let ray_m = sighted.ray_m(frame);
     let log_std = frame.log_scale_std().hypot(sighted.log_ratio_std);
     MetricPose {
@@ -45,7 +45,7 @@ pub fn metric_pose(frame: &MetricFrame, sighted: &Sighted) -> MetricPose {
 
 /// Standard deviations of the point's place on the map along the axes of the metric frame: what the alignment leaves,
 /// which has the scale in it, and what the ratio and the direction add.
-pub fn place_std_m(frame: &MetricFrame, sighted: &Sighted) -> [f64; 3] {
+pub fn place_std_m(frame: &MetricFrame, sighted: &ObservedPoint) -> [f64; 3] {
     let of_ray = ray_covariance(&sighted.ray_m(frame), sighted.log_ratio_std, sighted.direction_std);
     axes_std(&(alignment_covariance(frame, sighted.point) + of_ray))
 }
@@ -93,7 +93,7 @@ mod tests {
 
     #[test]
     fn the_ratio_moves_a_point_along_its_ray() {
-        let sighted = Sighted {
+        let sighted = ObservedPoint {
             point: point![0.0, 10.0, 0.0],
             center: point![0.0, 0.0, 0.0],
             log_ratio_std: 0.04,
@@ -113,7 +113,7 @@ mod tests {
         let mut frame = frame();
         frame.covariance[4][4] = 9.0;
         frame.covariance[3][3] = 1e-4;
-        let sighted = Sighted {
+        let sighted = ObservedPoint {
             point: point![0.0, 10.0, 0.0],
             center: point![0.0, 8.0, 0.0],
             log_ratio_std: 0.1,

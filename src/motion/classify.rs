@@ -26,7 +26,7 @@ pub enum Verdict {
     /// The standing point that could be seen so floats over the ground: something tall, or a vehicle that comes nearer.
     Floating,
     /// It stands on the ground.
-    Standing,
+    Stationary,
     /// It keeps its place in the picture, whatever the camera does: a bonnet, a mark, a letter.
     Fixed,
     /// Too short, too noisy, or the camera moves too little to say.
@@ -164,7 +164,7 @@ impl Measured {
         } else if is_clear(along, along_px) {
             Verdict::Floating
         } else if is_quiet && self.is_depth_known(noise_px, options) {
-            Verdict::Standing
+            Verdict::Stationary
         } else {
             Verdict::Undetermined
         };

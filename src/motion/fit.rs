@@ -26,7 +26,7 @@ pub(super) struct StaticFit {
 }
 
 /// One observation: how its camera stands to the reference, and where the point is seen on the plane z = 1.
-struct Sight {
+struct ViewObservation {
     rotation: Matrix3<f64>,
     translation: Vector3<f64>,
     seen: Vector2<f64>,
@@ -85,12 +85,17 @@ fn undistorted(view: &View, pixel: [f64; 2]) -> Vector2<f64> {
     view.camera.normalized_from_pixel(Point2::from(pixel))
 }
 
-fn sights(track: &PointTrack, surroundings: &Surroundings, frames: &[u32], reference: u32) -> Option<Vec<Sight>> {
+fn sights(
+    track: &PointTrack,
+    surroundings: &Surroundings,
+    frames: &[u32],
+    reference: u32,
+) -> Option<Vec<ViewObservation>> {
     let world_from_reference = view(surroundings, reference)?.cam_from_world.inverse();
     let sight = |&frame: &u32| {
         let view = view(surroundings, frame)?;
         let relative = view.cam_from_world * world_from_reference;
-        Some(Sight {
+        Some(ViewObservation {
             rotation: *relative.rotation.to_rotation_matrix().matrix(),
             translation: relative.translation,
             seen: undistorted(view, track.at(frame)?),
@@ -101,7 +106,7 @@ fn sights(track: &PointTrack, surroundings: &Surroundings, frames: &[u32], refer
 }
 
 /// The inverse depth of a ray that serves all sights best, by linear least squares (eq. 2).
-fn linear_inverse_depth(sights: &[Sight], ray: Vector2<f64>) -> f64 {
+fn linear_inverse_depth(sights: &[ViewObservation], ray: Vector2<f64>) -> f64 {
     let (mut product, mut square) = (0.0, 0.0);
     for sight in sights {
         let turned = sight.rotation * Vector3::new(ray.x, ray.y, 1.0);
@@ -114,7 +119,7 @@ fn linear_inverse_depth(sights: &[Sight], ray: Vector2<f64>) -> f64 {
 }
 
 /// Residual in pixels and its derivatives by x, y and inverse depth; `None` behind the camera.
-fn residual(sight: &Sight, point: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+fn residual(sight: &ViewObservation, point: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
     let seen = sight.rotation * Vector3::new(point.x, point.y, 1.0) + sight.translation * point.z;
     if seen.z < 1e-3 {
         return None;
@@ -126,7 +131,7 @@ fn residual(sight: &Sight, point: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix
     Some(((normalized - sight.seen) * sight.focal, by_seen * columns))
 }
 
-fn normal_equations(sights: &[Sight], point: &Vector3<f64>) -> Option<(Matrix3<f64>, Vector3<f64>)> {
+fn normal_equations(sights: &[ViewObservation], point: &Vector3<f64>) -> Option<(Matrix3<f64>, Vector3<f64>)> {
     let (mut hessian, mut gradient) = (Matrix3::zeros(), Vector3::zeros());
     for sight in sights {
         let (residual, jacobian) = residual(sight, point)?;
@@ -143,7 +148,12 @@ fn damped(hessian: &Matrix3<f64>) -> Matrix3<f64> {
     damped
 }
 
-fn summary(sights: &[Sight], point: Vector3<f64>, normal: &Matrix3<f64>, reference: u32) -> Option<StaticFit> {
+fn summary(
+    sights: &[ViewObservation],
+    point: Vector3<f64>,
+    normal: &Matrix3<f64>,
+    reference: u32,
+) -> Option<StaticFit> {
     let (mut sum, mut max_sq, mut shift_px) = (0.0, 0.0f64, 0.0f64);
     for sight in sights {
         let (residual, jacobian) = residual(sight, &point)?;

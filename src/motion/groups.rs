@@ -112,7 +112,7 @@ pub(super) fn moving_company(tracks: &[PointTrack], labels: &[TrackLabel], scale
 fn add([moving, standing]: &mut [f64; 2], label: &TrackLabel) {
     match label.verdict {
         Verdict::Moving(_) => *moving += 1.0,
-        Verdict::Standing => *standing += 1.0,
+        Verdict::Stationary => *standing += 1.0,
         // It may be a part of a vehicle that comes nearer.
         Verdict::Floating => *standing += 0.5,
         Verdict::Fixed | Verdict::Undetermined => {}

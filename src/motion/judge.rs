@@ -5,8 +5,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::foot::Stance;
-use super::{Evidence, Foot, PointTrack, TrackLabel, Verdict};
+use super::contact::ContactEvidence;
+use super::{ContactDepth, Evidence, PointTrack, TrackLabel, Verdict};
 use crate::scene::Movement;
 
 /// A track that lies on an object.
@@ -19,7 +19,7 @@ pub struct PointOnObject<'a> {
     /// Share of its frames in which it lies on the object.
     pub inside: f64,
     /// The object's foot below it; `None` where it has no static point or there is no ground below.
-    pub foot: Option<Foot>,
+    pub foot: Option<ContactDepth>,
 }
 
 /// Reason of the judgement.
@@ -127,7 +127,7 @@ pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
     let on_it: Vec<&PointOnObject> = points.iter().filter(|point| point.inside >= LEAST_INSIDE).collect();
     let leaves_line = |label: &TrackLabel| label.verdict == Verdict::Moving(Evidence::OffItsLine);
     let is_quiet = |label: &TrackLabel| {
-        matches!(label.verdict, Verdict::Standing | Verdict::Floating | Verdict::Moving(Evidence::BehindGround))
+        matches!(label.verdict, Verdict::Stationary | Verdict::Floating | Verdict::Moving(Evidence::BehindGround))
     };
     let of = |is: &dyn Fn(&TrackLabel) -> bool| {
         let lengths = on_it.iter().filter(|point| is(point.label)).map(|point| point.track.pixels.len());
@@ -136,9 +136,9 @@ pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
     let ((num_moving, moving), (num_standing, quiet)) = (of(&leaves_line), of(&is_quiet));
     let (num_behind, _) = of(&|label| label.verdict == Verdict::Moving(Evidence::BehindGround));
     let share = moving / (moving + quiet).max(1e-9);
-    let feet: Vec<Foot> = on_it.iter().filter_map(|point| point.foot).collect();
+    let feet: Vec<ContactDepth> = on_it.iter().filter_map(|point| point.foot).collect();
     let heights = on_it.iter().filter(|point| point.foot.is_some()).filter_map(|point| point.label.relative_height);
-    let stance = Stance::of(&feet, heights.collect());
+    let stance = ContactEvidence::of(&feet, heights.collect());
     let odds = stance.map_or(1.0, |stance| stance.odds_of_motion());
     let (movement, reason) = match () {
         () if num_moving + num_standing.max(feet.len()) < MIN_POINTS => {
@@ -156,7 +156,7 @@ pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
         () if odds >= CLEAR_ODDS && num_behind >= MIN_POINTS => (Movement::Moving, MovementReason::FootBehindGround),
         () if share > FEW_MOVE => (Movement::Undetermined, MovementReason::Divided),
         () if odds <= 1.0 / CLEAR_ODDS && num_standing >= MIN_POINTS => {
-            (Movement::Standing, MovementReason::PointsStand)
+            (Movement::Stationary, MovementReason::PointsStand)
         }
         () => (Movement::Undetermined, MovementReason::AlongCameraPath),
     };
@@ -197,7 +197,7 @@ mod tests {
     fn is_flat(heights: &[Option<f64>], inside: f64) -> bool {
         let track = PointTrack { first: 0, pixels: vec![[0.0, 0.0]; 10] };
         let label = |relative_height: &Option<f64>| TrackLabel {
-            verdict: Verdict::Standing,
+            verdict: Verdict::Stationary,
             strength: 0.0,
             deviation_px: 0.0,
             relative_height: *relative_height,

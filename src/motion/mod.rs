@@ -10,15 +10,15 @@
 //! All but the follower is arithmetic on values.
 
 mod classify;
+mod contact;
 mod fit;
 mod follower;
-mod foot;
 mod ground;
 mod groups;
 mod judge;
 mod movers;
 mod noise;
-mod standing;
+mod stationary;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
@@ -29,14 +29,14 @@ use serde::{Deserialize, Serialize};
 
 pub use self::classify::{Evidence, StaticPoint, TrackLabel, Verdict, classify};
 pub use self::follower::{PointFollower, PointTrack};
-pub use self::foot::Foot;
 pub use self::ground::GroundModel;
 pub use self::judge::{Judgement, MovementReason, PointOnObject, judge};
 pub use self::movers::{Mover, movers};
-pub use self::standing::shows_standing;
 use crate::camera::Camera;
 use crate::checks::{Checked, under, within};
 use crate::math::Rigid3;
+pub use contact::ContactDepth;
+pub use stationary::shows_standing;
 
 /// Camera of one frame, from the background.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -147,7 +147,7 @@ impl Maker<'_> {
         if purity < self.options.movers.min_purity {
             return None;
         }
-        if self.is_fixed(&Path::new(self.tracks, group)) {
+        if self.is_fixed(&GroupTrajectory::new(self.tracks, group)) {
             return None;
         }
         let looseness_px = self.looseness_px(group, &boxes)?;
@@ -182,7 +182,7 @@ impl Maker<'_> {
         let point = |&track: &usize| {
             let place = self.tracks[track].at(frame).filter(|p| rect.contains(p[0], p[1]))?;
             let is_own = group.binary_search(&track).is_ok();
-            let stands = matches!(self.labels[track].verdict, Verdict::Standing | Verdict::Floating);
+            let stands = matches!(self.labels[track].verdict, Verdict::Stationary | Verdict::Floating);
             (is_own || stands).then_some(Inside { track, place, is_own })
         };
         seen.iter().filter_map(point).collect()
@@ -203,7 +203,7 @@ impl Maker<'_> {
 
     /// Returns true if a group keeps its position in the image, except for a slow drift, for three seconds or more: a
     /// reflection in the windscreen, a hood.
-    fn is_fixed(&self, path: &Path) -> bool {
+    fn is_fixed(&self, path: &GroupTrajectory) -> bool {
         const LEAST_TIME_S: f64 = 3.0;
         const MOST_PX_PER_S: f64 = 1.0;
         let time_s = path.places.len() as f64 / f64::from(self.scales.second);
@@ -243,7 +243,7 @@ impl Maker<'_> {
     /// A box round the points of each frame that sees three or more of them. Points that are not seen just then, but a
     /// little before or after, are carried along with the others.
     fn boxes(&self, group: &[usize], size: (u32, u32)) -> BTreeMap<u32, Rect> {
-        let path = Path::new(self.tracks, group);
+        let path = GroupTrajectory::new(self.tracks, group);
         let window = (self.scales.second / 3).max(1);
         let frames = path.frames().filter(|&frame| path.num_seen(frame) >= 3);
         frames
@@ -251,7 +251,7 @@ impl Maker<'_> {
             .collect()
     }
 
-    fn box_at(&self, group: &[usize], path: &Path, frame: u32, window: u32) -> Option<Rect> {
+    fn box_at(&self, group: &[usize], path: &GroupTrajectory, frame: u32, window: u32) -> Option<Rect> {
         let places: Vec<[f64; 2]> = group
             .iter()
             .filter_map(|&k| {
@@ -399,13 +399,13 @@ fn middle(b: &Rect) -> [f64; 2] {
 }
 
 /// Where a group goes as a whole: the sum of the median steps of its points.
-struct Path {
+struct GroupTrajectory {
     first: u32,
     places: Vec<[f64; 2]>,
     seen: Vec<u32>,
 }
 
-impl Path {
+impl GroupTrajectory {
     fn new(tracks: &[PointTrack], group: &[usize]) -> Self {
         let first = group.iter().map(|&k| tracks[k].first).min().unwrap_or(0);
         let end = group.iter().map(|&k| tracks[k].end()).max().unwrap_or(first);

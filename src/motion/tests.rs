@@ -109,7 +109,7 @@ fn a_parked_vehicle_stands() {
         let (_, found) = look(&world);
         assert!(found.is_empty(), "{flight:?}: {}", found.len());
         let judged = judged(&world);
-        assert_eq!(judged.movement, Movement::Standing, "{flight:?}: {judged}");
+        assert_eq!(judged.movement, Movement::Stationary, "{flight:?}: {judged}");
     }
 }
 
@@ -148,7 +148,7 @@ fn a_parked_car_that_is_passed_does_not_move_though_its_lower_body_is_hidden() {
         let all = before_dash_cameras([22.0, 3.2], [0.0; 2], hidden_m);
         assert_eq!(count(&all, Movement::Moving), 0, "{hidden_m}: {all:?}");
         if hidden_m <= 0.25 {
-            assert!(count(&all, Movement::Standing) >= 5, "{hidden_m}: {all:?}");
+            assert!(count(&all, Movement::Stationary) >= 5, "{hidden_m}: {all:?}");
         }
     }
 }
@@ -171,7 +171,7 @@ fn a_lead_car_that_the_camera_approaches_slowly_is_not_stationary() {
     // Gaps that close by a half of the camera's way, by a third and by a fifth.
     for (start, speed) in [([16.0, 0.3], 4.0), ([13.0, 0.3], 5.3), ([12.0, 0.3], 6.4)] {
         let all = before_dash_cameras(start, [speed, 0.0], 0.0);
-        assert_eq!(count(&all, Movement::Standing), 0, "{speed}: {all:?}");
+        assert_eq!(count(&all, Movement::Stationary), 0, "{speed}: {all:?}");
         assert!(count(&all, Movement::Moving) >= 10, "{speed}: {all:?}");
     }
 }
@@ -180,14 +180,14 @@ fn a_lead_car_that_the_camera_approaches_slowly_is_not_stationary() {
 fn an_oncoming_car_before_a_dash_camera_is_not_stationary() {
     for speed in [4.0, 8.0, 14.0] {
         let all = before_dash_cameras([26.0 + 3.0 * speed, 3.5], [-speed, 0.0], 0.0);
-        assert_eq!(count(&all, Movement::Standing), 0, "{speed}: {all:?}");
+        assert_eq!(count(&all, Movement::Stationary), 0, "{speed}: {all:?}");
     }
 }
 
 #[test]
 fn a_crossing_car_is_not_stationary() {
     let all = before_dash_cameras([40.0, -9.0], [0.0, 6.0], 0.0);
-    assert_eq!(count(&all, Movement::Standing), 0, "{all:?}");
+    assert_eq!(count(&all, Movement::Stationary), 0, "{all:?}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector3};
 use rand::Rng as _;
 use rand_distr::StandardNormal;
 
-use super::{EvidenceOptions, Foot, GroundModel, PointTrack, Surroundings, TrackLabel, View};
+use super::{ContactDepth, EvidenceOptions, GroundModel, PointTrack, Surroundings, TrackLabel, View};
 use crate::camera::Camera;
 use crate::math::{Rigid3, Rng, seeded_rng};
 use crate::scene::Rect;
@@ -79,7 +79,7 @@ impl World {
     }
 
     /// Foot of the vehicle below a point on it, as its mask would show it.
-    pub fn foot(&self, track: &PointTrack, label: &TrackLabel) -> Option<Foot> {
+    pub fn foot(&self, track: &PointTrack, label: &TrackLabel) -> Option<ContactDepth> {
         /// Half the width of the column in which the lower edge is looked for, pixels.
         const COLUMN_PX: f64 = 4.0;
         let point = label.static_point?;

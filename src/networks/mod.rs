@@ -1,7 +1,7 @@
 //! Neural networks for detection, segmentation and optical flow.
 //!
 //! Models stand behind traits, so that the networks can be exchanged: a [`Segmenter`] finds objects in one frame with
-//! their masks, a [`Detector`] finds them as boxes, a [`Prompter`] finds the masks of boxes, a [`GroundSegmenter`]
+//! their masks, a [`Detector`] finds them as boxes, a [`BoxSegmenter`] finds the masks of boxes, a [`GroundSegmenter`]
 //! finds the ground in one frame, a [`FlowEstimator`] estimates where each pixel of one frame lies in another. A detector
 //! and a prompter come with the program ([`default_models`]).
 //!
@@ -9,24 +9,24 @@
 //! be seen from these (the preprocessing of a semantic network) stands in `models/models.toml` or in a file of the same
 //! form next to the network, `network.toml` for `network.onnx`. See `docs/perception.md`.
 
+mod default_models;
 mod description;
 mod error;
 mod flow;
 mod ground;
 mod prompt;
 mod segmentation;
-mod shipped;
 mod tensor;
 
 pub use self::description::{ModelDescription, Preprocessing};
 pub use self::error::PerceptionError;
 pub use self::flow::{DisFlow, DisPreset, FlowEstimator, FlowOptions, OnnxFlow, load_flow};
 pub use self::ground::{GroundOptions, GroundSegmenter, load_ground_segmenter};
-pub use self::prompt::{GrabCut, PromptOptions, Prompted, Prompter, load_prompter};
+pub use self::prompt::{BoxMask, BoxSegmenter, GrabCut, PromptOptions, load_box_segmenter};
 pub use self::segmentation::{
     Detector, DetectorOptions, SegmentationOptions, Segmenter, Tiling, load_detector, load_segmenter,
 };
-pub use self::shipped::{DefaultModels, default_descriptions, default_models};
+pub use default_models::{DefaultModels, default_descriptions, default_models};
 
 /// Longer sides of pictures, pixels, that networks are asked about: below, there is nothing to see; beyond, memory
 /// ends.

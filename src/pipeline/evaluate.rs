@@ -25,7 +25,7 @@ pub fn evaluate(output: &Path, truth: &Path) -> Result<Evaluation, PipelineError
 
 /// Extent to which an evaluation was saved in the output folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Kept {
+pub enum SavedEvaluation {
     /// `evaluation.json` is written, and the page shows it.
     Everywhere,
     /// `evaluation.json` is written; why the page could not be made again.
@@ -38,16 +38,16 @@ pub enum Kept {
 ///
 /// # Errors
 /// [`PipelineError::Folder`] where another run is at work on the folder, or something stands in the way.
-pub fn keep_evaluation(output: &Path, truth: &Path, evaluation: &Evaluation) -> Result<Kept, PipelineError> {
+pub fn keep_evaluation(output: &Path, truth: &Path, evaluation: &Evaluation) -> Result<SavedEvaluation, PipelineError> {
     if !Workspace::is_own(output) {
-        return Ok(Kept::Nowhere);
+        return Ok(SavedEvaluation::Nowhere);
     }
     Workspace::inspect(output, &[("--truth", truth)])?;
     let workspace = Workspace::open(output)?;
     workspace.put_file(&workspace.evaluation(), |fresh| atomic::write_json(fresh, evaluation))?;
     Ok(match report::renew(&workspace) {
-        Ok(()) => Kept::Everywhere,
-        Err(error) => Kept::WithoutPage(error.to_string()),
+        Ok(()) => SavedEvaluation::Everywhere,
+        Err(error) => SavedEvaluation::WithoutPage(error.to_string()),
     })
 }
 

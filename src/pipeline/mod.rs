@@ -19,8 +19,10 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-pub use driver::completion::{Ended, Failed, Identity, Standing, is_begun, standing, standing_of_given};
-pub use driver::meter::{Cost, process_cpu_s};
+pub use driver::completion::{
+    Completion, FolderState, Identity, RunFailure, folder_state, folder_state_of_given, is_begun,
+};
+pub use driver::cost::{Cost, process_cpu_s};
 use driver::progress::Muted;
 pub use driver::progress::{Plan, Planned, Progress, Silent};
 pub use driver::reopen::{arguments_of_run, known_frames, reopen};
@@ -28,7 +30,7 @@ pub use driver::run::StageRecord;
 pub use driver::stage::Stage;
 pub use driver::workspace::{Marker, Overwrite, Workspace};
 pub use error::PipelineError;
-pub use evaluate::{Kept, evaluate, keep_evaluation};
+pub use evaluate::{SavedEvaluation, evaluate, keep_evaluation};
 pub use options::{
     Ablation, DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MOST_THREADS,
     MaskChoice, MaskingOptions, MetricOptions, ModelFiles, MotionChoice, OptionRow, OptionSection, Options,
@@ -148,7 +150,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
 fn leave_record(job: &Job, workspace: &Workspace, of: Identity, summary: &Summary) -> Result<(), PipelineError> {
     let is_whole = job.goal == Stage::Report && summary.failure().is_none();
     match is_whole && Identity::of(job.input, job.options) == of {
-        true => workspace.set_ended(&Ended::new(of, job.options, None)),
+        true => workspace.set_ended(&Completion::new(of, job.options, None)),
         false => Ok(()),
     }
 }
@@ -211,24 +213,24 @@ fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<(), PipelineErr
     if stage == Stage::Report && !run.all_reused() {
         run.workspace.clear_marker(stage)?;
     }
-    let depends_on = depends_on(run, stage, input)?;
-    run.stage(stage, depends_on, |run, fingerprint| work(run, stage, fingerprint))
+    let cache_key = cache_key(run, stage, input)?;
+    run.stage(stage, cache_key, |run, fingerprint| run_stage(run, stage, fingerprint))
 }
 
 /// Everything that a stage's result depends on besides the stages before it.
-fn depends_on(run: &Run, stage: Stage, input: &str) -> Result<Value, PipelineError> {
+fn cache_key(run: &Run, stage: Stage, input: &str) -> Result<Value, PipelineError> {
     Ok(match stage {
-        Stage::Frames => crate::pipeline::stages::frames::depends_on(run, input),
-        Stage::Segment => crate::pipeline::stages::segment::depends_on(run)?,
-        Stage::Features => crate::pipeline::stages::features::depends_on(run)?,
-        Stage::Background => crate::pipeline::stages::background::background_depends_on(run)?,
-        Stage::Motion => crate::pipeline::stages::motion::depends_on(run)?,
-        Stage::Track => crate::pipeline::stages::track::depends_on(run)?,
-        Stage::Follow => crate::pipeline::stages::follow::depends_on(run)?,
-        Stage::Objects => crate::pipeline::stages::objects::depends_on(run)?,
-        Stage::Ground => crate::pipeline::stages::ground::depends_on(run)?,
-        Stage::Scale => crate::pipeline::stages::scale::depends_on(run),
-        Stage::Metric => crate::pipeline::stages::metric::depends_on(run),
+        Stage::Frames => crate::pipeline::stages::frames::cache_key(run, input),
+        Stage::Segment => crate::pipeline::stages::segment::cache_key(run)?,
+        Stage::Features => crate::pipeline::stages::features::cache_key(run)?,
+        Stage::Background => crate::pipeline::stages::background::background_cache_key(run)?,
+        Stage::Motion => crate::pipeline::stages::motion::cache_key(run)?,
+        Stage::Track => crate::pipeline::stages::track::cache_key(run)?,
+        Stage::Follow => crate::pipeline::stages::follow::cache_key(run)?,
+        Stage::Objects => crate::pipeline::stages::objects::cache_key(run)?,
+        Stage::Ground => crate::pipeline::stages::ground::cache_key(run)?,
+        Stage::Scale => crate::pipeline::stages::scale::cache_key(run),
+        Stage::Metric => crate::pipeline::stages::metric::cache_key(run),
         Stage::Report => json!({ "arguments": run.arguments }),
     })
 }
@@ -246,20 +248,20 @@ fn intermediates(stage: Stage) -> &'static [&'static str] {
     }
 }
 
-fn work(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, PipelineError> {
+fn run_stage(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, PipelineError> {
     match stage {
-        Stage::Frames => crate::pipeline::stages::frames::work(run),
-        Stage::Segment => crate::pipeline::stages::segment::work(run, fingerprint),
-        Stage::Features => crate::pipeline::stages::features::work(run, fingerprint),
-        Stage::Background => crate::pipeline::stages::background::background_work(run),
-        Stage::Motion => crate::pipeline::stages::motion::work(run, fingerprint),
-        Stage::Track => crate::pipeline::stages::track::work(run, fingerprint),
-        Stage::Follow => crate::pipeline::stages::follow::work(run, fingerprint),
-        Stage::Objects => crate::pipeline::stages::objects::work(run, fingerprint),
-        Stage::Ground => crate::pipeline::stages::ground::work(run, fingerprint),
-        Stage::Scale => crate::pipeline::stages::scale::work(run),
-        Stage::Metric => crate::pipeline::stages::metric::work(run),
-        Stage::Report => crate::pipeline::stages::report::work(run),
+        Stage::Frames => crate::pipeline::stages::frames::run_stage(run),
+        Stage::Segment => crate::pipeline::stages::segment::run_stage(run, fingerprint),
+        Stage::Features => crate::pipeline::stages::features::run_stage(run, fingerprint),
+        Stage::Background => crate::pipeline::stages::background::run_background(run),
+        Stage::Motion => crate::pipeline::stages::motion::run_stage(run, fingerprint),
+        Stage::Track => crate::pipeline::stages::track::run_stage(run, fingerprint),
+        Stage::Follow => crate::pipeline::stages::follow::run_stage(run, fingerprint),
+        Stage::Objects => crate::pipeline::stages::objects::run_stage(run, fingerprint),
+        Stage::Ground => crate::pipeline::stages::ground::run_stage(run, fingerprint),
+        Stage::Scale => crate::pipeline::stages::scale::run_stage(run),
+        Stage::Metric => crate::pipeline::stages::metric::run_stage(run),
+        Stage::Report => crate::pipeline::stages::report::run_stage(run),
     }
 }
 
@@ -275,7 +277,7 @@ fn open_stages(run: &Run, goal: Stage, input: &str) -> Result<Vec<Stage>, Pipeli
     for stage in stages {
         let upstream: Vec<&str> = stage.after().iter().map(|before| fingerprints[before].as_str()).collect();
         let fingerprint =
-            crate::pipeline::driver::fingerprint::of_stage(stage, &depends_on(run, stage, input)?, &upstream);
+            crate::pipeline::driver::fingerprint::of_stage(stage, &cache_key(run, stage, input)?, &upstream);
         if !run.is_done(stage, &fingerprint) {
             open.push(stage);
         }

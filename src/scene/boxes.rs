@@ -96,7 +96,7 @@ impl From<BoundingBox> for Rect {
 /// Source of a detection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Finder {
+pub enum DetectionSource {
     /// A network that knows its class.
     Detector,
     /// Its motion against the background.
@@ -113,7 +113,7 @@ pub struct BoxDetection {
     /// Where it is.
     pub rect: Rect,
     /// Source of the detection.
-    pub finder: Finder,
+    pub finder: DetectionSource,
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ mod trajectory;
 mod verdict;
 mod warning;
 
-pub use boxes::{BoxDetection, Finder, Rect};
+pub use boxes::{BoxDetection, DetectionSource, Rect};
 pub use flow::Flow;
 pub use focal_change::FocalChange;
 pub use frame::{Frame, FrameId, ObjectId, TimeBase};
@@ -30,7 +30,9 @@ pub use metric::{
 pub use reconstruction::{
     CameraForm, CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement,
 };
-pub use tracked::{Apart, FoundIn, Gap, Movement, MovementFinding, Outline, Sameness, TrackedObject};
+pub use tracked::{
+    DetectionCounts, Gap, IdentityEvidence, Movement, MovementFinding, Outline, TrackedObject, UnmergedTrack,
+};
 pub use trajectory::{
     ModelState, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport,
     Trajectories, Unit,

@@ -8,7 +8,7 @@ use super::{FrameId, ObjectId};
 
 /// In how many frames what found an object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct FoundIn {
+pub struct DetectionCounts {
     /// Frames in which its mask was given.
     pub given: usize,
     /// Frames in which the detector alone found it, or a segmentation network.
@@ -23,7 +23,7 @@ pub struct FoundIn {
     pub carried: usize,
 }
 
-impl FoundIn {
+impl DetectionCounts {
     /// Frames in which the detector found it, or a segmentation network.
     pub fn by_detector(&self) -> usize {
         self.detector + self.both
@@ -47,7 +47,7 @@ impl FoundIn {
     }
 }
 
-impl fmt::Display for FoundIn {
+impl fmt::Display for DetectionCounts {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let parts = [
             ("given", self.given),
@@ -83,7 +83,8 @@ pub enum Movement {
     /// It moved, at least for a while.
     Moving,
     /// It stood still all the time.
-    Standing,
+    #[serde(rename = "standing", alias = "stationary")]
+    Stationary,
     /// The observations do not decide.
     Undetermined,
 }
@@ -93,7 +94,7 @@ impl Movement {
     pub fn name(self) -> &'static str {
         match self {
             Self::Moving => "moving",
-            Self::Standing => "stationary",
+            Self::Stationary => "stationary",
             Self::Undetermined => "undetermined",
         }
     }
@@ -110,7 +111,7 @@ pub struct MovementFinding {
 
 /// Evidence that two detections show one object. `None` marks evidence that is not available.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Sameness {
+pub struct IdentityEvidence {
     /// Distance of the second from its prediction by the first, as a share of the tolerance: 0 to 1.
     pub place: Option<f64>,
     /// Similarity of their colours (Bhattacharyya coefficient), 0 to 1.
@@ -123,7 +124,7 @@ pub struct Sameness {
     pub num_matches: Option<usize>,
 }
 
-impl fmt::Display for Sameness {
+impl fmt::Display for IdentityEvidence {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let parts = [
             self.place
@@ -146,16 +147,16 @@ pub struct Gap {
     /// The first frame after it.
     pub first: FrameId,
     /// Evidence that it is the same object afterwards.
-    pub evidence: Sameness,
+    pub evidence: IdentityEvidence,
 }
 
 /// An object that might be the same as another one, and is not taken for it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Apart {
+pub struct UnmergedTrack {
     /// The other one, which is seen later.
     pub object: ObjectId,
     /// Evidence that both are one object.
-    pub evidence: Sameness,
+    pub evidence: IdentityEvidence,
     /// Why they are kept apart, in words.
     pub reason: String,
 }
@@ -170,7 +171,7 @@ pub struct TrackedObject {
     /// Mean score of what found it, 0 to 1; 1 for given masks.
     pub confidence: f64,
     /// Sources of its detections.
-    pub found_in: FoundIn,
+    pub found_in: DetectionCounts,
     /// Source of its outline.
     pub outline: Outline,
     /// Mask quality by the mask network's own estimate: the expected intersection over union with the truth, 0 to 1.
@@ -187,7 +188,7 @@ pub struct TrackedObject {
     pub gaps: Vec<Gap>,
     /// Objects seen later that might be this one.
     #[serde(default)]
-    pub apart: Vec<Apart>,
+    pub apart: Vec<UnmergedTrack>,
 }
 
 #[cfg(test)]
@@ -196,19 +197,19 @@ mod tests {
 
     #[test]
     fn what_found_an_object_is_said_in_words() {
-        let found = FoundIn { both: 12, motion: 3, carried: 40, ..FoundIn::default() };
+        let found = DetectionCounts { both: 12, motion: 3, carried: 40, ..DetectionCounts::default() };
         assert_eq!(found.to_string(), "detector and motion 12, motion only 3, propagated by optical flow 40");
         assert_eq!((found.by_detector(), found.by_motion()), (12, 15));
-        assert_eq!(FoundIn::default().to_string(), "nothing");
+        assert_eq!(DetectionCounts::default().to_string(), "nothing");
     }
 
     #[test]
     fn what_says_that_two_sights_show_one_object_is_said_in_words() {
-        let evidence = Sameness { place: Some(0.25), num_points: Some(17), ..Sameness::default() };
+        let evidence = IdentityEvidence { place: Some(0.25), num_points: Some(17), ..IdentityEvidence::default() };
         assert_eq!(
             evidence.to_string(),
             "25 % of the tolerated distance from the predicted position, 17 points in common"
         );
-        assert_eq!(Sameness::default().to_string(), "nothing");
+        assert_eq!(IdentityEvidence::default().to_string(), "nothing");
     }
 }

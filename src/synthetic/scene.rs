@@ -12,7 +12,7 @@ use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Re
 
 /// Motion of the camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Path {
+pub enum CameraMotion {
     /// On an arc of 120 degrees and radius 6 about a ball of points of radius 2, looking at its middle: every camera
     /// sees every point.
     Arc,
@@ -29,7 +29,7 @@ pub struct Options {
     /// Points before those that fewer than two images see are dropped.
     pub num_points: u32,
     /// Motion of the camera.
-    pub path: Path,
+    pub path: CameraMotion,
     /// Intrinsics of all images.
     pub camera: Camera,
     /// True if each image has a camera id of its own (with the same intrinsics).
@@ -47,7 +47,7 @@ impl Default for Options {
         Self {
             num_images: 8,
             num_points: 100,
-            path: Path::Arc,
+            path: CameraMotion::Arc,
             camera: Camera { radial: [-0.05, 0.01], ..Camera::with_focal(960, 540, 800.0) },
             camera_per_image: false,
             noise_px: 0.0,
@@ -90,8 +90,8 @@ fn points(options: &Options) -> BTreeMap<Point3dId, Point3d> {
     let mut coordinate = |half: f64| rng.random_range(-half..half);
     let point = |id: u64| {
         let position = match options.path {
-            Path::Arc => Point3::new(coordinate(2.0), coordinate(2.0), coordinate(2.0)),
-            Path::Flight => {
+            CameraMotion::Arc => Point3::new(coordinate(2.0), coordinate(2.0), coordinate(2.0)),
+            CameraMotion::Flight => {
                 let half = f64::from(options.num_images) * 0.25 + 2.0;
                 Point3::new(coordinate(half), coordinate(2.0), 5.0 + coordinate(1.0))
             }
@@ -105,12 +105,12 @@ fn image(options: &Options, index: u32) -> (ImageId, Image) {
     let mut rng = seeded_rng(options.seed, 1000 + u64::from(index));
     let time = f64::from(index) / f64::from(options.num_images.max(2) - 1) - 0.5;
     let (center, forward) = match options.path {
-        Path::Arc => {
+        CameraMotion::Arc => {
             let angle = time * 120f64.to_radians();
             let center = Point3::new(6.0 * angle.sin(), 0.4 * (3.0 * angle).sin(), -6.0 * angle.cos());
             (center, -center.coords)
         }
-        Path::Flight => {
+        CameraMotion::Flight => {
             let x = (f64::from(index) - f64::from(options.num_images - 1) / 2.0) * 0.5;
             (Point3::new(x, 0.3 * (0.7 * x).sin(), 0.2 * (0.4 * x).cos()), Vector3::z())
         }
@@ -150,7 +150,7 @@ mod tests {
 
     #[test]
     fn exact_scenes_project_onto_their_observations() {
-        for path in [Path::Arc, Path::Flight] {
+        for path in [CameraMotion::Arc, CameraMotion::Flight] {
             let scene = static_scene(&Options { path, num_images: 40, ..Options::default() });
             assert!(scene.points.len() > 50);
             for image in scene.images.values() {

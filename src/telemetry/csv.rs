@@ -88,7 +88,7 @@ const UNITS: [(&str, f64); 21] = [
 
 /// A column of the file that is understood.
 #[derive(Clone, Copy, Debug)]
-struct Place {
+struct KnownColumn {
     column: Column,
     index: usize,
     /// Factor from its numbers to meters, seconds, meters per second or degrees.
@@ -148,7 +148,7 @@ fn delimiter(header: &str) -> char {
     [',', ';', '\t'].into_iter().rev().max_by_key(count).unwrap_or(',')
 }
 
-fn has(places: &[Place], column: Column) -> bool {
+fn has(places: &[KnownColumn], column: Column) -> bool {
     places.iter().any(|place| place.column == column)
 }
 
@@ -184,14 +184,14 @@ fn column_of(name: &str) -> Option<Column> {
     NAMES.iter().find(|(_, names)| names.contains(&name)).map(|(column, _)| *column)
 }
 
-fn places<'a>(names: impl Iterator<Item = &'a str>) -> Vec<Place> {
-    let mut places: Vec<Place> = Vec::new();
+fn places<'a>(names: impl Iterator<Item = &'a str>) -> Vec<KnownColumn> {
+    let mut places: Vec<KnownColumn> = Vec::new();
     for (index, name) in names.enumerate() {
         let (name, unit) = split_unit(name);
         let Some(column) = column_of(&name).filter(|&column| !has(&places, column)) else { continue };
         // Units such as “utc” say what the clock shows.
         let unit = unit.as_deref().and_then(unit_of).unwrap_or(1.0);
-        places.push(Place { column, index, unit });
+        places.push(KnownColumn { column, index, unit });
     }
     places
 }
@@ -211,7 +211,7 @@ fn unknown_unit<'a>(mut names: impl Iterator<Item = &'a str>) -> Option<String> 
 }
 
 /// The fix in a row, and whether its clock states its zone.
-fn fix(record: &::csv::StringRecord, places: &[Place], line: usize) -> Result<(Fix, bool), String> {
+fn fix(record: &::csv::StringRecord, places: &[KnownColumn], line: usize) -> Result<(Fix, bool), String> {
     record.iter().try_for_each(check_length)?;
     let text = |column: Column| {
         let place = places.iter().find(|place| place.column == column)?;

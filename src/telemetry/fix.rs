@@ -159,14 +159,14 @@ pub enum ClockKind {
 
 /// Something in a file that gave no fix.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct PassedOver {
+pub struct SkippedEntry {
     /// Line, from 1; of photographs the number of the file.
     pub line: usize,
     /// Why.
     pub reason: String,
 }
 
-impl fmt::Display for PassedOver {
+impl fmt::Display for SkippedEntry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "line {}: {}", self.line, self.reason)
     }
@@ -182,7 +182,7 @@ pub struct Log {
     /// Above what `gps_height_m` is counted.
     pub height_datum: HeightDatum,
     /// The first things that were skipped, in order of the file.
-    pub passed_over: Vec<PassedOver>,
+    pub passed_over: Vec<SkippedEntry>,
     /// Number of skipped lines.
     pub num_passed_over: usize,
     /// Number of fixes that it can hold.
@@ -238,7 +238,7 @@ impl Log {
     pub(super) fn pass_over(&mut self, line: usize, reason: impl Into<String>) {
         self.num_passed_over += 1;
         if self.passed_over.len() < MAX_REASONS {
-            self.passed_over.push(PassedOver { line, reason: reason.into() });
+            self.passed_over.push(SkippedEntry { line, reason: reason.into() });
         }
     }
 }

@@ -37,7 +37,7 @@ mod real_files;
 mod tests;
 
 pub use error::TelemetryError;
-pub use fix::{Angles, ClockKind, Fix, HeightDatum, Log, PassedOver, Receiver};
+pub use fix::{Angles, ClockKind, Fix, HeightDatum, Log, Receiver, SkippedEntry};
 pub use geodesy::{Geodetic, LocalFrame};
 pub use kind::Kind;
 pub use local::{Heights, LocalFixes, TimeBase};

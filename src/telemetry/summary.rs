@@ -5,7 +5,7 @@ use std::fmt::Write;
 
 use serde::Serialize;
 
-use super::fix::{ClockKind, Fix, HeightDatum, Log, PassedOver};
+use super::fix::{ClockKind, Fix, HeightDatum, Log, SkippedEntry};
 use super::geodesy::{Geodetic, LocalFrame};
 use super::local::DEGREE_M;
 use super::time;
@@ -68,7 +68,7 @@ pub struct Summary {
     /// Number of lines that should have given a fix and did not.
     pub num_passed_over: usize,
     /// The first of them.
-    pub passed_over: Vec<PassedOver>,
+    pub passed_over: Vec<SkippedEntry>,
 }
 
 impl Log {

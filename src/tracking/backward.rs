@@ -13,12 +13,12 @@ use ::image::RgbImage;
 use serde::{Deserialize, Serialize};
 
 use super::appearance::Appearance;
-use super::boxes::View;
+use super::boxes::FrameView;
 use super::region::Region;
 use super::track::{Moment, Presence, Track, leaves};
-use super::tracker::{Sighting, Tracker};
-use super::{Correction, Look, TrackSummary, TrackedMask, TrackerOptions};
-use crate::networks::{PerceptionError, Prompter};
+use super::tracker::{TrackObservation, Tracker};
+use super::{Correction, FrameInput, TrackSummary, TrackedMask, TrackerOptions};
+use crate::networks::{BoxSegmenter, PerceptionError};
 use crate::scene::{Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
 /// A mask of which more than this share belongs to another object shows that one.
@@ -98,12 +98,12 @@ impl BackwardTracker {
         frame: &Frame,
         image: &RgbImage,
         known: &[(ObjectId, Mask)],
-        prompter: Option<&mut dyn Prompter>,
+        prompter: Option<&mut dyn BoxSegmenter>,
         flow: Option<&Flow>,
     ) -> Result<Vec<TrackedMask>, PerceptionError> {
         let elapsed_s = self.check(frame, image, known, flow)?;
         let now = Moment { count: 0, frame: frame.id, time_s: frame.time_s };
-        let view = View { image, flow, now, elapsed_s };
+        let view = FrameView { image, flow, now, elapsed_s };
         let seen = self.tracker.follow_boxes(&view, Vec::new(), prompter)?;
         let known: Vec<(ObjectId, Region)> =
             known.iter().filter_map(|(object, mask)| Some((*object, Region::from_mask(mask)?))).collect();
@@ -134,7 +134,7 @@ impl BackwardTracker {
         for (_, mask) in known {
             self.tracker.same_size("a known mask", frame, image, (mask.width(), mask.height()))?;
         }
-        self.tracker.check_sizes(frame, image, &Look::NotLooked, flow)?;
+        self.tracker.check_sizes(frame, image, &FrameInput::NotLooked, flow)?;
         match self.tracker.last_frame {
             Some((previous, ..)) if frame.id >= previous => {
                 Err(PerceptionError::FrameOrder { previous, found: frame.id })
@@ -147,16 +147,16 @@ impl BackwardTracker {
     /// The masks of the frame, without the pixels that are known to be others'.
     fn cut(
         &mut self,
-        seen: &[Sighting],
+        seen: &[TrackObservation],
         frame: FrameId,
         known: &[(ObjectId, Region)],
         size: (u32, u32),
     ) -> Vec<TrackedMask> {
         let is_free = |x: u32, y: u32| known.iter().all(|(_, region)| !region.contains(x, y));
-        let cut = |s: &Sighting| {
+        let cut = |s: &TrackObservation| {
             let is_met = who_is_met(&self.tracker.tracks[s.track_idx], &s.region, known).is_some();
             let region = s.region.filtered(is_free).filter(|_| !is_met)?;
-            Some(Sighting { region, ..*s })
+            Some(TrackObservation { region, ..*s })
         };
         let cut = seen.iter().filter_map(cut).collect();
         self.tracker.report(cut, frame, known.to_vec(), size)
@@ -165,7 +165,7 @@ impl BackwardTracker {
     /// Ends the tracks that were not seen, and those whose place is another's.
     fn end_tracks(
         &mut self,
-        seen: &[Sighting],
+        seen: &[TrackObservation],
         known: &[(ObjectId, Region)],
         frame: FrameId,
         (width, height): (u32, u32),

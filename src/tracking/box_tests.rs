@@ -2,13 +2,13 @@
 
 use super::world::{HEIGHT, Thing, WIDTH, World, found_boxes};
 use super::*;
-use crate::networks::Prompted;
-use crate::scene::{Finder, Rect};
+use crate::networks::BoxMask;
+use crate::scene::{DetectionSource, Rect};
 
 const RED: [u8; 3] = [200, 30, 30];
 const BLUE: [u8; 3] = [30, 40, 210];
 
-fn honest(_: usize, answer: Prompted) -> Option<Prompted> {
+fn honest(_: usize, answer: BoxMask) -> Option<BoxMask> {
     Some(answer)
 }
 
@@ -31,7 +31,7 @@ fn followed(world: &World, frames: &[Vec<TrackedMask>], track: &TrackSummary, th
 fn a_car_is_followed_whatever_the_distance_of_key_frames() {
     let world = one_car();
     for every in [1, 5, 10] {
-        let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, Finder::Detector), &honest);
+        let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, DetectionSource::Detector), &honest);
         let [track] = &tracks[..] else { panic!("one track, every {every}: {tracks:#?}") };
         assert_eq!((track.class.as_str(), track.found.detector, track.outline), ("car", 40, Outline::Network));
         assert_eq!((track.first, track.last, track.num_looks), (FrameId(0), FrameId(39), 40));
@@ -49,12 +49,12 @@ fn frames_that_nobody_looked_at_are_not_missed() {
             let flow = (t > 0).then(|| world.flow(t));
             let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
             let look = match t % every {
-                0 => Look::Boxes {
-                    found: found_boxes(world.boxes(t, Finder::Detector)),
-                    by: LookedBy::Detector,
+                0 => FrameInput::Boxes {
+                    found: found_boxes(world.boxes(t, DetectionSource::Detector)),
+                    by: BoxSource::Detector,
                     prompter: Some(&mut prompter),
                 },
-                _ => Look::NotLooked,
+                _ => FrameInput::NotLooked,
             };
             let masks = tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
             assert!(masks.len() == 1 && masks[0].mask.iou(&world.mask(t, 0)) > 0.9, "frame {t}, every {every}");
@@ -69,19 +69,22 @@ fn frames_that_nobody_looked_at_are_not_missed() {
 fn a_new_mask_corrects_the_frames_that_are_nearer_to_it_than_to_the_last_one() {
     let world = one_car();
     // The first mask lacks a quarter of the car.
-    let narrow = |t: usize, answer: Prompted| {
+    let narrow = |t: usize, answer: BoxMask| {
         let end = answer.mask.bounding_box().map_or(0, |b| if t == 0 { b.x1 - b.width() / 4 } else { b.x1 });
         let mask = Mask::from_fn(WIDTH, HEIGHT, |x, y| x < end && answer.mask.get(x.into(), y.into()));
-        Some(Prompted { mask, ..answer })
+        Some(BoxMask { mask, ..answer })
     };
     let mut tracker = Tracker::new(TrackerOptions::default());
     let mut corrected = Vec::new();
     for t in 0..=8 {
         let flow = (t > 0).then(|| world.flow(t));
         let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &narrow };
-        let prompter = t.is_multiple_of(8).then_some(&mut prompter as &mut dyn Prompter);
-        let look =
-            Look::Boxes { found: found_boxes(world.boxes(t, Finder::Detector)), by: LookedBy::Detector, prompter };
+        let prompter = t.is_multiple_of(8).then_some(&mut prompter as &mut dyn BoxSegmenter);
+        let look = FrameInput::Boxes {
+            found: found_boxes(world.boxes(t, DetectionSource::Detector)),
+            by: BoxSource::Detector,
+            prompter,
+        };
         let masks = tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
         assert_eq!(masks[0].mask.iou(&world.mask(t, 0)) > 0.9, t == 8, "frame {t}");
         corrected.extend(tracker.take_corrections());
@@ -97,10 +100,14 @@ fn a_detector_that_looks_now_and_then_is_judged_by_its_looks() {
     for t in 0..40 {
         let flow = (t > 0).then(|| world.flow(t));
         let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
-        let prompter = t.is_multiple_of(4).then_some(&mut prompter as &mut dyn Prompter);
+        let prompter = t.is_multiple_of(4).then_some(&mut prompter as &mut dyn BoxSegmenter);
         let look = match t % 2 {
-            0 => Look::Boxes { found: found_boxes(world.boxes(t, Finder::Detector)), by: LookedBy::Detector, prompter },
-            _ => Look::Boxes { found: Vec::new(), by: LookedBy::Motion, prompter },
+            0 => FrameInput::Boxes {
+                found: found_boxes(world.boxes(t, DetectionSource::Detector)),
+                by: BoxSource::Detector,
+                prompter,
+            },
+            _ => FrameInput::Boxes { found: Vec::new(), by: BoxSource::Motion, prompter },
         };
         tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
     }
@@ -112,11 +119,11 @@ fn a_detector_that_looks_now_and_then_is_judged_by_its_looks() {
 fn what_stands_is_asked_about_less_often_until_it_drives_or_is_hidden() {
     let asked_of = |world: &World| {
         let asked = std::cell::RefCell::new(std::collections::BTreeSet::new());
-        let note = |t: usize, answer: Prompted| {
+        let note = |t: usize, answer: BoxMask| {
             asked.borrow_mut().insert(t);
             Some(answer)
         };
-        let (frames, tracks) = world.track_boxes(64, 4, |t| world.boxes(t, Finder::Detector), &note);
+        let (frames, tracks) = world.track_boxes(64, 4, |t| world.boxes(t, DetectionSource::Detector), &note);
         assert_eq!(tracks.len(), 1, "{tracks:#?}");
         (asked.take().into_iter().collect::<Vec<_>>(), followed(world, &frames, &tracks[0], 0))
     };
@@ -138,7 +145,7 @@ fn a_detector_that_answers_in_one_frame_of_ten_suffices() {
     let world = one_car();
     for every in [1, 5, 10] {
         // Never in a frame in which masks are asked for, but where they are in all.
-        let sometimes = |t: usize| if t % 10 == 3 { world.boxes(t, Finder::Detector) } else { Vec::new() };
+        let sometimes = |t: usize| if t % 10 == 3 { world.boxes(t, DetectionSource::Detector) } else { Vec::new() };
         let (frames, tracks) = world.track_boxes(40, every, sometimes, &honest);
         let [track] = &tracks[..] else { panic!("one track, every {every}: {tracks:#?}") };
         let start = 3_usize.next_multiple_of(every);
@@ -151,13 +158,13 @@ fn a_detector_that_answers_in_one_frame_of_ten_suffices() {
 fn motion_finds_what_has_no_class_and_the_detector_names_it() {
     let world = one_car();
     let both = |t: usize| {
-        let mut found = world.boxes(t, Finder::Motion);
+        let mut found = world.boxes(t, DetectionSource::Motion);
         if t == 25 {
-            found.extend(world.boxes(t, Finder::Detector));
+            found.extend(world.boxes(t, DetectionSource::Detector));
         }
         found
     };
-    let (_, tracks) = world.track_boxes(40, 5, |t| world.boxes(t, Finder::Motion), &honest);
+    let (_, tracks) = world.track_boxes(40, 5, |t| world.boxes(t, DetectionSource::Motion), &honest);
     assert_eq!((tracks.len(), tracks[0].class.as_str(), tracks[0].found.motion), (1, "vehicle", 40));
     let (_, tracks) = world.track_boxes(40, 5, both, &honest);
     assert_eq!((tracks.len(), tracks[0].class.as_str()), (1, "car"));
@@ -172,7 +179,7 @@ fn crossing_cars_of_one_colour_keep_their_ids() {
             Thing::car(RED, |t| (5 + 4 * t as i64, 30)),
             Thing::car(RED, |t| (170 - 4 * t as i64, 34)),
         ]);
-        let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, Finder::Detector), &honest);
+        let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, DetectionSource::Detector), &honest);
         let of = |t: usize, thing: usize| {
             let truth = world.mask(t, thing);
             frames[t].iter().find(|m| m.mask.iou(&truth) > 0.5).map(|m| m.object)
@@ -189,7 +196,7 @@ fn one_car_overtakes_the_other() {
     for every in [1, 5] {
         let world =
             World::still(vec![Thing::car(RED, |t| (60 + t as i64, 28)), Thing::car(BLUE, |t| (5 + 4 * t as i64, 36))]);
-        let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, Finder::Detector), &honest);
+        let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, DetectionSource::Detector), &honest);
         assert_eq!(tracks.len(), 2, "every {every}: {tracks:#?}");
         for track in &tracks {
             let of_each: Vec<usize> = (0..2).map(|thing| followed(&world, &frames, track, thing)).collect();
@@ -202,7 +209,7 @@ fn one_car_overtakes_the_other() {
 fn a_car_behind_a_pole_stays_itself() {
     for every in [1, 5] {
         let world = World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30)), Thing::wall(80, 8)]);
-        let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, Finder::Detector), &honest);
+        let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, DetectionSource::Detector), &honest);
         // Where masks are asked for in every fifth frame only, what comes up behind the pole may be a second piece.
         let is_linked =
             |track: &TrackSummary| track.after.is_some_and(|after| after.provisional == tracks[0].provisional);
@@ -217,8 +224,8 @@ fn a_car_behind_a_pole_stays_itself() {
 fn a_carried_mask_leaves_out_what_comes_before_the_car() {
     let world = World::still(vec![Thing::car(RED, |t| (4 + 5 * t as i64, 30)), Thing::wall(80, 44)]);
     // Masks are asked for once and never again: from then on they are carried.
-    let once = |t: usize, answer: Prompted| (t == 0).then_some(answer);
-    let (frames, _) = world.track_boxes(20, 30, |t| world.boxes(t, Finder::Detector), &once);
+    let once = |t: usize, answer: BoxMask| (t == 0).then_some(answer);
+    let (frames, _) = world.track_boxes(20, 30, |t| world.boxes(t, DetectionSource::Detector), &once);
     let on_wall = |t: usize| frames[t].iter().map(|m| m.mask.intersection_px2(&world.mask(t, 1))).max().unwrap_or(0);
     // The wall takes 70 more pixels in every frame.
     assert!((0..20).all(|t| on_wall(t) <= 28), "{:?}", (0..20).map(on_wall).collect::<Vec<_>>());
@@ -232,7 +239,7 @@ fn a_carried_mask_leaves_out_what_comes_before_the_car() {
 fn a_car_behind_a_wall_is_found_again() {
     for every in [1, 5] {
         let world = World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30)), Thing::wall(70, 50)]);
-        let (frames, tracks) = world.track_boxes(45, every, |t| world.boxes(t, Finder::Detector), &honest);
+        let (frames, tracks) = world.track_boxes(45, every, |t| world.boxes(t, DetectionSource::Detector), &honest);
         let [before, after] = &tracks[..] else { panic!("two pieces, every {every}: {tracks:#?}") };
         assert_eq!(after.after.map(|after| after.provisional), Some(before.provisional), "every {every}");
         let hidden = (0..45).filter(|&t| world.mask(t, 0).area_px2() == 0);
@@ -246,9 +253,9 @@ fn motion_over_two_cars_that_drive_together_leaves_two() {
         World::still(vec![Thing::car(RED, |t| (4 + 3 * t as i64, 20)), Thing::car(BLUE, |t| (32 + 3 * t as i64, 20))]);
     let merged = |t: usize| {
         if t < 5 {
-            return world.boxes(t, Finder::Detector);
+            return world.boxes(t, DetectionSource::Detector);
         }
-        let boxes = world.boxes(t, Finder::Motion);
+        let boxes = world.boxes(t, DetectionSource::Motion);
         vec![BoxDetection { rect: boxes[0].rect.union(&boxes[1].rect), ..boxes[0].clone() }]
     };
     for every in [1, 5] {
@@ -264,17 +271,17 @@ fn motion_over_two_cars_that_drive_together_leaves_two() {
 #[test]
 fn masks_that_are_road_or_half_the_car_give_way_to_the_carried_one() {
     let world = one_car();
-    let patch = |t: usize, answer: Prompted| match t {
-        10 => Some(Prompted { mask: Mask::from_fn(WIDTH, HEIGHT, |_, y| y > 25), quality: 0.99 }),
+    let patch = |t: usize, answer: BoxMask| match t {
+        10 => Some(BoxMask { mask: Mask::from_fn(WIDTH, HEIGHT, |_, y| y > 25), quality: 0.99 }),
         15 => None,
         20 => {
             let left = answer.mask.bounding_box()?.x0 + 11;
             let mask = Mask::from_fn(WIDTH, HEIGHT, |x, y| x < left && answer.mask.get(x.into(), y.into()));
-            Some(Prompted { mask, ..answer })
+            Some(BoxMask { mask, ..answer })
         }
         _ => Some(answer),
     };
-    for finder in [Finder::Detector, Finder::Motion] {
+    for finder in [DetectionSource::Detector, DetectionSource::Motion] {
         // Boxes in the beginning only: from then on it lives by its own masks.
         let found = |t: usize| if t < 6 { world.boxes(t, finder) } else { Vec::new() };
         let (frames, tracks) = world.track_boxes(40, 5, found, &patch);
@@ -289,8 +296,8 @@ fn masks_that_are_road_or_half_the_car_give_way_to_the_carried_one() {
 #[test]
 fn a_mask_that_fails_for_good_ends_the_track_where_it_was_last_right() {
     let world = one_car();
-    let blind = |t: usize, answer: Prompted| (t < 15).then_some(answer);
-    let found = |t: usize| if t < 6 { world.boxes(t, Finder::Detector) } else { Vec::new() };
+    let blind = |t: usize, answer: BoxMask| (t < 15).then_some(answer);
+    let found = |t: usize| if t < 6 { world.boxes(t, DetectionSource::Detector) } else { Vec::new() };
     let (frames, tracks) = world.track_boxes(40, 5, found, &blind);
     assert_eq!((tracks.len(), tracks[0].last), (1, FrameId(14)));
     assert!(frames[35].is_empty());
@@ -300,7 +307,7 @@ fn a_mask_that_fails_for_good_ends_the_track_where_it_was_last_right() {
 fn a_false_box_gets_no_lasting_id() {
     let world = one_car();
     let alarm = |t: usize| {
-        let mut found = world.boxes(t, Finder::Detector);
+        let mut found = world.boxes(t, DetectionSource::Detector);
         if t == 10 || t == 12 {
             let rect = Rect { x0: 20.0, y0: 55.0, x1: 50.0, y1: 75.0 };
             found.push(BoxDetection { rect, ..found[0].clone() });
@@ -318,18 +325,18 @@ fn the_same_boxes_give_the_same_result() {
         Thing::car(BLUE, |t| (170 - 4 * t as i64, 33)),
         Thing::wall(90, 12),
     ]);
-    let run = || world.track_boxes(40, 5, |t| world.boxes(t, Finder::Detector), &honest);
+    let run = || world.track_boxes(40, 5, |t| world.boxes(t, DetectionSource::Detector), &honest);
     assert_eq!(run(), run());
 }
 
 #[test]
 fn a_prompter_that_answers_out_of_shape_is_refused() {
     let world = one_car();
-    let small = |_: usize, answer: Prompted| Some(Prompted { mask: Mask::full(5, 5), ..answer });
+    let small = |_: usize, answer: BoxMask| Some(BoxMask { mask: Mask::full(5, 5), ..answer });
     let mut tracker = Tracker::new(TrackerOptions::default());
     let mut prompter = world::WorldPrompter { world: &world, t: 0, num_asked: 0, spoil: &small };
-    let found = found_boxes(world.boxes(0, Finder::Detector));
-    let look = Look::Boxes { found, by: LookedBy::Detector, prompter: Some(&mut prompter) };
+    let found = found_boxes(world.boxes(0, DetectionSource::Detector));
+    let look = FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(&mut prompter) };
     let wrong = tracker.advance(&World::frame(0), &world.image(0), look, None);
     assert!(matches!(wrong, Err(crate::networks::PerceptionError::SizeMismatch { .. })));
 }
@@ -346,7 +353,7 @@ fn shown(world: &World, frames: &[Vec<TrackedMask>], object: u32, thing: usize) 
 #[test]
 fn a_car_that_was_found_late_gets_masks_from_its_first_frame_on() {
     let world = one_car();
-    let late = |t: usize| if t < 22 { Vec::new() } else { world.boxes(t, Finder::Detector) };
+    let late = |t: usize| if t < 22 { Vec::new() } else { world.boxes(t, DetectionSource::Detector) };
     for every in [1, 5, 10] {
         let (mut frames, tracks) = world.track_boxes(40, every, late, &honest);
         let first = 22_usize.next_multiple_of(every);
@@ -361,7 +368,7 @@ fn a_car_that_was_found_late_gets_masks_from_its_first_frame_on() {
 #[test]
 fn a_car_is_followed_back_to_where_it_enters_the_picture_and_no_further() {
     let world = World::still(vec![Thing::car(RED, |t| (-60 + 4 * t as i64, 30))]);
-    let late = |t: usize| if t < 30 { Vec::new() } else { world.boxes(t, Finder::Detector) };
+    let late = |t: usize| if t < 30 { Vec::new() } else { world.boxes(t, DetectionSource::Detector) };
     let (mut frames, tracks) = world.track_boxes(40, 5, late, &honest);
     let extensions = world.extend_back(&mut frames, &tracks, 5, &honest);
     assert_eq!((extensions.len(), extensions[0].end), (1, End::Left), "{extensions:?}");
@@ -373,7 +380,7 @@ fn a_car_is_followed_back_to_where_it_enters_the_picture_and_no_further() {
 #[test]
 fn a_car_that_comes_from_behind_a_wall_is_not_followed_into_it() {
     let world = World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30)), Thing::wall(0, 90)]);
-    let late = |t: usize| if t < 33 { Vec::new() } else { world.boxes(t, Finder::Detector) };
+    let late = |t: usize| if t < 33 { Vec::new() } else { world.boxes(t, DetectionSource::Detector) };
     let (mut frames, tracks) = world.track_boxes(40, 5, late, &honest);
     let extensions = world.extend_back(&mut frames, &tracks, 5, &honest);
     assert_eq!(extensions[0].end, End::Lost);
@@ -386,7 +393,7 @@ fn a_car_that_comes_from_behind_a_wall_is_not_followed_into_it() {
 fn who_meets_another_object_is_followed_no_further() {
     // One car under two ids: the first was lost for good while nobody saw it.
     let world = one_car();
-    let (frames, tracks) = world.track_boxes(40, 1, |t| world.boxes(t, Finder::Detector), &honest);
+    let (frames, tracks) = world.track_boxes(40, 1, |t| world.boxes(t, DetectionSource::Detector), &honest);
     let second = TrackSummary { id: ObjectId(2), first: FrameId(25), ..tracks[0].clone() };
     let first = TrackSummary { last: FrameId(12), ..tracks[0].clone() };
     let mut tracker = BackwardTracker::new(TrackerOptions::default(), &[first, second]);
@@ -420,15 +427,16 @@ fn what_stands_starts_a_track_only_where_the_detector_is_sure() {
         for t in 0..12 {
             let flow = (t > 0).then(|| world.flow(t));
             let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
-            let boxes = world.boxes(t, Finder::Detector).into_iter();
-            let found = boxes.map(|found| FoundBox { found: BoxDetection { confidence, ..found }, stands }).collect();
-            let look = Look::Boxes { found, by: LookedBy::Detector, prompter: Some(&mut prompter) };
+            let boxes = world.boxes(t, DetectionSource::Detector).into_iter();
+            let found =
+                boxes.map(|found| DetectedBox { found: BoxDetection { confidence, ..found }, stands }).collect();
+            let look = FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(&mut prompter) };
             tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
         }
         let passed_over = tracker.passed_over();
         (tracker.finish().len(), passed_over)
     };
-    assert_eq!(tracked(0.5, false), (1, PassedOver::default()));
-    assert_eq!(tracked(0.6, true), (1, PassedOver::default()));
-    assert_eq!(tracked(0.5, true), (0, PassedOver { num_boxes: 12, max_confidence: 0.5 }));
+    assert_eq!(tracked(0.5, false), (1, IgnoredBoxes::default()));
+    assert_eq!(tracked(0.6, true), (1, IgnoredBoxes::default()));
+    assert_eq!(tracked(0.5, true), (0, IgnoredBoxes { num_boxes: 12, max_confidence: 0.5 }));
 }

@@ -4,14 +4,14 @@ use ::image::RgbImage;
 
 use super::appearance::Appearance;
 use super::assignment::assign;
-use super::carry::{Carried, carry_rect};
+use super::box_groups::{self, BoxGroup, Finding};
 use super::choice::{Expected, Fresh, MIN_SCORE, score, score_carried};
+use super::propagation::{Propagated, carry_rect};
 use super::region::Region;
-use super::sights::{self, Finding, Sight};
-use super::track::{Asked, Moment, Prediction, Track};
-use super::tracker::{MAX_COVERED, Sighting, Tracker};
-use super::{Evidence, FoundBox, TrackerOptions};
-use crate::networks::{PerceptionError, Prompter};
+use super::track::{Moment, Prediction, PromptOutcome, Track};
+use super::tracker::{MAX_COVERED, TrackObservation, Tracker};
+use super::{DetectedBox, Evidence, TrackerOptions};
+use crate::networks::{BoxSegmenter, PerceptionError};
 use crate::scene::{Flow, ObjectId, Outline, Rect};
 
 /// Overlap of boxes (intersection over union) that says as much as masks that overlap a little.
@@ -24,7 +24,7 @@ const SAME_OUTLINE: f64 = 0.85;
 const SWALLOWED: f64 = 0.8;
 
 /// A frame as the tracker sees it.
-pub(super) struct View<'a> {
+pub(super) struct FrameView<'a> {
     pub(super) image: &'a RgbImage,
     pub(super) flow: Option<&'a Flow>,
     pub(super) now: Moment,
@@ -38,7 +38,7 @@ pub(super) struct Meeting {
     is_carried: Vec<bool>,
     /// Per track whether its carried mask serves without a new one, for the object stands.
     pub(super) is_at_rest: Vec<bool>,
-    pub(super) sights: Vec<Sight>,
+    pub(super) sights: Vec<BoxGroup>,
     /// Per sight the mask in its box.
     pub(super) masks: Vec<Option<Fresh>>,
     /// Per track the masks in the box of its carried mask, and in that of its whole outline where a part is hidden.
@@ -48,11 +48,11 @@ pub(super) struct Meeting {
 }
 
 impl Meeting {
-    pub(super) fn carried(&self, track: usize) -> Option<&Carried> {
+    pub(super) fn carried(&self, track: usize) -> Option<&Propagated> {
         self.predictions[track].carried.as_ref().filter(|_| self.is_carried[track])
     }
 
-    fn sight(&self, track: usize) -> Option<&Sight> {
+    fn sight(&self, track: usize) -> Option<&BoxGroup> {
         self.sight_of[track].map(|sight| &self.sights[sight])
     }
 
@@ -74,22 +74,22 @@ impl Tracker {
     /// otherwise they are carried, and boxes that show nothing that is followed wait.
     pub(super) fn follow_boxes(
         &mut self,
-        view: &View,
-        found: Vec<FoundBox>,
-        prompter: Option<&mut dyn Prompter>,
-    ) -> Result<Vec<Sighting>, PerceptionError> {
+        view: &FrameView,
+        found: Vec<DetectedBox>,
+        prompter: Option<&mut dyn BoxSegmenter>,
+    ) -> Result<Vec<TrackObservation>, PerceptionError> {
         let mut meeting = self.meet(view, found);
         let waiting = self.waiting_now(view.flow);
         let Some(prompter) = prompter else {
             self.associate_boxes(&mut meeting);
             let left = meeting.left().into_iter().map(|s| meeting.sights[s].clone()).collect();
-            self.waiting = sights::wait(waiting, left);
+            self.waiting = box_groups::wait(waiting, left);
             return Ok(self.carry_all(view, &meeting));
         };
-        meeting.sights = sights::join(waiting, meeting.sights);
+        meeting.sights = box_groups::join(waiting, meeting.sights);
         meeting.is_at_rest = self.at_rest(view, &meeting);
         let outline = if prompter.is_coarse() { Outline::Coarse } else { Outline::Network };
-        self.ask(view, prompter, &mut meeting)?;
+        self.segment(view, prompter, &mut meeting)?;
         self.waiting.clear();
         self.associate_boxes(&mut meeting);
         self.count_passed_over(&meeting);
@@ -113,13 +113,13 @@ impl Tracker {
     }
 
     /// Where all tracks should be, and what boxes show.
-    fn meet(&self, view: &View, found: Vec<FoundBox>) -> Meeting {
+    fn meet(&self, view: &FrameView, found: Vec<DetectedBox>) -> Meeting {
         let predictions = self.predict(&[], view.flow, view.image, view.elapsed_s);
         let is_carried: Vec<bool> =
             self.tracks.iter().zip(&predictions).map(|(track, p)| self.is_trusted(track, p, view.image)).collect();
         let trusted = predictions.iter().zip(&is_carried).filter(|(_, is_carried)| **is_carried);
         let rects: Vec<Rect> = trusted.filter_map(|(p, _)| Some(p.carried.as_ref()?.region.rect())).collect();
-        let sights = sights::merge(found, &rects, &self.options, view.image.dimensions());
+        let sights = box_groups::merge(found, &rects, &self.options, view.image.dimensions());
         let (num_tracks, num_sights) = (self.tracks.len(), sights.len());
         Meeting {
             predictions,
@@ -143,8 +143,8 @@ impl Tracker {
     }
 
     /// The boxes that wait, moved to where they are in this frame.
-    fn waiting_now(&self, flow: Option<&Flow>) -> Vec<Sight> {
-        let moved = |sight: &Sight| {
+    fn waiting_now(&self, flow: Option<&Flow>) -> Vec<BoxGroup> {
+        let moved = |sight: &BoxGroup| {
             let rect = flow.map_or(Some(sight.rect), |flow| carry_rect(&sight.rect, flow))?;
             Some(sight.at(rect))
         };
@@ -168,13 +168,13 @@ impl Tracker {
     }
 
     /// Carries all masks on in a frame in which none is asked for.
-    fn carry_all(&mut self, view: &View, meeting: &Meeting) -> Vec<Sighting> {
+    fn carry_all(&mut self, view: &FrameView, meeting: &Meeting) -> Vec<TrackObservation> {
         let mut seen = Vec::new();
         for track_idx in 0..self.tracks.len() {
             match meeting.carried(track_idx) {
                 Some(carried) => {
-                    let evidence = self.keep_carried(track_idx, meeting, Asked::Not, view);
-                    seen.push(Sighting { track_idx, evidence, region: carried.region.clone() });
+                    let evidence = self.keep_carried(track_idx, meeting, PromptOutcome::Not, view);
+                    seen.push(TrackObservation { track_idx, evidence, region: carried.region.clone() });
                 }
                 None => self.lose(track_idx, meeting, view.now),
             }
@@ -182,7 +182,13 @@ impl Tracker {
         seen
     }
 
-    fn keep_carried(&mut self, track_idx: usize, meeting: &Meeting, asked: Asked, view: &View) -> Evidence {
+    fn keep_carried(
+        &mut self,
+        track_idx: usize,
+        meeting: &Meeting,
+        asked: PromptOutcome,
+        view: &FrameView,
+    ) -> Evidence {
         let track = &mut self.tracks[track_idx];
         note(track, meeting.sight(track_idx), IsNew::No, view.now);
         track.carry_between(&meeting.predictions[track_idx], asked, view.now, view.elapsed_s);
@@ -197,11 +203,11 @@ impl Tracker {
 
     /// Gives every track in sight the mask that fits it best. No two tracks get the same: the one for which more
     /// speaks comes first, the other takes what is left, or is lost.
-    fn choose(&mut self, view: &View, meeting: &Meeting, outline: Outline) -> Vec<Sighting> {
+    fn choose(&mut self, view: &FrameView, meeting: &Meeting, outline: Outline) -> Vec<TrackObservation> {
         let mut order: Vec<usize> = (0..self.tracks.len()).filter(|t| meeting.is_carried[*t]).collect();
         let rank = |t: usize| (meeting.sight_of[t].is_some(), self.tracks[t].rank());
         order.sort_by(|&a, &b| rank(b).cmp(&rank(a)).then(a.cmp(&b)));
-        let mut seen: Vec<Sighting> = Vec::new();
+        let mut seen: Vec<TrackObservation> = Vec::new();
         for track_idx in order {
             let Some(carried) = meeting.carried(track_idx) else { continue };
             let region_of = |choice: &Choice| match &choice.fresh {
@@ -214,7 +220,7 @@ impl Tracker {
             };
             let region = region_of(&choice);
             if let Some(evidence) = self.take(track_idx, choice, meeting, view, outline) {
-                seen.push(Sighting { track_idx, evidence, region });
+                seen.push(TrackObservation { track_idx, evidence, region });
             }
         }
         seen
@@ -226,12 +232,12 @@ impl Tracker {
         track_idx: usize,
         choice: Choice,
         meeting: &Meeting,
-        view: &View,
+        view: &FrameView,
         outline: Outline,
     ) -> Option<Evidence> {
         let Some(fresh) = choice.fresh else {
             let is_worn_out = self.tracks[track_idx].is_worn_out(&self.options);
-            let asked = if meeting.is_at_rest[track_idx] { Asked::Not } else { Asked::InVain };
+            let asked = if meeting.is_at_rest[track_idx] { PromptOutcome::Not } else { PromptOutcome::InVain };
             return (!is_worn_out).then(|| self.keep_carried(track_idx, meeting, asked, view));
         };
         let (track, sight) = (&mut self.tracks[track_idx], meeting.sight(track_idx));
@@ -245,7 +251,7 @@ impl Tracker {
     }
 
     /// Continues tracks whose flow failed just now by the masks where they should be.
-    fn look_for(&mut self, view: &View, meeting: &Meeting, outline: Outline, seen: &mut Vec<Sighting>) {
+    fn look_for(&mut self, view: &FrameView, meeting: &Meeting, outline: Outline, seen: &mut Vec<TrackObservation>) {
         for track_idx in (0..self.tracks.len()).filter(|t| !meeting.is_carried[*t]) {
             let Some(place) = &meeting.predictions[track_idx].moved else { continue };
             let is_shown = |fresh: &&Fresh| self.tracks[track_idx].is_shown_by(fresh, place);
@@ -256,13 +262,19 @@ impl Tracker {
             let region = fresh.region.clone();
             let choice = Choice { score: 1.0, fresh: Some(fresh) };
             let evidence = self.take(track_idx, choice, meeting, view, outline);
-            seen.extend(evidence.map(|evidence| Sighting { track_idx, evidence, region }));
+            seen.extend(evidence.map(|evidence| TrackObservation { track_idx, evidence, region }));
         }
     }
 
     /// Continues tracks that were lost a moment ago by masks at about their place, of about their size and like
     /// colours.
-    fn find_again(&mut self, view: &View, meeting: &mut Meeting, outline: Outline, seen: &[Sighting]) -> Vec<Sighting> {
+    fn find_again(
+        &mut self,
+        view: &FrameView,
+        meeting: &mut Meeting,
+        outline: Outline,
+        seen: &[TrackObservation],
+    ) -> Vec<TrackObservation> {
         let may_return = |t: &usize| {
             !meeting.is_carried[*t]
                 && seen.iter().all(|s| s.track_idx != *t)
@@ -277,7 +289,7 @@ impl Tracker {
             let recognised = track.recognise(&fresh.region, fresh.appearance.as_ref(), view.now, min_similarity)?;
             track.may_be(sight.class()).then_some(recognised.score)
         });
-        let mut again: Vec<Sighting> = Vec::new();
+        let mut again: Vec<TrackObservation> = Vec::new();
         for (row, column) in pairs {
             let (track_idx, sight_idx) = (rows[row], columns[column]);
             let Some(fresh) = meeting.masks[sight_idx].clone() else { continue };
@@ -289,12 +301,12 @@ impl Tracker {
             let region = fresh.region.clone();
             let choice = Choice { score: 1.0, fresh: Some(fresh) };
             let evidence = self.take(track_idx, choice, meeting, view, outline);
-            again.extend(evidence.map(|evidence| Sighting { track_idx, evidence, region }));
+            again.extend(evidence.map(|evidence| TrackObservation { track_idx, evidence, region }));
         }
         again
     }
 
-    fn lose_others(&mut self, view: &View, meeting: &Meeting, seen: &[Sighting]) {
+    fn lose_others(&mut self, view: &FrameView, meeting: &Meeting, seen: &[TrackObservation]) {
         for track_idx in 0..self.tracks.len() {
             if seen.iter().all(|s| s.track_idx != track_idx) {
                 self.lose(track_idx, meeting, view.now);
@@ -303,12 +315,18 @@ impl Tracker {
     }
 
     /// Starts tracks from boxes that are sure enough and show nothing that is followed, by the surest first.
-    fn start_boxes(&mut self, view: &View, meeting: &Meeting, outline: Outline, seen: &[Sighting]) -> Vec<Sighting> {
+    fn start_boxes(
+        &mut self,
+        view: &FrameView,
+        meeting: &Meeting,
+        outline: Outline,
+        seen: &[TrackObservation],
+    ) -> Vec<TrackObservation> {
         let mut left = meeting.left();
         left.sort_by(|&a, &b| {
             meeting.sights[b].confidence().total_cmp(&meeting.sights[a].confidence()).then(a.cmp(&b))
         });
-        let mut started: Vec<Sighting> = Vec::new();
+        let mut started: Vec<TrackObservation> = Vec::new();
         for (sight, fresh) in left.into_iter().filter_map(|s| Some((&meeting.sights[s], meeting.masks[s].as_ref()?))) {
             let is_old = is_explained(&fresh.region, seen) || is_explained(&fresh.region, &started);
             if is_old || !may_start(sight, &self.options) {
@@ -318,7 +336,7 @@ impl Tracker {
             let track = Track::start_from_box(ObjectId(self.num_started), sight, fresh, outline, view.now);
             self.add(track, fresh.appearance.as_ref(), view.now);
             let (track_idx, region) = (self.tracks.len() - 1, fresh.region.clone());
-            started.push(Sighting { track_idx, evidence: detected(sight), region });
+            started.push(TrackObservation { track_idx, evidence: detected(sight), region });
         }
         started
     }
@@ -326,7 +344,7 @@ impl Tracker {
 
 /// Returns true if a box is reliable enough to start a track: by its class, by its motion, or by both. A stationary
 /// object has only its class.
-pub(super) fn may_start(sight: &Sight, options: &TrackerOptions) -> bool {
+pub(super) fn may_start(sight: &BoxGroup, options: &TrackerOptions) -> bool {
     let least =
         if sight.stands() { options.start_standing.max(options.start_confidence) } else { options.start_confidence };
     let surest = |of: fn(&Finding) -> Option<f64>| sight.findings().filter_map(of).fold(0.0, f64::max);
@@ -343,19 +361,19 @@ enum IsNew {
 }
 
 /// Counts what shows the object in this frame: boxes, or else its mask alone.
-fn note(track: &mut Track, sight: Option<&Sight>, is_new: IsNew, now: Moment) {
+fn note(track: &mut Track, sight: Option<&BoxGroup>, is_new: IsNew, now: Moment) {
     match sight {
         Some(sight) => track.note(sight, now),
         None => track.count_unboxed(is_new == IsNew::Yes),
     }
 }
 
-fn detected(sight: &Sight) -> Evidence {
+fn detected(sight: &BoxGroup) -> Evidence {
     Evidence::Detected { confidence: sight.confidence() }
 }
 
 /// The masks that a track may have, best first.
-fn choices(track: &Track, meeting: &Meeting, track_idx: usize, carried: &Carried) -> Vec<Choice> {
+fn choices(track: &Track, meeting: &Meeting, track_idx: usize, carried: &Propagated) -> Vec<Choice> {
     let expected = Expected {
         carried: Some(&carried.region),
         whole: carried.is_partly_hidden().then_some(&carried.whole),
@@ -378,7 +396,7 @@ fn choices(track: &Track, meeting: &Meeting, track_idx: usize, carried: &Carried
 
 /// A new mask without what comes before the object, unless it shows that nothing does any more; `None` if that is most
 /// of it.
-fn uncovered(fresh: Fresh, carried: &Carried) -> Option<Fresh> {
+fn uncovered(fresh: Fresh, carried: &Propagated) -> Option<Fresh> {
     if fresh.region.iou(&carried.whole) >= SAME_OUTLINE {
         return Some(fresh);
     }
@@ -393,13 +411,14 @@ fn looks_like(track: &Track, image: &RgbImage, region: &Region, min_similarity: 
 }
 
 /// Returns true if a mask shows the object of another track.
-fn is_taken(region: &Region, seen: &[Sighting]) -> bool {
-    let same = |s: &Sighting| region.iou(&s.region) > 0.5 || region.covered_by(&s.region) > SAME_MASK;
+fn is_taken(region: &Region, seen: &[TrackObservation]) -> bool {
+    let same = |s: &TrackObservation| region.iou(&s.region) > 0.5 || region.covered_by(&s.region) > SAME_MASK;
     seen.iter().any(same)
 }
 
 /// Returns true if a mask shows part of a followed object, or contains one.
-fn is_explained(region: &Region, seen: &[Sighting]) -> bool {
-    let known = |s: &Sighting| region.covered_by(&s.region) > MAX_COVERED || s.region.covered_by(region) > SWALLOWED;
+fn is_explained(region: &Region, seen: &[TrackObservation]) -> bool {
+    let known =
+        |s: &TrackObservation| region.covered_by(&s.region) > MAX_COVERED || s.region.covered_by(region) > SWALLOWED;
     seen.iter().any(known)
 }

@@ -4,16 +4,16 @@
 //! t is carried to t + 1 by optical flow, and the carried masks are assigned to the new detections by mask overlap with
 //! the Hungarian algorithm. Beyond that:
 //!
-//! - An object without a detection keeps its carried mask for some frames ([`Evidence::Carried`]), as long as enough of
+//! - An object without a detection keeps its carried mask for some frames ([`Evidence::Propagated`]), as long as enough of
 //!   its pixels have a consistent flow and keep their colours: this bridges missed detections.
 //! - After that it is lost: nothing is reported, and its place moves on with the background's flow plus its own
 //!   velocity. For a moment ([`Gap`]) it is found again by place and colours. Later, what comes up there is an object
-//!   of its own that remembers which one it may be ([`After`]); whether it is asks for more evidence ([`joining`]).
+//!   of its own that remembers which one it may be ([`Predecessor`]); whether it is asks for more evidence ([`joining`]).
 //! - Lasting ids are given when an object was detected several times within a few frames, so that a false alarm gets
 //!   none. Its masks from before are not lost: every mask is reported at once under a provisional id, and
 //!   [`Tracker::finish`] says which provisional ids became which objects.
 //!
-//! Where only boxes are known ([`Look::Boxes`]), masks are asked for in some frames and carried in the others:
+//! Where only boxes are known ([`FrameInput::Boxes`]), masks are asked for in some frames and carried in the others:
 //!
 //! - Boxes of one frame that mean one object are joined. A box of motion that covers several objects speaks for each.
 //!   Boxes that show nothing that is followed wait, moved by flow, until masks are asked for.
@@ -36,24 +36,24 @@
 //! the same ids.
 
 mod appearance;
-mod asking;
 mod assignment;
 mod backward;
+mod box_groups;
 #[cfg(test)]
 mod box_tests;
 mod boxes;
-mod carry;
 mod choice;
-mod cover;
-pub mod joining;
-mod ledger;
+pub mod merging;
+mod occlusion;
+mod prompting;
+mod propagation;
 mod region;
 mod retrace;
-mod sights;
 mod support;
 #[cfg(test)]
 mod tests;
 mod track;
+mod track_statistics;
 mod tracker;
 #[cfg(test)]
 mod world;
@@ -63,24 +63,24 @@ use serde::{Deserialize, Serialize};
 
 pub use self::backward::{BackwardTracker, End, Extension};
 pub use self::retrace::Correction;
-pub use self::support::{Sighted, Unsupported, support};
+pub use self::support::{MaskEvidence, Unsupported, support};
 pub use self::tracker::Tracker;
 use crate::checks::{Checked, ordered, some_of, within};
-use crate::networks::Prompter;
-use crate::scene::{BoxDetection, Detection, FoundIn, FrameId, Gap, Mask, ObjectId, Outline, Sameness};
+use crate::networks::BoxSegmenter;
+use crate::scene::{BoxDetection, Detection, DetectionCounts, FrameId, Gap, IdentityEvidence, Mask, ObjectId, Outline};
 
 /// Input of the tracker for one frame.
-pub enum Look<'a> {
+pub enum FrameInput<'a> {
     /// An instance segmentation network looked at it.
     Masks(Vec<Detection>),
     /// Boxes of a detector, of motion, or of both.
     Boxes {
         /// Detections; may be empty.
-        found: Vec<FoundBox>,
+        found: Vec<DetectedBox>,
         /// Who looked for them.
-        by: LookedBy,
+        by: BoxSource,
         /// Whom to ask for the masks of boxes; `None` where masks are carried from earlier frames.
-        prompter: Option<&'a mut dyn Prompter>,
+        prompter: Option<&'a mut dyn BoxSegmenter>,
     },
     /// Nobody looked.
     NotLooked,
@@ -88,14 +88,14 @@ pub enum Look<'a> {
 
 /// A box that was found in a frame.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FoundBox {
+pub struct DetectedBox {
     /// Detection, with its source.
     pub found: BoxDetection,
     /// True if its points show that it is stationary ([`shows_standing`](crate::motion::shows_standing)).
     pub stands: bool,
 }
 
-impl From<BoxDetection> for FoundBox {
+impl From<BoxDetection> for DetectedBox {
     /// A box of which no points say anything.
     fn from(found: BoxDetection) -> Self {
         Self { found, stands: false }
@@ -105,7 +105,7 @@ impl From<BoxDetection> for FoundBox {
 /// Boxes of a detector that started no track, since they show something that stands
 /// ([`TrackerOptions::start_standing`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct PassedOver {
+pub struct IgnoredBoxes {
     /// Number of them, in the frames in which masks are segmented.
     pub num_boxes: usize,
     /// Maximum confidence of the detector, 0 to 1.
@@ -114,7 +114,7 @@ pub struct PassedOver {
 
 /// Who looked for boxes in a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LookedBy {
+pub enum BoxSource {
     /// The detector, and motion besides.
     Detector,
     /// Motion alone: the detector passed the frame over.
@@ -173,7 +173,7 @@ pub struct TrackSummary {
     /// Mean number of pixels of its detected masks.
     pub mean_area_px2: f64,
     /// Sources of its detections.
-    pub found: FoundIn,
+    pub found: DetectionCounts,
     /// Frames of its life that somebody looked at.
     pub num_looks: usize,
     /// Those at which the detector looked.
@@ -187,16 +187,16 @@ pub struct TrackSummary {
     /// Where it was lost for a moment and found again, ascending.
     pub gaps: Vec<Gap>,
     /// The object that was lost for longer where this one came up, if it may be the same.
-    pub after: Option<After>,
+    pub after: Option<Predecessor>,
 }
 
 /// Track that an object may continue.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct After {
+pub struct Predecessor {
     /// Provisional id of the one that was lost.
     pub provisional: ObjectId,
     /// Evidence that both are one object, from the images alone.
-    pub evidence: Sameness,
+    pub evidence: IdentityEvidence,
 }
 
 /// Options of the tracker.

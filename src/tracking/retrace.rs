@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use super::carry::{Affine, Carried};
+use super::propagation::{Affine, Propagated};
 use super::region::Region;
 use crate::scene::{FrameId, Mask, ObjectId};
 
@@ -42,7 +42,7 @@ struct Step {
 
 impl Way {
     /// Goes on to a frame to which the mask was carried.
-    pub(super) fn go(&mut self, frame: FrameId, carried: &Carried) {
+    pub(super) fn go(&mut self, frame: FrameId, carried: &Propagated) {
         if self.0.len() >= MAX_FRAMES {
             self.0.pop_front();
         }
@@ -58,7 +58,7 @@ impl Way {
     /// of the object.
     ///
     /// * `carried` – the object as it was carried into the frame of the new mask.
-    pub(super) fn retraced(&self, new: &Region, carried: &Carried, size: (u32, u32)) -> Vec<(FrameId, Region)> {
+    pub(super) fn retraced(&self, new: &Region, carried: &Propagated, size: (u32, u32)) -> Vec<(FrameId, Region)> {
         let mut found = Vec::new();
         if is_hidden(carried) {
             return found;
@@ -78,7 +78,7 @@ impl Way {
     }
 }
 
-fn is_hidden(carried: &Carried) -> bool {
+fn is_hidden(carried: &Propagated) -> bool {
     carried.cover.region.is_some() || carried.is_partly_hidden()
 }
 
@@ -115,8 +115,8 @@ impl Reported {
 
 #[cfg(test)]
 mod tests {
-    use super::super::cover::Cover;
     use super::*;
+    use crate::tracking::occlusion::Cover;
 
     const SIZE: (u32, u32) = (60, 40);
 
@@ -125,10 +125,10 @@ mod tests {
     }
 
     /// A mask that moved by (3, 1) into a frame.
-    fn carried(region: Region) -> Carried {
+    fn carried(region: Region) -> Propagated {
         let displacement = [3.0, 1.0];
         let motion = Affine::shift(displacement);
-        Carried { whole: region.clone(), region, cover: Cover::default(), displacement, share: 1.0, motion }
+        Propagated { whole: region.clone(), region, cover: Cover::default(), displacement, share: 1.0, motion }
     }
 
     /// The way of a mask that loses two columns in every frame; it was new, and 20 wide, in frame 0.
@@ -151,11 +151,13 @@ mod tests {
     #[test]
     fn what_was_hidden_or_is_another_object_keeps_its_mask() {
         let (mut way, new) = (worn(3), block(20, 10, 20, 10));
-        let hidden = Carried { whole: block(17, 9, 20, 10), ..carried(block(17, 9, 10, 10)) };
+        let hidden = Propagated { whole: block(17, 9, 20, 10), ..carried(block(17, 9, 10, 10)) };
         way.go(FrameId(4), &hidden);
         assert!(way.retraced(&new, &carried(block(20, 10, 10, 10)), SIZE).is_empty());
         assert!(
-            worn(4).retraced(&new, &Carried { whole: new.clone(), ..carried(block(20, 10, 5, 10)) }, SIZE).is_empty()
+            worn(4)
+                .retraced(&new, &Propagated { whole: new.clone(), ..carried(block(20, 10, 5, 10)) }, SIZE)
+                .is_empty()
         );
         assert!(worn(4).retraced(&block(45, 10, 10, 10), &carried(block(20, 10, 10, 10)), SIZE).is_empty());
     }

@@ -37,7 +37,7 @@ const LEAST_FLAT_SHARE: f64 = 0.03;
 
 /// Evidence of an object's masks besides the sources of its detections.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sighted {
+pub struct MaskEvidence {
     /// Frames in which it has a mask.
     pub num_frames: usize,
     /// Mean share of the picture that its masks cover.
@@ -86,7 +86,7 @@ impl fmt::Display for Unsupported {
                     _ => write!(f, "detected in {num_named} of {num_looks} frames, score {confidence:.2}")?,
                 }
                 match (movement, num_moving) {
-                    (Movement::Standing, _) => write!(f, ", and stationary"),
+                    (Movement::Stationary, _) => write!(f, ", and stationary"),
                     (_, 0) => write!(f, ", and no evidence of motion"),
                     _ => write!(f, ", and motion detected in {num_moving} frames only"),
                 }
@@ -99,8 +99,8 @@ impl fmt::Display for Unsupported {
 ///
 /// # Errors
 /// [`Unsupported`] says what it lacks.
-pub fn support(summary: &TrackSummary, sighted: &Sighted) -> Result<(), Unsupported> {
-    let &Sighted { num_frames, mean_share, movement, is_flat } = sighted;
+pub fn support(summary: &TrackSummary, sighted: &MaskEvidence) -> Result<(), Unsupported> {
+    let &MaskEvidence { num_frames, mean_share, movement, is_flat } = sighted;
     if num_frames < MIN_MASKS {
         return Err(Unsupported::Brief { num_frames });
     }
@@ -124,7 +124,7 @@ fn is_named(summary: &TrackSummary, movement: Movement) -> bool {
     let is_share = |share: f64| named as f64 >= share * summary.num_detector_looks as f64;
     let is_likely = match movement {
         // That its points stand counts for less where motion found it all along.
-        Movement::Standing if !moves_often(summary) => {
+        Movement::Stationary if !moves_often(summary) => {
             confidence >= VERY_SURE || is_share(OFTEN_STANDING) && confidence >= SURE_OF_STANDING
         }
         _ => confidence >= SURE || is_share(OFTEN) && confidence >= LIKELY,
@@ -142,16 +142,16 @@ fn is_moving(summary: &TrackSummary, movement: Movement) -> bool {
     match movement {
         Movement::Moving => moving > 0 || summary.found.by_detector() > 0,
         Movement::Undetermined => moves_often(summary) && summary.found.by_detector() > 0,
-        Movement::Standing => false,
+        Movement::Stationary => false,
     }
 }
 
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::scene::{FoundIn, FrameId, ObjectId, Outline};
+    use crate::scene::{DetectionCounts, FrameId, ObjectId, Outline};
 
-    pub fn summary(found: FoundIn, class_confidence: f64, num_looks: usize) -> TrackSummary {
+    pub fn summary(found: DetectionCounts, class_confidence: f64, num_looks: usize) -> TrackSummary {
         TrackSummary {
             id: ObjectId(1),
             provisional: ObjectId(1),
@@ -173,27 +173,31 @@ pub(super) mod tests {
         }
     }
 
-    fn seen(movement: Movement) -> Sighted {
-        Sighted { num_frames: 40, mean_share: 0.01, movement, is_flat: false }
+    fn seen(movement: Movement) -> MaskEvidence {
+        MaskEvidence { num_frames: 40, mean_share: 0.01, movement, is_flat: false }
     }
 
     fn named(frames: usize, confidence: f64) -> TrackSummary {
-        summary(FoundIn { detector: frames, prompted: 40 - frames, ..FoundIn::default() }, confidence, 40)
+        summary(
+            DetectionCounts { detector: frames, prompted: 40 - frames, ..DetectionCounts::default() },
+            confidence,
+            40,
+        )
     }
 
     #[test]
     fn a_parked_car_is_supported_by_its_class() {
-        assert_eq!(support(&named(38, 0.6), &seen(Movement::Standing)), Ok(()));
-        assert_eq!(support(&named(4, 0.7), &seen(Movement::Standing)), Ok(()));
+        assert_eq!(support(&named(38, 0.6), &seen(Movement::Stationary)), Ok(()));
+        assert_eq!(support(&named(4, 0.7), &seen(Movement::Stationary)), Ok(()));
     }
 
     #[test]
     fn a_patch_of_road_that_was_named_now_and_then_is_not() {
-        for movement in [Movement::Standing, Movement::Undetermined] {
+        for movement in [Movement::Stationary, Movement::Undetermined] {
             assert!(support(&named(5, 0.35), &seen(movement)).is_err());
             assert!(support(&named(2, 0.9), &seen(movement)).is_err());
         }
-        let reason = support(&named(5, 0.35), &seen(Movement::Standing)).unwrap_err().to_string();
+        let reason = support(&named(5, 0.35), &seen(Movement::Stationary)).unwrap_err().to_string();
         assert_eq!(reason, "detected in 5 of 40 frames, score 0.35, and stationary");
         let reason = support(&named(0, 0.0), &seen(Movement::Undetermined)).unwrap_err().to_string();
         assert_eq!(reason, "no detection, and no evidence of motion");
@@ -202,34 +206,34 @@ pub(super) mod tests {
     #[test]
     fn what_stands_needs_a_surer_class_than_what_nothing_is_known_of() {
         assert_eq!(support(&named(30, 0.4), &seen(Movement::Undetermined)), Ok(()));
-        assert!(support(&named(30, 0.4), &seen(Movement::Standing)).is_err());
-        assert!(support(&named(10, 0.6), &seen(Movement::Standing)).is_err());
-        let found = summary(FoundIn { both: 15, detector: 20, ..FoundIn::default() }, 0.4, 40);
-        assert_eq!(support(&found, &seen(Movement::Standing)), Ok(()));
+        assert!(support(&named(30, 0.4), &seen(Movement::Stationary)).is_err());
+        assert!(support(&named(10, 0.6), &seen(Movement::Stationary)).is_err());
+        let found = summary(DetectionCounts { both: 15, detector: 20, ..DetectionCounts::default() }, 0.4, 40);
+        assert_eq!(support(&found, &seen(Movement::Stationary)), Ok(()));
     }
 
     #[test]
     fn what_moves_needs_no_class() {
-        let moving = |frames| summary(FoundIn { motion: frames, ..FoundIn::default() }, 0.0, 40);
+        let moving = |frames| summary(DetectionCounts { motion: frames, ..DetectionCounts::default() }, 0.0, 40);
         assert_eq!(support(&moving(2), &seen(Movement::Moving)), Ok(()));
         assert!(support(&moving(20), &seen(Movement::Undetermined)).is_err());
         assert!(support(&moving(5), &seen(Movement::Undetermined)).is_err());
-        assert!(support(&moving(20), &seen(Movement::Standing)).is_err());
+        assert!(support(&moving(20), &seen(Movement::Stationary)).is_err());
     }
 
     #[test]
     fn a_handful_of_masks_is_too_few() {
-        let brief = Sighted { num_frames: 3, ..seen(Movement::Moving) };
+        let brief = MaskEvidence { num_frames: 3, ..seen(Movement::Moving) };
         let reason = support(&named(38, 0.9), &brief).unwrap_err();
         assert_eq!(reason.to_string(), "masks in 3 frames only, at least 6 needed");
-        assert_eq!(support(&named(38, 0.9), &Sighted { num_frames: 6, ..brief }), Ok(()));
+        assert_eq!(support(&named(38, 0.9), &MaskEvidence { num_frames: 6, ..brief }), Ok(()));
     }
 
     #[test]
     fn a_patch_of_road_is_left_out_unless_it_moves_or_is_far_away() {
-        let road = Sighted { mean_share: 0.3, is_flat: true, ..seen(Movement::Standing) };
+        let road = MaskEvidence { mean_share: 0.3, is_flat: true, ..seen(Movement::Stationary) };
         assert_eq!(support(&named(38, 0.9), &road), Err(Unsupported::Flat));
-        assert_eq!(support(&named(38, 0.9), &Sighted { mean_share: 0.005, ..road }), Ok(()));
-        assert_eq!(support(&named(38, 0.9), &Sighted { movement: Movement::Moving, ..road }), Ok(()));
+        assert_eq!(support(&named(38, 0.9), &MaskEvidence { mean_share: 0.005, ..road }), Ok(()));
+        assert_eq!(support(&named(38, 0.9), &MaskEvidence { movement: Movement::Moving, ..road }), Ok(()));
     }
 }

@@ -184,15 +184,18 @@ fn sizes_and_order_are_checked() {
     let mut tracker = Tracker::new(TrackerOptions::default());
     let (image, frame) = (world.image(0), World::frame(3));
     let small = Detection { class: "car".into(), confidence: 0.9, mask: Mask::empty(5, 5) };
-    let wrong = tracker.advance(&frame, &image, Look::Masks(vec![small]), None);
+    let wrong = tracker.advance(&frame, &image, FrameInput::Masks(vec![small]), None);
     assert!(matches!(wrong, Err(PerceptionError::SizeMismatch { .. })));
-    tracker.advance(&frame, &image, Look::Masks(world.detections(0)), None).unwrap();
-    let again = tracker.advance(&frame, &image, Look::Masks(Vec::new()), None);
+    tracker.advance(&frame, &image, FrameInput::Masks(world.detections(0)), None).unwrap();
+    let again = tracker.advance(&frame, &image, FrameInput::Masks(Vec::new()), None);
     assert!(matches!(again, Err(PerceptionError::FrameOrder { .. })));
-    let other = tracker.advance(&World::frame(4), &::image::RgbImage::new(9, 9), Look::NotLooked, None);
+    let other = tracker.advance(&World::frame(4), &::image::RgbImage::new(9, 9), FrameInput::NotLooked, None);
     assert!(matches!(other, Err(PerceptionError::SizeMismatch { .. })));
     // A tracker that refused something goes on.
-    assert_eq!(tracker.advance(&World::frame(5), &image, Look::Masks(world.detections(0)), None).unwrap().len(), 1);
+    assert_eq!(
+        tracker.advance(&World::frame(5), &image, FrameInput::Masks(world.detections(0)), None).unwrap().len(),
+        1
+    );
 }
 
 #[test]

@@ -3,16 +3,16 @@
 use std::collections::BTreeMap;
 
 use super::appearance::Appearance;
-use super::carry::Carried;
+use super::box_groups::{BoxGroup, Finding};
 use super::choice::Fresh;
-use super::cover::Cover;
-use super::ledger::Ledger;
+use super::occlusion::Cover;
+use super::propagation::Propagated;
 use super::region::Region;
 use super::retrace::Way;
-use super::sights::{Finding, Sight};
 use super::support::MIN_FRAMES;
-use super::{After, LookedBy, TrackSummary, TrackerOptions};
-use crate::scene::{BoundingBox, FrameId, Gap, ObjectId, Outline, Sameness};
+use super::track_statistics::Ledger;
+use super::{BoxSource, Predecessor, TrackSummary, TrackerOptions};
+use crate::scene::{BoundingBox, FrameId, Gap, IdentityEvidence, ObjectId, Outline};
 
 /// Share of the way that velocity and looks move towards each new measurement.
 const LEARNING_RATE: f64 = 0.4;
@@ -84,7 +84,7 @@ pub(super) struct Moment {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Prediction {
     /// Its mask by optical flow.
-    pub(super) carried: Option<Carried>,
+    pub(super) carried: Option<Propagated>,
     /// Its mask moved by the background's flow and its own velocity.
     pub(super) moved: Option<Region>,
     /// Background motion at its position, pixels.
@@ -144,7 +144,7 @@ pub(super) struct Track {
     renewed_s: f64,
     ledger: Ledger,
     gaps: Vec<Gap>,
-    after: Option<After>,
+    after: Option<Predecessor>,
     /// True if another track may be its continuation.
     is_succeeded: bool,
     /// Share of its outline that was seen when it was lost.
@@ -156,7 +156,7 @@ pub(super) struct Track {
 pub(super) struct Recognised {
     /// 0 to 1.
     pub(super) score: f64,
-    pub(super) evidence: Sameness,
+    pub(super) evidence: IdentityEvidence,
 }
 
 impl Track {
@@ -164,7 +164,7 @@ impl Track {
     pub(super) fn start(provisional: ObjectId, candidate: &Candidate, now: Moment) -> Self {
         let region = candidate.region.clone();
         let mut track = Self::bare(provisional, Origin::Masks, region, candidate.appearance.clone(), now);
-        track.ledger.look(LookedBy::Detector);
+        track.ledger.look(BoxSource::Detector);
         track.count(candidate, now);
         track
     }
@@ -172,7 +172,7 @@ impl Track {
     /// A new track from its first box and the mask in it.
     pub(super) fn start_from_box(
         provisional: ObjectId,
-        sight: &Sight,
+        sight: &BoxGroup,
         fresh: &Fresh,
         outline: Outline,
         now: Moment,
@@ -180,7 +180,7 @@ impl Track {
         let region = fresh.region.clone();
         let mut track = Self::bare(provisional, Origin::Boxes, region, fresh.appearance.clone(), now);
         // Its life begins with the first of the boxes that waited: those frames were looked at as well.
-        (0..=sight.earlier.len()).for_each(|_| track.ledger.look(LookedBy::Detector));
+        (0..=sight.earlier.len()).for_each(|_| track.ledger.look(BoxSource::Detector));
         track.note(sight, now);
         track.confirm_mask(fresh, outline, now);
         track
@@ -264,7 +264,7 @@ impl Track {
     }
 
     /// Counts the boxes that show the object; a class of the detector beats motion, which knows none.
-    pub(super) fn note(&mut self, sight: &Sight, now: Moment) {
+    pub(super) fn note(&mut self, sight: &BoxGroup, now: Moment) {
         for finding in sight.findings() {
             *self.class_votes.entry(finding.class.clone()).or_default() += finding.detector.unwrap_or(0.0);
             self.sum_confidence += finding.confidence();
@@ -275,7 +275,7 @@ impl Track {
     }
 
     /// Counts a look at the frame, whatever it showed.
-    pub(super) fn look(&mut self, by: LookedBy) {
+    pub(super) fn look(&mut self, by: BoxSource) {
         self.ledger.look(by);
     }
 
@@ -306,7 +306,7 @@ impl Track {
     }
 
     /// The outline is that of the new mask, unless that shows a part of an object that is partly hidden.
-    fn learn_whole(&mut self, carried: Option<&Carried>) {
+    fn learn_whole(&mut self, carried: Option<&Propagated>) {
         let hidden = carried.filter(|c| !self.is_lost() && c.is_partly_hidden());
         match hidden {
             Some(c) if (self.region.area() as f64) < MOSTLY_SEEN * c.whole.area() as f64 => {
@@ -327,11 +327,11 @@ impl Track {
 
     /// Continues the track with its carried mask, in a frame in which no new one fits (`Some`: it was asked for in
     /// vain) or none was asked for.
-    pub(super) fn carry_between(&mut self, prediction: &Prediction, asked: Asked, now: Moment, elapsed_s: f64) {
+    pub(super) fn carry_between(&mut self, prediction: &Prediction, asked: PromptOutcome, now: Moment, elapsed_s: f64) {
         let Some(carried) = &prediction.carried else { return };
         self.carry(carried, prediction.background, elapsed_s);
         self.way.go(now.frame, carried);
-        self.num_failed += usize::from(asked == Asked::InVain);
+        self.num_failed += usize::from(asked == PromptOutcome::InVain);
         if self.num_failed == 0 {
             self.trust(now);
         }
@@ -392,7 +392,7 @@ impl Track {
     }
 
     /// Continues the track with its carried mask.
-    pub(super) fn carry(&mut self, carried: &Carried, background: [f64; 2], elapsed_s: f64) {
+    pub(super) fn carry(&mut self, carried: &Propagated, background: [f64; 2], elapsed_s: f64) {
         self.learn_velocity(carried.displacement, background, elapsed_s);
         self.region = carried.region.clone();
         (self.whole, self.cover) = (carried.whole.clone(), carried.cover.clone());
@@ -471,7 +471,7 @@ impl Track {
         let nearness = 1.0 - dx.hypot(dy) / reach;
         let ratio = region.area() as f64 / self.mean_area().max(1.0);
         let fits = similarity >= min_similarity && nearness > 0.0 && (0.25..=4.0).contains(&ratio);
-        let evidence = Sameness {
+        let evidence = IdentityEvidence {
             place: Some(1.0 - nearness),
             colours: Some(similarity.min(1.0)),
             size: Some(ratio),
@@ -515,13 +515,13 @@ impl Track {
     }
 
     /// Says that the object was not seen since it was seen last.
-    pub(super) fn remember_gap(&mut self, evidence: Sameness, now: Moment) {
+    pub(super) fn remember_gap(&mut self, evidence: IdentityEvidence, now: Moment) {
         self.gaps.push(Gap { last: self.last_detected.frame, first: now.frame, evidence });
     }
 
     /// Says which lost object this one may be.
-    pub(super) fn follow_after(&mut self, lost: &mut Self, evidence: Sameness) {
-        self.after = Some(After { provisional: lost.provisional, evidence });
+    pub(super) fn follow_after(&mut self, lost: &mut Self, evidence: IdentityEvidence) {
+        self.after = Some(Predecessor { provisional: lost.provisional, evidence });
         lost.is_succeeded = true;
     }
 
@@ -586,7 +586,7 @@ impl Track {
 
 /// Outcome of segmentation in a frame to which a mask was propagated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Asked {
+pub(super) enum PromptOutcome {
     /// Nobody asked.
     Not,
     /// No answer was better than the carried mask.

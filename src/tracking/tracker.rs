@@ -4,14 +4,14 @@ use ::image::RgbImage;
 
 use super::appearance::Appearance;
 use super::assignment::assign;
-use super::boxes::View;
-use super::carry::{Seen, background_displacement, carry, carry_whole};
-use super::cover::Pictures;
+use super::box_groups::BoxGroup;
+use super::boxes::FrameView;
+use super::occlusion::Pictures;
+use super::propagation::{PreviousObject, background_displacement, carry, carry_whole};
 use super::region::Region;
 use super::retrace::{Correction, Reported};
-use super::sights::Sight;
 use super::track::{Candidate, Moment, Origin, Prediction, Presence, Recognised, Track, compatible, leaves};
-use super::{Evidence, Look, LookedBy, PassedOver, TrackSummary, TrackedMask, TrackerOptions};
+use super::{BoxSource, Evidence, FrameInput, IgnoredBoxes, TrackSummary, TrackedMask, TrackerOptions};
 use crate::networks::PerceptionError;
 use crate::scene::{Detection, Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
@@ -26,7 +26,7 @@ pub struct Tracker {
     pub(super) options: TrackerOptions,
     pub(super) tracks: Vec<Track>,
     /// Boxes that show nothing that is followed and whose masks nobody asked for yet.
-    pub(super) waiting: Vec<Sight>,
+    pub(super) waiting: Vec<BoxGroup>,
     pub(super) num_started: u32,
     finished: Vec<TrackSummary>,
     num_confirmed: u32,
@@ -39,11 +39,11 @@ pub struct Tracker {
     /// Masks of this frame's objects in earlier frames, carried back from new ones.
     pub(super) retraced: Vec<(FrameId, ObjectId, Region)>,
     corrections: Vec<Correction>,
-    pub(super) passed_over: PassedOver,
+    pub(super) passed_over: IgnoredBoxes,
 }
 
 /// Outcome of a track in the current frame.
-pub(super) struct Sighting {
+pub(super) struct TrackObservation {
     pub(super) track_idx: usize,
     pub(super) evidence: Evidence,
     pub(super) region: Region,
@@ -65,7 +65,7 @@ impl Tracker {
             reported: Reported::default(),
             retraced: Vec::new(),
             corrections: Vec::new(),
-            passed_over: PassedOver::default(),
+            passed_over: IgnoredBoxes::default(),
         }
     }
 
@@ -84,25 +84,25 @@ impl Tracker {
         &mut self,
         frame: &Frame,
         image: &RgbImage,
-        look: Look<'_>,
+        look: FrameInput<'_>,
         flow: Option<&Flow>,
     ) -> Result<Vec<TrackedMask>, PerceptionError> {
         let elapsed_s = self.check(frame, image, &look, flow)?;
         let now = Moment { count: self.num_looks, frame: frame.id, time_s: frame.time_s };
-        let view = View { image, flow, now, elapsed_s };
+        let view = FrameView { image, flow, now, elapsed_s };
         let by = match look {
-            Look::NotLooked => None,
-            Look::Masks(_) => Some(LookedBy::Detector),
-            Look::Boxes { by, .. } => Some(by),
+            FrameInput::NotLooked => None,
+            FrameInput::Masks(_) => Some(BoxSource::Detector),
+            FrameInput::Boxes { by, .. } => Some(by),
         };
         if let Some(by) = by {
             self.num_looks += 1;
             self.tracks.iter_mut().for_each(|track| track.look(by));
         }
         let sightings = match look {
-            Look::Masks(detections) => self.follow_masks(&view, detections),
-            Look::Boxes { found, prompter, .. } => self.follow_boxes(&view, found, prompter)?,
-            Look::NotLooked => self.follow_boxes(&view, Vec::new(), None)?,
+            FrameInput::Masks(detections) => self.follow_masks(&view, detections),
+            FrameInput::Boxes { found, prompter, .. } => self.follow_boxes(&view, found, prompter)?,
+            FrameInput::NotLooked => self.follow_boxes(&view, Vec::new(), None)?,
         };
         let masks = self.report(sightings, frame.id, Vec::new(), image.dimensions());
         self.settle(now, image.dimensions());
@@ -112,8 +112,8 @@ impl Tracker {
     }
 
     /// Follows all tracks into a frame of which masks are known.
-    fn follow_masks(&mut self, view: &View, detections: Vec<Detection>) -> Vec<Sighting> {
-        let View { image, flow, now, elapsed_s } = *view;
+    fn follow_masks(&mut self, view: &FrameView, detections: Vec<Detection>) -> Vec<TrackObservation> {
+        let FrameView { image, flow, now, elapsed_s } = *view;
         let candidates = self.candidates(image, detections);
         let predictions = self.predict(&candidates, flow, image, elapsed_s);
         let (pairs, left) = self.associate(&candidates, &predictions, now);
@@ -124,7 +124,7 @@ impl Tracker {
             self.note_gap(track_idx, &candidate.region, candidate.appearance.as_ref(), now);
             self.tracks[track_idx].detect(candidate, &predictions[track_idx], now, elapsed_s);
             let evidence = Evidence::Detected { confidence: candidate.confidence };
-            sightings.push(Sighting { track_idx, evidence, region: candidate.region.clone() });
+            sightings.push(TrackObservation { track_idx, evidence, region: candidate.region.clone() });
         }
         sightings.extend(self.start_tracks(&candidates, &left, &sightings, now));
         let unseen: Vec<usize> = (0..predictions.len()).filter(|t| !pairs.iter().any(|p| p.0 == *t)).collect();
@@ -145,7 +145,7 @@ impl Tracker {
     }
 
     /// Stationary objects that were not followed so far.
-    pub fn passed_over(&self) -> PassedOver {
+    pub fn passed_over(&self) -> IgnoredBoxes {
         self.passed_over
     }
 
@@ -161,7 +161,7 @@ impl Tracker {
         &self,
         frame: &Frame,
         image: &RgbImage,
-        look: &Look<'_>,
+        look: &FrameInput<'_>,
         flow: Option<&Flow>,
     ) -> Result<f64, PerceptionError> {
         self.check_sizes(frame, image, look, flow)?;
@@ -178,12 +178,12 @@ impl Tracker {
         &self,
         frame: &Frame,
         image: &RgbImage,
-        look: &Look<'_>,
+        look: &FrameInput<'_>,
         flow: Option<&Flow>,
     ) -> Result<(), PerceptionError> {
         self.options.check()?;
         self.same_size("the image", frame, image, image.dimensions())?;
-        let detections = if let Look::Masks(detections) = look { detections.as_slice() } else { &[] };
+        let detections = if let FrameInput::Masks(detections) = look { detections.as_slice() } else { &[] };
         for detection in detections {
             self.same_size("a detected mask", frame, image, (detection.mask.width(), detection.mask.height()))?;
         }
@@ -246,7 +246,7 @@ impl Tracker {
             let carried = flow.filter(|_| is_seen).and_then(|f| match track.origin() {
                 Origin::Masks => carry(&track.region, f),
                 Origin::Boxes => {
-                    let seen = Seen { region: &track.region, whole: &track.whole, cover: &track.cover };
+                    let seen = PreviousObject { region: &track.region, whole: &track.whole, cover: &track.cover };
                     carry_whole(&seen, f, pictures)
                 }
             });
@@ -299,9 +299,9 @@ impl Tracker {
         &mut self,
         candidates: &[Candidate],
         left: &[usize],
-        seen: &[Sighting],
+        seen: &[TrackObservation],
         now: Moment,
-    ) -> Vec<Sighting> {
+    ) -> Vec<TrackObservation> {
         let mut started = Vec::new();
         for candidate in left.iter().map(|&c| &candidates[c]) {
             let explained = seen.iter().any(|s| candidate.region.covered_by(&s.region) > MAX_COVERED);
@@ -312,7 +312,11 @@ impl Tracker {
             let track = Track::start(ObjectId(self.num_started), candidate, now);
             self.add(track, candidate.appearance.as_ref(), now);
             let evidence = Evidence::Detected { confidence: candidate.confidence };
-            started.push(Sighting { track_idx: self.tracks.len() - 1, evidence, region: candidate.region.clone() });
+            started.push(TrackObservation {
+                track_idx: self.tracks.len() - 1,
+                evidence,
+                region: candidate.region.clone(),
+            });
         }
         started
     }
@@ -346,11 +350,11 @@ impl Tracker {
         &mut self,
         unseen: &[usize],
         predictions: &[Prediction],
-        seen: &[Sighting],
+        seen: &[TrackObservation],
         image: &RgbImage,
         now: Moment,
         elapsed_s: f64,
-    ) -> Vec<Sighting> {
+    ) -> Vec<TrackObservation> {
         let mut carried_on = Vec::new();
         for &track_idx in unseen {
             let prediction = &predictions[track_idx];
@@ -367,7 +371,11 @@ impl Tracker {
             if let Some(carried) = trusted {
                 track.count_unboxed(false);
                 track.carry(carried, prediction.background, elapsed_s);
-                carried_on.push(Sighting { track_idx, evidence: Evidence::Carried, region: carried.region.clone() });
+                carried_on.push(TrackObservation {
+                    track_idx,
+                    evidence: Evidence::Carried,
+                    region: carried.region.clone(),
+                });
             } else {
                 let moved = prediction.moved.clone().unwrap_or_else(|| track.region.clone());
                 track.lose(moved, now);
@@ -382,12 +390,12 @@ impl Tracker {
     /// * `known` – what else has pixels in the frame.
     pub(super) fn report(
         &mut self,
-        mut sightings: Vec<Sighting>,
+        mut sightings: Vec<TrackObservation>,
         frame: FrameId,
         known: Vec<(ObjectId, Region)>,
         (width, height): (u32, u32),
     ) -> Vec<TrackedMask> {
-        let rank = |s: &Sighting| match s.evidence {
+        let rank = |s: &TrackObservation| match s.evidence {
             Evidence::Detected { confidence } => confidence,
             Evidence::Prompted { quality } => quality - 1.0,
             Evidence::Carried => -1.0,

@@ -2,9 +2,11 @@
 
 use ::image::{Rgb, RgbImage};
 
-use super::{BackwardTracker, Extension, FoundBox, Look, LookedBy, TrackSummary, TrackedMask, Tracker, TrackerOptions};
-use crate::networks::{PerceptionError, Prompted, Prompter};
-use crate::scene::{BoxDetection, Detection, Finder, Flow, Frame, FrameId, Mask, ObjectId, Rect};
+use super::{
+    BackwardTracker, BoxSource, DetectedBox, Extension, FrameInput, TrackSummary, TrackedMask, Tracker, TrackerOptions,
+};
+use crate::networks::{BoxMask, BoxSegmenter, PerceptionError};
+use crate::scene::{BoxDetection, Detection, DetectionSource, Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
 pub(super) const WIDTH: u32 = 200;
 pub(super) const HEIGHT: u32 = 80;
@@ -115,7 +117,7 @@ impl World {
         let mut frames = Vec::new();
         for t in 0..num_frames {
             let flow = (t > 0).then(|| self.flow(t));
-            let look = Look::Masks(seen(t, self.detections(t)));
+            let look = FrameInput::Masks(seen(t, self.detections(t)));
             frames.push(tracker.advance(&Self::frame(t), &self.image(t), look, flow.as_ref()).unwrap());
         }
         (frames, tracker.finish())
@@ -129,11 +131,11 @@ pub(super) struct WorldPrompter<'a> {
     /// Number of box prompts so far.
     pub(super) num_asked: usize,
     /// Changes an answer.
-    pub(super) spoil: &'a dyn Fn(usize, Prompted) -> Option<Prompted>,
+    pub(super) spoil: &'a dyn Fn(usize, BoxMask) -> Option<BoxMask>,
 }
 
-impl Prompter for WorldPrompter<'_> {
-    fn masks(&mut self, _: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<Prompted>>, PerceptionError> {
+impl BoxSegmenter for WorldPrompter<'_> {
+    fn masks(&mut self, _: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<BoxMask>>, PerceptionError> {
         self.num_asked += boxes.len();
         Ok(boxes.iter().map(|rect| (self.spoil)(self.t, self.answer(rect))).collect())
     }
@@ -144,29 +146,29 @@ impl Prompter for WorldPrompter<'_> {
 }
 
 impl WorldPrompter<'_> {
-    fn answer(&self, rect: &Rect) -> Prompted {
+    fn answer(&self, rect: &Rect) -> BoxMask {
         let masks = (0..self.world.things.len()).map(|thing| self.world.mask(self.t, thing));
         let overlap = |mask: &Mask| mask.bounding_box().map_or(0.0, |b| Rect::from(b).iou(rect));
         let best = masks.max_by(|a, b| overlap(a).total_cmp(&overlap(b))).filter(|mask| overlap(mask) > 0.4);
         let filled = || Mask::from_fn(WIDTH, HEIGHT, |x, y| rect.contains(f64::from(x) + 0.5, f64::from(y) + 0.5));
-        best.map_or_else(|| Prompted { mask: filled(), quality: 0.5 }, |mask| Prompted { mask, quality: 0.9 })
+        best.map_or_else(|| BoxMask { mask: filled(), quality: 0.5 }, |mask| BoxMask { mask, quality: 0.9 })
     }
 }
 
 /// The box of a thing as a detector or motion gives it.
-pub(super) fn found_boxes(boxes: Vec<BoxDetection>) -> Vec<FoundBox> {
-    boxes.into_iter().map(FoundBox::from).collect()
+pub(super) fn found_boxes(boxes: Vec<BoxDetection>) -> Vec<DetectedBox> {
+    boxes.into_iter().map(DetectedBox::from).collect()
 }
 
-pub(super) fn box_of(detection: &Detection, finder: Finder) -> Option<BoxDetection> {
+pub(super) fn box_of(detection: &Detection, finder: DetectionSource) -> Option<BoxDetection> {
     let rect = Rect::from(detection.mask.bounding_box()?);
-    let class = if finder == Finder::Motion { "vehicle".to_owned() } else { detection.class.clone() };
+    let class = if finder == DetectionSource::Motion { "vehicle".to_owned() } else { detection.class.clone() };
     Some(BoxDetection { class, confidence: detection.confidence, rect, finder })
 }
 
 impl World {
     /// The boxes of all detectable things.
-    pub(super) fn boxes(&self, t: usize, finder: Finder) -> Vec<BoxDetection> {
+    pub(super) fn boxes(&self, t: usize, finder: DetectionSource) -> Vec<BoxDetection> {
         self.detections(t).iter().filter_map(|detection| box_of(detection, finder)).collect()
     }
 
@@ -176,15 +178,15 @@ impl World {
         num_frames: usize,
         every: usize,
         boxes: impl Fn(usize) -> Vec<BoxDetection>,
-        spoil: &dyn Fn(usize, Prompted) -> Option<Prompted>,
+        spoil: &dyn Fn(usize, BoxMask) -> Option<BoxMask>,
     ) -> (Vec<Vec<TrackedMask>>, Vec<TrackSummary>) {
         let mut tracker = Tracker::new(TrackerOptions::default());
         let mut frames = Vec::new();
         for t in 0..num_frames {
             let flow = (t > 0).then(|| self.flow(t));
             let mut prompter = WorldPrompter { world: self, t, num_asked: 0, spoil };
-            let prompter = t.is_multiple_of(every).then_some(&mut prompter as &mut dyn Prompter);
-            let look = Look::Boxes { found: found_boxes(boxes(t)), by: LookedBy::Detector, prompter };
+            let prompter = t.is_multiple_of(every).then_some(&mut prompter as &mut dyn BoxSegmenter);
+            let look = FrameInput::Boxes { found: found_boxes(boxes(t)), by: BoxSource::Detector, prompter };
             frames.push(tracker.advance(&Self::frame(t), &self.image(t), look, flow.as_ref()).unwrap());
         }
         (frames, tracker.finish())
@@ -197,7 +199,7 @@ impl World {
         frames: &mut [Vec<TrackedMask>],
         tracks: &[TrackSummary],
         every: usize,
-        spoil: &dyn Fn(usize, Prompted) -> Option<Prompted>,
+        spoil: &dyn Fn(usize, BoxMask) -> Option<BoxMask>,
     ) -> Vec<Extension> {
         let lasting = |m: TrackedMask, t: usize| {
             let track = tracks.iter().find(|track| track.provisional == m.object)?;
@@ -209,7 +211,7 @@ impl World {
             let known: Vec<(ObjectId, Mask)> = frames[t].iter().map(|m| (m.object, m.mask.clone())).collect();
             let flow = (t + 1 < frames.len()).then(|| self.flow_between(t + 1, t));
             let mut prompter = WorldPrompter { world: self, t, num_asked: 0, spoil };
-            let prompter = t.is_multiple_of(every).then_some(&mut prompter as &mut dyn Prompter);
+            let prompter = t.is_multiple_of(every).then_some(&mut prompter as &mut dyn BoxSegmenter);
             let earlier = tracker.advance(&Self::frame(t), &self.image(t), &known, prompter, flow.as_ref()).unwrap();
             frames[t].extend(earlier);
         }

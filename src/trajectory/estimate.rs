@@ -81,7 +81,7 @@ const NOTABLE_CLIMB: f64 = 0.1;
 /// # Errors
 /// The chosen method's [`ScaleError`], if no method has an answer.
 pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> Result<ScaleEstimate, ScaleError> {
-    let Answers { pair, all_frames, ratios: answers } = Answers::new(views, options);
+    let Estimates { pair, all_frames, ratios: answers } = Estimates::new(views, options);
     // Contact stands in first: it does not need what the other two lack when they have no answer, a climb.
     let chosen = [wanted, ScaleMethod::Intersection].into_iter().chain(ScaleMethod::ALL);
     let found = chosen.filter_map(|method| Some((method, *answers.get(&method)?.as_ref().ok()?))).next();
@@ -121,7 +121,7 @@ const FOCAL_ALLOWANCE: f64 = 3.0;
 /// * `views` – of [`Joint::object`].
 /// * `focal_std` – share of the focal length, where it is not known exactly.
 pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, focal_std: Option<f64>) -> ScaleEstimate {
-    let answers = Answers::new(views, options);
+    let answers = Estimates::new(views, options);
     let mut alternatives = found_by(&answers.ratios);
     alternatives.insert(ScaleMethod::Joint, found.ratio);
     let shares = ScaleShares {
@@ -212,17 +212,17 @@ fn disagreement(found: &Joint, all_frames: Option<&LeastSquares>) -> f64 {
 
 /// Ratios by all estimators that take a reconstruction unchanged; without those that have no answer.
 pub fn ratios_of(views: &Views, options: &Options) -> Ratios {
-    found_by(&Answers::new(views, options).ratios)
+    found_by(&Estimates::new(views, options).ratios)
 }
 
 /// Ratios of a reconstruction by each estimator.
-struct Answers {
+struct Estimates {
     pair: Result<ConstantDistance, ScaleError>,
     all_frames: Result<LeastSquares, ScaleError>,
     ratios: BTreeMap<ScaleMethod, Result<f64, ScaleError>>,
 }
 
-impl Answers {
+impl Estimates {
     fn new(views: &Views, options: &Options) -> Self {
         let pair = constant_distance(views, &options.constant_distance);
         let all_frames = least_squares(views, &options.least_squares);

@@ -3,12 +3,12 @@
 //!
 //! With the method `joint` the object's reconstruction is first adjusted together with the ground ([`joint`]); where
 //! that cannot be done, or another method is wanted, it is taken as it is and [`estimate_scale`] finds the ratio.
-//! Either way the trajectory refers to [`Placed::object`].
+//! Either way the trajectory refers to [`PlacedObject::object`].
 
 use std::collections::BTreeMap;
 
 use super::estimate::{estimate_scale, joint_estimate, ratios_of, with_focal};
-use super::steadiness::Steadiness;
+use super::plane_outliers::Steadiness;
 use super::{Body, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views, assemble, joint};
 use crate::scene::{Frame, FrameId, GroundPlane, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod, Unit};
 
@@ -44,7 +44,7 @@ pub struct Evidence<'a> {
 
 /// An object in its place.
 #[derive(Clone, Debug)]
-pub struct Placed {
+pub struct PlacedObject {
     /// The model to which the trajectory refers: adjusted with the ground where that was done, else as it was.
     pub object: Reconstruction,
     /// Whether, and how, the model was adjusted.
@@ -90,8 +90,8 @@ impl From<&Joint> for AdjustmentFigures {
 
 /// Places one object: adjusts its model if `options` want that, finds the scale ratio, and assembles the trajectory.
 ///
-/// Never fails as a whole: [`Placed::trajectory`] and [`Placed::adjustment`] say what could not be done and why.
-pub fn place(evidence: &Evidence, options: &Options) -> Placed {
+/// Never fails as a whole: [`PlacedObject::trajectory`] and [`PlacedObject::adjustment`] say what could not be done and why.
+pub fn place(evidence: &Evidence, options: &Options) -> PlacedObject {
     let as_it_is = Views::new(evidence.background, evidence.object, evidence.planes, options);
     let is_adjusted = options.method == ScaleMethod::Joint && evidence.origin == ModelOrigin::Reconstructed;
     let adjustment = match is_adjusted.then(|| joint(&evidence.grounded(), &as_it_is, options)) {
@@ -107,7 +107,7 @@ pub fn place(evidence: &Evidence, options: &Options) -> Placed {
         .map(|scale| with_focal(scale, evidence.focal_std, options.max_relative_std));
     let object = evidence.object.clone();
     let trajectory = scale.and_then(|scale| evidence.trajectory(&object, scale));
-    Placed { object, adjustment, trajectory }
+    PlacedObject { object, adjustment, trajectory }
 }
 
 impl Evidence<'_> {
@@ -118,14 +118,14 @@ impl Evidence<'_> {
     }
 
     /// The object after an adjustment; `as_it_was` are the views of the model before.
-    fn adjusted(&self, found: Joint, as_it_was: &Views, options: &Options) -> Placed {
+    fn adjusted(&self, found: Joint, as_it_was: &Views, options: &Options) -> PlacedObject {
         let steadiness = Steadiness::of(self.background, &found.object, self.planes, found.ratio, options);
         let views = Views::new(self.background, &found.object, &steadiness.telling(self.planes), options);
         let as_reconstructed = Some(ratios_of(as_it_was, options));
         let scale = ScaleEstimate { as_reconstructed, ..joint_estimate(&views, &found, options, self.focal_std) };
         let adjustment = Adjustment::Done(AdjustmentFigures::from(&found));
         let trajectory = self.trajectory(&found.object, scale);
-        Placed { object: found.object, adjustment, trajectory }
+        PlacedObject { object: found.object, adjustment, trajectory }
     }
 
     fn trajectory(&self, object: &Reconstruction, scale: ScaleEstimate) -> Result<ObjectTrajectory, ScaleError> {

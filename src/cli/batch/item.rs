@@ -13,9 +13,9 @@ use super::{resources, words};
 use crate::cli::job::{self, JobArgs, apply_flags, lay_over, resolve_over, use_machine};
 use crate::cli::output::{Failure, Form, show};
 use crate::cli::run;
-use crate::cli::terminal::Talk;
+use crate::cli::terminal::TerminalProgress;
 use crate::io::RunFolder;
-use crate::pipeline::{self, Ended, Failed, Identity, Job, Options, Overwrite, Stage, Standing};
+use crate::pipeline::{self, Completion, FolderState, Identity, Job, Options, Overwrite, RunFailure, Stage};
 use crate::scene::Topic;
 
 /// The options of a line, as `run` has them.
@@ -113,9 +113,11 @@ impl<'a> Maker<'a> {
     }
 
     /// State of the output folder of a line with respect to the given options.
-    pub(super) fn standing_of_given(args: &Args, line: &JobArgs) -> Standing {
+    pub(super) fn folder_state_of_given(args: &Args, line: &JobArgs) -> FolderState {
         let lay_over = |options| lay_over(common(args, options)?, line, Stage::Report);
-        pipeline::standing_of_given(&line.output, |options| lay_over(options).map_err(|failure| failure.to_string()))
+        pipeline::folder_state_of_given(&line.output, |options| {
+            lay_over(options).map_err(|failure| failure.to_string())
+        })
     }
 
     /// Options with those of the command line instead.
@@ -140,8 +142,8 @@ fn common(args: &Args, options: Options) -> Result<Options, Failure> {
 
 impl Item {
     /// State of the output folder with respect to this job.
-    pub(super) fn standing(&self) -> Standing {
-        pipeline::standing(&self.output, &self.input, &self.options)
+    pub(super) fn folder_state(&self) -> FolderState {
+        pipeline::folder_state(&self.output, &self.input, &self.options)
     }
 
     /// Does the job, unless it is done, and leaves word in its folder if it fails.
@@ -150,9 +152,9 @@ impl Item {
     ///
     /// # Errors
     /// As `run`.
-    pub(super) fn work(mut self, arguments: &[OsString], form: Form, talk: &Talk) -> Result<(), Failure> {
+    pub(super) fn work(mut self, arguments: &[OsString], form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
         self.note_other_index();
-        if self.standing() == Standing::Done {
+        if self.folder_state() == FolderState::Done {
             let report = RunFolder::at(&self.output).report();
             let value = json!({ "output": self.output, "report": report, "done_before": true });
             return show(form, &value, || format!("{}\n", report.display()));
@@ -197,8 +199,8 @@ impl Item {
     /// Leaves a record of a failure that would happen again; where none can be left, the failure itself says enough.
     fn leave_word(&self, identity: Identity, failure: &Failure) {
         if matches!(failure.code(), 1 | 2) && !failure.is_stop() {
-            let failed = Failed { code: failure.code(), reason: failure.to_string() };
-            let _ = Ended::note_failure(&self.output, identity, &self.options, failed);
+            let failed = RunFailure { code: failure.code(), reason: failure.to_string() };
+            let _ = Completion::note_failure(&self.output, identity, &self.options, failed);
         }
     }
 }

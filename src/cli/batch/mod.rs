@@ -20,7 +20,7 @@ use rustix::process::{Signal, getpid, getppid, kill_process, set_parent_process_
 
 use super::job::JobArgs;
 use super::output::{Failure, Form};
-use super::terminal::Talk;
+use super::terminal::TerminalProgress;
 use crate::memory::MemoryLimit;
 use item::Maker;
 use list::List;
@@ -62,7 +62,7 @@ pub(super) struct Args {
     pub(super) job: JobArgs,
 }
 
-pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) -> Result<(), Failure> {
+pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
     let path = &args.job.input;
     let list = args.entry.as_ref().map_or_else(|| List::open(path), |handed| List::of_handed(path, handed))?;
     let maker = Maker::new(args, &list);

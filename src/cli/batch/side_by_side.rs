@@ -18,9 +18,9 @@ use super::resources::{MEMORY_OF_A_JOB, threads};
 use super::status::{Fate, State, counted, show_counts};
 use super::words::alone;
 use crate::cli::output::{Failure, Form};
-use crate::cli::terminal::Talk;
+use crate::cli::terminal::TerminalProgress;
 use crate::memory::MemoryLimit;
-use crate::pipeline::{Ended, Identity, Standing};
+use crate::pipeline::{Completion, FolderState, Identity};
 
 /// Grace period of jobs that were asked to end.
 const PATIENCE: Duration = Duration::from_millis(1200);
@@ -61,7 +61,7 @@ pub(super) fn run(
     share: Share,
     arguments: &[OsString],
     form: Form,
-    talk: &Talk,
+    talk: &TerminalProgress,
 ) -> Result<(), Failure> {
     maker.check()?;
     let most = at_a_time(share.jobs.get().min(list.len()), share.memory, talk);
@@ -109,8 +109,8 @@ fn take(
     let without_result = |state, error: String, exit_code| Fate { index, state, reason: Some(error), exit_code };
     let item = maker.item(index, entry);
     let item = item.map_err(|failure| without_result(State::Failed, failure.to_string(), Some(failure.code())))?;
-    match item.standing() {
-        standing @ (Standing::Done | Standing::Running) => Err(Fate::of(index, standing)),
+    match item.folder_state() {
+        folder_state @ (FolderState::Done | FolderState::Running) => Err(Fate::of(index, folder_state)),
         _ => start(item).map_err(|error| without_result(State::ToGoOn, format!("{error:#}"), None)),
     }
 }
@@ -119,8 +119,8 @@ fn take(
 fn look_again(list: &List, maker: &Maker, fates: &mut [Fate]) -> Result<(), Failure> {
     for fate in fates.iter_mut().filter(|fate| !matches!(fate.state, State::Done | State::Failed)) {
         let Ok(item) = maker.item(fate.index, &list.entry(fate.index)?) else { continue };
-        let now = item.standing();
-        if matches!(now, Standing::Done | Standing::Running) {
+        let now = item.folder_state();
+        if matches!(now, FolderState::Done | FolderState::Running) {
             *fate = Fate::of(fate.index, now);
         }
     }
@@ -128,7 +128,7 @@ fn look_again(list: &List, maker: &Maker, fates: &mut [Fate]) -> Result<(), Fail
 }
 
 /// Number of jobs that the memory allows.
-fn at_a_time(most: usize, memory: MemoryLimit, talk: &Talk) -> usize {
+fn at_a_time(most: usize, memory: MemoryLimit, talk: &TerminalProgress) -> usize {
     let room = usize::try_from(memory.bytes() / MEMORY_OF_A_JOB).unwrap_or(most).max(1);
     if room < most {
         let each = MEMORY_OF_A_JOB >> 20;
@@ -206,7 +206,7 @@ fn fate(item: &Item, status: ExitStatus) -> Fate {
 
 /// State of a job whose process ended with exit code 0.
 fn of_ended(item: &Item) -> Fate {
-    let fate = Fate::of(item.index, item.standing());
+    let fate = Fate::of(item.index, item.folder_state());
     let unsaid = || Some("ended with exit code 0, but the output folder is incomplete".to_owned());
     match fate.state {
         State::Done | State::Outdated => fate,
@@ -216,8 +216,8 @@ fn of_ended(item: &Item) -> Fate {
 
 /// The word that a job left in its folder; where it could not, why not.
 fn reason(item: &Item) -> String {
-    let is_of_now = |ended: &Ended| ended.of == Identity::of(&item.input, &item.options);
-    let ended = Ended::of_folder(&item.output).filter(is_of_now);
+    let is_of_now = |ended: &Completion| ended.of == Identity::of(&item.input, &item.options);
+    let ended = Completion::of_folder(&item.output).filter(is_of_now);
     let left = ended.and_then(|ended| ended.failure).map(|failed| failed.reason);
     left.unwrap_or_else(|| format!("no reason recorded; `--index {}` shows it", item.index))
 }

@@ -12,7 +12,7 @@ use super::item::Maker;
 use super::list::List;
 use crate::cli::job::JobArgs;
 use crate::cli::output::{Failure, Form, print_all, print_json, show};
-use crate::pipeline::{Standing, is_begun};
+use crate::pipeline::{FolderState, is_begun};
 
 /// Jobs whose options are in memory at a time: enough that no thread waits for work, and some MiB.
 const AT_ONCE: usize = 1024;
@@ -75,14 +75,14 @@ struct Shown<'a> {
 
 impl Fate {
     /// State of a job by its output folder.
-    pub(super) fn of(index: usize, standing: Standing) -> Self {
-        let (state, reason, exit_code) = match standing {
-            Standing::Absent => (State::Missing, None, None),
-            Standing::Running => (State::Running, None, None),
-            Standing::Done => (State::Done, None, None),
-            Standing::Outdated(difference) => (State::Outdated, Some(difference), None),
-            Standing::Failed(failed) => (State::Failed, Some(failed.reason), Some(failed.code)),
-            Standing::Begun => (State::ToGoOn, None, None),
+    pub(super) fn of(index: usize, folder_state: FolderState) -> Self {
+        let (state, reason, exit_code) = match folder_state {
+            FolderState::Absent => (State::Missing, None, None),
+            FolderState::Running => (State::Running, None, None),
+            FolderState::Done => (State::Done, None, None),
+            FolderState::Outdated(difference) => (State::Outdated, Some(difference), None),
+            FolderState::Failed(failed) => (State::Failed, Some(failed.reason), Some(failed.code)),
+            FolderState::Begun => (State::ToGoOn, None, None),
         };
         Self { index, state, reason, exit_code }
     }
@@ -99,8 +99,9 @@ pub(super) fn run(args: &Args, list: &List, maker: &Maker, form: Form) -> Result
         let end = list.len().min(start + AT_ONCE);
         let lines = (start..end).map(|index| line(list, maker, index)).collect::<Result<Vec<_>, _>>()?;
         let of_line = |(k, line): (usize, &Option<JobArgs>)| {
-            let standing = line.as_ref().map_or(Standing::Absent, |line| Maker::standing_of_given(args, line));
-            Fate::of(start + k, standing)
+            let folder_state =
+                line.as_ref().map_or(FolderState::Absent, |line| Maker::folder_state_of_given(args, line));
+            Fate::of(start + k, folder_state)
         };
         fates.par_extend(lines.par_iter().enumerate().map(of_line));
     }
@@ -203,13 +204,15 @@ pub(super) fn counted(fates: &[Fate]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::Failed;
+    use crate::pipeline::RunFailure;
 
     #[test]
     fn states_are_counted_and_reasons_said() {
-        let failed = Standing::Failed(Failed { code: 1, reason: "no video".to_owned() });
-        let fates: Vec<Fate> =
-            (0..).zip([Standing::Done, failed, Standing::Done]).map(|(k, standing)| Fate::of(k, standing)).collect();
+        let failed = FolderState::Failed(RunFailure { code: 1, reason: "no video".to_owned() });
+        let fates: Vec<Fate> = (0..)
+            .zip([FolderState::Done, failed, FolderState::Done])
+            .map(|(k, folder_state)| Fate::of(k, folder_state))
+            .collect();
         assert_eq!(counted(&fates), "2 done, 1 failed");
         assert_eq!(fates[1].line("b"), "     1  failed    b: no video\n");
         let counts = counts(&fates);

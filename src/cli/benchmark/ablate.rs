@@ -10,7 +10,7 @@ use anyhow::Context;
 
 use super::single::{Attempt, sequence};
 use crate::cli::output::Failure;
-use crate::cli::terminal::Talk;
+use crate::cli::terminal::TerminalProgress;
 use crate::eval::benchmark::{AblatedRun, Ablations, Effect, Entry};
 use crate::io::{self, FolderError, OwnedFolder, RunFolder, atomic};
 use crate::pipeline::{Ablation, Options};
@@ -47,7 +47,12 @@ impl Ablating {
     ///
     /// # Errors
     /// As of the sequence itself; options that the chosen front end does not have.
-    pub(super) fn run(&mut self, attempt: &Attempt<'_>, with: &[Entry], talk: &Talk) -> Result<(), Failure> {
+    pub(super) fn run(
+        &mut self,
+        attempt: &Attempt<'_>,
+        with: &[Entry],
+        talk: &TerminalProgress,
+    ) -> Result<(), Failure> {
         let name = attempt.folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let results = attempt.results.subfolder(&name)?;
         let copy = attempt.results.root().join(RunFolder::STATE).join(COPY);

@@ -19,15 +19,15 @@ use serde_json::json;
 use super::common::CommonArgs;
 use super::job::use_machine;
 use super::output::{Failure, Form, show};
-use super::terminal::Talk;
+use super::terminal::TerminalProgress;
 use crate::eval::benchmark::{Benchmark, Entry, summarise};
-use crate::io::{self, FolderError, OwnedFolder, Place, RunFolder, atomic, refuse_own_input};
+use crate::io::{self, FolderError, OwnedFolder, PathRole, RunFolder, atomic, refuse_own_input};
 use crate::pipeline::{Ablation, Options};
 use crate::report::benchmark as pages;
 use crate::scene::Topic;
 use crate::video::Position;
 use ablate::Ablating;
-use sequences::{Found, find};
+use sequences::{SequenceFolders, find};
 use single::Attempt;
 
 /// Version of `benchmark.json`.
@@ -92,10 +92,10 @@ pub(super) struct Args {
     pub(super) common: CommonArgs,
 }
 
-pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) -> Result<(), Failure> {
+pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
     let options = options(args)?;
     let ablated = args.ablate.as_deref().map(Ablation::listed).transpose().map_err(Failure::Usage)?.unwrap_or_default();
-    let Found { sequences, left_out } = find(&args.folder, &args.only, &args.output)?;
+    let SequenceFolders { sequences, left_out } = find(&args.folder, &args.only, &args.output)?;
     for name in &left_out {
         let text = format!("{}: skipped, no scene.json", args.folder.join(name).display());
         tracing::warn!("{}", Topic::SequenceSkipped.warning(text));
@@ -170,13 +170,13 @@ fn read(path: &Path) -> Result<Benchmark, Failure> {
 }
 
 /// Role of a path in a benchmark's folder, besides the sequences' own output folders.
-fn place(relative: &Path) -> Place {
+fn place(relative: &Path) -> PathRole {
     let parts: Vec<_> = relative.iter().filter_map(|part| part.to_str()).collect();
     match parts[..] {
-        [] => Place::Folder,
-        [RunFolder::STATE, ..] => Place::State,
-        [JSON | MARKDOWN | TRAJECTORY_ERROR | SCALE_DEVIATION | ablate::JSON | ablate::MARKDOWN] => Place::File,
-        _ => Place::Elsewhere,
+        [] => PathRole::Folder,
+        [RunFolder::STATE, ..] => PathRole::State,
+        [JSON | MARKDOWN | TRAJECTORY_ERROR | SCALE_DEVIATION | ablate::JSON | ablate::MARKDOWN] => PathRole::File,
+        _ => PathRole::Elsewhere,
     }
 }
 

@@ -9,7 +9,7 @@ use crate::cli::output::Failure;
 use crate::io::Sequence;
 
 /// The folders of a data set.
-pub(in crate::cli) struct Found {
+pub(in crate::cli) struct SequenceFolders {
     /// Those with a `scene.json` that were asked for, by name.
     pub(in crate::cli) sequences: Vec<PathBuf>,
     /// Names of those without.
@@ -21,11 +21,11 @@ pub(in crate::cli) struct Found {
 ///
 /// # Errors
 /// A folder that cannot be read, or in which nothing is left.
-pub(in crate::cli) fn find(folder: &Path, only: &[String], output: &Path) -> Result<Found, Failure> {
+pub(in crate::cli) fn find(folder: &Path, only: &[String], output: &Path) -> Result<SequenceFolders, Failure> {
     let entries = fs::read_dir(folder)
         .with_context(|| format!("{}: cannot be read; give the folder of all sequences", folder.display()))?;
     let own = output.canonicalize().ok();
-    let mut found = Found { sequences: Vec::new(), left_out: Vec::new() };
+    let mut found = SequenceFolders { sequences: Vec::new(), left_out: Vec::new() };
     let mut num_sequences = 0;
     for entry in entries {
         let path = entry.with_context(|| format!("{}: cannot be read", folder.display()))?.path();

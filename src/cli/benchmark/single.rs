@@ -7,7 +7,7 @@ use super::Args;
 use super::sequences::names;
 use crate::cli::job::apply_sequence;
 use crate::cli::output::Failure;
-use crate::cli::terminal::Talk;
+use crate::cli::terminal::TerminalProgress;
 use crate::eval::Evaluation;
 use crate::eval::benchmark::{Cost, Entry};
 use crate::io::{FolderError, OwnedFolder, Sequence, TARGET_LABEL};
@@ -32,7 +32,7 @@ pub(super) struct Attempt<'a> {
 ///
 /// # Errors
 /// Only what stands in the way of every sequence: an output folder that cannot be written to or that is in use.
-pub(super) fn sequence(attempt: &Attempt<'_>, talk: &Talk) -> Result<Entry, Failure> {
+pub(super) fn sequence(attempt: &Attempt<'_>, talk: &TerminalProgress) -> Result<Entry, Failure> {
     let Attempt { args, folder, results, options, output, arguments } = *attempt;
     let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let truth = Sequence::open(folder);
@@ -78,7 +78,7 @@ fn run(
     output: &Path,
     options: &Options,
     arguments: &[String],
-    talk: &Talk,
+    talk: &TerminalProgress,
 ) -> anyhow::Result<Summary> {
     let target = ObjectId(TARGET_LABEL.into());
     let mut options = options.clone();

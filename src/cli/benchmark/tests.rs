@@ -1,6 +1,6 @@
 use std::fs;
 
-use super::sequences::{Found, find, names};
+use super::sequences::{SequenceFolders, find, names};
 
 fn data_set(folders: &[(&str, bool)]) -> tempfile::TempDir {
     let place = tempfile::tempdir().unwrap();
@@ -20,7 +20,7 @@ fn sequences_are_the_folders_with_a_scene() {
     let list = |only: &[&str]| {
         let only: Vec<String> = only.iter().map(|text| (*text).to_owned()).collect();
         let found = find(place.path(), &only, &place.path().join("out"))?;
-        let Found { sequences, left_out } = found;
+        let SequenceFolders { sequences, left_out } = found;
         let names = sequences.iter().map(|path| path.file_name().unwrap().to_str().unwrap().to_owned());
         Ok::<_, super::Failure>((names.collect::<Vec<_>>(), left_out))
     };

@@ -9,7 +9,7 @@ use super::variant::{Kind, Variant, WINDOW};
 use crate::cli::benchmark::single::stands_in_every_way;
 use crate::cli::job::apply_sequence;
 use crate::cli::output::Failure;
-use crate::cli::terminal::Talk;
+use crate::cli::terminal::TerminalProgress;
 use crate::eval::calibration::Case;
 use crate::eval::{Evaluation, Outcome};
 use crate::io::{OwnedFolder, RunFolder, Sequence, TARGET_LABEL};
@@ -24,7 +24,7 @@ pub(super) struct Setting<'a> {
     pub(super) options: &'a Options,
     pub(super) overwrite: Overwrite,
     pub(super) arguments: &'a [String],
-    pub(super) talk: &'a Talk,
+    pub(super) talk: &'a TerminalProgress,
 }
 
 impl Setting<'_> {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::case::{Setting, apply};
 use super::degrade;
 use super::variant::{Kind, Variant};
-use crate::eval::spread::{Found, Spread, spreads};
+use crate::eval::spread::{RunResult, Spread, spreads};
 use crate::io::RunFolder;
 use crate::pipeline::{self, FrameOrder, Instances, Job, Stage};
 use crate::video::{Options as VideoOptions, Source};
@@ -22,7 +22,7 @@ impl Setting<'_> {
     ///
     /// # Errors
     /// What stands in the way of the run.
-    pub(super) fn clip_as_it_is(&self, clip: &Path) -> anyhow::Result<Found> {
+    pub(super) fn clip_as_it_is(&self, clip: &Path) -> anyhow::Result<RunResult> {
         self.clip_run(clip, Variant { kind: Kind::AsItIs, level: 0.0 })
     }
 
@@ -30,13 +30,13 @@ impl Setting<'_> {
     ///
     /// # Errors
     /// As [`Self::clip_as_it_is`].
-    pub(super) fn spreads(&self, clip: &Path, variant: Variant, as_it_is: &Found) -> anyhow::Result<Vec<Spread>> {
+    pub(super) fn spreads(&self, clip: &Path, variant: Variant, as_it_is: &RunResult) -> anyhow::Result<Vec<Spread>> {
         let found = self.clip_run(clip, variant)?;
         let named = |spread| Spread { clip: name(clip), variant: variant.to_string(), ..spread };
         Ok(spreads(as_it_is, &found).into_iter().map(named).collect())
     }
 
-    fn clip_run(&self, clip: &Path, variant: Variant) -> anyhow::Result<Found> {
+    fn clip_run(&self, clip: &Path, variant: Variant) -> anyhow::Result<RunResult> {
         let mut options = self.options.clone();
         options.instances = Instances::Vehicles;
         apply(variant, &mut options);
@@ -82,9 +82,9 @@ fn name(clip: &Path) -> String {
     clip.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn found(output: &Path) -> anyhow::Result<Found> {
+fn found(output: &Path) -> anyhow::Result<RunResult> {
     let folder = RunFolder::at(output);
     let background = folder.read_background()?;
     let cameras = background.images.iter().map(|(id, image)| (id.frame(), image.cam_from_world));
-    Ok(Found { cam_from_world: cameras.collect(), trajectories: folder.read_trajectories()? })
+    Ok(RunResult { cam_from_world: cameras.collect(), trajectories: folder.read_trajectories()? })
 }

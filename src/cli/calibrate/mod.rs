@@ -23,9 +23,9 @@ use super::benchmark::single::stands_in_every_way;
 use super::common::CommonArgs;
 use super::job::use_machine;
 use super::output::{Failure, Form, show};
-use super::terminal::Talk;
+use super::terminal::TerminalProgress;
 use crate::eval::calibration::{Calibration, Case, summarise, summarise_spreads};
-use crate::io::{FolderError, OwnedFolder, Place, RunFolder, atomic};
+use crate::io::{FolderError, OwnedFolder, PathRole, RunFolder, atomic};
 use crate::pipeline::Overwrite;
 use crate::report::benchmark as pages;
 use crate::scene::Topic;
@@ -65,7 +65,7 @@ pub(super) struct Args {
     pub(super) common: CommonArgs,
 }
 
-pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Talk) -> Result<(), Failure> {
+pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
     let variants = Variant::all(&args.variants).map_err(Failure::Usage)?;
     let options = args.common.options()?;
     options.check().map_err(|error| Failure::Usage(error.to_string()))?;
@@ -136,14 +136,14 @@ fn clips(setting: &Setting, clip: &Path, variants: &[Variant], calibration: &mut
 }
 
 /// Role of a path in a calibration's folder, besides the runs' own output folders.
-fn place(relative: &Path) -> Place {
+fn place(relative: &Path) -> PathRole {
     let parts: Vec<_> = relative.iter().filter_map(|part| part.to_str()).collect();
     match parts[..] {
-        [] => Place::Folder,
-        [RunFolder::STATE, ..] => Place::State,
-        [JSON | MARKDOWN] => Place::File,
-        [name] if name.starts_with(CURVES) && name.ends_with(".svg") => Place::File,
-        _ => Place::Elsewhere,
+        [] => PathRole::Folder,
+        [RunFolder::STATE, ..] => PathRole::State,
+        [JSON | MARKDOWN] => PathRole::File,
+        [name] if name.starts_with(CURVES) && name.ends_with(".svg") => PathRole::File,
+        _ => PathRole::Elsewhere,
     }
 }
 

@@ -71,7 +71,7 @@ pub struct Entry {
     pub floor_as_reconstructed_m: Option<f64>,
     /// Result of every estimator, by its name: `joint` on the target that it adjusted, the others on the target as
     /// structure from motion left it, which is what `--scale-method` with their name gives.
-    pub estimators: BTreeMap<ScaleMethod, Answer>,
+    pub estimators: BTreeMap<ScaleMethod, EstimatorResult>,
     /// Cost of the run when its stages were done.
     pub cost: Option<Cost>,
     /// Warnings of the run.
@@ -80,7 +80,7 @@ pub struct Entry {
 
 /// Result of one estimator.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Answer {
+pub struct EstimatorResult {
     /// Which of the target's models it speaks of.
     pub model: ModelState,
     /// Its scale ratio; `None` where it was not published.
@@ -91,7 +91,7 @@ pub struct Answer {
     pub trajectory_error_m: Option<f64>,
 }
 
-impl Answer {
+impl EstimatorResult {
     fn on(model: ModelState, from: &Alternative) -> Self {
         let Alternative { ratio, deviation, trajectory_error_m } = *from;
         Self { model, ratio: Some(ratio), deviation, trajectory_error_m }
@@ -145,9 +145,10 @@ impl Entry {
         // An estimator's own answer is the one on the target as it was reconstructed, which replaces the one on the
         // adjusted target. Where the former is lost, the latter does not stand in for it, but for the run's own choice.
         let final_ones = evaluation.alternatives.iter().filter(|(method, _)| !is_lost || Some(**method) == chosen);
-        let final_ones = final_ones.map(|(method, found)| (*method, Answer::on(evaluation.model(), found)));
+        let final_ones = final_ones.map(|(method, found)| (*method, EstimatorResult::on(evaluation.model(), found)));
         let first_ones = before.iter().flat_map(|before| &before.alternatives);
-        let first_ones = first_ones.map(|(method, found)| (*method, Answer::on(ModelState::AsReconstructed, found)));
+        let first_ones =
+            first_ones.map(|(method, found)| (*method, EstimatorResult::on(ModelState::AsReconstructed, found)));
         Self {
             failure: trajectory.err().map(str::to_owned),
             registered: Some(evaluation.registered.clone()),
@@ -280,7 +281,7 @@ pub(crate) mod tests {
 
     /// A sequence with the given errors of (intersection, constant-distance, chosen).
     pub(crate) fn entry(vehicle: &str, trajectory: &str, errors: [Option<f64>; 3]) -> Entry {
-        let answer = |error: f64| Answer {
+        let answer = |error: f64| EstimatorResult {
             model: ModelState::AsReconstructed,
             ratio: Some(1.0 + error / 10.0),
             deviation: Some(error / 10.0),

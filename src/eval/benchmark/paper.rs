@@ -5,7 +5,7 @@
 //! Smart `smart`, Golf `hatchback`, Van `van`. Other vehicles, another world, other flights: the values say what kind
 //! of error the paper's pipeline had on what kind of sequence, no more.
 
-use super::{Answer, Benchmark, Entry};
+use super::{Benchmark, Entry, EstimatorResult};
 use crate::scene::{ModelState, ScaleMethod};
 
 /// The baseline.
@@ -80,7 +80,7 @@ fn entry((vehicle, trajectory, errors, deviations): &Published) -> Entry {
     let estimator = |(method, (error, deviation)): (ScaleMethod, (&f64, &f64))| {
         // The ratios themselves were not published.
         let model = ModelState::AsReconstructed;
-        (method, Answer { model, ratio: None, deviation: Some(*deviation), trajectory_error_m: Some(*error) })
+        (method, EstimatorResult { model, ratio: None, deviation: Some(*deviation), trajectory_error_m: Some(*error) })
     };
     Entry {
         folder: format!("{trajectory}_{vehicle}"),

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::buffer::{Buffer, linear};
 use super::{asset, vehicle};
-use crate::export::{Results, View};
+use crate::export::{RegisteredFrame, Results};
 use crate::math::Sim3;
 use crate::report::object_colour;
 use crate::scene::{ObjectId, ObjectTrajectory, Reconstruction, TimeBase};
@@ -247,7 +247,7 @@ impl<'a> Scene<'a> {
         }
     }
 
-    fn near(&self, view: &View) -> f64 {
+    fn near(&self, view: &RegisteredFrame) -> f64 {
         let center = view.cam_from_world.center();
         let distances = self.results.background.points.values().map(|point| (point.position - center).norm());
         let middle = crate::math::median(distances.collect()).unwrap_or(1.0);

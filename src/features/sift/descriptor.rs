@@ -2,7 +2,7 @@
 
 use std::f32::consts::{PI, TAU};
 
-use super::Place;
+use super::ScaleSpacePosition;
 use super::scale_space::Plane;
 
 /// Cells of a descriptor along each axis.
@@ -15,7 +15,7 @@ pub const DESCRIPTOR_LEN: usize = CELLS * CELLS * DIRECTIONS;
 const CELL_SIGMAS: f32 = 3.0;
 
 /// The dominant direction, radians, and the descriptor turned by it.
-pub(super) fn describe(layer: &Plane, place: &Place) -> (f32, [f32; DESCRIPTOR_LEN]) {
+pub(super) fn describe(layer: &Plane, place: &ScaleSpacePosition) -> (f32, [f32; DESCRIPTOR_LEN]) {
     let angle = dominant_direction(layer, place);
     let (sin, cos) = angle.sin_cos();
     let cell = CELL_SIGMAS * place.sigma;
@@ -71,7 +71,7 @@ fn limited(values: &mut [f32; DESCRIPTOR_LEN]) {
 }
 
 /// The most frequent gradient direction round a keypoint, radians.
-fn dominant_direction(layer: &Plane, place: &Place) -> f32 {
+fn dominant_direction(layer: &Plane, place: &ScaleSpacePosition) -> f32 {
     const BINS: usize = 36;
     const WINDOW_SIGMAS: f32 = 1.5;
     let sigma = WINDOW_SIGMAS * place.sigma;
@@ -105,7 +105,7 @@ fn dominant_direction(layer: &Plane, place: &Place) -> f32 {
 
 /// Calls `seen(dx, dy, gx, gy)` for the samples of a square round a keypoint: offset from it, and gradient.
 #[inline(always)]
-fn for_each_gradient(layer: &Plane, place: &Place, reach: f32, mut seen: impl FnMut(f32, f32, f32, f32)) {
+fn for_each_gradient(layer: &Plane, place: &ScaleSpacePosition, reach: f32, mut seen: impl FnMut(f32, f32, f32, f32)) {
     let range = |at: f32, side: usize| {
         let first = ((at - reach).ceil().max(1.0)) as usize;
         let last = ((at + reach).floor().min(side as f32 - 2.0)).max(0.0) as usize;

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::scale_space::{Octave, Plane};
-use super::{Keypoint, LAYERS, Place, SIGMA};
+use super::{Keypoint, LAYERS, SIGMA, ScaleSpacePosition};
 
 /// Samples along the border in which nothing is looked for.
 const BORDER: usize = 5;
@@ -107,7 +107,7 @@ fn refined(
             if contrast < min_contrast || cube.is_edge() {
                 return None;
             }
-            let place = Place {
+            let place = ScaleSpacePosition {
                 octave: index,
                 layer,
                 x: x as f32 + offset.x,

@@ -47,12 +47,12 @@ pub struct Keypoint {
     /// Interpolated difference of Gaussians there.
     pub contrast: f32,
     /// Place in its octave.
-    place: Place,
+    place: ScaleSpacePosition,
 }
 
 /// Where a keypoint lies in the scale space.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Place {
+struct ScaleSpacePosition {
     octave: usize,
     layer: usize,
     /// Sample coordinates in the octave; the first sample is at (0, 0).
@@ -63,7 +63,7 @@ struct Place {
 }
 
 /// Keypoints, and their descriptors row by row: [`DESCRIPTOR_LEN`] values each, not yet of unit length.
-pub struct Found {
+pub struct Keypoints {
     /// The strongest first.
     pub keypoints: Vec<Keypoint>,
     /// Row-major.
@@ -71,7 +71,7 @@ pub struct Found {
 }
 
 /// Finds and describes keypoints; `wanted` says at which pixel positions they may lie.
-pub fn detect(picture: &Plane, options: &Options, wanted: impl Fn(f32, f32) -> bool) -> Found {
+pub fn detect(picture: &Plane, options: &Options, wanted: impl Fn(f32, f32) -> bool) -> Keypoints {
     let mut octaves = Vec::new();
     let mut keypoints = Vec::new();
     let mut next = Some(Octave::first(picture, options.doubled));
@@ -93,7 +93,7 @@ pub fn detect(picture: &Plane, options: &Options, wanted: impl Fn(f32, f32) -> b
         keypoint.angle = angle;
         descriptors.extend(descriptor);
     }
-    Found { keypoints, descriptors }
+    Keypoints { keypoints, descriptors }
 }
 
 /// Keeps those of the highest contrast, and puts them in that order.

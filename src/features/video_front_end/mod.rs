@@ -10,16 +10,16 @@
 //! What was lost for longer, behind something else or out of the picture, is found again by appearance (`memory`,
 //! `bridge`).
 
-mod bridge;
+mod affine_views;
 mod corners;
-mod following;
-mod key_view;
-mod live;
-mod looks;
-mod memory;
-mod reach;
+mod keyframe;
+mod keyframe_memory;
+mod point_tracking;
+mod redetection;
+mod search_range;
 #[cfg(test)]
 mod tests;
+mod tracked_point;
 
 use nalgebra::{Matrix2, Point2, Vector2};
 use schemars::JsonSchema;
@@ -34,9 +34,9 @@ use crate::checks::{Checked, under, within};
 use crate::features::FeatureError;
 use crate::image::{CornerStrength, GrayImage, Pyramid, RgbImage, gray_from_rgb};
 use crate::scene::{BoundingBox, Frame, Mask};
-use live::{Live, whitening};
-use memory::Memory;
-use reach::{Extent, Reach};
+use keyframe_memory::Memory;
+use search_range::{Extent, Reach};
+use tracked_point::{Live, whitening};
 
 /// Where a point that was followed before is looked for first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -175,7 +175,7 @@ impl VideoFrontEnd {
         let gray = gray_from_rgb(image)?;
         let extent = Extent::of(mask);
         self.reach = Reach::new(&self.options, extent);
-        self.shift = reach::shift(&self.options, self.extent, extent);
+        self.shift = super::video_front_end::search_range::shift(&self.options, self.extent, extent);
         self.extent = extent;
         let mask = mask.eroded(self.reach.border_px);
         let pyramid = Pyramid::new(gray, self.options.pyramid_levels.max(0) as usize)?;

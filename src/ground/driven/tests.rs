@@ -2,7 +2,7 @@ use nalgebra::Point3;
 
 use super::*;
 use crate::ground::local_planes;
-use crate::ground::path::SHAPE;
+use crate::ground::vehicle_trajectory::SHAPE;
 use crate::scene::ObjectId;
 use crate::synthetic::drive::{self, Drive, Noise, drive};
 

@@ -17,7 +17,7 @@ pub(super) struct Area {
 }
 
 /// Where a window begins in an area: at this value, and a part of a pixel further.
-pub(super) struct Place {
+pub(super) struct SubpixelPosition {
     start: usize,
     pub fraction: [f32; 2],
 }
@@ -62,13 +62,13 @@ impl Area {
 
     /// Where a window lies whose first pixel is at this place; `None` if some of it is not here.
     #[inline(always)]
-    pub fn place(&self, first: [f32; 2], window: Window) -> Option<Place> {
+    pub fn place(&self, first: [f32; 2], window: Window) -> Option<SubpixelPosition> {
         let whole = first.map(whole_below);
         let fraction = [first[0] - whole[0] as f32, first[1] - whole[1] as f32];
         let start = [whole[0] - self.corner[0], whole[1] - self.corner[1]];
         let fits = |start: i64, length: usize, all: usize| start >= 0 && start as usize + length < all;
         let is_here = fits(start[0], window.width, self.cols) && fits(start[1], window.height, self.rows);
-        is_here.then(|| Place { start: start[1] as usize * self.cols + start[0] as usize, fraction })
+        is_here.then(|| SubpixelPosition { start: start[1] as usize * self.cols + start[0] as usize, fraction })
     }
 
     /// A vector's values of a row, between its columns, from a column and from the two after it on.
@@ -82,7 +82,7 @@ impl Area {
 
     /// A vector's values of a row of a window, between its columns.
     #[inline(always)]
-    pub fn between_columns<S: Simd>(&self, simd: S, place: &Place, column: usize, row: usize) -> S::f32s {
+    pub fn between_columns<S: Simd>(&self, simd: S, place: &SubpixelPosition, column: usize, row: usize) -> S::f32s {
         let start = place.start + row * self.cols + column;
         let (left, right) = (load(simd, &self.values, start), load(simd, &self.values, start + 1));
         simd.mul_add_f32s(simd.splat_f32s(place.fraction[0]), simd.sub_f32s(right, left), left)

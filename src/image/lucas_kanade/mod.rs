@@ -49,7 +49,7 @@ pub struct LucasKanade {
 
 /// Where a point was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Found {
+pub struct TrackedPoint {
     /// Pixels, the first pixel's centre at (0.5, 0.5).
     pub position: Point2<f32>,
     /// Mean difference of the windows, grey values.
@@ -77,7 +77,7 @@ impl LucasKanade {
         to: &Pyramid,
         points: &[Point2<f32>],
         guesses: &[Point2<f32>],
-    ) -> Vec<Option<Found>> {
+    ) -> Vec<Option<TrackedPoint>> {
         let levels = (from.up_to(self.num_smaller), to.up_to(self.num_smaller));
         let parts = points.par_chunks(AT_A_TIME).zip(guesses.par_chunks(AT_A_TIME));
         let found = parts.flat_map_iter(|(points, guesses)| {
@@ -130,7 +130,7 @@ struct Work<'a> {
 }
 
 impl WithSimd for Work<'_> {
-    type Output = Vec<Option<Found>>;
+    type Output = Vec<Option<TrackedPoint>>;
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
@@ -173,7 +173,7 @@ impl Workplace<'_> {
         to: &[GrayImage],
         point: Point2<f32>,
         guess: Point2<f32>,
-    ) -> Option<Found> {
+    ) -> Option<TrackedPoint> {
         let num_smaller = from.len().min(to.len()) - 1;
         let scale = 1.0 / (1u32 << num_smaller) as f32;
         let mut position = [(guess.x - 0.5) * scale, (guess.y - 0.5) * scale];
@@ -182,7 +182,7 @@ impl Workplace<'_> {
             let start = [(point.x - 0.5) * scale, (point.y - 0.5) * scale];
             match self.follow_in(simd, &from[level], &to[level], start, position) {
                 Outcome::Seen { position: [x, y], difference } if level == 0 => {
-                    return Some(Found { position: Point2::new(x + 0.5, y + 0.5), difference });
+                    return Some(TrackedPoint { position: Point2::new(x + 0.5, y + 0.5), difference });
                 }
                 Outcome::Seen { position: [x, y], .. } => position = [2.0 * x, 2.0 * y],
                 // The larger pictures may show what a smaller one does not.

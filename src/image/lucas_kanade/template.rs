@@ -7,7 +7,7 @@ use ::image::GrayImage;
 use pulp::Simd;
 
 use super::LANES;
-use super::area::{Area, Place, load, whole_below};
+use super::area::{Area, SubpixelPosition, load, whole_below};
 use super::window::Window;
 
 /// A window's grey values, their gradients, and the sums that a step needs.
@@ -71,7 +71,7 @@ impl Template {
 
     /// Difference of the window that begins at a position of another image.
     #[inline(always)]
-    pub fn difference<S: Simd>(&self, simd: S, area: &Area, place: &Place, window: Window) -> Difference {
+    pub fn difference<S: Simd>(&self, simd: S, area: &Area, place: &SubpixelPosition, window: Window) -> Difference {
         let [mut across, mut down, mut size] = [simd.splat_f32s(0.0); 3];
         let fraction = simd.splat_f32s(place.fraction[1]);
         let rows = [&self.values, &self.across, &self.down].map(|values| S::as_simd_f32s(values).0);

@@ -74,10 +74,10 @@ fn a_guess_saves_the_smaller_pictures() {
     let (from, to) = pyramids(&first, &moved(&first, [22.0, -17.0]));
     let points = grid(13, 40);
     let guesses: Vec<_> = points.iter().map(|p| p + nalgebra::Vector2::new(21.0, -16.0)).collect();
-    let is_right = |(p, found): (&Point2<f32>, &Option<Found>)| {
+    let is_right = |(p, found): (&Point2<f32>, &Option<TrackedPoint>)| {
         found.is_some_and(|found| (found.position - p - nalgebra::Vector2::new(22.0, -17.0)).norm() < 0.1)
     };
-    let count = |found: Vec<Option<Found>>| points.iter().zip(&found).filter(|(p, f)| is_right((p, f))).count();
+    let count = |found: Vec<Option<TrackedPoint>>| points.iter().zip(&found).filter(|(p, f)| is_right((p, f))).count();
     assert!(count(METHOD.near().follow(&from, &to, &points, &guesses)) as f64 > 0.97 * points.len() as f64);
     assert!(count(METHOD.near().follow(&from, &to, &points, &points)) < points.len() / 10);
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::{FolderError, InputIdentity, Place, Places, STATE, is_inside};
+use super::{FolderError, InputIdentity, PathRole, PathRoles, STATE, is_inside};
 use crate::files;
 
 /// Its name in the state folder.
@@ -33,7 +33,7 @@ impl Manifest {
 
 /// Reads the manifest of a folder, without names at which the program puts no file: the folder may be a stranger's, and
 /// what is listed can be removed.
-pub(super) fn read_manifest(root: &Path, places: Places) -> Result<Option<Manifest>, FolderError> {
+pub(super) fn read_manifest(root: &Path, places: PathRoles) -> Result<Option<Manifest>, FolderError> {
     let state = root.join(STATE);
     for (path, name) in [(state.clone(), STATE.to_owned()), (state.join(MANIFEST), format!("{STATE}/{MANIFEST}"))] {
         if fs::symlink_metadata(&path).is_ok_and(|found| found.file_type().is_symlink()) {
@@ -44,7 +44,7 @@ pub(super) fn read_manifest(root: &Path, places: Places) -> Result<Option<Manife
     // One that cannot be read says nothing: the folder is then nobody's, and left alone.
     let mut manifest = serde_json::from_slice::<Manifest>(&bytes).ok().filter(Manifest::is_sound);
     if let Some(manifest) = &mut manifest {
-        manifest.files.retain(|file| places(file) == Place::File);
+        manifest.files.retain(|file| places(file) == PathRole::File);
     }
     Ok(manifest)
 }

@@ -40,7 +40,7 @@ const SCRATCH: &str = "tmp";
 
 /// Role of a path of the program's folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
+pub enum PathRole {
     /// One of its files.
     File,
     /// One of its folders; others may have files in it.
@@ -52,7 +52,7 @@ pub enum Place {
 }
 
 /// Role of each path of the folder.
-pub type Places = fn(&Path) -> Place;
+pub type PathRoles = fn(&Path) -> PathRole;
 
 /// Identity of the input of a folder's results.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -78,7 +78,7 @@ impl OwnedFolder {
     ///
     /// # Errors
     /// [`FolderError`] says what is in the way.
-    pub fn inspect(path: &Path, made_by: &'static str, places: Places) -> Result<(), FolderError> {
+    pub fn inspect(path: &Path, made_by: &'static str, places: PathRoles) -> Result<(), FolderError> {
         let system = |source| FolderError::System { path: path.to_owned(), source };
         match fs::metadata(path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -102,7 +102,7 @@ impl OwnedFolder {
     ///
     /// # Errors
     /// [`FolderError`] says what is in the way.
-    pub fn open(path: &Path, made_by: &'static str, places: Places) -> Result<Self, FolderError> {
+    pub fn open(path: &Path, made_by: &'static str, places: PathRoles) -> Result<Self, FolderError> {
         Self::inspect(path, made_by, places)?;
         let system = |source| FolderError::System { path: path.to_owned(), source };
         make(&path.join(STATE)).map_err(system)?;
@@ -405,7 +405,7 @@ impl OwnedFolder {
 
 /// The manifest of a command's folder without its files.
 fn manifest_of(path: &Path, made_by: &str) -> Option<Manifest> {
-    let found = read_manifest(path, |_| Place::Elsewhere).ok().flatten();
+    let found = read_manifest(path, |_| PathRole::Elsewhere).ok().flatten();
     found.filter(|manifest| manifest.made_by == made_by)
 }
 

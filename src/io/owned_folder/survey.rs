@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::manifest::Manifest;
 use super::tree::is_real_folder;
-use super::{FolderError, LOCK, OwnedFolder, Place, Places, STATE};
+use super::{FolderError, LOCK, OwnedFolder, PathRole, PathRoles, STATE};
 use crate::io::{ExportFolder, RunFolder, atomic};
 
 /// Refuses an input that lies where the program writes in the folder `output`, whatever links and `..` say.
@@ -15,10 +15,10 @@ use crate::io::{ExportFolder, RunFolder, atomic};
 ///
 /// # Errors
 /// [`FolderError::OwnInput`].
-pub fn refuse_own_input(output: &Path, places: Places, flag: &str, input: &Path) -> Result<(), FolderError> {
+pub fn refuse_own_input(output: &Path, places: PathRoles, flag: &str, input: &Path) -> Result<(), FolderError> {
     // What is not there cannot be written over; who reads it says that it is missing.
     let (Ok(output), Ok(real)) = (fs::canonicalize(output), fs::canonicalize(input)) else { return Ok(()) };
-    let is_own = |real: &Path| real.strip_prefix(&output).is_ok_and(|inside| places(inside) != Place::Elsewhere);
+    let is_own = |real: &Path| real.strip_prefix(&output).is_ok_and(|inside| places(inside) != PathRole::Elsewhere);
     let entries = fs::read_dir(&real).into_iter().flatten().flatten();
     let mut linked = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_symlink()));
     match is_own(&real) || linked.any(|entry| fs::canonicalize(entry.path()).is_ok_and(|real| is_own(&real))) {
@@ -39,12 +39,12 @@ pub fn refuse_place_of_results(file: &Path) -> Result<(), FolderError> {
         return Ok(());
     };
     let real = real.join(absolute.strip_prefix(there).unwrap_or(Path::new("")));
-    let kinds: [(&str, Places); 2] =
+    let kinds: [(&str, PathRoles); 2] =
         [(RunFolder::MADE_BY, RunFolder::place), (ExportFolder::MADE_BY, ExportFolder::place)];
     for folder in real.ancestors().skip(1) {
         let inside = real.strip_prefix(folder).unwrap_or(&real);
-        let is_in = |(made_by, places): &(&str, Places)| {
-            places(inside) != Place::Elsewhere && OwnedFolder::is_own(folder, made_by)
+        let is_in = |(made_by, places): &(&str, PathRoles)| {
+            places(inside) != PathRole::Elsewhere && OwnedFolder::is_own(folder, made_by)
         };
         if kinds.iter().any(is_in) {
             return Err(FolderError::PlaceOfResults { path: file.to_owned(), folder: folder.to_owned() });
@@ -57,7 +57,7 @@ pub fn refuse_place_of_results(file: &Path) -> Result<(), FolderError> {
 pub(super) struct Survey<'a> {
     pub(super) root: &'a Path,
     pub(super) manifest: &'a Manifest,
-    pub(super) places: Places,
+    pub(super) places: PathRoles,
 }
 
 impl Survey<'_> {
@@ -77,15 +77,15 @@ impl Survey<'_> {
             let entry = entry.map_err(system)?;
             let (relative, kind) = (below.join(entry.file_name()), entry.file_type().map_err(system)?);
             let place = (self.places)(&relative);
-            if place != Place::Elsewhere && kind.is_symlink() {
+            if place != PathRole::Elsewhere && kind.is_symlink() {
                 return Err(FolderError::Link { path: self.root.to_owned(), link: relative.display().to_string() });
             }
             match place {
-                Place::File if !kind.is_file() || !self.manifest.files.contains(&relative) => {
+                PathRole::File if !kind.is_file() || !self.manifest.files.contains(&relative) => {
                     foreign.push(relative.display().to_string());
                 }
-                Place::Folder if !kind.is_dir() => foreign.push(relative.display().to_string()),
-                Place::Folder | Place::State if kind.is_dir() => self.look(&relative, foreign)?,
+                PathRole::Folder if !kind.is_dir() => foreign.push(relative.display().to_string()),
+                PathRole::Folder | PathRole::State if kind.is_dir() => self.look(&relative, foreign)?,
                 _ => {}
             }
         }

@@ -4,13 +4,13 @@ use std::os::unix::fs::symlink;
 use super::*;
 
 /// A folder of results with `results/` and `page.html`.
-fn place(relative: &Path) -> Place {
+fn place(relative: &Path) -> PathRole {
     let parts: Vec<_> = relative.iter().filter_map(|part| part.to_str()).collect();
     match parts[..] {
-        [] | ["results"] => Place::Folder,
-        [STATE, ..] => Place::State,
-        ["page.html"] | ["results", "a" | "b" | "c"] => Place::File,
-        _ => Place::Elsewhere,
+        [] | ["results"] => PathRole::Folder,
+        [STATE, ..] => PathRole::State,
+        ["page.html"] | ["results", "a" | "b" | "c"] => PathRole::File,
+        _ => PathRole::Elsewhere,
     }
 }
 

@@ -45,7 +45,7 @@ fn tracks_of(world: &Drive, seed: u64) -> TrackTable {
 }
 
 /// The poses in a frame whose z is up, off by some degrees and pixels.
-fn rough_poses(world: &Drive) -> KnownPoses {
+fn rough_poses(world: &Drive) -> PosePriors {
     let pose = |(k, (id, image)): (usize, (&ImageId, &crate::scene::Image))| {
         let (plane, in_background) = (world.planes.get(&id.frame())?, world.background.images.get(id)?);
         let up = image.cam_from_world.rotation.inverse() * (in_background.cam_from_world.rotation * plane.normal);
@@ -56,7 +56,7 @@ fn rough_poses(world: &Drive) -> KnownPoses {
         let cam_from_level = image.cam_from_world * Rigid3::new((turn * level).inverse(), Vector3::zeros());
         Some(Rigid3::new(cam_from_level.rotation, cam_from_level.translation + aside))
     };
-    KnownPoses { poses: world.object.images.iter().enumerate().map(pose).collect(), error_px: 5.0 }
+    PosePriors { poses: world.object.images.iter().enumerate().map(pose).collect(), error_px: 5.0 }
 }
 
 /// Median distance of the cameras' directions from the true ones after the best turn of the whole, degrees.
@@ -85,7 +85,7 @@ fn rough_poses_take_chance_out_of_a_far_vehicle() {
         let poses = rough_poses(&world);
         let camera = *world.object.cameras.values().next().unwrap();
         let build = |poses| {
-            let beside = Beside { silhouettes: None, poses };
+            let beside = Priors { silhouettes: None, poses };
             let options = Options::object();
             reconstruct_watched(&table, &[camera], Intrinsics::Fixed, &options, seed, beside, &mut |_| {}).unwrap().0
         };

@@ -1,7 +1,7 @@
 //! Estimated focal lengths and their standard deviations.
 
 use super::*;
-use crate::mapper::lens::{focal_deviation_here, focal_evidence};
+use crate::mapper::focal_length::{focal_deviation_here, focal_evidence};
 
 /// A camera that flies straight ahead through points on all sides.
 fn forward_flight(num_views: u32, step: f64) -> World {
@@ -61,12 +61,12 @@ fn the_normal_equations_say_of_a_focal_length_what_three_adjustments_say() {
         let table = tracks(&world, 0.3, 30, &mut seeded_rng(12, 0));
         let (cameras, known) = ([Camera::with_focal(960, 540, 990.0)], KnownIntrinsics::from(Intrinsics::Refined));
         let options = Options::background();
-        let task = starts::Task {
+        let task = initialization::InitializationAttempt {
             table: &table,
             cameras: &cameras,
             known: &known,
             options: &options,
-            beside: Beside::default(),
+            beside: Priors::default(),
         };
         let growth = task.grow_from_starts(1, &mut |_| {}).unwrap().best.unwrap();
         let Noise::Measured { sigma_px } = growth.map().noise() else { panic!("a map has a noise") };

@@ -81,7 +81,7 @@ fn a_turning_camera_that_moves_as_well_gives_a_map() {
     let poses: Vec<Rigid3> = (0..15).map(|k| turned(0.02 * f64::from(k), center(f64::from(k)))).collect();
     for (found, report) in both(&seen_by_all(&camera(), &poses, &landscape(), 0.2), &camera()) {
         assert_eq!(found.images.len(), 15);
-        let weak = |r: &Remark| matches!(r, Remark::PlanarScene { .. } | Remark::ForwardMotion);
+        let weak = |r: &ModelWeakness| matches!(r, ModelWeakness::PlanarScene { .. } | ModelWeakness::ForwardMotion);
         assert!(report.failure.is_none() && !report.remarks.iter().any(weak), "{:?}", report.remarks);
     }
 }
@@ -100,8 +100,12 @@ fn a_plane_is_reconstructed_and_said() {
     assert_eq!(found.images.len(), 20);
     let world = World { camera: camera(), poses, points };
     assert!(center_error(&found, &world) < 0.02, "{}", center_error(&found, &world));
-    assert_eq!(report.remarks, [Remark::PlanarScene { intrinsics_refined: false }]);
-    assert!(guessed.remarks.contains(&Remark::PlanarScene { intrinsics_refined: true }), "{:?}", guessed.remarks);
+    assert_eq!(report.remarks, [ModelWeakness::PlanarScene { intrinsics_refined: false }]);
+    assert!(
+        guessed.remarks.contains(&ModelWeakness::PlanarScene { intrinsics_refined: true }),
+        "{:?}",
+        guessed.remarks
+    );
 }
 
 #[test]
@@ -113,7 +117,7 @@ fn forward_motion_is_reconstructed_and_said() {
     assert_eq!(found.images.len(), 15);
     let world = World { camera: camera(), poses, points: Vec::new() };
     assert!(center_error(&found, &world) < 0.02, "{}", center_error(&found, &world));
-    assert_eq!(report.remarks, [Remark::ForwardMotion]);
+    assert_eq!(report.remarks, [ModelWeakness::ForwardMotion]);
 }
 
 /// Over nearly flat ground, looking straight down, through a shutter that rolls down the picture.
@@ -133,7 +137,7 @@ fn a_single_flight_looking_down_keeps_the_simplest_lens() {
     let guess = Camera::prior(960, 540);
     let (found, report) = reconstruct(&table, &[guess], Intrinsics::Refined, &Options::background(), 0).unwrap();
     assert_eq!(found.images.len(), 14);
-    assert!(report.remarks.iter().any(|r| matches!(r, Remark::LooseFocalLength { .. })), "{:?}", report.remarks);
+    assert!(report.remarks.iter().any(|r| matches!(r, ModelWeakness::LooseFocalLength { .. })), "{:?}", report.remarks);
     let lens = found.cameras.values().next().unwrap();
     assert_eq!((lens.radial[1], lens.principal), (0.0, [480.0, 270.0]));
     let world = World { camera: camera(), poses, points };

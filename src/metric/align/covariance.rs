@@ -22,8 +22,8 @@ impl Errors {
     pub(super) fn new(times_s: &[f64], wander_m: &[f64], noise: DVector<f64>) -> Option<Self> {
         let covariance = DMatrix::from_fn(times_s.len(), times_s.len(), |j, k| {
             let apart_s = (times_s[j] - times_s[k]).abs();
-            let wander = wander_m[j] * wander_m[k] * (-apart_s / WANDER_TIME_S).exp();
-            if j == k { wander + noise[j] } else { wander }
+            let drift = wander_m[j] * wander_m[k] * (-apart_s / WANDER_TIME_S).exp();
+            if j == k { drift + noise[j] } else { drift }
         });
         Some(Self { factor: Cholesky::new(covariance)?, noise })
     }

@@ -76,12 +76,12 @@ fn at(path: &[Point3<f64>], time_s: f64) -> Point3<f64> {
 fn log(path: &[Point3<f64>], rate_hz: f64, rng: &mut Rng) -> Vec<PositionFix> {
     let keep = (-1.0 / rate_hz / WANDER_TIME_S).exp();
     let of_three = |rng: &mut Rng| vector![normal(rng), normal(rng), normal(rng)];
-    let mut wander = of_three(rng) * WANDER_M;
+    let mut drift = of_three(rng) * WANDER_M;
     let std_m = NOISE_M.hypot(WANDER_M);
     let fix = |i: usize| {
         let time_s = OFFSET_S + i as f64 / rate_hz;
-        wander = wander * keep + of_three(rng) * (WANDER_M * (1.0 - keep * keep).sqrt());
-        let position = at(path, time_s - OFFSET_S) + wander + of_three(rng) * NOISE_M;
+        drift = drift * keep + of_three(rng) * (WANDER_M * (1.0 - keep * keep).sqrt());
+        let position = at(path, time_s - OFFSET_S) + drift + of_three(rng) * NOISE_M;
         PositionFix {
             time_s,
             east_north_m: Vector2::new(position.x, position.y),

@@ -412,8 +412,8 @@ impl<'a> Fit<'a> {
 
 /// Share of the variance of an axis that wanders, in the mean.
 fn wander_share(errors: &Errors, members: &[usize], fit: &Fit, kind: usize) -> f64 {
-    let wander: f64 = members.iter().map(|&j| fit.groups[j].wander_m[kind].powi(2)).sum();
-    wander / (wander + errors.noise.sum())
+    let drift: f64 = members.iter().map(|&j| fit.groups[j].wander_m[kind].powi(2)).sum();
+    drift / (drift + errors.noise.sum())
 }
 
 fn weight_of(distance: f64) -> f64 {

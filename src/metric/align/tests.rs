@@ -58,15 +58,15 @@ fn normal(rng: &mut Rng) -> f64 {
 fn log(flight: impl Fn(f64) -> Point3<f64>, duration_s: f64, receiver: &Receiver, rng: &mut Rng) -> Vec<PositionFix> {
     let step_s = 1.0 / receiver.rate_hz;
     let keep = (-step_s / WANDER_TIME_S).exp();
-    let mut wander = vector![normal(rng), normal(rng), normal(rng)] * receiver.wander_m;
+    let mut drift = vector![normal(rng), normal(rng), normal(rng)] * receiver.wander_m;
     let std_m = receiver.noise_m.hypot(receiver.wander_m);
     (0..(duration_s * receiver.rate_hz) as usize)
         .map(|i| {
             let time_s = i as f64 * step_s;
             let fresh = vector![normal(rng), normal(rng), normal(rng)];
-            wander = wander * keep + fresh * receiver.wander_m * (1.0 - keep * keep).sqrt();
+            drift = drift * keep + fresh * receiver.wander_m * (1.0 - keep * keep).sqrt();
             let noise = vector![normal(rng), normal(rng), normal(rng)] * receiver.noise_m;
-            let position = flight(time_s - receiver.offset_s) + wander + noise;
+            let position = flight(time_s - receiver.offset_s) + drift + noise;
             PositionFix {
                 time_s,
                 east_north_m: Vector2::new(position.x, position.y),

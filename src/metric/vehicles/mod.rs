@@ -12,7 +12,7 @@ mod single;
 
 use std::collections::BTreeMap;
 
-use self::single::{Answer, answer};
+use self::single::{SizeEstimate, answer};
 
 /// A class whose vehicles are alike.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -142,7 +142,8 @@ pub fn vehicle_sizes(extents: &[Extent]) -> VehicleSizes {
         by_vehicle.entry(extent.vehicle).or_default().push(*extent);
     }
     let answers = by_vehicle.values().filter_map(|extents| answer(extents));
-    let (mut answers, misshapen): (Vec<Answer>, Vec<Answer>) = answers.partition(|a| a.misfit <= MAX_MISFIT);
+    let (mut answers, misshapen): (Vec<SizeEstimate>, Vec<SizeEstimate>) =
+        answers.partition(|a| a.misfit <= MAX_MISFIT);
     let misshapen = misshapen.iter().map(|a| OddVehicle::new(a.vehicle, Oddity::Shape, a.misfit));
     let mut odd: Vec<OddVehicle> = misshapen.collect();
     odd.extend(take_outliers(&mut answers));
@@ -158,7 +159,7 @@ impl OddVehicle {
 /// Takes out the vehicle that contradicts the others most, as long as three are left. Of two that contradict each other
 /// the one whose proportions nobody could test is taken out; else nobody knows which is wrong, and both are named and
 /// stay.
-fn take_outliers(answers: &mut Vec<Answer>) -> Vec<OddVehicle> {
+fn take_outliers(answers: &mut Vec<SizeEstimate>) -> Vec<OddVehicle> {
     let mut odd = Vec::new();
     loop {
         let mut found: Vec<(usize, OddVehicle)> =
@@ -175,15 +176,15 @@ fn take_outliers(answers: &mut Vec<Answer>) -> Vec<OddVehicle> {
 }
 
 /// The only one of which no more than one extent is known.
-fn untested<'a>(answers: &[Answer], found: &'a [(usize, OddVehicle)]) -> Option<&'a (usize, OddVehicle)> {
+fn untested<'a>(answers: &[SizeEstimate], found: &'a [(usize, OddVehicle)]) -> Option<&'a (usize, OddVehicle)> {
     let is_untested = |k: usize| answers[k].num_extents == 1;
     let mut untested = found.iter().filter(|(k, _)| is_untested(*k));
     untested.next().filter(|_| untested.next().is_none())
 }
 
 /// The `k`-th against the mean of the others; `None` where they agree.
-fn against_others(answers: &[Answer], k: usize) -> Option<OddVehicle> {
-    let others: Vec<Answer> = (0..answers.len()).filter(|&j| j != k).map(|j| answers[j]).collect();
+fn against_others(answers: &[SizeEstimate], k: usize) -> Option<OddVehicle> {
+    let others: Vec<SizeEstimate> = (0..answers.len()).filter(|&j| j != k).map(|j| answers[j]).collect();
     let (log_scale, std) = mean(&others)?;
     let apart = answers[k].log_scale - log_scale;
     let deviations = apart.abs() / std.hypot(answers[k].std);
@@ -193,13 +194,13 @@ fn against_others(answers: &[Answer], k: usize) -> Option<OddVehicle> {
 }
 
 /// Mean by inverse variances, whose deviation grows with the disagreement, and what a place has in common.
-fn together(answers: &[Answer]) -> Option<(f64, f64)> {
+fn together(answers: &[SizeEstimate]) -> Option<(f64, f64)> {
     let (log_scale, std) = mean(answers)?;
     Some((log_scale, std.hypot(SHARED_BY_PLACE)))
 }
 
 /// Mean by inverse variances; its deviation has Birge's factor (`docs/maths/metric.md`, eq. 7).
-fn mean(answers: &[Answer]) -> Option<(f64, f64)> {
+fn mean(answers: &[SizeEstimate]) -> Option<(f64, f64)> {
     let weight: f64 = answers.iter().map(|a| a.std.powi(-2)).sum();
     let log_scale = answers.iter().map(|a| a.log_scale * a.std.powi(-2)).sum::<f64>() / weight;
     let chi2: f64 = answers.iter().map(|a| ((a.log_scale - log_scale) / a.std).powi(2)).sum();

@@ -7,7 +7,7 @@ use super::{Extent, SHARED_BY_VEHICLE};
 
 /// Joint estimate from the extents of one vehicle.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Answer {
+pub(super) struct SizeEstimate {
     /// Which vehicle.
     pub(super) vehicle: u32,
     /// Logarithm of metres per unit.
@@ -29,7 +29,7 @@ struct Member {
 }
 
 /// The answer of one vehicle; `None` without extents. All extents are positive and finite.
-pub(super) fn answer(extents: &[Extent]) -> Option<Answer> {
+pub(super) fn answer(extents: &[Extent]) -> Option<SizeEstimate> {
     let first = extents.first()?;
     let members: Vec<Member> = segments::of(first.class).iter().filter_map(|s| member(s, extents)).collect();
     let highest = members.iter().map(|m| m.log_weight).fold(f64::NEG_INFINITY, f64::max);
@@ -45,7 +45,8 @@ pub(super) fn answer(extents: &[Extent]) -> Option<Answer> {
     // Proportions that differ by more than the deviations explain make the answer less sure (Birge).
     let variance = spread * (chi2 / freedom).max(1.0) + first.ratio_std.powi(2);
     let num_extents = extents.len();
-    let answer = Answer { vehicle: first.vehicle, log_scale, std: variance.sqrt(), num_extents, misfit: chi2.sqrt() };
+    let answer =
+        SizeEstimate { vehicle: first.vehicle, log_scale, std: variance.sqrt(), num_extents, misfit: chi2.sqrt() };
     [answer.log_scale, answer.std, answer.misfit].iter().all(|x| x.is_finite()).then_some(answer)
 }
 

@@ -11,7 +11,7 @@ use opencv::imgproc;
 
 use super::outline::one_part;
 use super::window::Window;
-use super::{PromptOptions, Prompted, Prompter, agreement, visible};
+use super::{BoxMask, BoxSegmenter, PromptOptions, agreement, visible};
 use crate::image::{gray_from_mat, mat_from_bytes, mat_from_rgb, resize_rgb};
 use crate::networks::PerceptionError;
 use crate::scene::{Mask, Rect};
@@ -43,7 +43,7 @@ impl GrabCut {
         Self { options: options.clone() }
     }
 
-    fn mask(&self, image: &RgbImage, rect: &Rect) -> Result<Option<Prompted>, PerceptionError> {
+    fn mask(&self, image: &RgbImage, rect: &Rect) -> Result<Option<BoxMask>, PerceptionError> {
         let frame = image.dimensions();
         let rect = visible(rect, frame);
         let too_small = !(rect.width() >= MIN_SIDE_PX && rect.height() >= MIN_SIDE_PX);
@@ -59,17 +59,17 @@ impl GrabCut {
     }
 
     /// A mask with its quality, if it passes the gates.
-    fn judged(&self, mask: Mask, rect: &Rect) -> Option<Prompted> {
+    fn judged(&self, mask: Mask, rect: &Rect) -> Option<BoxMask> {
         let fill = mask.area_px2() as f64 / rect.area_px2();
         let quality = TRUST * agreement(&mask.bounding_box()?.into(), rect);
         let passes = (self.options.min_fill..=self.options.max_fill).contains(&fill)
             && quality >= TRUST * self.options.min_quality;
-        passes.then_some(Prompted { mask, quality })
+        passes.then_some(BoxMask { mask, quality })
     }
 }
 
-impl Prompter for GrabCut {
-    fn masks(&mut self, image: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<Prompted>>, PerceptionError> {
+impl BoxSegmenter for GrabCut {
+    fn masks(&mut self, image: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<BoxMask>>, PerceptionError> {
         boxes.iter().map(|rect| self.mask(image, rect)).collect()
     }
 

@@ -22,7 +22,7 @@ use ::image::RgbImage;
 use super::options::PromptOptions;
 use super::outline::one_part;
 use super::window::{Placement, Share, Window, shares};
-use super::{Prompted, Prompter, agreement, visible};
+use super::{BoxMask, BoxSegmenter, agreement, visible};
 use crate::ffi::onnx::{Model, Resources, Tensor, TensorInfo};
 use crate::networks::PerceptionError;
 use crate::networks::description::Preprocessing;
@@ -45,12 +45,12 @@ const CORNERS: [f32; 2] = [2.0, 3.0];
 /// # Errors
 /// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] names the part whose
 /// inputs and outputs are others; errors of the runtime say how to get it.
-pub fn load_prompter(
+pub fn load_box_segmenter(
     encoder: &Path,
     decoder: &Path,
     options: &PromptOptions,
     resources: impl Into<Resources>,
-) -> Result<Box<dyn Prompter>, PerceptionError> {
+) -> Result<Box<dyn BoxSegmenter>, PerceptionError> {
     options.check()?;
     let resources = resources.into();
     let encoder = Model::load(encoder, resources)?;
@@ -96,15 +96,15 @@ struct MobileSam {
     options: PromptOptions,
 }
 
-impl Prompter for MobileSam {
-    fn masks(&mut self, image: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<Prompted>>, PerceptionError> {
+impl BoxSegmenter for MobileSam {
+    fn masks(&mut self, image: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<BoxMask>>, PerceptionError> {
         let frame = image.dimensions();
         let boxes: Vec<Rect> = boxes.iter().map(|rect| visible(rect, frame)).collect();
         let mut found = vec![None; boxes.len()];
         for Share { window, boxes: inside } in shares(&boxes, frame, &self.options) {
             let (embedding, placement) = self.encode(image, window)?;
             for b in inside {
-                found[b] = self.ask(&embedding, &placement, &boxes[b], frame)?;
+                found[b] = self.segment(&embedding, &placement, &boxes[b], frame)?;
             }
         }
         Ok(found)
@@ -129,13 +129,13 @@ impl MobileSam {
 
     /// The object in a box. A box that is too large for what is clearly in it, as those of motion are, is drawn
     /// tighter, and the question asked again.
-    fn ask(
+    fn segment(
         &mut self,
         embedding: &Tensor,
         placement: &Placement,
         rect: &Rect,
         frame: (u32, u32),
-    ) -> Result<Option<Prompted>, PerceptionError> {
+    ) -> Result<Option<BoxMask>, PerceptionError> {
         let answers = self.decode(embedding, placement, rect)?;
         if let Some(found) = best(&answers, placement, rect, frame, &self.options) {
             return Ok(Some(found));
@@ -147,12 +147,17 @@ impl MobileSam {
         let second = best(&answers, placement, &tight, frame, &self.options);
         let lost = agreement(&tight, rect).sqrt();
         let confirmed = second.filter(|second| second.mask.iou(&first.mask) >= CONFIRMED_OVERLAP);
-        let judged = confirmed.map(|second| Prompted { quality: second.quality * lost, ..second });
+        let judged = confirmed.map(|second| BoxMask { quality: second.quality * lost, ..second });
         Ok(judged.filter(|found| found.quality >= self.options.min_quality))
     }
 
     /// Asks for the object in a box.
-    fn decode(&mut self, embedding: &Tensor, placement: &Placement, rect: &Rect) -> Result<Answers, PerceptionError> {
+    fn decode(
+        &mut self,
+        embedding: &Tensor,
+        placement: &Placement,
+        rect: &Rect,
+    ) -> Result<DecoderOutputs, PerceptionError> {
         let corners = [[rect.x0, rect.y0], [rect.x1, rect.y1]];
         let values = corners.map(|[x, y]| placement.input_from_frame(x, y).map(|v| (v - 0.5) as f32)).concat();
         let points = Tensor { shape: vec![1, 2, 2], values };
@@ -167,7 +172,7 @@ impl MobileSam {
         if scores.shape != [1, num] || width == 0 || height == 0 {
             return Err(wrong_output(&self.decoder, Some(scores), "one score for each mask, [1, m]"));
         }
-        Ok(Answers { width, height, logits: masks.values, scores: scores.values })
+        Ok(DecoderOutputs { width, height, logits: masks.values, scores: scores.values })
     }
 }
 
@@ -203,7 +208,7 @@ fn wrong_output(model: &Model, found: Option<Tensor>, expected: &str) -> Percept
 }
 
 /// Outputs of the decoder for one box.
-struct Answers {
+struct DecoderOutputs {
     /// Width and height of a mask's logits, cells.
     width: usize,
     height: usize,
@@ -215,12 +220,12 @@ struct Answers {
 
 /// The mask of the highest quality that passes all gates.
 fn best(
-    answers: &Answers,
+    answers: &DecoderOutputs,
     placement: &Placement,
     rect: &Rect,
     frame: (u32, u32),
     options: &PromptOptions,
-) -> Option<Prompted> {
+) -> Option<BoxMask> {
     let mut best: Option<Offer> = None;
     let planes = answers.logits.chunks_exact(answers.width * answers.height);
     for (values, &score) in planes.zip(&answers.scores) {
@@ -236,7 +241,7 @@ fn best(
             };
         }
     }
-    best.map(|best| Prompted { mask: best.mask.in_frame(frame), quality: best.quality })
+    best.map(|best| BoxMask { mask: best.mask.in_frame(frame), quality: best.quality })
 }
 
 /// One mask that could be the object's.
@@ -330,16 +335,16 @@ mod tests {
     }
 
     /// The answer whose logits have a value per pixel of the frame.
-    fn answer(logit: impl Fn(f64, f64) -> f32, score: f32) -> Answers {
+    fn answer(logit: impl Fn(f64, f64) -> f32, score: f32) -> DecoderOutputs {
         let at = |cell: usize| logit(144.5 + (cell % 112) as f64, 94.5 + (cell / 112) as f64);
-        Answers { width: 112, height: 112, logits: (0..112 * 112).map(at).collect(), scores: vec![score] }
+        DecoderOutputs { width: 112, height: 112, logits: (0..112 * 112).map(at).collect(), scores: vec![score] }
     }
 
     fn inside(rect: Rect) -> impl Fn(f64, f64) -> f32 {
         move |x, y| if rect.contains(x, y) { 5.0 } else { -5.0 }
     }
 
-    fn judged(answers: &Answers) -> Option<Prompted> {
+    fn judged(answers: &DecoderOutputs) -> Option<BoxMask> {
         best(answers, &placement(), &BOX, FRAME, &PromptOptions::default())
     }
 
@@ -378,7 +383,7 @@ mod tests {
     fn the_offer_that_fits_the_box_goes_before_a_part_that_is_expected_to_be_better() {
         let part = Rect { x1: 200.0, ..BOX };
         let (whole, part) = (answer(inside(BOX), 0.85), answer(inside(part), 1.0));
-        let both = Answers { logits: [part.logits, whole.logits].concat(), scores: vec![1.0, 0.85], ..whole };
+        let both = DecoderOutputs { logits: [part.logits, whole.logits].concat(), scores: vec![1.0, 0.85], ..whole };
         assert!((judged(&both).unwrap().quality - 0.85).abs() < 1e-6);
     }
 

@@ -9,14 +9,14 @@ mod window;
 use ::image::RgbImage;
 
 pub use self::grabcut::GrabCut;
-pub use self::mobile_sam::load_prompter;
+pub use self::mobile_sam::load_box_segmenter;
 pub use self::options::PromptOptions;
 use super::PerceptionError;
 use crate::scene::{Mask, Rect};
 
 /// The pixels of one box's object.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Prompted {
+pub struct BoxMask {
     /// Its pixels, at the frame's resolution.
     pub mask: Mask,
     /// Mask quality by the segmenter's own estimate: the expected intersection over union, 0 to 1.
@@ -24,13 +24,13 @@ pub struct Prompted {
 }
 
 /// Finds the pixels of objects whose boxes are known.
-pub trait Prompter {
+pub trait BoxSegmenter {
     /// One answer per box, in their order; `None` where there is no mask that could be the object's: the box is empty,
     /// or what was found in it is not trustworthy.
     ///
     /// # Errors
     /// When the network cannot be run or answers in a shape that its family does not allow.
-    fn masks(&mut self, image: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<Prompted>>, PerceptionError>;
+    fn masks(&mut self, image: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<BoxMask>>, PerceptionError>;
 
     /// Returns true if the masks are coarse: good for finding the object, not for its outline.
     fn is_coarse(&self) -> bool;

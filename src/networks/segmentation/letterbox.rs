@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use ::image::RgbImage;
 
-use super::views::View;
+use super::tiles::Tile;
 use crate::image::{ImageError, resize_rgb_quickly};
 
 /// The grey that fills what the view leaves free, as YOLO networks are trained with.
@@ -30,18 +30,18 @@ pub(super) struct Letterbox {
 impl Letterbox {
     /// Cuts `view` out of the frame and fits it into the middle of `input` (width, height); gives the input's pixels as
     /// well.
-    pub(super) fn place(frame: &RgbImage, view: View, input: (u32, u32)) -> Result<(Self, RgbImage), ImageError> {
+    pub(super) fn place(frame: &RgbImage, view: Tile, input: (u32, u32)) -> Result<(Self, RgbImage), ImageError> {
         Self::place_at(frame, view, input, Anchor::Centre)
     }
 
     /// As [`Self::place`], at any place of the input.
     pub(super) fn place_at(
         frame: &RgbImage,
-        view: View,
+        view: Tile,
         input: (u32, u32),
         anchor: Anchor,
     ) -> Result<(Self, RgbImage), ImageError> {
-        let crop = match view == View::whole(frame.width(), frame.height()) {
+        let crop = match view == Tile::whole(frame.width(), frame.height()) {
             true => Cow::Borrowed(frame),
             false => {
                 Cow::Owned(::image::imageops::crop_imm(frame, view.x0, view.y0, view.width, view.height).to_image())
@@ -88,7 +88,7 @@ mod tests {
     #[test]
     fn a_wide_frame_gets_grey_above_and_below() {
         let frame = RgbImage::from_pixel(1280, 720, ::image::Rgb([200, 0, 0]));
-        let (boxed, input) = Letterbox::place(&frame, View::whole(1280, 720), (640, 640)).unwrap();
+        let (boxed, input) = Letterbox::place(&frame, Tile::whole(1280, 720), (640, 640)).unwrap();
         assert_eq!(input.get_pixel(320, 139).0, [114; 3]);
         assert_eq!(input.get_pixel(320, 140).0, [200, 0, 0]);
         assert_eq!(boxed.input_from_frame(0.0, 0.0), [0.0, 140.0]);
@@ -98,7 +98,7 @@ mod tests {
     #[test]
     fn positions_are_exact_to_a_part_of_a_pixel_at_either_place() {
         let frame = RgbImage::from_pixel(1279, 717, ::image::Rgb([9, 9, 9]));
-        let (boxed, input) = Letterbox::place_at(&frame, View::whole(1279, 717), (960, 544), Anchor::TopLeft).unwrap();
+        let (boxed, input) = Letterbox::place_at(&frame, Tile::whole(1279, 717), (960, 544), Anchor::TopLeft).unwrap();
         assert_eq!((input.get_pixel(0, 537).0, input.get_pixel(0, 538).0), ([9; 3], [114; 3]));
         assert_eq!(boxed.input_from_frame(1279.0, 717.0), [960.0, 538.0]);
         for (x, y) in [(0.5, 0.5), (640.25, 300.75), (1278.5, 716.5)] {
@@ -111,7 +111,7 @@ mod tests {
     #[test]
     fn a_tile_is_not_scaled() {
         let frame = RgbImage::from_fn(100, 80, |x, y| ::image::Rgb([x as u8, y as u8, 0]));
-        let view = View { x0: 30, y0: 10, width: 64, height: 64 };
+        let view = Tile { x0: 30, y0: 10, width: 64, height: 64 };
         let (boxed, input) = Letterbox::place(&frame, view, (64, 64)).unwrap();
         assert_eq!(input.get_pixel(5, 6).0, [35, 16, 0]);
         assert_eq!(boxed.frame_from_input(5.5, 6.5), [35.5, 16.5]);

@@ -14,7 +14,7 @@ use ::image::RgbImage;
 use super::classes::{Classes, class_names_after_background};
 use super::letterbox::Letterbox;
 use super::suppression::{Candidate, suppress};
-use super::views::{mask_in, views};
+use super::tiles::{mask_in, views};
 use super::{MAX_OBJECTS, SegmentationOptions, Segmenter};
 use crate::ffi::onnx::{Model, Tensor, TensorInfo};
 use crate::networks::PerceptionError;
@@ -33,19 +33,19 @@ pub(super) fn recognise(model: &Model) -> bool {
         [batch, channels, _, _] => batch.is_none_or(|b| b == 1) && channels == Some(3),
         _ => false,
     };
-    is_image && Places::find(model.outputs()).is_some()
+    is_image && OutputIndices::find(model.outputs()).is_some()
 }
 
 /// Which output is what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Places {
+struct OutputIndices {
     boxes: usize,
     labels: usize,
     scores: usize,
     masks: usize,
 }
 
-impl Places {
+impl OutputIndices {
     /// Finds the four outputs by their ranks and number types; `None` unless each is there once.
     fn find(outputs: &[TensorInfo]) -> Option<Self> {
         let only = |fits: &dyn Fn(&TensorInfo) -> bool| {
@@ -67,14 +67,14 @@ impl Places {
 pub(super) struct MaskRcnn {
     model: Model,
     options: SegmentationOptions,
-    places: Places,
+    places: OutputIndices,
     classes: Classes,
 }
 
 impl MaskRcnn {
     /// Takes a network that [`recognise`] accepted.
     pub(super) fn new(model: Model, options: &SegmentationOptions) -> Result<Self, PerceptionError> {
-        let Some(places) = Places::find(model.outputs()) else {
+        let Some(places) = OutputIndices::find(model.outputs()) else {
             return Err(wrong_output(&model, Vec::new(), "boxes, labels, scores and masks".to_owned()));
         };
         let classes = Classes::new(&model, class_names_after_background(&model)?, &options.classes)?;
@@ -100,14 +100,14 @@ impl MaskRcnn {
     }
 
     /// Runs the network on one view.
-    fn look(&mut self, pixels: &RgbImage) -> Result<Answer, PerceptionError> {
+    fn look(&mut self, pixels: &RgbImage) -> Result<CheckedOutputs, PerceptionError> {
         let mut input = tensor_from_image(pixels, &Preprocessing::default());
         if self.model.inputs()[0].shape.len() == 3 {
             input.shape.remove(0);
         }
         let outputs = self.model.run(&[input])?;
         let num_classes = self.classes.names.len();
-        Answer::new(outputs, self.places, pixels.dimensions(), num_classes)
+        CheckedOutputs::new(outputs, self.places, pixels.dimensions(), num_classes)
             .map_err(|(found, expected)| wrong_output(&self.model, found, expected))
     }
 }
@@ -154,7 +154,7 @@ enum Spread {
 
 /// Outputs of the network for one view, with checked shapes.
 #[derive(Debug)]
-struct Answer {
+struct CheckedOutputs {
     /// [n, 4], corners in input pixels.
     boxes: Tensor,
     /// [n].
@@ -166,11 +166,11 @@ struct Answer {
     spread: Spread,
 }
 
-impl Answer {
+impl CheckedOutputs {
     /// Takes a run's outputs; an error is the shape at fault and what was expected.
     fn new(
         mut outputs: Vec<Tensor>,
-        places: Places,
+        places: OutputIndices,
         input: (u32, u32),
         num_classes: usize,
     ) -> Result<Self, (Vec<usize>, String)> {
@@ -268,10 +268,10 @@ fn with_border(values: &[f32], width: usize, height: usize) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::views::View;
     use super::*;
+    use crate::networks::segmentation::tiles::Tile;
 
-    const PLACES: Places = Places { boxes: 0, labels: 1, scores: 2, masks: 3 };
+    const PLACES: OutputIndices = OutputIndices { boxes: 0, labels: 1, scores: 2, masks: 3 };
 
     fn info(name: &str, element: &str, shape: &[Option<usize>]) -> TensorInfo {
         TensorInfo { name: name.into(), shape: shape.to_vec(), element: element.into() }
@@ -282,13 +282,13 @@ mod tests {
     }
 
     /// One object at (8, 4)-(24, 12), of label 3, whose mask's left half is set.
-    fn answer(mask: Tensor) -> Result<Answer, (Vec<usize>, String)> {
+    fn answer(mask: Tensor) -> Result<CheckedOutputs, (Vec<usize>, String)> {
         let outputs = vec![tensor(&[1, 4], &[8.0, 4.0, 24.0, 12.0]), tensor(&[1], &[3.0]), tensor(&[1], &[0.9]), mask];
-        Answer::new(outputs, PLACES, (32, 16), 4)
+        CheckedOutputs::new(outputs, PLACES, (32, 16), 4)
     }
 
     fn letterbox() -> Letterbox {
-        Letterbox::place(&RgbImage::new(64, 32), View::whole(64, 32), (32, 16)).unwrap().0
+        Letterbox::place(&RgbImage::new(64, 32), Tile::whole(64, 32), (32, 16)).unwrap().0
     }
 
     #[test]
@@ -300,10 +300,10 @@ mod tests {
             info("b", "f32", &[n]),
             info("c", "f32", &[n, Some(4)]),
         ];
-        assert_eq!(Places::find(&outputs), Some(Places { boxes: 3, labels: 1, scores: 2, masks: 0 }));
+        assert_eq!(OutputIndices::find(&outputs), Some(OutputIndices { boxes: 3, labels: 1, scores: 2, masks: 0 }));
         outputs.push(info("d", "f32", &[n]));
-        assert_eq!(Places::find(&outputs), None, "two that could be the scores");
-        assert_eq!(Places::find(&outputs[..3]), None);
+        assert_eq!(OutputIndices::find(&outputs), None, "two that could be the scores");
+        assert_eq!(OutputIndices::find(&outputs[..3]), None);
     }
 
     #[test]
@@ -349,10 +349,10 @@ mod tests {
         let outputs = |label: f32| {
             vec![Tensor::zeros(&[1, 4]), tensor(&[1], &[label]), tensor(&[1], &[0.5]), Tensor::zeros(&[1, 1, 2, 2])]
         };
-        assert!(Answer::new(outputs(4.0), PLACES, (32, 16), 4).unwrap_err().1.contains("below 4"));
-        assert!(Answer::new(outputs(3.0), PLACES, (32, 16), 4).is_ok());
+        assert!(CheckedOutputs::new(outputs(4.0), PLACES, (32, 16), 4).unwrap_err().1.contains("below 4"));
+        assert!(CheckedOutputs::new(outputs(3.0), PLACES, (32, 16), 4).is_ok());
         let nothing =
             vec![Tensor::zeros(&[0, 4]), Tensor::zeros(&[0]), Tensor::zeros(&[0]), Tensor::zeros(&[0, 1, 0, 0])];
-        assert!(Answer::new(nothing, PLACES, (32, 16), 4).unwrap().candidates(&[true; 4], 0.0).is_empty());
+        assert!(CheckedOutputs::new(nothing, PLACES, (32, 16), 4).unwrap().candidates(&[true; 4], 0.0).is_empty());
     }
 }

@@ -5,7 +5,7 @@ mod detection;
 mod letterbox;
 mod mask_rcnn;
 mod suppression;
-mod views;
+mod tiles;
 mod yolo;
 mod yolox;
 

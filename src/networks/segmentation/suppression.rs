@@ -1,7 +1,7 @@
 //! Non-maximum suppression over all views of a frame.
 
 use super::letterbox::Letterbox;
-use super::views::View;
+use super::tiles::Tile;
 
 /// A box found in one view, in frame pixels; `M` is what its family makes the mask of.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,7 +20,7 @@ pub(super) struct Candidate<M> {
 
 impl<M> Candidate<M> {
     /// Moves the corners from input pixels to frame pixels, clipped to the view.
-    pub(super) fn in_frame(mut self, boxed: &Letterbox, view: View, view_idx: usize, frame: (u32, u32)) -> Self {
+    pub(super) fn in_frame(mut self, boxed: &Letterbox, view: Tile, view_idx: usize, frame: (u32, u32)) -> Self {
         let [x0, y0] = boxed.frame_from_input(self.corners[0], self.corners[1]);
         let [x1, y1] = boxed.frame_from_input(self.corners[2], self.corners[3]);
         let (left, top) = (view.x0 as f32, view.y0 as f32);

@@ -10,7 +10,7 @@ use ::image::RgbImage;
 use super::classes::{Classes, class_names};
 use super::letterbox::Letterbox;
 use super::suppression::{Candidate, suppress};
-use super::views::{mask_in, views};
+use super::tiles::{mask_in, views};
 use super::{MAX_OBJECTS, SegmentationOptions, Segmenter};
 use crate::ffi::onnx::{Model, Tensor};
 use crate::networks::PerceptionError;

@@ -11,14 +11,14 @@ use ::image::RgbImage;
 
 use super::classes::class_names;
 use super::letterbox::{Anchor, Letterbox, fitted};
-use super::views::View;
+use super::tiles::Tile;
 use super::{Detector, DetectorOptions, MAX_OBJECTS};
 use crate::ffi::onnx::{Model, Tensor};
 use crate::image::resize_rgb_quickly;
 use crate::networks::PerceptionError;
 use crate::networks::description::{ChannelOrder, Preprocessing};
 use crate::networks::tensor::tensor_from_image;
-use crate::scene::{BoxDetection, Finder, Rect};
+use crate::scene::{BoxDetection, DetectionSource, Rect};
 
 /// Sides of a cell in pixels of the input, in the order of the output's rows.
 const STRIDES: [usize; 3] = [8, 16, 32];
@@ -95,7 +95,7 @@ impl Yolox {
         input: (u32, u32),
     ) -> Result<Vec<BoxDetection>, PerceptionError> {
         let size = picture.dimensions();
-        let (boxed, pixels) = Letterbox::place_at(picture, View::whole(size.0, size.1), input, Anchor::TopLeft)?;
+        let (boxed, pixels) = Letterbox::place_at(picture, Tile::whole(size.0, size.1), input, Anchor::TopLeft)?;
         let output = self.run(&pixels)?;
         let found = decode(&output.values, input, &self.wanted, self.options.confidence);
         let in_picture = found.into_iter().filter_map(|detection| in_frame(detection, &boxed, size));
@@ -163,7 +163,12 @@ fn decode(values: &[f32], input: (u32, u32), wanted: &[Option<String>], min_conf
             let Some((class, confidence)) = best_class(row, wanted) else { continue };
             if confidence >= min_confidence {
                 let rect = cell_box(row, [cell % columns, cell / columns], stride as f64);
-                found.push(BoxDetection { class: class.to_owned(), confidence, rect, finder: Finder::Detector });
+                found.push(BoxDetection {
+                    class: class.to_owned(),
+                    confidence,
+                    rect,
+                    finder: DetectionSource::Detector,
+                });
             }
         }
     }
@@ -250,10 +255,14 @@ mod tests {
     #[test]
     fn boxes_end_at_the_frame_and_nonsense_is_dropped() {
         let frame = RgbImage::new(128, 50);
-        let (boxed, _) = Letterbox::place_at(&frame, View::whole(128, 50), (64, 32), Anchor::TopLeft).unwrap();
+        let (boxed, _) = Letterbox::place_at(&frame, Tile::whole(128, 50), (64, 32), Anchor::TopLeft).unwrap();
         let found = |rect: Rect| {
             let class = "car".to_owned();
-            in_frame(BoxDetection { class, confidence: 0.5, rect, finder: Finder::Detector }, &boxed, (128, 50))
+            in_frame(
+                BoxDetection { class, confidence: 0.5, rect, finder: DetectionSource::Detector },
+                &boxed,
+                (128, 50),
+            )
         };
         let half = found(Rect { x0: 10.0, y0: -3.0, x1: 20.0, y1: 40.0 }).unwrap();
         assert_eq!(half.rect, Rect { x0: 20.0, y0: 0.0, x1: 40.0, y1: 50.0 });
@@ -267,7 +276,7 @@ mod tests {
             class: class.to_owned(),
             confidence,
             rect: Rect { x0, y0: 0.0, x1: x0 + 10.0, y1: 10.0 },
-            finder: Finder::Detector,
+            finder: DetectionSource::Detector,
         };
         let all = vec![detection("car", 0.4, 0.0), detection("truck", 0.6, 1.0), detection("car", 0.3, 6.0)];
         let kept = surest(all, 0.6);

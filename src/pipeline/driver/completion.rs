@@ -39,19 +39,19 @@ pub struct Identity {
 
 /// End of a run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Ended {
+pub struct Completion {
     /// Hashes of everything that it was made from.
     pub of: Identity,
     /// Its options as JSON, so that single ones can be compared; `null` in records of older programs.
     #[serde(default)]
     pub options: Value,
     /// Why it has no result, where that is so.
-    pub failure: Option<Failed>,
+    pub failure: Option<RunFailure>,
 }
 
 /// Why a run ended without a result.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Failed {
+pub struct RunFailure {
     /// The program's exit code.
     pub code: u8,
     /// Error message.
@@ -60,7 +60,7 @@ pub struct Failed {
 
 /// State of a folder with respect to a requested run.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Standing {
+pub enum FolderState {
     /// Nothing was begun.
     Absent,
     /// Another process is at work there.
@@ -70,7 +70,7 @@ pub enum Standing {
     /// All is done, but from something else; says from what.
     Outdated(String),
     /// The last run failed, and would again.
-    Failed(Failed),
+    Failed(RunFailure),
     /// Something was begun and did not come to its end.
     Begun,
 }
@@ -123,9 +123,9 @@ fn of_state(state: &Metadata) -> Value {
     json!([state.len(), state.ino(), state.mtime(), state.mtime_nsec(), state.ctime(), state.ctime_nsec()])
 }
 
-impl Ended {
+impl Completion {
     /// The record of a run of `options` that was made from `of`.
-    pub fn new(of: Identity, options: &Options, failure: Option<Failed>) -> Self {
+    pub fn new(of: Identity, options: &Options, failure: Option<RunFailure>) -> Self {
         Self { of, options: json!(options), failure }
     }
 
@@ -185,7 +185,12 @@ impl Ended {
     ///
     /// # Errors
     /// [`PipelineError`] if the folder is not a run's own, or another process is at work there.
-    pub fn note_failure(output: &Path, of: Identity, options: &Options, failed: Failed) -> Result<(), PipelineError> {
+    pub fn note_failure(
+        output: &Path,
+        of: Identity,
+        options: &Options,
+        failed: RunFailure,
+    ) -> Result<(), PipelineError> {
         Workspace::open(output)?.set_ended(&Self::new(of, options, Some(failed)))
     }
 }
@@ -205,7 +210,7 @@ fn other_options(keys: &[String], recorded: &Options, asked: &Options) -> String
 
 impl Workspace {
     /// Says how the run ended. All that it made must be in its place before.
-    pub(in crate::pipeline) fn set_ended(&self, ended: &Ended) -> Result<(), PipelineError> {
+    pub(in crate::pipeline) fn set_ended(&self, ended: &Completion) -> Result<(), PipelineError> {
         self.write_state(RECORD, ended)
     }
 
@@ -218,32 +223,35 @@ impl Workspace {
 /// State of an output folder with respect to a run of `options` on `input`.
 ///
 /// Reads the record and looks whether results are there; does not read the input, and changes nothing.
-pub fn standing(output: &Path, input: &Path, options: &Options) -> Standing {
+pub fn folder_state(output: &Path, input: &Path, options: &Options) -> FolderState {
     judge(output, |ended| ended.compare(input, options))
 }
 
-/// As [`standing`], for a run of which some options are given: the others are those of the last run.
+/// As [`folder_state`], for a run of which some options are given: the others are those of the last run.
 ///
 /// * `lay_over` – gives the input, and some options with the given ones instead.
-pub fn standing_of_given(output: &Path, lay_over: impl Fn(Options) -> Result<(PathBuf, Options), String>) -> Standing {
+pub fn folder_state_of_given(
+    output: &Path,
+    lay_over: impl Fn(Options) -> Result<(PathBuf, Options), String>,
+) -> FolderState {
     judge(output, |ended| ended.compare_given(lay_over))
 }
 
-fn judge(output: &Path, compare: impl FnOnce(&Ended) -> Result<(), String>) -> Standing {
+fn judge(output: &Path, compare: impl FnOnce(&Completion) -> Result<(), String>) -> FolderState {
     if !is_begun(output) {
-        return Standing::Absent;
+        return FolderState::Absent;
     }
     if Workspace::is_busy(output) {
-        return Standing::Running;
+        return FolderState::Running;
     }
-    let Some(mut ended) = Ended::of_folder(output) else { return Standing::Begun };
+    let Some(mut ended) = Completion::of_folder(output) else { return FolderState::Begun };
     let failure = ended.failure.take();
     match (failure, compare(&ended)) {
-        (Some(failed), Ok(())) => Standing::Failed(failed),
-        (Some(_), Err(_)) => Standing::Begun,
-        (None, _) if !has_results(output) => Standing::Begun,
-        (None, Ok(())) => Standing::Done,
-        (None, Err(difference)) => Standing::Outdated(difference),
+        (Some(failed), Ok(())) => FolderState::Failed(failed),
+        (Some(_), Err(_)) => FolderState::Begun,
+        (None, _) if !has_results(output) => FolderState::Begun,
+        (None, Ok(())) => FolderState::Done,
+        (None, Err(difference)) => FolderState::Outdated(difference),
     }
 }
 
@@ -324,14 +332,14 @@ mod tests {
     fn a_failure_stands_until_options_or_input_change() {
         let (folder, input) = place();
         let (output, options) = (folder.path().join("out"), without_vehicles());
-        assert_eq!(standing(&output, &input, &options), Standing::Absent);
-        let failed = Failed { code: 1, reason: "a.mp4 is no video".to_owned() };
-        Ended::note_failure(&output, Identity::of(&input, &options), &options, failed.clone()).unwrap();
-        assert_eq!(standing(&output, &input, &options), Standing::Failed(failed));
+        assert_eq!(folder_state(&output, &input, &options), FolderState::Absent);
+        let failed = RunFailure { code: 1, reason: "a.mp4 is no video".to_owned() };
+        Completion::note_failure(&output, Identity::of(&input, &options), &options, failed.clone()).unwrap();
+        assert_eq!(folder_state(&output, &input, &options), FolderState::Failed(failed));
         fs::write(&input, b"a repaired video").unwrap();
-        assert_eq!(standing(&output, &input, &options), Standing::Begun);
+        assert_eq!(folder_state(&output, &input, &options), FolderState::Begun);
         Workspace::open(&output).unwrap().clear_ended().unwrap();
-        assert_eq!(standing(&output, &input, &options), Standing::Begun);
+        assert_eq!(folder_state(&output, &input, &options), FolderState::Begun);
     }
 
     #[test]
@@ -339,17 +347,17 @@ mod tests {
         let (folder, input) = place();
         let (output, options) = (folder.path().join("out"), without_vehicles());
         let workspace = Workspace::open(&output).unwrap();
-        workspace.set_ended(&Ended::new(Identity::of(&input, &options), &options, None)).unwrap();
-        assert_eq!(standing(&output, &input, &options), Standing::Running);
+        workspace.set_ended(&Completion::new(Identity::of(&input, &options), &options, None)).unwrap();
+        assert_eq!(folder_state(&output, &input, &options), FolderState::Running);
         drop(workspace);
-        assert_eq!(standing(&output, &input, &options), Standing::Begun);
+        assert_eq!(folder_state(&output, &input, &options), FolderState::Begun);
     }
 
     #[test]
     fn only_given_options_are_compared_and_the_one_that_differs_is_named() {
         let (_folder, input) = place();
         let of_run = Options { seed: 3, threads: Some(2), ..without_vehicles() };
-        let ended = Ended::new(Identity::of(&input, &of_run), &of_run, None);
+        let ended = Completion::new(Identity::of(&input, &of_run), &of_run, None);
         let with = |seed: Option<u64>| {
             let input = input.clone();
             ended.compare_given(move |options| {
@@ -372,7 +380,7 @@ mod tests {
             options
         };
         let of_run = with(without_vehicles(), "1:length=4.47");
-        let ended = Ended::new(Identity::of(&input, &of_run), &of_run, None);
+        let ended = Completion::new(Identity::of(&input, &of_run), &of_run, None);
         let compared = |length: &str| ended.compare_given(|options| Ok((input.clone(), with(options, length))));
         assert_eq!(compared("1:length=4.47"), Ok(()));
         assert!(compared("1:length=5").unwrap_err().contains("metric.known_lengths"));

@@ -7,24 +7,24 @@ use serde::Deserialize;
 use super::{fingerprint, intermediate};
 use crate::io::{RunFolder, json};
 use crate::pipeline::inputs::cameras;
-use crate::pipeline::{Ended, FeatureKind, FrameOrder, Instances, Options, PipelineError, Workspace};
+use crate::pipeline::{Completion, FeatureKind, FrameOrder, Instances, Options, PipelineError, Workspace};
 use crate::scene::Frame;
 use crate::video::{self, Source};
 
 /// Input in `run.json` and its reading options; the other options change from version to version.
 #[derive(Deserialize)]
-struct Told {
-    input: ToldInput,
-    options: ToldOptions,
+struct RunJson {
+    input: InputJson,
+    options: OptionsJson,
 }
 
 #[derive(Deserialize)]
-struct ToldInput {
+struct InputJson {
     path: PathBuf,
 }
 
 #[derive(Deserialize)]
-struct ToldOptions {
+struct OptionsJson {
     video: video::Options,
     instances: Instances,
     features: FeatureKind,
@@ -40,8 +40,8 @@ struct ToldOptions {
 /// A folder without `run.json`; an input that is not there or cannot be read; [`PipelineError::OtherInput`] for a file
 /// at its place from which the results were not made.
 pub fn reopen(output: &Path, input: Option<&Path>) -> Result<Source, PipelineError> {
-    let told: Told = json::read(&RunFolder::at(output).run_json())?;
-    let ToldOptions { video, instances, features, order, background_model } = told.options;
+    let told: RunJson = json::read(&RunFolder::at(output).run_json())?;
+    let OptionsJson { video, instances, features, order, background_model } = told.options;
     let options = Options { video, instances, features, order, background_model, ..Options::default() };
     if input.is_none() {
         check_input(output, &told.input.path)?;
@@ -55,7 +55,7 @@ pub fn reopen(output: &Path, input: Option<&Path>) -> Result<Source, PipelineErr
 /// # Errors
 /// [`PipelineError::OtherInput`]. A path at which there is nothing is for the caller.
 pub(in crate::pipeline) fn check_input(output: &Path, input: &Path) -> Result<(), PipelineError> {
-    if !input.exists() || Ended::of_folder(output).is_some_and(|ended| ended.is_of_files(input)) {
+    if !input.exists() || Completion::of_folder(output).is_some_and(|ended| ended.is_of_files(input)) {
         return Ok(());
     }
     let content = Workspace::input_of(output).map(|input| input.content);

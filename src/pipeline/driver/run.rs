@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use super::meter::Meter;
+use super::cost::Meter;
 use super::workspace::{Marker, Workspace};
 use super::{fingerprint, intermediate};
 use crate::ffi::memory;
@@ -122,17 +122,17 @@ impl<'a> Run<'a> {
 
     /// Does a stage, unless it is done already.
     ///
-    /// * `depends_on` – everything that its result depends on besides the stages before it.
-    /// * `work` – is given the fingerprint of all that.
+    /// * `cache_key` – everything that its result depends on besides the stages before it.
+    /// * `run_stage` – is given the fingerprint of all that.
     pub(in crate::pipeline) fn stage(
         &mut self,
         stage: Stage,
-        depends_on: Value,
-        work: impl FnOnce(&Self, &str) -> Result<Outcome, PipelineError>,
+        cache_key: Value,
+        run_stage: impl FnOnce(&Self, &str) -> Result<Outcome, PipelineError>,
     ) -> Result<(), PipelineError> {
         self.go_on()?;
         let upstream: Vec<&str> = stage.after().iter().map(|&stage| self.fingerprint(stage)).collect();
-        let fingerprint = fingerprint::of_stage(stage, &depends_on, &upstream);
+        let fingerprint = fingerprint::of_stage(stage, &cache_key, &upstream);
         let before = self.workspace.marker(stage);
         let is_other = before.as_ref().is_some_and(|marker| marker.fingerprint != fingerprint);
         let same = before.filter(|marker| !is_other && self.workspace.has_outputs(marker));
@@ -150,7 +150,7 @@ impl<'a> Run<'a> {
         }
         self.progress.begin(stage.name(), None);
         let meter = Meter::start();
-        let outcome = work(self, &fingerprint);
+        let outcome = run_stage(self, &fingerprint);
         self.progress.end();
         let Outcome { warnings, figures, outputs } = outcome?;
         let cost = meter.read();

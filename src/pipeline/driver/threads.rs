@@ -3,13 +3,15 @@
 use crate::checks::OptionError;
 use crate::pipeline::PipelineError;
 
-/// Does `work` on so many threads: on those of the caller's pool, unless another number is asked for.
+/// Does `run_stage` on so many threads: on those of the caller's pool, unless another number is asked for.
 pub(in crate::pipeline) fn on_threads<T: Send>(
     threads: Option<usize>,
-    work: impl FnOnce() -> T + Send,
+    run_stage: impl FnOnce() -> T + Send,
 ) -> Result<T, PipelineError> {
-    let Some(threads) = threads.filter(|&threads| threads != rayon::current_num_threads()) else { return Ok(work()) };
+    let Some(threads) = threads.filter(|&threads| threads != rayon::current_num_threads()) else {
+        return Ok(run_stage());
+    };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     let pool = pool.map_err(|error| OptionError::new("threads", format!("cannot be started: {error}")))?;
-    Ok(pool.install(work))
+    Ok(pool.install(run_stage))
 }

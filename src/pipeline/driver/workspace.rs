@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use super::cost::Cost;
 use super::fingerprint;
-use super::meter::Cost;
 use crate::files;
 use crate::io::{InputIdentity, IoError, OwnedFolder, RunFolder, atomic, refuse_own_input};
 use crate::pipeline::{PipelineError, Stage};

@@ -136,7 +136,7 @@ fn an_output_without_anything_is_evaluated_as_such() {
     let out = tempfile::tempdir().unwrap();
     let evaluation = evaluate(out.path(), &truth).unwrap();
     // A folder that no run made is read and not written into.
-    assert_eq!(keep_evaluation(out.path(), &truth, &evaluation).unwrap(), Kept::Nowhere);
+    assert_eq!(keep_evaluation(out.path(), &truth, &evaluation).unwrap(), SavedEvaluation::Nowhere);
     assert_eq!(std::fs::read_dir(out.path()).unwrap().count(), 0);
     assert_eq!(evaluation.registered.num_background, 0);
     assert_eq!(evaluation.registered.num_visible, 60);

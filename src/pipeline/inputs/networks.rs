@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 
 use crate::ffi::onnx;
 use crate::networks::{
-    DefaultModels, Detector, GrabCut, PerceptionError, Prompter, default_descriptions, default_models, load_detector,
-    load_prompter,
+    BoxSegmenter, DefaultModels, Detector, GrabCut, PerceptionError, default_descriptions, default_models,
+    load_box_segmenter, load_detector,
 };
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::Run;
@@ -68,10 +68,10 @@ impl Networks {
     }
 
     /// Segmenter of boxes: the mask network, or colors alone.
-    pub(in crate::pipeline) fn load_prompter(&self, run: &Run) -> Result<Box<dyn Prompter>, PipelineError> {
+    pub(in crate::pipeline) fn load_box_segmenter(&self, run: &Run) -> Result<Box<dyn BoxSegmenter>, PipelineError> {
         let options = &run.options.prompt;
         Ok(match &self.masks {
-            Some([encoder, decoder]) => load_prompter(encoder, decoder, options, run.options.resources())?,
+            Some([encoder, decoder]) => load_box_segmenter(encoder, decoder, options, run.options.resources())?,
             None => Box::new(GrabCut::new(options)),
         })
     }
@@ -90,11 +90,11 @@ impl Networks {
     /// Refuses a mask network that cannot be used.
     ///
     /// # Errors
-    /// As [`Self::load_prompter`].
+    /// As [`Self::load_box_segmenter`].
     pub(in crate::pipeline) fn check_prompter(&self, run: &Run) -> Result<(), PipelineError> {
         match came_with_the_program(self.masks.as_ref().map_or(&[], |parts| &parts[..]), "box-masks")? {
             true => Ok(()),
-            false => self.load_prompter(run).map(drop),
+            false => self.load_box_segmenter(run).map(drop),
         }
     }
 

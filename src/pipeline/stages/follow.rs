@@ -14,7 +14,7 @@ use crate::scene::ObjectId;
 
 pub(in crate::pipeline) const PREFIX: &str = "follow-";
 
-pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
     let camera = cameras::first(run)?.camera;
     let (_, objects) = order::sfm_options(run)?;
     Ok(json!({
@@ -26,7 +26,7 @@ pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError>
     }))
 }
 
-pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     let objects = track::objects(run)?;
     track::check_ids(run, &objects, &mut outcome)?;

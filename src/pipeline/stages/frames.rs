@@ -9,11 +9,11 @@ use crate::pipeline::inputs::order;
 use crate::scene::{TimeBase, Topic};
 use crate::video::Kind;
 
-pub(in crate::pipeline) fn depends_on(run: &Run, input: &str) -> Value {
+pub(in crate::pipeline) fn cache_key(run: &Run, input: &str) -> Value {
     json!({ "input": input, "video": run.options.video, "in_time": order::stated(run) })
 }
 
-pub(in crate::pipeline) fn work(run: &Run) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
     let scan = run.source.scan()?;
     let order = order::find(run, &scan.frames)?;
     let (frames, left_out) = match order.in_time {

@@ -21,7 +21,7 @@ const SKIPPED: &str = "ground-skipped.json";
 /// Prefix of the folder of masks that the user's network found.
 pub(in crate::pipeline) const MASKS: &str = "ground-masks-";
 
-pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
     let labels = match &run.options.ground_labels {
         GroundLabels::Geometric => json!("geometric"),
         GroundLabels::Masks { folder, label } => json!({ "masks": fingerprint::of_content(folder)?, "label": label }),
@@ -44,11 +44,11 @@ pub(in crate::pipeline) fn body_shape(options: &Options) -> BodyShape {
     BodyShape { clearance: contact.lowest[0], max_deviation: contact.max_deviation }
 }
 
-pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     let (background, _) = background::background(run)?;
     let found = match background.is_empty() {
-        true => Found::nothing(),
+        true => GroundResults::nothing(),
         false => find(run, &background, fingerprint, &mut outcome)?,
     };
     let mut ground = Ground { source: found.source(), point_ids: found.point_ids(), planes: BTreeMap::new() };
@@ -79,7 +79,7 @@ pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome,
             json!({
                 "height": mount.height,
                 "height_std": mount.height_std,
-                "wander": mount.wander,
+                "wander": mount.drift,
                 "num_points": mount.num_points,
             }),
         );
@@ -92,14 +92,14 @@ pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome,
 }
 
 /// Results that the stage computes before any object.
-struct Found {
+struct GroundResults {
     /// Labelled points and where the labels come from.
     labelled: Option<(GroundSource, Vec<Point3dId>)>,
     dominant: Option<DominantPlane>,
     mount: Option<Mount>,
 }
 
-impl Found {
+impl GroundResults {
     fn nothing() -> Self {
         Self { labelled: None, dominant: None, mount: None }
     }
@@ -133,7 +133,7 @@ fn find(
     background: &Reconstruction,
     fingerprint: &str,
     outcome: &mut Outcome,
-) -> Result<Found, PipelineError> {
+) -> Result<GroundResults, PipelineError> {
     let labelled = labelled_points(run, background, fingerprint, outcome)?;
     let options = &run.options.ground;
     let dominant = match dominant_plane_points(background, options, run.options.seed) {
@@ -154,7 +154,7 @@ fn find(
         Ok(_) => tracing::info!("camera mount: one plane in the camera's frame is the ground"),
         Err(reason) => tracing::debug!("camera mount not assumed: {reason}"),
     }
-    Ok(Found { labelled, dominant, mount: mount.ok() })
+    Ok(GroundResults { labelled, dominant, mount: mount.ok() })
 }
 
 /// The ground; the stage must be done.

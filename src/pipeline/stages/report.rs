@@ -26,13 +26,13 @@ use crate::video::Kind;
 /// # Errors
 /// The input is no longer where it was, or the run is not finished.
 pub(in crate::pipeline) fn renew(workspace: &Workspace) -> Result<(), PipelineError> {
-    let told: Told = json::read(&workspace.run_json())?;
+    let told: RunJson = json::read(&workspace.run_json())?;
     let input = workspace.claimed_by().map_or(told.input.path, |input| input.path);
     check_input(workspace.root(), &input)?;
     let source = cameras::open(&input, &told.options)?;
     let mut run = Run::new(&told.options, workspace, &source, &told.arguments, &Silent);
     run.recall();
-    work(&run).map(drop)
+    run_stage(&run).map(drop)
 }
 
 /// Makes the page of an output folder again, so that it links to what was exported.
@@ -45,18 +45,18 @@ pub fn link_exports(output: &Path) -> Result<(), PipelineError> {
 
 /// Parts of `run.json` that the report uses.
 #[derive(Deserialize)]
-struct Told {
+struct RunJson {
     arguments: Vec<String>,
-    input: ToldInput,
+    input: InputJson,
     options: Options,
 }
 
 #[derive(Deserialize)]
-struct ToldInput {
+struct InputJson {
     path: PathBuf,
 }
 
-pub(in crate::pipeline) fn work(run: &Run) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
     let frames = run.frames()?;
     let tracked = track::objects(run)?;
     let (background, background_report) = background::background(run)?;

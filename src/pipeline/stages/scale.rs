@@ -28,11 +28,11 @@ const SIZES: &str = "scale-sizes.json";
 /// The name of the list of objects without a trajectory, and why.
 const FAILURES: &str = "scale-failures.json";
 
-pub(in crate::pipeline) fn depends_on(run: &Run) -> Value {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
     json!({ "options": run.options.scale })
 }
 
-pub(in crate::pipeline) fn work(run: &Run) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     let (background, _) = background::background(run)?;
     let reports = objects::reports(run)?;
@@ -40,7 +40,7 @@ pub(in crate::pipeline) fn work(run: &Run) -> Result<Outcome, PipelineError> {
     outcome.outputs.push(point_cloud::background(run, &background)?);
     let tracked = track::objects(run)?;
     let scene = Scene::read(run, &background, &reports)?;
-    let mut found = Found::default();
+    let mut found = ScaleContext::default();
     for tracked in &tracked {
         if let Some(report) = reports.get(&tracked.id) {
             scene.place(tracked, report, &mut found, &mut outcome)?;
@@ -83,8 +83,8 @@ struct Scene<'a, 'r> {
 
 /// Outcomes of the objects.
 #[derive(Default)]
-struct Found<'a> {
-    placed: Vec<Placed<'a>>,
+struct ScaleContext<'a> {
+    placed: Vec<PlacedVehicle<'a>>,
     failures: BTreeMap<String, String>,
     sizes: BTreeMap<ObjectId, Size>,
 }
@@ -112,7 +112,7 @@ impl<'a, 'r> Scene<'a, 'r> {
         &self,
         tracked: &'a TrackedObject,
         report: &ModelReport,
-        found: &mut Found<'a>,
+        found: &mut ScaleContext<'a>,
         outcome: &mut Outcome,
     ) -> Result<(), PipelineError> {
         let run = self.run;
@@ -140,7 +140,7 @@ impl<'a, 'r> Scene<'a, 'r> {
                 warn_of_scale(&trajectory, outcome);
                 let size = size(&trajectory, &placed.object, self.background, &planes, silhouettes, &run.options.scale);
                 found.sizes.insert(tracked.id, size);
-                found.placed.push(Placed { trajectory, tracked, object: placed.object, planes });
+                found.placed.push(PlacedVehicle { trajectory, tracked, object: placed.object, planes });
             }
             Err(reason) => {
                 outcome.warn(Topic::NoTrajectory.warning(format!("object {}: no trajectory: {reason}", tracked.id)));
@@ -173,14 +173,14 @@ fn size(
 }
 
 /// An object that has a trajectory, until all of them are judged together.
-struct Placed<'a> {
+struct PlacedVehicle<'a> {
     trajectory: ObjectTrajectory,
     tracked: &'a TrackedObject,
     object: Reconstruction,
     planes: BTreeMap<FrameId, GroundPlane>,
 }
 
-impl Placed<'_> {
+impl PlacedVehicle<'_> {
     fn candidate<'a>(&'a self, background: &'a Reconstruction, options: &'a trajectory::Options) -> Candidate<'a> {
         let Self { trajectory, tracked, object, planes } = self;
         Candidate { trajectory, tracked: Some(tracked), object, background, planes, options }
@@ -190,7 +190,7 @@ impl Placed<'_> {
 /// The trajectories with the verdict on each.
 fn judged(
     run: &Run,
-    found: Vec<Placed>,
+    found: Vec<PlacedVehicle>,
     background: &Reconstruction,
     focal_changes: &[FocalChange],
     outcome: &mut Outcome,
@@ -198,7 +198,7 @@ fn judged(
     let candidates: Vec<Candidate> =
         found.iter().map(|placed| placed.candidate(background, &run.options.scale)).collect();
     let verdicts = trajectory::verdicts(&candidates, run.info().time_base(), focal_changes);
-    let judge = |(placed, verdict): (Placed, Verdict)| {
+    let judge = |(placed, verdict): (PlacedVehicle, Verdict)| {
         let id = placed.trajectory.id;
         let first = verdict.against().next().filter(|_| verdict.is_refuted() && !placed.trajectory.scale.degenerate);
         if let Some(reason) = first {

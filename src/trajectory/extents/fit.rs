@@ -3,7 +3,7 @@
 
 use nalgebra::{Point3, SMatrix, SVector, Vector3};
 
-use super::outline::{Sight, seen, support};
+use super::outline::{OutlineView, seen, support};
 use super::template::Template;
 
 /// Unknowns: logarithms of length, width and height; the middle forwards and to the left; the turn about the vertical;
@@ -80,7 +80,7 @@ fn placed(corners: &[Vector3<f64>], value: &Unknowns) -> Vec<Point3<f64>> {
 }
 
 /// By how many deviations the body reaches beyond every line; `None` where it is not in front of a camera.
-fn residuals(corners: &[Vector3<f64>], sights: &[Sight], value: &Unknowns) -> Option<Vec<f64>> {
+fn residuals(corners: &[Vector3<f64>], sights: &[OutlineView], value: &Unknowns) -> Option<Vec<f64>> {
     let body = placed(corners, value);
     let mut all = Vec::new();
     for sight in sights {
@@ -103,7 +103,7 @@ fn cost(residuals: &[f64], value: &Unknowns, expected: &Expected, weight: f64) -
 
 /// Fits a body to the sights; `weight` is the share of an independent observation that a line is. `None` where it
 /// cannot be seen by all of them, or nothing is determined.
-pub(super) fn fit(template: &Template, sights: &[Sight], expected: &Expected, weight: f64) -> Option<Fit> {
+pub(super) fn fit(template: &Template, sights: &[OutlineView], expected: &Expected, weight: f64) -> Option<Fit> {
     let corners = template.corners();
     let mut value = expected.value;
     let mut residual = residuals(&corners, sights, &value)?;
@@ -141,7 +141,7 @@ type Linear = (SMatrix<f64, NUM, NUM>, Unknowns);
 /// Normal matrix and gradient, by differences.
 fn linearised(
     corners: &[Vector3<f64>],
-    sights: &[Sight],
+    sights: &[OutlineView],
     expected: &Expected,
     value: &Unknowns,
     residual: &[f64],

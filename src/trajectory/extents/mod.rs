@@ -20,7 +20,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Matrix3, Point3, Rotation3, Unit, UnitQuaternion, Vector3};
 
 use self::fit::{Expected, Fit, Reach, Unknowns};
-use self::outline::Sight;
+use self::outline::OutlineView;
 use super::contact::solid_points;
 use super::{Body, Options, Silhouette, View, Views, forward_axis};
 use crate::math::{Rigid3, median, quantile, symmetric_eigen};
@@ -195,12 +195,12 @@ impl Start {
     }
 
     /// Expected size before outlines are used.
-    fn expected(&self, sights: &[Sight]) -> Expected {
+    fn expected(&self, sights: &[OutlineView]) -> Expected {
         let height = self.size.z;
         // Points of one end or side say nothing of what is behind it.
         let (length, width) = (self.size.x.max(2.0 * height), self.size.y.max(0.9 * height));
         let yaw = if self.axis == Axis::Forward { YAW_STD } else { 0.2 };
-        let directions: Vec<Vector3<f64>> = sights.iter().map(Sight::direction).collect();
+        let directions: Vec<Vector3<f64>> = sights.iter().map(OutlineView::direction).collect();
         let reach = |k: usize| {
             let (axis, side) = (k / 2, if k.is_multiple_of(2) { 1.0 } else { -1.0 });
             let facing = directions.iter().filter(|d| -side * d[axis] > FACING).count();
@@ -216,13 +216,13 @@ impl Start {
     }
 
     /// The outlines, of at most [`MAX_SIGHTS`] frames spread over all.
-    fn sights(&self, subject: &Subject) -> Vec<Sight> {
+    fn sights(&self, subject: &Subject) -> Vec<OutlineView> {
         let images = subject.object.images.iter();
         let seen: Vec<_> =
             images.filter_map(|(id, image)| Some((image, subject.silhouettes.get(&id.frame())?))).collect();
         let step = seen.len().div_ceil(MAX_SIGHTS).max(1);
         let sight = |(image, outline): &(&Image, &Silhouette)| {
-            Sight::new(subject.object, image, outline, &self.points, &self.vehicle_from_object)
+            OutlineView::new(subject.object, image, outline, &self.points, &self.vehicle_from_object)
         };
         seen.iter().step_by(step).filter_map(sight).collect()
     }
@@ -254,9 +254,9 @@ fn longest(points: &[Point3<f64>], middle: &Point3<f64>, up: &Unit<Vector3<f64>>
 }
 
 /// Directions that differ, from which the sights look.
-fn num_views(sights: &[Sight]) -> usize {
+fn num_views(sights: &[OutlineView]) -> usize {
     let mut distinct: Vec<Vector3<f64>> = Vec::new();
-    for direction in sights.iter().map(Sight::direction) {
+    for direction in sights.iter().map(OutlineView::direction) {
         if distinct.iter().all(|other| other.angle(&direction) > SAME_SIGHT) {
             distinct.push(direction);
         }

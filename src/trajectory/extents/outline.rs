@@ -17,7 +17,7 @@ pub(super) struct Touch {
 
 /// One frame's outline.
 #[derive(Clone, Debug)]
-pub(super) struct Sight {
+pub(super) struct OutlineView {
     /// The camera, in the vehicle's frame.
     pub(super) cam_from_vehicle: Rigid3,
     /// Lines all round.
@@ -40,7 +40,7 @@ const HIDDEN: f64 = 2.0;
 /// Share of the points that lie inside of an outline that hides nothing.
 const INSIDE: f64 = 0.97;
 
-impl Sight {
+impl OutlineView {
     /// From a frame's outline; `None` behind the camera. Lines beyond which the vehicle's own points lie are left out:
     /// something hides it on that side.
     pub(super) fn new(

@@ -11,7 +11,7 @@ use crate::math::{RobustLoss, STD_PER_MAD, Sim3, median, umeyama};
 use crate::scene::{FrameId, Image, Reconstruction};
 use crate::trajectory::assemble::poses;
 use crate::trajectory::mirror::mean_normal;
-use crate::trajectory::steadiness::Steadiness;
+use crate::trajectory::plane_outliers::Steadiness;
 use crate::trajectory::views::lever;
 use crate::trajectory::{
     Contact, ContactOptions, LeastSquares, Options, ScaleError, Views, contact, forward_axis, intersection,

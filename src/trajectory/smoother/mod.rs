@@ -21,7 +21,7 @@ use crate::scene::{Estimate, Motion};
 
 /// Where a vehicle was seen, in a frame in metres whose third axis points up.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sighting {
+pub struct PositionMeasurement {
     /// When, seconds.
     pub time_s: f64,
     /// Where.
@@ -96,8 +96,8 @@ pub struct Smoothed {
 /// * `sightings` – ascending in time; gaps are bridged, with deviations that grow.
 ///
 /// A vehicle at rest is recognized by its positions alone, by the likelihood of rest and of motion.
-pub fn smooth(sightings: &[Sighting], common: &CommonStd) -> Option<Smoothed> {
-    if sightings.len() < MIN_SIGHTINGS || !sightings.iter().all(Sighting::is_usable) {
+pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd) -> Option<Smoothed> {
+    if sightings.len() < MIN_SIGHTINGS || !sightings.iter().all(PositionMeasurement::is_usable) {
         return None;
     }
     let origin = sightings[0].position_m;
@@ -128,7 +128,7 @@ pub fn smooth(sightings: &[Sighting], common: &CommonStd) -> Option<Smoothed> {
 ///
 /// An error of the ratio takes a vehicle at rest along with the camera, by that share of the camera's path. It is a
 /// state of both hypotheses, or else no vehicle that a moving camera sees would ever be at rest.
-fn at_rest(sightings: &[Sighting], origin: &Vector3<f64>, ratio: f64, moving: &Kind) -> Option<Track> {
+fn at_rest(sightings: &[PositionMeasurement], origin: &Vector3<f64>, ratio: f64, moving: &Kind) -> Option<Track> {
     let observed: Vec<Observed> =
         sightings.iter().map(|s| s.observed(origin).with_common(&s.ratio_error(ratio))).collect();
     let moving = Kind { wander_s: &WANDER_WITH_RATIO_S, ..*moving };
@@ -138,7 +138,7 @@ fn at_rest(sightings: &[Sighting], origin: &Vector3<f64>, ratio: f64, moving: &K
     (last.mean[last.mean.len() - 1].abs() <= RATIO_OFF).then_some(found)
 }
 
-impl Sighting {
+impl PositionMeasurement {
     /// Displacement by one standard deviation of the ratio, as a share.
     fn ratio_error(&self, ratio: f64) -> DVector<f64> {
         dynamic(&(ratio * (self.position_m - self.camera_m)))
@@ -161,7 +161,7 @@ impl Sighting {
             time_s: self.time_s,
             value: dynamic(&(self.position_m - origin)),
             noise: DMatrix::from_iterator(3, 3, noise.iter().copied()),
-            wander: wander(&sight, distance),
+            drift: drift(&sight, distance),
         }
     }
 
@@ -176,7 +176,7 @@ fn dynamic(v: &Vector3<f64>) -> DVector<f64> {
 }
 
 /// Correlated errors: one along the line of sight, three of fixed axes as far as they lie across it.
-fn wander(sight: &Vector3<f64>, distance: f64) -> DMatrix<f64> {
+fn drift(sight: &Vector3<f64>, distance: f64) -> DMatrix<f64> {
     let across = (Matrix3::identity() - sight * sight.transpose()) * (WANDER_ACROSS * distance);
     let mut columns = DMatrix::zeros(3, 4);
     columns.column_mut(0).copy_from(&(sight * (WANDER * distance)));
@@ -186,11 +186,11 @@ fn wander(sight: &Vector3<f64>, distance: f64) -> DMatrix<f64> {
 
 /// Deviation of the model's forward axis, radians, which the vehicle's motion shows; `None` unless that is beyond the
 /// errors of the positions that show it: of a vehicle that hardly moved the axis is noise.
-fn forward_std(sightings: &[Sighting], ratio: f64) -> Option<f64> {
+fn forward_std(sightings: &[PositionMeasurement], ratio: f64) -> Option<f64> {
     let first = &sightings[0];
-    let way = |s: &Sighting| (s.position_m - first.position_m).norm();
+    let way = |s: &PositionMeasurement| (s.position_m - first.position_m).norm();
     let furthest = sightings.iter().max_by(|a, b| way(a).total_cmp(&way(b)))?;
-    let off = |s: &Sighting| WANDER * (s.position_m - s.camera_m).norm();
+    let off = |s: &PositionMeasurement| WANDER * (s.position_m - s.camera_m).norm();
     let error = off(first).hypot(off(furthest));
     // The ratio's error moves a parked vehicle along with the camera, which is not where its model points.
     let by_ratio = (furthest.ratio_error(ratio) - first.ratio_error(ratio)).norm();
@@ -198,7 +198,7 @@ fn forward_std(sightings: &[Sighting], ratio: f64) -> Option<f64> {
 }
 
 /// The heading under white jerk; `None` unless the model points somewhere in every frame.
-fn headings(sightings: &[Sighting]) -> Option<Track> {
+fn headings(sightings: &[PositionMeasurement]) -> Option<Track> {
     let mut before: Option<f64> = None;
     let mut observed = Vec::new();
     for sighting in sightings {
@@ -210,7 +210,7 @@ fn headings(sightings: &[Sighting]) -> Option<Track> {
             time_s: sighting.time_s,
             value: DVector::from_element(1, unwrapped),
             noise: DMatrix::from_element(1, 1, YAW * YAW),
-            wander: DMatrix::from_element(1, 1, YAW_WANDER),
+            drift: DMatrix::from_element(1, 1, YAW_WANDER),
         });
     }
     track(&observed, &Kind { first: FIRST_YAW, usual_jerk: YAW_JERK, last_axis: 1.0, wander_s: &YAW_WANDER_S })
@@ -218,7 +218,7 @@ fn headings(sightings: &[Sighting]) -> Option<Track> {
 
 /// Everything that was smoothed.
 struct Tracks<'a> {
-    sightings: &'a [Sighting],
+    sightings: &'a [PositionMeasurement],
     origin: Vector3<f64>,
     positions: Track,
     /// Effect of the scale ratio's error on the states of `positions`.

@@ -6,7 +6,7 @@ use super::*;
 use crate::math::seeded_rng;
 
 /// The motions alone.
-fn smooth(sightings: &[Sighting], common: &CommonStd) -> Option<Vec<Motion>> {
+fn smooth(sightings: &[PositionMeasurement], common: &CommonStd) -> Option<Vec<Motion>> {
     super::smooth(sightings, common).map(|found| found.motions)
 }
 
@@ -14,7 +14,7 @@ fn smooth(sightings: &[Sighting], common: &CommonStd) -> Option<Vec<Motion>> {
 const NOISE_M: f64 = 0.01;
 
 /// A circle to the left of 30 m radius at 8 m/s, 10 Hz, seen by a camera that stands 20 m next to it.
-fn circle(num: u32, seed: u64) -> Vec<Sighting> {
+fn circle(num: u32, seed: u64) -> Vec<PositionMeasurement> {
     let mut rng = seeded_rng(seed, 0);
     let camera_m = Vector3::new(0.0, -20.0, 6.0);
     let sight = |k| {
@@ -24,12 +24,12 @@ fn circle(num: u32, seed: u64) -> Vec<Sighting> {
         let ray = (truth - camera_m).normalize();
         let noise: f64 = rng.sample(StandardNormal);
         let forward = Some(Vector3::new(cos, sin, 0.0));
-        Sighting { time_s, position_m: truth + ray * (NOISE_M * noise), camera_m, forward }
+        PositionMeasurement { time_s, position_m: truth + ray * (NOISE_M * noise), camera_m, forward }
     };
     (0..num).map(sight).collect()
 }
 
-fn standing(num: u32) -> Vec<Sighting> {
+fn standing(num: u32) -> Vec<PositionMeasurement> {
     let mut all = circle(num, 4);
     for (k, sighting) in all.iter_mut().enumerate() {
         let wobble = 0.02 * ((k * 7 % 5) as f64 - 2.0);
@@ -93,7 +93,7 @@ fn a_standing_vehicle_stands() {
 
 /// Positions as a camera sees them that drives 8 m/s past a vehicle, which moves at a share of that, with a ratio that
 /// is wrong by a share.
-fn passed(share: f64, off: f64) -> Vec<Sighting> {
+fn passed(share: f64, off: f64) -> Vec<PositionMeasurement> {
     let mut all = circle(40, 7);
     for sighting in &mut all {
         let way = Vector3::x() * (8.0 * sighting.time_s);
@@ -101,7 +101,7 @@ fn passed(share: f64, off: f64) -> Vec<Sighting> {
         let camera_m = way + Vector3::z() * 1.4;
         let jitter = 0.003 * (sighting.position_m.x * 1e4).sin();
         let position_m = camera_m + (1.0 + off) * (1.0 + jitter) * (truth - camera_m);
-        *sighting = Sighting { position_m, camera_m, forward: None, ..*sighting };
+        *sighting = PositionMeasurement { position_m, camera_m, forward: None, ..*sighting };
     }
     all
 }
@@ -129,8 +129,8 @@ fn rest_is_told_from_motion_by_the_positions_and_the_error_of_the_ratio() {
 fn the_error_of_the_ratio_shows_no_forward_axis() {
     let common = CommonStd { ratio: 0.05, scale: 0.0 };
     let heading = |share: f64, off: f64| {
-        let ahead = |s: Sighting| Sighting { forward: Some(Vector3::x()), ..s };
-        let seen: Vec<Sighting> = passed(share, off).into_iter().map(ahead).collect();
+        let ahead = |s: PositionMeasurement| PositionMeasurement { forward: Some(Vector3::x()), ..s };
+        let seen: Vec<PositionMeasurement> = passed(share, off).into_iter().map(ahead).collect();
         smooth(&seen, &common).unwrap()[20].heading_deg
     };
     assert_eq!(heading(0.0, 0.1), None);
@@ -191,7 +191,8 @@ fn without_a_model_the_motion_shows_the_heading() {
     }
     let found = smooth(&drive, &KNOWN).unwrap();
     assert!((found[0].heading_deg.unwrap() - 90.0).abs() < 5.0 && found[0].yaw_rate_deg_s.is_none());
-    let parked: Vec<Sighting> = standing(40).into_iter().map(|s| Sighting { forward: None, ..s }).collect();
+    let parked: Vec<PositionMeasurement> =
+        standing(40).into_iter().map(|s| PositionMeasurement { forward: None, ..s }).collect();
     assert!(smooth(&parked, &KNOWN).unwrap().iter().all(|m| m.heading_deg.is_none()));
 }
 
@@ -210,26 +211,26 @@ fn too_little_and_nonsense_have_no_motion() {
 /// A drive at constant speed along x, seen from a camera that drives next to it, with errors as the smoother takes
 /// them: new and wandering ones along and across the line of sight, and those of ratio and metres that all frames
 /// share.
-fn drive(speed_m_s: f64, common: &CommonStd, seed: u64) -> Vec<Sighting> {
+fn drive(speed_m_s: f64, common: &CommonStd, seed: u64) -> Vec<PositionMeasurement> {
     let mut rng = seeded_rng(seed, 1);
     let mut normal = move || -> f64 { rng.sample(StandardNormal) };
     let [ratio, scale] = [common.ratio * normal(), common.scale * normal()].map(f64::exp);
-    let mut wander: [f64; 4] = std::array::from_fn(|_| normal());
+    let mut drift: [f64; 4] = std::array::from_fn(|_| normal());
     let sight = |k: u32| {
         let time_s = 0.1 * f64::from(k);
         let camera_m = Vector3::new(5.0 * time_s - 8.0, -12.0, 2.0);
         let ray = Vector3::new(speed_m_s * time_s, 0.0, 0.7) - camera_m;
         let (distance, sight) = (ray.norm(), ray.normalize());
-        for (error, memory_s) in wander.iter_mut().zip(WANDER_S) {
+        for (error, memory_s) in drift.iter_mut().zip(WANDER_S) {
             let kept = (-0.1f64 / memory_s).exp();
             *error = kept * *error + (1.0 - kept * kept).sqrt() * normal();
         }
         let new = Vector3::from_fn(|_, _| ACROSS * normal()) + sight * (ALONG * normal());
-        let across = Vector3::new(wander[1], wander[2], wander[3]);
+        let across = Vector3::new(drift[1], drift[2], drift[3]);
         let across = (across - sight * sight.dot(&across)) * WANDER_ACROSS;
-        let error = (new + sight * (WANDER * wander[0]) + across) * distance;
+        let error = (new + sight * (WANDER * drift[0]) + across) * distance;
         let position_m = (camera_m + ray * ratio + error) * scale;
-        Sighting { time_s, position_m, camera_m: camera_m * scale, forward: Some(Vector3::x()) }
+        PositionMeasurement { time_s, position_m, camera_m: camera_m * scale, forward: Some(Vector3::x()) }
     };
     (0..60).map(sight).collect()
 }
@@ -286,7 +287,7 @@ fn a_path_is_as_long_as_its_curve_and_there_and_back_counts_twice() {
     assert!((found.path_m.std / (0.1 * length) - 1.0).abs() < 0.05, "metres have their share");
     assert!(found.displacement_m.value < 60.0 && found.path_m.value >= found.displacement_m.value);
     let mut back = circle(100, 7);
-    let mut way_back: Vec<Sighting> = back.iter().rev().copied().collect();
+    let mut way_back: Vec<PositionMeasurement> = back.iter().rev().copied().collect();
     way_back.iter_mut().zip(100..).for_each(|(s, k)| s.time_s = 0.1 * f64::from(k));
     back.extend(way_back);
     let found = super::smooth(&back, &KNOWN).unwrap();

@@ -16,15 +16,15 @@ pub(super) struct Observed {
     pub(super) noise: DMatrix<f64>,
     /// By how much, and in which direction, each error that wanders moves the value: one standard deviation, a column
     /// each.
-    pub(super) wander: DMatrix<f64>,
+    pub(super) drift: DMatrix<f64>,
 }
 
 impl Observed {
     /// The same with one more error, that moves the value by one standard deviation as given.
     pub(super) fn with_common(mut self, error: &DVector<f64>) -> Self {
-        let columns = self.wander.ncols();
-        self.wander = self.wander.insert_column(columns, 0.0);
-        self.wander.set_column(columns, error);
+        let columns = self.drift.ncols();
+        self.drift = self.drift.insert_column(columns, 0.0);
+        self.drift.set_column(columns, error);
         self
     }
 }
@@ -129,7 +129,7 @@ impl Kind {
         }
         let mut observation = DMatrix::zeros(axes, size);
         observation.view_mut((0, 0), (axes, axes)).fill_with_identity();
-        observation.columns_mut(3 * axes, self.wander_s.len()).copy_from(&seen.wander);
+        observation.columns_mut(3 * axes, self.wander_s.len()).copy_from(&seen.drift);
         Step { transition, process, observation, noise: &seen.noise * (level.noise * level.noise / weight) }
     }
 
@@ -175,8 +175,8 @@ pub(super) fn track(all: &[Observed], kind: &Kind) -> Option<Track> {
         let Smoothed { states, .. } = chain::smooth(&first, &kind.steps(all, &weights, level), &values)?;
         let weight = |(seen, state): (&Observed, &Gaussian)| {
             let axes = seen.value.len();
-            let wander = state.mean.rows(3 * axes, kind.wander_s.len());
-            let off = &seen.value - state.mean.rows(0, axes) - &seen.wander * wander;
+            let drift = state.mean.rows(3 * axes, kind.wander_s.len());
+            let off = &seen.value - state.mean.rows(0, axes) - &seen.drift * drift;
             let square = seen.noise.clone().cholesky().map_or(0.0, |c| off.dot(&c.solve(&off)));
             (STUDENT + axes as f64) / (STUDENT + square / level.noise.powi(2))
         };

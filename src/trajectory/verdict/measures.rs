@@ -9,7 +9,7 @@ use crate::math::{median, quantile};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectPose, Reconstruction};
 use crate::trajectory::heading::forward_axis;
 use crate::trajectory::object_center;
-use crate::trajectory::steadiness::Steadiness;
+use crate::trajectory::plane_outliers::Steadiness;
 
 /// Of the points over the ground, the share that lies below what counts as the vehicle's top.
 const TOP: f64 = 0.95;

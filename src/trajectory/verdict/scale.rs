@@ -24,7 +24,7 @@ const CONTRADICTS_BY_FAR: f64 = 6.0;
 
 /// Ratio by another method than the one in use.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Answer {
+pub(super) struct OtherEstimate {
     /// Which one.
     pub(super) method: ScaleMethod,
     /// Its ratio.
@@ -67,10 +67,12 @@ fn undetermined(scale: &ScaleEstimate) -> String {
 }
 
 /// Ratios by the other methods for the unchanged model, with the standard deviation of each by its own residuals.
-fn answers(scale: &ScaleEstimate, views: &Views, options: &Options) -> Vec<Answer> {
+fn answers(scale: &ScaleEstimate, views: &Views, options: &Options) -> Vec<OtherEstimate> {
     let others = scale.alternatives.iter().filter(|(method, _)| **method != scale.method);
     let others = others.filter(|(_, ratio)| ratio.is_finite() && **ratio > 0.0);
-    others.map(|(&method, &ratio)| Answer { method, ratio, std: own_std(method, ratio, views, options) }).collect()
+    others
+        .map(|(&method, &ratio)| OtherEstimate { method, ratio, std: own_std(method, ratio, views, options) })
+        .collect()
 }
 
 fn own_std(method: ScaleMethod, ratio: f64, views: &Views, options: &Options) -> f64 {
@@ -98,11 +100,11 @@ fn own_std(method: ScaleMethod, ratio: f64, views: &Views, options: &Options) ->
 /// Holds the other methods' answers against the one in use.
 ///
 /// One that contradicts it counts half; two make it doubtful, or refute it where both do by far.
-pub(super) fn agreement(scale: &ScaleEstimate, answers: &[Answer]) -> Option<Reason> {
+pub(super) fn agreement(scale: &ScaleEstimate, answers: &[OtherEstimate]) -> Option<Reason> {
     // All methods share the focal length, and its error.
     let own = scale.shares.map(|shares| shares.given_focal()).or_else(|| relative_std(scale)).unwrap_or(UNKNOWN_STD);
-    let away = |answer: &Answer| (answer.ratio / scale.ratio).ln().abs() / answer.std.hypot(own);
-    let telling: Vec<&Answer> = answers.iter().filter(|answer| answer.std < NOTHING_TO_SAY).collect();
+    let away = |answer: &OtherEstimate| (answer.ratio / scale.ratio).ln().abs() / answer.std.hypot(own);
+    let telling: Vec<&OtherEstimate> = answers.iter().filter(|answer| answer.std < NOTHING_TO_SAY).collect();
     let beyond = |limit: f64| telling.iter().filter(|answer| away(answer) > limit).count();
     let said: Vec<String> = telling.iter().map(|answer| said(answer, scale.ratio)).collect();
     let said = said.join(", ");
@@ -119,7 +121,7 @@ pub(super) fn agreement(scale: &ScaleEstimate, answers: &[Answer]) -> Option<Rea
 }
 
 /// "least-squares −32 %".
-fn said(answer: &Answer, ratio: f64) -> String {
+fn said(answer: &OtherEstimate, ratio: f64) -> String {
     let off = answer.ratio / ratio - 1.0;
     let sign = if off < 0.0 { "−" } else { "+" };
     format!("{} {sign}{} (±{})", answer.method.name(), percent(off.abs()), percent(answer.std))

@@ -80,10 +80,10 @@ pub(super) fn movement(tracked: &TrackedObject, measures: &Measures, shows: impl
     let why = &tracked.movement.reason;
     match tracked.movement.state {
         Movement::Moving => Some(Reason::supports(MovementKind, format!("moving: {why}"))),
-        Movement::Standing if !is_far => {
+        Movement::Stationary if !is_far => {
             Some(Reason::supports(MovementKind, format!("stationary, and its position is constant: {why}")))
         }
-        Movement::Standing if shows() => {
+        Movement::Stationary if shows() => {
             Some(Reason::refutes(MovementKind, format!("points look stationary ({why}), but its path is {far} long")))
         }
         _ if is_far && tracked.confidence < SURE => Some(Reason::doubts(

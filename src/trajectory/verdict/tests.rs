@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
-use super::scale::{Answer, agreement, deviation};
+use super::scale::{OtherEstimate, agreement, deviation};
 use super::*;
 use crate::math::Rigid3;
 use crate::scene::{
-    FoundIn, ImageId, Movement, MovementFinding, ObjectId, Outline, ReasonKind, ScaleEstimate, ScaleMethod, Unit,
+    DetectionCounts, ImageId, Movement, MovementFinding, ObjectId, Outline, ReasonKind, ScaleEstimate, ScaleMethod,
+    Unit,
 };
 use crate::synthetic::drive::{self, Drive, Noise, drive};
 use crate::trajectory::{ObjectDescription, assemble};
@@ -35,7 +36,7 @@ fn car(id: u32, error: f64, options: &drive::Options) -> Car {
         id: ObjectId(id),
         class: "car".into(),
         confidence: 0.8,
-        found_in: FoundIn { detector: 50, ..FoundIn::default() },
+        found_in: DetectionCounts { detector: 50, ..DetectionCounts::default() },
         outline: Outline::Network,
         mask_quality: Some(0.93),
         movement: MovementFinding { state: Movement::Moving, reason: "its points move".into() },
@@ -129,7 +130,7 @@ fn a_patch_at_the_horizon_is_not_to_be_trusted() {
     let mut patch = car(8, 1.0, &few);
     patch.trajectory.scale = estimate(patch.trajectory.scale.ratio, 0.0037);
     patch.tracked.confidence = 0.3;
-    patch.tracked.found_in = FoundIn { detector: 6, carried: 10, ..FoundIn::default() };
+    patch.tracked.found_in = DetectionCounts { detector: 6, carried: 10, ..DetectionCounts::default() };
     patch.tracked.movement = MovementFinding { state: Movement::Undetermined, reason: "too small".into() };
     let (up, size) = (normal(&patch), height(&patch));
     let aside = up.cross(&Vector3::x()).normalize();
@@ -158,7 +159,7 @@ fn a_model_that_is_drawn_out_along_the_line_of_sight_is_refuted() {
 #[test]
 fn what_stands_by_its_points_and_moves_by_its_path_is_refuted() {
     let mut post = car(1, 1.0, &usual());
-    post.tracked.movement = MovementFinding { state: Movement::Standing, reason: "as the ground".into() };
+    post.tracked.movement = MovementFinding { state: Movement::Stationary, reason: "as the ground".into() };
     let verdict = judge(&[post]).remove(0);
     assert_eq!(finding(&verdict, ReasonKind::Movement), Some(Finding::Refutes));
 }
@@ -168,7 +169,7 @@ fn what_stands_by_its_points_and_moves_by_its_path_is_refuted() {
 #[test]
 fn a_path_along_the_line_of_sight_that_points_do_not_show_is_not_refuted() {
     let mut lead = car(1, 1.0, &usual());
-    lead.tracked.movement = MovementFinding { state: Movement::Standing, reason: "as the ground".into() };
+    lead.tracked.movement = MovementFinding { state: Movement::Stationary, reason: "as the ground".into() };
     let frames: Vec<FrameId> = lead.trajectory.poses.iter().map(|pose| pose.frame).collect();
     let (first, up) = (Vector3::from(lead.trajectory.poses[0].position), normal(&lead));
     let start = lead.world.background.images[&ImageId::from(frames[0])].cam_from_world.center().coords;
@@ -195,7 +196,7 @@ fn a_path_along_the_line_of_sight_that_points_do_not_show_is_not_refuted() {
 fn methods_that_contradict_one_another_leave_no_green_badge() {
     let scale = estimate(2.0, 0.015);
     assert_eq!(deviation(&scale).finding, Finding::Supports);
-    let answer = |method, off: f64, std| Answer { method, ratio: 2.0 * (1.0 + off), std };
+    let answer = |method, off: f64, std| OtherEstimate { method, ratio: 2.0 * (1.0 + off), std };
     let pair = |std| answer(ScaleMethod::ConstantDistance, 1.57, std);
     let all = |std| answer(ScaleMethod::RobustLeastSquares, -0.32, std);
     let unknown = agreement(&scale, &[pair(0.15), all(0.15)]).unwrap();

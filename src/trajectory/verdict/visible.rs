@@ -28,7 +28,7 @@ const GROUND_TOLERANCE: f64 = 0.15;
 const HORIZON: f64 = 40.0;
 
 /// A place of the object and the camera that saw it.
-struct Sight {
+struct PathView {
     time_s: f64,
     place: Point3<f64>,
     center: Point3<f64>,
@@ -41,7 +41,7 @@ struct Sight {
 /// says.
 pub(super) fn shows(candidate: &Candidate) -> bool {
     let sights = sights(candidate);
-    let mut pieces: Vec<&[Sight]> = Vec::new();
+    let mut pieces: Vec<&[PathView]> = Vec::new();
     let mut rest = sights.as_slice();
     while let Some(first) = rest.first() {
         let long = rest.iter().position(|sight| sight.time_s - first.time_s >= PIECE_S).unwrap_or(rest.len());
@@ -53,12 +53,12 @@ pub(super) fn shows(candidate: &Candidate) -> bool {
     num_shown > 0 && 2 * num_shown >= pieces.len()
 }
 
-fn sights(candidate: &Candidate) -> Vec<Sight> {
+fn sights(candidate: &Candidate) -> Vec<PathView> {
     let sight = |pose: &ObjectPose| {
         let image = candidate.background.images.get(&ImageId::from(pose.frame))?;
         let center = image.cam_from_world.center();
         let height = |plane: &GroundPlane| plane.signed_distance(center).abs();
-        Some(Sight {
+        Some(PathView {
             time_s: pose.time_s,
             place: Point3::from(pose.position),
             center,
@@ -69,7 +69,7 @@ fn sights(candidate: &Candidate) -> Vec<Sight> {
     candidate.trajectory.poses.iter().filter_map(sight).collect()
 }
 
-fn piece_shows(piece: &[Sight]) -> bool {
+fn piece_shows(piece: &[PathView]) -> bool {
     let middle = &piece[piece.len() / 2];
     let sight = middle.place - middle.center;
     let distance = sight.norm();

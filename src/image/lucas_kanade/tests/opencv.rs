@@ -7,7 +7,12 @@ use super::*;
 use crate::image::mat_from_gray;
 
 /// Result of OpenCV.
-fn by_opencv(first: &GrayImage, second: &GrayImage, points: &[Point2<f32>], window: Window) -> Vec<Option<Found>> {
+fn by_opencv(
+    first: &GrayImage,
+    second: &GrayImage,
+    points: &[Point2<f32>],
+    window: Window,
+) -> Vec<Option<TrackedPoint>> {
     let starts: Vector<Point2f> = points.iter().map(|p| Point2f::new(p.x - 0.5, p.y - 0.5)).collect();
     let (mut moved, mut status, mut error) = (starts.clone(), Vector::<u8>::new(), Vector::<f32>::new());
     let [from, to]: [Mat; 2] = [first, second].map(|picture| mat_from_gray(picture).unwrap());
@@ -31,7 +36,7 @@ fn by_opencv(first: &GrayImage, second: &GrayImage, points: &[Point2<f32>], wind
     .unwrap();
     let found = moved.iter().zip(status.iter().zip(&error));
     let found = found.map(|(p, (status, difference))| {
-        (status != 0).then_some(Found { position: Point2::new(p.x + 0.5, p.y + 0.5), difference })
+        (status != 0).then_some(TrackedPoint { position: Point2::new(p.x + 0.5, p.y + 0.5), difference })
     });
     found.collect()
 }
@@ -46,7 +51,7 @@ fn points_are_where_opencv_finds_them() {
         let (from, to) = pyramids(&first, &second);
         let ours = method.follow(&from, &to, &points, &points);
         let theirs = by_opencv(&first, &second, &points, Window::of_radius(radius));
-        let is_same = |(ours, theirs): &(&Option<Found>, &Option<Found>)| match (ours, theirs) {
+        let is_same = |(ours, theirs): &(&Option<TrackedPoint>, &Option<TrackedPoint>)| match (ours, theirs) {
             (Some(a), Some(b)) => (a.position - b.position).norm() < 0.05 && (a.difference - b.difference).abs() < 1.0,
             (None, None) => true,
             _ => false,

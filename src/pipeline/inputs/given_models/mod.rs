@@ -4,8 +4,8 @@
 //! afterwards: its picture may be the frame before it was reduced or turned, or without its distortion. Whatever else
 //! it is, it is refused. Reprojection errors are computed again, since files mean different things by them.
 
+mod images;
 mod names;
-mod pictures;
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::background::model_report::ModelReport;
 use crate::scene::{Frame, ImageId, Reconstruction, Warning};
-use pictures::{Pictures, Sizes};
+use images::{Pictures, Sizes};
 
 /// Target of a given model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,7 +87,7 @@ fn placed(
     let (model, _) = model::read_for_geometry(&place)?;
     let sizes = sizes_of(&place, format, &model);
     let (mut model, mut remarks) = names::with_frame_ids(path, model, frames)?;
-    remarks.extend(pictures::fit(path, &mut model, &sizes, pictures)?);
+    remarks.extend(super::given_models::images::fit(path, &mut model, &sizes, pictures)?);
     check_points(path, &model)?;
     renew_errors(&mut model);
     Ok((model, remarks))

@@ -16,8 +16,8 @@ use super::features;
 use crate::bundle;
 use crate::camera::Camera;
 use crate::io::interchange::colmap;
-use crate::mapper::Remark;
-use crate::mapper::{self, Beside};
+use crate::mapper::ModelWeakness;
+use crate::mapper::{self, Priors};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::threads::on_threads;
@@ -30,28 +30,28 @@ use crate::scene::{CameraId, FocalChange, FrameId, Reconstruction, Topic, Warnin
 const DEVIATION_IMAGES: usize = 16;
 const BACKGROUND_REPORT: &str = "background-report.json";
 
-pub(in crate::pipeline) fn background_depends_on(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn background_cache_key(run: &Run) -> Result<Value, PipelineError> {
     let origins: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| initial.origin).collect();
     let (background, _) = order::sfm_options(run)?;
     let given = run.options.background_model.as_deref().map(given_models::fingerprint).transpose()?;
-    let depends_on = json!({
+    let cache_key = json!({
         "model": given,
         "camera_origins": origins,
         "options": background.mapper,
         "seed": run.options.seed,
     });
-    Ok(with_model_files(depends_on, run))
+    Ok(with_model_files(cache_key, run))
 }
 
 /// Inputs of a stage that writes models, with their form if one was requested.
-pub(in crate::pipeline) fn with_model_files(mut depends_on: Value, run: &Run) -> Value {
+pub(in crate::pipeline) fn with_model_files(mut cache_key: Value, run: &Run) -> Value {
     if run.options.model_files != ModelFiles::Auto {
-        depends_on["model_files"] = json!(run.options.model_files);
+        cache_key["model_files"] = json!(run.options.model_files);
     }
-    depends_on
+    cache_key
 }
 
-pub(in crate::pipeline) fn background_work(run: &Run) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     let (model, mut report) = match &run.options.background_model {
         Some(path) => given_models::read(path, Target::Background, run)?,
@@ -62,7 +62,7 @@ pub(in crate::pipeline) fn background_work(run: &Run) -> Result<Outcome, Pipelin
             let num_frames = table.views.len() as u64;
             run.progress.begin("background", Some(num_frames));
             let mut watch = |share: f64| run.progress.reach((share * num_frames as f64) as u64);
-            reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, Beside::default(), &mut watch)?
+            reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, Priors::default(), &mut watch)?
         }
     };
     if order::found(run)?.in_time {
@@ -117,11 +117,11 @@ fn warning_of(change: &FocalChange) -> Warning {
     Topic::FocalLengthChanges.warning(text)
 }
 
-fn warning_of_remark(remark: &Remark) -> Warning {
+fn warning_of_remark(remark: &ModelWeakness) -> Warning {
     let topic = match remark {
-        Remark::PlanarScene { .. } => Topic::PlanarScene,
-        Remark::ForwardMotion => Topic::ForwardMotion,
-        Remark::LooseFocalLength { .. } => Topic::FocalLengthUncertain,
+        ModelWeakness::PlanarScene { .. } => Topic::PlanarScene,
+        ModelWeakness::ForwardMotion => Topic::ForwardMotion,
+        ModelWeakness::LooseFocalLength { .. } => Topic::FocalLengthUncertain,
     };
     topic.warning(remark.to_string())
 }
@@ -172,7 +172,7 @@ pub(in crate::pipeline) fn reconstruct(
     mut table: crate::features::TrackTable,
     cameras: &[(Camera, mapper::Intrinsics)],
     options: &mapper::Options,
-    beside: Beside<'_>,
+    beside: Priors<'_>,
     watch: &mut (dyn FnMut(f64) + Send),
 ) -> Result<(Reconstruction, ModelReport), PipelineError> {
     let (threads, seed) = (run.options.threads, run.options.seed);

@@ -88,13 +88,16 @@ fn fill(mask: &mut Mask, found: &BoxDetection) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Finder, Rect};
+    use crate::scene::{DetectionSource, Rect};
 
     #[test]
     fn boxes_are_filled_as_far_as_the_picture_goes() {
         let mut mask = Mask::empty(6, 4);
         let rect = Rect { x0: 3.5, y0: -2.0, x1: 9.0, y1: 1.2 };
-        fill(&mut mask, &BoxDetection { class: "car".into(), confidence: 0.5, rect, finder: Finder::Detector });
+        fill(
+            &mut mask,
+            &BoxDetection { class: "car".into(), confidence: 0.5, rect, finder: DetectionSource::Detector },
+        );
         assert_eq!(mask, Mask::from_fn(6, 4, |x, y| x >= 3 && y < 2));
     }
 

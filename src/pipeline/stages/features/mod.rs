@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use serde_json::{Value, json};
 
-use super::motion::followed::{self, Follower};
+use super::motion::point_tracks::{self, Follower};
 use crate::features::{FrontEnd, TrackTable};
 use crate::image::RgbImage;
 use crate::pipeline::driver::run::{Outcome, Run};
@@ -20,10 +20,10 @@ use crate::video::VideoError;
 use masking::Masking;
 use thumbnails::Keeper;
 
-pub(in crate::pipeline) use super::motion::followed::FEATURES_PREFIX as PREFIX;
+pub(in crate::pipeline) use super::motion::point_tracks::FEATURES_PREFIX as PREFIX;
 pub(in crate::pipeline) const BACKGROUND: &str = "background";
 
-pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
     let cameras: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| initial.camera).collect();
     let (background, _) = order::sfm_options(run)?;
     Ok(json!({
@@ -44,11 +44,12 @@ fn given_masks(run: &Run) -> Result<Option<String>, PipelineError> {
     }
 }
 
-pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     let store = TrackStore::fresh(run, PREFIX, fingerprint)?;
     if run.options.background_model.is_none() {
-        let mut beside = Beside { points: Follower::beside_features(run)?, strip: Keeper::beside_features(run)? };
+        let mut beside =
+            SharedDecoding { points: Follower::beside_features(run)?, strip: Keeper::beside_features(run)? };
         let table = follow_background(run, &mut beside, &mut outcome)?;
         beside.write(run, &store)?;
         outcome.figure("background_tracks", table.tracks.len());
@@ -59,12 +60,12 @@ pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome,
 }
 
 /// Work for which later stages of the same run would decode the images again.
-struct Beside {
+struct SharedDecoding {
     points: Option<Follower>,
     strip: Option<Keeper>,
 }
 
-impl Beside {
+impl SharedDecoding {
     fn push(&mut self, frame: &Frame, picture: &RgbImage) -> Result<(), PipelineError> {
         if let Some(strip) = &mut self.strip {
             strip.push(frame, picture);
@@ -76,13 +77,17 @@ impl Beside {
         if let Some(strip) = &self.strip {
             strip.write(&store.folder)?;
         }
-        let write = |points: Follower| intermediate::write(&store.path(&followed::name(run)), &points.finish());
+        let write = |points: Follower| intermediate::write(&store.path(&point_tracks::name(run)), &points.finish());
         self.points.map_or(Ok(()), write)
     }
 }
 
 /// Tracks of the background, and what is made on the way.
-fn follow_background(run: &Run, beside: &mut Beside, outcome: &mut Outcome) -> Result<TrackTable, PipelineError> {
+fn follow_background(
+    run: &Run,
+    beside: &mut SharedDecoding,
+    outcome: &mut Outcome,
+) -> Result<TrackTable, PipelineError> {
     let initial = cameras::initial(run)?;
     if let Some(open) = cameras::not_covered(run, &initial) {
         outcome.warn(Topic::IntrinsicsIncomplete.warning(open));

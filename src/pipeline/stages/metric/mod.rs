@@ -35,7 +35,7 @@ use sources::Ground;
 pub(in crate::pipeline) use vehicles::Size;
 
 /// Inputs of this stage alone: the options of meters, and the content of telemetry files.
-pub(in crate::pipeline) fn depends_on(run: &Run) -> Value {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
     let MetricOptions { telemetry, time_offset, utc_offset, camera_height, scale, known_lengths } = &run.options.metric;
     let files = log::files(run);
     // What cannot be read next to a video is no telemetry; what was named has been read before.
@@ -62,13 +62,13 @@ pub(in crate::pipeline) fn check(options: &Options) -> Result<(), PipelineError>
     }
 }
 
-pub(in crate::pipeline) fn work(run: &Run) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     let (background, _) = background::background(run)?;
     let trajectories = scale::in_units(run)?;
     let sizes = scale::sizes(run)?;
     let found = match background.is_empty() {
-        true => Found::unknown("no background"),
+        true => MetricResult::unknown("no background"),
         false => find(run, &background, &trajectories, &sizes, &mut outcome)?,
     };
     describe(&found.metric, &mut outcome);
@@ -99,12 +99,12 @@ pub(in crate::pipeline) fn work(run: &Run) -> Result<Outcome, PipelineError> {
 }
 
 /// Metres, and the map where it is known.
-struct Found {
+struct MetricResult {
     metric: Metric,
     map: Option<telemetry::LocalFrame>,
 }
 
-impl Found {
+impl MetricResult {
     fn unknown(reason: impl Into<String>) -> Self {
         let metric = Metric {
             verdict: MetricVerdict::Unknown,
@@ -126,7 +126,7 @@ fn find(
     trajectories: &Trajectories,
     sizes: &BTreeMap<ObjectId, Size>,
     outcome: &mut Outcome,
-) -> Result<Found, PipelineError> {
+) -> Result<MetricResult, PipelineError> {
     let ground = Ground::of(run, background)?;
     let telemetry = log::find(run, outcome);
     let aligned = telemetry.as_ref().and_then(|telemetry| aligned::align(run, background, &ground, telemetry, outcome));
@@ -138,8 +138,8 @@ fn find(
     alike.warn(outcome);
     sources.extend(alike.source.clone());
     let Some(fused) = fuse(&sources) else {
-        let unknown = Found::unknown(NOTHING);
-        return Ok(Found { metric: Metric { dates, ..unknown.metric }, ..unknown });
+        let unknown = MetricResult::unknown(NOTHING);
+        return Ok(MetricResult { metric: Metric { dates, ..unknown.metric }, ..unknown });
     };
     warn_of_contradictions(&fused, outcome);
     let frame = match &aligned {
@@ -156,7 +156,7 @@ fn find(
         time_offset_std_s: aligned.as_ref().map(|aligned| aligned.alignment.offset_std_s),
         dates,
     };
-    Ok(Found { metric, map: aligned.map(|aligned| aligned.map) })
+    Ok(MetricResult { metric, map: aligned.map(|aligned| aligned.map) })
 }
 
 /// Distance from camera to vehicle that represents the median of a result without metres: between a dashcam's 10 m and

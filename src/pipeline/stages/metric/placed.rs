@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 
 use nalgebra::Point3;
 
-use crate::metric::{Sighted, metric_pose, place_std_m};
+use crate::metric::{ObservedPoint, metric_pose, place_std_m};
 use crate::scene::{
     Estimate, Image, MapPlace, MetricFrame, MetricPose, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Travel,
 };
 use crate::telemetry::{Geodetic, LocalFrame};
-use crate::trajectory::{CommonStd, Sighting, Smoothed, headings, smooth};
+use crate::trajectory::{CommonStd, PositionMeasurement, Smoothed, headings, smooth};
 
 /// All that places objects in metres.
 pub(super) struct Placing<'a> {
@@ -98,13 +98,13 @@ impl<'a> Placing<'a> {
     }
 
     /// Where the object is in metres, in the frames in which that is known.
-    fn sightings(&self, trajectory: &ObjectTrajectory) -> Vec<Sighting> {
+    fn sightings(&self, trajectory: &ObjectTrajectory) -> Vec<PositionMeasurement> {
         let metric_from_world = self.frame.metric_from_world();
         let headings = headings(trajectory);
         let step_s = if self.times == TimeBase::Seconds { 1.0 } else { NOMINAL_STEP_S };
         let sighting = |(k, pose): (usize, &ObjectPose)| {
             let center = self.images.get(pose.name.as_str())?.cam_from_world.center();
-            Some(Sighting {
+            Some(PositionMeasurement {
                 time_s: step_s * pose.time_s,
                 position_m: (metric_from_world * Point3::from(pose.position)).coords,
                 camera_m: (metric_from_world * center).coords,
@@ -117,14 +117,14 @@ impl<'a> Placing<'a> {
     fn metric(&self, pose: &ObjectPose, log_ratio_std: f64) -> Option<MetricPose> {
         let center = self.images.get(pose.name.as_str())?.cam_from_world.center();
         let direction_std = self.direction_std;
-        let sighted = Sighted { point: Point3::from(pose.position), center, log_ratio_std, direction_std };
+        let sighted = ObservedPoint { point: Point3::from(pose.position), center, log_ratio_std, direction_std };
         let found = metric_pose(self.frame, &sighted);
         // Lengths that no number holds are no metres.
         let is_finite = found.position_m.iter().chain(&found.position_std_m).all(|value| value.is_finite());
         is_finite.then(|| MetricPose { place: self.map.map(|map| self.place(&map, &found, &sighted)), ..found })
     }
 
-    fn place(&self, map: &LocalFrame, found: &MetricPose, sighted: &Sighted) -> MapPlace {
+    fn place(&self, map: &LocalFrame, found: &MetricPose, sighted: &ObservedPoint) -> MapPlace {
         let Geodetic { longitude_deg, latitude_deg, height_m } = map.to_geodetic(Point3::from(found.position_m));
         let place_std_m = place_std_m(self.frame, sighted);
         MapPlace { longitude: longitude_deg, latitude: latitude_deg, height_m, place_std_m }

@@ -73,8 +73,8 @@ fn mount(run: &Run) -> Option<Measured> {
     let record = run.records.iter().find(|record| record.stage == Stage::Ground)?;
     let mount = record.marker.figures.get("mount")?;
     let number = |name: &str| mount.get(name).and_then(serde_json::Value::as_f64);
-    let (height, std, wander) = (number("height")?, number("height_std")?, number("wander")?);
-    Measured::new(height, std.hypot(wander * height))
+    let (height, std, drift) = (number("height")?, number("height_std")?, number("wander")?);
+    Measured::new(height, std.hypot(drift * height))
 }
 
 /// Measured or given lengths.

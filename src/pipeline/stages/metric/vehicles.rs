@@ -83,15 +83,15 @@ pub(super) struct Alike {
 /// Asks the vehicles that can be trusted; only where these say nothing, the doubtful ones.
 pub(super) fn alike(trajectories: &Trajectories, sizes: &BTreeMap<ObjectId, Size>) -> Alike {
     let usable = || trajectories.objects.iter().filter(|trajectory| !trajectory.is_ruled_out());
-    let ask = |vehicles: Vec<&ObjectTrajectory>| {
+    let segment = |vehicles: Vec<&ObjectTrajectory>| {
         let extents: Vec<Extent> = vehicles.into_iter().flat_map(|trajectory| extents(trajectory, sizes)).collect();
         Alike::of(vehicle_sizes(&extents))
     };
-    let trusted = ask(usable().filter(|trajectory| !is_doubtful(trajectory)).collect());
+    let trusted = segment(usable().filter(|trajectory| !is_doubtful(trajectory)).collect());
     if trusted.source.is_some() {
         return trusted;
     }
-    let doubtful = ask(usable().filter(|trajectory| is_doubtful(trajectory)).collect());
+    let doubtful = segment(usable().filter(|trajectory| is_doubtful(trajectory)).collect());
     Alike { source: doubtful.source, odd: [trusted.odd, doubtful.odd].concat() }
 }
 
@@ -193,14 +193,14 @@ mod tests {
 
     #[test]
     fn doubtful_vehicles_are_asked_last() {
-        let ask = |cars: Vec<(ObjectTrajectory, (ObjectId, Size))>| {
+        let segment = |cars: Vec<(ObjectTrajectory, (ObjectId, Size))>| {
             let (objects, sizes): (Vec<_>, Vec<_>) = cars.into_iter().unzip();
             let all = Trajectories { unit: Unit::Background, metric: None, objects };
             alike(&all, &sizes.into_iter().collect()).source
         };
         let (good, doubtful) = (|| car(1, 1.0, Trust::Fair), || car(2, 1.5, Trust::Doubtful));
-        assert_eq!(ask(vec![good(), doubtful()]), ask(vec![good()]));
-        assert!(ask(vec![doubtful()]).is_some());
-        assert!(ask(vec![car(3, 1.0, Trust::Rejected)]).is_none());
+        assert_eq!(segment(vec![good(), doubtful()]), segment(vec![good()]));
+        assert!(segment(vec![doubtful()]).is_some());
+        assert!(segment(vec![car(3, 1.0, Trust::Rejected)]).is_none());
     }
 }

@@ -1,11 +1,11 @@
 //! Stage `motion`: what moves against the background.
 //!
 //! Points are followed all over the picture and held against the background's cameras and the ground. Following needs
-//! pictures alone, so that the stage `features` does it where it goes through them all ([`super::motion::followed`]). What this
+//! pictures alone, so that the stage `features` does it where it goes through them all ([`super::motion::point_tracks`]). What this
 //! stage leaves are boxes of what moves, frame by frame, and what is known of each point: the next stage asks whether
 //! the objects moved whose masks it has.
 
-pub(in crate::pipeline) mod followed;
+pub(in crate::pipeline) mod point_tracks;
 pub(in crate::pipeline) mod stationary_boxes;
 
 use std::collections::BTreeMap;
@@ -21,8 +21,8 @@ use crate::motion::{GroundModel, Mover, PointTrack, Surroundings, TrackLabel, Vi
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::{Instances, MotionChoice, PipelineError, Stage};
-use crate::scene::{BoxDetection, Finder, Frame, FrameId, ImageId, Reconstruction, Topic};
-use followed::Followed;
+use crate::scene::{BoxDetection, DetectionSource, Frame, FrameId, ImageId, Reconstruction, Topic};
+use point_tracks::Followed;
 
 pub(in crate::pipeline) const PREFIX: &str = "motion-";
 const LABELS: &str = "labels.bin";
@@ -38,8 +38,8 @@ pub(in crate::pipeline) struct Points {
     pub(in crate::pipeline) labels: Vec<TrackLabel>,
 }
 
-pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
-    if !followed::is_wanted(run)? {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
+    if !super::motion::point_tracks::is_wanted(run)? {
         return Ok(json!("none"));
     }
     Ok(json!({
@@ -55,13 +55,13 @@ fn finds(run: &Run) -> bool {
     run.options.instances == Instances::Vehicles && run.options.vehicles.motion == MotionChoice::On
 }
 
-pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    if !followed::is_wanted(run)? {
+    if !super::motion::point_tracks::is_wanted(run)? {
         return Ok(outcome);
     }
     let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
-    let Followed { frames, tracks } = followed::points(run, &folder, &mut outcome)?;
+    let Followed { frames, tracks } = super::motion::point_tracks::points(run, &folder, &mut outcome)?;
     // Of a long video the background takes as much room as what comes now.
     let world = World::new(run, &background::background(run)?.0, &frames, &mut outcome);
     let labels = classify(&tracks, &world.surroundings(run), &run.options.motion.evidence);
@@ -92,7 +92,7 @@ pub(in crate::pipeline) struct World {
 /// The background as later stages hold frames against it; `None` where frames do not follow one another in time, or
 /// motion is not looked at.
 pub(in crate::pipeline) fn world(run: &Run, frames: &[Frame]) -> Result<Option<World>, PipelineError> {
-    if !followed::is_wanted(run)? {
+    if !super::motion::point_tracks::is_wanted(run)? {
         return Ok(None);
     }
     let (background, _) = background::background(run)?;
@@ -144,7 +144,7 @@ fn write_boxes(folder: &Path, frames: &[Frame], found: &[Mover]) -> Result<(), P
     let mut boxes: BTreeMap<u32, Vec<BoxDetection>> = BTreeMap::new();
     for mover in found {
         for (&index, &rect) in &mover.boxes {
-            let (class, confidence, finder) = (CLASS.to_owned(), mover.confidence, Finder::Motion);
+            let (class, confidence, finder) = (CLASS.to_owned(), mover.confidence, DetectionSource::Motion);
             boxes.entry(index).or_default().push(BoxDetection { class, confidence, rect, finder });
         }
     }
@@ -167,11 +167,11 @@ pub(in crate::pipeline) fn boxes(run: &Run) -> FrameFolder<BoxDetection> {
 
 /// The points and what is known of them; none where motion was not looked at. The stage must be done.
 pub(in crate::pipeline) fn points(run: &Run) -> Result<Points, PipelineError> {
-    if !followed::is_wanted(run)? {
+    if !super::motion::point_tracks::is_wanted(run)? {
         return Ok(Points::default());
     }
     let folder = folder(run);
-    let Followed { frames, tracks } = followed::kept_points(run, &folder)?;
+    let Followed { frames, tracks } = super::motion::point_tracks::kept_points(run, &folder)?;
     let frames = frames.into_iter().map(|frame| frame.id).collect();
     Ok(Points { frames, tracks, labels: intermediate::read(&folder.join(LABELS))? })
 }

@@ -12,17 +12,17 @@ use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::segment;
 use crate::pipeline::stages::segment::detections::FrameFolder;
 use crate::scene::{Frame, FrameId, Rect};
-use crate::tracking::FoundBox;
+use crate::tracking::DetectedBox;
 
 /// Where it is kept, in the folder of the stage `motion`.
 const FOLDER: &str = "standing";
 
 /// The boxes of a frame of which something is known.
-type Known = FrameFolder<StandingBox>;
+type Known = FrameFolder<StationaryBox>;
 
 /// Which of a frame's boxes stands, by its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-struct StandingBox(u32);
+struct StationaryBox(u32);
 
 fn known(motion_folder: &Path) -> Known {
     FrameFolder::new(motion_folder.join(FOLDER))
@@ -58,8 +58,8 @@ pub(in crate::pipeline) fn write(
         let stands = |rect: &Rect| {
             shows_standing(seen.iter().filter(|([x, y], _)| rect.contains(*x, *y)).map(|(_, label)| label.verdict))
         };
-        let standing: Vec<StandingBox> =
-            (0u32..).zip(&boxes).filter(|(_, found)| stands(&found.rect)).map(|(k, _)| StandingBox(k)).collect();
+        let standing: Vec<StationaryBox> =
+            (0u32..).zip(&boxes).filter(|(_, found)| stands(&found.rect)).map(|(k, _)| StationaryBox(k)).collect();
         known.write(frame, &standing)?;
     }
     Ok(())
@@ -70,10 +70,10 @@ pub(in crate::pipeline) fn boxes(
     run: &Run,
     detected: &segment::BoxFolder,
     frame: FrameId,
-) -> Result<Vec<FoundBox>, PipelineError> {
-    let mut found: Vec<FoundBox> = detected.read(frame)?.into_iter().map(FoundBox::from).collect();
+) -> Result<Vec<DetectedBox>, PipelineError> {
+    let mut found: Vec<DetectedBox> = detected.read(frame)?.into_iter().map(DetectedBox::from).collect();
     let path = super::folder(run);
-    for StandingBox(number) in known(&path).read(frame)? {
+    for StationaryBox(number) in known(&path).read(frame)? {
         let wrong =
             || intermediate::damaged(&path.join(FOLDER), format!("frame {}: box {number} does not exist", frame.0));
         found.get_mut(number as usize).ok_or_else(wrong)?.stands = true;

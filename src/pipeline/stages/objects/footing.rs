@@ -1,7 +1,7 @@
 //! Poses about small objects, from the ground alone.
 //!
 //! A start of structure from motion that depends on no chance: the object stands on the ground and points where it goes
-//! ([`standing`]). The planes are those that are found without labels, before the object has a model: rough poses need
+//! ([`ground_constrained_poses`]). The planes are those that are found without labels, before the object has a model: rough poses need
 //! no better ones, and the stage `ground` finds those.
 
 use std::cell::OnceCell;
@@ -13,11 +13,11 @@ use super::super::ground::body_shape;
 use crate::camera::Camera;
 use crate::features::tracks::{TrackTable, View};
 use crate::ground::{DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount};
-use crate::mapper::KnownPoses;
+use crate::mapper::PosePriors;
 use crate::math::{Rigid3, median};
 use crate::pipeline::driver::run::Run;
 use crate::scene::{FrameId, Image, ObjectId, Observation, Point3dId, Reconstruction};
-use crate::trajectory::{Sight, standing};
+use crate::trajectory::{ObjectImage, ground_constrained_poses};
 
 /// By what share of its extent the middle of what is seen of an object may lie next to its middle.
 const OFF_MIDDLE: f64 = 0.25;
@@ -49,8 +49,8 @@ impl<'a> Footing<'a> {
 
     /// Poses of the views of an object; `None` for one whose perspective, in pixels, is more than `weak_px`, or where
     /// there is no ground.
-    pub(super) fn poses(&self, id: ObjectId, table: &TrackTable, camera: &Camera, weak_px: f64) -> Option<KnownPoses> {
-        let sights: BTreeMap<FrameId, Sight> =
+    pub(super) fn poses(&self, id: ObjectId, table: &TrackTable, camera: &Camera, weak_px: f64) -> Option<PosePriors> {
+        let sights: BTreeMap<FrameId, ObjectImage> =
             table.views.iter().filter_map(|view| Some((view.image.frame(), sight(view)?))).collect();
         let extent_px = median(sights.values().map(|sight| sight.extent_px).collect())?;
         // An object as long as deep looks so much larger in front than behind.
@@ -59,21 +59,21 @@ impl<'a> Footing<'a> {
         }
         let options = self.run.options;
         let planes = self.chain().planes(id, &without_poses(table), &options.ground, options.seed).planes;
-        let found = standing(self.background, &planes, &sights);
+        let found = ground_constrained_poses(self.background, &planes, &sights);
         let poses = table.views.iter().map(|view| found.get(&view.image.frame()).copied()).collect();
-        (!found.is_empty()).then_some(KnownPoses { poses, error_px: OFF_MIDDLE * extent_px })
+        (!found.is_empty()).then_some(PosePriors { poses, error_px: OFF_MIDDLE * extent_px })
     }
 }
 
 /// Where a view shows its object: the box round its features.
-fn sight(view: &View) -> Option<Sight> {
+fn sight(view: &View) -> Option<ObjectImage> {
     let ends = [0, 1].map(|axis| {
         let along = || view.pixels.iter().map(|pixel| pixel[axis]);
         (along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max))
     });
     let middle = Point2::from(ends.map(|(least, most)| 0.5 * (least + most)));
     let extent_px = ends.map(|(least, most)| most - least).into_iter().fold(0.0, f64::max);
-    (view.pixels.len() >= MIN_FEATURES && extent_px.is_finite()).then_some(Sight { middle, extent_px })
+    (view.pixels.len() >= MIN_FEATURES && extent_px.is_finite()).then_some(ObjectImage { middle, extent_px })
 }
 
 /// Where an object is seen, as a model without points: that is all that local planes ask for.

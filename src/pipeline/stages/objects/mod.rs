@@ -18,7 +18,7 @@ use super::track;
 use super::{follow, ground};
 use crate::camera::Camera;
 use crate::io::interchange::colmap;
-use crate::mapper::Beside;
+use crate::mapper::Priors;
 use crate::mapper::silhouette::{SilhouetteOptions, SilhouetteVotes, Silhouettes};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_models::{self, Target};
@@ -38,11 +38,11 @@ const MOST_SILHOUETTES: usize = 32;
 const LEAST_SILHOUETTES: usize = 8;
 const SILHOUETTES_BYTES: usize = 64 << 20;
 
-pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
     let given: Result<BTreeMap<_, _>, PipelineError> =
         run.options.object_models.iter().map(|(id, path)| Ok((id, given_models::fingerprint(path)?))).collect();
     let (_, objects) = order::sfm_options(run)?;
-    let depends_on = json!({
+    let cache_key = json!({
         "models": given?,
         "only": run.options.only_objects,
         "options": objects.mapper,
@@ -50,16 +50,16 @@ pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError>
         "shape": ground::body_shape(run.options),
         "seed": run.options.seed,
     });
-    Ok(background::with_model_files(depends_on, run))
+    Ok(background::with_model_files(cache_key, run))
 }
 
-pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     let tracked = track::objects(run)?;
     let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
     let (background, _) = background::background(run)?;
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
-    let place = Place { camera, footing: Footing::new(run, &background) };
+    let place = ObjectContext { camera, footing: Footing::new(run, &background) };
     // The frames of every object, and then all frames again for the masks.
     let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
     run.progress.begin("objects", Some(num_views as u64));
@@ -159,7 +159,7 @@ fn marker_name(id: ObjectId) -> String {
 }
 
 /// Context of the objects' reconstructions.
-struct Place<'a> {
+struct ObjectContext<'a> {
     /// `None` without a background.
     camera: Option<Camera>,
     footing: Footing<'a>,
@@ -170,7 +170,7 @@ fn one_object(
     run: &Run,
     object: &TrackedObject,
     tracked: &[TrackedObject],
-    place: &Place<'_>,
+    place: &ObjectContext<'_>,
     fingerprint: &str,
     watch: &mut (dyn FnMut(f64) + Send),
 ) -> Result<ObjectMarker, PipelineError> {
@@ -191,7 +191,7 @@ fn one_object(
             let silhouettes = table.has_gaps().then(|| silhouettes(run, object, tracked)).transpose()?;
             let cameras = [(camera, mapper::Intrinsics::Fixed)];
             let poses = place.footing.poses(id, &table, &camera, options.weak_perspective_px);
-            let beside = Beside { silhouettes: silhouettes.as_ref(), poses: poses.as_ref() };
+            let beside = Priors { silhouettes: silhouettes.as_ref(), poses: poses.as_ref() };
             background::reconstruct(run, table, &cameras, &options, beside, watch)?
         }
         (None, None) => failed(NO_BACKGROUND.to_owned()),

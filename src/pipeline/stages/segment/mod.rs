@@ -16,7 +16,7 @@ use crate::pipeline::inputs::networks::Networks;
 use crate::pipeline::{Instances, PipelineError, Stage};
 use crate::scene::{BoxDetection, Frame, FrameId, Topic};
 use detections::{DetectionFolder, FrameFolder};
-use schedule::Rhythm;
+use schedule::Schedule;
 
 /// The boxes of a run, by frame.
 pub(in crate::pipeline) type BoxFolder = FrameFolder<BoxDetection>;
@@ -24,7 +24,7 @@ pub(in crate::pipeline) type BoxFolder = FrameFolder<BoxDetection>;
 pub(in crate::pipeline) const MASKS: &str = "detections-";
 pub(in crate::pipeline) const BOXES: &str = "boxes-";
 
-pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
     Ok(match &run.options.instances {
         Instances::None => json!("none"),
         // Given masks are read by later stages; this one has nothing to do.
@@ -35,13 +35,13 @@ pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError>
         }),
         Instances::Vehicles => {
             let detector = Networks::of(run)?.fingerprint_of_detector()?;
-            let every = Rhythm::of(run)?.detector;
+            let every = Schedule::of(run)?.detector;
             json!({ "detector": detector, "options": run.options.detector, "every": every })
         }
     })
 }
 
-pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     match &run.options.instances {
         Instances::None | Instances::Masks(_) => Ok(Outcome::default()),
         Instances::Model(path) => find_masks(run, path, fingerprint),
@@ -101,7 +101,7 @@ fn find_boxes(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     networks.doubts.iter().for_each(|doubt| outcome.warn(Topic::NetworksMissing.warning(doubt)));
     let Some(mut detector) = networks.load_detector(run)? else { return Ok(outcome) };
     let store = BoxFolder::new(path);
-    let rhythm = Rhythm::of(run)?;
+    let rhythm = Schedule::of(run)?;
     let looked = run.frames()?.iter().enumerate().filter(|(index, _)| rhythm.is_detected(*index));
     let Split { open, done } = split(looked.map(|(_, frame)| frame), |frame| store.has(frame));
     let mut found = done.iter().map(|frame| store.count(*frame)).sum::<Result<u64, _>>()?;

@@ -20,7 +20,7 @@ const MAX_MASKS: usize = 12;
 
 /// Which frames are looked at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::pipeline) struct Rhythm {
+pub(in crate::pipeline) struct Schedule {
     /// The detector looks in every so many frames.
     pub(in crate::pipeline) detector: usize,
     /// The mask network is asked in every so many frames.
@@ -28,7 +28,7 @@ pub(in crate::pipeline) struct Rhythm {
     num_frames: usize,
 }
 
-impl Rhythm {
+impl Schedule {
     /// That of a run, whose frames must be known.
     pub(in crate::pipeline) fn of(run: &Run) -> Result<Self, PipelineError> {
         let frames = run.frames()?;
@@ -68,7 +68,7 @@ mod tests {
     #[test]
     fn networks_look_as_often_as_time_goes_by() {
         let of = |step_s| {
-            let rhythm = Rhythm::new(step_s, None, 100);
+            let rhythm = Schedule::new(step_s, None, 100);
             (rhythm.detector, rhythm.masks)
         };
         let steps = [Some(0.1), Some(0.1 + 1e-9), Some(0.04), Some(1.0 / 30.0), Some(1.0), Some(0.001), None];
@@ -78,11 +78,11 @@ mod tests {
 
     #[test]
     fn masks_are_asked_for_where_the_detector_looks_and_in_the_last_frame() {
-        let rhythm = Rhythm::new(Some(0.1), None, 8);
-        let looked = |is: fn(&Rhythm, usize) -> bool| (0..8).filter(|k| is(&rhythm, *k)).collect::<Vec<_>>();
-        assert_eq!(looked(Rhythm::is_detected), [0, 2, 4, 6, 7]);
-        assert_eq!(looked(Rhythm::is_asked), [0, 4, 7]);
-        let chosen = Rhythm::new(Some(0.1), Some(3), 8);
+        let rhythm = Schedule::new(Some(0.1), None, 8);
+        let looked = |is: fn(&Schedule, usize) -> bool| (0..8).filter(|k| is(&rhythm, *k)).collect::<Vec<_>>();
+        assert_eq!(looked(Schedule::is_detected), [0, 2, 4, 6, 7]);
+        assert_eq!(looked(Schedule::is_asked), [0, 4, 7]);
+        let chosen = Schedule::new(Some(0.1), Some(3), 8);
         assert_eq!((0..8).filter(|k| chosen.is_asked(*k)).collect::<Vec<_>>(), [0, 3, 6, 7]);
         assert!((0..8).all(|k| chosen.is_detected(k) == rhythm.is_detected(k)));
     }

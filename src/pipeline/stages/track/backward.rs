@@ -9,7 +9,7 @@ use std::path::Path;
 
 use ::image::RgbImage;
 
-use super::found::{Finds, Followed};
+use super::detected::{Finds, Followed};
 use crate::io::{RunFolder, masks};
 use crate::networks::FlowEstimator;
 use crate::pipeline::driver::run::{Outcome, Run};

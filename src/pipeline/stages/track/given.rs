@@ -7,7 +7,7 @@ use crate::io::{RunFolder, masks};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_masks::MaskFolder;
-use crate::scene::{FoundIn, FrameId, ObjectId, Outline, TrackedObject};
+use crate::scene::{DetectionCounts, FrameId, ObjectId, Outline, TrackedObject};
 
 /// Class of objects in given masks, which state none.
 const CLASS: &str = "vehicle";
@@ -44,7 +44,7 @@ fn object(id: ObjectId, frames: Vec<FrameId>) -> TrackedObject {
         id,
         class: CLASS.to_owned(),
         confidence: 1.0,
-        found_in: FoundIn { given: frames.len(), ..FoundIn::default() },
+        found_in: DetectionCounts { given: frames.len(), ..DetectionCounts::default() },
         outline: Outline::Given,
         mask_quality: None,
         movement: super::movement::unknown(),

@@ -1,20 +1,19 @@
 //! Stage `track`: one mask per object and frame, what found each object, and whether it moved.
 
 mod backward;
-mod found;
+mod cached_prompts;
+mod detected;
+mod end_motion;
 mod given;
-mod joined;
-mod kept;
+mod merged;
 mod movement;
-mod places;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde_json::{Value, json};
 
-use self::found::{Finds, Followed};
-use super::segment::schedule::Rhythm;
+use super::segment::schedule::Schedule;
 use crate::io::{RunFolder, masks};
 use crate::networks::{FlowEstimator, load_flow};
 use crate::pipeline::driver::fingerprint;
@@ -23,12 +22,13 @@ use crate::pipeline::inputs::networks::Networks;
 use crate::pipeline::inputs::order;
 use crate::pipeline::{Instances, PipelineError};
 use crate::scene::{Frame, Mask, Movement, ObjectId, Topic, TrackedObject};
-use crate::tracking::{Sighted, TrackSummary, support};
+use crate::tracking::{MaskEvidence, TrackSummary, support};
+use detected::{Finds, Followed};
 
 /// Where masks that were asked for are kept while the stage is at work.
 pub(in crate::pipeline) const ANSWERS: &str = "answers-";
 
-pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
     let options = run.options;
     let following = || -> Result<Value, PipelineError> {
         let flow_model = options.flow_model.as_deref().map(fingerprint::of_content).transpose()?;
@@ -47,12 +47,12 @@ pub(in crate::pipeline) fn depends_on(run: &Run) -> Result<Value, PipelineError>
             "following": following()?,
             "masks": Networks::of(run)?.fingerprint_of_masks()?,
             "prompt": options.prompt,
-            "every": Rhythm::of(run)?.masks,
+            "every": Schedule::of(run)?.masks,
         }),
     })
 }
 
-pub(in crate::pipeline) fn work(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
     let answers = run.workspace.intermediate(ANSWERS, fingerprint)?;
     let objects = run.workspace.put_folder(&run.workspace.tracks(), |folder| {
@@ -84,16 +84,16 @@ fn tracked(
         Instances::None => (Vec::new(), BTreeMap::new()),
         Instances::Masks(masks) => (given::split(run, masks, folder, outcome)?, BTreeMap::new()),
         Instances::Model(_) => {
-            let mut followed = found::follow(run, &mut Finds::masks(run), folder, outcome)?;
-            joined::join_pieces(run, folder, &mut followed, outcome)?;
+            let mut followed = super::track::detected::follow(run, &mut Finds::masks(run), folder, outcome)?;
+            super::track::merged::join_pieces(run, folder, &mut followed, outcome)?;
             let (objects, _): (Vec<_>, BTreeMap<_, _>) = split(followed);
             (objects, BTreeMap::new())
         }
         Instances::Vehicles => {
             let mut finds = Finds::boxes(run, answers.to_owned(), outcome)?;
-            let mut followed = found::follow(run, &mut finds, folder, outcome)?;
+            let mut followed = super::track::detected::follow(run, &mut finds, folder, outcome)?;
             backward::extend(run, &mut finds, folder, &mut followed, outcome)?;
-            joined::join_pieces(run, folder, &mut followed, outcome)?;
+            super::track::merged::join_pieces(run, folder, &mut followed, outcome)?;
             split(followed)
         }
     })
@@ -106,7 +106,7 @@ fn tracked(
 fn leave_out(
     objects: &mut [TrackedObject],
     summaries: &BTreeMap<ObjectId, TrackSummary>,
-    sighted: &BTreeMap<ObjectId, Sighted>,
+    sighted: &BTreeMap<ObjectId, MaskEvidence>,
     outcome: &mut Outcome,
 ) {
     for object in objects {

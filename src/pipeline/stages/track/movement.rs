@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::motion::{Foot, Judgement, MovementReason, PointOnObject, StaticPoint, judge};
+use crate::motion::{ContactDepth, Judgement, MovementReason, PointOnObject, StaticPoint, judge};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::motion::{self, Points, World};
-use crate::scene::{FoundIn, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, TrackedObject};
-use crate::tracking::Sighted;
+use crate::scene::{DetectionCounts, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, TrackedObject};
+use crate::tracking::MaskEvidence;
 
 /// Finding where nothing was examined.
 pub(super) fn unknown() -> MovementFinding {
@@ -21,7 +21,7 @@ pub(super) fn find(
     run: &Run,
     folder: &Path,
     objects: &mut [TrackedObject],
-) -> Result<BTreeMap<ObjectId, Sighted>, PipelineError> {
+) -> Result<BTreeMap<ObjectId, MaskEvidence>, PipelineError> {
     let points = motion::points(run)?;
     let size = (run.info().width, run.info().height);
     let on = if points.frames.is_empty() { BTreeMap::new() } else { on_objects(run, folder, objects, &points)? };
@@ -45,7 +45,7 @@ pub(super) fn find(
         }
         let (num_frames, movement) = (object.frames.len(), object.movement.state);
         let (mean_share, is_flat) = (on_it.mean_share(size), judged.is_flat);
-        sighted.insert(object.id, Sighted { num_frames, mean_share, movement, is_flat });
+        sighted.insert(object.id, MaskEvidence { num_frames, mean_share, movement, is_flat });
     }
     Ok(sighted)
 }
@@ -63,7 +63,7 @@ struct OnObject {
     /// Per track of a point the number of frames in which it does.
     counts: BTreeMap<usize, usize>,
     /// Per track the foot of the object below its point.
-    feet: BTreeMap<usize, Foot>,
+    feet: BTreeMap<usize, ContactDepth>,
     /// Pixels of all masks, and their number.
     area: usize,
     num_masks: usize,
@@ -80,7 +80,7 @@ impl OnObject {
 /// That its foot would float says of a vehicle that it comes nearer; of anything else, that it is a tree, a sign or a
 /// balcony.
 fn finding(object: &TrackedObject, judged: &Judgement) -> MovementFinding {
-    let FoundIn { given, .. } = object.found_in;
+    let DetectionCounts { given, .. } = object.found_in;
     let is_vehicle = given > 0 || object.found_in.by_detector() > object.found_in.motion;
     if judged.reason == MovementReason::FootFloats && !is_vehicle {
         let reason = "it approaches, or it is tall: a stationary object would float above the ground";
@@ -130,7 +130,13 @@ fn on_objects(
 }
 
 /// The foot of an object below one of its points: where its mask ends in the point's column.
-fn foot(world: &World, mask: &Mask, [x, y]: [f64; 2], point: &StaticPoint, ground_tolerance: f64) -> Option<Foot> {
+fn foot(
+    world: &World,
+    mask: &Mask,
+    [x, y]: [f64; 2],
+    point: &StaticPoint,
+    ground_tolerance: f64,
+) -> Option<ContactDepth> {
     let view = world.views.get(point.frame as usize)?.as_ref()?;
     let (column, first) = (x.floor() as i64, y.floor() as i64);
     let last = (first..i64::from(mask.height())).rev().find(|&row| mask.get(column, row))?;

@@ -1,0 +1,238 @@
+//! Points of an earlier view, found again in a view between which no track lives.
+//!
+//! SIFT features of both views are matched and verified by one epipolar geometry. They say where a point went: by the
+//! affine map of the matches round it, or as the nearest of them moved, turned and grew. There the patch round the
+//! point, as the earlier view showed it, is aligned ([`crate::features::patch`]), so that the positions are as exact as
+//! those of any track, but for the error that the point had in the earlier view. Points that are found count if one
+//! epipolar geometry explains them.
+
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Vector2, Vector3};
+
+use super::affine_views::{AffineView, AffineViews};
+use super::keyframe::Keyframe;
+use super::keyframe_memory::FEW_POINTS;
+use super::tracked_point::{Live, whitening};
+use crate::camera::Camera;
+use crate::features::matching::{MatchOptions, match_features, match_where};
+use crate::features::patch::{Aligned, Patch, Warp};
+use crate::geometry::two_view::{self, Correspondences, TwoViewGeometry};
+use crate::image::GrayImage;
+use crate::math::{Neighbors, Rigid3, seeded_rng};
+use crate::scene::Mask;
+
+/// Distance from the epipolar line up to which matches, and points that were found, count.
+const MAX_MATCH_ERROR_PX: f64 = 3.0;
+const MAX_POINT_ERROR_PX: f64 = 1.5;
+/// Matches that make the affine map round a point.
+const NUM_ROUND: usize = 8;
+/// Nearest matches whose own motion is tried.
+const NUM_SINGLE: usize = 2;
+/// Smallest correlation of a point with its earlier sight, and largest distance from where it was looked for.
+const MIN_CORRELATION: f32 = 0.8;
+const MAX_CORRECTION_PX: f32 = 3.0;
+/// Fewest points that one epipolar geometry explains, and smallest share of those that were aligned: fewer agree by
+/// chance.
+const MIN_FOUND: usize = 10;
+const MIN_SHARE: f64 = 0.6;
+/// Smallest share of the matches that one epipolar geometry explains.
+const MIN_INLIER_SHARE: f64 = 0.3;
+/// Distance from the line, and ratio and distance of descriptors, where the line says where to look.
+const MAX_GUIDED_ERROR_PX: f64 = 2.0;
+const GUIDED: MatchOptions = MatchOptions { max_ratio: 0.85, max_distance: 0.65 };
+
+/// The view at hand.
+pub struct Now<'a> {
+    pub camera: &'a Camera,
+    pub matching: &'a MatchOptions,
+    pub looks: &'a AffineViews,
+    pub gray: &'a GrayImage,
+    pub mask: &'a Mask,
+}
+
+/// A point that goes on.
+pub struct Redetected {
+    pub track: usize,
+    point: Live,
+}
+
+impl From<Redetected> for Live {
+    fn from(found: Redetected) -> Self {
+        found.point
+    }
+}
+
+/// Finds the points of an earlier view that are not known in the view at hand; none where too few agree.
+///
+/// * `patch_radius` – half the side of a patch, pixels.
+/// * `follow_for` – for how many views they are to be followed; `None` for as long as they are seen.
+pub fn find(
+    key: &Keyframe,
+    now: &Now<'_>,
+    patch_radius: i32,
+    is_known: impl Fn(usize) -> bool,
+    follow_for: Option<usize>,
+) -> Vec<Redetected> {
+    let moves = moves_between(&key.looks, now);
+    let Some(field) = Field::new(&moves) else { return Vec::new() };
+    let mut found: Vec<(Point2<f32>, Redetected)> = Vec::new();
+    for sight in key.sights.iter().filter(|sight| !is_known(sight.track)) {
+        let Some(patch) = sight.patch(patch_radius) else { continue };
+        let Some(best) = best_alignment(&patch, &field.predictions(sight.center), now) else { continue };
+        let whitening = whitening(best.covariance);
+        let point = Live { track: sight.track, patch, warp: best.warp, whitening, step: None, views_left: follow_for };
+        found.push((sight.center, Redetected { track: sight.track, point }));
+    }
+    let ends: Vec<[Point2<f64>; 2]> =
+        found.iter().map(|(from, to)| [from.cast(), to.point.warp.center.cast()]).collect();
+    let agreeing = epipolar_inliers(now.camera, &ends, MAX_POINT_ERROR_PX);
+    tracing::trace!(moves = moves.len(), found = found.len(), agreeing = agreeing.len(), "aligned");
+    if agreeing.len() < MIN_FOUND || (agreeing.len() as f64) < MIN_SHARE * found.len() as f64 {
+        return Vec::new();
+    }
+    let mut agrees = vec![false; found.len()];
+    agreeing.into_iter().for_each(|i| agrees[i] = true);
+    found.into_iter().zip(agrees).filter(|(_, agrees)| *agrees).map(|((_, point), _)| point).collect()
+}
+
+/// Displacement, rotation and change of scale of a feature.
+struct Move {
+    from: Point2<f32>,
+    to: Point2<f32>,
+    shape: Matrix2<f32>,
+}
+
+/// Motions of features from an earlier view: matches that one epipolar geometry explains, and then all that match along
+/// its lines.
+fn moves_between(before: &AffineViews, now: &Now<'_>) -> Vec<Move> {
+    let pairs = before.pairs_with(now.looks);
+    let matched = |(a, b): &(&AffineView, &AffineView)| match_features(&a.features, &b.features, now.matching);
+    let matches: Vec<Vec<[u32; 2]>> = pairs.iter().map(matched).collect();
+    let ends: Vec<[Point2<f64>; 2]> = pairs.iter().zip(&matches).flat_map(|(pair, m)| ends_of(pair, m)).collect();
+    let Some(geometry) = epipolar_geometry(now.camera, &ends) else { return Vec::new() };
+    let enough =
+        geometry.inliers.len() >= FEW_POINTS && geometry.inliers.len() as f64 >= MIN_INLIER_SHARE * ends.len() as f64;
+    if !enough {
+        return Vec::new();
+    }
+    let max_error = MAX_GUIDED_ERROR_PX / now.camera.mean_focal();
+    let guided = |(a, b): &(&AffineView, &AffineView)| {
+        let normalized = |look: &AffineView| {
+            look.features.pixels.iter().map(|&p| now.camera.normalized_from_pixel(p)).collect::<Vec<_>>()
+        };
+        let (first, second) = (normalized(a), normalized(b));
+        let lines = EpipolarLines::new(&geometry.cam2_from_cam1);
+        match_where(&a.features, &b.features, |i, j| lines.distance(&first[i], &second[j]) <= max_error, &GUIDED)
+    };
+    let mut moves: Vec<Move> = Vec::new();
+    for pair in &pairs {
+        for [i, j] in guided(pair) {
+            let found = Move::new(pair, i as usize, j as usize);
+            let is_same = |other: &Move| (other.from - found.from).norm() < 1.0 && (other.to - found.to).norm() < 1.0;
+            if !moves.iter().any(is_same) {
+                moves.push(found);
+            }
+        }
+    }
+    moves
+}
+
+impl Move {
+    fn new((a, b): &(&AffineView, &AffineView), i: usize, j: usize) -> Self {
+        let shape = a.frame(i).try_inverse().map_or_else(Matrix2::identity, |inverse| b.frame(j) * inverse);
+        Self { from: a.features.pixels[i].cast(), to: b.features.pixels[j].cast(), shape }
+    }
+}
+
+fn ends_of((a, b): &(&AffineView, &AffineView), matches: &[[u32; 2]]) -> Vec<[Point2<f64>; 2]> {
+    matches.iter().map(|m| [a.features.pixels[m[0] as usize], b.features.pixels[m[1] as usize]]).collect()
+}
+
+fn epipolar_geometry(camera: &Camera, ends: &[[Point2<f64>; 2]]) -> Option<TwoViewGeometry> {
+    let side = |s: usize| ends.iter().map(|e| camera.normalized_from_pixel(e[s])).collect::<Vec<_>>();
+    let (first, second) = (side(0), side(1));
+    let pairs = Correspondences { first: &first, second: &second };
+    two_view::estimate(&pairs, MAX_MATCH_ERROR_PX / camera.mean_focal(), &mut seeded_rng(0, ends.len() as u64))
+}
+
+/// The epipolar lines between two views.
+struct EpipolarLines(Matrix3<f64>);
+
+impl EpipolarLines {
+    fn new(cam2_from_cam1: &Rigid3) -> Self {
+        Self(cam2_from_cam1.translation.cross_matrix() * cam2_from_cam1.rotation.to_rotation_matrix().matrix())
+    }
+
+    /// Sampson's distance, in normalised units.
+    fn distance(&self, first: &Vector2<f64>, second: &Vector2<f64>) -> f64 {
+        let (p, q) = (first.push(1.0), second.push(1.0));
+        let (line2, line1) = (self.0 * p, self.0.tr_mul(&q));
+        let gradient = (line2.xy().norm_squared() + line1.xy().norm_squared()).sqrt();
+        q.dot(&line2).abs() / gradient.max(f64::MIN_POSITIVE)
+    }
+}
+
+/// Which pairs of pixels agree with one epipolar geometry.
+fn epipolar_inliers(camera: &Camera, ends: &[[Point2<f64>; 2]], max_error_px: f64) -> Vec<usize> {
+    let side = |s: usize| ends.iter().map(|e| camera.normalized_from_pixel(e[s])).collect::<Vec<_>>();
+    let (first, second) = (side(0), side(1));
+    let pairs = Correspondences { first: &first, second: &second };
+    two_view::verify(&pairs, max_error_px / camera.mean_focal(), &mut seeded_rng(0, ends.len() as u64))
+}
+
+/// The alignment with the highest correlation of those that start at the predictions.
+fn best_alignment(patch: &Patch, predictions: &[Warp], now: &Now<'_>) -> Option<Aligned> {
+    let mut best: Option<Aligned> = None;
+    for start in predictions {
+        let Some(found) = patch.align(now.gray, start) else { continue };
+        let center = found.warp.center;
+        let counts = found.correlation >= MIN_CORRELATION
+            && (center - start.center).norm() <= MAX_CORRECTION_PX
+            && now.mask.contains(center.x.into(), center.y.into());
+        if counts && best.as_ref().is_none_or(|b| found.correlation > b.correlation) {
+            best = Some(found);
+        }
+    }
+    best
+}
+
+/// Image motion between two views, from matches.
+struct Field<'a> {
+    moves: &'a [Move],
+    tree: Neighbors<2>,
+}
+
+impl<'a> Field<'a> {
+    fn new(moves: &'a [Move]) -> Option<Self> {
+        if moves.is_empty() {
+            return None;
+        }
+        let starts: Vec<[f64; 2]> = moves.iter().map(|m| m.from.coords.cast::<f64>().into()).collect();
+        Some(Self { moves, tree: Neighbors::new(&starts)? })
+    }
+
+    /// Where, and how turned and grown, a point may be found.
+    fn predictions(&self, from: Point2<f32>) -> Vec<Warp> {
+        let near = self.tree.nearest(&from.coords.cast::<f64>().into(), NUM_ROUND);
+        let round: Vec<&Move> = near.iter().map(|&i| &self.moves[i]).collect();
+        let single =
+            round.iter().take(NUM_SINGLE).map(|m| Warp { shape: m.shape, center: m.to + m.shape * (from - m.from) });
+        affine(&round, from).into_iter().chain(single).collect()
+    }
+}
+
+/// The affine map that moves take on the whole, at a point; `None` where they lie on a line or it makes no sense.
+fn affine(moves: &[&Move], at: Point2<f32>) -> Option<Warp> {
+    const SANE: std::ops::Range<f32> = 0.1..10.0;
+    let (mut normal, mut right) = (Matrix3::<f32>::zeros(), Matrix3x2::<f32>::zeros());
+    for m in moves {
+        let offset: Vector2<f32> = m.from - at;
+        let row = Vector3::new(offset.x, offset.y, 1.0);
+        normal += row * row.transpose();
+        right += row * m.to.coords.transpose();
+    }
+    let solution = normal.cholesky()?.solve(&right);
+    let shape: Matrix2<f32> = solution.fixed_view::<2, 2>(0, 0).transpose();
+    let center = Point2::new(solution[(2, 0)], solution[(2, 1)]);
+    let sane = SANE.contains(&shape.determinant()) && center.coords.iter().all(|v| v.is_finite());
+    sane.then_some(Warp { shape, center })
+}

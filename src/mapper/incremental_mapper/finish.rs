@@ -1,0 +1,248 @@
+//! The last adjustments of a map, and what they depend on.
+
+use super::super::view_graph::{self, PairVerdict, Thresholds, ViewGraph};
+use super::{Attempt, IncrementalMapper, LOOSE};
+use crate::geometry::resection::{self, Resection};
+use crate::mapper::MapperError;
+use crate::mapper::Noise;
+use crate::mapper::adjustment::{Freedom, Scope};
+use crate::mapper::focal_length;
+use crate::mapper::map::Slot;
+use crate::math::{Rigid3, seeded_rng};
+
+impl IncrementalMapper<'_> {
+    /// Adjusts everything on all points, takes out and tries again what contradicts the view graph, and tries again
+    /// what failed.
+    pub fn finish(&mut self) -> Result<(), MapperError> {
+        self.mend_leaps()?;
+        self.close_loops()?;
+        self.adjust_until_settled()?;
+        let before: Vec<Option<Rigid3>> = self.map.poses.clone();
+        self.review_views()?;
+        self.retry_failed()?;
+        self.mend_leaps()?;
+        // Adjusted are poses that were known before as well; only those that came or went count here.
+        let changed = |(a, b): (&Option<Rigid3>, &Option<Rigid3>)| a.is_some() != b.is_some();
+        if self.reviewed || before.iter().zip(&self.map.poses).any(changed) {
+            self.adjust_until_settled()?;
+        }
+        self.num_infinite = self.map.reject_infinite_points();
+        self.drop_unsupported_views()?;
+        self.num_infinite += self.map.reject_infinite_points();
+        self.judge_focal_length()
+    }
+
+    /// Estimates the standard deviation of the focal length of the final map.
+    fn judge_focal_length(&mut self) -> Result<(), MapperError> {
+        let Noise::Measured { sigma_px } = self.map.noise() else { return Ok(()) };
+        for camera in focal_length::asked_cameras(&self.map) {
+            let evidence = focal_length::focal_evidence(&self.map, &[camera], sigma_px, self.options)?;
+            tracing::debug!("focal length of camera {camera}: {evidence:?}");
+            let guess_deviation = self.map.known.of(camera).guess_deviation();
+            self.focal_deviations[camera] = Some(evidence.deviation(guess_deviation));
+        }
+        Ok(())
+    }
+
+    /// Adjusts everything on all points, until observations stop changing; then again on those that are left, so
+    /// that cameras and points lie at the minimum of exactly what is kept.
+    fn adjust_until_settled(&mut self) -> Result<(), MapperError> {
+        const MAX_ROUNDS: usize = 3;
+        const SETTLED_SHARE: f64 = 0.002;
+        self.noise = Noise::Unknown;
+        self.decide_lens()?;
+        for _ in 0..MAX_ROUNDS {
+            // At those of the last round: at wide limits all outliers would come back.
+            let limits = self.limits();
+            self.map.triangulate_all(&limits);
+            self.map.update_observations(&limits);
+            self.adjust(&Scope::Roughly, self.freedom)?;
+            self.noise = self.map.noise();
+            let limits = self.limits();
+            let changed = self.map.update_observations(&limits);
+            let total: usize = (0..self.map.table.tracks.len()).map(|t| self.map.observations(t).count()).sum();
+            if changed as f64 <= SETTLED_SHARE * total as f64 {
+                break;
+            }
+        }
+        self.adjust(&Scope::Everything, self.freedom).map(drop)
+    }
+
+    /// Decides once which intrinsics are adjusted, where any are looked for, on the points of the map as it grew.
+    fn decide_lens(&mut self) -> Result<(), MapperError> {
+        let unknown: Vec<usize> = self.map.unknown_cameras().collect();
+        if unknown.is_empty() || self.lens_decided {
+            return Ok(());
+        }
+        self.noise = self.map.noise();
+        let limits = self.limits();
+        self.map.update_observations(&limits);
+        self.freedom = self.final_freedom(&unknown)?;
+        self.lens_decided = true;
+        Ok(())
+    }
+
+    /// Which intrinsics the motion determines, of all cameras that are looked for alike, once the noise is known and
+    /// wrong points are gone.
+    ///
+    /// Where the focal length itself is loosely held, as on a single flight looking straight down, a second coefficient
+    /// of distortion and the principal point would take up what the model of the camera leaves out (the shutter that
+    /// rolls down the picture), and bend the map: they go back to the guess.
+    fn final_freedom(&mut self, unknown: &[usize]) -> Result<Freedom, MapperError> {
+        // Three standard deviations.
+        const SIGNIFICANT: f64 = 9.0;
+        let Noise::Measured { sigma_px } = self.noise else { return Ok(Freedom::at_first(&self.map)) };
+        let deviation = match *unknown {
+            [camera] => focal_length::focal_deviation_here(&self.map, camera, sigma_px, self.options)?,
+            _ => focal_length::focal_evidence(&self.map, unknown, sigma_px, self.options)?.together,
+        };
+        tracing::debug!("focal length known to {:.3} %", 100.0 * deviation);
+        if deviation <= LOOSE {
+            return Ok(Freedom::WithPrincipalPoint);
+        }
+        let gain = focal_length::first_radial_gain(&self.map, sigma_px, self.options)?;
+        tracing::debug!("gain of the first distortion coefficient: {gain:.1}");
+        unknown.iter().for_each(|&camera| self.map.cameras[camera].radial = [0.0; 2]);
+        // The noise was that of another lens.
+        self.noise = Noise::Unknown;
+        Ok(if gain > SIGNIFICANT { Freedom::FocalAndFirstRadial } else { Freedom::Focal })
+    }
+
+    /// Takes out the views that contradict the others, and tries them again on what speaks against them.
+    fn review_views(&mut self) -> Result<(), MapperError> {
+        // Fewer cannot outvote one; and where a third is wrong, nobody knows which.
+        const MIN_VIEWS: usize = 4;
+        const MAX_SHARE: f64 = 1.0 / 3.0;
+        let num_registered = self.map.num_registered();
+        if num_registered < MIN_VIEWS {
+            return Ok(());
+        }
+        let graph = ViewGraph::new(&self.map, self.thresholds_of_pairs(), self.seed);
+        let opinions = graph.opinions(&self.map, None);
+        let wrong = view_graph::contradicted(opinions.clone());
+        if wrong.is_empty() || wrong.len() as f64 > MAX_SHARE * num_registered as f64 {
+            return Ok(());
+        }
+        self.reviewed = true;
+        wrong.iter().for_each(|&view| self.map.unregister(view));
+        self.noise = Noise::Unknown;
+        // Points that a wrong view took part in are found again by the others.
+        let untouched: Vec<bool> =
+            self.map.table.tracks.iter().map(|t| t.iter().all(|f| !wrong.contains(&(f.view as usize)))).collect();
+        self.map.retriangulate(&self.limits(), &untouched);
+        self.adjust_globally()?;
+        for &view in &wrong {
+            let accusers = accusers_of(&opinions, view);
+            if self.register_again(view, &accusers, &graph) {
+                self.settle(view)?;
+            }
+            tracing::debug!(
+                "{} contradicted {} others; registered again: {}",
+                self.map.table.views[view].name,
+                accusers.len(),
+                self.map.poses[view].is_some()
+            );
+        }
+        Ok(())
+    }
+
+    /// Required agreement of pairs of views with the map. Frames of a video are registered next to their neighbors in
+    /// time, and need less.
+    fn thresholds_of_pairs(&self) -> Thresholds {
+        const SIGMAS: f64 = 4.0;
+        const LEAST_PX: f64 = 0.5;
+        let max_error_px = self.options.max_pose_error_px;
+        let fine_px = match self.map.noise() {
+            Noise::Measured { sigma_px } if !self.options.ordered => {
+                Some((SIGMAS * sigma_px).max(LEAST_PX).min(max_error_px))
+            }
+            Noise::Measured { .. } | Noise::Unknown => None,
+        };
+        Thresholds { max_error_px, fine_px }
+    }
+
+    /// Tries the points that the accusers see, then all, then the pose between the neighbours in time; the pose for
+    /// which most speaks is taken, unless as much speaks against it.
+    fn register_again(&mut self, view: usize, accusers: &[usize], graph: &ViewGraph) -> bool {
+        let all = self.map.visible(view);
+        let of_accusers: Vec<Slot> = all.iter().copied().filter(|s| self.is_seen_by(s, accusers)).collect();
+        let mut best: Option<(Resection, Vec<Slot>, usize)> = None;
+        self.refused[view] = Some((0, 0));
+        let between = self.interpolated(view).filter(|_| self.options.ordered);
+        for (slots, start) in [(of_accusers, None), (all.clone(), None), (all, between)] {
+            let Some(found) = self.pose_from(view, &slots, start) else { continue };
+            self.map.poses[view] = Some(found.cam_from_world);
+            let (agreeing, against) = view_graph::balance(&graph.opinions(&self.map, Some(view)), view);
+            self.map.poses[view] = None;
+            if agreeing > against && best.as_ref().is_none_or(|(_, _, most)| agreeing > *most) {
+                best = Some((found, slots, agreeing));
+            } else if best.is_none() {
+                self.refused[view] = Some((agreeing, against));
+            }
+        }
+        let Some((found, slots, _)) = best else { return false };
+        self.refused[view] = None;
+        self.failed[view] = None;
+        self.map.poses[view] = Some(found.cam_from_world);
+        self.map.activate(found.inliers.iter().map(|&i| slots[i]));
+        true
+    }
+
+    pub(super) fn pose_from(&self, view: usize, slots: &[Slot], start: Option<Rigid3>) -> Option<Resection> {
+        let buffers = self.map.pixels_and_points(slots);
+        let data = self.map.resection_data(view, &buffers);
+        let max_error = self.options.max_pose_error_px;
+        let found = match start {
+            Some(pose) => resection::refine_from(&data, &pose, max_error),
+            None => resection::estimate(&data, max_error, &mut seeded_rng(self.seed, view as u64)),
+        };
+        found.filter(|r| r.inliers.len() >= self.options.min_resection_inliers)
+    }
+
+    fn is_seen_by(&self, slot: &Slot, views: &[usize]) -> bool {
+        self.map.observations(slot.track as usize).any(|(_, view, _)| views.contains(&view))
+    }
+
+    /// Views that failed while the map was small may fit now.
+    fn retry_failed(&mut self) -> Result<(), MapperError> {
+        let ready = |&view: &usize| {
+            let enough = self.map.visibility(view).1 >= self.options.min_resection_inliers;
+            self.map.poses[view].is_none() && self.refused[view].is_none() && enough
+        };
+        let again: Vec<usize> = (0..self.map.poses.len()).filter(ready).collect();
+        if again.is_empty() {
+            return Ok(());
+        }
+        self.noise = Noise::Unknown;
+        again.into_iter().for_each(|view| self.failed[view] = None);
+        self.grow(&mut |_| {})
+    }
+
+    /// Takes out views that filtering has left with too few observations to hold a pose.
+    pub(super) fn drop_unsupported_views(&mut self) -> Result<(), MapperError> {
+        let mut support = vec![0usize; self.map.poses.len()];
+        for track in 0..self.map.table.tracks.len() {
+            for (_, view, _) in self.map.observations(track) {
+                support[view] += 1;
+            }
+        }
+        let is_weak = |&view: &usize| support[view] < self.options.min_resection_inliers;
+        let weak: Vec<usize> = self.map.registered().filter(is_weak).collect();
+        if weak.is_empty() {
+            return Ok(());
+        }
+        for view in weak {
+            let (_, visible) = self.map.visibility(view);
+            self.failed[view] = Some(Attempt { visible, inliers: support[view] });
+            self.map.unregister(view);
+        }
+        self.map.update_observations(&self.limits());
+        self.adjust(&Scope::Everything, self.freedom).map(drop)
+    }
+}
+
+/// Views whose pairs with a view speak against it.
+fn accusers_of(opinions: &[PairVerdict], view: usize) -> Vec<usize> {
+    let against = opinions.iter().filter(|o| o.contradicting > 0 && o.views.contains(&view));
+    against.map(|o| o.views[0] + o.views[1] - view).collect()
+}

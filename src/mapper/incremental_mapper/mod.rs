@@ -1,0 +1,373 @@
+//! Growing a map from its first pair.
+
+use std::ops::Range;
+
+mod finish;
+mod loop_closures;
+mod new_camera;
+mod pose_discontinuities;
+mod pose_outliers;
+mod pose_priors;
+mod submaps;
+mod unmerged;
+
+use super::adjustment::{self, Freedom, Scope};
+use super::initial_pair::InitialPair;
+use super::map::{Map, Slot};
+use super::motion::{self, ModelWeakness};
+use super::separate_stretches;
+use super::{Noise, Options, Reason, Report, focal_length, windows};
+use crate::geometry::resection::{self, Resection};
+use crate::geometry::triangulation::Limits;
+use crate::mapper::MapperError;
+use crate::math::{Rigid3, seeded_rng};
+use crate::scene::Reconstruction;
+pub use pose_priors::PosePriors;
+pub use submaps::SubMap;
+pub use unmerged::split_at_gaps;
+
+/// Relative standard deviation of a focal length beyond which it counts as poorly determined.
+const LOOSE: f64 = 0.01;
+
+/// A map, what has been tried on it, and how to go on.
+#[derive(Clone)]
+pub struct IncrementalMapper<'a> {
+    map: Map<'a>,
+    options: &'a Options,
+    seed: u64,
+    noise: Noise,
+    /// Parameters that global adjustments change.
+    freedom: Freedom,
+    /// True once the motion has decided that.
+    lens_decided: bool,
+    pair: Option<InitialPair>,
+    /// By view: known points seen and inliers at the last failed try.
+    failed: Vec<Option<Attempt>>,
+    /// By camera: standard deviation of ln f, where it is not held and was asked for.
+    focal_deviations: Vec<Option<f64>>,
+    /// True if the view graph removed views since the last global adjustment.
+    reviewed: bool,
+    /// By view: the points for and against the best pose that was found, where the view graph refused it.
+    refused: Vec<Option<(usize, usize)>>,
+    /// By view: why the map of its own that it belongs to stays apart.
+    apart: Vec<Option<Reason>>,
+    /// Registered views at the last global adjustment.
+    adjusted_at: usize,
+    /// From the first to the last of them.
+    adjusted_views: Range<usize>,
+    is_from_known_poses: bool,
+    /// Points that were rejected after the last adjustments since they lay behind a camera or at infinity.
+    num_infinite: usize,
+}
+
+#[derive(Clone, Copy)]
+struct Attempt {
+    visible: usize,
+    inliers: usize,
+}
+
+impl<'a> IncrementalMapper<'a> {
+    /// An empty map.
+    pub fn new(mut map: Map<'a>, options: &'a Options, seed: u64) -> Self {
+        map.look_for_places_that_come_back(options.max_track_views);
+        let num_views = map.poses.len();
+        let (failed, refused, apart) = (vec![None; num_views], vec![None; num_views], vec![None; num_views]);
+        Self {
+            freedom: Freedom::at_first(&map),
+            focal_deviations: vec![None; map.cameras.len()],
+            map,
+            options,
+            seed,
+            noise: Noise::Unknown,
+            lens_decided: false,
+            reviewed: false,
+            pair: None,
+            failed,
+            refused,
+            apart,
+            adjusted_at: 0,
+            adjusted_views: 0..0,
+            is_from_known_poses: false,
+            num_infinite: 0,
+        }
+    }
+
+    /// Returns true if it began with pose priors and not with a pair of views.
+    pub fn is_from_known_poses(&self) -> bool {
+        self.is_from_known_poses
+    }
+
+    /// Starts from a pair; `false` when its points do not hold after adjustment.
+    pub fn start(&mut self, pair: &InitialPair) -> Result<bool, MapperError> {
+        self.map.poses[pair.views[0]] = Some(Rigid3::identity());
+        self.map.poses[pair.views[1]] = Some(pair.cam2_from_cam1);
+        self.pair = Some(pair.clone());
+        let limits = self.limits();
+        self.map.triangulate_seen_by(pair.views[0], &limits);
+        // Two views do not determine intrinsics: they stay as they are here.
+        self.adjust(&Scope::Everything, Freedom::Nothing)?;
+        self.map.update_observations(&limits);
+        self.adjusted_at = 2;
+        // Half of what the pair promised: the rest was outliers or has no angle.
+        Ok(self.map.num_points() >= self.options.min_initial_inliers / 2)
+    }
+
+    /// Adds views until none fits any more; `watch` is called with their number.
+    pub fn grow(&mut self, watch: &mut dyn FnMut(usize)) -> Result<(), MapperError> {
+        loop {
+            while let Some(view) = self.next_view() {
+                if self.register(view) {
+                    self.settle(view)?;
+                    watch(self.map.num_registered());
+                }
+            }
+            // Everything that can be seen was tried: a global adjustment may open new points, then again.
+            let before = self.map.num_registered();
+            if before > self.adjusted_at {
+                self.adjust_grown()?;
+            }
+            self.retry_between_neighbours();
+            if self.map.num_registered() == before && self.next_view().is_none() {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Number of observations that the map explains; see [`Map::num_explained`].
+    pub fn num_explained(&self) -> f64 {
+        self.map.num_explained(self.options.max_error_px)
+    }
+
+    /// Number of registered views.
+    pub fn num_registered(&self) -> usize {
+        self.map.num_registered()
+    }
+
+    /// The map as it stands.
+    pub fn reconstruction(&self) -> Reconstruction {
+        self.map.clone().into_reconstruction()
+    }
+
+    /// The map itself.
+    #[cfg(test)]
+    pub fn map(&self) -> &Map<'a> {
+        &self.map
+    }
+
+    /// The same, to be spoilt.
+    #[cfg(test)]
+    pub fn map_mut(&mut self) -> &mut Map<'a> {
+        &mut self.map
+    }
+
+    /// The map and what became of every view.
+    pub fn into_result(self) -> (Map<'a>, Report) {
+        let stretches = match self.options.ordered {
+            true => separate_stretches::stretches(&self.map, self.options.min_resection_inliers),
+            false => vec![None; self.map.poses.len()],
+        };
+        let views = Report::of_views(&self.map, |view| Some(self.reason(view, stretches[view])));
+        let num_observations = (0..self.map.table.tracks.len()).map(|t| self.map.observations(t).count()).sum();
+        let names = |pair: &InitialPair| pair.views.map(|v| self.map.table.views[v].name.clone());
+        let report = Report {
+            views,
+            initial_pair: self.pair.as_ref().map(names),
+            initial_angle_deg: self.pair.as_ref().map_or(0.0, |p| p.median_angle.to_degrees()),
+            initial_homography_ratio: self.pair.as_ref().map_or(0.0, |p| p.homography_ratio),
+            num_starts: 1,
+            num_points: self.map.num_points(),
+            num_observations,
+            num_infinite_points: self.num_infinite,
+            mean_error_px: None,
+            focal_deviations: self.focal_deviations.clone(),
+            remarks: self.focal_remark().into_iter().chain(motion::remarks_on(&self.map)).collect(),
+            failure: None,
+        };
+        (self.map, report)
+    }
+
+    /// A word where the focal length is not known to a percent.
+    fn focal_remark(&self) -> Option<ModelWeakness> {
+        let deviation =
+            self.focal_deviations[focal_length::leading_camera(&self.map)?].filter(|found| *found > LOOSE)?;
+        Some(ModelWeakness::LooseFocalLength { percent: 100.0 * deviation })
+    }
+
+    fn adjust(&mut self, scope: &Scope, intrinsics: Freedom) -> Result<Vec<bool>, MapperError> {
+        if self.is_long() && !matches!(scope, Scope::Around(_)) {
+            if intrinsics != Freedom::Nothing {
+                windows::refine_lens(&mut self.map, intrinsics, self.noise, self.options)?;
+            }
+            return windows::sweep(&mut self.map, scope, self.noise, self.options);
+        }
+        adjustment::adjust(&mut self.map, scope, intrinsics, self.noise, self.options)
+    }
+
+    fn is_long(&self) -> bool {
+        windows::is_long(&self.map, self.options)
+    }
+
+    fn limits(&self) -> Limits {
+        self.options.limits(self.noise)
+    }
+
+    /// The unregistered view that sees most known points; one that failed comes back when it sees a fifth more.
+    fn next_view(&self) -> Option<usize> {
+        const MORE: f64 = 1.2;
+        let ready = |&view: &usize| {
+            let (_, visible) = self.map.visibility(view);
+            let retry = self.failed[view].is_none_or(|a| visible as f64 > MORE * a.visible as f64);
+            self.map.poses[view].is_none()
+                && self.refused[view].is_none()
+                && visible >= self.options.min_resection_inliers
+                && retry
+        };
+        (0..self.map.poses.len()).filter(ready).max_by_key(|&view| (self.map.visibility(view).1, usize::MAX - view))
+    }
+
+    fn register(&mut self, view: usize) -> bool {
+        if self.is_first_of_camera(view) {
+            return self.register_with_focal(view);
+        }
+        let visible = self.map.visible(view);
+        let buffers = self.map.pixels_and_points(&visible);
+        let data = self.map.resection_data(view, &buffers);
+        let mut rng = seeded_rng(self.seed, view as u64);
+        let from_neighbour = self
+            .nearest_registered(view)
+            .and_then(|pose| resection::refine_from(&data, &pose, self.options.max_pose_error_px))
+            .filter(|r| self.is_enough(r, visible.len()));
+        let found = from_neighbour.or_else(|| resection::estimate(&data, self.options.max_pose_error_px, &mut rng));
+        self.accept(view, &visible, found)
+    }
+
+    fn accept(&mut self, view: usize, visible: &[Slot], found: Option<Resection>) -> bool {
+        let inliers = found.as_ref().map_or(0, |r| r.inliers.len());
+        match found.filter(|r| self.is_enough(r, visible.len())) {
+            Some(resection) => {
+                self.map.poses[view] = Some(resection.cam_from_world);
+                self.map.activate(resection.inliers.iter().map(|&i| visible[i]));
+                self.failed[view] = None;
+                true
+            }
+            None => {
+                self.failed[view] = Some(Attempt { visible: visible.len(), inliers });
+                false
+            }
+        }
+    }
+
+    fn is_enough(&self, resection: &Resection, num_visible: usize) -> bool {
+        let inliers = resection.inliers.len();
+        inliers >= self.options.min_resection_inliers
+            && inliers as f64 >= self.options.min_inlier_ratio * num_visible as f64
+    }
+
+    /// The pose of the view next in time, if that one is registered.
+    fn nearest_registered(&self, view: usize) -> Option<Rigid3> {
+        if !self.options.ordered {
+            return None;
+        }
+        let neighbour = |v: Option<usize>| v.and_then(|v| self.map.poses.get(v).copied().flatten());
+        neighbour(view.checked_sub(1)).or_else(|| neighbour(Some(view + 1)))
+    }
+
+    /// After a view was added: new points, a local adjustment, and a global one when the map has grown enough.
+    fn settle(&mut self, view: usize) -> Result<(), MapperError> {
+        let limits = self.limits();
+        self.map.triangulate_seen_by(view, &limits);
+        if self.has_grown() || self.is_only_one_of_camera(view) {
+            return self.adjust_grown();
+        }
+        self.adjust(&Scope::Around(view), Freedom::Nothing)?;
+        Ok(())
+    }
+
+    fn has_grown(&self) -> bool {
+        let (before, now) = (self.adjusted_at, self.map.num_registered());
+        now as f64 >= self.options.global_growth * before as f64 || (now >= before + windows::STEP && self.is_long())
+    }
+
+    /// Adjusts everything; of a long map, what it has grown by.
+    fn adjust_grown(&mut self) -> Result<(), MapperError> {
+        if !self.is_long() || self.adjusted_views.is_empty() {
+            return self.adjust_globally();
+        }
+        let limits = self.limits();
+        for views in windows::ends(&self.map, &self.adjusted_views) {
+            let used = windows::adjust_end(&mut self.map, views.clone(), self.noise, self.options)?;
+            self.map.renew(views, &limits, &used);
+        }
+        self.note_adjusted();
+        Ok(())
+    }
+
+    fn note_adjusted(&mut self) {
+        self.adjusted_at = self.map.num_registered();
+        let (first, last) = (self.map.registered().next(), self.map.registered().last());
+        self.adjusted_views = first.unwrap_or(0)..last.map_or(0, |last| last + 1);
+    }
+
+    fn adjust_globally(&mut self) -> Result<(), MapperError> {
+        let limits = self.limits();
+        let scope = Scope::Selected { per_view: self.options.growth_points_per_view };
+        let used = self.adjust(&scope, self.freedom)?;
+        self.map.retriangulate(&limits, &used);
+        self.map.triangulate_all(&limits);
+        self.map.update_observations(&limits);
+        self.note_adjusted();
+        Ok(())
+    }
+
+    /// Tries views that failed from the pose interpolated between registered neighbours on both sides.
+    fn retry_between_neighbours(&mut self) {
+        if !self.options.ordered {
+            return;
+        }
+        for view in 0..self.map.poses.len() {
+            if self.map.poses[view].is_some() || self.refused[view].is_some() {
+                continue;
+            }
+            let Some(start) = self.interpolated(view) else { continue };
+            let visible = self.map.visible(view);
+            let buffers = self.map.pixels_and_points(&visible);
+            let data = self.map.resection_data(view, &buffers);
+            let found = resection::refine_from(&data, &start, self.options.max_pose_error_px);
+            self.accept(view, &visible, found);
+        }
+    }
+
+    /// Between the nearest registered views on both sides, by time order; `None` at the ends.
+    fn interpolated(&self, view: usize) -> Option<Rigid3> {
+        const MAX_GAP: usize = 10;
+        let before = (view.saturating_sub(MAX_GAP)..view).rev().find(|&v| self.map.poses[v].is_some())?;
+        let last = self.map.poses.len().min(view + MAX_GAP);
+        let after = (view + 1..last).find(|&v| self.map.poses[v].is_some())?;
+        let (a, b) = (self.map.poses[before]?, self.map.poses[after]?);
+        let t = (view - before) as f64 / (after - before) as f64;
+        let rotation = a.rotation.try_slerp(&b.rotation, t, 1e-9)?;
+        let center = a.center() + (b.center() - a.center()) * t;
+        Some(Rigid3::from_rotation_and_center(rotation, center))
+    }
+
+    /// Why a view is not registered; `stretch` holds the first and the last view of that to which it belongs.
+    fn reason(&self, view: usize, stretch: Option<[usize; 2]>) -> Reason {
+        let features = self.map.table.views[view].pixels.len();
+        let (in_tracks, visible) = self.map.visibility(view);
+        if let Some((agreeing, contradicting)) = self.refused[view] {
+            return Reason::Contradicted { agreeing, contradicting };
+        }
+        if let Some(reason) = &self.apart[view] {
+            return reason.clone();
+        }
+        match self.failed[view] {
+            _ if features == 0 => Reason::NoFeatures,
+            _ if in_tracks == 0 => Reason::NoMatches { features },
+            Some(Attempt { visible, inliers }) => Reason::NoPose { visible, inliers },
+            None if stretch.is_some() => {
+                Reason::Apart { ends: stretch.unwrap_or_default().map(|v| self.map.table.views[v].name.clone()) }
+            }
+            None => Reason::TooFewPoints { visible, needed: self.options.min_resection_inliers },
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! The first view of a camera whose focal length is not known, in a map that others have made.
+//!
+//! Three points make a pose for any focal length, but only the right one makes many others fit. So it is tried at
+//! several, two deviations of what is known beforehand to either side, and again near the best one; the adjustment
+//! that follows finds it exactly.
+
+use super::IncrementalMapper;
+use crate::camera::Camera;
+use crate::geometry::resection::{self, PixelsAndPoints, Resection};
+use crate::mapper::Intrinsics;
+use crate::mapper::map::Slot;
+use crate::math::seeded_rng;
+
+/// Focal lengths that are tried on either side of the guess.
+const STEPS: i32 = 6;
+
+impl IncrementalMapper<'_> {
+    /// Returns true if a view's camera is to be estimated and it is the camera's first view.
+    pub(super) fn is_first_of_camera(&self, view: usize) -> bool {
+        self.is_looked_for(view) && self.num_views_of_camera_of(view) == 0
+    }
+
+    /// Returns true if a registered view is the only one of a camera that is to be estimated.
+    pub(super) fn is_only_one_of_camera(&self, view: usize) -> bool {
+        self.map.cameras.len() > 1 && self.is_looked_for(view) && self.num_views_of_camera_of(view) == 1
+    }
+
+    fn is_looked_for(&self, view: usize) -> bool {
+        self.map.known.of(self.map.table.views[view].camera) != Intrinsics::Fixed
+    }
+
+    fn num_views_of_camera_of(&self, view: usize) -> usize {
+        self.map.num_views_of_cameras()[self.map.table.views[view].camera]
+    }
+
+    /// Registers such a view with the focal length that explains most of the points that it sees.
+    pub(super) fn register_with_focal(&mut self, view: usize) -> bool {
+        let visible = self.map.visible(view);
+        let camera = self.map.table.views[view].camera;
+        let guess = self.map.guess[camera];
+        let found = self.pose_and_focal(view, &visible, &guess);
+        let (found, scaled) = found.map_or((None, guess), |(resection, camera)| (Some(resection), camera));
+        self.map.cameras[camera] = scaled;
+        let registered = self.accept(view, &visible, found);
+        if !registered {
+            self.map.cameras[camera] = guess;
+        }
+        registered
+    }
+
+    fn pose_and_focal(&self, view: usize, visible: &[Slot], guess: &Camera) -> Option<(Resection, Camera)> {
+        let deviation = self.map.known.of(self.map.table.views[view].camera).guess_deviation();
+        let step = 2.0 * deviation / f64::from(STEPS);
+        let (pixels, points) = self.map.pixels_and_points(visible);
+        let at = |change: f64| {
+            let camera = Camera { focal: guess.focal.map(|f| f * change.exp()), ..*guess };
+            let data = PixelsAndPoints { camera: &camera, pixels: &pixels, points: &points };
+            let mut rng = seeded_rng(self.seed, view as u64);
+            let found = resection::estimate(&data, self.options.max_pose_error_px, &mut rng)?;
+            Some((change, found, camera))
+        };
+        // The nearest to the guess of those that explain as much.
+        let best = |changes: Vec<f64>| {
+            changes.into_iter().filter_map(at).max_by(|(a, found_a, _), (b, found_b, _)| {
+                found_a.inliers.len().cmp(&found_b.inliers.len()).then(b.abs().total_cmp(&a.abs()))
+            })
+        };
+        let (rough, ..) = best((-STEPS..=STEPS).map(|k| f64::from(k) * step).collect())?;
+        let fine = (-2..=2).map(|k| rough + f64::from(k) * step / 3.0).collect();
+        best(fine).map(|(_, found, camera)| (found, camera))
+    }
+}

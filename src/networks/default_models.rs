@@ -1,0 +1,150 @@
+//! The networks that come with the program, and where they lie.
+//!
+//! They are files of a folder `models` that is looked for when a network is needed: where the environment variable
+//! TRACTRIX_MODELS says; next to the executable; where packages put such things; and in the source tree whose `target`
+//! holds the executable. What they are, their licences and hashes stand in `models/models.toml`, which is compiled
+//! in.
+
+use std::env;
+use std::path::{Path, PathBuf};
+
+use super::PerceptionError;
+use super::description::{ModelDescription, known};
+use crate::ffi::environment;
+
+/// The environment variable that names the folder.
+const VARIABLE: &str = "TRACTRIX_MODELS";
+/// File of the detector.
+const DETECTOR: &str = "yolox_nano.onnx";
+/// Files of the two parts of the mask network.
+const MASK_ENCODER: &str = "mobile_sam_encoder.onnx";
+const MASK_DECODER: &str = "mobile_sam_decoder.onnx";
+
+/// The networks that come with the program.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DefaultModels {
+    /// Finds boxes: for [`load_detector`](super::load_detector).
+    pub detector: PathBuf,
+    /// First part of what finds the masks of boxes: for [`load_box_segmenter`](super::load_prompter).
+    pub mask_encoder: PathBuf,
+    /// Its second part.
+    pub mask_decoder: PathBuf,
+}
+
+impl DefaultModels {
+    fn of(folder: &Path) -> Self {
+        Self {
+            detector: folder.join(DETECTOR),
+            mask_encoder: folder.join(MASK_ENCODER),
+            mask_decoder: folder.join(MASK_DECODER),
+        }
+    }
+
+    /// All files.
+    pub fn files(&self) -> [&Path; 3] {
+        [&self.detector, &self.mask_encoder, &self.mask_decoder]
+    }
+
+    /// The first file that is not there.
+    fn missing(&self) -> Option<&Path> {
+        self.files().into_iter().find(|file| !file.is_file())
+    }
+}
+
+/// Finds the networks that come with the program: the first folder that holds them all.
+///
+/// # Errors
+/// [`PerceptionError::NoModels`] lists the folders and what each lacks. If TRACTRIX_MODELS names a folder, no other one
+/// is looked into: [`PerceptionError::NamedModels`].
+pub fn default_models() -> Result<DefaultModels, PerceptionError> {
+    match env::var_os(VARIABLE).filter(|value| !value.is_empty()).map(PathBuf::from) {
+        Some(named) => whole(&named).map_err(|reason| PerceptionError::NamedModels { reason }),
+        None => first_whole(&folders(env::current_exe().ok().as_deref())),
+    }
+}
+
+/// The descriptions of the networks that come with the program, of which each names its file.
+///
+/// # Errors
+/// [`PerceptionError::Description`] if the table that is compiled in is not valid.
+pub fn default_descriptions() -> Result<Vec<ModelDescription>, PerceptionError> {
+    Ok(known()?.into_iter().filter(|description| !description.file.is_empty()).collect())
+}
+
+/// Where the networks may lie, in order.
+fn folders(executable: Option<&Path>) -> Vec<PathBuf> {
+    let Some((executable, folder)) = executable.and_then(|path| Some((path, path.parent()?))) else {
+        return Vec::new();
+    };
+    let beside = ["models", "../share/tractrix/models", "../lib/tractrix/models"];
+    let in_tree = environment::source_tree(executable).map(|tree| tree.join("models"));
+    beside.into_iter().map(|path| folder.join(path)).chain(in_tree).collect()
+}
+
+/// The networks in a folder, or what it lacks.
+fn whole(folder: &Path) -> Result<DefaultModels, String> {
+    let models = DefaultModels::of(folder);
+    match models.missing() {
+        None => Ok(models),
+        Some(_) if !folder.is_dir() => Err(format!("{} (folder not found)", folder.display())),
+        Some(file) => Err(format!("{} (file not found)", file.display())),
+    }
+}
+
+fn first_whole(folders: &[PathBuf]) -> Result<DefaultModels, PerceptionError> {
+    let mut tried = Vec::new();
+    for folder in folders {
+        match whole(folder) {
+            Ok(models) => return Ok(models),
+            Err(reason) => tried.push(reason),
+        }
+    }
+    Err(PerceptionError::NoModels { tried })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_installed_program_looks_beside_itself_and_a_built_one_in_its_source_tree() {
+        let installed = folders(Some(Path::new("/opt/tractrix/bin/tractrix")));
+        let expected = [
+            "/opt/tractrix/bin/models",
+            "/opt/tractrix/bin/../share/tractrix/models",
+            "/opt/tractrix/bin/../lib/tractrix/models",
+        ];
+        assert_eq!(installed, expected.map(PathBuf::from));
+        let tree = tempfile::tempdir().unwrap();
+        std::fs::write(tree.path().join("Cargo.toml"), "").unwrap();
+        let built = folders(Some(&tree.path().join("target/release/deps/tests")));
+        assert!(built.contains(&tree.path().join("models")), "{built:?}");
+        let copied = folders(Some(&tree.path().join("bin/tractrix")));
+        assert!(!copied.contains(&tree.path().join("models")), "{copied:?}");
+    }
+
+    #[test]
+    fn the_first_folder_with_all_files_serves_and_others_are_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let (half, whole) = (folder.path().join("half"), folder.path().join("whole"));
+        for (place, files) in [(&half, &[DETECTOR][..]), (&whole, &[DETECTOR, MASK_ENCODER, MASK_DECODER])] {
+            std::fs::create_dir(place).unwrap();
+            files.iter().for_each(|file| std::fs::write(place.join(file), "").unwrap());
+        }
+        let none = folder.path().join("none");
+        let found = first_whole(&[none.clone(), half.clone(), whole.clone()]).unwrap();
+        assert_eq!(found, DefaultModels::of(&whole));
+        let said = first_whole(&[none, half]).unwrap_err().to_string();
+        assert!(said.contains("none (folder not found)") && said.contains("half/mobile_sam_encoder.onnx"), "{said}");
+        assert!(said.contains("TRACTRIX_MODELS"), "{said}");
+    }
+
+    #[test]
+    fn every_file_has_a_description() {
+        let described = default_descriptions().unwrap();
+        let mut files: Vec<&str> = described.iter().map(|d| d.file.as_str()).collect();
+        files.sort_unstable();
+        assert_eq!(files, [MASK_DECODER, MASK_ENCODER, DETECTOR]);
+        assert!(described.iter().all(|d| d.sha256.len() == 64 && !d.changes.is_empty()));
+    }
+}

@@ -1,0 +1,229 @@
+//! Relation of the images of a given model to the frames, and the model in pixels of the frames.
+//!
+//! A picture is its frame, or
+//!
+//! * the frame before `--max-dimension` reduced it;
+//! * the frame as the file stores it, a quarter turn from upright: a clockwise turn of a picture of height h takes
+//!   (x, y) to (h − y, x), and the camera turns about its axis with it;
+//! * the frame without distortion, where the lens of the frames is given: a feature lies where that lens sees its ray.
+//!
+//! None of it changes a ray, and so neither poses (but for the turn) nor points. Half a turn does not show in the size
+//! of a picture, so that the picture is taken to be upright.
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use nalgebra::{Point2, UnitQuaternion, Vector2, Vector3};
+
+use crate::camera::{Camera, HigherTerms};
+use crate::math::Rigid3;
+use crate::pipeline::PipelineError;
+use crate::scene::{CameraId, FrameId, Reconstruction, Topic, Warning};
+
+/// Known properties of the frames' images.
+pub(super) struct Pictures<'a> {
+    /// Width and height of the frames, pixels.
+    pub(super) frame: (u32, u32),
+    /// The same before they were reduced.
+    pub(super) source: (u32, u32),
+    /// The lens of the frames, if it is given.
+    pub(super) lens: Option<Camera>,
+    /// Quarter turns, clockwise, from a picture as its file stores it to the frame; `None` if it is mirrored as well.
+    pub(super) turns: &'a dyn Fn(FrameId) -> Option<u8>,
+}
+
+/// Cameras of which the file does not say how large their pictures are: the size in the model holds their features, and
+/// its middle is the picture's.
+#[derive(Debug, Default)]
+pub(super) struct Sizes {
+    pub(super) unstated: BTreeSet<CameraId>,
+}
+
+/// Transformation of an image to its frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct ImageTransform {
+    num_turns: u8,
+    /// The camera of the turned picture.
+    turned: Camera,
+    /// That of the frame.
+    camera: Camera,
+    lens: Lens,
+}
+
+/// Relation between the distortion of an image and that of its frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Lens {
+    Same,
+    Undistorted,
+}
+
+impl ImageTransform {
+    fn pixel(&self, pixel: Point2<f64>, stored: (u32, u32)) -> Point2<f64> {
+        let pixel = turned_pixel(pixel, stored, self.num_turns);
+        let scale = |to: u32, from: u32| f64::from(to) / f64::from(from);
+        match self.lens {
+            Lens::Same => Point2::new(
+                pixel.x * scale(self.camera.width, self.turned.width),
+                pixel.y * scale(self.camera.height, self.turned.height),
+            ),
+            Lens::Undistorted => self.camera.pixel_from_normalized(self.turned.normalized_from_pixel(pixel)),
+        }
+    }
+
+    fn is_none(&self) -> bool {
+        self.num_turns == 0 && self.lens == Lens::Same && self.turned == self.camera
+    }
+}
+
+/// Brings a model whose images are frames to the pixels of the frames, and says what was taken for granted.
+///
+/// # Errors
+/// [`PipelineError::Options`] names both sizes if pictures are not the frames.
+pub(super) fn fit(
+    path: &Path,
+    model: &mut Reconstruction,
+    sizes: &Sizes,
+    pictures: &Pictures,
+) -> Result<Vec<Warning>, PipelineError> {
+    complete_sizes(model, sizes, pictures);
+    let mut known: BTreeMap<(CameraId, u8), CameraId> = BTreeMap::new();
+    let mut cameras = BTreeMap::new();
+    let mut is_undistorted = false;
+    let stored = std::mem::take(&mut model.cameras);
+    for (id, image) in &mut model.images {
+        let Some(camera) = stored.get(&image.camera) else { continue };
+        let turns = (pictures.turns)(id.frame());
+        let fit = fit_of(camera, turns, pictures)
+            .ok_or_else(|| PipelineError::Options(other_pictures(path, camera, pictures)))?;
+        is_undistorted |= fit.lens == Lens::Undistorted;
+        let key = (image.camera, fit.num_turns);
+        let fresh = fresh_id(image.camera, &stored, &cameras);
+        let own = *known.entry(key).or_insert(fresh);
+        if !fit.is_none() {
+            image.cam_from_world = about_axis(fit.num_turns) * image.cam_from_world;
+            let size = (camera.width, camera.height);
+            image.observations.iter_mut().for_each(|seen| seen.pixel = fit.pixel(seen.pixel, size));
+        }
+        if own != image.camera || fit.lens == Lens::Undistorted {
+            model.camera_forms.remove(&own);
+        }
+        cameras.insert(own, fit.camera);
+        image.camera = own;
+    }
+    model.cameras = cameras;
+    let is_half_turned = model.images.keys().any(|id| (pictures.turns)(id.frame()) == Some(2));
+    let path = path.display();
+    Ok([
+        is_undistorted.then(|| {
+            format!(
+                "{path}: model without distortion, but --intrinsics with distortion: its images are assumed to be the \
+                 undistorted frames"
+            )
+        }),
+        is_half_turned
+            .then(|| format!("{path}: frames are stored upside down; the model's images are assumed to be upright")),
+    ]
+    .into_iter()
+    .flatten()
+    .map(|text| Topic::GivenModelDoesNotFit.warning(text))
+    .collect())
+}
+
+/// The id of a camera's first version is its own, those of others are new.
+fn fresh_id(own: CameraId, stored: &BTreeMap<CameraId, Camera>, taken: &BTreeMap<CameraId, Camera>) -> CameraId {
+    let last = stored.keys().chain(taken.keys()).max().map_or(0, |id| id.0);
+    if taken.contains_key(&own) { CameraId(last.saturating_add(1)) } else { own }
+}
+
+/// Gives pictures whose size is not stated that of the frames, or of what the frames were made from.
+fn complete_sizes(model: &mut Reconstruction, sizes: &Sizes, pictures: &Pictures) {
+    let upright = [pictures.frame, pictures.source];
+    for (id, image) in &mut model.images {
+        let Some(camera) = model.cameras.get(&image.camera).filter(|_| sizes.unstated.contains(&image.camera)) else {
+            continue;
+        };
+        let is_turned = is_odd((pictures.turns)(id.frame()));
+        let turned = upright.iter().filter(|_| is_turned).map(|(width, height)| (*height, *width));
+        let holds = |size: &(u32, u32)| camera.width <= size.0 && camera.height <= size.1;
+        let Some((width, height)) = upright.into_iter().chain(turned).find(holds) else { continue };
+        let middle = Vector2::new(f64::from(width), f64::from(height)) / 2.0;
+        let shift = middle - Vector2::from(camera.principal);
+        let completed = Camera { width, height, principal: middle.into(), ..*camera };
+        image.observations.iter_mut().for_each(|seen| seen.pixel += shift);
+        model.cameras.insert(image.camera, completed);
+    }
+}
+
+fn is_odd(turns: Option<u8>) -> bool {
+    turns.is_some_and(|turns| turns % 2 == 1)
+}
+
+fn is_landscape((width, height): (u32, u32)) -> bool {
+    width > height
+}
+
+fn fit_of(camera: &Camera, turns: Option<u8>, pictures: &Pictures) -> Option<ImageTransform> {
+    let lies = is_landscape((camera.width, camera.height)) != is_landscape(pictures.frame);
+    let num_turns = turns.filter(|_| lies && is_odd(turns)).unwrap_or(0);
+    let turned = (0..num_turns).fold(*camera, |camera, _| turned_camera(&camera));
+    if let Some(lens) = pictures.lens.filter(|lens| has_distortion(lens) && !has_distortion(camera)) {
+        return Some(ImageTransform { num_turns, turned, camera: lens, lens: Lens::Undistorted });
+    }
+    let (width, height) = pictures.frame;
+    let is_known = [pictures.frame, pictures.source].contains(&(turned.width, turned.height));
+    let camera = if (turned.width, turned.height) == pictures.frame { turned } else { turned.resized(width, height) };
+    is_known.then_some(ImageTransform { num_turns, turned, camera, lens: Lens::Same })
+}
+
+fn has_distortion(camera: &Camera) -> bool {
+    camera.radial != [0.0; 2] || !camera.higher.are_zero()
+}
+
+/// The camera of a picture that is turned clockwise by a quarter.
+fn turned_camera(camera: &Camera) -> Camera {
+    let ([fx, fy], [cx, cy], [p1, p2]) = (camera.focal, camera.principal, camera.higher.tangential);
+    Camera {
+        width: camera.height,
+        height: camera.width,
+        focal: [fy, fx],
+        principal: [f64::from(camera.height) - cy, cx],
+        radial: camera.radial,
+        // Adding to zero keeps what is absent from becoming −0.
+        higher: HigherTerms { tangential: [p2, 0.0 - p1], ..camera.higher },
+    }
+}
+
+fn turned_pixel(pixel: Point2<f64>, (width, height): (u32, u32), num_turns: u8) -> Point2<f64> {
+    match num_turns % 4 {
+        0 => pixel,
+        1 => Point2::new(f64::from(height) - pixel.y, pixel.x),
+        2 => Point2::new(f64::from(width) - pixel.x, f64::from(height) - pixel.y),
+        _ => Point2::new(pixel.y, f64::from(width) - pixel.x),
+    }
+}
+
+/// The turned camera's axes from the camera's own.
+fn about_axis(num_turns: u8) -> Rigid3 {
+    let angle = f64::from(num_turns) * std::f64::consts::FRAC_PI_2;
+    Rigid3::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle), Vector3::zeros())
+}
+
+/// Why pictures cannot be the frames, with both sizes and what to do.
+fn other_pictures(path: &Path, camera: &Camera, pictures: &Pictures) -> String {
+    let shown = |(width, height): (u32, u32)| format!("{width}x{height}");
+    let (own, frame, source) = ((camera.width, camera.height), pictures.frame, pictures.source);
+    let before = if source == frame { String::new() } else { format!(" ({} before downscaling)", shown(source)) };
+    let is_turned = [frame, source].contains(&(own.1, own.0));
+    let cure = if is_turned {
+        "they are rotated by 90° without a flag in the input; make the model from upright images"
+    } else if has_distortion(camera) {
+        "make the model from the frames as they are; models must be at the resolution of the frames, or of their source"
+    } else {
+        "models must be at the resolution of the frames, or of their source; for undistorted images give the lens of \
+         the frames with --intrinsics fx,fy,cx,cy,k1,k2"
+    };
+    format!("{}: images of {} pixels, frames of {}{before}; {cure}", path.display(), shown(own), shown(frame))
+}

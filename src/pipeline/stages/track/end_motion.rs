@@ -1,0 +1,186 @@
+//! Where objects go over the ground: where a piece of a track leads, and whether another one comes from there.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Point3;
+
+use crate::motion::View;
+use crate::pipeline::stages::motion::World;
+use crate::scene::{BoundingBox, FrameId, Mask};
+
+/// Seconds of a piece's beginning or end that say how it moves there.
+const LOOK_S: f64 = 1.0;
+/// Frames that say so at least, where the piece has them.
+const LOOK_FRAMES: usize = 6;
+/// A mask whose area is below this share of the largest one is partly hidden.
+const LEAST_WHOLE: f64 = 0.75;
+/// Tolerance in sides of the object: at once, and per second. The next car at the kerb is more than one side away.
+const TOLERATED_SIDES: f64 = 0.6;
+const TOLERATED_SIDES_PER_S: f64 = 0.1;
+/// The same as a share of the way that it goes meanwhile: vehicles brake and turn.
+const TOLERATED_WAY: f64 = 0.2;
+
+/// Position of an object by its mask.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Spot {
+    pub(super) frame: FrameId,
+    pub(super) time_s: f64,
+    bounds: BoundingBox,
+    area: f64,
+}
+
+impl Spot {
+    /// `None` for an empty mask.
+    pub(super) fn of(frame: FrameId, time_s: f64, mask: &Mask) -> Option<Self> {
+        Some(Self { frame, time_s, bounds: mask.bounding_box()?, area: mask.area_px2() as f64 })
+    }
+
+    /// Where it stands: the middle of its lower side, pixels.
+    fn foot(&self) -> [f64; 2] {
+        [f64::from(self.bounds.x0 + self.bounds.x1) / 2.0, f64::from(self.bounds.y1)]
+    }
+
+    /// Side of a square as large as its box, pixels.
+    pub(super) fn side_px(&self) -> f64 {
+        (f64::from(self.bounds.width()) * f64::from(self.bounds.height())).sqrt()
+    }
+}
+
+/// Which end of a piece.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Side {
+    Beginning,
+    End,
+}
+
+/// Motion of a track at one of its ends.
+#[derive(Clone, Debug)]
+pub(super) struct EndMotion {
+    /// Its sight nearest to the end of which nothing is hidden, as far as sizes tell.
+    pub(super) spot: Spot,
+    /// The largest one near the end.
+    pub(super) largest: Spot,
+    /// Position on the ground there and velocity, in the background's frame and per second.
+    on_ground: Option<(Point3<f64>, nalgebra::Vector3<f64>)>,
+}
+
+/// Which of a piece's frames say how it moves at an end of it, from the end on.
+///
+/// * `frames` – id and time of those with a mask, ascending.
+pub(super) fn near(frames: &[(FrameId, f64)], side: Side) -> Vec<(FrameId, f64)> {
+    let from_end: Vec<(FrameId, f64)> = match side {
+        Side::Beginning => frames.to_vec(),
+        Side::End => frames.iter().rev().copied().collect(),
+    };
+    let Some(&(_, end_s)) = from_end.first() else { return Vec::new() };
+    let counts =
+        |(k, frame): (usize, (FrameId, f64))| (k < LOOK_FRAMES || (frame.1 - end_s).abs() <= LOOK_S).then_some(frame);
+    from_end.into_iter().enumerate().map_while(counts).collect()
+}
+
+/// Motion of an object at the end of its track.
+///
+/// * `spots` – of the frames that [`near`] names, from the end on.
+pub(super) fn course(spots: &[Spot], world: Option<&Ground<'_>>) -> Option<EndMotion> {
+    let largest = *spots.iter().max_by(|a, b| a.area.total_cmp(&b.area))?;
+    let whole: Vec<Spot> = spots.iter().filter(|spot| spot.area >= LEAST_WHOLE * largest.area).copied().collect();
+    let spot = *whole.first()?;
+    let places = whole.iter().filter_map(|s| Some((s.time_s - spot.time_s, world?.place(s)?)));
+    Some(EndMotion { spot, largest, on_ground: line(&places.collect::<Vec<_>>()) })
+}
+
+/// Position at time zero and velocity, by least squares; at rest where there is one place only.
+fn line(places: &[(f64, Point3<f64>)]) -> Option<(Point3<f64>, nalgebra::Vector3<f64>)> {
+    let n = places.len() as f64;
+    let time = places.iter().map(|(t, _)| t).sum::<f64>() / n;
+    let place = places.iter().fold(nalgebra::Vector3::zeros(), |sum, (_, p)| sum + p.coords) / n;
+    let spread = places.iter().map(|(t, _)| (t - time).powi(2)).sum::<f64>();
+    let moment = places.iter().fold(nalgebra::Vector3::zeros(), |sum, (t, p)| sum + (p.coords - place) * (t - time));
+    let velocity = if spread > 0.0 { moment / spread } else { nalgebra::Vector3::zeros() };
+    (!places.is_empty()).then(|| (Point3::from(place - velocity * time), velocity))
+}
+
+/// The background's cameras and its ground, by frame.
+pub(super) struct Ground<'a> {
+    pub(super) world: &'a World,
+    pub(super) index: &'a BTreeMap<FrameId, usize>,
+}
+
+impl Ground<'_> {
+    fn view(&self, frame: FrameId) -> Option<&View> {
+        self.world.views.get(*self.index.get(&frame)?)?.as_ref()
+    }
+
+    fn place(&self, spot: &Spot) -> Option<Point3<f64>> {
+        self.world.ground.as_ref()?.meets(self.view(spot.frame)?, spot.foot())
+    }
+
+    /// Pixel and depth of a place in a frame.
+    fn seen(&self, place: Point3<f64>, frame: FrameId) -> Option<([f64; 2], f64)> {
+        let view = self.view(frame)?;
+        let in_cam = view.cam_from_world * place;
+        let pixel = view.camera.pixel_from_cam(in_cam)?;
+        Some(([pixel.x, pixel.y], in_cam.z))
+    }
+
+    /// Distances of the later course's beginning from the prediction by the earlier one, and the other way round: mean
+    /// share of the tolerance; and the ratio of areas, at one distance. `None` where ground or cameras are missing.
+    pub(super) fn fit(&self, before: &EndMotion, after: &EndMotion) -> Option<(f64, f64)> {
+        let forth = self.off(before, after)?;
+        let back = self.off(after, before)?;
+        let depth = |course: &EndMotion| Some(self.seen(course.on_ground?.0, course.spot.frame)?.1);
+        let at_one_distance = (depth(after)? / depth(before)?).powi(2);
+        Some((0.5 * (forth + back), at_one_distance * after.largest.area / before.largest.area))
+    }
+
+    /// Distance of one course from the prediction by another, in the image, as a share of the tolerance.
+    fn off(&self, from: &EndMotion, to: &EndMotion) -> Option<f64> {
+        let (place, velocity) = from.on_ground?;
+        let elapsed_s = to.spot.time_s - from.spot.time_s;
+        let (expected, _) = self.seen(place + velocity * elapsed_s, to.spot.frame)?;
+        let (at_rest, _) = self.seen(place, to.spot.frame).unwrap_or((expected, 0.0));
+        let distance = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+        let sides = TOLERATED_SIDES + TOLERATED_SIDES_PER_S * elapsed_s.abs();
+        let tolerated = sides * to.spot.side_px() + TOLERATED_WAY * distance(expected, at_rest);
+        Some(distance(expected, to.spot.foot()) / tolerated)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spot(frame: u32, width: u32) -> Spot {
+        let bounds = BoundingBox { x0: 10 * frame, y0: 5, x1: 10 * frame + width, y1: 25 };
+        Spot { frame: FrameId(frame), time_s: f64::from(frame) / 10.0, bounds, area: f64::from(width * 20) }
+    }
+
+    #[test]
+    fn a_course_leaves_out_what_is_partly_hidden() {
+        // From the end on: half, two thirds and all of the object.
+        let spots = [spot(9, 20), spot(8, 27), spot(7, 40), spot(6, 40), spot(5, 41)];
+        let course = course(&spots, None).unwrap();
+        assert_eq!((course.spot.frame, course.largest.frame), (FrameId(7), FrameId(5)));
+        assert!(super::course(&[], None).is_none());
+    }
+
+    #[test]
+    fn a_line_goes_through_what_moves_steadily() {
+        let at = |t: f64| Point3::new(2.0 + 3.0 * t, -t, 0.5);
+        let places: Vec<_> = [0.0, -0.1, -0.2, -0.5].map(|t| (t, at(t))).to_vec();
+        let (place, velocity) = line(&places).unwrap();
+        assert!((place - at(0.0)).norm() < 1e-12 && (velocity.x - 3.0).abs() < 1e-12);
+        assert_eq!(line(&[(0.0, at(1.0))]), Some((at(1.0), nalgebra::Vector3::zeros())));
+        assert_eq!(line(&[]), None);
+    }
+
+    #[test]
+    fn the_ends_of_a_piece_are_looked_at_for_a_second_or_some_frames() {
+        let frames: Vec<(FrameId, f64)> = (0..90).map(|k| (FrameId(k), f64::from(k) / 32.0)).collect();
+        let end = near(&frames, Side::End);
+        assert_eq!((end[0].0, end.len()), (FrameId(89), 33));
+        let slow: Vec<(FrameId, f64)> = (0..20).map(|k| (FrameId(k), f64::from(k))).collect();
+        assert_eq!(near(&slow, Side::Beginning).len(), LOOK_FRAMES);
+        assert!(near(&[], Side::End).is_empty());
+    }
+}

@@ -1,0 +1,342 @@
+//! Which pieces of tracks are one object that was hidden or out of the picture in between.
+//!
+//! Two pieces may be one if the second begins after the first ends. What is known of such a pair is a [`IdentityEvidence`]: how
+//! far the second is from where the first leads, sizes, colours, and how many image points both show in the same
+//! arrangement ([`agreeing`]). [`same`] weighs it. A join that is wrong costs more than one that is missing, so that
+//! what is left open stays apart: where two pieces that are seen at the same time may both be the continuation, neither
+//! is ([`join`]).
+
+use std::collections::BTreeMap;
+
+use ::image::RgbImage;
+
+use super::TrackSummary;
+use super::appearance::Appearance;
+use super::region::Region;
+use super::support::MIN_FRAMES;
+use super::track::compatible;
+use crate::scene::{FrameId, Gap, IdentityEvidence, Mask};
+
+/// Similarity of colours that two views of one object have at least.
+const MIN_COLOURS: f64 = 0.6;
+/// Two views of one object differ in size by no more than this factor, besides what the distance does.
+const MAX_SIZE_RATIO: f64 = 2.5;
+/// Points in the same arrangement that prove sameness: so many and one for every ten matches. Of 20 matches made by
+/// chance 6 agree in one case of a hundred, of 60 no more than 8 to 9.
+const MIN_POINTS: usize = 5;
+const MATCHES_PER_POINT: usize = 10;
+/// Two views full of points that have fewer than this in common show two objects.
+const FEW_POINTS: usize = 4;
+/// Where points do not tell, place and colours must: share of the tolerated distance, similarity, seconds.
+const SURE_PLACE: f64 = 0.5;
+const SURE_COLOURS: f64 = 0.8;
+const SURE_GAP_S: f64 = 1.5;
+/// Margin by which the better of two continuations must be better.
+const MARGIN: f64 = 0.5;
+
+/// A piece of a track: the first and the last frame in which it is seen.
+pub type Span = (FrameId, FrameId);
+
+/// Two pieces that may be one object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pair {
+    /// Which piece comes first; an index.
+    pub before: usize,
+    /// Which comes later.
+    pub after: usize,
+    /// Time from the last sight of the one to the first of the other, seconds.
+    pub gap_s: f64,
+    /// Evidence that both are one object.
+    pub evidence: IdentityEvidence,
+}
+
+/// Outcomes of all pairs.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Joints {
+    /// Pairs that are one object; no piece is twice the earlier or twice the later one.
+    pub joined: Vec<Pair>,
+    /// Pairs that stay apart, and why.
+    pub apart: Vec<(Pair, String)>,
+}
+
+/// Score of two tracks being one object.
+///
+/// # Errors
+/// What speaks against it, in words.
+pub fn same(pair: &Pair) -> Result<f64, String> {
+    let IdentityEvidence { place, colours, size, num_points, num_matches } = pair.evidence;
+    let Some(place) = place else { return Err("its position cannot be predicted".to_owned()) };
+    if place > 1.0 {
+        return Err("too far from its predicted position".to_owned());
+    }
+    if size.is_some_and(|size| !(1.0 / MAX_SIZE_RATIO..=MAX_SIZE_RATIO).contains(&size)) {
+        return Err("different size".to_owned());
+    }
+    let colours = colours.unwrap_or(0.0);
+    if colours < MIN_COLOURS {
+        return Err("different colors".to_owned());
+    }
+    let by_place = place <= SURE_PLACE && colours >= SURE_COLOURS && pair.gap_s <= SURE_GAP_S;
+    let least = MIN_POINTS + num_matches.unwrap_or(0) / MATCHES_PER_POINT;
+    match num_points {
+        Some(points) if points >= least => {}
+        Some(points) if points < FEW_POINTS => {
+            return Err(format!("both are textured, but share only {points} points"));
+        }
+        _ if by_place => {}
+        _ => return Err("neither appearance nor position is conclusive".to_owned()),
+    }
+    let points = num_points.unwrap_or(0) as f64 / least as f64;
+    Ok((1.0 - place) + colours + points.min(2.0))
+}
+
+/// Decides which pairs are joined, the shortest gaps first.
+///
+/// * `spans` – of the pieces that `pairs` names.
+pub fn join(spans: &[Span], pairs: &[Pair]) -> Joints {
+    let mut joints = Joints::default();
+    let mut fit: Vec<(Pair, f64)> = Vec::new();
+    for pair in pairs {
+        match same(pair) {
+            Ok(strength) => fit.push((*pair, strength)),
+            Err(reason) => joints.apart.push((*pair, reason)),
+        }
+    }
+    fit.sort_by(|(a, _), (b, _)| a.gap_s.total_cmp(&b.gap_s).then((a.before, a.after).cmp(&(b.before, b.after))));
+    let (mut after, mut before): (BTreeMap<usize, usize>, BTreeMap<usize, usize>) = Default::default();
+    for (pair, strength) in &fit {
+        if after.contains_key(&pair.before) || before.contains_key(&pair.after) {
+            if joints.joined.iter().any(|other| is_rival(spans, pair, other)) {
+                joints.apart.push((*pair, "another object in the same frames fits better".to_owned()));
+            }
+            continue;
+        }
+        let rival = fit.iter().find(|(other, s)| is_rival(spans, pair, other) && *s > strength - MARGIN);
+        if rival.is_some() {
+            joints.apart.push((*pair, "another object in the same frames fits equally well".to_owned()));
+            continue;
+        }
+        after.insert(pair.before, pair.after);
+        before.insert(pair.after, pair.before);
+        joints.joined.push(*pair);
+    }
+    joints
+}
+
+/// Returns true if two pairs share one track, on the same side, and the others are visible at the same time.
+fn is_rival(spans: &[Span], a: &Pair, b: &Pair) -> bool {
+    let meet = |p: usize, q: usize| match (spans.get(p), spans.get(q)) {
+        (Some(p), Some(q)) => p.0 <= q.1 && q.0 <= p.1,
+        _ => false,
+    };
+    let forks = a.before == b.before && a.after != b.after && meet(a.after, b.after);
+    let merges = a.after == b.after && a.before != b.before && meet(a.before, b.before);
+    forks || merges
+}
+
+/// Number of matches of two views that keep their arrangement: the most that one similarity explains.
+///
+/// Every pair of matches proposes one; the views of one object turn by less than 60° in the picture and change their
+/// size by less than a factor of 2.5. Matches made by chance do not agree.
+///
+/// * `matches` – positions in the first and the second view, pixels.
+/// * `tolerance_px` – how far the second may be from where the first is taken.
+pub fn agreeing(matches: &[([f64; 2], [f64; 2])], tolerance_px: f64) -> usize {
+    const MOST: usize = 120;
+    let matches = &matches[..matches.len().min(MOST)];
+    let mut most = usize::from(!matches.is_empty());
+    for (i, p) in matches.iter().enumerate() {
+        for q in &matches[i + 1..] {
+            if let Some(similarity) = Similarity::of(p, q, tolerance_px) {
+                let near = |m: &&([f64; 2], [f64; 2])| similarity.error_px(m) <= tolerance_px;
+                most = most.max(matches.iter().filter(near).count());
+            }
+        }
+    }
+    most
+}
+
+/// x' = a + s R (x − o).
+struct Similarity {
+    from: [f64; 2],
+    to: [f64; 2],
+    /// s cos, s sin.
+    turn: [f64; 2],
+}
+
+impl Similarity {
+    const MIN_COS: f64 = 0.5;
+
+    /// The one that takes two points to two others; `None` if they lie too close together or it is out of bounds.
+    fn of(p: &([f64; 2], [f64; 2]), q: &([f64; 2], [f64; 2]), tolerance_px: f64) -> Option<Self> {
+        let [u, v] = [q.0[0] - p.0[0], q.0[1] - p.0[1]];
+        let [x, y] = [q.1[0] - p.1[0], q.1[1] - p.1[1]];
+        let length_sq = u * u + v * v;
+        if length_sq <= tolerance_px * tolerance_px {
+            return None;
+        }
+        let turn = [(u * x + v * y) / length_sq, (u * y - v * x) / length_sq];
+        let scale = turn[0].hypot(turn[1]);
+        let is_possible = (1.0 / MAX_SIZE_RATIO..=MAX_SIZE_RATIO).contains(&scale) && turn[0] >= Self::MIN_COS * scale;
+        is_possible.then_some(Self { from: p.0, to: p.1, turn })
+    }
+
+    fn error_px(&self, (from, to): &([f64; 2], [f64; 2])) -> f64 {
+        let [u, v] = [from[0] - self.from[0], from[1] - self.from[1]];
+        let [c, s] = self.turn;
+        (to[0] - self.to[0] - c * u + s * v).hypot(to[1] - self.to[1] - s * u - c * v)
+    }
+}
+
+/// The colours of a mask's pixels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Colours(Appearance);
+
+impl Colours {
+    /// Of the pixels in a mask of the image's size; `None` if they are too few to tell.
+    pub fn of(image: &RgbImage, mask: &Mask) -> Option<Self> {
+        let region = Region::from_mask(mask).filter(|_| (mask.width(), mask.height()) == image.dimensions())?;
+        Appearance::of(image, &region).map(Self)
+    }
+
+    /// Bhattacharyya coefficient: 1 for equal shares of colours, 0 for none in common.
+    pub fn similarity(&self, other: &Self) -> f64 {
+        self.0.similarity(&other.0).clamp(0.0, 1.0)
+    }
+}
+
+/// Returns true if two objects may be one by their classes, as far as both were classified often enough.
+pub fn may_be_one(a: &TrackSummary, b: &TrackSummary) -> bool {
+    let is_named = |summary: &TrackSummary| summary.found.by_detector() >= MIN_FRAMES;
+    !(is_named(a) && is_named(b)) || compatible(&a.class, &b.class)
+}
+
+impl TrackSummary {
+    /// Summary of the object of which this and `later` are consecutive tracks.
+    pub fn joined(&self, later: &Self, gap: Gap) -> Self {
+        let mean = |a: (f64, usize), b: (f64, usize)| (a.0 * a.1 as f64 + b.0 * b.1 as f64) / (a.1 + b.1).max(1) as f64;
+        let named = |track: &Self| track.found.by_detector();
+        let votes = |track: &Self| track.class_confidence * named(track) as f64;
+        let masks = |track: &Self| track.num_detected + track.num_carried;
+        let quality = match (self.mask_quality, later.mask_quality) {
+            (Some(a), Some(b)) => Some(mean((a, masks(self)), (b, masks(later)))),
+            (a, b) => a.or(b),
+        };
+        Self {
+            id: self.id,
+            provisional: self.provisional,
+            class: if votes(later) > votes(self) { &later.class } else { &self.class }.clone(),
+            confidence: mean((self.confidence, self.num_detected), (later.confidence, later.num_detected)),
+            first: self.first,
+            last: later.last,
+            num_detected: self.num_detected + later.num_detected,
+            num_carried: self.num_carried + later.num_carried,
+            mean_area_px2: mean((self.mean_area_px2, self.num_detected), (later.mean_area_px2, later.num_detected)),
+            found: self.found.plus(&later.found),
+            num_looks: self.num_looks + later.num_looks,
+            num_detector_looks: self.num_detector_looks + later.num_detector_looks,
+            class_confidence: mean((self.class_confidence, named(self)), (later.class_confidence, named(later))),
+            mask_quality: quality,
+            outline: self.outline.max(later.outline),
+            gaps: self.gaps.iter().chain([&gap]).chain(&later.gaps).copied().collect(),
+            after: self.after,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::support::tests::summary;
+    use super::*;
+    use crate::math::seeded_rng;
+    use crate::scene::DetectionCounts;
+    use rand::Rng as _;
+
+    const SURE: IdentityEvidence = IdentityEvidence {
+        place: Some(0.2),
+        colours: Some(0.95),
+        size: Some(1.1),
+        num_points: Some(20),
+        num_matches: Some(30),
+    };
+
+    #[test]
+    fn a_class_that_was_named_once_separates_nothing() {
+        let of = |class: &str, named: usize| {
+            let found = DetectionCounts { detector: named, motion: 40, ..DetectionCounts::default() };
+            TrackSummary { class: class.into(), ..summary(found, 0.5, 60) }
+        };
+        assert!(may_be_one(&of("motorcycle", 1), &of("truck", 20)));
+        assert!(may_be_one(&of("car", 20), &of("truck", 20)));
+        assert!(!may_be_one(&of("motorcycle", 3), &of("truck", 20)));
+    }
+
+    fn pair(before: usize, after: usize, evidence: IdentityEvidence) -> Pair {
+        Pair { before, after, gap_s: 1.0, evidence }
+    }
+
+    fn spans(spans: &[(u32, u32)]) -> Vec<Span> {
+        spans.iter().map(|&(first, last)| (FrameId(first), FrameId(last))).collect()
+    }
+
+    #[test]
+    fn each_kind_of_evidence_can_refuse() {
+        assert!(same(&pair(0, 1, SURE)).is_ok());
+        let refused = [
+            (IdentityEvidence { place: Some(1.2), ..SURE }, "far"),
+            (IdentityEvidence { place: None, ..SURE }, "cannot be predicted"),
+            (IdentityEvidence { size: Some(3.0), ..SURE }, "size"),
+            (IdentityEvidence { colours: Some(0.5), ..SURE }, "colors"),
+            (IdentityEvidence { num_points: Some(1), ..SURE }, "share only"),
+            (IdentityEvidence { num_points: Some(7), place: Some(0.8), ..SURE }, "conclusive"),
+            (IdentityEvidence { num_points: None, place: Some(0.8), ..SURE }, "conclusive"),
+        ];
+        for (evidence, why) in refused {
+            assert!(same(&pair(0, 1, evidence)).unwrap_err().contains(why), "{why}");
+        }
+    }
+
+    #[test]
+    fn place_and_colours_suffice_for_a_short_time() {
+        let bare = IdentityEvidence { num_points: None, ..SURE };
+        assert!(same(&pair(0, 1, bare)).is_ok());
+        assert!(same(&Pair { gap_s: 2.0, ..pair(0, 1, bare) }).is_err());
+    }
+
+    #[test]
+    fn pieces_of_one_object_form_a_chain() {
+        let spans = spans(&[(0, 10), (20, 30), (40, 50)]);
+        let pairs = [pair(0, 1, SURE), pair(1, 2, SURE), Pair { gap_s: 3.0, ..pair(0, 2, SURE) }];
+        let joints = join(&spans, &pairs);
+        let ids: Vec<(usize, usize)> = joints.joined.iter().map(|p| (p.before, p.after)).collect();
+        assert_eq!((ids, joints.apart.len()), (vec![(0, 1), (1, 2)], 0));
+    }
+
+    #[test]
+    fn two_that_fit_equally_and_are_seen_together_are_not_joined() {
+        let pairs = [pair(0, 1, SURE), pair(0, 2, IdentityEvidence { place: Some(0.3), ..SURE })];
+        let joints = join(&spans(&[(0, 10), (20, 30), (22, 30)]), &pairs);
+        assert_eq!((joints.joined.len(), joints.apart.len()), (0, 2));
+        // One for which clearly less speaks is no rival.
+        let pairs = [pairs[0], pair(0, 2, IdentityEvidence { num_points: None, ..SURE })];
+        let joints = join(&spans(&[(0, 10), (20, 30), (22, 30)]), &pairs);
+        assert_eq!(joints.joined, [pairs[0]]);
+        assert_eq!(joints.apart.len(), 1);
+    }
+
+    #[test]
+    fn points_of_one_surface_agree_and_chance_does_not() {
+        let mut rng = seeded_rng(7, 0);
+        let mut random = || [rng.random_range(0.0..100.0), rng.random_range(0.0..60.0)];
+        let chance: Vec<_> = (0..60).map(|_| (random(), random())).collect();
+        let least = MIN_POINTS + chance.len() / MATCHES_PER_POINT;
+        assert!(agreeing(&chance, 4.0) < least, "{}", agreeing(&chance, 4.0));
+        let moved = |[x, y]: [f64; 2]| [40.0 + 1.2 * x - 0.3 * y, 10.0 + 0.3 * x + 1.2 * y];
+        let surface: Vec<_> = (0..15).map(|_| random()).map(|from| (from, moved(from))).collect();
+        let all: Vec<_> = chance.iter().chain(&surface).copied().collect();
+        assert!((15..20).contains(&agreeing(&all, 4.0)));
+        let mirrored: Vec<_> = (0..15).map(|_| random()).map(|[x, y]| ([x, y], [-x, y])).collect();
+        assert!(agreeing(&mirrored, 4.0) < MIN_POINTS + 1);
+        assert_eq!(agreeing(&[], 4.0), 0);
+    }
+}

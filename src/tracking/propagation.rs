@@ -1,0 +1,445 @@
+//! Carrying a mask to the next frame by optical flow.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::occlusion::{Cover, Moved, Pictures};
+use super::region::Region;
+use crate::math::upper_median;
+use crate::scene::{BoundingBox, Flow, Mask, Rect};
+
+/// A region carried to the next frame.
+#[derive(Clone, Debug)]
+pub(super) struct Propagated {
+    /// Where its visible pixels are now, holes closed.
+    pub(super) region: Region,
+    /// The outline of the whole object, whatever hides a part of it.
+    pub(super) whole: Region,
+    /// Occluded part.
+    pub(super) cover: Cover,
+    /// Median displacement, pixels.
+    pub(super) displacement: [f64; 2],
+    /// Share of its pixels whose flow was of use.
+    pub(super) share: f64,
+    /// Motion from the frame before.
+    pub(super) motion: Affine,
+}
+
+impl Propagated {
+    /// Share of the outline below which an object is partly hidden.
+    const MOSTLY_SEEN: f64 = 0.9;
+    /// Minimum visible share of an object that is mostly occluded.
+    const LEAST_SEEN: f64 = 0.06;
+
+    pub(super) fn is_partly_hidden(&self) -> bool {
+        self.seen_share() < Self::MOSTLY_SEEN
+    }
+
+    pub(super) fn is_nearly_hidden(&self) -> bool {
+        self.seen_share() < Self::LEAST_SEEN
+    }
+
+    fn seen_share(&self) -> f64 {
+        self.region.area() as f64 / self.whole.area().max(1) as f64
+    }
+}
+
+/// Pixels whose flow is this much off the object's median belong to something else: the mask's rim, or an occluder.
+const MAX_DEVIATION_PX: f64 = 3.0;
+/// The same in units of the object's own spread of flow, for large objects that come nearer or turn.
+const MAX_DEVIATION_SPREADS: f64 = 4.0;
+
+/// Pixels of a region that move with it.
+struct Moving {
+    pixels: Vec<(u32, u32)>,
+    /// Median displacement, pixels.
+    displacement: [f64; 2],
+}
+
+/// Of a difference in pixels, which is far from the ends of what a number can be: `hypot`, which minds these, takes
+/// ten times as long.
+pub(super) fn length([x, y]: [f64; 2]) -> f64 {
+    (x * x + y * y).sqrt()
+}
+
+/// The pixels of a region whose flow is consistent and that of the whole; `None` if there is none.
+fn moving(region: &Region, flow: &Flow) -> Option<Moving> {
+    let consistent: Vec<(u32, u32)> = region.iter().filter(|&(x, y)| flow.is_consistent(x, y)).collect();
+    let component = |c: usize| consistent.iter().map(|&(x, y)| f64::from(flow.at(x, y)[c])).collect::<Vec<f64>>();
+    let displacement = [upper_median(component(0))?, upper_median(component(1))?];
+    let deviation = |x: u32, y: u32| {
+        let d = flow.at(x, y);
+        length([f64::from(d[0]) - displacement[0], f64::from(d[1]) - displacement[1]])
+    };
+    let spread = upper_median(consistent.iter().map(|&(x, y)| deviation(x, y)).collect())?;
+    let limit = MAX_DEVIATION_PX.max(MAX_DEVIATION_SPREADS * spread);
+    let pixels = consistent.into_iter().filter(|&(x, y)| deviation(x, y) <= limit).collect();
+    Some(Moving { pixels, displacement })
+}
+
+/// Carries a region along the consistent flow of its pixels; `None` if no flow in it is of use or it left the frame.
+pub(super) fn carry(region: &Region, flow: &Flow) -> Option<Propagated> {
+    let Moving { pixels, displacement } = moving(region, flow)?;
+    let share = pixels.len() as f64 / region.area() as f64;
+    let targets: Vec<(i64, i64)> = pixels
+        .iter()
+        .map(|&(x, y)| {
+            let [dx, dy] = flow.at(x, y);
+            ((x as f32 + 0.5 + dx).floor() as i64, (y as f32 + 0.5 + dy).floor() as i64)
+        })
+        .collect();
+    let region = splat(&targets, closing_radius(region.area()), flow.width, flow.height)?;
+    let motion = Affine::shift(displacement);
+    Some(Propagated { whole: region.clone(), region, cover: Cover::default(), displacement, share, motion })
+}
+
+/// An object as it was in the frame before.
+pub(super) struct PreviousObject<'a> {
+    /// Its visible pixels.
+    pub(super) region: &'a Region,
+    /// The outline of all of it.
+    pub(super) whole: &'a Region,
+    /// Part that was occluded.
+    pub(super) cover: &'a Cover,
+}
+
+/// Carries a region as a whole, by the affine motion that fits the consistent flow of its pixels best; `None` if no
+/// flow in it is of use or it left the frame.
+///
+/// Flow is smooth across outlines, so that a mask whose pixels are carried one by one loses its rim: on rendered
+/// sequences a tenth to a quarter of its overlap with the truth in one frame. A vehicle is rigid and its outline moves
+/// with its inside.
+///
+/// * `pictures` – the frame before and this one; without them nothing is seen to come before the object.
+pub(super) fn carry_whole(
+    object: &PreviousObject<'_>,
+    flow: &Flow,
+    pictures: Option<Pictures<'_>>,
+) -> Option<Propagated> {
+    let moving = moving(object.region, flow)?;
+    let displacement = moving.displacement;
+    let motion = Affine::fit(&moving, flow).unwrap_or_else(|| Affine::shift(displacement));
+    let carried = motion.apply(object.region, flow.width, flow.height)?;
+    let whole = motion.apply(object.whole, flow.width, flow.height).unwrap_or_else(|| carried.clone());
+    let moved = Moved { before: object.region, visible: &carried, whole: &whole, motion: &motion };
+    let cover = pictures.map(|pictures| object.cover.advance(&moved, flow, pictures)).unwrap_or_default();
+    let region = cover.cut(&carried)?;
+    // What is hidden now has no flow of use, and none is asked of it.
+    let hidden = 1.0 - region.area() as f64 / carried.area() as f64;
+    let share = moving.pixels.len() as f64 / (object.region.area() as f64 * (1.0 - hidden)).max(1.0);
+    Some(Propagated { region, whole, cover, displacement, share: share.min(1.0), motion })
+}
+
+/// x' = a + A (x − origin), in pixels.
+#[derive(Clone, Debug)]
+pub(super) struct Affine {
+    origin: [f64; 2],
+    /// Per coordinate of the target: constant, factor of x, factor of y.
+    rows: [[f64; 3]; 2],
+}
+
+impl Affine {
+    /// Fewer pixels give a displacement and nothing more.
+    const MIN_PIXELS: usize = 100;
+    /// The area of a vehicle does not change by more than this factor from frame to frame.
+    const MAX_GROWTH: f64 = 1.3;
+    /// Rounds of fitting, each without the pixels that fit worst after the one before.
+    const ROUNDS: usize = 3;
+    /// Residuals beyond so many medians, or this many pixels if that is more, do not count.
+    const MAX_RESIDUAL_MEDIANS: f64 = 2.5;
+    const MAX_RESIDUAL_PX: f64 = 0.5;
+
+    pub(super) fn shift([dx, dy]: [f64; 2]) -> Self {
+        Self { origin: [0.0; 2], rows: [[dx, 1.0, 0.0], [dy, 0.0, 1.0]] }
+    }
+
+    /// The motion with the least squares of residuals; `None` if there are too few pixels or they do not say.
+    fn fit(moving: &Moving, flow: &Flow) -> Option<Self> {
+        let pairs = moving.pixels.iter().map(|&(x, y)| {
+            let ([dx, dy], from) = (flow.at(x, y), [f64::from(x) + 0.5, f64::from(y) + 0.5]);
+            (from, [from[0] + f64::from(dx), from[1] + f64::from(dy)])
+        });
+        let mut pairs: Vec<([f64; 2], [f64; 2])> = pairs.collect();
+        let mut fitted = Self::least_squares(&pairs)?;
+        for _ in 1..Self::ROUNDS {
+            let residual = |(from, to): &([f64; 2], [f64; 2])| {
+                let [x, y] = fitted.at(*from);
+                length([x - to[0], y - to[1]])
+            };
+            let median = upper_median(pairs.iter().map(residual).collect())?;
+            let limit = Self::MAX_RESIDUAL_PX.max(Self::MAX_RESIDUAL_MEDIANS * median);
+            pairs = pairs.iter().filter(|pair| residual(pair) <= limit).copied().collect();
+            fitted = Self::least_squares(&pairs)?;
+        }
+        let growth = fitted.determinant();
+        (1.0 / Self::MAX_GROWTH..=Self::MAX_GROWTH).contains(&growth).then_some(fitted)
+    }
+
+    fn least_squares(pairs: &[([f64; 2], [f64; 2])]) -> Option<Self> {
+        if pairs.len() < Self::MIN_PIXELS {
+            return None;
+        }
+        let mean = |c: usize| pairs.iter().map(|(from, _)| from[c]).sum::<f64>() / pairs.len() as f64;
+        let origin = [mean(0), mean(1)];
+        let (mut normal, mut right) = (Matrix3::zeros(), [Vector3::zeros(); 2]);
+        for (from, to) in pairs {
+            let row = Vector3::new(1.0, from[0] - origin[0], from[1] - origin[1]);
+            normal += row * row.transpose();
+            right[0] += row * to[0];
+            right[1] += row * to[1];
+        }
+        let cholesky = normal.cholesky()?;
+        let rows = right.map(|right| cholesky.solve(&right).into());
+        Some(Self { origin, rows })
+    }
+
+    pub(super) fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let (u, v) = (x - self.origin[0], y - self.origin[1]);
+        self.rows.map(|[constant, a, b]| constant + a * u + b * v)
+    }
+
+    fn determinant(&self) -> f64 {
+        let [[_, a, b], [_, c, d]] = self.rows;
+        a * d - b * c
+    }
+
+    /// First this motion, then another.
+    pub(super) fn then(&self, next: &Self) -> Self {
+        let [[e, a, b], [f, c, d]] = self.rows;
+        let constants = next.at([e, f]);
+        let row = |k: usize| {
+            let [_, p, q] = next.rows[k];
+            [constants[k], p * a + q * c, p * b + q * d]
+        };
+        Self { origin: self.origin, rows: [row(0), row(1)] }
+    }
+
+    /// The pixels whose centres come from a region; `None` if none lies in the frame.
+    fn apply(&self, region: &Region, width: u32, height: u32) -> Option<Region> {
+        moved(region, (width, height), |corner| self.at(corner), |centre| self.source(centre[0], centre[1]))
+    }
+
+    /// The pixels whose centres go to a region; `None` if none lies in the frame.
+    pub(super) fn pulled(&self, region: &Region, width: u32, height: u32) -> Option<Region> {
+        moved(region, (width, height), |corner| self.source(corner[0], corner[1]), |centre| self.at(centre))
+    }
+
+    /// Where a target position comes from.
+    pub(super) fn source(&self, x: f64, y: f64) -> [f64; 2] {
+        let [[e, a, b], [f, c, d]] = self.rows;
+        let (u, v) = (x - e, y - f);
+        let determinant = self.determinant();
+        [self.origin[0] + (d * u - b * v) / determinant, self.origin[1] + (a * v - c * u) / determinant]
+    }
+}
+
+/// The pixels whose centres come from a region; `None` if none lies in the frame.
+///
+/// * `there` – where a position of the region goes.
+/// * `back` – where a position comes from.
+fn moved(
+    region: &Region,
+    (width, height): (u32, u32),
+    there: impl Fn([f64; 2]) -> [f64; 2],
+    back: impl Fn([f64; 2]) -> [f64; 2],
+) -> Option<Region> {
+    let Rect { x0, y0, x1, y1 } = region.rect();
+    let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]].map(there);
+    let least = |c: usize| corners.iter().map(|p| p[c]).fold(f64::INFINITY, f64::min).floor().max(0.0) as u32;
+    let most = |c: usize| corners.iter().map(|p| p[c]).fold(f64::NEG_INFINITY, f64::max).ceil().max(0.0) as u32;
+    let bounds = BoundingBox { x0: least(0), y0: least(1), x1: most(0).min(width), y1: most(1).min(height) };
+    if bounds.x0 >= bounds.x1 || bounds.y0 >= bounds.y1 {
+        return None;
+    }
+    let from_region = |(x, y): (u32, u32)| {
+        let [u, v] = back([f64::from(x) + 0.5, f64::from(y) + 0.5]);
+        u >= 0.0 && v >= 0.0 && region.contains(u as u32, v as u32)
+    };
+    let targets = (bounds.y0..bounds.y1).flat_map(|y| (bounds.x0..bounds.x1).map(move |x| (x, y)));
+    Region::from_pixels(bounds, &targets.map(from_region).collect::<Vec<bool>>())
+}
+
+/// Gaps up to twice this radius are closed: those between pixels that moved apart, and parts without texture.
+fn closing_radius(area: usize) -> u32 {
+    ((area as f64).sqrt() / 12.0).round().clamp(1.0, 12.0) as u32
+}
+
+/// The pixels set by `targets`, closed, without holes, clipped to the frame.
+fn splat(targets: &[(i64, i64)], radius: u32, width: u32, height: u32) -> Option<Region> {
+    let inside = |&&(x, y): &&(i64, i64)| x >= 0 && y >= 0 && x < i64::from(width) && y < i64::from(height);
+    let targets: Vec<(u32, u32)> = targets.iter().filter(inside).map(|&(x, y)| (x as u32, y as u32)).collect();
+    // One more than the radius, so that erosion finds something unset to begin at; the frame's border counts as set.
+    let margin = radius + 1;
+    let x0 = targets.iter().map(|t| t.0).min()?.saturating_sub(margin);
+    let y0 = targets.iter().map(|t| t.1).min()?.saturating_sub(margin);
+    let x1 = (targets.iter().map(|t| t.0).max()? + 1 + margin).min(width);
+    let y1 = (targets.iter().map(|t| t.1).max()? + 1 + margin).min(height);
+    let bounds = BoundingBox { x0, y0, x1, y1 };
+    let mut mask = Mask::empty(bounds.width(), bounds.height());
+    for (x, y) in targets {
+        mask.set(x - x0, y - y0, true);
+    }
+    let mut mask = mask.dilated(radius).eroded(radius);
+    fill_holes(&mut mask);
+    Region::from_pixels(bounds, mask.pixels())
+}
+
+/// Sets what is enclosed by set pixels.
+fn fill_holes(mask: &mut Mask) {
+    let (width, height) = (mask.width(), mask.height());
+    let mut outside = Mask::empty(width, height);
+    let rim =
+        (0..width).flat_map(|x| [(x, 0), (x, height - 1)]).chain((0..height).flat_map(|y| [(0, y), (width - 1, y)]));
+    let mut open: Vec<(u32, u32)> = rim.collect();
+    while let Some((x, y)) = open.pop() {
+        let (u, v) = (i64::from(x), i64::from(y));
+        if mask.get(u, v) || outside.get(u, v) {
+            continue;
+        }
+        outside.set(x, y, true);
+        let near = [(u - 1, v), (u + 1, v), (u, v - 1), (u, v + 1)];
+        let inside = |&(a, b): &(i64, i64)| a >= 0 && b >= 0 && a < i64::from(width) && b < i64::from(height);
+        open.extend(near.into_iter().filter(inside).map(|(a, b)| (a as u32, b as u32)));
+    }
+    *mask = outside.complement();
+}
+
+/// Background motion round a box: the median flow of the ring round it, without pixels that `occupied` assigns to an
+/// object. `None` where too few pixels remain.
+pub(super) fn background_displacement(flow: &Flow, bounds: BoundingBox, occupied: &Mask) -> Option<[f64; 2]> {
+    /// Pixels needed for a median that means something.
+    const MIN_SAMPLES: usize = 12;
+    /// Samples along the longer side of the ring.
+    const GRID: u32 = 24;
+    let margin = bounds.width().max(bounds.height()).max(8);
+    let (x0, y0) = (bounds.x0.saturating_sub(margin), bounds.y0.saturating_sub(margin));
+    let (x1, y1) = ((bounds.x1 + margin).min(flow.width), (bounds.y1 + margin).min(flow.height));
+    let step = ((x1 - x0).max(y1 - y0) / GRID).max(1) as usize;
+    let mut samples: Vec<[f32; 2]> = Vec::new();
+    for y in (y0..y1).step_by(step) {
+        for x in (x0..x1).step_by(step) {
+            if flow.is_consistent(x, y) && !occupied.get(i64::from(x), i64::from(y)) {
+                samples.push(flow.at(x, y));
+            }
+        }
+    }
+    if samples.len() < MIN_SAMPLES {
+        return None;
+    }
+    let component = |c: usize| samples.iter().map(|d| f64::from(d[c])).collect::<Vec<f64>>();
+    Some([upper_median(component(0))?, upper_median(component(1))?])
+}
+
+/// A box moved by the median flow of its middle; `None` if it leaves the frame, unmoved where no flow is of use.
+pub(super) fn carry_rect(rect: &Rect, flow: &Flow) -> Option<Rect> {
+    /// Samples along each side of the middle.
+    const GRID: u32 = 12;
+    let at = |from: f64, length: f64, i: u32| from + length * (0.25 + 0.5 * (f64::from(i) + 0.5) / f64::from(GRID));
+    let mut samples: Vec<[f32; 2]> = Vec::new();
+    for (i, j) in (0..GRID).flat_map(|j| (0..GRID).map(move |i| (i, j))) {
+        let (x, y) = (at(rect.x0, rect.width(), i), at(rect.y0, rect.height(), j));
+        let inside = (0.0..f64::from(flow.width)).contains(&x) && (0.0..f64::from(flow.height)).contains(&y);
+        if inside && flow.is_consistent(x as u32, y as u32) {
+            samples.push(flow.at(x as u32, y as u32));
+        }
+    }
+    let median = |c: usize| upper_median(samples.iter().map(|d| f64::from(d[c])).collect()).unwrap_or(0.0);
+    let (dx, dy) = (median(0), median(1));
+    let moved = Rect { x0: rect.x0 + dx, y0: rect.y0 + dy, x1: rect.x1 + dx, y1: rect.y1 + dy };
+    let moved = moved.clipped(flow.width, flow.height);
+    (moved.area_px2() >= 1.0).then_some(moved)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn flow(width: u32, height: u32, at: impl Fn(u32, u32) -> Option<[f32; 2]>) -> Flow {
+        let pixels: Vec<Option<[f32; 2]>> =
+            (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| at(x, y)).collect();
+        Flow {
+            width,
+            height,
+            displacement: pixels.iter().map(|p| p.unwrap_or([99.0, 99.0])).collect(),
+            consistent: pixels.iter().map(Option::is_some).collect(),
+        }
+    }
+
+    fn whole(region: &Region, flow: &Flow) -> Option<Propagated> {
+        carry_whole(&PreviousObject { region, whole: region, cover: &Cover::default() }, flow, None)
+    }
+
+    fn block(x: u32, y: u32, w: u32, h: u32) -> Region {
+        Region::from_mask(&Mask::from_fn(60, 40, |u, v| (x..x + w).contains(&u) && (y..y + h).contains(&v))).unwrap()
+    }
+
+    #[test]
+    fn a_block_moves_with_its_flow_and_holes_are_closed() {
+        // The inner part has no consistent flow, as paint without texture.
+        let inner = |x: u32, y: u32| (14..18).contains(&x) && (14..18).contains(&y);
+        let field = flow(60, 40, |x, y| (!inner(x, y)).then_some([5.0, -2.0]));
+        let carried = carry(&block(10, 10, 12, 12), &field).unwrap();
+        assert_eq!(carried.region, block(15, 8, 12, 12));
+        assert_eq!(carried.displacement, [5.0, -2.0]);
+        assert!((carried.share - 128.0 / 144.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn growth_leaves_no_gaps() {
+        let field = flow(60, 40, |x, y| Some([(x as f32 - 20.0) * 0.5, (y as f32 - 20.0) * 0.5]));
+        let carried = carry(&block(14, 14, 12, 12), &field).unwrap();
+        let b = carried.region.bounds();
+        assert_eq!(carried.region.area(), (b.width() * b.height()) as usize);
+        assert!(b.width() >= 16 && b.height() >= 16, "{b:?}");
+    }
+
+    #[test]
+    fn a_whole_region_keeps_its_rim_where_flow_fails() {
+        // The rim follows the background, as dense flow has it.
+        let rim = |x: u32, y: u32| !(13..29).contains(&x) || !(13..29).contains(&y);
+        let field = flow(60, 40, |x, y| Some(if rim(x, y) { [0.0, 0.0] } else { [5.0, -2.0] }));
+        let carried = whole(&block(10, 10, 22, 22), &field).unwrap();
+        assert_eq!(carried.region, block(15, 8, 22, 22));
+        assert!((carried.share - 256.0 / 484.0).abs() < 1e-12);
+        let growing = flow(60, 40, |x, y| Some([(x as f32 - 20.5) * 0.1, (y as f32 - 20.5) * 0.1]));
+        let grown = whole(&block(11, 11, 20, 20), &growing).unwrap();
+        assert_eq!(grown.region, block(10, 10, 22, 22));
+        let leaving = flow(60, 40, |_, _| Some([100.0, 0.0]));
+        assert!(whole(&block(30, 10, 20, 20), &leaving).is_none());
+    }
+
+    #[test]
+    fn motions_one_after_the_other_are_one_and_lead_back() {
+        let first = Affine { origin: [20.0, 15.0], rows: [[24.0, 1.1, 0.1], [14.0, -0.05, 1.0]] };
+        let second = Affine { origin: [10.0, 5.0], rows: [[8.0, 0.9, 0.0], [6.5, 0.02, 1.05]] };
+        let both = first.then(&second);
+        for point in [[3.0, 4.0], [31.0, 22.5]] {
+            let (one, two) = (both.at(point), second.at(first.at(point)));
+            assert!((one[0] - two[0]).abs() < 1e-9 && (one[1] - two[1]).abs() < 1e-9, "{one:?} {two:?}");
+        }
+        let region = block(20, 10, 20, 12);
+        let there = both.apply(&region, 60, 40).unwrap();
+        assert!(there.iou(&region) < 0.9);
+        assert!(both.pulled(&there, 60, 40).unwrap().iou(&region) > 0.9);
+        assert_eq!(Affine::shift([5.0, -2.0]).pulled(&block(15, 8, 9, 9), 60, 40), Some(block(10, 10, 9, 9)));
+    }
+
+    #[test]
+    fn an_occluded_part_is_lost_and_a_lost_object_gives_nothing() {
+        let field = flow(60, 40, |x, _| (x < 16).then_some([0.0, 0.0]));
+        let carried = carry(&block(10, 10, 12, 12), &field).unwrap();
+        assert_eq!(carried.region, block(10, 10, 6, 12));
+        assert!(carry(&block(30, 10, 5, 5), &field).is_none());
+        let leaving = flow(60, 40, |_, _| Some([100.0, 0.0]));
+        assert!(carry(&block(30, 10, 5, 5), &leaving).is_none());
+    }
+
+    #[test]
+    fn the_background_is_what_no_object_occupies() {
+        let object = block(20, 10, 12, 12);
+        let field = flow(60, 40, |x, y| Some(if object.contains(x, y) { [9.0, 9.0] } else { [1.0, 2.0] }));
+        let occupied = object.to_mask(60, 40);
+        assert_eq!(background_displacement(&field, object.bounds(), &occupied), Some([1.0, 2.0]));
+        let nothing = flow(60, 40, |_, _| None);
+        assert_eq!(background_displacement(&nothing, object.bounds(), &occupied), None);
+    }
+}
