@@ -306,7 +306,7 @@ fn span(change: &[f64]) -> ([usize; 2], f64) {
 fn between_levels(change: &[f64]) -> ([usize; 2], f64) {
     let largest = change.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
     // Levels drift by a part of the change.
-    let tolerance = (0.5 * LEAST_CHANGE).max(0.1 * largest.abs());
+    let tolerance = (0.25 * LEAST_CHANGE).max(0.1 * largest.abs());
     let end = change.len() - 1;
     let last_level = change[end];
     let first = change.iter().position(|c| c.abs() > tolerance).map_or(0, |left| left.saturating_sub(1));

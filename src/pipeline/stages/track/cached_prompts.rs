@@ -8,7 +8,6 @@ use std::path::PathBuf;
 use ::image::RgbImage;
 use serde::{Deserialize, Serialize};
 
-use crate::io::atomic;
 use crate::networks::{BoxMask, BoxSegmenter, PerceptionError};
 use crate::pipeline::driver::intermediate;
 use crate::pipeline::stages::segment::detections::{mask_of_runs, runs_of_mask};
@@ -80,8 +79,8 @@ impl CachedSegmenter {
         let answer = |found: &BoxMask| CachedMask { quality: found.quality, runs: runs_of_mask(&found.mask) };
         let asked =
             CachedPrompts { boxes: boxes.to_vec(), answers: answers.iter().map(|a| a.as_ref().map(answer)).collect() };
-        let written = postcard::to_stdvec(&asked).map(|bytes| atomic::write(&self.path(), &bytes));
-        if !matches!(written, Ok(Ok(()))) {
+        let written = intermediate::write(&self.path(), &asked);
+        if written.is_err() {
             tracing::debug!("{}: not kept", self.path().display());
         }
     }
