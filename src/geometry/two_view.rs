@@ -1,6 +1,6 @@
 //! Two-view geometry: verification of matches, relative pose, and whether two views can start a reconstruction.
 
-use nalgebra::{Matrix3, Point3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix3, Point3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
 use super::solvers::{essential_five_point, homography_from_points};
 use crate::math::{Rigid3, Rng, svd3, upper_median};
@@ -138,6 +138,10 @@ fn pose_in_front(pairs: &Correspondences<'_>, essential: &Consensus<Matrix3<f64>
         .filter(|(_, inliers)| !inliers.is_empty())
 }
 
+/// Iterations from a matrix to its rotation: nalgebra's limit is none, and of an essential matrix near zero the
+/// singular vectors may not be orthonormal, so that it does not end. Others take a few dozen.
+const MAX_ITERATIONS: usize = 200;
+
 /// The four poses with unit translation of an essential matrix (Hartley, Zisserman, section 9.6.2).
 fn poses_from_essential(essential: &Matrix3<f64>) -> Option<[Rigid3; 4]> {
     let svd = svd3(*essential)?;
@@ -151,7 +155,9 @@ fn poses_from_essential(essential: &Matrix3<f64>) -> Option<[Rigid3; 4]> {
     // nalgebra sorts singular values descending, so the last column of U spans the left null space.
     let w = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
     let translation: Vector3<f64> = u.column(2).into_owned();
-    let rotation = |m: Matrix3<f64>| UnitQuaternion::from_matrix(&m);
+    let rotation =
+        |m: Matrix3<f64>| Rotation3::from_matrix_eps(&m, f64::EPSILON, MAX_ITERATIONS, Rotation3::identity());
+    let rotation = |m: Matrix3<f64>| UnitQuaternion::from_rotation_matrix(&rotation(m));
     let (r1, r2) = (rotation(u * w * v_t), rotation(u * w.transpose() * v_t));
     Some([
         Rigid3::new(r1, translation),

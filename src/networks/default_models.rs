@@ -25,7 +25,7 @@ const MASK_DECODER: &str = "mobile_sam_decoder.onnx";
 pub struct DefaultModels {
     /// Finds boxes: for [`load_detector`](super::load_detector).
     pub detector: PathBuf,
-    /// First part of what finds the masks of boxes: for [`load_box_segmenter`](super::load_prompter).
+    /// First part of what finds the masks of boxes: for [`load_box_segmenter`](super::load_box_segmenter).
     pub mask_encoder: PathBuf,
     /// Its second part.
     pub mask_decoder: PathBuf,

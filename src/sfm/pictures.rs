@@ -18,7 +18,7 @@ use crate::scene::{Frame, Mask, Reconstruction};
 /// not fit are left out of the model, and the report says why.
 ///
 /// # Errors
-/// [`SfmError::Failed`] where nothing could be reconstructed, [`SfmError::MaskSize`], [`SfmError::OpenCv`].
+/// [`SfmError::Failed`] where nothing could be reconstructed, [`SfmError::Features`], [`SfmError::Mapper`].
 pub fn reconstruct_pictures(
     pictures: impl IntoIterator<Item = (Frame, RgbImage, Option<Mask>)>,
     camera: Camera,

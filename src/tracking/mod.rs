@@ -4,11 +4,11 @@
 //! t is carried to t + 1 by optical flow, and the carried masks are assigned to the new detections by mask overlap with
 //! the Hungarian algorithm. Beyond that:
 //!
-//! - An object without a detection keeps its carried mask for some frames ([`Evidence::Propagated`]), as long as enough of
+//! - An object without a detection keeps its carried mask for some frames ([`Evidence::Carried`]), as long as enough of
 //!   its pixels have a consistent flow and keep their colours: this bridges missed detections.
 //! - After that it is lost: nothing is reported, and its place moves on with the background's flow plus its own
 //!   velocity. For a moment ([`Gap`]) it is found again by place and colours. Later, what comes up there is an object
-//!   of its own that remembers which one it may be ([`Predecessor`]); whether it is asks for more evidence ([`joining`]).
+//!   of its own that remembers which one it may be ([`Predecessor`]), which [`merging`] decides by more evidence.
 //! - Lasting ids are given when an object was detected several times within a few frames, so that a false alarm gets
 //!   none. Its masks from before are not lost: every mask is reported at once under a provisional id, and
 //!   [`Tracker::finish`] says which provisional ids became which objects.
@@ -24,7 +24,7 @@
 //!   its mask is older than [`TrackerOptions::max_carried`] frames.
 //! - When a new mask comes, it is carried back to the frames that are nearer to it than to the last one
 //!   (`retrace.rs`): [`Tracker::take_corrections`].
-//! - Pixels of a carried mask that show something which comes before the object are taken out of it (`cover.rs`), and
+//! - Pixels of a carried mask that show something which comes before the object are taken out of it (`occlusion.rs`), and
 //!   the outline of the whole object is carried besides: masks are asked for in its box, too, until all of it is seen
 //!   again.
 //! - Carrying between such frames is no miss, and confirmation counts boxes, not frames: an id is given with the third

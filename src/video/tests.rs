@@ -141,7 +141,7 @@ fn a_stationary_camera_has_no_repeated_frames() {
     let path = folder.path().join("a.avi");
     for (pause, flicker) in [(1, 0), (5, 0), (1, 60)] {
         let image = |k: u32| {
-            let (left, light) = (20 + 8 * (k / pause), if k / 5 % 2 == 0 { 0 } else { flicker });
+            let (left, light) = (20 + 8 * (k / pause), if (k / 5).is_multiple_of(2) { 0 } else { flicker });
             RgbImage::from_fn(320, 240, |x, y| {
                 let is_object = (left..left + 24).contains(&x) && (100..116).contains(&y);
                 let gray = if is_object { 180 } else { 80 + (x * 7 + y * 13) % 20 };
