@@ -3,9 +3,9 @@
 //! The method is that of Bullinger et al., *3D Trajectory Reconstruction of Dynamic Objects Using Planarity
 //! Constraints*; equation labels in the documentation (`eq. determine_s3`) are the paper's.
 //!
-//! Data goes one way: [`video`] → [`networks`], [`tracking`] → [`features`] → [`mapper`] → [`ground`] → [`trajectory`] → outputs. The stage rooms
-//! never call one another; [`pipeline`] passes the nouns of [`scene`] along. `docs/architecture.md` is the map, and
-//! `tests/layers.rs` holds the code against it.
+//! Data goes one way: [`video`] → [`networks`], [`tracking`] → [`features`] → [`mapper`] → [`ground`] → [`trajectory`]
+//! → outputs. The stage rooms never call one another; [`pipeline`] passes the nouns of [`scene`] along.
+//! `docs/architecture.md` is the map, and `tests/layers.rs` holds the code against it.
 //!
 //! Conventions, everywhere: transforms are named `target_from_source`; camera axes are x right, y down, z forward; the
 //! centre of the upper left pixel is (0.5, 0.5); angles are radians.

@@ -47,7 +47,8 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     show(form, &options.to_json(), || lines.join("\n") + "\n")
 }
 
-/// An option on one line: its value; in brackets the unit, and the default if it differs; the effect of an internal one.
+/// An option on one line: its value; in brackets the unit, and the default if it differs; the effect of an internal
+/// one.
 fn line(row: &OptionRow) -> String {
     let (value, default) = (&row.values[0], &row.values[1]);
     let default = (value != default).then(|| format!("default {default}"));

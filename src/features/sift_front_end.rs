@@ -150,8 +150,8 @@ impl SiftFrontEnd {
     /// Adds a frame of one of the cameras, looking only where the mask is set.
     ///
     /// # Errors
-    /// [`FeatureError::OpenCv`] if OpenCV fails, on this frame or on one before it: as many frames are worked on at a time
-    /// as there are threads.
+    /// [`FeatureError::OpenCv`] if OpenCV fails, on this frame or on one before it: as many frames are worked on at a
+    /// time as there are threads.
     pub fn push(&mut self, frame: &Frame, camera: usize, image: &RgbImage, mask: &Mask) -> Result<(), FeatureError> {
         self.waiting.push(Waiting { frame: frame.clone(), camera, image: image.clone(), mask: mask.clone() });
         if self.waiting.len() < rayon::current_num_threads() { Ok(()) } else { self.work_off() }

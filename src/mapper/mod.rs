@@ -2,11 +2,12 @@
 //!
 //! A pair of views with many common points and a wide angle starts the map. Views are added one by one, the one that
 //! sees most known points first: its pose by P3P ([`crate::geometry::resection`]), new points by triangulation
-//! ([`crate::geometry::triangulation`]), then a local bundle adjustment round it, and a global one whenever the map has grown by
-//! a fixed share. Views that fail are tried again when they see more points, and at the end, for a video, from the
-//! poses of their neighbours. Views that contradict what pairs of views say by themselves are taken out and tried again
-//! (`view_graph`). When a start does not carry far, the next pair is tried, and the largest map is kept. Views that are
-//! left over grow maps of their own, which are joined to it where enough ties them (`incremental_mapper::submaps`).
+//! ([`crate::geometry::triangulation`]), then a local bundle adjustment round it, and a global one whenever the map has
+//! grown by a fixed share. Views that fail are tried again when they see more points, and at the end, for a video, from
+//! the poses of their neighbours. Views that contradict what pairs of views say by themselves are taken out and tried
+//! again (`view_graph`). When a start does not carry far, the next pair is tried, and the largest map is kept. Views
+//! that are left over grow maps of their own, which are joined to it where enough ties them
+//! (`incremental_mapper::submaps`).
 //!
 //! Every view that is not part of the result has a [`Reason`] in the [`Report`].
 
@@ -271,8 +272,8 @@ pub struct Priors<'a> {
 /// Adjustments run on the threads of the caller's rayon pool.
 ///
 /// # Errors
-/// [`MapperError::Option`] for options that [`Options::check`] refuses; [`MapperError::Bundle`] only on an invalid bundle
-/// adjustment problem, which would be a bug.
+/// [`MapperError::Option`] for options that [`Options::check`] refuses; [`MapperError::Bundle`] only on an invalid
+/// bundle adjustment problem, which would be a bug.
 pub fn reconstruct(
     table: &TrackTable,
     cameras: &[Camera],

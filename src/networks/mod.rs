@@ -2,8 +2,8 @@
 //!
 //! Models stand behind traits, so that the networks can be exchanged: a [`Segmenter`] finds objects in one frame with
 //! their masks, a [`Detector`] finds them as boxes, a [`BoxSegmenter`] finds the masks of boxes, a [`GroundSegmenter`]
-//! finds the ground in one frame, a [`FlowEstimator`] estimates where each pixel of one frame lies in another. A detector
-//! and a prompter come with the program ([`default_models`]).
+//! finds the ground in one frame, a [`FlowEstimator`] estimates where each pixel of one frame lies in another. A
+//! detector and a prompter come with the program ([`default_models`]).
 //!
 //! Networks are ONNX files; their family is recognised from the names and shapes of inputs and outputs, and what cannot
 //! be seen from these (the preprocessing of a semantic network) stands in `models/models.toml` or in a file of the same

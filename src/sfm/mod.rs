@@ -1,7 +1,8 @@
 //! Structure from motion: cameras and points of the background, and of each object, from what is seen of them.
 //!
-//! [`features`](crate::features) makes tracks of image points, [`mapper`](crate::mapper) reconstructs cameras and points
-//! from them. Both serve background and objects alike; only their [`Options`] differ. [`reconstruct_pictures`] runs both:
+//! [`features`](crate::features) makes tracks of image points, [`mapper`](crate::mapper) reconstructs cameras and
+//! points from them. Both serve background and objects alike; only their [`Options`] differ. [`reconstruct_pictures`]
+//! runs both:
 //!
 //! ```no_run
 //! use tractrix::camera::Camera;

@@ -57,7 +57,7 @@ pub enum TelemetryError {
         path: PathBuf,
     },
     /// The file names other files instead of holding positions.
-    #[error("{path}: a playlist ({format}), not a telemetry file; give the video files it names", path = path.display())]
+    #[error("{path}: a playlist ({format}), no telemetry; give the video files it names", path = path.display())]
     Playlist {
         /// The file.
         path: PathBuf,

@@ -1,10 +1,10 @@
 //! Which pieces of tracks are one object that was hidden or out of the picture in between.
 //!
-//! Two pieces may be one if the second begins after the first ends. What is known of such a pair is a [`IdentityEvidence`]: how
-//! far the second is from where the first leads, sizes, colours, and how many image points both show in the same
-//! arrangement ([`agreeing`]). [`same`] weighs it. A join that is wrong costs more than one that is missing, so that
-//! what is left open stays apart: where two pieces that are seen at the same time may both be the continuation, neither
-//! is ([`join`]).
+//! Two pieces may be one if the second begins after the first ends. What is known of such a pair is a
+//! [`IdentityEvidence`]: how far the second is from where the first leads, sizes, colours, and how many image points
+//! both show in the same arrangement ([`agreeing`]). [`same`] weighs it. A join that is wrong costs more than one that
+//! is missing, so that what is left open stays apart: where two pieces that are seen at the same time may both be the
+//! continuation, neither is ([`join`]).
 
 use std::collections::BTreeMap;
 

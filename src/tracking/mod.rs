@@ -24,9 +24,9 @@
 //!   its mask is older than [`TrackerOptions::max_carried`] frames.
 //! - When a new mask comes, it is carried back to the frames that are nearer to it than to the last one
 //!   (`retrace.rs`): [`Tracker::take_corrections`].
-//! - Pixels of a carried mask that show something which comes before the object are taken out of it (`occlusion.rs`), and
-//!   the outline of the whole object is carried besides: masks are asked for in its box, too, until all of it is seen
-//!   again.
+//! - Pixels of a carried mask that show something which comes before the object are taken out of it (`occlusion.rs`),
+//!   and the outline of the whole object is carried besides: masks are asked for in its box, too, until all of it is
+//!   seen again.
 //! - Carrying between such frames is no miss, and confirmation counts boxes, not frames: an id is given with the third
 //!   box, whenever it comes, as long as the object was never lost.
 //! - Objects that were found late are followed back in time when all frames are through ([`BackwardTracker`]).

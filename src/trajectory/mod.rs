@@ -21,7 +21,7 @@
 //!
 //! ```
 //! use tractrix::synthetic::drive;
-//! use tractrix::trajectory::{LeastSquaresOptions, Views, least_squares};
+//! use tractrix::trajectory::{LeastSquaresOptions, Options, Views, least_squares};
 //!
 //! // A vehicle drives past a moving camera; background and object each have a unit of their own.
 //! let world = drive::drive(&drive::Options::default(), 1);

@@ -90,7 +90,8 @@ impl From<&Joint> for AdjustmentFigures {
 
 /// Places one object: adjusts its model if `options` want that, finds the scale ratio, and assembles the trajectory.
 ///
-/// Never fails as a whole: [`PlacedObject::trajectory`] and [`PlacedObject::adjustment`] say what could not be done and why.
+/// Never fails as a whole: [`PlacedObject::trajectory`] and [`PlacedObject::adjustment`] say what could not be done and
+/// why.
 pub fn place(evidence: &Evidence, options: &Options) -> PlacedObject {
     let as_it_is = Views::new(evidence.background, evidence.object, evidence.planes, options);
     let is_adjusted = options.method == ScaleMethod::Joint && evidence.origin == ModelOrigin::Reconstructed;

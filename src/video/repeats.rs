@@ -2,8 +2,8 @@
 //!
 //! A video of 10 frames per second in a file of 30 contains each of them three times. Encoders do not copy exactly, and
 //! a stationary camera gives equal frames, too. Therefore a frame is repeated if its difference from its predecessor is
-//! small, everywhere, compared with differences both before and after it that affect most of the image. In a longer halt
-//! the neighboring differences are as small; before a stationary camera they are local.
+//! small, everywhere, compared with differences both before and after it that affect most of the image. In a longer
+//! halt the neighboring differences are as small; before a stationary camera they are local.
 
 use std::ops::Range;
 

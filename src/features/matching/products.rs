@@ -1,7 +1,7 @@
 //! Scalar products of many short vectors of bytes, and the best of every row and column.
 //!
-//! Descriptors are bytes of such a length that a scalar product fits sixteen bits (see [`crate::features::rootsift`]), so
-//! one instruction of AVX2 multiplies and adds 32 of them, one of NEON eight. The results are integers: the same on
+//! Descriptors are bytes of such a length that a scalar product fits sixteen bits (see [`crate::features::rootsift`]),
+//! so one instruction of AVX2 multiplies and adds 32 of them, one of NEON eight. The results are integers: the same on
 //! every processor.
 
 #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]

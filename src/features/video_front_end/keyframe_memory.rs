@@ -3,8 +3,8 @@
 //! Some views are kept as *key views*: their SIFT features, and small pictures of their points. A view becomes one
 //! where few of its points are those of the last key view, or where hardly any point lives on from the view before,
 //! which then is one, too. It is compared with the key views before it, and points that were lost since go on where
-//! they are found again ([`super::redetection`]): behind a pole, after another vehicle swept over them, on a vehicle that
-//! was out of the picture, at a place where the camera comes back.
+//! they are found again ([`super::redetection`]): behind a pole, after another vehicle swept over them, on a vehicle
+//! that was out of the picture, at a place where the camera comes back.
 
 use std::collections::BTreeSet;
 

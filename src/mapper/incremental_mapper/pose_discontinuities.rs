@@ -1,9 +1,9 @@
 //! Maps of a video that are folded at one place.
 //!
 //! Where an object turns fast, few points are seen both before and after, all on a narrow piece of it, which fits two
-//! poses as in [`super::pose_outliers`]. Where all that comes later grows from the wrong one, both parts of the map are right
-//! by themselves, and turned against one another about the piece that they share, as about a hinge. Nearly as much is
-//! explained as in the right map; but between two frames there lies a turn that is many times those round it.
+//! poses as in [`super::pose_outliers`]. Where all that comes later grows from the wrong one, both parts of the map are
+//! right by themselves, and turned against one another about the piece that they share, as about a hinge. Nearly as
+//! much is explained as in the right map; but between two frames there lies a turn that is many times those round it.
 
 use super::{IncrementalMapper, PosePriors};
 

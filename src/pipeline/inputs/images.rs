@@ -7,14 +7,14 @@ use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{Frame, Topic};
 use crate::video::{Frames, VideoError};
 
-/// Hands every picture to `run_stage`, as a part of a stage's progress with a step each. A frame that cannot be decoded is
-/// left out, and the first stage that meets it says so.
+/// Hands every picture to `run_stage`, as a part of a stage's progress with a step each. A frame that cannot be decoded
+/// is left out, and the first stage that meets it says so.
 ///
 /// * `frames` – with their number.
 ///
 /// # Errors
-/// What `run_stage` says; that the machine is at fault where a frame cannot be decoded: what comes of that must not be taken
-/// for a result by the next run.
+/// What `run_stage` says; that the machine is at fault where a frame cannot be decoded: what comes of that must not be
+/// taken for a result by the next run.
 pub(in crate::pipeline) fn for_each(
     run: &Run,
     stage: Stage,

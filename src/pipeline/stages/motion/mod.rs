@@ -1,9 +1,9 @@
 //! Stage `motion`: what moves against the background.
 //!
 //! Points are followed all over the picture and held against the background's cameras and the ground. Following needs
-//! pictures alone, so that the stage `features` does it where it goes through them all ([`super::motion::point_tracks`]). What this
-//! stage leaves are boxes of what moves, frame by frame, and what is known of each point: the next stage asks whether
-//! the objects moved whose masks it has.
+//! pictures alone, so that the stage `features` does it where it goes through them all
+//! ([`super::motion::point_tracks`]). What this stage leaves are boxes of what moves, frame by frame, and what is known
+//! of each point: the next stage asks whether the objects moved whose masks it has.
 
 pub(in crate::pipeline) mod point_tracks;
 pub(in crate::pipeline) mod stationary_boxes;

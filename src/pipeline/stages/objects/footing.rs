@@ -1,8 +1,8 @@
 //! Poses about small objects, from the ground alone.
 //!
 //! A start of structure from motion that depends on no chance: the object stands on the ground and points where it goes
-//! ([`ground_constrained_poses`]). The planes are those that are found without labels, before the object has a model: rough poses need
-//! no better ones, and the stage `ground` finds those.
+//! ([`ground_constrained_poses`]). The planes are those that are found without labels, before the object has a model:
+//! rough poses need no better ones, and the stage `ground` finds those.
 
 use std::cell::OnceCell;
 use std::collections::BTreeMap;
