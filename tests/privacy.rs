@@ -12,7 +12,7 @@ use tempfile::TempDir;
 
 /// Folders that programs write to without being asked, with the variables that name them.
 const PERSONAL: [(&str, &str); 3] = [("HOME", "home"), ("TMPDIR", "tmp"), ("XDG_CACHE_HOME", "cache")];
-/// What the program keeps of the environment: where programs, libraries, and its bundled networks are.
+/// Environment of the program: where programs, libraries, and its bundled networks are.
 const KEPT: [&str; 4] = ["PATH", "LD_LIBRARY_PATH", "TRACTRIX_MODELS", "TRACTRIX_ONNXRUNTIME"];
 /// Calls that read. A pair of sockets has no address: the handler of signals wakes a thread of its own process by it.
 const HARMLESS: &str = "access chdir execve faccessat faccessat2 fstatfs getcwd getsockopt getxattr lgetxattr \

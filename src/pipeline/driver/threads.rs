@@ -3,15 +3,15 @@
 use crate::checks::OptionError;
 use crate::pipeline::PipelineError;
 
-/// Does `run_stage` on so many threads: on those of the caller's pool, unless another number is asked for.
+/// Runs `task` on so many threads: on those of the caller's pool, unless another number is asked for.
 pub(in crate::pipeline) fn on_threads<T: Send>(
     threads: Option<usize>,
-    run_stage: impl FnOnce() -> T + Send,
+    task: impl FnOnce() -> T + Send,
 ) -> Result<T, PipelineError> {
     let Some(threads) = threads.filter(|&threads| threads != rayon::current_num_threads()) else {
-        return Ok(run_stage());
+        return Ok(task());
     };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     let pool = pool.map_err(|error| OptionError::new("threads", format!("cannot be started: {error}")))?;
-    Ok(pool.install(run_stage))
+    Ok(pool.install(task))
 }

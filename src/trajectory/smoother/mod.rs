@@ -47,12 +47,12 @@ const MIN_SIGHTINGS: usize = 4;
 /// frame; and along it and across it, wandering. Chosen on fifteen rendered sequences; docs/maths/smoother.md.
 const ALONG: f64 = 5e-4;
 const ACROSS: f64 = 1e-4;
-const WANDER: f64 = 1.5e-3;
-const WANDER_ACROSS: f64 = 1.2e-3;
+const DRIFT: f64 = 1.5e-3;
+const DRIFT_ACROSS: f64 = 1.2e-3;
 /// Times after which these have forgotten where they were, seconds.
-const WANDER_S: [f64; 4] = [1.0, 3.0, 3.0, 3.0];
+const DRIFT_S: [f64; 4] = [1.0, 3.0, 3.0, 3.0];
 /// The same with the error of the scale ratio, which stays.
-const WANDER_WITH_RATIO_S: [f64; 5] = [1.0, 3.0, 3.0, 3.0, f64::INFINITY];
+const DRIFT_WITH_RATIO_S: [f64; 5] = [1.0, 3.0, 3.0, 3.0, f64::INFINITY];
 /// First position, speed and acceleration: metres, m/s, m/s².
 const FIRST: [f64; 3] = [10.0, 40.0, 5.0];
 /// Spectral density of the jerk of a vehicle in traffic, m²/s⁵, and its vertical part.
@@ -101,7 +101,7 @@ pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd) -> Option<S
         return None;
     }
     let origin = sightings[0].position_m;
-    let moving = Kind { first: FIRST, usual_jerk: JERK, last_axis: VERTICAL, wander_s: &WANDER_S };
+    let moving = Kind { first: FIRST, usual_jerk: JERK, last_axis: VERTICAL, drift_s: &DRIFT_S };
     let in_motion = track(&sightings.iter().map(|s| s.observed(&origin)).collect::<Vec<_>>(), &moving)?;
     // Also of a vehicle at rest: a slow one that moves along with the camera has the same positions, for another error
     // of the ratio.
@@ -131,7 +131,7 @@ pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd) -> Option<S
 fn at_rest(sightings: &[PositionMeasurement], origin: &Vector3<f64>, ratio: f64, moving: &Kind) -> Option<Track> {
     let observed: Vec<Observed> =
         sightings.iter().map(|s| s.observed(origin).with_common(&s.ratio_error(ratio))).collect();
-    let moving = Kind { wander_s: &WANDER_WITH_RATIO_S, ..*moving };
+    let moving = Kind { drift_s: &DRIFT_WITH_RATIO_S, ..*moving };
     let rest = moving.at_rest(REST);
     let found = is_at_rest(&observed, &moving, &rest).then(|| track(&observed, &rest))??;
     let last = found.states.last()?;
@@ -177,9 +177,9 @@ fn dynamic(v: &Vector3<f64>) -> DVector<f64> {
 
 /// Correlated errors: one along the line of sight, three of fixed axes as far as they lie across it.
 fn drift(sight: &Vector3<f64>, distance: f64) -> DMatrix<f64> {
-    let across = (Matrix3::identity() - sight * sight.transpose()) * (WANDER_ACROSS * distance);
+    let across = (Matrix3::identity() - sight * sight.transpose()) * (DRIFT_ACROSS * distance);
     let mut columns = DMatrix::zeros(3, 4);
-    columns.column_mut(0).copy_from(&(sight * (WANDER * distance)));
+    columns.column_mut(0).copy_from(&(sight * (DRIFT * distance)));
     columns.columns_mut(1, 3).copy_from(&across);
     columns
 }
@@ -190,7 +190,7 @@ fn forward_std(sightings: &[PositionMeasurement], ratio: f64) -> Option<f64> {
     let first = &sightings[0];
     let way = |s: &PositionMeasurement| (s.position_m - first.position_m).norm();
     let furthest = sightings.iter().max_by(|a, b| way(a).total_cmp(&way(b)))?;
-    let off = |s: &PositionMeasurement| WANDER * (s.position_m - s.camera_m).norm();
+    let off = |s: &PositionMeasurement| DRIFT * (s.position_m - s.camera_m).norm();
     let error = off(first).hypot(off(furthest));
     // The ratio's error moves a parked vehicle along with the camera, which is not where its model points.
     let by_ratio = (furthest.ratio_error(ratio) - first.ratio_error(ratio)).norm();
@@ -213,7 +213,7 @@ fn headings(sightings: &[PositionMeasurement]) -> Option<Track> {
             drift: DMatrix::from_element(1, 1, YAW_WANDER),
         });
     }
-    track(&observed, &Kind { first: FIRST_YAW, usual_jerk: YAW_JERK, last_axis: 1.0, wander_s: &YAW_WANDER_S })
+    track(&observed, &Kind { first: FIRST_YAW, usual_jerk: YAW_JERK, last_axis: 1.0, drift_s: &YAW_WANDER_S })
 }
 
 /// Everything that was smoothed.

@@ -221,14 +221,14 @@ fn drive(speed_m_s: f64, common: &CommonStd, seed: u64) -> Vec<PositionMeasureme
         let camera_m = Vector3::new(5.0 * time_s - 8.0, -12.0, 2.0);
         let ray = Vector3::new(speed_m_s * time_s, 0.0, 0.7) - camera_m;
         let (distance, sight) = (ray.norm(), ray.normalize());
-        for (error, memory_s) in drift.iter_mut().zip(WANDER_S) {
+        for (error, memory_s) in drift.iter_mut().zip(DRIFT_S) {
             let kept = (-0.1f64 / memory_s).exp();
             *error = kept * *error + (1.0 - kept * kept).sqrt() * normal();
         }
         let new = Vector3::from_fn(|_, _| ACROSS * normal()) + sight * (ALONG * normal());
         let across = Vector3::new(drift[1], drift[2], drift[3]);
-        let across = (across - sight * sight.dot(&across)) * WANDER_ACROSS;
-        let error = (new + sight * (WANDER * drift[0]) + across) * distance;
+        let across = (across - sight * sight.dot(&across)) * DRIFT_ACROSS;
+        let error = (new + sight * (DRIFT * drift[0]) + across) * distance;
         let position_m = (camera_m + ray * ratio + error) * scale;
         PositionMeasurement { time_s, position_m, camera_m: camera_m * scale, forward: Some(Vector3::x()) }
     };

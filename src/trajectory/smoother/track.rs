@@ -39,7 +39,7 @@ pub(super) struct Kind {
     /// That of the last axis as a share of the others'.
     pub(super) last_axis: f64,
     /// Times after which the errors that wander have forgotten where they were, seconds.
-    pub(super) wander_s: &'static [f64],
+    pub(super) drift_s: &'static [f64],
 }
 
 /// Parameters that the likelihood determines.
@@ -81,7 +81,7 @@ impl Kind {
     }
 
     fn size(&self, axes: usize) -> usize {
-        3 * axes + self.wander_s.len()
+        3 * axes + self.drift_s.len()
     }
 
     fn first(&self, observed: &Observed) -> Gaussian {
@@ -122,14 +122,14 @@ impl Kind {
                 process[(column, row)] = level.jerk * share * power;
             }
         }
-        for (k, wander_s) in self.wander_s.iter().enumerate() {
-            let (at, kept) = (3 * axes + k, (-dt / wander_s).exp());
+        for (k, drift_s) in self.drift_s.iter().enumerate() {
+            let (at, kept) = (3 * axes + k, (-dt / drift_s).exp());
             transition[(at, at)] = kept;
             process[(at, at)] = 1.0 - kept * kept;
         }
         let mut observation = DMatrix::zeros(axes, size);
         observation.view_mut((0, 0), (axes, axes)).fill_with_identity();
-        observation.columns_mut(3 * axes, self.wander_s.len()).copy_from(&seen.drift);
+        observation.columns_mut(3 * axes, self.drift_s.len()).copy_from(&seen.drift);
         Step { transition, process, observation, noise: &seen.noise * (level.noise * level.noise / weight) }
     }
 
@@ -175,7 +175,7 @@ pub(super) fn track(all: &[Observed], kind: &Kind) -> Option<Track> {
         let Smoothed { states, .. } = chain::smooth(&first, &kind.steps(all, &weights, level), &values)?;
         let weight = |(seen, state): (&Observed, &Gaussian)| {
             let axes = seen.value.len();
-            let drift = state.mean.rows(3 * axes, kind.wander_s.len());
+            let drift = state.mean.rows(3 * axes, kind.drift_s.len());
             let off = &seen.value - state.mean.rows(0, axes) - &seen.drift * drift;
             let square = seen.noise.clone().cholesky().map_or(0.0, |c| off.dot(&c.solve(&off)));
             (STUDENT + axes as f64) / (STUDENT + square / level.noise.powi(2))

@@ -23,7 +23,7 @@ const PIECE_PLACES: usize = 4;
 /// Residual that shows a motion: four times the noise of points that are followed to 0.5 to 0.75 px, pixels.
 const SHOWS_PX: f64 = 3.0;
 /// Share of the ground's inverse depth by which it may be wrong, and its least inverse depth, over the camera's height:
-/// those of `perception::motion`.
+/// those of `motion`.
 const GROUND_TOLERANCE: f64 = 0.15;
 const HORIZON: f64 = 40.0;
 

@@ -3,8 +3,8 @@
 //!
 //! The candidates are pairs of pieces of which the second begins within some seconds of the first one's end, near where
 //! that leads over the ground ([`places`](super::end_motion)). Views of both are looked at for points in common: SIFT
-//! features in their masks, matched, in one arrangement. The decisions of `perception::tracking::joining` are executed
-//! and recorded: [`Gap`] of the object that was joined, [`UnmergedTrack`] of those that were not.
+//! features in their masks, matched, in one arrangement. The decisions of `tracking::merging` are executed and
+//! recorded: [`Gap`] of the object that was joined, [`UnmergedTrack`] of those that were not.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
