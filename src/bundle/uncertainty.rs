@@ -104,6 +104,7 @@ fn leave_single_observations_out(problem: &mut Problem) {
 
 /// By point the group with which it may err together, a part of the time and of the picture; and how many there are.
 fn groups(problem: &Problem) -> (Vec<usize>, usize) {
+    // 48 groups in all, several times as many as a camera has parameters.
     const TIMES: usize = 8;
     const PARTS: [usize; 2] = [3, 2];
     let mut sums = vec![[0.0; 4]; problem.points.len()];

@@ -103,6 +103,7 @@ impl Share {
     /// `hits` of `all`, which must not be 0: Wilson, Probable inference, the law of succession, and statistical
     /// inference, 1927.
     pub fn new(hits: usize, all: usize) -> Self {
+        // 95 % of a normal distribution lie within ±Z.
         const Z: f64 = 1.959_964;
         let (n, share) = (all as f64, hits as f64 / all as f64);
         let middle = (share + Z * Z / (2.0 * n)) / (1.0 + Z * Z / n);

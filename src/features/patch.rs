@@ -118,6 +118,7 @@ impl Patch {
 
     #[inline(always)]
     fn align_within<const SIDE: usize>(&self, image: &GrayImage, start: &Warp) -> Option<Aligned> {
+        // A bound: a patch that has not converged by then is lost.
         const MAX_ITERATIONS: usize = 15;
         const CONVERGED_PX: f32 = 0.005;
         let mut warp = *start;

@@ -55,6 +55,7 @@ struct PoseEstimator<'a> {
 
 impl Estimator for PoseEstimator<'_> {
     type Model = Rigid3;
+    // P3P needs three points.
     const SAMPLE_SIZE: usize = 3;
 
     fn num_data(&self) -> usize {

@@ -104,6 +104,7 @@ fn inliers_of(views: &[View<'_>], point: Point3<f64>, max_sq: f64) -> Vec<bool> 
 /// Pairs of views to try: all for few views; for many, each of some evenly spread ones with the one half the list away,
 /// which for a video is far in time and so wide in angle.
 fn candidate_pairs(n: usize) -> Vec<(usize, usize)> {
+    // Ten pairs, about as many as are tried for longer tracks.
     const ALL_UP_TO: usize = 5;
     const SPREAD: usize = 8;
     if n <= ALL_UP_TO {

@@ -87,6 +87,7 @@ pub fn num_explained(pairs: &Correspondences<'_>, cam2_from_cam1: &Rigid3, max_e
 /// factor bends an epipolar geometry little, a ratio much, so that several ratios are tried and the one that explains
 /// most is taken.
 pub fn verify_of_two_cameras(pairs: &Correspondences<'_>, max_error: f64, rng: &mut Rng) -> Vec<usize> {
+    // With fewer inliers an error of the ratio may be the cause, and the others are tried.
     const GOOD_SHARE: f64 = 0.7;
     const RATIOS: [f64; 4] = [0.75, 4.0 / 3.0, 0.5625, 16.0 / 9.0];
     let mut best = verify(pairs, max_error, rng);
@@ -181,6 +182,7 @@ impl EssentialEstimator<'_> {
 
 impl Estimator for EssentialEstimator<'_> {
     type Model = Matrix3<f64>;
+    // Five points determine an essential matrix.
     const SAMPLE_SIZE: usize = 5;
 
     fn num_data(&self) -> usize {
@@ -199,6 +201,7 @@ impl Estimator for EssentialEstimator<'_> {
     /// Gauss-Newton on the five degrees of freedom of (R, t / ‖t‖), derivatives by differences: linear eight-point
     /// refinement would fail on planar scenes.
     fn refine(&self, essential: &Matrix3<f64>, inliers: &[usize]) -> Option<Matrix3<f64>> {
+        // Gauss–Newton converges quadratically from a RANSAC result.
         const ROUNDS: usize = 3;
         const STEP: f64 = 1e-7;
         let mut pose = poses_from_essential(essential)?[0];
@@ -243,6 +246,7 @@ struct HomographyEstimator<'a>(&'a Correspondences<'a>);
 
 impl Estimator for HomographyEstimator<'_> {
     type Model = Matrix3<f64>;
+    // Four points determine a homography.
     const SAMPLE_SIZE: usize = 4;
 
     fn num_data(&self) -> usize {

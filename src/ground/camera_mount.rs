@@ -238,6 +238,7 @@ fn possible_climb(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> 
 
 /// The most support (eq. 5) that a plane gets whose distance from the camera follows `course`, up to a factor.
 fn support_of_course(tracks: &[Track], places: &Supports, fit: &Fit, course: impl Fn(FrameId) -> f64) -> f64 {
+    // Bounds the cost; the support is a vote of many points, of which these are an even sample.
     const MAX_TRIED: usize = 60;
     let slope = fit.slope();
     let height_at = |track: &Track| -slope(&track.places[0].0) / course(track.places[0].1);
@@ -252,6 +253,7 @@ fn support_of_course(tracks: &[Track], places: &Supports, fit: &Fit, course: imp
 /// The height, up to twice or half of the mean, at which the most points of a part lie on the plane. All points take
 /// part: those on the plane of the whole way would confirm it.
 fn height_of_part(tracks: &[&Track], fit: &Fit) -> Option<f64> {
+    // Bounds the cost: every candidate is compared with all points.
     const MAX_TRIED: usize = 200;
     let slope = fit.slope();
     let tried = tracks.iter().step_by(tracks.len().div_ceil(MAX_TRIED)).map(|track| -slope(&track.places[0].0));

@@ -153,6 +153,7 @@ pub(super) fn best_sample(tracks: &[Track], max_samples: usize, rng: &mut Rng) -
 ///
 /// * `rest` – by point, what it and those behind it can add at most.
 fn value_above(tracks: &[Track], rest: &[f64], fit: &Fit, least: f64) -> Option<f64> {
+    // The bound is checked once for so many points, which costs hardly anything.
     const AT_A_TIME: usize = 64;
     let prior = (-0.5 * (fit.roll / ROLL_STD).powi(2)).exp();
     let slope = fit.slope();

@@ -331,6 +331,7 @@ fn select_of_stretch(map: &Map<'_>, stretch: &Stretch, tracks: &mut [bool]) {
 /// Marks, for every one of some registered views, the longest tracks in each cell of a grid over its image, until it
 /// has enough.
 fn select_tracks(map: &Map<'_>, per_view: usize, views: impl Iterator<Item = usize>, selected: &mut [bool]) {
+    // Cells of about the same shape in frames of 4:3 and 16:9.
     const GRID: [usize; 2] = [8, 6];
     let per_cell = (per_view / (GRID[0] * GRID[1])).max(1);
     let length: Vec<usize> = (0..selected.len()).map(|track| map.observations(track).count()).collect();

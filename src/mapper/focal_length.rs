@@ -42,6 +42,7 @@ impl FocalEvidence {
     /// the sequences of docs/benchmarks/focal-length.md. Beyond a factor of e nothing is known at all.
     pub fn deviation(&self, guess: f64) -> f64 {
         const FACTOR: f64 = 2.0;
+        // Photographs come from one or two cameras; more would multiply the cost of the last adjustment.
         const MOST: f64 = 1.0;
         let information = (FACTOR * self.in_groups).powi(-2) + guess.powi(-2);
         information.sqrt().recip().hypot(self.shift).min(MOST)
@@ -73,6 +74,7 @@ pub(super) fn focal_evidence(
     sigma_px: f64,
     options: &Options,
 ) -> Result<FocalEvidence, MapperError> {
+    // Beyond the noise of a converged cost, within the range where the cost is quadratic.
     const CHANGE: f64 = 0.03;
     let sigma_px = sigma_px.max(MIN_SIGMA_PX);
     let nothing = FocalEvidence { together: f64::INFINITY, in_groups: f64::INFINITY, shift: 0.0 };

@@ -73,6 +73,7 @@ pub fn ranked(
 /// Inliers count up to a number that determines the geometry well, angles up to the wanted one; a start that one
 /// homography explains is worth a fraction.
 fn score(geometry: &TwoViewGeometry, options: &Options) -> f64 {
+    // Beyond, the angle decides, not the number.
     const ENOUGH_INLIERS: f64 = 300.0;
     const PLANAR_DISCOUNT: f64 = 0.7;
     let inliers = (geometry.inliers.len() as f64).min(ENOUGH_INLIERS).sqrt();
@@ -83,6 +84,7 @@ fn score(geometry: &TwoViewGeometry, options: &Options) -> f64 {
 /// A pair of two cameras whose focal lengths are both guessed, each wrong by another factor, is worth less than one of
 /// a single camera, which a common factor does little harm.
 fn worth_of_cameras([first, second]: [usize; 2], intrinsics: Intrinsics) -> f64 {
+    // A pair of one camera wins unless it has a quarter of the inliers.
     const OF_TWO_GUESSED: f64 = 0.5;
     if first != second && intrinsics == Intrinsics::Refined { OF_TWO_GUESSED } else { 1.0 }
 }
@@ -183,6 +185,7 @@ pub fn far_from_one_another(pairs: Vec<InitialPair>, num_views: usize) -> Vec<In
 
 /// Leaves out a pair when a better one lies within two views of it on both sides: a second start should differ.
 fn distinct(pairs: impl Iterator<Item = InitialPair>) -> Vec<InitialPair> {
+    // Frames so near to one another see the same and give the same start.
     const NEAR: usize = 2;
     let mut kept: Vec<InitialPair> = Vec::new();
     for pair in pairs {

@@ -19,6 +19,7 @@ pub(super) const COMMON_ERROR_FACTOR: f64 = 5.0;
 /// and spread it moves freely; on a single flight looking straight down, where it could take up common errors, it
 /// stays.
 pub(super) fn prior(camera_idx: usize, map: &Map<'_>, noise: Noise) -> IntrinsicsPrior {
+    // Manufacturing tolerance of ordinary lenses, a share of the longer side.
     const SIGMA_PRINCIPAL: f64 = 0.01;
     const SIGMA_RADIAL: f64 = 0.2;
     let camera = &map.cameras[camera_idx];

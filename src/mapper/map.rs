@@ -312,6 +312,7 @@ impl<'a> Map<'a> {
 
     /// Looks whether points were lost for more than so many views and found again, more than chance would have it.
     pub fn look_for_places_that_come_back(&mut self, gap: usize) {
+        // Fewer returns happen by wrong matches.
         const FEW: usize = 20;
         let is_far = |pair: &[Feature]| (pair[1].view - pair[0].view) as usize > gap;
         self.comes_back = self.table.tracks.iter().filter(|track| track.windows(2).any(is_far)).nth(FEW).is_some();
@@ -365,6 +366,7 @@ impl<'a> Map<'a> {
     /// coordinate under Gaussian noise (a Rayleigh median is 1.177 σ). Of long videos a part of the tracks, all over
     /// them, tells as much as all.
     pub fn noise(&self) -> Noise {
+        // A median of so many is right to a hundredth.
         const ENOUGH_TRACKS: usize = 20_000;
         let errors: Vec<f64> = (0..self.points.len())
             .step_by((self.points.len() / ENOUGH_TRACKS).max(1))

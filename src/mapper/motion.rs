@@ -32,6 +32,7 @@ pub enum PairMotion {
 
 /// Judges a pair between which something moves by its homography.
 pub fn of_pair(geometry: &TwoViewGeometry, intrinsics: Intrinsics) -> PairMotion {
+    // The rest are outliers of the homography, as any estimate has.
     const EXPLAINED: f64 = 0.9;
     let turn = geometry.homography.is_some_and(|h| geometry.homography_share >= EXPLAINED && is_turn(&h, intrinsics));
     if turn { PairMotion::Turn } else { PairMotion::Other }
@@ -82,6 +83,7 @@ impl Survey {
 
     /// Why no map can start, where that lies in the motion.
     pub fn failure(&self) -> Option<String> {
+        // A clear majority of the pairs tried.
         const MOST: f64 = 0.7;
         let is_most = |count: usize| count > 0 && count as f64 >= MOST * self.total as f64;
         if is_most(self.still) {
@@ -193,6 +195,7 @@ fn is_planar(map: &Map<'_>) -> bool {
 
 /// Returns true if nearly all steps from view to view go along the line of sight.
 fn is_forward(map: &Map<'_>) -> bool {
+    // Eleven degrees: parallax is then a fifth of that of sideways motion, at most.
     const MAX_ANGLE: f64 = 0.2;
     const SHARE: f64 = 0.9;
     let poses: Vec<_> = map.registered().filter_map(|v| map.poses[v]).collect();

@@ -211,6 +211,7 @@ impl ViewGraph {
 /// or in its direction where the triangulation angle determines it. On a plane, where two motions explain the same
 /// points, there is no verdict.
 fn contradicted_by(map: &Map<'_>, [a, b]: [usize; 2], found: &TwoViewGeometry) -> bool {
+    // Well above what two-view rotations err by with the required inliers.
     const MAX_TURN_DEG: f64 = 3.0;
     const MAX_DIRECTION_DEG: f64 = 25.0;
     const MIN_ANGLE_DEG: f64 = 2.0;

@@ -131,6 +131,7 @@ fn look() -> u64 {
 
 /// An amount of memory for people.
 pub fn in_words(bytes: u64) -> String {
+    // Bytes in a mebibyte.
     const MIB: f64 = 1_048_576.0;
     let mib = bytes as f64 / MIB;
     match mib < 1024.0 {

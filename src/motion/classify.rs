@@ -138,6 +138,7 @@ fn circumstances(track: &PointTrack, surroundings: &Surroundings, reference: u32
 
 /// Returns true if a point that is visible for a second and a half stays within a pixel.
 fn is_fixed(track: &PointTrack, surroundings: &Surroundings) -> bool {
+    // In less time a far point of the world stays within a pixel, too.
     const LEAST_TIME_S: f64 = 1.5;
     const MOST_PX: f32 = 1.2;
     let time = |frame: u32| surroundings.times_s.get(frame as usize).copied().unwrap_or(0.0);

@@ -44,6 +44,7 @@ impl GroundModel {
     /// Where the ray through a pixel meets the ground, in the background's frame; `None` for one to the sky or near the
     /// horizon, more than a hundred heights of the camera away.
     pub fn meets(&self, view: &View, pixel: [f64; 2]) -> Option<Point3<f64>> {
+        // There the depth of a pixel is half its distance: it tells nothing.
         const MOST_HEIGHTS: f64 = 100.0;
         let ray = view.camera.normalized_from_pixel(pixel.into()).push(1.0);
         let inverse_depth = self.inverse_depth(&view.cam_from_world, ray)?;

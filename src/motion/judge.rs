@@ -181,6 +181,7 @@ fn time_moving(
 
 /// Returns true if hardly any point of known height rises over the ground.
 fn lies_flat<'a>(labels: impl Iterator<Item = &'a TrackLabel>) -> bool {
+    // A share of fewer is no evidence.
     const LEAST_POINTS: usize = 8;
     const MOST_HEIGHT: f64 = 0.03;
     const LEAST_FLAT: f64 = 0.8;

@@ -99,6 +99,7 @@ impl Maker<'_> {
     /// Parts of a group whose points are nearer to one another, keep their offsets better and are more among
     /// themselves.
     fn parts(&self, group: &[usize]) -> Vec<Vec<usize>> {
+        // A scale between that of the group and that of a single point.
         const CLOSER: f64 = 0.6;
         let options = &self.options.movers;
         let least_company = 1.0 - CLOSER * (1.0 - options.min_company);

@@ -112,6 +112,7 @@ fn locally_optimized<E: Estimator>(
     mut current: Consensus<E::Model>,
     max_sq: f64,
 ) -> Consensus<E::Model> {
+    // A bound; the loop ends when the score does not improve.
     const MAX_ROUNDS: usize = 4;
     for _ in 0..MAX_ROUNDS {
         if current.inliers.len() <= E::SAMPLE_SIZE {

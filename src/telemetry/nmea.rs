@@ -12,6 +12,7 @@ use super::time;
 /// The name in reports.
 pub(super) const DIALECT: &str = "nmea";
 
+/// Seconds in a day.
 const DAY_S: f64 = 86_400.0;
 const KNOT_M_S: f64 = 0.514_444;
 

@@ -102,6 +102,7 @@ impl Log {
 
     /// None of a log that lasts for less than its times are written to.
     fn rate_hz(&self) -> Option<f64> {
+        // Logs write times to a millisecond.
         const LEAST_DURATION_S: f64 = 1e-3;
         let place = |fix: &Fix| (fix.longitude_deg, fix.latitude_deg);
         let moves = self.fixes.windows(2).filter(|pair| place(&pair[0]) != place(&pair[1])).count();

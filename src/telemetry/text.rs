@@ -31,6 +31,7 @@ pub(super) fn check_length(line: &str) -> Result<(), String> {
 
 /// The beginning of a text, to be shown in a message.
 pub(super) fn shown(text: &str) -> String {
+    // Characters in a message.
     const MOST: usize = 40;
     let text = text.trim();
     let cut: String = text.chars().take(MOST).map(|c| if c.is_control() { ' ' } else { c }).collect();

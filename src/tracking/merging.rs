@@ -142,6 +142,7 @@ fn is_rival(spans: &[Span], a: &Pair, b: &Pair) -> bool {
 /// * `matches` – positions in the first and the second view, pixels.
 /// * `tolerance_px` – how far the second may be from where the first is taken.
 pub fn agreeing(matches: &[([f64; 2], [f64; 2])], tolerance_px: f64) -> usize {
+    // Bounds the cost, quadratic in the number.
     const MOST: usize = 120;
     let matches = &matches[..matches.len().min(MOST)];
     let mut most = usize::from(!matches.is_empty());
@@ -165,6 +166,7 @@ struct Similarity {
 }
 
 impl Similarity {
+    // cos 60°, as described above.
     const MIN_COS: f64 = 0.5;
 
     /// The one that takes two points to two others; `None` if they lie too close together or it is out of bounds.

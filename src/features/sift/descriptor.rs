@@ -65,6 +65,7 @@ pub(super) fn describe(layer: &Plane, place: &ScaleSpacePosition) -> (f32, [f32;
 
 /// Unit length, no entry above a fifth: strong single gradients (lights, edges of shadows) do not outvote the rest.
 fn limited(values: &mut [f32; DESCRIPTOR_LEN]) {
+    // Lowe, Distinctive image features from scale-invariant keypoints, 2004, section 6.1.
     const LARGEST: f32 = 0.2;
     let norm = values.iter().map(|v| v * v).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);
     values.iter_mut().for_each(|v| *v = (*v / norm).min(LARGEST));
@@ -72,6 +73,7 @@ fn limited(values: &mut [f32; DESCRIPTOR_LEN]) {
 
 /// The most frequent gradient direction round a keypoint, radians.
 fn dominant_direction(layer: &Plane, place: &ScaleSpacePosition) -> f32 {
+    // Bins of ten degrees (Lowe 2004, section 5).
     const BINS: usize = 36;
     const WINDOW_SIGMAS: f32 = 1.5;
     let sigma = WINDOW_SIGMAS * place.sigma;

@@ -94,6 +94,7 @@ fn refined(
     index: usize,
     min_contrast: f32,
 ) -> Option<Keypoint> {
+    // As in OpenCV's and VLFeat's implementations.
     const MAX_MOVES: usize = 5;
     let (width, height) = (octave.layers[0].width, octave.layers[0].height);
     for _ in 0..MAX_MOVES {

@@ -208,6 +208,7 @@ impl VideoFrontEnd {
     /// Goes on with points that were lost in earlier frames and are seen here. Where a newer point lies at the same
     /// place, the older one goes on.
     fn find_again(&mut self, gray: &GrayImage, mask: &Mask) -> Result<(), FeatureError> {
+        // Two patches that near to one another see the same surface.
         const SAME_PX: f32 = 2.0;
         let found = self.memory.find_again(self.table.views.len(), gray, mask, &self.live)?;
         let found: Vec<Live> = found.into_iter().map(Live::from).collect();

@@ -92,6 +92,7 @@ impl Motion {
 
     /// Where a point goes if it moves like its neighbours: by the median of their shifts.
     fn carry(&self, from: Point2<f32>) -> Point2<f32> {
+        // Odd, for a median; few enough to lie on the same surface.
         const NUM_NEIGHBOURS: usize = 9;
         let near = self.tree.as_ref().map(|tree| tree.nearest(&from.coords.cast::<f64>().into(), NUM_NEIGHBOURS));
         let near = near.unwrap_or_default();

@@ -26,6 +26,7 @@ impl Live {
 
     /// Moves to where the patch is seen near a prediction; false, and unmoved, where it is not.
     pub fn align(&mut self, predicted: Point2<f32>, gray: &GrayImage, min_correlation: f32) -> bool {
+        // Lucas–Kanade is right to a fraction of a pixel; farther away lies another structure.
         const MAX_CORRECTION_PX: f32 = 2.0;
         let start = Warp { shape: self.warp.shape, center: predicted };
         let Some(found) = self.patch.align(gray, &start) else { return false };

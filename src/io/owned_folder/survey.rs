@@ -118,6 +118,7 @@ pub(super) fn is_as_good_as_empty(path: &Path, made_by: &'static str) -> Result<
 }
 
 fn some_of(names: &[String]) -> String {
+    // Names in a message.
     const SHOWN: usize = 3;
     let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
     match names.len().saturating_sub(SHOWN) {

@@ -120,6 +120,7 @@ impl<'a> Window<'a> {
 
     /// Selects the longest tracks in every part of every view.
     fn select(&mut self) {
+        // As in the selection of tracks for adjustments (`mapper/adjustment.rs`).
         const GRID: [usize; 2] = [8, 6];
         const PER_CELL: usize = 2;
         // Two views show a point at any depth and focal length.
@@ -280,6 +281,7 @@ fn options(sigma_px: f64) -> bundle::Options {
 /// Holds a focal length near that of the map where the observations leave it open: from 0.45 to 2.2 times as long
 /// within two standard deviations, which no zoom lens of a phone, a drone or a dash camera exceeds within a clip.
 fn prior(camera: usize, intrinsics: &Camera, sigma_px: f64) -> IntrinsicsPrior {
+    // Half of ln 2.2.
     const LOG_FOCAL: f64 = 0.4;
     let mut sigma = [f64::INFINITY; 6];
     for (sigma, focal) in sigma.iter_mut().zip(intrinsics.focal) {

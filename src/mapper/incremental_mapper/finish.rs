@@ -47,6 +47,7 @@ impl IncrementalMapper<'_> {
     /// Adjusts everything on all points, until observations stop changing; then again on those that are left, so
     /// that cameras and points lie at the minimum of exactly what is kept.
     fn adjust_until_settled(&mut self) -> Result<(), MapperError> {
+        // A bound where observations keep changing.
         const MAX_ROUNDS: usize = 3;
         const SETTLED_SHARE: f64 = 0.002;
         self.noise = Noise::Unknown;
@@ -149,6 +150,7 @@ impl IncrementalMapper<'_> {
     /// Required agreement of pairs of views with the map. Frames of a video are registered next to their neighbors in
     /// time, and need less.
     fn thresholds_of_pairs(&self) -> Thresholds {
+        // Covers a two-view geometry's own error besides the noise.
         const SIGMAS: f64 = 4.0;
         const LEAST_PX: f64 = 0.5;
         let max_error_px = self.options.max_pose_error_px;

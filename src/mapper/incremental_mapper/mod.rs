@@ -213,6 +213,7 @@ impl<'a> IncrementalMapper<'a> {
 
     /// The unregistered view that sees most known points; one that failed comes back when it sees a fifth more.
     fn next_view(&self) -> Option<usize> {
+        // A fifth more points is new evidence; a few are not.
         const MORE: f64 = 1.2;
         let ready = |&view: &usize| {
             let (_, visible) = self.map.visibility(view);
@@ -339,6 +340,7 @@ impl<'a> IncrementalMapper<'a> {
 
     /// Between the nearest registered views on both sides, by time order; `None` at the ends.
     fn interpolated(&self, view: usize) -> Option<Rigid3> {
+        // A third of a second at 30 frames per second: beyond, motion is no longer linear.
         const MAX_GAP: usize = 10;
         let before = (view.saturating_sub(MAX_GAP)..view).rev().find(|&v| self.map.poses[v].is_some())?;
         let last = self.map.poses.len().min(view + MAX_GAP);

@@ -28,6 +28,7 @@ pub struct PosePriors {
 impl IncrementalMapper<'_> {
     /// Starts from poses of many views; `false` where too few points hold after adjustment.
     pub fn start_from(&mut self, known: &PosePriors) -> Result<bool, MapperError> {
+        // Triangulation and adjustment in turns.
         const ROUNDS: usize = 3;
         self.is_from_known_poses = true;
         for (view, pose) in known.poses.iter().enumerate().take(self.map.poses.len()) {
@@ -63,6 +64,7 @@ impl IncrementalMapper<'_> {
     /// Median angle by which views are turned from what is known, but for the turn that all have in common, radians;
     /// `None` without common views.
     fn turned_from(&self, known: &PosePriors) -> Option<f64> {
+        // Bounds the cost, quadratic in the number.
         const MOST_CENTERS: usize = 50;
         let turn = |view: usize| {
             let (pose, known) = (self.map.poses[view].as_ref()?, known.poses.get(view)?.as_ref()?);

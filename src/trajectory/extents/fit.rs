@@ -62,6 +62,7 @@ pub(super) struct Fit {
     pub(super) misfit: f64,
 }
 
+/// A bound for degenerate outlines.
 const ITERATIONS: usize = 30;
 /// Residuals beyond this many deviations lose weight.
 const CAUCHY: f64 = 2.0;

@@ -39,6 +39,7 @@ fn start(all_frames: &Result<LeastSquares, ScaleError>, views: &Views) -> Result
 
 /// The poses that see enough points to be known; all where there are none.
 fn well_seen(problem: &Problem) -> Vec<usize> {
+    // A pose has six degrees of freedom, three points determine it; with eight an outlier shows.
     const POINTS: usize = 8;
     let mut counts = vec![0; problem.poses.len()];
     problem.observations.iter().for_each(|observation| counts[observation.pose as usize] += 1);
@@ -262,6 +263,7 @@ impl<'a> Adjustment<'a> {
     /// Standard deviation of the object's size, relative to it: that of its distance from the camera, since its size in
     /// the picture is known exactly. The median of a few frames that see it well.
     pub(super) fn relative_std(&self, contact: &Contact) -> Result<f64, ScaleError> {
+        // Odd, for a median; each costs a solution of the normal equations.
         const FRAMES: usize = 5;
         let problem = self.problem(contact);
         let candidates = well_seen(&problem);

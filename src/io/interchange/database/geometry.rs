@@ -15,6 +15,7 @@ use crate::camera::Camera;
 use crate::math::{Rigid3, fundamental_from_points, homography_from_points};
 use crate::scene::{ImageId, Reconstruction};
 
+/// COLMAP's default (`TwoViewGeometryOptions`).
 const MAX_ERROR_PX: f64 = 4.0;
 const PLANAR_SHARE: f64 = 0.8;
 

@@ -83,6 +83,7 @@ struct SimilarityEstimator<'a> {
 
 impl Estimator for SimilarityEstimator<'_> {
     type Model = Sim3;
+    // Three points determine a similarity.
     const SAMPLE_SIZE: usize = 3;
 
     fn num_data(&self) -> usize {
@@ -107,6 +108,7 @@ impl Estimator for SimilarityEstimator<'_> {
     }
 
     fn refine(&self, first_from_other: &Sim3, inliers: &[usize]) -> Option<Sim3> {
+        // Gauss–Newton converges quadratically from a RANSAC result.
         const ROUNDS: usize = 5;
         let mut refined = *first_from_other;
         for _ in 0..ROUNDS {

@@ -239,6 +239,7 @@ pub(in crate::pipeline) fn warn_of_gaps(target: &str, report: &ModelReport, outc
 
 /// Ascending numbers in words: "3 to 7, 9", the first few ranges of them.
 fn ranges(numbers: impl Iterator<Item = u32>) -> String {
+    // Ranges in a message.
     const MOST: usize = 5;
     let mut ranges: Vec<[u32; 2]> = Vec::new();
     for number in numbers {
