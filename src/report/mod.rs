@@ -23,6 +23,7 @@ mod page;
 mod plan;
 mod scene;
 mod summary;
+mod svg;
 mod timeline;
 mod travel;
 mod verdict;
@@ -62,6 +63,9 @@ pub enum ReportError {
     /// The page's template does not go with its data: a bug of ours.
     #[error("report template failed: {0}")]
     Template(#[from] minijinja::Error),
+    /// A chart's parts do not fit into it.
+    #[error("chart: cannot be laid out: {0}")]
+    Chart(String),
 }
 
 /// The page as text.

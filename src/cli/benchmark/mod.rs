@@ -180,7 +180,7 @@ fn place(relative: &Path) -> PathRole {
     }
 }
 
-fn write(benchmark: &Benchmark, others: &[Benchmark], output: &OwnedFolder) -> Result<(), FolderError> {
+fn write(benchmark: &Benchmark, others: &[Benchmark], output: &OwnedFolder) -> anyhow::Result<()> {
     let put = |name: &str, text: String| {
         output.put_file(Path::new(name), |fresh| Ok::<_, FolderError>(atomic::write(fresh, text.as_bytes())?))
     };
@@ -188,8 +188,9 @@ fn write(benchmark: &Benchmark, others: &[Benchmark], output: &OwnedFolder) -> R
         Ok::<_, FolderError>(atomic::write_json(fresh, &with_summary(benchmark))?)
     })?;
     put(MARKDOWN, pages::markdown(benchmark, others))?;
-    put(TRAJECTORY_ERROR, pages::trajectory_error_chart(benchmark))?;
-    put(SCALE_DEVIATION, pages::scale_deviation_chart(benchmark))
+    put(TRAJECTORY_ERROR, pages::trajectory_error_chart(benchmark)?)?;
+    put(SCALE_DEVIATION, pages::scale_deviation_chart(benchmark)?)?;
+    Ok(())
 }
 
 /// Content of `benchmark.json`: the results, and the summary that follows from them.

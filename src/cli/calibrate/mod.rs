@@ -147,7 +147,7 @@ fn place(relative: &Path) -> PathRole {
     }
 }
 
-fn write(calibration: &Calibration, output: &OwnedFolder) -> Result<(), FolderError> {
+fn write(calibration: &Calibration, output: &OwnedFolder) -> anyhow::Result<()> {
     let put = |name: &str, text: String| {
         output.put_file(Path::new(name), |fresh| Ok::<_, FolderError>(atomic::write(fresh, text.as_bytes())?))
     };
@@ -155,7 +155,7 @@ fn write(calibration: &Calibration, output: &OwnedFolder) -> Result<(), FolderEr
         Ok::<_, FolderError>(atomic::write_json(fresh, &with_summary(calibration))?)
     })?;
     put(MARKDOWN, pages::calibration(calibration))?;
-    for (name, chart) in pages::breakdown_charts(calibration) {
+    for (name, chart) in pages::breakdown_charts(calibration)? {
         put(&format!("{CURVES}{name}.svg"), chart)?;
     }
     Ok(())
