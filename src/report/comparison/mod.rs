@@ -114,7 +114,7 @@ fn sentence(other: &Against, comparison: &Comparison) -> String {
         lost => format!(" {lost} cameras are lost: excluded from the alignment."),
     };
     format!(
-        "{name}: {} of the {} images of {reference} are registered in both; the camera centers differ by {} (RMSE, {} \
+        "{name}: {} of the {} of {reference} are registered in both; the camera centers differ by {} (RMSE, {} \
          of the path's extent), the rotations by {:.3}° on average.{lost}",
         other.num_common,
         count(comparison.reference.figures.num_images, "image"),
