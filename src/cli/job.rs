@@ -112,7 +112,8 @@ pub(super) struct JobArgs {
     #[arg(long, value_name = "N", help_heading = "Frames")]
     pub(super) video_track: Option<u32>,
 
-    /// Telemetry log: DJI subtitles, GPX, NMEA, CSV [default: found next to or inside the video]
+    /// Telemetry log: DJI subtitles, GPX, NMEA, CSV, or a video that has one, such as a GoPro's [default: found next to
+    /// or inside the video]
     #[arg(long, value_name = "FILE", conflicts_with = "no_telemetry", help_heading = "Meters")]
     pub(super) telemetry: Option<PathBuf>,
     /// Ignore telemetry, including that found next to or inside the video

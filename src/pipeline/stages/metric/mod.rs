@@ -10,6 +10,7 @@ mod log;
 mod placed;
 mod sources;
 mod vehicles;
+mod vertical;
 
 use std::collections::BTreeMap;
 
@@ -29,7 +30,7 @@ use crate::scene::{
 use crate::telemetry;
 use aligned::Aligned;
 pub(in crate::pipeline) use log::beside as logs_beside;
-pub use log::telemetry_inside;
+pub use log::telemetry_of;
 use placed::Placing;
 use sources::Ground;
 pub(in crate::pipeline) use vehicles::Size;
@@ -57,7 +58,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
 /// [`PipelineError::Telemetry`] names the file and the cure.
 pub(in crate::pipeline) fn check(options: &Options) -> Result<(), PipelineError> {
     match &options.metric.telemetry {
-        TelemetryChoice::File(path) => Ok(telemetry::read_within(path, options.memory()).map(drop)?),
+        TelemetryChoice::File(path) => Ok(log::telemetry_of(path, options.memory()).map(drop)?),
         TelemetryChoice::Auto | TelemetryChoice::None => Ok(()),
     }
 }
@@ -127,8 +128,12 @@ fn find(
     sizes: &BTreeMap<ObjectId, Size>,
     outcome: &mut Outcome,
 ) -> Result<MetricResult, PipelineError> {
-    let ground = Ground::of(run, background)?;
+    let mut ground = Ground::of(run, background)?;
     let telemetry = log::find(run, outcome);
+    if let Some(telemetry) = &telemetry {
+        let vertical = vertical::vertical(run, &aligned::registered(background, run.frames()?), telemetry, outcome);
+        ground.take_vertical(vertical, outcome);
+    }
     let aligned = telemetry.as_ref().and_then(|telemetry| aligned::align(run, background, &ground, telemetry, outcome));
     let dates = dates::find(run, telemetry.as_ref(), aligned.as_ref());
     let mut sources: Vec<Source> = aligned.iter().map(Aligned::source).collect();

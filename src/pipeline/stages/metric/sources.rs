@@ -11,7 +11,7 @@ use crate::scene::{Reconstruction, Topic};
 
 /// The ground of the background, as far as metres need it.
 pub(super) struct Ground {
-    /// Up by the ground's normal, and its standard deviation as the vertical, radians.
+    /// Up by the ground's normal or a sensor, and its standard deviation as the vertical, radians.
     pub(super) normal: Option<(Vector3<f64>, f64)>,
     below: Result<CameraHeight, HeightFailure>,
     /// Height over the road of a camera fixed to a vehicle.
@@ -22,6 +22,9 @@ pub(super) struct Ground {
 /// country roads rise (FGSV, *Richtlinien für die Anlage von Landstraßen*, 2012).
 const SLOPE_STD: f64 = 0.035;
 
+/// Verticals further from the ground's normal are those of another camera, or of a turned one, radians.
+pub(super) const MAX_TILT: f64 = 0.35;
+
 /// Standard deviation of a camera's tilt where no ground is visible, radians.
 const CAMERA_TILT_STD: f64 = 0.5;
 
@@ -31,6 +34,17 @@ impl Ground {
         let below = camera_height(background, &points, &run.options.ground, run.options.seed);
         let normal = below.as_ref().ok().map(|found| (found.up_in_world, SLOPE_STD.hypot(0.5 * found.tilt_spread)));
         Ok(Self { normal, below, mount: mount(run) })
+    }
+
+    /// Takes the vertical of a sensor instead of the ground's normal, unless the two contradict each other.
+    pub(super) fn take_vertical(&mut self, vertical: Option<(Vector3<f64>, f64)>, outcome: &mut Outcome) {
+        let Some((up_in_world, std)) = vertical else { return };
+        if self.normal.is_some_and(|(normal, _)| normal.angle(&up_in_world) > MAX_TILT) {
+            let text = "telemetry: the camera's gravity does not fit the ground; gravity ignored";
+            outcome.warn(Topic::CameraAttitudeIgnored.warning(text));
+            return;
+        }
+        self.normal = Some((up_in_world, std));
     }
 
     /// Height of the camera, units of the background.
