@@ -8,7 +8,7 @@ use super::ReportError;
 
 pub(super) const FONT: &str = "sans-serif";
 
-/// What is drawn on.
+/// Drawing area of a file.
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 /// The plotting area of a chart with two linear axes.
 pub(super) type Plot<'a> = DrawingArea<SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;

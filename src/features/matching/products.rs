@@ -94,7 +94,7 @@ fn best_with(
     columns: &[u8],
     products: impl Fn(&[&[u8; DESCRIPTOR_LEN]; QUERIES], &[Block; BLOCKS]) -> [Products; BLOCKS],
 ) -> (Vec<Best>, Vec<Best>) {
-    // Stands for a missing query; its products are ignored.
+    // In place of a missing query; its products are ignored.
     const ZERO: [u8; DESCRIPTOR_LEN] = [0; DESCRIPTOR_LEN];
     let (queries, _) = rows.as_chunks::<DESCRIPTOR_LEN>();
     let blocks = packed(columns);

@@ -49,6 +49,9 @@ pub fn breakdown_charts(calibration: &Calibration) -> Result<Vec<(&'static str, 
     SWEEPS.iter().filter_map(chart).collect()
 }
 
+/// Quantity of a case that is drawn over the swept one.
+type Quantity<'a> = &'a dyn Fn(&Case) -> Option<f64>;
+
 struct Chart<'a> {
     title: &'static str,
     axis: &'static str,
@@ -96,7 +99,7 @@ impl Chart<'_> {
             }
         }
         let error = |case: &Case| case.error.map(f64::abs);
-        let lines: [(_, _, &dyn Fn(&Case) -> Option<f64>); 2] =
+        let lines: [(&str, RGBColor, Quantity<'_>); 2] =
             [("error of r", ERROR, &error), ("reported std", STATED, &|case| case.relative_std)];
         for (name, color, of) in lines {
             let medians = self.medians(of).into_iter().map(|(x, y)| (x, drawn(y)));
@@ -110,7 +113,7 @@ impl Chart<'_> {
     }
 
     /// The medians of every level.
-    fn medians(&self, of: &dyn Fn(&Case) -> Option<f64>) -> Vec<(f64, f64)> {
+    fn medians(&self, of: Quantity<'_>) -> Vec<(f64, f64)> {
         // The level of a window is where it begins, which is not what its chart shows.
         if self.cases.iter().any(|(_, case)| case.kind == "window") {
             return Vec::new();
