@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use nalgebra::Point3;
 use serde_json::{Value, json};
 
-use super::{background, scale};
+use super::{background, scale, track};
 use crate::math::median;
 use crate::math::rounding::{figure, percent, significant};
 use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
@@ -26,7 +26,7 @@ use crate::pipeline::{MetricOptions, Options, PipelineError, TelemetryChoice};
 use crate::scene::{
     Metric, MetricFrame, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, Topic, Trajectories,
 };
-use crate::telemetry;
+use crate::telemetry::{self, TelemetryError};
 use aligned::Aligned;
 pub(in crate::pipeline) use log::beside as logs_beside;
 pub use log::telemetry_inside;
@@ -57,7 +57,15 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
 /// [`PipelineError::Telemetry`] names the file and the cure.
 pub(in crate::pipeline) fn check(options: &Options) -> Result<(), PipelineError> {
     match &options.metric.telemetry {
-        TelemetryChoice::File(path) => Ok(telemetry::read_within(path, options.memory()).map(drop)?),
+        TelemetryChoice::File(path) => match telemetry::read_within(path, options.memory()) {
+            Ok(_) => Ok(()),
+            // A playlist is a text of no known format, and the demuxers know it.
+            Err(unknown @ TelemetryError::Unknown { .. }) => match telemetry_inside(path, None) {
+                Some(Err(playlist @ TelemetryError::Playlist { .. })) => Err(playlist.into()),
+                _ => Err(unknown.into()),
+            },
+            Err(error) => Err(error.into()),
+        },
         TelemetryChoice::Auto | TelemetryChoice::None => Ok(()),
     }
 }
@@ -78,7 +86,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
         _ => None,
     };
     if let Some(frame) = found.metric.frame.as_ref().or(nominal.as_ref()) {
-        let placing = Placing::new(&background, frame, found.map, run.info().time_base());
+        let movements = track::objects(run)?.into_iter().map(|object| (object.id, object.movement.state)).collect();
+        let placing = Placing::new(&background, frame, found.map, run.info().time_base(), movements);
         for trajectory in &mut objects {
             match &nominal {
                 Some(_) => placing.fill_units(trajectory),
