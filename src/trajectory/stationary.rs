@@ -169,9 +169,10 @@ mod tests {
         assert!(found(0.0, 1.05).odds_of_motion(0.05) < 0.2);
         // More than three standard deviations off, as a parked car before a dashcam was: the ratio may be wrong.
         assert!((0.2..5.0).contains(&found(0.0, 0.83).odds_of_motion(0.05)));
-        for speed_m_s in [8.0, -8.0] {
-            assert!(found(speed_m_s, 1.0).odds_of_motion(0.1) > 5.0, "{speed_m_s}");
-            let odds = found(speed_m_s, 1.0).odds_of_motion(5.0);
+        for slope in [-0.5, 0.1, 2.0] {
+            let motion = RelativeMotion { slope, std: 0.05, residual: 0.01 };
+            assert!(motion.odds_of_motion(0.1) > 5.0, "{slope}");
+            let odds = motion.odds_of_motion(5.0);
             assert!((0.2..5.0).contains(&odds), "{odds}");
         }
     }
