@@ -19,7 +19,9 @@ use tractrix::math::{Rigid3, Rng, RobustLoss, Sim3, seeded_rng, umeyama};
 use tractrix::metric::{
     CameraPath, Dimension, Extent, Offset, PositionFix, Support, VehicleClass, align_to_fixes, vehicle_sizes,
 };
-use tractrix::scene::{FrameId, ImageId, ObjectId, Point3dId, Reconstruction, ScaleMethod, TimeBase, TrackedObject};
+use tractrix::scene::{
+    FrameId, ImageId, Movement, ObjectId, Point3dId, Reconstruction, ScaleMethod, TimeBase, TrackedObject,
+};
 use tractrix::sfm::Options;
 use tractrix::synthetic::drive::{self, Drive, drive};
 use tractrix::synthetic::{empty_table, observe};
@@ -513,7 +515,7 @@ proptest! {
             forward: (*step > 1).then(Vector3::x),
         };
         let sightings: Vec<PositionMeasurement> = places.iter().enumerate().map(sighting).collect();
-        prop_finite!(trajectory::smooth(&sightings, &CommonStd { ratio: 0.02, scale: 0.01 }));
+        prop_finite!(trajectory::smooth(&sightings, &CommonStd { ratio: 0.02, scale: 0.01 }, Movement::Undetermined));
     }
 
     #[test]

@@ -15,8 +15,8 @@ use super::extent::{is_sensible, is_sensible_ratio};
 use super::{IoError, atomic, json};
 use crate::math::{MAX_UNIT_ERROR, Sim3};
 use crate::scene::{
-    Dimensions, FrameId, Metric, MetricPose, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, PlaneBasis, Ratios,
-    ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, Trajectories, Travel, Unit, Verdict,
+    CameraPathRatio, Dimensions, FrameId, Metric, MetricPose, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory,
+    PlaneBasis, Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, Trajectories, Travel, Unit, Verdict,
 };
 
 /// The version that is written.
@@ -74,6 +74,8 @@ struct Scale {
     shares: Option<ScaleShares>,
     #[serde(default)]
     support: Option<ScaleSupport>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    camera_path: Option<CameraPathRatio>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -153,13 +155,34 @@ pub fn read(path: &Path) -> Result<Trajectories, IoError> {
 }
 
 fn object_to_file(object: &ObjectTrajectory) -> Object {
-    let ScaleEstimate { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support } =
-        object.scale.clone();
+    let ScaleEstimate {
+        ratio,
+        std,
+        method,
+        degenerate,
+        reason,
+        alternatives,
+        as_reconstructed,
+        shares,
+        support,
+        camera_path,
+    } = object.scale.clone();
     Object {
         id: object.id,
         class: object.class.clone(),
         confidence: object.confidence,
-        scale: Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support },
+        scale: Scale {
+            ratio,
+            std,
+            method,
+            degenerate,
+            reason,
+            alternatives,
+            as_reconstructed,
+            shares,
+            support,
+            camera_path,
+        },
         ground: object.ground.clone(),
         verdict: object.verdict.clone(),
         dimensions: object.dimensions,
@@ -184,7 +207,7 @@ fn pose_to_file(pose: &ObjectPose) -> Pose {
 }
 
 fn object_from_file(object: Object) -> ObjectTrajectory {
-    let Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support } =
+    let Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support, camera_path } =
         object.scale;
     ObjectTrajectory {
         id: object.id,
@@ -200,6 +223,7 @@ fn object_from_file(object: Object) -> ObjectTrajectory {
             as_reconstructed,
             shares,
             support,
+            camera_path,
         },
         ground: object.ground,
         verdict: object.verdict,
@@ -236,6 +260,7 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         }
         let ratios = scale.alternatives.values().chain(scale.as_reconstructed.iter().flat_map(BTreeMap::values));
         let evidence = scale.shares.iter().flat_map(shares).chain(scale.support.iter().flat_map(lengths));
+        let evidence = evidence.chain(scale.camera_path.iter().flat_map(camera_path));
         let numbers = scale.std.iter().chain(ratios).chain([&object.confidence]).copied().chain(evidence);
         if let Some(number) = numbers.into_iter().find(|n| !n.is_finite()) {
             return wrong(format!("{number} is not a finite number"));
@@ -268,6 +293,11 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
 fn shares(of: &ScaleShares) -> [f64; 6] {
     let ScaleShares { tracks, frames, plane, contact, focal, disagreement } = *of;
     [tracks, frames, plane, contact, focal, disagreement]
+}
+
+fn camera_path(of: &CameraPathRatio) -> [f64; 5] {
+    let CameraPathRatio { ratio, std, residual, ratio_without, std_without, degenerate_without: _ } = *of;
+    [ratio, std, residual, ratio_without, std_without.unwrap_or(0.0)]
 }
 
 fn lengths(of: &ScaleSupport) -> [f64; 3] {
@@ -355,6 +385,7 @@ mod tests {
             as_reconstructed: Some([(ScaleMethod::Intersection, 0.71)].into()),
             shares: Some(ScaleShares { tracks: 0.01, contact: 1.0 / 3.0, ..ScaleShares::default() }),
             support: Some(ScaleSupport { num_points: 90, disagreement: Some(0.041), ..ScaleSupport::default() }),
+            camera_path: None,
         };
         let (class, confidence, poses) = ("car".into(), 0.93, vec![pose(0), pose(2)]);
         let reasons = vec![Reason::doubts(ReasonKind::Shape, 0.5, "nearly as long as high")];
@@ -418,9 +449,17 @@ mod tests {
     fn what_is_written_is_read_back() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("trajectories.json");
-        write(&path, &sample()).unwrap();
-        let back = read(&path).unwrap();
         let mut expected = sample();
+        expected.objects[0].scale.camera_path = Some(CameraPathRatio {
+            ratio: 0.7,
+            std: 0.01,
+            residual: 0.004,
+            ratio_without: 0.8,
+            std_without: None,
+            degenerate_without: true,
+        });
+        write(&path, &expected).unwrap();
+        let back = read(&path).unwrap();
         for (a, b) in back.objects[0].poses.iter().zip(&mut expected.objects[0].poses) {
             assert!(a.world_from_object.rotation.angle_to(&b.world_from_object.rotation) < 1e-15);
             b.world_from_object.rotation = a.world_from_object.rotation;

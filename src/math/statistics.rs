@@ -32,6 +32,12 @@ pub fn lower_quantile(values: &mut [f64], share: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(rank, f64::total_cmp).1)
 }
 
+/// Density of Student's distribution with four degrees of freedom: that of an error over a standard deviation which is
+/// itself known from five groups.
+pub fn student_4(x: f64) -> f64 {
+    0.375 * (1.0 + 0.25 * x * x).powf(-2.5)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -34,8 +34,8 @@ pub use tracked::{
     DetectionCounts, Gap, IdentityEvidence, Movement, MovementFinding, Outline, TrackedObject, UnmergedTrack,
 };
 pub use trajectory::{
-    ModelState, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport,
-    Trajectories, Unit,
+    CameraPathRatio, ModelState, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, ScaleShares,
+    ScaleSupport, StationaryVehicles, Trajectories, Unit,
 };
 pub use verdict::{Finding, Reason, ReasonKind, Trust, Verdict};
 pub use warning::{Topic, Warning, warning_text};

@@ -60,6 +60,8 @@ pub struct ScaleEstimate {
     pub shares: Option<ScaleShares>,
     /// Evidence for the ratio; `None` in files that do not state it.
     pub support: Option<ScaleSupport>,
+    /// Ratio by the camera path, where the vehicle is stationary; it is part of `ratio` and `std`.
+    pub camera_path: Option<CameraPathRatio>,
 }
 
 impl ScaleEstimate {
@@ -75,8 +77,39 @@ impl ScaleEstimate {
             as_reconstructed: None,
             shares: None,
             support: None,
+            camera_path: None,
         }
     }
+}
+
+/// Scale ratio of a stationary vehicle by the camera path, which its model and the background both show.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraPathRatio {
+    /// Ratio of the two camera paths.
+    pub ratio: f64,
+    /// Its standard deviation.
+    pub std: f64,
+    /// RMS of the residual between the two paths, as a share of the vehicle's distance: the error of its model.
+    pub residual: f64,
+    /// The ratio without the camera path.
+    pub ratio_without: f64,
+    /// The standard deviation without the camera path; `None` where the method gives none.
+    pub std_without: Option<f64>,
+    /// True if the ratio is undetermined without the camera path.
+    pub degenerate_without: bool,
+}
+
+/// Vehicles whose scale ratio comes from the camera path.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum StationaryVehicles {
+    /// None.
+    None,
+    /// Vehicles that are found to be stationary.
+    #[default]
+    Found,
+    /// All vehicles: the user knows that none moves.
+    All,
 }
 
 /// Where the standard deviation of a scale ratio comes from. Each is a standard deviation as a share of the ratio; they

@@ -14,7 +14,7 @@ use super::{
 };
 use crate::checks::{Checked, under, within};
 use crate::math::rounding::percent;
-use crate::scene::{Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport};
+use crate::scene::{Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, StationaryVehicles};
 
 /// Options of the scale estimation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -31,6 +31,8 @@ pub struct Options {
     /// Maximum relative standard deviation of a ratio that counts as determined.
     #[schemars(extend("unit" = "share of the ratio"))]
     pub max_relative_std: f64,
+    /// Vehicles whose ratio comes from the camera path, since they are stationary.
+    pub stationary: StationaryVehicles,
 }
 
 impl Default for Options {
@@ -41,6 +43,7 @@ impl Default for Options {
             least_squares: LeastSquaresOptions::default(),
             joint: JointOptions::default(),
             max_relative_std: 0.1,
+            stationary: StationaryVehicles::default(),
         }
     }
 }
@@ -106,6 +109,7 @@ pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> 
         // What varies from frame to frame is all that these methods look at.
         shares: std.map(|std| ScaleShares { frames: std / ratio, ..ScaleShares::default() }),
         support: Some(support(views, ratio, method, &found_by(&answers))),
+        camera_path: None,
     })
 }
 
@@ -143,6 +147,7 @@ pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, fo
             frames_with_outline: found.contact.num_frames,
             ..support(views, found.ratio, ScaleMethod::Joint, &alternatives)
         }),
+        camera_path: None,
         alternatives,
     }
 }
@@ -359,7 +364,11 @@ mod tests {
         for seed in 0..4 {
             let (found, _) = estimate(&world, seed, ScaleMethod::RobustLeastSquares);
             assert!(found.degenerate, "{found:?}");
-            assert!(found.reason.is_some_and(|reason| !reason.is_empty()));
+            let reason = found.reason.unwrap_or_default();
+            assert!(
+                reason.contains("camera height above the vehicle varies by 0.") && reason.contains(" % only"),
+                "{reason}"
+            );
         }
     }
 

@@ -47,6 +47,7 @@ mod mirror;
 mod place;
 mod plane_outliers;
 mod smoother;
+mod stationary;
 mod verdict;
 mod views;
 
@@ -64,5 +65,6 @@ pub use joint::{Grounded, Joint, JointOptions, joint};
 pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
 pub use place::{Adjustment, AdjustmentFigures, Evidence, ModelOrigin, PlacedObject, place};
 pub use smoother::{CommonStd, PositionMeasurement, Smoothed, smooth};
+pub use stationary::RelativeMotion;
 pub use verdict::{Candidate, verdicts};
 pub use views::{View, Views};

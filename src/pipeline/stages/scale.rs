@@ -1,4 +1,6 @@
-//! Stage `scale`: the scale ratio of every object, and its trajectory.
+//! Stage `scale`: the scale ratio of every object, its trajectory, and its motion state by points and trajectory.
+
+mod movement;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,16 +10,18 @@ use super::background::ModelReport;
 use super::background::{self, point_cloud};
 use super::metric::Size;
 use super::track;
+use super::track::movement::PointFindings;
 use super::{ground, objects};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{
-    FocalChange, Frame, FrameId, Ground, GroundPlane, ObjectId, ObjectTrajectory, Reconstruction, ScaleMethod, Topic,
-    TrackedObject, Trajectories, Unit, Verdict,
+    FocalChange, Frame, FrameId, Ground, GroundPlane, Movement, MovementFinding, ObjectId, ObjectTrajectory,
+    Reconstruction, ScaleMethod, StationaryVehicles, Topic, TrackedObject, Trajectories, Unit, Verdict,
 };
 use crate::trajectory::{
     self, Adjustment, Candidate, Evidence, Extents, ModelOrigin, ObjectDescription, Silhouette, Subject, extents,
 };
+use movement::TrajectoryEvidence;
 
 /// The name of the trajectories as this stage leaves them, in units of the background.
 const IN_UNITS: &str = "scale-trajectories.json";
@@ -38,15 +42,18 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     let reports = objects::reports(run)?;
     clear(run, &reports)?;
     outcome.outputs.push(point_cloud::background(run, &background)?);
-    let tracked = track::objects(run)?;
     let scene = Scene::read(run, &background, &reports)?;
     let mut found = ScaleContext::default();
-    for tracked in &tracked {
+    let mut tracked = track::objects(run)?;
+    for tracked in &mut tracked {
+        tracked.movement = scene.by_points(tracked);
         if let Some(report) = reports.get(&tracked.id) {
             scene.place(tracked, report, &mut found, &mut outcome)?;
         }
     }
     outcome.figure("num_trajectories", found.placed.len());
+    outcome.figure("num_moving", tracked.iter().filter(|object| object.movement.state == Movement::Moving).count());
+    run.workspace.put_file(&run.workspace.tracked(), |fresh| crate::io::tracks::write(fresh, &tracked))?;
     let focal_changes = background::background_report(run)?.focal_changes;
     let objects = judged(run, found.placed, &background, &focal_changes, &mut outcome);
     let all = Trajectories { unit: Unit::Background, metric: None, objects };
@@ -79,12 +86,13 @@ struct Scene<'a, 'r> {
     frames: &'a [Frame],
     focal_std: Option<f64>,
     silhouettes: BTreeMap<ObjectId, BTreeMap<FrameId, Silhouette>>,
+    by_points: PointFindings,
 }
 
 /// Outcomes of the objects.
 #[derive(Default)]
-struct ScaleContext<'a> {
-    placed: Vec<PlacedVehicle<'a>>,
+struct ScaleContext {
+    placed: Vec<PlacedVehicle>,
     failures: BTreeMap<String, String>,
     sizes: BTreeMap<ObjectId, Size>,
 }
@@ -104,15 +112,55 @@ impl<'a, 'r> Scene<'a, 'r> {
             frames,
             focal_std: background::focal_deviation(run)?,
             silhouettes: silhouettes(run, frames, &with_model)?,
+            by_points: track::movement::by_points(run)?,
         })
+    }
+
+    /// Movement finding before the trajectory is looked at. An earlier run of this stage may have revised that of
+    /// `tracked`.
+    fn by_points(&self, tracked: &TrackedObject) -> MovementFinding {
+        match self.run.options.scale.stationary {
+            StationaryVehicles::All => {
+                MovementFinding { state: Movement::Stationary, reason: "stated to be stationary".to_owned() }
+            }
+            StationaryVehicles::None | StationaryVehicles::Found => {
+                self.by_points.get(&tracked.id).map_or_else(|| tracked.movement.clone(), |found| found.finding.clone())
+            }
+        }
+    }
+
+    /// Revises the motion state by the trajectory, and the scale ratio of a stationary vehicle by the camera path.
+    fn revise(&self, tracked: &mut TrackedObject, trajectory: &mut ObjectTrajectory, object: &Reconstruction) {
+        let options = &self.run.options.scale;
+        let evidence = TrajectoryEvidence::of(trajectory, &tracked.gaps, self.background);
+        if options.stationary != StationaryVehicles::All
+            && let Some(by_points) = self.by_points.get(&tracked.id)
+        {
+            tracked.movement = movement::revised(by_points, evidence.as_ref());
+        }
+        if tracked.movement.state != Movement::Stationary || options.stationary == StationaryVehicles::None {
+            return;
+        }
+        let motion = trajectory::RelativeMotion::of(&trajectory.poses, self.background);
+        if let Some(scale) = motion.and_then(|motion| motion.constrained(&trajectory.scale, options.max_relative_std)) {
+            let again = trajectory::assemble(
+                description(tracked),
+                self.background,
+                object,
+                scale,
+                self.frames,
+                Unit::Background,
+            );
+            *trajectory = ObjectTrajectory { ground: std::mem::take(&mut trajectory.ground), ..again };
+        }
     }
 
     /// Places one object that has a model.
     fn place(
         &self,
-        tracked: &'a TrackedObject,
+        tracked: &mut TrackedObject,
         report: &ModelReport,
-        found: &mut ScaleContext<'a>,
+        found: &mut ScaleContext,
         outcome: &mut Outcome,
     ) -> Result<(), PipelineError> {
         let run = self.run;
@@ -135,11 +183,13 @@ impl<'a, 'r> Scene<'a, 'r> {
         outcome.outputs.push(run.workspace.object(tracked.id));
         describe_adjustment(tracked.id, &placed.adjustment, outcome);
         match placed.trajectory {
-            Ok(trajectory) => {
+            Ok(mut trajectory) => {
+                self.revise(tracked, &mut trajectory, &placed.object);
                 outcome.outputs.push(point_cloud::object(run, &trajectory, &placed.object)?);
                 warn_of_scale(&trajectory, outcome);
                 let size = size(&trajectory, &placed.object, self.background, &planes, silhouettes, &run.options.scale);
                 found.sizes.insert(tracked.id, size);
+                let tracked = tracked.clone();
                 found.placed.push(PlacedVehicle { trajectory, tracked, object: placed.object, planes });
             }
             Err(reason) => {
@@ -173,14 +223,14 @@ fn size(
 }
 
 /// An object that has a trajectory, until all of them are judged together.
-struct PlacedVehicle<'a> {
+struct PlacedVehicle {
     trajectory: ObjectTrajectory,
-    tracked: &'a TrackedObject,
+    tracked: TrackedObject,
     object: Reconstruction,
     planes: BTreeMap<FrameId, GroundPlane>,
 }
 
-impl PlacedVehicle<'_> {
+impl PlacedVehicle {
     fn candidate<'a>(&'a self, background: &'a Reconstruction, options: &'a trajectory::Options) -> Candidate<'a> {
         let Self { trajectory, tracked, object, planes } = self;
         Candidate { trajectory, tracked: Some(tracked), object, background, planes, options }

@@ -17,7 +17,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use self::track::{Kind, Observed, Track, is_at_rest, track};
 use self::travel::{Route, resolved_amount};
-use crate::scene::{Estimate, Motion};
+use crate::scene::{Estimate, Motion, Movement};
 
 /// Where a vehicle was seen, in a frame in metres whose third axis points up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,7 +47,7 @@ const MIN_SIGHTINGS: usize = 4;
 /// frame; and along it and across it, wandering. Chosen on fifteen rendered sequences; docs/maths/smoother.md.
 const ALONG: f64 = 5e-4;
 const ACROSS: f64 = 1e-4;
-const DRIFT: f64 = 1.5e-3;
+pub(super) const DRIFT: f64 = 1.5e-3;
 const DRIFT_ACROSS: f64 = 1.2e-3;
 /// Times after which these have forgotten where they were, seconds.
 const DRIFT_S: [f64; 4] = [1.0, 3.0, 3.0, 3.0];
@@ -94,9 +94,10 @@ pub struct Smoothed {
 /// Smooths a vehicle's motion; `None` where there are fewer than four, or numbers that are not finite.
 ///
 /// * `sightings` – ascending in time; gaps are bridged, with deviations that grow.
+/// * `movement` – motion state by other evidence: a moving vehicle is not smoothed at rest.
 ///
 /// A vehicle at rest is recognized by its positions alone, by the likelihood of rest and of motion.
-pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd) -> Option<Smoothed> {
+pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd, movement: Movement) -> Option<Smoothed> {
     if sightings.len() < MIN_SIGHTINGS || !sightings.iter().all(PositionMeasurement::is_usable) {
         return None;
     }
@@ -106,7 +107,7 @@ pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd) -> Option<S
     // Also of a vehicle at rest: a slow one that moves along with the camera has the same positions, for another error
     // of the ratio.
     let moved = in_motion.response(&sightings.iter().map(|s| s.ratio_error(common.ratio)).collect::<Vec<_>>())?;
-    let rest = at_rest(sightings, &origin, common.ratio, &moving);
+    let rest = (movement != Movement::Moving).then(|| at_rest(sightings, &origin, common.ratio, &moving)).flatten();
     let stands = rest.is_some();
     let positions = rest.unwrap_or(in_motion);
     let forward_std = forward_std(sightings, common.ratio).filter(|_| !stands);

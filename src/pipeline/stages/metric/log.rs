@@ -282,5 +282,9 @@ mod tests {
         assert!(matches!(telemetry::read(&path), Err(TelemetryError::Unknown { .. })));
         let found = telemetry_inside(&path, None);
         assert!(matches!(&found, Some(Err(TelemetryError::Playlist { format, .. })) if format == "hls"), "{found:?}");
+        let mut options = crate::pipeline::Options::default();
+        options.metric.telemetry = TelemetryChoice::File(path);
+        let refused = super::super::check(&options).unwrap_err();
+        assert!(refused.to_string().contains("playlist (hls)"), "{refused}");
     }
 }

@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 use nalgebra::Point3;
 use serde_json::{Value, json};
 
-use super::{background, scale};
+use super::{background, scale, track};
 use crate::math::median;
 use crate::math::rounding::{figure, percent, significant};
 use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
@@ -79,7 +79,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
         _ => None,
     };
     if let Some(frame) = found.metric.frame.as_ref().or(nominal.as_ref()) {
-        let placing = Placing::new(&background, frame, found.map, run.info().time_base());
+        let movements = track::objects(run)?.into_iter().map(|object| (object.id, object.movement.state)).collect();
+        let placing = Placing::new(&background, frame, found.map, run.info().time_base(), movements);
         for trajectory in &mut objects {
             match &nominal {
                 Some(_) => placing.fill_units(trajectory),

@@ -6,7 +6,8 @@ use nalgebra::Point3;
 
 use crate::metric::{ObservedPoint, metric_pose, place_std_m};
 use crate::scene::{
-    Estimate, Image, MapPlace, MetricFrame, MetricPose, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Travel,
+    Estimate, Image, MapPlace, MetricFrame, MetricPose, Movement, ObjectId, ObjectPose, ObjectTrajectory,
+    Reconstruction, TimeBase, Travel,
 };
 use crate::telemetry::{Geodetic, LocalFrame};
 use crate::trajectory::{CommonStd, PositionMeasurement, Smoothed, headings, smooth};
@@ -19,6 +20,8 @@ pub(super) struct Placing<'a> {
     direction_std: f64,
     /// Unit of the frames' times: only with seconds are there speeds.
     times: TimeBase,
+    /// Motion states of the objects, where they are known.
+    movements: BTreeMap<ObjectId, Movement>,
 }
 
 /// Deviation of a ratio of which its method states none, as a share: what methods differ by where they work.
@@ -37,11 +40,12 @@ impl<'a> Placing<'a> {
         frame: &'a MetricFrame,
         map: Option<LocalFrame>,
         times: TimeBase,
+        movements: BTreeMap<ObjectId, Movement>,
     ) -> Self {
         let images: BTreeMap<&str, &Image> =
             background.images.values().map(|image| (image.name.as_str(), image)).collect();
         let focal = background.images.values().next().map_or(1.0, |image| background.camera_of(image).mean_focal());
-        Self { frame, map, images, direction_std: PIXEL_STD / focal, times }
+        Self { frame, map, images, direction_std: PIXEL_STD / focal, times, movements }
     }
 
     /// Fills in all metric values.
@@ -72,7 +76,8 @@ impl<'a> Placing<'a> {
 
     fn smoothed(&self, trajectory: &ObjectTrajectory) -> Option<Smoothed> {
         let common = CommonStd { ratio: log_ratio_std(trajectory), scale: self.frame.log_scale_std() };
-        smooth(&self.sightings(trajectory), &common)
+        let movement = self.movements.get(&trajectory.id).copied().unwrap_or(Movement::Undetermined);
+        smooth(&self.sightings(trajectory), &common, movement)
     }
 
     fn travel(&self, trajectory: &ObjectTrajectory, found: &Smoothed) -> Travel {
