@@ -2,41 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Dimensions, FrameId, Metric, MetricPose, ObjectId, PlaneBasis, Travel, Verdict};
+use super::{Dimensions, FrameId, Metric, MetricPose, ObjectId, PlaneBasis, ScaleMethod, Travel, Verdict};
 use crate::math::Sim3;
-
-/// Method of estimating a scale ratio; the names are those of the contract.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum ScaleMethod {
-    /// View pair ranking by constant distance to the ground.
-    ConstantDistance,
-    /// Smallest ray–plane intersection per frame, median over frames.
-    Intersection,
-    /// Constant distance in all frames, robust least squares.
-    #[serde(rename = "least-squares")]
-    RobustLeastSquares,
-    /// Adjustment of vehicle and ground planes.
-    Joint,
-}
-
-impl ScaleMethod {
-    /// Every method, the paper's first.
-    pub const ALL: [Self; 4] = [Self::ConstantDistance, Self::Intersection, Self::RobustLeastSquares, Self::Joint];
-
-    /// The name in files and on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::ConstantDistance => "constant-distance",
-            Self::Intersection => "intersection",
-            Self::RobustLeastSquares => "least-squares",
-            Self::Joint => "joint",
-        }
-    }
-}
 
 /// The ratio r between the object's and the background's unit of length, and how sure it is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

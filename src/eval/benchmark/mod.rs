@@ -220,15 +220,9 @@ impl Benchmark {
     pub fn estimators(&self) -> Vec<Estimator> {
         let methods: BTreeSet<ScaleMethod> =
             self.sequences.iter().flat_map(|entry| entry.estimators.keys().copied()).collect();
-        let rank = |method: &ScaleMethod| match method {
-            ScaleMethod::Intersection => 0,
-            ScaleMethod::ConstantDistance => 1,
-            ScaleMethod::Joint => 2,
-            ScaleMethod::RobustLeastSquares => 3,
-        };
         let mut methods: Vec<ScaleMethod> =
             methods.into_iter().filter(|method| Some(*method) != self.only_choice()).collect();
-        methods.sort_by_key(rank);
+        methods.sort_by_key(|method| method.rank());
         let named = methods.into_iter().map(Estimator::Named);
         // The paper's published values hold no choice of a run.
         let chosen = self.sequences.iter().any(|e| e.scale.is_some() || e.failure.is_some() || e.cost.is_some());
