@@ -16,7 +16,7 @@ use super::{IoError, atomic, json};
 use crate::math::{MAX_UNIT_ERROR, Sim3};
 use crate::scene::{
     Dimensions, FrameId, Metric, MetricPose, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, PlaneBasis, Ratios,
-    ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, Trajectories, Travel, Unit, Verdict,
+    References, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, Trajectories, Travel, Unit, Verdict,
 };
 
 /// The version that is written.
@@ -74,6 +74,8 @@ struct Scale {
     shares: Option<ScaleShares>,
     #[serde(default)]
     support: Option<ScaleSupport>,
+    #[serde(default, skip_serializing_if = "References::is_empty")]
+    references: References,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -153,13 +155,34 @@ pub fn read(path: &Path) -> Result<Trajectories, IoError> {
 }
 
 fn object_to_file(object: &ObjectTrajectory) -> Object {
-    let ScaleEstimate { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support } =
-        object.scale.clone();
+    let ScaleEstimate {
+        ratio,
+        std,
+        method,
+        degenerate,
+        reason,
+        alternatives,
+        as_reconstructed,
+        shares,
+        support,
+        references,
+    } = object.scale.clone();
     Object {
         id: object.id,
         class: object.class.clone(),
         confidence: object.confidence,
-        scale: Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support },
+        scale: Scale {
+            ratio,
+            std,
+            method,
+            degenerate,
+            reason,
+            alternatives,
+            as_reconstructed,
+            shares,
+            support,
+            references,
+        },
         ground: object.ground.clone(),
         verdict: object.verdict.clone(),
         dimensions: object.dimensions,
@@ -184,7 +207,7 @@ fn pose_to_file(pose: &ObjectPose) -> Pose {
 }
 
 fn object_from_file(object: Object) -> ObjectTrajectory {
-    let Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support } =
+    let Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support, references } =
         object.scale;
     ObjectTrajectory {
         id: object.id,
@@ -200,6 +223,7 @@ fn object_from_file(object: Object) -> ObjectTrajectory {
             as_reconstructed,
             shares,
             support,
+            references,
         },
         ground: object.ground,
         verdict: object.verdict,
@@ -236,7 +260,9 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         }
         let ratios = scale.alternatives.values().chain(scale.as_reconstructed.iter().flat_map(BTreeMap::values));
         let evidence = scale.shares.iter().flat_map(shares).chain(scale.support.iter().flat_map(lengths));
-        let numbers = scale.std.iter().chain(ratios).chain([&object.confidence]).copied().chain(evidence);
+        let of_references = scale.references.values().flat_map(|found| found.ratio.iter().chain(&found.std));
+        let numbers =
+            scale.std.iter().chain(ratios).chain(of_references).chain([&object.confidence]).copied().chain(evidence);
         if let Some(number) = numbers.into_iter().find(|n| !n.is_finite()) {
             return wrong(format!("{number} is not a finite number"));
         }
@@ -328,7 +354,7 @@ mod tests {
     use super::*;
     use crate::scene::{
         ClockZone, Dates, Estimate, MapOrigin, MapPlace, MetricAxes, MetricFrame, MetricShare, MetricStd, Reason,
-        ReasonKind, ScaleMethod, Trust,
+        ReasonKind, Reference, ScaleMethod, Trust,
     };
 
     fn sample() -> Trajectories {
@@ -354,6 +380,11 @@ mod tests {
             alternatives: [(ScaleMethod::ConstantDistance, 0.731), (ScaleMethod::Intersection, 0.7)].into(),
             as_reconstructed: Some([(ScaleMethod::Intersection, 0.71)].into()),
             shares: Some(ScaleShares { tracks: 0.01, contact: 1.0 / 3.0, ..ScaleShares::default() }),
+            references: [
+                (ScaleMethod::Yuan, Reference { ratio: Some(0.72), std: Some(0.03), undetermined: None }),
+                (ScaleMethod::Park, Reference { undetermined: Some("no solution".into()), ..Reference::default() }),
+            ]
+            .into(),
             support: Some(ScaleSupport { num_points: 90, disagreement: Some(0.041), ..ScaleSupport::default() }),
         };
         let (class, confidence, poses) = ("car".into(), 0.93, vec![pose(0), pose(2)]);

@@ -36,7 +36,8 @@ pub use tracked::{
     DetectionCounts, Gap, IdentityEvidence, Movement, MovementFinding, Outline, TrackedObject, UnmergedTrack,
 };
 pub use trajectory::{
-    ModelState, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleShares, ScaleSupport, Trajectories, Unit,
+    ModelState, ObjectPose, ObjectTrajectory, Ratios, Reference, References, ScaleEstimate, ScaleShares, ScaleSupport,
+    Trajectories, Unit,
 };
 pub use verdict::{Finding, Reason, ReasonKind, Trust, Verdict};
 pub use warning::{Topic, Warning, warning_text};

@@ -29,6 +29,8 @@ pub struct ScaleEstimate {
     pub shares: Option<ScaleShares>,
     /// Evidence for the ratio; `None` in files that do not state it.
     pub support: Option<ScaleSupport>,
+    /// Results of the reference methods for the object before its adjustment; empty unless they were wanted.
+    pub references: References,
 }
 
 impl ScaleEstimate {
@@ -44,6 +46,7 @@ impl ScaleEstimate {
             as_reconstructed: None,
             shares: None,
             support: None,
+            references: References::new(),
         }
     }
 }
@@ -111,6 +114,20 @@ pub enum ModelState {
 
 /// Scale ratios by the method that gave them. Which model of the object they speak of is reported where they stand.
 pub type Ratios = BTreeMap<ScaleMethod, f64>;
+
+/// Result of a reference method.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Reference {
+    /// Its scale ratio; `None` where it has none.
+    pub ratio: Option<f64>,
+    /// Its standard deviation.
+    pub std: Option<f64>,
+    /// Reason why the ratio is undetermined; `None` if it is determined.
+    pub undetermined: Option<String>,
+}
+
+/// Results of the reference methods.
+pub type References = BTreeMap<ScaleMethod, Reference>;
 
 /// The unit of length of a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

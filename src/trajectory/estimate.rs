@@ -14,7 +14,7 @@ use super::{
 };
 use crate::checks::{Checked, under, within};
 use crate::math::rounding::percent;
-use crate::scene::{Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport};
+use crate::scene::{Ratios, Reference, References, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport};
 
 /// Options of the scale estimation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -22,6 +22,8 @@ use crate::scene::{Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport
 pub struct Options {
     /// Method that gives the scale ratio; the others are reported as alternatives.
     pub method: ScaleMethod,
+    /// True to compute the reference methods of the literature, too, for comparison: the benchmark does.
+    pub references: bool,
     /// View pair ranking.
     pub constant_distance: ConstantDistanceOptions,
     /// Robust fit over all frames.
@@ -37,6 +39,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             method: ScaleMethod::Joint,
+            references: false,
             constant_distance: ConstantDistanceOptions::default(),
             least_squares: LeastSquaresOptions::default(),
             joint: JointOptions::default(),
@@ -77,7 +80,7 @@ const NOTABLE_CLIMB: f64 = 0.1;
 /// # Errors
 /// The chosen method's [`ScaleError`], if no method has an answer.
 pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> Result<ScaleEstimate, ScaleError> {
-    let answers = answers(views, options);
+    let answers = answers(views, wanted, options);
     let of = |method: &ScaleMethod| answers.get(method).and_then(|answer| answer.as_ref().ok());
     // Contact stands in first: it does not need what the other two lack when they have no answer, a climb.
     let chosen = [wanted, ScaleMethod::Intersection].into_iter().chain(ScaleMethod::ALL);
@@ -90,6 +93,8 @@ pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> 
     // Contact does not need the camera to climb, so its answer, where it was asked for, is not judged by the climb.
     if [method, wanted].iter().any(|method| estimator(*method).needs_climb()) {
         reasons.extend(degeneracy(&least_squares(views, &options.least_squares), options.max_relative_std));
+    } else {
+        reasons.extend(std.and_then(|std| too_uncertain(std / ratio, options.max_relative_std)));
     }
     Ok(ScaleEstimate {
         ratio,
@@ -102,6 +107,7 @@ pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> 
         // What varies from frame to frame is all that these methods look at.
         shares: std.map(|std| ScaleShares { frames: std / ratio, ..ScaleShares::default() }),
         support: Some(support(views, ratio, method, &found_by(&answers))),
+        references: references(views, options),
     })
 }
 
@@ -139,6 +145,7 @@ pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, fo
             ..support(views, found.ratio, ScaleMethod::Joint, &alternatives)
         }),
         alternatives,
+        references: References::new(),
     }
 }
 
@@ -207,15 +214,36 @@ fn disagreement(found: &Joint, all_frames: Option<&LeastSquares>) -> f64 {
 
 /// Ratios by all estimators that take a reconstruction unchanged; without those that have no answer.
 pub fn ratios_of(views: &Views, options: &Options) -> Ratios {
-    found_by(&answers(views, options))
+    found_by(&answers(views, options.method, options))
+}
+
+/// Results of the reference methods for a reconstruction that stays as it is; none unless they are wanted.
+pub(super) fn references(views: &Views, options: &Options) -> References {
+    let wanted = ScaleMethod::ALL.into_iter().filter(|method| options.references && method.is_reference());
+    wanted.map(|method| (method, reference(method, views, options))).collect()
+}
+
+fn reference(method: ScaleMethod, views: &Views, options: &Options) -> Reference {
+    match estimator(method).estimate(&EstimatorInput::unchanged(views), options) {
+        Ok(Estimate { ratio, std, .. }) => {
+            let undetermined = std.and_then(|std| too_uncertain(std / ratio, options.max_relative_std));
+            Reference { ratio: Some(ratio), std, undetermined }
+        }
+        Err(error) => Reference { undetermined: Some(error.to_string()), ..Reference::default() },
+    }
+}
+
+fn too_uncertain(relative_std: f64, accepted: f64) -> Option<String> {
+    (!(relative_std <= accepted)).then(|| format!("scale undetermined: {}", beyond(relative_std, accepted)))
 }
 
 type Answers = BTreeMap<ScaleMethod, Result<Estimate, ScaleError>>;
 
-/// Answers of all estimators for a reconstruction that stays as it is.
-fn answers(views: &Views, options: &Options) -> Answers {
+/// Answers of `wanted`, and of all others but references, for a reconstruction that stays as it is.
+fn answers(views: &Views, wanted: ScaleMethod, options: &Options) -> Answers {
     let input = EstimatorInput::unchanged(views);
-    ScaleMethod::ALL.into_iter().map(|method| (method, estimator(method).estimate(&input, options))).collect()
+    let asked = ScaleMethod::ALL.into_iter().filter(|method| *method == wanted || !method.is_reference());
+    asked.map(|method| (method, estimator(method).estimate(&input, options))).collect()
 }
 
 fn found_by(answers: &Answers) -> Ratios {

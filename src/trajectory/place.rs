@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 
-use super::estimate::{estimate_scale, joint_estimate, ratios_of, with_focal};
+use super::estimate::{estimate_scale, joint_estimate, ratios_of, references, with_focal};
 use super::plane_outliers::Steadiness;
 use super::{
     Body, Estimate, EstimatorInput, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views,
@@ -128,7 +128,9 @@ impl Evidence<'_> {
         let steadiness = Steadiness::of(self.background, &found.object, self.planes, found.ratio, options);
         let views = Views::new(self.background, &found.object, &steadiness.telling(self.planes), options);
         let as_reconstructed = Some(ratios_of(as_it_was, options));
-        let scale = ScaleEstimate { as_reconstructed, ..joint_estimate(&views, &found, options, self.focal_std) };
+        let references = references(as_it_was, options);
+        let scale = joint_estimate(&views, &found, options, self.focal_std);
+        let scale = ScaleEstimate { as_reconstructed, references, ..scale };
         let adjustment = Adjustment::Done(AdjustmentFigures::from(&found));
         let trajectory = self.trajectory(&found.object, scale);
         PlacedObject { object: found.object, adjustment, trajectory }
