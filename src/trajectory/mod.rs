@@ -10,7 +10,8 @@
 //! for one unknown ratio r. Vehicles stand on the ground, and that determines r: [`constant_distance`] and
 //! [`intersection`] are the paper's two estimators, to the letter; [`least_squares`] uses all frames at once and says
 //! how well the motion determines r at all. [`joint`] goes further: it adjusts the object's reconstruction again,
-//! together with the ground. [`estimate_scale`] runs the others and says whether the ratio is determined;
+//! together with the ground. All of them, and ten of the literature, are rows of one registry ([`estimator()`]).
+//! [`estimate_scale`] runs the others and says whether the ratio is determined;
 //! [`assemble`] places the object; [`extents()`] measures it; [`smooth`] gives its speed in metres;
 //! [`verdicts`] judges the trajectories of a run.
 //! The derivations are in `docs/maths/scale.md`.
