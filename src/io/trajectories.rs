@@ -416,7 +416,7 @@ mod tests {
         let object = &value["objects"][0];
         assert_eq!(keys(object), ["id", "class", "confidence", "scale", "ground", "verdict", "frames"]);
         let of_scale = ["ratio", "std", "method", "degenerate", "reason", "alternatives", "as_reconstructed"];
-        let of_scale = [&of_scale[..], &["shares", "support"]].concat();
+        let of_scale = [&of_scale[..], &["shares", "support", "references"]].concat();
         assert_eq!(keys(&object["scale"]), of_scale);
         assert_eq!(object["scale"]["method"], "constant-distance");
         assert!(object["scale"]["std"].is_null());
