@@ -1,9 +1,9 @@
 //! The whole way from reconstructions, planes and outlines to an object that is placed: the one call that a user of the
 //! library needs.
 //!
-//! With the method `joint` the object's reconstruction is first adjusted together with the ground ([`joint`](super::joint())); where
-//! that cannot be done, or another method is wanted, it is taken as it is and [`estimate_scale`] finds the ratio.
-//! Either way the trajectory refers to [`PlacedObject::object`].
+//! With the method `joint` the object's reconstruction is first adjusted together with the ground
+//! ([`joint`](super::joint())); where that cannot be done, or another method is wanted, it is taken as it is and
+//! [`estimate_scale`] finds the ratio. Either way the trajectory refers to [`PlacedObject::object`].
 
 use std::collections::BTreeMap;
 
