@@ -16,7 +16,8 @@ use super::{IoError, atomic, json};
 use crate::math::{MAX_UNIT_ERROR, Sim3};
 use crate::scene::{
     CameraPathRatio, Dimensions, FrameId, Metric, MetricPose, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory,
-    PlaneBasis, Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, Trajectories, Travel, Unit, Verdict,
+    PlaneBasis, Ratios, References, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, Trajectories, Travel, Unit,
+    Verdict,
 };
 
 /// The version that is written.
@@ -76,6 +77,8 @@ struct Scale {
     support: Option<ScaleSupport>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     camera_path: Option<CameraPathRatio>,
+    #[serde(default, skip_serializing_if = "References::is_empty")]
+    references: References,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -166,6 +169,7 @@ fn object_to_file(object: &ObjectTrajectory) -> Object {
         shares,
         support,
         camera_path,
+        references,
     } = object.scale.clone();
     Object {
         id: object.id,
@@ -182,6 +186,7 @@ fn object_to_file(object: &ObjectTrajectory) -> Object {
             shares,
             support,
             camera_path,
+            references,
         },
         ground: object.ground.clone(),
         verdict: object.verdict.clone(),
@@ -207,7 +212,9 @@ fn pose_to_file(pose: &ObjectPose) -> Pose {
 }
 
 fn object_from_file(object: Object) -> ObjectTrajectory {
-    let Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support, camera_path } =
+    let Scale {
+        ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support, camera_path, references,
+    } =
         object.scale;
     ObjectTrajectory {
         id: object.id,
@@ -224,6 +231,7 @@ fn object_from_file(object: Object) -> ObjectTrajectory {
             shares,
             support,
             camera_path,
+            references,
         },
         ground: object.ground,
         verdict: object.verdict,
@@ -261,7 +269,9 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         let ratios = scale.alternatives.values().chain(scale.as_reconstructed.iter().flat_map(BTreeMap::values));
         let evidence = scale.shares.iter().flat_map(shares).chain(scale.support.iter().flat_map(lengths));
         let evidence = evidence.chain(scale.camera_path.iter().flat_map(camera_path));
-        let numbers = scale.std.iter().chain(ratios).chain([&object.confidence]).copied().chain(evidence);
+        let of_references = scale.references.values().flat_map(|found| found.ratio.iter().chain(&found.std));
+        let numbers =
+            scale.std.iter().chain(ratios).chain(of_references).chain([&object.confidence]).copied().chain(evidence);
         if let Some(number) = numbers.into_iter().find(|n| !n.is_finite()) {
             return wrong(format!("{number} is not a finite number"));
         }
@@ -358,7 +368,7 @@ mod tests {
     use super::*;
     use crate::scene::{
         ClockZone, Dates, Estimate, MapOrigin, MapPlace, MetricAxes, MetricFrame, MetricShare, MetricStd, Reason,
-        ReasonKind, ScaleMethod, Trust,
+        ReasonKind, Reference, ScaleMethod, Trust,
     };
 
     fn sample() -> Trajectories {
@@ -384,6 +394,11 @@ mod tests {
             alternatives: [(ScaleMethod::ConstantDistance, 0.731), (ScaleMethod::Intersection, 0.7)].into(),
             as_reconstructed: Some([(ScaleMethod::Intersection, 0.71)].into()),
             shares: Some(ScaleShares { tracks: 0.01, contact: 1.0 / 3.0, ..ScaleShares::default() }),
+            references: [
+                (ScaleMethod::Yuan, Reference { ratio: Some(0.72), std: Some(0.03), undetermined: None }),
+                (ScaleMethod::Park, Reference { undetermined: Some("no solution".into()), ..Reference::default() }),
+            ]
+            .into(),
             support: Some(ScaleSupport { num_points: 90, disagreement: Some(0.041), ..ScaleSupport::default() }),
             camera_path: None,
         };
@@ -416,7 +431,7 @@ mod tests {
         let object = &value["objects"][0];
         assert_eq!(keys(object), ["id", "class", "confidence", "scale", "ground", "verdict", "frames"]);
         let of_scale = ["ratio", "std", "method", "degenerate", "reason", "alternatives", "as_reconstructed"];
-        let of_scale = [&of_scale[..], &["shares", "support"]].concat();
+        let of_scale = [&of_scale[..], &["shares", "support", "references"]].concat();
         assert_eq!(keys(&object["scale"]), of_scale);
         assert_eq!(object["scale"]["method"], "constant-distance");
         assert!(object["scale"]["std"].is_null());

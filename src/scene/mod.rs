@@ -11,6 +11,7 @@ mod mask;
 mod mesh;
 mod metric;
 mod reconstruction;
+mod scale_method;
 mod tracked;
 mod trajectory;
 mod verdict;
@@ -30,12 +31,13 @@ pub use metric::{
 pub use reconstruction::{
     CameraForm, CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement,
 };
+pub use scale_method::{MethodInfo, ScaleMethod};
 pub use tracked::{
     DetectionCounts, Gap, IdentityEvidence, Movement, MovementFinding, Outline, TrackedObject, UnmergedTrack,
 };
 pub use trajectory::{
-    CameraPathRatio, ModelState, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, ScaleShares,
-    ScaleSupport, StationaryVehicles, Trajectories, Unit,
+    CameraPathRatio, ModelState, ObjectPose, ObjectTrajectory, Ratios, Reference, References, ScaleEstimate,
+    ScaleShares, ScaleSupport, StationaryVehicles, Trajectories, Unit,
 };
 pub use verdict::{Finding, Reason, ReasonKind, Trust, Verdict};
 pub use warning::{Topic, Warning, warning_text};

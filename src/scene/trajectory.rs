@@ -2,41 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Dimensions, FrameId, Metric, MetricPose, ObjectId, PlaneBasis, Travel, Verdict};
+use super::{Dimensions, FrameId, Metric, MetricPose, ObjectId, PlaneBasis, ScaleMethod, Travel, Verdict};
 use crate::math::Sim3;
-
-/// Method of estimating a scale ratio; the names are those of the contract.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum ScaleMethod {
-    /// View pair ranking by constant distance to the ground.
-    ConstantDistance,
-    /// Smallest ray–plane intersection per frame, median over frames.
-    Intersection,
-    /// Constant distance in all frames, robust least squares.
-    #[serde(rename = "least-squares")]
-    RobustLeastSquares,
-    /// Adjustment of vehicle and ground planes.
-    Joint,
-}
-
-impl ScaleMethod {
-    /// Every method, the paper's first.
-    pub const ALL: [Self; 4] = [Self::ConstantDistance, Self::Intersection, Self::RobustLeastSquares, Self::Joint];
-
-    /// The name in files and on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::ConstantDistance => "constant-distance",
-            Self::Intersection => "intersection",
-            Self::RobustLeastSquares => "least-squares",
-            Self::Joint => "joint",
-        }
-    }
-}
 
 /// The ratio r between the object's and the background's unit of length, and how sure it is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -62,6 +31,8 @@ pub struct ScaleEstimate {
     pub support: Option<ScaleSupport>,
     /// Ratio by the camera path, where the vehicle is stationary; it is part of `ratio` and `std`.
     pub camera_path: Option<CameraPathRatio>,
+    /// Results of the reference methods for the object before its adjustment; empty unless they were wanted.
+    pub references: References,
 }
 
 impl ScaleEstimate {
@@ -78,6 +49,7 @@ impl ScaleEstimate {
             shares: None,
             support: None,
             camera_path: None,
+            references: References::new(),
         }
     }
 }
@@ -175,6 +147,20 @@ pub enum ModelState {
 
 /// Scale ratios by the method that gave them. Which model of the object they speak of is reported where they stand.
 pub type Ratios = BTreeMap<ScaleMethod, f64>;
+
+/// Result of a reference method.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Reference {
+    /// Its scale ratio; `None` where it has none.
+    pub ratio: Option<f64>,
+    /// Its standard deviation.
+    pub std: Option<f64>,
+    /// Reason why the ratio is undetermined; `None` if it is determined.
+    pub undetermined: Option<String>,
+}
+
+/// Results of the reference methods.
+pub type References = BTreeMap<ScaleMethod, Reference>;
 
 /// The unit of length of a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

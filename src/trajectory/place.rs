@@ -1,15 +1,18 @@
 //! The whole way from reconstructions, planes and outlines to an object that is placed: the one call that a user of the
 //! library needs.
 //!
-//! With the method `joint` the object's reconstruction is first adjusted together with the ground ([`joint`]); where
-//! that cannot be done, or another method is wanted, it is taken as it is and [`estimate_scale`] finds the ratio.
-//! Either way the trajectory refers to [`PlacedObject::object`].
+//! With the method `joint` the object's reconstruction is first adjusted together with the ground
+//! ([`joint`](super::joint())); where that cannot be done, or another method is wanted, it is taken as it is and
+//! [`estimate_scale`] finds the ratio. Either way the trajectory refers to [`PlacedObject::object`].
 
 use std::collections::BTreeMap;
 
-use super::estimate::{estimate_scale, joint_estimate, ratios_of, with_focal};
+use super::estimate::{estimate_scale, joint_estimate, ratios_of, references, with_focal};
 use super::plane_outliers::Steadiness;
-use super::{Body, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views, assemble, joint};
+use super::{
+    Body, Estimate, EstimatorInput, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views,
+    assemble, estimator,
+};
 use crate::scene::{Frame, FrameId, GroundPlane, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod, Unit};
 
 /// Where an object's model comes from.
@@ -95,10 +98,12 @@ impl From<&Joint> for AdjustmentFigures {
 pub fn place(evidence: &Evidence, options: &Options) -> PlacedObject {
     let as_it_is = Views::new(evidence.background, evidence.object, evidence.planes, options);
     let is_adjusted = options.method == ScaleMethod::Joint && evidence.origin == ModelOrigin::Reconstructed;
-    let adjustment = match is_adjusted.then(|| joint(&evidence.grounded(), &as_it_is, options)) {
-        None => Adjustment::None,
+    let grounded = evidence.grounded();
+    let input = EstimatorInput { views: &as_it_is, grounded: Some(&grounded) };
+    let adjustment = match is_adjusted.then(|| estimator(options.method).estimate(&input, options)) {
+        Some(Ok(Estimate { adjusted: Some(found), .. })) => return evidence.adjusted(*found, &as_it_is, options),
         Some(Err(error)) => Adjustment::Failed(error),
-        Some(Ok(found)) => return evidence.adjusted(found, &as_it_is, options),
+        _ => Adjustment::None,
     };
     let method = match options.method {
         ScaleMethod::Joint => ScaleMethod::RobustLeastSquares,
@@ -123,7 +128,9 @@ impl Evidence<'_> {
         let steadiness = Steadiness::of(self.background, &found.object, self.planes, found.ratio, options);
         let views = Views::new(self.background, &found.object, &steadiness.telling(self.planes), options);
         let as_reconstructed = Some(ratios_of(as_it_was, options));
-        let scale = ScaleEstimate { as_reconstructed, ..joint_estimate(&views, &found, options, self.focal_std) };
+        let references = references(as_it_was, options);
+        let scale = joint_estimate(&views, &found, options, self.focal_std);
+        let scale = ScaleEstimate { as_reconstructed, references, ..scale };
         let adjustment = Adjustment::Done(AdjustmentFigures::from(&found));
         let trajectory = self.trajectory(&found.object, scale);
         PlacedObject { object: found.object, adjustment, trajectory }
