@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Dimensions, FrameId, Metric, MetricPose, ObjectId, PlaneBasis, Travel, Verdict};
+use super::{Dimensions, FrameId, GroundTrack, Metric, MetricPose, ObjectId, PlaneBasis, Travel, Verdict};
 use crate::math::Sim3;
 
 /// Method of estimating a scale ratio; the names are those of the contract.
@@ -236,4 +236,13 @@ pub struct Trajectories {
     pub metric: Option<Metric>,
     /// Ascending by id.
     pub objects: Vec<ObjectTrajectory>,
+    /// Tracks on the ground of vehicles without a usable 3D model, ascending by id.
+    pub ground_tracks: Vec<GroundTrack>,
+}
+
+impl Trajectories {
+    /// Ground track of a vehicle.
+    pub fn ground_track(&self, id: ObjectId) -> Option<&GroundTrack> {
+        self.ground_tracks.iter().find(|track| track.id == id)
+    }
 }

@@ -12,7 +12,7 @@
 //! how well the motion determines r at all. [`joint`] goes further: it adjusts the object's reconstruction again,
 //! together with the ground. [`estimate_scale`] runs the others and says whether the ratio is determined;
 //! [`assemble`] places the object; [`extents()`] measures it; [`smooth`] gives its speed in metres;
-//! [`verdicts`] judges the trajectories of a run.
+//! [`verdicts`] judges the trajectories of a run. A vehicle whose model cannot be used gets a [`ground_track()`].
 //! The derivations are in `docs/maths/scale.md`.
 
 //!
@@ -39,6 +39,7 @@ mod error;
 mod estimate;
 mod extents;
 mod ground_constrained_poses;
+mod ground_track;
 mod heading;
 mod intersection;
 mod joint;
@@ -46,6 +47,7 @@ mod least_squares;
 mod mirror;
 mod place;
 mod plane_outliers;
+mod pose_error;
 mod smoother;
 mod verdict;
 mod views;
@@ -58,11 +60,12 @@ pub use error::ScaleError;
 pub use estimate::{Options, estimate_scale, ratios_of};
 pub use extents::{Extents, Subject, extents};
 pub use ground_constrained_poses::{ObjectImage, ground_constrained_poses};
+pub use ground_track::{ContactEvidence, Outlines, ground_track, outline_pixels};
 pub use heading::{forward_axis, headings};
 pub use intersection::{Intersection, intersection};
 pub use joint::{Grounded, Joint, JointOptions, joint};
 pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
 pub use place::{Adjustment, AdjustmentFigures, Evidence, ModelOrigin, PlacedObject, place};
-pub use smoother::{CommonStd, PositionMeasurement, Smoothed, smooth};
+pub use smoother::{CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
 pub use verdict::{Candidate, verdicts};
 pub use views::{View, Views};
