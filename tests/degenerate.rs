@@ -26,7 +26,7 @@ use tractrix::sfm::Options;
 use tractrix::synthetic::drive::{self, Drive, drive};
 use tractrix::synthetic::{empty_table, observe};
 use tractrix::trajectory::{
-    self, Candidate, CommonStd, Evidence, ModelOrigin, ObjectDescription, PositionMeasurement, Subject,
+    self, Candidate, CommonStd, Evidence, ModelOrigin, ObjectDescription, PositionError, PositionMeasurement, Subject,
 };
 
 /// Whether all numbers of a value are finite, by its debug output.
@@ -513,6 +513,7 @@ proptest! {
             position_m: Vector3::new(*x, 0.0, 0.0),
             camera_m: Vector3::new(camera, 0.0, 0.0),
             forward: (*step > 1).then(Vector3::x),
+            error: PositionError::default(),
         };
         let sightings: Vec<PositionMeasurement> = places.iter().enumerate().map(sighting).collect();
         prop_finite!(trajectory::smooth(&sightings, &CommonStd { ratio: 0.02, scale: 0.01 }, Movement::Undetermined));

@@ -15,9 +15,9 @@ use super::extent::{is_sensible, is_sensible_ratio};
 use super::{IoError, atomic, json};
 use crate::math::{MAX_UNIT_ERROR, Sim3};
 use crate::scene::{
-    CameraPathRatio, Dimensions, FrameId, Metric, MetricPose, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory,
-    PlaneBasis, Ratios, References, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, Trajectories, Travel, Unit,
-    Verdict,
+    CameraPathRatio, ContactError, Dimensions, FrameId, GroundPosition, GroundTrack, Metric, MetricPose, MetricVerdict,
+    ObjectId, ObjectPose, ObjectTrajectory, PlaneBasis, Ratios, References, ScaleEstimate, ScaleMethod, ScaleShares,
+    ScaleSupport, Trajectories, Travel, Unit, Verdict,
 };
 
 /// The version that is written.
@@ -41,6 +41,9 @@ struct Document {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     metric: Option<Metric>,
     objects: Vec<Object>,
+    /// Absent where there is none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    ground_tracks: Vec<GroundTrack>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -114,12 +117,12 @@ pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
 }
 
 /// Writes the trajectories of a run with the keys and words of version 2: every frame has `speed`, null where the unit
-/// is that of the background, and a rejected trajectory is `not-to-be-trusted`.
+/// is that of the background, and a rejected trajectory is `not-to-be-trusted`. It has no ground tracks.
 ///
 /// # Errors
 /// As [`write()`].
 pub fn write_version_2(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
-    let document = document(trajectories, OLD_VERSION);
+    let document = Document { ground_tracks: Vec::new(), ..document(trajectories, OLD_VERSION) };
     check(path, &document)?;
     let mut value = serde_json::to_value(&document).map_err(|error| IoError::content(path, error.to_string()))?;
     let objects = value["objects"].as_array_mut().into_iter().flatten();
@@ -140,6 +143,7 @@ fn document(trajectories: &Trajectories, version: u32) -> Document {
         unit: trajectories.unit,
         metric: trajectories.metric.clone(),
         objects: trajectories.objects.iter().map(object_to_file).collect(),
+        ground_tracks: trajectories.ground_tracks.clone(),
     }
 }
 
@@ -153,8 +157,8 @@ pub fn read(path: &Path) -> Result<Trajectories, IoError> {
         json::check_version(path, document.version, VERSION)?;
     }
     check(path, &document)?;
-    let Document { unit, metric, objects, .. } = document;
-    Ok(Trajectories { unit, metric, objects: objects.into_iter().map(object_from_file).collect() })
+    let Document { unit, metric, objects, ground_tracks, .. } = document;
+    Ok(Trajectories { unit, metric, objects: objects.into_iter().map(object_from_file).collect(), ground_tracks })
 }
 
 fn object_to_file(object: &ObjectTrajectory) -> Object {
@@ -297,7 +301,26 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
             }
         }
     }
-    Ok(())
+    document.ground_tracks.iter().try_for_each(|track| {
+        let wrong = |problem: String| Err(IoError::content(path, format!("ground track {}: {problem}", track.id)));
+        ground_track_problem(track).map_or(Ok(()), wrong)
+    })
+}
+
+/// Problem of a ground track.
+fn ground_track_problem(track: &GroundTrack) -> Option<String> {
+    if !has_finite_numbers(track) {
+        return Some("a number is not finite".into());
+    }
+    let numbers = |position: &GroundPosition| {
+        let ContactError { noise, drift, common } = position.error;
+        [noise.concat(), drift.to_vec(), common.to_vec(), position.position.to_vec()].concat()
+    };
+    if let Some(position) = track.positions.iter().find(|position| numbers(position).iter().any(|n| !is_sensible(n))) {
+        return Some(format!("frame {}: a number is out of range", position.frame.0));
+    }
+    let pair = track.positions.windows(2).find(|pair| pair[0].frame >= pair[1].frame)?;
+    Some(format!("frame {} after frame {}: frames must ascend", pair[1].frame.0, pair[0].frame.0))
 }
 
 fn shares(of: &ScaleShares) -> [f64; 6] {
@@ -416,7 +439,7 @@ mod tests {
             travel: None,
             poses,
         };
-        Trajectories { unit: Unit::Background, metric: None, objects: vec![object] }
+        Trajectories { unit: Unit::Background, metric: None, objects: vec![object], ground_tracks: Vec::new() }
     }
 
     #[test]

@@ -7,6 +7,7 @@ mod flow;
 mod focal_change;
 mod frame;
 mod ground;
+mod ground_track;
 mod mask;
 mod mesh;
 mod metric;
@@ -22,6 +23,9 @@ pub use flow::Flow;
 pub use focal_change::FocalChange;
 pub use frame::{Frame, FrameId, ObjectId, TimeBase};
 pub use ground::{Ground, GroundPlane, GroundSource, PlaneBasis};
+pub use ground_track::{
+    ContactError, GroundPosition, GroundTrack, GroundTrackMethod, GroundTrackTrust, GroundTrackVerdict, NoContact,
+};
 pub use mask::{BoundingBox, Detection, LabelMap, Mask};
 pub use mesh::TriangleMesh;
 pub use metric::{

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Dimensions, FrameId, Metric, MetricPose, ObjectId, PlaneBasis, ScaleMethod, Travel, Verdict};
+use super::{
+    Dimensions, FrameId, GroundTrack, Metric, MetricPose, ObjectId, PlaneBasis, ScaleMethod, Travel, Verdict,
+};
 use crate::math::Sim3;
 
 /// The ratio r between the object's and the background's unit of length, and how sure it is.
@@ -255,4 +257,13 @@ pub struct Trajectories {
     pub metric: Option<Metric>,
     /// Ascending by id.
     pub objects: Vec<ObjectTrajectory>,
+    /// Tracks on the ground of vehicles without a usable 3D model, ascending by id.
+    pub ground_tracks: Vec<GroundTrack>,
+}
+
+impl Trajectories {
+    /// Ground track of a vehicle.
+    pub fn ground_track(&self, id: ObjectId) -> Option<&GroundTrack> {
+        self.ground_tracks.iter().find(|track| track.id == id)
+    }
 }

@@ -13,7 +13,7 @@
 //! together with the ground. All of them, and ten of the literature, are rows of one registry ([`estimator()`]).
 //! [`estimate_scale`] runs the others and says whether the ratio is determined;
 //! [`assemble`] places the object; [`extents()`] measures it; [`smooth`] gives its speed in metres;
-//! [`verdicts`] judges the trajectories of a run.
+//! [`verdicts`] judges the trajectories of a run. A vehicle whose model cannot be used gets a [`ground_track()`].
 //! The derivations are in `docs/maths/scale.md`.
 
 //!
@@ -41,6 +41,7 @@ mod estimate;
 mod estimators;
 mod extents;
 mod ground_constrained_poses;
+mod ground_track;
 mod heading;
 mod intersection;
 mod joint;
@@ -48,6 +49,7 @@ mod least_squares;
 mod mirror;
 mod place;
 mod plane_outliers;
+mod pose_error;
 mod smoother;
 mod stationary;
 mod verdict;
@@ -63,6 +65,7 @@ pub use estimate::{Options, estimate_scale, ratios_of};
 pub use estimators::{Estimate, Estimator, EstimatorInput, estimator};
 pub use extents::{Extents, Subject, extents};
 pub use ground_constrained_poses::{ObjectImage, ground_constrained_poses};
+pub use ground_track::{ContactEvidence, Outlines, ground_track, outline_pixels};
 pub use heading::{forward_axis, headings};
 use intersection::IntersectionMethod;
 pub use intersection::{Intersection, intersection};
@@ -71,7 +74,7 @@ pub use joint::{Grounded, Joint, JointOptions, joint};
 use least_squares::LeastSquaresMethod;
 pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
 pub use place::{Adjustment, AdjustmentFigures, Evidence, ModelOrigin, PlacedObject, place};
-pub use smoother::{CommonStd, PositionMeasurement, Smoothed, smooth};
+pub use smoother::{CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
 pub use stationary::RelativeMotion;
 pub use verdict::{Candidate, verdicts};
 pub use views::{View, Views};

@@ -7,8 +7,11 @@
 
 use std::collections::BTreeMap;
 
+use nalgebra::Matrix3;
+
 use super::estimate::{estimate_scale, joint_estimate, ratios_of, references, with_focal};
 use super::plane_outliers::Steadiness;
+use super::pose_error;
 use super::{
     Body, Estimate, EstimatorInput, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views,
     assemble, estimator,
@@ -54,6 +57,10 @@ pub struct PlacedObject {
     pub adjustment: Adjustment,
     /// The trajectory, in units of the background, or why there is none.
     pub trajectory: Result<ObjectTrajectory, ScaleError>,
+    /// Covariance of the position in each frame, in the frame and unit of the background, without that of the ratio.
+    pub pose_covariances: BTreeMap<FrameId, Matrix3<f64>>,
+    /// Frames without a position since its standard deviation exceeds the size of the model, ascending.
+    pub dropped: Vec<FrameId>,
 }
 
 /// Outcome of the adjustment with the ground.
@@ -111,9 +118,7 @@ pub fn place(evidence: &Evidence, options: &Options) -> PlacedObject {
     };
     let scale = estimate_scale(&as_it_is, method, options)
         .map(|scale| with_focal(scale, evidence.focal_std, options.max_relative_std));
-    let object = evidence.object.clone();
-    let trajectory = scale.and_then(|scale| evidence.trajectory(&object, scale));
-    PlacedObject { object, adjustment, trajectory }
+    evidence.finished(evidence.object.clone(), adjustment, scale)
 }
 
 impl Evidence<'_> {
@@ -132,8 +137,26 @@ impl Evidence<'_> {
         let scale = joint_estimate(&views, &found, options, self.focal_std);
         let scale = ScaleEstimate { as_reconstructed, references, ..scale };
         let adjustment = Adjustment::Done(AdjustmentFigures::from(&found));
-        let trajectory = self.trajectory(&found.object, scale);
-        PlacedObject { object: found.object, adjustment, trajectory }
+        self.finished(found.object, adjustment, Ok(scale))
+    }
+
+    /// The object in its place, once its scale ratio is known.
+    fn finished(
+        &self,
+        object: Reconstruction,
+        adjustment: Adjustment,
+        scale: Result<ScaleEstimate, ScaleError>,
+    ) -> PlacedObject {
+        let mut trajectory = scale.and_then(|scale| self.trajectory(&object, scale));
+        let (mut pose_covariances, mut dropped) = (BTreeMap::new(), Vec::new());
+        if let Ok(trajectory) = &mut trajectory {
+            let ratio = trajectory.scale.ratio;
+            pose_covariances = pose_error::pose_covariances(self.background, &object, ratio);
+            if self.origin == ModelOrigin::Reconstructed {
+                dropped = pose_error::drop_unsure(&mut trajectory.poses, &pose_covariances, &object, ratio);
+            }
+        }
+        PlacedObject { object, adjustment, trajectory, pose_covariances, dropped }
     }
 
     fn trajectory(&self, object: &Reconstruction, scale: ScaleEstimate) -> Result<ObjectTrajectory, ScaleError> {

@@ -107,10 +107,9 @@ impl Stage {
             Self::Scale => 11,
             Self::Objects => 7,
             Self::Background | Self::Motion | Self::Track => 6,
-            Self::Features => 5,
-            Self::Ground | Self::Follow | Self::Metric => 4,
-            Self::Frames | Self::Segment => 3,
-            Self::Report => 2,
+            Self::Features | Self::Ground => 5,
+            Self::Follow | Self::Metric => 4,
+            Self::Frames | Self::Segment | Self::Report => 3,
         }
     }
 

@@ -124,6 +124,7 @@ fn objects<'a>(
             visible: tracked.frames.clone(),
             model: models.get(&tracked.id).map(|reconstruction| Model { reconstruction, unregistered }),
             trajectory: trajectories.objects.iter().find(|trajectory| trajectory.id == tracked.id),
+            ground_track: trajectories.ground_track(tracked.id),
             ratio_per_frame: models.get(&tracked.id).map(|model| ratios(tracked.id, model)).unwrap_or_default(),
             failure: failure.or_else(|| failures.get(&tracked.id.to_string()).cloned()),
         }

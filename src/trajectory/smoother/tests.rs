@@ -31,7 +31,13 @@ fn circle(num: u32, seed: u64) -> Vec<PositionMeasurement> {
         let ray = (truth - camera_m).normalize();
         let noise: f64 = rng.sample(StandardNormal);
         let forward = Some(Vector3::new(cos, sin, 0.0));
-        PositionMeasurement { time_s, position_m: truth + ray * (NOISE_M * noise), camera_m, forward }
+        PositionMeasurement {
+            time_s,
+            position_m: truth + ray * (NOISE_M * noise),
+            camera_m,
+            forward,
+            error: PositionError::default(),
+        }
     };
     (0..num).map(sight).collect()
 }
@@ -237,7 +243,13 @@ fn drive(speed_m_s: f64, common: &CommonStd, seed: u64) -> Vec<PositionMeasureme
         let across = (across - sight * sight.dot(&across)) * DRIFT_ACROSS;
         let error = (new + sight * (DRIFT * drift[0]) + across) * distance;
         let position_m = (camera_m + ray * ratio + error) * scale;
-        PositionMeasurement { time_s, position_m, camera_m: camera_m * scale, forward: Some(Vector3::x()) }
+        PositionMeasurement {
+            time_s,
+            position_m,
+            camera_m: camera_m * scale,
+            forward: Some(Vector3::x()),
+            error: PositionError::default(),
+        }
     };
     (0..60).map(sight).collect()
 }
