@@ -307,16 +307,16 @@ proptest! {
     fn maps_are_finite(world in worlds(150), is_given in any::<bool>(), is_background in any::<bool>()) {
         let options = if is_background { Options::background() } else { Options::object() }.mapper;
         let (camera, known) = match is_given {
-            true => (CAMERA, Intrinsics::Fixed),
-            false => (Camera::prior(640, 360), Intrinsics::Refined),
+            true => (CAMERA, Intrinsics::FIXED),
+            false => (Camera::prior(640, 360), Intrinsics::GUESSED),
         };
         let mut table = world.table();
         mapper::cut_long_tracks(&mut table, &[camera], known, &options, 1);
         let (model, report) = mapper::reconstruct(&table, &[camera], known, &options, 1).unwrap();
         prop_finite!(numbers(&model));
         prop_finite!(report);
-        prop_finite!(mapper::focal_changes(&model, known));
-        if let Ok(Some(found)) = bundle::center_deviations(&model, 16) {
+        prop_finite!(mapper::focal_changes(&model, camera.principal));
+        if let Ok(Some(found)) = bundle::center_deviations(&model, 16, &BTreeMap::new()) {
             prop_finite!(found);
         }
     }
@@ -335,7 +335,7 @@ fn a_point_behind_a_camera_is_rejected_and_counted() {
         seed: 17_617_361_927_016_870_534,
     };
     let options = Options::object().mapper;
-    let (model, report) = mapper::reconstruct(&world.table(), &[CAMERA], Intrinsics::Fixed, &options, 1).unwrap();
+    let (model, report) = mapper::reconstruct(&world.table(), &[CAMERA], Intrinsics::FIXED, &options, 1).unwrap();
     assert!(is_finite(&numbers(&model)) && is_finite(&report), "{report:?}");
     assert!(report.num_infinite_points > 0 && model.points.len() == report.num_points, "{report:?}");
 }
@@ -462,7 +462,7 @@ proptest! {
             let chain = GroundChain { background, labelled, dominant: dominant.as_ref(), mount: mount.as_ref(), shape };
             prop_finite!(chain.planes(ObjectId(1), object, &options, 1));
         }
-        if let Ok(Some(found)) = bundle::center_deviations(background, 16) {
+        if let Ok(Some(found)) = bundle::center_deviations(background, 16, &BTreeMap::new()) {
             prop_finite!(found);
         }
     }

@@ -269,7 +269,8 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
         facts.push(Fact::new("Rotation applied", format!("{}°", info.rotation_deg)));
     }
     let origin = match cameras::first(run)?.origin {
-        CameraOrigin::Given => "given",
+        CameraOrigin::Given if run.options.intrinsics_std.is_fixed() => "given",
+        CameraOrigin::Given => "given, adjusted with the background",
         CameraOrigin::Exif => "from EXIF, refined with the background",
         CameraOrigin::Guess => "estimated with the background",
     };
