@@ -26,10 +26,13 @@ const NUM_DRAWS: u64 = 5;
 /// Height of the vehicle's middle above ground, meters.
 const HALF_HEIGHT: f64 = 0.7;
 
+/// Camera center, center of the vehicle, and its axes as columns: forward, left, up.
+type TrueFrame = (Vector3<f64>, Vector3<f64>, Matrix3<f64>);
+
 /// Camera center, the vehicle's middle and its axes (the third points up), by frame.
 struct Motion {
     name: String,
-    frames: Vec<(Vector3<f64>, Vector3<f64>, Matrix3<f64>)>,
+    frames: Vec<TrueFrame>,
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -129,7 +132,7 @@ fn views(motion: &Motion, draw: u64, stream: u64) -> Views {
         drift.push(drift.last().unwrap_or(&0.0) + vector(0.01 / (count as f64).sqrt()).x);
     }
     let mean = drift.iter().sum::<f64>() / count as f64;
-    let view = |(k, &(camera, object, axes)): (usize, &(Vector3<f64>, Vector3<f64>, Matrix3<f64>))| {
+    let view = |(k, &(camera, object, axes)): (usize, &TrueFrame)| {
         let offset = object - camera;
         let offset = offset * (drift[k] - mean).exp() + vector(0.5 / 880.0) * offset.norm();
         let exact = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix(&axes));

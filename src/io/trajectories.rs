@@ -217,9 +217,18 @@ fn pose_to_file(pose: &ObjectPose) -> Pose {
 
 fn object_from_file(object: Object) -> ObjectTrajectory {
     let Scale {
-        ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support, camera_path, references,
-    } =
-        object.scale;
+        ratio,
+        std,
+        method,
+        degenerate,
+        reason,
+        alternatives,
+        as_reconstructed,
+        shares,
+        support,
+        camera_path,
+        references,
+    } = object.scale;
     ObjectTrajectory {
         id: object.id,
         class: object.class,

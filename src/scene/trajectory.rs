@@ -2,11 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{
-    Dimensions, FrameId, GroundTrack, Metric, MetricPose, ObjectId, PlaneBasis, ScaleMethod, Travel, Verdict,
-};
+use super::{Dimensions, FrameId, GroundTrack, Metric, MetricPose, ObjectId, PlaneBasis, ScaleMethod, Travel, Verdict};
 use crate::math::Sim3;
 
 /// The ratio r between the object's and the background's unit of length, and how sure it is.

@@ -25,9 +25,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::least_squares::LEAST_STD;
-use crate::math::at_least;
 use super::{Estimate, Estimator, EstimatorInput, LeastSquares, Options, ScaleError, View, Views, least_squares};
 use crate::checks::{Checked, within};
+use crate::math::at_least;
 use crate::scene::{FrameId, ScaleMethod};
 
 /// Limits of the search; its result is the paper's as long as they are not reached.

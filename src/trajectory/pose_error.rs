@@ -205,7 +205,12 @@ mod tests {
             }
         };
         let measured: Vec<_> = world.frames.iter().map(measured).collect();
-        let smoothed = crate::trajectory::smooth(&measured, &crate::trajectory::CommonStd::default(), crate::scene::Movement::Undetermined).unwrap();
+        let smoothed = crate::trajectory::smooth(
+            &measured,
+            &crate::trajectory::CommonStd::default(),
+            crate::scene::Movement::Undetermined,
+        )
+        .unwrap();
         let truth = metric_from_world * (world.world_from_object[&FrameId(59)] * center);
         let (first, last) = (&smoothed.motions[20], &smoothed.motions[59]);
         let size = |std: [f64; 3]| nalgebra::Vector3::from(std).norm();

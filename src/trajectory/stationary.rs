@@ -108,10 +108,8 @@ impl RelativeMotion {
 ///   errors of positions are proportional to them.
 fn regression(sights: &[(f64, Vector3<f64>, Vector3<f64>)]) -> Option<RelativeMotion> {
     let total: f64 = sights.iter().map(|(weight, ..)| weight).sum();
-    let mean = |of: fn(&(f64, Vector3<f64>, Vector3<f64>)) -> Vector3<f64>| {
-        sights.iter().map(|sight| of(sight) * sight.0).sum::<Vector3<f64>>() / total
-    };
-    let (center, relative) = (mean(|sight| sight.1), mean(|sight| sight.2));
+    let center = sights.iter().map(|(weight, c, _)| *weight * c).sum::<Vector3<f64>>() / total;
+    let relative = sights.iter().map(|(weight, _, u)| *weight * u).sum::<Vector3<f64>>() / total;
     let sum = |of: &dyn Fn(Vector3<f64>, Vector3<f64>) -> f64| {
         sights.iter().map(|(weight, c, u)| weight * of(c - center, u - relative)).sum::<f64>() / total
     };

@@ -76,7 +76,7 @@ pub(super) fn ratio(motion: &Motion) -> Result<f64, ScaleError> {
     let coefficients = best.ok_or(ScaleError::Undetermined("rays and basis leave the path open"))?;
     let (mut along, mut squares) = (0.0, 0.0);
     for (k, offset) in motion.offsets.iter().enumerate() {
-        along += frames.from_camera(&coefficients, k).dot(offset);
+        along += frames.position_relative_to_camera(&coefficients, k).dot(offset);
         squares += offset.norm_squared();
     }
     positive(along / squares)
@@ -134,7 +134,7 @@ impl Rays {
     }
 
     /// From the camera of a frame to the path.
-    fn from_camera(&self, coefficients: &DVector<f64>, frame: usize) -> Vector3<f64> {
+    fn position_relative_to_camera(&self, coefficients: &DVector<f64>, frame: usize) -> Vector3<f64> {
         let num = coefficients.len() / 3;
         let terms = (0..num).map(|k| self.basis[(frame, k)] * coefficients.fixed_rows::<3>(3 * k));
         terms.sum::<Vector3<f64>>() - self.centers[frame]
@@ -143,7 +143,7 @@ impl Rays {
     /// Σ of the squared angles between the rays of a fold and a path.
     fn error(&self, coefficients: &DVector<f64>, fold: usize) -> f64 {
         let angle = |frame: usize| {
-            let towards = self.from_camera(coefficients, frame);
+            let towards = self.position_relative_to_camera(coefficients, frame);
             let direction = self.directions[frame];
             towards.cross(&direction).norm().atan2(towards.dot(&direction))
         };

@@ -157,7 +157,8 @@ fn speeds_of_far_vehicles_are_as_sure_as_is_said_also_in_a_curve() {
         let bias = normal(rng);
         let noisy = outlines(&world, || Vector2::new(0.5 * normal(rng), bias + 0.5 * normal(rng)));
         let found = track(&world, &planes, &[(ID, noisy)].into()).unwrap();
-        let smoothed = smooth(&in_metres(&world, &found), &CommonStd::default()).unwrap();
+        let smoothed =
+            smooth(&in_metres(&world, &found), &CommonStd::default(), crate::scene::Movement::Undetermined).unwrap();
         for motion in smoothed.motions.iter().step_by(9) {
             let off = (motion.speed_m_s - 8.0).abs() / motion.speed_std_m_s;
             assert!(motion.speed_std_m_s < 8.0, "{motion:?}");

@@ -9,7 +9,7 @@ use crate::metric::{ObservedContact, contact_place_std_m, contact_pose};
 use crate::pipeline::driver::run::Outcome;
 use crate::scene::{
     Estimate, GroundPosition, GroundTrack, GroundTrackTrust, GroundTrackVerdict, MapPlace, MetricPose, Motion,
-    TimeBase, Topic,
+    Movement, TimeBase, Topic,
 };
 use crate::telemetry::Geodetic;
 use crate::trajectory::{CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};

@@ -84,8 +84,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     };
     if let Some(frame) = found.metric.frame.as_ref().or(nominal.as_ref()) {
         let movements = track::objects(run)?.into_iter().map(|object| (object.id, object.movement.state)).collect();
-        let placing =
-            Placing::new(&background, frame, found.map, &pose_covariances, run.info().time_base(), movements);
+        let placing = Placing::new(&background, frame, found.map, &pose_covariances, run.info().time_base(), movements);
         for trajectory in &mut objects {
             match &nominal {
                 Some(_) => placing.fill_units(trajectory),
