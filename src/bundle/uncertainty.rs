@@ -42,12 +42,12 @@ pub struct CenterDeviations {
 /// Standard deviations of the centres of at most `num_images` images, evenly spread, from the covariance of the
 /// reconstruction's adjustment.
 ///
-/// * `intrinsics` – prior standard deviations of fx, fy, cx, cy, k1, k2 of each camera; zero for those that are held, as
-///   those of absent cameras are.
+/// * `intrinsics` – prior standard deviations of fx, fy, cx, cy, k1, k2 of each camera; zero for those that are held,
+///   as those of absent cameras are.
 ///
-/// With the intrinsics held, two are computed, and the larger one counts: if every observation errs by itself, with the noise of a pixel taken
-/// from the residuals, σ² = Σ r² / (residuals − unknowns); and if those of a part of the time and of the picture err
-/// together (a sandwich over groups of them), as tracks do that slide.
+/// With the intrinsics held, two are computed, and the larger one counts: if every observation errs by itself, with
+/// the noise of a pixel taken from the residuals, σ² = Σ r² / (residuals − unknowns); and if those of a part of the
+/// time and of the image err together (a sandwich over groups of them), as tracks do that slide.
 ///
 /// In models of more than 400 images, points that are seen again after more than 96 images count with a part of what
 /// was seen before ([`Problem::thin_ties`]).
@@ -56,9 +56,9 @@ pub struct CenterDeviations {
 /// are scaled by the root of that, those that are common to a group are not.
 ///
 /// They are relative to what holds the gauge: the first image, which is exact by definition and left out, and its
-/// distance to the image farthest from it. The share of the intrinsics is added, but for a similarity of the whole path:
-/// all observations err together in it ([`COMMON_ERROR_FACTOR`]). The standard deviations know nothing of wrong matches.
-/// `None` where there are no more residuals than unknowns.
+/// distance to the image farthest from it. The share of the intrinsics is added, but for a similarity of the whole
+/// path: all observations err together in it ([`COMMON_ERROR_FACTOR`]). The standard deviations know nothing of wrong
+/// matches. `None` where there are no more residuals than unknowns.
 ///
 /// # Errors
 /// As [`covariances`].

@@ -73,8 +73,8 @@ pub(super) struct JobArgs {
     /// at which players show it.
     #[arg(long, value_name = "NUMBERS|FILE", help_heading = "Geometry")]
     pub(super) intrinsics: Option<IntrinsicsSource>,
-    /// Hold the given intrinsics, those of --background-model included; otherwise they are adjusted within their standard
-    /// deviations
+    /// Hold the given intrinsics, those of --background-model included; otherwise they are adjusted within their
+    /// standard deviations
     #[arg(long, conflicts_with = "intrinsics_std", help_heading = "Geometry")]
     pub(super) fixed: bool,
     /// Standard deviations of given intrinsics: shares of the focal length and, for the principal point, of the longer

@@ -9,8 +9,8 @@
 //! ```
 //!
 //! for a vehicle that moves at v times the camera's velocity, r the true ratio. A stationary vehicle has s = r̂ / r: 1
-//! within the error of r̂ and that of s, and its ratio is r̂ / s. For a moving vehicle v has Cauchy's distribution, that
-//! of the ratio of two equal normal velocities. The ratio of both likelihoods decides. Derivation and figures:
+//! within the error of r̂ and that of s, and its ratio is r̂ / s. For a moving vehicle v has Cauchy's distribution,
+//! that of the ratio of two equal normal velocities. The ratio of both likelihoods decides. Derivation and figures:
 //! docs/maths/motion.md, section *Moving or stationary trajectory*.
 
 use std::f64::consts::PI;

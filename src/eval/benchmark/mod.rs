@@ -92,7 +92,7 @@ pub struct EstimatorResult {
     pub deviation: Option<f64>,
     /// Mean trajectory error at this ratio; `None` where none can be computed.
     pub trajectory_error_m: Option<f64>,
-    /// Standard deviation of the ratio, where the estimator states one beside the run's choice.
+    /// Standard deviation of the ratio, where the estimator states one apart from the run's choice.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub std: Option<f64>,
 }

@@ -48,8 +48,8 @@ const MEDIAN_VIEWS: usize = 5;
 
 /// The changes of the focal length in a video's map with one camera; none in a map of several cameras.
 ///
-/// * `principal` – the principal point before the adjustment: that of the map is not trusted, since it absorbs a part of
-///   a zoom.
+/// * `principal` – the principal point before the adjustment: that of the map is not trusted, since it absorbs a part
+///   of a zoom.
 pub fn focal_changes(model: &Reconstruction, principal: [f64; 2]) -> Vec<FocalChange> {
     let Some((id, camera)) = model.cameras.first_key_value().filter(|_| model.cameras.len() == 1) else {
         return Vec::new();
