@@ -46,8 +46,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             let truth = flight(frames, has("back"));
             let table = tracks(&truth, second.parse()?, has("back"));
             let (guess, known) = match has("unknown") {
-                true => (Camera::prior(960, 540), Intrinsics::Refined),
-                false => (truth.camera, Intrinsics::Fixed),
+                true => (Camera::prior(960, 540), Intrinsics::GUESSED),
+                false => (truth.camera, Intrinsics::FIXED),
             };
             let model = map(table, guess, known)?;
             println!("RMS of the camera centres {:.5} of the path's unit", center_error(&model, &truth));
@@ -55,7 +55,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         Err(_) => {
             let table: TrackTable = postcard::from_bytes(&std::fs::read(first)?)?;
             let camera = Camera::prior(second.parse()?, words.first().ok_or("no height")?.parse()?);
-            map(table, camera, Intrinsics::Refined)?;
+            map(table, camera, Intrinsics::GUESSED)?;
         }
     }
     Ok(())

@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let options = sfm::Options::unordered(); // For a video: sfm::Options::background().
     // No mask: the whole picture is used. A frame that cannot be decoded is no reason to stop.
     let pictures = source.frames()?.filter_map(Result::ok).map(|(frame, picture)| (frame, picture, None));
-    let (model, report) = sfm::reconstruct_pictures(pictures, camera, Intrinsics::Refined, &options, 0)?;
+    let (model, report) = sfm::reconstruct_pictures(pictures, camera, Intrinsics::GUESSED, &options, 0)?;
 
     colmap::write_text(output.as_ref(), &model)?;
     println!("{} of {} pictures, {} points", report.num_registered(), report.views.len(), report.num_points);

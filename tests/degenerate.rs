@@ -19,12 +19,14 @@ use tractrix::math::{Rigid3, Rng, RobustLoss, Sim3, seeded_rng, umeyama};
 use tractrix::metric::{
     CameraPath, Dimension, Extent, Offset, PositionFix, Support, VehicleClass, align_to_fixes, vehicle_sizes,
 };
-use tractrix::scene::{FrameId, ImageId, ObjectId, Point3dId, Reconstruction, ScaleMethod, TimeBase, TrackedObject};
+use tractrix::scene::{
+    FrameId, ImageId, Movement, ObjectId, Point3dId, Reconstruction, ScaleMethod, TimeBase, TrackedObject,
+};
 use tractrix::sfm::Options;
 use tractrix::synthetic::drive::{self, Drive, drive};
 use tractrix::synthetic::{empty_table, observe};
 use tractrix::trajectory::{
-    self, Candidate, CommonStd, Evidence, ModelOrigin, ObjectDescription, PositionMeasurement, Subject,
+    self, Candidate, CommonStd, Evidence, ModelOrigin, ObjectDescription, PositionError, PositionMeasurement, Subject,
 };
 
 /// Whether all numbers of a value are finite, by its debug output.
@@ -305,16 +307,16 @@ proptest! {
     fn maps_are_finite(world in worlds(150), is_given in any::<bool>(), is_background in any::<bool>()) {
         let options = if is_background { Options::background() } else { Options::object() }.mapper;
         let (camera, known) = match is_given {
-            true => (CAMERA, Intrinsics::Fixed),
-            false => (Camera::prior(640, 360), Intrinsics::Refined),
+            true => (CAMERA, Intrinsics::FIXED),
+            false => (Camera::prior(640, 360), Intrinsics::GUESSED),
         };
         let mut table = world.table();
         mapper::cut_long_tracks(&mut table, &[camera], known, &options, 1);
         let (model, report) = mapper::reconstruct(&table, &[camera], known, &options, 1).unwrap();
         prop_finite!(numbers(&model));
         prop_finite!(report);
-        prop_finite!(mapper::focal_changes(&model, known));
-        if let Ok(Some(found)) = bundle::center_deviations(&model, 16) {
+        prop_finite!(mapper::focal_changes(&model, camera.principal));
+        if let Ok(Some(found)) = bundle::center_deviations(&model, 16, &BTreeMap::new()) {
             prop_finite!(found);
         }
     }
@@ -333,7 +335,7 @@ fn a_point_behind_a_camera_is_rejected_and_counted() {
         seed: 17_617_361_927_016_870_534,
     };
     let options = Options::object().mapper;
-    let (model, report) = mapper::reconstruct(&world.table(), &[CAMERA], Intrinsics::Fixed, &options, 1).unwrap();
+    let (model, report) = mapper::reconstruct(&world.table(), &[CAMERA], Intrinsics::FIXED, &options, 1).unwrap();
     assert!(is_finite(&numbers(&model)) && is_finite(&report), "{report:?}");
     assert!(report.num_infinite_points > 0 && model.points.len() == report.num_points, "{report:?}");
 }
@@ -460,7 +462,7 @@ proptest! {
             let chain = GroundChain { background, labelled, dominant: dominant.as_ref(), mount: mount.as_ref(), shape };
             prop_finite!(chain.planes(ObjectId(1), object, &options, 1));
         }
-        if let Ok(Some(found)) = bundle::center_deviations(background, 16) {
+        if let Ok(Some(found)) = bundle::center_deviations(background, 16, &BTreeMap::new()) {
             prop_finite!(found);
         }
     }
@@ -511,9 +513,10 @@ proptest! {
             position_m: Vector3::new(*x, 0.0, 0.0),
             camera_m: Vector3::new(camera, 0.0, 0.0),
             forward: (*step > 1).then(Vector3::x),
+            error: PositionError::default(),
         };
         let sightings: Vec<PositionMeasurement> = places.iter().enumerate().map(sighting).collect();
-        prop_finite!(trajectory::smooth(&sightings, &CommonStd { ratio: 0.02, scale: 0.01 }));
+        prop_finite!(trajectory::smooth(&sightings, &CommonStd { ratio: 0.02, scale: 0.01 }, Movement::Undetermined));
     }
 
     #[test]

@@ -111,6 +111,7 @@ fn strip(result: &Showcase) -> Vec<Thumbnail> {
 fn data<'a>(result: &'a Showcase, strip: Vec<Thumbnail>) -> Data<'a> {
     let mut objects: Vec<_> = result.vehicles.iter().map(|v| vehicle(v)).collect();
     objects.push(Object {
+        ground_track: None,
         id: BICYCLE,
         class: "bicycle".into(),
         confidence: 0.51,
@@ -171,6 +172,7 @@ fn vehicle(vehicle: &tractrix::synthetic::showcase::Vehicle) -> Object<'_> {
     let wobble = |f: FrameId| 1.0 + 0.05 * f64::from(f.0).sin() + 0.03 * f64::from(f.0 * 7 % 11) / 11.0;
     let lost = if trajectory.id == CAR { 31..36 } else { 0..0 };
     Object {
+        ground_track: None,
         id: trajectory.id,
         class: trajectory.class.clone(),
         confidence: trajectory.confidence,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import struct
 from pathlib import Path
 
 import strace
@@ -37,7 +38,30 @@ def _logs() -> dict[str, bytes]:
             f"$GPGGA,1235{k:02},48{k:02}.038,N,00931.000,E,1,08,0.9,545.4,M,46.9,M,,\n" for k, *_ in fixes
         ),
     }
-    return {name: text.encode() for name, text in texts.items()}
+    return {name: text.encode() for name, text in texts.items()} | {"log.txt": _gpmf(fixes)}
+
+
+def _gpmf(fixes: list[tuple[int, float, float, float]]) -> bytes:
+    """The fixes as GoPro cameras write them, a payload a second."""
+
+    def entry(key: bytes, kind: bytes, size: int, data: bytes) -> bytes:
+        head = key + kind + bytes([size]) + (len(data) // size).to_bytes(2, "big")
+        return head + data + bytes(-len(data) % 4)
+
+    def second(k: int, lat: float, lon: float, up: float) -> bytes:
+        positions = [
+            entry(b"GPSF", b"L", 4, struct.pack(">I", 3)),
+            entry(b"GPSU", b"c", 1, f"2405060708{k:02}.000".encode()),
+            entry(b"GPSP", b"S", 2, struct.pack(">H", 154)),
+            entry(b"SCAL", b"l", 4, struct.pack(">5i", 10**7, 10**7, 1000, 1000, 100)),
+            entry(b"GPS5", b"l", 20, struct.pack(">5i", *(round(x) for x in (1e7 * lat, 1e7 * lon, 1e3 * up, 0, 0)))),
+        ]
+        scale, down = struct.pack(">h", 32767), struct.pack(">3h", 0, 32767, 0)
+        gravity = [entry(b"SCAL", b"s", 2, scale), entry(b"GRAV", b"s", 6, down)]
+        streams = [entry(b"STRM", b"\0", 1, b"".join(parts)) for parts in (positions, gravity)]
+        return entry(b"DEVC", b"\0", 1, b"".join(streams))
+
+    return b"".join(second(*fix) for fix in fixes)
 
 
 def _hostile(secret: Path) -> dict[str, tuple[str, bytes]]:
@@ -71,6 +95,8 @@ def _hostile(secret: Path) -> dict[str, tuple[str, bytes]]:
             "log.srt",
             b"1\n00:00:00,000 --> 00:00:01,000\n\x1b]0;x\x07\x1b[2J[latitude: \x1b[2J]\n\n",
         ),
+        "a camera's samples beyond its end": ("log.txt", b"DEVC\0\xff\xff\xffSTRM\0\xff\xff\xffGPS5l\x14\xff\xff"),
+        "a camera's million streams": ("log.txt", b"DEVC\0\xff\xff\xff" + b"STRM\0\0\0\0" * 1_000_000),
         f"{MANY_FIXES} fixes": ("log.csv", b"time_s,latitude,longitude\n" + b"0,4,9\n" * MANY_FIXES),
     }
 

@@ -32,6 +32,7 @@ mod camera_sums;
 mod clustered;
 mod coupling;
 mod covariance;
+mod intrinsics_share;
 mod kept;
 mod layout;
 mod levenberg_marquardt;
@@ -68,5 +69,5 @@ pub use problem::{
     Priors, Problem,
 };
 pub use summary::{Summary, Termination};
-pub use uncertainty::{CenterDeviations, center_deviations};
+pub use uncertainty::{COMMON_ERROR_FACTOR, CenterDeviations, center_deviations};
 pub use whitening::Whitening;

@@ -6,10 +6,16 @@ use nalgebra::Matrix3;
 
 use super::clustered::clustered_centers;
 use super::covariance::{Wanted, covariances};
+use super::intrinsics_share::intrinsics_share;
 use super::options::{Behind, Options};
-use super::problem::{BundleError, CameraBlock, Problem};
+use super::problem::{BundleError, CameraBlock, IntrinsicsPrior, Problem};
 use super::ties::FAR;
-use crate::scene::{ImageId, Reconstruction};
+use crate::camera::NUM_INTRINSICS;
+use crate::scene::{CameraId, ImageId, Reconstruction};
+
+/// Factor on the residuals' noise for errors common to all observations: those of the model of the lens or of the
+/// shutter, and points that slide with the view. Such errors do not average out, and intrinsics absorb them.
+pub const COMMON_ERROR_FACTOR: f64 = 5.0;
 
 /// With more images than this, places that come back would fill the system of equations.
 const MANY_IMAGES: usize = 400;
@@ -34,11 +40,14 @@ pub struct CenterDeviations {
 }
 
 /// Standard deviations of the centres of at most `num_images` images, evenly spread, from the covariance of the
-/// reconstruction's adjustment with its intrinsics held.
+/// reconstruction's adjustment.
 ///
-/// Two are computed, and the larger one counts: if every observation errs by itself, with the noise of a pixel taken
-/// from the residuals, σ² = Σ r² / (residuals − unknowns); and if those of a part of the time and of the picture err
-/// together (a sandwich over groups of them), as tracks do that slide.
+/// * `intrinsics` – prior standard deviations of fx, fy, cx, cy, k1, k2 of each camera; zero for those that are held,
+///   as those of absent cameras are.
+///
+/// With the intrinsics held, two are computed, and the larger one counts: if every observation errs by itself, with
+/// the noise of a pixel taken from the residuals, σ² = Σ r² / (residuals − unknowns); and if those of a part of the
+/// time and of the image err together (a sandwich over groups of them), as tracks do that slide.
 ///
 /// In models of more than 400 images, points that are seen again after more than 96 images count with a part of what
 /// was seen before ([`Problem::thin_ties`]).
@@ -47,12 +56,17 @@ pub struct CenterDeviations {
 /// are scaled by the root of that, those that are common to a group are not.
 ///
 /// They are relative to what holds the gauge: the first image, which is exact by definition and left out, and its
-/// distance to the image farthest from it. They know nothing of wrong matches or of intrinsics that are off. `None`
-/// where there are no more residuals than unknowns.
+/// distance to the image farthest from it. The share of the intrinsics is added, but for a similarity of the whole
+/// path: all observations err together in it ([`COMMON_ERROR_FACTOR`]). The standard deviations know nothing of wrong
+/// matches. `None` where there are no more residuals than unknowns.
 ///
 /// # Errors
 /// As [`covariances`].
-pub fn center_deviations(model: &Reconstruction, num_images: usize) -> Result<Option<CenterDeviations>, BundleError> {
+pub fn center_deviations(
+    model: &Reconstruction,
+    num_images: usize,
+    intrinsics: &BTreeMap<CameraId, [f64; NUM_INTRINSICS]>,
+) -> Result<Option<CenterDeviations>, BundleError> {
     let one_in = one_in(model);
     let mut problem = Problem::from_images(model, |_, camera| CameraBlock::fixed(*camera), one_in);
     if one_in > 1 {
@@ -80,12 +94,42 @@ pub fn center_deviations(model: &Reconstruction, num_images: usize) -> Result<Op
     let found = covariances(&problem, &options, &Wanted { poses: poses.clone(), ..Wanted::default() })?;
     let (group_of_point, num_groups) = groups(&problem);
     let clustered = clustered_centers(&problem, &options, &poses, &group_of_point, num_groups)?;
-    let deviation = |(alone, clustered): (&super::PoseCovariance, &Matrix3<f64>)| {
+    let of_intrinsics = shares_of_intrinsics(model, problem, &options, intrinsics, pixel_px / (one_in as f64).sqrt())?;
+    let deviation = |(pose, (alone, clustered)): (&usize, (&super::PoseCovariance, &Matrix3<f64>))| {
         let alone = pixel_px * (alone.center.trace().max(0.0) / one_in as f64).sqrt();
-        alone.max(clustered.trace().max(0.0).sqrt())
+        let share = of_intrinsics.get(*pose).map_or(0.0, |share| share.trace().max(0.0).sqrt());
+        (ids[*pose], alone.max(clustered.trace().max(0.0).sqrt()).hypot(share))
     };
-    let centers = poses.iter().map(|pose| ids[*pose]).zip(found.poses.iter().zip(&clustered).map(deviation)).collect();
+    let centers = poses.iter().zip(found.poses.iter().zip(&clustered)).map(deviation).collect();
     Ok(Some(CenterDeviations { pixel_px, held: ids[held], farthest: ids[farthest], centers }))
+}
+
+/// Covariances of the centers of a problem's poses by intrinsics that have such standard deviations beforehand; empty
+/// if all are held.
+fn shares_of_intrinsics(
+    model: &Reconstruction,
+    mut problem: Problem,
+    options: &Options,
+    intrinsics: &BTreeMap<CameraId, [f64; NUM_INTRINSICS]>,
+    pixel_px: f64,
+) -> Result<Vec<Matrix3<f64>>, BundleError> {
+    let unit_px = COMMON_ERROR_FACTOR * pixel_px;
+    for (camera, (id, block)) in model.cameras.keys().zip(&mut problem.cameras).enumerate() {
+        let Some(std) = intrinsics.get(id).filter(|_| unit_px > 0.0) else { continue };
+        if std.iter().all(|std| !(*std > 0.0)) {
+            continue;
+        }
+        block.free = std.map(|std| std > 0.0);
+        let mut sigma = std.map(|std| if std > 0.0 { std / unit_px } else { f64::INFINITY });
+        // One focal length has the priors of fx and of fy.
+        sigma[..2].iter_mut().for_each(|std| *std *= std::f64::consts::SQRT_2);
+        problem.priors.intrinsics.push(IntrinsicsPrior { camera, values: block.camera.intrinsics(), sigma });
+    }
+    if problem.priors.intrinsics.is_empty() {
+        return Ok(Vec::new());
+    }
+    let shares = intrinsics_share(&problem, options)?;
+    Ok(shares.into_iter().map(|share| share * unit_px.powi(2)).collect())
 }
 
 /// Of how many images one counts.

@@ -12,7 +12,8 @@ use crate::scene::ScaleMethod;
 
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct CommonArgs {
-    /// Scale method: joint, least-squares, constant-distance, intersection [default: joint]
+    /// Scale method: joint, least-squares, constant-distance, intersection, or a reference method of docs/estimators.md
+    /// [default: joint]
     #[arg(long, value_name = "METHOD", value_parser = scale_method, help_heading = "Geometry")]
     pub(super) scale_method: Option<ScaleMethod>,
 

@@ -8,6 +8,7 @@ use anyhow::Context;
 use super::common::CommonArgs;
 use super::output::Failure;
 use crate::io::{IoError, Sequence};
+use crate::mapper::Intrinsics;
 use crate::metric::{KnownLength, Measured, TimeOffset, UtcOffset};
 use crate::pipeline::{
     DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MaskChoice, MetricOptions,
@@ -65,13 +66,21 @@ pub(super) struct JobArgs {
     #[arg(long, value_name = "FILE", help_heading = "Ground")]
     pub(super) ground_model: Option<PathBuf>,
 
-    /// Intrinsics fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]] in pixels of the source, or a COLMAP cameras.txt [default: from
-    /// EXIF, or estimated]
+    /// Intrinsics fx,fy,cx,cy[,k1,k2[,p1,p2[,k3]]] in pixels of the source, or a COLMAP cameras.txt; adjusted with the
+    /// background (see --intrinsics-std, --fixed) [default: from EXIF, or estimated]
     ///
     /// The center of the upper left pixel is (0.5, 0.5). For videos with non-square pixels, the source size is the one
     /// at which players show it.
     #[arg(long, value_name = "NUMBERS|FILE", help_heading = "Geometry")]
     pub(super) intrinsics: Option<IntrinsicsSource>,
+    /// Hold the given intrinsics, those of --background-model included; otherwise they are adjusted within their
+    /// standard deviations
+    #[arg(long, conflicts_with = "intrinsics_std", help_heading = "Geometry")]
+    pub(super) fixed: bool,
+    /// Standard deviations of given intrinsics: shares of the focal length and, for the principal point, of the longer
+    /// side of the image; radial distortion [default: 0.01,0.01,0.02]
+    #[arg(long, value_name = "F[,C[,K]]", value_parser = intrinsics_std, help_heading = "Geometry")]
+    pub(super) intrinsics_std: Option<Intrinsics>,
     /// Front end: `video` tracks image points from frame to frame, `sift` matches features between frames [default:
     /// video for frames in order of time, otherwise sift]
     #[arg(long, value_name = "KIND", value_parser = feature_kind, help_heading = "Geometry")]
@@ -112,7 +121,8 @@ pub(super) struct JobArgs {
     #[arg(long, value_name = "N", help_heading = "Frames")]
     pub(super) video_track: Option<u32>,
 
-    /// Telemetry log: DJI subtitles, GPX, NMEA, CSV [default: found next to or inside the video]
+    /// Telemetry log: DJI subtitles, GPX, NMEA, CSV, or a video that has one, such as a GoPro's [default: found next to
+    /// or inside the video]
     #[arg(long, value_name = "FILE", conflicts_with = "no_telemetry", help_heading = "Meters")]
     pub(super) telemetry: Option<PathBuf>,
     /// Ignore telemetry, including that found next to or inside the video
@@ -175,7 +185,7 @@ impl JobArgs {
 /// nevertheless, so that the same flags serve every part.
 pub(super) fn shown_up_to(goal: Stage, flag: clap::Arg) -> clap::Arg {
     let first_use = match flag.get_id().as_str() {
-        "intrinsics" | "features" | "background_model" => Stage::Features,
+        "intrinsics" | "fixed" | "intrinsics_std" | "features" | "background_model" => Stage::Features,
         "flow_model" | "mask_network" | "motion" | "segment_every" => Stage::Track,
         "object_model" | "only_object" => Stage::Follow,
         "ground_masks" | "ground_label" | "ground_model" => Stage::Ground,
@@ -252,6 +262,10 @@ pub(super) fn apply_flags(job: &JobArgs, options: &mut Options) {
     options.object_models.extend(job.object_model.iter().cloned());
     options.only_objects.extend(job.only_object.iter().copied());
     options.intrinsics = job.intrinsics.clone().or(options.intrinsics.take());
+    options.intrinsics_std = match job.fixed {
+        true => Intrinsics::FIXED,
+        false => job.intrinsics_std.unwrap_or(options.intrinsics_std),
+    };
     options.video.start = job.start.or(options.video.start);
     options.video.end = job.end.or(options.video.end);
     options.video.every = job.every.unwrap_or(options.video.every);
@@ -290,6 +304,10 @@ pub(super) fn apply_sequence(sequence: &Sequence, options: &mut Options) -> Resu
     }
     if options.intrinsics.is_none() {
         options.intrinsics = Some(IntrinsicsSource::Given(sequence.camera.intrinsics().to_vec()));
+        // They are those of the renderer, and exact unless stated otherwise.
+        if options.intrinsics_std == Intrinsics::GIVEN {
+            options.intrinsics_std = Intrinsics::FIXED;
+        }
     }
     if input.is_dir() {
         options.video.fps = options.video.fps.or(Some(sequence.fps));
@@ -321,6 +339,19 @@ pub(super) fn use_machine(options: &Options) -> Result<(), Failure> {
 fn object_id(text: &str) -> Result<ObjectId, String> {
     let id = text.parse().ok().filter(|id| *id > 0);
     id.map(ObjectId).ok_or_else(|| format!("'{text}': expected an id, 1 or larger"))
+}
+
+fn intrinsics_std(text: &str) -> Result<Intrinsics, String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|field| field.trim().parse::<f64>()).collect();
+    let given = Intrinsics::GIVEN;
+    let std = match numbers.as_deref() {
+        Ok(&[focal]) => Intrinsics { focal, ..given },
+        Ok(&[focal, principal]) => Intrinsics { focal, principal, ..given },
+        Ok(&[focal, principal, distortion]) => Intrinsics { focal, principal, distortion },
+        _ => return Err(format!("'{text}': expected one to three numbers, such as 0.01,0.01,0.02")),
+    };
+    std.check().map_err(|error| error.to_string())?;
+    Ok(std)
 }
 
 fn object_model(text: &str) -> Result<(ObjectId, PathBuf), String> {

@@ -44,13 +44,15 @@ use crate::checks::text::printable;
 
 /// Runs the program on the arguments of the process.
 pub fn main() -> ExitCode {
+    // First of all, so that no signal ends the program without its own exit code.
+    let caught = stop::CaughtSignals::new();
     crate::video::silence_decoders();
     let arguments: Vec<OsString> = std::env::args_os().collect();
     let args = match Args::try_parse_from(&arguments) {
         Ok(args) => args,
         Err(error) => return not_parsed(&error, &arguments),
     };
-    let talk = TerminalProgress::start(args.progress, verbosity(&args), form(&args));
+    let talk = TerminalProgress::start(caught, args.progress, verbosity(&args), form(&args));
     match (dispatch(&args, &arguments, &talk), talk.stopped_by()) {
         (Ok(()), _) => ExitCode::SUCCESS,
         (Err(failure), Some(signal)) if failure.is_stop() => {

@@ -66,6 +66,7 @@ fn as_json(summary: &Summary, goal: Stage, trajectories: Option<&Trajectories>) 
         "output": summary.output,
         "report": (goal == Stage::Report).then(|| RunFolder::at(&summary.output).report()),
         "objects": trajectories.map(|found| summary::placed_as_json(summary, found)),
+        "ground_tracks": trajectories.map(summary::ground_tracks_as_json),
         "missing": trajectories.map(|found| summary::missing_as_json(summary, found)),
         "stages": stages,
         "warnings": summary.warnings,

@@ -60,14 +60,26 @@ pub(super) struct Stop {
     in_order: Arc<AtomicBool>,
 }
 
-impl Stop {
-    /// Starts to listen. `last_words` are reported where the program cannot end by itself.
-    pub(super) fn listen(last_words: impl Fn(Signal, Order) + Send + Sync + 'static) -> Self {
-        let stop = Self::default();
+/// Signals from the moment on at which this was made, until someone listens.
+pub(super) struct CaughtSignals(Option<Signals>);
+
+impl CaughtSignals {
+    /// Installs the handlers. Where none can be had, the system's own ends the program, without a word.
+    pub(super) fn new() -> Self {
         let ignored = ignored_signals();
         let wanted = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| ignored >> (signal - 1) & 1 == 0);
-        // Where no handler can be had, the system's own ends the program, without a word.
-        let Ok(mut signals) = Signals::new(wanted) else { return stop };
+        Self(Signals::new(wanted).ok())
+    }
+}
+
+impl Stop {
+    /// Starts to listen. `last_words` are reported where the program cannot end by itself.
+    pub(super) fn listen(
+        CaughtSignals(caught): CaughtSignals,
+        last_words: impl Fn(Signal, Order) + Send + Sync + 'static,
+    ) -> Self {
+        let stop = Self::default();
+        let Some(mut signals) = caught else { return stop };
         let (asked, last_words) = (stop.clone(), Arc::new(last_words));
         thread::spawn(move || {
             for signal in signals.forever() {

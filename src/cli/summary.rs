@@ -5,21 +5,25 @@ use std::fmt::Write;
 use serde_json::{Value, json};
 
 use crate::pipeline::{Summary, Vehicle};
-use crate::report::{Verdict, estimate, travel_facts};
-use crate::scene::{Dimensions, Movement, ObjectId, ObjectTrajectory, TimeBase, Trajectories};
+use crate::report::{Verdict, estimate, ground_track_facts, travel_facts};
+use crate::scene::{Dimensions, GroundTrack, Movement, ObjectId, ObjectTrajectory, TimeBase, Trajectories};
 
 /// One paragraph per vehicle; where a run ends before the trajectories, nothing.
 pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String {
-    let mut text = headline(summary.vehicles.len(), trajectories.objects.len()) + "\n";
+    let mut text = headline(summary.vehicles.len(), trajectories.objects.len());
+    text += &ground_track_count(trajectories.ground_tracks.len());
+    text += "\n";
     for (&id, vehicle) in &summary.vehicles {
         // Writing to a string cannot fail.
         let _ = match trajectories.objects.iter().find(|trajectory| trajectory.id == id) {
             Some(found) => write!(text, "{}", placed(found, vehicle, summary.time_base)),
             None => writeln!(text, "  {id}: {}, no trajectory: {}", class(vehicle), why_not(vehicle)),
         };
+        text += &trajectories.ground_track(id).map(|track| on_ground(track, summary.time_base)).unwrap_or_default();
     }
     let said = trajectories.metric.as_ref().and_then(|metric| metric.reason.as_ref());
-    if let Some(reason) = said.filter(|_| !trajectories.objects.is_empty()) {
+    let is_empty = trajectories.objects.is_empty() && trajectories.ground_tracks.is_empty();
+    if let Some(reason) = said.filter(|_| !is_empty) {
         let _ = writeln!(text, "  {reason}");
     }
     text
@@ -36,6 +40,27 @@ fn headline(num_vehicles: usize, num_placed: usize) -> String {
         }
         some => format!("{vehicles}, {some} with a trajectory"),
     }
+}
+
+/// Number of ground tracks, behind that of trajectories.
+fn ground_track_count(number: usize) -> String {
+    if number == 0 { String::new() } else { format!("; {} without a 3D model", count(number, "ground track")) }
+}
+
+/// Lines on a ground track.
+fn on_ground(track: &GroundTrack, times: TimeBase) -> String {
+    let verdict = track.verdict.as_ref();
+    let said = verdict.map(|verdict| format!(": {}. {}", verdict.state.name(), verdict.says)).unwrap_or_default();
+    let mut text = format!("     ground track in {}{said}\n", count(track.positions.len(), "frame"));
+    let travel: Vec<String> =
+        ground_track_facts(track, times).iter().map(|fact| format!("{}: {}", fact.label, fact.value)).collect();
+    if !travel.is_empty() {
+        text += &format!("     on the ground: {}\n", travel.join(", "));
+    }
+    if let Some(omitted) = track.omissions() {
+        text += &format!("     no contact with the ground in {omitted}\n");
+    }
+    text
 }
 
 fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, times: TimeBase) -> String {
@@ -145,6 +170,30 @@ pub(super) fn placed_as_json(summary: &Summary, trajectories: &Trajectories) -> 
     trajectories.objects.iter().map(value).collect()
 }
 
+/// The ground tracks, for programs.
+pub(super) fn ground_tracks_as_json(trajectories: &Trajectories) -> Vec<Value> {
+    let value = |track: &GroundTrack| {
+        let travel = track.travel.as_ref();
+        json!({
+            "id": track.id,
+            "class": track.class,
+            "method": track.method,
+            "frames": track.positions.len(),
+            "first_frame": track.positions.first().map(|at| at.frame),
+            "last_frame": track.positions.last().map(|at| at.frame),
+            "omitted": track.omitted,
+            "reason": track.reason,
+            "verdict": track.verdict,
+            "path_units": travel.map(|travel| travel.path_units),
+            "path_m": travel.and_then(|travel| travel.path_m),
+            "displacement_m": travel.and_then(|travel| travel.displacement_m),
+            "mean_speed_m_s": travel.and_then(|travel| travel.mean_speed_m_s),
+            "max_speed_m_s": travel.and_then(|travel| travel.max_speed_m_s),
+        })
+    };
+    trajectories.ground_tracks.iter().map(value).collect()
+}
+
 /// The vehicles without, and why.
 pub(super) fn missing_as_json(summary: &Summary, trajectories: &Trajectories) -> Vec<Value> {
     let is_placed = |id: &ObjectId| trajectories.objects.iter().any(|found| found.id == *id);
@@ -219,7 +268,12 @@ mod tests {
     #[test]
     fn every_vehicle_is_told_in_words() {
         let vehicles = [(1, vehicle("car", 10, None)), (4, vehicle("truck", 2, Some("it is too small")))];
-        let found = Trajectories { unit: Unit::Background, metric: None, objects: vec![trajectory(1)] };
+        let found = Trajectories {
+            unit: Unit::Background,
+            metric: None,
+            objects: vec![trajectory(1)],
+            ground_tracks: Vec::new(),
+        };
         assert_eq!(
             as_text(&summary(vehicles.clone(), TimeBase::Seconds), &found),
             "2 vehicles, 1 with a trajectory\n  \
@@ -249,7 +303,8 @@ mod tests {
         });
         let length_m = Some(Estimate { value: 4.312, std: 0.118 });
         vehicle_1.dimensions = Some(Dimensions { length_m, width_m: None, height_m: None });
-        let found = Trajectories { unit: Unit::Background, metric: None, objects: vec![vehicle_1] };
+        let found =
+            Trajectories { unit: Unit::Background, metric: None, objects: vec![vehicle_1], ground_tracks: Vec::new() };
         let summary = summary([(1, vehicle("", 10, None))], TimeBase::Seconds);
         let text = as_text(&summary, &found);
         assert!(text.starts_with("1 vehicle with a trajectory\n  1: vehicle, "), "{text}");

@@ -14,7 +14,7 @@ use tracing_subscriber::fmt::MakeWriter;
 use super::forecast::in_words;
 use super::output::{Failure, Form};
 use super::stage_progress::{Event, Moment, StageProgress};
-use super::stop::{Signal, Stop};
+use super::stop::{CaughtSignals, Signal, Stop};
 use crate::checks::text::printable;
 use crate::pipeline::{Plan, Progress};
 
@@ -98,8 +98,9 @@ pub(super) struct TerminalProgress {
 impl TerminalProgress {
     /// Starts logging, and listening to signals, too.
     ///
+    /// * `caught` – signals since the start of the program.
     /// * `form` – form of the message on stdout if a signal ends the program.
-    pub(super) fn start(kind: ProgressKind, verbosity: Verbosity, form: Form) -> Self {
+    pub(super) fn start(caught: CaughtSignals, kind: ProgressKind, verbosity: Verbosity, form: Form) -> Self {
         let shown = Shown::new(kind, verbosity);
         let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());
         if shown == Shown::Bar {
@@ -110,7 +111,7 @@ impl TerminalProgress {
         let course = Arc::new(Mutex::new(StageProgress::new()));
         let ticker = shown.period().map(|period| start_ticker(period, voice.clone(), course.clone()));
         let last_words = voice.clone();
-        let stop = Stop::listen(move |signal, order| {
+        let stop = Stop::listen(caught, move |signal, order| {
             last_words.bar.finish_and_clear();
             if verbosity != Verbosity::Quiet {
                 last_words.say("message", order.words());

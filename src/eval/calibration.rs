@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::figures::Evaluation;
 use super::spread::Spread;
 use crate::math::median;
-use crate::scene::Trust;
+use crate::scene::{ObjectTrajectory, Trust};
 
 /// Result of a calibration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -59,6 +59,10 @@ pub struct Case {
     pub object_px: Option<f64>,
     /// Largest less least height of the camera over the target, as a share of the mean.
     pub climb: Option<f64>,
+    /// RMS residual of the camera path seen from a stationary vehicle's model, as a share of the vehicle's distance;
+    /// `None` for other vehicles.
+    #[serde(default)]
+    pub residual: Option<f64>,
     /// Why there is no error, where there is none.
     pub failure: Option<String>,
 }
@@ -81,6 +85,26 @@ impl Case {
             failure: scale.err().or(reference.err()).map(str::to_owned),
             ..self
         }
+    }
+
+    /// A stationary vehicle of a clip: its ratio by the camera path is the reference of the ratio without it, with the
+    /// standard deviations of both. `None` where the run has no ratio by the camera path.
+    pub fn of_stationary(clip: &str, variant: &str, vehicle: &ObjectTrajectory) -> Option<Self> {
+        let path = vehicle.scale.camera_path?;
+        let std = path.std_without.map(|std| (std / path.ratio_without).hypot(path.std / path.ratio));
+        Some(Self {
+            sequence: format!("{clip}, vehicle {}", vehicle.id),
+            variant: variant.to_owned(),
+            kind: "stationary".to_owned(),
+            error: Some((path.ratio_without / path.ratio).ln()).filter(|error| error.is_finite()),
+            relative_std: std.filter(|std| std.is_finite()),
+            degenerate: path.degenerate_without,
+            verdict: vehicle.verdict.as_ref().map(|verdict| verdict.state),
+            num_placed: vehicle.poses.len(),
+            num_visible: vehicle.poses.len(),
+            residual: Some(path.residual),
+            ..Self::default()
+        })
     }
 
     /// The error in stated deviations; `None` where the run makes no statement.
@@ -204,6 +228,7 @@ fn row(name: &str, cases: Vec<&Case>) -> Row {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::{CameraPathRatio, ObjectId, ScaleEstimate, ScaleMethod};
 
     fn case(kind: &str, error: f64, std: f64) -> Case {
         Case { kind: kind.into(), error: Some(error), relative_std: Some(std), ..Case::default() }
@@ -224,6 +249,34 @@ mod tests {
         assert_eq!((rows[1].num_sure_and_wrong, rows[2].num_sure_and_wrong), (0, 1));
         assert!((all.factor.unwrap() - 2.5 / MEDIAN_OF_NORMAL).abs() < 1e-9);
         assert_eq!(summarise(&[]).len(), 1);
+    }
+
+    #[test]
+    fn a_stationary_vehicle_is_a_reference_of_its_own_ratio() {
+        let path = CameraPathRatio {
+            ratio: 2.0,
+            std: 0.06,
+            residual: 0.01,
+            ratio_without: 2.2,
+            std_without: Some(0.088),
+            degenerate_without: false,
+        };
+        let vehicle = |camera_path| ObjectTrajectory {
+            id: ObjectId(4),
+            class: "car".into(),
+            confidence: 1.0,
+            scale: ScaleEstimate { camera_path, ..ScaleEstimate::new(2.02, ScaleMethod::Joint) },
+            ground: std::collections::BTreeMap::new(),
+            verdict: None,
+            dimensions: None,
+            travel: None,
+            poses: Vec::new(),
+        };
+        let case = Case::of_stationary("street", "seed-1", &vehicle(Some(path))).unwrap();
+        assert_eq!((case.sequence.as_str(), case.residual), ("street, vehicle 4", Some(0.01)));
+        assert!((case.error.unwrap() - 1.1_f64.ln()).abs() < 1e-12);
+        assert!((case.relative_std.unwrap() - 0.05).abs() < 1e-12, "that of both");
+        assert_eq!(Case::of_stationary("street", "seed-1", &vehicle(None)), None);
     }
 
     #[test]

@@ -74,6 +74,21 @@ pub struct Evaluation {
     /// The same on the target as structure from motion left it (`as-reconstructed/<id>`); `None` where nothing was
     /// adjusted after that.
     pub as_reconstructed: Option<Outcome<AsReconstructedFigures>>,
+    /// Results of the reference methods on the target as structure from motion left it; empty unless the run computed
+    /// them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub references: BTreeMap<ScaleMethod, ReferenceFigures>,
+}
+
+/// Result of a reference method.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ReferenceFigures {
+    /// Its scale ratio with the errors; `None` where it has none.
+    pub found: Option<Alternative>,
+    /// Standard deviation of the ratio.
+    pub std: Option<f64>,
+    /// Reason why the ratio is undetermined; `None` if it is determined.
+    pub undetermined: Option<String>,
 }
 
 /// Figures of the target's reconstruction before its adjustment with the ground.

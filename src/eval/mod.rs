@@ -29,7 +29,8 @@ pub mod trajectory;
 
 pub use cameras::CameraErrors;
 pub use figures::{
-    Alternative, AsReconstructedFigures, Evaluation, OtherObject, Outcome, RegisteredFrames, ScaleFigures, Target,
+    Alternative, AsReconstructedFigures, Evaluation, OtherObject, Outcome, ReferenceFigures, RegisteredFrames,
+    ScaleFigures, Target,
 };
 pub use input::{AsReconstructed, Input, Model, ObjectInput, TruthFrame};
 pub use mesh::MeshIndex;
@@ -37,7 +38,7 @@ pub use mesh::MeshIndex;
 use std::collections::BTreeMap;
 
 use crate::math::{Rigid3, Sim3};
-use crate::scene::{FrameId, Ratios, ScaleMethod};
+use crate::scene::{FrameId, Ratios, Reference, ScaleMethod};
 use registration::Registration;
 
 /// Least overlap of masks with which a track is taken for the target.
@@ -84,6 +85,7 @@ pub fn evaluate(input: &Input) -> Evaluation {
                 as_reconstructed(&subject.as_ref().map_err(Clone::clone)?.with(model)?, ratios)
             })
             .map(Outcome::from),
+        references: object.map_or_else(BTreeMap::new, |object| references(subject.as_ref().ok(), object)),
         reference_scale: reference,
         scale,
     }
@@ -160,12 +162,38 @@ fn alternatives(
     reference: Result<f64, &str>,
     error_at: impl Fn(f64) -> Result<trajectory::TrajectoryError, String>,
 ) -> BTreeMap<ScaleMethod, Alternative> {
-    let alternative = |ratio: f64| Alternative {
+    ratios.iter().map(|(method, ratio)| (*method, alternative(*ratio, reference, &error_at))).collect()
+}
+
+fn alternative(
+    ratio: f64,
+    reference: Result<f64, &str>,
+    error_at: impl Fn(f64) -> Result<trajectory::TrajectoryError, String>,
+) -> Alternative {
+    Alternative {
         ratio,
         deviation: reference.ok().map(|r| (ratio - r).abs() / r),
         trajectory_error_m: error_at(ratio).ok().map(|e| e.mean_m),
+    }
+}
+
+/// Figures of the reference methods, which speak of the target as structure from motion left it.
+fn references(subject: Option<&Subject>, object: &ObjectInput) -> BTreeMap<ScaleMethod, ReferenceFigures> {
+    let Ok(trajectory) = &object.trajectory else { return BTreeMap::new() };
+    let subject = match &object.as_reconstructed {
+        None => subject.map(|subject| Subject { ..*subject }),
+        Some(Ok(before)) => subject.and_then(|subject| subject.with(&before.model).ok()),
+        Some(Err(_)) => None,
     };
-    ratios.iter().map(|(method, ratio)| (*method, alternative(*ratio))).collect()
+    let reference = subject.as_ref().ok_or("target not found".to_owned()).and_then(Subject::reference);
+    let reference = reference.as_ref().map(|reference| reference.ratio).map_err(String::as_str);
+    let error_at = |ratio| subject.as_ref().ok_or("target not found".to_owned())?.error_at(ratio);
+    let figures = |found: &Reference| ReferenceFigures {
+        found: found.ratio.map(|ratio| alternative(ratio, reference, error_at)),
+        std: found.std,
+        undetermined: found.undetermined.clone(),
+    };
+    trajectory.scale.references.iter().map(|(method, found)| (*method, figures(found))).collect()
 }
 
 fn as_reconstructed(subject: &Subject, ratios: &Ratios) -> Result<AsReconstructedFigures, String> {

@@ -165,7 +165,8 @@ mod tests {
         };
         let cameras =
             (0..8).map(|k| (FrameId(k), Rigid3::from_rotation_and_center(UnitQuaternion::identity(), camera(k))));
-        let trajectories = Trajectories { unit: Unit::Background, metric: None, objects: vec![car] };
+        let trajectories =
+            Trajectories { unit: Unit::Background, metric: None, objects: vec![car], ground_tracks: Vec::new() };
         RunResult { cam_from_world: cameras.collect(), trajectories }
     }
 

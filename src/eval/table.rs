@@ -59,6 +59,11 @@ impl Evaluation {
                 row(&format!("  {}", method.name()), alternative(answer));
             }
         }
+        for (method, answer) in &self.references {
+            let found = answer.found.as_ref().filter(|_| answer.undetermined.is_none());
+            let undetermined = || answer.undetermined.clone().unwrap_or_default();
+            row(&format!("  {}", method.name()), found.map_or_else(undetermined, alternative));
+        }
         rows
     }
 }

@@ -19,7 +19,7 @@ use crate::image::{Canvas, Plate, RgbImage};
 use crate::io::{IoError, RunFolder, masks};
 use crate::math::rounding::with_std;
 use crate::report::{object_colour, overlay};
-use crate::scene::{Frame, FrameId, Mask, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
+use crate::scene::{Frame, FrameId, GroundTrack, Mask, Motion, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
 
 /// Height of a capital letter, as a share of the picture's shorter side.
 const CAPITAL: f64 = 0.021;
@@ -101,8 +101,18 @@ impl<'a> Annotator<'a> {
     fn draw(&self, picture: &RgbImage, frame: &Frame, masks: &[(ObjectId, Mask)]) -> Result<RgbImage, ExportError> {
         let side = f64::from(picture.width().min(picture.height()));
         let mut canvas = Canvas::new(picture)?;
-        for object in &self.results.trajectories.objects {
-            self.draw_way(&mut canvas, object, frame, side)?;
+        // Of a rejected trajectory and a ground track the latter is drawn.
+        for object in self.results.trajectories.objects.iter().filter(|object| self.is_shown(object)) {
+            let Ok(now) = object.poses.binary_search_by_key(&frame.id, |pose| pose.frame) else { continue };
+            self.draw_way(&mut canvas, (object.id, &self.ways[&object.id]), (frame, now), (side, 1))?;
+        }
+        for track in &self.results.trajectories.ground_tracks {
+            if self.ground_track(track.id, frame.id).is_none() {
+                continue;
+            }
+            let Ok(now) = track.positions.binary_search_by_key(&frame.id, |at| at.frame) else { continue };
+            let way: Vec<_> = track.positions.iter().map(|at| Point3::from(at.position)).collect();
+            self.draw_way(&mut canvas, (track.id, &way), (frame, now), (side, 2))?;
         }
         let mut ground = canvas.finish()?;
         put_in_front(&mut ground, picture, masks);
@@ -144,20 +154,21 @@ impl<'a> Annotator<'a> {
         Ok(())
     }
 
-    /// The way of a vehicle that has a place in the frame.
+    /// The way of a vehicle that has a place in the frame, of which it is the `now`-th.
+    ///
+    /// * `every` – pieces from one that is drawn to the next: 2 for a dashed line.
     fn draw_way(
         &self,
         canvas: &mut Canvas,
-        object: &ObjectTrajectory,
-        frame: &Frame,
-        side: f64,
+        (id, way): (ObjectId, &[Point3<f64>]),
+        (frame, now): (&Frame, usize),
+        (side, every): (f64, usize),
     ) -> Result<(), ExportError> {
         let Some(view) = self.views.get(frame.name.as_str()) else { return Ok(()) };
-        let Ok(now) = object.poses.binary_search_by_key(&frame.id, |pose| pose.frame) else { return Ok(()) };
-        let in_camera: Vec<_> = self.ways[&object.id].iter().map(|point| view.cam_from_world * *point).collect();
+        let in_camera: Vec<_> = way.iter().map(|point| view.cam_from_world * *point).collect();
         let nearest = NEAREST * in_camera[now].z.max(0.0);
-        let colour = object_colour(object.id);
-        for (index, ends) in in_camera.windows(2).enumerate() {
+        let colour = object_colour(id);
+        for (index, ends) in in_camera.windows(2).enumerate().step_by(every) {
             let [from, to] = [ends[0], ends[1]]
                 .map(|point| (point.z > nearest).then(|| view.camera.pixel_from_cam(point)).flatten());
             let width_px = if index < now { LINE * side } else { 0.4 * LINE * side };
@@ -172,8 +183,27 @@ impl<'a> Annotator<'a> {
         self.results.trajectories.objects.iter().find(|object| object.id == id)
     }
 
-    /// `3 car 54 ± 2 km/h`.
+    /// Returns true if a trajectory is drawn: all but rejected ones of vehicles with a ground track.
+    fn is_shown(&self, object: &ObjectTrajectory) -> bool {
+        !object.is_ruled_out() || self.results.trajectories.ground_track(object.id).is_none()
+    }
+
+    /// The ground track of a vehicle whose trajectory is not drawn in a frame.
+    fn ground_track(&self, id: ObjectId, frame: FrameId) -> Option<&GroundTrack> {
+        let is_placed =
+            |object: &ObjectTrajectory| object.poses.binary_search_by_key(&frame, |pose| pose.frame).is_ok();
+        let is_drawn = self.trajectory(id).is_some_and(|object| self.is_shown(object) && is_placed(object));
+        self.results.trajectories.ground_track(id).filter(|_| !is_drawn)
+    }
+
+    /// `3 car 54 ± 2 km/h`; `3 car ground 54 ± 6 km/h` by a ground track.
     fn label(&self, id: ObjectId, frame: FrameId) -> String {
+        if let Some(track) = self.ground_track(id, frame) {
+            let now = track.positions.binary_search_by_key(&frame, |at| at.frame).ok();
+            let motion = now.and_then(|now| track.positions[now].metric?.motion);
+            let speed = motion.as_ref().map(km_h).unwrap_or_default();
+            return format!("{id} {} ground {speed}", track.class).trim_end().to_owned();
+        }
         let Some(object) = self.trajectory(id) else { return id.to_string() };
         let name = format!("{id} {}", object.class);
         if object.is_ruled_out() {
@@ -186,7 +216,7 @@ impl<'a> Annotator<'a> {
 
     fn speed(&self, poses: &[ObjectPose], now: usize) -> Option<String> {
         if let Some(motion) = poses[now].metric.and_then(|metric| metric.motion) {
-            return Some(format!("{} km/h", with_std(3.6 * motion.speed_m_s, 3.6 * motion.speed_std_m_s)));
+            return Some(km_h(&motion));
         }
         let is_known = self.results.metric_frame().is_none() && self.results.time_base == TimeBase::Seconds;
         raw_speed(poses, now).filter(|_| is_known).map(|speed| format!("{speed:.2} units/s"))
@@ -194,13 +224,23 @@ impl<'a> Annotator<'a> {
 
     /// `frame 12  0.40 s`, and what a question mark means where there is one.
     fn time(&self, frame: &Frame, masks: &[(ObjectId, Mask)]) -> String {
-        let is_doubted = |(id, _): &(ObjectId, Mask)| self.trajectory(*id).is_some_and(ObjectTrajectory::is_ruled_out);
+        let is_ground = |id: ObjectId| self.ground_track(id, frame.id).is_some();
+        let is_doubted = |(id, _): &(ObjectId, Mask)| {
+            !is_ground(*id) && self.trajectory(*id).is_some_and(ObjectTrajectory::is_ruled_out)
+        };
         let doubts = if masks.iter().any(is_doubted) { "   ? rejected" } else { "" };
+        let grounds = if masks.iter().any(|(id, _)| is_ground(*id)) { "   ground: without 3D model" } else { "" };
+        let doubts = format!("{doubts}{grounds}");
         match self.results.time_base {
             TimeBase::Seconds => format!("frame {}  {:.2} s{doubts}", frame.id.0, frame.time_s),
             TimeBase::Frames => format!("frame {}{doubts}", frame.id.0),
         }
     }
+}
+
+/// `54 ± 2 km/h`.
+fn km_h(motion: &Motion) -> String {
+    format!("{} km/h", with_std(3.6 * motion.speed_m_s, 3.6 * motion.speed_std_m_s))
 }
 
 /// Puts what the masks show in front of what was drawn on the ground.

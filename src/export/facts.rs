@@ -2,10 +2,13 @@
 
 use serde::Serialize;
 
-use crate::scene::{Dimensions, Estimate, FrameId, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
+use crate::scene::{
+    Dimensions, Estimate, FrameId, GroundPosition, GroundTrack, ObjectId, ObjectPose, ObjectTrajectory, TimeBase,
+    Travel,
+};
 
 /// A vehicle's way in a few figures.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Facts {
     /// The vehicle.
     pub vehicle: ObjectId,
@@ -51,7 +54,6 @@ impl Facts {
         let (first, last) = (object.poses.first(), object.poses.last());
         let time = |pose: Option<&ObjectPose>| pose.filter(|_| time_base == TimeBase::Seconds).map(|pose| pose.time_s);
         let (first_time_s, last_time_s) = (time(first), time(last));
-        let travel = object.travel;
         let duration_s = first_time_s.zip(last_time_s).map(|(first, last)| last - first);
         Self {
             vehicle: object.id,
@@ -69,13 +71,45 @@ impl Facts {
             first_time_s,
             last_time_s,
             duration_s,
+            dimensions: object.dimensions.unwrap_or_default(),
+            ..Self::default()
+        }
+        .with_travel(object.travel)
+    }
+
+    /// Of a ground track; the verdict is in words of its own, and the doubt its reason.
+    pub fn of_ground_track(track: &GroundTrack, time_base: TimeBase) -> Self {
+        let (first, last) = (track.positions.first(), track.positions.last());
+        let time =
+            |at: Option<&GroundPosition>| at.filter(|_| time_base == TimeBase::Seconds).map(|position| position.time_s);
+        let (first_time_s, last_time_s) = (time(first), time(last));
+        Self {
+            vehicle: track.id,
+            class: track.class.clone(),
+            confidence: track.confidence,
+            verdict: track.verdict.as_ref().map(|verdict| verdict.state.name()),
+            doubt: track.verdict.as_ref().map(|verdict| verdict.says.clone()),
+            num_frames: track.positions.len(),
+            first_frame: first.map(|position| position.frame),
+            last_frame: last.map(|position| position.frame),
+            first_time_s,
+            last_time_s,
+            duration_s: first_time_s.zip(last_time_s).map(|(first, last)| last - first),
+            dimensions: Dimensions::default(),
+            ..Self::default()
+        }
+        .with_travel(track.travel)
+    }
+
+    fn with_travel(self, travel: Option<Travel>) -> Self {
+        Self {
             path_units: travel.map(|travel| travel.path_units.value),
             path_std_units: travel.map(|travel| travel.path_units.std),
             path_m: travel.and_then(|travel| travel.path_m),
             displacement_m: travel.and_then(|travel| travel.displacement_m),
             mean_speed_m_s: travel.and_then(|travel| travel.mean_speed_m_s),
             max_speed_m_s: travel.and_then(|travel| travel.max_speed_m_s),
-            dimensions: object.dimensions.unwrap_or_default(),
+            ..self
         }
     }
 }

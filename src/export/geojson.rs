@@ -9,7 +9,10 @@ use serde_json::{Map, Value, json};
 
 use super::{Clock, ExportError, Facts, Results};
 use crate::io::atomic;
-use crate::scene::{MapPlace, ObjectPose};
+use crate::scene::{GroundPosition, GroundTrack, MapPlace, MetricPose, ObjectPose};
+
+/// Kind of the features of ground tracks.
+const GROUND_TRACK: &str = "ground-track";
 
 /// A place and the time of the video at which something is there.
 pub(super) struct Fix {
@@ -25,8 +28,11 @@ pub(super) fn ways(path: &Path, results: &Results) -> Result<(), ExportError> {
         let facts = Facts::of(object, results.time_base);
         way(&vehicle_fixes(results, &object.poses), results, &clock, vehicle_properties(&facts))
     });
+    let ground_tracks = results.trajectories.ground_tracks.iter().map(|track| {
+        way(&contact_fixes(results, &track.positions), results, &clock, ground_track_properties(results, track))
+    });
     let camera = way(&camera_fixes(results), results, &clock, properties(json!({ "kind": "camera" })));
-    Ok(atomic::write_json(path, &collection(results, vehicles.chain([camera]).collect()))?)
+    Ok(atomic::write_json(path, &collection(results, vehicles.chain(ground_tracks).chain([camera]).collect()))?)
 }
 
 /// The places: one feature per vehicle and frame, and per frame of the camera.
@@ -37,8 +43,20 @@ pub(super) fn places(path: &Path, results: &Results) -> Result<(), ExportError> 
         for pose in &object.poses {
             let Some(place) = results.place_of(pose) else { continue };
             let who = json!({ "kind": "vehicle", "vehicle": object.id, "class": object.class });
-            let more = [timed(&clock, pose.frame.0, &pose.name, pose.time_s), motion(pose), deviations(&place)];
+            let motion = motion(pose.metric.as_ref());
+            let more = [timed(&clock, pose.frame.0, &pose.name, pose.time_s), motion, deviations(&place)];
             features.push(point(results, &place, joined(who, more)));
+        }
+    }
+    for track in &results.trajectories.ground_tracks {
+        for position in &track.positions {
+            let Some(place) = results.place_of_contact(position) else { continue };
+            let who = json!({
+                "kind": GROUND_TRACK, "vehicle": track.id, "class": track.class, "method": track.method.name()
+            });
+            let motion = motion(position.metric.as_ref());
+            let time = timed(&clock, position.frame.0, &position.name, position.time_s);
+            features.push(point(results, &place, joined(who, [time, motion, deviations(&place)])));
         }
     }
     for view in &results.views {
@@ -54,6 +72,14 @@ pub(super) fn vehicle_fixes(results: &Results, poses: &[ObjectPose]) -> Vec<Fix>
     let fix =
         |pose: &ObjectPose| Some(Fix { place: results.place_of(pose)?, image: pose.name.clone(), time_s: pose.time_s });
     poses.iter().filter_map(fix).collect()
+}
+
+/// Where a vehicle touched the ground.
+pub(super) fn contact_fixes(results: &Results, contacts: &[GroundPosition]) -> Vec<Fix> {
+    let fix = |at: &GroundPosition| {
+        Some(Fix { place: results.place_of_contact(at)?, image: at.name.clone(), time_s: at.time_s })
+    };
+    contacts.iter().filter_map(fix).collect()
 }
 
 /// Where the camera was.
@@ -119,8 +145,8 @@ fn timed(clock: &Clock, frame: u32, image: &str, time_s: f64) -> Value {
     json!({ "frame": frame, "time_s": seconds, "date": clock.date(image, time_s) })
 }
 
-fn motion(pose: &ObjectPose) -> Value {
-    let motion = pose.metric.and_then(|metric| metric.motion);
+fn motion(metric: Option<&MetricPose>) -> Value {
+    let motion = metric.and_then(|metric| metric.motion);
     json!({
         "speed_m_s": motion.map(|motion| motion.speed_m_s),
         "speed_std_m_s": motion.map(|motion| motion.speed_std_m_s),
@@ -159,6 +185,19 @@ pub(super) fn vehicle_properties(facts: &Facts) -> Map<String, Value> {
         "width_m": value(facts.dimensions.width_m),
         "height_m": value(facts.dimensions.height_m),
     }))
+}
+
+/// Properties of a ground track: those of a vehicle that it has, and its method.
+fn ground_track_properties(results: &Results, track: &GroundTrack) -> Map<String, Value> {
+    let mut all = vehicle_properties(&Facts::of_ground_track(track, results.time_base));
+    ["length_m", "width_m", "height_m", "doubt"].iter().for_each(|key| drop(all.remove(*key)));
+    all.extend(properties(json!({
+        "kind": GROUND_TRACK,
+        "method": track.method.name(),
+        "remark": track.verdict.as_ref().map(|verdict| &verdict.says),
+        "reason": track.reason,
+    })));
+    all
 }
 
 fn properties(value: Value) -> Map<String, Value> {

@@ -10,17 +10,21 @@ use std::path::Path;
 use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, BytesText, Event};
 
-use super::geojson::{Fix, camera_fixes, vehicle_fixes};
+use super::geojson::{Fix, camera_fixes, contact_fixes, vehicle_fixes};
 use super::{Clock, ExportError, Facts, Results};
 use crate::io::atomic;
 use crate::math::rounding::with_std;
 use crate::report::object_colour;
-use crate::scene::ObjectTrajectory;
+use crate::scene::{GroundTrack, ObjectTrajectory};
 
 const NAMESPACES: [(&str, &str); 2] =
     [("xmlns", "http://www.opengis.net/kml/2.2"), ("xmlns:gx", "http://www.google.com/kml/ext/2.2")];
 /// Kilometres per hour in a metre per second.
 const KM_H: f64 = 3.6;
+
+/// Widths of the lines of poses, and of ground tracks.
+const BOLD: &str = "4";
+const THIN: &str = "2";
 
 /// The camera's line.
 const WHITE: [u8; 3] = [255; 3];
@@ -32,6 +36,8 @@ struct Track {
     name: String,
     description: String,
     colour: [u8; 3],
+    /// Width of the line, pixels.
+    width: &'static str,
     altitude_mode: &'static str,
     fixes: Vec<Fix>,
 }
@@ -43,7 +49,9 @@ pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
 
 fn document(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
     let clock = results.clock();
-    let tracks = results.trajectories.objects.iter().map(|object| vehicle(results, object)).chain([camera(results)]);
+    let vehicles = results.trajectories.objects.iter().map(|object| vehicle(results, object));
+    let ground_tracks = results.trajectories.ground_tracks.iter().map(|track| ground_track(results, track));
+    let tracks = vehicles.chain(ground_tracks).chain([camera(results)]);
     let mut xml = Writer::new_with_indent(out, b' ', 1);
     xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
     xml.create_element("kml").with_attributes(NAMESPACES).write_inner_content(|xml| {
@@ -75,8 +83,22 @@ fn vehicle(results: &Results, object: &ObjectTrajectory) -> Track {
             doubt.unwrap_or_default()
         ),
         colour: object_colour(object.id),
+        width: BOLD,
         altitude_mode: "clampToGround",
         fixes: vehicle_fixes(results, &object.poses),
+    }
+}
+
+fn ground_track(results: &Results, track: &GroundTrack) -> Track {
+    let verdict = track.verdict.as_ref();
+    let said = verdict.map(|verdict| format!("{}; {}; ", verdict.state.name(), verdict.says)).unwrap_or_default();
+    Track {
+        name: format!("{} (ground track)", track.name()),
+        description: format!("{}: {said}{}", track.method.name(), track.reason),
+        colour: object_colour(track.id),
+        width: THIN,
+        altitude_mode: "clampToGround",
+        fixes: contact_fixes(results, &track.positions),
     }
 }
 
@@ -89,6 +111,7 @@ fn camera(results: &Results) -> Track {
         name: "camera".into(),
         description: description.into(),
         colour: WHITE,
+        width: BOLD,
         altitude_mode,
         fixes: camera_fixes(results),
     }
@@ -103,7 +126,7 @@ fn placemark(xml: &mut Xml, track: &Track, clock: &Clock) -> std::io::Result<()>
             xml.create_element("LineStyle").write_inner_content(|xml| {
                 // KML has the opacity first, and red last.
                 element(xml, "color", &format!("ff{b:02x}{g:02x}{r:02x}"))?;
-                element(xml, "width", "4")
+                element(xml, "width", track.width)
             })?;
             Ok(())
         })?;

@@ -11,8 +11,8 @@ use crate::camera::Camera;
 use crate::io::{IoError, RunFolder, json};
 use crate::math::{Rigid3, Sim3};
 use crate::scene::{
-    Frame, FrameId, Ground, ImageId, MapOrigin, MapPlace, MetricAxes, MetricFrame, ObjectPose, Reconstruction,
-    TimeBase, Trajectories, Unit,
+    Frame, FrameId, Ground, GroundPosition, ImageId, MapOrigin, MapPlace, MetricAxes, MetricFrame, ObjectPose,
+    Reconstruction, TimeBase, Trajectories, Unit,
 };
 use crate::telemetry::{Geodetic, LocalFrame};
 
@@ -185,6 +185,12 @@ impl Results {
         })
     }
 
+    /// Where a contact point is on the map: as the results say, else by its position.
+    pub fn place_of_contact(&self, contact: &GroundPosition) -> Option<MapPlace> {
+        let said = contact.metric.and_then(|metric| metric.place);
+        said.or_else(|| self.place(Point3::from(contact.position)))
+    }
+
     /// Where an object is on the map in one frame: as the results say, else by its position.
     pub fn place_of(&self, pose: &ObjectPose) -> Option<MapPlace> {
         let said = pose.metric.and_then(|metric| metric.place);
@@ -215,7 +221,9 @@ struct Times<'a> {
 impl<'a> Times<'a> {
     fn new(frames: Option<&'a [Frame]>, trajectories: &'a Trajectories, input: &InputJson) -> Self {
         let poses = trajectories.objects.iter().flat_map(|object| &object.poses);
+        let contacts = trajectories.ground_tracks.iter().flat_map(|track| &track.positions);
         let mut known: HashMap<_, _> = poses.map(|pose| (pose.name.as_str(), (pose.frame, pose.time_s))).collect();
+        known.extend(contacts.map(|at| (at.name.as_str(), (at.frame, at.time_s))));
         let frames = frames.unwrap_or_default().iter();
         known.extend(frames.map(|frame| (frame.name.as_str(), (frame.id, frame.time_s))));
         Self { known, fps: input.info.fps.filter(|fps| *fps > 0.0 && input.times == TimeBase::Seconds) }

@@ -15,7 +15,7 @@ use super::geojson::vehicle_properties;
 use super::table::{FACT_COLUMNS, fact_cells, text};
 use super::{ExportError, Facts, Results};
 use crate::io::{RunFolder, json as json_file};
-use crate::scene::{MapPlace, ObjectId, ObjectTrajectory, warning_text};
+use crate::scene::{GroundTrack, MapPlace, ObjectId, ObjectTrajectory, warning_text};
 
 /// Folders in folders are searched so deep.
 const MAX_DEPTH: usize = 6;
@@ -128,13 +128,19 @@ impl Summary {
         self.num_runs += 1;
         let before = self.rows.len();
         let blank = Row { input: Some(told.input.path.clone()), ..Row::of_metres(folder.root(), results) };
-        let placed = results.trajectories.objects.iter().map(|object| blank.of_vehicle(results, object));
+        let on_ground = |id: ObjectId| results.trajectories.ground_track(id).map(ground_track_in_words);
+        let placed = results.trajectories.objects.iter().map(|object| {
+            let missing = on_ground(object.id);
+            Row { missing, ..blank.of_vehicle(results, object) }
+        });
         self.rows.extend(placed);
         let tracked = folder.read_tracked().unwrap_or_default();
         let has_way = |id: ObjectId| results.trajectories.objects.iter().any(|object| object.id == id);
         for object in tracked.iter().filter(|object| !has_way(object.id)) {
             let unplaced = Some((object.id, object.class.clone()));
-            self.rows.push(Row { unplaced, missing: Some(why_no_way(object.id, told)), ..blank.clone() });
+            let reason = why_no_way(object.id, told);
+            let missing = Some(on_ground(object.id).map_or(reason.clone(), |track| format!("{reason}; {track}")));
+            self.rows.push(Row { unplaced, missing, ..blank.clone() });
         }
         if self.rows.len() == before {
             let reason = told.error.clone().unwrap_or_else(|| "no vehicle found".to_owned());
@@ -267,6 +273,13 @@ fn why_no_way(id: ObjectId, told: &RunJson) -> String {
         begins.iter().find_map(|begin| warning_text(warning).strip_prefix(begin.as_str()).map(str::to_owned))
     };
     told.warnings.iter().find_map(reason).unwrap_or_else(|| "tracked, but without a trajectory".to_owned())
+}
+
+/// `ground track of 90 frames (usable: ...)`.
+fn ground_track_in_words(track: &GroundTrack) -> String {
+    let verdict = track.verdict.as_ref();
+    let said = verdict.map(|verdict| format!(" ({}: {})", verdict.state.name(), verdict.says)).unwrap_or_default();
+    format!("ground track of {} frames{said}, see trajectories.json", track.positions.len())
 }
 
 /// An error with its causes, as one line.

@@ -10,7 +10,9 @@ use nalgebra::Point3;
 use super::facts::raw_speed;
 use super::{Clock, ExportError, Facts, RegisteredFrame, Results};
 use crate::io::{IoError, atomic};
-use crate::scene::{Estimate, MapPlace, MetricPose, Motion, ObjectTrajectory, TimeBase};
+use crate::scene::{
+    Estimate, FrameId, GroundPosition, GroundTrack, MapPlace, MetricPose, Motion, ObjectTrajectory, TimeBase,
+};
 
 /// Columns of what is reported of a vehicle as a whole; [`fact_cells`] goes with them.
 pub(super) const FACT_COLUMNS: [&str; 27] = [
@@ -85,6 +87,35 @@ const POSE_COLUMNS: [&str; 38] = [
     "height_m",
     "place_std_m",
     "heading_unwrapped_deg",
+];
+
+/// Columns of a ground track as a whole, before those of its travel.
+const GROUND_TRACK_COLUMNS: [&str; 13] = [
+    "vehicle",
+    "class",
+    "confidence",
+    "method",
+    "verdict",
+    "remark",
+    "reason",
+    "distance_std",
+    "omitted",
+    "frames",
+    "first_frame",
+    "last_frame",
+    "duration_s",
+];
+const TRAVEL_COLUMNS: [&str; 10] = [
+    "path_units",
+    "path_std_units",
+    "path_m",
+    "path_std_m",
+    "displacement_m",
+    "displacement_std_m",
+    "mean_speed_m_s",
+    "mean_speed_std_m_s",
+    "max_speed_m_s",
+    "max_speed_std_m_s",
 ];
 
 const CAMERA_COLUMNS: [&str; 21] = [
@@ -174,6 +205,63 @@ fn pose_cells(results: &Results, clock: &Clock, object: &ObjectTrajectory, index
     cells.extend([x, y, z, exact(speed)]);
     cells.extend(metric_cells(pose.metric.as_ref()));
     let place = results.place_of(pose);
+    cells.extend(place_cells(place));
+    cells.push(metres(place.map(|place| place.place_std_m[0].hypot(place.place_std_m[1]))));
+    cells
+}
+
+/// One row per ground track.
+pub(super) fn ground_tracks(path: &Path, results: &Results) -> Result<(), ExportError> {
+    let columns = [&GROUND_TRACK_COLUMNS[..], &TRAVEL_COLUMNS[..]].concat();
+    let row = |track: &GroundTrack| {
+        let facts = Facts::of_ground_track(track, results.time_base);
+        let frame = |frame: Option<FrameId>| frame.map(|frame| frame.0.to_string()).unwrap_or_default();
+        let mut cells = vec![
+            facts.vehicle.to_string(),
+            facts.class.clone(),
+            facts.confidence.to_string(),
+            track.method.name().to_owned(),
+            facts.verdict.unwrap_or_default().to_owned(),
+            facts.doubt.clone().unwrap_or_default(),
+            track.reason.clone(),
+            exact(track.verdict.as_ref().map(|verdict| verdict.distance_std)),
+            track.omissions().unwrap_or_default(),
+            facts.num_frames.to_string(),
+            frame(facts.first_frame),
+            frame(facts.last_frame),
+            exact(facts.duration_s),
+            exact(facts.path_units),
+            exact(facts.path_std_units),
+        ];
+        let travel = [facts.path_m, facts.displacement_m, facts.mean_speed_m_s, facts.max_speed_m_s];
+        cells.extend(travel.into_iter().flat_map(estimate));
+        cells
+    };
+    write(path, &columns, results.trajectories.ground_tracks.iter().map(row))
+}
+
+/// One row per ground track and frame: the columns of `trajectories.csv`, with the method.
+pub(super) fn ground_positions(path: &Path, results: &Results) -> Result<(), ExportError> {
+    let clock = results.clock();
+    let columns: Vec<&str> = POSE_COLUMNS.iter().copied().filter(|column| !NOT_OF_CONTACTS.contains(column)).collect();
+    let columns = [&columns[..2], &["method"], &columns[2..]].concat();
+    let rows = results.trajectories.ground_tracks.iter().flat_map(|track| {
+        let clock = &clock;
+        track.positions.iter().map(move |position| contact_cells(results, clock, track, position))
+    });
+    write(path, &columns, rows)
+}
+
+/// Columns that contact points have not.
+const NOT_OF_CONTACTS: [&str; 2] = ["speed_units_s", "heading_unwrapped_deg"];
+
+fn contact_cells(results: &Results, clock: &Clock, track: &GroundTrack, position: &GroundPosition) -> Vec<String> {
+    let place = results.place_of_contact(position);
+    let mut cells = vec![track.id.to_string(), track.class.clone(), track.method.name().to_owned()];
+    cells.extend([position.frame.0.to_string(), position.name.clone()]);
+    cells.extend(clock.time_and_date(&position.name, position.time_s));
+    cells.extend(position.position.map(|value| value.to_string()));
+    cells.extend(metric_cells(position.metric.as_ref()));
     cells.extend(place_cells(place));
     cells.push(metres(place.map(|place| place.place_std_m[0].hypot(place.place_std_m[1]))));
     cells

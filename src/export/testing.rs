@@ -33,6 +33,7 @@ pub(super) fn results_of(found: &Showcase) -> Results {
             unit: Unit::Background,
             metric: None,
             objects: found.vehicles.iter().map(|vehicle| without_metres(&vehicle.trajectory)).collect(),
+            ground_tracks: Vec::new(),
         },
         background: found.background.clone(),
         ground: Some(found.ground.clone()),

@@ -160,6 +160,8 @@ fn one(format: Format, results: &Results, pictures: &Pictures, target: &Target) 
         Format::Csv => &[
             (Names::VEHICLES, table::vehicles),
             (Names::TRAJECTORIES, table::trajectories),
+            (Names::GROUND_TRACKS, table::ground_tracks),
+            (Names::GROUND_POSITIONS, table::ground_positions),
             (Names::CAMERA, table::camera),
         ],
         Format::GeoJson => &[(Names::WAYS_ON_MAP, geojson::ways), (Names::PLACES_ON_MAP, geojson::places)],

@@ -9,6 +9,7 @@
 //! that way, and the height over it is the same in all parts of the drive.
 
 use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::Options;
@@ -65,7 +66,7 @@ pub enum MountFailure {
 }
 
 /// The road in the frame of a camera fixed to a vehicle.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mount {
     /// Unit normal in the camera's frame, upwards.
     pub normal_in_cam: Vector3<f64>,

@@ -20,7 +20,9 @@ use super::local::{LocalPlanes, local_planes, lowest_foot, object_pixels};
 use super::road::Road;
 use super::vehicle_trajectory::BodyShape;
 use crate::math::{STD_PER_MAD, median};
-use crate::scene::{FrameId, GroundPlane, Image, ObjectId, PlaneBasis, Point3dId, Reconstruction};
+use crate::scene::{
+    FrameId, GroundPlane, Image, ImageId, ObjectId, Observation, PlaneBasis, Point3dId, Reconstruction,
+};
 
 /// Knowledge of the ground at a position.
 #[derive(Clone, Copy, Debug)]
@@ -68,6 +70,35 @@ impl GroundChain<'_> {
         }
         found.skipped.retain(|skip| !found.planes.contains_key(&skip.frame));
         found
+    }
+
+    /// The plane below an object of which only outlines are known, in every registered frame with one; as [`planes`]
+    /// otherwise.
+    ///
+    /// * `outlines` – by frame, pixels on the object's outline.
+    ///
+    /// [`planes`]: Self::planes
+    pub fn planes_below(
+        &self,
+        object: ObjectId,
+        outlines: &BTreeMap<FrameId, Vec<Point2<f64>>>,
+        options: &Options,
+        seed: u64,
+    ) -> LocalPlanes {
+        // Without points of its own it has no path over the ground.
+        let options = Options { vehicle_path: false, ..*options };
+        self.planes(object, &self.stand_in(outlines), &options, seed)
+    }
+
+    /// Images that observe an object at the given pixels, without its points.
+    fn stand_in(&self, outlines: &BTreeMap<FrameId, Vec<Point2<f64>>>) -> Reconstruction {
+        let observed = |pixel: &Point2<f64>| Observation { pixel: *pixel, point: Some(Point3dId(0)) };
+        let with_outline = |(id, image): (&ImageId, &Image)| {
+            let observations = outlines.get(&id.frame())?.iter().map(observed).collect();
+            Some((*id, Image { name: image.name.clone(), observations, ..*image }))
+        };
+        let images = self.background.images.iter().filter_map(with_outline).collect();
+        Reconstruction { images, ..Reconstruction::default() }
     }
 
     /// Takes the road below the camera where it is surer than points of which there are fewer than asked for; where the

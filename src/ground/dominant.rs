@@ -13,6 +13,7 @@
 //! have no ground that this could find, or the wrong one.
 
 use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::Options;
@@ -39,7 +40,7 @@ pub enum GroundError {
 }
 
 /// The ground found without labels.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DominantPlane {
     /// Ground points, on the plane or on what was grown from it, ascending.
     pub point_ids: Vec<Point3dId>,

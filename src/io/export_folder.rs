@@ -19,6 +19,10 @@ impl ExportFolder {
     pub const VEHICLES: &str = "vehicles.csv";
     /// One row per vehicle and frame.
     pub const TRAJECTORIES: &str = "trajectories.csv";
+    /// One row per vehicle with a ground track.
+    pub const GROUND_TRACKS: &str = "ground-tracks.csv";
+    /// One row per such vehicle and frame.
+    pub const GROUND_POSITIONS: &str = "ground-positions.csv";
     /// One row per frame of the camera.
     pub const CAMERA: &str = "camera.csv";
     /// The ways on the map.
@@ -50,10 +54,12 @@ impl ExportFolder {
     /// Description of the frame of the poses next to it.
     pub const ABOUT: &str = "about.txt";
 
-    const FILES: [&str; 10] = [
+    const FILES: [&str; 12] = [
         Self::TRAJECTORIES_V2,
         Self::VEHICLES,
         Self::TRAJECTORIES,
+        Self::GROUND_TRACKS,
+        Self::GROUND_POSITIONS,
         Self::CAMERA,
         Self::WAYS_ON_MAP,
         Self::PLACES_ON_MAP,

@@ -15,8 +15,9 @@ use super::extent::{is_sensible, is_sensible_ratio};
 use super::{IoError, atomic, json};
 use crate::math::{MAX_UNIT_ERROR, Sim3};
 use crate::scene::{
-    Dimensions, FrameId, Metric, MetricPose, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, PlaneBasis, Ratios,
-    ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, Trajectories, Travel, Unit, Verdict,
+    CameraPathRatio, ContactError, Dimensions, FrameId, GroundPosition, GroundTrack, Metric, MetricPose, MetricVerdict,
+    ObjectId, ObjectPose, ObjectTrajectory, PlaneBasis, Ratios, References, ScaleEstimate, ScaleMethod, ScaleShares,
+    ScaleSupport, Trajectories, Travel, Unit, Verdict,
 };
 
 /// The version that is written.
@@ -40,6 +41,9 @@ struct Document {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     metric: Option<Metric>,
     objects: Vec<Object>,
+    /// Absent where there is none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    ground_tracks: Vec<GroundTrack>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -74,6 +78,10 @@ struct Scale {
     shares: Option<ScaleShares>,
     #[serde(default)]
     support: Option<ScaleSupport>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    camera_path: Option<CameraPathRatio>,
+    #[serde(default, skip_serializing_if = "References::is_empty")]
+    references: References,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -109,12 +117,12 @@ pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
 }
 
 /// Writes the trajectories of a run with the keys and words of version 2: every frame has `speed`, null where the unit
-/// is that of the background, and a rejected trajectory is `not-to-be-trusted`.
+/// is that of the background, and a rejected trajectory is `not-to-be-trusted`. It has no ground tracks.
 ///
 /// # Errors
 /// As [`write()`].
 pub fn write_version_2(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
-    let document = document(trajectories, OLD_VERSION);
+    let document = Document { ground_tracks: Vec::new(), ..document(trajectories, OLD_VERSION) };
     check(path, &document)?;
     let mut value = serde_json::to_value(&document).map_err(|error| IoError::content(path, error.to_string()))?;
     let objects = value["objects"].as_array_mut().into_iter().flatten();
@@ -135,6 +143,7 @@ fn document(trajectories: &Trajectories, version: u32) -> Document {
         unit: trajectories.unit,
         metric: trajectories.metric.clone(),
         objects: trajectories.objects.iter().map(object_to_file).collect(),
+        ground_tracks: trajectories.ground_tracks.clone(),
     }
 }
 
@@ -148,18 +157,41 @@ pub fn read(path: &Path) -> Result<Trajectories, IoError> {
         json::check_version(path, document.version, VERSION)?;
     }
     check(path, &document)?;
-    let Document { unit, metric, objects, .. } = document;
-    Ok(Trajectories { unit, metric, objects: objects.into_iter().map(object_from_file).collect() })
+    let Document { unit, metric, objects, ground_tracks, .. } = document;
+    Ok(Trajectories { unit, metric, objects: objects.into_iter().map(object_from_file).collect(), ground_tracks })
 }
 
 fn object_to_file(object: &ObjectTrajectory) -> Object {
-    let ScaleEstimate { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support } =
-        object.scale.clone();
+    let ScaleEstimate {
+        ratio,
+        std,
+        method,
+        degenerate,
+        reason,
+        alternatives,
+        as_reconstructed,
+        shares,
+        support,
+        camera_path,
+        references,
+    } = object.scale.clone();
     Object {
         id: object.id,
         class: object.class.clone(),
         confidence: object.confidence,
-        scale: Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support },
+        scale: Scale {
+            ratio,
+            std,
+            method,
+            degenerate,
+            reason,
+            alternatives,
+            as_reconstructed,
+            shares,
+            support,
+            camera_path,
+            references,
+        },
         ground: object.ground.clone(),
         verdict: object.verdict.clone(),
         dimensions: object.dimensions,
@@ -184,8 +216,19 @@ fn pose_to_file(pose: &ObjectPose) -> Pose {
 }
 
 fn object_from_file(object: Object) -> ObjectTrajectory {
-    let Scale { ratio, std, method, degenerate, reason, alternatives, as_reconstructed, shares, support } =
-        object.scale;
+    let Scale {
+        ratio,
+        std,
+        method,
+        degenerate,
+        reason,
+        alternatives,
+        as_reconstructed,
+        shares,
+        support,
+        camera_path,
+        references,
+    } = object.scale;
     ObjectTrajectory {
         id: object.id,
         class: object.class,
@@ -200,6 +243,8 @@ fn object_from_file(object: Object) -> ObjectTrajectory {
             as_reconstructed,
             shares,
             support,
+            camera_path,
+            references,
         },
         ground: object.ground,
         verdict: object.verdict,
@@ -236,7 +281,10 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         }
         let ratios = scale.alternatives.values().chain(scale.as_reconstructed.iter().flat_map(BTreeMap::values));
         let evidence = scale.shares.iter().flat_map(shares).chain(scale.support.iter().flat_map(lengths));
-        let numbers = scale.std.iter().chain(ratios).chain([&object.confidence]).copied().chain(evidence);
+        let evidence = evidence.chain(scale.camera_path.iter().flat_map(camera_path));
+        let of_references = scale.references.values().flat_map(|found| found.ratio.iter().chain(&found.std));
+        let numbers =
+            scale.std.iter().chain(ratios).chain(of_references).chain([&object.confidence]).copied().chain(evidence);
         if let Some(number) = numbers.into_iter().find(|n| !n.is_finite()) {
             return wrong(format!("{number} is not a finite number"));
         }
@@ -262,12 +310,36 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
             }
         }
     }
-    Ok(())
+    document.ground_tracks.iter().try_for_each(|track| {
+        let wrong = |problem: String| Err(IoError::content(path, format!("ground track {}: {problem}", track.id)));
+        ground_track_problem(track).map_or(Ok(()), wrong)
+    })
+}
+
+/// Problem of a ground track.
+fn ground_track_problem(track: &GroundTrack) -> Option<String> {
+    if !has_finite_numbers(track) {
+        return Some("a number is not finite".into());
+    }
+    let numbers = |position: &GroundPosition| {
+        let ContactError { noise, drift, common } = position.error;
+        [noise.concat(), drift.to_vec(), common.to_vec(), position.position.to_vec()].concat()
+    };
+    if let Some(position) = track.positions.iter().find(|position| numbers(position).iter().any(|n| !is_sensible(n))) {
+        return Some(format!("frame {}: a number is out of range", position.frame.0));
+    }
+    let pair = track.positions.windows(2).find(|pair| pair[0].frame >= pair[1].frame)?;
+    Some(format!("frame {} after frame {}: frames must ascend", pair[1].frame.0, pair[0].frame.0))
 }
 
 fn shares(of: &ScaleShares) -> [f64; 6] {
     let ScaleShares { tracks, frames, plane, contact, focal, disagreement } = *of;
     [tracks, frames, plane, contact, focal, disagreement]
+}
+
+fn camera_path(of: &CameraPathRatio) -> [f64; 5] {
+    let CameraPathRatio { ratio, std, residual, ratio_without, std_without, degenerate_without: _ } = *of;
+    [ratio, std, residual, ratio_without, std_without.unwrap_or(0.0)]
 }
 
 fn lengths(of: &ScaleSupport) -> [f64; 3] {
@@ -328,7 +400,7 @@ mod tests {
     use super::*;
     use crate::scene::{
         ClockZone, Dates, Estimate, MapOrigin, MapPlace, MetricAxes, MetricFrame, MetricShare, MetricStd, Reason,
-        ReasonKind, ScaleMethod, Trust,
+        ReasonKind, Reference, ScaleMethod, Trust,
     };
 
     fn sample() -> Trajectories {
@@ -354,7 +426,13 @@ mod tests {
             alternatives: [(ScaleMethod::ConstantDistance, 0.731), (ScaleMethod::Intersection, 0.7)].into(),
             as_reconstructed: Some([(ScaleMethod::Intersection, 0.71)].into()),
             shares: Some(ScaleShares { tracks: 0.01, contact: 1.0 / 3.0, ..ScaleShares::default() }),
+            references: [
+                (ScaleMethod::Yuan, Reference { ratio: Some(0.72), std: Some(0.03), undetermined: None }),
+                (ScaleMethod::Park, Reference { undetermined: Some("no solution".into()), ..Reference::default() }),
+            ]
+            .into(),
             support: Some(ScaleSupport { num_points: 90, disagreement: Some(0.041), ..ScaleSupport::default() }),
+            camera_path: None,
         };
         let (class, confidence, poses) = ("car".into(), 0.93, vec![pose(0), pose(2)]);
         let reasons = vec![Reason::doubts(ReasonKind::Shape, 0.5, "nearly as long as high")];
@@ -370,7 +448,7 @@ mod tests {
             travel: None,
             poses,
         };
-        Trajectories { unit: Unit::Background, metric: None, objects: vec![object] }
+        Trajectories { unit: Unit::Background, metric: None, objects: vec![object], ground_tracks: Vec::new() }
     }
 
     #[test]
@@ -385,7 +463,7 @@ mod tests {
         let object = &value["objects"][0];
         assert_eq!(keys(object), ["id", "class", "confidence", "scale", "ground", "verdict", "frames"]);
         let of_scale = ["ratio", "std", "method", "degenerate", "reason", "alternatives", "as_reconstructed"];
-        let of_scale = [&of_scale[..], &["shares", "support"]].concat();
+        let of_scale = [&of_scale[..], &["shares", "support", "references"]].concat();
         assert_eq!(keys(&object["scale"]), of_scale);
         assert_eq!(object["scale"]["method"], "constant-distance");
         assert!(object["scale"]["std"].is_null());
@@ -418,9 +496,17 @@ mod tests {
     fn what_is_written_is_read_back() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("trajectories.json");
-        write(&path, &sample()).unwrap();
-        let back = read(&path).unwrap();
         let mut expected = sample();
+        expected.objects[0].scale.camera_path = Some(CameraPathRatio {
+            ratio: 0.7,
+            std: 0.01,
+            residual: 0.004,
+            ratio_without: 0.8,
+            std_without: None,
+            degenerate_without: true,
+        });
+        write(&path, &expected).unwrap();
+        let back = read(&path).unwrap();
         for (a, b) in back.objects[0].poses.iter().zip(&mut expected.objects[0].poses) {
             assert!(a.world_from_object.rotation.angle_to(&b.world_from_object.rotation) < 1e-15);
             b.world_from_object.rotation = a.world_from_object.rotation;

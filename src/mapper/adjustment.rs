@@ -240,8 +240,12 @@ fn build_with(
     ties: &Ties,
 ) -> (Problem, Parts) {
     let mut problem = Problem::default();
-    let block = |(&camera, freedom): (&Camera, &Freedom)| CameraBlock { camera, free: freedom.mask(), tie_focal: true };
-    problem.cameras = map.cameras.iter().zip(freedom).map(block).collect();
+    let block = |(idx, (&camera, freedom)): (usize, (&Camera, &Freedom))| {
+        let may_change = map.known.of(idx).may_change();
+        let free = freedom.mask();
+        CameraBlock { camera, free: std::array::from_fn(|k| free[k] && may_change[k]), tie_focal: true }
+    };
+    problem.cameras = map.cameras.iter().zip(freedom).enumerate().map(block).collect();
     let adjusted = (0..freedom.len()).filter(|&camera| freedom[camera] != Freedom::Nothing);
     problem.priors.intrinsics = adjusted.map(|camera| intrinsics_prior::prior(camera, map, noise)).collect();
     let parts = parts(map, tracks, ties);

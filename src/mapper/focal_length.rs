@@ -11,11 +11,11 @@
 //! common: that a track slides, that a part of the picture is bent.
 
 use super::adjustment::{self, Freedom, Scope, Stretch};
-use super::intrinsics_prior::{COMMON_ERROR_FACTOR, off_guess};
+use super::intrinsics_prior::off_initial;
 use super::map::Map;
 use super::windows::{self, LensEvidence};
 use super::{Noise, Options};
-use crate::bundle::{self, Problem};
+use crate::bundle::{self, COMMON_ERROR_FACTOR, Problem};
 use crate::mapper::MapperError;
 use crate::math::RobustLoss;
 
@@ -60,7 +60,8 @@ pub(super) fn leading_camera(map: &Map<'_>) -> Option<usize> {
 pub(super) fn asked_cameras(map: &Map<'_>) -> Vec<usize> {
     const MOST: usize = 8;
     let counts = map.num_views_of_cameras();
-    let mut asked: Vec<usize> = map.unknown_cameras().filter(|&camera| counts[camera] > 0).collect();
+    let is_asked = |&camera: &usize| counts[camera] > 0 && map.known.of(camera).focal > 0.0;
+    let mut asked: Vec<usize> = map.unknown_cameras().filter(is_asked).collect();
     asked.sort_by_key(|&camera| (camera > 0, usize::MAX - counts[camera], camera));
     asked.truncate(MOST);
     asked
@@ -68,9 +69,12 @@ pub(super) fn asked_cameras(map: &Map<'_>) -> Vec<usize> {
 
 /// Asks what the observations tell of the focal length of a camera, or of a factor of those of several, by holding them
 /// off on both sides.
+///
+/// * `freedom` – what else of the intrinsics is adjusted.
 pub(super) fn focal_evidence(
     map: &Map<'_>,
     asked: &[usize],
+    freedom: Freedom,
     sigma_px: f64,
     options: &Options,
 ) -> Result<FocalEvidence, MapperError> {
@@ -81,7 +85,7 @@ pub(super) fn focal_evidence(
     let Some(&first) = asked.first() else { return Ok(nothing) };
     let probe = Probe::new(map, sigma_px, options);
     let held = |change: f64| {
-        probe.adjusted(map, Freedom::FocalAndRadial, &|trial| {
+        probe.adjusted(map, freedom, &|trial| {
             // Of the others' focal lengths what is known beforehand counts as before.
             trial.priors.intrinsics.retain(|prior| !asked.contains(&prior.camera));
             for &camera in asked {
@@ -98,7 +102,8 @@ pub(super) fn focal_evidence(
     }
     let slope = (more.cost - less.cost) / (2.0 * CHANGE);
     let weight = (COMMON_ERROR_FACTOR * sigma_px).powi(-2);
-    let (off, stiffness) = (off_guess(map, first), map.known.of(first).guess_deviation().powi(-2));
+    let off = off_initial(&map.cameras[first], &map.guess[first]);
+    let stiffness = map.known.of(first).focal.powi(-2);
     let pulls = more.by_group.iter().zip(&less.by_group).map(|(more, less)| (more - less) / (2.0 * CHANGE));
     // What is left of the slope is the prior's and the shift, and no group's own.
     let mean = slope / NUM_GROUPS as f64;
@@ -137,8 +142,8 @@ pub(super) fn first_radial_gain(map: &Map<'_>, sigma_px: f64, options: &Options)
     let probe = Probe::new(map, sigma_px, options);
     let without_radial = |trial: &mut Problem| {
         trial.priors.intrinsics.clear();
-        let adjusted = trial.cameras.iter_mut().filter(|block| block.free[0]);
-        adjusted.for_each(|block| block.camera.radial = [0.0; 2]);
+        let adjusted = trial.cameras.iter_mut().zip(&map.guess).filter(|(block, _)| block.free[0]);
+        adjusted.for_each(|(block, guess)| block.camera.radial = guess.radial);
     };
     let cost = |freedom| Ok::<_, MapperError>(probe.adjusted(map, freedom, &without_radial)?.cost);
     let gain = cost(Freedom::Focal)? - cost(Freedom::FocalAndFirstRadial)?;

@@ -86,7 +86,7 @@ fn score(geometry: &TwoViewGeometry, options: &Options) -> f64 {
 fn worth_of_cameras([first, second]: [usize; 2], intrinsics: Intrinsics) -> f64 {
     // A pair of one camera wins unless it has a quarter of the inliers.
     const OF_TWO_GUESSED: f64 = 0.5;
-    if first != second && intrinsics == Intrinsics::Refined { OF_TWO_GUESSED } else { 1.0 }
+    if first != second && intrinsics.focal >= Intrinsics::GUESSED.focal { OF_TWO_GUESSED } else { 1.0 }
 }
 
 type PairTracks = ([usize; 2], Vec<usize>);

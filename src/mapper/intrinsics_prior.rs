@@ -1,55 +1,41 @@
 //! Prior of the intrinsics, and which intrinsics are plausible.
 
-use super::Noise;
 use super::map::Map;
-use crate::bundle::IntrinsicsPrior;
+use super::{Intrinsics, Noise};
+use crate::bundle::{COMMON_ERROR_FACTOR, IntrinsicsPrior};
 use crate::camera::Camera;
 
-/// Factor on the residuals' noise for errors common to all observations: those of the model of the lens or of the
-/// shutter, and points that slide with the view. Such errors do not average out.
-pub(super) const COMMON_ERROR_FACTOR: f64 = 5.0;
-
-/// A pull towards the guess, in units of observations with common errors ([`COMMON_ERROR_FACTOR`]): it counts where
-/// these leave a parameter open.
-///
-/// The focal length is held log-normally to the guess, ln f ~ N(ln f₀, s²), which near the present f is a normal
-/// distribution of f about f (1 − ln(f / f₀)) with deviation s f; the two values fx and fy share it.
-///
-/// The principal point is held to the middle as lenses are built, within a hundredth of the picture. Where views turn
-/// and spread it moves freely; on a single flight looking straight down, where it could take up common errors, it
-/// stays.
+/// Prior of a map's camera about its initial values; see [`about`].
 pub(super) fn prior(camera_idx: usize, map: &Map<'_>, noise: Noise) -> IntrinsicsPrior {
-    // Manufacturing tolerance of ordinary lenses, a share of the longer side.
-    const SIGMA_PRINCIPAL: f64 = 0.01;
-    const SIGMA_RADIAL: f64 = 0.2;
-    let camera = &map.cameras[camera_idx];
     // Observations count with a standard deviation of one pixel, so that those of the prior are in units of their true
     // one.
     let unit_px = match noise {
         Noise::Measured { sigma_px } if sigma_px > 0.0 => COMMON_ERROR_FACTOR * sigma_px,
         _ => 1.0,
     };
-    let off = off_guess(map, camera_idx);
-    let [width, height] = [camera.width, camera.height].map(f64::from);
-    let mut values = [0.0, 0.0, 0.5 * width, 0.5 * height, 0.0, 0.0];
-    let mut sigma = [
-        0.0,
-        0.0,
-        SIGMA_PRINCIPAL * width.max(height),
-        SIGMA_PRINCIPAL * width.max(height),
-        SIGMA_RADIAL,
-        SIGMA_RADIAL,
-    ];
-    for (k, focal) in camera.focal.into_iter().enumerate() {
-        values[k] = focal * (1.0 - off);
-        sigma[k] = std::f64::consts::SQRT_2 * map.known.of(camera_idx).guess_deviation() * focal;
-    }
-    IntrinsicsPrior { camera: camera_idx, values, sigma: sigma.map(|s| s / unit_px) }
+    let prior = about(&map.guess[camera_idx], map.known.of(camera_idx), &map.cameras[camera_idx], unit_px);
+    IntrinsicsPrior { camera: camera_idx, ..prior }
 }
 
-/// ln of the focal length over that of the guess.
-pub(super) fn off_guess(map: &Map<'_>, camera_idx: usize) -> f64 {
-    (map.cameras[camera_idx].mean_focal() / map.guess[camera_idx].mean_focal()).ln()
+/// Prior of the first camera of a problem about initial values, in units of observations with common errors
+/// ([`COMMON_ERROR_FACTOR`]): it counts where these leave a parameter open.
+///
+/// The focal length is log-normal about the initial one, ln f ~ N(ln f₀, s²), which near the present f is a normal
+/// distribution of f about f (1 − ln(f / f₀)) with standard deviation s f; the two values fx and fy share it.
+pub(super) fn about(initial: &Camera, known: Intrinsics, here: &Camera, unit_px: f64) -> IntrinsicsPrior {
+    let off = off_initial(here, initial);
+    let [fx, fy] = here.focal;
+    let [.., cx, cy, k1, k2] = initial.intrinsics();
+    let mut sigma = known.std_of(here);
+    sigma[..2].iter_mut().for_each(|std| *std *= std::f64::consts::SQRT_2);
+    // One that is held has no prior.
+    let sigma = sigma.map(|std| if std > 0.0 { std / unit_px } else { f64::INFINITY });
+    IntrinsicsPrior { camera: 0, values: [fx * (1.0 - off), fy * (1.0 - off), cx, cy, k1, k2], sigma }
+}
+
+/// ln of the focal length over the initial one.
+pub(super) fn off_initial(here: &Camera, initial: &Camera) -> f64 {
+    (here.mean_focal() / initial.mean_focal()).ln()
 }
 
 /// Returns true if such a lens is plausible: a field of view between 9 and 157 degrees over the longer side, and

@@ -1,44 +1,87 @@
 //! Prior knowledge of the intrinsics of each camera.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Prior knowledge of intrinsics.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Intrinsics {
-    /// Given, or found on the background: not touched.
-    Fixed,
-    /// The focal length that the pictures' files state, right to some percent: refined with the map, as is radial
-    /// distortion.
-    Stated,
-    /// A guess that may be far off: focal length and radial distortion are refined with the map.
-    Refined,
+use crate::camera::{Camera, NUM_INTRINSICS};
+use crate::checks::{Checked, within};
+
+/// Prior standard deviations of intrinsics about their initial values: zero holds a parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Intrinsics {
+    /// Standard deviation of the focal length, as a share of it.
+    #[schemars(extend("unit" = "share"))]
+    pub focal: f64,
+    /// Standard deviation of each coordinate of the principal point, as a share of the longer side of the image.
+    #[schemars(extend("unit" = "share"))]
+    pub principal: f64,
+    /// Standard deviation of the radial distortion coefficients k1 and k2.
+    #[schemars(extend("unit" = "coefficient"))]
+    pub distortion: f64,
 }
 
 impl Intrinsics {
-    /// Standard deviation of ln f about the guess.
+    /// Held.
+    pub const FIXED: Self = Self { focal: 0.0, principal: 0.0, distortion: 0.0 };
+
+    /// A calibration: of the same lens it differs by some tenths of a percent with temperature, focus and the choice of
+    /// views; by a percent and more if the video mode crops or stabilizes.
+    pub const GIVEN: Self = Self { focal: 0.01, principal: 0.01, distortion: 0.02 };
+
+    /// The focal length of an EXIF block: rounded to a millimeter of 24 and more, that of the lens and not of the image
+    /// where the camera crops a margin (rectification, stabilization: up to a tenth), and relative to the width of the
+    /// image or to its diagonal: together 8 %.
+    pub const STATED: Self = Self { focal: 0.08, ..Self::GUESSED };
+
+    /// A guess. Cameras that are met in practice lie within two standard deviations of 0.4 of ln f: from 0.34 to 1.67
+    /// longer sides for videos ([`Camera::prior`](crate::camera::Camera::prior)), from 0.45 to 2.2 for photographs
+    /// ([`Camera::prior_of_photograph`](crate::camera::Camera::prior_of_photograph)). The principal point is near the
+    /// center as lenses are built, within a hundredth of the image. Where views turn and spread it moves freely; on a
+    /// single flight looking straight down, where it could absorb common errors, it stays.
+    pub const GUESSED: Self = Self { focal: 0.4, principal: 0.01, distortion: 0.2 };
+
+    /// Returns true if no parameter may change.
+    pub fn is_fixed(&self) -> bool {
+        *self == Self::FIXED
+    }
+
+    /// Returns for each of fx, fy, cx, cy, k1, k2 whether it may change.
+    pub(super) fn may_change(&self) -> [bool; NUM_INTRINSICS] {
+        let [focal, principal, distortion] = [self.focal, self.principal, self.distortion].map(|std| std > 0.0);
+        [focal, focal, principal, principal, distortion, distortion]
+    }
+
+    /// Standard deviations of fx, fy, cx, cy, k1, k2 of a camera.
+    pub fn std_of(&self, camera: &Camera) -> [f64; NUM_INTRINSICS] {
+        let [fx, fy] = camera.focal.map(|focal| self.focal * focal);
+        let principal = self.principal * f64::from(camera.width.max(camera.height));
+        [fx, fy, principal, principal, self.distortion, self.distortion]
+    }
+
+    /// Rejects standard deviations that are negative or beyond any lens.
     ///
-    /// The focal length of an EXIF block is rounded to a millimetre of 24 and more, is that of the lens and not of the
-    /// picture where the camera cuts off a margin (straightened distortion, stabilisation: up to a tenth), and may
-    /// stand for the width of the picture or for its diagonal: together 8 %. Cameras that are met in practice lie
-    /// within two deviations of 0.4 about the guess: from 0.34 to 1.67 longer sides for videos
-    /// ([`Camera::prior`](crate::camera::Camera::prior)), from 0.45 to 2.2 for photographs
-    /// ([`Camera::prior_of_photograph`](crate::camera::Camera::prior_of_photograph)).
-    pub(super) fn guess_deviation(self) -> f64 {
-        match self {
-            Self::Fixed => 0.0,
-            Self::Stated => 0.08,
-            Self::Refined => 0.4,
-        }
+    /// # Errors
+    /// [`OptionError`](crate::checks::OptionError) names the option.
+    pub fn check(&self) -> Checked {
+        within("focal", self.focal, 0.0..=1.0)?;
+        within("principal", self.principal, 0.0..=1.0)?;
+        within("distortion", self.distortion, 0.0..=10.0)
+    }
+}
+
+impl Default for Intrinsics {
+    fn default() -> Self {
+        Self::GIVEN
     }
 }
 
 /// The same of every camera of a table of tracks.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum KnownIntrinsics {
     /// Alike of all.
     OfAll(Intrinsics),
-    /// By camera; nothing is known of those beyond the last.
+    /// By camera; those beyond the last are guessed.
     OfEach(Vec<Intrinsics>),
 }
 
@@ -59,13 +102,13 @@ impl KnownIntrinsics {
     pub fn of(&self, camera: usize) -> Intrinsics {
         match self {
             Self::OfAll(known) => *known,
-            Self::OfEach(each) => each.get(camera).copied().unwrap_or(Intrinsics::Refined),
+            Self::OfEach(each) => each.get(camera).copied().unwrap_or(Intrinsics::GUESSED),
         }
     }
 
     /// Prior knowledge of the less known of two cameras.
     pub(super) fn of_pair(&self, cameras: [usize; 2]) -> Intrinsics {
         let [first, second] = cameras.map(|camera| self.of(camera));
-        if first.guess_deviation() < second.guess_deviation() { second } else { first }
+        if first.focal < second.focal { second } else { first }
     }
 }

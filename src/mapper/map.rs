@@ -105,7 +105,7 @@ impl<'a> Map<'a> {
         Self {
             cameras: cameras.to_vec(),
             guess: cameras.to_vec(),
-            known: Intrinsics::Refined.into(),
+            known: Intrinsics::GUESSED.into(),
             poses: vec![None; table.views.len()],
             points: vec![None; table.tracks.len()],
             num_visible: vec![0; table.views.len()],
@@ -120,9 +120,9 @@ impl<'a> Map<'a> {
         Self { known, ..self }
     }
 
-    /// The cameras whose intrinsics are looked for, ascending.
+    /// The cameras whose intrinsics are adjusted, ascending.
     pub fn unknown_cameras(&self) -> impl Iterator<Item = usize> + '_ {
-        (0..self.cameras.len()).filter(|&camera| self.known.of(camera) != Intrinsics::Fixed)
+        (0..self.cameras.len()).filter(|&camera| !self.known.of(camera).is_fixed())
     }
 
     /// Registered views, by camera.

@@ -12,6 +12,7 @@
 //! Every view that is not part of the result has a [`Reason`] in the [`Report`].
 
 mod adjustment;
+mod calibration_fit;
 mod error;
 mod focal_changes;
 mod focal_length;
@@ -34,8 +35,8 @@ mod windows;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use calibration_fit::{CalibrationFit, calibration_fit};
 pub use incremental_mapper::PosePriors;
-use intrinsics_prior::COMMON_ERROR_FACTOR;
 pub use intrinsics_source::{Intrinsics, KnownIntrinsics};
 pub use long_tracks::cut_long_tracks;
 pub use motion::ModelWeakness;

@@ -42,14 +42,11 @@ pub fn of_pair(geometry: &TwoViewGeometry, intrinsics: Intrinsics) -> PairMotion
 fn is_turn(homography: &Matrix3<f64>, intrinsics: Intrinsics) -> bool {
     // Of a plane that is seen under two directions it differs by about their angle: this is half a degree.
     const TOLERANCE: f64 = 0.008;
-    const STEPS: i32 = 40;
-    let scales: Vec<f64> = match intrinsics {
-        Intrinsics::Fixed => vec![1.0],
-        // From 0.4 to 2.5 times the guess.
-        Intrinsics::Stated | Intrinsics::Refined => {
-            (-STEPS..=STEPS).map(|k| 2.5f64.powf(f64::from(k) / f64::from(STEPS))).collect()
-        }
-    };
+    // Two standard deviations and a margin: from 0.4 to 2.5 times a guess, in 40 steps to either side.
+    const SPAN: f64 = 2.29;
+    const STEP: f64 = 0.022907;
+    let steps = (SPAN * intrinsics.focal / STEP).round() as i32;
+    let scales: Vec<f64> = (-steps..=steps).map(|k| (STEP * f64::from(k)).exp()).collect();
     let deviation = |&scale: &f64| {
         let s = Matrix3::from_diagonal(&Vector3::new(scale, scale, 1.0));
         let Some(inverse) = s.try_inverse() else { return f64::INFINITY };
@@ -219,15 +216,15 @@ mod tests {
     #[test]
     fn a_homography_of_a_turn_is_one_for_the_right_focal_length_only() {
         let turn = *Rotation3::from_axis_angle(&Unit::new_normalize(Vector3::new(0.2, 1.0, 0.1)), 0.3).matrix();
-        assert!(is_turn(&turn, Intrinsics::Fixed));
+        assert!(is_turn(&turn, Intrinsics::FIXED));
         // Normalised with a focal length that is 1.4 times too short.
         let s = Matrix3::from_diagonal(&Vector3::new(1.4, 1.4, 1.0));
         let guessed = s * turn * s.try_inverse().unwrap();
-        assert!(!is_turn(&guessed, Intrinsics::Fixed) && is_turn(&guessed, Intrinsics::Refined));
+        assert!(!is_turn(&guessed, Intrinsics::FIXED) && is_turn(&guessed, Intrinsics::GUESSED));
         // A plane two units away, the camera moved aside by a tenth of a unit, and turned.
         let normal = Vector3::new(0.1, 0.2, 1.0).normalize();
         let plane = turn + Vector3::new(0.1, 0.02, 0.0) * normal.transpose() / 2.0;
-        assert!(!is_turn(&plane, Intrinsics::Fixed) && !is_turn(&plane, Intrinsics::Refined));
+        assert!(!is_turn(&plane, Intrinsics::FIXED) && !is_turn(&plane, Intrinsics::GUESSED));
     }
 
     #[test]

@@ -90,7 +90,7 @@ fn center_error(reconstruction: &Reconstruction, world: &World) -> f64 {
 fn exact_tracks_give_the_exact_path() {
     let world = world(30, 400);
     let table = tracks(&world, 0.0, 0, &mut seeded_rng(1, 0));
-    let (found, report) = reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 1).unwrap();
+    let (found, report) = reconstruct(&table, &[world.camera], Intrinsics::FIXED, &Options::background(), 1).unwrap();
     assert_eq!(report.num_registered(), 30);
     assert!(center_error(&found, &world) < 1e-4, "{}", center_error(&found, &world));
 }
@@ -99,7 +99,7 @@ fn exact_tracks_give_the_exact_path() {
 fn noise_and_wrong_tracks_are_survived_and_seeds_repeat() {
     let world = world(40, 600);
     let table = tracks(&world, 0.3, 80, &mut seeded_rng(2, 0));
-    let run = || reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 1).unwrap();
+    let run = || reconstruct(&table, &[world.camera], Intrinsics::FIXED, &Options::background(), 1).unwrap();
     let (found, report) = run();
     assert_eq!(report.num_registered(), 40);
     // 0.3 px at 900 px focal length and 13 units distance are 4 mm; hundreds of points average that down.
@@ -115,7 +115,7 @@ fn two_threads_agree_with_one() {
     let table = tracks_over(150, &world, 0.3, 20, &mut seeded_rng(6, 0));
     let on = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let work = || reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 1);
+        let work = || reconstruct(&table, &[world.camera], Intrinsics::FIXED, &Options::background(), 1);
         pool.install(work).unwrap().0
     };
     let (one, two) = (on(1), on(2));
@@ -134,7 +134,7 @@ fn unknown_focal_length_is_found() {
     let world = world(40, 600);
     let table = tracks(&world, 0.2, 20, &mut seeded_rng(3, 0));
     let guess = Camera::prior(960, 540);
-    let (found, report) = reconstruct(&table, &[guess], Intrinsics::Refined, &Options::background(), 1).unwrap();
+    let (found, report) = reconstruct(&table, &[guess], Intrinsics::GUESSED, &Options::background(), 1).unwrap();
     assert_eq!(report.num_registered(), 40);
     let focal = found.cameras.values().next().unwrap().mean_focal();
     assert!((focal / 900.0 - 1.0).abs() < 0.01, "{focal}");
@@ -146,7 +146,7 @@ fn the_principal_point_is_found_where_views_turn_and_stays_where_they_do_not() {
         world.camera.principal = [492.0, 262.0];
         let table = tracks(&world, 0.2, 20, &mut seeded_rng(3, 0));
         let guess = Camera::prior(960, 540);
-        let (found, report) = reconstruct(&table, &[guess], Intrinsics::Refined, &Options::background(), 1).unwrap();
+        let (found, report) = reconstruct(&table, &[guess], Intrinsics::GUESSED, &Options::background(), 1).unwrap();
         assert_eq!(report.num_registered(), world.poses.len());
         found.cameras[&crate::scene::CameraId(1)].principal
     };
@@ -172,7 +172,7 @@ fn the_principal_point_is_found_where_views_turn_and_stays_where_they_do_not() {
 fn what_cannot_be_reconstructed_has_a_reason() {
     let empty = TrackTable::default();
     let camera = Camera::prior(960, 540);
-    let (found, report) = reconstruct(&empty, &[camera], Intrinsics::Fixed, &Options::object(), 0).unwrap();
+    let (found, report) = reconstruct(&empty, &[camera], Intrinsics::FIXED, &Options::object(), 0).unwrap();
     assert!(found.is_empty() && report.failure.is_some());
 
     // A view that sees nothing, in the middle of a good sequence.
@@ -183,7 +183,7 @@ fn what_cannot_be_reconstructed_has_a_reason() {
     }
     table.views[12].pixels.clear();
     table.views[12].rgb.clear();
-    let (_, report) = reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 0).unwrap();
+    let (_, report) = reconstruct(&table, &[world.camera], Intrinsics::FIXED, &Options::background(), 0).unwrap();
     assert_eq!(report.failures().collect::<Vec<_>>(), [("000012.jpg", &Reason::NoFeatures)]);
 }
 
@@ -198,8 +198,8 @@ fn options_that_pass_the_check_do_no_harm() {
             continue;
         }
         num_passed += 1;
-        cut_long_tracks(&mut table, &[world.camera], Intrinsics::Refined, &options, 1);
-        let found = reconstruct(&table, &[world.camera], Intrinsics::Refined, &options, 1);
+        cut_long_tracks(&mut table, &[world.camera], Intrinsics::GUESSED, &options, 1);
+        let found = reconstruct(&table, &[world.camera], Intrinsics::GUESSED, &options, 1);
         assert!(found.is_ok(), "{changed}: {:?}", found.err());
     }
     assert!(num_passed > 50, "{num_passed}");
@@ -208,7 +208,7 @@ fn options_that_pass_the_check_do_no_harm() {
 #[test]
 fn options_that_do_not_pass_the_check_are_refused() {
     let options = Options { min_error_px: 5.0, ..Options::object() };
-    let refused = reconstruct(&TrackTable::default(), &[], Intrinsics::Fixed, &options, 0);
+    let refused = reconstruct(&TrackTable::default(), &[], Intrinsics::FIXED, &options, 0);
     assert!(matches!(refused, Err(MapperError::Option(error)) if error.key == "min_error_px"));
 }
 
@@ -224,7 +224,7 @@ fn what_is_kept_lies_at_its_minimum() {
             *pixel += distance * nalgebra::Vector2::new(f64::cos(angle), f64::sin(angle));
         }
     }
-    let (found, _) = reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 1).unwrap();
+    let (found, _) = reconstruct(&table, &[world.camera], Intrinsics::FIXED, &Options::background(), 1).unwrap();
     let mut problem = Problem::from_reconstruction(&found, |_, camera| CameraBlock::fixed(*camera));
     let cost = |problem: &mut Problem| {
         let exactly = bundle::Options { function_tolerance: 1e-12, ..bundle::Options::default() };

@@ -21,5 +21,7 @@ pub use random::{Rng, seeded_rng};
 pub use rigid3::Rigid3;
 pub use robust_loss::RobustLoss;
 pub use sim3::Sim3;
-pub use statistics::{RAYLEIGH_MEDIAN, STD_PER_MAD, lower_quantile, median, quantile, upper_median};
+pub use statistics::{
+    RAYLEIGH_MEDIAN, STD_PER_MAD, at_least, lower_quantile, median, quantile, student_4, upper_median,
+};
 pub(crate) use wxyz::MAX_UNIT_ERROR;

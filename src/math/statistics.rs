@@ -32,6 +32,17 @@ pub fn lower_quantile(values: &mut [f64], share: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(rank, f64::total_cmp).1)
 }
 
+/// Density of Student's distribution with four degrees of freedom: that of an error over a standard deviation which is
+/// itself known from five groups.
+pub fn student_4(x: f64) -> f64 {
+    0.375 * (1.0 + 0.25 * x * x).powf(-2.5)
+}
+
+/// A standard deviation, raised to the least one. One that is no number stays none: `f64::max` would hide it.
+pub fn at_least(least: f64, std: f64) -> f64 {
+    if std < least { least } else { std }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -55,5 +66,11 @@ mod tests {
             [1.0, 2.0, 3.0, 5.0].map(Some)
         );
         assert_eq!((quantile(&mut [], 0.5), lower_quantile(&mut [], 0.5)), (None, None));
+    }
+
+    #[test]
+    fn a_deviation_that_is_no_number_is_not_raised() {
+        assert!(at_least(0.05, f64::NAN).is_nan());
+        assert_eq!([0.01, 0.2, f64::INFINITY].map(|std| at_least(0.05, std)), [0.05, 0.2, f64::INFINITY]);
     }
 }

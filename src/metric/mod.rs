@@ -29,6 +29,8 @@ pub use fusion::{Fused, Kind, Source, fuse};
 pub use known::{KnownLength, KnownLengthError};
 pub use level::{Level, frame_on_ground, frame_on_map};
 pub use measured::{Measured, MeasuredError, TimeOffset, TimeOffsetError};
-pub use placing::{ObservedPoint, metric_pose, place_std_m};
+pub use placing::{
+    ObservedContact, ObservedPoint, contact_place_std_m, contact_pose, in_metres, metric_pose, place_std_m,
+};
 pub use utc_offset::{UtcOffset, UtcOffsetError};
 pub use vehicles::{Dimension, Extent, OddVehicle, Oddity, VehicleClass, VehicleSizes, vehicle_sizes};

@@ -20,6 +20,8 @@ pub struct ObservedPoint {
     pub log_ratio_std: f64,
     /// Standard deviation of the direction, radians.
     pub direction_std: f64,
+    /// Covariance of the position in this frame besides, in the frame and unit of the background.
+    pub pose_covariance: Matrix3<f64>,
 }
 
 impl ObservedPoint {
@@ -27,17 +29,31 @@ impl ObservedPoint {
         let metric_from_world = frame.metric_from_world();
         metric_from_world.rotation * (self.point - self.center) * metric_from_world.scale
     }
+
+    /// Covariance of the pose along the metric axes.
+    fn pose_covariance_m(&self, frame: &MetricFrame) -> Matrix3<f64> {
+        in_metres(frame, &self.pose_covariance)
+    }
+}
+
+/// A covariance of the background's frame along the metric axes.
+pub fn in_metres(frame: &MetricFrame, covariance: &Matrix3<f64>) -> Matrix3<f64> {
+    let metric_from_world = frame.metric_from_world();
+    let rotation = metric_from_world.rotation.to_rotation_matrix();
+    rotation * covariance * rotation.transpose() * metric_from_world.scale.powi(2)
 }
 
 /// Position and distance in metres, relative to the camera; motion and place are for others to say.
 pub fn metric_pose(frame: &MetricFrame, sighted: &ObservedPoint) -> MetricPose {
     let ray_m = sighted.ray_m(frame);
     let log_std = frame.log_scale_std().hypot(sighted.log_ratio_std);
+    let covariance = ray_covariance(&ray_m, log_std, sighted.direction_std) + sighted.pose_covariance_m(frame);
+    let along = ray_m.try_normalize(0.0).unwrap_or_default();
     MetricPose {
         position_m: (frame.metric_from_world() * sighted.point).coords.into(),
-        position_std_m: axes_std(&ray_covariance(&ray_m, log_std, sighted.direction_std)),
+        position_std_m: axes_std(&covariance),
         distance_to_camera_m: ray_m.norm(),
-        distance_to_camera_std_m: ray_m.norm() * log_std,
+        distance_to_camera_std_m: along.dot(&(covariance * along)).max(0.0).sqrt(),
         motion: None,
         place: None,
     }
@@ -47,7 +63,50 @@ pub fn metric_pose(frame: &MetricFrame, sighted: &ObservedPoint) -> MetricPose {
 /// which has the scale in it, and what the ratio and the direction add.
 pub fn place_std_m(frame: &MetricFrame, sighted: &ObservedPoint) -> [f64; 3] {
     let of_ray = ray_covariance(&sighted.ray_m(frame), sighted.log_ratio_std, sighted.direction_std);
-    axes_std(&(alignment_covariance(frame, sighted.point) + of_ray))
+    axes_std(&(alignment_covariance(frame, sighted.point) + of_ray + sighted.pose_covariance_m(frame)))
+}
+
+/// A contact point with the ground that is seen from a camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObservedContact {
+    /// The point, in the frame of the background.
+    pub point: Point3<f64>,
+    /// The camera's centre, in the frame of the background.
+    pub center: Point3<f64>,
+    /// Covariance of the point relative to the camera, in the frame and unit of the background.
+    pub covariance: Matrix3<f64>,
+}
+
+impl ObservedContact {
+    fn ray_m(&self, frame: &MetricFrame) -> Vector3<f64> {
+        let metric_from_world = frame.metric_from_world();
+        metric_from_world.rotation * (self.point - self.center) * metric_from_world.scale
+    }
+
+    /// Covariance along the metric axes, without that of the scale.
+    fn covariance_m(&self, frame: &MetricFrame) -> Matrix3<f64> {
+        in_metres(frame, &self.covariance)
+    }
+}
+
+/// Position and distance of a contact point in metres, relative to the camera; motion and place are for others to say.
+pub fn contact_pose(frame: &MetricFrame, contact: &ObservedContact) -> MetricPose {
+    let ray_m = contact.ray_m(frame);
+    let covariance = contact.covariance_m(frame) + ray_covariance(&ray_m, frame.log_scale_std(), 0.0);
+    let along = ray_m.try_normalize(0.0).unwrap_or_default();
+    MetricPose {
+        position_m: (frame.metric_from_world() * contact.point).coords.into(),
+        position_std_m: axes_std(&covariance),
+        distance_to_camera_m: ray_m.norm(),
+        distance_to_camera_std_m: along.dot(&(covariance * along)).max(0.0).sqrt(),
+        motion: None,
+        place: None,
+    }
+}
+
+/// Standard deviations of a contact point's place on the map along the axes of the metric frame.
+pub fn contact_place_std_m(frame: &MetricFrame, contact: &ObservedContact) -> [f64; 3] {
+    axes_std(&(alignment_covariance(frame, contact.point) + contact.covariance_m(frame)))
 }
 
 /// Along the ray in proportion to it, across it by the direction.
@@ -98,6 +157,7 @@ mod tests {
             center: point![0.0, 0.0, 0.0],
             log_ratio_std: 0.04,
             direction_std: 1e-3,
+            pose_covariance: Matrix3::zeros(),
         };
         let found = metric_pose(&frame(), &sighted);
         assert!((Point3::from(found.position_m) - point![0.0, 20.0, 0.0]).norm() < 1e-9, "{found:?}");
@@ -118,6 +178,7 @@ mod tests {
             center: point![0.0, 8.0, 0.0],
             log_ratio_std: 0.1,
             direction_std: 0.0,
+            pose_covariance: Matrix3::zeros(),
         };
         let [east, north, up] = place_std_m(&frame, &sighted);
         assert!((east - 9.04f64.sqrt()).abs() < 1e-9, "three metres, and a hundredth of a turn at twenty: {east}");

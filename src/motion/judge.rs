@@ -115,7 +115,7 @@ const LEAST_MOVE_S: f64 = 1.0;
 const LEAST_RATE: f64 = 10.0;
 /// Odds for one hypothesis over the other from which it is accepted: between substantial and strong evidence, 3.2 and
 /// 10 (H. Jeffreys, *Theory of Probability*, 1961, app. B).
-const CLEAR_ODDS: f64 = 5.0;
+pub const CLEAR_ODDS: f64 = 5.0;
 
 /// Judges an object by the tracks that lie on it.
 ///
@@ -162,6 +162,23 @@ pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
     };
     let is_flat = lies_flat(on_it.iter().map(|point| point.label));
     Judgement { movement, reason, odds, num_moving, num_standing, is_flat }
+}
+
+/// Judges an object whose track has gaps: across each of them it may have gone over to another object, so that it is
+/// stationary only if every piece is.
+///
+/// * `pieces` – points of each piece.
+pub fn judge_pieces(pieces: &[Vec<PointOnObject>], second: f64) -> Judgement {
+    let whole = judge(&pieces.concat(), second);
+    if whole.movement != Movement::Stationary || pieces.len() < 2 {
+        return whole;
+    }
+    let says_nothing = |piece: &Judgement| piece.reason == MovementReason::TooFewPoints;
+    let mut judged = pieces.iter().map(|piece| judge(piece, second));
+    match judged.find(|piece| piece.movement != Movement::Stationary && !says_nothing(piece)) {
+        Some(piece) => Judgement { movement: Movement::Undetermined, ..piece },
+        None => whole,
+    }
 }
 
 /// Number of frames in which most of the points that are seen leave their lines, and three at least.

@@ -3,7 +3,7 @@
 use super::world::{Flight, Plan, World, world};
 use super::{
     Judgement, MotionOptions, MovementReason, Mover, PointOnObject, PointTrack, Surroundings, TrackLabel, Verdict,
-    classify, judge, movers,
+    classify, judge, judge_pieces, movers,
 };
 use crate::scene::{Movement, Rect};
 
@@ -111,6 +111,24 @@ fn a_parked_vehicle_stands() {
         let judged = judged(&world);
         assert_eq!(judged.movement, Movement::Stationary, "{flight:?}: {judged}");
     }
+}
+
+#[test]
+fn a_track_with_gaps_is_stationary_only_if_every_piece_is() {
+    let world = world(&plan(HIGH, [40.0, 2.0], [0.0, 0.0]));
+    let labels = classify(&world.tracks, &world.surroundings(), &MotionOptions::default().evidence);
+    let point = |k: usize| {
+        let (track, label) = (&world.tracks[k], &labels[k]);
+        PointOnObject { track, label, inside: 1.0, foot: world.foot(track, label) }
+    };
+    let parked: Vec<PointOnObject> = (0..labels.len()).filter(|&k| world.is_vehicle[k]).map(point).collect();
+    // Quiet points whose contact nothing shows, as those of an oncoming car.
+    let quiet = parked.iter().filter(|point| point.label.verdict == Verdict::Stationary).take(6);
+    let open: Vec<PointOnObject> = quiet.map(|point| PointOnObject { foot: None, ..*point }).collect();
+    let state = |pieces: &[Vec<PointOnObject>]| judge_pieces(pieces, 10.0).movement;
+    assert_eq!(state(&[parked.clone(), parked.clone()]), Movement::Stationary);
+    assert_eq!(state(&[parked.clone(), Vec::new()]), Movement::Stationary);
+    assert_eq!(state(&[parked, open]), Movement::Undetermined);
 }
 
 #[test]

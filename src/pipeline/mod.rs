@@ -38,7 +38,7 @@ pub use options::{
 };
 pub use stages::background::{CameraReport, ModelReport};
 pub use stages::features::found_features::found_features;
-pub use stages::metric::telemetry_inside;
+pub use stages::metric::telemetry_of;
 pub use stages::report::link_exports;
 
 use crate::io::InputIdentity;

@@ -5,7 +5,8 @@ use std::collections::{BTreeMap, HashMap};
 use super::Thumbnail;
 use crate::eval::Evaluation;
 use crate::scene::{
-    Frame, FrameId, Ground, Image, Metric, ObjectId, ObjectTrajectory, Reconstruction, TimeBase, TrackedObject,
+    Frame, FrameId, Ground, GroundTrack, Image, Metric, ObjectId, ObjectTrajectory, Reconstruction, TimeBase,
+    TrackedObject,
 };
 
 /// Everything the page shows; the pipeline fills it from a finished output folder.
@@ -80,6 +81,8 @@ pub struct Object<'a> {
     pub model: Option<Model<'a>>,
     /// Its trajectory, if there is one.
     pub trajectory: Option<&'a ObjectTrajectory>,
+    /// Its track on the ground, where there is no usable trajectory.
+    pub ground_track: Option<&'a GroundTrack>,
     /// The scale ratio that each frame alone gives (eq. r_per_image), where the intersection method ran.
     pub ratio_per_frame: Vec<(FrameId, f64)>,
     /// Why there is no trajectory.

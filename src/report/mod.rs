@@ -36,7 +36,7 @@ mod testing;
 pub use data::{Data, Fact, Missing, Model, Object, Part, Stage};
 pub use metres::metres_in_words;
 pub use overlay::{Label, Thumbnail, object_colour, overlay, shrunk, strip_frames};
-pub use travel::{estimate, travel_facts};
+pub use travel::{estimate, ground_track_facts, travel_facts};
 pub use verdict::Verdict;
 
 use std::path::{Path, PathBuf};

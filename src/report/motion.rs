@@ -22,9 +22,9 @@ fn motion<'a>(data: &Data, metric: &'a MetricPose) -> Option<&'a Motion> {
 }
 
 /// Summary of one pose, in a few words.
-pub(super) fn tooltip(data: &Data, pose: &ObjectPose) -> Option<String> {
+pub(super) fn tooltip(data: &Data, metric: Option<&MetricPose>) -> Option<String> {
     data.metric.and_then(metres::frame)?;
-    let metric = pose.metric.as_ref()?;
+    let metric = metric?;
     let away = format!("{} m away", figure(metric.distance_to_camera_m, 2));
     Some(match motion(data, metric) {
         Some(motion) => format!("{}, {away}", km_h(motion.speed_m_s)),
@@ -138,10 +138,10 @@ mod tests {
         assert!(headings.windows(2).all(|pair| (step(pair) - 8.0).abs() < 1e-9), "no jump at north");
         assert!(headings.iter().all(|reading| (-10.0..=370.0).contains(&reading.value)));
         let pose = &world.trajectory.poses[10];
-        assert!(tooltip(&data, pose).unwrap().ends_with(" m away"));
+        assert!(tooltip(&data, pose.metric.as_ref()).unwrap().ends_with(" m away"));
         let unknown = testing::world();
         let data = unknown.data();
-        assert!(facts(&data, &data.objects[0]).is_empty() && tooltip(&data, pose).is_none());
+        assert!(facts(&data, &data.objects[0]).is_empty() && tooltip(&data, pose.metric.as_ref()).is_none());
     }
 
     #[test]

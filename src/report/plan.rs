@@ -6,7 +6,7 @@ use super::data::{Data, Object};
 use super::metres::{Ruler, frame as metric_frame};
 use super::overlay::{css_colour, object_colour, spread};
 use super::view::{View, quantile};
-use crate::scene::MetricAxes;
+use crate::scene::{GroundTrack, MetricAxes};
 use nalgebra::{Point3, Vector3};
 
 /// Units of a plan per unit of the view, where the plan shows the whole scene; `page.js` moves markers in them.
@@ -38,6 +38,8 @@ struct PlanPath {
     id: u32,
     colour: String,
     degenerate: bool,
+    /// True of a ground track.
+    ground: bool,
     path: String,
     start: [f64; 2],
     end: [f64; 2],
@@ -99,6 +101,8 @@ impl Plan {
         let camera: Vec<_> = background.images.values().map(|i| paper.place(i.cam_from_world.center())).collect();
         let mut all = camera.clone();
         all.extend(data.objects.iter().flat_map(|o| paper.positions(o)));
+        let ground_tracks = || data.objects.iter().filter_map(|o| o.ground_track);
+        all.extend(ground_tracks().flat_map(|track| paper.contacts(track)));
         // A trajectory of undetermined scale may lie anywhere; the plan keeps to the scene.
         all.retain(|p| p.iter().all(|v| v.abs() < 30.0 * SCENE_ZOOM));
         let view_box = frame(&all, &[], 0.9, 0.45);
@@ -107,7 +111,9 @@ impl Plan {
             view_box,
             points: dots(&near.collect::<Vec<_>>()),
             camera: polyline(&camera),
-            paths: data.objects.iter().filter_map(|o| paper.path(o)).collect(),
+            paths: (data.objects.iter().filter_map(|o| paper.path(o)))
+                .chain(ground_tracks().filter_map(|track| paper.ground_path(track)))
+                .collect(),
             bar: paper.scale_bar(view_box),
             north: north(data, view_box),
         }
@@ -115,16 +121,16 @@ impl Plan {
 
     /// One object's path alone; `None` without a trajectory.
     pub fn object(data: &Data, object: &Object, view: &View) -> Option<Self> {
-        let whole = Paper::new(data, view);
-        let positions = whole.positions(object);
-        let [x, y, width, height] = frame(&positions, &[], 0.0, 0.0);
-        let origin = [x + width / 2.0, y + height / 2.0];
-        let paper = Paper { origin, zoom: PATH_SIDE / width.max(height).max(LEAST_SIDE), ..whole };
-        let path = paper.path(object)?;
-        let view_box = frame(&paper.positions(object), &[path.start, path.end], 0.25, 0.6);
-        let bar = paper.scale_bar(view_box);
-        let north = north(data, view_box);
-        Some(Self { view_box, points: String::new(), camera: String::new(), paths: vec![path], bar, north })
+        let paper = Paper::new(data, view);
+        let paper = paper.around(&paper.positions(object));
+        Some(paper.alone(data, paper.path(object)?, &paper.positions(object)))
+    }
+
+    /// One ground track alone; `None` without positions that can be drawn.
+    pub fn ground_track(data: &Data, track: &GroundTrack, view: &View) -> Option<Self> {
+        let paper = Paper::new(data, view);
+        let paper = paper.around(&paper.contacts(track));
+        Some(paper.alone(data, paper.ground_path(track)?, &paper.contacts(track)))
     }
 }
 
@@ -139,6 +145,39 @@ impl<'a> Paper<'a> {
         [(x - self.origin[0]) * self.zoom, (y - self.origin[1]) * self.zoom]
     }
 
+    /// The same view, moved and enlarged to show some places of it.
+    fn around(&self, positions: &[[f64; 2]]) -> Self {
+        let [x, y, width, height] = frame(positions, &[], 0.0, 0.0);
+        let origin = [x + width / 2.0, y + height / 2.0];
+        Self { origin, zoom: PATH_SIDE / width.max(height).max(LEAST_SIDE), ..*self }
+    }
+
+    /// The plan of one path.
+    fn alone(&self, data: &Data, path: PlanPath, positions: &[[f64; 2]]) -> Plan {
+        let view_box = frame(positions, &[path.start, path.end], 0.25, 0.6);
+        let bar = self.scale_bar(view_box);
+        let north = north(data, view_box);
+        Plan { view_box, points: String::new(), camera: String::new(), paths: vec![path], bar, north }
+    }
+
+    fn contacts(&self, track: &GroundTrack) -> Vec<[f64; 2]> {
+        track.positions.iter().map(|at| self.place(Point3::from(at.position))).filter(drawable).collect()
+    }
+
+    fn ground_path(&self, track: &GroundTrack) -> Option<PlanPath> {
+        let positions = self.contacts(track);
+        let (start, end) = (*positions.first()?, *positions.last()?);
+        Some(PlanPath {
+            id: track.id.0,
+            colour: css_colour(object_colour(track.id)),
+            degenerate: false,
+            ground: true,
+            path: polyline(&positions),
+            start: start.map(tenth),
+            end: end.map(tenth),
+        })
+    }
+
     fn positions(&self, object: &Object) -> Vec<[f64; 2]> {
         let poses = object.trajectory.iter().flat_map(|t| &t.poses);
         poses.map(|p| self.place(Point3::from(p.position))).filter(drawable).collect()
@@ -151,6 +190,7 @@ impl<'a> Paper<'a> {
             id: object.id.0,
             colour: css_colour(object_colour(object.id)),
             degenerate: object.trajectory.is_some_and(|trajectory| trajectory.is_ruled_out()),
+            ground: false,
             path: polyline(&positions),
             start: start.map(tenth),
             end: end.map(tenth),

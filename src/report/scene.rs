@@ -72,6 +72,8 @@ struct SceneObject {
     name: String,
     colour: String,
     degenerate: bool,
+    /// True of a ground track, which has no points.
+    ground: bool,
     total: usize,
     count: usize,
     /// In the object's frame: 32-bit floats, little endian.
@@ -87,7 +89,9 @@ impl Scene {
         let frames = chosen.iter().map(|&i| scene_frame(&data.frames[i], images[i], view, timeline)).collect();
         let shown = data.objects.iter().filter(|o| o.trajectory.is_some()).count().max(1);
         let budget = MAX_OBJECT_POINTS.min(MAX_ALL_OBJECT_POINTS / shown);
-        let objects = data.objects.iter().zip(names);
+        let objects = || data.objects.iter().zip(names);
+        let placed = objects().filter_map(|(o, n)| scene_object(data, view, o, n, &chosen, budget));
+        let on_ground = objects().filter_map(|(o, n)| ground_track(data, view, o, n, &chosen));
         Self {
             scale: view.view_from_world.scale / Ruler::of(data.metric).factor,
             turn: Turn::of(data, view).rows(),
@@ -96,7 +100,7 @@ impl Scene {
             tangent: tangent(data.background.reconstruction),
             frames,
             points: cloud(data.background.reconstruction, data.ground.map_or(&[], |g| &g.point_ids), MAX_POINTS, view),
-            objects: objects.filter_map(|(o, n)| scene_object(data, view, o, n, &chosen, budget)).collect(),
+            objects: placed.chain(on_ground).collect(),
         }
     }
 
@@ -195,18 +199,14 @@ fn scene_object(
     budget: usize,
 ) -> Option<SceneObject> {
     let trajectory = object.trajectory?;
-    let index_of = |frame: FrameId| {
-        let index = data.frames.binary_search_by_key(&frame, |f| f.id).ok()?;
-        chosen.binary_search(&index).ok()
-    };
     let poses = trajectory.poses.iter().filter_map(|pose| {
-        let index = index_of(pose.frame)?;
+        let index = stop(data, chosen, pose.frame)?;
         let s = view.view_from_world * pose.world_from_object;
         let (q, t) = (s.rotation, s.translation);
         let numbers = [s.scale, q.w, q.i, q.j, q.k, t.x, t.y, t.z];
         let position = view.point(Point3::from(pose.position));
         let usable = numbers.iter().chain(&position).all(|v| v.is_finite());
-        usable.then(|| (index, position, numbers, motion::tooltip(data, pose)))
+        usable.then(|| (index, position, numbers, motion::tooltip(data, pose.metric.as_ref())))
     });
     let all: Vec<_> = object
         .model
@@ -224,10 +224,40 @@ fn scene_object(
         name: name.to_owned(),
         colour: css_colour(object_colour(object.id)),
         degenerate: trajectory.is_ruled_out(),
+        ground: false,
         total: all.len(),
         count: points.len(),
         positions: STANDARD.encode(floats.collect::<Vec<_>>()),
         colours: STANDARD.encode(points.iter().flat_map(|(_, p)| p.rgb).collect::<Vec<_>>()),
+        poses: poses.collect(),
+    })
+}
+
+/// Index of a frame among the stops of the time slider.
+fn stop(data: &Data, chosen: &[usize], frame: FrameId) -> Option<usize> {
+    let index = data.frames.binary_search_by_key(&frame, |f| f.id).ok()?;
+    chosen.binary_search(&index).ok()
+}
+
+fn ground_track(data: &Data, view: &View, object: &Object, name: &str, chosen: &[usize]) -> Option<SceneObject> {
+    let track = object.ground_track?;
+    let poses = track.positions.iter().filter_map(|at| {
+        let index = stop(data, chosen, at.frame)?;
+        let position = view.point(Point3::from(at.position));
+        let placement = [1.0, 1.0, 0.0, 0.0, 0.0, position[0], position[1], position[2]];
+        let usable = position.iter().all(|v| v.is_finite());
+        usable.then(|| (index, position, placement, motion::tooltip(data, at.metric.as_ref())))
+    });
+    Some(SceneObject {
+        id: object.id.0,
+        name: format!("{name}, ground track"),
+        colour: css_colour(object_colour(object.id)),
+        degenerate: false,
+        ground: true,
+        total: 0,
+        count: 0,
+        positions: String::new(),
+        colours: String::new(),
         poses: poses.collect(),
     })
 }

@@ -21,15 +21,17 @@ pub(super) fn sentence(data: &Data) -> String {
         return format!("Reconstructed: {camera}. No vehicle detected.");
     }
     let seen = data.objects.len();
+    let ground = data.objects.iter().filter(|o| o.ground_track.is_some()).count();
+    let on_ground = if ground == 0 { String::new() } else { format!(" Ground tracks without a 3D model: {ground}.") };
     if found == 0 {
-        return format!("Reconstructed: {camera}; no trajectory of {}.", count(seen, "vehicle"));
+        return format!("Reconstructed: {camera}; no trajectory of {}.{on_ground}", count(seen, "vehicle"));
     }
     let vehicles = match (found, seen) {
         (1, 1) => "the 3D trajectory of the vehicle".to_owned(),
         (f, s) if f == s => format!("the 3D trajectories of all {s} vehicles"),
         (f, s) => format!("the 3D trajectories of {f} of {s} vehicles"),
     };
-    format!("Reconstructed: {camera}, and {vehicles}. {}", sureness(data))
+    format!("Reconstructed: {camera}, and {vehicles}. {}{on_ground}", sureness(data))
 }
 
 /// Scale uncertainties and verdicts in one sentence.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{Data, Model, Object, Stage, Thumbnail};
 use crate::eval::Evaluation;
-use crate::scene::{Frame, FrameId, Ground, Metric, ObjectId, ObjectTrajectory, Reconstruction, TimeBase};
+use crate::scene::{Frame, FrameId, Ground, GroundTrack, Metric, ObjectId, ObjectTrajectory, Reconstruction, TimeBase};
 pub(super) use crate::synthetic::showcase::UP;
 use crate::synthetic::showcase::{CAR, showcase};
 
@@ -19,6 +19,7 @@ pub(super) struct World {
     pub ground: Ground,
     pub model: Reconstruction,
     pub trajectory: ObjectTrajectory,
+    pub ground_track: Option<GroundTrack>,
     pub visible: Vec<FrameId>,
     pub strip: Vec<Thumbnail>,
     pub warnings: Vec<String>,
@@ -37,6 +38,7 @@ pub(super) fn world() -> World {
         ground: result.ground,
         model: car.model,
         trajectory: car.trajectory,
+        ground_track: None,
         visible: car.visible,
         strip: Vec::new(),
         warnings: Vec::new(),
@@ -58,6 +60,7 @@ impl World {
             visible: self.visible.clone(),
             model: Some(Model { reconstruction: &self.model, unregistered: BTreeMap::new() }),
             trajectory: Some(&self.trajectory),
+            ground_track: self.ground_track.as_ref().filter(|track| track.id == CAR),
             ratio_per_frame: vec![(FrameId(3), self.trajectory.scale.ratio)],
             failure: None,
         };
@@ -69,6 +72,7 @@ impl World {
             visible: vec![FrameId(4)],
             model: None,
             trajectory: None,
+            ground_track: self.ground_track.as_ref().filter(|track| track.id == ObjectId(2)),
             ratio_per_frame: Vec::new(),
             failure: Some("too few features".into()),
         };

@@ -3,7 +3,7 @@
 use super::data::Fact;
 use super::words::LENGTH_UNIT;
 use crate::math::rounding::{to_std, with_std};
-use crate::scene::{Estimate, ObjectTrajectory, TimeBase, Travel};
+use crate::scene::{Estimate, GroundTrack, ObjectTrajectory, TimeBase, Travel};
 
 /// Kilometres per hour in a metre per second.
 pub(super) const KM_H: f64 = 3.6;
@@ -13,7 +13,19 @@ pub(super) const KM_H: f64 = 3.6;
 /// A rejected trajectory has them without a standard deviation: it would be taken for the error.
 pub fn travel_facts(trajectory: &ObjectTrajectory, times: TimeBase) -> Vec<Fact> {
     let Some(travel) = &trajectory.travel else { return Vec::new() };
-    let said = |label: &str, of: Estimate, unit: &str| Fact::new(label, estimate(trajectory, of, unit));
+    let seconds = trajectory.poses.first().zip(trajectory.poses.last()).map_or(0.0, |(a, b)| b.time_s - a.time_s);
+    figures(travel, seconds, times, |of, unit| estimate(trajectory, of, unit))
+}
+
+/// The same of a ground track.
+pub fn ground_track_facts(track: &GroundTrack, times: TimeBase) -> Vec<Fact> {
+    let Some(travel) = &track.travel else { return Vec::new() };
+    let seconds = track.positions.first().zip(track.positions.last()).map_or(0.0, |(a, b)| b.time_s - a.time_s);
+    figures(travel, seconds, times, |Estimate { value, std }, unit| format!("{} {unit}", with_std(value, std)))
+}
+
+fn figures(travel: &Travel, seconds: f64, times: TimeBase, estimate: impl Fn(Estimate, &str) -> String) -> Vec<Fact> {
+    let said = |label: &str, of: Estimate, unit: &str| Fact::new(label, estimate(of, unit));
     let Travel { path_units, displacement_units, path_m, displacement_m, mean_speed_m_s, max_speed_m_s } = *travel;
     let lengths = [("path length", path_m, path_units), ("displacement", displacement_m, displacement_units)];
     let length = |(label, metres, units): (&str, Option<Estimate>, Estimate)| match metres {
@@ -23,7 +35,6 @@ pub fn travel_facts(trajectory: &ObjectTrajectory, times: TimeBase) -> Vec<Fact>
     let speeds = [("mean speed", mean_speed_m_s), ("maximum speed", max_speed_m_s)];
     let speeds = speeds.into_iter().filter(|_| times == TimeBase::Seconds);
     let speeds = speeds.filter_map(|(label, speed)| Some(said(label, speed?.scaled(KM_H), "km/h")));
-    let seconds = trajectory.poses.first().zip(trajectory.poses.last()).map_or(0.0, |(a, b)| b.time_s - a.time_s);
     let is_unitless = path_m.is_none() && times == TimeBase::Seconds && seconds > 0.0;
     let in_units =
         is_unitless.then(|| said("mean speed", path_units.scaled(seconds.recip()), &format!("{LENGTH_UNIT}/s")));

@@ -91,6 +91,8 @@ fn focus(data: &Data, centers: &[Point3<f64>]) -> Vec<Point3<f64>> {
     };
     let sure = |o: &&Object| o.trajectory.is_some_and(|t| !t.is_ruled_out());
     let mut moving: Vec<_> = data.objects.iter().filter(sure).flat_map(positions).collect();
+    let contacts = data.objects.iter().filter_map(|o| o.ground_track).flat_map(|track| &track.positions);
+    moving.extend(contacts.map(|at| Point3::from(at.position)).filter(finite));
     if moving.is_empty() {
         moving = data.objects.iter().flat_map(positions).collect();
     }

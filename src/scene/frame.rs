@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 pub struct FrameId(pub u32);
 
 /// One tracked vehicle; ids start at 1, since 0 means background in a label map.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct ObjectId(pub u32);
 

@@ -7,10 +7,12 @@ mod flow;
 mod focal_change;
 mod frame;
 mod ground;
+mod ground_track;
 mod mask;
 mod mesh;
 mod metric;
 mod reconstruction;
+mod scale_method;
 mod tracked;
 mod trajectory;
 mod verdict;
@@ -21,6 +23,9 @@ pub use flow::Flow;
 pub use focal_change::FocalChange;
 pub use frame::{Frame, FrameId, ObjectId, TimeBase};
 pub use ground::{Ground, GroundPlane, GroundSource, PlaneBasis};
+pub use ground_track::{
+    ContactError, GroundPosition, GroundTrack, GroundTrackMethod, GroundTrackTrust, GroundTrackVerdict, NoContact,
+};
 pub use mask::{BoundingBox, Detection, LabelMap, Mask};
 pub use mesh::TriangleMesh;
 pub use metric::{
@@ -30,12 +35,13 @@ pub use metric::{
 pub use reconstruction::{
     CameraForm, CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement,
 };
+pub use scale_method::{MethodInfo, ScaleMethod};
 pub use tracked::{
     DetectionCounts, Gap, IdentityEvidence, Movement, MovementFinding, Outline, TrackedObject, UnmergedTrack,
 };
 pub use trajectory::{
-    ModelState, ObjectPose, ObjectTrajectory, Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport,
-    Trajectories, Unit,
+    CameraPathRatio, ModelState, ObjectPose, ObjectTrajectory, Ratios, Reference, References, ScaleEstimate,
+    ScaleShares, ScaleSupport, StationaryVehicles, Trajectories, Unit,
 };
 pub use verdict::{Finding, Reason, ReasonKind, Trust, Verdict};
 pub use warning::{Topic, Warning, warning_text};

@@ -5,38 +5,8 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Dimensions, FrameId, Metric, MetricPose, ObjectId, PlaneBasis, Travel, Verdict};
+use super::{Dimensions, FrameId, GroundTrack, Metric, MetricPose, ObjectId, PlaneBasis, ScaleMethod, Travel, Verdict};
 use crate::math::Sim3;
-
-/// Method of estimating a scale ratio; the names are those of the contract.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum ScaleMethod {
-    /// View pair ranking by constant distance to the ground.
-    ConstantDistance,
-    /// Smallest ray–plane intersection per frame, median over frames.
-    Intersection,
-    /// Constant distance in all frames, robust least squares.
-    #[serde(rename = "least-squares")]
-    RobustLeastSquares,
-    /// Adjustment of vehicle and ground planes.
-    Joint,
-}
-
-impl ScaleMethod {
-    /// Every method, the paper's first.
-    pub const ALL: [Self; 4] = [Self::ConstantDistance, Self::Intersection, Self::RobustLeastSquares, Self::Joint];
-
-    /// The name in files and on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::ConstantDistance => "constant-distance",
-            Self::Intersection => "intersection",
-            Self::RobustLeastSquares => "least-squares",
-            Self::Joint => "joint",
-        }
-    }
-}
 
 /// The ratio r between the object's and the background's unit of length, and how sure it is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -60,6 +30,10 @@ pub struct ScaleEstimate {
     pub shares: Option<ScaleShares>,
     /// Evidence for the ratio; `None` in files that do not state it.
     pub support: Option<ScaleSupport>,
+    /// Ratio by the camera path, where the vehicle is stationary; it is part of `ratio` and `std`.
+    pub camera_path: Option<CameraPathRatio>,
+    /// Results of the reference methods for the object before its adjustment; empty unless they were wanted.
+    pub references: References,
 }
 
 impl ScaleEstimate {
@@ -75,8 +49,40 @@ impl ScaleEstimate {
             as_reconstructed: None,
             shares: None,
             support: None,
+            camera_path: None,
+            references: References::new(),
         }
     }
+}
+
+/// Scale ratio of a stationary vehicle by the camera path, which its model and the background both show.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraPathRatio {
+    /// Ratio of the two camera paths.
+    pub ratio: f64,
+    /// Its standard deviation.
+    pub std: f64,
+    /// RMS of the residual between the two paths, as a share of the vehicle's distance: the error of its model.
+    pub residual: f64,
+    /// The ratio without the camera path.
+    pub ratio_without: f64,
+    /// The standard deviation without the camera path; `None` where the method gives none.
+    pub std_without: Option<f64>,
+    /// True if the ratio is undetermined without the camera path.
+    pub degenerate_without: bool,
+}
+
+/// Vehicles whose scale ratio comes from the camera path.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum StationaryVehicles {
+    /// None.
+    None,
+    /// Vehicles that are found to be stationary.
+    #[default]
+    Found,
+    /// All vehicles: the user knows that none moves.
+    All,
 }
 
 /// Where the standard deviation of a scale ratio comes from. Each is a standard deviation as a share of the ratio; they
@@ -142,6 +148,20 @@ pub enum ModelState {
 
 /// Scale ratios by the method that gave them. Which model of the object they speak of is reported where they stand.
 pub type Ratios = BTreeMap<ScaleMethod, f64>;
+
+/// Result of a reference method.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Reference {
+    /// Its scale ratio; `None` where it has none.
+    pub ratio: Option<f64>,
+    /// Its standard deviation.
+    pub std: Option<f64>,
+    /// Reason why the ratio is undetermined; `None` if it is determined.
+    pub undetermined: Option<String>,
+}
+
+/// Results of the reference methods.
+pub type References = BTreeMap<ScaleMethod, Reference>;
 
 /// The unit of length of a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -236,4 +256,13 @@ pub struct Trajectories {
     pub metric: Option<Metric>,
     /// Ascending by id.
     pub objects: Vec<ObjectTrajectory>,
+    /// Tracks on the ground of vehicles without a usable 3D model, ascending by id.
+    pub ground_tracks: Vec<GroundTrack>,
+}
+
+impl Trajectories {
+    /// Ground track of a vehicle.
+    pub fn ground_track(&self, id: ObjectId) -> Option<&GroundTrack> {
+        self.ground_tracks.iter().find(|track| track.id == id)
+    }
 }

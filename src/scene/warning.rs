@@ -49,6 +49,7 @@ topics! {
     ImagesRotated: "images-rotated",
     ImageOrderDetected: "image-order-detected",
     IntrinsicsDoubtful: "intrinsics-doubtful",
+    CalibrationDoesNotFit: "calibration-does-not-fit",
     IntrinsicsIncomplete: "intrinsics-incomplete",
     FocalLengthUncertain: "focal-length-uncertain",
     FocalLengthChanges: "focal-length-changes",

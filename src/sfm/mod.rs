@@ -14,7 +14,7 @@
 //! let camera = Camera::prior_of_photograph(source.info().width, source.info().height);
 //! let pictures = source.frames()?.filter_map(Result::ok).map(|(frame, picture)| (frame, picture, None));
 //! let options = sfm::Options::unordered();
-//! let (model, report) = sfm::reconstruct_pictures(pictures, camera, Intrinsics::Refined, &options, 0)?;
+//! let (model, report) = sfm::reconstruct_pictures(pictures, camera, Intrinsics::GUESSED, &options, 0)?;
 //! println!("{} pictures, {} points", report.num_registered(), model.points.len());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

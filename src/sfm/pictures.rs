@@ -66,7 +66,7 @@ mod tests {
     #[test]
     fn pictures_that_show_nothing_are_an_error_with_a_reason() {
         let black = (0..4).map(|index| (frame(index), RgbImage::new(320, 240), None));
-        let found = reconstruct_pictures(black, Camera::prior(320, 240), Intrinsics::Fixed, &Options::background(), 0);
+        let found = reconstruct_pictures(black, Camera::prior(320, 240), Intrinsics::FIXED, &Options::background(), 0);
         let said = found.unwrap_err().to_string();
         assert!(said.starts_with("nothing reconstructed: "), "{said}");
     }
@@ -75,7 +75,7 @@ mod tests {
     fn a_mask_of_another_size_is_refused_by_the_pictures_name() {
         let pictures = [(frame(7), wall(0), Some(Mask::full(10, 10)))];
         let found =
-            reconstruct_pictures(pictures, Camera::prior(320, 240), Intrinsics::Fixed, &Options::background(), 0);
+            reconstruct_pictures(pictures, Camera::prior(320, 240), Intrinsics::FIXED, &Options::background(), 0);
         assert!(found.unwrap_err().to_string().contains("000007.jpg"));
     }
 
@@ -84,7 +84,7 @@ mod tests {
         let reconstruct = |mask: Option<Mask>| {
             let pictures = (0..12).map(|index| (frame(index), wall(index), mask.clone()));
             let camera = Camera::with_focal(320, 240, 300.0);
-            reconstruct_pictures(pictures, camera, Intrinsics::Fixed, &Options::background(), 0).unwrap()
+            reconstruct_pictures(pictures, camera, Intrinsics::FIXED, &Options::background(), 0).unwrap()
         };
         let (model, report) = reconstruct(None);
         assert!(report.num_registered() >= 10 && model.points.len() > 100, "{report:?}");

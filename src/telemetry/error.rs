@@ -48,8 +48,8 @@ pub enum TelemetryError {
     },
     /// No known format.
     #[error(
-        "{}: neither a DJI subtitle file, nor GPX, NMEA, a CSV with longitude and latitude in its header, nor a \
-         photograph with GPS data; see docs/telemetry.md",
+        "{}: neither a DJI subtitle file, nor GPX, NMEA, a CSV with longitude and latitude in its header, a \
+         photograph with GPS data, nor a video with telemetry; see docs/telemetry.md",
         path.display()
     )]
     Unknown {

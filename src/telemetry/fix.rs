@@ -3,7 +3,11 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use nalgebra::{UnitQuaternion, Vector3};
 use serde::Serialize;
+
+use super::gpmf::Lens;
+use super::summary::Range;
 
 use crate::memory::MemoryLimit;
 
@@ -12,7 +16,7 @@ use crate::memory::MemoryLimit;
 pub struct Fix {
     /// Format or dialect in which it is written.
     pub dialect: &'static str,
-    /// Line of the file where it stands, from 1; of photographs the number of the file.
+    /// Line of the file where it stands, from 1; of photographs the number of the file, of GPMF that of the payload.
     pub line: usize,
     /// File name of the photograph that it belongs to.
     pub photograph: Option<String>,
@@ -160,7 +164,7 @@ pub enum ClockKind {
 /// Something in a file that gave no fix.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct SkippedEntry {
-    /// Line, from 1; of photographs the number of the file.
+    /// Line, from 1; of photographs the number of the file, of GPMF that of the payload.
     pub line: usize,
     /// Why.
     pub reason: String,
@@ -170,6 +174,17 @@ impl fmt::Display for SkippedEntry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "line {}: {}", self.line, self.reason)
     }
+}
+
+/// State of the camera at a time of its video, in axes of the image as it is stored: x right, y down, z forward.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraSample {
+    /// Seconds after the video's start.
+    pub video_s: f64,
+    /// Direction of gravity, unit vector.
+    pub down_in_image: Option<Vector3<f64>>,
+    /// Axes of the image from those of the camera at the start of the recording.
+    pub image_from_start: Option<UnitQuaternion<f64>>,
 }
 
 /// Content of a file.
@@ -185,6 +200,12 @@ pub struct Log {
     pub passed_over: Vec<SkippedEntry>,
     /// Number of skipped lines.
     pub num_passed_over: usize,
+    /// Gravity and attitude of the camera, in order of time.
+    pub camera: Vec<CameraSample>,
+    /// Shortest and longest exposure, seconds.
+    pub exposure_s: Option<Range>,
+    /// Camera and lens.
+    pub lens: Option<Lens>,
     /// Number of fixes that it can hold.
     pub(super) room: Room,
 }
@@ -223,6 +244,14 @@ impl Log {
     pub(super) fn push(&mut self, dialect: &'static str, fix: Fix) {
         match self.fixes.len() < self.room.most {
             true => self.fixes.push(Fix { dialect, ..fix }),
+            false => self.room.is_exceeded = true,
+        }
+    }
+
+    /// Adds a state of the camera, if there is room for it.
+    pub(super) fn push_camera(&mut self, sample: CameraSample) {
+        match self.camera.len() < self.room.most {
+            true => self.camera.push(sample),
             false => self.room.is_exceeded = true,
         }
     }

@@ -1,7 +1,7 @@
 //! Which format a file has, by its content.
 
 use super::text::decode;
-use super::{csv, dji, nmea, srt};
+use super::{csv, dji, gpmf, nmea, srt};
 
 /// A format of files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,6 +16,8 @@ pub enum Kind {
     Csv,
     /// A photograph.
     Photograph,
+    /// Telemetry of a GoPro camera, taken out of its video.
+    Gpmf,
 }
 
 /// So much of a file is looked at, bytes.
@@ -30,6 +32,9 @@ impl Kind {
             [0xff, 0xd8, 0xff, ..] | [0x89, b'P', b'N', b'G', ..] | [b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..]
         ) {
             return Some(Self::Photograph);
+        }
+        if gpmf::is_gpmf(head) {
+            return Some(Self::Gpmf);
         }
         let text = decode(head);
         if text.contains("<gpx") {
@@ -56,6 +61,7 @@ impl Kind {
             Self::Nmea => "NMEA 0183",
             Self::Csv => "CSV",
             Self::Photograph => "a photograph",
+            Self::Gpmf => "GPMF",
         }
     }
 }

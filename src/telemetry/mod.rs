@@ -2,8 +2,8 @@
 //!
 //! A file of any known format becomes one [`Log`]: fixes in order of time, and what was skipped with its line and
 //! the reason. Formats are distinguished by their content, never by name or by the name of a drone: DJI's subtitle
-//! files (a registry of dialects), GPX, NMEA 0183, CSV with a header, GPS data in photographs. `docs/telemetry.md`
-//! describes each.
+//! files (a registry of dialects), GPX, NMEA 0183, CSV with a header, GPMF, GPS data in photographs.
+//! `docs/telemetry.md` describes each.
 //!
 //! Heights of two kinds are kept apart: absolute ones, which a receiver or a fusion with air pressure gives, and those
 //! above the place of take-off. Longitudes and latitudes are decimal degrees, as in all these files, so that no digit
@@ -19,6 +19,7 @@ mod dji;
 mod error;
 mod fix;
 mod geodesy;
+mod gpmf;
 mod gpx;
 mod kind;
 mod local;
@@ -32,17 +33,21 @@ mod text;
 mod time;
 
 #[cfg(test)]
+pub(crate) use gpmf::made;
+
+#[cfg(test)]
 mod real_files;
 #[cfg(test)]
 mod tests;
 
 pub use error::TelemetryError;
-pub use fix::{Angles, ClockKind, Fix, HeightDatum, Log, Receiver, SkippedEntry};
+pub use fix::{Angles, CameraSample, ClockKind, Fix, HeightDatum, Log, Receiver, SkippedEntry};
 pub use geodesy::{Geodetic, LocalFrame};
+pub use gpmf::{Lens, Payload};
 pub use kind::Kind;
 pub use local::{Heights, LocalFixes, TimeBase};
 pub use photographs::read_photographs;
-pub use read::{read, read_bytes, read_subtitles, read_within};
+pub use read::{read, read_bytes, read_gpmf, read_subtitles, read_within};
 pub use srt::Subtitle;
 pub use summary::{Range, Summary};
 pub use time::{clock_s, date};

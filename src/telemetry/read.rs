@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::error::TelemetryError;
 use super::fix::{ClockKind, Log, Room};
+use super::gpmf::{self, Payload};
 use super::srt::{self, Subtitle};
 use super::text::decode;
 use super::{Kind, csv, dji, gpx, nmea, order, photographs};
@@ -54,6 +55,7 @@ fn parse(bytes: &[u8], path: &Path, limit: MemoryLimit) -> Result<Log, Telemetry
         Kind::Nmea => nmea::read(&decode(bytes), empty),
         Kind::Csv => csv::read(&decode(bytes), path, empty)?,
         Kind::Photograph => photographs::read_one(bytes),
+        Kind::Gpmf => gpmf::read_raw(bytes, empty),
     };
     in_order(log, kind, path)
 }
@@ -66,6 +68,22 @@ pub fn read_subtitles(entries: &[Subtitle], path: &Path) -> Result<Log, Telemetr
     let mut log = Log::default();
     entries.iter().for_each(|block| dji::read_block(block, &mut log));
     in_order(with_clock(log), Kind::Dji, path)
+}
+
+/// Reads the GPMF track of a video within a limit of memory; `path` is the video's name in messages.
+///
+/// * `settings` – GPMF of the container's user data, which has the lens; empty if there is none.
+///
+/// # Errors
+/// [`TelemetryError::NoFix`] where no payload holds a position; [`TelemetryError::TooMany`].
+pub fn read_gpmf(
+    payloads: &[Payload],
+    settings: &[u8],
+    path: &Path,
+    limit: MemoryLimit,
+) -> Result<Log, TelemetryError> {
+    let empty = Log { room: Room::within(limit), ..Log::default() };
+    in_order(gpmf::read(payloads, settings, empty), Kind::Gpmf, path)
 }
 
 fn subtitles(text: &str, empty: Log) -> Log {

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::fix::{ClockKind, Fix, HeightDatum, Log, SkippedEntry};
 use super::geodesy::{Geodetic, LocalFrame};
+use super::gpmf::Lens;
 use super::local::DEGREE_M;
 use super::time;
 
@@ -20,11 +21,14 @@ pub struct Range {
 }
 
 impl Range {
+    /// The range that also has a value.
+    pub(super) fn with(range: Option<Self>, value: f64) -> Self {
+        let range = range.unwrap_or(Self { least: value, most: value });
+        Self { least: range.least.min(value), most: range.most.max(value) }
+    }
+
     fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
-        values.fold(None, |range: Option<Self>, value| {
-            let range = range.unwrap_or(Self { least: value, most: value });
-            Some(Self { least: range.least.min(value), most: range.most.max(value) })
-        })
+        values.fold(None, |range, value| Some(Self::with(range, value)))
     }
 }
 
@@ -65,6 +69,14 @@ pub struct Summary {
     pub num_speeds: usize,
     /// Number of fixes with the camera's attitude.
     pub num_gimbals: usize,
+    /// Number of directions of gravity in the image.
+    pub num_gravities: usize,
+    /// Number of attitudes of the camera relative to that at the start.
+    pub num_rotations: usize,
+    /// Exposure times, seconds.
+    pub exposure_s: Option<Range>,
+    /// Camera and lens.
+    pub lens: Option<Lens>,
     /// Number of lines that should have given a fix and did not.
     pub num_passed_over: usize,
     /// The first of them.
@@ -95,6 +107,10 @@ impl Log {
             horizontal_std_m: range(|fix| Some(fix.horizontal_std_m)),
             num_speeds: self.fixes.iter().filter(|fix| fix.speed_m_s.is_some()).count(),
             num_gimbals: self.fixes.iter().filter(|fix| fix.gimbal.is_some()).count(),
+            num_gravities: self.camera.iter().filter(|sample| sample.down_in_image.is_some()).count(),
+            num_rotations: self.camera.iter().filter(|sample| sample.image_from_start.is_some()).count(),
+            exposure_s: self.exposure_s,
+            lens: self.lens.clone(),
             num_passed_over: self.num_passed_over,
             passed_over: self.passed_over.clone(),
         }
@@ -161,6 +177,15 @@ impl Summary {
         line("above take-off", shown(self.relative_height_m, 2, " m"));
         line("deviation", shown(self.horizontal_std_m, 2, " m horizontally"));
         line("also", format!("{} speeds, {} attitudes of the camera", self.num_speeds, self.num_gimbals));
+        if self.num_gravities + self.num_rotations > 0 {
+            line("camera", format!("{} directions of gravity, {} rotations", self.num_gravities, self.num_rotations));
+        }
+        if let Some(Range { least, most }) = self.exposure_s {
+            line("exposure", format!("{:.3} to {:.3} ms", 1e3 * least, 1e3 * most));
+        }
+        if let Some(lens) = &self.lens {
+            line("lens", lens.as_text());
+        }
         line("skipped", self.num_passed_over.to_string());
         self.passed_over.iter().for_each(|passed| line("", passed.to_string()));
         text

@@ -5,6 +5,7 @@ use std::path::Path;
 use proptest::prelude::*;
 
 use super::fix::Room;
+use super::gpmf::made;
 use super::*;
 use crate::memory::MemoryLimit;
 
@@ -146,6 +147,24 @@ fn positions_do_not_fill_the_memory() {
 }
 
 #[test]
+fn telemetry_of_a_camera_fills_no_memory_and_says_what_it_lacks() {
+    let limit: MemoryLimit = "64MiB".parse().unwrap();
+    let path = Path::new("a.mp4");
+    let refused = |seconds: &[Vec<u8>]| read_gpmf(&made::payloads(seconds), &[], path, limit).unwrap_err().to_string();
+    // Samples of gravity are as small as six bytes.
+    let gravity = made::entry(b"GRAV", b's', 6, &[0, 1].repeat(3 * 65_000));
+    let streams = [made::nest(b"STRM", &[]), [b"STRM\0\xff\xff\xff".to_vec(), gravity].concat()];
+    let second = [b"DEVC\0\xff\xff\xff".to_vec(), streams.concat()].concat();
+    assert!(refused(&[second.clone(), second]).contains("raise --memory-limit"));
+    assert_eq!(refused(&[made::hero(0, 0)]), "a.mp4: GPMF without any position; line 1: the receiver had no fix");
+    assert_eq!(refused(&[]), "a.mp4: GPMF without any position");
+    let cut = [b"DEVC".to_vec(), vec![0; 4]].concat();
+    assert!(read_text(&cut).unwrap_err().to_string().contains("GPMF without any position"));
+    let said = read_text(&made::max(0)).unwrap().summary().as_text();
+    assert!(said.contains("gpmf-gps5 (2)") && said.contains("1.000 to 2.000 ms"), "{said}");
+}
+
+#[test]
 fn a_clock_that_jumps_costs_the_fixes_that_it_dates_wrong() {
     let rows = ["2.0,48.5,9.2,1,1", "900.0,48.5,9.2,1,1", "3.0,48.5,9.2,1,1", "4.0,48.5,9.2,1,1"];
     let log = read_text(format!("{}{}\n", SEEDS[6], rows.join("\n")).as_bytes()).unwrap();
@@ -193,6 +212,31 @@ proptest! {
         if let Ok(log) = read_text(&bytes) {
             check(&log);
         }
+    }
+
+    #[test]
+    fn damaged_telemetry_of_a_camera_never_panics(
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4u8), 1..12),
+        span in (any::<f32>(), any::<f32>()),
+    ) {
+        let mut seconds = [made::max(0), made::hero(1, 3), made::max(2), made::settings()];
+        for (at, byte, change) in changes {
+            let which = at.index(seconds.len());
+            let bytes = &mut seconds[which];
+            let at = at.index(bytes.len().max(1)).min(bytes.len());
+            match change {
+                0 if at < bytes.len() => bytes[at] = byte,
+                1 => bytes.truncate(at),
+                2 => bytes.insert(at, byte),
+                _ => { let copy = bytes[at..].to_vec(); bytes.extend(copy); }
+            }
+        }
+        let [.., settings] = &seconds;
+        let mut payloads = made::payloads(&seconds[..3]);
+        (payloads[1].start_s, payloads[1].end_s) = (f64::from(span.0), f64::from(span.1));
+        let path = Path::new("any video");
+        let of_track = read_gpmf(&payloads, settings, path, MemoryLimit::of_machine());
+        [of_track, read_text(&seconds.concat())].iter().flatten().for_each(check);
     }
 
     #[test]

@@ -24,9 +24,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{ScaleError, View, Views};
+use super::least_squares::LEAST_STD;
+use super::{Estimate, Estimator, EstimatorInput, LeastSquares, Options, ScaleError, View, Views, least_squares};
 use crate::checks::{Checked, within};
-use crate::scene::FrameId;
+use crate::math::at_least;
+use crate::scene::{FrameId, ScaleMethod};
 
 /// Limits of the search; its result is the paper's as long as they are not reached.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -107,6 +109,39 @@ pub fn constant_distance(views: &Views, options: &ConstantDistanceOptions) -> Re
         num_pairs: pairs.len(),
         num_passed_over,
     })
+}
+
+impl ConstantDistance {
+    /// Standard deviation of the ratio, sqrt(2 σ² / mean_j D_j²), with σ from the residuals of the fit over all frames
+    /// and the drift that grows with the distance at `ratio`.
+    fn std(&self, all_frames: &LeastSquares, views: &Views, ratio: f64) -> f64 {
+        all_frames.residual_std.hypot(views.grazing_std(ratio)) * (2.0 / self.mean_denominator_sq).sqrt()
+    }
+}
+
+/// Row of the registry.
+pub(super) struct ConstantDistanceMethod;
+
+impl Estimator for ConstantDistanceMethod {
+    fn method(&self) -> ScaleMethod {
+        ScaleMethod::ConstantDistance
+    }
+
+    fn estimate(&self, input: &EstimatorInput, options: &Options) -> Result<Estimate, ScaleError> {
+        let found = constant_distance(input.views, &options.constant_distance)?;
+        let all_frames = least_squares(input.views, &options.least_squares).ok();
+        Ok(Estimate::new(found.ratio, all_frames.map(|fit| found.std(&fit, input.views, found.ratio))))
+    }
+
+    fn needs_climb(&self) -> bool {
+        true
+    }
+
+    fn std_in_verdict(&self, ratio: f64, views: &Views, options: &Options) -> Option<f64> {
+        let all_frames = least_squares(views, &options.least_squares).ok()?;
+        let pair = constant_distance(views, &options.constant_distance).ok()?;
+        Some(at_least(LEAST_STD, pair.std(&all_frames, views, ratio) / ratio))
+    }
 }
 
 fn numerator(first: &View, second: &View) -> f64 {

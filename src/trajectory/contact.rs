@@ -16,6 +16,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use self::silhouette::Silhouette;
+#[cfg(test)]
+pub(super) use self::silhouette::convex_hull;
 
 use crate::checks::{Checked, OptionError, within};
 use crate::math::{median, quantile};

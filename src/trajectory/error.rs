@@ -86,6 +86,9 @@ pub enum ScaleError {
         /// The solution.
         ratio: f64,
     },
+    /// The motion leaves the criterion of an estimator without a solution.
+    #[error("scale undetermined: {0}")]
+    Undetermined(&'static str),
     /// The adjustment with the ground cannot be done.
     #[error("adjustment with the ground failed: {0}")]
     Adjustment(String),

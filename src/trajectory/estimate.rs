@@ -9,12 +9,14 @@ use serde::{Deserialize, Serialize};
 
 use super::mirror::mean_normal;
 use super::{
-    ConstantDistance, ConstantDistanceOptions, Joint, JointOptions, LeastSquares, LeastSquaresOptions, ScaleError,
-    Views, constant_distance, intersection, least_squares,
+    ConstantDistanceOptions, Estimate, EstimatorInput, Joint, JointOptions, LeastSquares, LeastSquaresOptions,
+    ScaleError, Views, estimator, least_squares,
 };
 use crate::checks::{Checked, under, within};
 use crate::math::rounding::percent;
-use crate::scene::{Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport};
+use crate::scene::{
+    Ratios, Reference, References, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, StationaryVehicles,
+};
 
 /// Options of the scale estimation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -22,6 +24,8 @@ use crate::scene::{Ratios, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport
 pub struct Options {
     /// Method that gives the scale ratio; the others are reported as alternatives.
     pub method: ScaleMethod,
+    /// True to compute the reference methods of the literature, too, for comparison: the benchmark does.
+    pub references: bool,
     /// View pair ranking.
     pub constant_distance: ConstantDistanceOptions,
     /// Robust fit over all frames.
@@ -31,16 +35,20 @@ pub struct Options {
     /// Maximum relative standard deviation of a ratio that counts as determined.
     #[schemars(extend("unit" = "share of the ratio"))]
     pub max_relative_std: f64,
+    /// Vehicles whose ratio comes from the camera path, since they are stationary.
+    pub stationary: StationaryVehicles,
 }
 
 impl Default for Options {
     fn default() -> Self {
         Self {
             method: ScaleMethod::Joint,
+            references: false,
             constant_distance: ConstantDistanceOptions::default(),
             least_squares: LeastSquaresOptions::default(),
             joint: JointOptions::default(),
             max_relative_std: 0.1,
+            stationary: StationaryVehicles::default(),
         }
     }
 }
@@ -70,30 +78,28 @@ const NOTABLE_CLIMB: f64 = 0.1;
 /// [`ScaleMethod::Joint`] is not among them, since it makes a reconstruction of its own ([`joint`](super::joint()));
 /// [`place`](super::place()) chooses between the two.
 ///
-/// `std` is the all-frames solution's for `least-squares`; for `constant-distance` that of the winning pair,
-/// sqrt(2 σ² / mean_j D_j²), with σ from the residuals of the all-frames fit; `intersection` has none.
-///
-/// For the two methods that live on the camera's change of height, `degenerate` says that the motion does not determine
-/// r: the camera's height over the ground does not change, or by too little for its noise. Where the chosen method has
-/// no positive answer, `intersection` stands in, or else the first other that has one, and `method` and `reason` say
-/// so.
+/// For methods that live on the camera's change of height, `degenerate` says that the motion does not determine r: the
+/// camera's height over the ground does not change, or by too little for its noise. Where the chosen method has no
+/// answer, `intersection` stands in, or else the first other that has one, and `method` and `reason` say so.
 ///
 /// # Errors
 /// The chosen method's [`ScaleError`], if no method has an answer.
 pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> Result<ScaleEstimate, ScaleError> {
-    let Estimates { pair, all_frames, ratios: answers } = Estimates::new(views, options);
+    let answers = answers(views, wanted, options);
+    let of = |method: &ScaleMethod| answers.get(method).and_then(|answer| answer.as_ref().ok());
     // Contact stands in first: it does not need what the other two lack when they have no answer, a climb.
     let chosen = [wanted, ScaleMethod::Intersection].into_iter().chain(ScaleMethod::ALL);
-    let found = chosen.filter_map(|method| Some((method, *answers.get(&method)?.as_ref().ok()?))).next();
+    let found = chosen.filter_map(|method| Some((method, of(&method)?))).next();
     let failure = answers.get(&wanted).and_then(|answer| answer.as_ref().err());
-    let Some((method, ratio)) = found else {
+    let Some((method, &Estimate { ratio, std, .. })) = found else {
         return Err(failure.cloned().unwrap_or(ScaleError::NoAnswer(wanted)));
     };
-    let std = standard_deviation(method, views, &pair, &all_frames);
     let mut reasons: Vec<String> = failure.map(|failure| stands_in(method, wanted, failure)).into_iter().collect();
     // Contact does not need the camera to climb, so its answer, where it was asked for, is not judged by the climb.
-    if [method, wanted] != [ScaleMethod::Intersection; 2] {
-        reasons.extend(degeneracy(&all_frames, options.max_relative_std));
+    if [method, wanted].iter().any(|method| estimator(*method).needs_climb()) {
+        reasons.extend(degeneracy(&least_squares(views, &options.least_squares), options.max_relative_std));
+    } else {
+        reasons.extend(std.and_then(|std| too_uncertain(std / ratio, options.max_relative_std)));
     }
     Ok(ScaleEstimate {
         ratio,
@@ -106,6 +112,8 @@ pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> 
         // What varies from frame to frame is all that these methods look at.
         shares: std.map(|std| ScaleShares { frames: std / ratio, ..ScaleShares::default() }),
         support: Some(support(views, ratio, method, &found_by(&answers))),
+        camera_path: None,
+        references: references(views, options),
     })
 }
 
@@ -121,12 +129,11 @@ const FOCAL_ALLOWANCE: f64 = 3.0;
 /// * `views` – of [`Joint::object`].
 /// * `focal_std` – share of the focal length, where it is not known exactly.
 pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, focal_std: Option<f64>) -> ScaleEstimate {
-    let answers = Estimates::new(views, options);
-    let mut alternatives = found_by(&answers.ratios);
+    let mut alternatives = ratios_of(views, options);
     alternatives.insert(ScaleMethod::Joint, found.ratio);
     let shares = ScaleShares {
         focal: FOCAL_SENSITIVITY * focal_std.unwrap_or(0.0),
-        disagreement: disagreement(found, answers.all_frames.as_ref().ok()),
+        disagreement: disagreement(found, least_squares(views, &options.least_squares).ok().as_ref()),
         ..found.shares
     };
     let relative_std = shares.total();
@@ -143,7 +150,9 @@ pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, fo
             frames_with_outline: found.contact.num_frames,
             ..support(views, found.ratio, ScaleMethod::Joint, &alternatives)
         }),
+        camera_path: None,
         alternatives,
+        references: References::new(),
     }
 }
 
@@ -212,32 +221,40 @@ fn disagreement(found: &Joint, all_frames: Option<&LeastSquares>) -> f64 {
 
 /// Ratios by all estimators that take a reconstruction unchanged; without those that have no answer.
 pub fn ratios_of(views: &Views, options: &Options) -> Ratios {
-    found_by(&Estimates::new(views, options).ratios)
+    found_by(&answers(views, options.method, options))
 }
 
-/// Ratios of a reconstruction by each estimator.
-struct Estimates {
-    pair: Result<ConstantDistance, ScaleError>,
-    all_frames: Result<LeastSquares, ScaleError>,
-    ratios: BTreeMap<ScaleMethod, Result<f64, ScaleError>>,
+/// Results of the reference methods for a reconstruction that stays as it is; none unless they are wanted.
+pub(super) fn references(views: &Views, options: &Options) -> References {
+    let wanted = ScaleMethod::ALL.into_iter().filter(|method| options.references && method.is_reference());
+    wanted.map(|method| (method, reference(method, views, options))).collect()
 }
 
-impl Estimates {
-    fn new(views: &Views, options: &Options) -> Self {
-        let pair = constant_distance(views, &options.constant_distance);
-        let all_frames = least_squares(views, &options.least_squares);
-        let ratios = BTreeMap::from([
-            (ScaleMethod::ConstantDistance, pair.clone().map(|found| found.ratio)),
-            (ScaleMethod::Intersection, intersection(views).map(|found| found.ratio)),
-            (ScaleMethod::RobustLeastSquares, all_frames.clone().and_then(|found| positive(found.ratio, views))),
-        ]);
-        Self { pair, all_frames, ratios }
+fn reference(method: ScaleMethod, views: &Views, options: &Options) -> Reference {
+    match estimator(method).estimate(&EstimatorInput::unchanged(views), options) {
+        Ok(Estimate { ratio, std, .. }) => {
+            let undetermined = std.and_then(|std| too_uncertain(std / ratio, options.max_relative_std));
+            Reference { ratio: Some(ratio), std, undetermined }
+        }
+        Err(error) => Reference { undetermined: Some(error.to_string()), ..Reference::default() },
     }
 }
 
-/// The answers that there are.
-fn found_by(ratios: &BTreeMap<ScaleMethod, Result<f64, ScaleError>>) -> Ratios {
-    ratios.iter().filter_map(|(method, ratio)| Some((*method, *ratio.as_ref().ok()?))).collect()
+fn too_uncertain(relative_std: f64, accepted: f64) -> Option<String> {
+    (!(relative_std <= accepted)).then(|| format!("scale undetermined: {}", beyond(relative_std, accepted)))
+}
+
+type Answers = BTreeMap<ScaleMethod, Result<Estimate, ScaleError>>;
+
+/// Answers of `wanted`, and of all others but references, for a reconstruction that stays as it is.
+fn answers(views: &Views, wanted: ScaleMethod, options: &Options) -> Answers {
+    let input = EstimatorInput::unchanged(views);
+    let asked = ScaleMethod::ALL.into_iter().filter(|method| *method == wanted || !method.is_reference());
+    asked.map(|method| (method, estimator(method).estimate(&input, options))).collect()
+}
+
+fn found_by(answers: &Answers) -> Ratios {
+    answers.iter().filter_map(|(method, answer)| Some((*method, answer.as_ref().ok()?.ratio))).collect()
 }
 
 /// Evidence for a ratio, and against it, by the views.
@@ -267,33 +284,8 @@ fn ground_residual(views: &Views, ratio: f64) -> f64 {
     if residual.is_finite() { residual } else { 0.0 }
 }
 
-fn positive(ratio: f64, views: &Views) -> Result<f64, ScaleError> {
-    if ratio.is_finite() && ratio > 0.0 {
-        return Ok(ratio);
-    }
-    Err(ScaleError::NotPositive { num_views: views.views.len(), ratio })
-}
-
 fn stands_in(method: ScaleMethod, wanted: ScaleMethod, failure: &ScaleError) -> String {
     format!("{} instead of {}, which failed: {failure}", method.name(), wanted.name())
-}
-
-fn standard_deviation(
-    method: ScaleMethod,
-    views: &Views,
-    pair: &Result<ConstantDistance, ScaleError>,
-    all_frames: &Result<LeastSquares, ScaleError>,
-) -> Option<f64> {
-    let all_frames = all_frames.as_ref().ok()?;
-    let std = match method {
-        ScaleMethod::RobustLeastSquares => all_frames.std,
-        ScaleMethod::ConstantDistance => {
-            let pair = pair.as_ref().ok()?;
-            all_frames.residual_std.hypot(views.grazing_std(pair.ratio)) * (2.0 / pair.mean_denominator_sq).sqrt()
-        }
-        ScaleMethod::Intersection | ScaleMethod::Joint => return None,
-    };
-    std.is_finite().then_some(std)
 }
 
 /// Why the motion does not determine r, in words and numbers; `None` if it does.
@@ -359,7 +351,11 @@ mod tests {
         for seed in 0..4 {
             let (found, _) = estimate(&world, seed, ScaleMethod::RobustLeastSquares);
             assert!(found.degenerate, "{found:?}");
-            assert!(found.reason.is_some_and(|reason| !reason.is_empty()));
+            let reason = found.reason.unwrap_or_default();
+            assert!(
+                reason.contains("camera height above the vehicle varies by 0.") && reason.contains(" % only"),
+                "{reason}"
+            );
         }
     }
 

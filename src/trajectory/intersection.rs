@@ -17,9 +17,13 @@
 
 use nalgebra::Point3;
 
-use super::{ScaleError, View, Views};
-use crate::math::median;
-use crate::scene::FrameId;
+use super::{Estimate, Estimator, EstimatorInput, Options, ScaleError, View, Views};
+use crate::math::{STD_PER_MAD, at_least, median};
+use crate::scene::{FrameId, ScaleMethod};
+
+/// Relative standard deviation that a ratio by contact of the lowest points does not undercut in a verdict: they lie
+/// somewhere between tire and sill.
+const LEAST_STD: f64 = 0.15;
 
 /// The answer of the baseline.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,6 +49,25 @@ pub fn intersection(views: &Views) -> Result<Intersection, ScaleError> {
     let ratio = median(ratios).ok_or(ScaleError::NoIntersection { num_views: views.views.len() })?;
     let num_invalid = views.views.len() - per_frame.len();
     Ok(Intersection { ratio, per_frame, num_invalid })
+}
+
+/// Row of the registry.
+pub(super) struct IntersectionMethod;
+
+impl Estimator for IntersectionMethod {
+    fn method(&self) -> ScaleMethod {
+        ScaleMethod::Intersection
+    }
+
+    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
+        Ok(Estimate::new(intersection(input.views)?.ratio, None))
+    }
+
+    fn std_in_verdict(&self, ratio: f64, views: &Views, _options: &Options) -> Option<f64> {
+        let found = intersection(views).ok()?;
+        let off = found.per_frame.iter().map(|(_, own)| (own / ratio - 1.0).abs()).collect();
+        Some(at_least(LEAST_STD, STD_PER_MAD * median(off)?))
+    }
 }
 
 /// The ratio that sets the object down on the plane of one frame; `None` where no ray meets it.

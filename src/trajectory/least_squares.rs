@@ -29,9 +29,14 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{ScaleError, Views};
+use super::{Estimate, Estimator, EstimatorInput, Options, ScaleError, Views};
 use crate::checks::{Checked, within};
-use crate::math::{STD_PER_MAD, median};
+use crate::math::{STD_PER_MAD, at_least, median};
+use crate::scene::ScaleMethod;
+
+/// Relative standard deviation that a ratio from the camera's climb does not undercut in a verdict: errors of planes
+/// and tracks that are common to all frames.
+pub(super) const LEAST_STD: f64 = 0.05;
 
 /// Robustness of the fit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -117,6 +122,31 @@ pub fn least_squares(views: &Views, options: &LeastSquaresOptions) -> Result<Lea
     let left_open = views.grazing_std(found.ratio).hypot(views.plane_std) / found.excitation;
     let std = if left_open.is_finite() { found.std.hypot(left_open) } else { found.std };
     Ok(LeastSquares { std, ..found })
+}
+
+/// Row of the registry.
+pub(super) struct LeastSquaresMethod;
+
+impl Estimator for LeastSquaresMethod {
+    fn method(&self) -> ScaleMethod {
+        ScaleMethod::RobustLeastSquares
+    }
+
+    fn estimate(&self, input: &EstimatorInput, options: &Options) -> Result<Estimate, ScaleError> {
+        let LeastSquares { ratio, std, .. } = least_squares(input.views, &options.least_squares)?;
+        if !(ratio.is_finite() && ratio > 0.0) {
+            return Err(ScaleError::NotPositive { num_views: input.views.views.len(), ratio });
+        }
+        Ok(Estimate::new(ratio, Some(std)))
+    }
+
+    fn needs_climb(&self) -> bool {
+        true
+    }
+
+    fn std_in_verdict(&self, ratio: f64, views: &Views, options: &Options) -> Option<f64> {
+        least_squares(views, &options.least_squares).ok().map(|fit| at_least(LEAST_STD, fit.std / ratio))
+    }
 }
 
 /// Data of the fit, by view.

@@ -1,15 +1,21 @@
 //! The whole way from reconstructions, planes and outlines to an object that is placed: the one call that a user of the
 //! library needs.
 //!
-//! With the method `joint` the object's reconstruction is first adjusted together with the ground ([`joint`]); where
-//! that cannot be done, or another method is wanted, it is taken as it is and [`estimate_scale`] finds the ratio.
-//! Either way the trajectory refers to [`PlacedObject::object`].
+//! With the method `joint` the object's reconstruction is first adjusted together with the ground
+//! ([`joint`](super::joint())); where that cannot be done, or another method is wanted, it is taken as it is and
+//! [`estimate_scale`] finds the ratio. Either way the trajectory refers to [`PlacedObject::object`].
 
 use std::collections::BTreeMap;
 
-use super::estimate::{estimate_scale, joint_estimate, ratios_of, with_focal};
+use nalgebra::Matrix3;
+
+use super::estimate::{estimate_scale, joint_estimate, ratios_of, references, with_focal};
 use super::plane_outliers::Steadiness;
-use super::{Body, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views, assemble, joint};
+use super::pose_error;
+use super::{
+    Body, Estimate, EstimatorInput, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views,
+    assemble, estimator,
+};
 use crate::scene::{Frame, FrameId, GroundPlane, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod, Unit};
 
 /// Where an object's model comes from.
@@ -51,6 +57,10 @@ pub struct PlacedObject {
     pub adjustment: Adjustment,
     /// The trajectory, in units of the background, or why there is none.
     pub trajectory: Result<ObjectTrajectory, ScaleError>,
+    /// Covariance of the position in each frame, in the frame and unit of the background, without that of the ratio.
+    pub pose_covariances: BTreeMap<FrameId, Matrix3<f64>>,
+    /// Frames without a position since its standard deviation exceeds the size of the model, ascending.
+    pub dropped: Vec<FrameId>,
 }
 
 /// Outcome of the adjustment with the ground.
@@ -95,10 +105,12 @@ impl From<&Joint> for AdjustmentFigures {
 pub fn place(evidence: &Evidence, options: &Options) -> PlacedObject {
     let as_it_is = Views::new(evidence.background, evidence.object, evidence.planes, options);
     let is_adjusted = options.method == ScaleMethod::Joint && evidence.origin == ModelOrigin::Reconstructed;
-    let adjustment = match is_adjusted.then(|| joint(&evidence.grounded(), &as_it_is, options)) {
-        None => Adjustment::None,
+    let grounded = evidence.grounded();
+    let input = EstimatorInput { views: &as_it_is, grounded: Some(&grounded) };
+    let adjustment = match is_adjusted.then(|| estimator(options.method).estimate(&input, options)) {
+        Some(Ok(Estimate { adjusted: Some(found), .. })) => return evidence.adjusted(*found, &as_it_is, options),
         Some(Err(error)) => Adjustment::Failed(error),
-        Some(Ok(found)) => return evidence.adjusted(found, &as_it_is, options),
+        _ => Adjustment::None,
     };
     let method = match options.method {
         ScaleMethod::Joint => ScaleMethod::RobustLeastSquares,
@@ -106,9 +118,7 @@ pub fn place(evidence: &Evidence, options: &Options) -> PlacedObject {
     };
     let scale = estimate_scale(&as_it_is, method, options)
         .map(|scale| with_focal(scale, evidence.focal_std, options.max_relative_std));
-    let object = evidence.object.clone();
-    let trajectory = scale.and_then(|scale| evidence.trajectory(&object, scale));
-    PlacedObject { object, adjustment, trajectory }
+    evidence.finished(evidence.object.clone(), adjustment, scale)
 }
 
 impl Evidence<'_> {
@@ -123,10 +133,30 @@ impl Evidence<'_> {
         let steadiness = Steadiness::of(self.background, &found.object, self.planes, found.ratio, options);
         let views = Views::new(self.background, &found.object, &steadiness.telling(self.planes), options);
         let as_reconstructed = Some(ratios_of(as_it_was, options));
-        let scale = ScaleEstimate { as_reconstructed, ..joint_estimate(&views, &found, options, self.focal_std) };
+        let references = references(as_it_was, options);
+        let scale = joint_estimate(&views, &found, options, self.focal_std);
+        let scale = ScaleEstimate { as_reconstructed, references, ..scale };
         let adjustment = Adjustment::Done(AdjustmentFigures::from(&found));
-        let trajectory = self.trajectory(&found.object, scale);
-        PlacedObject { object: found.object, adjustment, trajectory }
+        self.finished(found.object, adjustment, Ok(scale))
+    }
+
+    /// The object in its place, once its scale ratio is known.
+    fn finished(
+        &self,
+        object: Reconstruction,
+        adjustment: Adjustment,
+        scale: Result<ScaleEstimate, ScaleError>,
+    ) -> PlacedObject {
+        let mut trajectory = scale.and_then(|scale| self.trajectory(&object, scale));
+        let (mut pose_covariances, mut dropped) = (BTreeMap::new(), Vec::new());
+        if let Ok(trajectory) = &mut trajectory {
+            let ratio = trajectory.scale.ratio;
+            pose_covariances = pose_error::pose_covariances(self.background, &object, ratio);
+            if self.origin == ModelOrigin::Reconstructed {
+                dropped = pose_error::drop_unsure(&mut trajectory.poses, &pose_covariances, &object, ratio);
+            }
+        }
+        PlacedObject { object, adjustment, trajectory, pose_covariances, dropped }
     }
 
     fn trajectory(&self, object: &Reconstruction, scale: ScaleEstimate) -> Result<ObjectTrajectory, ScaleError> {

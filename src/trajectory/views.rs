@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::{Options, ScaleError};
 use crate::math::median;
@@ -26,6 +26,12 @@ pub struct View {
     pub normal_in_object: Vector3<f64>,
     /// The camera's centre in the object's frame, c(o).
     pub center_in_object: Point3<f64>,
+    /// The camera's center in the background's frame, c.
+    pub center_in_background: Point3<f64>,
+    /// R(b)ᵀ R(o): turns directions of the object's frame into the background's.
+    pub background_from_object: UnitQuaternion<f64>,
+    /// Standard deviation of the plane's height below the object, units of the background.
+    pub height_std: f64,
 }
 
 impl View {
@@ -37,6 +43,9 @@ impl View {
             camera_height: plane.signed_distance(in_background.cam_from_world.center()),
             normal_in_object: in_object.cam_from_world.rotation.inverse() * normal_in_cam,
             center_in_object: in_object.cam_from_world.center(),
+            center_in_background: in_background.cam_from_world.center(),
+            background_from_object: in_background.cam_from_world.rotation.inverse() * in_object.cam_from_world.rotation,
+            height_std: plane.height_std,
         }
     }
 

@@ -90,9 +90,9 @@ pub enum VideoError {
         /// The input.
         path: PathBuf,
     },
-    /// A text track that memory does not hold.
+    /// A text or telemetry track that memory does not hold.
     #[error(
-        "{path}: text track larger than {limit}, a quarter of the memory limit; raise --memory-limit",
+        "{path}: text or telemetry track larger than {limit}, a quarter of the memory limit; raise --memory-limit",
         path = path.display(), limit = crate::memory::in_words(*limit)
     )]
     TextTooLarge {

@@ -9,7 +9,8 @@
 //! are applied), with square pixels, of one instant (interlaced video), and no larger than asked for. Frames that
 //! repeat the one before are not listed.
 //!
-//! Entry point: [`Source::open`]. [`subtitles`] reads the text track that some cameras write next to the pictures.
+//! Entry point: [`Source::open`]. [`subtitles`] and [`gpmf`](fn@gpmf) read the text and telemetry tracks that some
+//! cameras write next to the pictures.
 
 mod clock;
 mod decode;
@@ -19,7 +20,10 @@ mod exif;
 mod fields;
 mod file;
 mod folder;
+mod gpmf;
 mod jpeg;
+#[cfg(test)]
+pub(crate) mod made;
 mod options;
 mod prefetch;
 mod repeats;
@@ -34,6 +38,7 @@ mod tracks;
 
 pub use error::VideoError;
 pub use exif::{Taken, taken};
+pub use gpmf::{Gpmf, Payload, gpmf};
 pub use options::{Options, Position, Turning};
 pub use prefetch::Frames;
 pub use source::{Info, Kind, PictureCamera, Scan, Source};

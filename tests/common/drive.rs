@@ -44,21 +44,26 @@ enum Label {
 
 /// Writes `images/`, `masks/` and `ground/` for `num_frames` frames into a folder.
 pub fn write(folder: &Path, num_frames: u32) {
+    write_sized(folder, num_frames, 1.0);
+}
+
+/// The same with a vehicle so many times as large.
+pub fn write_sized(folder: &Path, num_frames: u32, size: f64) {
     for name in ["images", "masks", "ground"] {
         fs::create_dir_all(folder.join(name)).unwrap();
     }
     for k in 0..num_frames {
-        let (picture, mask, ground) = frame(f64::from(k) / 23.0);
+        let (picture, mask, ground) = frame(f64::from(k) / 23.0, size * VEHICLE);
         picture.save(folder.join(format!("images/{k:04}.png"))).unwrap();
         mask.save(folder.join(format!("masks/{k:04}.png"))).unwrap();
         ground.save(folder.join(format!("ground/{k:04}.png"))).unwrap();
     }
 }
 
-/// Picture, vehicle mask (1) and ground mask (1) at a time from 0 to 1.
-fn frame(t: f64) -> (RgbImage, GrayImage, GrayImage) {
+/// Picture, vehicle mask (1) and ground mask (1) at a time from 0 to 1, of a vehicle with the given half sides.
+fn frame(t: f64, half: Vector3<f64>) -> (RgbImage, GrayImage, GrayImage) {
     let heading = 0.7 * t;
-    let vehicle = Point3::new(-4.0 + 9.0 * t, 2.5 * t * t, VEHICLE.z);
+    let vehicle = Point3::new(-4.0 + 9.0 * t, 2.5 * t * t, half.z);
     let vehicle_from_world = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -heading);
     let eye = Point3::new(-7.0 + 8.0 * t, -10.0 - 3.0 * t, 3.5 + 4.0 * t);
     let world_from_cam = look_at(eye, Point3::new(-3.0 + 8.0 * t, 3.0, 0.5));
@@ -71,7 +76,7 @@ fn frame(t: f64) -> (RgbImage, GrayImage, GrayImage) {
             let u = (f64::from(x) + dx - f64::from(WIDTH) / 2.0) / FOCAL;
             let v = (f64::from(y) + dy - f64::from(HEIGHT) / 2.0) / FOCAL;
             let ray = (world_from_cam * Vector3::new(u, v, 1.0)).normalize();
-            let hit = cast(eye, ray, vehicle, vehicle_from_world);
+            let hit = cast(eye, ray, (vehicle, half), vehicle_from_world);
             sum += hit.as_ref().map_or(Vector3::new(170.0, 190.0, 215.0), colour);
             // Labels are those of the last of the four rays.
             let label = hit.map(|hit| hit.label);
@@ -93,7 +98,7 @@ fn look_at(eye: Point3<f64>, target: Point3<f64>) -> Matrix3<f64> {
 fn cast(
     eye: Point3<f64>,
     ray: Vector3<f64>,
-    vehicle: Point3<f64>,
+    (vehicle, half): (Point3<f64>, Vector3<f64>),
     vehicle_from_world: UnitQuaternion<f64>,
 ) -> Option<Hit> {
     let mut hits = Vec::new();
@@ -112,7 +117,7 @@ fn cast(
     }
     let from = Point3::from(vehicle_from_world * (eye - vehicle));
     let direction = vehicle_from_world * ray;
-    hits.extend(cast_box(from, direction, VEHICLE).map(|(distance, normal)| Hit {
+    hits.extend(cast_box(from, direction, half).map(|(distance, normal)| Hit {
         distance,
         label: Label::Vehicle,
         texture: from + direction * distance + Vector3::new(100.0, 50.0, 20.0),

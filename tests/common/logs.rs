@@ -30,6 +30,7 @@ pub fn written(log: &str, folder: &Path) -> Result<Vec<PathBuf>, Failed> {
         "gpx" => ("ride.gpx", GPX.as_bytes().to_vec()),
         "nmea" => ("ride.nmea", NMEA.as_bytes().to_vec()),
         "table" => ("flight.csv", TABLE.as_bytes().to_vec()),
+        "gpmf" => ("ride.gpmf", [gpmf(0), gpmf(1)].concat()),
         _ => ("photograph.jpg", photograph()),
     };
     let path = folder.join(name);
@@ -86,6 +87,40 @@ fn directory(at: u32, entries: &[(u16, u16, Vec<u8>)]) -> Vec<u8> {
         table.extend(field);
     }
     [table, vec![0; 4], values].concat()
+}
+
+/// One second of a GoPro's telemetry: both forms of positions, attitude, gravity and exposure.
+fn gpmf(second: i32) -> Vec<u8> {
+    let entry = |key: &[u8; 4], kind: u8, size: u8, data: &[u8]| {
+        let count = (data.len() / usize::from(size)) as u16;
+        let mut bytes = [&key[..], &[kind, size], &count.to_be_bytes(), data].concat();
+        bytes.resize(bytes.len().next_multiple_of(4), 0);
+        bytes
+    };
+    let longs = |values: &[i32]| values.iter().flat_map(|value| value.to_be_bytes()).collect::<Vec<u8>>();
+    let shorts = |values: &[i16]| values.iter().flat_map(|value| value.to_be_bytes()).collect::<Vec<u8>>();
+    let stream = |parts: &[Vec<u8>]| entry(b"STRM", 0, 1, &parts.concat());
+    let place = [331_267_700 + second, -1_173_273_436, -22_959, 1046, 100];
+    let dated = [longs(&place), longs(&[7261, 85_514_000 + 1000 * second]), shorts(&[154, 3])].concat();
+    let streams = [
+        stream(&[
+            entry(b"GPSF", b'L', 4, &longs(&[3])),
+            entry(b"GPSU", b'c', 1, b"191118234514.000"),
+            entry(b"GPSP", b'S', 2, &shorts(&[154])),
+            entry(b"SCAL", b'l', 4, &longs(&[10_000_000, 10_000_000, 1000, 1000, 100])),
+            entry(b"GPS5", b'l', 20, &longs(&place)),
+        ]),
+        stream(&[
+            entry(b"GPSA", b'F', 4, b"MSLV"),
+            entry(b"TYPE", b'c', 1, b"lllllllSS"),
+            entry(b"SCAL", b'l', 4, &longs(&[10_000_000, 10_000_000, 1000, 1000, 100, 1, 1000, 100, 1])),
+            entry(b"GPS9", b'?', 32, &dated),
+        ]),
+        stream(&[entry(b"SCAL", b's', 2, &shorts(&[32_767])), entry(b"CORI", b's', 8, &shorts(&[32_767, 0, 0, 0]))]),
+        stream(&[entry(b"SCAL", b's', 2, &shorts(&[32_767])), entry(b"GRAV", b's', 6, &shorts(&[0, 32_767, 0]))]),
+        stream(&[entry(b"SHUT", b'f', 4, &0.001f32.to_be_bytes())]),
+    ];
+    entry(b"DEVC", 0, 1, &streams.concat())
 }
 
 /// Whether the reader takes what lies there.

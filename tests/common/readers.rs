@@ -24,8 +24,9 @@ pub fn readers() -> Vec<&'static str> {
     [&READERS[..], logs].concat()
 }
 
-/// Where a camera was: subtitles, tracks, sentences, tables, and the EXIF blocks of photographs.
-const LOGS: [&str; 5] = ["subtitles", "gpx", "nmea", "table", "photograph"];
+/// Where a camera was: subtitles, tracks, sentences, tables, the EXIF blocks of photographs, and
+/// GoPro's telemetry.
+const LOGS: [&str; 6] = ["subtitles", "gpx", "nmea", "table", "photograph", "gpmf"];
 
 const READERS: [&str; 16] = [
     "colmap-text",

@@ -1,7 +1,10 @@
 //! Covariances against the inverse of the whole normal matrix, and against the scatter of repeated adjustments.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{DMatrix, Matrix3, Point2, SMatrix};
 
+use super::super::intrinsics_share::intrinsics_share;
 use super::super::layout::{Layout, NONE};
 use super::super::one_point::OnePoint;
 use super::super::piece::Pass;
@@ -125,7 +128,7 @@ fn deviations_of_centres_follow_from_the_residuals() {
     let mut problem = Problem::from_reconstruction(&model, |_, camera| CameraBlock::fixed(*camera));
     adjust(&mut problem, &tight()).unwrap();
     problem.store(&mut model);
-    let found = center_deviations(&model, 3).unwrap().unwrap();
+    let found = center_deviations(&model, 3, &BTreeMap::new()).unwrap().unwrap();
     assert!((found.pixel_px / 0.5 - 1.0).abs() < 0.1, "{found:?}");
     assert_eq!(found.centers.keys().map(|id| id.0).collect::<Vec<_>>(), {
         let ids: Vec<u32> = model.images.keys().map(|id| id.0).collect();
@@ -137,7 +140,7 @@ fn deviations_of_centres_follow_from_the_residuals() {
         let expected = found.pixel_px * covariance.center.trace().sqrt();
         assert!((0.999..1.7).contains(&(deviation / expected)), "{deviation} and {expected}");
     }
-    assert_eq!(center_deviations(&Reconstruction::default(), 3), Ok(None));
+    assert_eq!(center_deviations(&Reconstruction::default(), 3, &BTreeMap::new()), Ok(None));
 }
 
 #[test]
@@ -220,10 +223,59 @@ fn what_errs_together_makes_centres_less_sure() {
         let mut problem = Problem::from_reconstruction(&model, |_, camera| CameraBlock::fixed(*camera));
         adjust(&mut problem, &tight()).unwrap();
         problem.store(&mut model);
-        center_deviations(&model, 3).unwrap().unwrap()
+        center_deviations(&model, 3, &BTreeMap::new()).unwrap().unwrap()
     };
     let (apart, together) = (deviations(0.0), deviations(0.2));
     let mean = |found: &CenterDeviations| found.centers.values().sum::<f64>() / found.centers.len() as f64;
     let (of_centres, of_pixels) = (mean(&together) / mean(&apart), together.pixel_px / apart.pixel_px);
     assert!(of_centres > 1.5 * of_pixels, "{of_centres} {of_pixels}");
+}
+
+/// The share of the intrinsics is what an adjustment with other intrinsics moves, but for a similarity.
+#[test]
+fn intrinsics_move_centers_as_their_share_says() {
+    let options = scene::Options { num_images: 8, num_points: 200, noise_px: 0.2, ..Default::default() };
+    let model = static_scene(&options);
+    let centers_with = |change: f64| {
+        let mut problem = Problem::from_reconstruction(&model, |_, camera| CameraBlock::fixed(*camera));
+        let [cx, cy] = problem.cameras[0].camera.principal;
+        problem.cameras[0].camera.principal = [cx + change, cy];
+        adjust(&mut problem, &tight()).unwrap();
+        let centers: Vec<Point3<f64>> = problem.poses.iter().map(|pose| pose.cam_from_world.center()).collect();
+        (problem, centers)
+    };
+    const CHANGE: f64 = 0.5;
+    let ((mut problem, before), (_, after)) = (centers_with(0.0), centers_with(CHANGE));
+    let similarity = umeyama(&after, &before).unwrap();
+    // Free, and known to so much that the observations say nothing.
+    problem.cameras[0].free[2] = true;
+    let mut sigma = [f64::INFINITY; 6];
+    sigma[2] = 1e-6;
+    let values = problem.cameras[0].camera.intrinsics();
+    problem.priors.intrinsics.push(IntrinsicsPrior { camera: 0, values, sigma });
+    let shares = intrinsics_share(&problem, &tight()).unwrap();
+    let (mut largest, mut off) = (0.0f64, 0.0f64);
+    for ((share, before), after) in shares.iter().zip(&before).zip(&after) {
+        let moved = (similarity * *after - before).norm();
+        let predicted = share.trace().sqrt() * CHANGE / 1e-6;
+        largest = largest.max(moved);
+        off = off.max((predicted - moved).abs());
+    }
+    assert!(largest > 1e-5 && off < 0.1 * largest, "{largest} {off}");
+}
+
+#[test]
+fn held_intrinsics_have_no_share() {
+    let options = scene::Options { num_images: 8, num_points: 200, noise_px: 0.2, ..Default::default() };
+    let model = static_scene(&options);
+    let largest = |std: [f64; 6]| {
+        let intrinsics = model.cameras.keys().map(|id| (*id, std)).collect();
+        let found = center_deviations(&model, 8, &intrinsics).unwrap().unwrap();
+        found.centers.values().fold(0.0, |a: f64, b| a.max(*b))
+    };
+    let none = center_deviations(&model, 8, &BTreeMap::new()).unwrap().unwrap();
+    let held = largest([0.0; 6]);
+    assert_eq!(held, none.centers.values().fold(0.0, |a: f64, b| a.max(*b)));
+    let [known, open] = [[8.0, 8.0, 0.0, 0.0, 0.0, 0.0], [80.0, 80.0, 10.0, 10.0, 0.1, 0.1]].map(largest);
+    assert!(held < known && known <= open, "{held} {known} {open}");
 }

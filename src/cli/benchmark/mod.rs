@@ -158,6 +158,7 @@ fn options(args: &Args) -> Result<Options, Failure> {
     let mut options = args.common.options()?;
     options.video.end = args.end.or(options.video.end);
     options.video.every = args.every.unwrap_or(options.video.every);
+    options.scale.references = true;
     options.check().map_err(|error| Failure::Usage(error.to_string()))?;
     Ok(options)
 }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use super::case::{Setting, apply};
 use super::degrade;
 use super::variant::{Kind, Variant};
+use crate::eval::calibration::Case;
 use crate::eval::spread::{RunResult, Spread, spreads};
 use crate::io::RunFolder;
 use crate::pipeline::{self, FrameOrder, Instances, Job, Stage};
@@ -18,25 +19,11 @@ pub(super) fn is_possible(variant: Variant) -> bool {
 }
 
 impl Setting<'_> {
-    /// The clip as it is.
+    /// A clip in a variant.
     ///
     /// # Errors
     /// What stands in the way of the run.
-    pub(super) fn clip_as_it_is(&self, clip: &Path) -> anyhow::Result<RunResult> {
-        self.clip_run(clip, Variant { kind: Kind::AsItIs, level: 0.0 })
-    }
-
-    /// The vehicles that the clip in a variant and the clip as it is both have.
-    ///
-    /// # Errors
-    /// As [`Self::clip_as_it_is`].
-    pub(super) fn spreads(&self, clip: &Path, variant: Variant, as_it_is: &RunResult) -> anyhow::Result<Vec<Spread>> {
-        let found = self.clip_run(clip, variant)?;
-        let named = |spread| Spread { clip: name(clip), variant: variant.to_string(), ..spread };
-        Ok(spreads(as_it_is, &found).into_iter().map(named).collect())
-    }
-
-    fn clip_run(&self, clip: &Path, variant: Variant) -> anyhow::Result<RunResult> {
+    pub(super) fn clip_run(&self, clip: &Path, variant: Variant) -> anyhow::Result<RunResult> {
         let mut options = self.options.clone();
         options.instances = Instances::Vehicles;
         apply(variant, &mut options);
@@ -75,6 +62,18 @@ impl Setting<'_> {
         degrade::write_clip(clip, variant, &place, self.options.seed)?;
         Ok(Some(place))
     }
+}
+
+/// The vehicles that the clip in a variant and the clip as it is both have.
+pub(super) fn spreads_of(clip: &Path, variant: Variant, found: &RunResult, as_it_is: &RunResult) -> Vec<Spread> {
+    let named = |spread| Spread { clip: name(clip), variant: variant.to_string(), ..spread };
+    spreads(as_it_is, found).into_iter().map(named).collect()
+}
+
+/// Ratios of stationary vehicles against those by the camera path.
+pub(super) fn stationary_cases(clip: &Path, variant: Variant, found: &RunResult) -> Vec<Case> {
+    let (clip, variant) = (name(clip), variant.to_string());
+    found.trajectories.objects.iter().filter_map(|vehicle| Case::of_stationary(&clip, &variant, vehicle)).collect()
 }
 
 /// The name of a clip without its ending: that of its folder of results.

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use self::case::Setting;
-use self::variant::Variant;
+use self::variant::{Kind, Variant};
 use super::benchmark::sequences::find;
 use super::benchmark::single::stands_in_every_way;
 use super::common::CommonArgs;
@@ -25,10 +25,11 @@ use super::job::use_machine;
 use super::output::{Failure, Form, show};
 use super::terminal::TerminalProgress;
 use crate::eval::calibration::{Calibration, Case, summarise, summarise_spreads};
+use crate::eval::spread::RunResult;
 use crate::io::{FolderError, OwnedFolder, PathRole, RunFolder, atomic};
 use crate::pipeline::Overwrite;
 use crate::report::benchmark as pages;
-use crate::scene::Topic;
+use crate::scene::{StationaryVehicles, Topic};
 
 /// Version of `calibration.json`.
 const VERSION: u32 = 1;
@@ -61,13 +62,31 @@ pub(super) struct Args {
     #[arg(long, value_name = "NAME", value_delimiter = ',', default_value = "calibration")]
     pub(super) variants: Vec<String>,
 
+    /// Stationary vehicles of the clips are references: `all` vehicles, or those `found` to be stationary
+    ///
+    /// The camera path seen from a stationary vehicle's model determines its scale ratio. The table has the residual
+    /// of each, and the error of its ratio without the camera path.
+    #[arg(long, value_name = "WHICH", value_parser = stationary, requires = "clip")]
+    pub(super) stationary: Option<StationaryVehicles>,
+
     #[command(flatten)]
     pub(super) common: CommonArgs,
 }
 
+fn stationary(text: &str) -> Result<StationaryVehicles, String> {
+    match text {
+        "all" => Ok(StationaryVehicles::All),
+        "found" => Ok(StationaryVehicles::Found),
+        _ => Err("give all or found".to_owned()),
+    }
+}
+
 pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
     let variants = Variant::all(&args.variants).map_err(Failure::Usage)?;
-    let options = args.common.options()?;
+    let mut options = args.common.options()?;
+    if let Some(stationary) = args.stationary {
+        options.scale.stationary = stationary;
+    }
     options.check().map_err(|error| Failure::Usage(error.to_string()))?;
     let sequences = match &args.folder {
         Some(folder) => find(folder, &args.only, &args.output)?.sequences,
@@ -102,7 +121,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Termin
         write(&calibration, &output)?;
     }
     for clip in &args.clip {
-        clips(&setting, clip, &variants, &mut calibration)?;
+        clips(&setting, clip, &variants, args.stationary.is_some(), &mut calibration)?;
     }
     talk.finish();
     show(form, &with_summary(&calibration), || {
@@ -112,15 +131,31 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Termin
 }
 
 /// One clip in all variants that can be made of it. What fails is reported, and the others go on.
-fn clips(setting: &Setting, clip: &Path, variants: &[Variant], calibration: &mut Calibration) -> Result<(), Failure> {
+///
+/// * `has_references` – its stationary vehicles are references.
+fn clips(
+    setting: &Setting,
+    clip: &Path,
+    variants: &[Variant],
+    has_references: bool,
+    calibration: &mut Calibration,
+) -> Result<(), Failure> {
     let talk = setting.talk;
     talk.say(&format!("{}, unmodified", clip.display()));
-    let as_it_is = setting.clip_as_it_is(clip)?;
+    let unmodified = Variant { kind: Kind::AsItIs, level: 0.0 };
+    let as_it_is = setting.clip_run(clip, unmodified)?;
+    let references = |variant: Variant, found: &RunResult| {
+        if has_references { clip::stationary_cases(clip, variant, found) } else { Vec::new() }
+    };
+    calibration.cases.extend(references(unmodified, &as_it_is));
+    write(calibration, setting.results)?;
     for variant in variants.iter().filter(|variant| clip::is_possible(**variant)) {
         let name = format!("{}, {variant}", clip.display());
         talk.say(&name);
-        match setting.spreads(clip, *variant, &as_it_is) {
-            Ok(spreads) => {
+        match setting.clip_run(clip, *variant) {
+            Ok(found) => {
+                let spreads = clip::spreads_of(clip, *variant, &found, &as_it_is);
+                calibration.cases.extend(references(*variant, &found));
                 talk.say(&format!("{name}: {} vehicles common to both", spreads.len()));
                 calibration.spreads.extend(spreads);
             }

@@ -19,7 +19,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
-use super::figures::{Alternative, Evaluation, Outcome, RegisteredFrames, ScaleFigures};
+use super::figures::{Alternative, Evaluation, Outcome, ReferenceFigures, RegisteredFrames, ScaleFigures};
 use crate::scene::{ModelState, ScaleMethod};
 
 /// The results on a data set.
@@ -72,6 +72,9 @@ pub struct Entry {
     /// Result of every estimator, by its name: `joint` on the target that it adjusted, the others on the target as
     /// structure from motion left it, which is what `--scale-method` with their name gives.
     pub estimators: BTreeMap<ScaleMethod, EstimatorResult>,
+    /// Reasons of the estimators that leave the ratio undetermined.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub undetermined: BTreeMap<ScaleMethod, String>,
     /// Cost of the run when its stages were done.
     pub cost: Option<Cost>,
     /// Warnings of the run.
@@ -89,12 +92,15 @@ pub struct EstimatorResult {
     pub deviation: Option<f64>,
     /// Mean trajectory error at this ratio; `None` where none can be computed.
     pub trajectory_error_m: Option<f64>,
+    /// Standard deviation of the ratio, where the estimator states one apart from the run's choice.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub std: Option<f64>,
 }
 
 impl EstimatorResult {
     fn on(model: ModelState, from: &Alternative) -> Self {
         let Alternative { ratio, deviation, trajectory_error_m } = *from;
-        Self { model, ratio: Some(ratio), deviation, trajectory_error_m }
+        Self { model, ratio: Some(ratio), deviation, trajectory_error_m, std: None }
     }
 }
 
@@ -149,6 +155,11 @@ impl Entry {
         let first_ones = before.iter().flat_map(|before| &before.alternatives);
         let first_ones =
             first_ones.map(|(method, found)| (*method, EstimatorResult::on(ModelState::AsReconstructed, found)));
+        let references = evaluation.references.iter().filter(|(_, found)| found.undetermined.is_none());
+        let references = references.filter_map(|(method, ReferenceFigures { found, std, .. })| {
+            let result = EstimatorResult::on(ModelState::AsReconstructed, found.as_ref()?);
+            Some((*method, EstimatorResult { std: *std, ..result }))
+        });
         Self {
             failure: trajectory.err().map(str::to_owned),
             registered: Some(evaluation.registered.clone()),
@@ -159,7 +170,12 @@ impl Entry {
             reference_ratio: evaluation.reference_scale.as_ref().ok().map(|reference| reference.ratio),
             floor_m: evaluation.trajectory_at_reference.as_ref().ok().map(|error| error.mean_m),
             floor_as_reconstructed_m: before.map(|before| before.error_at_reference_m),
-            estimators: final_ones.chain(first_ones).collect(),
+            estimators: final_ones.chain(first_ones).chain(references).collect(),
+            undetermined: evaluation
+                .references
+                .iter()
+                .filter_map(|(method, found)| Some((*method, found.undetermined.clone()?)))
+                .collect(),
             ..Self::default()
         }
     }
@@ -190,6 +206,18 @@ impl Entry {
         scale.std.map(|std| std / scale.ratio.abs())
     }
 
+    /// Relative standard deviation that an estimator states for its ratio.
+    pub fn std_of(&self, estimator: &Estimator) -> Option<f64> {
+        match estimator {
+            Estimator::Chosen => self.relative_std(),
+            Estimator::Named(method) => {
+                let found = self.estimators.get(method)?;
+                Some(found.std? / found.ratio?)
+            }
+            Estimator::Reference | Estimator::ReferenceAsReconstructed => None,
+        }
+    }
+
     /// Vehicle and trajectory in a form in which those of different data sets can be compared.
     pub fn cell(&self) -> (String, String) {
         (plain(&self.vehicle), plain(&self.trajectory))
@@ -215,20 +243,17 @@ impl Benchmark {
         self.sequences.iter().any(|entry| entry.floor_as_reconstructed_m.is_some())
     }
 
-    /// Every estimator that gave an answer anywhere: the paper's baseline and method first, the run's own choice last,
+    /// Every estimator that was asked anywhere: the paper's baseline and method first, the run's own choice last,
     /// which represents an estimator that was always the choice.
     pub fn estimators(&self) -> Vec<Estimator> {
-        let methods: BTreeSet<ScaleMethod> =
-            self.sequences.iter().flat_map(|entry| entry.estimators.keys().copied()).collect();
-        let rank = |method: &ScaleMethod| match method {
-            ScaleMethod::Intersection => 0,
-            ScaleMethod::ConstantDistance => 1,
-            ScaleMethod::Joint => 2,
-            ScaleMethod::RobustLeastSquares => 3,
-        };
+        let methods: BTreeSet<ScaleMethod> = self
+            .sequences
+            .iter()
+            .flat_map(|entry| entry.estimators.keys().chain(entry.undetermined.keys()).copied())
+            .collect();
         let mut methods: Vec<ScaleMethod> =
             methods.into_iter().filter(|method| Some(*method) != self.only_choice()).collect();
-        methods.sort_by_key(rank);
+        methods.sort_by_key(|method| method.rank());
         let named = methods.into_iter().map(Estimator::Named);
         // The paper's published values hold no choice of a run.
         let chosen = self.sequences.iter().any(|e| e.scale.is_some() || e.failure.is_some() || e.cost.is_some());
@@ -286,6 +311,7 @@ pub(crate) mod tests {
             ratio: Some(1.0 + error / 10.0),
             deviation: Some(error / 10.0),
             trajectory_error_m: Some(error),
+            std: None,
         };
         let named = [ScaleMethod::Intersection, ScaleMethod::ConstantDistance].into_iter().zip(errors);
         let [_, _, chosen] = errors;

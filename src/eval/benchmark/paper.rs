@@ -80,7 +80,16 @@ fn entry((vehicle, trajectory, errors, deviations): &Published) -> Entry {
     let estimator = |(method, (error, deviation)): (ScaleMethod, (&f64, &f64))| {
         // The ratios themselves were not published.
         let model = ModelState::AsReconstructed;
-        (method, EstimatorResult { model, ratio: None, deviation: Some(*deviation), trajectory_error_m: Some(*error) })
+        (
+            method,
+            EstimatorResult {
+                model,
+                ratio: None,
+                deviation: Some(*deviation),
+                trajectory_error_m: Some(*error),
+                std: None,
+            },
+        )
     };
     Entry {
         folder: format!("{trajectory}_{vehicle}"),

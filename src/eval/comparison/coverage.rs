@@ -35,7 +35,7 @@ pub struct Coverage {
 /// # Errors
 /// Says what is missing.
 pub(super) fn coverage(both: &Both<'_>) -> Result<Coverage, String> {
-    let found = bundle::center_deviations(both.other, MOST_IMAGES).map_err(|e| e.to_string())?;
+    let found = bundle::center_deviations(both.other, MOST_IMAGES, &BTreeMap::new()).map_err(|e| e.to_string())?;
     let found = found.ok_or("too few observations to estimate the uncertainty of its cameras")?;
     let references: BTreeMap<ImageId, Rigid3> =
         both.common.iter().map(|(a, b)| (*b, both.reference.images[a].cam_from_world)).collect();

@@ -11,7 +11,7 @@ use super::{asset, vehicle};
 use crate::export::{RegisteredFrame, Results};
 use crate::math::Sim3;
 use crate::report::object_colour;
-use crate::scene::{ObjectId, ObjectTrajectory, Reconstruction, TimeBase};
+use crate::scene::{GroundTrack, ObjectId, ObjectTrajectory, Reconstruction, TimeBase};
 
 /// Frames without times are shown so many in a second.
 const FRAMES_PER_S: f64 = 25.0;
@@ -61,6 +61,7 @@ impl<'a> Scene<'a> {
         for object in &results.trajectories.objects {
             scene.add_vehicle(object, models.get(&object.id));
         }
+        results.trajectories.ground_tracks.iter().for_each(|track| scene.add_ground_track(track));
         scene
     }
 
@@ -168,6 +169,38 @@ impl<'a> Scene<'a> {
         let centers: Vec<_> =
             object.poses.iter().map(|pose| self.scene_from_world * Point3::from(pose.position)).collect();
         self.add_way(&format!("path of {name}"), &centers, colour);
+    }
+
+    /// A point that moves over the ground, and its path as a dashed line.
+    fn add_ground_track(&mut self, track: &GroundTrack) {
+        let places: Vec<_> =
+            track.positions.iter().map(|at| self.scene_from_world * Point3::from(at.position)).collect();
+        let (Some(first), Some(first_place)) = (track.positions.first(), places.first()) else { return };
+        let name = format!("ground track of {}", track.name());
+        let colour = object_colour(track.id);
+        let times: Vec<f64> = track.positions.iter().map(|at| self.seconds(at.time_s)).collect();
+        let point = self.cloud(&[Point3::origin()], &[colour]);
+        let mesh = self.mesh(&name, point.into_iter().collect());
+        let index = self.nodes.len();
+        self.nodes.push(json!({
+            "name": name,
+            "translation": numbers(first_place.coords),
+            "scale": [1.0, 1.0, 1.0],
+            "mesh": mesh,
+            "extras": {
+                "vehicle": track.id, "class": track.class, "method": track.method.name(), "first_frame": first.frame,
+            },
+        }));
+        self.animate(index, &times, &places, &vec![UnitQuaternion::identity(); places.len()]);
+        self.show_while(index, &times, 1.0);
+        // Every other piece.
+        let dashes: Vec<_> = places.windows(2).step_by(2).flatten().copied().collect();
+        if !dashes.is_empty() {
+            let lines = self.lines(&dashes, Mode::Lines, colour);
+            let name = format!("path of {name}");
+            let mesh = self.mesh(&name, vec![lines]);
+            self.nodes.push(json!({ "name": name, "mesh": mesh }));
+        }
     }
 
     fn add_way(&mut self, name: &str, places: &[Point3<f64>], colour: [u8; 3]) {

@@ -52,6 +52,8 @@ pub enum StreamKind {
     Sound,
     /// Text with times.
     Text(TextCoding),
+    /// Telemetry of an action camera, in MP4 and MOV.
+    Gpmf,
     /// Anything else.
     Other,
 }
@@ -361,13 +363,16 @@ const NO_VIDEO: c_int = (sys::AV_DISPOSITION_ATTACHED_PIC
 #[allow(unsafe_code)]
 fn kind(stream: *const sys::AVStream) -> StreamKind {
     // SAFETY: the caller's stream is valid, and has parameters.
-    let (medium, codec, disposition) =
-        unsafe { ((*(*stream).codecpar).codec_type, (*(*stream).codecpar).codec_id, (*stream).disposition) };
+    let (medium, codec, tag, disposition) = unsafe {
+        let parameters = &*(*stream).codecpar;
+        (parameters.codec_type, parameters.codec_id, parameters.codec_tag, (*stream).disposition)
+    };
     match medium {
         sys::AVMediaType::VIDEO if disposition & NO_VIDEO != 0 => StreamKind::Cover,
         sys::AVMediaType::VIDEO => StreamKind::Video,
         sys::AVMediaType::AUDIO => StreamKind::Sound,
         sys::AVMediaType::SUBTITLE => text_coding(codec).map_or(StreamKind::Other, StreamKind::Text),
+        _ if tag == u32::from_le_bytes(*b"gpmd") => StreamKind::Gpmf,
         _ => StreamKind::Other,
     }
 }

@@ -21,10 +21,9 @@ use std::ops::Range;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::COMMON_ERROR_FACTOR;
-use super::Intrinsics;
 use crate::bundle::{
-    self, BundleError, CameraBlock, IntrinsicsPrior, Observation, PointBlock, PoseBlock, Problem, Wanted,
+    self, BundleError, COMMON_ERROR_FACTOR, CameraBlock, IntrinsicsPrior, Observation, PointBlock, PoseBlock, Problem,
+    Wanted,
 };
 use crate::camera::Camera;
 use crate::math::{RAYLEIGH_MEDIAN, Rigid3, RobustLoss, upper_median};
@@ -49,19 +48,16 @@ const MEDIAN_VIEWS: usize = 5;
 
 /// The changes of the focal length in a video's map with one camera; none in a map of several cameras.
 ///
-/// * `intrinsics` – what was known of the camera: if it was not given, the principal point of the map is not trusted,
-///   since it absorbs a part of a zoom.
-pub fn focal_changes(model: &Reconstruction, intrinsics: Intrinsics) -> Vec<FocalChange> {
+/// * `principal` – the principal point before the adjustment: that of the map is not trusted, since it absorbs a part
+///   of a zoom.
+pub fn focal_changes(model: &Reconstruction, principal: [f64; 2]) -> Vec<FocalChange> {
     let Some((id, camera)) = model.cameras.first_key_value().filter(|_| model.cameras.len() == 1) else {
         return Vec::new();
     };
     if !model.can_project(*id) {
         return Vec::new();
     }
-    let trusted = match intrinsics {
-        Intrinsics::Fixed => *camera,
-        _ => Camera { principal: Camera::prior(camera.width, camera.height).principal, ..*camera },
-    };
+    let trusted = Camera { principal, ..*camera };
     let images: Vec<(ImageId, &Image)> = model.images.iter().map(|(id, image)| (*id, image)).collect();
     let mut changes: Vec<FocalChange> = Vec::new();
     for window in windows(images.len()) {
@@ -99,6 +95,37 @@ struct Window<'a> {
     points: BTreeSet<Point3dId>,
 }
 
+/// Selects the longest tracks in every part of every one of some images of a camera.
+pub(super) fn longest_tracks<'a>(
+    model: &Reconstruction,
+    camera: &Camera,
+    images: impl Iterator<Item = &'a Image>,
+) -> BTreeSet<Point3dId> {
+    // As in the selection of tracks for adjustments (`mapper/adjustment.rs`).
+    const GRID: [usize; 2] = [8, 6];
+    const PER_CELL: usize = 2;
+    // Two views show a point at any depth and focal length.
+    const LEAST_TRACK: usize = 3;
+    let [width, height] = [camera.width, camera.height].map(f64::from);
+    let cell = |at: f64, side: f64, n: usize| ((at / side * n as f64) as usize).min(n - 1);
+    let mut points = BTreeSet::new();
+    for image in images {
+        let mut cells: BTreeMap<usize, Vec<(bool, usize, Point3dId)>> = BTreeMap::new();
+        for (seen, id) in image.observations.iter().filter_map(|seen| Some((seen, seen.point?))) {
+            let Some(length) = model.points.get(&id).map(|point| point.track.len()) else { continue };
+            let at = cell(seen.pixel.y, height, GRID[1]) * GRID[0] + cell(seen.pixel.x, width, GRID[0]);
+            if length >= LEAST_TRACK {
+                cells.entry(at).or_default().push((!points.contains(&id), usize::MAX - length, id));
+            }
+        }
+        for mut cell in cells.into_values() {
+            cell.sort_unstable();
+            points.extend(cell.into_iter().take(PER_CELL).map(|(.., id)| id));
+        }
+    }
+    points
+}
+
 /// ln f of every view, its standard deviation relative to that of the first view, and the points that it sees.
 struct FocalLengths {
     log: Vec<f64>,
@@ -109,39 +136,13 @@ struct FocalLengths {
 impl<'a> Window<'a> {
     fn new(model: &'a Reconstruction, cameras: [Camera; 2], views: &[(ImageId, &'a Image)]) -> Self {
         let [map_camera, camera] = cameras;
-        let mut window = Self { model, map_camera, camera, views: views.to_vec(), points: BTreeSet::new() };
-        window.select();
+        let points = longest_tracks(model, &camera, views.iter().map(|(_, image)| *image));
+        let mut window = Self { model, map_camera, camera, views: views.to_vec(), points };
         let Self { views, points, .. } = &mut window;
         let num_selected =
             |image: &Image| image.observations.iter().filter(|o| o.point.is_some_and(|p| points.contains(&p))).count();
         views.retain(|(_, image)| num_selected(image) >= LEAST_POINTS);
         window
-    }
-
-    /// Selects the longest tracks in every part of every view.
-    fn select(&mut self) {
-        // As in the selection of tracks for adjustments (`mapper/adjustment.rs`).
-        const GRID: [usize; 2] = [8, 6];
-        const PER_CELL: usize = 2;
-        // Two views show a point at any depth and focal length.
-        const LEAST_TRACK: usize = 3;
-        let [width, height] = [self.camera.width, self.camera.height].map(f64::from);
-        let cell = |at: f64, side: f64, n: usize| ((at / side * n as f64) as usize).min(n - 1);
-        for (_, image) in &self.views {
-            let mut cells: BTreeMap<usize, Vec<(bool, usize, Point3dId)>> = BTreeMap::new();
-            for (seen, id) in image.observations.iter().filter_map(|seen| Some((seen, seen.point?))) {
-                let Some(length) = self.model.points.get(&id).map(|point| point.track.len()) else { continue };
-                let at = cell(seen.pixel.y, height, GRID[1]) * GRID[0] + cell(seen.pixel.x, width, GRID[0]);
-                if length >= LEAST_TRACK {
-                    let key = (!self.points.contains(&id), usize::MAX - length, id);
-                    cells.entry(at).or_default().push(key);
-                }
-            }
-            for mut cell in cells.into_values() {
-                cell.sort_unstable();
-                self.points.extend(cell.into_iter().take(PER_CELL).map(|(.., id)| id));
-            }
-        }
     }
 
     fn change(&self) -> Result<Option<FocalChange>, BundleError> {
@@ -258,7 +259,7 @@ impl FocalLengths {
 }
 
 /// Robust standard deviation of a pixel coordinate: the median residual as that of a Gaussian.
-fn noise(problem: &Problem) -> f64 {
+pub(super) fn noise(problem: &Problem) -> f64 {
     // Less is rounding.
     const LEAST_PX: f64 = 1e-3;
     let residual = |o: &Observation| {
@@ -271,7 +272,7 @@ fn noise(problem: &Problem) -> f64 {
     median.map_or(LEAST_PX, |median| (median / RAYLEIGH_MEDIAN).max(LEAST_PX))
 }
 
-fn options(sigma_px: f64) -> bundle::Options {
+pub(super) fn options(sigma_px: f64) -> bundle::Options {
     // Two standard deviations, as in the mapper.
     let loss = RobustLoss::SoftL1 { scale: 2.0 * sigma_px };
     // A zoom and a motion that represents it differ little in cost.

@@ -6,7 +6,7 @@ use rand_distr::{Distribution, Normal};
 
 use super::*;
 use crate::features::tracks::{Track, TrackTable};
-use crate::mapper::{Options, reconstruct};
+use crate::mapper::{Intrinsics, Options, reconstruct};
 use crate::math::{Rigid3, seeded_rng};
 use crate::scene::CameraId;
 use crate::synthetic::{empty_table, observe};
@@ -73,12 +73,12 @@ fn table(motion: Motion, lens: &Camera, focal: impl Fn(usize) -> f64) -> TrackTa
 fn found(motion: Motion, lens: &Camera, is_given: bool, focal: impl Fn(usize) -> f64) -> Vec<FocalChange> {
     let table = table(motion, lens, focal);
     let (camera, known) = match is_given {
-        true => (Camera::with_focal(640, 360, FOCAL), Intrinsics::Fixed),
-        false => (Camera::prior(640, 360), Intrinsics::Refined),
+        true => (Camera::with_focal(640, 360, FOCAL), Intrinsics::FIXED),
+        false => (Camera::prior(640, 360), Intrinsics::GUESSED),
     };
     let (model, report) = reconstruct(&table, &[camera], known, &Options::background(), 1).unwrap();
     assert!(report.num_registered() > NUM_VIEWS / 2, "{motion:?}: {}", report.num_registered());
-    focal_changes(&model, known)
+    focal_changes(&model, camera.principal)
 }
 
 fn lens() -> Camera {
@@ -136,10 +136,10 @@ fn a_fixed_focal_length_changes_nowhere() {
 
 #[test]
 fn little_shows_no_change() {
-    assert!(focal_changes(&Reconstruction::default(), Intrinsics::Fixed).is_empty());
+    assert!(focal_changes(&Reconstruction::default(), lens().principal).is_empty());
     let mut model = Reconstruction::default();
     model.cameras.insert(CameraId(1), lens());
-    assert!(focal_changes(&model, Intrinsics::Refined).is_empty());
+    assert!(focal_changes(&model, lens().principal).is_empty());
 }
 
 #[test]

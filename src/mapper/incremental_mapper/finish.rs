@@ -36,10 +36,14 @@ impl IncrementalMapper<'_> {
     fn judge_focal_length(&mut self) -> Result<(), MapperError> {
         let Noise::Measured { sigma_px } = self.map.noise() else { return Ok(()) };
         for camera in focal_length::asked_cameras(&self.map) {
-            let evidence = focal_length::focal_evidence(&self.map, &[camera], sigma_px, self.options)?;
+            // A principal point that is held and off shifts the focal length.
+            let freedom = match self.freedom {
+                Freedom::WithPrincipalPoint => Freedom::FocalAndRadial,
+                _ => Freedom::WithPrincipalPoint,
+            };
+            let evidence = focal_length::focal_evidence(&self.map, &[camera], freedom, sigma_px, self.options)?;
             tracing::debug!("focal length of camera {camera}: {evidence:?}");
-            let guess_deviation = self.map.known.of(camera).guess_deviation();
-            self.focal_deviations[camera] = Some(evidence.deviation(guess_deviation));
+            self.focal_deviations[camera] = Some(evidence.deviation(self.map.known.of(camera).focal));
         }
         Ok(())
     }
@@ -95,15 +99,20 @@ impl IncrementalMapper<'_> {
         let Noise::Measured { sigma_px } = self.noise else { return Ok(Freedom::at_first(&self.map)) };
         let deviation = match *unknown {
             [camera] => focal_length::focal_deviation_here(&self.map, camera, sigma_px, self.options)?,
-            _ => focal_length::focal_evidence(&self.map, unknown, sigma_px, self.options)?.together,
+            _ => {
+                let freedom = Freedom::FocalAndRadial;
+                focal_length::focal_evidence(&self.map, unknown, freedom, sigma_px, self.options)?.together
+            }
         };
+        let known = unknown.iter().map(|&camera| self.map.known.of(camera).focal).fold(0.0, f64::max);
+        let deviation = (deviation.powi(-2) + known.powi(-2)).sqrt().recip();
         tracing::debug!("focal length known to {:.3} %", 100.0 * deviation);
         if deviation <= LOOSE {
             return Ok(Freedom::WithPrincipalPoint);
         }
         let gain = focal_length::first_radial_gain(&self.map, sigma_px, self.options)?;
         tracing::debug!("gain of the first distortion coefficient: {gain:.1}");
-        unknown.iter().for_each(|&camera| self.map.cameras[camera].radial = [0.0; 2]);
+        unknown.iter().for_each(|&camera| self.map.cameras[camera].radial = self.map.guess[camera].radial);
         // The noise was that of another lens.
         self.noise = Noise::Unknown;
         Ok(if gain > SIGNIFICANT { Freedom::FocalAndFirstRadial } else { Freedom::Focal })

@@ -4,10 +4,9 @@
 //! several, two deviations of what is known beforehand to either side, and again near the best one; the adjustment
 //! that follows finds it exactly.
 
-use super::IncrementalMapper;
+use super::{IncrementalMapper, LOOSE};
 use crate::camera::Camera;
 use crate::geometry::resection::{self, PixelsAndPoints, Resection};
-use crate::mapper::Intrinsics;
 use crate::mapper::map::Slot;
 use crate::math::seeded_rng;
 
@@ -25,8 +24,9 @@ impl IncrementalMapper<'_> {
         self.map.cameras.len() > 1 && self.is_looked_for(view) && self.num_views_of_camera_of(view) == 1
     }
 
+    /// Returns true if the initial focal length of a view's camera may be too far off for a resection.
     fn is_looked_for(&self, view: usize) -> bool {
-        self.map.known.of(self.map.table.views[view].camera) != Intrinsics::Fixed
+        self.map.known.of(self.map.table.views[view].camera).focal > LOOSE
     }
 
     fn num_views_of_camera_of(&self, view: usize) -> usize {
@@ -49,7 +49,7 @@ impl IncrementalMapper<'_> {
     }
 
     fn pose_and_focal(&self, view: usize, visible: &[Slot], guess: &Camera) -> Option<(Resection, Camera)> {
-        let deviation = self.map.known.of(self.map.table.views[view].camera).guess_deviation();
+        let deviation = self.map.known.of(self.map.table.views[view].camera).focal;
         let step = 2.0 * deviation / f64::from(STEPS);
         let (pixels, points) = self.map.pixels_and_points(visible);
         let at = |change: f64| {

@@ -8,7 +8,7 @@ fn a_folded_map_is_grown_anew_from_its_longer_side() {
     const FOLD: usize = 14;
     let (world, options) = (world(20, 150), Options::object());
     let table = tracks(&world, 0.2, 0, &mut seeded_rng(3, 1));
-    let (cameras, known) = ([world.camera], KnownIntrinsics::from(Intrinsics::Fixed));
+    let (cameras, known) = ([world.camera], KnownIntrinsics::from(Intrinsics::FIXED));
     let task = InitializationAttempt {
         table: &table,
         cameras: &cameras,

@@ -36,7 +36,7 @@ fn wrong_joints_are_taken_apart() {
     table.tracks = kept;
     assert!(num_wrong > 40, "{num_wrong}");
     let options = Options::background();
-    let (found, report) = reconstruct(&table, &[world.camera], Intrinsics::Fixed, &options, 1).unwrap();
+    let (found, report) = reconstruct(&table, &[world.camera], Intrinsics::FIXED, &options, 1).unwrap();
     assert_eq!(report.num_registered(), 40);
     assert!(center_error(&found, &world) < 0.01, "{}", center_error(&found, &world));
     // Both halves of nearly every wrong joint have a point.
@@ -50,7 +50,7 @@ fn a_place_that_comes_back_takes_the_drift_away() {
     let mut table = tracks_over(8, &world, 0.3, 0, &mut seeded_rng(3, 0));
     let error = |table: &TrackTable| {
         let options = Options { max_track_views: 24, min_initial_inliers: 30, ..Options::background() };
-        let (found, report) = reconstruct(table, &[world.camera], Intrinsics::Fixed, &options, 1).unwrap();
+        let (found, report) = reconstruct(table, &[world.camera], Intrinsics::FIXED, &options, 1).unwrap();
         assert_eq!(report.num_registered(), 252);
         center_error(&found, &world)
     };

@@ -1,7 +1,9 @@
 //! Estimated focal lengths and their standard deviations.
 
 use super::*;
+use crate::mapper::adjustment::Freedom;
 use crate::mapper::focal_length::{focal_deviation_here, focal_evidence};
+use crate::scene::CameraId;
 
 /// A camera that flies straight ahead through points on all sides.
 fn forward_flight(num_views: u32, step: f64) -> World {
@@ -31,8 +33,8 @@ fn found(world: &World, guess_px: f64, intrinsics: Intrinsics) -> (f64, f64) {
 #[test]
 fn a_focal_length_is_no_farther_off_than_is_said() {
     let (round, weak) = (world(40, 600), forward_flight(12, 0.3));
-    let (off_round, said_round) = found(&round, 1152.0, Intrinsics::Refined);
-    let (off_weak, said_weak) = found(&weak, 1152.0, Intrinsics::Refined);
+    let (off_round, said_round) = found(&round, 1152.0, Intrinsics::GUESSED);
+    let (off_weak, said_weak) = found(&weak, 1152.0, Intrinsics::GUESSED);
     assert!(off_round.abs() <= 3.0 * said_round && said_round < 0.01, "{off_round} {said_round}");
     assert!(off_weak.abs() <= 3.0 * said_weak && said_weak < 0.5, "{off_weak} {said_weak}");
     assert!(said_weak > 2.0 * said_round, "{said_weak} {said_round}");
@@ -40,18 +42,74 @@ fn a_focal_length_is_no_farther_off_than_is_said() {
 
 #[test]
 fn what_files_state_holds_a_weak_motion_and_gives_way_to_a_strong_one() {
-    let (off, said) = found(&forward_flight(12, 0.3), 930.0, Intrinsics::Stated);
+    let (off, said) = found(&forward_flight(12, 0.3), 930.0, Intrinsics::STATED);
     assert!(off.abs() < 0.1 && said <= 0.1, "{off} {said}");
     // Where the motion tells it, what is stated wrongly does no harm.
-    let (off, said) = found(&world(40, 600), 990.0, Intrinsics::Stated);
+    let (off, said) = found(&world(40, 600), 990.0, Intrinsics::STATED);
     assert!(off.abs() < 0.02 && said < 0.015, "{off} {said}");
 }
 
+/// The arc with a camera that is 2 % longer, off center by 1 % of the width and more distorted than its calibration.
+fn wrongly_calibrated() -> (World, Camera, TrackTable) {
+    let mut world = world(40, 600);
+    let given = world.camera;
+    world.camera = Camera { principal: [470.4, 279.6], radial: [0.03, 0.0], ..Camera::with_focal(960, 540, 918.0) };
+    let table = tracks(&world, 0.2, 20, &mut seeded_rng(3, 0));
+    (world, given, table)
+}
+
+fn reconstructed(table: &TrackTable, camera: Camera, known: Intrinsics) -> (Reconstruction, Report) {
+    reconstruct(table, &[camera], known, &Options::background(), 1).unwrap()
+}
+
 #[test]
-fn intrinsics_that_are_given_have_no_deviation() {
+fn a_wrong_calibration_is_adjusted_and_shows() {
+    let (world, given, table) = wrongly_calibrated();
+    let id = CameraId(1);
+    let [exact, adjusted, held] =
+        [(world.camera, Intrinsics::FIXED), (given, Intrinsics::GIVEN), (given, Intrinsics::FIXED)].map(
+            |(camera, known)| {
+                let (found, report) = reconstructed(&table, camera, known);
+                assert_eq!(report.num_registered(), 40);
+                let fit = calibration_fit(&found, id, &camera, Intrinsics::GIVEN).unwrap().unwrap();
+                (center_error(&found, &world), fit, found.cameras[&id], report.focal_deviation())
+            },
+        );
+    assert!(adjusted.0 < 1.5 * exact.0 + 0.001, "{} {}", adjusted.0, exact.0);
+    assert!(held.0 > 3.0 * adjusted.0, "{} {}", held.0, adjusted.0);
+    let off = (adjusted.2.mean_focal() / 918.0).ln().abs();
+    assert!(adjusted.3.is_some_and(|std| off < 3.0 * std && std < 0.01), "{off} {:?}", adjusted.3);
+    assert!(!exact.1.is_bad(), "{:?}", exact.1);
+    for (_, fit, ..) in [adjusted, held] {
+        assert!(fit.gain > 9.0 && fit.gain > exact.1.gain && fit.adjusted_px < fit.given_px, "{fit:?}");
+        assert!((fit.adjusted.mean_focal() / 918.0).ln().abs() < 0.01, "{fit:?}");
+    }
+}
+
+#[test]
+fn a_prior_goes_from_held_to_free() {
+    let (_, given, table) = wrongly_calibrated();
+    let focal = |known| reconstructed(&table, given, known).0.cameras[&CameraId(1)].mean_focal();
+    let tiny = Intrinsics { focal: 1e-7, principal: 1e-7, distortion: 1e-7 };
+    let wide = Intrinsics { focal: 1.0, principal: 1.0, distortion: 10.0 };
+    assert_eq!(focal(Intrinsics::FIXED), given.mean_focal());
+    assert!((focal(tiny) / given.mean_focal() - 1.0).abs() < 1e-5, "{}", focal(tiny));
+    let (free, given) = (focal(wide), focal(Intrinsics::GIVEN));
+    for focal in [focal(Intrinsics::GUESSED), given] {
+        assert!((free / focal - 1.0).abs() < 1.5e-2, "{free} {focal}");
+    }
+    // Each parameter by itself: one that is held stays, whatever the others do.
+    let known = Intrinsics { principal: 0.0, ..Intrinsics::GIVEN };
+    let (found, _) = reconstructed(&table, Camera::with_focal(960, 540, 900.0), known);
+    let camera = found.cameras[&CameraId(1)];
+    assert!(camera.principal == [480.0, 270.0] && camera.radial[0] != 0.0 && camera.focal[0] != 900.0, "{camera:?}");
+}
+
+#[test]
+fn intrinsics_that_are_held_have_no_deviation() {
     let world = world(12, 300);
     let table = tracks(&world, 0.2, 0, &mut seeded_rng(3, 0));
-    let (_, report) = reconstruct(&table, &[world.camera], Intrinsics::Fixed, &Options::background(), 1).unwrap();
+    let (_, report) = reconstruct(&table, &[world.camera], Intrinsics::FIXED, &Options::background(), 1).unwrap();
     assert_eq!(report.focal_deviation(), None);
 }
 
@@ -59,7 +117,7 @@ fn intrinsics_that_are_given_have_no_deviation() {
 fn the_normal_equations_say_of_a_focal_length_what_three_adjustments_say() {
     for world in [world(40, 600), forward_flight(12, 0.3)] {
         let table = tracks(&world, 0.3, 30, &mut seeded_rng(12, 0));
-        let (cameras, known) = ([Camera::with_focal(960, 540, 990.0)], KnownIntrinsics::from(Intrinsics::Refined));
+        let (cameras, known) = ([Camera::with_focal(960, 540, 990.0)], KnownIntrinsics::from(Intrinsics::GUESSED));
         let options = Options::background();
         let task = initialization::InitializationAttempt {
             table: &table,
@@ -71,7 +129,8 @@ fn the_normal_equations_say_of_a_focal_length_what_three_adjustments_say() {
         let growth = task.grow_from_starts(1, &mut |_| {}).unwrap().best.unwrap();
         let Noise::Measured { sigma_px } = growth.map().noise() else { panic!("a map has a noise") };
         let here = focal_deviation_here(growth.map(), 0, sigma_px, &options).unwrap();
-        let adjusted = focal_evidence(growth.map(), &[0], sigma_px, &options).unwrap().together;
+        let adjusted =
+            focal_evidence(growth.map(), &[0], Freedom::FocalAndRadial, sigma_px, &options).unwrap().together;
         // Beyond a factor of e nothing is known, by how much does not matter.
         assert!((here.min(1.0) / adjusted.min(1.0)).ln().abs() < 0.25, "{here} {adjusted}");
     }

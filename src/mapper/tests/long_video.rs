@@ -19,12 +19,12 @@ fn options() -> Options {
 
 fn cut(table: &TrackTable) -> TrackTable {
     let mut table = table.clone();
-    cut_long_tracks(&mut table, &[camera()], Intrinsics::Fixed, &options(), 1);
+    cut_long_tracks(&mut table, &[camera()], Intrinsics::FIXED, &options(), 1);
     table
 }
 
 fn mapped(table: &TrackTable, poses: &[Rigid3]) -> (Report, f64) {
-    let (found, report) = reconstruct(table, &[camera()], Intrinsics::Fixed, &options(), 1).unwrap();
+    let (found, report) = reconstruct(table, &[camera()], Intrinsics::FIXED, &options(), 1).unwrap();
     let truth = World { camera: camera(), poses: poses.to_vec(), points: Vec::new() };
     (report, center_error(&found, &truth))
 }
@@ -75,8 +75,8 @@ fn more_views_than_are_adjusted_at_once_are_as_exact() {
     let points: Vec<_> = (0..4).flat_map(shifted).collect();
     let mut table = seen_by_all(&camera(), &poses, &points, 0.2);
     let (options, guess) = (Options::background(), Camera::prior(960, 540));
-    cut_long_tracks(&mut table, &[guess], Intrinsics::Refined, &options, 1);
-    let (found, report) = reconstruct(&table, &[guess], Intrinsics::Refined, &options, 1).unwrap();
+    cut_long_tracks(&mut table, &[guess], Intrinsics::GUESSED, &options, 1);
+    let (found, report) = reconstruct(&table, &[guess], Intrinsics::GUESSED, &options, 1).unwrap();
     assert_eq!(report.num_registered(), 1000);
     let focal = found.cameras.values().next().unwrap().mean_focal();
     let deviation = report.focal_deviation().unwrap();

@@ -48,9 +48,9 @@ fn turned(angle: f64, center: Point3<f64>) -> Rigid3 {
 
 fn both(table: &TrackTable, camera: &Camera) -> [(Reconstruction, Report); 2] {
     let options = Options::background();
-    let known = reconstruct(table, &[*camera], Intrinsics::Fixed, &options, 0).unwrap();
+    let known = reconstruct(table, &[*camera], Intrinsics::FIXED, &options, 0).unwrap();
     let guess = Camera::prior(camera.width, camera.height);
-    [known, reconstruct(table, &[guess], Intrinsics::Refined, &options, 0).unwrap()]
+    [known, reconstruct(table, &[guess], Intrinsics::GUESSED, &options, 0).unwrap()]
 }
 
 pub fn camera() -> Camera {
@@ -113,7 +113,7 @@ fn forward_motion_is_reconstructed_and_said() {
     let center = |k: f64| Point3::new(0.01 * k, 0.03 * k.sin(), 0.3 * k);
     let poses: Vec<Rigid3> = (0..15).map(|k| turned(0.004 * f64::from(k % 3), center(f64::from(k)))).collect();
     let table = seen_by_all(&camera(), &poses, &landscape(), 0.2);
-    let (found, report) = reconstruct(&table, &[camera()], Intrinsics::Fixed, &Options::background(), 0).unwrap();
+    let (found, report) = reconstruct(&table, &[camera()], Intrinsics::FIXED, &Options::background(), 0).unwrap();
     assert_eq!(found.images.len(), 15);
     let world = World { camera: camera(), poses, points: Vec::new() };
     assert!(center_error(&found, &world) < 0.02, "{}", center_error(&found, &world));
@@ -135,7 +135,7 @@ fn a_single_flight_looking_down_keeps_the_simplest_lens() {
         pixel.x += 3.0 * (pixel.y / 540.0 - 0.5);
     }
     let guess = Camera::prior(960, 540);
-    let (found, report) = reconstruct(&table, &[guess], Intrinsics::Refined, &Options::background(), 0).unwrap();
+    let (found, report) = reconstruct(&table, &[guess], Intrinsics::GUESSED, &Options::background(), 0).unwrap();
     assert_eq!(found.images.len(), 14);
     assert!(report.remarks.iter().any(|r| matches!(r, ModelWeakness::LooseFocalLength { .. })), "{:?}", report.remarks);
     let lens = found.cameras.values().next().unwrap();
@@ -152,7 +152,7 @@ fn both_coefficients_of_distortion_are_found_where_the_motion_tells_them() {
     let world = World { camera: lens, ..world(40, 600) };
     let table = tracks(&world, 0.2, 20, &mut seeded_rng(3, 0));
     let guess = Camera::prior(960, 540);
-    let (found, report) = reconstruct(&table, &[guess], Intrinsics::Refined, &Options::background(), 1).unwrap();
+    let (found, report) = reconstruct(&table, &[guess], Intrinsics::GUESSED, &Options::background(), 1).unwrap();
     assert_eq!(report.num_registered(), 40);
     let found = found.cameras.values().next().unwrap();
     assert!((found.radial[0] + 0.12).abs() < 0.02 && (found.radial[1] - 0.04).abs() < 0.04, "{:?}", found.radial);

@@ -54,7 +54,7 @@ impl<'a> Sightings<'a> {
 
     fn reconstructed(&self) -> (Reconstruction, Report) {
         let options = Options { ordered: false, ..Options::background() };
-        reconstruct(&self.table, &[self.world.camera], Intrinsics::Fixed, &options, 1).unwrap()
+        reconstruct(&self.table, &[self.world.camera], Intrinsics::FIXED, &options, 1).unwrap()
     }
 }
 

@@ -11,7 +11,7 @@ fn views_after_rounds(poses: Option<&PosePriors>) -> usize {
     let (world, options) = (world(20, 150), Options::object());
     let table = tracks(&world, 0.2, 0, &mut seeded_rng(3, 1));
     assert!(!table.has_gaps());
-    let (cameras, known) = ([world.camera], KnownIntrinsics::from(Intrinsics::Fixed));
+    let (cameras, known) = ([world.camera], KnownIntrinsics::from(Intrinsics::FIXED));
     let beside = Priors { silhouettes: None, poses };
     let task = InitializationAttempt { table: &table, cameras: &cameras, known: &known, options: &options, beside };
     let (pairs, _): (_, motion::Survey) = initial_pair::ranked(&table, &cameras, &known, &options, 0);
@@ -32,7 +32,7 @@ fn two_starts_that_agree_need_no_third() {
     let (world, options) = (world(30, 200), Options::object());
     let starts = |outliers: usize| {
         let table = tracks(&world, 0.2, outliers, &mut seeded_rng(3, 1));
-        let (cameras, known) = ([world.camera], KnownIntrinsics::from(Intrinsics::Fixed));
+        let (cameras, known) = ([world.camera], KnownIntrinsics::from(Intrinsics::FIXED));
         let task = InitializationAttempt {
             table: &table,
             cameras: &cameras,

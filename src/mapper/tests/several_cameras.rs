@@ -40,7 +40,7 @@ fn each_camera_gets_its_own_focal_length() {
     let world = world(NUM_VIEWS as u32, 500);
     let table = seen(&world, 0.2);
     let guesses = cameras().map(|camera| Camera::prior_of_photograph(camera.width, camera.height));
-    let (found, report) = reconstruct(&table, &guesses, Intrinsics::Refined, &unordered(), 1).unwrap();
+    let (found, report) = reconstruct(&table, &guesses, Intrinsics::GUESSED, &unordered(), 1).unwrap();
     assert_eq!(report.num_registered(), NUM_VIEWS, "{:?}", report.failures().collect::<Vec<_>>());
     assert!(center_error(&found, &world) < 0.02, "{}", center_error(&found, &world));
     for ((camera, truth), deviation) in found.cameras.values().zip(cameras()).zip(&report.focal_deviations) {
@@ -60,7 +60,7 @@ fn what_is_given_of_one_camera_is_held_and_the_others_are_found() {
     let table = seen(&world, 0.2);
     let [first, second, third] = cameras();
     let cameras = [first, Camera::prior_of_photograph(270, 480), Camera::with_focal(1200, 900, 1750.0)];
-    let known = vec![Intrinsics::Fixed, Intrinsics::Refined, Intrinsics::Stated];
+    let known = vec![Intrinsics::FIXED, Intrinsics::GUESSED, Intrinsics::STATED];
     let (found, report) = reconstruct(&table, &cameras, known, &unordered(), 1).unwrap();
     assert_eq!(report.num_registered(), NUM_VIEWS);
     let found: Vec<&Camera> = found.cameras.values().collect();

@@ -47,7 +47,7 @@ fn broken(world: &World, num_ties: usize, wrong: usize) -> TrackTable {
 
 fn mapped(table: &TrackTable, world: &World) -> (Reconstruction, Report) {
     let options = Options { min_initial_inliers: 30, ..Options::background() };
-    reconstruct(table, &[world.camera], Intrinsics::Fixed, &options, 1).unwrap()
+    reconstruct(table, &[world.camera], Intrinsics::FIXED, &options, 1).unwrap()
 }
 
 #[test]

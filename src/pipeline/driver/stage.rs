@@ -104,13 +104,12 @@ impl Stage {
     /// does that.
     pub(in crate::pipeline) fn revision(self) -> u32 {
         match self {
-            Self::Scale => 10,
+            Self::Scale => 11,
             Self::Objects => 7,
-            Self::Background | Self::Motion => 6,
-            Self::Features | Self::Track => 5,
-            Self::Ground | Self::Follow => 4,
-            Self::Frames | Self::Segment | Self::Metric => 3,
-            Self::Report => 2,
+            Self::Background | Self::Motion | Self::Track => 6,
+            Self::Features | Self::Ground => 5,
+            Self::Follow | Self::Metric => 4,
+            Self::Frames | Self::Segment | Self::Report => 3,
         }
     }
 

@@ -93,7 +93,7 @@ fn output_with(models: &Models, sequence: &Sequence, ratio: f64) -> tempfile::Te
         travel: None,
         poses,
     };
-    let all = Trajectories { unit: Unit::Background, metric: None, objects: vec![object] };
+    let all = Trajectories { unit: Unit::Background, metric: None, objects: vec![object], ground_tracks: Vec::new() };
     trajectories::write(&out.join("trajectories.json"), &all).unwrap();
     for frame in &sequence.frames {
         let mask = sequence.target_mask(frame).unwrap();

@@ -24,17 +24,8 @@ use crate::video::{PictureCamera, Source};
 pub(in crate::pipeline) struct InitialCamera {
     pub(in crate::pipeline) camera: Camera,
     pub(in crate::pipeline) origin: CameraOrigin,
-}
-
-impl InitialCamera {
-    /// Prior knowledge of its intrinsics.
-    pub(in crate::pipeline) fn known(&self) -> Intrinsics {
-        match self.origin {
-            CameraOrigin::Given => Intrinsics::Fixed,
-            CameraOrigin::Exif => Intrinsics::Stated,
-            CameraOrigin::Guess => Intrinsics::Refined,
-        }
-    }
+    /// Prior standard deviations of its intrinsics.
+    pub(in crate::pipeline) known: Intrinsics,
 }
 
 /// Opens the input: pictures of all sizes where they may be photographs and only a model of the background is made.
@@ -52,13 +43,21 @@ pub(in crate::pipeline) fn initial(run: &Run) -> Result<Vec<InitialCamera>, Pipe
     let taken = taken(run)?;
     let given = of_options(run, taken)?;
     let example = given.iter().flatten().next().copied();
-    let camera = |(taken, given): (&PictureCamera, Option<Camera>)| match given {
-        Some(camera) => Ok(InitialCamera { camera, origin: CameraOrigin::Given }),
-        None => {
-            let (camera, origin) = unknown_camera(taken, &order::found(run)?);
-            let beside = example.filter(|_| origin == CameraOrigin::Guess).map(|given| guess_beside(&given, taken));
-            Ok(InitialCamera { camera: beside.unwrap_or(camera), origin })
-        }
+    let camera = |(taken, given): (&PictureCamera, Option<Camera>)| {
+        let (camera, origin) = match given {
+            Some(camera) => (camera, CameraOrigin::Given),
+            None => {
+                let (camera, origin) = unknown_camera(taken, &order::found(run)?);
+                let beside = example.filter(|_| origin == CameraOrigin::Guess).map(|given| guess_beside(&given, taken));
+                (beside.unwrap_or(camera), origin)
+            }
+        };
+        let known = match origin {
+            CameraOrigin::Given => run.options.intrinsics_std,
+            CameraOrigin::Exif => Intrinsics::STATED,
+            CameraOrigin::Guess => Intrinsics::GUESSED,
+        };
+        Ok(InitialCamera { camera, origin, known })
     };
     taken.iter().zip(given).map(camera).collect()
 }

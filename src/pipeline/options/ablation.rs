@@ -20,7 +20,7 @@ const fn ablation(name: &'static str, decision: u32, settings: &'static [(&'stat
 
 impl Ablation {
     /// All of them, by decision. `docs/decisions/README.md` has the same table and says which decisions have no switch.
-    pub const ALL: [Self; 20] = [
+    pub const ALL: [Self; 21] = [
         ablation(
             "track-length-limit",
             4,
@@ -70,6 +70,7 @@ impl Ablation {
             31,
             &[("tuning.background.mapper.max_folds", "0"), ("tuning.objects.mapper.max_folds", "0")],
         ),
+        ablation("stationary-ratio", 32, &[("tuning.scale.stationary", "none")]),
     ];
 
     /// The mechanisms that a list names: `all`, or names separated by commas.

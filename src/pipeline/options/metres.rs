@@ -17,7 +17,7 @@ pub enum TelemetryChoice {
     Auto,
     /// No telemetry.
     None,
-    /// Log file: DJI subtitles, GPX, NMEA or CSV.
+    /// Log file: DJI subtitles, GPX, NMEA, CSV, or a video with telemetry.
     File(PathBuf),
 }
 

@@ -25,6 +25,7 @@ use crate::camera::Camera;
 use crate::checks::{Checked, OptionError, under, within};
 use crate::ffi::onnx::Resources;
 use crate::io::interchange::colmap::Encoding;
+use crate::mapper::Intrinsics;
 use crate::memory::MemoryLimit;
 use crate::motion::MotionOptions;
 use crate::networks::{DetectorOptions, FlowOptions, GroundOptions, PromptOptions, SegmentationOptions};
@@ -174,6 +175,8 @@ pub struct Options {
     pub order: FrameOrder,
     /// Camera intrinsics; `None` for EXIF data of photographs, otherwise a guess that is refined.
     pub intrinsics: Option<IntrinsicsSource>,
+    /// Standard deviations of given intrinsics, those of `background_model` included; 0 holds them.
+    pub intrinsics_std: Intrinsics,
     /// Model of the background to be used instead of a reconstruction, in any format that `tractrix convert` reads.
     pub background_model: Option<PathBuf>,
     /// Models of objects, by id, to be used instead of reconstructions.
@@ -258,6 +261,7 @@ impl Default for Options {
             features: FeatureKind::Auto,
             order: FrameOrder::Auto,
             intrinsics: None,
+            intrinsics_std: Intrinsics::GIVEN,
             background_model: None,
             object_models: BTreeMap::new(),
             model_files: ModelFiles::Auto,
@@ -376,6 +380,7 @@ impl Options {
         if self.only_objects.contains(&ObjectId(0)) {
             return Err(OptionError::new("only_objects", "object ids start at 1"));
         }
+        under("intrinsics_std", self.intrinsics_std.check())?;
         match &self.intrinsics {
             Some(IntrinsicsSource::Given(values)) => check_intrinsics(values),
             _ => Ok(()),

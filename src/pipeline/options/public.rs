@@ -13,7 +13,7 @@ use super::schema::{self, join};
 pub(super) const TUNING: &str = "tuning";
 
 /// Paths of the public options: targets of flags, choices that depend on the footage, and what documents set.
-const PUBLIC: [&str; 54] = [
+const PUBLIC: [&str; 57] = [
     "video.start",
     "video.end",
     "video.every",
@@ -27,6 +27,9 @@ const PUBLIC: [&str; 54] = [
     "features",
     "order",
     "intrinsics",
+    "intrinsics_std.focal",
+    "intrinsics_std.principal",
+    "intrinsics_std.distortion",
     "background_model",
     "object_models",
     "model_files",

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::{background, objects};
@@ -18,6 +19,8 @@ use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Re
 
 /// The name of the list of frames that have no plane, and why.
 const SKIPPED: &str = "ground-skipped.json";
+/// The name of the sources of planes, for vehicles whose planes are wanted later.
+const SOURCES: &str = "ground-sources.json";
 /// Prefix of the folder of masks that the user's network found.
 pub(in crate::pipeline) const MASKS: &str = "ground-masks-";
 
@@ -87,12 +90,14 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let path = run.workspace.ground();
     run.workspace.put_file(&path, |fresh| crate::io::ground::write(fresh, &ground))?;
     run.workspace.write_state(SKIPPED, &skipped)?;
-    outcome.outputs.extend([path, run.workspace.state(SKIPPED)]);
+    run.workspace.write_state(SOURCES, &found)?;
+    outcome.outputs.extend([path, run.workspace.state(SKIPPED), run.workspace.state(SOURCES)]);
     Ok(outcome)
 }
 
 /// Results that the stage computes before any object.
-struct GroundResults {
+#[derive(Serialize, Deserialize)]
+pub(in crate::pipeline) struct GroundResults {
     /// Labelled points and where the labels come from.
     labelled: Option<(GroundSource, Vec<Point3dId>)>,
     dominant: Option<DominantPlane>,
@@ -116,7 +121,12 @@ impl GroundResults {
         }
     }
 
-    fn chain<'a>(&'a self, background: &'a Reconstruction, options: &Options) -> GroundChain<'a> {
+    /// The chain of these sources.
+    pub(in crate::pipeline) fn chain<'a>(
+        &'a self,
+        background: &'a Reconstruction,
+        options: &Options,
+    ) -> GroundChain<'a> {
         GroundChain {
             background,
             labelled: self.labelled.as_ref().map_or(&[], |(_, points)| points),
@@ -160,6 +170,11 @@ fn find(
 /// The ground; the stage must be done.
 pub(in crate::pipeline) fn ground(run: &Run) -> Result<Ground, PipelineError> {
     Ok(run.workspace.read_ground()?)
+}
+
+/// The sources of planes; the stage must be done.
+pub(in crate::pipeline) fn sources(run: &Run) -> Result<GroundResults, PipelineError> {
+    run.workspace.read_state(SOURCES)
 }
 
 /// The points that labels call ground; `None` where there are no labels, or none that says so of any point.

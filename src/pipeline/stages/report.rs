@@ -124,6 +124,7 @@ fn objects<'a>(
             visible: tracked.frames.clone(),
             model: models.get(&tracked.id).map(|reconstruction| Model { reconstruction, unregistered }),
             trajectory: trajectories.objects.iter().find(|trajectory| trajectory.id == tracked.id),
+            ground_track: trajectories.ground_track(tracked.id),
             ratio_per_frame: models.get(&tracked.id).map(|model| ratios(tracked.id, model)).unwrap_or_default(),
             failure: failure.or_else(|| failures.get(&tracked.id.to_string()).cloned()),
         }
@@ -268,7 +269,8 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
         facts.push(Fact::new("Rotation applied", format!("{}°", info.rotation_deg)));
     }
     let origin = match cameras::first(run)?.origin {
-        CameraOrigin::Given => "given",
+        CameraOrigin::Given if run.options.intrinsics_std.is_fixed() => "given",
+        CameraOrigin::Given => "given, adjusted with the background",
         CameraOrigin::Exif => "from EXIF, refined with the background",
         CameraOrigin::Guess => "estimated with the background",
     };

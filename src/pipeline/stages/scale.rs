@@ -1,29 +1,40 @@
-//! Stage `scale`: the scale ratio of every object, and its trajectory.
+//! Stage `scale`: the scale ratio of every object, its trajectory or else its ground track, and its motion state by
+//! points and trajectory.
 
-use std::collections::{BTreeMap, BTreeSet};
+mod ground_tracks;
+mod movement;
 
+use std::collections::BTreeMap;
+
+use nalgebra::Matrix3;
 use serde_json::{Value, json};
 
 use super::background::ModelReport;
 use super::background::{self, point_cloud};
 use super::metric::Size;
 use super::track;
+use super::track::movement::PointFindings;
 use super::{ground, objects};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{
-    FocalChange, Frame, FrameId, Ground, GroundPlane, ObjectId, ObjectTrajectory, Reconstruction, ScaleMethod, Topic,
-    TrackedObject, Trajectories, Unit, Verdict,
+    FocalChange, Frame, FrameId, Ground, GroundPlane, Movement, MovementFinding, ObjectId, ObjectTrajectory,
+    Reconstruction, ScaleMethod, StationaryVehicles, Topic, TrackedObject, Trajectories, Unit, Verdict,
 };
 use crate::trajectory::{
-    self, Adjustment, Candidate, Evidence, Extents, ModelOrigin, ObjectDescription, Silhouette, Subject, extents,
+    self, Adjustment, Candidate, Evidence, Extents, ModelOrigin, ObjectDescription, Outlines, Silhouette, Subject,
+    extents,
 };
+use movement::TrajectoryEvidence;
 
 /// The name of the trajectories as this stage leaves them, in units of the background.
 const IN_UNITS: &str = "scale-trajectories.json";
 
 /// The name of the objects' sizes, in units of the background.
 const SIZES: &str = "scale-sizes.json";
+
+/// The name of the covariances of the objects' positions in single frames, in units of the background.
+const POSES: &str = "scale-poses.json";
 
 /// The name of the list of objects without a trajectory, and why.
 const FAILURES: &str = "scale-failures.json";
@@ -38,24 +49,31 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     let reports = objects::reports(run)?;
     clear(run, &reports)?;
     outcome.outputs.push(point_cloud::background(run, &background)?);
-    let tracked = track::objects(run)?;
-    let scene = Scene::read(run, &background, &reports)?;
+    let mut tracked = track::objects(run)?;
+    let scene = Scene::read(run, &background, &reports, &tracked)?;
     let mut found = ScaleContext::default();
-    for tracked in &tracked {
+    for tracked in &mut tracked {
+        tracked.movement = scene.by_points(tracked);
         if let Some(report) = reports.get(&tracked.id) {
             scene.place(tracked, report, &mut found, &mut outcome)?;
         }
     }
     outcome.figure("num_trajectories", found.placed.len());
+    outcome.figure("num_moving", tracked.iter().filter(|object| object.movement.state == Movement::Moving).count());
+    run.workspace.put_file(&run.workspace.tracked(), |fresh| crate::io::tracks::write(fresh, &tracked))?;
     let focal_changes = background::background_report(run)?.focal_changes;
     let objects = judged(run, found.placed, &background, &focal_changes, &mut outcome);
-    let all = Trajectories { unit: Unit::Background, metric: None, objects };
+    let placed =
+        ground_tracks::Placed { tracked: &tracked, objects: &objects, reports: &reports, failures: &found.failures };
+    let ground_tracks = ground_tracks::find(&scene, &placed, &mut outcome)?;
+    let all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks };
     let path = run.workspace.trajectories();
     crate::io::trajectories::write(&run.workspace.state(IN_UNITS), &all)?;
     run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
     run.workspace.write_state(FAILURES, &found.failures)?;
     run.workspace.write_state(SIZES, &found.sizes)?;
-    let states = [IN_UNITS, FAILURES, SIZES].map(|name| run.workspace.state(name));
+    run.workspace.write_state(POSES, &found.pose_covariances)?;
+    let states = [IN_UNITS, FAILURES, SIZES, POSES].map(|name| run.workspace.state(name));
     outcome.outputs.extend(states.into_iter().chain([path]));
     Ok(outcome)
 }
@@ -78,48 +96,97 @@ struct Scene<'a, 'r> {
     ground: Ground,
     frames: &'a [Frame],
     focal_std: Option<f64>,
-    silhouettes: BTreeMap<ObjectId, BTreeMap<FrameId, Silhouette>>,
+    /// Outlines of all objects that may get a position.
+    outlines: Outlines,
+    by_points: PointFindings,
 }
 
 /// Outcomes of the objects.
 #[derive(Default)]
-struct ScaleContext<'a> {
-    placed: Vec<PlacedVehicle<'a>>,
+struct ScaleContext {
+    placed: Vec<PlacedVehicle>,
     failures: BTreeMap<String, String>,
     sizes: BTreeMap<ObjectId, Size>,
+    pose_covariances: PoseCovariances,
 }
+
+/// Covariances of positions in single frames, in the frame and unit of the background, without those of the ratios.
+pub(in crate::pipeline) type PoseCovariances = BTreeMap<ObjectId, BTreeMap<FrameId, Matrix3<f64>>>;
 
 impl<'a, 'r> Scene<'a, 'r> {
     fn read(
         run: &'a Run<'r>,
         background: &'a Reconstruction,
         reports: &BTreeMap<ObjectId, ModelReport>,
+        tracked: &[TrackedObject],
     ) -> Result<Self, PipelineError> {
         let frames = run.frames()?;
-        let with_model = reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id).collect();
+        let has_model = |id| reports.get(&id).is_some_and(|report| report.failure.is_none());
+        let wanted = tracked.iter().filter(|object| object.left_out.is_none() || has_model(object.id));
         Ok(Self {
             run,
             background,
             ground: ground::ground(run)?,
             frames,
             focal_std: background::focal_deviation(run)?,
-            silhouettes: silhouettes(run, frames, &with_model)?,
+            outlines: outlines(run, frames, wanted.cloned().collect())?,
+            by_points: track::movement::by_points(run)?,
         })
+    }
+
+    /// Movement finding before the trajectory is looked at. An earlier run of this stage may have revised that of
+    /// `tracked`.
+    fn by_points(&self, tracked: &TrackedObject) -> MovementFinding {
+        match self.run.options.scale.stationary {
+            StationaryVehicles::All => {
+                MovementFinding { state: Movement::Stationary, reason: "stated to be stationary".to_owned() }
+            }
+            StationaryVehicles::None | StationaryVehicles::Found => {
+                self.by_points.get(&tracked.id).map_or_else(|| tracked.movement.clone(), |found| found.finding.clone())
+            }
+        }
+    }
+
+    /// Revises the motion state by the trajectory, and the scale ratio of a stationary vehicle by the camera path.
+    fn revise(&self, tracked: &mut TrackedObject, trajectory: &mut ObjectTrajectory, object: &Reconstruction) {
+        let options = &self.run.options.scale;
+        let evidence = TrajectoryEvidence::of(trajectory, &tracked.gaps, self.background);
+        if options.stationary != StationaryVehicles::All
+            && let Some(by_points) = self.by_points.get(&tracked.id)
+        {
+            tracked.movement = movement::revised(by_points, evidence.as_ref());
+        }
+        if tracked.movement.state != Movement::Stationary || options.stationary == StationaryVehicles::None {
+            return;
+        }
+        let motion = trajectory::RelativeMotion::of(&trajectory.poses, self.background);
+        if let Some(scale) = motion.and_then(|motion| motion.constrained(&trajectory.scale, options.max_relative_std)) {
+            let again = trajectory::assemble(
+                description(tracked),
+                self.background,
+                object,
+                scale,
+                self.frames,
+                Unit::Background,
+            );
+            *trajectory = ObjectTrajectory { ground: std::mem::take(&mut trajectory.ground), ..again };
+        }
     }
 
     /// Places one object that has a model.
     fn place(
         &self,
-        tracked: &'a TrackedObject,
+        tracked: &mut TrackedObject,
         report: &ModelReport,
-        found: &mut ScaleContext<'a>,
+        found: &mut ScaleContext,
         outcome: &mut Outcome,
     ) -> Result<(), PipelineError> {
         let run = self.run;
         let Some(object) = objects::as_reconstructed(run, tracked.id, report)? else { return Ok(()) };
         let planes = planes(&self.ground, tracked.id);
         let unseen = BTreeMap::new();
-        let silhouettes = self.silhouettes.get(&tracked.id).unwrap_or(&unseen);
+        let is_joint = run.options.scale.method == ScaleMethod::Joint;
+        let silhouettes = self.outlines.get(&tracked.id).filter(|_| is_joint).unwrap_or(&unseen);
         let evidence = Evidence {
             description: description(tracked),
             origin: if report.given { ModelOrigin::Given } else { ModelOrigin::Reconstructed },
@@ -135,11 +202,15 @@ impl<'a, 'r> Scene<'a, 'r> {
         outcome.outputs.push(run.workspace.object(tracked.id));
         describe_adjustment(tracked.id, &placed.adjustment, outcome);
         match placed.trajectory {
-            Ok(trajectory) => {
+            Ok(mut trajectory) => {
+                self.revise(tracked, &mut trajectory, &placed.object);
                 outcome.outputs.push(point_cloud::object(run, &trajectory, &placed.object)?);
                 warn_of_scale(&trajectory, outcome);
+                warn_of_dropped(tracked.id, &placed.dropped, outcome);
+                found.pose_covariances.insert(tracked.id, placed.pose_covariances);
                 let size = size(&trajectory, &placed.object, self.background, &planes, silhouettes, &run.options.scale);
                 found.sizes.insert(tracked.id, size);
+                let tracked = tracked.clone();
                 found.placed.push(PlacedVehicle { trajectory, tracked, object: placed.object, planes });
             }
             Err(reason) => {
@@ -148,6 +219,19 @@ impl<'a, 'r> Scene<'a, 'r> {
             }
         }
         Ok(())
+    }
+}
+
+fn warn_of_dropped(id: ObjectId, dropped: &[FrameId], outcome: &mut Outcome) {
+    if let (Some(first), Some(last)) = (dropped.first(), dropped.last()) {
+        let text = format!(
+            "object {id}: no position in {} frames between {} and {}: standard deviation above the size of the \
+             vehicle, too few points visible",
+            dropped.len(),
+            first.0,
+            last.0
+        );
+        outcome.warn(Topic::FramesNotRegistered.warning(text));
     }
 }
 
@@ -173,14 +257,14 @@ fn size(
 }
 
 /// An object that has a trajectory, until all of them are judged together.
-struct PlacedVehicle<'a> {
+struct PlacedVehicle {
     trajectory: ObjectTrajectory,
-    tracked: &'a TrackedObject,
+    tracked: TrackedObject,
     object: Reconstruction,
     planes: BTreeMap<FrameId, GroundPlane>,
 }
 
-impl PlacedVehicle<'_> {
+impl PlacedVehicle {
     fn candidate<'a>(&'a self, background: &'a Reconstruction, options: &'a trajectory::Options) -> Candidate<'a> {
         let Self { trajectory, tracked, object, planes } = self;
         Candidate { trajectory, tracked: Some(tracked), object, background, planes, options }
@@ -254,23 +338,19 @@ pub(in crate::pipeline) fn sizes(run: &Run) -> Result<BTreeMap<ObjectId, Size>, 
     run.workspace.read_state(SIZES)
 }
 
+/// Covariances of the objects' positions in single frames; the stage must be done.
+pub(in crate::pipeline) fn pose_covariances(run: &Run) -> Result<PoseCovariances, PipelineError> {
+    run.workspace.read_state(POSES)
+}
+
 /// Why objects have no trajectory although they have a model, by id; the stage must be done.
 pub(in crate::pipeline) fn failures(run: &Run) -> Result<BTreeMap<String, String>, PipelineError> {
     run.workspace.read_state(FAILURES)
 }
 
-/// The outlines of objects, where any is to be adjusted with the ground.
-fn silhouettes(
-    run: &Run,
-    frames: &[Frame],
-    wanted: &BTreeSet<ObjectId>,
-) -> Result<BTreeMap<ObjectId, BTreeMap<FrameId, Silhouette>>, PipelineError> {
-    let mut found: BTreeMap<ObjectId, BTreeMap<FrameId, Silhouette>> = BTreeMap::new();
-    if run.options.scale.method != ScaleMethod::Joint {
-        return Ok(found);
-    }
-    let mut objects = track::objects(run)?;
-    objects.retain(|object| wanted.contains(&object.id));
+/// The outlines of objects.
+fn outlines(run: &Run, frames: &[Frame], objects: Vec<TrackedObject>) -> Result<Outlines, PipelineError> {
+    let mut found = Outlines::new();
     for frame in frames {
         for (id, mask) in track::masks_of(run, &objects, frame)? {
             if let Some(silhouette) = Silhouette::of(&mask) {

@@ -54,6 +54,7 @@ pub fn calibration(calibration: &Calibration) -> String {
         "std",
         "in std",
         "trajectory error",
+        "residual",
         "placed",
         "object",
         "verdict",
@@ -68,6 +69,7 @@ pub fn calibration(calibration: &Calibration) -> String {
          \n\
          {AIMS} Intervals: 95 % for independent cases (Wilson); cases of one sequence are not fully independent. \
          `factor`: factor by which reported standard deviations would have to be multiplied, by the median. \
+         `residual`: of the camera path seen from a stationary vehicle, as a share of its distance. \
          `overconfident`: error above three standard deviations, with verdict good or fair.\n\
          \n\
          {}\n\
@@ -133,6 +135,7 @@ fn case_cells(case: &Case) -> Vec<String> {
         percent(case.relative_std),
         number(case.deviations(), 2, ""),
         number(case.trajectory_error_m, 3, " m"),
+        percent(case.residual),
         format!("{} of {}", case.num_placed, case.num_visible),
         number(case.object_px, 0, " px"),
         verdict,

@@ -4,6 +4,7 @@ mod ablation;
 mod breakdown;
 mod calibration;
 mod charts;
+mod estimators;
 mod pages;
 mod table;
 

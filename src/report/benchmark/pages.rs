@@ -33,7 +33,7 @@ pub fn markdown(own: &Benchmark, others: &[Benchmark]) -> String {
         page += "\n## Comparison with others\n\nTrajectory error in meters, by sequence.\n\n";
         page += &beside;
     }
-    page + &attention(own)
+    page + &super::estimators::estimators(own) + &attention(own)
 }
 
 /// The paper's table, twice: trajectory error and scale deviation per vehicle and estimator, the paper's own values
@@ -169,7 +169,7 @@ pub(super) fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or(NONE.to_owned(), |value| format!("{value:.digits$}"))
 }
 
-fn name(estimator: &Estimator, set: &Benchmark) -> String {
+pub(super) fn name(estimator: &Estimator, set: &Benchmark) -> String {
     match estimator {
         Estimator::Named(method) => method.name().into(),
         Estimator::Reference if set.has_adjusted() => "at the reference ratio, adjusted".into(),
@@ -190,7 +190,7 @@ fn name(estimator: &Estimator, set: &Benchmark) -> String {
 }
 
 fn sequences(own: &Benchmark) -> String {
-    let named: Vec<Estimator> = own.estimators().into_iter().filter(|e| *e != Estimator::Chosen).collect();
+    let named: Vec<Estimator> = main(own).into_iter().filter(|e| *e != Estimator::Chosen).collect();
     let mut head: Vec<String> =
         ["sequence", "vehicle", "trajectory", "background", "object", "centers", "floor"].map(str::to_owned).to_vec();
     head.push(name(&Estimator::Chosen, own));
@@ -239,6 +239,12 @@ fn value(entry: &Entry, estimator: &Estimator) -> String {
     }
 }
 
+/// The estimators without reference methods, which have a section of their own.
+fn main(set: &Benchmark) -> Vec<Estimator> {
+    let is_reference = |e: &Estimator| matches!(e, Estimator::Named(method) if method.is_reference());
+    set.estimators().into_iter().filter(|estimator| !is_reference(estimator)).collect()
+}
+
 fn remark(entry: &Entry) -> String {
     match (&entry.failure, &entry.verdict) {
         (Some(reason), _) => format!("FAILED: {reason}"),
@@ -256,7 +262,7 @@ fn beside(own: &Benchmark, others: &[Benchmark]) -> String {
         .chain([&published])
         .map(|set| {
             let floor = set.sequences.iter().any(|entry| entry.floor_m.is_some()).then_some(Estimator::Reference);
-            (set, set.estimators().into_iter().chain(floor).collect())
+            (set, main(set).into_iter().chain(floor).collect())
         })
         .collect();
     let mut head = vec!["sequence".to_owned()];

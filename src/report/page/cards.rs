@@ -9,12 +9,13 @@ use crate::report::motion;
 use crate::report::overlay::{css_colour, object_colour};
 use crate::report::plan::Plan;
 use crate::report::timeline::Timeline;
-use crate::report::travel::travel_facts;
+use crate::report::travel::{ground_track_facts, travel_facts};
 use crate::report::verdict::{self, relative_std, said};
 use crate::report::view::View;
 use crate::report::words::{UNKNOWN, figure, percent, plain, thousands, with_unit};
 use crate::scene::{
-    Finding, MovementFinding, ObjectTrajectory, Outline, Reason, ScaleEstimate, ScaleMethod, TrackedObject, Verdict,
+    Finding, GroundTrack, MovementFinding, ObjectTrajectory, Outline, Reason, ScaleEstimate, ScaleMethod,
+    TrackedObject, Verdict,
 };
 
 /// A vehicle's card.
@@ -35,6 +36,16 @@ pub(super) struct Card {
     in_favour: Vec<String>,
     facts: Vec<Fact>,
     alternatives: Vec<Alternative>,
+    plan: Option<Plan>,
+    ground: Option<GroundCard>,
+}
+
+/// Part of a card on a ground track.
+#[derive(Debug, Serialize)]
+struct GroundCard {
+    state: &'static str,
+    says: String,
+    facts: Vec<Fact>,
     plan: Option<Plan>,
 }
 
@@ -59,7 +70,10 @@ fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Opt
         name: name.to_owned(),
         colour: css_colour(object_colour(object.id)),
         verdict,
-        badge: verdict.label(),
+        badge: match (object.trajectory, object.ground_track) {
+            (None, Some(_)) => GROUND_TRACK,
+            _ => verdict.label(),
+        },
         meaning: verdict.sentence(object.trajectory),
         reason: reason(object).map(|reason| plain(&reason)),
         against: judged(object).flat_map(Verdict::complaints).map(said).collect(),
@@ -67,7 +81,31 @@ fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Opt
         facts: facts(data, object, timeline),
         alternatives: object.trajectory.map(|t| alternatives(&t.scale)).unwrap_or_default(),
         plan: view.and_then(|v| Plan::object(data, object, v)),
+        ground: object.ground_track.map(|track| GroundCard {
+            state: track.verdict.as_ref().map_or(UNKNOWN, |verdict| verdict.state.name()),
+            says: track.verdict.as_ref().map(|verdict| plain(&verdict.says)).unwrap_or_default(),
+            facts: ground_facts(object, track, timeline),
+            plan: view.and_then(|v| Plan::ground_track(data, track, v)),
+        }),
     }
+}
+
+/// Badge of a vehicle that has only a ground track.
+const GROUND_TRACK: &str = "ground track";
+
+/// Frames, path length, displacement and speeds of a ground track.
+fn ground_facts(object: &Object, track: &GroundTrack, timeline: &Timeline) -> Vec<Fact> {
+    let frames =
+        Fact::new("frames on the ground", format!("{} of {} visible", track.positions.len(), object.visible.len()));
+    let frames = match track.omissions() {
+        Some(omitted) => frames.with_note(omitted),
+        None => frames,
+    };
+    let size = track.apparent_size_m.map(|[width, height]| {
+        let said = format!("{} × {} m", with_std(width.value, width.std), with_std(height.value, height.std));
+        Fact::new("apparent width and height", said)
+    });
+    [frames].into_iter().chain(ground_track_facts(track, timeline.base)).chain(size).collect()
 }
 
 fn reason(object: &Object) -> Option<String> {

@@ -17,8 +17,11 @@ pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
             background.images.len(),
             count(data.frames.len(), "frame")
         )),
-        Fact::new("vehicles", with_trajectory.to_string())
-            .with_note(format!("with a trajectory, of {} detected", data.objects.len())),
+        Fact::new("vehicles", with_trajectory.to_string()).with_note(format!(
+            "with a trajectory, of {} detected{}",
+            data.objects.len(),
+            ground_tracks(data)
+        )),
         Fact::new("points", thousands(background.points.len())).with_note("in the background"),
     ];
     if let Some(error) = background.mean_reprojection_error_px() {
@@ -28,6 +31,15 @@ pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
     facts.push(ground(data));
     facts.push(unit(data));
     facts
+}
+
+/// Number of ground tracks, behind that of trajectories.
+fn ground_tracks(data: &Data) -> String {
+    match data.objects.iter().filter(|o| o.ground_track.is_some()).count() {
+        0 => String::new(),
+        1 => "; 1 ground track".to_owned(),
+        more => format!("; {more} ground tracks"),
+    }
 }
 
 /// In what lengths are reported, and how sure that is.

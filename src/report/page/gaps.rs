@@ -14,7 +14,8 @@ pub(super) fn missing(data: &Data, names: &[String]) -> Vec<Missing> {
     let mut list = data.missing.clone();
     for (object, name) in data.objects.iter().zip(names).filter(|(o, _)| o.trajectory.is_none()) {
         let reason = object.failure.clone().unwrap_or_else(|| NO_REASON.to_owned());
-        let what = format!("{name}, visible in {}: no trajectory", count(object.visible.len(), "frame"));
+        let kind = if object.ground_track.is_some() { "ground track only" } else { "no trajectory" };
+        let what = format!("{name}, visible in {}: {kind}", count(object.visible.len(), "frame"));
         list.push(Missing { what, reason });
     }
     list.extend(unregistered("Background", &data.background));

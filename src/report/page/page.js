@@ -124,7 +124,7 @@
 		put(plan.querySelector(".plan-here"), frames[index].camera);
 		for (const object of data.objects) {
 			const pose = object.poses.find(([i]) => i === index);
-			put(plan.querySelector(`.plan-end[data-object="${object.id}"]`), pose?.[1]);
+			put(plan.querySelector(`.plan-end[data-object="${object.id}${object.ground ? "-ground" : ""}"]`), pose?.[1]);
 		}
 	};
 

@@ -94,10 +94,10 @@ class SceneView {
 		return points;
 	}
 
-	line(segments, { colour, width, dashed = false, opacity = 1, above = false }) {
+	line(segments, { colour, width, dashed = false, dash = 0.32, gap = 0.26, opacity = 1, above = false }) {
 		const geometry = new THREE.LineSegmentsGeometry();
 		geometry.setPositions(segments);
-		const material = new THREE.LineMaterial({ color: colour, linewidth: width, dashed, dashSize: 0.32, gapSize: 0.26, transparent: above || opacity < 1, opacity, depthTest: !above });
+		const material = new THREE.LineMaterial({ color: colour, linewidth: width, dashed, dashSize: dash, gapSize: gap, transparent: above || opacity < 1, opacity, depthTest: !above });
 		const line = new THREE.LineSegments2(geometry, material);
 		line.computeLineDistances();
 		line.frustumCulled = false;
@@ -188,9 +188,15 @@ class SceneView {
 		group.add(body);
 		const marker = this.cloud(new Float32Array(3), new Uint8Array(4), { size: 0.2, own: object.colour, ownShare: 1, parent: group });
 		marker.userData.least = 9;
-		this.addPath(group, object.poses.map(([i, at]) => [i, at]), { colour: object.colour, width: 3.5, dashed: object.degenerate, above: true });
+		this.addPath(group, object.poses.map(([i, at]) => [i, at]), this.pathStyle(object));
 		this.scene.add(group);
 		return { group, body, marker, poses: new Map(object.poses.map(([i, at, placement]) => [i, { at, placement }])) };
+	}
+
+	/** Solid; dashed if rejected; dotted for a ground track. */
+	pathStyle({ colour, degenerate, ground }) {
+		const style = { colour, width: 3.5, dashed: degenerate || ground, above: true };
+		return ground ? { ...style, dash: 0.07, gap: 0.14 } : style;
 	}
 
 	// ---- state

@@ -15,7 +15,7 @@ impl Silhouette {
     /// Fewest pixels that have an outline.
     const MIN_AREA_PX2: usize = 50;
     /// Distance of an outline from the outermost centers of the mask's pixels, on average over directions.
-    pub(super) const BORDER_PX: f64 = 0.3;
+    pub(in crate::trajectory) const BORDER_PX: f64 = 0.3;
 
     /// The outline of a mask; `None` for one that is tiny or that the border of the picture cuts.
     pub fn of(mask: &Mask) -> Option<Self> {
@@ -39,7 +39,7 @@ impl Silhouette {
     }
 
     /// Returns true if a pixel lies within the outline, or at most `margin` pixels outside.
-    pub(super) fn contains(&self, pixel: Point2<f64>, margin: f64) -> bool {
+    pub(in crate::trajectory) fn contains(&self, pixel: Point2<f64>, margin: f64) -> bool {
         let next = self.hull.iter().cycle().skip(1);
         self.hull.iter().zip(next).all(|(a, b)| {
             let side = b - a;
@@ -50,7 +50,7 @@ impl Silhouette {
 
 /// Corners of the convex hull (monotone chain: A. Andrew, *Another efficient algorithm for convex hulls in two
 /// dimensions*, 1979).
-pub(super) fn convex_hull(mut points: Vec<Point2<f64>>) -> Vec<Point2<f64>> {
+pub(in crate::trajectory) fn convex_hull(mut points: Vec<Point2<f64>>) -> Vec<Point2<f64>> {
     points.sort_by(|a, b| (a.x, a.y).partial_cmp(&(b.x, b.y)).unwrap_or(std::cmp::Ordering::Equal));
     let chain = |points: &mut dyn Iterator<Item = &Point2<f64>>| {
         let mut corners: Vec<Point2<f64>> = Vec::new();

@@ -26,10 +26,13 @@ use self::adjustment::Adjustment;
 use self::precision::{median_error_px, point_covariances, set_errors, uncertain_points};
 use self::surface::draw_onto_surface;
 use super::mirror::{mean_normal, mirrored};
-use super::{Body, Contact, ContactOptions, Options, ScaleError, Silhouette, Views, object_center};
+use super::{
+    Body, Contact, ContactOptions, Estimate, Estimator, EstimatorInput, Options, ScaleError, Silhouette, Views,
+    object_center,
+};
 use crate::checks::{Checked, OptionError, under, within};
 use crate::math::median;
-use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction, ScaleShares};
+use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction, ScaleMethod, ScaleShares};
 
 /// Weights of the terms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -197,6 +200,25 @@ pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Jo
         (Ok(first), Ok(second)) if second.is_likelier_than(&first) => second.finished(&other, true),
         (Err(_), Ok(second)) => second.finished(&other, true),
         (first, _) => first?.finished(grounded, false),
+    }
+}
+
+/// Row of the registry.
+pub(super) struct JointMethod;
+
+impl Estimator for JointMethod {
+    fn method(&self) -> ScaleMethod {
+        ScaleMethod::Joint
+    }
+
+    fn estimate(&self, input: &EstimatorInput, options: &Options) -> Result<Estimate, ScaleError> {
+        let grounded = input.grounded.ok_or(ScaleError::NoAnswer(ScaleMethod::Joint))?;
+        let found = joint(grounded, input.views, options)?;
+        Ok(Estimate { ratio: found.ratio, std: Some(found.std), adjusted: Some(Box::new(found)) })
+    }
+
+    fn needs_climb(&self) -> bool {
+        true
     }
 }
 

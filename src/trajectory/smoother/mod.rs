@@ -17,7 +17,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use self::track::{Kind, Observed, Track, is_at_rest, track};
 use self::travel::{Route, resolved_amount};
-use crate::scene::{Estimate, Motion};
+use crate::scene::{ContactError, Estimate, Motion, Movement};
 
 /// Where a vehicle was seen, in a frame in metres whose third axis points up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,6 +30,27 @@ pub struct PositionMeasurement {
     pub camera_m: Vector3<f64>,
     /// Direction in which the object's model points; `None` where it has no forward axis.
     pub forward: Option<Vector3<f64>>,
+    /// Its error.
+    pub error: PositionError,
+}
+
+/// Error of a measured position.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PositionError {
+    /// Of a reconstructed vehicle: shares of the distance to the camera, and the scale ratio's error in all frames.
+    Model {
+        /// Covariance of its pose in this frame, in addition, m².
+        pose: Matrix3<f64>,
+    },
+    /// Of a contact point with the ground, meters.
+    Contact(ContactError),
+}
+
+impl Default for PositionError {
+    /// Of a reconstructed vehicle whose poses are all exact.
+    fn default() -> Self {
+        Self::Model { pose: Matrix3::zeros() }
+    }
 }
 
 /// Errors that all frames have in common: standard deviations of logarithms.
@@ -47,7 +68,7 @@ const MIN_SIGHTINGS: usize = 4;
 /// frame; and along it and across it, wandering. Chosen on fifteen rendered sequences; docs/maths/smoother.md.
 const ALONG: f64 = 5e-4;
 const ACROSS: f64 = 1e-4;
-const DRIFT: f64 = 1.5e-3;
+pub(super) const DRIFT: f64 = 1.5e-3;
 const DRIFT_ACROSS: f64 = 1.2e-3;
 /// Times after which these have forgotten where they were, seconds.
 const DRIFT_S: [f64; 4] = [1.0, 3.0, 3.0, 3.0];
@@ -94,9 +115,10 @@ pub struct Smoothed {
 /// Smooths a vehicle's motion; `None` where there are fewer than four, or numbers that are not finite.
 ///
 /// * `sightings` – ascending in time; gaps are bridged, with deviations that grow.
+/// * `movement` – motion state by other evidence: a moving vehicle is not smoothed at rest.
 ///
 /// A vehicle at rest is recognized by its positions alone, by the likelihood of rest and of motion.
-pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd) -> Option<Smoothed> {
+pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd, movement: Movement) -> Option<Smoothed> {
     if sightings.len() < MIN_SIGHTINGS || !sightings.iter().all(PositionMeasurement::is_usable) {
         return None;
     }
@@ -105,8 +127,12 @@ pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd) -> Option<S
     let in_motion = track(&sightings.iter().map(|s| s.observed(&origin)).collect::<Vec<_>>(), &moving)?;
     // Also of a vehicle at rest: a slow one that moves along with the camera has the same positions, for another error
     // of the ratio.
-    let moved = in_motion.response(&sightings.iter().map(|s| s.ratio_error(common.ratio)).collect::<Vec<_>>())?;
-    let rest = at_rest(sightings, &origin, common.ratio, &moving);
+    let moved = in_motion.response(&sightings.iter().map(|s| s.common_error(common.ratio)).collect::<Vec<_>>())?;
+    // Contact points are too coarse to tell rest from motion: a speed that is rest by default would have the wrong
+    // standard deviation.
+    let is_coarse = sightings.iter().any(|s| matches!(s.error, PositionError::Contact(_)));
+    let may_rest = !is_coarse && movement != Movement::Moving;
+    let rest = may_rest.then(|| at_rest(sightings, &origin, common.ratio, &moving)).flatten();
     let stands = rest.is_some();
     let positions = rest.unwrap_or(in_motion);
     let forward_std = forward_std(sightings, common.ratio).filter(|_| !stands);
@@ -130,7 +156,7 @@ pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd) -> Option<S
 /// state of both hypotheses, or else no vehicle that a moving camera sees would ever be at rest.
 fn at_rest(sightings: &[PositionMeasurement], origin: &Vector3<f64>, ratio: f64, moving: &Kind) -> Option<Track> {
     let observed: Vec<Observed> =
-        sightings.iter().map(|s| s.observed(origin).with_common(&s.ratio_error(ratio))).collect();
+        sightings.iter().map(|s| s.observed(origin).with_common(&s.common_error(ratio))).collect();
     let moving = Kind { drift_s: &DRIFT_WITH_RATIO_S, ..*moving };
     let rest = moving.at_rest(REST);
     let found = is_at_rest(&observed, &moving, &rest).then(|| track(&observed, &rest))??;
@@ -139,14 +165,23 @@ fn at_rest(sightings: &[PositionMeasurement], origin: &Vector3<f64>, ratio: f64,
 }
 
 impl PositionMeasurement {
-    /// Displacement by one standard deviation of the ratio, as a share.
-    fn ratio_error(&self, ratio: f64) -> DVector<f64> {
-        dynamic(&(ratio * (self.position_m - self.camera_m)))
+    /// Displacement by one standard deviation of the error that all frames share; of a model that of the ratio, as a
+    /// share.
+    fn common_error(&self, ratio: f64) -> DVector<f64> {
+        match self.error {
+            PositionError::Model { .. } => dynamic(&(ratio * (self.position_m - self.camera_m))),
+            PositionError::Contact(error) => dynamic(&Vector3::from(error.common)),
+        }
     }
 
     fn is_usable(&self) -> bool {
         let forward = self.forward.unwrap_or_default();
+        let error = match self.error {
+            PositionError::Model { pose } => pose,
+            PositionError::Contact(error) => error.covariance(),
+        };
         [self.position_m, self.camera_m, forward].iter().all(|v| v.iter().all(|x| x.is_finite() && x.abs() < 1e9))
+            && error.iter().all(|x| x.is_finite() && x.abs() < 1e18)
             && self.time_s.is_finite()
     }
 
@@ -156,12 +191,19 @@ impl PositionMeasurement {
         let distance = ray.norm().max(1e-3);
         let sight = ray / distance;
         let along = sight * sight.transpose();
-        let noise = along * (ALONG * distance).powi(2) + (Matrix3::identity() - along) * (ACROSS * distance).powi(2);
+        let across = (Matrix3::identity() - along) * (ACROSS * distance).powi(2);
+        let (noise, drift) = match self.error {
+            PositionError::Model { pose } => {
+                (along * (ALONG * distance).powi(2) + across + pose, drift(&sight, distance))
+            }
+            // The plane has no noise of its own across it: a little, so that the covariance has an inverse.
+            PositionError::Contact(error) => (error.noise() + across, slow(&error)),
+        };
         Observed {
             time_s: self.time_s,
             value: dynamic(&(self.position_m - origin)),
             noise: DMatrix::from_iterator(3, 3, noise.iter().copied()),
-            drift: drift(&sight, distance),
+            drift,
         }
     }
 
@@ -184,6 +226,13 @@ fn drift(sight: &Vector3<f64>, distance: f64) -> DMatrix<f64> {
     columns
 }
 
+/// The correlated error of a contact point, in the place of that along the line of sight.
+fn slow(error: &ContactError) -> DMatrix<f64> {
+    let mut columns = DMatrix::zeros(3, 4);
+    columns.column_mut(0).copy_from(&Vector3::from(error.drift));
+    columns
+}
+
 /// Deviation of the model's forward axis, radians, which the vehicle's motion shows; `None` unless that is beyond the
 /// errors of the positions that show it: of a vehicle that hardly moved the axis is noise.
 fn forward_std(sightings: &[PositionMeasurement], ratio: f64) -> Option<f64> {
@@ -193,7 +242,7 @@ fn forward_std(sightings: &[PositionMeasurement], ratio: f64) -> Option<f64> {
     let off = |s: &PositionMeasurement| DRIFT * (s.position_m - s.camera_m).norm();
     let error = off(first).hypot(off(furthest));
     // The ratio's error moves a parked vehicle along with the camera, which is not where its model points.
-    let by_ratio = (furthest.ratio_error(ratio) - first.ratio_error(ratio)).norm();
+    let by_ratio = (furthest.common_error(ratio) - first.common_error(ratio)).norm();
     (way(furthest) > CLEAR * error.hypot(by_ratio)).then(|| FORWARD.hypot(error / way(furthest)))
 }
 

@@ -7,7 +7,14 @@ use crate::math::seeded_rng;
 
 /// The motions alone.
 fn smooth(sightings: &[PositionMeasurement], common: &CommonStd) -> Option<Vec<Motion>> {
-    super::smooth(sightings, common).map(|found| found.motions)
+    super::smooth(sightings, common, Movement::Undetermined).map(|found| found.motions)
+}
+
+#[test]
+fn a_vehicle_that_moves_by_other_evidence_is_not_smoothed_at_rest() {
+    let speed_std = |movement| super::smooth(&standing(60), &KNOWN, movement).unwrap().motions[30].speed_std_m_s;
+    assert_eq!(speed_std(Movement::Stationary), speed_std(Movement::Undetermined));
+    assert!(speed_std(Movement::Moving) > 2.0 * speed_std(Movement::Undetermined));
 }
 
 /// Errors of a simulated drive, metres: new in every frame, along the line of sight.
@@ -24,7 +31,13 @@ fn circle(num: u32, seed: u64) -> Vec<PositionMeasurement> {
         let ray = (truth - camera_m).normalize();
         let noise: f64 = rng.sample(StandardNormal);
         let forward = Some(Vector3::new(cos, sin, 0.0));
-        PositionMeasurement { time_s, position_m: truth + ray * (NOISE_M * noise), camera_m, forward }
+        PositionMeasurement {
+            time_s,
+            position_m: truth + ray * (NOISE_M * noise),
+            camera_m,
+            forward,
+            error: PositionError::default(),
+        }
     };
     (0..num).map(sight).collect()
 }
@@ -230,7 +243,13 @@ fn drive(speed_m_s: f64, common: &CommonStd, seed: u64) -> Vec<PositionMeasureme
         let across = (across - sight * sight.dot(&across)) * DRIFT_ACROSS;
         let error = (new + sight * (DRIFT * drift[0]) + across) * distance;
         let position_m = (camera_m + ray * ratio + error) * scale;
-        PositionMeasurement { time_s, position_m, camera_m: camera_m * scale, forward: Some(Vector3::x()) }
+        PositionMeasurement {
+            time_s,
+            position_m,
+            camera_m: camera_m * scale,
+            forward: Some(Vector3::x()),
+            error: PositionError::default(),
+        }
     };
     (0..60).map(sight).collect()
 }
@@ -250,8 +269,9 @@ fn path_lengths_are_unbiased_and_their_deviations_calibrated() {
     let commons = [KNOWN, CommonStd { ratio: 0.03, scale: 0.05 }, CommonStd { ratio: 0.2, scale: 0.02 }];
     for speed in [0.0, 0.3, 8.0] {
         for common in &commons {
-            let found: Vec<Smoothed> =
-                (0..60).map(|seed| super::smooth(&drive(speed, common, seed), common).unwrap()).collect();
+            let found: Vec<Smoothed> = (0..60)
+                .map(|seed| super::smooth(&drive(speed, common, seed), common, Movement::Undetermined).unwrap())
+                .collect();
             let length = speed * 5.9;
             let [path, displacement, max] = [
                 coverage(length, found.iter().map(|f| f.path_m)),
@@ -272,7 +292,7 @@ fn noise_is_not_summed_up_as_distance() {
     for seed in 0..10 {
         let parked = drive(0.0, &KNOWN, seed);
         let steps: f64 = parked.windows(2).map(|pair| (pair[1].position_m - pair[0].position_m).norm()).sum();
-        let found = super::smooth(&parked, &KNOWN).unwrap();
+        let found = super::smooth(&parked, &KNOWN, Movement::Undetermined).unwrap();
         assert!(steps > 0.3 && found.path_m.value < 0.3 * steps, "{seed}: {steps} {:?}", found.path_m);
         assert!(found.path_m.value < 4.0 * found.path_m.std, "{seed}: {:?}", found.path_m);
     }
@@ -281,7 +301,7 @@ fn noise_is_not_summed_up_as_distance() {
 #[test]
 fn a_path_is_as_long_as_its_curve_and_there_and_back_counts_twice() {
     let common = CommonStd { ratio: 0.0, scale: 0.1 };
-    let found = super::smooth(&circle(200, 7), &common).unwrap();
+    let found = super::smooth(&circle(200, 7), &common, Movement::Undetermined).unwrap();
     let length = 8.0 * 19.9;
     assert!((found.path_m.value / length - 1.0).abs() < 0.01, "{found:?}");
     assert!((found.path_m.std / (0.1 * length) - 1.0).abs() < 0.05, "metres have their share");
@@ -290,7 +310,7 @@ fn a_path_is_as_long_as_its_curve_and_there_and_back_counts_twice() {
     let mut way_back: Vec<PositionMeasurement> = back.iter().rev().copied().collect();
     way_back.iter_mut().zip(100..).for_each(|(s, k)| s.time_s = 0.1 * f64::from(k));
     back.extend(way_back);
-    let found = super::smooth(&back, &KNOWN).unwrap();
+    let found = super::smooth(&back, &KNOWN, Movement::Undetermined).unwrap();
     assert!((found.path_m.value / (2.0 * 8.0 * 9.9) - 1.0).abs() < 0.05, "{:?}", found.path_m);
     assert!(found.displacement_m.value < 1.0, "{:?}", found.displacement_m);
 }

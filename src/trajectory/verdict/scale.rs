@@ -1,20 +1,15 @@
 //! Determinacy and accuracy of the scale ratio, and agreement of other methods.
 
 use super::{HALF, SMALL, percent};
-use crate::math::{STD_PER_MAD, median};
 use crate::scene::ReasonKind::{Agreement, Determined, Deviation};
 use crate::scene::{Reason, ScaleEstimate, ScaleMethod};
-use crate::trajectory::{Options, Views, constant_distance, intersection, least_squares};
+use crate::trajectory::{Options, Views, estimator};
 
 /// A relative standard deviation of the scale ratio up to which it counts as well determined.
-const GOOD_STD: f64 = 0.03;
+pub(super) const GOOD_STD: f64 = 0.03;
 /// The same beyond which it is called weak.
-const WEAK_STD: f64 = 0.10;
-/// Relative standard deviation that no method undercuts: errors of planes and tracks that are common to all frames.
-const LEAST_STD: f64 = 0.05;
-/// The same for the contact of the lowest points: they lie somewhere between tyre and sill.
-const LEAST_CONTACT_STD: f64 = 0.15;
-/// The same for a method of which nothing is known but its answer.
+pub(super) const WEAK_STD: f64 = 0.10;
+/// Relative standard deviation of a method that gives nothing but its ratio.
 const UNKNOWN_STD: f64 = 0.15;
 /// A method whose own deviation is larger has nothing to say.
 const NOTHING_TO_SAY: f64 = 0.5;
@@ -76,21 +71,7 @@ fn answers(scale: &ScaleEstimate, views: &Views, options: &Options) -> Vec<Other
 }
 
 fn own_std(method: ScaleMethod, ratio: f64, views: &Views, options: &Options) -> f64 {
-    let all_frames = || least_squares(views, &options.least_squares).ok();
-    let std = match method {
-        ScaleMethod::RobustLeastSquares => all_frames().map(|fit| (fit.std / ratio).max(LEAST_STD)),
-        ScaleMethod::ConstantDistance => all_frames().and_then(|fit| {
-            let pair = constant_distance(views, &options.constant_distance).ok()?;
-            let wanders = fit.residual_std.hypot(views.grazing_std(ratio));
-            Some((wanders * (2.0 / pair.mean_denominator_sq).sqrt() / ratio).max(LEAST_STD))
-        }),
-        ScaleMethod::Intersection => intersection(views).ok().and_then(|found| {
-            let off = found.per_frame.iter().map(|(_, own)| (own / ratio - 1.0).abs()).collect();
-            Some((STD_PER_MAD * median(off)?).max(LEAST_CONTACT_STD))
-        }),
-        ScaleMethod::Joint => None,
-    };
-    match std {
+    match estimator(method).std_in_verdict(ratio, views, options) {
         Some(std) if std.is_finite() => std,
         Some(_) => f64::INFINITY,
         None => UNKNOWN_STD,

@@ -84,7 +84,7 @@ pub(super) fn movement(tracked: &TrackedObject, measures: &Measures, shows: impl
             Some(Reason::supports(MovementKind, format!("stationary, and its position is constant: {why}")))
         }
         Movement::Stationary if shows() => {
-            Some(Reason::refutes(MovementKind, format!("points look stationary ({why}), but its path is {far} long")))
+            Some(Reason::refutes(MovementKind, format!("stationary ({why}), but its path is {far} long")))
         }
         _ if is_far && tracked.confidence < SURE => Some(Reason::doubts(
             MovementKind,

@@ -127,7 +127,7 @@ impl IncrementalMapper<'_> {
 
     /// Intrinsics known once this map exists: those of its own cameras stay fixed.
     fn known_by_now(&self) -> KnownIntrinsics {
-        let known = |camera| if self.has_camera(camera) { Intrinsics::Fixed } else { self.map.known.of(camera) };
+        let known = |camera| if self.has_camera(camera) { Intrinsics::FIXED } else { self.map.known.of(camera) };
         KnownIntrinsics::from((0..self.map.cameras.len()).map(known).collect::<Vec<_>>())
     }
 

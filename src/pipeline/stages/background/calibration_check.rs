@@ -1,7 +1,13 @@
 //! Evidence against given intrinsics.
 
+use super::ModelReport;
 use crate::camera::Camera;
-use crate::scene::{Topic, Warning};
+use crate::mapper::{self, CalibrationFit, Intrinsics};
+use crate::pipeline::PipelineError;
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::driver::threads::on_threads;
+use crate::pipeline::inputs::cameras::{self, CameraOrigin};
+use crate::scene::{CameraId, Reconstruction, Topic, Warning};
 
 /// Largest field of view that a pinhole with radial distortion describes, degrees.
 const MAX_FIELD_DEG: f64 = 150.0;
@@ -67,6 +73,80 @@ pub(in crate::pipeline) fn doubts(camera: &Camera) -> Vec<Warning> {
         ));
     }
     doubts.into_iter().map(|doubt: String| Topic::IntrinsicsDoubtful.warning(doubt)).collect()
+}
+
+/// The given calibrations of a model's cameras: those of the options, or those of a given model.
+///
+/// # Errors
+/// Those of reading the calibration.
+pub(super) fn given(
+    run: &Run,
+    model: &Reconstruction,
+    is_model_given: bool,
+) -> Result<Vec<(CameraId, Camera)>, PipelineError> {
+    if is_model_given {
+        return Ok(model.cameras.iter().map(|(id, camera)| (*id, *camera)).collect());
+    }
+    let initial = (1..).map(CameraId).zip(cameras::initial(run)?);
+    let given = initial.filter(|(_, initial)| initial.origin == CameraOrigin::Given);
+    Ok(given.map(|(id, initial)| (id, initial.camera)).collect())
+}
+
+/// Compares given calibrations with a model, warns of those that do not fit, and notes the standard deviation of the
+/// focal length of a given model.
+///
+/// # Errors
+/// Those of starting threads.
+pub(super) fn check_fit(
+    run: &Run,
+    model: &Reconstruction,
+    given: &[(CameraId, Camera)],
+    report: &mut ModelReport,
+    outcome: &mut Outcome,
+) -> Result<(), PipelineError> {
+    let std = run.options.intrinsics_std;
+    // Those that are held are compared all the same.
+    let known = if std.is_fixed() { Intrinsics::GIVEN } else { std };
+    let first = model.cameras.keys().next();
+    for (id, camera) in given {
+        // What leaves the intrinsics undetermined speaks against none.
+        let Ok(Some(fit)) = on_threads(run.options.threads, || mapper::calibration_fit(model, *id, camera, known))?
+        else {
+            continue;
+        };
+        if fit.is_bad() {
+            outcome.warn(Topic::CalibrationDoesNotFit.warning(misfit(camera, &fit, remedy(report.given, &std))));
+        }
+        if first == Some(id) {
+            let figures = serde_json::json!({ "given_px": fit.given_px, "adjusted_px": fit.adjusted_px });
+            outcome.figure("calibration_fit", figures);
+            if report.given && !std.is_fixed() {
+                report.focal_std_px = Some(fit.focal_std * camera.mean_focal());
+            }
+        }
+    }
+    Ok(())
+}
+
+fn remedy(is_model_given: bool, std: &Intrinsics) -> &'static str {
+    match (is_model_given, std.is_fixed()) {
+        (true, _) => "the model is used unchanged; adjust its intrinsics in the program that made it",
+        (false, true) => "remove --fixed",
+        (false, false) => "the adjusted one is used; calibrate this lens in this video mode, or remove --intrinsics",
+    }
+}
+
+fn misfit(given: &Camera, fit: &CalibrationFit, remedy: &str) -> String {
+    let CalibrationFit { given_px, adjusted_px, adjusted, .. } = fit;
+    let shown = |camera: &Camera| {
+        let [cx, cy] = camera.principal;
+        format!("f {:.1}, center {cx:.1}, {cy:.1}, k1 {:.3}", camera.mean_focal(), camera.radial[0])
+    };
+    format!(
+        "the given calibration does not fit: {given_px:.3} px, adjusted {adjusted_px:.3} px ({} → {}); {remedy}",
+        shown(given),
+        shown(adjusted)
+    )
 }
 
 /// Across the longer side of the picture.

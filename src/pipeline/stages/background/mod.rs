@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use super::features;
 use crate::bundle;
-use crate::camera::Camera;
+use crate::camera::{Camera, NUM_INTRINSICS};
 use crate::io::interchange::colmap;
 use crate::mapper::ModelWeakness;
 use crate::mapper::{self, Priors};
@@ -31,12 +31,13 @@ const DEVIATION_IMAGES: usize = 16;
 const BACKGROUND_REPORT: &str = "background-report.json";
 
 pub(in crate::pipeline) fn background_cache_key(run: &Run) -> Result<Value, PipelineError> {
-    let origins: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| initial.origin).collect();
+    let known: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| (initial.origin, initial.known)).collect();
     let (background, _) = order::sfm_options(run)?;
     let given = run.options.background_model.as_deref().map(given_models::fingerprint).transpose()?;
     let cache_key = json!({
         "model": given,
-        "camera_origins": origins,
+        "cameras": known,
+        "intrinsics_std": run.options.intrinsics_std,
         "options": background.mapper,
         "seed": run.options.seed,
     });
@@ -57,7 +58,7 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
         Some(path) => given_models::read(path, Target::Background, run)?,
         None => {
             let initial = cameras::initial(run)?;
-            let cameras: Vec<_> = initial.iter().map(|initial| (initial.camera, initial.known())).collect();
+            let cameras: Vec<_> = initial.iter().map(|initial| (initial.camera, initial.known)).collect();
             let table = features::of_background(run)?;
             let num_frames = table.views.len() as u64;
             run.progress.begin("background", Some(num_frames));
@@ -68,6 +69,8 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
     if order::found(run)?.in_time {
         report.focal_changes = focal_changes(run, &model, report.given)?;
     }
+    let given = calibration_check::given(run, &model, report.given)?;
+    calibration_check::check_fit(run, &model, &given, &mut report, &mut outcome)?;
     if let Some(failure) = &mut report.failure {
         failure.push_str(&cure_of_large_frames(run.info().width, run.info().height));
         failure.push_str(&failure::reasons(run)?);
@@ -78,7 +81,7 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
         report.focal_changes.iter().for_each(|change| outcome.warn(warning_of(change)));
         warn_of_gaps("background", &report, &mut outcome);
     }
-    if let Some(figures) = center_figures(&model) {
+    if let Some(figures) = center_figures(&model, &prior_std(run, &model, report.given)?) {
         outcome.figure("camera_center_deviation", figures);
     }
     store(run, &run.workspace.background(), &model)?;
@@ -105,11 +108,11 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
 
 /// Changes of the focal length in a video's background.
 fn focal_changes(run: &Run, model: &Reconstruction, is_given: bool) -> Result<Vec<FocalChange>, PipelineError> {
-    let known = match is_given {
-        true => mapper::Intrinsics::Fixed,
-        false => cameras::first(run)?.known(),
+    let principal = match model.cameras.values().next() {
+        Some(camera) if is_given => camera.principal,
+        _ => cameras::first(run)?.camera.principal,
     };
-    on_threads(run.options.threads, || crate::mapper::focal_changes(model, known))
+    on_threads(run.options.threads, || crate::mapper::focal_changes(model, principal))
 }
 
 fn warning_of(change: &FocalChange) -> Warning {
@@ -139,10 +142,29 @@ fn cure_of_large_frames(width: u32, height: u32) -> String {
     }
 }
 
+/// Prior standard deviations of fx, fy, cx, cy, k1, k2 of a model's cameras.
+fn prior_std(
+    run: &Run,
+    model: &Reconstruction,
+    is_given: bool,
+) -> Result<BTreeMap<CameraId, [f64; NUM_INTRINSICS]>, PipelineError> {
+    let initial = if is_given { Vec::new() } else { cameras::initial(run)? };
+    let known = |id: &CameraId| match is_given {
+        true => run.options.intrinsics_std,
+        false => place_of(*id).and_then(|place| initial.get(place)).map_or(mapper::Intrinsics::GUESSED, |c| c.known),
+    };
+    Ok(model.cameras.iter().map(|(id, camera)| (*id, known(id).std_of(camera))).collect())
+}
+
+/// Index of a camera of a reconstructed model among the initial ones.
+fn place_of(id: CameraId) -> Option<usize> {
+    (id.0 as usize).checked_sub(1)
+}
+
 /// Standard deviations of the camera positions, in units of the background; `None` where there is too little data.
-fn center_figures(model: &Reconstruction) -> Option<Value> {
+fn center_figures(model: &Reconstruction, prior_std: &BTreeMap<CameraId, [f64; NUM_INTRINSICS]>) -> Option<Value> {
     // A model that leaves something undetermined has no such figures, which is no reason to stop.
-    let found = bundle::center_deviations(model, DEVIATION_IMAGES).ok()??;
+    let found = bundle::center_deviations(model, DEVIATION_IMAGES, prior_std).ok()??;
     let mut centers: Vec<f64> = found.centers.into_values().collect();
     centers.sort_by(f64::total_cmp);
     let (median, largest) = (centers.get(centers.len() / 2)?, centers.last()?);
@@ -182,7 +204,7 @@ pub(in crate::pipeline) fn reconstruct(
     }
     let (mut model, report) = on_threads(threads, || {
         // Only videos have long tracks, and one camera.
-        let of_video = known.first().copied().unwrap_or(mapper::Intrinsics::Refined);
+        let of_video = known.first().copied().unwrap_or(mapper::Intrinsics::GUESSED);
         mapper::cut_long_tracks(&mut table, &cameras, of_video, options, seed);
         mapper::reconstruct_consuming(table, &cameras, known, options, seed, beside, watch)
     })??;

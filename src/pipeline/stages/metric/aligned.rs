@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::UnitQuaternion;
 
 use super::log::{Origin, Telemetry};
-use super::sources::Ground;
+use super::sources::{Ground, MAX_TILT};
 use crate::metric::{
     self, Alignment, CameraPath, Gravity, Offset, Orientation, Refusal, Source, Support, align_to_fixes,
     metric_from_cam,
@@ -147,7 +147,7 @@ fn camera_path(background: &Reconstruction, frames: &[Frame]) -> Result<CameraPa
     CameraPath::new(poses, DRIFT * way).ok_or_else(|| "fewer than two frames registered".to_owned())
 }
 
-fn registered<'a>(background: &'a Reconstruction, frames: &'a [Frame]) -> Vec<(&'a Frame, &'a Image)> {
+pub(super) fn registered<'a>(background: &'a Reconstruction, frames: &'a [Frame]) -> Vec<(&'a Frame, &'a Image)> {
     let by_name: BTreeMap<&str, &Image> =
         background.images.values().map(|image| (image.name.as_str(), image)).collect();
     frames.iter().filter_map(|frame| Some((frame, *by_name.get(frame.name.as_str())?))).collect()
@@ -162,7 +162,8 @@ const STATED_START_S: f64 = 5.0;
 /// Candidates for the offset between log and video, the most certain first.
 fn offsets(run: &Run, telemetry: &Telemetry, times: telemetry::TimeBase, epoch_s: f64) -> Vec<Offset> {
     let known = |mean_s, std_s| Offset::Known { mean_s, std_s };
-    let is_of_subtitles = telemetry.log.dialects().keys().any(|dialect| dialect.starts_with("dji"));
+    let of_camera = |dialect: &&str| dialect.starts_with("dji") || dialect.starts_with("gpmf");
+    let is_of_camera = telemetry.log.dialects().keys().any(of_camera);
     match (run.options.metric.time_offset, telemetry.origin, times) {
         (_, Origin::Photographs, _) => vec![known(0.0, 1e-3)],
         (Some(offset), _, _) => vec![known(offset.mean_s, offset.std_s)],
@@ -170,7 +171,7 @@ fn offsets(run: &Run, telemetry: &Telemetry, times: telemetry::TimeBase, epoch_s
             let stated = stated_start_s(run, telemetry).map(|start_s| known(start_s - epoch_s, STATED_START_S));
             stated.into_iter().chain([Offset::Unknown]).collect()
         }
-        (None, _, telemetry::TimeBase::Video) if is_of_subtitles => vec![Offset::SAME_FILE],
+        (None, _, telemetry::TimeBase::Video) if is_of_camera => vec![Offset::SAME_FILE],
         (None, _, telemetry::TimeBase::Video) => vec![known(0.0, TWO_BUTTONS_S), Offset::Unknown],
     }
 }
@@ -187,10 +188,6 @@ fn stated_start_s(run: &Run, telemetry: &Telemetry) -> Option<f64> {
     let stated = (run.info().kind == Kind::Video).then(|| video::stated_start(run.input())).flatten()?;
     telemetry::clock_s(&stated).filter(|start_s| *start_s > FIRST_CAMERAS_S).map(|start_s| start_s + utc_offset_s)
 }
-
-/// Attitudes whose vertical is further from the ground's normal are those of another camera, or of a turned one,
-/// radians.
-const MAX_TILT: f64 = 0.35;
 
 /// The vertical from the camera's attitude in the log, else from the ground.
 fn support(

@@ -16,7 +16,7 @@ pub(super) enum Origin {
     Named,
     /// In a file next to the video.
     Beside,
-    /// In the video's text track.
+    /// In the video itself.
     Inside,
     /// In the photographs themselves.
     Photographs,
@@ -74,7 +74,7 @@ pub(super) fn find(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
 }
 
 fn named(path: &Path, memory: MemoryLimit, outcome: &mut Outcome) -> Option<Telemetry> {
-    match telemetry::read_within(path, memory) {
+    match telemetry_of(path, memory) {
         Ok(log) => Some(Telemetry { log, path: path.to_owned(), origin: Origin::Named }),
         Err(error) => {
             let text = format!("telemetry gives no scale: {}", with_cause(&error));
@@ -108,7 +108,7 @@ fn inside(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
     match telemetry_inside(video, run.options.video.track) {
         Some(Ok(log)) => Some(Telemetry { log, path: video.to_owned(), origin: Origin::Inside }),
         Some(Err(error)) => {
-            let text = format!("text track of the video ignored as telemetry: {}", with_cause(&error));
+            let text = format!("data in the video ignored as telemetry: {}", with_cause(&error));
             let warning = Topic::TelemetryUnreadable.warning(text);
             tracing::info!("{warning}");
             outcome.note(warning);
@@ -118,20 +118,65 @@ fn inside(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
     }
 }
 
-/// Reads the telemetry in the text track of a video; `None` where it has no text track, or is no video.
+/// Reads the telemetry of a log file, a folder of photographs, or a video.
+///
+/// # Errors
+/// [`TelemetryError`] names the file and what can be done.
+pub fn telemetry_of(path: &Path, memory: MemoryLimit) -> Result<Log, TelemetryError> {
+    match telemetry::read_within(path, memory) {
+        Err(error @ (TelemetryError::Unknown { .. } | TelemetryError::TooLarge { .. })) => {
+            telemetry_inside(path, None).unwrap_or(Err(error))
+        }
+        found => found,
+    }
+}
+
+/// Reads the telemetry in a video, of its text track or else its GPMF track; `None` where it has neither, or is no
+/// video.
 ///
 /// * `track` – video track whose clock counts; `None` as in a run.
 ///
 /// # Errors
 /// [`TelemetryError::NoFix`] where the track says something else; [`TelemetryError::Playlist`].
-pub fn telemetry_inside(video: &Path, track: Option<u32>) -> Option<Result<Log, TelemetryError>> {
-    let entries = match video::subtitles(video, track) {
+fn telemetry_inside(video: &Path, track: Option<u32>) -> Option<Result<Log, TelemetryError>> {
+    match in_text_track(video, track) {
+        Some(Err(error @ TelemetryError::NoFix { .. })) => Some(in_gpmf_track(video, track).unwrap_or(Err(error))),
+        None => in_gpmf_track(video, track),
+        found => found,
+    }
+}
+
+/// Content of a track of a video.
+fn content<T>(found: Result<T, VideoError>) -> Option<Result<T, TelemetryError>> {
+    match found {
+        Ok(content) => Some(Ok(content)),
         Err(VideoError::TextTooLarge { path, limit }) => {
             let (size_mib, most_mib) = (limit >> 20, limit >> 20);
-            return Some(Err(TelemetryError::TooLarge { path, size_mib, most_mib }));
+            Some(Err(TelemetryError::TooLarge { path, size_mib, most_mib }))
         }
-        Err(VideoError::Playlist { path, format }) => return Some(Err(TelemetryError::Playlist { path, format })),
-        other => other.ok().filter(|entries| !entries.is_empty())?,
+        Err(VideoError::Playlist { path, format }) => Some(Err(TelemetryError::Playlist { path, format })),
+        Err(_) => None,
+    }
+}
+
+fn in_gpmf_track(video: &Path, track: Option<u32>) -> Option<Result<Log, TelemetryError>> {
+    let found = match content(video::gpmf(video, track))? {
+        Ok(found) => found?,
+        Err(error) => return Some(Err(error)),
+    };
+    let payloads: Vec<telemetry::Payload> = found
+        .payloads
+        .iter()
+        .map(|payload| telemetry::Payload { start_s: payload.start_s, end_s: payload.end_s, data: &payload.data })
+        .collect();
+    Some(telemetry::read_gpmf(&payloads, &found.settings, video, MemoryLimit::of_machine()))
+}
+
+fn in_text_track(video: &Path, track: Option<u32>) -> Option<Result<Log, TelemetryError>> {
+    let entries = match content(video::subtitles(video, track))? {
+        Ok(entries) if entries.is_empty() => return None,
+        Ok(entries) => entries,
+        Err(error) => return Some(Err(error)),
     };
     let numbered = (1..).zip(&entries);
     let subtitles: Vec<telemetry::Subtitle> = numbered
@@ -160,7 +205,7 @@ fn say(found: &Telemetry, outcome: &mut Outcome) {
     let whence = match origin {
         Origin::Named => "given",
         Origin::Beside => "found next to the video",
-        Origin::Inside => "text track of the video",
+        Origin::Inside => "in the video",
         Origin::Photographs => "EXIF positions of the photographs",
     };
     tracing::info!("telemetry: {} ({whence}), {} positions", path.display(), log.fixes.len());
@@ -214,6 +259,22 @@ mod tests {
     }
 
     #[test]
+    fn telemetry_inside_a_video_is_found() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("GX010042.MP4");
+        let write = |payloads: &[Vec<u8>]| {
+            fs::write(&path, video::made::with_telemetry(payloads, &telemetry::made::settings())).unwrap();
+        };
+        write(&[telemetry::made::max(0), telemetry::made::max(1)]);
+        let log = telemetry_of(&path, MemoryLimit::of_machine()).unwrap();
+        assert_eq!(log.fixes.iter().map(|fix| fix.video_s.unwrap()).collect::<Vec<_>>(), [0.0, 0.5, 1.0, 1.5]);
+        assert_eq!(log.lens.unwrap().camera.unwrap(), "HERO12 Black");
+        write(&[telemetry::made::hero(0, 0)]);
+        let refused = telemetry_of(&path, MemoryLimit::of_machine()).unwrap_err().to_string();
+        assert!(refused.contains("GX010042.MP4: GPMF without any position"), "{refused}");
+    }
+
+    #[test]
     fn a_playlist_is_refused_as_one() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("list.m3u8");
@@ -221,5 +282,9 @@ mod tests {
         assert!(matches!(telemetry::read(&path), Err(TelemetryError::Unknown { .. })));
         let found = telemetry_inside(&path, None);
         assert!(matches!(&found, Some(Err(TelemetryError::Playlist { format, .. })) if format == "hls"), "{found:?}");
+        let mut options = crate::pipeline::Options::default();
+        options.metric.telemetry = TelemetryChoice::File(path);
+        let refused = super::super::check(&options).unwrap_err();
+        assert!(refused.to_string().contains("playlist (hls)"), "{refused}");
     }
 }

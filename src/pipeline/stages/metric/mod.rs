@@ -6,17 +6,19 @@
 
 mod aligned;
 mod dates;
+mod ground_tracks;
 mod log;
 mod placed;
 mod sources;
 mod vehicles;
+mod vertical;
 
 use std::collections::BTreeMap;
 
 use nalgebra::Point3;
 use serde_json::{Value, json};
 
-use super::{background, scale};
+use super::{background, scale, track};
 use crate::math::median;
 use crate::math::rounding::{figure, percent, significant};
 use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
@@ -24,12 +26,13 @@ use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::{MetricOptions, Options, PipelineError, TelemetryChoice};
 use crate::scene::{
-    Metric, MetricFrame, MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, Topic, Trajectories,
+    GroundTrack, Metric, MetricFrame, MetricVerdict, ObjectId, ObjectTrajectory, Reconstruction, Topic, Trajectories,
 };
 use crate::telemetry;
 use aligned::Aligned;
+use ground_tracks::Scale;
 pub(in crate::pipeline) use log::beside as logs_beside;
-pub use log::telemetry_inside;
+pub use log::telemetry_of;
 use placed::Placing;
 use sources::Ground;
 pub(in crate::pipeline) use vehicles::Size;
@@ -57,7 +60,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
 /// [`PipelineError::Telemetry`] names the file and the cure.
 pub(in crate::pipeline) fn check(options: &Options) -> Result<(), PipelineError> {
     match &options.metric.telemetry {
-        TelemetryChoice::File(path) => Ok(telemetry::read_within(path, options.memory()).map(drop)?),
+        TelemetryChoice::File(path) => Ok(log::telemetry_of(path, options.memory()).map(drop)?),
         TelemetryChoice::Auto | TelemetryChoice::None => Ok(()),
     }
 }
@@ -67,18 +70,21 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     let (background, _) = background::background(run)?;
     let trajectories = scale::in_units(run)?;
     let sizes = scale::sizes(run)?;
+    let pose_covariances = scale::pose_covariances(run)?;
     let found = match background.is_empty() {
         true => MetricResult::unknown("no background"),
         false => find(run, &background, &trajectories, &sizes, &mut outcome)?,
     };
     describe(&found.metric, &mut outcome);
-    let mut objects = trajectories.objects;
+    let Trajectories { unit, mut objects, mut ground_tracks, .. } = trajectories;
+    let is_placed = !objects.is_empty() || !ground_tracks.is_empty();
     let nominal = match found.metric.frame {
-        None if !objects.is_empty() => Some(nominal_frame(&Ground::of(run, &background)?, &background, &objects)),
+        None if is_placed => Some(nominal_frame(&Ground::of(run, &background)?, &background, &objects, &ground_tracks)),
         _ => None,
     };
     if let Some(frame) = found.metric.frame.as_ref().or(nominal.as_ref()) {
-        let placing = Placing::new(&background, frame, found.map, run.info().time_base());
+        let movements = track::objects(run)?.into_iter().map(|object| (object.id, object.movement.state)).collect();
+        let placing = Placing::new(&background, frame, found.map, &pose_covariances, run.info().time_base(), movements);
         for trajectory in &mut objects {
             match &nominal {
                 Some(_) => placing.fill_units(trajectory),
@@ -88,8 +94,11 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
                 }
             }
         }
+        let scale = if nominal.is_some() { Scale::Nominal } else { Scale::Known };
+        ground_tracks = ground_tracks::fill(&placing, ground_tracks, scale, &mut outcome);
     }
-    let all = Trajectories { unit: trajectories.unit, metric: Some(found.metric), objects };
+    outcome.figure("num_ground_tracks", ground_tracks.len());
+    let all = Trajectories { unit, metric: Some(found.metric), objects, ground_tracks };
     // What was exported has the metres of before.
     run.workspace.remove(&run.workspace.exports())?;
     let path = run.workspace.trajectories();
@@ -127,8 +136,12 @@ fn find(
     sizes: &BTreeMap<ObjectId, Size>,
     outcome: &mut Outcome,
 ) -> Result<MetricResult, PipelineError> {
-    let ground = Ground::of(run, background)?;
+    let mut ground = Ground::of(run, background)?;
     let telemetry = log::find(run, outcome);
+    if let Some(telemetry) = &telemetry {
+        let vertical = vertical::vertical(run, &aligned::registered(background, run.frames()?), telemetry, outcome);
+        ground.take_vertical(vertical, outcome);
+    }
     let aligned = telemetry.as_ref().and_then(|telemetry| aligned::align(run, background, &ground, telemetry, outcome));
     let dates = dates::find(run, telemetry.as_ref(), aligned.as_ref());
     let mut sources: Vec<Source> = aligned.iter().map(Aligned::source).collect();
@@ -165,12 +178,20 @@ fn find(
 const NOMINAL_DISTANCE_M: f64 = 20.0;
 
 /// A frame of nominal scale, in which trajectories are smoothed where metres are unknown.
-fn nominal_frame(ground: &Ground, background: &Reconstruction, objects: &[ObjectTrajectory]) -> MetricFrame {
+fn nominal_frame(
+    ground: &Ground,
+    background: &Reconstruction,
+    objects: &[ObjectTrajectory],
+    ground_tracks: &[GroundTrack],
+) -> MetricFrame {
     let centers: BTreeMap<&str, Point3<f64>> =
         background.images.values().map(|image| (image.name.as_str(), image.cam_from_world.center())).collect();
-    let distance = |pose: &ObjectPose| Some((Point3::from(pose.position) - centers.get(pose.name.as_str())?).norm());
-    let poses = objects.iter().flat_map(|object| &object.poses);
-    let distances: Vec<f64> = poses.filter_map(distance).filter(|d| d.is_finite() && *d > 0.0).collect();
+    let distance = |(name, position): (&str, [f64; 3])| Some((Point3::from(position) - centers.get(name)?).norm());
+    let poses = objects.iter().flat_map(|object| &object.poses).map(|pose| (pose.name.as_str(), pose.position));
+    let contacts = ground_tracks.iter().filter(|_| objects.is_empty()).flat_map(|track| &track.positions);
+    let contacts = contacts.map(|at| (at.name.as_str(), at.position));
+    let distances: Vec<f64> =
+        poses.chain(contacts).filter_map(distance).filter(|d| d.is_finite() && *d > 0.0).collect();
     let fused = Fused {
         scale: median(distances).map_or(1.0, |distance| NOMINAL_DISTANCE_M / distance),
         std: 0.0,

@@ -2,23 +2,28 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::Point3;
+use nalgebra::{Matrix3, Point3};
 
-use crate::metric::{ObservedPoint, metric_pose, place_std_m};
+use crate::metric::{ObservedPoint, in_metres, metric_pose, place_std_m};
+use crate::pipeline::stages::scale::PoseCovariances;
 use crate::scene::{
-    Estimate, Image, MapPlace, MetricFrame, MetricPose, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Travel,
+    Estimate, Image, MapPlace, MetricFrame, MetricPose, Movement, ObjectId, ObjectPose, ObjectTrajectory,
+    Reconstruction, TimeBase, Travel,
 };
 use crate::telemetry::{Geodetic, LocalFrame};
-use crate::trajectory::{CommonStd, PositionMeasurement, Smoothed, headings, smooth};
+use crate::trajectory::{CommonStd, PositionError, PositionMeasurement, Smoothed, headings, smooth};
 
 /// All that places objects in metres.
 pub(super) struct Placing<'a> {
-    frame: &'a MetricFrame,
-    map: Option<LocalFrame>,
-    images: BTreeMap<&'a str, &'a Image>,
+    pub(super) frame: &'a MetricFrame,
+    pub(super) map: Option<LocalFrame>,
+    pub(super) images: BTreeMap<&'a str, &'a Image>,
     direction_std: f64,
+    poses: &'a PoseCovariances,
     /// Unit of the frames' times: only with seconds are there speeds.
-    times: TimeBase,
+    pub(super) times: TimeBase,
+    /// Motion states of the objects, where they are known.
+    movements: BTreeMap<ObjectId, Movement>,
 }
 
 /// Deviation of a ratio of which its method states none, as a share: what methods differ by where they work.
@@ -36,22 +41,24 @@ impl<'a> Placing<'a> {
         background: &'a Reconstruction,
         frame: &'a MetricFrame,
         map: Option<LocalFrame>,
+        poses: &'a PoseCovariances,
         times: TimeBase,
+        movements: BTreeMap<ObjectId, Movement>,
     ) -> Self {
         let images: BTreeMap<&str, &Image> =
             background.images.values().map(|image| (image.name.as_str(), image)).collect();
         let focal = background.images.values().next().map_or(1.0, |image| background.camera_of(image).mean_focal());
-        Self { frame, map, images, direction_std: PIXEL_STD / focal, times }
+        Self { frame, map, images, direction_std: PIXEL_STD / focal, poses, times, movements }
     }
 
     /// Fills in all metric values.
     pub(super) fn fill(&self, trajectory: &mut ObjectTrajectory) {
         let log_ratio_std = log_ratio_std(trajectory);
         for pose in &mut trajectory.poses {
-            pose.metric = self.metric(pose, log_ratio_std);
+            pose.metric = self.metric(trajectory.id, pose, log_ratio_std);
         }
         let Some(found) = self.smoothed(trajectory) else { return };
-        trajectory.travel = Some(self.travel(trajectory, &found));
+        trajectory.travel = Some(self.travel(span(&trajectory.poses, |pose| pose.time_s), &found));
         if self.times == TimeBase::Seconds {
             let placed = trajectory.poses.iter_mut().filter_map(|pose| pose.metric.as_mut());
             placed.zip(found.motions).for_each(|(metric, motion)| metric.motion = Some(motion));
@@ -61,32 +68,25 @@ impl<'a> Placing<'a> {
     /// Fills in the travel alone, in units, where metres are unknown and the frame's scale is a nominal one.
     pub(super) fn fill_units(&self, trajectory: &mut ObjectTrajectory) {
         let found = self.smoothed(trajectory);
-        trajectory.travel = found.map(|found| Travel {
-            path_m: None,
-            displacement_m: None,
-            mean_speed_m_s: None,
-            max_speed_m_s: None,
-            ..self.travel(trajectory, &found)
-        });
+        trajectory.travel =
+            found.map(|found| in_units(self.travel(span(&trajectory.poses, |pose| pose.time_s), &found)));
     }
 
     fn smoothed(&self, trajectory: &ObjectTrajectory) -> Option<Smoothed> {
         let common = CommonStd { ratio: log_ratio_std(trajectory), scale: self.frame.log_scale_std() };
-        smooth(&self.sightings(trajectory), &common)
+        let movement = self.movements.get(&trajectory.id).copied().unwrap_or(Movement::Undetermined);
+        smooth(&self.sightings(trajectory), &common, movement)
     }
 
-    fn travel(&self, trajectory: &ObjectTrajectory, found: &Smoothed) -> Travel {
+    /// * `seconds` – from the first frame to the last.
+    pub(super) fn travel(&self, seconds: f64, found: &Smoothed) -> Travel {
         let MetricFrame { scale, .. } = *self.frame;
         let in_units = |metres: Estimate| {
             let share = self.frame.log_scale_std() * metres.value;
             let std = (metres.std.powi(2) - share.powi(2)).max(0.0).sqrt();
             Estimate { std, ..metres }.scaled(scale.recip())
         };
-        let seconds = match (trajectory.poses.first(), trajectory.poses.last()) {
-            (Some(first), Some(last)) if self.times == TimeBase::Seconds => last.time_s - first.time_s,
-            _ => 0.0,
-        };
-        let is_timed = seconds > 0.0;
+        let is_timed = self.times == TimeBase::Seconds && seconds > 0.0;
         Travel {
             path_units: in_units(found.path_m),
             displacement_units: in_units(found.displacement_m),
@@ -97,27 +97,38 @@ impl<'a> Placing<'a> {
         }
     }
 
+    /// Seconds per unit of the frames' times.
+    pub(super) fn step_s(&self) -> f64 {
+        if self.times == TimeBase::Seconds { 1.0 } else { NOMINAL_STEP_S }
+    }
+
     /// Where the object is in metres, in the frames in which that is known.
     fn sightings(&self, trajectory: &ObjectTrajectory) -> Vec<PositionMeasurement> {
         let metric_from_world = self.frame.metric_from_world();
         let headings = headings(trajectory);
-        let step_s = if self.times == TimeBase::Seconds { 1.0 } else { NOMINAL_STEP_S };
         let sighting = |(k, pose): (usize, &ObjectPose)| {
             let center = self.images.get(pose.name.as_str())?.cam_from_world.center();
             Some(PositionMeasurement {
-                time_s: step_s * pose.time_s,
+                time_s: self.step_s() * pose.time_s,
                 position_m: (metric_from_world * Point3::from(pose.position)).coords,
                 camera_m: (metric_from_world * center).coords,
                 forward: headings.get(k).map(|heading| metric_from_world.rotation * heading.into_inner()),
+                error: PositionError::Model { pose: in_metres(self.frame, &self.pose_covariance(trajectory.id, pose)) },
             })
         };
         trajectory.poses.iter().enumerate().filter_map(sighting).collect()
     }
 
-    fn metric(&self, pose: &ObjectPose, log_ratio_std: f64) -> Option<MetricPose> {
+    /// Covariance of a pose in its frame, in the frame and unit of the background.
+    fn pose_covariance(&self, id: ObjectId, pose: &ObjectPose) -> Matrix3<f64> {
+        self.poses.get(&id).and_then(|of_frames| of_frames.get(&pose.frame)).copied().unwrap_or_default()
+    }
+
+    fn metric(&self, id: ObjectId, pose: &ObjectPose, log_ratio_std: f64) -> Option<MetricPose> {
         let center = self.images.get(pose.name.as_str())?.cam_from_world.center();
         let direction_std = self.direction_std;
-        let sighted = ObservedPoint { point: Point3::from(pose.position), center, log_ratio_std, direction_std };
+        let (point, pose_covariance) = (Point3::from(pose.position), self.pose_covariance(id, pose));
+        let sighted = ObservedPoint { point, center, log_ratio_std, direction_std, pose_covariance };
         let found = metric_pose(self.frame, &sighted);
         // Lengths that no number holds are no metres.
         let is_finite = found.position_m.iter().chain(&found.position_std_m).all(|value| value.is_finite());
@@ -129,6 +140,16 @@ impl<'a> Placing<'a> {
         let place_std_m = place_std_m(self.frame, sighted);
         MapPlace { longitude: longitude_deg, latitude: latitude_deg, height_m, place_std_m }
     }
+}
+
+/// Travel without what follows from meters.
+pub(super) fn in_units(travel: Travel) -> Travel {
+    Travel { path_m: None, displacement_m: None, mean_speed_m_s: None, max_speed_m_s: None, ..travel }
+}
+
+/// Time from the first to the last of some poses, seconds.
+pub(super) fn span<T>(poses: &[T], time_s: impl Fn(&T) -> f64) -> f64 {
+    poses.first().zip(poses.last()).map_or(0.0, |(first, last)| time_s(last) - time_s(first))
 }
 
 fn log_ratio_std(trajectory: &ObjectTrajectory) -> f64 {

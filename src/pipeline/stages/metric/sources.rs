@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 
-use super::super::ground;
+use super::super::{background, ground};
 use crate::ground::{CameraHeight, HeightFailure, camera_height};
 use crate::metric::{Kind, Level, Measured, Source};
 use crate::pipeline::driver::run::{Outcome, Run};
@@ -11,16 +11,22 @@ use crate::scene::{Reconstruction, Topic};
 
 /// The ground of the background, as far as metres need it.
 pub(super) struct Ground {
-    /// Up by the ground's normal, and its standard deviation as the vertical, radians.
+    /// Up by the ground's normal or a sensor, and its standard deviation as the vertical, radians.
     pub(super) normal: Option<(Vector3<f64>, f64)>,
     below: Result<CameraHeight, HeightFailure>,
     /// Height over the road of a camera fixed to a vehicle.
     mount: Option<Measured>,
+    /// Standard deviation of the focal length, as a share of it. One that is too long makes everything across the
+    /// direction of motion too small against the way along it, the height of the camera by the same share.
+    focal_std: f64,
 }
 
 /// Standard deviation of the slope of roads along their way, radians: half of the 4.5 to 8 % up to which guidelines let
 /// country roads rise (FGSV, *Richtlinien für die Anlage von Landstraßen*, 2012).
 const SLOPE_STD: f64 = 0.035;
+
+/// Verticals further from the ground's normal are those of another camera, or of a turned one, radians.
+pub(super) const MAX_TILT: f64 = 0.35;
 
 /// Standard deviation of a camera's tilt where no ground is visible, radians.
 const CAMERA_TILT_STD: f64 = 0.5;
@@ -30,7 +36,19 @@ impl Ground {
         let points = ground::ground(run)?.point_ids;
         let below = camera_height(background, &points, &run.options.ground, run.options.seed);
         let normal = below.as_ref().ok().map(|found| (found.up_in_world, SLOPE_STD.hypot(0.5 * found.tilt_spread)));
-        Ok(Self { normal, below, mount: mount(run) })
+        let focal_std = background::focal_deviation(run)?.unwrap_or(0.0);
+        Ok(Self { normal, below, mount: mount(run), focal_std })
+    }
+
+    /// Takes the vertical of a sensor instead of the ground's normal, unless the two contradict each other.
+    pub(super) fn take_vertical(&mut self, vertical: Option<(Vector3<f64>, f64)>, outcome: &mut Outcome) {
+        let Some((up_in_world, std)) = vertical else { return };
+        if self.normal.is_some_and(|(normal, _)| normal.angle(&up_in_world) > MAX_TILT) {
+            let text = "telemetry: the camera's gravity does not fit the ground; gravity ignored";
+            outcome.warn(Topic::CameraAttitudeIgnored.warning(text));
+            return;
+        }
+        self.normal = Some((up_in_world, std));
     }
 
     /// Height of the camera, units of the background.
@@ -39,7 +57,8 @@ impl Ground {
             let found = self.below.as_ref().map_err(ToString::to_string)?;
             Measured::new(found.mean, found.std).ok_or_else(|| "the height above the ground is undetermined".to_owned())
         };
-        self.mount.map_or_else(of_planes, Ok)
+        let height = self.mount.map_or_else(of_planes, Ok)?;
+        Ok(Measured { std: height.std.hypot(self.focal_std * height.value), ..height })
     }
 
     /// Climb of the camera, as a share of its height.

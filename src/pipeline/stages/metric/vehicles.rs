@@ -195,7 +195,7 @@ mod tests {
     fn doubtful_vehicles_are_asked_last() {
         let segment = |cars: Vec<(ObjectTrajectory, (ObjectId, Size))>| {
             let (objects, sizes): (Vec<_>, Vec<_>) = cars.into_iter().unzip();
-            let all = Trajectories { unit: Unit::Background, metric: None, objects };
+            let all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks: Vec::new() };
             alike(&all, &sizes.into_iter().collect()).source
         };
         let (good, doubtful) = (|| car(1, 1.0, Trust::Fair), || car(2, 1.5, Trust::Doubtful));

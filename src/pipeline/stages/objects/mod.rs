@@ -189,7 +189,7 @@ fn one_object(
             let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
             let silhouettes = table.has_gaps().then(|| silhouettes(run, object, tracked)).transpose()?;
-            let cameras = [(camera, mapper::Intrinsics::Fixed)];
+            let cameras = [(camera, mapper::Intrinsics::FIXED)];
             let poses = place.footing.poses(id, &table, &camera, options.weak_perspective_px);
             let beside = Priors { silhouettes: silhouettes.as_ref(), poses: poses.as_ref() };
             background::reconstruct(run, table, &cameras, &options, beside, watch)?

@@ -6,7 +6,7 @@ mod detected;
 mod end_motion;
 mod given;
 mod merged;
-mod movement;
+pub(in crate::pipeline) mod movement;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -69,7 +69,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     run.workspace.put_file(&run.workspace.tracked(), |fresh| crate::io::tracks::write(fresh, &objects))?;
     outcome.figure("num_objects", objects.len());
     outcome.figure("num_moving", objects.iter().filter(|object| object.movement.state == Movement::Moving).count());
-    outcome.outputs.extend([run.workspace.tracks(), run.workspace.tracked()]);
+    outcome.outputs.extend([run.workspace.tracks(), run.workspace.tracked(), movement::path(run)]);
     Ok(outcome)
 }
 

@@ -1,9 +1,11 @@
 //! Which of the tracked objects moved: the points of the stage `motion` that lie on their masks say it.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use crate::motion::{ContactDepth, Judgement, MovementReason, PointOnObject, StaticPoint, judge};
+use serde::{Deserialize, Serialize};
+
+use crate::motion::{ContactDepth, Judgement, MovementReason, PointOnObject, StaticPoint, judge_pieces};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::motion::{self, Points, World};
@@ -13,6 +15,31 @@ use crate::tracking::MaskEvidence;
 /// Finding where nothing was examined.
 pub(super) fn unknown() -> MovementFinding {
     MovementFinding { state: Movement::Undetermined, reason: "unordered images show no motion".to_owned() }
+}
+
+/// Movement finding of an object by its points, before there is a reconstruction.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(in crate::pipeline) struct PointFinding {
+    /// The finding.
+    pub(in crate::pipeline) finding: MovementFinding,
+    /// Its evidence; `None` where no points were examined.
+    pub(in crate::pipeline) reason: Option<MovementReason>,
+}
+
+/// Findings by points of all objects.
+pub(in crate::pipeline) type PointFindings = BTreeMap<ObjectId, PointFinding>;
+
+/// The findings as the stage keeps them.
+const FINDINGS: &str = "track-movement.json";
+
+/// Path of the findings.
+pub(super) fn path(run: &Run) -> PathBuf {
+    run.workspace.state(FINDINGS)
+}
+
+/// The findings by points; the stage `track` must be done.
+pub(in crate::pipeline) fn by_points(run: &Run) -> Result<PointFindings, PipelineError> {
+    run.workspace.read_state(FINDINGS)
 }
 
 /// Says of every object whether it moved; its masks lie in `folder`, which is still in the making. Gives what its masks
@@ -27,26 +54,30 @@ pub(super) fn find(
     let on = if points.frames.is_empty() { BTreeMap::new() } else { on_objects(run, folder, objects, &points)? };
     let second = frames_per_second(run.frames()?);
     let none = OnObject::default();
-    let mut sighted = BTreeMap::new();
+    let (mut sighted, mut findings) = (BTreeMap::new(), PointFindings::new());
     for object in objects {
         let on_it = on.get(&object.id).unwrap_or(&none);
-        let tracks: Vec<_> = on_it
-            .counts
-            .iter()
-            .map(|(&track, &count)| {
-                let foot = on_it.feet.get(&track).copied();
-                let (track, label) = (&points.tracks[track], &points.labels[track]);
-                PointOnObject { track, label, inside: count as f64 / track.pixels.len().max(1) as f64, foot }
-            })
-            .collect();
-        let judged = judge(&tracks, second);
-        if !points.frames.is_empty() {
+        let mut pieces = vec![Vec::new(); object.gaps.len() + 1];
+        for (&track, &count) in &on_it.counts {
+            let foot = on_it.feet.get(&track).copied();
+            let (track, label) = (&points.tracks[track], &points.labels[track]);
+            let first = points.frames.get(track.first as usize);
+            let piece = object.gaps.iter().filter(|gap| first.is_some_and(|first| *first >= gap.first)).count();
+            let inside = count as f64 / track.pixels.len().max(1) as f64;
+            pieces[piece].push(PointOnObject { track, label, inside, foot });
+        }
+        let judged = judge_pieces(&pieces, second);
+        let is_examined = !points.frames.is_empty();
+        if is_examined {
             object.movement = finding(object, &judged);
         }
+        let reason = is_examined.then_some(judged.reason);
+        findings.insert(object.id, PointFinding { finding: object.movement.clone(), reason });
         let (num_frames, movement) = (object.frames.len(), object.movement.state);
         let (mean_share, is_flat) = (on_it.mean_share(size), judged.is_flat);
         sighted.insert(object.id, MaskEvidence { num_frames, mean_share, movement, is_flat });
     }
+    run.workspace.write_state(FINDINGS, &findings)?;
     Ok(sighted)
 }
 

@@ -1,0 +1,111 @@
+//! Share of the intrinsics in the uncertainty of camera centers.
+//!
+//! Intrinsics θ that are off move all centers together, by J δθ with J = Cov(c, θ) Cov(θ)⁻¹ in the adjustment that has
+//! both free (eq. 16). A similarity of the whole path is no error of it, so that the least-squares similarity is
+//! subtracted from every column of J: with P the projector that does this, the share of a center is P J Σ_θ Jᵀ Pᵀ.
+
+use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
+
+use super::camera_sums::CAMERA_DIM;
+use super::covariance::System;
+use super::layout::{IntrinsicsUse, Layout, NONE, POSE_DIM};
+use super::levenberg_marquardt::with_threads;
+use super::options::Options;
+use super::problem::{BundleError, Problem};
+
+/// Covariances of the centers of all poses by the intrinsics that are free in a problem, with Σ_θ = Cov(θ); zero for
+/// poses that nothing moves.
+///
+/// # Errors
+/// As [`super::covariances`].
+pub(super) fn intrinsics_share(problem: &Problem, options: &Options) -> Result<Vec<Matrix3<f64>>, BundleError> {
+    with_threads(options.threads, |parallel| {
+        let layout = Layout::new(problem, options, parallel);
+        match layout.largest_block() {
+            ..=6 => System::<6>::new(problem, options, &layout, parallel)?.intrinsics_share(),
+            7..=9 => System::<9>::new(problem, options, &layout, parallel)?.intrinsics_share(),
+            _ => System::<12>::new(problem, options, &layout, parallel)?.intrinsics_share(),
+        }
+    })?
+}
+
+impl<const D: usize> System<'_, D> {
+    fn intrinsics_share(mut self) -> Result<Vec<Matrix3<f64>>, BundleError> {
+        let places = self.places_of_intrinsics();
+        let (size, count) = (self.reduced.size(), places.len());
+        let mut columns = vec![0.0; size * count];
+        for (k, place) in places.iter().enumerate() {
+            columns[k * size + place] = 1.0;
+        }
+        self.solver.solve_columns(&mut columns);
+        let own = DMatrix::from_fn(count, count, |r, c| {
+            0.5 * (columns[c * size + places[r]] + columns[r * size + places[c]])
+        });
+        let information = own.cholesky().ok_or(BundleError::Singular { pivot: size - count })?.inverse();
+        let mut moved: Vec<Vec<Vector3<f64>>> =
+            (0..count).map(|k| self.moved_centers(&columns[k * size..(k + 1) * size])).collect();
+        let centers: Vec<Point3<f64>> = self.problem.poses.iter().map(|pose| pose.cam_from_world.center()).collect();
+        moved.iter_mut().for_each(|column| subtract_similarity(&centers, column));
+        let of_pose = |pose: usize| {
+            let by = |r: usize, c: usize| moved[r][pose] * moved[c][pose].transpose() * information[(r, c)];
+            (0..count).flat_map(|r| (0..count).map(move |c| (r, c))).map(|(r, c)| by(r, c)).sum()
+        };
+        Ok((0..centers.len()).map(of_pose).collect())
+    }
+
+    /// Rows of all free intrinsics in the reduced system.
+    fn places_of_intrinsics(&self) -> Vec<usize> {
+        let layout = self.layout;
+        let first = |camera: usize| match layout.intrinsics_use[camera] {
+            IntrinsicsUse::Fixed => None,
+            IntrinsicsUse::Shared(place) => Some(layout.num_blocks() * D + place as usize * CAMERA_DIM),
+            IntrinsicsUse::Fused => {
+                let used = |pose: &u32| self.problem.poses[*pose as usize].camera == camera;
+                Some(layout.pose_of_block.iter().position(used)? * D + POSE_DIM)
+            }
+        };
+        let rows = |camera: usize| first(camera).map(|first| first..first + layout.columns[camera].len);
+        (0..layout.intrinsics_use.len()).filter_map(rows).flatten().collect()
+    }
+
+    /// By pose: the step of its center c' = c − Rᵀ v for a step of the reduced system.
+    fn moved_centers(&self, step: &[f64]) -> Vec<Vector3<f64>> {
+        let moved = |(pose, block): (&super::PoseBlock, &u32)| {
+            if *block == NONE {
+                return Vector3::zeros();
+            }
+            let block = *block as usize;
+            let mask = &self.layout.pose_mask[block];
+            let v = Vector3::from_fn(|k, _| if mask[3 + k] { step[block * D + 3 + k] } else { 0.0 });
+            -(pose.cam_from_world.rotation.inverse() * v)
+        };
+        self.problem.poses.iter().zip(&self.layout.block_of_pose).map(moved).collect()
+    }
+}
+
+/// Subtracts the infinitesimal similarity that explains most of some steps of centers.
+fn subtract_similarity(centers: &[Point3<f64>], steps: &mut [Vector3<f64>]) {
+    let count = centers.len().max(1) as f64;
+    let middle = centers.iter().map(|center| center.coords).sum::<Vector3<f64>>() / count;
+    let mean = steps.iter().sum::<Vector3<f64>>() / count;
+    let arm = |k: usize| centers[k].coords - middle;
+    // Rotation vector and change of scale: d = ω × a + s a.
+    let basis = |a: Vector3<f64>| [Vector3::x().cross(&a), Vector3::y().cross(&a), Vector3::z().cross(&a), a];
+    let (mut normal, mut right) = (DMatrix::<f64>::zeros(4, 4), DMatrix::<f64>::zeros(4, 1));
+    for (k, step) in steps.iter_mut().enumerate() {
+        *step -= mean;
+        let basis = basis(arm(k));
+        for r in 0..4 {
+            right[(r, 0)] += basis[r].dot(step);
+            (0..4).for_each(|c| normal[(r, c)] += basis[r].dot(&basis[c]));
+        }
+    }
+    // A straight path leaves the turn about itself open: the pseudoinverse takes none.
+    let tolerance = 1e-9 * normal.trace();
+    let Ok(inverse) = normal.pseudo_inverse(tolerance) else { return };
+    let found = inverse * right;
+    for (k, step) in steps.iter_mut().enumerate() {
+        let basis = basis(arm(k));
+        *step -= (0..4).map(|r| basis[r] * found[(r, 0)]).sum::<Vector3<f64>>();
+    }
+}

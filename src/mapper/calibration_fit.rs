@@ -1,0 +1,142 @@
+//! Agreement of a calibration with a model: residuals with the calibration held and with it adjusted.
+//!
+//! A calibration that is off by a percent bends a map at residuals that are hardly larger than before, so that the
+//! residuals alone do not show it. With C_held and C_adjusted, ½ Σ ρ at the two minima (the latter with the prior), and
+//! observations that err together ([`COMMON_ERROR_FACTOR`] F), the gain
+//!
+//! ```text
+//! 2 (C_held − C_adjusted) / (F σ)²
+//! ```
+//!
+//! is at most χ² with as many degrees of freedom as there are intrinsics, if the calibration is right.
+
+use std::collections::BTreeMap;
+
+use super::focal_changes::{longest_tracks, noise, options};
+use super::{Intrinsics, intrinsics_prior};
+use crate::bundle::{
+    self, BundleError, COMMON_ERROR_FACTOR, CameraBlock, Observation, PointBlock, PoseBlock, Problem, Wanted,
+};
+use crate::camera::Camera;
+use crate::scene::{CameraId, Image, ImageId, Reconstruction};
+
+/// Views that are adjusted at most: those in the middle.
+const MOST_VIEWS: usize = 200;
+/// Fewer views show nothing.
+const LEAST_VIEWS: usize = 3;
+/// Three standard deviations of five intrinsics: the gain that chance exceeds in 0.27 % of the cases.
+const SIGNIFICANT: f64 = 18.2;
+
+/// Result of comparing a calibration with a model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CalibrationFit {
+    /// Mean reprojection error with the calibration held, pixels.
+    pub given_px: f64,
+    /// Mean reprojection error with the calibration adjusted, pixels.
+    pub adjusted_px: f64,
+    /// Gain of the adjustment, χ²; see the module.
+    pub gain: f64,
+    /// The adjusted camera.
+    pub adjusted: Camera,
+    /// Standard deviation of its focal length as a share of it.
+    pub focal_std: f64,
+}
+
+impl CalibrationFit {
+    /// Returns true if the calibration does not fit.
+    pub fn is_bad(&self) -> bool {
+        self.gain > SIGNIFICANT
+    }
+}
+
+/// Compares the calibration of a camera with a model; `None` where too little of the model is of this camera.
+///
+/// * `given` – the calibration.
+/// * `known` – its standard deviations.
+///
+/// # Errors
+/// Those of [`bundle::adjust`].
+pub fn calibration_fit(
+    model: &Reconstruction,
+    id: CameraId,
+    given: &Camera,
+    known: Intrinsics,
+) -> Result<Option<CalibrationFit>, BundleError> {
+    let Some(here) = model.cameras.get(&id).filter(|_| model.can_project(id)) else { return Ok(None) };
+    let problem = sample(model, id, here);
+    if problem.poses.len() < LEAST_VIEWS || problem.points.is_empty() {
+        return Ok(None);
+    }
+    let adjusted = |block: CameraBlock, known: Option<Intrinsics>, sigma_px: f64| {
+        let mut problem = problem.clone();
+        let prior =
+            known.map(|known| intrinsics_prior::about(given, known, &block.camera, COMMON_ERROR_FACTOR * sigma_px));
+        problem.cameras = vec![block];
+        problem.priors.intrinsics.extend(prior);
+        let cost = bundle::adjust(&mut problem, &options(sigma_px))?.final_cost;
+        Ok::<_, BundleError>((problem, cost))
+    };
+    let free = CameraBlock { camera: *here, free: known.may_change(), tie_focal: true };
+    let (rough, _) = adjusted(free, Some(known), noise(&problem))?;
+    let sigma_px = noise(&rough);
+    let (freed, freed_cost) = adjusted(CameraBlock { camera: rough.cameras[0].camera, ..free }, Some(known), sigma_px)?;
+    let (held, held_cost) = adjusted(CameraBlock::fixed(*given), None, sigma_px)?;
+    let unit_px = COMMON_ERROR_FACTOR * sigma_px;
+    Ok(Some(CalibrationFit {
+        given_px: mean_error_px(&held),
+        adjusted_px: mean_error_px(&freed),
+        gain: 2.0 * (held_cost - freed_cost) / unit_px.powi(2),
+        adjusted: freed.cameras[0].camera,
+        focal_std: focal_std(&freed, sigma_px).map_or(known.focal, |std| unit_px * std),
+    }))
+}
+
+/// Standard deviation of the focal length as a share of it, with the prior, if observations have one of one pixel.
+fn focal_std(problem: &Problem, sigma_px: f64) -> Option<f64> {
+    let wanted = Wanted { cameras: vec![0], ..Wanted::default() };
+    let found = bundle::covariances(problem, &options(sigma_px), &wanted).ok()?;
+    Some(found.cameras.first()?[(0, 0)].sqrt() / problem.cameras[0].camera.focal[0]).filter(|std| std.is_finite())
+}
+
+/// The longest tracks in the middle views of a camera.
+fn sample(model: &Reconstruction, id: CameraId, camera: &Camera) -> Problem {
+    let all: Vec<(ImageId, &Image)> =
+        model.images.iter().filter(|(_, image)| image.camera == id).map(|(id, image)| (*id, image)).collect();
+    let first = all.len().saturating_sub(MOST_VIEWS) / 2;
+    let views = &all[first..all.len().min(first + MOST_VIEWS)];
+    let view_of: BTreeMap<ImageId, u32> = views.iter().map(|(id, _)| *id).zip(0..).collect();
+    let pose =
+        |(_, image): &(ImageId, &Image)| PoseBlock { cam_from_world: image.cam_from_world, camera: 0, fixed: false };
+    let mut problem = Problem {
+        cameras: vec![CameraBlock::fixed(*camera)],
+        poses: views.iter().map(pose).collect(),
+        ..Problem::default()
+    };
+    for id in longest_tracks(model, camera, views.iter().map(|(_, image)| *image)) {
+        let Some(point) = model.points.get(&id) else { continue };
+        let index = problem.points.len() as u32;
+        let seen = point.track.iter().filter_map(|element| {
+            let view = *view_of.get(&element.image)?;
+            let pixel = views[view as usize].1.observations.get(element.observation_idx as usize)?.pixel;
+            Some(Observation::new(view, index, pixel))
+        });
+        let before = problem.observations.len();
+        problem.observations.extend(seen);
+        match problem.observations.len() - before {
+            0 | 1 => problem.observations.truncate(before),
+            _ => problem.points.push(PointBlock { position: point.position, fixed: false }),
+        }
+    }
+    problem
+}
+
+fn mean_error_px(problem: &Problem) -> f64 {
+    let error = |o: &Observation| {
+        let pose = &problem.poses[o.pose as usize];
+        let point_in_cam = pose.cam_from_world * problem.points[o.point as usize].position;
+        let pixel = problem.cameras[pose.camera].camera.pixel_from_cam(point_in_cam)?;
+        Some((pixel - o.pixel).norm())
+    };
+    let errors: Vec<f64> = problem.observations.iter().filter_map(error).collect();
+    errors.iter().sum::<f64>() / errors.len().max(1) as f64
+}

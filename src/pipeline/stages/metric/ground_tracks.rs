@@ -1,0 +1,211 @@
+//! Ground tracks in metres and on the map, with the verdict on each.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use super::placed::{Placing, in_units, span};
+use crate::math::rounding::percent;
+use crate::math::{median, quantile};
+use crate::metric::{ObservedContact, contact_place_std_m, contact_pose};
+use crate::pipeline::driver::run::Outcome;
+use crate::scene::{
+    Estimate, GroundPosition, GroundTrack, GroundTrackTrust, GroundTrackVerdict, MapPlace, MetricPose, Motion,
+    Movement, TimeBase, Topic,
+};
+use crate::telemetry::Geodetic;
+use crate::trajectory::{CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
+
+/// Standard deviation of the distance up to which a track is usable, as a share: that of a scale ratio beyond which a
+/// trajectory is doubtful.
+const USABLE: f64 = 0.1;
+/// Deviation from the smooth path, in standard deviations of the positions, that a tenth of them may exceed: a
+/// twentieth of normal ones is beyond two.
+const CONSISTENT: f64 = 3.0;
+/// The same of normal errors, beyond which their standard deviations are taken to be too small by as much.
+const NORMAL: f64 = 1.64;
+/// Mean score of the detector from which an inconsistent track may be a vehicle: the one from which its word holds
+/// however seldom it comes. A sign over the road is no vehicle, and moves over the ground as the camera does.
+const SURE: f64 = 0.5;
+/// Apparent sizes of vehicles, metres: the larger side at least as a motorcycle from behind is high, at most as a truck
+/// with its trailer is long; the smaller side at most as a truck is high.
+const LARGER_M: [f64; 2] = [1.0, 25.0];
+const SMALLER_M: f64 = 5.0;
+/// Standard deviations by which a size must be outside.
+const OUTSIDE: f64 = 2.0;
+
+/// Meaning of the metric frame.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Scale {
+    /// Metres are known.
+    Known,
+    /// The frame has a nominal scale.
+    Nominal,
+}
+
+/// Fills in what follows from the frame. Tracks of things that are no vehicles by their size are dropped.
+pub(super) fn fill(
+    placing: &Placing,
+    tracks: Vec<GroundTrack>,
+    scale: Scale,
+    outcome: &mut Outcome,
+) -> Vec<GroundTrack> {
+    let mut kept = Vec::new();
+    for mut track in tracks {
+        placing.fill_ground(&mut track, scale);
+        match track.apparent_size_m.as_ref().and_then(impossible_size).or_else(|| off_the_ground(&track)) {
+            None => kept.push(track),
+            Some(problem) => {
+                let text = format!("object {}: no ground track: {problem}; probably not a vehicle", track.id);
+                outcome.warn(Topic::VehicleSkipped.warning(text));
+            }
+        }
+    }
+    kept
+}
+
+/// Problem of an apparent size.
+fn impossible_size([width, height]: &[Estimate; 2]) -> Option<String> {
+    let (larger, smaller) = if width.value > height.value { (width, height) } else { (height, width) };
+    let is_below = |size: &Estimate, limit: f64| size.value + OUTSIDE * size.std < limit;
+    let is_above = |size: &Estimate, limit: f64| size.value - OUTSIDE * size.std > limit;
+    let is_odd = is_below(larger, LARGER_M[0]) || is_above(larger, LARGER_M[1]) || is_above(smaller, SMALLER_M);
+    is_odd.then(|| format!("apparent size {:.1} × {:.1} m", width.value, height.value))
+}
+
+/// Problem of a track that neither its path nor its detections support.
+fn off_the_ground(track: &GroundTrack) -> Option<String> {
+    let verdict = track.verdict.as_ref().filter(|verdict| verdict.state == GroundTrackTrust::Inconsistent)?;
+    (track.confidence < SURE).then(|| format!("{}, and the detector score is {:.2}", verdict.says, track.confidence))
+}
+
+impl Placing<'_> {
+    /// Fills in what follows from the frame, and enlarges the errors where the positions contradict them.
+    fn fill_ground(&self, track: &mut GroundTrack, scale: Scale) {
+        let common = CommonStd { ratio: 0.0, scale: self.frame.log_scale_std() };
+        let measured = self.contacts(track);
+        let worst = smooth(&measured, &common, Movement::Undetermined).map(|found| worst_deviation(&measured, &found));
+        let factor = worst.map_or(1.0, |worst| worst / NORMAL).max(1.0);
+        track.positions.iter_mut().for_each(|position| position.error = position.error.scaled(factor));
+        let shares: Vec<f64> = track.positions.iter().filter_map(|position| self.distance_std(position)).collect();
+        let distance_std = median(shares).unwrap_or(f64::MAX);
+        if scale == Scale::Known {
+            let log_std = distance_std.hypot(self.frame.log_scale_std());
+            let size = |units: f64| Estimate { value: units, std: log_std * units }.scaled(self.frame.scale);
+            track.apparent_size_m = Some(track.apparent_size.map(size));
+            for position in &mut track.positions {
+                position.metric = self.contact_metric(position);
+            }
+        }
+        let measured = self.contacts(track);
+        let found = smooth(&measured, &common, Movement::Undetermined);
+        track.verdict = Some(verdict(distance_std, worst));
+        let Some(found) = found else { return };
+        let travel = self.travel(span(&track.positions, |position| position.time_s), &found);
+        track.travel = Some(if scale == Scale::Known { travel } else { in_units(travel) });
+        if self.times == TimeBase::Seconds {
+            let placed = track.positions.iter_mut().filter_map(|position| position.metric.as_mut());
+            placed.zip(found.motions).for_each(|(metric, motion)| metric.motion = Some(motion));
+        }
+    }
+
+    fn observed(&self, position: &GroundPosition) -> Option<ObservedContact> {
+        let center = self.images.get(position.name.as_str())?.cam_from_world.center();
+        Some(ObservedContact {
+            point: Point3::from(position.position),
+            center,
+            covariance: position.error.covariance(),
+        })
+    }
+
+    /// Standard deviation of the distance as a share of it, without that of metres per unit.
+    fn distance_std(&self, position: &GroundPosition) -> Option<f64> {
+        let ObservedContact { point, center, covariance } = self.observed(position)?;
+        let along = (point - center).try_normalize(0.0)?;
+        Some(along.dot(&(covariance * along)).max(0.0).sqrt() / (point - center).norm())
+    }
+
+    fn contact_metric(&self, position: &GroundPosition) -> Option<MetricPose> {
+        let observed = self.observed(position)?;
+        let found = contact_pose(self.frame, &observed);
+        let place = self.map.map(|map| {
+            let Geodetic { longitude_deg, latitude_deg, height_m } = map.to_geodetic(Point3::from(found.position_m));
+            let place_std_m = contact_place_std_m(self.frame, &observed);
+            MapPlace { longitude: longitude_deg, latitude: latitude_deg, height_m, place_std_m }
+        });
+        let is_finite = found.position_m.iter().chain(&found.position_std_m).all(|value| value.is_finite());
+        is_finite.then_some(MetricPose { place, ..found })
+    }
+
+    fn contacts(&self, track: &GroundTrack) -> Vec<PositionMeasurement> {
+        let metric_from_world = self.frame.metric_from_world();
+        let contact = |position: &GroundPosition| {
+            let ObservedContact { point, center, .. } = self.observed(position)?;
+            Some(PositionMeasurement {
+                time_s: self.step_s() * position.time_s,
+                position_m: (metric_from_world * point).coords,
+                camera_m: (metric_from_world * center).coords,
+                forward: None,
+                error: PositionError::Contact(position.error.transformed(&metric_from_world)),
+            })
+        };
+        track.positions.iter().filter_map(contact).collect()
+    }
+}
+
+/// Deviation of the positions from the smooth path, in their standard deviations, that a tenth of them exceeds.
+fn worst_deviation(measured: &[PositionMeasurement], found: &Smoothed) -> f64 {
+    let off = |(seen, motion): (&PositionMeasurement, &Motion)| {
+        let PositionError::Contact(error) = seen.error else { return 0.0 };
+        let drift = Vector3::from(error.drift);
+        let covariance: Matrix3<f64> = error.noise() + drift * drift.transpose();
+        let residual = seen.position_m - Vector3::from(motion.smoothed_position_m);
+        let along = residual.try_normalize(0.0).unwrap_or_default();
+        let std = along.dot(&(covariance * along)).max(0.0).sqrt();
+        if std > 0.0 { residual.norm() / std } else { 0.0 }
+    };
+    let mut all: Vec<f64> = measured.iter().zip(&found.motions).map(off).collect();
+    quantile(&mut all, 0.9).unwrap_or_default()
+}
+
+/// The verdict on a track, by its distances and the deviation from its smooth path; `None` without such a path.
+fn verdict(distance_std: f64, worst: Option<f64>) -> GroundTrackVerdict {
+    let (state, says) = match worst {
+        None => (GroundTrackTrust::Inconsistent, "too few positions for a smooth path".to_owned()),
+        Some(worst) if worst > CONSISTENT => (
+            GroundTrackTrust::Inconsistent,
+            format!(
+                "a tenth of the positions deviate from a smooth path by {worst:.1} standard deviations, which are \
+                 enlarged accordingly"
+            ),
+        ),
+        Some(_) => {
+            let state = if distance_std <= USABLE { GroundTrackTrust::Usable } else { GroundTrackTrust::Coarse };
+            (state, format!("distance to the camera ±{} (1σ)", percent(distance_std)))
+        }
+    };
+    GroundTrackVerdict { state, distance_std, says }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_of_no_vehicle_are_impossible() {
+        let size = |width: f64, height: f64| [width, height].map(|value| Estimate { value, std: 0.1 * value });
+        for vehicle in [size(1.8, 1.4), size(4.5, 1.5), size(0.7, 1.6), size(16.0, 3.8), size(0.9, 0.6)] {
+            assert_eq!(impossible_size(&vehicle), None, "{vehicle:?}");
+        }
+        for other in [size(0.3, 0.2), size(40.0, 3.0), size(12.0, 9.0)] {
+            assert!(impossible_size(&other).unwrap().starts_with("apparent size"), "{other:?}");
+        }
+    }
+
+    #[test]
+    fn verdicts_are_by_distance_and_smooth_path() {
+        let state = |distance_std, worst| verdict(distance_std, worst).state;
+        assert_eq!(state(0.04, Some(1.5)), GroundTrackTrust::Usable);
+        assert_eq!(state(0.2, Some(1.5)), GroundTrackTrust::Coarse);
+        assert_eq!(state(0.04, Some(5.0)), GroundTrackTrust::Inconsistent);
+        assert_eq!(state(0.04, None), GroundTrackTrust::Inconsistent);
+    }
+}

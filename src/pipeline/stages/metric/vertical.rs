@@ -1,0 +1,82 @@
+//! The vertical from a camera's own sensors, and how its rotations agree with the reconstruction.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::log::Telemetry;
+use crate::metric;
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::scene::{Frame, Image, Topic};
+use crate::telemetry::CameraSample;
+
+/// Standard deviation of the gravity that a camera states, radians (a degree): as that of a gimbal's pitch and roll.
+const GRAVITY_STD: f64 = 0.017;
+
+/// Gravity that turns by more than this against the camera is not that of this camera, radians.
+const MAX_SPREAD: f64 = 0.1;
+
+/// Samples are one per frame; older ones are those of another frame, seconds.
+const MAX_AGE_S: f64 = 0.1;
+
+/// Up in the world's axes by the samples nearest in time to each frame, and its standard deviation, radians.
+pub(super) fn vertical(
+    run: &Run,
+    seen: &[(&Frame, &Image)],
+    telemetry: &Telemetry,
+    outcome: &mut Outcome,
+) -> Option<(Vector3<f64>, f64)> {
+    let pairs = pairs(run, seen, telemetry);
+    describe_rotations(&pairs, outcome);
+    let down = |(sample, upright, image): &(CameraSample, UnitQuaternion<f64>, &Image)| {
+        Some(image.cam_from_world.rotation.inverse() * (upright * sample.down_in_image?))
+    };
+    let downs: Vec<Vector3<f64>> = pairs.iter().filter_map(down).collect();
+    let mean = downs.iter().sum::<Vector3<f64>>().try_normalize(f64::EPSILON)?;
+    let squares: f64 = downs.iter().map(|down| down.angle(&mean).powi(2)).sum();
+    let spread = (squares / downs.len() as f64).sqrt();
+    outcome.figure("gravity", serde_json::json!({ "num": downs.len(), "spread_deg": spread.to_degrees() }));
+    if spread > MAX_SPREAD {
+        let text = format!(
+            "telemetry: the camera's gravity turns by {:.1}° against its images; gravity ignored",
+            spread.to_degrees()
+        );
+        outcome.warn(Topic::CameraAttitudeIgnored.warning(text));
+        return None;
+    }
+    // Errors of the sensor's orientation last as long as a recording: they do not average out.
+    Some((-mean, GRAVITY_STD.max(spread)))
+}
+
+/// Samples with the rotation that makes the stored image upright, and the image at their time.
+fn pairs<'a>(
+    run: &Run,
+    seen: &[(&'a Frame, &'a Image)],
+    telemetry: &Telemetry,
+) -> Vec<(CameraSample, UnitQuaternion<f64>, &'a Image)> {
+    let samples = &telemetry.log.camera;
+    let clockwise = f64::from(run.info().rotation_deg).to_radians();
+    let upright = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), clockwise);
+    let offset_s = run.options.metric.time_offset.map_or(0.0, |offset| offset.mean_s);
+    let nearest = |(frame, image): &(&Frame, &'a Image)| {
+        let time_s = frame.time_s + offset_s;
+        let after = samples.partition_point(|sample| sample.video_s < time_s);
+        let near = [after.saturating_sub(1), after].map(|at| samples.get(at));
+        let age_s = |sample: &&CameraSample| (sample.video_s - time_s).abs();
+        let sample = near.into_iter().flatten().min_by(|a, b| age_s(a).total_cmp(&age_s(b)))?;
+        (age_s(&sample) <= MAX_AGE_S).then_some((*sample, upright, *image))
+    };
+    seen.iter().filter_map(nearest).collect()
+}
+
+/// States by how much the camera's own rotations differ from those of the reconstruction.
+fn describe_rotations(pairs: &[(CameraSample, UnitQuaternion<f64>, &Image)], outcome: &mut Outcome) {
+    let rotation = |(sample, upright, image): &(CameraSample, UnitQuaternion<f64>, &Image)| {
+        Some(((upright * sample.image_from_start?).inverse(), image.cam_from_world.rotation))
+    };
+    let rotations: Vec<_> = pairs.iter().filter_map(rotation).collect();
+    let Some(found) = metric::orientation(&rotations) else { return };
+    let angle = |(start, world): &(UnitQuaternion<f64>, UnitQuaternion<f64>)| {
+        (start * world).angle_to(&found.metric_from_world).powi(2)
+    };
+    let rms = (rotations.iter().map(angle).sum::<f64>() / rotations.len() as f64).sqrt();
+    outcome.figure("rotations", serde_json::json!({ "num": rotations.len(), "residual_deg": rms.to_degrees() }));
+}

@@ -1,0 +1,121 @@
+//! Motion state of a vehicle by its points and its trajectory together.
+//!
+//! Points that leave their epipolar lines show motion by themselves. A vehicle that moves along the camera's path
+//! leaves no such trace: only its scale, and so the ground, tells it from a stationary one. The trajectory knows the
+//! scale better than points that are followed for a second or two ([`RelativeMotion`]).
+
+use crate::math::rounding::with_std;
+use crate::motion::{CLEAR_ODDS, MovementReason};
+use crate::pipeline::stages::track::movement::PointFinding;
+use crate::scene::{FrameId, Gap, Movement, MovementFinding, ObjectTrajectory, Reconstruction};
+use crate::trajectory::RelativeMotion;
+
+/// Evidence of a trajectory: relative motion in the whole, and the greatest odds of motion of a piece between gaps.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TrajectoryEvidence {
+    /// Of the whole.
+    pub(super) whole: RelativeMotion,
+    /// Of the piece with the greatest odds of motion.
+    piece: RelativeMotion,
+    ratio_std: f64,
+}
+
+impl TrajectoryEvidence {
+    /// `None` where the scale ratio has no standard deviation or the trajectory too few positions.
+    ///
+    /// * `gaps` – of the track: across them it may have gone over to another vehicle.
+    pub(super) fn of(trajectory: &ObjectTrajectory, gaps: &[Gap], background: &Reconstruction) -> Option<Self> {
+        let ratio_std = trajectory.scale.std? / trajectory.scale.ratio;
+        let whole = RelativeMotion::of(&trajectory.poses, background)?;
+        let piece_of = |frame: FrameId| gaps.iter().filter(|gap| frame >= gap.first).count();
+        let pieces = trajectory.poses.chunk_by(|a, b| piece_of(a.frame) == piece_of(b.frame));
+        let found = pieces.filter_map(|poses| RelativeMotion::of(poses, background)).chain([whole]);
+        let odds = |motion: &RelativeMotion| motion.odds_of_motion(ratio_std);
+        let piece = found.max_by(|a, b| odds(a).total_cmp(&odds(b)))?;
+        ratio_std.is_finite().then_some(Self { whole, piece, ratio_std })
+    }
+
+    /// Odds of motion: of the piece that moves, or else of the whole.
+    fn odds(&self) -> (f64, &RelativeMotion) {
+        let [piece, whole] = [&self.piece, &self.whole].map(|motion| motion.odds_of_motion(self.ratio_std));
+        if piece > 1.0 { (piece, &self.piece) } else { (whole, &self.whole) }
+    }
+}
+
+/// The finding by points, revised by the trajectory.
+///
+/// * Points that move against the background decide; so do odds of the trajectory that are clear.
+/// * Where points and trajectory contradict one another, and where the odds of the trajectory are on the side of motion
+///   but points are stationary, the state is undetermined.
+pub(super) fn revised(by_points: &PointFinding, evidence: Option<&TrajectoryEvidence>) -> MovementFinding {
+    use MovementReason::{Divided, MovesForATime, PointsMove};
+    let before = &by_points.finding;
+    let Some(evidence) = evidence else { return before.clone() };
+    let (odds, motion) = evidence.odds();
+    let state = match (by_points.reason, before.state) {
+        (Some(PointsMove | MovesForATime), _) => before.state,
+        (_, Movement::Stationary) if odds > 1.0 => Movement::Undetermined,
+        (_, Movement::Moving) if odds <= 1.0 / CLEAR_ODDS => Movement::Undetermined,
+        _ if odds >= CLEAR_ODDS => Movement::Moving,
+        (Some(Divided), _) => before.state,
+        _ if odds <= 1.0 / CLEAR_ODDS => Movement::Stationary,
+        _ => before.state,
+    };
+    if state == before.state {
+        return before.clone();
+    }
+    let slope = with_std(motion.slope, motion.std.hypot(evidence.ratio_std));
+    let reason = match state {
+        Movement::Undetermined => format!("points and trajectory contradict one another: {}", before.reason),
+        _ => "the trajectory decides".to_owned(),
+    };
+    let reason = format!(
+        "{reason}; displacement relative to the camera {slope} times the camera's own (1 if stationary, odds of motion \
+         {odds:.2}:1)"
+    );
+    MovementFinding { state, reason }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn evidence(slope: f64, piece: f64) -> TrajectoryEvidence {
+        let motion = |slope| RelativeMotion { slope, std: 0.02, residual: 0.005 };
+        TrajectoryEvidence { whole: motion(slope), piece: motion(piece), ratio_std: 0.06 }
+    }
+
+    fn points(state: Movement, reason: MovementReason) -> PointFinding {
+        PointFinding { finding: MovementFinding { state, reason: "points".into() }, reason: Some(reason) }
+    }
+
+    #[test]
+    fn the_trajectory_decides_what_points_leave_open() {
+        let open = points(Movement::Undetermined, MovementReason::AlongCameraPath);
+        for (slope, state) in [
+            (1.03, Movement::Stationary),
+            (0.78, Movement::Undetermined),
+            (1.9, Movement::Moving),
+            (0.1, Movement::Moving),
+            (-0.3, Movement::Moving),
+        ] {
+            assert_eq!(revised(&open, Some(&evidence(slope, slope))).state, state, "{slope}");
+        }
+        assert_eq!(revised(&open, None), open.finding);
+        // A track that goes over from an oncoming car to a parked one.
+        assert_eq!(revised(&open, Some(&evidence(1.0, 2.0))).state, Movement::Moving);
+    }
+
+    #[test]
+    fn a_contradiction_leaves_the_state_open() {
+        let standing = points(Movement::Stationary, MovementReason::PointsStand);
+        assert_eq!(revised(&standing, Some(&evidence(2.0, 2.0))).state, Movement::Undetermined);
+        assert_eq!(revised(&standing, Some(&evidence(1.02, 1.02))), standing.finding);
+        let floats = points(Movement::Moving, MovementReason::FootFloats);
+        assert_eq!(revised(&floats, Some(&evidence(1.02, 1.02))).state, Movement::Undetermined);
+        let moves = points(Movement::Moving, MovementReason::PointsMove);
+        assert_eq!(revised(&moves, Some(&evidence(1.02, 1.02))), moves.finding);
+        let divided = points(Movement::Undetermined, MovementReason::Divided);
+        assert_eq!(revised(&divided, Some(&evidence(1.02, 1.02))).state, Movement::Undetermined);
+    }
+}

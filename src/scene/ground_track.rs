@@ -1,0 +1,202 @@
+//! Tracks on the ground of vehicles without a usable 3D model, in the shape of the output contract
+//! (`trajectories.json`, key `ground_tracks`).
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::{Estimate, FrameId, MetricPose, ObjectId, PlaneBasis, Travel};
+use crate::math::Sim3;
+
+/// Method of a ground track; the name is that of the contract.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum GroundTrackMethod {
+    /// The ray of the lower mask edge meets the local ground plane.
+    #[default]
+    #[serde(rename = "ground-contact")]
+    GroundContact,
+}
+
+impl GroundTrackMethod {
+    /// The name in files.
+    pub fn name(self) -> &'static str {
+        "ground-contact"
+    }
+}
+
+/// Error of a contact point in three independent parts, by how it changes over the frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ContactError {
+    /// Covariance of the part that is new in every frame: pixels of the mask edge.
+    pub noise: [[f64; 3]; 3],
+    /// Displacement by one standard deviation of the part that changes slowly: local plane, mask, view of the vehicle.
+    pub drift: [f64; 3],
+    /// Displacement by one standard deviation of the part that all frames share: plane, mask bias, focal length.
+    pub common: [f64; 3],
+}
+
+impl ContactError {
+    /// Covariance of the part that is new in every frame.
+    pub fn noise(&self) -> Matrix3<f64> {
+        Matrix3::from_fn(|row, column| self.noise[row][column])
+    }
+
+    /// Covariance of all parts.
+    pub fn covariance(&self) -> Matrix3<f64> {
+        let outer = |v: [f64; 3]| Vector3::from(v) * Vector3::from(v).transpose();
+        self.noise() + outer(self.drift) + outer(self.common)
+    }
+
+    /// The same error with standard deviations so many times as large.
+    pub fn scaled(&self, factor: f64) -> Self {
+        Self {
+            noise: self.noise.map(|row| row.map(|covariance| covariance * factor * factor)),
+            drift: self.drift.map(|std| std * factor),
+            common: self.common.map(|std| std * factor),
+        }
+    }
+
+    /// The same error in another frame and unit.
+    pub fn transformed(&self, target_from_source: &Sim3) -> Self {
+        let rotation = target_from_source.rotation.to_rotation_matrix();
+        let scale = target_from_source.scale;
+        let turned = |v: [f64; 3]| (rotation * Vector3::from(v) * scale).into();
+        let noise = rotation * self.noise() * rotation.transpose() * (scale * scale);
+        Self {
+            noise: [0, 1, 2].map(|row| [0, 1, 2].map(|column| noise[(row, column)])),
+            drift: turned(self.drift),
+            common: turned(self.common),
+        }
+    }
+}
+
+/// Contact point of a vehicle with the ground in one frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GroundPosition {
+    /// The frame.
+    pub frame: FrameId,
+    /// Its image name.
+    pub name: String,
+    /// Its time, seconds.
+    pub time_s: f64,
+    /// The point of the ground below the lower edge of the mask, in the background's frame and unit.
+    pub position: [f64; 3],
+    /// Its error, in the same frame and unit.
+    pub error: ContactError,
+    /// Meters, speed and georeferenced position; `None` where meters are unknown.
+    #[serde(flatten)]
+    pub metric: Option<MetricPose>,
+}
+
+/// Reason why a frame with a mask has no contact point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum NoContact {
+    /// The background has no camera for the frame.
+    NoCamera,
+    /// The image border cuts the mask, or it is tiny.
+    Truncated,
+    /// Another vehicle hides the lower edge.
+    Occluded,
+    /// No ground plane is known there.
+    NoGroundPlane,
+    /// The contact line is so near the horizon that its distance is open.
+    NearHorizon,
+}
+
+impl NoContact {
+    /// The reason in words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::NoCamera => "frame not registered",
+            Self::Truncated => "mask truncated by the image border, or below 50 px²",
+            Self::Occluded => "lower edge occluded by another vehicle",
+            Self::NoGroundPlane => "no ground plane",
+            Self::NearHorizon => "contact line at the horizon: distance open",
+        }
+    }
+}
+
+/// Trust in a ground track; words of its own, since no model is judged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum GroundTrackTrust {
+    /// Distances are known to ±10 % or better.
+    Usable,
+    /// Distances are known less well.
+    Coarse,
+    /// Positions contradict a smooth path by more than their standard deviations.
+    Inconsistent,
+}
+
+impl GroundTrackTrust {
+    /// The word in files, tables, the page and the terminal.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Usable => "usable",
+            Self::Coarse => "coarse",
+            Self::Inconsistent => "inconsistent",
+        }
+    }
+}
+
+/// Verdict on a ground track.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GroundTrackVerdict {
+    /// Trust.
+    pub state: GroundTrackTrust,
+    /// Median standard deviation of the distance to the camera, as a share of it.
+    pub distance_std: f64,
+    /// Reason, with its figure.
+    pub says: String,
+}
+
+/// Positions on the ground of a vehicle of which there is no usable 3D model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GroundTrack {
+    /// The vehicle.
+    pub id: ObjectId,
+    /// Its class name.
+    pub class: String,
+    /// Mean score of its detections, 0 to 1; 1 for given masks.
+    pub confidence: f64,
+    /// Method.
+    pub method: GroundTrackMethod,
+    /// Why its 3D model cannot be used.
+    pub reason: String,
+    /// Verdict; `None` before the stage `metric`.
+    pub verdict: Option<GroundTrackVerdict>,
+    /// On what its ground planes rest, and in how many frames.
+    pub ground: BTreeMap<PlaneBasis, usize>,
+    /// Frames with a mask but without a position, by reason.
+    pub omitted: BTreeMap<NoContact, usize>,
+    /// Median width and height of the mask at the distance of the contact point, units of the background.
+    pub apparent_size: [f64; 2],
+    /// Apparent width and height, meters; `None` where meters are unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub apparent_size_m: Option<[Estimate; 2]>,
+    /// Path length, displacement and speeds; `None` for fewer than four positions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub travel: Option<Travel>,
+    /// Ascending in time.
+    #[serde(rename = "frames")]
+    pub positions: Vec<GroundPosition>,
+}
+
+impl GroundTrack {
+    /// Name of the track: class and id.
+    pub fn name(&self) -> String {
+        let class = if self.class.is_empty() { "vehicle" } else { &self.class };
+        format!("{class} {}", self.id)
+    }
+
+    /// Frames without a position in words: `3 frames: near ...; 2 frames: ...`; `None` if there are none.
+    pub fn omissions(&self) -> Option<String> {
+        let said = |(why, count): (&NoContact, &usize)| {
+            format!("{count} frame{}: {}", if *count == 1 { "" } else { "s" }, why.words())
+        };
+        let all: Vec<String> = self.omitted.iter().map(said).collect();
+        (!all.is_empty()).then(|| all.join("; "))
+    }
+}

@@ -1,0 +1,145 @@
+//! The methods of estimating a scale ratio: the table that options, benchmark, charts, report and documents follow.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Method of estimating a scale ratio; the names are those of the contract.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum ScaleMethod {
+    /// View pair ranking by constant distance to the ground.
+    ConstantDistance,
+    /// Smallest ray–plane intersection per frame, median over frames.
+    Intersection,
+    /// Constant distance in all frames, robust least squares.
+    #[serde(rename = "least-squares")]
+    RobustLeastSquares,
+    /// Adjustment of vehicle and ground planes.
+    Joint,
+    /// Reference method: least correlation of the paths of vehicle and camera.
+    OzdenIndependence,
+    /// Reference method: path in a plane, whichever.
+    OzdenPlane,
+    /// Reference method: motion in the direction in which the vehicle points.
+    OzdenHeading,
+    /// Reference method: shortest path.
+    Zheng,
+    /// Reference method: contact with ground planes weighted by their covariance.
+    CameraHeight,
+    /// Reference method: translation parallel to the ground.
+    Yuan,
+    /// Reference method: path of few low frequencies, triangulated.
+    Park,
+    /// Reference method: path of few low frequencies, among the paths of all ratios.
+    ParkFamily,
+    /// Reference method: least acceleration.
+    Valmadre,
+    /// Reference method: constant velocity, filtered.
+    Kundu,
+}
+
+/// Row of the table of methods.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MethodInfo {
+    /// Name in files and on the command line.
+    pub name: &'static str,
+    /// Source.
+    pub citation: &'static str,
+    /// Assumption on the vehicle, and the data that it is compared with.
+    pub needs: &'static str,
+    /// True for methods of the literature that serve as a comparison only: no verdict follows from them.
+    pub is_reference: bool,
+}
+
+const PAPER: &str = "Bullinger, Bodensteiner, Arens, Stiefelhagen, arXiv:1711.06136, 2017";
+const OZDEN_CVIU: &str = "Ozden, Cornelis, Van Eycken, Van Gool, CVIU 96, 2004";
+const OZDEN_CVPR: &str = "Ozden, Cornelis, Van Eycken, Van Gool, CVPR 2004";
+const PARK: &str = "Park, Shiratori, Matthews, Sheikh, ECCV 2010, IJCV 2015";
+
+impl ScaleMethod {
+    /// Every method, in the order of tables: the paper's baseline and method, the program's own, references.
+    pub const ALL: [Self; 14] = [
+        Self::Intersection,
+        Self::ConstantDistance,
+        Self::Joint,
+        Self::RobustLeastSquares,
+        Self::OzdenIndependence,
+        Self::OzdenPlane,
+        Self::OzdenHeading,
+        Self::Zheng,
+        Self::CameraHeight,
+        Self::Yuan,
+        Self::Park,
+        Self::ParkFamily,
+        Self::Valmadre,
+        Self::Kundu,
+    ];
+
+    /// Name, source and assumption.
+    pub const fn info(self) -> MethodInfo {
+        let (name, citation, needs) = match self {
+            Self::ConstantDistance => ("constant-distance", PAPER, "constant distance to the local ground planes"),
+            Self::Intersection => ("intersection", PAPER, "lowest point on the local ground planes"),
+            Self::RobustLeastSquares => {
+                ("least-squares", "this program", "constant distance to the local ground planes, in all frames at once")
+            }
+            Self::Joint => {
+                ("joint", "this program", "contact with the local ground planes and level on them; outlines")
+            }
+            Self::OzdenIndependence => {
+                ("ozden-independence", OZDEN_CVIU, "motion independent of the camera's; paths only")
+            }
+            Self::OzdenPlane => ("ozden-plane", OZDEN_CVPR, "motion in a plane; paths only"),
+            Self::OzdenHeading => ("ozden-heading", OZDEN_CVPR, "motion where it points; attitudes"),
+            Self::Zheng => ("zheng", "Zheng et al., trajectoryBased3DRecon", "short path; paths only"),
+            Self::CameraHeight => (
+                "camera-height",
+                "Song, Chandraker, CVPR 2014",
+                "lowest point on the ground planes and their covariance",
+            ),
+            Self::Yuan => ("yuan", "Yuan, Medioni, CVPR 2006", "translation parallel to one ground plane"),
+            Self::Park => ("park", PARK, "path of few low frequencies; rays only"),
+            Self::ParkFamily => ("park-family", PARK, "path of few low frequencies; paths only"),
+            Self::Valmadre => ("valmadre", "Valmadre, Lucey, CVPR 2012", "little acceleration; paths only"),
+            Self::Kundu => ("kundu", "Kundu, Krishna, Jawahar, ICCV 2011", "almost constant velocity; paths only"),
+        };
+        let is_reference =
+            !matches!(self, Self::ConstantDistance | Self::Intersection | Self::RobustLeastSquares | Self::Joint);
+        MethodInfo { name, citation, needs, is_reference }
+    }
+
+    /// The name in files and on the command line.
+    pub const fn name(self) -> &'static str {
+        self.info().name
+    }
+
+    /// Returns true for a method of the literature that serves as a comparison only.
+    pub const fn is_reference(self) -> bool {
+        self.info().is_reference
+    }
+
+    /// Position in tables.
+    pub fn rank(self) -> usize {
+        Self::ALL.iter().position(|method| *method == self).unwrap_or(Self::ALL.len())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn the_table_has_every_method_by_its_name_in_files() {
+        let schema = serde_json::to_value(schemars::schema_for!(ScaleMethod)).unwrap();
+        let variants = schema["oneOf"].as_array().unwrap();
+        let in_files: BTreeSet<&str> = variants.iter().filter_map(|variant| variant["const"].as_str()).collect();
+        let in_table: BTreeSet<&str> = ScaleMethod::ALL.iter().map(|method| method.name()).collect();
+        assert_eq!((in_files, in_table.len()), (in_table.clone(), ScaleMethod::ALL.len()));
+        for method in ScaleMethod::ALL {
+            assert_eq!(serde_json::to_value(method).unwrap(), method.name());
+            assert!(!method.info().citation.is_empty() && !method.info().needs.is_empty());
+        }
+    }
+}

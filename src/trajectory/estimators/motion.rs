@@ -1,0 +1,183 @@
+//! Motion of a camera and of the object that it sees: the data of the estimators that look at whole trajectories.
+//!
+//! With the object's reference point o, the middle of its points, and
+//!
+//! ```text
+//! v_i = R_i(b)ᵀ R_i(o) (o − c_i(o)),    o_i(r) = c_i + r v_i,
+//! ```
+//!
+//! a wrong ratio r′ = k r gives the path (1 − k) c + k o: every wrong path is a blend of the true one and the camera's.
+//! All criteria ask for a property that the blend lacks, and are blind where the camera's own path has it.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use super::Estimate;
+use crate::math::{median, quantile};
+use crate::trajectory::{ScaleError, Views};
+
+/// Parts of a clip that are left out one by one for a standard deviation, as in `joint`.
+const NUM_GROUPS: usize = 5;
+
+/// Fewest frames: two for each part.
+const MIN_FRAMES: usize = 2 * NUM_GROUPS;
+
+/// Size of a vector below which nothing but rounding is left of it, relative to the distance from camera to object:
+/// model files may be in single precision.
+const ROUNDING: f64 = 1e-6;
+
+/// Motion of camera and object over frames.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Motion {
+    /// t_i: frame indices in units of the usual step, ascending.
+    pub(super) times: Vec<f64>,
+    /// c_i: camera centers.
+    pub(super) centers: Vec<Vector3<f64>>,
+    /// v_i: from the camera to the reference point, in axes of the background and units of the object.
+    pub(super) offsets: Vec<Vector3<f64>>,
+    /// R_i(b)ᵀ R_i(o): turns the object's axes into those of the background.
+    pub(super) rotations: Vec<Matrix3<f64>>,
+    /// n_i: normals of the local planes.
+    pub(super) normals: Vec<Vector3<f64>>,
+    /// h_i: heights of the camera over the planes.
+    pub(super) heights: Vec<f64>,
+    /// Standard deviations of the planes' heights.
+    pub(super) height_stds: Vec<f64>,
+    /// Smallest n · v of a frame over all points of the object.
+    pub(super) lowest: Vec<f64>,
+    /// Length of the object: twice the distance from the reference point within which 95 % of its points are.
+    pub(super) length: f64,
+}
+
+impl Motion {
+    /// Motion of the object in its views.
+    ///
+    /// # Errors
+    /// [`ScaleError`] for too few views or no points.
+    pub(super) fn new(views: &Views) -> Result<Self, ScaleError> {
+        views.require(MIN_FRAMES)?;
+        let count = views.points.len() as f64;
+        let middle = Point3::from(views.points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / count);
+        let mut motion = Self { length: length(&views.points, &middle), ..Self::default() };
+        for view in &views.views {
+            let rotation = view.background_from_object;
+            let lowest = views.points.iter().map(|point| view.offset(point)).reduce(f64::min);
+            motion.times.push(f64::from(view.frame.0));
+            motion.centers.push(view.center_in_background.coords);
+            motion.offsets.push(rotation * (middle - view.center_in_object));
+            motion.rotations.push(rotation.to_rotation_matrix().into_inner());
+            motion.normals.push(rotation * view.normal_in_object);
+            motion.heights.push(view.camera_height);
+            motion.height_stds.push(view.height_std);
+            motion.lowest.push(lowest.unwrap_or(f64::NAN));
+        }
+        let step = median(motion.times.windows(2).map(|pair| pair[1] - pair[0]).collect()).unwrap_or(1.0);
+        motion.times.iter_mut().for_each(|time| *time /= step);
+        Ok(motion)
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.times.len()
+    }
+
+    /// Pairs of frames that are `step` usual steps apart.
+    pub(super) fn pairs(&self, step: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
+        (0..self.len()).filter_map(move |first| {
+            let wanted = self.times[first] + step as f64;
+            let second = (first + 1..self.len().min(first + step + 1)).find(|&k| self.times[k] >= wanted - 0.5)?;
+            (self.times[second] <= wanted + 0.5).then_some((first, second))
+        })
+    }
+
+    /// Three frames in a row, one usual step apart.
+    pub(super) fn triples(&self) -> impl Iterator<Item = [usize; 3]> + '_ {
+        let next: Vec<(usize, usize)> = self.pairs(1).collect();
+        (1..next.len()).filter_map(move |k| {
+            let ((first, middle), (same, last)) = (next[k - 1], next[k]);
+            (middle == same).then_some([first, middle, last])
+        })
+    }
+
+    /// Ratio by contact of the lowest points, the median over the frames; the other criteria search around it.
+    pub(super) fn contact(&self) -> Result<f64, ScaleError> {
+        let ratios = self.heights.iter().zip(&self.lowest).map(|(height, lowest)| -height / lowest);
+        let ratios = ratios.filter(|ratio| ratio.is_finite() && *ratio > 0.0).collect();
+        median(ratios).ok_or(ScaleError::NoIntersection { num_views: self.len() })
+    }
+
+    /// Median distance from camera to object, in units of the object.
+    pub(super) fn distance(&self) -> f64 {
+        median(self.offsets.iter().map(Vector3::norm).collect()).unwrap_or(0.0)
+    }
+
+    /// r of least Σ |a_i + r b_i|², for vectors (or their components) that are linear in r: r = −Σ a · b / Σ b · b.
+    ///
+    /// Noise of b pulls r towards 0, as in every regression with errors in the variables.
+    pub(super) fn least_squares<const D: usize>(&self, terms: &[[[f64; D]; 2]]) -> Result<f64, ScaleError> {
+        let dot = |x: &[f64; D], y: &[f64; D]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+        let ab: f64 = terms.iter().map(|[a, b]| dot(a, b)).sum();
+        let bb: f64 = terms.iter().map(|[_, b]| dot(b, b)).sum();
+        let rounding = ROUNDING * self.distance();
+        if !(bb > rounding * rounding * terms.len() as f64) {
+            return Err(ScaleError::Undetermined("the motion leaves nothing to compare"));
+        }
+        positive(-ab / bb)
+    }
+
+    /// The motion without the frames of a range.
+    fn without(&self, left_out: std::ops::Range<usize>) -> Self {
+        fn kept<T: Clone>(all: &[T], left_out: &std::ops::Range<usize>) -> Vec<T> {
+            all.iter().enumerate().filter(|(k, _)| !left_out.contains(k)).map(|(_, value)| value.clone()).collect()
+        }
+        Self {
+            times: kept(&self.times, &left_out),
+            centers: kept(&self.centers, &left_out),
+            offsets: kept(&self.offsets, &left_out),
+            rotations: kept(&self.rotations, &left_out),
+            normals: kept(&self.normals, &left_out),
+            heights: kept(&self.heights, &left_out),
+            height_stds: kept(&self.height_stds, &left_out),
+            lowest: kept(&self.lowest, &left_out),
+            length: self.length,
+        }
+    }
+
+    /// An estimate with the standard deviation of its jackknife.
+    ///
+    /// # Errors
+    /// [`ScaleError`] if the motion, or that of a part of the clip, leaves the ratio undetermined.
+    pub(super) fn jackknifed(&self, of: impl Fn(&Self) -> Result<f64, ScaleError>) -> Result<Estimate, ScaleError> {
+        let ratio = of(self)?;
+        Ok(Estimate::new(ratio, Some(self.jackknife(ratio, of)?)))
+    }
+
+    /// Standard deviation of a ratio, from its estimates without each of five parts of the clip: the delete-a-group
+    /// jackknife of log r (J. Shao and C. F. J. Wu, Annals of Statistics 1989).
+    fn jackknife(&self, ratio: f64, of: impl Fn(&Self) -> Result<f64, ScaleError>) -> Result<f64, ScaleError> {
+        let groups = (0..NUM_GROUPS).map(|k| k * self.len() / NUM_GROUPS..(k + 1) * self.len() / NUM_GROUPS);
+        let logs: Result<Vec<f64>, ScaleError> = groups.map(|group| Ok(of(&self.without(group))?.ln())).collect();
+        let logs = logs.map_err(|_| ScaleError::Undetermined("no solution without a part of the clip"))?;
+        let count = NUM_GROUPS as f64;
+        let mean = logs.iter().sum::<f64>() / count;
+        let variance = (count - 1.0) / count * logs.iter().map(|log| (log - mean).powi(2)).sum::<f64>();
+        Ok(ratio * variance.sqrt())
+    }
+}
+
+/// A ratio if it is one of lengths.
+pub(super) fn positive(ratio: f64) -> Result<f64, ScaleError> {
+    match ratio.is_finite() && ratio > 0.0 {
+        true => Ok(ratio),
+        false => Err(ScaleError::Undetermined("the solution is not positive")),
+    }
+}
+
+/// Length of an object by the quantile of its points' distances from their middle, which stray points do not reach.
+fn length(points: &[Point3<f64>], middle: &Point3<f64>) -> f64 {
+    let mut distances: Vec<f64> = points.iter().map(|point| (point - middle).norm()).collect();
+    2.0 * quantile(&mut distances, 0.95).unwrap_or(0.0)
+}
+
+/// Three numbers of a vector.
+pub(super) fn components(vector: Vector3<f64>) -> [f64; 3] {
+    vector.into()
+}

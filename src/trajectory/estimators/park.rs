@@ -1,0 +1,168 @@
+//! Park et al.: a path of few low frequencies, their number by cross-validation.
+//!
+//! H. S. Park, T. Shiratori, I. Matthews, Y. Sheikh, *3D Reconstruction of a Moving Point from a Series of 2D
+//! Projections*, ECCV 2010; *3D Trajectory Reconstruction under Perspective Projection*, IJCV 2015; the authors'
+//! program. With u_i the unit vector from the camera to the reference point and Θ the first K cosines of the discrete
+//! cosine transform at the frames' times, the path X = Θ β minimizes
+//!
+//! ```text
+//! Σ |(I − u_i u_iᵀ)(Θ_i β − c_i)|²,
+//! ```
+//!
+//! K has the least error of direction in ten-fold cross-validation, and r = Σ (X_i − c_i) · v_i / Σ |v_i|². The size of
+//! v_i is not used before the last step: this is triangulation of a moving point. The authors' final refinement of the
+//! reprojection error is left out.
+//!
+//! **Assumption**: the vehicle's path consists of K low frequencies and the camera's does not. **Blind** where the
+//! camera's path consists of the same.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+
+use super::motion::{Motion, positive};
+use super::{Estimate, Estimator, EstimatorInput};
+use crate::scene::ScaleMethod;
+use crate::trajectory::{Options, ScaleError};
+
+/// Parts of the cross-validation, as in the source.
+const NUM_FOLDS: usize = 10;
+/// Most basis vectors; the source tries as many as the equations allow, whose cost grows with the fourth power of the
+/// frames. Cross-validation chose 2 to 7 of them on five rendered sequences.
+const MAX_BASIS: usize = 16;
+
+/// Row of the registry.
+pub(super) struct Park;
+
+impl Estimator for Park {
+    fn method(&self) -> ScaleMethod {
+        ScaleMethod::Park
+    }
+
+    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
+        Motion::new(input.views)?.jackknifed(ratio)
+    }
+}
+
+/// First cosines of the discrete cosine transform, at the times of the frames.
+pub(super) fn cosines(motion: &Motion, num: usize) -> DMatrix<f64> {
+    let first = motion.times.first().copied().unwrap_or(0.0);
+    let count = motion.times.last().map_or(1.0, |last| last - first + 1.0);
+    DMatrix::from_fn(motion.len(), num, |row, k| match k {
+        0 => (1.0 / count).sqrt(),
+        _ => {
+            let angle = (2.0 * (motion.times[row] - first) + 1.0) * k as f64 * std::f64::consts::PI / (2.0 * count);
+            (2.0 / count).sqrt() * angle.cos()
+        }
+    })
+}
+
+/// r by triangulation of the reference point.
+pub(super) fn ratio(motion: &Motion) -> Result<f64, ScaleError> {
+    let frames = Rays::new(motion);
+    let folds: Vec<Normal> = (0..NUM_FOLDS).map(|fold| frames.normal(fold)).collect();
+    let mut all = folds[0].clone();
+    folds[1..].iter().for_each(|fold| all.add(fold, 1.0));
+    let error = |num: usize| -> Option<f64> {
+        let of_fold = |(k, fold): (usize, &Normal)| {
+            let mut rest = all.clone();
+            rest.add(fold, -1.0);
+            Some(frames.error(&rest.solution(num)?, k))
+        };
+        folds.iter().enumerate().map(of_fold).sum()
+    };
+    // Every coefficient needs an equation of the frames that are not held out.
+    let most = (2 * (motion.len() - motion.len().div_ceil(NUM_FOLDS)) / 3).clamp(1, MAX_BASIS);
+    let errors = (1..=most).filter_map(|num| Some((num, error(num)?)));
+    let best = errors.min_by(|a, b| a.1.total_cmp(&b.1)).and_then(|(num, _)| all.solution(num));
+    let coefficients = best.ok_or(ScaleError::Undetermined("rays and basis leave the path open"))?;
+    let (mut along, mut squares) = (0.0, 0.0);
+    for (k, offset) in motion.offsets.iter().enumerate() {
+        along += frames.position_relative_to_camera(&coefficients, k).dot(offset);
+        squares += offset.norm_squared();
+    }
+    positive(along / squares)
+}
+
+/// Rays from the cameras towards the reference point.
+struct Rays {
+    basis: DMatrix<f64>,
+    /// Camera centers minus their mean.
+    centers: Vec<Vector3<f64>>,
+    directions: Vec<Vector3<f64>>,
+}
+
+/// Normal equations; unknown 3 k + axis is the coefficient of basis vector k.
+#[derive(Clone)]
+struct Normal {
+    matrix: DMatrix<f64>,
+    right: DVector<f64>,
+}
+
+impl Rays {
+    fn new(motion: &Motion) -> Self {
+        Self {
+            basis: cosines(motion, MAX_BASIS),
+            centers: super::ozden_independence::centered(&motion.centers),
+            directions: motion.offsets.iter().map(Vector3::normalize).collect(),
+        }
+    }
+
+    fn of_fold(&self, fold: usize) -> impl Iterator<Item = usize> {
+        (fold..self.centers.len()).step_by(NUM_FOLDS)
+    }
+
+    /// Normal equations of the frames of one fold.
+    fn normal(&self, fold: usize) -> Normal {
+        let size = 3 * MAX_BASIS;
+        let (mut matrix, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
+        for frame in self.of_fold(fold) {
+            let direction = self.directions[frame];
+            let across = Matrix3::identity() - direction * direction.transpose();
+            let center = across * self.centers[frame];
+            for row in 0..MAX_BASIS {
+                let weight = self.basis[(frame, row)];
+                for k in 0..3 {
+                    right[3 * row + k] += weight * center[k];
+                }
+                for column in 0..MAX_BASIS {
+                    let weight = weight * self.basis[(frame, column)];
+                    let mut block = matrix.view_mut((3 * row, 3 * column), (3, 3));
+                    block += weight * across;
+                }
+            }
+        }
+        Normal { matrix, right }
+    }
+
+    /// From the camera of a frame to the path.
+    fn position_relative_to_camera(&self, coefficients: &DVector<f64>, frame: usize) -> Vector3<f64> {
+        let num = coefficients.len() / 3;
+        let terms = (0..num).map(|k| self.basis[(frame, k)] * coefficients.fixed_rows::<3>(3 * k));
+        terms.sum::<Vector3<f64>>() - self.centers[frame]
+    }
+
+    /// Σ of the squared angles between the rays of a fold and a path.
+    fn error(&self, coefficients: &DVector<f64>, fold: usize) -> f64 {
+        let angle = |frame: usize| {
+            let towards = self.position_relative_to_camera(coefficients, frame);
+            let direction = self.directions[frame];
+            towards.cross(&direction).norm().atan2(towards.dot(&direction))
+        };
+        self.of_fold(fold).map(|frame| angle(frame).powi(2)).sum()
+    }
+}
+
+impl Normal {
+    fn add(&mut self, other: &Self, factor: f64) {
+        self.matrix += factor * &other.matrix;
+        self.right += factor * &other.right;
+    }
+
+    /// Coefficients of the first `num` basis vectors; `None` where the equations leave them open.
+    fn solution(&self, num: usize) -> Option<DVector<f64>> {
+        let size = 3 * num;
+        let matrix = self.matrix.view((0, 0), (size, size)).into_owned();
+        let right = self.right.rows(0, size).into_owned();
+        let found = matrix.cholesky()?.solve(&right);
+        found.iter().all(|number| number.is_finite()).then_some(found)
+    }
+}

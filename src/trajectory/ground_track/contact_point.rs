@@ -1,0 +1,167 @@
+//! The contact point of one mask, with its error.
+
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Point3, Vector2, Vector3};
+
+use crate::camera::Camera;
+use crate::math::Rigid3;
+use crate::scene::{ContactError, GroundPlane, NoContact};
+use crate::trajectory::Silhouette;
+
+/// Standard deviation of a mask's edge, new in every frame: pixels, and share of the mask's extent across the edge. Of
+/// four rendered sequences with masks by the program: 0.7 to 1.4 px at 100 px; docs/maths/ground-track.md.
+const EDGE_PX: f64 = 0.5;
+const EDGE: f64 = 0.01;
+/// The same of the part that all frames share: shadows below the vehicle are taken for it, or its tires are not. On the
+/// same sequences 1 to 2 px at 100 to 150 px.
+const BIAS_PX: f64 = 1.0;
+const BIAS: f64 = 0.02;
+/// Change of the contact point against the vehicle while its view changes, as a share of its visible width: half of
+/// what a car is longer than wide (1.35 m), for the mean of both (3.2 m), over √3 for all views alike.
+const VIEW: f64 = 0.25;
+/// Standard deviation of the distance, as a share of it, from which its three standard deviations reach infinity.
+const MAX_DISTANCE_STD: f64 = 1.0 / 3.0;
+/// Pixels below the lower edge that another vehicle's mask must cover to hide it.
+const BELOW_PX: f64 = 3.0;
+/// Least sine of the angle between the vertical and the line of sight at which the image has a downward direction: one
+/// degree from straight down it has none.
+const MIN_OBLIQUITY: f64 = 0.02;
+
+/// Outlines that may hide the vehicle.
+pub(super) type Occluders<'a> = Vec<&'a Silhouette>;
+
+/// Where a vehicle meets the ground.
+#[derive(Clone, Debug)]
+pub(super) struct ContactPoint {
+    pub(super) position: Point3<f64>,
+    pub(super) error: ContactError,
+    /// Width and height of the mask at the distance of the point.
+    pub(super) apparent_size: [f64; 2],
+}
+
+/// The lower edge of a mask in the image.
+struct LowerEdge {
+    /// Middle of the edge.
+    pixel: Point2<f64>,
+    /// Unit vector towards the ground.
+    down: Vector2<f64>,
+    /// Extent of the mask along the edge and across it, pixels.
+    size: [f64; 2],
+}
+
+/// A ray of a camera over a plane.
+struct Ray<'a> {
+    camera: &'a Camera,
+    cam_from_world: &'a Rigid3,
+    plane: &'a GroundPlane,
+    /// The camera's height over the plane.
+    height: f64,
+}
+
+impl ContactPoint {
+    /// Finds the contact point.
+    ///
+    /// * `focal_std` – standard deviation of the focal length as a share of it.
+    ///
+    /// # Errors
+    /// Why the frame has none.
+    pub(super) fn find(
+        (camera, cam_from_world): (&Camera, &Rigid3),
+        plane: &GroundPlane,
+        outline: &Silhouette,
+        occluders: &Occluders,
+        focal_std: f64,
+    ) -> Result<Self, NoContact> {
+        let height = plane.signed_distance(cam_from_world.center());
+        let ray = Ray { camera, cam_from_world, plane, height };
+        let edge = Some(ray.lower_edge(outline)).filter(|_| height > 0.0).flatten().ok_or(NoContact::NoGroundPlane)?;
+        let below = edge.pixel + edge.down * BELOW_PX;
+        if occluders.iter().any(|other| other.contains(below, 0.0)) {
+            return Err(NoContact::Occluded);
+        }
+        let position = ray.meets(edge.pixel).ok_or(NoContact::NearHorizon)?;
+        let found = ray.with_error(position, &edge, focal_std).ok_or(NoContact::NearHorizon)?;
+        let sight = position - cam_from_world.center();
+        let along = sight.normalize();
+        let variance = (along.transpose() * found.error.covariance() * along)[0];
+        let is_known = variance.sqrt() <= MAX_DISTANCE_STD * sight.norm();
+        is_known.then_some(found).ok_or(NoContact::NearHorizon)
+    }
+}
+
+impl Ray<'_> {
+    /// The point of the plane that a pixel shows; `None` at the horizon and above.
+    fn meets(&self, pixel: Point2<f64>) -> Option<Point3<f64>> {
+        let ray = self.cam_from_world.rotation.inverse() * self.camera.normalized_from_pixel(pixel).push(1.0);
+        let sinking = -self.plane.normal.dot(&ray);
+        let point = self.cam_from_world.center() + ray * (self.height / sinking);
+        (sinking > 0.0 && point.iter().all(|x| x.is_finite())).then_some(point)
+    }
+
+    /// The lower edge of an outline; `None` where the pixels have no direction towards the ground.
+    fn lower_edge(&self, outline: &Silhouette) -> Option<LowerEdge> {
+        let count = outline.hull.len().max(1) as f64;
+        let middle = Point2::from(outline.hull.iter().map(|corner| corner.coords).sum::<Vector2<f64>>() / count);
+        let down = self.down(middle)?;
+        let along = Vector2::new(-down.y, down.x);
+        let span = |axis: Vector2<f64>| {
+            let all = outline.hull.iter().map(|corner| axis.dot(&corner.coords));
+            all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)))
+        };
+        let ((left, right), (top, bottom)) = (span(along), span(down));
+        let border = Silhouette::BORDER_PX;
+        let pixel = Point2::from(down * (bottom + border) + along * (0.5 * (left + right)));
+        let size = [right - left + 2.0 * border, bottom - top + 2.0 * border];
+        size.iter().all(|s| s.is_finite()).then_some(LowerEdge { pixel, down, size })
+    }
+
+    /// Direction in the image towards the ground, at a pixel.
+    fn down(&self, pixel: Point2<f64>) -> Option<Vector2<f64>> {
+        let ray = self.camera.normalized_from_pixel(pixel).push(1.0);
+        let up = self.cam_from_world.rotation * self.plane.normal;
+        let step = 1e-3 * ray.norm();
+        let moved = self.camera.pixel_from_cam(Point3::from(ray - up * step))?;
+        // Straight below the camera every direction leads away from it; the lower edge of the image serves as well.
+        let is_steep = up.cross(&ray.normalize()).norm() < MIN_OBLIQUITY;
+        if is_steep { Some(Vector2::y()) } else { (moved - pixel).try_normalize(0.0) }
+    }
+
+    /// The contact point with its error; `None` where a pixel further up meets no ground.
+    fn with_error(&self, position: Point3<f64>, edge: &LowerEdge, focal_std: f64) -> Option<ContactPoint> {
+        let LowerEdge { pixel, down, size: [width_px, height_px] } = *edge;
+        let along = Vector2::new(-down.y, down.x);
+        // Per pixel: towards the horizon, where the error is greater, and along the edge.
+        let step = 0.5;
+        let away = (self.meets(pixel - down * step)? - position) / step;
+        let aside = (self.meets(pixel + along * step)? - position) / step;
+        let jacobian = Matrix3x2::from_columns(&[away, aside]);
+        let [edge_px, side_px] = [height_px, width_px].map(|extent| EDGE_PX.hypot(EDGE * extent));
+        let bias_px = BIAS_PX.hypot(BIAS * height_px);
+        let sight = position - self.cam_from_world.center();
+        let distance = sight.norm();
+        let sinking = self.height / distance;
+        // A pixel across the line of sight, at the distance of the point.
+        let pixel_size = distance / self.camera.mean_focal();
+        let apparent_size = [width_px, height_px].map(|extent| pixel_size * extent);
+        let noise: Matrix3<f64> = jacobian
+            * Matrix2::from_diagonal(&Vector2::new(edge_px * edge_px, side_px * side_px))
+            * jacobian.transpose();
+        let level = away.try_normalize(0.0)?;
+        // A plane that is higher moves the point towards the camera along the ray; all else moves it along the ground.
+        let shift = |plane_std: f64, parts: [f64; 2]| {
+            let per_height = (1.0 - sinking * sinking).max(0.0).sqrt() / sinking;
+            let along_ground = [per_height * plane_std, parts[0], parts[1]].iter().map(|part| part * part).sum::<f64>();
+            level * along_ground.sqrt() - self.plane.normal * plane_std
+        };
+        // Masks that are propagated from frame to frame keep their error for a while.
+        let drift = shift(self.plane.own_height_std(), [away.norm() * edge_px, VIEW * apparent_size[0]]);
+        let common = shift(self.plane.common_height_std, [away.norm() * bias_px, focal_std * distance]);
+        let error = ContactError {
+            noise: [0, 1, 2].map(|row| [0, 1, 2].map(|column| noise[(row, column)])),
+            drift: drift.into(),
+            common: common.into(),
+        };
+        let numbers: [Vector3<f64>; 2] = [drift, common];
+        let is_finite = noise.iter().chain(numbers.iter().flat_map(|v| v.iter())).all(|x| x.is_finite());
+        is_finite.then_some(ContactPoint { position, error, apparent_size })
+    }
+}

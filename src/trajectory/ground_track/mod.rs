@@ -1,0 +1,128 @@
+//! Positions on the ground of a vehicle of which only masks are known.
+//!
+//! The lower edge of a mask is where the vehicle meets the ground. With u the ray through it, n the normal of the local
+//! ground plane towards the camera, and h the camera's height over that plane, the contact point is
+//!
+//! ```text
+//! x = c + u h / s,    s = −nᵀ u = sin ε                                                                            (1)
+//! ```
+//!
+//! for the ray's angle ε below the horizon. A pixel moves x by J = ∂x/∂p, which grows with 1 / s²; a plane that is
+//! higher by δ moves it by −u δ / s. Both end at the horizon: a frame whose distance has a standard deviation of a
+//! third and more has no position, since three of them reach infinity. docs/maths/ground-track.md has the shares.
+
+mod contact_point;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use nalgebra::Point2;
+
+use self::contact_point::{ContactPoint, Occluders};
+use super::{ObjectDescription, Silhouette};
+use crate::math::median;
+use crate::scene::{
+    Frame, FrameId, GroundPlane, GroundPosition, GroundTrack, GroundTrackMethod, Image, NoContact, ObjectId,
+    Reconstruction,
+};
+
+/// Fewest positions of a track: fewer have no smooth path, so that nothing tells a position from a mistake.
+const MIN_POSITIONS: usize = 6;
+
+/// Outlines of objects by frame.
+pub type Outlines = BTreeMap<ObjectId, BTreeMap<FrameId, Silhouette>>;
+
+/// Input on one vehicle and the place around it.
+#[derive(Clone, Copy, Debug)]
+pub struct ContactEvidence<'a> {
+    /// The background's reconstruction.
+    pub background: &'a Reconstruction,
+    /// The local plane of each frame, in the background's frame; frames without one are absent.
+    pub planes: &'a BTreeMap<FrameId, GroundPlane>,
+    /// Outlines of all vehicles: that of the vehicle itself, and those that may hide it.
+    pub outlines: &'a Outlines,
+    /// Frames in which the vehicle has a mask, in order.
+    pub frames: &'a [&'a Frame],
+    /// Standard deviation of the focal length as a share of it; `None` where it is given.
+    pub focal_std: Option<f64>,
+}
+
+/// Pixels around which the plane of each frame is wanted: the corners of an object's outlines.
+pub fn outline_pixels(outlines: &BTreeMap<FrameId, Silhouette>) -> BTreeMap<FrameId, Vec<Point2<f64>>> {
+    outlines.iter().map(|(frame, outline)| (*frame, outline.hull.clone())).collect()
+}
+
+/// The track of a vehicle on the ground, in units of the background, without verdict and meters.
+///
+/// * `reason` – why its 3D model cannot be used.
+///
+/// # Errors
+/// Too few frames have a contact point; says how many, and what the others lack.
+pub fn ground_track(
+    description: ObjectDescription,
+    evidence: &ContactEvidence,
+    reason: String,
+) -> Result<GroundTrack, String> {
+    let ObjectDescription { id, class, confidence } = description;
+    let by_name: BTreeMap<&str, &Image> =
+        evidence.background.images.values().map(|image| (image.name.as_str(), image)).collect();
+    let mut track = GroundTrack {
+        id,
+        class,
+        confidence,
+        method: GroundTrackMethod::GroundContact,
+        reason,
+        verdict: None,
+        ground: BTreeMap::new(),
+        omitted: BTreeMap::new(),
+        apparent_size: [0.0; 2],
+        apparent_size_m: None,
+        travel: None,
+        positions: Vec::new(),
+    };
+    let mut sizes: [Vec<f64>; 2] = Default::default();
+    for frame in evidence.frames {
+        match evidence.contact(id, frame, by_name.get(frame.name.as_str()).copied()) {
+            Err(why) => *track.omitted.entry(why).or_default() += 1,
+            Ok((plane, found)) => {
+                *track.ground.entry(plane.basis).or_default() += 1;
+                sizes.iter_mut().zip(found.apparent_size).for_each(|(all, size)| all.push(size));
+                track.positions.push(GroundPosition {
+                    frame: frame.id,
+                    name: frame.name.clone(),
+                    time_s: frame.time_s,
+                    position: found.position.coords.into(),
+                    error: found.error,
+                    metric: None,
+                });
+            }
+        }
+    }
+    if track.positions.len() < MIN_POSITIONS {
+        let found = track.positions.len();
+        let others = track.omissions().map(|said| format!(" ({said})")).unwrap_or_default();
+        return Err(format!("contact with the ground in {found} frames only, at least {MIN_POSITIONS} needed{others}"));
+    }
+    track.apparent_size = sizes.map(|all| median(all).unwrap_or_default());
+    Ok(track)
+}
+
+impl ContactEvidence<'_> {
+    /// The contact point in one frame, and the plane on which it is.
+    fn contact(
+        &self,
+        id: ObjectId,
+        frame: &Frame,
+        image: Option<&Image>,
+    ) -> Result<(&GroundPlane, ContactPoint), NoContact> {
+        let image = image.ok_or(NoContact::NoCamera)?;
+        let own = self.outlines.get(&id).and_then(|outlines| outlines.get(&frame.id)).ok_or(NoContact::Truncated)?;
+        let plane = self.planes.get(&frame.id).ok_or(NoContact::NoGroundPlane)?;
+        let others = self.outlines.iter().filter(|(other, _)| **other != id);
+        let occluders: Occluders = others.filter_map(|(_, outlines)| outlines.get(&frame.id)).collect();
+        let camera = self.background.camera_of(image);
+        let focal_std = self.focal_std.unwrap_or(0.0);
+        Ok((plane, ContactPoint::find((camera, &image.cam_from_world), plane, own, &occluders, focal_std)?))
+    }
+}
