@@ -177,7 +177,9 @@ def rolling(frames: list[np.ndarray], fps: float, readout_s: float) -> list[np.n
         later = flow_of.calc(gray[k], gray[min(k + 1, len(gray) - 1)], None)
         before = flow_of.calc(gray[k], gray[max(k - 1, 0)], None)
         step = np.where(time[..., None] >= 0, later * time[..., None], -before * time[..., None])
-        out.append(cv2.remap(frame, x - step[..., 0], y - step[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+        out.append(
+            cv2.remap(frame, x - step[..., 0], y - step[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        )
     return out
 
 
