@@ -18,8 +18,8 @@ use super::{ground, objects};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{
-    FocalChange, Frame, FrameId, Ground, GroundPlane, Movement, MovementFinding, ObjectId, ObjectTrajectory,
-    Reconstruction, ScaleMethod, StationaryVehicles, Topic, TrackedObject, Trajectories, Unit, Verdict,
+    Frame, FrameId, Ground, GroundPlane, Movement, MovementFinding, ObjectId, ObjectTrajectory, Reconstruction,
+    ScaleMethod, StationaryVehicles, Topic, TrackedObject, Trajectories, Unit, Verdict,
 };
 use crate::trajectory::{
     self, Adjustment, Candidate, Evidence, Extents, ModelOrigin, ObjectDescription, Outlines, Silhouette, Subject,
@@ -59,10 +59,19 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
         }
     }
     outcome.figure("num_trajectories", found.placed.len());
+    let focal_changes = background::background_report(run)?.focal_changes;
+    let judge = |placed: &[PlacedVehicle]| {
+        let candidates: Vec<Candidate> =
+            placed.iter().map(|placed| placed.candidate(&background, &run.options.scale)).collect();
+        trajectory::verdicts(&candidates, run.info().time_base(), &focal_changes)
+    };
+    let mut verdicts = judge(&found.placed);
+    if scene.withdraw_motion(&mut found.placed, &verdicts, &mut tracked) {
+        verdicts = judge(&found.placed);
+    }
     outcome.figure("num_moving", tracked.iter().filter(|object| object.movement.state == Movement::Moving).count());
     run.workspace.put_file(&run.workspace.tracked(), |fresh| crate::io::tracks::write(fresh, &tracked))?;
-    let focal_changes = background::background_report(run)?.focal_changes;
-    let objects = judged(run, found.placed, &background, &focal_changes, &mut outcome);
+    let objects = with_verdicts(found.placed, verdicts, &mut outcome);
     let placed =
         ground_tracks::Placed { tracked: &tracked, objects: &objects, reports: &reports, failures: &found.failures };
     let ground_tracks = ground_tracks::find(&scene, &placed, &mut outcome)?;
@@ -145,6 +154,30 @@ impl<'a, 'r> Scene<'a, 'r> {
                 self.by_points.get(&tracked.id).map_or_else(|| tracked.movement.clone(), |found| found.finding.clone())
             }
         }
+    }
+
+    /// Withdraws motion that a trajectory alone shows where the verdict doubts its scale; returns true if there was any.
+    fn withdraw_motion(
+        &self,
+        placed: &mut [PlacedVehicle],
+        verdicts: &[Verdict],
+        tracked: &mut [TrackedObject],
+    ) -> bool {
+        let mut is_withdrawn = false;
+        for (placed, verdict) in placed.iter_mut().zip(verdicts) {
+            let by_points = self.by_points(&placed.tracked);
+            let by_trajectory =
+                placed.tracked.movement.state == Movement::Moving && by_points.state != Movement::Moving;
+            if !by_trajectory || !movement::contradicts_scale(verdict) {
+                continue;
+            }
+            for tracked in tracked.iter_mut().filter(|tracked| tracked.id == placed.tracked.id) {
+                tracked.movement = by_points.clone();
+            }
+            placed.tracked.movement = by_points;
+            is_withdrawn = true;
+        }
+        is_withdrawn
     }
 
     /// Revises the motion state by the trajectory, and the scale ratio of a stationary vehicle by the camera path.
@@ -272,16 +305,7 @@ impl PlacedVehicle {
 }
 
 /// The trajectories with the verdict on each.
-fn judged(
-    run: &Run,
-    found: Vec<PlacedVehicle>,
-    background: &Reconstruction,
-    focal_changes: &[FocalChange],
-    outcome: &mut Outcome,
-) -> Vec<ObjectTrajectory> {
-    let candidates: Vec<Candidate> =
-        found.iter().map(|placed| placed.candidate(background, &run.options.scale)).collect();
-    let verdicts = trajectory::verdicts(&candidates, run.info().time_base(), focal_changes);
+fn with_verdicts(found: Vec<PlacedVehicle>, verdicts: Vec<Verdict>, outcome: &mut Outcome) -> Vec<ObjectTrajectory> {
     let judge = |(placed, verdict): (PlacedVehicle, Verdict)| {
         let id = placed.trajectory.id;
         let first = verdict.against().next().filter(|_| verdict.is_refuted() && !placed.trajectory.scale.degenerate);

@@ -7,7 +7,7 @@
 use crate::math::rounding::with_std;
 use crate::motion::{CLEAR_ODDS, MovementReason};
 use crate::pipeline::stages::track::movement::PointFinding;
-use crate::scene::{FrameId, Gap, Movement, MovementFinding, ObjectTrajectory, Reconstruction};
+use crate::scene::{FrameId, Gap, Movement, MovementFinding, ObjectTrajectory, ReasonKind, Reconstruction, Verdict};
 use crate::trajectory::RelativeMotion;
 
 /// Evidence of a trajectory: relative motion in the whole, and the greatest odds of motion of a piece between gaps.
@@ -25,7 +25,10 @@ impl TrajectoryEvidence {
     ///
     /// * `gaps` – of the track: across them it may have gone over to another vehicle.
     pub(super) fn of(trajectory: &ObjectTrajectory, gaps: &[Gap], background: &Reconstruction) -> Option<Self> {
-        let ratio_std = trajectory.scale.std? / trajectory.scale.ratio;
+        // Where the focal length is uncertain, the camera moves forward, and an error of it changes ratio and model
+        // inversely: depths, and so the motion along the line of sight, stay.
+        let scale = &trajectory.scale;
+        let ratio_std = scale.shares.map_or(scale.std? / scale.ratio, |shares| shares.given_focal());
         let whole = RelativeMotion::of(&trajectory.poses, background)?;
         let piece_of = |frame: FrameId| gaps.iter().filter(|gap| frame >= gap.first).count();
         let pieces = trajectory.poses.chunk_by(|a, b| piece_of(a.frame) == piece_of(b.frame));
@@ -76,6 +79,12 @@ pub(super) fn revised(by_points: &PointFinding, evidence: Option<&TrajectoryEvid
     MovementFinding { state, reason }
 }
 
+/// Returns true if the other methods contradict the scale of a trajectory and one another. Its motion relative to the
+/// camera is then no evidence: a wrong ratio moves a parked vehicle along.
+pub(super) fn contradicts_scale(verdict: &Verdict) -> bool {
+    verdict.against().any(|reason| reason.kind == ReasonKind::Agreement && reason.weight >= 1.0)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -117,5 +126,15 @@ mod tests {
         assert_eq!(revised(&moves, Some(&evidence(1.02, 1.02))), moves.finding);
         let divided = points(Movement::Undetermined, MovementReason::Divided);
         assert_eq!(revised(&divided, Some(&evidence(1.02, 1.02))).state, Movement::Undetermined);
+    }
+
+    #[test]
+    fn a_contradicted_scale_is_no_evidence_of_motion() {
+        use crate::scene::{Reason, Trust};
+        let verdict = |reason| Verdict { state: Trust::Doubtful, reasons: vec![reason] };
+        let agreement = |weight| verdict(Reason::doubts(ReasonKind::Agreement, weight, "contradicts"));
+        assert!(contradicts_scale(&agreement(1.0)) && !contradicts_scale(&agreement(0.5)));
+        assert!(contradicts_scale(&verdict(Reason::refutes(ReasonKind::Agreement, "by far"))));
+        assert!(!contradicts_scale(&verdict(Reason::doubts(ReasonKind::Pixels, 1.0, "small"))));
     }
 }
