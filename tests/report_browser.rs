@@ -11,7 +11,7 @@ use std::sync::LazyLock;
 use image::RgbImage;
 use tractrix::eval::Evaluation;
 use tractrix::report::{self, Data, Fact, Missing, Model, Object, Part, Stage, Thumbnail, object_colour, strip_frames};
-use tractrix::scene::{FrameId, TimeBase};
+use tractrix::scene::{FrameId, ObjectId, TimeBase};
 use tractrix::synthetic::showcase::{BICYCLE, CAR, Showcase, showcase};
 
 /// A name that would run a script if it were pasted into the page as it is.
@@ -108,11 +108,10 @@ fn strip(result: &Showcase) -> Vec<Thumbnail> {
     strip_frames(&ids).into_iter().step_by(3).map(picture).collect()
 }
 
-fn data<'a>(result: &'a Showcase, strip: Vec<Thumbnail>) -> Data<'a> {
-    let mut objects: Vec<_> = result.vehicles.iter().map(|v| vehicle(v)).collect();
-    objects.push(Object {
+fn without_model(result: &Showcase, id: ObjectId) -> Object<'_> {
+    Object {
         ground_track: None,
-        id: BICYCLE,
+        id,
         class: "bicycle".into(),
         confidence: 0.51,
         tracked: None,
@@ -121,7 +120,12 @@ fn data<'a>(result: &'a Showcase, strip: Vec<Thumbnail>) -> Data<'a> {
         trajectory: None,
         ratio_per_frame: Vec::new(),
         failure: Some("no pair of frames shares enough features inside its mask (best: 9, needed: 30)".into()),
-    });
+    }
+}
+
+fn data<'a>(result: &'a Showcase, strip: Vec<Thumbnail>) -> Data<'a> {
+    let mut objects: Vec<_> = result.vehicles.iter().map(|v| vehicle(v)).collect();
+    objects.push(without_model(result, BICYCLE));
     let stage = |name: &str, wall_s, cpu_s, peak_rss_mib, reused| Stage {
         name: name.into(),
         wall_s,
@@ -338,6 +342,30 @@ fn a_small_path_has_its_dots_at_its_ends() {
         return `${plans.length > 0} ${wrong}`;";
     for width in WIDTHS {
         assert_eq!(found_by(&browser, &page, width, script), "true ", "{width} pixels wide");
+    }
+}
+
+#[test]
+fn the_table_lists_vehicles_by_trust_and_leads_to_their_details() {
+    let Some(browser) = browser() else { return };
+    let result = showcase(60, 1);
+    let mut data = data(&result, Vec::new());
+    data.objects.splice(0..0, (90..94).map(|id| without_model(&result, ObjectId(id))));
+    let page = report::render(&data).expect("the report renders");
+    let script = "const rows = [...document.querySelectorAll('.vehicles tbody tr')]; \
+        const trust = rows.map((row) => Number(row.dataset.trust)); \
+        const sorted = trust.every((t, k) => k === 0 || trust[k - 1] <= t); \
+        const fold = document.querySelector('.fold'), folded = !fold.open; \
+        const filter = document.getElementById('filter'); filter.value = '2'; \
+        filter.dispatchEvent(new Event('change')); \
+        const shown = rows.filter((row) => row.offsetHeight > 0).length; \
+        const wide = document.documentElement.scrollWidth > innerWidth; \
+        rows[0].querySelector('a').click(); dispatchEvent(new Event('hashchange')); \
+        return `${rows.length} ${sorted} ${folded} ${shown > 0 && shown < rows.length} ${wide} ${fold.open}`;";
+    let num_rows = data.objects.len();
+    for width in WIDTHS {
+        let expected = format!("{num_rows} true true true false true");
+        assert_eq!(found_by(&browser, &page, width, script), expected, "{width} pixels wide");
     }
 }
 

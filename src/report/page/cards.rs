@@ -26,6 +26,8 @@ pub(super) struct Card {
     colour: String,
     verdict: verdict::Verdict,
     badge: &'static str,
+    /// Place in the order of trust, the best first; a ground track comes before a rejected trajectory.
+    trust: usize,
     /// Meaning of the verdict for this vehicle.
     meaning: String,
     /// Why there is no trajectory.
@@ -74,6 +76,7 @@ fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Opt
             (None, Some(_)) => GROUND_TRACK,
             _ => verdict.label(),
         },
+        trust: trust(verdict, object),
         meaning: verdict.sentence(object.trajectory),
         reason: reason(object).map(|reason| plain(&reason)),
         against: judged(object).flat_map(Verdict::complaints).map(said).collect(),
@@ -87,6 +90,15 @@ fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Opt
             facts: ground_facts(object, track, timeline),
             plan: view.and_then(|v| Plan::ground_track(data, track, v)),
         }),
+    }
+}
+
+fn trust(verdict: verdict::Verdict, object: &Object) -> usize {
+    let place = |verdict| verdict::Verdict::ALL.iter().position(|other| *other == verdict).unwrap_or_default();
+    match object.ground_track {
+        Some(_) => place(verdict).min(place(verdict::Verdict::Rejected)),
+        None if verdict == verdict::Verdict::Missing => place(verdict) + 1,
+        None => place(verdict),
     }
 }
 

@@ -227,6 +227,14 @@
 		area.addEventListener("pointermove", (event) => event.buttons && go(event));
 	};
 
+	/** Opens the details of the vehicle that a link of the table leads to. */
+	const unfold = () => {
+		const target = location.hash.startsWith("#object-") ? find(location.hash.slice(1)) : null;
+		if (!target) return;
+		target.closest("details").open = true;
+		target.scrollIntoView();
+	};
+
 	const setTheme = (theme) => {
 		root.dataset.theme = theme;
 		view?.recolour();
@@ -266,6 +274,11 @@
 			if (settings.has("full")) fill(true);
 			if (view && settings.has("view")) view.look(settings.get("view"));
 		}
+		find("filter")?.addEventListener("change", ({ target }) => document.querySelectorAll("[data-trust]").forEach((row) => {
+			row.hidden = Number(row.dataset.trust) > Number(target.value);
+		}));
+		addEventListener("hashchange", unfold);
+		unfold();
 		shots.forEach(({ element, time }) => element.addEventListener("click", () => jump(time, { scroll: false })));
 		document.querySelectorAll(".area, .row:not(.axis) .track").forEach(scrub);
 		handles.forEach(makeSlider);
