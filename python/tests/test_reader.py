@@ -291,6 +291,9 @@ class Tables(Case):
         labels = [line.get_label() for line in tractrix.plot_paths(results).lines]
         self.assertIn("camera", labels)
         self.assertIn("truck 4 (ground track, usable)", labels)
+        colors = {line.get_label(): line.get_color() for line in tractrix.plot_paths(results).lines}
+        self.assertEqual(colors["truck 4 (ground track, usable)"], colors["car 4 (rejected)"])
+        self.assertNotEqual(colors["car 1 (good)"], colors["car 4 (rejected)"])
         self.assertEqual(len(tractrix.plot_map(results, min_verdict="good").lines), 2)
         with self.assertRaises(ValueError):
             tractrix.plot_speeds(results, unit="knots")

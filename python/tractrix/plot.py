@@ -33,19 +33,19 @@ def plot_speeds(results: Results, ax: Axes | None = None, unit: str = "km/h", mi
         raise ValueError(f"unit: {unit!r} is no unit of speed; give one of {', '.join(SPEED_UNITS)}")
     ax, factor = _axes(ax), SPEED_UNITS[unit]
     tracks = results.vehicles.values() if min_verdict is None else results.select(min_verdict)
-    drawn = 0
-    for number, track in enumerate(tracks):
+    colors, drawn = _colors(results), 0
+    for track in tracks:
         speed, std = factor * track.speed_m_s, factor * track.speed_std_m_s
         if not np.isfinite(speed).any():
             continue
-        color = f"C{number % 10}"
+        color = colors[track.id]
         ax.plot(track.time_s, speed, color=color, label=_label(track), linestyle=_style(track))
         ax.fill_between(track.time_s, speed - std, speed + std, color=color, alpha=0.2, linewidth=0)
         drawn += 1
     if not drawn:
         raise _unknown(results, "no speeds")
     ax.set(xlabel="time, s", ylabel=f"speed, {unit}")
-    ax.legend(fontsize="small")
+    _legend(ax)
     return ax
 
 
@@ -55,7 +55,7 @@ def plot_paths(results: Results, ax: Axes | None = None, min_verdict: str | None
     Args:
         results: results of a run.
         ax: axes to draw into.
-        min_verdict: only vehicles with this verdict or a better one; ground tracks are then left away.
+        min_verdict: only vehicles with this verdict or a better one, and no ground tracks.
     """
     tracks = _tracks(results, min_verdict)
     lines = [(track, _smoothed(track)[:, :2]) for track in tracks]
@@ -64,10 +64,10 @@ def plot_paths(results: Results, ax: Axes | None = None, min_verdict: str | None
     ax = _axes(ax)
     center = results.cameras.center_m
     ax.plot(center[:, 0], center[:, 1], color="gray", label="camera")
-    _draw(ax, lines)
+    _draw(ax, lines, _colors(results))
     north = results.metric and results.metric.axes == "east-north-up"
     ax.set(xlabel="east, m" if north else "x, m", ylabel="north, m" if north else "y, m", aspect="equal")
-    ax.legend(fontsize="small")
+    _legend(ax)
     return ax
 
 
@@ -78,10 +78,11 @@ def plot_map(results: Results, ax: Axes | None = None, min_verdict: str | None =
     if not len(known):
         raise MissingError(results.folder, "no georeferenced positions", "repeat the run with --telemetry")
     ax = _axes(ax)
-    _draw(ax, lines)
+    _draw(ax, lines, _colors(results))
     ax.set(xlabel="longitude, °", ylabel="latitude, °", aspect=1 / np.cos(np.radians(known[:, 1].mean())))
     ax.ticklabel_format(useOffset=False)
-    ax.legend(fontsize="small")
+    ax.tick_params(axis="x", labelrotation=90)
+    _legend(ax)
     return ax
 
 
@@ -108,11 +109,26 @@ def _smoothed(track: Track) -> Floats:
     return np.where(np.isfinite(smoothed), smoothed, track.position_m)
 
 
-def _draw(ax: Axes, lines: Iterable[tuple[Track, Floats]]) -> None:
-    for number, (track, line) in enumerate(lines):
+def _colors(results: Results) -> dict[int, Any]:
+    """A color per vehicle id, the same in all charts and for its ground track; repeated after twenty."""
+    from matplotlib import colormaps
+
+    palette: Any = colormaps["tab20"]
+    # Full tones first, then light ones.
+    order = [*range(0, 20, 2), *range(1, 20, 2)]
+    ids = sorted({*results.vehicles, *results.ground_tracks})
+    return {number: palette(order[place % 20]) for place, number in enumerate(ids)}
+
+
+def _legend(ax: Axes) -> None:
+    ax.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.02, 1), borderaxespad=0)
+
+
+def _draw(ax: Axes, lines: Iterable[tuple[Track, Floats]], colors: dict[int, Any]) -> None:
+    for track, line in lines:
         if not np.isfinite(line).any():
             continue
-        color = f"C{number % 10}"
+        color = colors[track.id]
         ax.plot(line[:, 0], line[:, 1], color=color, linestyle=_style(track), label=_label(track))
         last = line[np.isfinite(line).all(axis=1)][-1]
         ax.plot(*last, color=color, marker="o", markersize=4)
