@@ -96,6 +96,7 @@ fn documents_that_are_named_exist() {
         "scripts",
         "docs",
         "dataset",
+        "python",
         "models",
         "README.md",
         "CHANGELOG.md",
@@ -114,7 +115,8 @@ fn documents_that_are_named_exist() {
 
 #[test]
 fn links_lead_somewhere() {
-    let mut files = texts_of(&["docs", "dataset", "third_party", "README.md", "CHANGELOG.md", "CONTRIBUTING.md"]);
+    let mut files =
+        texts_of(&["docs", "dataset", "python", "third_party", "README.md", "CHANGELOG.md", "CONTRIBUTING.md"]);
     files.retain(|file| file.extension().is_some_and(|e| e == "md"));
     let all = files.iter().flat_map(|file| links(&read(file)).into_iter().map(move |link| (file, link)));
     let all: Vec<_> = all.collect();
