@@ -33,4 +33,6 @@ pub use placing::{
     ObservedContact, ObservedPoint, contact_place_std_m, contact_pose, in_metres, metric_pose, place_std_m,
 };
 pub use utc_offset::{UtcOffset, UtcOffsetError};
-pub use vehicles::{Dimension, Extent, OddVehicle, Oddity, VehicleClass, VehicleSizes, vehicle_sizes};
+pub use vehicles::{
+    Dimension, Extent, OddVehicle, Oddity, VehicleClass, VehicleSizes, contradicted_sizes, vehicle_sizes,
+};

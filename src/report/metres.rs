@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::words::{LENGTH_UNIT, figure, percent, round_figure};
-use crate::scene::{Metric, MetricContradiction, MetricFrame, MetricShare, MetricVerdict};
+use crate::scene::{Metric, MetricContradiction, MetricFrame, MetricShare, MetricVerdict, sources_in_words};
 
 /// Unit of lengths.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,10 +48,8 @@ pub fn metres_in_words(metric: Option<&Metric>) -> String {
         return format!("Scale in meters unknown: {why}{cure}.");
     };
     let source = match metric.verdict {
-        MetricVerdict::Surveyed => "Scale from measurements",
-        MetricVerdict::Telemetry => "Scale from GPS positions",
-        MetricVerdict::PriorOnly => "Scale from typical vehicle sizes",
-        MetricVerdict::Unknown => "Scale of unknown origin",
+        MetricVerdict::Unknown => "Scale of unknown origin".to_owned(),
+        _ => format!("Scale from {}", sources_in_words(&metric.shares)),
     };
     let sure = format!("{source}: ±{} (1σ), the same factor for every length", percent(frame.log_scale_std()));
     match metric.contradictions.first() {
@@ -117,9 +115,12 @@ mod tests {
         let mut metric = showcase(4, 1).metric;
         assert_eq!(
             metres_in_words(Some(&metric)),
-            "Scale from GPS positions: ±2.0 % (1σ), the same factor for every length."
+            "Scale from fixes of the receiver (92 %) and sizes of 2 vehicles (8 %): ±2.0 % (1σ), the same factor for \
+             every length."
         );
         metric.verdict = MetricVerdict::PriorOnly;
+        metric.shares.truncate(1);
+        metric.shares[0].source = "typical vehicle sizes".to_owned();
         let source = "the height of the camera".to_owned();
         metric.contradictions.push(MetricContradiction { source, ratio: 1.4, deviations: 6.1 });
         assert_eq!(

@@ -30,7 +30,7 @@ pub use mask::{BoundingBox, Detection, LabelMap, Mask};
 pub use mesh::TriangleMesh;
 pub use metric::{
     ClockZone, Dates, Dimensions, Estimate, MapOrigin, MapPlace, Metric, MetricAxes, MetricContradiction, MetricFrame,
-    MetricPose, MetricShare, MetricStd, MetricVerdict, Motion, Travel,
+    MetricPose, MetricShare, MetricStd, MetricVerdict, Motion, Travel, sources_in_words,
 };
 pub use reconstruction::{
     CameraForm, CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement,

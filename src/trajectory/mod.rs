@@ -76,5 +76,5 @@ pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
 pub use place::{Adjustment, AdjustmentFigures, Evidence, ModelOrigin, PlacedObject, place};
 pub use smoother::{CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
 pub use stationary::RelativeMotion;
-pub use verdict::{Candidate, verdicts};
+pub use verdict::{Candidate, verdicts, with_reason};
 pub use views::{View, Views};

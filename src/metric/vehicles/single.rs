@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::segments::{self, Segment};
-use super::{Extent, SHARED_BY_VEHICLE};
+use super::{Extent, SHARED_BY_VEHICLE, UNCONFIRMED};
 
 /// Joint estimate from the extents of one vehicle.
 #[derive(Clone, Copy, Debug)]
@@ -12,12 +12,26 @@ pub(super) struct SizeEstimate {
     pub(super) vehicle: u32,
     /// Logarithm of metres per unit.
     pub(super) log_scale: f64,
-    /// Its standard deviation, without what all vehicles of a place have in common.
+    /// Its standard deviation, without what all vehicles of a place have in common and without [`UNCONFIRMED`].
     pub(super) std: f64,
+    /// True if nothing confirms its measurement: no proportions, or a doubtful trajectory.
+    pub(super) is_unconfirmed: bool,
     /// Number of known extents.
     pub(super) num_extents: usize,
     /// Distance of its proportions from those of the nearest segment, standard deviations.
     pub(super) misfit: f64,
+}
+
+impl SizeEstimate {
+    /// The part of its standard deviation that all unconfirmed vehicles have in common.
+    pub(super) fn common_std(&self) -> f64 {
+        if self.is_unconfirmed { UNCONFIRMED } else { 0.0 }
+    }
+
+    /// Standard deviation of this vehicle alone.
+    pub(super) fn total_std(&self) -> f64 {
+        self.std.hypot(self.common_std())
+    }
 }
 
 /// Likelihood of the extents under one segment.
@@ -45,8 +59,14 @@ pub(super) fn answer(extents: &[Extent]) -> Option<SizeEstimate> {
     // Proportions that differ by more than the deviations explain make the answer less sure (Birge).
     let variance = spread * (chi2 / freedom).max(1.0) + first.ratio_std.powi(2);
     let num_extents = extents.len();
-    let answer =
-        SizeEstimate { vehicle: first.vehicle, log_scale, std: variance.sqrt(), num_extents, misfit: chi2.sqrt() };
+    let answer = SizeEstimate {
+        vehicle: first.vehicle,
+        log_scale,
+        std: variance.sqrt(),
+        is_unconfirmed: num_extents == 1 || first.is_doubtful,
+        num_extents,
+        misfit: chi2.sqrt(),
+    };
     [answer.log_scale, answer.std, answer.misfit].iter().all(|x| x.is_finite()).then_some(answer)
 }
 

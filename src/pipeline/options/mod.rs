@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 pub use ablation::Ablation;
 pub use metres::{MetricOptions, TelemetryChoice};
+pub(in crate::pipeline) use public::from_json as options_from_json;
 pub use reference::{OptionRow, OptionSection};
 pub use vehicles::{DetectorChoice, MaskChoice, MotionChoice, VehicleOptions};
 

@@ -4,6 +4,8 @@
 //! ([`PUBLIC`]); every other option is below `tuning`. Both spellings are accepted for every option, so that a file
 //! stays valid when an option becomes public or ceases to be.
 
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value, json};
 
 use super::Options;
@@ -102,6 +104,15 @@ impl Options {
         public[TUNING] = tuning;
         public
     }
+}
+
+/// Reads options from JSON as [`Options::to_json`] writes them, for fields of files that hold them.
+///
+/// # Errors
+/// A tree that is none of options.
+pub(in crate::pipeline) fn from_json<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Options, D::Error> {
+    let given = Value::deserialize(deserializer)?;
+    Options::default().with_tree(&given).map_err(D::Error::custom)
 }
 
 /// Removes a value, and the groups that become empty.

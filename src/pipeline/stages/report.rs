@@ -15,6 +15,7 @@ use crate::pipeline::driver::reopen::check_input;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::cameras;
 use crate::pipeline::inputs::cameras::CameraOrigin;
+use crate::pipeline::options::options_from_json;
 use crate::pipeline::{Options, PipelineError, Silent, Workspace};
 use crate::report::{self, Data, Fact, Missing, Model, Object, Part, Thumbnail};
 use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
@@ -48,6 +49,7 @@ pub fn link_exports(output: &Path) -> Result<(), PipelineError> {
 struct RunJson {
     arguments: Vec<String>,
     input: InputJson,
+    #[serde(deserialize_with = "options_from_json")]
     options: Options,
 }
 
@@ -294,6 +296,21 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::features::Target;
+
+    #[test]
+    fn options_of_run_json_are_read_back() {
+        let mut options = Options { seed: 7, ..Options::default() };
+        options.objects = options.objects.with_sift(Target::Object);
+        options.background.mapper.min_starts = 2;
+        for options in [Options::default(), options] {
+            let input = serde_json::json!({ "path": "clip.mp4" });
+            let document =
+                serde_json::json!({ "arguments": [], "input": input, "options": options.to_json(), "warnings": [] });
+            let read: RunJson = serde_json::from_value(document).unwrap();
+            assert_eq!(read.options, options);
+        }
+    }
 
     #[test]
     fn exports_say_what_opens_them() {

@@ -12,7 +12,8 @@
 //! * a deviation of more than 3 %, or any doubt: fair; else good.
 //!
 //! What supports a trajectory takes no doubt away. No metres are known: lengths are measured with the vehicle's own
-//! height over the ground, and vehicles with one another.
+//! height over the ground, and vehicles with one another. The stage `metric` adds a doubt ([`with_reason`]) where the
+//! size contradicts the class.
 //!
 //! Every limit, where it comes from, and on which clips it was chosen: docs/maths/verdict.md. Entry point:
 //! [`verdicts`].
@@ -79,6 +80,14 @@ pub fn verdicts(candidates: &[Candidate], time_base: TimeBase, focal_changes: &[
         }));
     }
     reasons.into_iter().map(weighed).collect()
+}
+
+/// The verdict with one more reason, which replaces support of the same kind.
+pub fn with_reason(verdict: Verdict, reason: Reason) -> Verdict {
+    let is_kept = |before: &Reason| before.kind != reason.kind || before.finding != Finding::Supports;
+    let mut reasons: Vec<Reason> = verdict.reasons.into_iter().filter(is_kept).collect();
+    reasons.push(reason);
+    weighed(reasons)
 }
 
 /// Reasons from one trajectory alone.

@@ -27,6 +27,7 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::{MetricOptions, Options, PipelineError, TelemetryChoice};
 use crate::scene::{
     GroundTrack, Metric, MetricFrame, MetricVerdict, ObjectId, ObjectTrajectory, Reconstruction, Topic, Trajectories,
+    sources_in_words,
 };
 use crate::telemetry;
 use aligned::Aligned;
@@ -77,6 +78,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     };
     describe(&found.metric, &mut outcome);
     let Trajectories { unit, mut objects, mut ground_tracks, .. } = trajectories;
+    vehicles::doubt_sizes(&mut objects, &sizes, found.known);
     let is_placed = !objects.is_empty() || !ground_tracks.is_empty();
     let nominal = match found.metric.frame {
         None if is_placed => Some(nominal_frame(&Ground::of(run, &background)?, &background, &objects, &ground_tracks)),
@@ -111,6 +113,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
 struct MetricResult {
     metric: Metric,
     map: Option<telemetry::LocalFrame>,
+    /// Logarithm of meters per unit without typical vehicle sizes, and its standard deviation.
+    known: Option<(f64, f64)>,
 }
 
 impl MetricResult {
@@ -125,7 +129,7 @@ impl MetricResult {
             time_offset_std_s: None,
             dates: None,
         };
-        Self { metric, map: None }
+        Self { metric, map: None, known: None }
     }
 }
 
@@ -147,6 +151,7 @@ fn find(
     let mut sources: Vec<Source> = aligned.iter().map(Aligned::source).collect();
     sources.extend(sources::measured(run, &ground, outcome));
     sources.extend(vehicles::known(run, sizes, outcome));
+    let known = fuse(&sources).map(|fused| (fused.scale.ln(), fused.std / fused.scale));
     let alike = vehicles::alike(trajectories, sizes);
     alike.warn(outcome);
     sources.extend(alike.source.clone());
@@ -169,7 +174,7 @@ fn find(
         time_offset_std_s: aligned.as_ref().map(|aligned| aligned.alignment.offset_std_s),
         dates,
     };
-    Ok(MetricResult { metric, map: aligned.map(|aligned| aligned.map) })
+    Ok(MetricResult { metric, map: aligned.map(|aligned| aligned.map), known })
 }
 
 /// Distance from camera to vehicle that represents the median of a result without metres: between a dashcam's 10 m and
@@ -208,12 +213,10 @@ const NOTHING: &str = "no source of scale: no matching telemetry, no known lengt
 
 /// On what the metres rest, and how well they are known.
 fn sentence(fused: &Fused, frame: &MetricFrame) -> String {
-    let basis = match fused.verdict {
-        MetricVerdict::Surveyed => "scale from measurements",
-        MetricVerdict::Telemetry => "scale from GPS positions",
-        MetricVerdict::PriorOnly if fused.shares.len() > 1 => "scale mostly from typical vehicle sizes",
-        MetricVerdict::PriorOnly => "scale from typical vehicle sizes only (no measurement given)",
-        MetricVerdict::Unknown => "scale unknown",
+    let basis = match (fused.verdict, &fused.shares[..]) {
+        (MetricVerdict::PriorOnly, [_]) => "scale from typical vehicle sizes only (no measurement given)".to_owned(),
+        (MetricVerdict::Unknown, _) => "scale unknown".to_owned(),
+        (_, shares) => format!("scale from {}", sources_in_words(shares)),
     };
     let discord = if fused.contradictions.is_empty() { "" } else { "; sources contradict one another" };
     let std = percent(frame.log_scale_std());

@@ -4,14 +4,17 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::math::rounding::significant;
 use crate::metric::{
     Dimension, Extent, Kind, KnownLength, Measured, OddVehicle, Oddity, Source, VehicleClass, VehicleSizes,
-    vehicle_sizes,
+    contradicted_sizes, vehicle_sizes,
 };
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::scene::{
-    Dimensions, Estimate, MetricContradiction, MetricFrame, ObjectId, ObjectTrajectory, Topic, Trajectories, Trust,
+    Dimensions, Estimate, MetricContradiction, MetricFrame, ObjectId, ObjectTrajectory, Reason, ReasonKind, Topic,
+    Trajectories, Trust,
 };
+use crate::trajectory::with_reason;
 
 /// Size of an object, in units of the background; `None` for a dimension that was never visible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -134,15 +137,48 @@ impl Alike {
     }
 }
 
+/// Adds a doubt to the verdict on every vehicle whose proportions are those of no vehicle of its class, or whose size
+/// contradicts meters from other sources.
+///
+/// * `known` – logarithm of meters per unit without typical vehicle sizes, and its standard deviation.
+pub(super) fn doubt_sizes(
+    objects: &mut [ObjectTrajectory],
+    sizes: &BTreeMap<ObjectId, Size>,
+    known: Option<(f64, f64)>,
+) {
+    for trajectory in objects {
+        let found = contradicted_sizes(&extents(trajectory, sizes), known);
+        let Some(verdict) = trajectory.verdict.take() else { continue };
+        let reasons = found.iter().map(|odd| size_doubt(odd, &trajectory.class));
+        trajectory.verdict = Some(reasons.fold(verdict, with_reason));
+    }
+}
+
+fn size_doubt(odd: &OddVehicle, class: &str) -> Reason {
+    let deviations = odd.deviations;
+    match odd.oddity {
+        Oddity::Shape => {
+            let says = format!("proportions of no {class} ({deviations:.1} standard deviations off)");
+            Reason::doubts(ReasonKind::Shape, 1.0, says)
+        }
+        Oddity::Scale(ratio) => {
+            let size = significant(ratio.recip(), 2);
+            let says = format!("{size} times as large as usual for a {class} ({deviations:.1} standard deviations)");
+            Reason::doubts(ReasonKind::Size, 1.0, says)
+        }
+    }
+}
+
 fn extents(trajectory: &ObjectTrajectory, sizes: &BTreeMap<ObjectId, Size>) -> Vec<Extent> {
     let Some(size) = sizes.get(&trajectory.id) else { return Vec::new() };
     let Some(class) = VehicleClass::from_label(&trajectory.class) else { return Vec::new() };
     let ratio_std = trajectory.scale.std.unwrap_or(0.0) / trajectory.scale.ratio;
+    let is_doubtful = is_doubtful(trajectory);
     let extent = |dimension| {
         let Estimate { value, std } = size.of(dimension)?;
         // The deviation of a size has that of the ratio in it.
         let std = (std * std - (ratio_std * value).powi(2)).max(0.0).sqrt().max(MIN_STD * value);
-        Some(Extent { vehicle: trajectory.id.0, class, dimension, value, std, ratio_std })
+        Some(Extent { vehicle: trajectory.id.0, class, dimension, value, std, ratio_std, is_doubtful })
     };
     [Dimension::Length, Dimension::Width, Dimension::Height].into_iter().filter_map(extent).collect()
 }
@@ -189,6 +225,29 @@ mod tests {
         };
         let extent = |units: f64| Some(Estimate { value: factor * units, std: 0.02 * factor * units });
         (trajectory, (ObjectId(id), Size { length: extent(4.3), width: extent(1.8), height: extent(1.48) }))
+    }
+
+    #[test]
+    fn impossible_sizes_count_against_the_verdict() {
+        let state = |factors: [f64; 3], known: Option<(f64, f64)>| {
+            let (trajectory, (id, size)) = car(1, 1.0, Trust::Good);
+            let scaled = |extent: Option<Estimate>, by: f64| {
+                extent.map(|Estimate { value, std }| Estimate { value: by * value, std: by * std })
+            };
+            let [l, w, h] = factors;
+            let size =
+                Size { length: scaled(size.length, l), width: scaled(size.width, w), height: scaled(size.height, h) };
+            let mut objects = [trajectory];
+            doubt_sizes(&mut objects, &[(id, size)].into(), known);
+            let [trajectory] = objects;
+            trajectory.verdict.map(|verdict| verdict.state)
+        };
+        // Metres per unit are 1: by typical sizes themselves no size is wrong, only proportions.
+        assert_eq!(state([1.0; 3], Some((0.0, 0.02))), Some(Trust::Good));
+        assert_eq!(state([0.5; 3], None), Some(Trust::Good));
+        assert_eq!(state([0.5; 3], Some((0.0, 0.02))), Some(Trust::Doubtful));
+        assert_eq!(state([0.5; 3], Some((0.0, 0.3))), Some(Trust::Good));
+        assert_eq!(state([1.0, 1.0, 0.5], None), Some(Trust::Doubtful));
     }
 
     #[test]
