@@ -32,7 +32,7 @@ pub use driver::workspace::{Marker, Overwrite, Workspace};
 pub use error::PipelineError;
 pub use evaluate::{SavedEvaluation, evaluate, keep_evaluation};
 pub use options::{
-    Ablation, DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MOST_THREADS,
+    Ablation, DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MOST_THREADS, Method,
     MaskChoice, MaskingOptions, MetricOptions, ModelFiles, MotionChoice, OptionRow, OptionSection, Options,
     TelemetryChoice, VehicleOptions,
 };
