@@ -29,8 +29,9 @@ pub(in crate::pipeline) fn renew(workspace: &Workspace) -> Result<(), PipelineEr
     let told: RunJson = json::read(&workspace.run_json())?;
     let input = workspace.claimed_by().map_or(told.input.path, |input| input.path);
     check_input(workspace.root(), &input)?;
-    let source = cameras::open(&input, &told.options)?;
-    let mut run = Run::new(&told.options, workspace, &source, &told.arguments, &Silent);
+    let options = Options::default().with_tree(&told.options)?;
+    let source = cameras::open(&input, &options)?;
+    let mut run = Run::new(&options, workspace, &source, &told.arguments, &Silent);
     run.recall();
     run_stage(&run).map(drop)
 }
@@ -48,7 +49,8 @@ pub fn link_exports(output: &Path) -> Result<(), PipelineError> {
 struct RunJson {
     arguments: Vec<String>,
     input: InputJson,
-    options: Options,
+    /// As [`Options::to_json`] has them: internal ones below `tuning`.
+    options: serde_json::Value,
 }
 
 #[derive(Deserialize)]
