@@ -32,8 +32,8 @@ pub use driver::workspace::{Marker, Overwrite, Workspace};
 pub use error::PipelineError;
 pub use evaluate::{SavedEvaluation, evaluate, keep_evaluation};
 pub use options::{
-    Ablation, DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MOST_THREADS, Method,
-    MaskChoice, MaskingOptions, MetricOptions, ModelFiles, MotionChoice, OptionRow, OptionSection, Options,
+    Ablation, DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MOST_THREADS,
+    MaskChoice, MaskingOptions, Method, MetricOptions, ModelFiles, MotionChoice, OptionRow, OptionSection, Options,
     TelemetryChoice, VehicleOptions,
 };
 pub use stages::background::{CameraReport, ModelReport};
