@@ -77,7 +77,7 @@ fn a_broken_sequence_counts_as_failed_and_the_rest_is_done_once() {
     assert_eq!((&all["num"], &all["num_failed"]), (&1.into(), &1.into()));
     let page = fs::read_to_string(out.join("benchmark.md")).unwrap();
     assert!(page.contains("FAILED") && page.contains("- **bridge_van**: failed: "), "{page}");
-    for chart in ["trajectory-error.svg", "scale-deviation.svg"] {
+    for chart in ["trajectory-error.svg", "scale-deviation.svg", "estimators.svg"] {
         let chart = fs::read_to_string(out.join(chart)).unwrap();
         assert!(chart.starts_with("<svg") && chart.contains("\nfailed\n"), "{chart}");
     }

@@ -7,11 +7,16 @@ use anyhow::Context;
 use super::output::Failure;
 use crate::files;
 use crate::memory::MemoryLimit;
-use crate::pipeline::Options;
+use crate::pipeline::{Method, Options};
 use crate::scene::ScaleMethod;
 
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct CommonArgs {
+    /// Method: default, paper (the published method without additions, docs/paper.md), or paper-baseline
+    ///
+    /// Sets options before --options, --set and flags. Needs ground labels, except for default.
+    #[arg(long, value_name = "METHOD", value_parser = method, conflicts_with = "scale_method", help_heading = "Geometry")]
+    pub(super) method: Option<Method>,
     /// Scale method: joint, least-squares, constant-distance, intersection, or a reference method of docs/estimators.md
     /// [default: joint]
     #[arg(long, value_name = "METHOD", value_parser = scale_method, help_heading = "Geometry")]
@@ -37,13 +42,16 @@ pub(super) struct CommonArgs {
 }
 
 impl CommonArgs {
-    /// The defaults, over them the file, over that --set, and over all these flags.
+    /// The defaults, over them the method, over that the file, over that --set, and over all these flags.
     pub(super) fn options(&self) -> Result<Options, Failure> {
         self.over(Options::default())
     }
 
     /// As [`Self::options`], over others than the defaults.
     pub(super) fn over(&self, mut options: Options) -> Result<Options, Failure> {
+        if let Some(method) = self.method {
+            options = method.applied(&options).map_err(|error| Failure::Usage(error.to_string()))?;
+        }
         if let Some(path) = &self.options {
             options = read_options(path, &options)?;
         }
@@ -71,6 +79,11 @@ fn read_options(path: &Path, below: &Options) -> Result<Options, Failure> {
 fn assignment(text: &str) -> Result<(String, String), String> {
     let (key, value) = text.split_once('=').ok_or_else(|| format!("'{text}': expected KEY=VALUE"))?;
     Ok((key.trim().to_owned(), value.trim().to_owned()))
+}
+
+fn method(text: &str) -> Result<Method, String> {
+    let found = Method::ALL.into_iter().find(|method| method.name() == text);
+    found.ok_or_else(|| format!("'{text}': expected one of {}", Method::ALL.map(Method::name).join(", ")))
 }
 
 fn scale_method(text: &str) -> Result<ScaleMethod, String> {

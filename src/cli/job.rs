@@ -207,6 +207,9 @@ pub(super) fn resolve(job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), 
 pub(super) fn resolve_over(options: Options, job: &JobArgs, goal: Stage) -> Result<(PathBuf, Options), Failure> {
     let (input, options) = lay_over(options, job, goal)?;
     check(&options)?;
+    if goal >= Stage::Ground {
+        options.check_labels().map_err(|error| Failure::Usage(error.to_string()))?;
+    }
     Ok((input, options))
 }
 

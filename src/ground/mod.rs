@@ -58,6 +58,8 @@ pub struct Options {
     pub max_slope_deg: f64,
     /// True if points on the vehicle's own path correct its ground planes.
     pub vehicle_path: bool,
+    /// True if labeled points are the only source of the ground.
+    pub labels_only: bool,
 }
 
 impl Default for Options {
@@ -71,6 +73,7 @@ impl Default for Options {
             max_roll_deg: 30.0,
             max_slope_deg: 25.0,
             vehicle_path: true,
+            labels_only: false,
         }
     }
 }

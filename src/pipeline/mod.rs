@@ -33,7 +33,7 @@ pub use error::PipelineError;
 pub use evaluate::{SavedEvaluation, evaluate, keep_evaluation};
 pub use options::{
     Ablation, DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MOST_THREADS,
-    MaskChoice, MaskingOptions, MetricOptions, ModelFiles, MotionChoice, OptionRow, OptionSection, Options,
+    MaskChoice, MaskingOptions, Method, MetricOptions, ModelFiles, MotionChoice, OptionRow, OptionSection, Options,
     TelemetryChoice, VehicleOptions,
 };
 pub use stages::background::{CameraReport, ModelReport};

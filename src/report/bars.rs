@@ -13,6 +13,9 @@ use super::svg::{self, Area, DrawResult, FONT};
 const SIZE: (u32, u32) = (1200, 450);
 const LEGEND_PX: i32 = 190;
 
+/// Height of one of several charts above one another, pixels.
+const PANEL_PX: u32 = 230;
+
 /// Share of a group's and of a cluster's width that is left empty.
 const GROUP_GAP: f64 = 0.10;
 const CLUSTER_GAP: f64 = 0.16;
@@ -50,6 +53,8 @@ pub(super) enum Height {
     Absent,
     /// There should be one.
     Failed,
+    /// The data leave the value open.
+    Undetermined,
     /// There is one.
     Value(f64),
 }
@@ -73,6 +78,18 @@ pub(super) struct BarChart {
     pub clusters: Vec<String>,
     pub fillings: Vec<(Filling, String)>,
     pub bars: Vec<Vec<Vec<Bar>>>,
+}
+
+/// Charts above one another as one SVG file.
+///
+/// # Errors
+/// [`ReportError::Chart`](super::ReportError::Chart) if it cannot be laid out.
+pub(super) fn panels_svg(charts: &[BarChart]) -> Result<String, super::ReportError> {
+    let count = charts.len().max(1);
+    let height = PANEL_PX.saturating_mul(u32::try_from(count).unwrap_or(u32::MAX));
+    svg::drawn((SIZE.0, height), |area| {
+        charts.iter().zip(area.split_evenly((count, 1))).try_for_each(|(chart, part)| chart.draw(&part))
+    })
 }
 
 impl BarChart {
@@ -131,6 +148,7 @@ impl BarChart {
         let middle = 0.5 * (left + right);
         match bar.height {
             Height::Absent => {}
+            Height::Undetermined => plot.draw(&Text::new("?", (left, 0.09 * top), (FONT, 11)))?,
             Height::Failed => plot.draw(&Cross::new((middle, 0.02 * top), 4, RED.stroke_width(2)))?,
             Height::Value(value) => {
                 let filling = self.fillings.get(place[2]).map_or(Filling::Solid, |(filling, _)| *filling);
@@ -160,7 +178,7 @@ impl BarChart {
         for (cluster, name) in self.clusters.iter().enumerate() {
             area.draw(&swatch(entry(name)?, style(cluster, Filling::Solid)))?;
         }
-        for (filling, name) in &self.fillings {
+        for (filling, name) in self.fillings.iter().filter(|_| self.fillings.len() > 1) {
             area.draw(&swatch(entry(name)?, style(0, *filling)))?;
         }
         let any = |is: fn(&Bar) -> bool| self.bars.iter().flatten().flatten().any(is);
@@ -170,6 +188,9 @@ impl BarChart {
         if any(|bar| bar.floor.is_some()) {
             let y = entry("at the reference ratio")? + 6;
             area.draw(&PathElement::new([(6, y), (18, y)], BLACK.stroke_width(2)))?;
+        }
+        if any(|bar| bar.height == Height::Undetermined) {
+            area.draw(&Text::new("?", (9, entry("undetermined")?), (FONT, 11)))?;
         }
         if any(|bar| bar.height == Height::Failed) {
             area.draw(&Cross::new((12, entry("failed")? + 6), 4, RED.stroke_width(2)))?;
@@ -230,6 +251,16 @@ mod tests {
         let svg = chart(&heights).svg().unwrap();
         assert_eq!(svg.matches("50.00").count(), 2);
         assert!(svg.contains("failed") && !svg.contains("published"));
+    }
+
+    #[test]
+    fn charts_above_one_another_are_one_file() {
+        let (open, drawn) = (chart(&[Height::Undetermined]), chart(&[Height::Value(1.0)]));
+        let svg = panels_svg(&[drawn.clone(), open, drawn]).unwrap();
+        assert!(svg.contains(&format!("height=\"{}\"", 3 * PANEL_PX)), "{svg}");
+        assert_eq!(svg.matches("\nundetermined\n").count(), 1, "{svg}");
+        assert!(svg.matches("\nleft\n").count() == 3 && !svg.contains("\nx\n"), "{svg}");
+        assert!(panels_svg(&[]).is_ok());
     }
 
     #[test]

@@ -20,6 +20,8 @@ pub enum ScaleMethod {
     OzdenIndependence,
     /// Reference method: path in a plane, whichever.
     OzdenPlane,
+    /// Reference method: path across the axis about which the vehicle turns.
+    OzdenAxis,
     /// Reference method: motion in the direction in which the vehicle points.
     OzdenHeading,
     /// Reference method: shortest path.
@@ -58,13 +60,14 @@ const PARK: &str = "Park, Shiratori, Matthews, Sheikh, ECCV 2010, IJCV 2015";
 
 impl ScaleMethod {
     /// Every method, in the order of tables: the paper's baseline and method, the program's own, references.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Intersection,
         Self::ConstantDistance,
         Self::Joint,
         Self::RobustLeastSquares,
         Self::OzdenIndependence,
         Self::OzdenPlane,
+        Self::OzdenAxis,
         Self::OzdenHeading,
         Self::Zheng,
         Self::CameraHeight,
@@ -90,6 +93,7 @@ impl ScaleMethod {
                 ("ozden-independence", OZDEN_CVIU, "motion independent of the camera's; paths only")
             }
             Self::OzdenPlane => ("ozden-plane", OZDEN_CVPR, "motion in a plane; paths only"),
+            Self::OzdenAxis => ("ozden-axis", OZDEN_CVPR, "motion in a plane about whose normal it turns; attitudes"),
             Self::OzdenHeading => ("ozden-heading", OZDEN_CVPR, "motion where it points; attitudes"),
             Self::Zheng => ("zheng", "Zheng et al., trajectoryBased3DRecon", "short path; paths only"),
             Self::CameraHeight => (

@@ -26,6 +26,8 @@ pub struct Options {
     pub method: ScaleMethod,
     /// True to compute the reference methods of the literature, too, for comparison: the benchmark does.
     pub references: bool,
+    /// True for the chosen method alone: no substitute where it has no ratio, no frames dropped, no ground tracks.
+    pub method_only: bool,
     /// View pair ranking.
     pub constant_distance: ConstantDistanceOptions,
     /// Robust fit over all frames.
@@ -44,6 +46,7 @@ impl Default for Options {
         Self {
             method: ScaleMethod::Joint,
             references: false,
+            method_only: false,
             constant_distance: ConstantDistanceOptions::default(),
             least_squares: LeastSquaresOptions::default(),
             joint: JointOptions::default(),
@@ -80,7 +83,8 @@ const NOTABLE_CLIMB: f64 = 0.1;
 ///
 /// For methods that live on the camera's change of height, `degenerate` says that the motion does not determine r: the
 /// camera's height over the ground does not change, or by too little for its noise. Where the chosen method has no
-/// answer, `intersection` stands in, or else the first other that has one, and `method` and `reason` say so.
+/// answer, `intersection` stands in, or else the first other that has one, and `method` and `reason` say so
+/// ([`Options::method_only`]: none does).
 ///
 /// # Errors
 /// The chosen method's [`ScaleError`], if no method has an answer.
@@ -88,7 +92,8 @@ pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> 
     let answers = answers(views, wanted, options);
     let of = |method: &ScaleMethod| answers.get(method).and_then(|answer| answer.as_ref().ok());
     // Contact stands in first: it does not need what the other two lack when they have no answer, a climb.
-    let chosen = [wanted, ScaleMethod::Intersection].into_iter().chain(ScaleMethod::ALL);
+    let others = [ScaleMethod::Intersection].into_iter().chain(ScaleMethod::ALL).filter(|_| !options.method_only);
+    let chosen = [wanted].into_iter().chain(others);
     let found = chosen.filter_map(|method| Some((method, of(&method)?))).next();
     let failure = answers.get(&wanted).and_then(|answer| answer.as_ref().err());
     let Some((method, &Estimate { ratio, std, .. })) = found else {

@@ -118,7 +118,7 @@ pub fn place(evidence: &Evidence, options: &Options) -> PlacedObject {
     };
     let scale = estimate_scale(&as_it_is, method, options)
         .map(|scale| with_focal(scale, evidence.focal_std, options.max_relative_std));
-    evidence.finished(evidence.object.clone(), adjustment, scale)
+    evidence.finished(evidence.object.clone(), adjustment, scale, options)
 }
 
 impl Evidence<'_> {
@@ -137,7 +137,7 @@ impl Evidence<'_> {
         let scale = joint_estimate(&views, &found, options, self.focal_std);
         let scale = ScaleEstimate { as_reconstructed, references, ..scale };
         let adjustment = Adjustment::Done(AdjustmentFigures::from(&found));
-        self.finished(found.object, adjustment, Ok(scale))
+        self.finished(found.object, adjustment, Ok(scale), options)
     }
 
     /// The object in its place, once its scale ratio is known.
@@ -146,13 +146,14 @@ impl Evidence<'_> {
         object: Reconstruction,
         adjustment: Adjustment,
         scale: Result<ScaleEstimate, ScaleError>,
+        options: &Options,
     ) -> PlacedObject {
         let mut trajectory = scale.and_then(|scale| self.trajectory(&object, scale));
         let (mut pose_covariances, mut dropped) = (BTreeMap::new(), Vec::new());
         if let Ok(trajectory) = &mut trajectory {
             let ratio = trajectory.scale.ratio;
             pose_covariances = pose_error::pose_covariances(self.background, &object, ratio);
-            if self.origin == ModelOrigin::Reconstructed {
+            if self.origin == ModelOrigin::Reconstructed && !options.method_only {
                 dropped = pose_error::drop_unsure(&mut trajectory.poses, &pose_covariances, &object, ratio);
             }
         }

@@ -36,6 +36,7 @@ const JSON: &str = "benchmark.json";
 const MARKDOWN: &str = "benchmark.md";
 const TRAJECTORY_ERROR: &str = "trajectory-error.svg";
 const SCALE_DEVIATION: &str = "scale-deviation.svg";
+const ESTIMATORS: &str = "estimators.svg";
 const SCALE_METHOD_HELP: &str = "Scale method used for the result; the others are evaluated for comparison";
 
 #[derive(Clone, Debug, clap::Args)]
@@ -44,7 +45,7 @@ pub(super) struct Args {
     /// Folder of sequences: all subfolders with a scene.json
     #[arg(value_name = "DIR")]
     pub(super) folder: PathBuf,
-    /// Folder for the results: one output folder per sequence, benchmark.json, benchmark.md and two charts
+    /// Folder for the results: one output folder per sequence, benchmark.json, benchmark.md and three charts
     #[arg(long, short, value_name = "OUT", default_value = "benchmark")]
     pub(super) output: PathBuf,
     /// Replace results of sequences that have changed
@@ -176,7 +177,9 @@ fn place(relative: &Path) -> PathRole {
     match parts[..] {
         [] => PathRole::Folder,
         [RunFolder::STATE, ..] => PathRole::State,
-        [JSON | MARKDOWN | TRAJECTORY_ERROR | SCALE_DEVIATION | ablate::JSON | ablate::MARKDOWN] => PathRole::File,
+        [JSON | MARKDOWN | TRAJECTORY_ERROR | SCALE_DEVIATION | ESTIMATORS | ablate::JSON | ablate::MARKDOWN] => {
+            PathRole::File
+        }
         _ => PathRole::Elsewhere,
     }
 }
@@ -191,6 +194,7 @@ fn write(benchmark: &Benchmark, others: &[Benchmark], output: &OwnedFolder) -> a
     put(MARKDOWN, pages::markdown(benchmark, others))?;
     put(TRAJECTORY_ERROR, pages::trajectory_error_chart(benchmark)?)?;
     put(SCALE_DEVIATION, pages::scale_deviation_chart(benchmark)?)?;
+    put(ESTIMATORS, pages::estimators_chart(benchmark)?)?;
     Ok(())
 }
 

@@ -4,7 +4,7 @@ use serde_json::{Map, Value, json};
 
 use super::run::Run;
 use crate::io::atomic;
-use crate::pipeline::PipelineError;
+use crate::pipeline::{Method, PipelineError};
 
 /// Writes `run.json` again from what the stages left behind. `error` says why the run ended before its end.
 pub(in crate::pipeline) fn write(run: &Run, error: Option<&str>) -> Result<(), PipelineError> {
@@ -24,6 +24,7 @@ pub(in crate::pipeline) fn write(run: &Run, error: Option<&str>) -> Result<(), P
         "version": crate::VERSION,
         "arguments": run.arguments,
         "input": { "path": run.input().display().to_string(), "info": run.info(), "times": run.info().time_base() },
+        "method": Method::of(run.options).name(),
         "options": run.options.to_json(),
         "stages": Value::Object(stages),
         "warnings": run.warnings(),

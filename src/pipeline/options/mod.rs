@@ -1,6 +1,7 @@
 //! The tree of options: everything that decides a result.
 
 mod ablation;
+mod method;
 mod metres;
 mod public;
 mod reference;
@@ -16,6 +17,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use ablation::Ablation;
+pub use method::Method;
 pub use metres::{MetricOptions, TelemetryChoice};
 pub(in crate::pipeline) use public::from_json as options_from_json;
 pub use reference::{OptionRow, OptionSection};

@@ -146,6 +146,9 @@ fn find(
 ) -> Result<GroundResults, PipelineError> {
     let labelled = labelled_points(run, background, fingerprint, outcome)?;
     let options = &run.options.ground;
+    if options.labels_only {
+        return Ok(GroundResults { labelled, dominant: None, mount: None });
+    }
     let dominant = match dominant_plane_points(background, options, run.options.seed) {
         Ok(plane) => Some(plane),
         Err(error) if labelled.is_none() => {
@@ -186,8 +189,13 @@ fn labelled_points(
 ) -> Result<Option<(GroundSource, Vec<Point3dId>)>, PipelineError> {
     let (source, points) = match &run.options.ground_labels {
         GroundLabels::Geometric => {
-            let text = "no ground labels: the ground is estimated from 3D points; give --ground-model or \
-                        --ground-masks to improve it";
+            let text = match run.options.ground.labels_only {
+                true => "no ground labels: no ground; give --ground-model or --ground-masks",
+                false => {
+                    "no ground labels: the ground is estimated from 3D points; give --ground-model or --ground-masks \
+                     to improve it"
+                }
+            };
             outcome.warn(Topic::NoGroundLabels.warning(text));
             return Ok(None);
         }

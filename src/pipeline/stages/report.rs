@@ -16,7 +16,7 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::cameras;
 use crate::pipeline::inputs::cameras::CameraOrigin;
 use crate::pipeline::options::options_from_json;
-use crate::pipeline::{Options, PipelineError, Silent, Workspace};
+use crate::pipeline::{Method, Options, PipelineError, Silent, Workspace};
 use crate::report::{self, Data, Fact, Missing, Model, Object, Part, Thumbnail};
 use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
 use crate::trajectory::{Views, intersection};
@@ -257,6 +257,10 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
     };
     let mut facts =
         vec![Fact::new("Input", kind), Fact::new("Frame size", format!("{} × {}", info.width, info.height))];
+    let method = Method::of(run.options);
+    if method != Method::Default {
+        facts.push(Fact::new("Method", method.name()).with_note("published method without additions, docs/paper.md"));
+    }
     if (info.source_width, info.source_height) != (info.width, info.height) {
         facts.push(Fact::new("Source size", format!("{} × {}", info.source_width, info.source_height)));
     }

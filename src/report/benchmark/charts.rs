@@ -1,8 +1,10 @@
-//! The paper's two bar charts.
+//! The paper's two bar charts, and the second one for every estimator.
 
+use super::estimators::is_undetermined;
+use super::pages::name;
 use crate::eval::benchmark::{Benchmark, Entry, Estimator, Quantity, paper};
 use crate::report::ReportError;
-use crate::report::bars::{Bar, BarChart, Filling, Height};
+use crate::report::bars::{Bar, BarChart, Filling, Height, panels_svg};
 use crate::scene::ScaleMethod;
 
 /// Trajectory error per trajectory, vehicle and estimator, as SVG.
@@ -11,7 +13,7 @@ use crate::scene::ScaleMethod;
 /// [`ReportError::Chart`] if it cannot be laid out.
 pub fn trajectory_error_chart(benchmark: &Benchmark) -> Result<String, ReportError> {
     let quantity = Quantity::TrajectoryError;
-    chart(benchmark, quantity, "Trajectory error", "trajectory error, meters").svg()
+    chart(benchmark, quantity, "Trajectory error", "trajectory error, meters", drawn(benchmark)).svg()
 }
 
 /// Deviation of the scale ratio from the reference, as SVG.
@@ -20,13 +22,34 @@ pub fn trajectory_error_chart(benchmark: &Benchmark) -> Result<String, ReportErr
 /// [`ReportError::Chart`] if it cannot be laid out.
 pub fn scale_deviation_chart(benchmark: &Benchmark) -> Result<String, ReportError> {
     let quantity = Quantity::ScaleDeviation;
-    chart(benchmark, quantity, "Scale ratio: deviation from the reference", "|r − reference| / reference").svg()
+    let title = "Scale ratio: deviation from the reference";
+    chart(benchmark, quantity, title, SCALE_LABEL, drawn(benchmark)).svg()
 }
 
-fn chart(benchmark: &Benchmark, quantity: Quantity, title: &str, y_label: &str) -> BarChart {
+/// Deviation of the scale ratio from the reference, a chart for each estimator, as one SVG.
+///
+/// # Errors
+/// [`ReportError::Chart`] if it cannot be laid out.
+pub fn estimators_chart(benchmark: &Benchmark) -> Result<String, ReportError> {
+    let of = |estimator: Estimator| {
+        let name = name(&estimator, benchmark);
+        let drawn = vec![(estimator, Filling::Solid, String::new())];
+        chart(benchmark, Quantity::ScaleDeviation, &name, SCALE_LABEL, drawn)
+    };
+    panels_svg(&benchmark.estimators().into_iter().map(of).collect::<Vec<_>>())
+}
+
+const SCALE_LABEL: &str = "|r − reference| / reference";
+
+fn chart(
+    benchmark: &Benchmark,
+    quantity: Quantity,
+    title: &str,
+    y_label: &str,
+    estimators: Vec<(Estimator, Filling, String)>,
+) -> BarChart {
     let published = paper::published();
     let (vehicles, trajectories) = (benchmark.vehicles(), benchmark.trajectories());
-    let estimators = drawn(benchmark);
     let bars = |trajectory: &String| {
         let bars = |vehicle: &String| {
             let here = |entry: &&Entry| entry.vehicle == *vehicle && entry.trajectory == *trajectory;
@@ -74,6 +97,7 @@ fn bar(entries: &[&Entry], published: &Benchmark, estimator: &Estimator, quantit
     let height = match mean_of(estimator) {
         _ if entries.is_empty() => Height::Absent,
         Some(mean) => Height::Value(mean),
+        None if entries.iter().any(|entry| is_undetermined(entry, estimator)) => Height::Undetermined,
         None => Height::Failed,
     };
     let floor = match estimator {
@@ -95,6 +119,10 @@ mod tests {
     use super::*;
     use crate::eval::benchmark::tests::{benchmark, entry};
 
+    fn chart_of(set: &Benchmark) -> BarChart {
+        chart(set, Quantity::TrajectoryError, "t", "m", drawn(set))
+    }
+
     fn paper_with_a_failure() -> Benchmark {
         let mut set = paper::published();
         set.sequences[3].estimators.remove(&ScaleMethod::ConstantDistance);
@@ -104,7 +132,7 @@ mod tests {
 
     #[test]
     fn the_papers_own_chart_is_drawn() {
-        let chart = chart(&paper_with_a_failure(), Quantity::TrajectoryError, "t", "m");
+        let chart = chart_of(&paper_with_a_failure());
         assert_eq!((chart.groups.len(), chart.clusters.len(), chart.fillings.len()), (7, 5, 2));
         // Saloon overtaking: its baseline stands, its method failed; the van's bumpy road was never there.
         let bars = &chart.bars[3][0];
@@ -132,16 +160,27 @@ mod tests {
         let mut twin = set.sequences[0].clone();
         twin.estimators.get_mut(&ScaleMethod::Intersection).unwrap().trajectory_error_m = Some(0.153598);
         set.sequences.push(twin);
-        let drawn = chart(&set, Quantity::TrajectoryError, "t", "m");
+        let drawn = chart_of(&set);
         assert!(matches!(drawn.bars[0][0][0].height, Height::Value(mean) if (mean - 0.103598).abs() < 1e-12));
         // Trajectories of another name are another group, even where the paper's values are the same.
         set.sequences[35].trajectory = "right_curve".into();
-        let drawn = chart(&set, Quantity::TrajectoryError, "t", "m");
+        let drawn = chart_of(&set);
         assert_eq!((drawn.groups.len(), drawn.bars[1][0][0].height), (8, Height::Value(0.153598)));
         assert_eq!(drawn.bars[1][0][0].published, Some(0.053598));
         set.sequences[35].trajectory = "right_curves".into();
         set.sequences[0].estimators.clear();
-        let drawn = chart(&set, Quantity::TrajectoryError, "t", "m");
+        let drawn = chart_of(&set);
         assert_eq!(drawn.bars[0][0][0].height, Height::Failed);
+    }
+    #[test]
+    fn every_estimator_has_a_chart_and_undetermined_ratios_a_mark() {
+        let mut set = paper::published();
+        set.sequences[0].undetermined.insert(ScaleMethod::Yuan, "the camera keeps its height".into());
+        let svg = estimators_chart(&set).unwrap();
+        for title in ["intersection, paper", "constant-distance, paper", "yuan, paper"] {
+            assert_eq!(svg.matches(&format!("\n{title}\n")).count(), 1, "{title}");
+        }
+        assert_eq!(svg.matches("\nundetermined\n").count(), 1);
+        assert!(svg.contains("\nfailed\n"));
     }
 }

@@ -61,7 +61,7 @@ fn row(own: &Benchmark, estimator: &Estimator) -> Vec<String> {
     cells
 }
 
-fn is_undetermined(entry: &Entry, estimator: &Estimator) -> bool {
+pub(super) fn is_undetermined(entry: &Entry, estimator: &Estimator) -> bool {
     matches!(estimator, Estimator::Named(method) if entry.undetermined.contains_key(method))
 }
 

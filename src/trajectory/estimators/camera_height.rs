@@ -10,12 +10,14 @@
 //! r = Σ w_i h_i / −Σ w_i a_i.
 //! ```
 //!
-//! **Assumption**: the lowest reconstructed point touches the ground; a floating one makes r too large by clearance
-//! over height in all frames. No spread over frames shows that, so there is no standard deviation. **Blind** to nothing
-//! of the camera's motion.
+//! **Assumption**: the lowest reconstructed point touches the ground; one that floats by a clearance e makes r too large
+//! by e over h in all frames, which no spread over frames shows. Its root mean square, a share of the vehicle's height
+//! (`scale.joint.contact.lowest`), is therefore a term of the standard deviation besides that of the jackknife.
+//! **Blind** to nothing of the camera's motion, but uncertain where it is low.
 
 use super::motion::{Motion, positive};
 use super::{Estimate, Estimator, EstimatorInput};
+use crate::math::median;
 use crate::scene::ScaleMethod;
 use crate::trajectory::{Options, ScaleError};
 
@@ -30,7 +32,13 @@ impl Estimator for CameraHeight {
     fn estimate(&self, input: &EstimatorInput, options: &Options) -> Result<Estimate, ScaleError> {
         // No plane is better than the best that `joint` reckons with.
         let [least, _] = options.joint.sigma_distance;
-        Ok(Estimate::new(ratio(&Motion::new(input.views)?, least)?, None))
+        let motion = Motion::new(input.views)?;
+        let found = motion.jackknifed(|motion| ratio(motion, least))?;
+        let [mean, spread] = options.joint.contact.lowest;
+        let height = median(motion.heights.clone()).unwrap_or(0.0);
+        let clearance = mean.hypot(spread) * motion.tall * found.ratio;
+        let std = found.std.map(|std| std.hypot(clearance / height * found.ratio));
+        Ok(Estimate::new(found.ratio, std))
     }
 }
 

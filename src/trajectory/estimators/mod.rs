@@ -7,6 +7,7 @@
 mod camera_height;
 mod kundu;
 mod motion;
+mod ozden_axis;
 mod ozden_heading;
 mod ozden_independence;
 mod ozden_plane;
@@ -21,6 +22,7 @@ mod zheng;
 
 use self::camera_height::CameraHeight;
 use self::kundu::Kundu;
+use self::ozden_axis::OzdenAxis;
 use self::ozden_heading::OzdenHeading;
 use self::ozden_independence::OzdenIndependence;
 use self::ozden_plane::OzdenPlane;
@@ -101,6 +103,7 @@ pub fn estimator(method: ScaleMethod) -> &'static dyn Estimator {
         ScaleMethod::Joint => &JointMethod,
         ScaleMethod::OzdenIndependence => &OzdenIndependence,
         ScaleMethod::OzdenPlane => &OzdenPlane,
+        ScaleMethod::OzdenAxis => &OzdenAxis,
         ScaleMethod::OzdenHeading => &OzdenHeading,
         ScaleMethod::Zheng => &Zheng,
         ScaleMethod::CameraHeight => &CameraHeight,

@@ -44,6 +44,8 @@ pub(super) struct Motion {
     pub(super) height_stds: Vec<f64>,
     /// Smallest n · v of a frame over all points of the object.
     pub(super) lowest: Vec<f64>,
+    /// Height of the object over the plane of the middle frame: between the 2 and 98 % quantiles of its points.
+    pub(super) tall: f64,
     /// Length of the object: twice the distance from the reference point within which 95 % of its points are.
     pub(super) length: f64,
 }
@@ -69,6 +71,12 @@ impl Motion {
             motion.heights.push(view.camera_height);
             motion.height_stds.push(view.height_std);
             motion.lowest.push(lowest.unwrap_or(f64::NAN));
+        }
+        let middle_view = views.views.get(views.views.len() / 2);
+        let levels = middle_view.map(|view| views.points.iter().map(|point| view.offset(point)).collect());
+        let mut levels: Vec<f64> = levels.unwrap_or_default();
+        if let (Some(low), Some(high)) = (quantile(&mut levels, 0.02), quantile(&mut levels, 0.98)) {
+            motion.tall = high - low;
         }
         let step = median(motion.times.windows(2).map(|pair| pair[1] - pair[0]).collect()).unwrap_or(1.0);
         motion.times.iter_mut().for_each(|time| *time /= step);
@@ -137,6 +145,7 @@ impl Motion {
             heights: kept(&self.heights, &left_out),
             height_stds: kept(&self.height_stds, &left_out),
             lowest: kept(&self.lowest, &left_out),
+            tall: self.tall,
             length: self.length,
         }
     }

@@ -11,13 +11,23 @@
 //! ```
 //!
 //! by Gauss and Newton from several r, with a wide prior on l, which straight stretches leave open. The least share of
-//! Σ |w_i|² wins; the standard deviation follows from the residuals and the normal equations, and lacks a term for
-//! drift of the object's model. A step is about half of the vehicle's length: noise decides over shorter ones.
+//! Σ |w_i|² wins. The standard deviation has two terms: noise, from the residuals and the normal equations; and drift
+//! of the object's model, whose attitude (about three axes, radians) and size (share) are random walks that reach
+//! [`DRIFT`] over the clip. Of each walk the first terms of its expansion (K. Karhunen, M. Loève),
+//!
+//! ```text
+//! b(s) = Σ_m z_m √2 / ((m − ½) π) sin((m − ½) π s),    s = 0 … 1 over the clip, var(z_m) = 1,
+//! ```
+//!
+//! change v_i and R_i, and the changes of r add up as squares. A step is about half of the vehicle's length: noise
+//! decides over shorter ones.
 //!
 //! **Assumption**: no side slip. **Blind** where the camera moves along the vehicle's axis and the vehicle does not
 //! turn.
 
-use nalgebra::{Matrix3, Matrix4, SMatrix, Vector3, Vector4};
+use std::f64::consts::{PI, SQRT_2};
+
+use nalgebra::{Matrix3, Matrix4, Rotation3, SMatrix, Vector3, Vector4};
 
 use super::motion::{Motion, positive};
 use super::{Estimate, Estimator, EstimatorInput};
@@ -34,6 +44,10 @@ const MAX_ROUNDS: usize = 30;
 const AXLE: [f64; 2] = [0.3, 0.35];
 /// A step, as a share of the vehicle's length.
 const STEP: f64 = 0.5;
+/// Drift of the object's model over a clip, standard deviation: 1 % in size (`docs/maths/scale.md`), and an angle alike.
+const DRIFT: f64 = 0.01;
+/// Terms of a random walk's expansion: three have 93 % of its variance.
+const DRIFT_TERMS: u32 = 3;
 /// Bounds of the ratio during the search, as factors of the guess: far beyond any start.
 const BOUNDS: [f64; 2] = [0.05, 20.0];
 
@@ -52,10 +66,10 @@ impl Estimator for OzdenHeading {
         if !(length > 0.0) {
             return Err(ScaleError::Undetermined("the object has no length"));
         }
-        let [ratio, std] =
+        let [ratio, noise, drift] =
             Heading { guess, axle: AXLE.map(|share| share * length), step: step(&motion, length, guess) }
                 .solve(&motion)?;
-        Ok(Estimate::new(ratio, Some(std)))
+        Ok(Estimate::new(ratio, Some(noise.hypot(drift))))
     }
 }
 
@@ -92,20 +106,56 @@ struct State {
     axle: f64,
 }
 
+/// A local minimum.
+struct Minimum {
+    /// Share of the motion that is not along the direction.
+    share: f64,
+    state: State,
+    /// Standard deviation of the ratio by noise.
+    std: f64,
+}
+
 impl Heading {
-    /// Ratio and standard deviation.
-    pub(super) fn solve(&self, motion: &Motion) -> Result<[f64; 2], ScaleError> {
+    /// Ratio, and its standard deviations by noise and by drift.
+    pub(super) fn solve(&self, motion: &Motion) -> Result<[f64; 3], ScaleError> {
         let steps = self.steps(motion);
         if steps.len() < 5 {
             return Err(ScaleError::Undetermined("too few frames in a row"));
         }
         let found = STARTS.iter().filter_map(|start| self.from(&steps, start * self.guess));
-        let best = found.min_by(|a, b| a.0.total_cmp(&b.0));
-        let (_, ratio, std) = best.ok_or(ScaleError::Undetermined("no direction of motion"))?;
+        let best = found.min_by(|a, b| a.share.total_cmp(&b.share));
+        let Minimum { state, std, .. } = best.ok_or(ScaleError::Undetermined("no direction of motion"))?;
+        let ratio = state.ratio;
         if ratio <= BOUNDS[0] * self.guess || ratio >= BOUNDS[1] * self.guess {
             return Err(ScaleError::Undetermined("the cost is least at the end of the search range"));
         }
-        Ok([positive(ratio)?, std])
+        let drift = self.drift(motion, &state).ok_or(ScaleError::Undetermined("the drift has no finite effect"))?;
+        Ok([positive(ratio)?, std, drift])
+    }
+
+    /// Standard deviation of the ratio by drift of the object's model.
+    fn drift(&self, motion: &Motion, state: &State) -> Option<f64> {
+        let [first, last] = [motion.times.first()?, motion.times.last()?];
+        let tangents = tangents(&state.direction)?;
+        let change = |motion: &Motion| Some(self.round(&self.steps(motion), state, &tangents)?.0[0]);
+        let undisturbed = change(motion)?;
+        let mut variance = 0.0;
+        for (mode, term) in (0..4).flat_map(|mode| (1..=DRIFT_TERMS).map(move |term| (mode, term))) {
+            let rate = (f64::from(term) - 0.5) * PI;
+            let mut drifting = motion.clone();
+            for (k, time) in motion.times.iter().enumerate() {
+                let drift = DRIFT * SQRT_2 / rate * (rate * (time - first) / (last - first)).sin();
+                match mode {
+                    3 => drifting.offsets[k] *= 1.0 + drift,
+                    axis => {
+                        let turn = Rotation3::from_scaled_axis(Vector3::ith(axis, drift));
+                        drifting.rotations[k] = motion.rotations[k] * turn.matrix();
+                    }
+                }
+            }
+            variance += (change(&drifting)? - undisturbed).powi(2);
+        }
+        Some(variance.sqrt())
     }
 
     fn steps(&self, motion: &Motion) -> Vec<Step> {
@@ -124,8 +174,8 @@ impl Heading {
         motion.pairs(self.step).filter_map(step).collect()
     }
 
-    /// Share of the motion that is not along the direction, ratio and its standard deviation, from one start.
-    fn from(&self, steps: &[Step], ratio: f64) -> Option<(f64, f64, f64)> {
+    /// Local minimum from one start.
+    fn from(&self, steps: &[Step], ratio: f64) -> Option<Minimum> {
         let mut state = State { ratio, direction: main_direction(steps, ratio)?, axle: 0.0 };
         let mut normal = Matrix4::zeros();
         for _ in 0..MAX_ROUNDS {
@@ -146,7 +196,7 @@ impl Heading {
         let variance = across / (2.0 * steps.len() as f64 - 4.0) * self.step as f64;
         let std = (variance * normal.try_inverse()?[(0, 0)]).sqrt();
         let share = across / all;
-        (share.is_finite() && std.is_finite()).then_some((share, state.ratio, std))
+        (share.is_finite() && std.is_finite()).then_some(Minimum { share, state, std })
     }
 
     /// Change of r, of the direction along its two tangents and of l, and the normal equations.

@@ -9,9 +9,9 @@
 //! Σ |(I − u_i u_iᵀ)(Θ_i β − c_i)|²,
 //! ```
 //!
-//! K has the least error of direction in ten-fold cross-validation, and r = Σ (X_i − c_i) · v_i / Σ |v_i|². The size of
-//! v_i is not used before the last step: this is triangulation of a moving point. The authors' final refinement of the
-//! reprojection error is left out.
+//! K has the least error of direction in ten-fold cross-validation. From there Gauss and Newton minimize the error of
+//! direction itself, as the authors' final refinement does that of reprojection, and r = Σ (X_i − c_i) · v_i / Σ |v_i|².
+//! The size of v_i is not used before the last step: this is triangulation of a moving point.
 //!
 //! **Assumption**: the vehicle's path consists of K low frequencies and the camera's does not. **Blind** where the
 //! camera's path consists of the same.
@@ -28,6 +28,10 @@ const NUM_FOLDS: usize = 10;
 /// Most basis vectors; the source tries as many as the equations allow, whose cost grows with the fourth power of the
 /// frames. Cross-validation chose 2 to 7 of them on five rendered sequences.
 const MAX_BASIS: usize = 16;
+
+/// Rounds of the refinement, and halvings of a step in each.
+const MAX_ROUNDS: usize = 20;
+const MAX_HALVINGS: usize = 10;
 
 /// Row of the registry.
 pub(super) struct Park;
@@ -57,6 +61,13 @@ pub(super) fn cosines(motion: &Motion, num: usize) -> DMatrix<f64> {
 
 /// r by triangulation of the reference point.
 pub(super) fn ratio(motion: &Motion) -> Result<f64, ScaleError> {
+    let (rays, path) = linear(motion)?;
+    let path = rays.refined(path);
+    rays.ratio(motion, &path)
+}
+
+/// Rays, and the coefficients of the linear solution.
+pub(super) fn linear(motion: &Motion) -> Result<(Rays, DVector<f64>), ScaleError> {
     let frames = Rays::new(motion);
     let folds: Vec<Normal> = (0..NUM_FOLDS).map(|fold| frames.normal(fold)).collect();
     let mut all = folds[0].clone();
@@ -74,16 +85,11 @@ pub(super) fn ratio(motion: &Motion) -> Result<f64, ScaleError> {
     let errors = (1..=most).filter_map(|num| Some((num, error(num)?)));
     let best = errors.min_by(|a, b| a.1.total_cmp(&b.1)).and_then(|(num, _)| all.solution(num));
     let coefficients = best.ok_or(ScaleError::Undetermined("rays and basis leave the path open"))?;
-    let (mut along, mut squares) = (0.0, 0.0);
-    for (k, offset) in motion.offsets.iter().enumerate() {
-        along += frames.position_relative_to_camera(&coefficients, k).dot(offset);
-        squares += offset.norm_squared();
-    }
-    positive(along / squares)
+    Ok((frames, coefficients))
 }
 
 /// Rays from the cameras towards the reference point.
-struct Rays {
+pub(super) struct Rays {
     basis: DMatrix<f64>,
     /// Camera centers minus their mean.
     centers: Vec<Vector3<f64>>,
@@ -104,6 +110,67 @@ impl Rays {
             centers: super::ozden_independence::centered(&motion.centers),
             directions: motion.offsets.iter().map(Vector3::normalize).collect(),
         }
+    }
+
+    /// r of a path.
+    pub(super) fn ratio(&self, motion: &Motion, coefficients: &DVector<f64>) -> Result<f64, ScaleError> {
+        let (mut along, mut squares) = (0.0, 0.0);
+        for (k, offset) in motion.offsets.iter().enumerate() {
+            along += self.position_relative_to_camera(coefficients, k).dot(offset);
+            squares += offset.norm_squared();
+        }
+        positive(along / squares)
+    }
+
+    /// The path of least squared errors of direction near another; that one where there is no better.
+    fn refined(&self, mut path: DVector<f64>) -> DVector<f64> {
+        let mut least = self.cost(&path);
+        for _ in 0..MAX_ROUNDS {
+            let Some(step) = self.step(&path) else { break };
+            let shorter = (0..MAX_HALVINGS).map(|halvings| &path + &step * 0.5_f64.powi(halvings as i32));
+            let better = shorter.map(|next| (self.cost(&next), next)).find(|(cost, _)| *cost < least);
+            let Some((cost, next)) = better else { break };
+            let is_settled = cost > (1.0 - 1e-9) * least;
+            (least, path) = (cost, next);
+            if is_settled {
+                break;
+            }
+        }
+        path
+    }
+
+    /// Step of Gauss and Newton.
+    fn step(&self, path: &DVector<f64>) -> Option<DVector<f64>> {
+        let num = path.len() / 3;
+        let (mut matrix, mut right) = (DMatrix::zeros(path.len(), path.len()), DVector::zeros(path.len()));
+        for frame in 0..self.centers.len() {
+            let (residual, slope) = self.residual(path, frame);
+            let (square, gradient) = (slope.transpose() * slope, slope.transpose() * residual);
+            for row in 0..num {
+                let weight = self.basis[(frame, row)];
+                let mut part = right.fixed_rows_mut::<3>(3 * row);
+                part -= weight * gradient;
+                for column in 0..num {
+                    let mut block = matrix.view_mut((3 * row, 3 * column), (3, 3));
+                    block += weight * self.basis[(frame, column)] * square;
+                }
+            }
+        }
+        let step = matrix.cholesky()?.solve(&right);
+        step.iter().all(|number| number.is_finite()).then_some(step)
+    }
+
+    fn cost(&self, path: &DVector<f64>) -> f64 {
+        (0..self.centers.len()).map(|frame| self.residual(path, frame).0.norm_squared()).sum()
+    }
+
+    /// Part of the path's direction across the ray, and its derivative by the position.
+    fn residual(&self, path: &DVector<f64>, frame: usize) -> (Vector3<f64>, Matrix3<f64>) {
+        let towards = self.position_relative_to_camera(path, frame);
+        let (length, ray) = (towards.norm(), self.directions[frame]);
+        let direction = towards / length;
+        let across = |unit: Vector3<f64>| Matrix3::identity() - unit * unit.transpose();
+        (across(ray) * direction, across(ray) * across(direction) / length)
     }
 
     fn of_fold(&self, fold: usize) -> impl Iterator<Item = usize> {

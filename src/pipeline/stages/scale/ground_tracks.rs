@@ -46,7 +46,8 @@ impl Placed<'_> {
 /// Follows every vehicle without a usable trajectory on the ground.
 pub(super) fn find(scene: &Scene, placed: &Placed, outcome: &mut Outcome) -> Result<Vec<GroundTrack>, PipelineError> {
     let wanted = placed.tracked.iter().filter_map(|tracked| Some((tracked, placed.unusable(tracked)?)));
-    let wanted: Vec<_> = wanted.filter(|_| !scene.background.is_empty()).collect();
+    let are_wanted = !scene.background.is_empty() && !scene.run.options.scale.method_only;
+    let wanted: Vec<_> = wanted.filter(|_| are_wanted).collect();
     if wanted.is_empty() {
         return Ok(Vec::new());
     }

@@ -1,0 +1,128 @@
+//! Methods: named sets of options.
+
+use super::{GroundLabels, Options};
+use crate::checks::OptionError;
+use crate::scene::ScaleMethod;
+
+/// A whole method, from features to the scale ratio.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Method {
+    /// The program's own.
+    Default,
+    /// The published method to the letter (`docs/paper.md`).
+    Paper,
+    /// Its baseline to the letter.
+    PaperBaseline,
+}
+
+/// Options that switch off everything that the paper does not have.
+const PAPER: [(&str, &str); 13] = [
+    ("features", "sift"),
+    ("vehicles.motion", "off"),
+    ("masking.dilation", "0"),
+    ("tuning.background.mapper.max_track_views", "1000000"),
+    ("tuning.objects.mapper.max_track_views", "1000000"),
+    ("tuning.objects.mapper.weak_perspective_px", "0"),
+    ("tuning.background.mapper.max_folds", "0"),
+    ("tuning.objects.mapper.max_folds", "0"),
+    ("tuning.ground.vehicle_path", "false"),
+    ("tuning.ground.labels_only", "true"),
+    ("tuning.scale.method_only", "true"),
+    ("tuning.scale.stationary", "none"),
+    ("metric.telemetry", "none"),
+];
+
+impl Method {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Default, Self::Paper, Self::PaperBaseline];
+
+    /// Name on the command line and in results.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Default => "default",
+            Self::Paper => "paper",
+            Self::PaperBaseline => "paper-baseline",
+        }
+    }
+
+    /// Its scale method, where it is one of the paper's.
+    const fn scale_method(self) -> Option<ScaleMethod> {
+        match self {
+            Self::Default => None,
+            Self::Paper => Some(ScaleMethod::ConstantDistance),
+            Self::PaperBaseline => Some(ScaleMethod::Intersection),
+        }
+    }
+
+    /// Options with those of the method.
+    ///
+    /// # Errors
+    /// [`OptionError`] if the options do not have one of them.
+    pub fn applied(self, options: &Options) -> Result<Options, OptionError> {
+        let Some(method) = self.scale_method() else { return Ok(options.clone()) };
+        let set = |options: Options, (key, value): &(&str, &str)| options.with_value(key, value);
+        let mut options = PAPER.iter().try_fold(options.clone(), set)?;
+        options.scale.method = method;
+        Ok(options)
+    }
+
+    /// The method whose options these are.
+    pub fn of(options: &Options) -> Self {
+        let is_same = |method: &Self| method.applied(options).is_ok_and(|applied| applied == *options);
+        [Self::Paper, Self::PaperBaseline].into_iter().find(is_same).unwrap_or(Self::Default)
+    }
+}
+
+impl Options {
+    /// Refuses a ground from labels only where there are no labels.
+    ///
+    /// # Errors
+    /// [`OptionError`] names the option.
+    pub fn check_labels(&self) -> Result<(), OptionError> {
+        match self.ground.labels_only && self.ground_labels == GroundLabels::Geometric {
+            true => {
+                let reason = "no ground labels, which --method paper needs; give --ground-masks or --ground-model";
+                Err(OptionError::new("ground_labels", reason))
+            }
+            false => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_method_is_recognized_by_its_options() {
+        for method in Method::ALL {
+            let options = method.applied(&Options::default()).unwrap();
+            assert_eq!(Method::of(&options), method);
+            assert!(options.check().is_ok(), "{:?}", options.check());
+            let changed = Options { seed: 7, ..options.clone() };
+            assert_eq!(Method::of(&changed), method, "inputs and seeds belong to no method");
+        }
+        let paper = Method::Paper.applied(&Options::default()).unwrap();
+        let different = paper.with_value("tuning.ground.vehicle_path", "true").unwrap();
+        assert_eq!(Method::of(&different), Method::Default);
+    }
+
+    #[test]
+    fn every_option_of_the_paper_differs_from_the_default() {
+        let paper = Method::Paper.applied(&Options::default()).unwrap();
+        let differing = Options::default().differing(&paper);
+        for (key, _) in PAPER {
+            assert!(differing.iter().any(|other| other == key), "{key}: {differing:?}");
+        }
+        assert_eq!(differing.len(), PAPER.len() + 1, "{differing:?}");
+    }
+
+    #[test]
+    fn a_ground_from_labels_needs_labels() {
+        let paper = Method::Paper.applied(&Options::default()).unwrap();
+        assert!(paper.check_labels().unwrap_err().to_string().contains("--ground-masks"));
+        assert!(Options::default().check_labels().is_ok());
+        let labelled = Options { ground_labels: GroundLabels::Model("m.onnx".into()), ..paper };
+        assert!(labelled.check_labels().is_ok());
+    }
+}
