@@ -15,7 +15,7 @@ pub(super) struct CommonArgs {
     /// Method: default, paper (the published method without additions, docs/paper.md), or paper-baseline
     ///
     /// Sets options before --options, --set and flags. Needs ground labels, except for default.
-    #[arg(long, value_name = "METHOD", value_parser = method, conflicts_with = "scale_method", help_heading = "Geometry")]
+    #[arg(long, value_parser = method, conflicts_with = "scale_method", help_heading = "Geometry")]
     pub(super) method: Option<Method>,
     /// Scale method: joint, least-squares, constant-distance, intersection, or a reference method of docs/estimators.md
     /// [default: joint]

@@ -10,8 +10,8 @@
 //! r = Σ w_i h_i / −Σ w_i a_i.
 //! ```
 //!
-//! **Assumption**: the lowest reconstructed point touches the ground; one that floats by a clearance e makes r too large
-//! by e over h in all frames, which no spread over frames shows. Its root mean square, a share of the vehicle's height
+//! **Assumption**: the lowest reconstructed point touches the ground; one that floats by a clearance e makes r too
+//! large by e over h in all frames, which no spread over frames shows. Its root mean square, a share of the vehicle's height
 //! (`scale.joint.contact.lowest`), is therefore a term of the standard deviation besides that of the jackknife.
 //! **Blind** to nothing of the camera's motion, but uncertain where it is low.
 

@@ -44,7 +44,7 @@ const MAX_ROUNDS: usize = 30;
 const AXLE: [f64; 2] = [0.3, 0.35];
 /// A step, as a share of the vehicle's length.
 const STEP: f64 = 0.5;
-/// Drift of the object's model over a clip, standard deviation: 1 % in size (`docs/maths/scale.md`), and an angle alike.
+/// Drift of the object's model over a clip, standard deviation: 1 % in size (`docs/maths/scale.md`), angles alike.
 const DRIFT: f64 = 0.01;
 /// Terms of a random walk's expansion: three have 93 % of its variance.
 const DRIFT_TERMS: u32 = 3;
