@@ -232,6 +232,9 @@ fn together(answers: &[SizeEstimate]) -> Option<(f64, f64)> {
 /// Mean by inverse variances; its deviation has Birge's factor (`docs/maths/metric.md`, eq. 7), and the common part of
 /// unconfirmed vehicles by their share.
 fn mean(answers: &[SizeEstimate]) -> Option<(f64, f64)> {
+    if answers.is_empty() {
+        return None;
+    }
     let weights: Vec<f64> = answers.iter().map(|a| a.total_std().powi(-2)).collect();
     let total: f64 = weights.iter().sum();
     let weighted = |value: &dyn Fn(&SizeEstimate) -> f64, power: i32| -> f64 {
