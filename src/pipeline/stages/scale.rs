@@ -156,7 +156,8 @@ impl<'a, 'r> Scene<'a, 'r> {
         }
     }
 
-    /// Withdraws motion that a trajectory alone shows where the verdict doubts its scale; returns true if there was any.
+    /// Withdraws motion that a trajectory alone shows where other methods contradict its scale; returns true if there
+    /// was any.
     fn withdraw_motion(
         &self,
         placed: &mut [PlacedVehicle],

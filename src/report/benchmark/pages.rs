@@ -21,7 +21,8 @@ pub fn markdown(own: &Benchmark, others: &[Benchmark]) -> String {
     }
     page += "\n\n";
     page += &summary(own, others);
-    page += "\n![Trajectory error](trajectory-error.svg)\n\n![Scale deviation](scale-deviation.svg)\n\n![Estimators](estimators.svg)\n";
+    page += "\n![Trajectory error](trajectory-error.svg)\n\n![Scale deviation](scale-deviation.svg)\n\n\
+             ![Estimators](estimators.svg)\n";
     page += "\n## Every sequence\n\
          \n\
          Lengths in meters, camera centers in millimeters, deviations in percent; ± is the reported standard deviation \

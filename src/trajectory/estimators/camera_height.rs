@@ -11,8 +11,8 @@
 //! ```
 //!
 //! **Assumption**: the lowest reconstructed point touches the ground; one that floats by a clearance e makes r too
-//! large by e over h in all frames, which no spread over frames shows. Its root mean square, a share of the vehicle's height
-//! (`scale.joint.contact.lowest`), is therefore a term of the standard deviation besides that of the jackknife.
+//! large by e over h in all frames, which no spread over frames shows. Its root mean square, a share of the vehicle's
+//! height (`scale.joint.contact.lowest`), is therefore a term of the standard deviation in addition to the jackknife's.
 //! **Blind** to nothing of the camera's motion, but uncertain where it is low.
 
 use super::motion::{Motion, positive};

@@ -11,7 +11,8 @@
 //!
 //! K has the least error of direction in ten-fold cross-validation. From there Gauss and Newton minimize the error of
 //! direction itself, as the authors' final refinement does that of reprojection, and
-//! r = Σ (X_i − c_i) · v_i / Σ |v_i|². The size of v_i is not used before the last step: this is triangulation of a moving point.
+//! r = Σ (X_i − c_i) · v_i / Σ |v_i|². The size of v_i is not used before the last step: this is triangulation of a
+//! moving point.
 //!
 //! **Assumption**: the vehicle's path consists of K low frequencies and the camera's does not. **Blind** where the
 //! camera's path consists of the same.
