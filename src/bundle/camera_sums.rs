@@ -2,7 +2,7 @@
 
 use super::layout::{Layout, NONE};
 use super::one_point::OnePoint;
-use super::priors::PriorTerms;
+use super::prior_terms::PriorTerms;
 use super::simd::Fused;
 
 /// Freedoms reserved for a shared camera.

@@ -45,6 +45,7 @@ mod pattern;
 mod piece;
 mod plane_prior;
 mod point;
+mod prior_terms;
 mod priors;
 mod problem;
 mod residual;

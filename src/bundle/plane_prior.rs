@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, RowVector3, Vector3};
 
-use super::priors::{PriorTerms, empty};
+use super::prior_terms::{PriorTerms, empty};
 use super::problem::PlanePrior;
 use crate::math::Rigid3;
 

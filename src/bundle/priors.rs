@@ -5,29 +5,11 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::layout::{Columns, IntrinsicsUse, Layout, NONE};
 use super::plane_prior;
+use super::prior_terms::{PriorTarget, PriorTerms, empty};
 use super::problem::{IntrinsicsPrior, PosePrior, Problem};
 use super::state::State;
 use crate::camera::NUM_INTRINSICS;
 use crate::math::Rigid3;
-
-/// H and g of the priors on a block of at most 12 freedoms.
-pub(super) struct PriorTerms {
-    /// View block, or shared camera.
-    pub target: PriorTarget,
-    /// First freedom within it.
-    pub offset: usize,
-    /// JᵀJ, 6 × 6; unused rows are zero.
-    pub hessian: [[f64; 6]; 6],
-    /// Jᵀr.
-    pub gradient: [f64; 6],
-}
-
-/// Where a prior's terms go.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum PriorTarget {
-    Block(usize),
-    Shared(usize),
-}
 
 /// ½ Σ r² of all priors.
 pub(super) fn cost(problem: &Problem, state: &State) -> f64 {
@@ -161,8 +143,4 @@ fn intrinsics_terms(prior: &IntrinsicsPrior, columns: &Columns, values: &[f64; N
         }
     }
     terms
-}
-
-pub(super) fn empty() -> PriorTerms {
-    PriorTerms { target: PriorTarget::Block(0), offset: 0, hessian: [[0.0; 6]; 6], gradient: [0.0; 6] }
 }

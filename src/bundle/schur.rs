@@ -11,7 +11,7 @@ use super::layout::Layout;
 use super::parallel::in_order;
 use super::pattern::Pattern;
 use super::point::damping_scale;
-use super::priors::{PriorTarget, PriorTerms};
+use super::prior_terms::{PriorTarget, PriorTerms};
 
 /// Blocks that one task adds up, about: fewer are added up faster than another thread wakes.
 const BLOCKS_PER_TASK: usize = 4096;

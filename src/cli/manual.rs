@@ -4,11 +4,10 @@ use std::fs;
 use std::path::PathBuf;
 
 use anyhow::Context;
-use clap::CommandFactory;
+use clap::Command;
 use clap_complete::Shell;
 use serde_json::json;
 
-use super::args::Args;
 use super::output::{Failure, Form, print, show};
 
 /// The program's name, as it is typed.
@@ -29,29 +28,32 @@ pub(super) struct ManualArgs {
 }
 
 /// Prints the completions for one shell.
-pub(super) fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
+pub(super) fn completions(args: &CompletionsArgs, mut program: Command) -> Result<(), Failure> {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut Args::command(), NAME, &mut script);
+    clap_complete::generate(args.shell, &mut program, NAME, &mut script);
     print(&String::from_utf8_lossy(&script))
 }
 
 /// Writes `tractrix.1` and, for every command, `tractrix-<command>.1`. They hold no date: one program has one manual.
-pub(super) fn pages(args: &ManualArgs, form: Form) -> Result<(), Failure> {
+pub(super) fn pages(args: &ManualArgs, program: Command, form: Form) -> Result<(), Failure> {
     let folder = &args.output;
-    let written = fs::create_dir_all(folder).and_then(|()| clap_mangen::generate_to(Args::command(), folder));
+    let written = fs::create_dir_all(folder).and_then(|()| clap_mangen::generate_to(program, folder));
     written.with_context(|| format!("{}: the manual pages cannot be written", folder.display()))?;
     show(form, &json!({ "folder": folder }), || format!("manual pages: {}\n", folder.display()))
 }
 
 #[cfg(test)]
 mod tests {
+    use clap::CommandFactory;
+
     use super::*;
+    use crate::cli::args::Args;
 
     #[test]
     fn every_command_has_a_page_that_names_its_flags() {
         let folder = tempfile::tempdir().unwrap();
         let args = ManualArgs { output: folder.path().join("man1") };
-        pages(&args, Form::Nothing).unwrap();
+        pages(&args, Args::command(), Form::Nothing).unwrap();
         let page = |name: &str| fs::read_to_string(args.output.join(name)).unwrap();
         let (program, run) = (page("tractrix.1"), page("tractrix-run.1"));
         assert!(program.contains("run(1)") && program.contains("doctor(1)"), "{program}");

@@ -36,7 +36,7 @@ use std::io::{self, Write};
 use std::process::ExitCode;
 
 use args::{Args, Command};
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use output::{Failure, Form};
 use terminal::{TerminalProgress, Verbosity};
 
@@ -125,7 +125,7 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &TerminalProgress) -> Res
         Command::Telemetry(own) => telemetry::run(own, form),
         Command::Options(own) => options::run(own, form),
         Command::Doctor(own) => doctor::run(own, form),
-        Command::Completions(own) => manual::completions(own),
-        Command::Manual(own) => manual::pages(own, form),
+        Command::Completions(own) => manual::completions(own, Args::command()),
+        Command::Manual(own) => manual::pages(own, Args::command(), form),
     }
 }

@@ -3,7 +3,7 @@
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
-use super::figures::Outcome;
+use super::outcome::Outcome;
 use super::registration::Registration;
 use crate::math::{Rigid3, Sim3, umeyama};
 

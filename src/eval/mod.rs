@@ -21,6 +21,7 @@ pub mod comparison;
 mod figures;
 mod input;
 mod mesh;
+mod outcome;
 pub mod reference;
 pub mod registration;
 pub mod spread;
@@ -29,11 +30,12 @@ pub mod trajectory;
 
 pub use cameras::CameraErrors;
 pub use figures::{
-    Alternative, AsReconstructedFigures, Evaluation, OtherObject, Outcome, ReferenceFigures, RegisteredFrames,
-    ScaleFigures, Target,
+    Alternative, AsReconstructedFigures, Evaluation, OtherObject, ReferenceFigures, RegisteredFrames, ScaleFigures,
+    Target,
 };
 pub use input::{AsReconstructed, Input, Model, ObjectInput, TruthFrame};
 pub use mesh::MeshIndex;
+pub use outcome::Outcome;
 
 use std::collections::BTreeMap;
 

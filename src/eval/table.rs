@@ -2,7 +2,8 @@
 
 use std::fmt;
 
-use super::figures::{Alternative, AsReconstructedFigures, Evaluation, Outcome};
+use super::figures::{Alternative, AsReconstructedFigures, Evaluation};
+use super::outcome::Outcome;
 use super::trajectory::TrajectoryError;
 
 impl fmt::Display for Evaluation {

@@ -13,6 +13,7 @@
 //!
 //! Nothing here panics on any input, and time and memory are linear in the length of a file, which is limited.
 
+mod bytes;
 mod coordinate;
 mod csv;
 mod dji;

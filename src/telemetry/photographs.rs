@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 
 use exif::{Exif, In, Rational, Tag, Value};
 
+use super::bytes::bytes_of;
 use super::coordinate;
 use super::error::TelemetryError;
 use super::fix::{ClockKind, Fix, HeightDatum, Log, Position, Receiver};
-use super::read::bytes_of;
 use super::time;
 use crate::memory::MemoryLimit;
 

@@ -1,20 +1,16 @@
 //! A file of any format as a log.
 
 use std::fs;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use super::bytes::bytes_of;
 use super::error::TelemetryError;
 use super::fix::{ClockKind, Log, Room};
 use super::gpmf::{self, Payload};
 use super::srt::{self, Subtitle};
 use super::text::decode;
 use super::{Kind, csv, dji, gpx, nmea, order, photographs};
-use crate::files;
 use crate::memory::MemoryLimit;
-
-/// Ten hours of a drone that writes at 60 Hz.
-const MOST_MIB: u64 = 512;
 
 /// Reads a file; of a folder its photographs, in order of their names.
 ///
@@ -124,23 +120,6 @@ fn in_order(mut log: Log, kind: Kind, path: &Path) -> Result<Log, TelemetryError
         return Err(TelemetryError::NoFix { path: path.to_path_buf(), what: kind.name().to_owned(), first });
     }
     Ok(log)
-}
-
-/// The content of a file of a size that can be telemetry. It may have a quarter of the memory limit: as text it is in
-/// memory again.
-pub(super) fn bytes_of(path: &Path, limit: MemoryLimit) -> Result<Vec<u8>, TelemetryError> {
-    let file = files::open(path).map_err(TelemetryError::system(path))?;
-    let metadata = file.metadata().map_err(TelemetryError::system(path))?;
-    let most = (MOST_MIB << 20).min(limit.bytes() / 4);
-    let too_large =
-        |size: u64| TelemetryError::TooLarge { path: path.to_path_buf(), size_mib: size >> 20, most_mib: most >> 20 };
-    if metadata.len() >= most {
-        return Err(too_large(metadata.len()));
-    }
-    // A file that grows states too little: the limit holds for it as well.
-    let mut bytes = Vec::new();
-    file.take(most).read_to_end(&mut bytes).map_err(TelemetryError::system(path))?;
-    if bytes.len() as u64 >= most { Err(too_large(most)) } else { Ok(bytes) }
 }
 
 fn photographs_in(folder: &Path) -> Result<Vec<PathBuf>, TelemetryError> {

@@ -35,6 +35,7 @@
 //! The tracker is a plain function of its inputs: fed again with the detections that a killed run left behind, it gives
 //! the same ids.
 
+mod affine;
 mod appearance;
 mod assignment;
 mod backward;

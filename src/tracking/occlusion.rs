@@ -8,7 +8,7 @@
 
 use ::image::RgbImage;
 
-use super::propagation::{Affine, length};
+use super::affine::{Affine, length};
 use super::region::Region;
 use crate::scene::{BoundingBox, Flow, Mask};
 

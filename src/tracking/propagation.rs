@@ -1,7 +1,6 @@
 //! Carrying a mask to the next frame by optical flow.
 
-use nalgebra::{Matrix3, Vector3};
-
+use super::affine::{Affine, length};
 use super::occlusion::{Cover, Moved, Pictures};
 use super::region::Region;
 use crate::math::upper_median;
@@ -53,12 +52,6 @@ struct Moving {
     pixels: Vec<(u32, u32)>,
     /// Median displacement, pixels.
     displacement: [f64; 2],
-}
-
-/// Of a difference in pixels, which is far from the ends of what a number can be: `hypot`, which minds these, takes
-/// ten times as long.
-pub(super) fn length([x, y]: [f64; 2]) -> f64 {
-    (x * x + y * y).sqrt()
 }
 
 /// The pixels of a region whose flow is consistent and that of the whole; `None` if there is none.
@@ -117,7 +110,7 @@ pub(super) fn carry_whole(
 ) -> Option<Propagated> {
     let moving = moving(object.region, flow)?;
     let displacement = moving.displacement;
-    let motion = Affine::fit(&moving, flow).unwrap_or_else(|| Affine::shift(displacement));
+    let motion = Affine::fit(&moving.pixels, flow).unwrap_or_else(|| Affine::shift(displacement));
     let carried = motion.apply(object.region, flow.width, flow.height)?;
     let whole = motion.apply(object.whole, flow.width, flow.height).unwrap_or_else(|| carried.clone());
     let moved = Moved { before: object.region, visible: &carried, whole: &whole, motion: &motion };
@@ -127,135 +120,6 @@ pub(super) fn carry_whole(
     let hidden = 1.0 - region.area() as f64 / carried.area() as f64;
     let share = moving.pixels.len() as f64 / (object.region.area() as f64 * (1.0 - hidden)).max(1.0);
     Some(Propagated { region, whole, cover, displacement, share: share.min(1.0), motion })
-}
-
-/// x' = a + A (x − origin), in pixels.
-#[derive(Clone, Debug)]
-pub(super) struct Affine {
-    origin: [f64; 2],
-    /// Per coordinate of the target: constant, factor of x, factor of y.
-    rows: [[f64; 3]; 2],
-}
-
-impl Affine {
-    /// Fewer pixels give a displacement and nothing more.
-    const MIN_PIXELS: usize = 100;
-    /// The area of a vehicle does not change by more than this factor from frame to frame.
-    const MAX_GROWTH: f64 = 1.3;
-    /// Rounds of fitting, each without the pixels that fit worst after the one before.
-    const ROUNDS: usize = 3;
-    /// Residuals beyond so many medians, or this many pixels if that is more, do not count.
-    const MAX_RESIDUAL_MEDIANS: f64 = 2.5;
-    const MAX_RESIDUAL_PX: f64 = 0.5;
-
-    pub(super) fn shift([dx, dy]: [f64; 2]) -> Self {
-        Self { origin: [0.0; 2], rows: [[dx, 1.0, 0.0], [dy, 0.0, 1.0]] }
-    }
-
-    /// The motion with the least squares of residuals; `None` if there are too few pixels or they do not say.
-    fn fit(moving: &Moving, flow: &Flow) -> Option<Self> {
-        let pairs = moving.pixels.iter().map(|&(x, y)| {
-            let ([dx, dy], from) = (flow.at(x, y), [f64::from(x) + 0.5, f64::from(y) + 0.5]);
-            (from, [from[0] + f64::from(dx), from[1] + f64::from(dy)])
-        });
-        let mut pairs: Vec<([f64; 2], [f64; 2])> = pairs.collect();
-        let mut fitted = Self::least_squares(&pairs)?;
-        for _ in 1..Self::ROUNDS {
-            let residual = |(from, to): &([f64; 2], [f64; 2])| {
-                let [x, y] = fitted.at(*from);
-                length([x - to[0], y - to[1]])
-            };
-            let median = upper_median(pairs.iter().map(residual).collect())?;
-            let limit = Self::MAX_RESIDUAL_PX.max(Self::MAX_RESIDUAL_MEDIANS * median);
-            pairs = pairs.iter().filter(|pair| residual(pair) <= limit).copied().collect();
-            fitted = Self::least_squares(&pairs)?;
-        }
-        let growth = fitted.determinant();
-        (1.0 / Self::MAX_GROWTH..=Self::MAX_GROWTH).contains(&growth).then_some(fitted)
-    }
-
-    fn least_squares(pairs: &[([f64; 2], [f64; 2])]) -> Option<Self> {
-        if pairs.len() < Self::MIN_PIXELS {
-            return None;
-        }
-        let mean = |c: usize| pairs.iter().map(|(from, _)| from[c]).sum::<f64>() / pairs.len() as f64;
-        let origin = [mean(0), mean(1)];
-        let (mut normal, mut right) = (Matrix3::zeros(), [Vector3::zeros(); 2]);
-        for (from, to) in pairs {
-            let row = Vector3::new(1.0, from[0] - origin[0], from[1] - origin[1]);
-            normal += row * row.transpose();
-            right[0] += row * to[0];
-            right[1] += row * to[1];
-        }
-        let cholesky = normal.cholesky()?;
-        let rows = right.map(|right| cholesky.solve(&right).into());
-        Some(Self { origin, rows })
-    }
-
-    pub(super) fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        let (u, v) = (x - self.origin[0], y - self.origin[1]);
-        self.rows.map(|[constant, a, b]| constant + a * u + b * v)
-    }
-
-    fn determinant(&self) -> f64 {
-        let [[_, a, b], [_, c, d]] = self.rows;
-        a * d - b * c
-    }
-
-    /// First this motion, then another.
-    pub(super) fn then(&self, next: &Self) -> Self {
-        let [[e, a, b], [f, c, d]] = self.rows;
-        let constants = next.at([e, f]);
-        let row = |k: usize| {
-            let [_, p, q] = next.rows[k];
-            [constants[k], p * a + q * c, p * b + q * d]
-        };
-        Self { origin: self.origin, rows: [row(0), row(1)] }
-    }
-
-    /// The pixels whose centres come from a region; `None` if none lies in the frame.
-    fn apply(&self, region: &Region, width: u32, height: u32) -> Option<Region> {
-        moved(region, (width, height), |corner| self.at(corner), |centre| self.source(centre[0], centre[1]))
-    }
-
-    /// The pixels whose centres go to a region; `None` if none lies in the frame.
-    pub(super) fn pulled(&self, region: &Region, width: u32, height: u32) -> Option<Region> {
-        moved(region, (width, height), |corner| self.source(corner[0], corner[1]), |centre| self.at(centre))
-    }
-
-    /// Where a target position comes from.
-    pub(super) fn source(&self, x: f64, y: f64) -> [f64; 2] {
-        let [[e, a, b], [f, c, d]] = self.rows;
-        let (u, v) = (x - e, y - f);
-        let determinant = self.determinant();
-        [self.origin[0] + (d * u - b * v) / determinant, self.origin[1] + (a * v - c * u) / determinant]
-    }
-}
-
-/// The pixels whose centres come from a region; `None` if none lies in the frame.
-///
-/// * `there` – where a position of the region goes.
-/// * `back` – where a position comes from.
-fn moved(
-    region: &Region,
-    (width, height): (u32, u32),
-    there: impl Fn([f64; 2]) -> [f64; 2],
-    back: impl Fn([f64; 2]) -> [f64; 2],
-) -> Option<Region> {
-    let Rect { x0, y0, x1, y1 } = region.rect();
-    let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]].map(there);
-    let least = |c: usize| corners.iter().map(|p| p[c]).fold(f64::INFINITY, f64::min).floor().max(0.0) as u32;
-    let most = |c: usize| corners.iter().map(|p| p[c]).fold(f64::NEG_INFINITY, f64::max).ceil().max(0.0) as u32;
-    let bounds = BoundingBox { x0: least(0), y0: least(1), x1: most(0).min(width), y1: most(1).min(height) };
-    if bounds.x0 >= bounds.x1 || bounds.y0 >= bounds.y1 {
-        return None;
-    }
-    let from_region = |(x, y): (u32, u32)| {
-        let [u, v] = back([f64::from(x) + 0.5, f64::from(y) + 0.5]);
-        u >= 0.0 && v >= 0.0 && region.contains(u as u32, v as u32)
-    };
-    let targets = (bounds.y0..bounds.y1).flat_map(|y| (bounds.x0..bounds.x1).map(move |x| (x, y)));
-    Region::from_pixels(bounds, &targets.map(from_region).collect::<Vec<bool>>())
 }
 
 /// Gaps up to twice this radius are closed: those between pixels that moved apart, and parts without texture.

@@ -6,7 +6,8 @@
 
 use std::collections::VecDeque;
 
-use super::propagation::{Affine, Propagated};
+use super::affine::Affine;
+use super::propagation::Propagated;
 use super::region::Region;
 use crate::scene::{FrameId, Mask, ObjectId};
 

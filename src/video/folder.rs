@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 use ::image::metadata::Orientation;
 use ::image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
 
+use super::cameras::Cameras;
 use super::decode::Decoder;
-use super::source::Cameras;
 use super::{Turning, VideoError, exif, jpeg};
 use crate::files;
 use crate::image::resize_rgb;

@@ -12,6 +12,7 @@
 //! Entry point: [`Source::open`]. [`subtitles`] and [`gpmf`](fn@gpmf) read the text and telemetry tracks that some
 //! cameras write next to the pictures.
 
+mod cameras;
 mod clock;
 mod decode;
 mod diagnosis;
@@ -36,12 +37,13 @@ mod survey;
 mod tests;
 mod tracks;
 
+pub use cameras::PictureCamera;
 pub use error::VideoError;
 pub use exif::{Taken, taken};
 pub use gpmf::{Gpmf, Payload, gpmf};
 pub use options::{Options, Position, Turning};
 pub use prefetch::Frames;
-pub use source::{Info, Kind, PictureCamera, Scan, Source};
+pub use source::{Info, Kind, Scan, Source};
 pub use start::stated_start;
 pub use subtitles::{Subtitle, subtitles};
 

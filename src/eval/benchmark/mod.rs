@@ -19,7 +19,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
-use super::figures::{Alternative, Evaluation, Outcome, ReferenceFigures, RegisteredFrames, ScaleFigures};
+use super::figures::{Alternative, Evaluation, ReferenceFigures, RegisteredFrames, ScaleFigures};
+use super::outcome::Outcome;
 use crate::scene::{ModelState, ScaleMethod};
 
 /// The results on a data set.

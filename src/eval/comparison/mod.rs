@@ -23,7 +23,7 @@ use std::collections::BTreeMap;
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
-use super::figures::Outcome;
+use super::outcome::Outcome;
 use crate::camera::Camera;
 use crate::math::{Rigid3, Sim3, median};
 use crate::scene::{ImageId, Reconstruction};

@@ -6,6 +6,9 @@ use super::affine_views::AffineViews;
 use crate::features::patch::Patch;
 use crate::image::GrayImage;
 
+/// Fewer points than these tie no views together.
+pub const FEW_POINTS: usize = 8;
+
 /// Points of a key view of which a picture is kept: more tie no better.
 const MAX_SIGHTS: usize = 300;
 

@@ -11,7 +11,7 @@ use std::collections::BTreeSet;
 use nalgebra::Point2;
 
 use super::affine_views::AffineViews;
-use super::keyframe::Keyframe;
+use super::keyframe::{FEW_POINTS, Keyframe};
 use super::redetection::{self, Now, Redetected};
 use super::tracked_point::Live;
 use super::{FeatureError, VideoOptions};
@@ -24,8 +24,6 @@ use crate::scene::Mask;
 /// The link to the view before is broken, and that to the last key view weak, below these shares of common points.
 const BROKEN_LINK: f64 = 0.3;
 const WEAK_LINK: f64 = 0.3;
-/// Fewer points than these tie no views together.
-pub const FEW_POINTS: usize = 8;
 /// Key views that are kept; beyond, every other one is forgotten, so that cost and memory are bounded.
 const MAX_KEYS: usize = 256;
 /// Key views a short time ago with which a view is compared, and of those the ones in which points are looked for.

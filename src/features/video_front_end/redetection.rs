@@ -9,8 +9,7 @@
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Vector2, Vector3};
 
 use super::affine_views::{AffineView, AffineViews};
-use super::keyframe::Keyframe;
-use super::keyframe_memory::FEW_POINTS;
+use super::keyframe::{FEW_POINTS, Keyframe};
 use super::tracked_point::{Live, whitening};
 use crate::camera::Camera;
 use crate::features::matching::{MatchOptions, match_features, match_where};

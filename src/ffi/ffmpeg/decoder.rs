@@ -5,8 +5,7 @@ use std::ptr;
 
 use ffmpeg_sys_the_third as sys;
 
-use super::media_file::stated;
-use super::{FfmpegError, MediaFile, Packet, checked, is_short_of_memory, lacks_memory, words};
+use super::{FfmpegError, MediaFile, Packet, checked, is_short_of_memory, lacks_memory, stated, words};
 
 /// Failures in a row after which a decoder that is being emptied is taken to be empty.
 const MAX_FAILURES: u32 = 1000;

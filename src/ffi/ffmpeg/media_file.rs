@@ -9,7 +9,7 @@ use ffmpeg_sys_the_third as sys;
 
 use super::formats::{self, Admission};
 use super::input::{self, Input};
-use super::{Decoder, FfmpegError, checked, is_short_of_memory, words};
+use super::{Decoder, FfmpegError, checked, is_short_of_memory, stated, words};
 
 /// Errors in a row after which a file is taken to be at its end.
 const MAX_READ_ERRORS: u32 = 64;
@@ -323,11 +323,6 @@ impl Drop for MediaFile {
         // SAFETY: was opened by `open`, and is closed once.
         unsafe { sys::avformat_close_input(&mut self.context) }
     }
-}
-
-/// A time stamp, unless it is FFmpeg's mark for none.
-pub(super) fn stated(ticks: i64) -> Option<i64> {
-    (ticks != sys::AV_NOPTS_VALUE).then_some(ticks)
 }
 
 /// Finds out the container format of a file.

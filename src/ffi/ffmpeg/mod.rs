@@ -120,6 +120,11 @@ fn checked(code: c_int) -> Result<c_int, c_int> {
     if code < 0 { Err(code) } else { Ok(code) }
 }
 
+/// A time stamp, unless it is FFmpeg's mark for none.
+fn stated(ticks: i64) -> Option<i64> {
+    (ticks != sys::AV_NOPTS_VALUE).then_some(ticks)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,6 +2,7 @@
 
 mod classes;
 mod detection;
+mod detector_options;
 mod letterbox;
 mod mask_rcnn;
 mod suppression;
@@ -15,7 +16,8 @@ use ::image::RgbImage;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use self::detection::{DetectorOptions, load_detector};
+pub use self::detection::load_detector;
+pub use self::detector_options::DetectorOptions;
 use self::mask_rcnn::MaskRcnn;
 use self::yolo::YoloSeg;
 use super::{INPUT_SIZES, PerceptionError};
