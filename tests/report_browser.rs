@@ -10,7 +10,10 @@ use std::sync::LazyLock;
 
 use image::RgbImage;
 use tractrix::eval::Evaluation;
-use tractrix::report::{self, Data, Fact, Missing, Model, Object, Part, Stage, Thumbnail, object_colour, strip_frames};
+use tractrix::report::{
+    self, Data, Fact, Film, Missing, Model, Object, Part, PictureMaker, Pictures, Stage, Thumbnail, object_colour,
+    strip_frames,
+};
 use tractrix::scene::{FrameId, ObjectId, TimeBase};
 use tractrix::synthetic::showcase::{BICYCLE, CAR, Showcase, showcase};
 
@@ -98,14 +101,17 @@ fn attribute<'a>(document: &'a str, name: &str) -> Option<&'a str> {
     Some(head.split_once(&format!("{name}=\""))?.1.split_once('"')?.0)
 }
 
-fn strip(result: &Showcase) -> Vec<Thumbnail> {
+/// Film, strip and portraits of every frame.
+fn pictures(result: &Showcase) -> Pictures {
     let ids: Vec<_> = result.frames.iter().map(|f| f.id).collect();
-    let picture = |frame| {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut maker = PictureMaker::new(&ids, &folder.path().join("film.mp4"));
+    for frame in maker.wanted() {
         let masks = result.masks(frame);
         let masks: Vec<_> = masks.iter().map(|(id, mask)| (*id, mask)).collect();
-        Thumbnail::new(frame, &result.picture(frame), &masks).expect("the picture encodes")
-    };
-    strip_frames(&ids).into_iter().step_by(3).map(picture).collect()
+        maker.push(frame, &result.picture(frame), &masks).expect("the picture encodes");
+    }
+    maker.finish().expect("the film is whole")
 }
 
 fn without_model(result: &Showcase, id: ObjectId) -> Object<'_> {
@@ -123,7 +129,7 @@ fn without_model(result: &Showcase, id: ObjectId) -> Object<'_> {
     }
 }
 
-fn data<'a>(result: &'a Showcase, strip: Vec<Thumbnail>) -> Data<'a> {
+fn data<'a>(result: &'a Showcase, pictures: Pictures) -> Data<'a> {
     let mut objects: Vec<_> = result.vehicles.iter().map(|v| vehicle(v)).collect();
     objects.push(without_model(result, BICYCLE));
     let stage = |name: &str, wall_s, cpu_s, peak_rss_mib, reused| Stage {
@@ -153,7 +159,7 @@ fn data<'a>(result: &'a Showcase, strip: Vec<Thumbnail>) -> Data<'a> {
         ground: Some(&result.ground),
         objects,
         missing: vec![Missing { what: "Metric scale".into(), reason: "no known length was given".into() }],
-        strip,
+        pictures,
         warnings: vec!["The video has a variable frame rate; the time stamps of its container are used.".into()],
         stages: vec![
             stage("frames", 0.9, 1.2, 118.0, false),
@@ -211,7 +217,7 @@ fn the_page_runs_without_errors_and_shows_the_trajectory() {
     let (folder, _guard) = folder();
     let result = showcase(60, 1);
     let page = folder.join("report.html");
-    report::write(&page, &data(&result, strip(&result))).expect("the report is written");
+    report::write(&page, &data(&result, pictures(&result))).expect("the report is written");
     let size = std::fs::metadata(&page).expect("it is there").len();
     assert!(size < 6 << 20, "{size} bytes");
 
@@ -223,7 +229,7 @@ fn the_page_runs_without_errors_and_shows_the_trajectory() {
 
     // The strip's pictures carry the masks' colours, so this page has none.
     let bare = folder.join("bare.html");
-    report::write(&bare, &data(&result, Vec::new())).expect("the report is written");
+    report::write(&bare, &data(&result, Pictures::default())).expect("the report is written");
     // A picture cannot say whether its page was ready: only one that has nothing of the car is taken again.
     let shoot = || {
         let picture = screenshot(&browser, &bare, "#full&theme=dark", (1400, 1000), "bare.png");
@@ -241,7 +247,7 @@ fn without_webgl_the_page_says_so_and_shows_the_top_view() {
     let (folder, _guard) = folder();
     let result = showcase(60, 1);
     let page = folder.join("plan.html");
-    report::write(&page, &data(&result, Vec::new())).expect("the report is written");
+    report::write(&page, &data(&result, Pictures::default())).expect("the report is written");
     let (document, log) = loaded(&browser, &WITHOUT_WEBGL, &page);
     assert_eq!(attribute(&document, "data-ready"), Some("true"), "{log}");
     assert_eq!(attribute(&document, "data-renderer"), Some("plan"), "{log}");
@@ -281,7 +287,7 @@ const WIDTHS: [u32; 2] = [1400, 420];
 fn labels_of_the_time_axes_stay_on_one_line() {
     let Some(browser) = browser() else { return };
     let result = showcase(60, 1);
-    let page = report::render(&data(&result, Vec::new())).expect("the report renders");
+    let page = report::render(&data(&result, Pictures::default())).expect("the report renders");
     let script = "const ticks = [...document.querySelectorAll('.x-tick')]; \
         const bad = ticks.filter((t) => t.offsetHeight > 1.7 * parseFloat(getComputedStyle(t).fontSize) \
             || t.getBoundingClientRect().right > t.closest('.chart').getBoundingClientRect().right); \
@@ -295,7 +301,7 @@ fn labels_of_the_time_axes_stay_on_one_line() {
 fn no_word_of_the_figures_is_broken() {
     let Some(browser) = browser() else { return };
     let result = showcase(60, 1);
-    let page = report::render(&data(&result, Vec::new())).expect("the report renders");
+    let page = report::render(&data(&result, Pictures::default())).expect("the report renders");
     // The longest words that a key figure has had. A line may end after a hyphen, as in constant-distance.
     let page = page.replacen("<dd>given</dd>", "<dd>segmentation</dd>", 1);
     let script = "const broken = []; let words = 0; \
@@ -325,7 +331,7 @@ fn a_small_path_has_its_dots_at_its_ends() {
             pose.position = std::array::from_fn(|k| first[k] + 0.02 * (pose.position[k] - first[k]));
         }
     }
-    let page = report::render(&data(&result, Vec::new())).expect("the report renders");
+    let page = report::render(&data(&result, Pictures::default())).expect("the report renders");
     let script = "const wrong = []; const plans = document.querySelectorAll('.card .plan-svg'); \
         for (const svg of plans) { \
             const box = svg.getBoundingClientRect(), path = svg.querySelector('.plan-path'); \
@@ -349,13 +355,13 @@ fn a_small_path_has_its_dots_at_its_ends() {
 fn the_table_lists_vehicles_by_trust_and_leads_to_their_details() {
     let Some(browser) = browser() else { return };
     let result = showcase(60, 1);
-    let mut data = data(&result, Vec::new());
+    let mut data = data(&result, Pictures::default());
     data.objects.splice(0..0, (90..94).map(|id| without_model(&result, ObjectId(id))));
     let page = report::render(&data).expect("the report renders");
     let script = "const rows = [...document.querySelectorAll('.vehicles tbody tr')]; \
         const trust = rows.map((row) => Number(row.dataset.trust)); \
         const sorted = trust.every((t, k) => k === 0 || trust[k - 1] <= t); \
-        const fold = document.querySelector('.fold'), folded = !fold.open; \
+        const fold = document.querySelector('.cards').closest('details'), folded = !fold.open; \
         const filter = document.getElementById('filter'); filter.value = '2'; \
         filter.dispatchEvent(new Event('change')); \
         const shown = rows.filter((row) => row.offsetHeight > 0).length; \
@@ -370,18 +376,43 @@ fn the_table_lists_vehicles_by_trust_and_leads_to_their_details() {
 }
 
 #[test]
+fn the_film_follows_the_slider_and_speeds_have_units() {
+    let Some(browser) = browser() else { return };
+    let result = showcase(60, 1);
+    let pictures = pictures(&result);
+    // FFmpeg without an encoder of H.264 makes no film; the page then has the strip.
+    let width = if pictures.film.is_some() { 640 } else { 400 };
+    let page = report::render(&data(&result, pictures)).expect("the report renders");
+    let script = "const canvas = document.getElementById('now-picture'), time = document.getElementById('time'); \
+        const labels = () => document.querySelectorAll('#now b').length; \
+        const before = [canvas.width, labels() > 0]; \
+        time.value = 3; time.dispatchEvent(new Event('input')); \
+        const units = document.getElementById('units'), cell = document.querySelector('.vehicles td:nth-child(3)'); \
+        const said = [cell.textContent]; \
+        for (const unit of ['m/s', 'mph', 'km/h']) { \
+            units.value = unit; units.dispatchEvent(new Event('change')); said.push(cell.textContent); \
+        } \
+        const portrait = document.querySelectorAll('.portrait').length; \
+        return `${before} ${document.getElementById('clock').textContent} ${units.hidden} ${said.join(', ')} ${portrait}`;";
+    let found = found_by(&browser, &page, 1400, script);
+    let speeds = "32.94 ± 0.66 km/h, 9.15 ± 0.18 m/s, 20.47 ± 0.41 mph, 32.94 ± 0.66 km/h";
+    assert_eq!(found, format!("{width},true 0.20 s · frame 3 false {speeds} 3"));
+}
+
+#[test]
 fn charts_can_be_moved_through_by_keys() {
     let Some(browser) = browser() else { return };
     let result = showcase(60, 1);
-    let page = report::render(&data(&result, Vec::new())).expect("the report renders");
-    let script = "const sliders = [...document.querySelectorAll('.chart [role=slider]')]; \
+    let page = report::render(&data(&result, Pictures::default())).expect("the report renders");
+    let script = "document.querySelectorAll('details').forEach((fold) => { fold.open = true; }); \
+        const sliders = [...document.querySelectorAll('.chart [role=slider]')]; \
         const now = () => sliders.map((s) => Number(s.getAttribute('aria-valuenow'))); \
         const before = now(); \
-        sliders[1].focus(); \
-        sliders[1].dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowRight', bubbles: true })); \
+        sliders[0].focus(); \
+        sliders[0].dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowRight', bubbles: true })); \
         const steps = now().map((v, k) => v - before[k]); \
-        const said = sliders[1].getAttribute('aria-valuetext'); \
-        return `${sliders.length} ${document.activeElement === sliders[1]} ${new Set(steps).size} ${steps[0]} \
+        const said = sliders[0].getAttribute('aria-valuetext'); \
+        return `${sliders.length} ${document.activeElement === sliders[0]} ${new Set(steps).size} ${steps[0]} \
             ${/seconds, frame .*Car 1/.test(said)}`.replace(/ +/g, ' ');";
     assert_eq!(found_by(&browser, &page, 1400, script), "8 true 1 1 true");
 }
@@ -393,8 +424,12 @@ fn without_a_rate_the_page_never_shows_a_second() {
     for frame in &mut result.frames {
         frame.time_s = f64::from(frame.id.0);
     }
-    let data =
-        Data { time_base: TimeBase::Frames, input: Vec::new(), warnings: Vec::new(), ..data(&result, Vec::new()) };
+    let data = Data {
+        time_base: TimeBase::Frames,
+        input: Vec::new(),
+        warnings: Vec::new(),
+        ..data(&result, Pictures::default())
+    };
     let page = report::render(&data).expect("the report renders");
     let script = "document.querySelector('.stages').remove(); \
         const spoken = [...document.querySelectorAll('[aria-valuetext], [aria-label]')].map((e) => \
@@ -409,15 +444,21 @@ fn without_a_rate_the_page_never_shows_a_second() {
 #[test]
 fn a_thousand_frames_stay_within_the_size_limit() {
     let result = showcase(1000, 1);
-    let strip: Vec<_> = strip(&showcase(60, 1));
-    // The showcase's own pictures, as many as a long strip holds.
+    let short = pictures(&showcase(60, 1));
+    // The showcase's own pictures, as many as a long strip holds, and a film ten times as long.
     let ids: Vec<_> = result.frames.iter().map(|f| f.id).collect();
-    let long: Vec<_> = strip_frames(&ids)
-        .into_iter()
-        .zip(strip.iter().cycle())
-        .map(|(frame, thumbnail)| Thumbnail { frame, ..thumbnail.clone() })
-        .collect();
-    let page = report::render(&data(&result, long)).expect("the report renders");
-    assert!(page.len() < 6 << 20, "{} bytes", page.len());
-    assert!(page.contains("The frame strip shows 36 of 1000 frames"));
+    let of_frame = |(frame, thumbnail): (FrameId, &Thumbnail)| Thumbnail { frame, ..thumbnail.clone() };
+    let strip = strip_frames(&ids).into_iter().zip(short.strip.iter().cycle()).map(of_frame).collect();
+    let film = short.film.map(|film| Film {
+        mp4: film.mp4.repeat(10),
+        frames: ids.iter().step_by(2).copied().collect(),
+        labels: film.labels.iter().cycle().take(500).cloned().collect(),
+        ..film
+    });
+    let pictures = Pictures { film, strip, portraits: short.portraits };
+    let page = report::render(&data(&result, pictures)).expect("the report renders");
+    assert!(page.len() < 10 << 20, "{} bytes", page.len());
+    assert!(
+        page.contains("The film shows 500 of 1000 frames") || page.contains("The frame strip shows 16 of 1000 frames")
+    );
 }

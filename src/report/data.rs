@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use super::Thumbnail;
+use super::Pictures;
 use crate::eval::Evaluation;
 use crate::scene::{
     Frame, FrameId, Ground, GroundTrack, Image, Metric, ObjectId, ObjectTrajectory, Reconstruction, TimeBase,
@@ -34,8 +34,8 @@ pub struct Data<'a> {
     pub objects: Vec<Object<'a>>,
     /// Other objects that could not be reconstructed.
     pub missing: Vec<Missing>,
-    /// Pictures of the strip, ascending in time; [`super::strip_frames`] says which frames.
-    pub strip: Vec<Thumbnail>,
+    /// Film, strip and portraits.
+    pub pictures: Pictures,
     /// Warnings of the run, the gravest first.
     pub warnings: Vec<String>,
     /// Cost of the run.

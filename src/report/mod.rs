@@ -20,10 +20,12 @@ mod metres;
 mod motion;
 mod overlay;
 mod page;
+mod pictures;
 mod plan;
 mod scene;
 mod summary;
 mod svg;
+mod ticks;
 mod timeline;
 mod travel;
 mod verdict;
@@ -35,11 +37,14 @@ mod testing;
 
 pub use data::{Data, Fact, Missing, Model, Object, Part, Stage};
 pub use metres::metres_in_words;
-pub use overlay::{Label, Thumbnail, object_colour, overlay, shrunk, strip_frames};
+pub use overlay::{Label, Thumbnail, object_colour, overlay, strip_frames};
+pub use pictures::{Film, PictureMaker, Pictures};
 pub use travel::{estimate, ground_track_facts, travel_facts};
 pub use verdict::Verdict;
 
 use std::path::{Path, PathBuf};
+
+use crate::ffi::ffmpeg::FfmpegError;
 
 /// Errors of the report.
 #[derive(Debug, thiserror::Error)]
@@ -60,6 +65,9 @@ pub enum ReportError {
         /// Why.
         source: image::ImageError,
     },
+    /// The film of the page cannot be written.
+    #[error("film of the report: cannot be written: {0}")]
+    Film(FfmpegError),
     /// The page's template does not go with its data: a bug of ours.
     #[error("report template failed: {0}")]
     Template(#[from] minijinja::Error),

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Data, Model, Object, Stage, Thumbnail};
+use super::{Data, Model, Object, Pictures, Stage, Thumbnail};
 use crate::eval::Evaluation;
 use crate::scene::{Frame, FrameId, Ground, GroundTrack, Metric, ObjectId, ObjectTrajectory, Reconstruction, TimeBase};
 pub(super) use crate::synthetic::showcase::UP;
@@ -83,7 +83,7 @@ impl World {
             frames: &self.frames,
             metric: self.metric.as_ref(),
             ground: Some(&self.ground),
-            strip: self.strip.clone(),
+            pictures: Pictures { strip: self.strip.clone(), ..Pictures::default() },
             warnings: self.warnings.clone(),
             ..nothing(&self.background)
         }
@@ -109,7 +109,7 @@ pub(super) fn nothing(background: &Reconstruction) -> Data<'_> {
         ground: None,
         objects: Vec::new(),
         missing: Vec::new(),
-        strip: Vec::new(),
+        pictures: Pictures::default(),
         warnings: Vec::new(),
         stages: vec![stage],
         evaluation: None,

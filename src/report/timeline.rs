@@ -1,7 +1,7 @@
 //! The moments of a run, and how they are reported: in seconds where the input has times, else in frames.
 
-use super::chart::{Tick, ticks, whole_ticks};
 use super::data::{Data, Fact};
+use super::ticks::{Tick, ticks, whole_ticks};
 use super::words::count;
 use crate::scene::{FrameId, TimeBase};
 

@@ -18,8 +18,36 @@ const TICKS_PER_S: c_int = 60_000;
 const NUM_THREADS: c_int = 4;
 /// Options of x264: a good picture, quickly.
 const X264_OPTIONS: [(&CStr, &CStr); 2] = [(c"preset", c"veryfast"), (c"crf", c"21")];
+/// Options of x264 for a preview: 6 to 8 kB a picture of 640×360 pixels.
+const X264_PREVIEW_OPTIONS: [(&CStr, &CStr); 2] = [(c"preset", c"veryfast"), (c"crf", c"27")];
+/// Pictures between two that are coded by themselves, in a preview: a jump to any picture decodes at most so many.
+const PREVIEW_INTERVAL: c_int = 10;
 /// Bits per second and pixel for encoders that have no constant quality.
 const BITS_PER_PIXEL: f64 = 0.2;
+
+/// Purpose of a file.
+#[derive(Clone, Copy, PartialEq)]
+enum Use {
+    Film,
+    Preview,
+}
+
+impl Use {
+    /// Browsers play H.264 alone.
+    fn encoders(self) -> &'static [&'static CStr] {
+        match self {
+            Self::Film => &ENCODERS,
+            Self::Preview => &ENCODERS[..2],
+        }
+    }
+
+    fn x264_options(self) -> [(&'static CStr, &'static CStr); 2] {
+        match self {
+            Self::Film => X264_OPTIONS,
+            Self::Preview => X264_PREVIEW_OPTIONS,
+        }
+    }
+}
 
 /// Writes an MP4 file: 4:2:0 pictures of one size, at times that need not be evenly spaced.
 pub struct Encoder {
@@ -47,6 +75,19 @@ impl Encoder {
     /// # Errors
     /// [`FfmpegError::NoEncoder`], [`FfmpegError::Encoder`], [`FfmpegError::Write`], [`FfmpegError::Memory`].
     pub fn create(path: &Path, size: (u32, u32), rate: f64) -> Result<Self, FfmpegError> {
+        Self::with_encoders(path, size, rate, Use::Film)
+    }
+
+    /// Begins a small file for a browser, which jumps about in it: H.264, with a picture coded by itself every
+    /// [`PREVIEW_INTERVAL`].
+    ///
+    /// # Errors
+    /// As [`Encoder::create`]; [`FfmpegError::NoEncoder`] without an encoder of H.264.
+    pub fn preview(path: &Path, size: (u32, u32), rate: f64) -> Result<Self, FfmpegError> {
+        Self::with_encoders(path, size, rate, Use::Preview)
+    }
+
+    fn with_encoders(path: &Path, size: (u32, u32), rate: f64, purpose: Use) -> Result<Self, FfmpegError> {
         let rate = if rate.is_finite() { rate.clamp(0.1, 1000.0) } else { 25.0 };
         let mut encoder = Self {
             format: ptr::null_mut(),
@@ -70,7 +111,7 @@ impl Encoder {
         let url = [b"file:".as_slice(), path.as_os_str().as_bytes()].concat();
         let url = CString::new(url).map_err(|_| FfmpegError::Write("path contains a zero byte".to_owned()))?;
         encoder.open_container(&url)?;
-        encoder.open_codec(width, height, rate)?;
+        encoder.open_codec((width, height), rate, purpose)?;
         encoder.open_scaler(width, height)?;
         encoder.begin(&url)?;
         Ok(encoder)
@@ -89,15 +130,15 @@ impl Encoder {
     }
 
     /// Opens the first encoder that starts.
-    fn open_codec(&mut self, width: c_int, height: c_int, rate: f64) -> Result<(), FfmpegError> {
+    fn open_codec(&mut self, size: (c_int, c_int), rate: f64, purpose: Use) -> Result<(), FfmpegError> {
         let mut refusal = FfmpegError::NoEncoder;
-        for name in ENCODERS {
+        for name in purpose.encoders() {
             // SAFETY: the name ends in a zero byte.
             let codec = unsafe { sys::avcodec_find_encoder_by_name(name.as_ptr()) };
             if codec.is_null() {
                 continue;
             }
-            match self.try_codec(codec, width, height, rate) {
+            match self.try_codec(codec, size, rate, purpose) {
                 Ok(()) => return Ok(()),
                 Err(error) => refusal = error,
             }
@@ -108,9 +149,9 @@ impl Encoder {
     fn try_codec(
         &mut self,
         codec: *const sys::AVCodec,
-        width: c_int,
-        height: c_int,
+        (width, height): (c_int, c_int),
         rate: f64,
+        purpose: Use,
     ) -> Result<(), FfmpegError> {
         // SAFETY: the context is allocated here, not open yet while it is set up, and freed by `drop` or here; the
         // strings end in zero bytes, and options that an encoder does not know are refused without harm.
@@ -130,11 +171,14 @@ impl Encoder {
             context.color_primaries = sys::AVColorPrimaries::BT709;
             context.color_trc = sys::AVColorTransferCharacteristic::BT709;
             context.thread_count = NUM_THREADS;
+            if purpose == Use::Preview {
+                context.gop_size = PREVIEW_INTERVAL;
+            }
             context.bit_rate = (f64::from(width) * f64::from(height) * rate * BITS_PER_PIXEL) as i64;
             if (*codec).id == sys::AVCodecID::H264 {
                 // x264 goes by quality.
                 context.bit_rate = if is_named(codec, ENCODERS[0]) { 0 } else { context.bit_rate };
-                for (key, value) in X264_OPTIONS {
+                for (key, value) in purpose.x264_options() {
                     sys::av_opt_set(context.priv_data, key.as_ptr(), value.as_ptr(), 0);
                 }
             }

@@ -1,26 +1,32 @@
 //! Stage `report`: the page to look at, from what all stages left behind.
 
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
 use super::background::{self, ModelReport};
-use super::features::thumbnails;
 use super::{ground, objects, scale, track};
 use crate::eval::Evaluation;
-use crate::io::json;
+use crate::io::{IoError, json};
 use crate::math::rounding::with_std;
 use crate::pipeline::driver::reopen::check_input;
 use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::inputs::cameras;
 use crate::pipeline::inputs::cameras::CameraOrigin;
 use crate::pipeline::options::options_from_json;
-use crate::pipeline::{Method, Options, PipelineError, Silent, Workspace};
-use crate::report::{self, Data, Fact, Missing, Model, Object, Part, Thumbnail};
+use crate::pipeline::{Method, Options, PipelineError, Silent, Stage, Workspace};
+use crate::report::{self, Data, Fact, Missing, Model, Object, Part, PictureMaker, Pictures};
 use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
 use crate::trajectory::{Views, intersection};
 use crate::video::Kind;
+
+/// Folder and files of the page's pictures.
+const PICTURES_PREFIX: &str = "pictures-";
+const PICTURES: &str = "pictures.bin";
+const FILM: &str = "film.mp4";
 
 /// Makes the page of a finished run again, with what was put into the folder since.
 ///
@@ -82,7 +88,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
         objects: objects(&tracked, &reports, &object_models, &trajectories, &failures, |id, model| {
             ratio_per_frame(run, &background, model, &ground, id)
         }),
-        strip: strip(run, &tracked)?,
+        pictures: pictures(run, &tracked)?,
         warnings: run.warnings(),
         stages: stages(run),
         evaluation: evaluation.as_ref(),
@@ -227,15 +233,30 @@ fn missing(background: &ModelReport) -> Vec<Missing> {
     background.failure.iter().map(|reason| Missing { what: what.clone(), reason: reason.clone() }).collect()
 }
 
-/// Pictures of evenly spread frames, with the masks over them.
-fn strip(run: &Run, tracked: &[TrackedObject]) -> Result<Vec<Thumbnail>, PipelineError> {
-    let mut thumbnails = Vec::new();
-    for (frame, picture) in thumbnails::pictures(run)? {
+/// Film, strip and portraits. They depend on input and masks alone and are kept, since the page is made again after an
+/// evaluation or an export.
+fn pictures(run: &Run, tracked: &[TrackedObject]) -> Result<Pictures, PipelineError> {
+    let fingerprint = run.fingerprint(Stage::Track);
+    let kept = run.workspace.state(&fingerprint::folder_name(PICTURES_PREFIX, fingerprint)).join(PICTURES);
+    if kept.is_file() {
+        return intermediate::read(&kept);
+    }
+    let folder = run.workspace.intermediate(PICTURES_PREFIX, fingerprint)?;
+    let ids: Vec<_> = run.frames()?.iter().map(|frame| frame.id).collect();
+    let film = folder.join(FILM);
+    let mut maker = PictureMaker::new(&ids, &film);
+    // A frame that cannot be decoded is left out: the stage that needed it has reported it.
+    for (frame, picture) in run.source.frames_at(maker.wanted())?.flatten() {
         let masks = track::masks_of(run, tracked, &frame)?;
         let masks: Vec<_> = masks.iter().map(|(id, mask)| (*id, mask)).collect();
-        thumbnails.push(Thumbnail::new(frame.id, &picture, &masks)?);
+        maker.push(frame.id, &picture, &masks)?;
     }
-    Ok(thumbnails)
+    let made = maker.finish()?;
+    intermediate::write(&kept, &made)?;
+    match std::fs::remove_file(&film) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(IoError::system("remove", &film)(error).into()),
+        _ => Ok(made),
+    }
 }
 
 fn stages(run: &Run) -> Vec<report::Stage> {

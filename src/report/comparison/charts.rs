@@ -1,8 +1,9 @@
 //! Charts over the images, and distributions of errors and track lengths.
 
 use crate::eval::comparison::{Against, Comparison, ERROR_BIN_PX, ImageDifference, ModelFigures, NUM_ERROR_BINS};
-use crate::report::chart::{Chart, Drawing, Line, ticks, whole_ticks};
+use crate::report::chart::{Chart, Drawing, Line};
 use crate::report::comparison::{Data, colour, unit};
+use crate::report::ticks::{ticks, whole_ticks};
 
 /// Images from which lines are drawn; fewer are dots.
 const MANY_IMAGES: usize = 60;

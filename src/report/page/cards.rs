@@ -1,5 +1,7 @@
 //! The vehicles' cards.
 
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
 use serde::Serialize;
 
 use super::gaps::NO_REASON;
@@ -24,6 +26,8 @@ pub(super) struct Card {
     id: u32,
     name: String,
     colour: String,
+    /// JPEG file in base64.
+    portrait: Option<String>,
     verdict: verdict::Verdict,
     badge: &'static str,
     /// Place in the order of trust, the best first; a ground track comes before a rejected trajectory.
@@ -71,6 +75,7 @@ fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Opt
         id: object.id.0,
         name: name.to_owned(),
         colour: css_colour(object_colour(object.id)),
+        portrait: data.pictures.portraits.get(&object.id).map(|jpeg| STANDARD.encode(jpeg)),
         verdict,
         badge: match (object.trajectory, object.ground_track) {
             (None, Some(_)) => GROUND_TRACK,

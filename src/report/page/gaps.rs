@@ -25,17 +25,47 @@ pub(super) fn missing(data: &Data, names: &[String]) -> Vec<Missing> {
     list
 }
 
-/// The frames of a model whose camera was not found, gathered by reason.
+/// The frames of a model whose camera was not found, gathered by reason; reasons that differ in numbers only are one.
 fn unregistered(name: &str, model: &Model) -> Vec<Missing> {
-    let mut by_reason: BTreeMap<&str, Vec<u32>> = BTreeMap::new();
+    let mut by_reason: BTreeMap<Vec<&str>, (Vec<&str>, Vec<u32>)> = BTreeMap::new();
     for (frame, reason) in &model.unregistered {
-        by_reason.entry(reason).or_default().push(frame.0);
+        let (reasons, frames) = by_reason.entry(words(reason)).or_default();
+        reasons.push(reason);
+        frames.push(frame.0);
     }
-    let entry = |(reason, frames): (&str, Vec<u32>)| {
+    let entry = |(words, (reasons, frames)): (Vec<&str>, (Vec<&str>, Vec<u32>))| {
         let what = format!("{name}: not registered in {} ({})", count(frames.len(), "frame"), ranges(&frames));
-        Missing { what, reason: reason.to_owned() }
+        Missing { what, reason: merged(&words, &reasons) }
     };
     by_reason.into_iter().map(entry).collect()
+}
+
+/// A reason without its numbers.
+fn words(reason: &str) -> Vec<&str> {
+    reason.split(|c: char| c.is_ascii_digit()).filter(|word| !word.is_empty()).collect()
+}
+
+/// Reasons of the same words as one, their numbers as ranges. Numbers that are too long to compare stay as they are.
+fn merged(words: &[&str], reasons: &[&str]) -> String {
+    let numbers = |reason: &str| -> Vec<Option<u64>> {
+        reason.split(|c: char| !c.is_ascii_digit()).filter(|n| !n.is_empty()).map(|n| n.parse().ok()).collect()
+    };
+    let all: Vec<Vec<Option<u64>>> = reasons.iter().map(|reason| numbers(reason)).collect();
+    let begins_with_number = reasons[0].starts_with(|c: char| c.is_ascii_digit());
+    let is_even = all.iter().all(|n| n.len() == all[0].len() && n.iter().all(Option::is_some));
+    if !is_even || begins_with_number {
+        return reasons[0].to_owned();
+    }
+    let range = |k: usize| {
+        let values = all.iter().filter_map(|n| n[k]);
+        let (low, high) = (values.clone().min().unwrap_or_default(), values.max().unwrap_or_default());
+        if low == high { low.to_string() } else { format!("{low}–{high}") }
+    };
+    let parts = words.iter().enumerate().map(|(k, word)| {
+        let number = if k < all[0].len() { range(k) } else { String::new() };
+        format!("{word}{number}")
+    });
+    parts.collect()
 }
 
 /// The warnings that say more than what is missing and the verdicts do, with the names that vehicles have on the page.
@@ -87,6 +117,7 @@ fn ranges(numbers: &[u32]) -> String {
 mod tests {
     use super::*;
     use crate::report::testing;
+    use crate::scene::FrameId;
 
     #[test]
     fn what_is_said_elsewhere_is_no_warning_and_vehicles_have_one_name() {
@@ -108,6 +139,32 @@ mod tests {
         assert_eq!(missing[1].what, "Background: not registered in 1 frame (3)");
         let left = warnings(&data, &names, &missing);
         assert_eq!(left, ["Car 1 stands before Object 2 and object 12, deviation 0.0100", NO_REASON]);
+    }
+
+    #[test]
+    fn reasons_that_differ_in_numbers_are_one() {
+        let mut world = testing::world();
+        let reason = |frame: u32| format!("too few matches: {}, at least 7 needed", frame % 3);
+        let unregistered = (4..9).map(|frame| (FrameId(frame), reason(frame))).chain([(FrameId(2), "dark".into())]);
+        world.frames.truncate(10);
+        let mut data = world.data();
+        data.background.unregistered = unregistered.collect();
+        let found = unregistered_of_background(&data);
+        assert_eq!(
+            found,
+            [
+                "not registered in 1 frame (2): dark",
+                "not registered in 5 frames (4–8): too few matches: 0–2, at least 7 needed"
+            ]
+        );
+        assert_eq!(merged(&[" of ", " agree"], &["3 of 4 agree", "2 of 4 agree"]), "3 of 4 agree");
+    }
+
+    fn unregistered_of_background(data: &Data) -> Vec<String> {
+        unregistered("", &data.background)
+            .into_iter()
+            .map(|m| format!("{}: {}", m.what.trim_start_matches(": "), m.reason))
+            .collect()
     }
 
     #[test]

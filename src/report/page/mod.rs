@@ -57,6 +57,7 @@ fn page_context(data: &Data) -> Value {
     let scene = view.as_ref().map(|v| Scene::new(data, v, &timeline, &names));
     let mut notes = scene.as_ref().map(|s| s.omissions(data.frames.len())).unwrap_or_default();
     let strip = strip::strip(data, &timeline, &mut notes);
+    let film = strip::film(data, &timeline, &mut notes);
     let charts = charts::charts(data, &timeline, &names, &mut notes);
     let missing = gaps::missing(data, &names);
     context! {
@@ -75,6 +76,7 @@ fn page_context(data: &Data) -> Value {
         unit => Ruler::of(data.metric).unit,
         metres => Metres::new(data.metric),
         strip,
+        film => film.as_ref().map(json),
         bars => charts::bars(data, &timeline, &names),
         ticks => timeline.ticks(),
         clock => json(&Clock::new(&timeline)),
@@ -135,7 +137,10 @@ impl Clock {
 pub(super) fn policy(scripts: &[&str]) -> String {
     let hash = |script: &&str| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(script.as_bytes())));
     let hashes: Vec<_> = scripts.iter().map(hash).collect();
-    format!("default-src 'none'; script-src {}; style-src 'unsafe-inline'; img-src data: blob:", hashes.join(" "))
+    format!(
+        "default-src 'none'; script-src {}; style-src 'unsafe-inline'; img-src data: blob:; media-src blob:",
+        hashes.join(" ")
+    )
 }
 
 /// JSON for a script element: without `<`, which could end it.

@@ -12,16 +12,72 @@
 	const times = frames.map((f) => f.time);
 	const nearest = (list, time) => list.reduce((best, t, k) => (Math.abs(t - time) < Math.abs(list[best] - time) ? k : best), 0);
 	const shotOf = times.map((time) => nearest(shots.map((s) => s.time), time));
-	// A picture belongs to a frame if no more than half a step of the strip away.
-	const shotReach = shots.length > 1 ? (shots.at(-1).time - shots[0].time) / (shots.length - 1) * 0.75 : Infinity;
-	const pictureOf = (index) => {
-		const shot = shots[shotOf[index]];
-		return shot && Math.abs(shot.time - times[index]) <= shotReach ? shot.image : null;
-	};
+	/** Half a step between two pictures, a little more: what is farther away does not belong to a moment. */
+	const reachOf = (list) => (list.length > 1 ? (list.at(-1) - list[0]) / (list.length - 1) * 0.75 : Infinity);
 	// Without a rate nobody knows how fast it was: ten frames per second can be followed.
 	const pace = seconds ? 1 : 10;
 	const settings = new URLSearchParams(location.hash.slice(1));
-	let index = 0, playing = null, view = null;
+	const UNITS = { "km/h": 1, "m/s": 1 / 3.6, "mph": 1 / 1.609344 };
+	let index = 0, playing = null, view = null, unit = "km/h";
+
+	// ---- the picture of the moment: of the film where the browser plays it, else of the strip
+
+	const canvas = find("now-picture");
+	let film = null;
+	/** Draws the current picture, and has it shown in the 3D view. */
+	const paint = (source, width, height) => {
+		if (!canvas || !width) return;
+		if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+		canvas.getContext("2d").drawImage(source, 0, 0, width, height);
+		view?.repaint();
+	};
+	/** Loads the film; `null` if there is none, or if it cannot be played. */
+	const openFilm = () => new Promise((resolve) => {
+		const packed = canvas && read("film-data");
+		const video = document.createElement("video");
+		if (!packed || !video.canPlayType('video/mp4; codecs="avc1.42E01E"')) return resolve(null);
+		const bytes = Uint8Array.from(atob(packed.mp4), (c) => c.charCodeAt(0));
+		Object.assign(video, { muted: true, playsInline: true, preload: "auto" });
+		video.addEventListener("error", () => resolve(null));
+		video.addEventListener("loadeddata", () => resolve(new Film(video, packed)), { once: true });
+		setTimeout(resolve, 4000, null);
+		video.src = URL.createObjectURL(new Blob([bytes], { type: "video/mp4" }));
+	});
+	class Film {
+		constructor(video, { rate, times: at, labels, width, height }) {
+			Object.assign(this, { video, rate, labels, width, height, wanted: 0, of: times.map((time) => nearest(at, time)) });
+			const reach = reachOf(at);
+			this.covers = times.map((time, k) => Math.abs(at[this.of[k]] - time) <= reach);
+			video.addEventListener("seeked", () => {
+				paint(video, width, height);
+				if (this.shown !== this.wanted) this.seek();
+			});
+		}
+		show(index) {
+			this.wanted = this.of[index];
+			if (!this.video.seeking) this.seek();
+		}
+		seek() {
+			this.shown = this.wanted;
+			this.video.currentTime = (this.shown + 0.5) / this.rate;
+		}
+		labelsAt(index) {
+			return this.labels[this.of[index]].map(({ id, colour, left, top }) => {
+				const label = document.createElement("b");
+				label.textContent = id;
+				label.style.cssText = `left:${left}%;top:${top}%;--c:${colour}`;
+				return label;
+			});
+		}
+	}
+	const shotTimes = shots.map((shot) => shot.time), shotReach = reachOf(shotTimes);
+	const hasPicture = (index) => (film ? film.covers[index] : shots.length > 0 && Math.abs(shotTimes[shotOf[index]] - times[index]) <= shotReach);
+	const showPicture = () => {
+		if (film) return film.show(index);
+		const image = shots[shotOf[index]]?.image;
+		if (image) paint(image, image.naturalWidth, image.naturalHeight);
+	};
+	const labels = () => (film ? film.labelsAt(index) : [...(shots[shotOf[index]]?.labels ?? [])].map((label) => label.cloneNode(true)));
 
 	// ---- the moment
 
@@ -29,8 +85,9 @@
 	const handles = [...document.querySelectorAll(".cursor[data-label]")];
 	// Nothing but zeros has no sign.
 	const format = (v, decimals) => v.toFixed(decimals).replace(/^-(?=[0.]*$)/, "").replace("-", "−");
+	const speedChart = [...document.querySelectorAll("[data-chart]")].find((figure) => figure.querySelector("h3 small").textContent === "km/h");
 	const outputs = charts.map((chart, c) => chart.lines.map((line, l) => ({
-		times: line.samples.map((s) => s[0]), values: line.samples.map((s) => s[1]), decimals: chart.decimals,
+		times: line.samples.map((s) => s[0]), values: line.samples.map((s) => s[1]), decimals: chart.decimals, isSpeed: speedChart?.dataset.chart === String(c),
 		element: document.querySelector(`[data-chart="${c}"] [data-line="${l}"]`),
 	}))).flat();
 	/** A frame's moment, as it is shown and as it is read aloud. */
@@ -39,11 +96,34 @@
 	const step = times.length > 1 ? (times.at(-1) - times[0]) / (times.length - 1) : 1;
 
 	const readCharts = (time) => {
-		for (const { times: at, values, decimals, element } of outputs) {
+		for (const { times: at, values, decimals, isSpeed, element } of outputs) {
+			const factor = isSpeed ? UNITS[unit] : 1;
 			const k = nearest(at, time);
 			const reach = Math.max(step, at.length > 1 ? (at.at(-1) - at[0]) / (at.length - 1) : 0) * 0.8;
-			element.textContent = at.length && Math.abs(at[k] - time) <= reach ? format(values[k], decimals) : "–";
+			element.textContent = at.length && Math.abs(at[k] - time) <= reach ? format(factor * values[k], decimals) : "–";
 		}
+	};
+
+	/** A text with speeds in km/h, in the chosen unit; a standard deviation has two digits. */
+	const inUnit = (text) => text.replace(/([\d.]+)( ± ([\d.]+))? km\/h/g, (whole, value, _, std) => {
+		if (unit === "km/h") return whole;
+		const digits = std ? 1 - Math.floor(Math.log10(std * UNITS[unit])) : (value.split(".")[1] ?? "").length + (unit === "m/s" ? 1 : 0);
+		const decimals = Math.min(4, Math.max(0, digits));
+		const of = (number) => (number * UNITS[unit]).toFixed(decimals);
+		return `${of(value)}${std ? ` ± ${of(std)}` : ""} ${unit}`;
+	});
+	const setUnit = (chosen) => {
+		unit = chosen;
+		for (const cell of document.querySelectorAll(".vehicles td")) {
+			cell.dataset.text ??= cell.textContent;
+			if (cell.dataset.text.includes("km/h")) cell.textContent = inUnit(cell.dataset.text);
+		}
+		speedChart.querySelector("h3 small").textContent = unit;
+		for (const tick of speedChart.querySelectorAll(".y-axis span")) {
+			tick.dataset.value ??= tick.textContent.replace("−", "-");
+			tick.textContent = unit === "km/h" ? tick.dataset.value.replace("-", "−") : format(tick.dataset.value * UNITS[unit], 1);
+		}
+		show(index);
 	};
 
 	/** What the sliders in the charts say: the moment, and what the legend beside them reads. */
@@ -56,12 +136,11 @@
 
 	const describe = () => {
 		const text = find("now-text");
-		if (!text || !shots.length) return;
-		const shot = shots[shotOf[index]];
-		find("now-picture").src = shot.image.src;
-		const box = find("now").querySelector(".picture");
-		box.querySelectorAll("b").forEach((b) => b.remove());
-		shot.labels.forEach((label) => box.append(label.cloneNode(true)));
+		if (!text) return;
+		showPicture();
+		find("now").querySelectorAll("b").forEach((b) => b.remove());
+		find("now").querySelector(".picture").append(...labels());
+		find("labels").replaceChildren(...labels());
 		text.replaceChildren();
 		const add = (words, colour, absent) => {
 			const span = document.createElement("span");
@@ -77,7 +156,7 @@
 		if (!frames[index].camera) add("Camera not registered", null, true);
 		for (const object of data?.objects ?? []) {
 			const pose = object.poses.find(([i]) => i === index);
-			if (pose) add(pose[3] ? `${object.name}: ${pose[3]}` : object.name, object.colour, false);
+			if (pose) add(pose[3] ? `${object.name}: ${inUnit(pose[3])}` : object.name, object.colour, false);
 		}
 	};
 
@@ -118,13 +197,14 @@
 
 	/** Markers of the top view: what print and browsers without WebGL show. */
 	const movePlan = () => {
-		const plan = find("plan");
 		const placed = (at) => data.turn.map(([a, b]) => (a * at[0] + b * at[2]) * 10);
 		const put = (element, at) => element && (at ? element.setAttribute("d", `M${placed(at).join(" ")}h0`) : element.removeAttribute("d"));
-		put(plan.querySelector(".plan-here"), frames[index].camera);
-		for (const object of data.objects) {
-			const pose = object.poses.find(([i]) => i === index);
-			put(plan.querySelector(`.plan-end[data-object="${object.id}${object.ground ? "-ground" : ""}"]`), pose?.[1]);
+		for (const plan of document.querySelectorAll(".plan-live")) {
+			put(plan.querySelector(".plan-here"), frames[index].camera);
+			for (const object of data.objects) {
+				const pose = object.poses.find(([i]) => i === index);
+				put(plan.querySelector(`.plan-end[data-object="${object.id}${object.ground ? "-ground" : ""}"]`), pose?.[1]);
+			}
 		}
 	};
 
@@ -208,7 +288,19 @@
 		viewport.addEventListener("focusin", listenToWheel);
 		viewport.addEventListener("focusout", () => setTimeout(listenToWheel));
 		document.querySelectorAll("[data-view]").forEach((button) => button.addEventListener("click", () => view.look(button.dataset.view)));
-		view.onMode = (mode) => document.querySelectorAll("[data-view]").forEach((b) => b.setAttribute("aria-pressed", b.dataset.view === mode && mode !== "home"));
+		view.onMode = (mode) => {
+			stage.dataset.mode = mode;
+			if (mode === "camera") find("layers").open = false;
+			document.querySelectorAll("[data-view]").forEach((b) => b.setAttribute("aria-pressed", b.dataset.view === mode && mode !== "home"));
+		};
+		// The picture fills the view as far as its shape allows.
+		view.onResize = (width, height) => {
+			const [tx, ty] = data.tangent, shape = tx / ty, across = Math.min(width, height * shape);
+			Object.assign(find("labels").style, { width: `${across}px`, height: `${across / shape}px` });
+		};
+		find("labels").hidden = false;
+		stage.style.setProperty("--shape", data.tangent[0] / data.tangent[1]);
+		view.resize();
 		document.querySelectorAll("[data-layer]").forEach((box) => box.addEventListener("change", () => view.setLayer(box.dataset.layer, box.checked)));
 		document.querySelectorAll("input[data-object]").forEach((box) => box.addEventListener("change", () => view.setObject(Number(box.dataset.object), box.checked)));
 		find("size").addEventListener("input", (event) => view.setPointSize(Number(event.target.value)));
@@ -258,7 +350,7 @@
 			if (!problem) {
 				find("canvas").hidden = false;
 				try {
-					view = new SceneView(find("canvas"), find("viewport"), data, pictureOf);
+					view = new SceneView(find("canvas"), find("viewport"), data, { canvas, has: hasPicture });
 					find("plan").hidden = true;
 				} catch (error) {
 					problem = `No 3D view (${error.message}); showing the top view.`;
@@ -272,11 +364,14 @@
 			}
 			connect();
 			if (settings.has("full")) fill(true);
-			if (view && settings.has("view")) view.look(settings.get("view"));
+			// The film with the paths drawn in opens the page; without it, the scene.
+			if (view) view.look(settings.get("view") ?? (film && data.objects.length ? "camera" : "home"));
 		}
 		find("filter")?.addEventListener("change", ({ target }) => document.querySelectorAll("[data-trust]").forEach((row) => {
 			row.hidden = Number(row.dataset.trust) > Number(target.value);
 		}));
+		if (speedChart && find("units")) find("units").hidden = false;
+		find("units")?.addEventListener("change", ({ target }) => setUnit(target.value));
 		addEventListener("hashchange", unfold);
 		unfold();
 		shots.forEach(({ element, time }) => element.addEventListener("click", () => jump(time, { scroll: false })));
@@ -285,9 +380,11 @@
 		show(opening());
 		root.dataset.renderer = view ? "webgl" : data ? "plan" : "none";
 		// Two frames later everything is on the screen.
-		requestAnimationFrame(() => requestAnimationFrame(() => { root.dataset.ready = "true"; }));
+		const ready = () => requestAnimationFrame(() => requestAnimationFrame(() => { root.dataset.ready = "true"; }));
+		if (film?.video.seeking) film.video.addEventListener("seeked", ready, { once: true });
+		else ready();
 	};
 
 	// Pictures first: the frustum carries one.
-	Promise.allSettled(shots.map(({ image }) => image.decode())).then(begin);
+	Promise.allSettled([openFilm().then((opened) => { film = opened; }), ...shots.map(({ image }) => image.decode())]).then(begin);
 })();

@@ -1,4 +1,4 @@
-//! The strip of pictures.
+//! The strip of pictures, and the film.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use crate::report::data::Data;
 use crate::report::overlay::{Label, css_colour, object_colour, spread};
+use crate::report::pictures::FILM_RATE;
 use crate::report::timeline::Timeline;
 
 /// Bytes of JPEG in the strip; pictures are left out to keep to it.
@@ -33,23 +34,63 @@ struct PictureLabel {
     top: f64,
 }
 
+/// The film, for `page.js`.
+#[derive(Debug, Serialize)]
+pub(super) struct FilmJson {
+    /// The MP4 file, in base64.
+    mp4: String,
+    /// Pictures per second of the file.
+    rate: f64,
+    width: u32,
+    height: u32,
+    /// Moment of each picture.
+    times: Vec<f64>,
+    /// Labels of each picture.
+    labels: Vec<Vec<PictureLabel>>,
+}
+
+/// The film; `notes` says if it shows not every frame.
+pub(super) fn film(data: &Data, timeline: &Timeline, notes: &mut Vec<String>) -> Option<FilmJson> {
+    let film = data.pictures.film.as_ref()?;
+    if film.frames.len() < data.frames.len() {
+        notes.push(format!("The film shows {} of {} frames, evenly spaced.", film.frames.len(), data.frames.len()));
+    }
+    Some(FilmJson {
+        mp4: STANDARD.encode(&film.mp4),
+        rate: FILM_RATE,
+        width: film.width,
+        height: film.height,
+        times: film.frames.iter().map(|&frame| timeline.of(frame).unwrap_or_default()).collect(),
+        labels: film.labels.iter().map(|labels| labels.iter().map(PictureLabel::new).collect()).collect(),
+    })
+}
+
+impl PictureLabel {
+    fn new(label: &Label) -> Self {
+        Self {
+            id: label.object.0,
+            colour: css_colour(object_colour(label.object)),
+            left: (label.x * 1000.0).round() / 10.0,
+            top: (label.y * 1000.0).round() / 10.0,
+        }
+    }
+}
+
 /// The pictures that fit; `notes` says what was left out.
 pub(super) fn strip(data: &Data, timeline: &Timeline, notes: &mut Vec<String>) -> Vec<Picture> {
-    let total: usize = data.strip.iter().map(|t| t.jpeg.len()).sum();
-    let limit = if total > MAX_STRIP_BYTES { data.strip.len() * MAX_STRIP_BYTES / total } else { data.strip.len() };
-    let chosen = spread(data.strip.len(), limit.max(1));
-    if chosen.len() < data.frames.len() && !chosen.is_empty() {
+    let total: usize = data.pictures.strip.iter().map(|t| t.jpeg.len()).sum();
+    let limit = if total > MAX_STRIP_BYTES {
+        data.pictures.strip.len() * MAX_STRIP_BYTES / total
+    } else {
+        data.pictures.strip.len()
+    };
+    let chosen = spread(data.pictures.strip.len(), limit.max(1));
+    if chosen.len() < data.frames.len() && !chosen.is_empty() && data.pictures.film.is_none() {
         notes.push(format!("The frame strip shows {} of {} frames, evenly spaced.", chosen.len(), data.frames.len()));
     }
     let picture = |i: usize| {
-        let thumbnail = &data.strip[i];
+        let thumbnail = &data.pictures.strip[i];
         let frame = data.frames.iter().find(|f| f.id == thumbnail.frame);
-        let label = |l: &Label| PictureLabel {
-            id: l.object.0,
-            colour: css_colour(object_colour(l.object)),
-            left: (l.x * 1000.0).round() / 10.0,
-            top: (l.y * 1000.0).round() / 10.0,
-        };
         Picture {
             frame: thumbnail.frame.0,
             time: timeline.of(thumbnail.frame).unwrap_or_default(),
@@ -58,7 +99,7 @@ pub(super) fn strip(data: &Data, timeline: &Timeline, notes: &mut Vec<String>) -
             width: thumbnail.width,
             height: thumbnail.height,
             jpeg: STANDARD.encode(&thumbnail.jpeg),
-            labels: thumbnail.labels.iter().map(label).collect(),
+            labels: thumbnail.labels.iter().map(PictureLabel::new).collect(),
         }
     };
     chosen.into_iter().map(picture).collect()

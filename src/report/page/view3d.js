@@ -47,9 +47,9 @@ const hasWebgl = () => {
 };
 
 class SceneView {
-	/** `data` as packed by Rust, `pictures` the strip's images by frame index: `(index) => HTMLImageElement | null`. */
-	constructor(canvas, viewport, data, pictures) {
-		Object.assign(this, { canvas, viewport, data, pictures, index: 0, mode: "home", pointSize: 1, onMode: () => {} });
+	/** `data` as packed by Rust; `picture` has the canvas with the current picture, and `has(index)`: whether a frame has one. */
+	constructor(canvas, viewport, data, picture) {
+		Object.assign(this, { canvas, viewport, data, picture, index: 0, mode: "home", pointSize: 1, layers: {}, hidden: new Set(), onMode: () => {}, onResize: () => {} });
 		THREE.ColorManagement.enabled = false;
 		this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
 		this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
@@ -163,7 +163,7 @@ class SceneView {
 		geometry.setAttribute("position", new THREE.Float32BufferAttribute(corner.flat(), 3));
 		geometry.setAttribute("uv", new THREE.Float32BufferAttribute([0, 1, 1, 1, 1, 0, 0, 0], 2));
 		geometry.setIndex([0, 1, 2, 0, 2, 3]);
-		this.texture = new THREE.Texture();
+		this.texture = new THREE.Texture(this.picture.canvas);
 		this.texture.generateMipmaps = false;
 		this.texture.minFilter = THREE.LinearFilter;
 		const material = new THREE.MeshBasicMaterial({ map: this.texture, side: THREE.DoubleSide, transparent: true, opacity: 0.92 });
@@ -221,14 +221,7 @@ class SceneView {
 			this.frustum.position.fromArray(pose);
 			this.frustum.quaternion.set(pose[4], pose[5], pose[6], pose[3]);
 		}
-		const picture = this.pictures(index);
-		this.screen.visible = Boolean(picture?.complete && picture.naturalWidth);
-		if (this.screen.visible && this.texture.image !== picture) {
-			// Textures keep their first size.
-			this.texture.dispose();
-			this.texture.image = picture;
-			this.texture.needsUpdate = true;
-		}
+		this.screen.visible = this.picture.has(index);
 		for (const object of this.objects) {
 			const found = object.poses.get(index);
 			object.body.visible = object.marker.visible = Boolean(found);
@@ -243,18 +236,37 @@ class SceneView {
 		this.draw();
 	}
 
+	/** Takes the current picture anew. */
+	repaint() {
+		if (this.painted !== this.picture.canvas.width) {
+			// Textures keep their first size.
+			this.texture.dispose();
+			this.painted = this.picture.canvas.width;
+		}
+		this.texture.needsUpdate = true;
+		this.draw();
+	}
+
+	/** Shows what layers and view leave visible: through the camera, the paths of the vehicles in the picture alone. */
+	arrange() {
+		this.background.visible = this.layers.background !== false && !this.inside;
+		this.grid.visible = this.layers.grid !== false && !this.inside;
+		this.data.objects.forEach((object, k) => {
+			const { group, body, poses } = this.objects[k];
+			group.visible = !this.hidden.has(object.id) && (!this.inside || poses.has(this.index));
+			for (const part of body.children) part.visible = !this.inside;
+		});
+	}
+
 	setLayer(name, visible) {
-		if (name === "background") this.background.visible = visible;
+		this.layers[name] = visible;
 		if (name === "ground") for (const cloud of this.clouds) cloud.material.uniforms.groundShare.value = visible ? 0.42 : 0;
 		if (name === "camera") this.cameraGroup.visible = visible;
-		if (name === "grid") this.grid.visible = visible;
 		this.draw();
 	}
 
 	setObject(id, visible) {
-		this.data.objects.forEach((object, k) => {
-			if (object.id === id) this.objects[k].group.visible = visible;
-		});
+		this.hidden[visible ? "delete" : "add"](id);
 		this.draw();
 	}
 
@@ -331,7 +343,7 @@ class SceneView {
 		this.frustum.scale.setScalar(2000 / (0.085 * radius));
 		this.screen.renderOrder = -1;
 		this.screen.material.depthWrite = false;
-		this.screen.material.opacity = 0.7;
+		this.screen.material.opacity = 1;
 		this.inside = true;
 	}
 
@@ -375,6 +387,7 @@ class SceneView {
 		for (const line of this.lines) line.material.resolution.set(width, height);
 		this.ratio = ratio;
 		if (this.mode !== "free") this.look(this.mode);
+		this.onResize(width, height);
 		this.draw();
 	}
 
@@ -388,6 +401,7 @@ class SceneView {
 	}
 
 	render() {
+		this.arrange();
 		const pixels = this.viewport.clientHeight * this.ratio / (2 * Math.tan(THREE.MathUtils.degToRad(this.camera.fov) / 2));
 		for (const cloud of this.clouds) {
 			const { uniforms } = cloud.material;

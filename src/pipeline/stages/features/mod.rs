@@ -2,7 +2,6 @@
 
 pub(in crate::pipeline) mod found_features;
 pub(in crate::pipeline) mod masking;
-pub(in crate::pipeline) mod thumbnails;
 
 use std::path::PathBuf;
 
@@ -10,15 +9,13 @@ use serde_json::{Value, json};
 
 use super::motion::point_tracks::{self, Follower};
 use crate::features::{FrontEnd, TrackTable};
-use crate::image::RgbImage;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::inputs::{cameras, images, order};
 use crate::pipeline::{Instances, PipelineError, Stage};
-use crate::scene::{Frame, Topic};
+use crate::scene::Topic;
 use crate::video::VideoError;
 use masking::Masking;
-use thumbnails::Keeper;
 
 pub(in crate::pipeline) use super::motion::point_tracks::FEATURES_PREFIX as PREFIX;
 pub(in crate::pipeline) const BACKGROUND: &str = "background";
@@ -48,10 +45,11 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let mut outcome = Outcome::default();
     let store = TrackStore::fresh(run, PREFIX, fingerprint)?;
     if run.options.background_model.is_none() {
-        let mut beside =
-            SharedDecoding { points: Follower::beside_features(run)?, strip: Keeper::beside_features(run)? };
-        let table = follow_background(run, &mut beside, &mut outcome)?;
-        beside.write(run, &store)?;
+        let mut points = Follower::beside_features(run)?;
+        let table = follow_background(run, points.as_mut(), &mut outcome)?;
+        if let Some(points) = points {
+            intermediate::write(&store.path(&point_tracks::name(run)), &points.finish())?;
+        }
         outcome.figure("background_tracks", table.tracks.len());
         store.write(BACKGROUND, &table)?;
     }
@@ -59,33 +57,10 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     Ok(outcome)
 }
 
-/// Work for which later stages of the same run would decode the images again.
-struct SharedDecoding {
-    points: Option<Follower>,
-    strip: Option<Keeper>,
-}
-
-impl SharedDecoding {
-    fn push(&mut self, frame: &Frame, picture: &RgbImage) -> Result<(), PipelineError> {
-        if let Some(strip) = &mut self.strip {
-            strip.push(frame, picture);
-        }
-        self.points.as_mut().map_or(Ok(()), |points| points.push(frame, picture))
-    }
-
-    fn write(self, run: &Run, store: &TrackStore) -> Result<(), PipelineError> {
-        if let Some(strip) = &self.strip {
-            strip.write(&store.folder)?;
-        }
-        let write = |points: Follower| intermediate::write(&store.path(&point_tracks::name(run)), &points.finish());
-        self.points.map_or(Ok(()), write)
-    }
-}
-
-/// Tracks of the background, and what is made on the way.
+/// Tracks of the background; `points` of the vehicles are followed on the way, so that the images are decoded once.
 fn follow_background(
     run: &Run,
-    beside: &mut SharedDecoding,
+    mut points: Option<&mut Follower>,
     outcome: &mut Outcome,
 ) -> Result<TrackTable, PipelineError> {
     let initial = cameras::initial(run)?;
@@ -109,7 +84,9 @@ fn follow_background(
             let mask = masking.background(&frame, picture.dimensions())?;
             let camera = camera_of.get(&frame.id).copied().unwrap_or_default();
             num_decoded += 1;
-            beside.push(&frame, &picture)?;
+            if let Some(points) = &mut points {
+                points.push(&frame, &picture)?;
+            }
             Ok(background.push_of(camera, &frame, &picture, &mask)?)
         },
     )?;

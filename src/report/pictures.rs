@@ -1,0 +1,206 @@
+//! Pictures of the page: the film, the strip, and a portrait of each vehicle, made in one pass over the frames.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use image::codecs::jpeg::JpegEncoder;
+use image::{RgbImage, imageops};
+use serde::{Deserialize, Serialize};
+
+use super::ReportError;
+use super::overlay::{Label, Thumbnail, label, overlay, shrunk, spread, strip_frames};
+use crate::ffi::ffmpeg::{Encoder, FfmpegError};
+use crate::scene::{BoundingBox, FrameId, Mask, ObjectId};
+
+/// Longer side of the film, pixels.
+const FILM_SIDE: u32 = 640;
+/// Pictures of the film: at 6 to 8 kB each the page can still be mailed. Of a longer clip evenly spread frames are shown.
+const MAX_FILM_FRAMES: usize = 600;
+/// Pictures per second of the file; the page seeks in it by number.
+pub(super) const FILM_RATE: f64 = 25.0;
+/// Longer side of a portrait, pixels: twice its size on the page.
+const PORTRAIT_SIDE: u32 = 144;
+/// JPEG quality of a portrait.
+const PORTRAIT_QUALITY: u8 = 80;
+/// Border around the mask in a portrait, as a share of the mask's longer side.
+const PORTRAIT_BORDER: f64 = 0.15;
+
+/// Pictures of the page.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Pictures {
+    /// The frames with masks drawn in, as a video; `None` if FFmpeg has no encoder of H.264.
+    pub film: Option<Film>,
+    /// Pictures of the strip, ascending in time.
+    pub strip: Vec<Thumbnail>,
+    /// JPEG file of each vehicle, from the frame in which its mask is largest.
+    pub portraits: BTreeMap<ObjectId, Vec<u8>>,
+}
+
+/// A video of [`FILM_RATE`] pictures per second.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Film {
+    /// The MP4 file.
+    pub mp4: Vec<u8>,
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Frame of each picture.
+    pub frames: Vec<FrameId>,
+    /// Numbers of the vehicles in each picture.
+    pub labels: Vec<Vec<Label>>,
+}
+
+/// Makes the pictures of the page from frames that are pushed one by one.
+pub struct PictureMaker {
+    path: PathBuf,
+    of_film: BTreeSet<FrameId>,
+    of_strip: BTreeSet<FrameId>,
+    encoder: Option<Encoder>,
+    film: Option<Film>,
+    strip: Vec<Thumbnail>,
+    portraits: BTreeMap<ObjectId, (u64, RgbImage)>,
+}
+
+impl PictureMaker {
+    /// * `frames` – all frames of the run, ascending.
+    /// * `path` – file for the film while it is made.
+    pub fn new(frames: &[FrameId], path: &Path) -> Self {
+        Self {
+            path: path.to_owned(),
+            of_film: spread(frames.len(), MAX_FILM_FRAMES).into_iter().map(|k| frames[k]).collect(),
+            of_strip: strip_frames(frames).into_iter().collect(),
+            encoder: None,
+            film: Some(Film::default()),
+            strip: Vec::new(),
+            portraits: BTreeMap::new(),
+        }
+    }
+
+    /// Frames that are to be pushed.
+    pub fn wanted(&self) -> BTreeSet<FrameId> {
+        self.of_film.union(&self.of_strip).copied().collect()
+    }
+
+    /// Takes the next frame.
+    ///
+    /// # Errors
+    /// [`ReportError::Picture`] if the picture is empty, [`ReportError::Film`] if the film cannot be written.
+    pub fn push(&mut self, frame: FrameId, picture: &RgbImage, masks: &[(ObjectId, &Mask)]) -> Result<(), ReportError> {
+        if self.of_strip.contains(&frame) {
+            self.strip.push(Thumbnail::new(frame, picture, masks)?);
+        }
+        for (id, mask) in masks {
+            self.keep_portrait(*id, picture, mask);
+        }
+        if self.of_film.contains(&frame) && self.film.is_some() {
+            match self.add_to_film(frame, picture, masks) {
+                // Without such an encoder the page has the strip.
+                Err(FfmpegError::NoEncoder | FfmpegError::Encoder(_)) => self.film = None,
+                Err(source) => return Err(ReportError::Film(source)),
+                Ok(()) => {}
+            }
+        }
+        Ok(())
+    }
+
+    fn add_to_film(
+        &mut self,
+        frame: FrameId,
+        picture: &RgbImage,
+        masks: &[(ObjectId, &Mask)],
+    ) -> Result<(), FfmpegError> {
+        let small = overlay(&shrunk(picture, FILM_SIDE), masks);
+        let film = self.film.get_or_insert_default();
+        let encoder = match &mut self.encoder {
+            Some(encoder) => encoder,
+            none => {
+                (film.width, film.height) = small.dimensions();
+                none.insert(Encoder::preview(&self.path, small.dimensions(), FILM_RATE)?)
+            }
+        };
+        encoder.add(&small, film.frames.len() as f64 / FILM_RATE)?;
+        film.frames.push(frame);
+        film.labels.push(masks.iter().filter_map(|&(id, mask)| label(id, mask)).collect());
+        Ok(())
+    }
+
+    /// Keeps the part of a picture that a mask shows, if it shows more of the vehicle than those before.
+    fn keep_portrait(&mut self, id: ObjectId, picture: &RgbImage, mask: &Mask) {
+        let Some(found) = mask.bounding_box() else { return };
+        let area = u64::from(found.x1 - found.x0) * u64::from(found.y1 - found.y0);
+        if self.portraits.get(&id).is_some_and(|(largest, _)| area <= *largest) {
+            return;
+        }
+        let BoundingBox { x0, y0, x1, y1 } = with_border(found, picture.dimensions());
+        let cut = imageops::crop_imm(picture, x0, y0, x1 - x0, y1 - y0).to_image();
+        self.portraits.insert(id, (area, shrunk(&cut, PORTRAIT_SIDE)));
+    }
+
+    /// The pictures.
+    ///
+    /// # Errors
+    /// [`ReportError::Film`] if the film cannot be written or read again.
+    pub fn finish(mut self) -> Result<Pictures, ReportError> {
+        if let Some(encoder) = self.encoder.take() {
+            encoder.finish().map_err(ReportError::Film)?;
+        }
+        let film = match self.film.filter(|film| !film.frames.is_empty()) {
+            Some(film) => {
+                let failed = |source| ReportError::Write { path: self.path.clone(), source };
+                let mp4 = std::fs::read(&self.path).map_err(failed)?;
+                Some(Film { mp4, ..film })
+            }
+            None => None,
+        };
+        let portrait = |(id, (_, picture)): (ObjectId, (u64, RgbImage))| {
+            let mut jpeg = Vec::new();
+            let encoded = JpegEncoder::new_with_quality(&mut jpeg, PORTRAIT_QUALITY).encode_image(&picture);
+            encoded.ok().map(|()| (id, jpeg))
+        };
+        let portraits = self.portraits.into_iter().filter_map(portrait).collect();
+        Ok(Pictures { film, strip: self.strip, portraits })
+    }
+}
+
+/// A box and some of what is around it.
+fn with_border(found: BoundingBox, (width, height): (u32, u32)) -> BoundingBox {
+    let longer = (found.x1 - found.x0).max(found.y1 - found.y0);
+    let border = (PORTRAIT_BORDER * f64::from(longer)).ceil() as u32;
+    BoundingBox {
+        x0: found.x0.saturating_sub(border),
+        y0: found.y0.saturating_sub(border),
+        x1: (found.x1 + border).min(width),
+        y1: (found.y1 + border).min(height),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use image::Rgb;
+
+    use super::*;
+
+    #[test]
+    fn a_film_a_strip_and_portraits_come_from_one_pass() {
+        let folder = tempfile::tempdir().unwrap();
+        let frames: Vec<_> = (0..30).map(FrameId).collect();
+        let mut maker = PictureMaker::new(&frames, &folder.path().join("film.mp4"));
+        assert_eq!(maker.wanted().len(), 30);
+        let picture = RgbImage::from_pixel(1280, 720, Rgb([90, 120, 60]));
+        for (k, &frame) in frames.iter().enumerate() {
+            let size = 20 + 2 * k as u32;
+            let mask = Mask::from_fn(1280, 720, |x, y| (1200..1200 + size).contains(&x) && y < size);
+            maker.push(frame, &picture, &[(ObjectId(3), &mask)]).unwrap();
+        }
+        let made = maker.finish().unwrap();
+        assert_eq!(made.strip.len(), 16);
+        let portrait = image::load_from_memory(&made.portraits[&ObjectId(3)]).unwrap();
+        assert_eq!(portrait.width().max(portrait.height()), 90, "78 px, a border of 12 px below and to the left");
+        // FFmpeg without H.264 makes none.
+        if let Some(film) = made.film {
+            assert_eq!((film.width, film.height, film.frames.len(), film.labels.len()), (640, 360, 30, 30));
+            assert!(film.mp4.len() < 100_000, "{}", film.mp4.len());
+        }
+    }
+}
