@@ -77,6 +77,8 @@ pub(super) enum Command {
     Convert(super::convert::Args),
     /// Export results as tables, maps, poses, an animated scene or an annotated video
     Export(super::export::Args),
+    /// Count vehicles at lines and in zones, with speeds and headways
+    Analyse(super::analyse::Args),
     /// Combine the results of many runs in one table
     ///
     /// Exit code 1 if a folder could not be read; the table has the others nevertheless.

@@ -9,7 +9,7 @@ use super::terminal::TerminalProgress;
 use crate::export::{self, ExportError, Exported, Format, MissingFormats, Need, Pictures, Results, Target};
 use crate::io::RunFolder;
 use crate::pipeline::{self, Progress};
-use crate::scene::Topic;
+use crate::scene::{Topic, Trust};
 
 /// Export the results of a run for other programs (docs/export.md describes every column)
 #[derive(Clone, Debug, clap::Args)]
@@ -17,21 +17,29 @@ pub(super) struct Args {
     /// Output folder of `tractrix run`
     #[arg(value_name = "OUT")]
     pub(super) run: PathBuf,
-    /// Formats: csv, geojson, kml, gpx, tum, kitti, gltf, video, colmap, trajectories-v2; several separated by commas;
-    /// or all
+    /// Formats: csv, geojson, kml, gpx, tum, kitti, gltf, video, sumo, levelx, colmap, trajectories-v2; several separated by
+    /// commas; or all
     ///
     /// csv: tables of vehicles, of vehicles frame by frame, and of the camera. geojson, kml, gpx: georeferenced
     /// positions, which need --telemetry in the run. tum, kitti: poses. gltf: animated scene. video: masks, ids, speeds
-    /// and paths drawn into the video. colmap: images, masks and the background, ready for densification. all:
+    /// and paths drawn into the video. sumo, levelx: trajectories for traffic research, in meters. colmap: images, masks and the background, ready for densification. all:
     /// everything that these results allow.
     #[arg(long, value_name = "NAMES", value_parser = asked)]
     pub(super) format: Formats,
+    /// Leave out vehicles with a lower verdict, and ground tracks
+    #[arg(long, value_name = "VERDICT", value_parser = min_verdict)]
+    pub(super) min_verdict: Option<Trust>,
     /// Output folder [default: OUT/export]
     #[arg(short, long, value_name = "DIR")]
     pub(super) output: Option<PathBuf>,
     /// Current path of the video or image folder, if it was moved; video and colmap need it
     #[arg(long, value_name = "INPUT")]
     pub(super) input: Option<PathBuf>,
+}
+
+fn min_verdict(text: &str) -> Result<Trust, String> {
+    let found = [Trust::Good, Trust::Fair, Trust::Doubtful].into_iter().find(|trust| trust.name() == text);
+    found.ok_or_else(|| "expected good, fair or doubtful".to_owned())
 }
 
 /// The formats that were asked for.
@@ -68,7 +76,10 @@ impl Output {
 pub(super) fn run(args: &Args, form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
     let folder = RunFolder::at(&args.run);
     let frames = pipeline::known_frames(&args.run);
-    let results = Results::read(&folder, frames.as_deref())?;
+    let mut results = Results::read(&folder, frames.as_deref())?;
+    if let Some(lowest) = args.min_verdict {
+        results.keep_trusted(lowest);
+    }
     let needs_pictures = args.format.formats.iter().any(|format| format.need() == Need::Pictures);
     let opened = needs_pictures.then(|| pipeline::reopen(&args.run, args.input.as_deref()));
     let source = match &opened {

@@ -5,6 +5,7 @@
 //! `input`, `usage`, `busy` or `stopped`. Exit codes: 0 done, 1 failed on the input, 2 wrong use, 75 stopped by the
 //! system or the output folder is in use, so that the same command is to be given again, 130 stopped by Ctrl-C.
 
+mod analyse;
 mod args;
 mod bal;
 mod batch;
@@ -120,6 +121,7 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &TerminalProgress) -> Res
         Command::Compare(own) => compare::run(own, arguments, form),
         Command::Convert(own) => convert::run(own, form),
         Command::Export(own) => export::run(own, form, talk),
+        Command::Analyse(own) => analyse::run(own, form),
         Command::Summary(own) => summarize::run(own, form),
         Command::Bal(own) => bal::run(own, form),
         Command::Telemetry(own) => telemetry::run(own, form),

@@ -35,6 +35,15 @@ pub enum ExportError {
         /// Requested format.
         format: Format,
     },
+    /// Meters or times are not known.
+    #[error(
+        "{wanted}: no speeds in m/s; run again with a source of meters, such as --camera-height, and --fps for \
+         a folder of images"
+    )]
+    NoMeters {
+        /// What needs them.
+        wanted: String,
+    },
     /// The place on the map is not known.
     #[error(
         "--format {format}: no georeferenced positions ({reason}); run again with --telemetry FILE, then export again"

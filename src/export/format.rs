@@ -24,6 +24,10 @@ pub enum Format {
     Gltf,
     /// The video with what was found drawn into it.
     Video,
+    /// Floating car data of SUMO.
+    Sumo,
+    /// Tables in the form of levelXData.
+    LevelX,
     /// Pictures, masks and the background's model, ready for COLMAP's densification.
     Colmap,
     /// `trajectories.json` with the keys and words of version 2, for scripts written for it. Only by name.
@@ -35,6 +39,8 @@ pub enum Format {
 pub enum Need {
     /// Nothing but the output folder.
     Nothing,
+    /// Meters and times.
+    Meters,
     /// A place on the map.
     Map,
     /// The pictures of the input.
@@ -43,7 +49,7 @@ pub enum Need {
 
 impl Format {
     /// Every format, in the order in which they are written.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 12] = [
         Self::Csv,
         Self::GeoJson,
         Self::Kml,
@@ -52,6 +58,8 @@ impl Format {
         Self::Kitti,
         Self::Gltf,
         Self::Video,
+        Self::Sumo,
+        Self::LevelX,
         Self::Colmap,
         Self::TrajectoriesV2,
     ];
@@ -67,6 +75,8 @@ impl Format {
             Self::Kitti => "kitti",
             Self::Gltf => "gltf",
             Self::Video => "video",
+            Self::Sumo => "sumo",
+            Self::LevelX => "levelx",
             Self::Colmap => "colmap",
             Self::TrajectoriesV2 => "trajectories-v2",
         }
@@ -76,6 +86,7 @@ impl Format {
     pub fn need(self) -> Need {
         match self {
             Self::GeoJson | Self::Kml | Self::Gpx => Need::Map,
+            Self::Sumo | Self::LevelX => Need::Meters,
             Self::Video | Self::Colmap => Need::Pictures,
             Self::Csv | Self::Tum | Self::Kitti | Self::Gltf | Self::TrajectoriesV2 => Need::Nothing,
         }
@@ -85,6 +96,11 @@ impl Format {
     pub fn obstacle(self, results: &Results) -> Option<ExportError> {
         match self {
             _ if results.views.is_empty() => Some(ExportError::NoCamera { format: self }),
+            _ if self.need() == Need::Meters
+                && !(results.metric_frame().is_some() && results.clock().has_seconds()) =>
+            {
+                Some(ExportError::NoMeters { wanted: format!("--format {self}") })
+            }
             _ if self.need() == Need::Map && results.map().is_none() => {
                 Some(ExportError::NoMap { format: self, reason: results.why_no_map() })
             }
@@ -137,7 +153,8 @@ mod tests {
         for wrong in ["", "xlsx", "csv,", "CSV", "csv,all"] {
             let refusal = Format::listed(wrong).unwrap_err();
             assert!(
-                refusal.contains("csv, geojson, kml, gpx, tum, kitti, gltf, video, colmap, trajectories-v2"),
+                refusal
+                    .contains("csv, geojson, kml, gpx, tum, kitti, gltf, video, sumo, levelx, colmap, trajectories-v2"),
                 "{refusal}"
             );
         }

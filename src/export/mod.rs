@@ -9,6 +9,7 @@
 
 mod annotate;
 mod clock;
+pub mod crossings;
 mod error;
 mod facts;
 mod format;
@@ -25,6 +26,7 @@ mod table;
 mod target;
 #[cfg(test)]
 mod testing;
+mod traffic;
 mod workspace;
 mod write;
 

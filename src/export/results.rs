@@ -12,7 +12,7 @@ use crate::io::{IoError, RunFolder, json};
 use crate::math::{Rigid3, Sim3};
 use crate::scene::{
     Frame, FrameId, Ground, GroundPosition, ImageId, MapOrigin, MapPlace, MetricAxes, MetricFrame, ObjectPose,
-    Reconstruction, TimeBase, Trajectories, Unit,
+    ObjectTrajectory, Reconstruction, TimeBase, Trajectories, Trust, Unit,
 };
 use crate::telemetry::{Geodetic, LocalFrame};
 
@@ -71,6 +71,13 @@ struct InfoJson {
 }
 
 impl Results {
+    /// Leaves out trajectories with a verdict below `lowest`, those without one, and ground tracks.
+    pub fn keep_trusted(&mut self, lowest: Trust) {
+        let is_trusted = |object: &ObjectTrajectory| object.verdict.as_ref().is_some_and(|found| found.state <= lowest);
+        self.trajectories.objects.retain(is_trusted);
+        self.trajectories.ground_tracks.clear();
+    }
+
     /// Reads an output folder.
     ///
     /// * `frames` – the frames of the run with their times, where they are known; else the times are those of the

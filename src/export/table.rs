@@ -353,7 +353,7 @@ fn exact(value: Option<f64>) -> String {
 }
 
 /// Writes a table; every row has as many cells as there are columns.
-fn write(path: &Path, columns: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Result<(), ExportError> {
+pub(super) fn write(path: &Path, columns: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Result<(), ExportError> {
     let text = text(columns, rows).map_err(|error| IoError::content(path, error.to_string()))?;
     Ok(atomic::write(path, &text)?)
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::{ExportError, Format, Need, Results, Target};
-use super::{annotate, geojson, gltf, gpx, kml, poses, table, workspace};
+use super::{annotate, geojson, gltf, gpx, kml, poses, table, traffic, workspace};
 use crate::image::RgbImage;
 use crate::io::{ExportFolder, RunFolder, trajectories};
 use crate::scene::{Frame, FrameId};
@@ -167,8 +167,10 @@ fn one(format: Format, results: &Results, pictures: &Pictures, target: &Target) 
         Format::GeoJson => &[(Names::WAYS_ON_MAP, geojson::ways), (Names::PLACES_ON_MAP, geojson::places)],
         Format::Kml => &[(Names::KML, kml::write)],
         Format::Gpx => &[(Names::GPX, gpx::write)],
+        Format::Sumo => &[(Names::SUMO, traffic::write_sumo)],
         Format::TrajectoriesV2 => &[(Names::TRAJECTORIES_V2, trajectories_v2)],
         Format::Tum => return folder(target, Names::TUM, |path| poses::write_tum(path, results)),
+        Format::LevelX => return folder(target, Names::LEVELX, |path| traffic::write_levelx(path, results)),
         Format::Kitti => return folder(target, Names::KITTI, |path| poses::write_kitti(path, results)),
         Format::Gltf => {
             let models = gltf::models(pictures.folder(), results)?;
@@ -297,7 +299,7 @@ mod tests {
         let exported =
             write(&results, &Format::ALL, MissingFormats::ForAll, &pictures, || Ok(Target::at(&into, &[])?)).unwrap();
         let passed: Vec<_> = exported.passed_over.iter().map(|left| left.format).collect();
-        assert_eq!(passed, ["geojson", "kml", "gpx", "video", "colmap"]);
+        assert_eq!(passed, ["geojson", "kml", "gpx", "video", "sumo", "levelx", "colmap"]);
         assert!(into.join("scene.glb").is_file() && !into.join("camera.gpx").exists());
         std::fs::remove_file(run.trajectories()).unwrap();
         let none = Results::read(&run, None).unwrap_err().to_string();

@@ -43,6 +43,16 @@ impl ExportFolder {
     pub const TUM: &str = "tum";
     /// Poses in KITTI's form.
     pub const KITTI: &str = "kitti";
+    /// Floating car data.
+    pub const SUMO: &str = "sumo-fcd.xml";
+    /// Tables in the form of levelXData.
+    pub const LEVELX: &str = "levelx";
+    /// One row per vehicle and frame, of these.
+    pub const LEVELX_TRACKS: &str = "00_tracks.csv";
+    /// One row per vehicle.
+    pub const LEVELX_META: &str = "00_tracksMeta.csv";
+    /// One row.
+    pub const LEVELX_RECORDING: &str = "00_recordingMeta.csv";
     /// A workspace of COLMAP's.
     pub const COLMAP: &str = "colmap";
     /// Pictures in that workspace.
@@ -54,7 +64,8 @@ impl ExportFolder {
     /// Description of the frame of the poses next to it.
     pub const ABOUT: &str = "about.txt";
 
-    const FILES: [&str; 12] = [
+    const FILES: [&str; 13] = [
+        Self::SUMO,
         Self::TRAJECTORIES_V2,
         Self::VEHICLES,
         Self::TRAJECTORIES,
@@ -84,7 +95,8 @@ impl ExportFolder {
         match *parts {
             [] => PathRole::Folder,
             [file] if Self::FILES.contains(&file) => PathRole::File,
-            [Self::TUM | Self::KITTI | Self::COLMAP] => PathRole::Folder,
+            [Self::TUM | Self::KITTI | Self::LEVELX | Self::COLMAP] => PathRole::Folder,
+            [Self::LEVELX, Self::LEVELX_TRACKS | Self::LEVELX_META | Self::LEVELX_RECORDING] => PathRole::File,
             [Self::TUM | Self::KITTI, file] if is_pose_file(file) => PathRole::File,
             [Self::COLMAP, Self::IMAGES | Self::MASKS | Self::SPARSE] => PathRole::Folder,
             [Self::COLMAP, Self::SPARSE, "0"] => PathRole::Folder,
@@ -109,7 +121,14 @@ mod tests {
     #[test]
     fn every_export_has_its_place_and_others_have_none() {
         let place = |path: &str| ExportFolder::place(Path::new(path));
-        for file in ["vehicles.csv", "scene.glb", "tum/vehicle-12.txt", "kitti/camera.times.txt", "kitti/about.txt"] {
+        for file in [
+            "vehicles.csv",
+            "scene.glb",
+            "tum/vehicle-12.txt",
+            "kitti/camera.times.txt",
+            "kitti/about.txt",
+            "levelx/00_tracks.csv",
+        ] {
             assert_eq!(place(file), PathRole::File, "{file}");
         }
         for file in ["colmap/images/000001.jpg", "colmap/masks/a.png.png", "colmap/sparse/0/cameras.bin"] {

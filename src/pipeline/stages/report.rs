@@ -215,6 +215,8 @@ fn opened_by(name: &str) -> Option<&'static str> {
         "glb" => "animated scene, for Blender and glTF viewers",
         "mp4" => "video with ids, speeds and paths, for any player",
         "tum" | "kitti" => "poses, for evo",
+        "xml" => "floating car data, for SUMO",
+        "levelx" => "tracks in the form of levelXData",
         "colmap" => "COLMAP workspace, for densification",
         _ => return None,
     })
@@ -341,7 +343,12 @@ mod tests {
     fn exports_say_what_opens_them() {
         let names =
             ["vehicles.csv", "trajectories.geojson", "trajectories.kml", "camera.gpx", "scene.glb", "annotated.mp4"];
-        assert!(names.into_iter().chain(["tum", "kitti", "colmap"]).all(|name| opened_by(name).is_some()));
+        assert!(
+            names
+                .into_iter()
+                .chain(["sumo-fcd.xml", "tum", "kitti", "levelx", "colmap"])
+                .all(|name| opened_by(name).is_some())
+        );
         assert_eq!(opened_by("notes.txt"), None);
         assert!(exported(Path::new("folder not found")).is_empty());
     }
