@@ -55,9 +55,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         println!();
     }
-    println!(
-        "| estimator | determined | median | p90 | within 10 % | within 1σ | within 2σ |\n|---|---|---|---|---|---|---|"
-    );
+    println!("| estimator | undetermined | median | mean | p90 | within 10 % | within 1σ | within 2σ |");
+    println!("|---|---|---|---|---|---|---|---|");
     for (method, all) in methods.iter().zip(&answers) {
         println!("| {} | {} |", method.name(), row(all).join(" | "));
     }
@@ -101,9 +100,11 @@ fn row(answers: &[Answer]) -> Vec<String> {
     let text = |value: Option<f64>| value.map_or("–".to_owned(), |value| format!("{value:.1}"));
     let surprises: Vec<f64> = answers.iter().flatten().filter_map(|(error, std)| Some(error / (*std)?)).collect();
     let within = |limit: f64| share(surprises.iter().filter(|surprise| **surprise <= limit).count(), surprises.len());
+    let mean = (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64);
     vec![
-        share(errors.len(), answers.len()),
+        share(answers.len() - errors.len(), answers.len()),
         text(quantile(&errors, 0.5)),
+        text(mean),
         text(quantile(&errors, 0.9)),
         share(errors.iter().filter(|error| **error < 10.0).count(), answers.len()),
         within(1.0),
