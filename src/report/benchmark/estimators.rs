@@ -114,7 +114,7 @@ mod tests {
         assert_eq!(cells[2..10], ["1", "1", "1", "3.00", "3.00", "3.00", "0 of 1", "1 of 1"], "{row}");
         let row = |start: &str| text.lines().filter(|line| line.starts_with(start)).count();
         assert_eq!((row("| method paper: constant-distance"), row("| method paper: least-squares")), (1, 0), "{text}");
-        assert!(text.contains("| paper: intersection") && text.contains(" 2.40 "), "{text}");
+        assert!(text.contains("| paper: intersection") && text.contains(" 2.42 "), "{text}");
         assert!(text.contains("3.00 ± 2.00") && text.contains("undetermined") && text.contains("failed"), "{text}");
     }
 }
