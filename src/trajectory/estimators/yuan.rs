@@ -9,7 +9,8 @@
 //! ```
 //!
 //! `yuan` has one normal n for the clip as in the source, the mean of the local ones; `yuan-local`, a variant of ours
-//! for ground that is no plane, the mean of both frames' local normals. It is constant distance to the ground with residuals that add up from frame to frame, instead of independent ones.
+//! for ground that is no plane, the mean of both frames' local normals. It is constant distance to the ground with
+//! residuals that add up from frame to frame, instead of independent ones.
 //!
 //! **Assumption**: a ground that is plane, or locally so. **Blind** where the camera keeps its height over it.
 
