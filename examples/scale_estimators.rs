@@ -29,9 +29,8 @@ const HALF_HEIGHT: f64 = 0.7;
 /// Camera center, center of the vehicle, and its axes as columns: forward, left, up.
 type TrueFrame = (Vector3<f64>, Vector3<f64>, Matrix3<f64>);
 
-/// Camera center, the vehicle's middle and its axes (the third points up), by frame.
+/// Camera and vehicle, by frame.
 struct Motion {
-    name: String,
     frames: Vec<TrueFrame>,
 }
 
@@ -42,30 +41,17 @@ fn main() -> Result<(), Box<dyn Error>> {
         [] => return Err("usage: scale_estimators SCENE... | LABELS POSES".into()),
         scenes => scenes.iter().map(|path| scene(Path::new(path))).collect::<Result<_, _>>()?,
     };
+    let num = motions.len() as u64 * NUM_DRAWS;
     println!("{} motions, {NUM_DRAWS} draws; errors are of log r, %, of determined ratios\n", motions.len());
     let methods: Vec<ScaleMethod> =
         ScaleMethod::ALL.into_iter().filter(|method| *method != ScaleMethod::Joint).collect();
     let answers: Vec<Vec<Answer>> = methods.iter().map(|method| answers(*method, &motions)).collect();
-    if motions.len() <= 20 {
-        println!("| sequence | {} |", names(&methods).join(" | "));
-        println!("|---|{}", "---|".repeat(methods.len()));
-        for (k, motion) in motions.iter().enumerate() {
-            let of = |all: &Vec<Answer>| summary(&all[k * NUM_DRAWS as usize..(k + 1) * NUM_DRAWS as usize]);
-            println!("| {} | {} |", motion.name, answers.iter().map(of).collect::<Vec<_>>().join(" | "));
-        }
-        println!();
-    }
-    println!(
-        "| estimator | determined | median | p90 | within 10 % | within 1σ | within 2σ |\n|---|---|---|---|---|---|---|"
-    );
+    println!("| estimator | undetermined of {num} | median | mean | within 1σ | within 2σ |");
+    println!("|---|---|---|---|---|---|");
     for (method, all) in methods.iter().zip(&answers) {
         println!("| {} | {} |", method.name(), row(all).join(" | "));
     }
     Ok(())
-}
-
-fn names(methods: &[ScaleMethod]) -> Vec<&'static str> {
-    methods.iter().map(|method| method.name()).collect()
 }
 
 /// |log r| and relative standard deviation of a determined ratio.
@@ -83,16 +69,6 @@ fn answers(method: ScaleMethod, motions: &[Motion]) -> Vec<Answer> {
     motions.iter().zip(0..).flat_map::<Vec<Answer>, _>(of).collect()
 }
 
-/// Median error of one motion, and the number of draws with a ratio where some have none.
-fn summary(answers: &[Answer]) -> String {
-    let errors = errors(answers);
-    match (quantile(&errors, 0.5), errors.len() == answers.len()) {
-        (None, _) => "–".into(),
-        (Some(median), true) => format!("{median:.1}"),
-        (Some(median), false) => format!("{median:.1} ({}/{})", errors.len(), answers.len()),
-    }
-}
-
 fn row(answers: &[Answer]) -> Vec<String> {
     let errors = errors(answers);
     let share = |count: usize, of: usize| {
@@ -101,14 +77,8 @@ fn row(answers: &[Answer]) -> Vec<String> {
     let text = |value: Option<f64>| value.map_or("–".to_owned(), |value| format!("{value:.1}"));
     let surprises: Vec<f64> = answers.iter().flatten().filter_map(|(error, std)| Some(error / (*std)?)).collect();
     let within = |limit: f64| share(surprises.iter().filter(|surprise| **surprise <= limit).count(), surprises.len());
-    vec![
-        share(errors.len(), answers.len()),
-        text(quantile(&errors, 0.5)),
-        text(quantile(&errors, 0.9)),
-        share(errors.iter().filter(|error| **error < 10.0).count(), answers.len()),
-        within(1.0),
-        within(2.0),
-    ]
+    let mean = (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64);
+    vec![(answers.len() - errors.len()).to_string(), text(median(&errors)), text(mean), within(1.0), within(2.0)]
 }
 
 /// Errors in percent, ascending.
@@ -118,8 +88,8 @@ fn errors(answers: &[Answer]) -> Vec<f64> {
     errors
 }
 
-fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
-    sorted.get(((sorted.len() as f64 - 1.0) * share).round().max(0.0) as usize).copied()
+fn median(sorted: &[f64]) -> Option<f64> {
+    sorted.get(sorted.len() / 2).copied()
 }
 
 /// Views of a box of 4.3 × 1.8 × 1.4 m that moves, with noise.
@@ -159,7 +129,6 @@ fn views(motion: &Motion, draw: u64, stream: u64) -> Views {
 
 fn scene(path: &Path) -> Result<Motion, Box<dyn Error>> {
     let scene: serde_json::Value = serde_json::from_str(&fs::read_to_string(path)?)?;
-    let name = path.parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy().into_owned();
     let entry = |pose: &serde_json::Value, row: usize, column: usize| pose[row][column].as_f64().unwrap_or(f64::NAN);
     let frames = scene["frames"].as_array().ok_or("no frames")?.iter().map(|frame| {
         let (camera, object) = (&frame["T_world_camera"], &frame["T_world_object"]);
@@ -167,7 +136,7 @@ fn scene(path: &Path) -> Result<Motion, Box<dyn Error>> {
         let [camera, object] = [camera, object].map(|pose| Vector3::from_fn(|row, _| entry(pose, row, 3)));
         (camera, object + HALF_HEIGHT * axes.column(2), axes)
     });
-    Ok(Motion { name, frames: frames.collect() })
+    Ok(Motion { frames: frames.collect() })
 }
 
 /// Vehicles of the KITTI tracking benchmark.
@@ -181,12 +150,12 @@ fn kitti(labels: &Path, poses: &Path) -> Result<Vec<Motion>, Box<dyn Error>> {
         let Ok(text) = fs::read_to_string(poses.join(&name).join("CameraTrajectory.txt")) else { continue };
         let cameras: Vec<Vec<f64>> =
             text.lines().map(|line| line.split_whitespace().filter_map(|word| word.parse().ok()).collect()).collect();
-        motions.extend(vehicles(&name, &fs::read_to_string(&file)?, &cameras));
+        motions.extend(vehicles(&fs::read_to_string(&file)?, &cameras));
     }
     Ok(motions)
 }
 
-fn vehicles(sequence: &str, labels: &str, cameras: &[Vec<f64>]) -> Vec<Motion> {
+fn vehicles(labels: &str, cameras: &[Vec<f64>]) -> Vec<Motion> {
     let mut tracks: std::collections::BTreeMap<u32, Vec<(usize, Vec<f64>)>> = std::collections::BTreeMap::new();
     for words in labels.lines().map(|line| line.split_whitespace().collect::<Vec<_>>()) {
         let is_vehicle = words.get(2).is_some_and(|class| ["Car", "Van", "Truck"].contains(class));
@@ -201,10 +170,9 @@ fn vehicles(sequence: &str, labels: &str, cameras: &[Vec<f64>]) -> Vec<Motion> {
         }
     }
     let tracks = tracks
-        .into_iter()
-        .filter(|(_, track)| track.len() >= 30 && track.windows(2).all(|pair| pair[1].0 == pair[0].0 + 1));
-    let motions = tracks.map(|(id, track)| Motion {
-        name: format!("{sequence}/{id}"),
+        .into_values()
+        .filter(|track| track.len() >= 30 && track.windows(2).all(|pair| pair[1].0 == pair[0].0 + 1));
+    let motions = tracks.map(|track| Motion {
         frames: track.iter().take(60).map(|(frame, numbers)| labeled(numbers, &cameras[*frame])).collect(),
     });
     let length = |ends: [Vector3<f64>; 2]| (ends[1] - ends[0]).norm();

@@ -71,11 +71,17 @@ fn a_broken_sequence_counts_as_failed_and_the_rest_is_done_once() {
     for estimator in ["constant-distance", "intersection", "least-squares", "joint"] {
         assert!(done["estimators"][estimator]["trajectory_error_m"].is_number(), "{done}");
     }
+    let paper: Vec<&Value> = results["paper"].as_array().unwrap().iter().collect();
+    assert_eq!(paper.len(), 2, "the published method is the reference column");
+    assert!(paper.iter().any(|entry| entry["folder"] == CLIP && entry["trajectory_error_m"].is_number()), "{paper:?}");
+    let by_paper = json(&out.join(".tractrix/paper").join(CLIP).join("run.json"));
+    assert_eq!(by_paper["method"], "paper");
     let cost = |key: &str| done["cost"][key].as_f64().unwrap();
     assert!(cost("sfm_cpu_s") > 0.0 && cost("sfm_cpu_s") < cost("cpu_s") && cost("peak_rss_mib") > 1.0);
     let all = &results["summary"]["rows"][0]["trajectory_error_m"]["all"];
     assert_eq!((&all["num"], &all["num_failed"]), (&1.into(), &1.into()));
     let page = fs::read_to_string(out.join("benchmark.md")).unwrap();
+    assert!(page.contains("| method paper: intersection"), "{page}");
     assert!(page.contains("FAILED") && page.contains("- **bridge_van**: failed: "), "{page}");
     for chart in ["trajectory-error.svg", "scale-deviation.svg", "estimators.svg"] {
         let chart = fs::read_to_string(out.join(chart)).unwrap();
@@ -95,7 +101,7 @@ fn a_broken_sequence_counts_as_failed_and_the_rest_is_done_once() {
     }
 
     // Without a mechanism: another result, in which all but the stages that it concerns is reused.
-    let ablate = ["--only", CLIP, "--json", "--ablate", "joint,plane-drift-test"];
+    let ablate = ["--only", CLIP, "--no-paper", "--json", "--ablate", "joint,plane-drift-test"];
     let (code, text, stderr) = benchmark(&set, &out, &ablate);
     assert_eq!(code, 0, "{stderr}");
     let printed: Value = serde_json::from_str(&text).unwrap();
@@ -116,7 +122,7 @@ fn a_broken_sequence_counts_as_failed_and_the_rest_is_done_once() {
 
     // With another scale method only that stage is done again, reconstructions stay as they are, and the result is the
     // one that stood beside the first.
-    let (code, _, stderr) = benchmark(&set, &out, &["--only", CLIP, "--scale-method", "least-squares"]);
+    let (code, _, stderr) = benchmark(&set, &out, &["--only", CLIP, "--no-paper", "--scale-method", "least-squares"]);
     assert_eq!(code, 0, "{stderr}");
     let other = json(&out.join("benchmark.json"));
     let other = sequence(&other, CLIP);
@@ -144,7 +150,7 @@ fn models_of_others_are_taken_as_they_are(folder: &Path, set: &Path, first: &Pat
     symlink(first.join(CLIP).join("background"), place.join("background")).unwrap();
     symlink(first.join(CLIP).join("objects/1"), place.join("object")).unwrap();
     let (models, results) = (models.display().to_string(), first.join("benchmark.json").display().to_string());
-    let more = ["--models", &models, "--label", "others", "--compare", &results, "--json"];
+    let more = ["--models", &models, "--label", "others", "--compare", &results, "--no-paper", "--json"];
     let (code, text, stderr) = benchmark(set, &out, &more);
     assert_eq!(code, 1, "{stderr}");
     let results: Value = serde_json::from_str(&text).unwrap();

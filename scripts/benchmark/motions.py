@@ -3,9 +3,9 @@
 
     scripts/benchmark/motions.py DATA
 
-DATA has sequences/*/scene.json (rendered), real/vehicle_motions/label_02 (labels of the KITTI tracking benchmark) and
-real/vehicle_motions/poses (camera paths); a set that is missing is skipped with a message. The simulation is
-examples/scale_estimators.rs, which cargo builds.
+Rendered sequences: the bundled one and those of DATA/sequences. Vehicles seen from a car: DATA/real/vehicle_motions has
+label_02 (labels of the KITTI tracking benchmark) and poses (camera paths); without them the set is skipped with a
+message. The simulation is examples/scale_estimators.rs, which cargo builds.
 """
 
 import argparse
@@ -13,6 +13,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ["cargo", "run", "--quiet", "--release", "--example", "scale_estimators", "--"]
 
 
@@ -21,24 +22,22 @@ def sets(data: Path) -> dict[str, list[Path]]:
     motions = data / "real" / "vehicle_motions"
     labels = [motions / "label_02", motions / "poses"]
     return {
-        "Rendered sequences": sorted((data / "sequences").glob("**/scene.json")),
+        "Rendered sequences": [ROOT / "dataset/demo/scene.json", *sorted((data / "sequences").glob("**/scene.json"))],
         "Vehicles from a moving car": labels if all(path.is_dir() for path in labels) else [],
     }
 
 
-def main() -> int:
-    """Prints the tables; 1 if there are none."""
+def main() -> None:
+    """Prints the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("data", type=Path)
-    found = sets(parser.parse_args().data)
-    for title, paths in found.items():
+    for title, paths in sets(parser.parse_args().data.resolve()).items():
         if not paths:
             print(f"{title}: skipped, no data", file=sys.stderr)
             continue
         print(f"\n**{title}**\n", flush=True)
-        subprocess.run([*EXAMPLE, *map(str, paths)], check=True)
-    return 0 if any(found.values()) else 1
+        subprocess.run([*EXAMPLE, *map(str, paths)], check=True, cwd=ROOT)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

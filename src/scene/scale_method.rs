@@ -18,6 +18,8 @@ pub enum ScaleMethod {
     Joint,
     /// Reference method: least correlation of the paths of vehicle and camera.
     OzdenIndependence,
+    /// Reference method: least correlation of the velocities of vehicle and camera.
+    OzdenVelocity,
     /// Reference method: path in a plane, whichever.
     OzdenPlane,
     /// Reference method: path across the axis about which the vehicle turns.
@@ -28,8 +30,10 @@ pub enum ScaleMethod {
     Zheng,
     /// Reference method: contact with ground planes weighted by their covariance.
     CameraHeight,
-    /// Reference method: translation parallel to the ground.
+    /// Reference method: translation parallel to one ground plane.
     Yuan,
+    /// Reference method: translation parallel to the local ground planes.
+    YuanLocal,
     /// Reference method: path of few low frequencies, triangulated.
     Park,
     /// Reference method: path of few low frequencies, among the paths of all ratios.
@@ -56,22 +60,25 @@ pub struct MethodInfo {
 const PAPER: &str = "Bullinger, Bodensteiner, Arens, Stiefelhagen, arXiv:1711.06136, 2017";
 const OZDEN_CVIU: &str = "Ozden, Cornelis, Van Eycken, Van Gool, CVIU 96, 2004";
 const OZDEN_CVPR: &str = "Ozden, Cornelis, Van Eycken, Van Gool, CVPR 2004";
+const YUAN: &str = "Yuan, Medioni, CVPR 2006";
 const PARK: &str = "Park, Shiratori, Matthews, Sheikh, ECCV 2010, IJCV 2015";
 
 impl ScaleMethod {
     /// Every method, in the order of tables: the paper's baseline and method, the program's own, references.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 17] = [
         Self::Intersection,
         Self::ConstantDistance,
         Self::Joint,
         Self::RobustLeastSquares,
         Self::OzdenIndependence,
+        Self::OzdenVelocity,
         Self::OzdenPlane,
         Self::OzdenAxis,
         Self::OzdenHeading,
         Self::Zheng,
         Self::CameraHeight,
         Self::Yuan,
+        Self::YuanLocal,
         Self::Park,
         Self::ParkFamily,
         Self::Valmadre,
@@ -92,6 +99,7 @@ impl ScaleMethod {
             Self::OzdenIndependence => {
                 ("ozden-independence", OZDEN_CVIU, "motion independent of the camera's; paths only")
             }
+            Self::OzdenVelocity => ("ozden-velocity", OZDEN_CVIU, "velocity independent of the camera's; paths only"),
             Self::OzdenPlane => ("ozden-plane", OZDEN_CVPR, "motion in a plane; paths only"),
             Self::OzdenAxis => ("ozden-axis", OZDEN_CVPR, "motion in a plane about whose normal it turns; attitudes"),
             Self::OzdenHeading => ("ozden-heading", OZDEN_CVPR, "motion where it points; attitudes"),
@@ -101,7 +109,8 @@ impl ScaleMethod {
                 "Song, Chandraker, CVPR 2014",
                 "lowest point on the ground planes and their covariance",
             ),
-            Self::Yuan => ("yuan", "Yuan, Medioni, CVPR 2006", "translation parallel to one ground plane"),
+            Self::Yuan => ("yuan", YUAN, "translation parallel to one ground plane"),
+            Self::YuanLocal => ("yuan-local", YUAN, "translation parallel to the local ground planes"),
             Self::Park => ("park", PARK, "path of few low frequencies; rays only"),
             Self::ParkFamily => ("park-family", PARK, "path of few low frequencies; paths only"),
             Self::Valmadre => ("valmadre", "Valmadre, Lucey, CVPR 2012", "little acceleration; paths only"),

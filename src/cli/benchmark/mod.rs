@@ -22,7 +22,7 @@ use super::output::{Failure, Form, show};
 use super::terminal::TerminalProgress;
 use crate::eval::benchmark::{Benchmark, Entry, summarise};
 use crate::io::{self, FolderError, OwnedFolder, PathRole, RunFolder, atomic, refuse_own_input};
-use crate::pipeline::{Ablation, Options};
+use crate::pipeline::{Ablation, Method, Options};
 use crate::report::benchmark as pages;
 use crate::scene::Topic;
 use crate::video::Position;
@@ -37,6 +37,8 @@ const MARKDOWN: &str = "benchmark.md";
 const TRAJECTORY_ERROR: &str = "trajectory-error.svg";
 const SCALE_DEVIATION: &str = "scale-deviation.svg";
 const ESTIMATORS: &str = "estimators.svg";
+/// Folder of the runs by the published method, below the benchmark's own state.
+const PAPER: &str = "paper";
 const SCALE_METHOD_HELP: &str = "Scale method used for the result; the others are evaluated for comparison";
 
 #[derive(Clone, Debug, clap::Args)]
@@ -54,6 +56,9 @@ pub(super) struct Args {
     /// Only sequences whose folder name contains this text; may be repeated
     #[arg(long, value_name = "TEXT")]
     pub(super) only: Vec<String>,
+    /// Skip the reference column: every sequence by --method paper, too
+    #[arg(long)]
+    pub(super) no_paper: bool,
     /// Label of these results in tables
     #[arg(long, value_name = "NAME", default_value = "tractrix")]
     pub(super) label: String,
@@ -101,6 +106,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Termin
         let text = format!("{}: skipped, no scene.json", args.folder.join(name).display());
         tracing::warn!("{}", Topic::SequenceSkipped.warning(text));
     }
+    let of_paper = paper_options(args, &options)?;
     let others: Vec<Benchmark> = args.compare.iter().map(|path| read(path)).collect::<Result<_, _>>()?;
     for path in &args.compare {
         refuse_own_input(&args.output, place, "--compare", path)?;
@@ -117,6 +123,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Termin
         num_sequences: sequences.len(),
         sequences: Vec::new(),
         left_out,
+        paper: Vec::new(),
     };
     let mut ablating = Ablating::new(ablated, &options, &output);
     for (k, folder) in sequences.iter().enumerate() {
@@ -126,6 +133,9 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Termin
         let entry = single::sequence(&attempt, talk)?;
         talk.say(&format!("{}: {}", entry.folder, said(&entry)));
         benchmark.sequences.push(entry);
+        if let Some(options) = &of_paper {
+            benchmark.paper.push(by_paper(&Attempt { options, ..attempt }, talk)?);
+        }
         write(&benchmark, &others, &output)?;
         ablating.run(&attempt, &benchmark.sequences, talk)?;
     }
@@ -139,7 +149,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Termin
         value["ablation"] = json!(ablating.effects(&benchmark.sequences));
     }
     show(form, &value, || {
-        let summary = pages::summary(&benchmark, &others);
+        let summary = pages::summary(&benchmark, &with_paper(&benchmark, &others));
         let ablation = args.ablate.as_ref().map_or_else(String::new, |_| ablating.table(&benchmark.sequences) + "\n");
         format!("{summary}\n{ablation}{}\n", args.output.join("benchmark.md").display())
     })?;
@@ -162,6 +172,31 @@ fn options(args: &Args) -> Result<Options, Failure> {
     options.scale.references = true;
     options.check().map_err(|error| Failure::Usage(error.to_string()))?;
     Ok(options)
+}
+
+/// Options of the reference column; `None` where it is not wanted, or the runs themselves are by a method of the paper.
+fn paper_options(args: &Args, options: &Options) -> Result<Option<Options>, Failure> {
+    if args.no_paper || Method::of(options) != Method::Default {
+        return Ok(None);
+    }
+    let mut of_paper = Method::Paper.applied(options).map_err(|error| Failure::Usage(error.to_string()))?;
+    of_paper.scale.references = false;
+    Ok(Some(of_paper))
+}
+
+/// A sequence by the published method.
+fn by_paper(attempt: &Attempt<'_>, talk: &TerminalProgress) -> Result<Entry, Failure> {
+    let runs = attempt.results.root().join(RunFolder::STATE).join(PAPER);
+    std::fs::create_dir_all(&runs).with_context(|| format!("{}: cannot be written; make room", runs.display()))?;
+    let output = runs.join(attempt.folder.file_name().unwrap_or_default());
+    let entry = single::sequence(&Attempt { output: Some(&output), ..*attempt }, talk)?.of_paper();
+    talk.say(&format!("{} by --method paper: {}", entry.folder, said(&entry)));
+    Ok(entry)
+}
+
+/// The reference column, before the benchmarks that are given for comparison.
+fn with_paper(benchmark: &Benchmark, others: &[Benchmark]) -> Vec<Benchmark> {
+    benchmark.paper_set().into_iter().chain(others.iter().cloned()).collect()
 }
 
 fn read(path: &Path) -> Result<Benchmark, Failure> {
@@ -191,7 +226,7 @@ fn write(benchmark: &Benchmark, others: &[Benchmark], output: &OwnedFolder) -> a
     output.put_file(Path::new(JSON), |fresh| {
         Ok::<_, FolderError>(atomic::write_json(fresh, &with_summary(benchmark))?)
     })?;
-    put(MARKDOWN, pages::markdown(benchmark, others))?;
+    put(MARKDOWN, pages::markdown(benchmark, &with_paper(benchmark, others)))?;
     put(TRAJECTORY_ERROR, pages::trajectory_error_chart(benchmark)?)?;
     put(SCALE_DEVIATION, pages::scale_deviation_chart(benchmark)?)?;
     put(ESTIMATORS, pages::estimators_chart(benchmark)?)?;

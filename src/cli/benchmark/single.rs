@@ -95,6 +95,7 @@ fn run(
     {
         options.object_models = [(target, exists(model)?)].into();
     }
+    options.check_labels()?;
     let job = Job {
         input: &input,
         output,

@@ -40,6 +40,9 @@ pub struct Benchmark {
     pub sequences: Vec<Entry>,
     /// Folders that are no sequences.
     pub left_out: Vec<String>,
+    /// The same sequences by the published method (`--method paper`), as far as they are done.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub paper: Vec<Entry>,
 }
 
 /// The result on one sequence. Lengths are metres of the true world.
@@ -181,6 +184,12 @@ impl Entry {
         }
     }
 
+    /// Only the estimators of the paper.
+    pub fn of_paper(mut self) -> Self {
+        self.estimators.retain(|method, _| [paper::BASELINE, paper::METHOD].contains(method));
+        self
+    }
+
     /// The value of an estimator; `None` if the sequence failed for it.
     pub fn value(&self, estimator: &Estimator, quantity: Quantity) -> Option<f64> {
         match (estimator, quantity) {
@@ -232,6 +241,12 @@ fn plain(name: &str) -> String {
 }
 
 impl Benchmark {
+    /// The sequences by the published method as a set of their own, if there are any.
+    pub fn paper_set(&self) -> Option<Self> {
+        let (label, sequences) = ("method paper".to_owned(), self.paper.clone());
+        (!sequences.is_empty()).then(|| Self { label, sequences, paper: Vec::new(), ..self.clone() })
+    }
+
     /// The method that gave the scale ratio of every run, if it was the same.
     pub fn only_choice(&self) -> Option<ScaleMethod> {
         let mut methods = self.sequences.iter().filter_map(|entry| entry.scale.as_ref()).map(|scale| scale.method);
@@ -337,6 +352,7 @@ pub(crate) mod tests {
             num_sequences: sequences.len(),
             sequences,
             left_out: vec![],
+            paper: vec![],
         }
     }
 

@@ -9,9 +9,9 @@ use super::{Benchmark, Entry, EstimatorResult};
 use crate::scene::{ModelState, ScaleMethod};
 
 /// The baseline.
-const BASELINE: ScaleMethod = ScaleMethod::Intersection;
+pub(super) const BASELINE: ScaleMethod = ScaleMethod::Intersection;
 /// The paper's own estimator.
-const METHOD: ScaleMethod = ScaleMethod::ConstantDistance;
+pub(super) const METHOD: ScaleMethod = ScaleMethod::ConstantDistance;
 
 /// Its vehicles, in its order.
 pub const VEHICLES: [&str; 5] = ["saloon", "suv", "smart", "hatchback", "van"];
@@ -72,6 +72,7 @@ pub fn published() -> Benchmark {
         num_sequences: sequences.len(),
         sequences,
         left_out: Vec::new(),
+        paper: Vec::new(),
     }
 }
 

@@ -26,7 +26,7 @@ pub fn scale_deviation_chart(benchmark: &Benchmark) -> Result<String, ReportErro
     chart(benchmark, quantity, title, SCALE_LABEL, drawn(benchmark)).svg()
 }
 
-/// Deviation of the scale ratio from the reference, a chart for each estimator, as one SVG.
+/// Deviation of the scale ratio from the reference, a chart for each estimator that has any, as one SVG.
 ///
 /// # Errors
 /// [`ReportError::Chart`] if it cannot be laid out.
@@ -36,7 +36,10 @@ pub fn estimators_chart(benchmark: &Benchmark) -> Result<String, ReportError> {
         let drawn = vec![(estimator, Filling::Solid, String::new())];
         chart(benchmark, Quantity::ScaleDeviation, &name, SCALE_LABEL, drawn)
     };
-    panels_svg(&benchmark.estimators().into_iter().map(of).collect::<Vec<_>>())
+    let has_any = |estimator: &Estimator| {
+        benchmark.sequences.iter().any(|entry| entry.value(estimator, Quantity::ScaleDeviation).is_some())
+    };
+    panels_svg(&benchmark.estimators().into_iter().filter(has_any).map(of).collect::<Vec<_>>())
 }
 
 const SCALE_LABEL: &str = "|r − reference| / reference";
@@ -172,14 +175,20 @@ mod tests {
         let drawn = chart_of(&set);
         assert_eq!(drawn.bars[0][0][0].height, Height::Failed);
     }
+
     #[test]
-    fn every_estimator_has_a_chart_and_undetermined_ratios_a_mark() {
+    fn every_estimator_with_a_ratio_has_a_chart_and_undetermined_ratios_a_mark() {
         let mut set = paper::published();
-        set.sequences[0].undetermined.insert(ScaleMethod::Yuan, "the camera keeps its height".into());
+        for method in [ScaleMethod::Yuan, ScaleMethod::Park] {
+            set.sequences[0].undetermined.insert(method, "the camera keeps its height".into());
+        }
+        let found = set.sequences[1].estimators[&ScaleMethod::Intersection];
+        set.sequences[1].estimators.insert(ScaleMethod::Yuan, found);
         let svg = estimators_chart(&set).unwrap();
         for title in ["intersection, paper", "constant-distance, paper", "yuan, paper"] {
             assert_eq!(svg.matches(&format!("\n{title}\n")).count(), 1, "{title}");
         }
+        assert!(!svg.contains("park"), "no ratio at all");
         assert_eq!(svg.matches("\nundetermined\n").count(), 1);
         assert!(svg.contains("\nfailed\n"));
     }

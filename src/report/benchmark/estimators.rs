@@ -2,13 +2,14 @@
 
 use super::pages::{NONE, name, number};
 use super::table::Table;
-use crate::eval::benchmark::{Benchmark, Entry, Estimator, Quantity, Statistics};
+use crate::eval::benchmark::{Benchmark, Entry, Estimator, Quantity, Statistics, paper};
 
 /// Standard deviations whose coverage is shown.
 const FACTORS: [f64; 2] = [1.0, 2.0];
 
-/// The section; empty unless the runs computed reference methods.
-pub(super) fn estimators(own: &Benchmark) -> String {
+/// The section; empty unless the runs computed reference methods. Below the own estimators are those of the other
+/// sets, and the paper's published values.
+pub(super) fn estimators(own: &Benchmark, others: &[Benchmark]) -> String {
     let all = own.estimators();
     if !all.iter().any(is_reference) {
         return String::new();
@@ -17,7 +18,12 @@ pub(super) fn estimators(own: &Benchmark) -> String {
     let coverage = FACTORS.map(|factor| format!("within {factor:.0}σ"));
     let mut table = Table::new(head.map(str::to_owned).into_iter().chain(coverage).chain(["source".to_owned()]));
     for estimator in &all {
-        table.row(row(own, estimator));
+        table.row(row(own, name(estimator, own), estimator));
+    }
+    for set in others.iter().chain([&paper::published()]) {
+        for estimator in set.estimators().iter().filter(|estimator| !is_reference(estimator)) {
+            table.row(row(set, format!("{}: {}", set.label, name(estimator, set)), estimator));
+        }
     }
     let mut each = Table::new(["sequence".to_owned()].into_iter().chain(all.iter().map(|e| name(e, own))));
     for entry in &own.sequences {
@@ -26,7 +32,8 @@ pub(super) fn estimators(own: &Benchmark) -> String {
     format!(
         "\n## Estimators: error of the scale ratio\n\nReference methods use the targets as structure from motion left \
          them. Undetermined: no solution, or a standard deviation beyond the limit. Sources and assumptions: \
-         docs/estimators.md.\n\n{}\nError ± reported standard deviation, %:\n\n{}",
+         docs/estimators.md. `method paper`: the published method without additions (docs/paper.md); `paper`: published \
+         values.\n\n{}\nError ± reported standard deviation, %:\n\n{}",
         table.render(1),
         each.render(1),
     )
@@ -36,12 +43,12 @@ fn is_reference(estimator: &Estimator) -> bool {
     matches!(estimator, Estimator::Named(method) if method.is_reference())
 }
 
-fn row(own: &Benchmark, estimator: &Estimator) -> Vec<String> {
-    let errors = || own.sequences.iter().map(|entry| entry.value(estimator, Quantity::ScaleDeviation));
+fn row(set: &Benchmark, label: String, estimator: &Estimator) -> Vec<String> {
+    let errors = || set.sequences.iter().map(|entry| entry.value(estimator, Quantity::ScaleDeviation));
     let all = Statistics::new(errors());
-    let undetermined = own.sequences.iter().filter(|entry| is_undetermined(entry, estimator)).count();
+    let undetermined = set.sequences.iter().filter(|entry| is_undetermined(entry, estimator)).count();
     let percent = |value: Option<f64>| number(value.map(|value| 100.0 * value), 2);
-    let surprises: Vec<f64> = own
+    let surprises: Vec<f64> = set
         .sequences
         .iter()
         .filter_map(|e| Some(e.value(estimator, Quantity::ScaleDeviation)? / e.std_of(estimator)?))
@@ -50,13 +57,13 @@ fn row(own: &Benchmark, estimator: &Estimator) -> Vec<String> {
         0 => NONE.to_owned(),
         count => format!("{} of {count}", surprises.iter().filter(|surprise| **surprise <= factor).count()),
     };
-    let mut cells = vec![name(estimator, own), all.num.to_string(), undetermined.to_string()];
+    let mut cells = vec![label, all.num.to_string(), undetermined.to_string()];
     cells.push((all.num_failed - undetermined.min(all.num_failed)).to_string());
     cells.extend([all.median, all.mean, all.max].map(percent));
     cells.extend(FACTORS.map(within));
     cells.push(match estimator {
         Estimator::Named(method) => method.info().citation.to_owned(),
-        _ => own.only_choice().map_or(NONE.to_owned(), |method| method.info().citation.to_owned()),
+        _ => set.only_choice().map_or(NONE.to_owned(), |method| method.info().citation.to_owned()),
     });
     cells
 }
@@ -89,7 +96,7 @@ mod tests {
             entry("suv", "bridge", [Some(0.1); 3]),
             entry("smart", "bridge", [None; 3]),
         ]);
-        assert_eq!(estimators(&set), "");
+        assert_eq!(estimators(&set, &[]), "");
         let result = EstimatorResult {
             model: ModelState::AsReconstructed,
             ratio: Some(2.0),
@@ -99,10 +106,16 @@ mod tests {
         };
         set.sequences[0].estimators.insert(ScaleMethod::OzdenHeading, result);
         set.sequences[1].undetermined.insert(ScaleMethod::OzdenHeading, "no direction of motion".into());
-        let text = estimators(&set);
+        let mut by_paper = set.sequences[0].clone();
+        by_paper.estimators.insert(ScaleMethod::RobustLeastSquares, result);
+        set.paper = vec![by_paper.of_paper()];
+        let text = estimators(&set, &[set.paper_set().unwrap()]);
         let row = text.lines().find(|line| line.starts_with("| ozden-heading")).unwrap();
         let cells: Vec<&str> = row.split('|').map(str::trim).collect();
         assert_eq!(cells[2..10], ["1", "1", "1", "3.00", "3.00", "3.00", "0 of 1", "1 of 1"], "{row}");
+        let row = |start: &str| text.lines().filter(|line| line.starts_with(start)).count();
+        assert_eq!((row("| method paper: constant-distance"), row("| method paper: least-squares")), (1, 0), "{text}");
+        assert!(text.contains("| paper: intersection") && text.contains(" 2.42 "), "{text}");
         assert!(text.contains("3.00 ± 2.00") && text.contains("undetermined") && text.contains("failed"), "{text}");
     }
 }

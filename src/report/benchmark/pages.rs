@@ -34,7 +34,7 @@ pub fn markdown(own: &Benchmark, others: &[Benchmark]) -> String {
         page += "\n## Comparison with others\n\nTrajectory error in meters, by sequence.\n\n";
         page += &beside;
     }
-    page + &super::estimators::estimators(own) + &attention(own)
+    page + &super::estimators::estimators(own, others) + &attention(own)
 }
 
 /// The paper's table, twice: trajectory error and scale deviation per vehicle and estimator, the paper's own values

@@ -11,8 +11,12 @@
 //! ```
 //!
 //! The term −6 log r makes it the likelihood of the v_i, which are the measurement; without it, a small r always wins.
-//! The standard deviation is that of the likelihood. The source's cues of ground and depth are left out: other rows
-//! have them.
+//! The standard deviation is that of the likelihood.
+//!
+//! The source's particle filter adds nothing. For a given r the state is Gaussian, so that particles only sample what
+//! the Kalman filter has exactly: with 20,000 particles the ratio spreads by 40 % (median, standard deviation over
+//! seeds) on five rendered motions. With the source's cue of the ground it becomes the contact of the object with the
+//! ground, whose own error there is 0.1 %, at 3.4 % (2.5 % against 0.4 % on 98 vehicles seen from a car).
 //!
 //! **Assumption**: the vehicle's velocity changes slowly. **Blind** where the camera moves as smoothly as the vehicle.
 
@@ -74,7 +78,7 @@ impl Filter {
     /// Ratio and standard deviation.
     pub(super) fn solve(&self, motion: &Motion) -> Result<[f64; 2], ScaleError> {
         // Coarse: the likelihood is smooth, and a run of the filter costs more than the other criteria.
-        let grid = Grid { factors: [0.3, 3.0], num: 41, rounds: 20 };
+        let grid = Grid { factors: [0.3, 3.0], num: 41, rounds: 40 };
         let cost = |r: f64, density: f64| self.unlikelihood(motion, r, density);
         let best = |density: &f64| Some((*density, grid.best(self.guess, |r| cost(r, *density))?));
         let best = self.densities.iter().filter_map(best).min_by(|a, b| a.1.1.total_cmp(&b.1.1));

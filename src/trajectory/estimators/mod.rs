@@ -24,12 +24,12 @@ use self::camera_height::CameraHeight;
 use self::kundu::Kundu;
 use self::ozden_axis::OzdenAxis;
 use self::ozden_heading::OzdenHeading;
-use self::ozden_independence::OzdenIndependence;
+use self::ozden_independence::{OzdenIndependence, OzdenVelocity};
 use self::ozden_plane::OzdenPlane;
 use self::park::Park;
 use self::park_family::ParkFamily;
 use self::valmadre::Valmadre;
-use self::yuan::Yuan;
+use self::yuan::{Yuan, YuanLocal};
 use self::zheng::Zheng;
 use super::{
     ConstantDistanceMethod, Grounded, IntersectionMethod, Joint, JointMethod, LeastSquaresMethod, Options, ScaleError,
@@ -102,12 +102,14 @@ pub fn estimator(method: ScaleMethod) -> &'static dyn Estimator {
         ScaleMethod::RobustLeastSquares => &LeastSquaresMethod,
         ScaleMethod::Joint => &JointMethod,
         ScaleMethod::OzdenIndependence => &OzdenIndependence,
+        ScaleMethod::OzdenVelocity => &OzdenVelocity,
         ScaleMethod::OzdenPlane => &OzdenPlane,
         ScaleMethod::OzdenAxis => &OzdenAxis,
         ScaleMethod::OzdenHeading => &OzdenHeading,
         ScaleMethod::Zheng => &Zheng,
         ScaleMethod::CameraHeight => &CameraHeight,
         ScaleMethod::Yuan => &Yuan,
+        ScaleMethod::YuanLocal => &YuanLocal,
         ScaleMethod::Park => &Park,
         ScaleMethod::ParkFamily => &ParkFamily,
         ScaleMethod::Valmadre => &Valmadre,

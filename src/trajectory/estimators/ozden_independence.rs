@@ -9,6 +9,9 @@
 //! J(r) = ‖S_co(r)‖² / (tr S_cc · tr S_oo(r)).
 //! ```
 //!
+//! The abstract leaves open whether the motions are positions or velocities: `ozden-independence` takes c_i and o_i,
+//! `ozden-velocity` their first differences.
+//!
 //! **Assumption**: the paths are uncorrelated in the sample. **Blind** where the camera moves along with the vehicle,
 //! as every following drone and every car behind a car does: J then falls to the end of the search range.
 
@@ -20,8 +23,11 @@ use super::{Estimate, Estimator, EstimatorInput};
 use crate::scene::ScaleMethod;
 use crate::trajectory::{Options, ScaleError};
 
-/// Row of the registry.
+/// Row of the registry: positions.
 pub(super) struct OzdenIndependence;
+
+/// Row of the registry: velocities.
+pub(super) struct OzdenVelocity;
 
 impl Estimator for OzdenIndependence {
     fn method(&self) -> ScaleMethod {
@@ -35,9 +41,31 @@ impl Estimator for OzdenIndependence {
     }
 }
 
-/// r of least correlation.
+impl Estimator for OzdenVelocity {
+    fn method(&self) -> ScaleMethod {
+        ScaleMethod::OzdenVelocity
+    }
+
+    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
+        let motion = Motion::new(input.views)?;
+        let guess = motion.contact()?;
+        motion.jackknifed(|motion| velocity_ratio(motion, guess))
+    }
+}
+
+/// r of least correlation of the positions.
 pub(super) fn ratio(motion: &Motion, guess: f64) -> Result<f64, ScaleError> {
-    let (centers, offsets) = (centered(&motion.centers), centered(&motion.offsets));
+    least_correlated(&motion.centers, &motion.offsets, guess)
+}
+
+/// r of least correlation of the velocities.
+pub(super) fn velocity_ratio(motion: &Motion, guess: f64) -> Result<f64, ScaleError> {
+    let differences = |x: &[Vector3<f64>]| motion.pairs(1).map(|(a, b)| x[b] - x[a]).collect::<Vec<_>>();
+    least_correlated(&differences(&motion.centers), &differences(&motion.offsets), guess)
+}
+
+fn least_correlated(centers: &[Vector3<f64>], offsets: &[Vector3<f64>], guess: f64) -> Result<f64, ScaleError> {
+    let (centers, offsets) = (centered(centers), centered(offsets));
     let [cc, cv, vv] = [[&centers, &centers], [&centers, &offsets], [&offsets, &offsets]].map(|[a, b]| sum(a, b));
     let cost = |r: f64| {
         let co = cc + r * cv;

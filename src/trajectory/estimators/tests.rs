@@ -137,11 +137,13 @@ fn case(method: ScaleMethod) -> Option<(World, f64, f64, World)> {
         M::Intersection => (World::Curve, 1e-9, 0.02, World::WrongPlanes),
         M::CameraHeight => (World::Following, 1e-9, 0.02, World::WrongPlanes),
         M::OzdenIndependence => (World::Independent, 1e-6, 0.05, World::Following),
+        // Differences over 59 frames are not quite orthogonal.
+        M::OzdenVelocity => (World::Independent, 0.005, 0.05, World::Following),
         M::OzdenPlane => (World::Curve, 1e-6, 0.02, World::Following),
         M::OzdenAxis => (World::Curve, 1e-9, 0.05, World::LevelCamera),
         M::OzdenHeading => (World::Curve, 1e-6, 0.02, World::Following),
         M::Zheng => (World::Stationary, 1e-9, 0.02, World::Following),
-        M::Yuan => (World::Curve, 1e-9, 0.05, World::LevelCamera),
+        M::Yuan | M::YuanLocal => (World::Curve, 1e-9, 0.05, World::LevelCamera),
         M::Park => (World::Cosines, 1e-6, 0.05, World::Following),
         M::ParkFamily => (World::Cosines, 1e-9, 0.02, World::Following),
         M::Valmadre => (World::Straight, 1e-9, 0.02, World::Following),
@@ -247,7 +249,7 @@ fn contact_is_as_uncertain_as_the_clearance() {
     assert!((found.std.unwrap() / found.ratio / expected - 1.0).abs() < 1e-6, "{found:?}, {expected}");
 }
 
-/// Ratios of the same noisy motions by an independent implementation in Python; its filter stops at 10⁻⁴.
+/// Ratios of the same noisy motions by an independent implementation in Python of the same equations.
 #[test]
 fn an_independent_implementation_agrees() {
     let motion = |world: World| Motion::new(&world.views(1.0, 1)).unwrap();
@@ -259,15 +261,18 @@ fn an_independent_implementation_agrees() {
     };
     let found = [
         (ozden_independence::ratio(&motion(World::Independent), RATIO).unwrap(), 0.701497423357486, 1e-6),
+        (ozden_independence::velocity_ratio(&motion(World::Independent), RATIO).unwrap(), 0.6974997132318279, 1e-6),
         (ozden_plane::ratio(&motion(World::Curve), RATIO).unwrap(), 0.6999602468461339, 1e-6),
+        (ozden_axis::ratio(&motion(World::Curve)).unwrap(), 0.6999301493016326, 1e-9),
         (heading[0], 0.7003274815454447, 1e-6),
         (heading[1] / heading[0], 0.0003654562775998838, 1e-6),
         (zheng::ratio(&motion(World::Stationary)).unwrap(), 0.7006127035174899, 1e-12),
         (yuan::ratio(&motion(World::Curve)).unwrap(), 0.7000714698923379, 1e-12),
+        (yuan::local_ratio(&motion(World::Curve)).unwrap(), 0.7001272003063905, 1e-12),
         (linear_park(&motion(World::Cosines)), 0.7004699882928841, 1e-9),
         (park_family::ratio(&motion(World::Cosines)).unwrap(), 0.7006307079570646, 1e-9),
         (valmadre::ratio(&motion(World::Straight)).unwrap(), 0.7007832783910356, 1e-12),
-        (filter.solve(&motion(World::Straight)).unwrap()[0], 0.7005964208853339, 1e-4),
+        (filter.solve(&motion(World::Straight)).unwrap()[0], 0.7005735509127563, 1e-6),
     ];
     for (k, (own, other, tolerance)) in found.into_iter().enumerate() {
         assert!((own / other - 1.0).abs() < tolerance, "{k}: {own}, {other}");
