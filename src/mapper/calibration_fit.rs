@@ -1,14 +1,15 @@
 //! Agreement of a calibration with a model: residuals with the calibration held and with it adjusted.
 //!
 //! A calibration that is off by a percent bends a map at residuals that are hardly larger than before, so that the
-//! residuals alone do not show it. With C_held and C_adjusted, ½ Σ ρ at the two minima (the latter with the prior), and
+//! residuals alone do not show it. With C_held and C_adjusted, ½ Σ ρ of the observations at the two minima, and
 //! observations that err together ([`COMMON_ERROR_FACTOR`] F), the gain
 //!
 //! ```text
 //! 2 (C_held − C_adjusted) / (F σ)²
 //! ```
 //!
-//! is at most χ² with as many degrees of freedom as there are intrinsics, if the calibration is right.
+//! is at most χ² with as many degrees of freedom as there are intrinsics, if the calibration is right. The prior decides
+//! where the second minimum is, and is no part of its cost: it would hide an error of two of its standard deviations.
 
 use std::collections::BTreeMap;
 
@@ -85,10 +86,17 @@ pub fn calibration_fit(
     Ok(Some(CalibrationFit {
         given_px: mean_error_px(&held),
         adjusted_px: mean_error_px(&freed),
-        gain: 2.0 * (held_cost - freed_cost) / unit_px.powi(2),
+        gain: 2.0 * (held_cost - freed_cost) / unit_px.powi(2) + prior_cost(given, known, &freed.cameras[0].camera),
         adjusted: freed.cameras[0].camera,
         focal_std: focal_std(&freed, sigma_px).map_or(known.focal, |std| unit_px * std),
     }))
+}
+
+/// Squares of the residuals of the prior, in its standard deviations: its share in the cost of an adjusted camera, χ².
+fn prior_cost(given: &Camera, known: Intrinsics, adjusted: &Camera) -> f64 {
+    let prior = intrinsics_prior::about(given, known, adjusted, 1.0);
+    let residuals = adjusted.intrinsics().into_iter().zip(prior.values).zip(prior.sigma);
+    residuals.map(|((value, mean), sigma)| ((value - mean) / sigma).powi(2)).sum()
 }
 
 /// Standard deviation of the focal length as a share of it, with the prior, if observations have one of one pixel.

@@ -118,7 +118,8 @@ pub(super) fn check_fit(
             outcome.warn(Topic::CalibrationDoesNotFit.warning(misfit(camera, &fit, remedy(report.given, &std))));
         }
         if first == Some(id) {
-            let figures = serde_json::json!({ "given_px": fit.given_px, "adjusted_px": fit.adjusted_px });
+            let figures =
+                serde_json::json!({ "given_px": fit.given_px, "adjusted_px": fit.adjusted_px, "gain": fit.gain });
             outcome.figure("calibration_fit", figures);
             if report.given && !std.is_fixed() {
                 report.focal_std_px = Some(fit.focal_std * camera.mean_focal());
