@@ -8,8 +8,9 @@
 //! 2 (C_held − C_adjusted) / (F σ)²
 //! ```
 //!
-//! is at most χ² with as many degrees of freedom as there are intrinsics, if the calibration is right. The prior decides
-//! where the second minimum is, and is no part of its cost: it would hide an error of two of its standard deviations.
+//! is at most χ² with as many degrees of freedom as there are intrinsics, if the calibration is right. The prior
+//! decides where the second minimum is, and is no part of its cost: it would hide an error of two of its standard
+//! deviations.
 
 use std::collections::BTreeMap;
 
