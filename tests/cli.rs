@@ -588,3 +588,30 @@ fn the_last_lines_say_of_the_vehicle_what_a_person_wants_to_know() {
     }
     assert!(text.trim_end().ends_with("report.html"), "{text}");
 }
+
+#[test]
+fn wrong_intrinsics_are_adjusted_and_named() {
+    let folder = TempDir::new().unwrap();
+    drive::write(folder.path(), 24);
+    let of = |name: &str| folder.path().join(name);
+    let run = |name: &str, intrinsics: &str, flags: &[&str]| {
+        let mut command = tractrix();
+        command.arg("sfm").arg(of("images")).arg("--masks").arg(of("masks")).arg("--output").arg(of(name));
+        command.args(["--fps", "12", "--threads", "1", "--intrinsics", intrinsics]).args(flags);
+        let (code, _, stderr) = outcome(&mut command);
+        assert_eq!(code, 0, "{stderr}");
+        let figures = json(&of(name).join("run.json"))["stages"]["background"]["figures"].clone();
+        (stderr, figures["focal_length_px"].as_f64().unwrap(), figures["calibration_fit"].clone())
+    };
+    const MISFIT: &str = "the given calibration does not fit: ";
+    let (stderr, _, fit) = run("exact", &drive::intrinsics(), &[]);
+    assert!(!stderr.contains(MISFIT), "{stderr} {fit}");
+    // Longer by 15 %, off center by 5 % of the width, and distorted.
+    let wrong = format!("{0},{0},176,82,0.3", 1.15 * drive::FOCAL);
+    let (stderr, focal, fit) = run("prior", &wrong, &[]);
+    assert!(stderr.contains(MISFIT) && stderr.contains("the adjusted one is used"), "{stderr} {fit}");
+    assert!(fit["adjusted_px"].as_f64() < fit["given_px"].as_f64(), "{fit}");
+    assert!((focal / drive::FOCAL - 1.0).abs() < 0.1, "{focal}");
+    let (stderr, _, fit) = run("fixed", &wrong, &["--fixed"]);
+    assert!(stderr.contains(MISFIT) && stderr.contains("remove --fixed"), "{stderr} {fit}");
+}

@@ -552,7 +552,7 @@ proptest! {
             value,
             std: 0.1 * value,
             ratio_std: 0.02,
-            is_doubtful: false,
+            is_unconfirmed: false,
         };
         prop_finite!(vehicle_sizes(&extents.iter().map(extent).collect::<Vec<_>>()));
     }

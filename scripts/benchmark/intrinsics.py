@@ -1,30 +1,32 @@
 #!/usr/bin/env python3
 """Camera paths and vehicles with wrong intrinsics, rolling shutter and compression, beside the truth.
 
-    scripts/benchmark/intrinsics.py SEQUENCE... --output DIR [--real FOLDER] [--binary FILE]
+    scripts/benchmark/intrinsics.py SEQUENCE... --output DIR [--camera-path] [--real FOLDER] [--binary FILE]
 
 Every rendered SEQUENCE is run with its true intrinsics and with perturbed ones, each as a prior (the default) and held
 (--fixed); with the true ones also after a simulated rolling shutter and after strong compression. --real is a folder of
 a real drive with image_l/, calib.txt and poses.txt (KITTI odometry), run with its calibration, without it, and with
-wrong focal lengths.
+wrong focal lengths. --camera-path leaves out the vehicles (`tractrix sfm`); --case and --mode select.
 
 Camera path: root mean square distance of the centers after a similarity alignment, and the share of the frames within
 1, 2, 3 σ of the truth, σ being the run's own (`camera_center_deviation`, median). Ratio: share of the vehicles whose
 scale ratio is within 1, 2, 3 of its σ. A rolling shutter of so many milliseconds from the first to the last row is
 simulated by a flow between neighboring frames, row by row.
 
-Needs numpy and OpenCV's Python module, and the program ffmpeg. DIR keeps every run; what was run with the same program
-and flags is not run again.
+Needs numpy and OpenCV's Python module, and the program ffmpeg. DIR keeps the last run of every video and all results;
+what was run with the same program and flags is not run again.
 """
 
 import argparse
+import functools
 import hashlib
+import itertools
 import json
-import shutil
 import statistics
 import subprocess
 import sys
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import cv2
@@ -40,9 +42,8 @@ PERTURBED = {
     "k1 −0.05": (0.0, 0.0, 0.0, -0.05),
 }
 EXACT = (0.0, 0.0, 0.0, 0.0)
-SHUTTERS_MS = (10, 30)
-# Constant rate factor of H.264: 23 is usual, 35 is that of a poor link.
-CRF = 35
+# Readout in milliseconds and constant rate factor of H.264: 16 keeps the images, 23 is usual, 35 is a poor link.
+DEGRADED = {"shutter 10 ms": (10, 16), "shutter 30 ms": (30, 16), "CRF 35": (0, 35)}
 
 
 @dataclass
@@ -58,29 +59,38 @@ class Result:
     focal_std: float | None
     cpu_s: float
     warned: bool
+    fit: dict | None
+    per_unit: float | None
+    per_unit_std: float | None
 
 
 class Program:
-    """The program, and the folder that keeps its runs."""
+    """The program, and the folder that keeps its results."""
 
-    def __init__(self, binary: Path, folder: Path) -> None:
-        self.binary, self.folder = binary.resolve(), folder
+    def __init__(self, binary: Path, folder: Path, command: str) -> None:
+        self.binary, self.folder, self.command = binary.resolve(), folder, command
         self.hash = hashlib.sha256(binary.read_bytes()).hexdigest()
 
     def run(self, name: str, source: Path, flags: list[str]) -> Path:
-        """Output folder of a run."""
-        output, stamp = self.folder / name, self.folder / f"{name}.json"
-        wanted = json.dumps({"program": self.hash, "input": str(source), "flags": flags})
-        if not stamp.exists() or stamp.read_text() != wanted:
-            shutil.rmtree(output, ignore_errors=True)
-            output.parent.mkdir(parents=True, exist_ok=True)
-            command = [self.binary, "run", source, "--output", output, "--quiet", *flags]
-            with open(self.folder / f"{name}.log", "w") as log:
-                code = subprocess.run(command, stdout=log, stderr=subprocess.STDOUT).returncode
-            if code not in (0, 1):
-                sys.exit(f"{name} ended with {code}; see {self.folder / name}.log")
-            stamp.write_text(wanted)
+        """Runs the program; returns the output folder. One name has one video, so that its features are kept."""
+        output = self.folder / name
+        command = [self.binary, self.command, source, "--output", output, "--quiet", "--threads", "1", *flags]
+        with open(self.folder / f"{name}.log", "w") as log:
+            code = subprocess.run(command, stdout=log, stderr=subprocess.STDOUT).returncode
+        if code not in (0, 1):
+            sys.exit(f"{name} ended with {code}; see {self.folder / name}.log")
         return output
+
+    def result(self, name: str, case: str, source: Path, flags: list[str], measure: Callable) -> "Result | None":
+        """Result of a run, kept under the name of the case; `measure` makes it of the output folder."""
+        stamp = self.folder / f"{name}-{case}.json"
+        wanted = {"program": self.hash, "command": self.command, "input": str(source), "flags": flags}
+        kept = json.loads(stamp.read_text()) if stamp.exists() else {}
+        if kept.get("run") != wanted:
+            found = measure(self.run(name, source, flags))
+            kept = {"run": wanted, "result": asdict(found) if found else None}
+            stamp.write_text(json.dumps(kept))
+        return Result(**kept["result"]) if kept["result"] else None
 
     def evaluate(self, output: Path, truth: Path) -> dict:
         """What `tractrix evaluate` says of a run."""
@@ -114,7 +124,7 @@ def aligned(found: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, float]:
     return np.linalg.norm(scale * a @ (u @ sign @ v).T - b, axis=1), scale
 
 
-def result(program: Program, output: Path, truth: dict[str, np.ndarray], sequence: Path | None) -> Result | None:
+def measured(program: Program, truth: dict[str, np.ndarray], sequence: Path | None, output: Path) -> Result | None:
     """Figures of a run; None without a background."""
     run = json.loads((output / "run.json").read_text())
     figures = run["stages"]["background"]["figures"]
@@ -127,6 +137,9 @@ def result(program: Program, output: Path, truth: dict[str, np.ndarray], sequenc
     evaluated = program.evaluate(output, sequence) if sequence else {}
     ratio = evaluated.get("scale") or {}
     off = [abs(ratio["deviation"]) * ratio["ratio"] / ratio["std"]] if ratio.get("std") else []
+    result = output / "trajectories.json"
+    metric = (json.loads(result.read_text()).get("metric") or {}) if result.exists() else {}
+    per_unit, per_unit_std = metric.get("scale"), (metric.get("std") or {}).get("scale")
     return Result(
         path_m=float(np.sqrt((errors**2).mean())),
         std_m=std,
@@ -137,6 +150,9 @@ def result(program: Program, output: Path, truth: dict[str, np.ndarray], sequenc
         focal_std=figures.get("focal_std_px"),
         cpu_s=run["stages"]["background"]["cpu_s"],
         warned=any("does not fit" in json.dumps(warning) for warning in run["warnings"]),
+        fit=figures.get("calibration_fit"),
+        per_unit=per_unit and per_unit / scale,
+        per_unit_std=per_unit_std and per_unit_std / per_unit,
     )
 
 
@@ -183,17 +199,17 @@ def rolling(frames: list[np.ndarray], fps: float, readout_s: float) -> list[np.n
     return out
 
 
-def videos(sequence: Path, scene: dict, folder: Path) -> dict[str, Path]:
-    """Degraded videos of a sequence by name, made once."""
-    folder.mkdir(parents=True, exist_ok=True)
-    fps = scene["fps"]
-    made = {f"shutter {ms} ms": folder / f"shutter{ms}.mp4" for ms in SHUTTERS_MS} | {f"CRF {CRF}": folder / "crf.mp4"}
-    if not all(path.exists() for path in made.values()):
-        frames = frames_of(sequence / "video.mp4")
-        for ms in SHUTTERS_MS:
-            encode(rolling(frames, fps, ms / 1000), fps, 16, folder / f"shutter{ms}.mp4")
-        encode(frames, fps, CRF, folder / "crf.mp4")
-    return made
+def degraded(sequence: Path, scene: dict, case: str, folder: Path) -> Path:
+    """The video of a case, made once."""
+    if case not in DEGRADED:
+        return sequence / "video.mp4"
+    readout_ms, crf = DEGRADED[case]
+    video = folder / (f"shutter{readout_ms}.mp4" if readout_ms else "crf.mp4")
+    if not video.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        frames, fps = frames_of(sequence / "video.mp4"), scene["fps"]
+        encode(rolling(frames, fps, readout_ms / 1000) if readout_ms else frames, fps, crf, video)
+    return video
 
 
 def truth_of(scene: dict) -> dict[str, np.ndarray]:
@@ -201,26 +217,31 @@ def truth_of(scene: dict) -> dict[str, np.ndarray]:
     return {f"{k:06d}.jpg": np.array(frame["T_world_camera"])[:3, 3] for k, frame in enumerate(scene["frames"])}
 
 
-def rendered(program: Program, sequences: list[Path]) -> dict[tuple[str, str], list[Result]]:
+MODES = {"prior": [], "fixed": ["--fixed"]}
+CASES = {"exact": EXACT, **PERTURBED, **dict.fromkeys(DEGRADED, EXACT)}
+
+
+def rendered(
+    program: Program, sequences: list[Path], wanted: list[str], modes: list[str]
+) -> dict[tuple[str, str], list[Result]]:
     """Results of all sequences by case and mode."""
     rows: dict[tuple[str, str], list[Result]] = {}
-    for sequence in sequences:
-        scene = json.loads((sequence / "scene.json").read_text())
-        truth, k = truth_of(scene), scene["K"]
-        common = ["--masks", str(sequence / "masks"), "--only-object", "1", "--threads", "1"]
-        ground = ["--ground-masks", str(sequence / "semantic"), "--ground-label", "3"]
-        inputs = [("exact", sequence / "video.mp4", EXACT)]
-        inputs += [(name, sequence / "video.mp4", change) for name, change in PERTURBED.items()]
-        degraded = videos(sequence, scene, program.folder / "videos" / sequence.name)
-        inputs += [(name, video, EXACT) for name, video in degraded.items()]
-        for number, (case, video, change) in enumerate(inputs):
-            given = ["--intrinsics", intrinsics(k, scene["width"], change)]
-            for mode, more in (("prior", []), ("fixed", ["--fixed"])):
-                name = f"{sequence.name}-{number}-{mode}"
-                output = program.run(name, video, [*common, *ground, *given, *more])
-                if found := result(program, output, truth, sequence):
-                    rows.setdefault((case, mode), []).append(found)
-                    print(f"{sequence.name} {case} {mode}: {found}", file=sys.stderr, flush=True)
+    for mode, (number, (case, change)) in itertools.product(modes, enumerate(CASES.items())):
+        for sequence in sequences if case in wanted else []:
+            scene = json.loads((sequence / "scene.json").read_text())
+            video = degraded(sequence, scene, case, program.folder / "videos" / sequence.name)
+            flags = ["--masks", str(sequence / "masks"), "--only-object", "1"]
+            evaluated = sequence if program.command == "run" else None
+            if evaluated:
+                flags += ["--ground-masks", str(sequence / "semantic"), "--ground-label", "3"]
+            flags += ["--intrinsics", intrinsics(scene["K"], scene["width"], change), *MODES[mode]]
+            name, measure = (
+                f"{sequence.name}-{video.stem}",
+                functools.partial(measured, program, truth_of(scene), evaluated),
+            )
+            if found := program.result(name, f"{number}-{mode}", video, flags, measure):
+                rows.setdefault((case, mode), []).append(found)
+                print(f"{sequence.name} {case} {mode}: {found}", file=sys.stderr, flush=True)
     return rows
 
 
@@ -229,21 +250,23 @@ def percent(shares: list[float]) -> str:
     return "/".join(f"{100 * share:.0f}" for share in shares) + " %"
 
 
-def table(rows: dict[tuple[str, str], list[Result]]) -> str:
+def table(rows: dict[tuple[str, str], list[Result]], with_vehicles: bool) -> str:
     """The table of the rendered sequences."""
-    head = ["Intrinsics, video", "Mode", "Path error, m", "× exact", "σ, m", "Within 1/2/3σ", "Ratio within 1/2/3σ"]
-    head += ["Trajectory, m", "Warned"]
+    head = ["Intrinsics, video", "Mode", "Path error, m", "× exact, median and largest", "σ, m", "Within 1/2/3σ"]
+    head += (["Ratio within 1/2/3σ", "Trajectory, m"] if with_vehicles else []) + ["Warned"]
     lines = ["| " + " | ".join(head) + " |", "| --- | --- |" + " ---: |" * (len(head) - 2)]
     for (case, mode), found in rows.items():
-        exact = rows[("exact", mode)]
+        exact = rows.get(("exact", mode), found)
         path = statistics.mean(one.path_m for one in found)
-        times = statistics.median(one.path_m / other.path_m for one, other in zip(found, exact))
+        times = [one.path_m / other.path_m for one, other in zip(found, exact)]
         within = [statistics.mean(one.within[k] for one in found) for k in range(3)]
-        ratios = [off for one in found for off in one.ratio_in_std]
-        of_ratio = [sum(off <= k for off in ratios) / max(len(ratios), 1) for k in (1, 2, 3)]
-        errors = [one.trajectory_m for one in found if one.trajectory_m is not None]
-        cells = [case, mode, f"{path:.3f}", f"{times:.2f}", f"{statistics.mean(one.std_m for one in found):.3f}"]
-        cells += [percent(within), percent(of_ratio), f"{statistics.mean(errors):.3f}" if errors else "–"]
+        cells = [case, mode, f"{path:.3f}", f"{statistics.median(times):.2f}, {max(times):.2f}"]
+        cells += [f"{statistics.mean(one.std_m for one in found):.3f}", percent(within)]
+        if with_vehicles:
+            ratios = [off for one in found for off in one.ratio_in_std]
+            of_ratio = [sum(off <= k for off in ratios) / max(len(ratios), 1) for k in (1, 2, 3)]
+            errors = [one.trajectory_m for one in found if one.trajectory_m is not None]
+            cells += [percent(of_ratio), f"{statistics.mean(errors):.3f}" if errors else "–"]
         lines.append("| " + " | ".join([*cells, f"{sum(one.warned for one in found)} of {len(found)}"]) + " |")
     return "\n".join(lines)
 
@@ -257,29 +280,25 @@ def real(program: Program, folder: Path) -> str:
     # OpenCV counts pixels from the center of the first one.
     scaled = lambda factor: ["--intrinsics", f"{fx * factor},{fy * factor},{cx + 0.5},{cy + 0.5}"]  # noqa: E731
     cases = {
-        "with K": scaled(1.0),
-        "with K, --fixed": [*scaled(1.0), "--fixed"],
-        "without": [],
+        "K": scaled(1.0),
+        "K, `--fixed`": [*scaled(1.0), "--fixed"],
+        "none": [],
         "K +1 %": scaled(1.01),
         "K −1 %": scaled(0.99),
-        "K +1 %, --fixed": [*scaled(1.01), "--fixed"],
+        "K +3 %": scaled(1.03),
+        "K +1 %, `--fixed`": [*scaled(1.01), "--fixed"],
     }
-    lines = ["| Intrinsics | Focal length, px | Path error, m | σ, m | Within 1/2/3σ | Meters | σ of meters | Warned |"]
-    lines.append("| --- |" + " ---: |" * 7)
+    head = "| Intrinsics | Focal length, px | Path error, m | σ, m | Within 1/2/3σ | Meters | σ of meters | Warned |"
+    lines = [head, "| --- |" + " ---: |" * 7]
     for number, (case, flags) in enumerate(cases.items()):
-        height = ["--fps", "10", "--camera-height", "1.65±0.05", "--threads", "1"]
-        output = program.run(f"real-{number}", folder / "image_l", [*height, *flags])
-        found = result(program, output, truth, None)
+        flags = ["--fps", "10", "--camera-height", "1.65±0.05", *flags]
+        measure = functools.partial(measured, program, truth, None)
+        found = program.result(folder.name, str(number), folder / "image_l", flags, measure)
         if found is None:
             lines.append(f"| {case} | – | – | – | – | – | – | – |")
             continue
-        centers = poses_of(output / "background")
-        names = sorted(set(centers) & set(truth))
-        _, scale = aligned(np.array([centers[n] for n in names]), np.array([truth[n] for n in names]))
-        metric = json.loads((output / "trajectories.json").read_text()).get("metric") or {}
-        per_unit, std = metric.get("scale"), (metric.get("std") or {}).get("scale")
-        meters = f"{100 * (per_unit / scale - 1):+.1f} %" if per_unit else "–"
-        of_meters = f"{100 * std / per_unit:.1f} %" if per_unit and std else "–"
+        meters = f"{100 * (found.per_unit - 1):+.1f} %" if found.per_unit else "–"
+        of_meters = f"{100 * found.per_unit_std:.1f} %" if found.per_unit_std else "–"
         focal = f"{found.focal:.1f}" + (f" ± {found.focal_std:.1f}" if found.focal_std else "")
         cells = [case, focal, f"{found.path_m:.3f}", f"{found.std_m:.3f}", percent(found.within), meters, of_meters]
         lines.append("| " + " | ".join([*cells, "yes" if found.warned else ""]) + " |")
@@ -291,13 +310,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequences", nargs="*", type=Path)
     parser.add_argument("--output", type=Path, required=True)
+    parser.add_argument("--camera-path", action="store_true")
+    parser.add_argument("--case", action="append", choices=CASES)
+    parser.add_argument("--mode", action="append", choices=MODES)
     parser.add_argument("--real", type=Path)
     parser.add_argument("--binary", type=Path, default=Path("target/release/tractrix"))
     args = parser.parse_args()
-    program = Program(args.binary, args.output)
     args.output.mkdir(parents=True, exist_ok=True)
-    tables = [table(rendered(program, args.sequences))] if args.sequences else []
-    tables += [real(program, args.real)] if args.real else []
+    program = Program(args.binary, args.output, "sfm" if args.camera_path else "run")
+    tables = []
+    if args.sequences:
+        rows = rendered(program, args.sequences, args.case or list(CASES), args.mode or list(MODES))
+        tables.append(table(rows, not args.camera_path))
+    tables += [real(Program(args.binary, args.output, "run"), args.real)] if args.real else []
     print("\n\n".join(tables))
 
 

@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
 """Runs real clips in several ways, compares them with the truth and with one another, and prints the tables.
 
-    scripts/benchmark/real.py DATA OUT [--tractrix target/release/tractrix] [--clip NAME]... [--variant NAME]...
+    scripts/benchmark/real.py DATA OUT [--tractrix target/release/tractrix] [--clip NAME]... [--variant NAME]... [--all]
 
 DATA/real has clips with truth: folders with image_l/, calib.txt and poses.txt (the KITTI odometry benchmark's form) and
 GoPro videos; DATA/videos has clips without, with truth/NAME.target_2d.txt (boxes of one moving vehicle) and
-truth/NAME_intrinsics*.json where known. `parked` in a clip's name: all its vehicles are stationary. Variants that are
-done with the same program are not run again (OUT/CLIP/VARIANT.done). Each runs with one thread at low priority.
+truth/NAME_intrinsics*.json where known. `parked` in a clip's name: all its vehicles are stationary. Clips of more than
+60 frames have only those variants that their truth judges, unless --all. Variants that are done with the same program
+are not run again (OUT/CLIP/VARIANT.done). Each runs with one thread at low priority. OUT/CLIP/pictures has frames of
+the whole clip with outlines, trajectories and ground tracks drawn in.
 
 Needs numpy, Pillow, ffmpeg and ffprobe. Run by `scripts/benchmark/all`, which writes the page.
 """
@@ -14,9 +16,11 @@ Needs numpy, Pillow, ffmpeg and ffprobe. Run by `scripts/benchmark/all`, which w
 import argparse
 import functools
 import json
+import shutil
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,6 +35,11 @@ MIN_IOU = 0.5
 EVERY = 3
 # Quality of `encoded`: about a tenth of the bits of `backward`, whose 12 leaves the images as they are.
 CRF = {"encoded": 32, "backward": 12}
+# Longer clips have their repeated runs only with --all: they take an hour.
+SHORT_FRAMES = 60
+# Longer side of the reduced images of clips with an annotated vehicle, pixels.
+REDUCED_PX = 640
+REDUCED, STATIONARY = f"{REDUCED_PX} px", "known to be stationary"
 STATES = {"standing": "stationary", "moving": "moving", "undetermined": "undetermined"}
 
 
@@ -100,7 +109,7 @@ def find_clips(data: Path) -> list[Clip]:
     return clips
 
 
-def variants(clip: Clip, out: Path) -> dict[str, list[str]]:
+def variants(clip: Clip, out: Path, is_all: bool) -> dict[str, list[str]]:
     """Arguments of `tractrix run` for every variant; `whole` is what the others are compared with."""
 
     def arguments(path: Path, focal: float | None = 1.0, fps: bool = True) -> list[str]:
@@ -116,8 +125,14 @@ def variants(clip: Clip, out: Path) -> dict[str, list[str]]:
     found |= {name: arguments(out / f"{name}.mp4", fps=False) for name in CRF}
     if clip.intrinsics:
         found |= {"no intrinsics": arguments(clip.input, None), "focal length +1 %": arguments(clip.input, 1.01)}
+    if not (is_all or clip.num_frames <= SHORT_FRAMES):
+        found = {"whole": whole}
     if clip.receiver:
         found["no telemetry"] = [*whole, "--no-telemetry"]
+    if clip.is_parked:
+        found[STATIONARY] = [*whole, "--set", "tuning.scale.stationary=all"]
+    if clip.target:
+        found[REDUCED] = [*whole, "--max-dimension", str(REDUCED_PX)]
     return found
 
 
@@ -139,6 +154,9 @@ def run(clip: Clip, variant: str, given: list[str], out: Path, tractrix: str, ve
         return True
     if variant in CRF and not (video := out / f"{variant}.mp4").exists():
         encode(clip, variant, video)
+    if variant == STATIONARY and not folder.exists() and (whole := out / "whole").exists():
+        # Nothing before the scale ratios differs.
+        shutil.copytree(whole, folder)
     print(f"== {clip.name}: {variant}", file=sys.stderr, flush=True)
     command = ["nice", "-n", "10", tractrix, "run", *given, "--output", str(folder), "--threads", "1", "--overwrite"]
     with (out / f"{variant}.log").open("w") as log:
@@ -191,6 +209,19 @@ class Result:
         for track, entry in self.output.objects.items():
             poses = [(self.index(pose["name"]), np.array(pose["position"])) for pose in entry["frames"]]
             found[track] = {i: np.linalg.norm(p - self.centers[i]) for i, p in poses if i in self.centers}
+        return found
+
+    @property
+    def metric_ground_tracks(self) -> list[dict[str, Any]]:
+        """Ground tracks as the file has them."""
+        return self.trajectories.get("ground_tracks", [])
+
+    @functools.cached_property
+    def ground_tracks(self) -> dict[int, dict[int, np.ndarray]]:
+        """Positions of ground tracks, units, by index of the frame."""
+        found = {}
+        for entry in self.metric_ground_tracks:
+            found[entry["id"]] = {self.index(at["name"]): np.array(at["position"]) for at in entry["frames"]}
         return found
 
     def verdict(self, track: int) -> str | None:
@@ -276,40 +307,78 @@ def truth_table(clips: list[Clip], results: dict[str, dict[str, Result]]) -> str
     for clip in clips:
         judge = against_poses if clip.poses else against_receiver if clip.receiver else None
         if judge:
-            rows += [[clip.name, variant, *judge(clip, found)] for variant, found in results[clip.name].items()]
+            judged = [(variant, found) for variant, found in results[clip.name].items() if variant != STATIONARY]
+            rows += [[clip.name, variant, *judge(clip, found)] for variant, found in judged]
     head = ["Clip", "Variant", "Registered", "Path, RMS", "Rotation, RMS", "Scale drift", "Meters per unit (σ)"]
     return table(head, rows)
 
 
-def target_row(clip: Clip, result: Result) -> str:
-    """Tracks that follow the annotated vehicle, with their state and share of its frames."""
+def target_boxes(clip: Clip, result: Result) -> dict[int, Box]:
+    """Boxes of the annotated vehicle in pixels of the run, every third frame."""
     rows = [np.fromstring(line, sep=",") for line in clip.target.read_text().splitlines()]
-    boxes = {i: (x, y, x + w, y + h) for i, (x, y, w, h) in enumerate(rows) if np.isfinite(x)}
-    wanted = [i for i in boxes if i % EVERY == 0]
-    said = []
-    for track, found in result.boxes.items():
-        hits = sum(box_iou(found[i], boxes[i]) > MIN_IOU for i in wanted if i in found)
-        if hits:
-            said.append((hits / len(wanted), f"{track}: {result.state(track)}, {100 * hits / len(wanted):.0f} %"))
-    return "; ".join(text for _, text in sorted(said, reverse=True)[:3]) or "none"
+    factor = result.output.size[0] / int(clip.probed("width"))
+    boxes = {i: factor * np.array([x, y, x + w, y + h]) for i, (x, y, w, h) in enumerate(rows) if np.isfinite(x)}
+    return {i: tuple(box) for i, box in boxes.items() if i % EVERY == 0}
+
+
+def recall_table(clips: list[Clip], results: dict[str, dict[str, Result]]) -> str:
+    """Share of the annotated vehicle's frames with a mask, a usable trajectory, and a ground track."""
+    rows = []
+    for clip, variant, result in whole_clips(clips, results):
+        if not clip.target:
+            continue
+        boxes = target_boxes(clip, result)
+        hits = [(i, track) for track, found in result.boxes.items() for i in boxes.keys() & found.keys()]
+        hits = [(i, track) for i, track in hits if box_iou(result.boxes[track][i], boxes[i]) > MIN_IOU]
+        usable = [(i, t) for i, t in hits if result.verdict(t) != "rejected" and i in result.distances.get(t, {})]
+        on_ground = [(i, track) for i, track in hits if i in result.ground_tracks.get(track, {})]
+        shares = [f"{100 * len({i for i, _ in found}) / len(boxes):.0f} %" for found in (hits, usable, on_ground)]
+        width = np.median([box[2] - box[0] for box in boxes.values()])
+        states = ", ".join(sorted({result.state(track) for _, track in hits})) or "–"
+        rows.append([clip.name, variant, f"{width:.0f} px", *shares, states])
+    return table(["Clip", "Variant", "Width", "Mask", "Trajectory", "Ground track", "Movement"], rows)
+
+
+def stationary_table(clips: list[Clip], results: dict[str, dict[str, Result]]) -> str:
+    """Ratios of vehicles that are known to be stationary, without the camera path against with it."""
+    rows = []
+    for clip in clips:
+        result = results[clip.name].get(STATIONARY)
+        for track, entry in sorted(result.output.objects.items()) if result else []:
+            path = entry["scale"].get("camera_path")
+            if not path:
+                rows.append([clip.name, str(track), "–", "–", "–", str(result.verdict(track))])
+                continue
+            error = np.log(path["ratio_without"] / path["ratio"])
+            std = (path["std_without"] or 0.0) / path["ratio_without"]
+            cells = [f"{percent(error)} (±{100 * std:.1f} %)", f"{abs(error) / std:.1f}" if std else "–"]
+            rows.append([clip.name, str(track), *cells, f"{100 * path['residual']:.2f} %", str(result.verdict(track))])
+    return table(["Clip", "Vehicle", "Error of the ratio (σ)", "In σ", "Residual", "Verdict"], rows)
+
+
+def whole_clips(clips: list[Clip], results: dict[str, dict[str, Result]]) -> Iterator[tuple[Clip, str, Result]]:
+    """Runs of whole clips that differ in what the program is told."""
+    for clip in clips:
+        for variant, result in results[clip.name].items():
+            if variant in ("whole", "no intrinsics", "no telemetry", REDUCED):
+                yield clip, variant, result
 
 
 def label_table(clips: list[Clip], results: dict[str, dict[str, Result]]) -> str:
     """Movement and verdicts of all tracks of the whole clips."""
     rows = []
-    for clip in clips:
-        for variant, result in results[clip.name].items():
-            if variant not in ("whole", "no intrinsics", "no telemetry"):
-                continue
-            states = Counter(result.state(track) for track in result.output.tracked)
-            verdicts = Counter(result.verdict(track) for track in result.output.objects)
-            known = "all stationary" if clip.is_parked else "–"
-            known = f"annotated vehicle: {target_row(clip, result)}" if clip.target else known
-            counts = [str(states[state]) for state in ("stationary", "undetermined", "moving")]
-            order = [name for name in ("good", "fair", "doubtful", "rejected") if verdicts[name]]
-            shown = ", ".join(f"{verdicts[name]} {name}" for name in order)
-            rows.append([clip.name, variant, known, *counts, shown or "none"])
-    head = ["Clip", "Variant", "Truth", "Stationary", "Undetermined", "Moving", "Trajectories"]
+    for clip, variant, result in whole_clips(clips, results):
+        states = Counter(result.state(track) for track in result.output.tracked)
+        verdicts = Counter(result.verdict(track) for track in result.output.objects)
+        counts = [str(states[state]) for state in ("stationary", "undetermined", "moving")]
+        order = [name for name in ("good", "fair", "doubtful", "rejected") if verdicts[name]]
+        shown = ", ".join(f"{verdicts[name]} {name}" for name in order)
+        on_ground = Counter((track.get("verdict") or {}).get("state") for track in result.metric_ground_tracks)
+        order = [name for name in ("usable", "coarse", "inconsistent") if on_ground[name]]
+        also = ", ".join(f"{on_ground[name]} {name}" for name in order)
+        known = "all stationary" if clip.is_parked else "–"
+        rows.append([clip.name, variant, known, *counts, shown or "none", also or "none"])
+    head = ["Clip", "Variant", "Truth", "Stationary", "Undetermined", "Moving", "Trajectories", "Ground tracks"]
     return table(head, rows)
 
 
@@ -357,7 +426,8 @@ def repeat_table(clips: list[Clip], results: dict[str, dict[str, Result]]) -> st
     for clip in clips:
         whole = results[clip.name].get("whole")
         if whole:
-            others = [(name, found) for name, found in results[clip.name].items() if name != "whole"]
+            apart = ("whole", STATIONARY, REDUCED)
+            others = [(name, found) for name, found in results[clip.name].items() if name not in apart]
             rows += [[clip.name, name, *repeat_row(whole, found)] for name, found in others]
     head = ["Clip", "Variant", "Frames", "Path, RMS", "Meters per unit", "Same movement", "Distances of vehicles"]
     return table(head, rows)
@@ -426,11 +496,26 @@ def size_tables(clips: list[Clip], results: dict[str, dict[str, Result]]) -> str
     return f"{table(head, rows)}\n\n{summary}"
 
 
+def draw(tractrix: str, result: Result, folder: Path) -> None:
+    """Writes the frames with most ground tracks in each third of a clip, with all results drawn in."""
+    export = [tractrix, "export", str(result.output.folder), "--format", "video", "--quiet"]
+    if subprocess.run([*export, "--output", str(folder)], check=False).returncode != 0:
+        return
+    counts = Counter(i for positions in result.ground_tracks.values() for i in positions)
+    frames = sorted(result.centers)
+    for third in np.array_split(frames, 3):
+        best = max(map(int, third), key=lambda i: (counts[i], -abs(i - int(third[len(third) // 2]))), default=0)
+        cut = ["-vf", f"select=eq(n\\,{best})", "-frames:v", "1", str(folder / f"{best:06d}.png")]
+        subprocess.run(["ffmpeg", "-v", "error", "-y", "-i", str(folder / "annotated.mp4"), *cut], check=False)
+
+
 def pages(clips: list[Clip], results: dict[str, dict[str, Result]]) -> str:
     """All tables."""
     parts: list[tuple[str, Any]] = [
         ("Against the truth", truth_table),
         ("Movement", label_table),
+        ("Annotated vehicle", recall_table),
+        ("Stationary vehicles and the camera path", stationary_table),
         ("Repeated runs", repeat_table),
         ("Sizes against the class", size_tables),
     ]
@@ -445,6 +530,7 @@ def main() -> None:
     parser.add_argument("--tractrix", default=str(truth.ROOT / "target/release/tractrix"))
     parser.add_argument("--clip", action="append", default=[])
     parser.add_argument("--variant", action="append", default=[])
+    parser.add_argument("--all", action="store_true")
     args = parser.parse_args()
     version = subprocess.run([args.tractrix, "--version"], capture_output=True, text=True, check=True).stdout
     clips = [clip for clip in find_clips(args.data) if not args.clip or clip.name in args.clip]
@@ -453,13 +539,15 @@ def main() -> None:
     for clip in clips:
         out, results[clip.name] = args.out / clip.name, {}
         out.mkdir(parents=True, exist_ok=True)
-        for variant, given in variants(clip, out).items():
+        for variant, given in variants(clip, out, args.all).items():
             if args.variant and variant not in args.variant:
                 continue
             if run(clip, variant, given, out, args.tractrix, version):
                 results[clip.name][variant] = Result(clip, variant, out / variant)
             else:
                 failed.append(f"{clip.name}, {variant}")
+        if whole := results[clip.name].get("whole"):
+            draw(args.tractrix, whole, out / "pictures")
     print(pages(clips, results))
     if failed:
         print(f"\nFailed: {'; '.join(failed)}")

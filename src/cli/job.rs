@@ -78,7 +78,7 @@ pub(super) struct JobArgs {
     #[arg(long, conflicts_with = "intrinsics_std", help_heading = "Geometry")]
     pub(super) fixed: bool,
     /// Standard deviations of given intrinsics: shares of the focal length and, for the principal point, of the longer
-    /// side of the image; radial distortion [default: 0.01,0.01,0.02]
+    /// side of the image; radial distortion [default: 0.01,0.01,0.1]
     #[arg(long, value_name = "F[,C[,K]]", value_parser = intrinsics_std, help_heading = "Geometry")]
     pub(super) intrinsics_std: Option<Intrinsics>,
     /// Front end: `video` tracks image points from frame to frame, `sift` matches features between frames [default:
@@ -351,7 +351,7 @@ fn intrinsics_std(text: &str) -> Result<Intrinsics, String> {
         Ok(&[focal]) => Intrinsics { focal, ..given },
         Ok(&[focal, principal]) => Intrinsics { focal, principal, ..given },
         Ok(&[focal, principal, distortion]) => Intrinsics { focal, principal, distortion },
-        _ => return Err(format!("'{text}': expected one to three numbers, such as 0.01,0.01,0.02")),
+        _ => return Err(format!("'{text}': expected one to three numbers, such as 0.01,0.01,0.1")),
     };
     std.check().map_err(|error| error.to_string())?;
     Ok(std)

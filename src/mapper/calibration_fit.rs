@@ -1,16 +1,31 @@
 //! Agreement of a calibration with a model: residuals with the calibration held and with it adjusted.
 //!
 //! A calibration that is off by a percent bends a map at residuals that are hardly larger than before, so that the
-//! residuals alone do not show it. With C_held and C_adjusted, ½ Σ ρ at the two minima (the latter with the prior), and
+//! residuals alone do not show it. With C_held and C_adjusted, ½ Σ ρ of the observations at the two minima, and
 //! observations that err together ([`COMMON_ERROR_FACTOR`] F), the gain
 //!
 //! ```text
 //! 2 (C_held − C_adjusted) / (F σ)²
 //! ```
 //!
-//! is at most χ² with as many degrees of freedom as there are intrinsics, if the calibration is right.
+//! is at most χ² with as many degrees of freedom as there are intrinsics, if the calibration is right. The prior
+//! decides where the second minimum is, and is no part of its cost: it would hide an error of two of its standard
+//! deviations.
+//!
+//! An error of a single parameter is lost among five. Each of the focal length, the principal point and the first
+//! coefficient of distortion is therefore tested on its own, too. With C the covariance of the adjusted intrinsics, P the information of the
+//! prior, and δ the change of these parameters,
+//!
+//! ```text
+//! δᵀ (C − C P C)⁻¹ δ
+//! ```
+//!
+//! is χ² with as many degrees of freedom as δ has elements, if the calibration is right. Parameters that the prior
+//! determines more than the observations do are no evidence.
 
 use std::collections::BTreeMap;
+
+use nalgebra::{Matrix6, Vector6};
 
 use super::focal_changes::{longest_tracks, noise, options};
 use super::{Intrinsics, intrinsics_prior};
@@ -26,6 +41,11 @@ const MOST_VIEWS: usize = 200;
 const LEAST_VIEWS: usize = 3;
 /// Three standard deviations of five intrinsics: the gain that chance exceeds in 0.27 % of the cases.
 const SIGNIFICANT: f64 = 18.2;
+/// Parameters that are tested on their own, as indices among fx, fy, cx, cy, k1, k2, and three standard deviations of
+/// each: fx and fy are one focal length.
+const GROUPS: [(&[usize], f64); 3] = [(&[0], 9.0), (&[2, 3], 11.8), (&[4], 9.0)];
+/// Share of the prior's variance above which the prior determines a parameter more than the observations do.
+const OF_PRIOR: f64 = 0.5;
 
 /// Result of comparing a calibration with a model.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,6 +56,9 @@ pub struct CalibrationFit {
     pub adjusted_px: f64,
     /// Gain of the adjustment, χ²; see the module.
     pub gain: f64,
+    /// Largest change of the focal length, the principal point or the first coefficient of distortion: χ² over the limit
+    /// of each.
+    pub change: f64,
     /// The adjusted camera.
     pub adjusted: Camera,
     /// Standard deviation of its focal length as a share of it.
@@ -45,7 +68,7 @@ pub struct CalibrationFit {
 impl CalibrationFit {
     /// Returns true if the calibration does not fit.
     pub fn is_bad(&self) -> bool {
-        self.gain > SIGNIFICANT
+        self.gain > SIGNIFICANT || self.change > 1.0
     }
 }
 
@@ -82,20 +105,50 @@ pub fn calibration_fit(
     let (freed, freed_cost) = adjusted(CameraBlock { camera: rough.cameras[0].camera, ..free }, Some(known), sigma_px)?;
     let (held, held_cost) = adjusted(CameraBlock::fixed(*given), None, sigma_px)?;
     let unit_px = COMMON_ERROR_FACTOR * sigma_px;
+    let adjusted = freed.cameras[0].camera;
+    let covariance = covariance(&freed, sigma_px).map(|covariance| unit_px.powi(2) * covariance);
+    let focal_std = covariance.map(|covariance| covariance[(0, 0)].sqrt() / adjusted.focal[0]);
     Ok(Some(CalibrationFit {
         given_px: mean_error_px(&held),
         adjusted_px: mean_error_px(&freed),
-        gain: 2.0 * (held_cost - freed_cost) / unit_px.powi(2),
-        adjusted: freed.cameras[0].camera,
-        focal_std: focal_std(&freed, sigma_px).map_or(known.focal, |std| unit_px * std),
+        gain: 2.0 * (held_cost - freed_cost) / unit_px.powi(2) + prior_cost(given, known, &adjusted),
+        change: covariance.map_or(0.0, |covariance| change(given, known, &adjusted, &covariance)),
+        adjusted,
+        focal_std: focal_std.filter(|std| std.is_finite()).unwrap_or(known.focal),
     }))
 }
 
-/// Standard deviation of the focal length as a share of it, with the prior, if observations have one of one pixel.
-fn focal_std(problem: &Problem, sigma_px: f64) -> Option<f64> {
+/// Squares of the residuals of the prior, in its standard deviations: its share in the cost of an adjusted camera, χ².
+fn prior_cost(given: &Camera, known: Intrinsics, adjusted: &Camera) -> f64 {
+    let prior = intrinsics_prior::about(given, known, adjusted, 1.0);
+    let residuals = adjusted.intrinsics().into_iter().zip(prior.values).zip(prior.sigma);
+    residuals.map(|((value, mean), sigma)| ((value - mean) / sigma).powi(2)).sum()
+}
+
+/// Covariance of the intrinsics with the prior, if observations have a standard deviation of one pixel.
+fn covariance(problem: &Problem, sigma_px: f64) -> Option<Matrix6<f64>> {
     let wanted = Wanted { cameras: vec![0], ..Wanted::default() };
-    let found = bundle::covariances(problem, &options(sigma_px), &wanted).ok()?;
-    Some(found.cameras.first()?[(0, 0)].sqrt() / problem.cameras[0].camera.focal[0]).filter(|std| std.is_finite())
+    bundle::covariances(problem, &options(sigma_px), &wanted).ok()?.cameras.first().copied()
+}
+
+/// The largest change of a group of parameters, χ² over its limit; see the module.
+///
+/// * `covariance` – of the adjusted intrinsics.
+fn change(given: &Camera, known: Intrinsics, adjusted: &Camera, covariance: &Matrix6<f64>) -> f64 {
+    let change = Vector6::from(adjusted.intrinsics()) - Vector6::from(given.intrinsics());
+    let information = |std: f64| if std > 0.0 { std.powi(-2) } else { 0.0 };
+    let mut prior = Matrix6::from_diagonal(&Vector6::from(known.std_of(given).map(information)));
+    // The tied focal length has one prior.
+    prior[(1, 1)] = 0.0;
+    let by_chance = covariance - covariance * prior * covariance;
+    let is_observed = |k: &usize| covariance[(*k, *k)] * prior[(*k, *k)] < OF_PRIOR;
+    let of_group = |(parameters, limit): &(&[usize], f64)| {
+        let block = by_chance.select_rows(*parameters).select_columns(*parameters);
+        let change = change.select_rows(*parameters);
+        Some(change.dot(&block.cholesky()?.solve(&change)) / limit)
+    };
+    let observed = GROUPS.iter().filter(|(parameters, _)| parameters.iter().all(is_observed));
+    observed.filter_map(|group| of_group(group)).filter(|change| change.is_finite()).fold(0.0, f64::max)
 }
 
 /// The longest tracks in the middle views of a camera.
@@ -139,4 +192,30 @@ fn mean_error_px(problem: &Problem) -> f64 {
     };
     let errors: Vec<f64> = problem.observations.iter().filter_map(error).collect();
     errors.iter().sum::<f64>() / errors.len().max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_of_one_parameter_is_significant_on_its_own() {
+        let given = Camera::with_focal(960, 540, 900.0);
+        let known = Intrinsics::GIVEN;
+        // Posterior standard deviations of 0.3 % of the focal length, 2 px and 0.01.
+        let std = Vector6::new(2.7, 2.7, 2.0, 2.0, 0.01, 0.01);
+        let mut covariance = Matrix6::from_diagonal(&std.component_mul(&std));
+        (covariance[(0, 1)], covariance[(1, 0)]) = (covariance[(0, 0)], covariance[(0, 0)]);
+        let of = |factor: f64, center: f64, covariance: &Matrix6<f64>| {
+            let adjusted =
+                Camera { principal: [480.0 + center, 270.0], ..Camera::with_focal(960, 540, factor * 900.0) };
+            change(&given, known, &adjusted, covariance)
+        };
+        assert_eq!(of(1.0, 0.0, &covariance), 0.0);
+        assert!(of(1.006, 3.0, &covariance) < 1.0);
+        assert!(of(1.012, 0.0, &covariance) > 1.5 && of(1.0, 9.0, &covariance) > 1.5);
+        // Where the prior determines a parameter, its change is no evidence.
+        covariance[(2, 2)] = 0.9 * (known.principal * 960.0).powi(2);
+        assert_eq!(of(1.0, 9.0, &covariance), 0.0);
+    }
 }

@@ -87,6 +87,23 @@ fn a_wrong_calibration_is_adjusted_and_shows() {
 }
 
 #[test]
+fn a_clearly_wrong_calibration_is_named_whatever_its_prior() {
+    let mut world = world(40, 600);
+    let given = world.camera;
+    world.camera = Camera { principal: [470.4, 279.6], radial: [-0.1, 0.0], ..Camera::with_focal(960, 540, 945.0) };
+    let table = tracks(&world, 0.2, 20, &mut seeded_rng(3, 0));
+    let narrow = Intrinsics { distortion: 0.05, ..Intrinsics::GIVEN };
+    let [of_default, of_narrow] = [Intrinsics::GIVEN, narrow].map(|known| {
+        let found = reconstructed(&table, given, known).0;
+        let fit = calibration_fit(&found, CameraId(1), &given, known).unwrap().unwrap();
+        assert!(fit.is_bad() && fit.adjusted_px < fit.given_px, "{fit:?}");
+        fit.gain
+    });
+    // The cost of the prior is no part of the gain.
+    assert!((of_narrow / of_default - 1.0).abs() < 0.1, "{of_narrow} {of_default}");
+}
+
+#[test]
 fn a_prior_goes_from_held_to_free() {
     let (_, given, table) = wrongly_calibrated();
     let focal = |known| reconstructed(&table, given, known).0.cameras[&CameraId(1)].mean_focal();

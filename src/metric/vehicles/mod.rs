@@ -69,8 +69,8 @@ pub struct Extent {
     pub std: f64,
     /// Standard deviation of the vehicle's scale ratio as a share of it, which its extents have in common.
     pub ratio_std: f64,
-    /// True if the vehicle's trajectory is doubtful.
-    pub is_doubtful: bool,
+    /// True if nothing confirms the vehicle's trajectory: it is doubtful, or its scale ratio is a guess.
+    pub is_unconfirmed: bool,
 }
 
 impl Extent {
@@ -119,8 +119,8 @@ const SHARED_BY_VEHICLE: f64 = 0.4;
 const SHARED_BY_PLACE: f64 = 0.035;
 
 /// Standard deviation of the logarithm of the size of a vehicle that nothing confirms: only one dimension is known, so
-/// that its proportions cannot be tested, or its trajectory is doubtful. Vehicles of one clip are visible alike (a roof
-/// without points, only the rear), so they have it in common. Of 51 cars of rendered sequences of which one dimension
+/// that its proportions cannot be tested, its trajectory is doubtful, or its scale ratio is a guess. Vehicles of one
+/// clip are visible alike (a roof without points, only the rear), so they have it in common. Of 51 cars of rendered sequences of which one dimension
 /// is known two thirds are within one standard deviation with it, 31 % without; those with more dimensions need none.
 const UNCONFIRMED: f64 = 0.25;
 
@@ -263,7 +263,7 @@ mod tests {
                 value,
                 std: 0.03 * value,
                 ratio_std: 0.005,
-                is_doubtful: false,
+                is_unconfirmed: false,
             }
         };
         vec![of(Dimension::Length, length), of(Dimension::Width, width), of(Dimension::Height, height)]
@@ -340,7 +340,7 @@ mod tests {
         let rear = car(1, [4.3, 1.79, 1.5]);
         let doubtful = |vehicle: u32| -> Vec<Extent> {
             let car = car(vehicle, [4.3, 1.79, 1.5]);
-            car.into_iter().map(|extent| Extent { is_doubtful: true, ..extent }).collect()
+            car.into_iter().map(|extent| Extent { is_unconfirmed: true, ..extent }).collect()
         };
         for extents in [rear[2..].to_vec(), doubtful(1), (1..9).flat_map(doubtful).collect()] {
             let (_, std) = error(&extents);

@@ -14,7 +14,7 @@ pub(super) struct SizeEstimate {
     pub(super) log_scale: f64,
     /// Its standard deviation, without what all vehicles of a place have in common and without [`UNCONFIRMED`].
     pub(super) std: f64,
-    /// True if nothing confirms its measurement: no proportions, or a doubtful trajectory.
+    /// True if nothing confirms its measurement: no proportions, or an unconfirmed trajectory.
     pub(super) is_unconfirmed: bool,
     /// Number of known extents.
     pub(super) num_extents: usize,
@@ -63,7 +63,7 @@ pub(super) fn answer(extents: &[Extent]) -> Option<SizeEstimate> {
         vehicle: first.vehicle,
         log_scale,
         std: variance.sqrt(),
-        is_unconfirmed: num_extents == 1 || first.is_doubtful,
+        is_unconfirmed: num_extents == 1 || first.is_unconfirmed,
         num_extents,
         misfit: chi2.sqrt(),
     };

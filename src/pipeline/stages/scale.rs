@@ -1,7 +1,7 @@
 //! Stage `scale`: the scale ratio of every object, its trajectory or else its ground track, and its motion state by
 //! points and trajectory.
 
-mod ground_tracks;
+pub(super) mod ground_tracks;
 mod movement;
 
 use std::collections::BTreeMap;
@@ -75,9 +75,11 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     let placed =
         ground_tracks::Placed { tracked: &tracked, objects: &objects, reports: &reports, failures: &found.failures };
     let ground_tracks = ground_tracks::find(&scene, &placed, &mut outcome)?;
-    let all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks };
+    let mut all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks };
     let path = run.workspace.trajectories();
     crate::io::trajectories::write(&run.workspace.state(IN_UNITS), &all)?;
+    all.ground_tracks = ground_tracks::decided(all.ground_tracks, &all.objects);
+    outcome.figure("num_ground_tracks", all.ground_tracks.len());
     run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
     run.workspace.write_state(FAILURES, &found.failures)?;
     run.workspace.write_state(SIZES, &found.sizes)?;
@@ -353,7 +355,8 @@ pub(in crate::pipeline) fn trajectories(run: &Run) -> Result<Trajectories, Pipel
     Ok(run.workspace.read_trajectories()?)
 }
 
-/// The trajectories in units of the background, without metres; the stage must be done.
+/// The trajectories in units of the background, without metres, and the ground tracks of all vehicles that may need one;
+/// the stage must be done.
 pub(in crate::pipeline) fn in_units(run: &Run) -> Result<Trajectories, PipelineError> {
     Ok(crate::io::trajectories::read(&run.workspace.state(IN_UNITS))?)
 }

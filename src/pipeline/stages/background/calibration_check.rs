@@ -118,7 +118,10 @@ pub(super) fn check_fit(
             outcome.warn(Topic::CalibrationDoesNotFit.warning(misfit(camera, &fit, remedy(report.given, &std))));
         }
         if first == Some(id) {
-            let figures = serde_json::json!({ "given_px": fit.given_px, "adjusted_px": fit.adjusted_px });
+            let CalibrationFit { given_px, adjusted_px, gain, change, .. } = fit;
+            let figures = serde_json::json!({
+                "given_px": given_px, "adjusted_px": adjusted_px, "gain": gain, "change": change,
+            });
             outcome.figure("calibration_fit", figures);
             if report.given && !std.is_fixed() {
                 report.focal_std_px = Some(fit.focal_std * camera.mean_focal());

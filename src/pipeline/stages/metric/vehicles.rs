@@ -11,8 +11,8 @@ use crate::metric::{
 };
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::scene::{
-    Dimensions, Estimate, MetricContradiction, MetricFrame, ObjectId, ObjectTrajectory, Reason, ReasonKind, Topic,
-    Trajectories, Trust,
+    Dimensions, Estimate, MetricContradiction, MetricFrame, ObjectId, ObjectTrajectory, Reason, ReasonKind,
+    ScaleEstimate, ScaleShares, Topic, Trajectories, Trust,
 };
 use crate::trajectory::with_reason;
 
@@ -102,6 +102,14 @@ fn is_doubtful(trajectory: &ObjectTrajectory) -> bool {
     trajectory.verdict.as_ref().is_some_and(|verdict| verdict.state >= Trust::Doubtful)
 }
 
+/// Returns true if a scale ratio is a guess: no outline shows the contact with the ground, on which most of its variance
+/// depends. A car parked half a meter below the plane of the road was found at 0.73 times its distance.
+fn is_guessed(scale: &ScaleEstimate) -> bool {
+    let has_outline = scale.support.is_some_and(|support| support.frames_with_outline > 0);
+    let depends = |shares: ScaleShares| 2.0 * shares.contact.powi(2) > shares.given_focal().powi(2);
+    !has_outline && scale.shares.is_some_and(depends)
+}
+
 impl Alike {
     fn of(found: VehicleSizes) -> Self {
         let name = "typical vehicle sizes".to_owned();
@@ -145,12 +153,18 @@ pub(super) fn doubt_sizes(
     objects: &mut [ObjectTrajectory],
     sizes: &BTreeMap<ObjectId, Size>,
     known: Option<(f64, f64)>,
+    outcome: &mut Outcome,
 ) {
     for trajectory in objects {
         let found = contradicted_sizes(&extents(trajectory, sizes), known);
+        let was_ruled_out = trajectory.is_ruled_out();
         let Some(verdict) = trajectory.verdict.take() else { continue };
-        let reasons = found.iter().map(|odd| size_doubt(odd, &trajectory.class));
-        trajectory.verdict = Some(reasons.fold(verdict, with_reason));
+        let reasons: Vec<Reason> = found.iter().map(|odd| size_doubt(odd, &trajectory.class)).collect();
+        let says = reasons.first().map(|reason| reason.says.clone()).unwrap_or_default();
+        trajectory.verdict = Some(reasons.into_iter().fold(verdict, with_reason));
+        if trajectory.is_ruled_out() && !was_ruled_out {
+            outcome.warn(Topic::VehicleRejected.warning(format!("object {}: rejected: {says}", trajectory.id)));
+        }
     }
 }
 
@@ -173,12 +187,12 @@ fn extents(trajectory: &ObjectTrajectory, sizes: &BTreeMap<ObjectId, Size>) -> V
     let Some(size) = sizes.get(&trajectory.id) else { return Vec::new() };
     let Some(class) = VehicleClass::from_label(&trajectory.class) else { return Vec::new() };
     let ratio_std = trajectory.scale.std.unwrap_or(0.0) / trajectory.scale.ratio;
-    let is_doubtful = is_doubtful(trajectory);
+    let is_unconfirmed = is_doubtful(trajectory) || is_guessed(&trajectory.scale);
     let extent = |dimension| {
         let Estimate { value, std } = size.of(dimension)?;
         // The deviation of a size has that of the ratio in it.
         let std = (std * std - (ratio_std * value).powi(2)).max(0.0).sqrt().max(MIN_STD * value);
-        Some(Extent { vehicle: trajectory.id.0, class, dimension, value, std, ratio_std, is_doubtful })
+        Some(Extent { vehicle: trajectory.id.0, class, dimension, value, std, ratio_std, is_unconfirmed })
     };
     [Dimension::Length, Dimension::Width, Dimension::Height].into_iter().filter_map(extent).collect()
 }
@@ -189,7 +203,7 @@ const MIN_STD: f64 = 1e-3;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{ScaleEstimate, ScaleMethod, Unit, Verdict};
+    use crate::scene::{ScaleMethod, ScaleSupport, Unit, Verdict};
 
     fn sizes() -> BTreeMap<ObjectId, Size> {
         let length = Some(Estimate { value: 2.0, std: 0.02 });
@@ -238,7 +252,7 @@ mod tests {
             let size =
                 Size { length: scaled(size.length, l), width: scaled(size.width, w), height: scaled(size.height, h) };
             let mut objects = [trajectory];
-            doubt_sizes(&mut objects, &[(id, size)].into(), known);
+            doubt_sizes(&mut objects, &[(id, size)].into(), known, &mut Outcome::default());
             let [trajectory] = objects;
             trajectory.verdict.map(|verdict| verdict.state)
         };
@@ -248,6 +262,21 @@ mod tests {
         assert_eq!(state([0.5; 3], Some((0.0, 0.02))), Some(Trust::Doubtful));
         assert_eq!(state([0.5; 3], Some((0.0, 0.3))), Some(Trust::Good));
         assert_eq!(state([1.0, 1.0, 0.5], None), Some(Trust::Doubtful));
+    }
+
+    #[test]
+    fn a_ratio_from_the_lowest_points_alone_is_a_guess() {
+        let std = |frames_with_outline: usize, contact: f64| {
+            let (mut trajectory, (id, size)) = car(1, 1.0, Trust::Fair);
+            trajectory.scale.support = Some(ScaleSupport { frames_with_outline, ..ScaleSupport::default() });
+            trajectory.scale.shares = Some(ScaleShares { contact, frames: 0.02, ..ScaleShares::default() });
+            trajectory.scale.std = trajectory.scale.shares.map(|shares| shares.total());
+            let objects = vec![trajectory];
+            let all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks: Vec::new() };
+            alike(&all, &[(id, size)].into()).source.unwrap().std
+        };
+        assert!(std(5, 0.06) < 0.1 && std(0, 0.01) < 0.1, "{} {}", std(5, 0.06), std(0, 0.01));
+        assert!(std(0, 0.06) > 0.25, "{}", std(0, 0.06));
     }
 
     #[test]
