@@ -393,7 +393,8 @@ fn the_film_follows_the_slider_and_speeds_have_units() {
             units.value = unit; units.dispatchEvent(new Event('change')); said.push(cell.textContent); \
         } \
         const portrait = document.querySelectorAll('.portrait').length; \
-        return `${before} ${document.getElementById('clock').textContent} ${units.hidden} ${said.join(', ')} ${portrait}`;";
+        const clock = document.getElementById('clock').textContent; \
+        return `${before} ${clock} ${units.hidden} ${said.join(', ')} ${portrait}`;";
     let found = found_by(&browser, &page, 1400, script);
     let speeds = "32.94 ± 0.66 km/h, 9.15 ± 0.18 m/s, 20.47 ± 0.41 mph, 32.94 ± 0.66 km/h";
     assert_eq!(found, format!("{width},true 0.20 s · frame 3 false {speeds} 3"));

@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::frame;
 use super::output::{Failure, Form, show};
-use crate::io::Losses;
 use crate::io::interchange::colmap;
 use crate::io::interchange::database::{self, Features};
 use crate::io::interchange::model::{self, Format};
+use crate::io::{Losses, atomic};
 use crate::pipeline;
 use crate::scene::Reconstruction;
 
@@ -27,9 +28,28 @@ pub(super) struct Args {
     /// Output format [default: by the name; otherwise binary from COLMAP text, text from others]
     #[arg(long, value_enum)]
     pub(super) to: Option<To>,
+    /// Frame of the output; all but world need the output folder of a run in which meters are known
+    ///
+    /// OUT gets a file frame.json next to it, or OUT.frame.json, with axes, origin, EPSG code and standard deviations.
+    #[arg(long, value_enum, value_name = "FRAME", default_value_t)]
+    pub(super) frame: TargetFrame,
     /// Replace existing files
     #[arg(long)]
     pub(super) overwrite: bool,
+}
+
+/// Frame of a converted model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub(super) enum TargetFrame {
+    /// That of the input
+    #[default]
+    World,
+    /// Meters, z up
+    Metric,
+    /// Meters east, north, up; needs --telemetry in the run
+    Enu,
+    /// Easting, northing and height of the UTM zone; needs --telemetry in the run
+    Utm,
 }
 
 /// A format that can be written.
@@ -183,11 +203,19 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
 }
 
 fn convert(args: &Args) -> anyhow::Result<Conversion> {
-    let (reconstruction, from) = model::read(&args.input)?;
+    let (mut reconstruction, from) = model::read(&args.input)?;
     let target = Target::of(args, from, &reconstruction)?;
-    let files = target.files(&args.output);
+    let mut files = target.files(&args.output);
+    let placed = frame::of(args.frame, &args.input)?;
+    if let Some(placed) = &placed {
+        reconstruction.transform(&placed.target_from_world);
+        files.push(frame::file_of(&args.output));
+    }
     model::check_target(&args.input, &args.output, &files, args.overwrite)?;
     let losses = target.write(args, &reconstruction, from)?;
+    if let Some(placed) = &placed {
+        atomic::write_json(&frame::file_of(&args.output), &placed.described)?;
+    }
     Ok(Conversion {
         input: args.input.clone(),
         from: from.to_string(),
@@ -206,7 +234,13 @@ mod tests {
     use crate::io::testing::in_repository;
 
     fn convert(input: &Path, output: &Path, to: Option<To>) -> anyhow::Result<Conversion> {
-        super::convert(&Args { input: input.into(), output: output.into(), to, overwrite: false })
+        super::convert(&Args {
+            input: input.into(),
+            output: output.into(),
+            to,
+            frame: TargetFrame::World,
+            overwrite: false,
+        })
     }
 
     #[test]

@@ -17,13 +17,13 @@ pub(super) struct Args {
     /// Output folder of `tractrix run`
     #[arg(value_name = "OUT")]
     pub(super) run: PathBuf,
-    /// Formats: csv, geojson, kml, gpx, tum, kitti, gltf, video, sumo, levelx, colmap, trajectories-v2; several separated by
-    /// commas; or all
+    /// Formats: csv, geojson, kml, gpx, tum, kitti, gltf, video, sumo, levelx, colmap, trajectories-v2; several
+    /// separated by commas; or all
     ///
     /// csv: tables of vehicles, of vehicles frame by frame, and of the camera. geojson, kml, gpx: georeferenced
     /// positions, which need --telemetry in the run. tum, kitti: poses. gltf: animated scene. video: masks, ids, speeds
-    /// and paths drawn into the video. sumo, levelx: trajectories for traffic research, in meters. colmap: images, masks and the background, ready for densification. all:
-    /// everything that these results allow.
+    /// and paths drawn into the video. sumo, levelx: trajectories for traffic research, in meters. colmap: images, masks
+    /// and the background, ready for densification. all: everything that these results allow.
     #[arg(long, value_name = "NAMES", value_parser = asked)]
     pub(super) format: Formats,
     /// Leave out vehicles with a lower verdict, and ground tracks

@@ -18,6 +18,7 @@ mod doctor;
 pub mod evaluate;
 mod export;
 mod forecast;
+mod frame;
 mod job;
 mod manual;
 mod models;

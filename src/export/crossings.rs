@@ -372,7 +372,8 @@ mod tests {
         let results = with_metres(results());
         let (_, origin) = results.map().unwrap();
         let north = origin.latitude + 1e-4;
-        let line = json!({ "type": "LineString", "coordinates": [[origin.longitude, origin.latitude], [origin.longitude, north]] });
+        let ends = [[origin.longitude, origin.latitude], [origin.longitude, north]];
+        let line = json!({ "type": "LineString", "coordinates": ends });
         let gates = gates(&collection(&line), &results).unwrap();
         let Shape::Line(points) = &gates[0].shape else { panic!("{gates:?}") };
         assert!(points[0].coords.norm() < 1e-6 && (points[1].y - 11.1).abs() < 0.1, "{points:?}");

@@ -41,7 +41,7 @@ pub enum ExportError {
          a folder of images"
     )]
     NoMeters {
-        /// What needs them.
+        /// Command or format that needs them.
         wanted: String,
     },
     /// The place on the map is not known.

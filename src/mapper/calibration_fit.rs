@@ -13,8 +13,8 @@
 //! deviations.
 //!
 //! An error of a single parameter is lost among five. Each of the focal length, the principal point and the first
-//! coefficient of distortion is therefore tested on its own, too. With C the covariance of the adjusted intrinsics, P the information of the
-//! prior, and δ the change of these parameters,
+//! coefficient of distortion is therefore tested on its own, too. With C the covariance of the adjusted intrinsics, P
+//! the information of the prior, and δ the change of these parameters,
 //!
 //! ```text
 //! δᵀ (C − C P C)⁻¹ δ
@@ -56,8 +56,8 @@ pub struct CalibrationFit {
     pub adjusted_px: f64,
     /// Gain of the adjustment, χ²; see the module.
     pub gain: f64,
-    /// Largest change of the focal length, the principal point or the first coefficient of distortion: χ² over the limit
-    /// of each.
+    /// Largest change of the focal length, the principal point or the first coefficient of distortion: χ² over the
+    /// limit of each.
     pub change: f64,
     /// The adjusted camera.
     pub adjusted: Camera,

@@ -30,9 +30,20 @@ const PALETTE: [[u8; 3]; 10] = [
     [0xb5, 0x5e, 0xd1],
 ];
 
-/// The colour of an object in pictures, charts and the 3D view. Ids ten apart share one.
+/// Shades that stay apart from their hue in a legend.
+const DARKER: f32 = 0.55;
+const LIGHTER: f32 = 0.5;
+
+/// The colour of an object in pictures, charts and the 3D view. Ids ten apart share the hue, of which the second is
+/// darker and the third lighter; ids thirty apart share the color.
 pub fn object_colour(id: ObjectId) -> [u8; 3] {
-    PALETTE[(id.0.max(1) - 1) as usize % PALETTE.len()]
+    let number = (id.0.max(1) - 1) as usize;
+    let hue = PALETTE[number % PALETTE.len()];
+    match number / PALETTE.len() % 3 {
+        0 => hue,
+        1 => hue.map(|part| (f32::from(part) * DARKER) as u8),
+        _ => hue.map(|part| 255 - (f32::from(255 - part) * LIGHTER) as u8),
+    }
 }
 
 /// `#rrggbb`.
@@ -160,6 +171,12 @@ mod tests {
     use super::*;
 
     #[test]
+    fn thirty_vehicles_have_colors_of_their_own() {
+        let colors: std::collections::BTreeSet<_> = (1..=30).map(|id| object_colour(ObjectId(id))).collect();
+        assert_eq!((colors.len(), object_colour(ObjectId(31))), (30, object_colour(ObjectId(1))));
+    }
+
+    #[test]
     fn masks_are_tinted_and_outlined_at_any_size() {
         let grey = RgbImage::from_pixel(40, 20, Rgb([100, 100, 100]));
         let mask = Mask::from_fn(80, 40, |x, y| (20..60).contains(&x) && (10..30).contains(&y));
@@ -187,7 +204,7 @@ mod tests {
     fn the_strip_is_thinned_and_keeps_both_ends() {
         let frames: Vec<_> = (0..1000).map(FrameId).collect();
         let chosen = strip_frames(&frames);
-        assert_eq!((chosen.len(), chosen[0], chosen[35]), (36, FrameId(0), FrameId(999)));
+        assert_eq!((chosen.len(), chosen[0], chosen[15]), (16, FrameId(0), FrameId(999)));
         assert!(chosen.windows(2).all(|w| w[0] < w[1]));
         assert_eq!(strip_frames(&frames[..5]).len(), 5);
         assert!(strip_frames(&[]).is_empty());

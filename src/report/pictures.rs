@@ -10,11 +10,13 @@ use serde::{Deserialize, Serialize};
 use super::ReportError;
 use super::overlay::{Label, Thumbnail, label, overlay, shrunk, spread, strip_frames};
 use crate::ffi::ffmpeg::{Encoder, FfmpegError};
+use crate::files;
 use crate::scene::{BoundingBox, FrameId, Mask, ObjectId};
 
 /// Longer side of the film, pixels.
 const FILM_SIDE: u32 = 640;
-/// Pictures of the film: at 6 to 8 kB each the page can still be mailed. Of a longer clip evenly spread frames are shown.
+/// Pictures of the film: at 6 to 8 kB each the page can still be mailed. Of a longer clip evenly spread frames are
+/// shown.
 const MAX_FILM_FRAMES: usize = 600;
 /// Pictures per second of the file; the page seeks in it by number.
 pub(super) const FILM_RATE: f64 = 25.0;
@@ -148,7 +150,7 @@ impl PictureMaker {
         let film = match self.film.filter(|film| !film.frames.is_empty()) {
             Some(film) => {
                 let failed = |source| ReportError::Write { path: self.path.clone(), source };
-                let mp4 = std::fs::read(&self.path).map_err(failed)?;
+                let mp4 = files::read(&self.path).map_err(failed)?;
                 Some(Film { mp4, ..film })
             }
             None => None,
@@ -196,7 +198,7 @@ mod tests {
         let made = maker.finish().unwrap();
         assert_eq!(made.strip.len(), 16);
         let portrait = image::load_from_memory(&made.portraits[&ObjectId(3)]).unwrap();
-        assert_eq!(portrait.width().max(portrait.height()), 90, "78 px, a border of 12 px below and to the left");
+        assert_eq!((portrait.width(), portrait.height()), (92, 90), "78 px, and a border of 12 px within the picture");
         // FFmpeg without H.264 makes none.
         if let Some(film) = made.film {
             assert_eq!((film.width, film.height, film.frames.len(), film.labels.len()), (640, 360, 30, 30));

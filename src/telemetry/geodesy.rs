@@ -4,8 +4,10 @@
 //! *Transformation of Cartesian to geodetic coordinates without iterations*, Journal of Surveying Engineering 2000).
 
 use map_3d::{Ellipsoid, enu2geodetic, geodetic2enu};
-use nalgebra::{Point3, point};
+use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3, point};
 use serde::{Deserialize, Serialize};
+
+use crate::math::Sim3;
 
 /// A place by longitude, latitude and height.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -63,6 +65,36 @@ impl LocalFrame {
     }
 }
 
+/// Places on the grid of the Universal Transverse Mercator projection, near a place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UtmGrid {
+    /// Code of the zone in the EPSG register.
+    pub epsg: u32,
+    /// Easting, northing and height from east, north, up. The grid is a similarity of the local frame to 4 cm within
+    /// 3 km: its scale changes with the distance from the zone's meridian.
+    pub grid_from_local: Sim3,
+}
+
+impl LocalFrame {
+    /// The grid of the zone in which the origin lies.
+    pub fn utm(&self) -> UtmGrid {
+        let Geodetic { longitude_deg, latitude_deg, height_m } = self.origin;
+        let zone = utm::lat_lon_to_zone_number(latitude_deg, longitude_deg);
+        let on_grid = |place: Geodetic| {
+            let (northing, easting, _) = utm::to_utm_wgs84(place.latitude_deg, place.longitude_deg, zone);
+            Vector2::new(easting, northing)
+        };
+        // A kilometer to the north gives turn and scale of the grid.
+        const STEP_M: f64 = 1000.0;
+        let step = |north| on_grid(self.to_geodetic(point![0.0, north, 0.0]));
+        let (origin, north) = (on_grid(self.origin), (step(STEP_M) - step(-STEP_M)) / (2.0 * STEP_M));
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), (-north.x).atan2(north.y));
+        let epsg = if latitude_deg >= 0.0 { 32_600 } else { 32_700 } + u32::from(zone);
+        let shift = Vector3::new(origin.x, origin.y, height_m);
+        UtmGrid { epsg, grid_from_local: Sim3::new(north.norm(), turn, shift) }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -110,5 +142,22 @@ mod tests {
         let expected = point![east.dot(&chord), up.cross(&east).dot(&chord), up.dot(&chord)];
         assert!((found - expected).norm() < 1e-6, "{found} {expected}");
         assert!(found.x > 5900.0 && found.y > 7700.0, "{found}");
+    }
+
+    #[test]
+    fn the_grid_agrees_with_published_coordinates_and_with_itself() {
+        // Reference: pyproj 3.7 (PROJ 9.5), EPSG:4326 to EPSG:32632.
+        let frame = LocalFrame::at(place(8.4, 49.0, 115.0));
+        let grid = frame.utm();
+        assert_eq!((grid.epsg, LocalFrame::at(place(-70.0, -33.0, 0.0)).utm().epsg), (32_632, 32_719));
+        let found = grid.grid_from_local * point![0.0, 0.0, 0.0];
+        assert!((found - point![456_114.595_9, 5_427_629.203_9, 115.0]).norm() < 0.01, "{found}");
+        // Another place, directly and through the similarity.
+        for (east, north) in [(800.0, -500.0), (-2000.0, 1500.0)] {
+            let there = frame.to_geodetic(point![east, north, 0.0]);
+            let (northing, easting, _) = ::utm::to_utm_wgs84(there.latitude_deg, there.longitude_deg, 32);
+            let found = grid.grid_from_local * point![east, north, 0.0];
+            assert!((found.x - easting).hypot(found.y - northing) < 0.01, "{found} {easting} {northing}");
+        }
     }
 }
