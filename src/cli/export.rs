@@ -22,8 +22,8 @@ pub(super) struct Args {
     ///
     /// csv: tables of vehicles, of vehicles frame by frame, and of the camera. geojson, kml, gpx: georeferenced
     /// positions, which need --telemetry in the run. tum, kitti: poses. gltf: animated scene. video: masks, ids, speeds
-    /// and paths drawn into the video. sumo, levelx: trajectories for traffic research, in meters. colmap: images, masks
-    /// and the background, ready for densification. all: everything that these results allow.
+    /// and paths drawn into the video. sumo, levelx: trajectories for traffic research, in meters. colmap: images,
+    /// masks and the background, ready for densification. all: everything that these results allow.
     #[arg(long, value_name = "NAMES", value_parser = asked)]
     pub(super) format: Formats,
     /// Leave out vehicles with a lower verdict, and ground tracks
