@@ -32,7 +32,7 @@ pub(super) fn estimators(own: &Benchmark, others: &[Benchmark]) -> String {
     format!(
         "\n## Estimators: error of the scale ratio\n\nReference methods use the targets as structure from motion left \
          them. Undetermined: no solution, or a standard deviation beyond the limit. Sources and assumptions: \
-         docs/estimators.md. `method paper`: the published method without additions (docs/paper.md); `paper`: \
+         docs/estimators.md. `method paper`: the published method without additions (docs/paper.md); `paper`: its \
          published values.\n\n{}\nError ± reported standard deviation, %:\n\n{}",
         table.render(1),
         each.render(1),
