@@ -10,7 +10,6 @@ use std::collections::BTreeMap;
 use nalgebra::Matrix3;
 
 use super::estimate::{estimate_scale, joint_estimate, ratios_of, references, with_focal};
-use super::plane_outliers::Steadiness;
 use super::pose_error;
 use super::{
     Body, Estimate, EstimatorInput, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views,
@@ -77,8 +76,6 @@ pub enum Adjustment {
 /// Results of the adjustment besides the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdjustmentFigures {
-    /// True if the model is the mirror image of the one that it was made from.
-    pub mirrored: bool,
     /// Frames whose outline shows where the ground is; 0 where it was guessed from the lowest points.
     pub frames_with_outline: usize,
     /// Median error of the image positions before and after, pixels.
@@ -90,7 +87,6 @@ pub struct AdjustmentFigures {
 impl From<&Joint> for AdjustmentFigures {
     fn from(found: &Joint) -> Self {
         Self {
-            mirrored: found.mirrored,
             frames_with_outline: found.contact.num_frames,
             error_px: found.error_px,
             num_uncertain: found.num_uncertain,
@@ -130,8 +126,7 @@ impl Evidence<'_> {
 
     /// The object after an adjustment; `as_it_was` are the views of the model before.
     fn adjusted(&self, found: Joint, as_it_was: &Views, options: &Options) -> PlacedObject {
-        let steadiness = Steadiness::of(self.background, &found.object, self.planes, found.ratio, options);
-        let views = Views::new(self.background, &found.object, &steadiness.telling(self.planes), options);
+        let views = Views::new(self.background, &found.object, self.planes, options);
         let as_reconstructed = Some(ratios_of(as_it_was, options));
         let references = references(as_it_was, options);
         let scale = joint_estimate(&views, &found, options, self.focal_std);
