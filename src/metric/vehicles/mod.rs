@@ -120,8 +120,9 @@ const SHARED_BY_PLACE: f64 = 0.035;
 
 /// Standard deviation of the logarithm of the size of a vehicle that nothing confirms: only one dimension is known, so
 /// that its proportions cannot be tested, its trajectory is doubtful, or its scale ratio is a guess. Vehicles of one
-/// clip are visible alike (a roof without points, only the rear), so they have it in common. Of 51 cars of rendered sequences of which one dimension
-/// is known two thirds are within one standard deviation with it, 31 % without; those with more dimensions need none.
+/// clip are visible alike (a roof without points, only the rear), so they have it in common. Of 51 cars of rendered
+/// sequences of which one dimension is known two thirds are within one standard deviation with it, 31 % without; those
+/// with more dimensions need none.
 const UNCONFIRMED: f64 = 0.25;
 
 impl VehicleClass {

@@ -355,8 +355,8 @@ pub(in crate::pipeline) fn trajectories(run: &Run) -> Result<Trajectories, Pipel
     Ok(run.workspace.read_trajectories()?)
 }
 
-/// The trajectories in units of the background, without metres, and the ground tracks of all vehicles that may need one;
-/// the stage must be done.
+/// The trajectories in units of the background, without metres, and the ground tracks of all vehicles that may need
+/// one; the stage must be done.
 pub(in crate::pipeline) fn in_units(run: &Run) -> Result<Trajectories, PipelineError> {
     Ok(crate::io::trajectories::read(&run.workspace.state(IN_UNITS))?)
 }

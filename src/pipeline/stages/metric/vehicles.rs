@@ -102,8 +102,8 @@ fn is_doubtful(trajectory: &ObjectTrajectory) -> bool {
     trajectory.verdict.as_ref().is_some_and(|verdict| verdict.state >= Trust::Doubtful)
 }
 
-/// Returns true if a scale ratio is a guess: no outline shows the contact with the ground, on which most of its variance
-/// depends. A car parked half a meter below the plane of the road was found at 0.73 times its distance.
+/// Returns true if a scale ratio is a guess: no outline shows the contact with the ground, on which most of its
+/// variance depends. A car parked half a meter below the plane of the road was found at 0.73 times its distance.
 fn is_guessed(scale: &ScaleEstimate) -> bool {
     let has_outline = scale.support.is_some_and(|support| support.frames_with_outline > 0);
     let depends = |shares: ScaleShares| 2.0 * shares.contact.powi(2) > shares.given_focal().powi(2);
