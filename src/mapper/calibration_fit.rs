@@ -56,8 +56,7 @@ pub struct CalibrationFit {
     pub adjusted_px: f64,
     /// Gain of the adjustment, χ²; see the module.
     pub gain: f64,
-    /// Largest change of the focal length, the principal point or the first coefficient of distortion: χ² over the
-    /// limit of each.
+    /// Largest change of the focal length, the principal point or k1: χ² over the limit of each.
     pub change: f64,
     /// The adjusted camera.
     pub adjusted: Camera,
@@ -148,7 +147,7 @@ fn change(given: &Camera, known: Intrinsics, adjusted: &Camera, covariance: &Mat
         Some(change.dot(&block.cholesky()?.solve(&change)) / limit)
     };
     let observed = GROUPS.iter().filter(|(parameters, _)| parameters.iter().all(is_observed));
-    observed.filter_map(|group| of_group(group)).filter(|change| change.is_finite()).fold(0.0, f64::max)
+    observed.filter_map(of_group).filter(|change| change.is_finite()).fold(0.0, f64::max)
 }
 
 /// The longest tracks in the middle views of a camera.
