@@ -38,7 +38,7 @@ pub struct Pictures {
     pub portraits: BTreeMap<ObjectId, Vec<u8>>,
 }
 
-/// A video of [`FILM_RATE`] pictures per second.
+/// A video of 25 pictures per second.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Film {
     /// The MP4 file.

@@ -78,8 +78,7 @@ impl Encoder {
         Self::with_encoders(path, size, rate, Use::Film)
     }
 
-    /// Begins a small file for a browser, which jumps about in it: H.264, with a picture coded by itself every
-    /// [`PREVIEW_INTERVAL`].
+    /// Begins a small file for a browser, which jumps about in it: H.264, of which every tenth picture at least is coded by itself.
     ///
     /// # Errors
     /// As [`Encoder::create`]; [`FfmpegError::NoEncoder`] without an encoder of H.264.
