@@ -77,10 +77,11 @@ def seed_spread(entries: list[dict[str, Any]]) -> str:
     return f"{max(spreads):.2f}, {statistics.median(spreads):.2f} %" if spreads else "–"
 
 
-def share(entries: list[dict[str, Any]], part: str, whole: str) -> str:
-    """Sum of one number of frames over that of another."""
-    total = sum(e["registered"][whole] for e in entries)
-    return f"{100 * sum(e['registered'][part] for e in entries) / max(total, 1):.1f} %"
+def registered(entries: list[dict[str, Any]]) -> str:
+    """Share of the frames with a clear view of the vehicle in which it has a pose."""
+    visible = sum(e["registered"]["num_clear"] or e["registered"]["num_visible"] for e in entries)
+    found = sum(e["registered"]["num_object_clear"] or e["registered"]["num_object"] for e in entries)
+    return f"{100 * found / max(visible, 1):.1f} %"
 
 
 ROWS: dict[str, Callable[[list[dict[str, Any]]], str]] = {
@@ -95,7 +96,7 @@ ROWS: dict[str, Callable[[list[dict[str, Any]]], str]] = {
     ),
     "within 1, 2, 3 σ": coverage,
     "between seeds, max and median": seed_spread,
-    "clear frames registered": lambda found: share(found, "num_object_clear", "num_clear"),
+    "clear frames registered": registered,
     "CPU of objects and scale, ms per frame": lambda found: f"{statistics.mean(e['cost_ms'] for e in found):.1f}",
 }
 
