@@ -78,8 +78,8 @@ impl Encoder {
         Self::with_encoders(path, size, rate, Use::Film)
     }
 
-    /// Begins a small file for a browser, which jumps about in it: H.264, of which every tenth picture at least is coded
-    /// by itself.
+    /// Begins a small file for a browser, which jumps about in it: H.264, of which every tenth picture at least is
+    /// coded by itself.
     ///
     /// # Errors
     /// As [`Encoder::create`]; [`FfmpegError::NoEncoder`] without an encoder of H.264.
