@@ -86,7 +86,16 @@ impl<'a> Adjustment<'a> {
         let noise_px = STD_PER_MAD * median(residuals).ok_or(ScaleError::NoObservations)?;
         let noise_px = noise_px.max(1e-3);
         let contact_options = grounded.body.contact(&options.contact);
-        Ok(Self { grounded, options, contact_options, object, noise_px, wander, camera_height, tolerance: TO_THE_END })
+        Ok(Self {
+            grounded,
+            options,
+            contact_options,
+            object,
+            noise_px,
+            wander,
+            camera_height,
+            tolerance: TO_THE_END,
+        })
     }
 
     /// The same knowledge of a part of the object, which is adjusted as far as it takes to see by how much its size
