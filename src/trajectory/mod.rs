@@ -46,6 +46,7 @@ mod heading;
 mod intersection;
 mod joint;
 mod least_squares;
+mod mirror;
 mod place;
 mod pose_error;
 mod smoother;

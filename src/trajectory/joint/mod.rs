@@ -25,6 +25,7 @@ use serde::{Deserialize, Serialize};
 use self::adjustment::Adjustment;
 use self::precision::{median_error_px, point_covariances, set_errors, uncertain_points};
 use self::surface::draw_onto_surface;
+use super::mirror::{mean_normal, mirrored};
 use super::{
     Body, Contact, ContactOptions, Estimate, Estimator, EstimatorInput, Options, ScaleError, Silhouette, Views,
     object_center,
@@ -56,6 +57,9 @@ pub struct JointOptions {
     /// Standard deviations beyond which an image position loses weight (Cauchy).
     #[schemars(extend("unit" = "standard deviations"))]
     pub pixel_loss_scale: f64,
+    /// Median angle between planes and object from which on the mirror image is looked at, too.
+    #[schemars(extend("unit" = "radians"))]
+    pub suspicious_tilt: f64,
     /// Most rounds of adjustment and new contact.
     #[schemars(extend("unit" = "rounds"))]
     pub max_rounds: usize,
@@ -86,6 +90,7 @@ impl Default for JointOptions {
             sigma_tilt: 0.03,
             loss_scale: 3.0,
             pixel_loss_scale: 3.0,
+            suspicious_tilt: 0.07,
             max_rounds: 5,
             max_error_growth: 3.0,
             max_deviation: 0.05,
@@ -117,6 +122,7 @@ impl JointOptions {
         within("sigma_tilt", self.sigma_tilt, 1e-6..=10.0)?;
         within("loss_scale", self.loss_scale, 0.01..=1000.0)?;
         within("pixel_loss_scale", self.pixel_loss_scale, 0.01..=1000.0)?;
+        within("suspicious_tilt", self.suspicious_tilt, 0.0..=std::f64::consts::PI)?;
         within("max_rounds", self.max_rounds, 1..=1000)?;
         within("max_error_growth", self.max_error_growth, 0.1..=1000.0)?;
         within("max_deviation", self.max_deviation, 1e-6..=1000.0)?;
@@ -156,6 +162,8 @@ pub struct Joint {
     /// Where the vehicle touches the ground, relative to it and in units of the background: what is left of the
     /// outlines' contradiction to the planes.
     pub contact: Contact,
+    /// True if it is the mirror image of the one that it was made from.
+    pub mirrored: bool,
     /// Median error of the image positions before and after, pixels.
     pub error_px: [f64; 2],
     /// Points that were left out because their place is too uncertain.
@@ -172,40 +180,18 @@ pub struct Joint {
 /// image positions and ground contradict one another.
 pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Joint, ScaleError> {
     views.require(3)?;
-    let mut adjustment = Adjustment::new(grounded, views, options)?;
-    let options = &options.joint;
-    let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
-    let contact = settle(&mut adjustment)?;
-    let after_px = median_error_px(&adjustment.object).filter(|px| px.is_finite()).ok_or(ScaleError::NoObservations)?;
-    if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {
-        return Err(ScaleError::GroundContradicts { before_px, after_px });
+    let as_it_is = Settled::of(grounded, views, options);
+    if mean_normal(views).is_none_or(|(_, tilt)| tilt <= options.joint.suspicious_tilt) {
+        return as_it_is?.finished(grounded, false);
     }
-    let shares = shares(&adjustment, &contact)?;
-    let object_from_ground = adjustment.back_to(grounded.object).ok_or(ScaleError::NoSimilarity)?;
-    let mut object = adjustment.object;
-    object.transform(&object_from_ground);
-    let radius = object_radius(&object);
-    let covariances = point_covariances(&object);
-    let deviations = draw_onto_surface(&mut object, &covariances, radius, options.smooth_surface);
-    let uncertain = uncertain_points(&deviations, options.max_deviation * radius, options.least_share);
-    object.remove_points(&uncertain);
-    set_errors(&mut object);
-    let ratio = 1.0 / object_from_ground.scale;
-    let (std, error_px, num_uncertain) = (shares.total() * ratio, [before_px, after_px], uncertain.len());
-    Ok(Joint { object, ratio, std, shares, contact, error_px, num_uncertain })
-}
-
-/// Adjusts in turns with the contact until that stays.
-fn settle(adjustment: &mut Adjustment) -> Result<Contact, ScaleError> {
-    let mut contact = adjustment.contact()?;
-    for _ in 0..adjustment.options().max_rounds {
-        adjustment.round(&contact)?;
-        let last = std::mem::replace(&mut contact, adjustment.contact()?);
-        if (contact.z - last.z).abs() < 0.05 * contact.std {
-            break;
-        }
+    let object = mirrored(grounded.object);
+    let other = Grounded { object: &object, ..*grounded };
+    let mirrored = Settled::of(&other, &Views::new(grounded.background, &object, grounded.planes, options), options);
+    match (as_it_is, mirrored) {
+        (Ok(first), Ok(second)) if second.is_likelier_than(&first) => second.finished(&other, true),
+        (Err(_), Ok(second)) => second.finished(&other, true),
+        (first, _) => first?.finished(grounded, false),
     }
-    Ok(contact)
 }
 
 /// Row of the registry.
@@ -224,6 +210,71 @@ impl Estimator for JointMethod {
 
     fn needs_climb(&self) -> bool {
         true
+    }
+}
+
+/// An adjustment that has come to its end.
+struct Settled<'a> {
+    adjustment: Adjustment<'a>,
+    contact: Contact,
+    error_px: [f64; 2],
+}
+
+impl<'a> Settled<'a> {
+    /// Adjusts in turns with the contact until that stays.
+    fn of(grounded: &'a Grounded<'a>, views: &Views, options: &'a Options) -> Result<Self, ScaleError> {
+        let mut adjustment = Adjustment::new(grounded, views, options)?;
+        let options = adjustment.options();
+        let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
+        let mut contact = adjustment.contact()?;
+        for _ in 0..options.max_rounds {
+            adjustment.round(&contact)?;
+            let last = std::mem::replace(&mut contact, adjustment.contact()?);
+            if (contact.z - last.z).abs() < 0.05 * contact.std {
+                break;
+            }
+        }
+        let after_px =
+            median_error_px(&adjustment.object).filter(|px| px.is_finite()).ok_or(ScaleError::NoObservations)?;
+        if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {
+            return Err(ScaleError::GroundContradicts { before_px, after_px });
+        }
+        Ok(Self { adjustment, contact, error_px: [before_px, after_px] })
+    }
+
+    /// Returns true if image positions and planes together contradict it less than another one, with equal weights.
+    fn is_likelier_than(&self, other: &Self) -> bool {
+        let noise_px = self.adjustment.noise_px().min(other.adjustment.noise_px());
+        let cost = |settled: &Self| settled.adjustment.cost(&settled.contact, noise_px).unwrap_or(f64::INFINITY);
+        let (own, of_other) = (cost(self), cost(other));
+        tracing::debug!("mirror image: cost {own:.2}, original {of_other:.2}");
+        own < of_other
+    }
+
+    fn finished(self, grounded: &Grounded, is_mirrored: bool) -> Result<Joint, ScaleError> {
+        let Self { adjustment, contact: last, error_px } = self;
+        let options = adjustment.options();
+        let shares = shares(&adjustment, &last)?;
+        let object_from_ground = adjustment.back_to(grounded.object).ok_or(ScaleError::NoSimilarity)?;
+        let mut object = adjustment.object;
+        object.transform(&object_from_ground);
+        let radius = object_radius(&object);
+        let covariances = point_covariances(&object);
+        let deviations = draw_onto_surface(&mut object, &covariances, radius, options.smooth_surface);
+        let uncertain = uncertain_points(&deviations, options.max_deviation * radius, options.least_share);
+        object.remove_points(&uncertain);
+        set_errors(&mut object);
+        let ratio = 1.0 / object_from_ground.scale;
+        Ok(Joint {
+            object,
+            ratio,
+            std: shares.total() * ratio,
+            shares,
+            contact: last,
+            mirrored: is_mirrored,
+            error_px,
+            num_uncertain: uncertain.len(),
+        })
     }
 }
 

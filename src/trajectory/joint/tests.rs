@@ -66,7 +66,10 @@ fn drift_is_taken_out_and_the_deviation_is_honest() {
         let world = drive(&Options { noise: NOISE, ..Options::default() }, seed);
         let found = solve(&world, &drifted(&world, 0.03), &silhouettes(&world)).unwrap();
         let error = error(&world, &found);
-        assert!(error.abs() < 0.015 && found.contact.num_frames > 20, "seed {seed}: {error}, {found:?}");
+        assert!(
+            error.abs() < 0.015 && !found.mirrored && found.contact.num_frames > 20,
+            "seed {seed}: {error}, {found:?}"
+        );
         let std = found.std / found.ratio;
         assert!((1e-4..0.02).contains(&std), "{std}");
         squares += (error / std).powi(2) / 5.0;
@@ -85,6 +88,17 @@ fn outlines_determine_what_parallel_motion_does_not() {
         let guessed = solve(&world, &world.object, &BTreeMap::new()).unwrap();
         assert!(guessed.contact.num_frames == 0 && guessed.std / guessed.ratio > found.std / found.ratio);
     }
+}
+
+#[test]
+fn the_mirror_image_is_recognised() {
+    let world = drive(&Options { noise: NOISE, distance_m: [60.0, 70.0], ..Options::default() }, 4);
+    let other = crate::trajectory::mirror::mirrored(&world.object);
+    let silhouettes = silhouettes(&world);
+    let found = solve(&world, &other, &silhouettes).unwrap();
+    assert!(found.mirrored && error(&world, &found).abs() < 0.02, "{}", error(&world, &found));
+    let right = solve(&world, &world.object, &silhouettes).unwrap();
+    assert!(!right.mirrored);
 }
 
 #[test]
