@@ -110,6 +110,11 @@ impl<'a> Adjustment<'a> {
         Self { wander: self.options.max_drift(), ..self.clone() }
     }
 
+    /// Returns true if its weight is minimal.
+    pub(super) fn is_in_doubt(&self) -> bool {
+        self.wander >= self.options.max_drift()
+    }
+
     pub(super) fn options(&self) -> &'a JointOptions {
         self.options
     }

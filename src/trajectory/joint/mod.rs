@@ -74,6 +74,10 @@ pub struct JointOptions {
     /// Share of the points that stays in any case: the surest.
     #[schemars(extend("unit" = "share"))]
     pub least_share: f64,
+    /// Jackknife over time groups, over its expectation, beyond which ground planes get their largest standard
+    /// deviation: √(χ²/4), 5 % of four degrees of freedom.
+    #[schemars(extend("unit" = "factor"))]
+    pub max_group_spread: f64,
     /// True if only the larger of the two jackknives counts; false for their sum.
     pub larger_jackknife: bool,
     /// True if points are drawn onto the surface of their neighbors.
@@ -95,6 +99,7 @@ impl Default for JointOptions {
             max_error_growth: 3.0,
             max_deviation: 0.05,
             least_share: 0.5,
+            max_group_spread: 1.54,
             larger_jackknife: true,
             smooth_surface: true,
             contact: ContactOptions::default(),
@@ -127,6 +132,7 @@ impl JointOptions {
         within("max_error_growth", self.max_error_growth, 0.1..=1000.0)?;
         within("max_deviation", self.max_deviation, 1e-6..=1000.0)?;
         within("least_share", self.least_share, 0.0..=1.0)?;
+        within("max_group_spread", self.max_group_spread, 1.0..=1e6)?;
         under("contact", self.contact.check())
     }
 }
@@ -213,17 +219,26 @@ impl Estimator for JointMethod {
     }
 }
 
+/// Fewest frames whose stretches tell: four to each.
+const FRAMES_THAT_TELL: usize = 20;
+
 /// An adjustment that has come to its end.
 struct Settled<'a> {
+    /// Initial adjustment.
+    start: Adjustment<'a>,
     adjustment: Adjustment<'a>,
     contact: Contact,
     error_px: [f64; 2],
 }
 
 impl<'a> Settled<'a> {
-    /// Adjusts in turns with the contact until that stays.
     fn of(grounded: &'a Grounded<'a>, views: &Views, options: &'a Options) -> Result<Self, ScaleError> {
-        let mut adjustment = Adjustment::new(grounded, views, options)?;
+        Self::beginning_with(Adjustment::new(grounded, views, options)?)
+    }
+
+    /// Adjusts in turns with the contact until that stays.
+    fn beginning_with(start: Adjustment<'a>) -> Result<Self, ScaleError> {
+        let mut adjustment = start.clone();
         let options = adjustment.options();
         let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
         let mut contact = adjustment.contact()?;
@@ -239,7 +254,28 @@ impl<'a> Settled<'a> {
         if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {
             return Err(ScaleError::GroundContradicts { before_px, after_px });
         }
-        Ok(Self { adjustment, contact, error_px: [before_px, after_px] })
+        Ok(Self { start, adjustment, contact, error_px: [before_px, after_px] })
+    }
+
+    /// The same; but with planes that are believed least where stretches of frames differ by more than these would make
+    /// them: planes and reconstruction agree because both drift (docs/maths/scale.md). With it comes by how much
+    /// stretches differ, the more of both, where that can be determined.
+    ///
+    /// The square of the jackknife of K stretches, over the variance that is expected, is χ²/(K − 1) with K − 1 degrees
+    /// of freedom; one in twenty is above the limit by chance.
+    fn reconsidered(self) -> Result<(Self, Option<f64>), ScaleError> {
+        let frames = spread::over_frames(&self.adjustment);
+        let expected = self.adjustment.in_doubt().relative_std(&self.contact.known())?;
+        let tells = self.adjustment.object.images.len() >= FRAMES_THAT_TELL && !self.adjustment.is_in_doubt();
+        let Some(differ_by) =
+            frames.filter(|frames| tells && *frames > self.adjustment.options().max_group_spread * expected)
+        else {
+            return Ok((self, frames));
+        };
+        tracing::debug!("ground planes downweighted: parts of the clip differ by {differ_by:.4}, not {expected:.4}");
+        let Ok(doubted) = Self::beginning_with(self.start.in_doubt()) else { return Ok((self, frames)) };
+        let frames = spread::over_frames(&doubted.adjustment).map_or(differ_by, |frames| frames.max(differ_by));
+        Ok((doubted, Some(frames)))
     }
 
     /// Returns true if image positions and planes together contradict it less than another one, with equal weights.
@@ -252,9 +288,9 @@ impl<'a> Settled<'a> {
     }
 
     fn finished(self, grounded: &Grounded, is_mirrored: bool) -> Result<Joint, ScaleError> {
-        let Self { adjustment, contact: last, error_px } = self;
+        let (Self { adjustment, contact: last, error_px, .. }, frames) = self.reconsidered()?;
         let options = adjustment.options();
-        let shares = shares(&adjustment, &last)?;
+        let shares = shares(&adjustment, &last, frames)?;
         let object_from_ground = adjustment.back_to(grounded.object).ok_or(ScaleError::NoSimilarity)?;
         let mut object = adjustment.object;
         object.transform(&object_from_ground);
@@ -283,12 +319,14 @@ impl<'a> Settled<'a> {
 /// The part of the contact is what is left of the adjustment's own variance when the contact is known. For the rest
 /// that variance is too small, since it takes errors for independent; only where groups cannot be left out it stands
 /// in.
-fn shares(adjustment: &Adjustment, contact: &Contact) -> Result<ScaleShares, ScaleError> {
+///
+/// * `frames` – what leaving out stretches of frames says.
+fn shares(adjustment: &Adjustment, contact: &Contact, frames: Option<f64>) -> Result<ScaleShares, ScaleError> {
     let doubted = adjustment.in_doubt();
     let all = doubted.relative_std(contact)?;
     let of_contact_known = doubted.relative_std(&contact.known())?;
     let tracks = spread::over_tracks(adjustment).unwrap_or(of_contact_known);
-    let frames = spread::over_frames(adjustment).unwrap_or(of_contact_known);
+    let frames = frames.unwrap_or(of_contact_known);
     let stds = [tracks, frames];
     let [tracks, frames] = if adjustment.options().larger_jackknife { spread::counted_once(stds) } else { stds };
     Ok(ScaleShares {

@@ -78,6 +78,35 @@ fn drift_is_taken_out_and_the_deviation_is_honest() {
 }
 
 #[test]
+fn planes_that_drift_with_the_object_are_believed_least() {
+    const SHARE: f64 = 0.2;
+    let mut world = drive(&Options { noise: NOISE, num_frames: 180, ..Options::default() }, 3);
+    let object = drifted(&world, SHARE);
+    let count = object.images.len() as f64;
+    // The ground comes nearer with it, so that planes and object agree.
+    for (k, id) in world.object.images.keys().enumerate() {
+        let Some(plane) = world.planes.get_mut(&id.frame()) else { continue };
+        let camera = world.background.images[id].cam_from_world.center();
+        let height = plane.normal.dot(&(camera - plane.point));
+        plane.point -= plane.normal * (height * SHARE * (0.5 - k as f64 / count));
+    }
+    let views = Views::new(&world.background, &object, &world.planes, &crate::trajectory::Options::default());
+    let silhouettes = silhouettes(&world);
+    let Drive { background, planes, frames, .. } = &world;
+    let grounded = Grounded { background, object: &object, planes, silhouettes: &silhouettes, frames, body: Body::Car };
+    let options = crate::trajectory::Options::default();
+    let settled = Settled::of(&grounded, &views, &options).unwrap();
+    let before = spread::over_frames(&settled.adjustment).unwrap();
+    let believed = settled.adjustment.relative_std(&settled.contact.known()).unwrap();
+    let (doubted, frames) = settled.reconsidered().unwrap();
+    let least = doubted.adjustment.relative_std(&doubted.contact.known()).unwrap();
+    assert!(frames.unwrap() >= before && least > 1.2 * believed, "{before} {frames:?} {believed} {least}");
+    // What is believed least already stays as it is.
+    let adjustment = doubted.adjustment.object.clone();
+    assert_eq!(doubted.reconsidered().unwrap().0.adjustment.object, adjustment);
+}
+
+#[test]
 fn outlines_determine_what_parallel_motion_does_not() {
     for seed in 0..3 {
         let world = drive(&Options { noise: NOISE, camera_climb_m: 0.0, ..Options::default() }, seed);
