@@ -48,6 +48,7 @@ mod joint;
 mod least_squares;
 mod mirror;
 mod place;
+mod plane_outliers;
 mod pose_error;
 mod smoother;
 mod stationary;

@@ -20,7 +20,7 @@ const fn ablation(name: &'static str, decision: u32, settings: &'static [(&'stat
 
 impl Ablation {
     /// All of them, by decision. `docs/decisions/README.md` has the same table and says which decisions have no switch.
-    pub const ALL: [Self; 20] = [
+    pub const ALL: [Self; 21] = [
         ablation(
             "track-length-limit",
             4,
@@ -50,6 +50,7 @@ impl Ablation {
         ablation("larger-jackknife", 22, &[("tuning.scale.joint.larger_jackknife", "false")]),
         ablation("plane-drift-test", 24, &[("tuning.scale.joint.max_group_spread", "1000000")]),
         ablation("contact-frames", 25, &[("tuning.scale.joint.contact.best_share", "1")]),
+        ablation("plane-outliers", 26, &[("tuning.scale.joint.compare_planes", "false")]),
         ablation("start-of-stationary", 27, &[("tuning.tracker.start_standing", "0.35")]),
         ablation(
             "coarse-adjustments",

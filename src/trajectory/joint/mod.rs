@@ -80,6 +80,8 @@ pub struct JointOptions {
     pub max_group_spread: f64,
     /// True if only the larger of the two jackknives counts; false for their sum.
     pub larger_jackknife: bool,
+    /// True if ground planes that deviate from those of neighboring frames lose weight or are rejected.
+    pub compare_planes: bool,
     /// True if points are drawn onto the surface of their neighbors.
     pub smooth_surface: bool,
     /// Where the vehicle touches the ground.
@@ -101,6 +103,7 @@ impl Default for JointOptions {
             least_share: 0.5,
             max_group_spread: 1.54,
             larger_jackknife: true,
+            compare_planes: true,
             smooth_surface: true,
             contact: ContactOptions::default(),
         }

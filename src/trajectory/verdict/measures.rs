@@ -9,6 +9,7 @@ use crate::math::{median, quantile};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectPose, Reconstruction};
 use crate::trajectory::heading::forward_axis;
 use crate::trajectory::object_center;
+use crate::trajectory::plane_outliers::Steadiness;
 
 /// Of the points over the ground, the share that lies below what counts as the vehicle's top.
 const TOP: f64 = 0.95;
@@ -118,11 +119,14 @@ fn over_ground(candidate: &Candidate, points: &[Point3<f64>]) -> Vec<(FrameId, [
     candidate.trajectory.poses.iter().filter_map(of_frame).collect()
 }
 
-/// Heights of the middle over the planes that are known well enough to tell whether the vehicle rises or sinks.
+/// Heights of the middle over the planes that can tell whether the vehicle rises or sinks: those that are known well
+/// enough, and do not stand out from their neighbours'.
 fn middles(candidate: &Candidate, over_ground: &[(FrameId, [f64; 3])], height: f64) -> Vec<f64> {
+    let Candidate { trajectory, object, background, planes, options, .. } = candidate;
+    let outlying = Steadiness::of(background, object, planes, trajectory.scale.ratio, options).outlying;
     let tells = |frame: &FrameId| {
-        let own = candidate.planes.get(frame).map_or(0.0, GroundPlane::own_height_std);
-        !(own > KNOWN * height)
+        let own = planes.get(frame).map_or(0.0, GroundPlane::own_height_std);
+        !(own > KNOWN * height || outlying.contains(frame))
     };
     over_ground.iter().filter(|(frame, _)| tells(frame)).map(|(_, [_, middle, _])| *middle).collect()
 }
