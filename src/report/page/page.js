@@ -381,8 +381,9 @@
 		root.dataset.renderer = view ? "webgl" : data ? "plan" : "none";
 		// Two frames later everything is on the screen.
 		const ready = () => requestAnimationFrame(() => requestAnimationFrame(() => { root.dataset.ready = "true"; }));
-		if (film?.video.seeking) film.video.addEventListener("seeked", ready, { once: true });
-		else ready();
+		if (!film?.video.seeking) return ready();
+		film.video.addEventListener("seeked", ready, { once: true });
+		setTimeout(ready, 2000);
 	};
 
 	// Pictures first: the frustum carries one.
