@@ -40,6 +40,11 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     show(form, &found, || as_text(&found))
 }
 
+/// "1 visit", "2 visits".
+fn counted(number: usize, noun: &str) -> String {
+    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
+}
+
 /// A line per crossing and visit, and the counts of each gate.
 fn as_text(found: &Analysis) -> String {
     let mut text = String::new();
@@ -47,8 +52,12 @@ fn as_text(found: &Analysis) -> String {
     for group in found.crossings.chunk_by(|a, b| a.gate == b.gate) {
         let count = |direction| group.iter().filter(|crossing| crossing.direction == direction).count();
         let (right, left) = (count(Direction::ToRight), count(Direction::ToLeft));
-        let _ =
-            writeln!(text, "{}: {} crossings, {right} to the right, {left} to the left", group[0].gate, group.len());
+        let _ = writeln!(
+            text,
+            "{}: {}, {right} to the right, {left} to the left",
+            group[0].gate,
+            counted(group.len(), "crossing")
+        );
         for crossing in group {
             let way = if crossing.direction == Direction::ToRight { "right" } else { "left" };
             let time = with_std(crossing.time_s.value, crossing.time_s.std);
@@ -68,7 +77,7 @@ fn as_text(found: &Analysis) -> String {
         }
     }
     for group in found.visits.chunk_by(|a, b| a.gate == b.gate) {
-        let _ = writeln!(text, "{}: {} visits", group[0].gate, group.len());
+        let _ = writeln!(text, "{}: {}", group[0].gate, counted(group.len(), "visit"));
         for visit in group {
             let time = |at: Option<f64>, unknown: &str| at.map_or(unknown.to_owned(), |at| format!("{at:.2} s"));
             let (entry, exit) = (time(visit.entry_s, "before"), time(visit.exit_s, "after"));
@@ -87,7 +96,7 @@ fn as_text(found: &Analysis) -> String {
         text += "no crossings and no visits\n";
     }
     if found.num_rejected > 0 {
-        let _ = writeln!(text, "not counted: {} rejected trajectories", found.num_rejected);
+        let _ = writeln!(text, "not counted: {} rejected", counted(found.num_rejected, "vehicle"));
     }
     text
 }

@@ -141,7 +141,8 @@ pub(super) fn write_levelx(folder: &Path, results: &Results) -> Result<(), Expor
     let recording = vec![
         RECORDING.to_owned(),
         RECORDING.to_owned(),
-        rate.to_string(),
+        // Times are sums of steps: 9.999999999999991 is 10.
+        ((rate * 1e6).round() / 1e6).to_string(),
         "-1".to_owned(),
         String::new(),
         String::new(),
