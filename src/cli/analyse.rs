@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Context, anyhow};
 use serde_json::Value;
 
-use super::output::{Failure, Form, show};
+use super::output::{Failure, Form, counted, show};
 use crate::export::Results;
 use crate::export::crossings::{self, Analysis, Direction};
 use crate::io::RunFolder;
@@ -38,11 +38,6 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
         .map_err(|problem| Failure::Input(anyhow!("{}: {problem}", args.gates.display())))?;
     let found = crossings::analyse(&results, &gates)?;
     show(form, &found, || as_text(&found))
-}
-
-/// "1 visit", "2 visits".
-fn counted(number: usize, noun: &str) -> String {
-    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }
 
 /// A line per crossing and visit, and the counts of each gate.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::frame;
-use super::output::{Failure, Form, show};
+use super::output::{Failure, Form, counted, show};
 use crate::io::interchange::colmap;
 use crate::io::interchange::database::{self, Features};
 use crate::io::interchange::model::{self, Format};
@@ -189,11 +189,6 @@ impl Conversion {
         let losses: String = self.losses.iter().map(|loss| format!("{loss}\n")).collect();
         format!("{} to {}: {what}\n{}\n{beside}{losses}", self.from, self.to, self.output.display())
     }
-}
-
-/// "1 point", "2 points".
-fn counted(number: usize, noun: &str) -> String {
-    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }
 
 /// Converts and says what was written.

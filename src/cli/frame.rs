@@ -3,13 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use clap::ValueEnum;
 use serde_json::{Value, json};
 
 use super::convert::TargetFrame;
+use crate::export::local_frame;
 use crate::io::RunFolder;
 use crate::math::Sim3;
 use crate::scene::{MetricAxes, MetricFrame};
-use crate::telemetry::{Geodetic, LocalFrame};
 
 /// A frame, and its description for the file next to the model.
 pub(super) struct Placed {
@@ -25,7 +26,7 @@ pub(super) fn of(frame: TargetFrame, input: &Path) -> anyhow::Result<Option<Plac
     if frame == TargetFrame::World {
         return Ok(None);
     }
-    let named = format!("{frame:?}").to_lowercase();
+    let named = frame.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
     let trajectories = RunFolder::at(input)
         .read_trajectories()
         .with_context(|| format!("--frame {named}: requires the output folder of `tractrix run`"))?;
@@ -33,13 +34,7 @@ pub(super) fn of(frame: TargetFrame, input: &Path) -> anyhow::Result<Option<Plac
         bail!("--frame {named}: meters are unknown; run again with a source of them, such as --camera-height");
     };
     let on_map = (metric.axes == MetricAxes::EastNorthUp).then_some(metric.origin).flatten();
-    let local = on_map.map(|origin| {
-        LocalFrame::at(Geodetic {
-            longitude_deg: origin.longitude,
-            latitude_deg: origin.latitude,
-            height_m: origin.height_m,
-        })
-    });
+    let local = on_map.map(local_frame);
     let grid = match (frame, local) {
         (TargetFrame::Enu | TargetFrame::Utm, None) => {
             bail!("--frame {named}: no georeferenced positions; run again with --telemetry FILE")

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use serde_json::Value;
 
-use super::output::{Failure, Form, print, print_json};
+use super::output::{Failure, Form, counted, print, print_json};
 use crate::export::summary::Summary;
 use crate::io::{FolderError, atomic, refuse_place_of_results};
 
@@ -79,7 +79,6 @@ fn keep(path: &Path, text: &[u8], overwrite: bool) -> Result<(), Failure> {
 
 /// `12 rows of 3 runs`.
 fn line(summary: &Summary) -> String {
-    let counted = |number: usize, noun: &str| format!("{number} {noun}{}", if number == 1 { "" } else { "s" });
     format!("{} of {}\n", counted(summary.rows.len(), "row"), counted(summary.num_runs, "run"))
 }
 

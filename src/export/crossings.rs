@@ -7,9 +7,10 @@ use nalgebra::{Matrix2, Point2, Vector2};
 use serde::Serialize;
 use serde_json::Value;
 
+use super::results::{local_frame, motions};
 use super::{ExportError, Results};
-use crate::scene::{Estimate, ObjectId, ObjectTrajectory};
-use crate::telemetry::{Geodetic, LocalFrame};
+use crate::scene::{Estimate, Motion, ObjectId, ObjectTrajectory};
+use crate::telemetry::Geodetic;
 
 /// A line or a zone, in meters of the metric frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -145,8 +146,8 @@ fn position(point: &Value, results: &Results) -> Option<Point2<f64>> {
     if !(x.abs() <= 180.0 && y.abs() <= 90.0) {
         return None;
     }
-    let of = |longitude_deg, latitude_deg| Geodetic { longitude_deg, latitude_deg, height_m: origin.height_m };
-    let local = LocalFrame::at(of(origin.longitude, origin.latitude)).from_geodetic(of(x, y));
+    let place = Geodetic { longitude_deg: x, latitude_deg: y, height_m: origin.height_m };
+    let local = local_frame(origin).from_geodetic(place);
     Some(Point2::new(local.x, local.y))
 }
 
@@ -179,18 +180,13 @@ pub fn analyse(results: &Results, gates: &[Gate]) -> Result<Analysis, ExportErro
 }
 
 fn samples(object: &ObjectTrajectory) -> Vec<Sample> {
-    let sample = |pose: &crate::scene::ObjectPose| {
-        let motion = pose.metric.as_ref()?.motion?;
+    let sample = |(time_s, motion): (f64, Motion)| {
         let [x, y, _] = motion.smoothed_position_m;
         let [std_x, std_y, _] = motion.smoothed_position_std_m;
-        Some(Sample {
-            time_s: pose.time_s,
-            at: Point2::new(x, y),
-            std: Vector2::new(std_x, std_y),
-            speed: Estimate { value: motion.speed_m_s.abs(), std: motion.speed_std_m_s },
-        })
+        let speed = Estimate { value: motion.speed_m_s.abs(), std: motion.speed_std_m_s };
+        Sample { time_s, at: Point2::new(x, y), std: Vector2::new(std_x, std_y), speed }
     };
-    object.poses.iter().filter_map(sample).collect()
+    motions(object).map(sample).collect()
 }
 
 /// Where the way from `from` to `to` meets the line from `a` to `b`: shares of both.

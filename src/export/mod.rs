@@ -34,6 +34,6 @@ pub use clock::Clock;
 pub use error::ExportError;
 pub use facts::Facts;
 pub use format::{Format, Need};
-pub use results::{RegisteredFrame, Results};
+pub use results::{RegisteredFrame, Results, local_frame};
 pub use target::Target;
 pub use write::{Exported, MissingFormats, Pictures, SkippedFormat, Written, write};

@@ -11,10 +11,21 @@ use crate::camera::Camera;
 use crate::io::{IoError, RunFolder, json};
 use crate::math::{Rigid3, Sim3};
 use crate::scene::{
-    Frame, FrameId, Ground, GroundPosition, ImageId, MapOrigin, MapPlace, MetricAxes, MetricFrame, ObjectPose,
+    Frame, FrameId, Ground, GroundPosition, ImageId, MapOrigin, MapPlace, MetricAxes, MetricFrame, Motion, ObjectPose,
     ObjectTrajectory, Reconstruction, TimeBase, Trajectories, Trust, Unit,
 };
 use crate::telemetry::{Geodetic, LocalFrame};
+
+/// East, north, up at the origin of the metric frame.
+pub fn local_frame(origin: MapOrigin) -> LocalFrame {
+    let MapOrigin { longitude, latitude, height_m, .. } = origin;
+    LocalFrame::at(Geodetic { longitude_deg: longitude, latitude_deg: latitude, height_m })
+}
+
+/// Smoothed motion of a vehicle at its times, where it is known.
+pub(super) fn motions(object: &ObjectTrajectory) -> impl Iterator<Item = (f64, Motion)> {
+    object.poses.iter().filter_map(|pose| Some((pose.time_s, pose.metric.as_ref()?.motion?)))
+}
 
 /// A frame whose camera is known.
 #[derive(Clone, Debug, PartialEq)]
@@ -180,9 +191,7 @@ impl Results {
     /// Where a point of the background is on the map; `None` where the map is not known.
     pub fn place(&self, point_in_world: Point3<f64>) -> Option<MapPlace> {
         let (frame, origin) = self.map()?;
-        let origin =
-            Geodetic { longitude_deg: origin.longitude, latitude_deg: origin.latitude, height_m: origin.height_m };
-        let found = LocalFrame::at(origin).to_geodetic(frame.metric_from_world() * point_in_world);
+        let found = local_frame(origin).to_geodetic(frame.metric_from_world() * point_in_world);
         let numbers = [found.longitude_deg, found.latitude_deg, found.height_m];
         numbers.iter().all(|number| number.is_finite()).then(|| MapPlace {
             longitude: found.longitude_deg,

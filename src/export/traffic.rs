@@ -10,6 +10,7 @@ use std::path::Path;
 use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, Event};
 
+use super::results::motions;
 use super::table::write as write_table;
 use super::{ExportError, Results};
 use crate::io::{ExportFolder, atomic};
@@ -25,19 +26,23 @@ struct Sample<'a> {
     heading_deg: f64,
 }
 
-/// Samples of each vehicle with a motion, ascending in time.
+impl Sample<'_> {
+    /// Number of the frame, text, at a rate: the time is frame over rate.
+    fn frame(&self, rate: f64) -> String {
+        (self.time_s * rate).round().to_string()
+    }
+}
+
+/// Samples of each trajectory that is not rejected and has a motion, ascending in time.
 fn samples(results: &Results) -> Vec<Vec<Sample<'_>>> {
     let trusted = results.trajectories.objects.iter().filter(|object| !object.is_ruled_out());
-    let of_object = |object| samples_of(object);
-    trusted.map(of_object).filter(|samples: &Vec<_>| !samples.is_empty()).collect()
+    trusted.map(samples_of).filter(|samples| !samples.is_empty()).collect()
 }
 
 fn samples_of(object: &ObjectTrajectory) -> Vec<Sample<'_>> {
-    let sample = |pose: &crate::scene::ObjectPose| {
-        let motion = pose.metric.as_ref()?.motion?;
-        Some(Sample { object, time_s: pose.time_s, heading_deg: motion.heading_deg?, motion })
-    };
-    object.poses.iter().filter_map(sample).collect()
+    let sample =
+        |(time_s, motion): (f64, Motion)| Some(Sample { object, time_s, heading_deg: motion.heading_deg?, motion });
+    motions(object).filter_map(sample).collect()
 }
 
 /// SUMO's floating car data (FCD): a `timestep` per time, with a `vehicle` each.
@@ -57,30 +62,32 @@ fn sumo(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
     xml.create_element("fcd-export").write_inner_content(|xml| {
         for samples in by_time.values() {
             let time = format!("{:.3}", samples[0].time_s);
-            xml.create_element("timestep").with_attribute(("time", time.as_str())).write_inner_content(|xml| {
-                samples.iter().try_for_each(|sample| {
-                    let [x, y, z] = sample.motion.smoothed_position_m;
-                    let numbers =
-                        [x, y, z, sample.heading_deg, sample.motion.speed_m_s, sample.motion.acceleration_m_s2];
-                    let [x, y, z, angle, speed, acceleration] = numbers.map(|number| format!("{number:.3}"));
-                    let id = sample.object.id.to_string();
-                    let attributes = [
-                        ("id", id.as_str()),
-                        ("x", &x),
-                        ("y", &y),
-                        ("z", &z),
-                        ("angle", &angle),
-                        ("type", &sample.object.class),
-                        ("speed", &speed),
-                        ("acceleration", &acceleration),
-                    ];
-                    xml.create_element("vehicle").with_attributes(attributes).write_empty().map(drop)
-                })
-            })?;
+            xml.create_element("timestep")
+                .with_attribute(("time", time.as_str()))
+                .write_inner_content(|xml| samples.iter().try_for_each(|sample| vehicle(xml, sample)))?;
         }
         Ok(())
     })?;
     xml.into_inner().write_all(b"\n")
+}
+
+/// A vehicle at a time of the floating car data.
+fn vehicle(xml: &mut Writer<&mut dyn Write>, sample: &Sample) -> std::io::Result<()> {
+    let [x, y, z] = sample.motion.smoothed_position_m;
+    let numbers = [x, y, z, sample.heading_deg, sample.motion.speed_m_s, sample.motion.acceleration_m_s2];
+    let [x, y, z, angle, speed, acceleration] = numbers.map(|number| format!("{number:.3}"));
+    let id = sample.object.id.to_string();
+    let attributes = [
+        ("id", id.as_str()),
+        ("x", &x),
+        ("y", &y),
+        ("z", &z),
+        ("angle", &angle),
+        ("type", &sample.object.class),
+        ("speed", &speed),
+        ("acceleration", &acceleration),
+    ];
+    xml.create_element("vehicle").with_attributes(attributes).write_empty().map(drop)
 }
 
 const TRACK_COLUMNS: [&str; 17] = [
@@ -134,8 +141,8 @@ pub(super) fn write_levelx(folder: &Path, results: &Results) -> Result<(), Expor
     let origin = results.map();
     let place =
         |of: fn(&crate::scene::MapOrigin) -> f64| origin.map(|(_, origin)| of(&origin).to_string()).unwrap_or_default();
-    let is_road_user = |samples: &&Vec<Sample>| !is_vulnerable(&samples[0].object.class);
-    let num_vehicles = samples.iter().filter(is_road_user).count();
+    let is_vehicle = |samples: &&Vec<Sample>| !is_vulnerable(&samples[0].object.class);
+    let num_vehicles = samples.iter().filter(is_vehicle).count();
     let times = || results.views.iter().map(|view| view.frame.time_s);
     let duration = times().fold(f64::NEG_INFINITY, f64::max) - times().fold(f64::INFINITY, f64::min);
     let recording = vec![
@@ -206,20 +213,18 @@ fn track_row(track: usize, lifetime: usize, sample: &Sample, rate: f64) -> Vec<S
         ahead,
         aside,
     ];
-    let frame = (sample.time_s * rate).round();
-    let ids = [RECORDING.to_owned(), track.to_string(), frame.to_string(), lifetime.to_string()];
+    let ids = [RECORDING.to_owned(), track.to_string(), sample.frame(rate), lifetime.to_string()];
     ids.into_iter().chain(numbers.map(|number| format!("{number:.5}"))).collect()
 }
 
 fn meta_row(track: usize, samples: &[Sample], rate: f64) -> Vec<String> {
-    let frame = |sample: &Sample| (sample.time_s * rate).round().to_string();
     let object = samples[0].object;
     let [width, length] = size(object).map(|side| format!("{side:.5}"));
     vec![
         RECORDING.to_owned(),
         track.to_string(),
-        frame(&samples[0]),
-        frame(&samples[samples.len() - 1]),
+        samples[0].frame(rate),
+        samples[samples.len() - 1].frame(rate),
         samples.len().to_string(),
         width,
         length,
