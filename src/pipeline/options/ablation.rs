@@ -20,7 +20,7 @@ const fn ablation(name: &'static str, decision: u32, settings: &'static [(&'stat
 
 impl Ablation {
     /// All of them, by decision. `docs/decisions/README.md` has the same table and says which decisions have no switch.
-    pub const ALL: [Self; 21] = [
+    pub const ALL: [Self; 19] = [
         ablation(
             "track-length-limit",
             4,
@@ -45,7 +45,7 @@ impl Ablation {
         ablation("mask-interval-at-rest", 23, &[("tuning.tracker.max_rest_secs", "0")]),
         ablation("small-encoder-input", 23, &[("tuning.prompt.input_size", "448"), ("tuning.prompt.window", "2.5")]),
         ablation("vehicle-path", 19, &[("tuning.ground.vehicle_path", "false")]),
-        ablation("ground-poses", 21, &[("tuning.objects.mapper.weak_perspective_px", "0")]),
+        ablation("ground-poses", 21, &[("tuning.objects.mapper.pose_priors", "false")]),
         ablation("mirror-image", 21, &[("tuning.scale.joint.suspicious_tilt", "3.14")]),
         ablation("larger-jackknife", 22, &[("tuning.scale.joint.larger_jackknife", "false")]),
         ablation("plane-drift-test", 24, &[("tuning.scale.joint.max_group_spread", "1000000")]),
@@ -59,16 +59,6 @@ impl Ablation {
                 ("tuning.background.mapper.coarse_tolerance", "1e-6"),
                 ("tuning.objects.mapper.coarse_tolerance", "1e-6"),
             ],
-        ),
-        ablation(
-            "early-termination",
-            28,
-            &[("tuning.background.mapper.stop_early", "false"), ("tuning.objects.mapper.stop_early", "false")],
-        ),
-        ablation(
-            "pose-discontinuities",
-            31,
-            &[("tuning.background.mapper.max_folds", "0"), ("tuning.objects.mapper.max_folds", "0")],
         ),
         ablation("stationary-ratio", 32, &[("tuning.scale.stationary", "none")]),
     ];

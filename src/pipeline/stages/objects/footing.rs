@@ -1,4 +1,4 @@
-//! Poses about small objects, from the ground alone.
+//! Poses about objects, from the ground alone.
 //!
 //! A start of structure from motion that depends on no chance: the object stands on the ground and points where it goes
 //! ([`ground_constrained_poses`]). The planes are those that are found without labels, before the object has a model:
@@ -10,7 +10,6 @@ use std::collections::BTreeMap;
 use nalgebra::Point2;
 
 use super::super::ground::body_shape;
-use crate::camera::Camera;
 use crate::features::tracks::{TrackTable, View};
 use crate::ground::{DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount};
 use crate::mapper::PosePriors;
@@ -28,7 +27,7 @@ const MIN_FEATURES: usize = 5;
 pub(super) struct Footing<'a> {
     run: &'a Run<'a>,
     background: &'a Reconstruction,
-    /// Found when the first small object asks for it.
+    /// Found when the first object asks for it.
     found: OnceCell<(Option<DominantPlane>, Option<Mount>)>,
 }
 
@@ -47,16 +46,11 @@ impl<'a> Footing<'a> {
         GroundChain { background: self.background, labelled: &[], dominant, mount, shape: body_shape(self.run.options) }
     }
 
-    /// Poses of the views of an object; `None` for one whose perspective, in pixels, is more than `weak_px`, or where
-    /// there is no ground.
-    pub(super) fn poses(&self, id: ObjectId, table: &TrackTable, camera: &Camera, weak_px: f64) -> Option<PosePriors> {
+    /// Poses of the views of an object; `None` where there is no ground.
+    pub(super) fn poses(&self, id: ObjectId, table: &TrackTable) -> Option<PosePriors> {
         let sights: BTreeMap<FrameId, ObjectImage> =
             table.views.iter().filter_map(|view| Some((view.image.frame(), sight(view)?))).collect();
         let extent_px = median(sights.values().map(|sight| sight.extent_px).collect())?;
-        // An object as long as deep looks so much larger in front than behind.
-        if extent_px * extent_px / camera.mean_focal() >= weak_px {
-            return None;
-        }
         let options = self.run.options;
         let planes = self.chain().planes(id, &without_poses(table), &options.ground, options.seed).planes;
         let found = ground_constrained_poses(self.background, &planes, &sights);

@@ -18,8 +18,7 @@ use super::track;
 use super::{follow, ground};
 use crate::camera::Camera;
 use crate::io::interchange::colmap;
-use crate::mapper::Priors;
-use crate::mapper::silhouette::{SilhouetteOptions, SilhouetteVotes, Silhouettes};
+use crate::mapper::silhouette::{SilhouetteOptions, SilhouetteVotes};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_models::{self, Target};
 use crate::pipeline::inputs::order;
@@ -33,10 +32,6 @@ const NO_BACKGROUND: &str = "no background to place it in";
 /// Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
 const BORDER_PX: f64 = 1.0;
 const BORDER: f64 = 0.01;
-/// Frames by whose masks maps of an object are distinguished, and the memory that they may take.
-const MOST_SILHOUETTES: usize = 32;
-const LEAST_SILHOUETTES: usize = 8;
-const SILHOUETTES_BYTES: usize = 64 << 20;
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
     let given: Result<BTreeMap<_, _>, PipelineError> =
@@ -69,7 +64,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
         run.go_on()?;
         let (before, of_this) = (num_done, object.frames.len());
         let mut watch = |share: f64| run.progress.reach(before + (share * of_this as f64) as u64);
-        markers.insert(object.id, one_object(run, object, &tracked, &place, fingerprint, &mut watch)?);
+        markers.insert(object.id, one_object(run, object, &place, fingerprint, &mut watch)?);
         num_done += of_this as u64;
         run.progress.reach(num_done);
     }
@@ -169,7 +164,6 @@ struct ObjectContext<'a> {
 fn one_object(
     run: &Run,
     object: &TrackedObject,
-    tracked: &[TrackedObject],
     place: &ObjectContext<'_>,
     fingerprint: &str,
     watch: &mut (dyn FnMut(f64) + Send),
@@ -188,11 +182,9 @@ fn one_object(
         (None, Some(camera)) => {
             let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
-            let silhouettes = table.has_gaps().then(|| silhouettes(run, object, tracked)).transpose()?;
             let cameras = [(camera, mapper::Intrinsics::FIXED)];
-            let poses = place.footing.poses(id, &table, &camera, options.weak_perspective_px);
-            let beside = Priors { silhouettes: silhouettes.as_ref(), poses: poses.as_ref() };
-            background::reconstruct(run, table, &cameras, &options, beside, watch)?
+            let poses = if options.pose_priors { place.footing.poses(id, &table) } else { None };
+            background::reconstruct(run, table, &cameras, &options, poses.as_ref(), watch)?
         }
         (None, None) => failed(NO_BACKGROUND.to_owned()),
     };
@@ -216,25 +208,6 @@ fn one_object(
 fn grown(mask: &Mask, bounds: BoundingBox) -> Mask {
     let longer_px = f64::from(bounds.width().max(bounds.height()));
     mask.dilated((BORDER_PX + BORDER * longer_px).round() as u32)
-}
-
-/// An object's silhouettes in some of its frames, evenly spread: as many as fit [`SILHOUETTES_BYTES`].
-fn silhouettes(run: &Run, object: &TrackedObject, tracked: &[TrackedObject]) -> Result<Silhouettes, PipelineError> {
-    let mut found = Silhouettes::default();
-    let is_seen = |frame: &&Frame| object.frames.binary_search(&frame.id).is_ok();
-    let frames: Vec<&Frame> = run.frames()?.iter().filter(is_seen).collect();
-    let bytes_of_frame = 2 * run.info().width as usize * run.info().height as usize;
-    let most = (SILHOUETTES_BYTES / bytes_of_frame.max(1)).clamp(LEAST_SILHOUETTES, MOST_SILHOUETTES);
-    for frame in frames.iter().step_by(frames.len().div_ceil(most).max(1)) {
-        let masks = track::masks_of(run, tracked, frame)?;
-        let (own, others): (Vec<_>, Vec<_>) = masks.iter().partition(|(id, _)| *id == object.id);
-        let own = own.first().and_then(|(_, mask)| Some((mask, mask.bounding_box()?)));
-        let Some((mask, bounds)) = own else { continue };
-        let mut hidden = Mask::empty(mask.width(), mask.height());
-        others.iter().for_each(|(_, other)| hidden.union_with(other));
-        found.add(ImageId::from(frame.id), grown(mask, bounds), hidden);
-    }
-    Ok(found)
 }
 
 /// A reconstruction that is being compared with the masks.
