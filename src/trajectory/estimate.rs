@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::mirror::mean_normal;
+use super::views::mean_normal;
 use super::{
     ConstantDistanceOptions, Estimate, EstimatorInput, Joint, JointOptions, LeastSquares, LeastSquaresOptions,
     ScaleError, Views, estimator, least_squares,

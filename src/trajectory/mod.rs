@@ -46,7 +46,6 @@ mod heading;
 mod intersection;
 mod joint;
 mod least_squares;
-mod mirror;
 mod place;
 mod plane_outliers;
 mod pose_error;
