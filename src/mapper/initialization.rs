@@ -88,9 +88,8 @@ impl<'a> InitializationAttempt<'a> {
                 }
             }
             watch((before + 1.0) / found.tried as f64);
-            let is_good = |mapper: &IncrementalMapper| {
-                mapper.num_registered() as f64 >= GOOD_SHARE * self.num_usable() as f64
-            };
+            let is_good =
+                |mapper: &IncrementalMapper| mapper.num_registered() as f64 >= GOOD_SHARE * self.num_usable() as f64;
             if found.best.as_ref().is_some_and(is_good) {
                 break;
             }

@@ -74,7 +74,7 @@ mod tests {
     use super::*;
     use crate::camera::Camera;
     use crate::math::Rigid3;
-    use crate::scene::{CameraId, Image, Point3d, TrackElement};
+    use crate::scene::{CameraId, Image, Point3d};
 
     /// Ten cameras in a row, 10 m before a ball of radius 1, and points in it, next to it and behind it.
     #[test]

@@ -138,12 +138,6 @@ impl<'a> IncrementalMapper<'a> {
         &self.map
     }
 
-    /// The same, to be spoilt.
-    #[cfg(test)]
-    pub fn map_mut(&mut self) -> &mut Map<'a> {
-        &mut self.map
-    }
-
     /// The map and what became of every view.
     pub fn into_result(self) -> (Map<'a>, Report) {
         let stretches = match self.options.ordered {

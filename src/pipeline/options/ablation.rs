@@ -20,7 +20,7 @@ const fn ablation(name: &'static str, decision: u32, settings: &'static [(&'stat
 
 impl Ablation {
     /// All of them, by decision. `docs/decisions/README.md` has the same table and says which decisions have no switch.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 16] = [
         ablation(
             "track-length-limit",
             4,
@@ -46,7 +46,6 @@ impl Ablation {
         ablation("small-encoder-input", 23, &[("tuning.prompt.input_size", "448"), ("tuning.prompt.window", "2.5")]),
         ablation("vehicle-path", 19, &[("tuning.ground.vehicle_path", "false")]),
         ablation("ground-poses", 21, &[("tuning.objects.mapper.pose_priors", "false")]),
-        ablation("larger-jackknife", 22, &[("tuning.scale.joint.larger_jackknife", "false")]),
         ablation("contact-frames", 25, &[("tuning.scale.joint.contact.best_share", "1")]),
         ablation("plane-outliers", 26, &[("tuning.scale.joint.compare_planes", "false")]),
         ablation("start-of-stationary", 27, &[("tuning.tracker.start_standing", "0.35")]),

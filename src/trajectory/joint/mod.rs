@@ -70,8 +70,6 @@ pub struct JointOptions {
     /// Share of the points that stays in any case: the surest.
     #[schemars(extend("unit" = "share"))]
     pub least_share: f64,
-    /// True if only the larger of the two jackknives counts; false for their sum.
-    pub larger_jackknife: bool,
     /// True if ground planes that deviate from those of neighboring frames lose weight or are rejected.
     pub compare_planes: bool,
     /// True if points are drawn onto the surface of their neighbors.
@@ -92,7 +90,6 @@ impl Default for JointOptions {
             max_error_growth: 3.0,
             max_deviation: 0.05,
             least_share: 0.5,
-            larger_jackknife: true,
             compare_planes: true,
             smooth_surface: true,
             contact: ContactOptions::default(),
@@ -233,19 +230,14 @@ impl Estimator for JointMethod {
 /// Where the standard deviation of the ratio comes from, as far as the adjustment itself knows.
 ///
 /// The part of the contact is what is left of the adjustment's own variance when the contact is known. For the rest
-/// that variance is too small, since it takes errors for independent; only where groups cannot be left out it stands
+/// that variance is too small, since it takes errors for independent; only where stretches cannot be left out it stands
 /// in.
 fn shares(adjustment: &Adjustment, contact: &Contact) -> Result<ScaleShares, ScaleError> {
     let doubted = adjustment.in_doubt();
     let all = doubted.relative_std(contact)?;
     let of_contact_known = doubted.relative_std(&contact.known())?;
-    let tracks = spread::over_tracks(adjustment).unwrap_or(of_contact_known);
-    let frames = spread::over_frames(adjustment).unwrap_or(of_contact_known);
-    let stds = [tracks, frames];
-    let [tracks, frames] = if adjustment.options().larger_jackknife { spread::counted_once(stds) } else { stds };
     Ok(ScaleShares {
-        tracks,
-        frames,
+        frames: spread::over_frames(adjustment).unwrap_or(of_contact_known),
         plane: adjustment.common_height_std(),
         contact: (all * all - of_contact_known * of_contact_known).max(0.0).sqrt(),
         ..ScaleShares::default()

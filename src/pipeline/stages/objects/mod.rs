@@ -23,7 +23,7 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_models::{self, Target};
 use crate::pipeline::inputs::order;
 use crate::pipeline::{PipelineError, Stage};
-use crate::scene::{BoundingBox, Frame, Image, ImageId, Mask, ObjectId, Reconstruction, Topic, TrackedObject};
+use crate::scene::{BoundingBox, Image, ImageId, Mask, ObjectId, Reconstruction, Topic, TrackedObject};
 use footing::Footing;
 
 const REPORTS: &str = "objects-report.json";
