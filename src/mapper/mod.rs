@@ -25,6 +25,7 @@ mod long_tracks;
 mod map;
 mod motion;
 mod report;
+mod rotating_camera;
 mod separate_stretches;
 pub mod silhouette;
 #[cfg(test)]
@@ -41,6 +42,7 @@ pub use intrinsics_source::{Intrinsics, KnownIntrinsics};
 pub use long_tracks::cut_long_tracks;
 pub use motion::ModelWeakness;
 pub use report::{Outcome, Reason, Report};
+pub use rotating_camera::{RotatingCamera, rotating_camera};
 
 use crate::camera::Camera;
 use crate::checks::{Checked, ordered, within};

@@ -63,7 +63,7 @@ pub use error::ScaleError;
 pub use estimate::{Options, estimate_scale, ratios_of};
 pub use estimators::{Estimate, Estimator, EstimatorInput, estimator};
 pub use extents::{Extents, Subject, extents};
-pub use ground_constrained_poses::{ObjectImage, ground_constrained_poses};
+pub use ground_constrained_poses::ground_constrained_poses;
 pub use ground_track::{ContactEvidence, Outlines, ground_track, outline_pixels};
 pub use heading::{forward_axis, headings};
 use intersection::IntersectionMethod;

@@ -87,6 +87,8 @@ pub struct Views {
     /// Largest assumed drift of the object's height over its planes, as a share of [`View::lever`]
     /// (`scale.joint.sigma_distance`).
     pub max_drift: f64,
+    /// True if the camera does not translate: then its height over the ground shows no ratio.
+    pub camera_hovers: bool,
 }
 
 impl Views {
@@ -116,6 +118,7 @@ impl Views {
             num_planes: planes.len(),
             plane_std: change_of_basis(planes),
             max_drift: options.joint.max_drift(),
+            camera_hovers: planes.values().any(|plane| plane.basis == PlaneBasis::Vehicles),
         }
     }
 

@@ -68,7 +68,10 @@ pub(super) struct Adjustment<'a> {
 impl<'a> Adjustment<'a> {
     pub(super) fn new(grounded: &'a Grounded<'a>, views: &Views, options: &'a Options) -> Result<Self, ScaleError> {
         let (up, _) = mean_normal(views).ok_or(ScaleError::NoMeanNormal { num_views: views.views.len() })?;
-        let all_frames = least_squares(views, &options.least_squares);
+        let all_frames = match views.camera_hovers {
+            true => Err(ScaleError::CameraHovers),
+            false => least_squares(views, &options.least_squares),
+        };
         let (all_options, options) = (options, &options.joint);
         let ratio = start(&all_frames, views)?;
         let spread = all_frames.as_ref().map_or(f64::INFINITY, |found| found.residual_std);

@@ -2,6 +2,7 @@
 
 pub(in crate::pipeline) mod calibration_check;
 pub(in crate::pipeline) mod failure;
+mod hovering;
 pub(in crate::pipeline) mod model_report;
 pub(in crate::pipeline) mod point_cloud;
 
@@ -63,14 +64,18 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
             let num_frames = table.views.len() as u64;
             run.progress.begin("background", Some(num_frames));
             let mut watch = |share: f64| run.progress.reach((share * num_frames as f64) as u64);
-            reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, None, &mut watch)?
+            let found = reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, None, &mut watch)?;
+            let is_other = !found.0.is_empty() || !order::found(run)?.in_time || run.options.scale.method_only;
+            if is_other { None } else { hovering::reconstruct(run)? }.unwrap_or(found)
         }
     };
-    if order::found(run)?.in_time {
-        report.focal_changes = focal_changes(run, &model, report.given)?;
+    if !model.points.is_empty() {
+        if order::found(run)?.in_time {
+            report.focal_changes = focal_changes(run, &model, report.given)?;
+        }
+        let given = calibration_check::given(run, &model, report.given)?;
+        calibration_check::check_fit(run, &model, &given, &mut report, &mut outcome)?;
     }
-    let given = calibration_check::given(run, &model, report.given)?;
-    calibration_check::check_fit(run, &model, &given, &mut report, &mut outcome)?;
     if let Some(failure) = &mut report.failure {
         failure.push_str(&cure_of_large_frames(run.info().width, run.info().height));
         failure.push_str(&failure::reasons(run)?);

@@ -23,12 +23,14 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_models::{self, Target};
 use crate::pipeline::inputs::order;
 use crate::pipeline::{PipelineError, Stage};
-use crate::scene::{BoundingBox, Image, ImageId, Mask, ObjectId, Reconstruction, Topic, TrackedObject};
+use crate::scene::{BoundingBox, Image, ImageId, Mask, Movement, ObjectId, Reconstruction, Topic, TrackedObject};
 use footing::Footing;
 
 const REPORTS: &str = "objects-report.json";
 /// Why there is no model where it is not the object's fault.
 const NO_BACKGROUND: &str = "no background to place it in";
+/// Why a vehicle that is not known to move has no model below a camera that does not translate.
+const NO_MOTION: &str = "neither the camera nor the vehicle moves, so its shape has no depth";
 /// Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
 const BORDER_PX: f64 = 1.0;
 const BORDER: f64 = 0.01;
@@ -42,6 +44,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
         "only": run.options.only_objects,
         "options": objects.mapper,
         "ground": run.options.ground,
+        "pitch": run.options.metric.camera_pitch,
         "shape": ground::body_shape(run.options),
         "seed": run.options.seed,
     });
@@ -54,7 +57,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
     let (background, _) = background::background(run)?;
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
-    let place = ObjectContext { camera, footing: Footing::new(run, &background) };
+    let hovers = background.points.is_empty();
+    let place = ObjectContext { camera, hovers, footing: Footing::new(run, &background)? };
     // The frames of every object, and then all frames again for the masks.
     let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
     run.progress.begin("objects", Some(num_views as u64));
@@ -157,6 +161,8 @@ fn marker_name(id: ObjectId) -> String {
 struct ObjectContext<'a> {
     /// `None` without a background.
     camera: Option<Camera>,
+    /// True if the camera does not translate.
+    hovers: bool,
     footing: Footing<'a>,
 }
 
@@ -179,6 +185,7 @@ fn one_object(
     let (model, mut report) = match (given, place.camera) {
         (Some(path), _) => given_models::read(path, Target::Object, run)?,
         (None, _) if object.left_out.is_some() => failed(object.left_out.clone().unwrap_or_default()),
+        (None, Some(_)) if place.hovers && object.movement.state != Movement::Moving => failed(NO_MOTION.to_owned()),
         (None, Some(camera)) => {
             let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
