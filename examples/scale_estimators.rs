@@ -124,7 +124,15 @@ fn views(motion: &Motion, draw: u64, stream: u64) -> Views {
     let half = |k: usize, bit: usize| if k >> bit & 1 == 0 { -0.5 } else { 0.5 };
     let corner = |k: usize| Point3::new(4.3 * half(k, 0), 1.8 * half(k, 1), 2.0 * HALF_HEIGHT * half(k, 2));
     let points = (0..8).map(corner).collect();
-    Views { num_paired: count, num_planes: count, views, points, plane_std: 0.0, max_drift: 0.008 }
+    Views {
+        num_paired: count,
+        num_planes: count,
+        views,
+        points,
+        plane_std: 0.0,
+        max_drift: 0.008,
+        camera_hovers: false,
+    }
 }
 
 fn scene(path: &Path) -> Result<Motion, Box<dyn Error>> {

@@ -93,7 +93,8 @@ class Flight:
     The view turns from ``azimuth`` by ``sweep`` while distance (m, along the
     ground) and height over the vehicle's ground (m) go from first to second.
     ``gaze`` are knots (time s, degrees to the left) by which the camera looks
-    past the vehicle.
+    past the vehicle. With ``wind`` (m) the drone hovers where the middle of the
+    drive is in view, and sways by that much.
     """
 
     azimuths: tuple[float, ...]
@@ -101,6 +102,7 @@ class Flight:
     distance: tuple[float, float]
     height: tuple[float, float]
     gaze: Knots = ((0.0, 0.0),)
+    wind: float | None = None
 
 
 @dataclass(frozen=True)

@@ -78,11 +78,12 @@ def fly(flight: Flight, azimuth: float, poses: np.ndarray, times: np.ndarray, ke
     angle = heading + np.radians(azimuth + flight.sweep * (eased - 0.5))
     distance = flight.distance[0] + (flight.distance[1] - flight.distance[0]) * u
     height = flight.height[0] + (flight.height[1] - flight.height[0]) * eased
-    center = _lagged(poses[:, :3, 3], fps)
+    hovers = flight.wind is not None
+    center = np.tile(poses[:, :3, 3].mean(0), (len(times), 1)) if hovers else _lagged(poses[:, :3, 3], fps)
     sign = rng("wobble", *key).choice([-1.0, 1.0])
     steady = 0.35 if flight.height[0] == flight.height[1] else 1.0
     camera = center + np.stack([distance * np.cos(angle), distance * np.sin(angle), height], 1)
-    camera += _wobble(times, 0.22, "camera", *key) * [sign, 1.0, steady]
+    camera += _wobble(times, flight.wind if hovers else 0.22, "camera", *key) * [sign, 1.0, steady]
     target = center + _wobble(times, 0.8, "target", *key) * [1, 1, 0.4] + [0, 0, 0.7]
     roll = np.radians(1.3) * noise(times, np.zeros(len(times)), 1.7, "roll", *key)
     target = _past(camera, target, flight, times)

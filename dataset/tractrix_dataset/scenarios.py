@@ -134,6 +134,18 @@ def _dashcam_town(vehicle: str, r: np.random.Generator) -> Trajectory:
     return _road("dashcam_town", ahead, _dashcam(host, (80.0, 90.0), r), sun=(55.0, 300.0))
 
 
+def _hovering(vehicle: str, r: np.random.Generator) -> Trajectory:
+    """A drone hovers at 25 to 50 m in light wind; cars come and follow."""
+    start = 384.0 + r.uniform(-3, 3)
+    target = Drive("main", start, 1, 1.55, _steady(7.0 + r.uniform(-0.5, 0.5)))
+    oncoming = Drive("main", start + 52.0, -1, 1.55, _steady(8.0 + r.uniform(-0.5, 0.5)))
+    following = replace(target, start=start - 14.0 + r.uniform(-1, 1))
+    height, pitch = r.uniform(25.0, 50.0), np.radians(r.uniform(35.0, 60.0))
+    flight = Flight(ALL_ROUND, 0.0, (height / np.tan(pitch),) * 2, (height,) * 2, wind=r.uniform(0.1, 0.4))
+    others = (("saloon", oncoming), ("van", following))
+    return Trajectory("hovering", target, flight, others, near_degenerate=True, sun=(50.0, 140.0))
+
+
 Scenario = Callable[[str, np.random.Generator], Trajectory]
 SCENARIOS: dict[str, Scenario] = {
     "occlusion_lorry": _occlusion_lorry,
@@ -144,6 +156,7 @@ SCENARIOS: dict[str, Scenario] = {
     "dashcam_following": _dashcam_following,
     "dashcam_oncoming": _dashcam_oncoming,
     "dashcam_town": _dashcam_town,
+    "hovering": _hovering,
 }
 NAMES = (*TRAJECTORIES, *SCENARIOS)
 # What is rendered of each scenario, in the order in which it is useful.
@@ -157,6 +170,7 @@ CHOSEN = (
     ("stop_and_go", "bus"),
     ("dashcam_town", "hatchback"),
     ("right_curves", "lorry"),
+    ("hovering", "hatchback"),
 )
 
 

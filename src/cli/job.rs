@@ -139,6 +139,10 @@ pub(super) struct JobArgs {
     /// Mean height of the camera above ground, meters: 1.45±0.05 (standard deviation)
     #[arg(long, value_name = "METERS[±STD]", help_heading = "Meters")]
     pub(super) camera_height: Option<Measured>,
+    /// Inclination of a hovering camera below the horizon in the first frame, degrees: 45±1 [default: from the sizes of
+    /// vehicles]
+    #[arg(long, value_name = "DEGREES[±STD]", help_heading = "Meters")]
+    pub(super) camera_pitch: Option<Measured>,
     /// Known length, width or height of vehicle ID, meters: 1:length=4.47±0.02; may be repeated
     #[arg(long, value_name = "ID:NAME=METERS[±STD]", help_heading = "Meters")]
     pub(super) known_length: Vec<KnownLength>,
@@ -188,7 +192,7 @@ pub(super) fn shown_up_to(goal: Stage, flag: clap::Arg) -> clap::Arg {
         "intrinsics" | "fixed" | "intrinsics_std" | "features" | "background_model" => Stage::Features,
         "flow_model" | "mask_network" | "motion" | "segment_every" => Stage::Track,
         "object_model" | "only_object" => Stage::Follow,
-        "ground_masks" | "ground_label" | "ground_model" => Stage::Ground,
+        "ground_masks" | "ground_label" | "ground_model" | "camera_pitch" => Stage::Ground,
         "scale_method" => Stage::Scale,
         "telemetry" | "no_telemetry" | "time_offset" | "utc_offset" | "camera_height" | "known_length" | "scale" => {
             Stage::Metric
@@ -289,6 +293,7 @@ fn apply_metres(job: &JobArgs, metric: &mut MetricOptions) {
     metric.time_offset = job.time_offset.or(metric.time_offset);
     metric.utc_offset = job.utc_offset.or(metric.utc_offset);
     metric.camera_height = job.camera_height.or(metric.camera_height);
+    metric.camera_pitch = job.camera_pitch.or(metric.camera_pitch);
     metric.scale = job.scale.or(metric.scale);
     metric.known_lengths.extend(job.known_length.iter().copied());
 }

@@ -16,6 +16,7 @@ use super::Options;
 use super::camera_mount::Mount;
 use super::dominant::DominantPlane;
 use super::driven::on_driven_ground;
+use super::hovering::HoveringGround;
 use super::local::{LocalPlanes, local_planes, lowest_foot, object_pixels};
 use super::road::Road;
 use super::vehicle_trajectory::BodyShape;
@@ -35,6 +36,8 @@ pub struct GroundChain<'a> {
     pub dominant: Option<&'a DominantPlane>,
     /// The road below a camera that is fixed to a vehicle.
     pub mount: Option<&'a Mount>,
+    /// The ground below a camera that does not translate; there is no other then.
+    pub hovering: Option<&'a HoveringGround>,
     /// Assumptions on vehicles.
     pub shape: BodyShape,
 }
@@ -48,6 +51,9 @@ impl GroundChain<'_> {
     /// The plane below one object in every frame that is registered in both models, from the surest source that has
     /// one. The same seed gives the same planes, on any number of threads.
     pub fn planes(&self, object: ObjectId, model: &Reconstruction, options: &Options, seed: u64) -> LocalPlanes {
+        if let Some(ground) = self.hovering {
+            return ground.planes(self.background, model);
+        }
         let local = |points: &[Point3dId]| local_planes(self.background, points, object, model, options, seed);
         let dominant =
             self.dominant.filter(|ground| self.mount.is_none_or(|mount| mount.agrees(self.background, ground)));

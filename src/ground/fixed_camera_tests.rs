@@ -153,8 +153,14 @@ fn a_guessed_road_is_as_unsure_as_it_says() {
         let drive = Drive { hill: 0.3, phase: 0.5 * f64::from(phase), ..Drive::STRAIGHT };
         let (model, vehicle) = (drive.background(300, 0, 0.0), drive.vehicle(8.0));
         let Ok(mount) = find_mount(&model, None, &Options::default(), 3) else { continue };
-        let chain =
-            GroundChain { background: &model, labelled: &[], dominant: None, mount: Some(&mount), shape: SHAPE };
+        let chain = GroundChain {
+            background: &model,
+            labelled: &[],
+            dominant: None,
+            mount: Some(&mount),
+            hovering: None,
+            shape: SHAPE,
+        };
         let found = chain.planes(ObjectId(1), &vehicle, &Options::default(), 3);
         for (frame, plane) in found.planes.iter().filter(|(frame, _)| frame.0 >= 40) {
             let z = 0.3 * f64::from(frame.0) + 8.0;
@@ -176,7 +182,14 @@ fn the_road_ahead_is_where_the_camera_comes_by() {
     let drive = Drive { hill: 0.3, ..Drive::STRAIGHT };
     let (model, vehicle) = (drive.background(300, 0, 0.0), drive.vehicle(6.0));
     let mount = find_mount(&model, None, &Options::default(), 3).unwrap();
-    let chain = GroundChain { background: &model, labelled: &[], dominant: None, mount: Some(&mount), shape: SHAPE };
+    let chain = GroundChain {
+        background: &model,
+        labelled: &[],
+        dominant: None,
+        mount: Some(&mount),
+        hovering: None,
+        shape: SHAPE,
+    };
     let found = chain.planes(ObjectId(1), &vehicle, &Options::default(), 3);
     assert_eq!((found.planes.len(), found.skipped.len()), (NUM_FRAMES as usize, 0));
     for (frame, plane) in &found.planes {
@@ -199,7 +212,14 @@ fn the_road_is_taken_in_all_frames_where_points_bear_it_out() {
     lifted.points.values_mut().for_each(|point| point.position.y -= 0.3 * HEIGHT);
     let labelled: Vec<Point3dId> = model.points.keys().copied().collect();
     let num_on_road = |background: &Reconstruction| {
-        let chain = GroundChain { background, labelled: &labelled, dominant: None, mount: Some(&mount), shape: SHAPE };
+        let chain = GroundChain {
+            background,
+            labelled: &labelled,
+            dominant: None,
+            mount: Some(&mount),
+            hovering: None,
+            shape: SHAPE,
+        };
         let found = chain.planes(ObjectId(1), &vehicle, &Options { num_neighbors: 15, ..Options::default() }, 3);
         found.planes.values().filter(|plane| plane.basis == PlaneBasis::Mount).count()
     };

@@ -12,6 +12,7 @@ mod driven;
 #[cfg(test)]
 mod fixed_camera_tests;
 mod height;
+mod hovering;
 mod labels;
 mod local;
 mod observations;
@@ -29,6 +30,7 @@ pub use camera_mount::{Mount, MountFailure, find_mount};
 pub use chain::GroundChain;
 pub use dominant::{DominantPlane, GroundError, dominant_plane_points};
 pub use height::{CameraHeight, HeightFailure, camera_height};
+pub use hovering::{HoveringGround, StatedPitch, hovering_ground};
 pub use labels::label_points;
 pub use local::{LocalPlanes, SkipReason, SkippedFrame, local_planes};
 pub use plane::PlaneFailure;

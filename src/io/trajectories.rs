@@ -332,9 +332,9 @@ fn ground_track_problem(track: &GroundTrack) -> Option<String> {
     Some(format!("frame {} after frame {}: frames must ascend", pair[1].frame.0, pair[0].frame.0))
 }
 
-fn shares(of: &ScaleShares) -> [f64; 6] {
-    let ScaleShares { tracks, frames, plane, contact, focal, disagreement } = *of;
-    [tracks, frames, plane, contact, focal, disagreement]
+fn shares(of: &ScaleShares) -> [f64; 5] {
+    let ScaleShares { frames, plane, contact, focal, disagreement } = *of;
+    [frames, plane, contact, focal, disagreement]
 }
 
 fn camera_path(of: &CameraPathRatio) -> [f64; 5] {
@@ -425,7 +425,7 @@ mod tests {
             reason: Some("all view pairs are ill conditioned".into()),
             alternatives: [(ScaleMethod::ConstantDistance, 0.731), (ScaleMethod::Intersection, 0.7)].into(),
             as_reconstructed: Some([(ScaleMethod::Intersection, 0.71)].into()),
-            shares: Some(ScaleShares { tracks: 0.01, contact: 1.0 / 3.0, ..ScaleShares::default() }),
+            shares: Some(ScaleShares { frames: 0.01, contact: 1.0 / 3.0, ..ScaleShares::default() }),
             references: [
                 (ScaleMethod::Yuan, Reference { ratio: Some(0.72), std: Some(0.03), undetermined: None }),
                 (ScaleMethod::Park, Reference { undetermined: Some("no solution".into()), ..Reference::default() }),

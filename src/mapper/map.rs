@@ -379,12 +379,6 @@ impl<'a> Map<'a> {
         upper_median(errors).map_or(Noise::Unknown, |median| Noise::Measured { sigma_px: median / RAYLEIGH_MEDIAN })
     }
 
-    /// The result, in COLMAP's terms: registered views with all their features, points with their observations.
-    pub fn into_reconstruction(self) -> Reconstruction {
-        let views = self.table.views;
-        self.into_found().with_views(views.iter().cloned())
-    }
-
     /// Result of the reconstruction, without the views.
     pub fn into_found(mut self) -> MapPoints {
         self.slots_of_view = Vec::new();

@@ -25,6 +25,7 @@ mod long_tracks;
 mod map;
 mod motion;
 mod report;
+mod rotating_camera;
 mod separate_stretches;
 pub mod silhouette;
 #[cfg(test)]
@@ -41,6 +42,7 @@ pub use intrinsics_source::{Intrinsics, KnownIntrinsics};
 pub use long_tracks::cut_long_tracks;
 pub use motion::ModelWeakness;
 pub use report::{Outcome, Reason, Report};
+pub use rotating_camera::{RotatingCamera, rotating_camera};
 
 use crate::camera::Camera;
 use crate::checks::{Checked, ordered, within};
@@ -53,7 +55,6 @@ pub use focal_changes::focal_changes;
 use incremental_mapper::SubMap;
 use initialization::InitializationAttempt;
 use map::MapPoints;
-use silhouette::Silhouettes;
 
 /// Options of the mapper.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -95,14 +96,11 @@ pub struct Options {
     /// Points per view in global adjustments of the growing map; the last ones use all.
     #[schemars(extend("unit" = "points"))]
     pub growth_points_per_view: usize,
-    /// Minimum number of initialization attempts.
-    #[schemars(extend("unit" = "starts"))]
-    pub min_starts: usize,
     /// Maximum number of initialization attempts.
     #[schemars(extend("unit" = "starts"))]
     pub max_starts: usize,
-    /// Perspective foreshortening below which the map is also initialized from pose priors; 0 for never.
-    pub weak_perspective_px: f64,
+    /// True if the map starts from pose priors where there are any.
+    pub pose_priors: bool,
     /// True if views are in temporal order.
     pub ordered: bool,
     /// Number of views after which a track is split.
@@ -111,11 +109,6 @@ pub struct Options {
     /// Tolerance of the global adjustments between the end of growth and the last one, as a share of the cost.
     #[schemars(extend("unit" = "share"))]
     pub coarse_tolerance: f64,
-    /// True if initialization attempts end once two maps agree, or the map from pose priors is good.
-    pub stop_early: bool,
-    /// Pose discontinuities of a map that are repaired at most.
-    #[schemars(extend("unit" = "discontinuities"))]
-    pub max_folds: usize,
     /// Views of a map beyond which it is adjusted in windows: up to here one adjustment takes no more memory than the
     /// rest of the program.
     #[schemars(extend("unit" = "views"))]
@@ -143,14 +136,11 @@ impl Options {
             local_views: 6,
             global_growth: 1.3,
             growth_points_per_view: 250,
-            min_starts: 1,
             max_starts: 3,
-            weak_perspective_px: 0.0,
+            pose_priors: true,
             ordered: true,
             max_track_views: 96,
             coarse_tolerance: 1e-4,
-            stop_early: true,
-            max_folds: 3,
             max_views_at_once: 800,
         }
     }
@@ -165,9 +155,6 @@ impl Options {
             max_pose_error_px: 3.0,
             max_error_px: 2.0,
             min_angle_deg: 1.0,
-            min_starts: 3,
-            max_starts: 5,
-            weak_perspective_px: 15.0,
             ..Self::background()
         }
     }
@@ -192,13 +179,9 @@ impl Options {
         within("local_views", self.local_views, 1..=10_000)?;
         within("global_growth", self.global_growth, 1.01..=1000.0)?;
         within("growth_points_per_view", self.growth_points_per_view, 1..=1_000_000)?;
-        within("min_starts", self.min_starts, 1..=1000)?;
         within("max_starts", self.max_starts, 1..=1000)?;
-        ordered(("min_starts", self.min_starts), ("max_starts", self.max_starts))?;
-        within("weak_perspective_px", self.weak_perspective_px, 0.0..=1e6)?;
         within("max_track_views", self.max_track_views, 4..=1_000_000_000)?;
         within("coarse_tolerance", self.coarse_tolerance, 1e-12..=0.1)?;
-        within("max_folds", self.max_folds, 0..=1000)?;
         within("max_views_at_once", self.max_views_at_once, 800..=1_000_000_000)
     }
 
@@ -248,20 +231,7 @@ enum Noise {
     },
 }
 
-/// Prior knowledge of a target besides its tracks.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Priors<'a> {
-    /// Of an object: of maps that explain less than good tracks let a map explain, the one whose points lie within them
-    /// is taken.
-    pub silhouettes: Option<&'a Silhouettes>,
-    /// Poses of the views, roughly. A map starts from them, too, and maps whose views turn otherwise are worth less.
-    pub poses: Option<&'a PosePriors>,
-}
-
 /// Builds the map that explains the tracks best.
-///
-/// A start on few points or on one plane (a car's tail) may grow into a map that is bent at one frame, whose residuals
-/// are hardly larger than those of the right one, so that objects are built from several starts.
 ///
 /// Long videos cost the least after [`cut_long_tracks`].
 ///
@@ -282,10 +252,10 @@ pub fn reconstruct(
     options: &Options,
     seed: u64,
 ) -> Result<(Reconstruction, Report), MapperError> {
-    reconstruct_watched(table, cameras, intrinsics, options, seed, Priors::default(), &mut |_| {})
+    reconstruct_watched(table, cameras, intrinsics, options, seed, None, &mut |_| {})
 }
 
-/// As [`reconstruct`], with the priors `beside` the tracks. `watch` receives the finished share of the work
+/// As [`reconstruct`], which start from `poses`, where these are given. `watch` receives the finished share of the work
 /// from time to time, as far as that can be determined: starts that turn out to be needed set it back.
 ///
 /// # Errors
@@ -296,10 +266,10 @@ pub fn reconstruct_watched(
     intrinsics: impl Into<KnownIntrinsics>,
     options: &Options,
     seed: u64,
-    beside: Priors<'_>,
+    poses: Option<&PosePriors>,
     watch: &mut dyn FnMut(f64),
 ) -> Result<(Reconstruction, Report), MapperError> {
-    let (found, report) = found(table, cameras, intrinsics.into(), options, seed, beside, watch)?;
+    let (found, report) = found(table, cameras, intrinsics.into(), options, seed, poses, watch)?;
     Ok(with_views(found, report, table.views.iter().cloned()))
 }
 
@@ -314,10 +284,10 @@ pub fn reconstruct_consuming(
     intrinsics: impl Into<KnownIntrinsics>,
     options: &Options,
     seed: u64,
-    beside: Priors<'_>,
+    poses: Option<&PosePriors>,
     watch: &mut dyn FnMut(f64),
 ) -> Result<(Reconstruction, Report), MapperError> {
-    let (found, report) = found(&table, cameras, intrinsics.into(), options, seed, beside, watch)?;
+    let (found, report) = found(&table, cameras, intrinsics.into(), options, seed, poses, watch)?;
     let TrackTable { views, tracks } = table;
     drop(tracks);
     Ok(with_views(found, report, views.into_iter()))
@@ -339,27 +309,23 @@ fn found(
     known: KnownIntrinsics,
     options: &Options,
     seed: u64,
-    beside: Priors<'_>,
+    poses: Option<&PosePriors>,
     watch: &mut dyn FnMut(f64),
 ) -> Result<(Option<MapPoints>, Report), MapperError> {
     options.check()?;
     let options = &options.at_focal(cameras);
-    let task = InitializationAttempt { table, cameras, known: &known, options, beside };
-    let starts = task.grow_from_starts(seed, watch)?;
-    let Some(mut growth) = starts.best else {
+    let poses = poses.filter(|_| options.pose_priors);
+    let attempt = InitializationAttempt { table, cameras, known: &known, options, poses };
+    let starts = attempt.grow_from_starts(seed, watch)?;
+    let Some(mut mapper) = starts.best else {
         let report = Report::without_start(table, starts.pairs.len(), starts.tried, &starts.survey);
         return Ok((None, report));
     };
-    if options.ordered && options.min_starts > 1 {
-        growth = task.best_of_rounds(growth, seed)?;
-        growth = task.without_folds(growth, seed)?;
-    }
-    growth.join_left_over(&|rest, cameras, known| {
-        // Of views that are left over, no other map says what the silhouettes have to tell apart.
-        let task = InitializationAttempt { table: rest, cameras, known, options, beside: Priors::default() };
-        Ok(task.grow_from_starts(seed, &mut |_| {})?.best.as_ref().map(SubMap::of))
+    mapper.join_left_over(&|rest, cameras, known| {
+        let attempt = InitializationAttempt { table: rest, cameras, known, options, poses: None };
+        Ok(attempt.grow_from_starts(seed, &mut |_| {})?.best.as_ref().map(SubMap::of))
     })?;
-    let (map, mut report) = growth.into_result();
+    let (map, mut report) = mapper.into_result();
     report.num_starts = starts.tried;
     Ok((Some(map.into_found()), report))
 }

@@ -67,46 +67,6 @@ impl SilhouetteVotes {
     }
 }
 
-/// Silhouettes of one object in some of the pictures, by which maps of it are distinguished.
-///
-/// Two parts of a video that few points tie together may lie to one another in several ways that fit these points
-/// equally well. In a wrong one the points of one part leave the masks of the other.
-#[derive(Clone, Debug, Default)]
-pub struct Silhouettes {
-    views: Vec<SilhouetteView>,
-}
-
-#[derive(Clone, Debug)]
-struct SilhouetteView {
-    image: ImageId,
-    /// The object's mask, grown by what its border may be off.
-    silhouette: Mask,
-    /// The masks of all others.
-    others: Mask,
-}
-
-impl Silhouettes {
-    /// Adds a picture.
-    ///
-    /// * `silhouette` – the object's mask in it, grown by what its border may be off.
-    /// * `others` – the masks of all other objects, which may stand in front of it; of the same size.
-    pub fn add(&mut self, image: ImageId, silhouette: Mask, others: Mask) {
-        self.views.push(SilhouetteView { image, silhouette, others });
-    }
-
-    /// The share of a model's observations that belong to points within the silhouettes, from 0 to 1.
-    pub fn share_within(&self, model: &Reconstruction) -> f64 {
-        let mut votes = SilhouetteVotes::default();
-        for view in &self.views {
-            votes.add(model, view.image, &view.silhouette, |x, y| view.others.contains(x, y));
-        }
-        let outside = votes.outside(&SilhouetteOptions::default());
-        let observed = |id: &Point3dId| model.points.get(id).map_or(0, |point| point.track.len());
-        let all: usize = model.points.keys().map(observed).sum();
-        1.0 - outside.iter().map(observed).sum::<usize>() as f64 / all.max(1) as f64
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use nalgebra::{Point3, Vector3};
@@ -114,7 +74,7 @@ mod tests {
     use super::*;
     use crate::camera::Camera;
     use crate::math::Rigid3;
-    use crate::scene::{CameraId, Image, Point3d, TrackElement};
+    use crate::scene::{CameraId, Image, Point3d};
 
     /// Ten cameras in a row, 10 m before a ball of radius 1, and points in it, next to it and behind it.
     #[test]
@@ -168,30 +128,5 @@ mod tests {
         assert_eq!(votes.outside(&options), []);
         votes.add(&object, ImageId(1), &nothing, |_, _| false);
         assert_eq!(votes.outside(&options), [Point3dId(1)]);
-    }
-
-    /// Points in the middle of a mask count for a model, those that leave it against it, and those behind others not.
-    #[test]
-    fn models_are_weighed_by_what_lies_within() {
-        let camera = Camera::with_focal(100, 100, 100.0);
-        let mut model = Reconstruction { cameras: [(CameraId(1), camera)].into(), ..Reconstruction::default() };
-        let mut silhouettes = Silhouettes::default();
-        for k in 1..=8u32 {
-            let name = format!("{k}.jpg");
-            let (camera, cam_from_world) = (CameraId(1), Rigid3::identity());
-            let image = Image { name, camera, cam_from_world, observations: Vec::new() };
-            model.images.insert(ImageId(k), image);
-            let silhouette = Mask::from_fn(100, 100, |x, y| (40..60).contains(&x) && (40..60).contains(&y));
-            silhouettes.add(ImageId(k), silhouette, Mask::from_fn(100, 100, |x, _| x < 20));
-        }
-        let point = |x: f64, views: usize| {
-            let seen = TrackElement { image: ImageId(1), observation_idx: 0 };
-            Point3d { position: Point3::new(x, 0.0, 1.0), rgb: [0; 3], error_px: 0.1, track: vec![seen; views] }
-        };
-        model.points = [(Point3dId(1), point(0.0, 6)), (Point3dId(2), point(-0.4, 10))].into();
-        assert!((silhouettes.share_within(&model) - 1.0).abs() < 1e-12);
-        model.points.insert(Point3dId(3), point(0.3, 4));
-        assert!((silhouettes.share_within(&model) - 0.8).abs() < 1e-12);
-        assert!((Silhouettes::default().share_within(&model) - 1.0).abs() < 1e-12);
     }
 }

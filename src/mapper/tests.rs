@@ -5,13 +5,11 @@ use rand::Rng as _;
 use rand_distr::{Distribution, Normal};
 
 mod far_vehicle;
-mod folds;
 mod joints;
 mod lens;
 mod long_video;
 mod motion;
 mod repetition;
-mod rounds;
 mod several_cameras;
 mod submaps;
 

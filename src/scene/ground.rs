@@ -33,11 +33,14 @@ pub enum PlaneBasis {
     Mount,
     /// The dominant plane of the whole place, far from the object or not.
     Dominant,
+    /// The sizes of vehicles, and a stated pitch, below a camera that does not translate.
+    Vehicles,
 }
 
 impl PlaneBasis {
     /// Every link, the surest first.
-    pub const ALL: [Self; 5] = [Self::Path, Self::LabelledPoints, Self::Points, Self::Mount, Self::Dominant];
+    pub const ALL: [Self; 6] =
+        [Self::Path, Self::LabelledPoints, Self::Points, Self::Mount, Self::Dominant, Self::Vehicles];
 
     /// The name in files.
     pub fn name(self) -> &'static str {
@@ -47,6 +50,7 @@ impl PlaneBasis {
             Self::Points => "points",
             Self::Mount => "mount",
             Self::Dominant => "dominant",
+            Self::Vehicles => "vehicles",
         }
     }
 
@@ -58,6 +62,7 @@ impl PlaneBasis {
             Self::Points => "ground around the object, without labels",
             Self::Mount => "one plane below a camera fixed to a vehicle",
             Self::Dominant => "dominant plane of the whole scene",
+            Self::Vehicles => "sizes of vehicles below a camera that does not translate",
         }
     }
 }

@@ -37,7 +37,8 @@ pub use reconstruction::{
 };
 pub use scale_method::{MethodInfo, ScaleMethod};
 pub use tracked::{
-    DetectionCounts, Gap, IdentityEvidence, Movement, MovementFinding, Outline, TrackedObject, UnmergedTrack,
+    DetectionCounts, Gap, IdentityEvidence, Movement, MovementFinding, ObjectImage, Outline, TrackedObject,
+    UnmergedTrack,
 };
 pub use trajectory::{
     CameraPathRatio, ModelState, ObjectPose, ObjectTrajectory, Ratios, Reference, References, ScaleEstimate,

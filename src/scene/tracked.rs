@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
 use super::{FrameId, ObjectId};
@@ -159,6 +160,15 @@ pub struct UnmergedTrack {
     pub evidence: IdentityEvidence,
     /// Why they are kept apart, in words.
     pub reason: String,
+}
+
+/// Image of an object as a whole.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObjectImage {
+    /// The middle of what is seen of it, pixels.
+    pub middle: Point2<f64>,
+    /// The longer side of the box round that, pixels.
+    pub extent_px: f64,
 }
 
 /// An object that was followed through the frames.

@@ -89,8 +89,6 @@ pub enum StationaryVehicles {
 /// are independent, so that their squares add up to that of the whole.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScaleShares {
-    /// Of image positions: errors that are common to all sightings of a point.
-    pub tracks: f64,
     /// Of single frames: what planes and image positions of a stretch of time have in common.
     pub frames: f64,
     /// Of the ground's height and tilt, as far as all frames have them in common.
@@ -106,8 +104,8 @@ pub struct ScaleShares {
 impl ScaleShares {
     /// The standard deviation of the ratio, as a share of it.
     pub fn total(&self) -> f64 {
-        let Self { tracks, frames, plane, contact, focal, disagreement } = *self;
-        [tracks, frames, plane, contact, focal, disagreement].map(|share| share * share).iter().sum::<f64>().sqrt()
+        let Self { frames, plane, contact, focal, disagreement } = *self;
+        [frames, plane, contact, focal, disagreement].map(|share| share * share).iter().sum::<f64>().sqrt()
     }
 
     /// The same under a focal length that is known.

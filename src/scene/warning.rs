@@ -55,6 +55,7 @@ topics! {
     FocalLengthChanges: "focal-length-changes",
     PlanarScene: "planar-scene",
     ForwardMotion: "forward-motion",
+    CameraHovers: "camera-hovers",
     BackgroundNotReconstructed: "background-not-reconstructed",
     FramesNotRegistered: "frames-not-registered",
     NetworksMissing: "networks-missing",

@@ -60,6 +60,9 @@ pub enum ScaleError {
     /// A method that gives no answer of this kind was asked for.
     #[error("{} cannot be used without adjusting the model", .0.name())]
     NoAnswer(ScaleMethod),
+    /// The camera does not translate.
+    #[error("the camera does not translate: its height above ground does not change")]
+    CameraHovers,
     /// The equations of all view pairs give a ratio that is negative, zero or not finite.
     #[error(
         "none of {num_pairs} view pairs gives a positive scale ratio: the camera height above ground does not change \

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::mirror::mean_normal;
+use super::views::mean_normal;
 use super::{
     ConstantDistanceOptions, Estimate, EstimatorInput, Joint, JointOptions, LeastSquares, LeastSquaresOptions,
     ScaleError, Views, estimator, least_squares,
@@ -136,9 +136,10 @@ const FOCAL_ALLOWANCE: f64 = 3.0;
 pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, focal_std: Option<f64>) -> ScaleEstimate {
     let mut alternatives = ratios_of(views, options);
     alternatives.insert(ScaleMethod::Joint, found.ratio);
+    let all_frames = least_squares(views, &options.least_squares).ok();
     let shares = ScaleShares {
         focal: FOCAL_SENSITIVITY * focal_std.unwrap_or(0.0),
-        disagreement: disagreement(found, least_squares(views, &options.least_squares).ok().as_ref()),
+        disagreement: disagreement(found, all_frames.filter(|_| !views.camera_hovers).as_ref()),
         ..found.shares
     };
     let relative_std = shares.total();
@@ -255,7 +256,11 @@ type Answers = BTreeMap<ScaleMethod, Result<Estimate, ScaleError>>;
 fn answers(views: &Views, wanted: ScaleMethod, options: &Options) -> Answers {
     let input = EstimatorInput::unchanged(views);
     let asked = ScaleMethod::ALL.into_iter().filter(|method| *method == wanted || !method.is_reference());
-    asked.map(|method| (method, estimator(method).estimate(&input, options))).collect()
+    let answer = |method: ScaleMethod| match views.camera_hovers && estimator(method).needs_climb() {
+        true => Err(ScaleError::CameraHovers),
+        false => estimator(method).estimate(&input, options),
+    };
+    asked.map(|method| (method, answer(method))).collect()
 }
 
 fn found_by(answers: &Answers) -> Ratios {

@@ -15,19 +15,10 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::math::{Rigid3, median};
-use crate::scene::{FrameId, GroundPlane, Reconstruction};
-
-/// Image of an object as a whole.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ObjectImage {
-    /// The middle of what is seen of it, pixels.
-    pub middle: Point2<f64>,
-    /// The longer side of the box round that, pixels.
-    pub extent_px: f64,
-}
+use crate::scene::{FrameId, GroundPlane, ObjectImage, Reconstruction};
 
 /// Lengths of the vehicle over which the direction of its path is taken: its places are off by a tenth of one.
 const STEP: f64 = 2.0;
@@ -132,6 +123,7 @@ mod tests {
     use super::*;
     use crate::scene::Image;
     use crate::synthetic::drive::{Drive, Options, Route, Terrain, drive};
+    use nalgebra::Point2;
 
     fn sights(world: &Drive) -> BTreeMap<FrameId, ObjectImage> {
         let sight = |image: &Image| {

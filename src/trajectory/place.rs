@@ -77,8 +77,6 @@ pub enum Adjustment {
 /// Results of the adjustment besides the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdjustmentFigures {
-    /// True if the model is the mirror image of the one that it was made from.
-    pub mirrored: bool,
     /// Frames whose outline shows where the ground is; 0 where it was guessed from the lowest points.
     pub frames_with_outline: usize,
     /// Median error of the image positions before and after, pixels.
@@ -90,7 +88,6 @@ pub struct AdjustmentFigures {
 impl From<&Joint> for AdjustmentFigures {
     fn from(found: &Joint) -> Self {
         Self {
-            mirrored: found.mirrored,
             frames_with_outline: found.contact.num_frames,
             error_px: found.error_px,
             num_uncertain: found.num_uncertain,

@@ -127,10 +127,10 @@ fn regression(sights: &[(f64, Vector3<f64>, Vector3<f64>)]) -> Option<RelativeMo
 }
 
 fn scaled(shares: &ScaleShares, factor: f64) -> ScaleShares {
-    let ScaleShares { tracks, frames, plane, contact, focal, disagreement } = *shares;
-    let [tracks, frames, plane, contact, focal, disagreement] =
-        [tracks, frames, plane, contact, focal, disagreement].map(|share| factor * share);
-    ScaleShares { tracks, frames, plane, contact, focal, disagreement }
+    let ScaleShares { frames, plane, contact, focal, disagreement } = *shares;
+    let [frames, plane, contact, focal, disagreement] =
+        [frames, plane, contact, focal, disagreement].map(|share| factor * share);
+    ScaleShares { frames, plane, contact, focal, disagreement }
 }
 
 #[cfg(test)]

@@ -14,6 +14,14 @@ pub(super) fn lever(camera_height: f64, distance: f64) -> f64 {
     camera_height.abs().max(0.5 * distance)
 }
 
+/// Mean direction of the ground's normals in the object's frame, and the median angle between it and them, radians.
+pub(super) fn mean_normal(views: &Views) -> Option<(Vector3<f64>, f64)> {
+    let normals = || views.views.iter().map(|view| view.normal_in_object);
+    let mean = normals().sum::<Vector3<f64>>().try_normalize(f64::EPSILON)?;
+    let angle = median(normals().map(|normal| normal.angle(&mean)).collect())?;
+    Some((mean, angle))
+}
+
 /// One camera with its local ground plane. With it the distance of object point j to the plane is h + r a_j
 /// (eq. ground_plane_distance with eq. object_to_background_coordinates put in).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,6 +87,8 @@ pub struct Views {
     /// Largest assumed drift of the object's height over its planes, as a share of [`View::lever`]
     /// (`scale.joint.sigma_distance`).
     pub max_drift: f64,
+    /// True if the camera does not translate: then its height over the ground shows no ratio.
+    pub camera_hovers: bool,
 }
 
 impl Views {
@@ -108,6 +118,7 @@ impl Views {
             num_planes: planes.len(),
             plane_std: change_of_basis(planes),
             max_drift: options.joint.max_drift(),
+            camera_hovers: planes.values().any(|plane| plane.basis == PlaneBasis::Vehicles),
         }
     }
 

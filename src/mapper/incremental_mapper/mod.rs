@@ -5,11 +5,9 @@ use std::ops::Range;
 mod finish;
 mod loop_closures;
 mod new_camera;
-mod pose_discontinuities;
 mod pose_outliers;
 mod pose_priors;
 mod submaps;
-mod unmerged;
 
 use super::adjustment::{self, Freedom, Scope};
 use super::initial_pair::InitialPair;
@@ -21,10 +19,8 @@ use crate::geometry::resection::{self, Resection};
 use crate::geometry::triangulation::Limits;
 use crate::mapper::MapperError;
 use crate::math::{Rigid3, seeded_rng};
-use crate::scene::Reconstruction;
 pub use pose_priors::PosePriors;
 pub use submaps::SubMap;
-pub use unmerged::split_at_gaps;
 
 /// Relative standard deviation of a focal length beyond which it counts as poorly determined.
 const LOOSE: f64 = 0.01;
@@ -55,7 +51,6 @@ pub struct IncrementalMapper<'a> {
     adjusted_at: usize,
     /// From the first to the last of them.
     adjusted_views: Range<usize>,
-    is_from_known_poses: bool,
     /// Points that were rejected after the last adjustments since they lay behind a camera or at infinity.
     num_infinite: usize,
 }
@@ -87,14 +82,8 @@ impl<'a> IncrementalMapper<'a> {
             apart,
             adjusted_at: 0,
             adjusted_views: 0..0,
-            is_from_known_poses: false,
             num_infinite: 0,
         }
-    }
-
-    /// Returns true if it began with pose priors and not with a pair of views.
-    pub fn is_from_known_poses(&self) -> bool {
-        self.is_from_known_poses
     }
 
     /// Starts from a pair; `false` when its points do not hold after adjustment.
@@ -143,21 +132,10 @@ impl<'a> IncrementalMapper<'a> {
         self.map.num_registered()
     }
 
-    /// The map as it stands.
-    pub fn reconstruction(&self) -> Reconstruction {
-        self.map.clone().into_reconstruction()
-    }
-
     /// The map itself.
     #[cfg(test)]
     pub fn map(&self) -> &Map<'a> {
         &self.map
-    }
-
-    /// The same, to be spoilt.
-    #[cfg(test)]
-    pub fn map_mut(&mut self) -> &mut Map<'a> {
-        &mut self.map
     }
 
     /// The map and what became of every view.

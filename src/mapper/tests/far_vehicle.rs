@@ -85,9 +85,8 @@ fn rough_poses_take_chance_out_of_a_far_vehicle() {
         let poses = rough_poses(&world);
         let camera = *world.object.cameras.values().next().unwrap();
         let build = |poses| {
-            let beside = Priors { silhouettes: None, poses };
             let options = Options::object();
-            reconstruct_watched(&table, &[camera], Intrinsics::FIXED, &options, seed, beside, &mut |_| {}).unwrap().0
+            reconstruct_watched(&table, &[camera], Intrinsics::FIXED, &options, seed, poses, &mut |_| {}).unwrap().0
         };
         let (alone, helped) = (build(None), build(Some(&poses)));
         let off = [&alone, &helped].map(|model| if model.is_empty() { f64::NAN } else { turned_by(model, &world) });

@@ -141,7 +141,7 @@ fn the_normal_equations_say_of_a_focal_length_what_three_adjustments_say() {
             cameras: &cameras,
             known: &known,
             options: &options,
-            beside: Priors::default(),
+            poses: None,
         };
         let growth = task.grow_from_starts(1, &mut |_| {}).unwrap().best.unwrap();
         let Noise::Measured { sigma_px } = growth.map().noise() else { panic!("a map has a noise") };

@@ -20,7 +20,7 @@ const fn ablation(name: &'static str, decision: u32, settings: &'static [(&'stat
 
 impl Ablation {
     /// All of them, by decision. `docs/decisions/README.md` has the same table and says which decisions have no switch.
-    pub const ALL: [Self; 21] = [
+    pub const ALL: [Self; 16] = [
         ablation(
             "track-length-limit",
             4,
@@ -45,10 +45,7 @@ impl Ablation {
         ablation("mask-interval-at-rest", 23, &[("tuning.tracker.max_rest_secs", "0")]),
         ablation("small-encoder-input", 23, &[("tuning.prompt.input_size", "448"), ("tuning.prompt.window", "2.5")]),
         ablation("vehicle-path", 19, &[("tuning.ground.vehicle_path", "false")]),
-        ablation("ground-poses", 21, &[("tuning.objects.mapper.weak_perspective_px", "0")]),
-        ablation("mirror-image", 21, &[("tuning.scale.joint.suspicious_tilt", "3.14")]),
-        ablation("larger-jackknife", 22, &[("tuning.scale.joint.larger_jackknife", "false")]),
-        ablation("plane-drift-test", 24, &[("tuning.scale.joint.max_group_spread", "1000000")]),
+        ablation("ground-poses", 21, &[("tuning.objects.mapper.pose_priors", "false")]),
         ablation("contact-frames", 25, &[("tuning.scale.joint.contact.best_share", "1")]),
         ablation("plane-outliers", 26, &[("tuning.scale.joint.compare_planes", "false")]),
         ablation("start-of-stationary", 27, &[("tuning.tracker.start_standing", "0.35")]),
@@ -59,16 +56,6 @@ impl Ablation {
                 ("tuning.background.mapper.coarse_tolerance", "1e-6"),
                 ("tuning.objects.mapper.coarse_tolerance", "1e-6"),
             ],
-        ),
-        ablation(
-            "early-termination",
-            28,
-            &[("tuning.background.mapper.stop_early", "false"), ("tuning.objects.mapper.stop_early", "false")],
-        ),
-        ablation(
-            "pose-discontinuities",
-            31,
-            &[("tuning.background.mapper.max_folds", "0"), ("tuning.objects.mapper.max_folds", "0")],
         ),
         ablation("stationary-ratio", 32, &[("tuning.scale.stationary", "none")]),
     ];

@@ -16,15 +16,13 @@ pub enum Method {
 }
 
 /// Options that switch off everything that the paper does not have.
-const PAPER: [(&str, &str); 13] = [
+const PAPER: [(&str, &str); 11] = [
     ("features", "sift"),
     ("vehicles.motion", "off"),
     ("masking.dilation", "0"),
     ("tuning.background.mapper.max_track_views", "1000000"),
     ("tuning.objects.mapper.max_track_views", "1000000"),
-    ("tuning.objects.mapper.weak_perspective_px", "0"),
-    ("tuning.background.mapper.max_folds", "0"),
-    ("tuning.objects.mapper.max_folds", "0"),
+    ("tuning.objects.mapper.pose_priors", "false"),
     ("tuning.ground.vehicle_path", "false"),
     ("tuning.ground.labels_only", "true"),
     ("tuning.scale.method_only", "true"),

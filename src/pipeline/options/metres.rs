@@ -37,6 +37,10 @@ pub struct MetricOptions {
     /// Mean height of the camera above the ground, with standard deviation: `"1.45±0.05"`.
     #[schemars(with = "Option<String>", extend("unit" = "metres, as text"))]
     pub camera_height: Option<Measured>,
+    /// Inclination of the camera below the horizon in the first frame, where it does not translate, with standard
+    /// deviation: `"45±1"`.
+    #[schemars(with = "Option<String>", extend("unit" = "degrees, as text"))]
+    pub camera_pitch: Option<Measured>,
     /// Meters per unit of the background, with standard deviation: `"12.3±0.1"`.
     #[schemars(with = "Option<String>", extend("unit" = "metres per unit, as text"))]
     pub scale: Option<Measured>,
@@ -52,6 +56,7 @@ impl MetricOptions {
     /// [`OptionError`] names the option.
     pub fn check(&self) -> Checked {
         self.camera_height.map_or(Ok(()), |height| value_within("camera_height", height, [0.01, 100_000.0]))?;
+        self.camera_pitch.map_or(Ok(()), |pitch| value_within("camera_pitch", pitch, [1.0, 90.0]))?;
         self.scale.map_or(Ok(()), |scale| value_within("scale", scale, [1e-9, 1e9]))?;
         self.known_lengths.iter().try_for_each(|known| value_within("known_lengths", known.length, [0.1, 100.0]))?;
         let Some(offset) = self.time_offset else { return Ok(()) };

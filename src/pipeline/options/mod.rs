@@ -482,7 +482,7 @@ mod tests {
         let wrong = [
             ("background.mapper.min_error_px", "5"),
             ("background.mapper.loss_scale_px", "0.01"),
-            ("objects.mapper.min_starts", "9"),
+            ("objects.mapper.max_starts", "0"),
             ("objects.front_end.patch_radius_px", "-1"),
             ("ground.min_points", "60"),
             ("tracker.confirm_window", "2"),

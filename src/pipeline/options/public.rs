@@ -15,7 +15,7 @@ use super::schema::{self, join};
 pub(super) const TUNING: &str = "tuning";
 
 /// Paths of the public options: targets of flags, choices that depend on the footage, and what documents set.
-const PUBLIC: [&str; 57] = [
+const PUBLIC: [&str; 58] = [
     "video.start",
     "video.end",
     "video.every",
@@ -68,6 +68,7 @@ const PUBLIC: [&str; 57] = [
     "metric.time_offset",
     "metric.utc_offset",
     "metric.camera_height",
+    "metric.camera_pitch",
     "metric.scale",
     "metric.known_lengths",
     "seed",

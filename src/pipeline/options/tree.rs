@@ -221,10 +221,10 @@ mod tests {
 
     #[test]
     fn what_is_not_given_keeps_the_default_of_its_target() {
-        let given = json!({ "objects": { "mapper": { "min_starts": 2 }, "front_end": { "quality": 0.5 } } });
+        let given = json!({ "objects": { "mapper": { "max_starts": 2 }, "front_end": { "quality": 0.5 } } });
         let found = laid(given).unwrap();
         let mut expected = Options::default();
-        expected.objects.mapper.min_starts = 2;
+        expected.objects.mapper.max_starts = 2;
         let FrontEndOptions::Video(video) = &mut expected.objects.front_end else { panic!("video is the default") };
         video.quality = 0.5;
         assert_eq!(found, expected);

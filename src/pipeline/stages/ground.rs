@@ -3,11 +3,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::{background, objects};
-use crate::ground::{BodyShape, DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount, label_points};
+use super::{background, objects, track};
+use crate::ground::{
+    BodyShape, DominantPlane, GroundChain, HoveringGround, Mount, dominant_plane_points, find_mount, hovering_ground,
+    label_points,
+};
 use crate::io::{RunFolder, masks};
 use crate::networks::{GroundSegmenter, load_ground_segmenter};
 use crate::pipeline::driver::fingerprint;
@@ -15,7 +19,10 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_masks::MaskFolder;
 use crate::pipeline::inputs::images;
 use crate::pipeline::{GroundLabels, Options, PipelineError, Stage};
-use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Reconstruction, Topic};
+use crate::scene::{
+    BoundingBox, Frame, FrameId, Ground, GroundSource, LabelMap, Mask, ObjectId, ObjectImage, Point3dId,
+    Reconstruction, Topic,
+};
 
 /// The name of the list of frames that have no plane, and why.
 const SKIPPED: &str = "ground-skipped.json";
@@ -36,6 +43,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
     Ok(json!({
         "labels": labels,
         "options": run.options.ground,
+        "pitch": run.options.metric.camera_pitch,
         "shape": body_shape(run.options),
         "seed": run.options.seed,
     }))
@@ -76,6 +84,10 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     outcome.figure("num_points", ground.point_ids.len());
     outcome.figure("num_planes", ground.planes.len());
     outcome.figure("bases", json!(bases));
+    if let Some(ground) = &found.hovering {
+        let (tilt_std_deg, num_vehicles) = (ground.tilt_std.to_degrees(), ground.num_vehicles);
+        outcome.figure("hovering", json!({ "tilt_std_deg": tilt_std_deg, "num_vehicles": num_vehicles }));
+    }
     if let Some(mount) = &found.mount {
         outcome.figure(
             "mount",
@@ -102,11 +114,13 @@ pub(in crate::pipeline) struct GroundResults {
     labelled: Option<(GroundSource, Vec<Point3dId>)>,
     dominant: Option<DominantPlane>,
     mount: Option<Mount>,
+    /// Below a camera that does not translate.
+    pub(in crate::pipeline) hovering: Option<HoveringGround>,
 }
 
 impl GroundResults {
     fn nothing() -> Self {
-        Self { labelled: None, dominant: None, mount: None }
+        Self { labelled: None, dominant: None, mount: None, hovering: None }
     }
 
     fn source(&self) -> GroundSource {
@@ -132,6 +146,7 @@ impl GroundResults {
             labelled: self.labelled.as_ref().map_or(&[], |(_, points)| points),
             dominant: self.dominant.as_ref(),
             mount: self.mount.as_ref(),
+            hovering: self.hovering.as_ref(),
             shape: body_shape(options),
         }
     }
@@ -144,10 +159,19 @@ fn find(
     fingerprint: &str,
     outcome: &mut Outcome,
 ) -> Result<GroundResults, PipelineError> {
+    if background.points.is_empty() {
+        let hovering = hovering(run, background)?;
+        if hovering.is_none() {
+            let text = "no ground found: the camera does not translate, and the sizes of vehicles do not show the \
+                        ground; give --camera-pitch";
+            outcome.warn(Topic::NoGroundFound.warning(text));
+        }
+        return Ok(GroundResults { hovering, ..GroundResults::nothing() });
+    }
     let labelled = labelled_points(run, background, fingerprint, outcome)?;
     let options = &run.options.ground;
     if options.labels_only {
-        return Ok(GroundResults { labelled, dominant: None, mount: None });
+        return Ok(GroundResults { labelled, ..GroundResults::nothing() });
     }
     let dominant = match dominant_plane_points(background, options, run.options.seed) {
         Ok(plane) => Some(plane),
@@ -167,7 +191,40 @@ fn find(
         Ok(_) => tracing::info!("camera mount: one plane in the camera's frame is the ground"),
         Err(reason) => tracing::debug!("camera mount not assumed: {reason}"),
     }
-    Ok(GroundResults { labelled, dominant, mount: mount.ok() })
+    Ok(GroundResults { labelled, dominant, mount: mount.ok(), hovering: None })
+}
+
+/// The ground below a camera that does not translate; `None` for others, and where nothing shows it. The stage `follow`
+/// must be done.
+pub(in crate::pipeline) fn hovering(
+    run: &Run,
+    background: &Reconstruction,
+) -> Result<Option<HoveringGround>, PipelineError> {
+    /// Standard deviation of a stated pitch at least, radians: half a degree, which gimbals and eyes leave.
+    const LEAST_PITCH_STD: f64 = 0.009;
+    if background.is_empty() || !background.points.is_empty() {
+        return Ok(None);
+    }
+    let tracked = track::objects(run)?;
+    let mut vehicles: BTreeMap<ObjectId, BTreeMap<FrameId, ObjectImage>> = BTreeMap::new();
+    for frame in run.frames()? {
+        for (id, mask) in track::masks_of(run, &tracked, frame)? {
+            let whole = mask.bounding_box().filter(|bounds| !is_cut(bounds, &mask));
+            let Some(bounds) = whole else { continue };
+            let middle = Point2::new(f64::from(bounds.x0 + bounds.x1), f64::from(bounds.y0 + bounds.y1)) * 0.5;
+            let extent_px = f64::from(bounds.width().max(bounds.height()));
+            vehicles.entry(id).or_default().insert(frame.id, ObjectImage { middle, extent_px });
+        }
+    }
+    let vehicles: Vec<_> = vehicles.into_values().collect();
+    let pitch = run.options.metric.camera_pitch;
+    let pitch = pitch.map(|pitch| [pitch.value.to_radians(), pitch.std.to_radians().max(LEAST_PITCH_STD)]);
+    Ok(hovering_ground(background, &vehicles, pitch))
+}
+
+/// Returns true if the border of the image cuts a mask off.
+fn is_cut(bounds: &BoundingBox, mask: &Mask) -> bool {
+    bounds.x0 == 0 || bounds.y0 == 0 || bounds.x1 == mask.width() || bounds.y1 == mask.height()
 }
 
 /// The ground; the stage must be done.

@@ -329,7 +329,7 @@ mod tests {
     fn options_of_run_json_are_read_back() {
         let mut options = Options { seed: 7, ..Options::default() };
         options.objects = options.objects.with_sift(Target::Object);
-        options.background.mapper.min_starts = 2;
+        options.background.mapper.max_starts = 2;
         for options in [Options::default(), options] {
             let input = serde_json::json!({ "path": "clip.mp4" });
             let document =

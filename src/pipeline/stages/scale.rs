@@ -341,7 +341,6 @@ fn describe_adjustment(id: ObjectId, adjustment: &Adjustment, outcome: &mut Outc
         Adjustment::Done(found) => outcome.figure(
             &format!("object_{id}"),
             json!({
-                "mirrored": found.mirrored,
                 "frames_with_outline": found.frames_with_outline,
                 "median_error_px": found.error_px,
                 "num_uncertain_points": found.num_uncertain,

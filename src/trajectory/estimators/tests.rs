@@ -118,7 +118,15 @@ impl World {
             }
         };
         let views: Vec<View> = (0..NUM_FRAMES).map(view).collect();
-        Views { num_paired: views.len(), num_planes: views.len(), views, points, plane_std: 0.0, max_drift: 0.0 }
+        Views {
+            num_paired: views.len(),
+            num_planes: views.len(),
+            views,
+            points,
+            plane_std: 0.0,
+            max_drift: 0.0,
+            camera_hovers: false,
+        }
     }
 }
 

@@ -10,9 +10,8 @@ use crate::bundle::{self, BundleError, CameraBlock, PlanePrior, PointPrior, Prob
 use crate::math::{RobustLoss, STD_PER_MAD, Sim3, median, umeyama};
 use crate::scene::{FrameId, Image, Reconstruction};
 use crate::trajectory::assemble::poses;
-use crate::trajectory::mirror::mean_normal;
 use crate::trajectory::plane_outliers::Steadiness;
-use crate::trajectory::views::lever;
+use crate::trajectory::views::{lever, mean_normal};
 use crate::trajectory::{
     Contact, ContactOptions, LeastSquares, Options, ScaleError, Views, contact, forward_axis, intersection,
     least_squares, object_center,
@@ -69,7 +68,10 @@ pub(super) struct Adjustment<'a> {
 impl<'a> Adjustment<'a> {
     pub(super) fn new(grounded: &'a Grounded<'a>, views: &Views, options: &'a Options) -> Result<Self, ScaleError> {
         let (up, _) = mean_normal(views).ok_or(ScaleError::NoMeanNormal { num_views: views.views.len() })?;
-        let all_frames = least_squares(views, &options.least_squares);
+        let all_frames = match views.camera_hovers {
+            true => Err(ScaleError::CameraHovers),
+            false => least_squares(views, &options.least_squares),
+        };
         let (all_options, options) = (options, &options.joint);
         let ratio = start(&all_frames, views)?;
         let spread = all_frames.as_ref().map_or(f64::INFINITY, |found| found.residual_std);
@@ -118,25 +120,8 @@ impl<'a> Adjustment<'a> {
         Self { wander: self.options.max_drift(), ..self.clone() }
     }
 
-    /// Returns true if its weight is minimal.
-    pub(super) fn is_in_doubt(&self) -> bool {
-        self.wander >= self.options.max_drift()
-    }
-
     pub(super) fn options(&self) -> &'a JointOptions {
         self.options
-    }
-
-    /// Standard deviation of an image position before it is made to count less, pixels.
-    pub(super) fn noise_px(&self) -> f64 {
-        self.noise_px
-    }
-
-    /// Cost of image positions of a noise, and of planes, at their best agreement; planes weigh little, whatever the
-    /// drift of the object's distance to them.
-    pub(super) fn cost(&self, contact: &Contact, noise_px: f64) -> Result<f64, ScaleError> {
-        let mut doubted = Self { noise_px, ..self.in_doubt() };
-        doubted.round(contact)
     }
 
     /// Where the outlines put the ground.
@@ -153,8 +138,8 @@ impl<'a> Adjustment<'a> {
         forward_axis(&poses(background, &self.object, 1.0, frames))
     }
 
-    /// One adjustment; outlines say that the ground is at `contact`. Returns what it costs in the end.
-    pub(super) fn round(&mut self, contact: &Contact) -> Result<f64, ScaleError> {
+    /// One adjustment; outlines say that the ground is at `contact`.
+    pub(super) fn round(&mut self, contact: &Contact) -> Result<(), ScaleError> {
         let mut problem = self.problem(contact);
         let options = bundle::Options { function_tolerance: self.tolerance, ..self.bundle_options(&problem) };
         let adjusted = bundle::adjust(&mut problem, &options);
@@ -171,7 +156,7 @@ impl<'a> Adjustment<'a> {
             "adjusted with the ground"
         );
         problem.store(&mut self.object);
-        Ok(summary.final_cost)
+        Ok(())
     }
 
     fn bundle_options(&self, problem: &Problem) -> bundle::Options {

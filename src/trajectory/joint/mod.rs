@@ -25,7 +25,6 @@ use serde::{Deserialize, Serialize};
 use self::adjustment::Adjustment;
 use self::precision::{median_error_px, point_covariances, set_errors, uncertain_points};
 use self::surface::draw_onto_surface;
-use super::mirror::{mean_normal, mirrored};
 use super::{
     Body, Contact, ContactOptions, Estimate, Estimator, EstimatorInput, Options, ScaleError, Silhouette, Views,
     object_center,
@@ -57,9 +56,6 @@ pub struct JointOptions {
     /// Standard deviations beyond which an image position loses weight (Cauchy).
     #[schemars(extend("unit" = "standard deviations"))]
     pub pixel_loss_scale: f64,
-    /// Median angle between planes and object from which on the mirror image is looked at, too.
-    #[schemars(extend("unit" = "radians"))]
-    pub suspicious_tilt: f64,
     /// Most rounds of adjustment and new contact.
     #[schemars(extend("unit" = "rounds"))]
     pub max_rounds: usize,
@@ -74,12 +70,6 @@ pub struct JointOptions {
     /// Share of the points that stays in any case: the surest.
     #[schemars(extend("unit" = "share"))]
     pub least_share: f64,
-    /// Jackknife over time groups, over its expectation, beyond which ground planes get their largest standard
-    /// deviation: √(χ²/4), 5 % of four degrees of freedom.
-    #[schemars(extend("unit" = "factor"))]
-    pub max_group_spread: f64,
-    /// True if only the larger of the two jackknives counts; false for their sum.
-    pub larger_jackknife: bool,
     /// True if ground planes that deviate from those of neighboring frames lose weight or are rejected.
     pub compare_planes: bool,
     /// True if points are drawn onto the surface of their neighbors.
@@ -96,13 +86,10 @@ impl Default for JointOptions {
             sigma_tilt: 0.03,
             loss_scale: 3.0,
             pixel_loss_scale: 3.0,
-            suspicious_tilt: 0.07,
             max_rounds: 5,
             max_error_growth: 3.0,
             max_deviation: 0.05,
             least_share: 0.5,
-            max_group_spread: 1.54,
-            larger_jackknife: true,
             compare_planes: true,
             smooth_surface: true,
             contact: ContactOptions::default(),
@@ -130,12 +117,10 @@ impl JointOptions {
         within("sigma_tilt", self.sigma_tilt, 1e-6..=10.0)?;
         within("loss_scale", self.loss_scale, 0.01..=1000.0)?;
         within("pixel_loss_scale", self.pixel_loss_scale, 0.01..=1000.0)?;
-        within("suspicious_tilt", self.suspicious_tilt, 0.0..=std::f64::consts::PI)?;
         within("max_rounds", self.max_rounds, 1..=1000)?;
         within("max_error_growth", self.max_error_growth, 0.1..=1000.0)?;
         within("max_deviation", self.max_deviation, 1e-6..=1000.0)?;
         within("least_share", self.least_share, 0.0..=1.0)?;
-        within("max_group_spread", self.max_group_spread, 1.0..=1e6)?;
         under("contact", self.contact.check())
     }
 }
@@ -171,8 +156,6 @@ pub struct Joint {
     /// Where the vehicle touches the ground, relative to it and in units of the background: what is left of the
     /// outlines' contradiction to the planes.
     pub contact: Contact,
-    /// True if it is the mirror image of the one that it was made from.
-    pub mirrored: bool,
     /// Median error of the image positions before and after, pixels.
     pub error_px: [f64; 2],
     /// Points that were left out because their place is too uncertain.
@@ -189,18 +172,40 @@ pub struct Joint {
 /// image positions and ground contradict one another.
 pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Joint, ScaleError> {
     views.require(3)?;
-    let as_it_is = Settled::of(grounded, views, options);
-    if mean_normal(views).is_none_or(|(_, tilt)| tilt <= options.joint.suspicious_tilt) {
-        return as_it_is?.finished(grounded, false);
+    let mut adjustment = Adjustment::new(grounded, views, options)?;
+    let options = &options.joint;
+    let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
+    let contact = settle(&mut adjustment)?;
+    let after_px = median_error_px(&adjustment.object).filter(|px| px.is_finite()).ok_or(ScaleError::NoObservations)?;
+    if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {
+        return Err(ScaleError::GroundContradicts { before_px, after_px });
     }
-    let object = mirrored(grounded.object);
-    let other = Grounded { object: &object, ..*grounded };
-    let mirrored = Settled::of(&other, &Views::new(grounded.background, &object, grounded.planes, options), options);
-    match (as_it_is, mirrored) {
-        (Ok(first), Ok(second)) if second.is_likelier_than(&first) => second.finished(&other, true),
-        (Err(_), Ok(second)) => second.finished(&other, true),
-        (first, _) => first?.finished(grounded, false),
+    let shares = shares(&adjustment, &contact)?;
+    let object_from_ground = adjustment.back_to(grounded.object).ok_or(ScaleError::NoSimilarity)?;
+    let mut object = adjustment.object;
+    object.transform(&object_from_ground);
+    let radius = object_radius(&object);
+    let covariances = point_covariances(&object);
+    let deviations = draw_onto_surface(&mut object, &covariances, radius, options.smooth_surface);
+    let uncertain = uncertain_points(&deviations, options.max_deviation * radius, options.least_share);
+    object.remove_points(&uncertain);
+    set_errors(&mut object);
+    let ratio = 1.0 / object_from_ground.scale;
+    let (std, error_px, num_uncertain) = (shares.total() * ratio, [before_px, after_px], uncertain.len());
+    Ok(Joint { object, ratio, std, shares, contact, error_px, num_uncertain })
+}
+
+/// Adjusts in turns with the contact until that stays.
+fn settle(adjustment: &mut Adjustment) -> Result<Contact, ScaleError> {
+    let mut contact = adjustment.contact()?;
+    for _ in 0..adjustment.options().max_rounds {
+        adjustment.round(&contact)?;
+        let last = std::mem::replace(&mut contact, adjustment.contact()?);
+        if (contact.z - last.z).abs() < 0.05 * contact.std {
+            break;
+        }
     }
+    Ok(contact)
 }
 
 /// Row of the registry.
@@ -222,119 +227,17 @@ impl Estimator for JointMethod {
     }
 }
 
-/// Fewest frames whose stretches tell: four to each.
-const FRAMES_THAT_TELL: usize = 20;
-
-/// An adjustment that has come to its end.
-struct Settled<'a> {
-    /// Initial adjustment.
-    start: Adjustment<'a>,
-    adjustment: Adjustment<'a>,
-    contact: Contact,
-    error_px: [f64; 2],
-}
-
-impl<'a> Settled<'a> {
-    fn of(grounded: &'a Grounded<'a>, views: &Views, options: &'a Options) -> Result<Self, ScaleError> {
-        Self::beginning_with(Adjustment::new(grounded, views, options)?)
-    }
-
-    /// Adjusts in turns with the contact until that stays.
-    fn beginning_with(start: Adjustment<'a>) -> Result<Self, ScaleError> {
-        let mut adjustment = start.clone();
-        let options = adjustment.options();
-        let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
-        let mut contact = adjustment.contact()?;
-        for _ in 0..options.max_rounds {
-            adjustment.round(&contact)?;
-            let last = std::mem::replace(&mut contact, adjustment.contact()?);
-            if (contact.z - last.z).abs() < 0.05 * contact.std {
-                break;
-            }
-        }
-        let after_px =
-            median_error_px(&adjustment.object).filter(|px| px.is_finite()).ok_or(ScaleError::NoObservations)?;
-        if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {
-            return Err(ScaleError::GroundContradicts { before_px, after_px });
-        }
-        Ok(Self { start, adjustment, contact, error_px: [before_px, after_px] })
-    }
-
-    /// The same; but with planes that are believed least where stretches of frames differ by more than these would make
-    /// them: planes and reconstruction agree because both drift (docs/maths/scale.md). With it comes by how much
-    /// stretches differ, the more of both, where that can be determined.
-    ///
-    /// The square of the jackknife of K stretches, over the variance that is expected, is χ²/(K − 1) with K − 1 degrees
-    /// of freedom; one in twenty is above the limit by chance.
-    fn reconsidered(self) -> Result<(Self, Option<f64>), ScaleError> {
-        let frames = spread::over_frames(&self.adjustment);
-        let expected = self.adjustment.in_doubt().relative_std(&self.contact.known())?;
-        let tells = self.adjustment.object.images.len() >= FRAMES_THAT_TELL && !self.adjustment.is_in_doubt();
-        let Some(differ_by) =
-            frames.filter(|frames| tells && *frames > self.adjustment.options().max_group_spread * expected)
-        else {
-            return Ok((self, frames));
-        };
-        tracing::debug!("ground planes downweighted: parts of the clip differ by {differ_by:.4}, not {expected:.4}");
-        let Ok(doubted) = Self::beginning_with(self.start.in_doubt()) else { return Ok((self, frames)) };
-        let frames = spread::over_frames(&doubted.adjustment).map_or(differ_by, |frames| frames.max(differ_by));
-        Ok((doubted, Some(frames)))
-    }
-
-    /// Returns true if image positions and planes together contradict it less than another one, with equal weights.
-    fn is_likelier_than(&self, other: &Self) -> bool {
-        let noise_px = self.adjustment.noise_px().min(other.adjustment.noise_px());
-        let cost = |settled: &Self| settled.adjustment.cost(&settled.contact, noise_px).unwrap_or(f64::INFINITY);
-        let (own, of_other) = (cost(self), cost(other));
-        tracing::debug!("mirror image: cost {own:.2}, original {of_other:.2}");
-        own < of_other
-    }
-
-    fn finished(self, grounded: &Grounded, is_mirrored: bool) -> Result<Joint, ScaleError> {
-        let (Self { adjustment, contact: last, error_px, .. }, frames) = self.reconsidered()?;
-        let options = adjustment.options();
-        let shares = shares(&adjustment, &last, frames)?;
-        let object_from_ground = adjustment.back_to(grounded.object).ok_or(ScaleError::NoSimilarity)?;
-        let mut object = adjustment.object;
-        object.transform(&object_from_ground);
-        let radius = object_radius(&object);
-        let covariances = point_covariances(&object);
-        let deviations = draw_onto_surface(&mut object, &covariances, radius, options.smooth_surface);
-        let uncertain = uncertain_points(&deviations, options.max_deviation * radius, options.least_share);
-        object.remove_points(&uncertain);
-        set_errors(&mut object);
-        let ratio = 1.0 / object_from_ground.scale;
-        Ok(Joint {
-            object,
-            ratio,
-            std: shares.total() * ratio,
-            shares,
-            contact: last,
-            mirrored: is_mirrored,
-            error_px,
-            num_uncertain: uncertain.len(),
-        })
-    }
-}
-
 /// Where the standard deviation of the ratio comes from, as far as the adjustment itself knows.
 ///
 /// The part of the contact is what is left of the adjustment's own variance when the contact is known. For the rest
-/// that variance is too small, since it takes errors for independent; only where groups cannot be left out it stands
+/// that variance is too small, since it takes errors for independent; only where stretches cannot be left out it stands
 /// in.
-///
-/// * `frames` – what leaving out stretches of frames says.
-fn shares(adjustment: &Adjustment, contact: &Contact, frames: Option<f64>) -> Result<ScaleShares, ScaleError> {
+fn shares(adjustment: &Adjustment, contact: &Contact) -> Result<ScaleShares, ScaleError> {
     let doubted = adjustment.in_doubt();
     let all = doubted.relative_std(contact)?;
     let of_contact_known = doubted.relative_std(&contact.known())?;
-    let tracks = spread::over_tracks(adjustment).unwrap_or(of_contact_known);
-    let frames = frames.unwrap_or(of_contact_known);
-    let stds = [tracks, frames];
-    let [tracks, frames] = if adjustment.options().larger_jackknife { spread::counted_once(stds) } else { stds };
     Ok(ScaleShares {
-        tracks,
-        frames,
+        frames: spread::over_frames(adjustment).unwrap_or(of_contact_known),
         plane: adjustment.common_height_std(),
         contact: (all * all - of_contact_known * of_contact_known).max(0.0).sqrt(),
         ..ScaleShares::default()

@@ -2,6 +2,7 @@
 
 pub(in crate::pipeline) mod calibration_check;
 pub(in crate::pipeline) mod failure;
+mod hovering;
 pub(in crate::pipeline) mod model_report;
 pub(in crate::pipeline) mod point_cloud;
 
@@ -17,7 +18,7 @@ use crate::bundle;
 use crate::camera::{Camera, NUM_INTRINSICS};
 use crate::io::interchange::colmap;
 use crate::mapper::ModelWeakness;
-use crate::mapper::{self, Priors};
+use crate::mapper::{self, PosePriors};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::threads::on_threads;
@@ -63,14 +64,18 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
             let num_frames = table.views.len() as u64;
             run.progress.begin("background", Some(num_frames));
             let mut watch = |share: f64| run.progress.reach((share * num_frames as f64) as u64);
-            reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, Priors::default(), &mut watch)?
+            let found = reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, None, &mut watch)?;
+            let is_other = !found.0.is_empty() || !order::found(run)?.in_time || run.options.scale.method_only;
+            if is_other { None } else { hovering::reconstruct(run)? }.unwrap_or(found)
         }
     };
-    if order::found(run)?.in_time {
-        report.focal_changes = focal_changes(run, &model, report.given)?;
+    if !model.points.is_empty() {
+        if order::found(run)?.in_time {
+            report.focal_changes = focal_changes(run, &model, report.given)?;
+        }
+        let given = calibration_check::given(run, &model, report.given)?;
+        calibration_check::check_fit(run, &model, &given, &mut report, &mut outcome)?;
     }
-    let given = calibration_check::given(run, &model, report.given)?;
-    calibration_check::check_fit(run, &model, &given, &mut report, &mut outcome)?;
     if let Some(failure) = &mut report.failure {
         failure.push_str(&cure_of_large_frames(run.info().width, run.info().height));
         failure.push_str(&failure::reasons(run)?);
@@ -187,14 +192,14 @@ pub(in crate::pipeline) fn focal_deviation(run: &Run) -> Result<Option<f64>, Pip
     Ok(background_report(run)?.focal_deviation())
 }
 
-/// The one place where structure from motion is called. `beside` has the priors; `watch` receives the
+/// The one place where structure from motion is called. `poses` are those that a map starts from, if any; `watch` receives the
 /// finished share.
 pub(in crate::pipeline) fn reconstruct(
     run: &Run,
     mut table: crate::features::TrackTable,
     cameras: &[(Camera, mapper::Intrinsics)],
     options: &mapper::Options,
-    beside: Priors<'_>,
+    poses: Option<&PosePriors>,
     watch: &mut (dyn FnMut(f64) + Send),
 ) -> Result<(Reconstruction, ModelReport), PipelineError> {
     let (threads, seed) = (run.options.threads, run.options.seed);
@@ -206,7 +211,7 @@ pub(in crate::pipeline) fn reconstruct(
         // Only videos have long tracks, and one camera.
         let of_video = known.first().copied().unwrap_or(mapper::Intrinsics::GUESSED);
         mapper::cut_long_tracks(&mut table, &cameras, of_video, options, seed);
-        mapper::reconstruct_consuming(table, &cameras, known, options, seed, beside, watch)
+        mapper::reconstruct_consuming(table, &cameras, known, options, seed, poses, watch)
     })??;
     if model.is_empty() {
         // Even an empty model says which cameras it would have had.

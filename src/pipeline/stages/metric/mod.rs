@@ -40,7 +40,8 @@ pub(in crate::pipeline) use vehicles::Size;
 
 /// Inputs of this stage alone: the options of meters, and the content of telemetry files.
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
-    let MetricOptions { telemetry, time_offset, utc_offset, camera_height, scale, known_lengths } = &run.options.metric;
+    let MetricOptions { telemetry, time_offset, utc_offset, camera_height, camera_pitch: _, scale, known_lengths } =
+        &run.options.metric;
     let files = log::files(run);
     // What cannot be read next to a video is no telemetry; what was named has been read before.
     let contents: Vec<Option<String>> = files.iter().map(|file| fingerprint::of_content(file).ok()).collect();

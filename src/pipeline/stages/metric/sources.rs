@@ -33,8 +33,13 @@ const CAMERA_TILT_STD: f64 = 0.5;
 
 impl Ground {
     pub(super) fn of(run: &Run, background: &Reconstruction) -> Result<Self, PipelineError> {
-        let points = ground::ground(run)?.point_ids;
-        let below = camera_height(background, &points, &run.options.ground, run.options.seed);
+        let below = match ground::sources(run)?.hovering {
+            Some(hovering) => Ok(hovering.camera_height(background)),
+            None => {
+                let points = ground::ground(run)?.point_ids;
+                camera_height(background, &points, &run.options.ground, run.options.seed)
+            }
+        };
         let normal = below.as_ref().ok().map(|found| (found.up_in_world, SLOPE_STD.hypot(0.5 * found.tilt_spread)));
         let focal_std = background::focal_deviation(run)?.unwrap_or(0.0);
         Ok(Self { normal, below, mount: mount(run), focal_std })

@@ -1,4 +1,4 @@
-//! Poses about small objects, from the ground alone.
+//! Poses about objects, from the ground alone.
 //!
 //! A start of structure from motion that depends on no chance: the object stands on the ground and points where it goes
 //! ([`ground_constrained_poses`]). The planes are those that are found without labels, before the object has a model:
@@ -9,15 +9,15 @@ use std::collections::BTreeMap;
 
 use nalgebra::Point2;
 
-use super::super::ground::body_shape;
-use crate::camera::Camera;
+use super::super::ground::{self, body_shape};
 use crate::features::tracks::{TrackTable, View};
-use crate::ground::{DominantPlane, GroundChain, Mount, dominant_plane_points, find_mount};
+use crate::ground::{DominantPlane, GroundChain, HoveringGround, Mount, dominant_plane_points, find_mount};
 use crate::mapper::PosePriors;
 use crate::math::{Rigid3, median};
+use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::Run;
-use crate::scene::{FrameId, Image, ObjectId, Observation, Point3dId, Reconstruction};
-use crate::trajectory::{ObjectImage, ground_constrained_poses};
+use crate::scene::{FrameId, Image, ObjectId, ObjectImage, Observation, Point3dId, Reconstruction};
+use crate::trajectory::ground_constrained_poses;
 
 /// By what share of its extent the middle of what is seen of an object may lie next to its middle.
 const OFF_MIDDLE: f64 = 0.25;
@@ -28,13 +28,15 @@ const MIN_FEATURES: usize = 5;
 pub(super) struct Footing<'a> {
     run: &'a Run<'a>,
     background: &'a Reconstruction,
-    /// Found when the first small object asks for it.
+    /// The ground below a camera that does not translate.
+    hovering: Option<HoveringGround>,
+    /// Found when the first object asks for it.
     found: OnceCell<(Option<DominantPlane>, Option<Mount>)>,
 }
 
 impl<'a> Footing<'a> {
-    pub(super) fn new(run: &'a Run<'a>, background: &'a Reconstruction) -> Self {
-        Self { run, background, found: OnceCell::new() }
+    pub(super) fn new(run: &'a Run<'a>, background: &'a Reconstruction) -> Result<Self, PipelineError> {
+        Ok(Self { run, background, hovering: ground::hovering(run, background)?, found: OnceCell::new() })
     }
 
     fn chain(&self) -> GroundChain<'_> {
@@ -44,25 +46,25 @@ impl<'a> Footing<'a> {
             (dominant, find_mount(self.background, None, options, seed).ok())
         });
         let (dominant, mount) = (dominant.as_ref(), mount.as_ref());
-        GroundChain { background: self.background, labelled: &[], dominant, mount, shape: body_shape(self.run.options) }
+        let (hovering, shape) = (self.hovering.as_ref(), body_shape(self.run.options));
+        GroundChain { background: self.background, labelled: &[], dominant, mount, hovering, shape }
     }
 
-    /// Poses of the views of an object; `None` for one whose perspective, in pixels, is more than `weak_px`, or where
-    /// there is no ground.
-    pub(super) fn poses(&self, id: ObjectId, table: &TrackTable, camera: &Camera, weak_px: f64) -> Option<PosePriors> {
-        let sights: BTreeMap<FrameId, ObjectImage> =
-            table.views.iter().filter_map(|view| Some((view.image.frame(), sight(view)?))).collect();
+    /// Poses of the views of an object; `None` where there is no ground.
+    pub(super) fn poses(&self, id: ObjectId, table: &TrackTable) -> Option<PosePriors> {
+        let sights = sights(table);
         let extent_px = median(sights.values().map(|sight| sight.extent_px).collect())?;
-        // An object as long as deep looks so much larger in front than behind.
-        if extent_px * extent_px / camera.mean_focal() >= weak_px {
-            return None;
-        }
         let options = self.run.options;
         let planes = self.chain().planes(id, &without_poses(table), &options.ground, options.seed).planes;
         let found = ground_constrained_poses(self.background, &planes, &sights);
         let poses = table.views.iter().map(|view| found.get(&view.image.frame()).copied()).collect();
         (!found.is_empty()).then_some(PosePriors { poses, error_px: OFF_MIDDLE * extent_px })
     }
+}
+
+/// Where the views show their object.
+fn sights(table: &TrackTable) -> BTreeMap<FrameId, ObjectImage> {
+    table.views.iter().filter_map(|view| Some((view.image.frame(), sight(view)?))).collect()
 }
 
 /// Where a view shows its object: the box round its features.

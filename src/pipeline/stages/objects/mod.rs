@@ -18,25 +18,22 @@ use super::track;
 use super::{follow, ground};
 use crate::camera::Camera;
 use crate::io::interchange::colmap;
-use crate::mapper::Priors;
-use crate::mapper::silhouette::{SilhouetteOptions, SilhouetteVotes, Silhouettes};
+use crate::mapper::silhouette::{SilhouetteOptions, SilhouetteVotes};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_models::{self, Target};
 use crate::pipeline::inputs::order;
 use crate::pipeline::{PipelineError, Stage};
-use crate::scene::{BoundingBox, Frame, Image, ImageId, Mask, ObjectId, Reconstruction, Topic, TrackedObject};
+use crate::scene::{BoundingBox, Image, ImageId, Mask, Movement, ObjectId, Reconstruction, Topic, TrackedObject};
 use footing::Footing;
 
 const REPORTS: &str = "objects-report.json";
 /// Why there is no model where it is not the object's fault.
 const NO_BACKGROUND: &str = "no background to place it in";
+/// Why a vehicle that is not known to move has no model below a camera that does not translate.
+const NO_MOTION: &str = "neither the camera nor the vehicle moves, so its shape has no depth";
 /// Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
 const BORDER_PX: f64 = 1.0;
 const BORDER: f64 = 0.01;
-/// Frames by whose masks maps of an object are distinguished, and the memory that they may take.
-const MOST_SILHOUETTES: usize = 32;
-const LEAST_SILHOUETTES: usize = 8;
-const SILHOUETTES_BYTES: usize = 64 << 20;
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
     let given: Result<BTreeMap<_, _>, PipelineError> =
@@ -47,6 +44,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
         "only": run.options.only_objects,
         "options": objects.mapper,
         "ground": run.options.ground,
+        "pitch": run.options.metric.camera_pitch,
         "shape": ground::body_shape(run.options),
         "seed": run.options.seed,
     });
@@ -59,7 +57,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
     let (background, _) = background::background(run)?;
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
-    let place = ObjectContext { camera, footing: Footing::new(run, &background) };
+    let hovers = background.points.is_empty();
+    let place = ObjectContext { camera, hovers, footing: Footing::new(run, &background)? };
     // The frames of every object, and then all frames again for the masks.
     let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
     run.progress.begin("objects", Some(num_views as u64));
@@ -69,7 +68,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
         run.go_on()?;
         let (before, of_this) = (num_done, object.frames.len());
         let mut watch = |share: f64| run.progress.reach(before + (share * of_this as f64) as u64);
-        markers.insert(object.id, one_object(run, object, &tracked, &place, fingerprint, &mut watch)?);
+        markers.insert(object.id, one_object(run, object, &place, fingerprint, &mut watch)?);
         num_done += of_this as u64;
         run.progress.reach(num_done);
     }
@@ -162,6 +161,8 @@ fn marker_name(id: ObjectId) -> String {
 struct ObjectContext<'a> {
     /// `None` without a background.
     camera: Option<Camera>,
+    /// True if the camera does not translate.
+    hovers: bool,
     footing: Footing<'a>,
 }
 
@@ -169,7 +170,6 @@ struct ObjectContext<'a> {
 fn one_object(
     run: &Run,
     object: &TrackedObject,
-    tracked: &[TrackedObject],
     place: &ObjectContext<'_>,
     fingerprint: &str,
     watch: &mut (dyn FnMut(f64) + Send),
@@ -185,14 +185,13 @@ fn one_object(
     let (model, mut report) = match (given, place.camera) {
         (Some(path), _) => given_models::read(path, Target::Object, run)?,
         (None, _) if object.left_out.is_some() => failed(object.left_out.clone().unwrap_or_default()),
+        (None, Some(_)) if place.hovers && object.movement.state != Movement::Moving => failed(NO_MOTION.to_owned()),
         (None, Some(camera)) => {
             let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
-            let silhouettes = table.has_gaps().then(|| silhouettes(run, object, tracked)).transpose()?;
             let cameras = [(camera, mapper::Intrinsics::FIXED)];
-            let poses = place.footing.poses(id, &table, &camera, options.weak_perspective_px);
-            let beside = Priors { silhouettes: silhouettes.as_ref(), poses: poses.as_ref() };
-            background::reconstruct(run, table, &cameras, &options, beside, watch)?
+            let poses = if options.pose_priors { place.footing.poses(id, &table) } else { None };
+            background::reconstruct(run, table, &cameras, &options, poses.as_ref(), watch)?
         }
         (None, None) => failed(NO_BACKGROUND.to_owned()),
     };
@@ -216,25 +215,6 @@ fn one_object(
 fn grown(mask: &Mask, bounds: BoundingBox) -> Mask {
     let longer_px = f64::from(bounds.width().max(bounds.height()));
     mask.dilated((BORDER_PX + BORDER * longer_px).round() as u32)
-}
-
-/// An object's silhouettes in some of its frames, evenly spread: as many as fit [`SILHOUETTES_BYTES`].
-fn silhouettes(run: &Run, object: &TrackedObject, tracked: &[TrackedObject]) -> Result<Silhouettes, PipelineError> {
-    let mut found = Silhouettes::default();
-    let is_seen = |frame: &&Frame| object.frames.binary_search(&frame.id).is_ok();
-    let frames: Vec<&Frame> = run.frames()?.iter().filter(is_seen).collect();
-    let bytes_of_frame = 2 * run.info().width as usize * run.info().height as usize;
-    let most = (SILHOUETTES_BYTES / bytes_of_frame.max(1)).clamp(LEAST_SILHOUETTES, MOST_SILHOUETTES);
-    for frame in frames.iter().step_by(frames.len().div_ceil(most).max(1)) {
-        let masks = track::masks_of(run, tracked, frame)?;
-        let (own, others): (Vec<_>, Vec<_>) = masks.iter().partition(|(id, _)| *id == object.id);
-        let own = own.first().and_then(|(_, mask)| Some((mask, mask.bounding_box()?)));
-        let Some((mask, bounds)) = own else { continue };
-        let mut hidden = Mask::empty(mask.width(), mask.height());
-        others.iter().for_each(|(_, other)| hidden.union_with(other));
-        found.add(ImageId::from(frame.id), grown(mask, bounds), hidden);
-    }
-    Ok(found)
 }
 
 /// A reconstruction that is being compared with the masks.

@@ -1,0 +1,208 @@
+//! Rotations of a camera that does not translate: a drone that hovers, a camera on a pole.
+//!
+//! Without translation a point has a direction and no depth. With b_ij the ray of point j in camera i, its direction
+//! d_j in the world and the rotations R_i (cam_i from world), b_ij = R_i d_j. Views are taken in order: rotations from
+//! the directions known so far (Wahba's problem by SVD, reweighted), then the directions of new points; then both in
+//! turns. A camera that sways by a share of its height moves near points against far ones; over one ground plane most
+//! of that is a rotation, too.
+
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+
+use crate::camera::Camera;
+use crate::features::tracks::TrackTable;
+use crate::math::{Rigid3, STD_PER_MAD, median};
+
+/// Fewest points that hold a rotation: three determine it, and as many again show that they are right.
+const MIN_POINTS: usize = 12;
+/// Residual beyond which a point is no part of the rotation, pixels: the sway of a hovering drone at some heights of
+/// distance, and errors of a guessed focal length towards the corners.
+const MAX_ERROR_PX: f64 = 6.0;
+/// Share of the points of a view that must agree on its rotation.
+const MIN_SHARE: f64 = 0.6;
+/// Share of the views that must have one: fewer are another kind of video.
+const MIN_VIEWS: f64 = 0.9;
+/// Sweeps over all views after the first.
+const SWEEPS: usize = 3;
+
+/// Views of a camera that only rotates.
+#[derive(Clone, Debug)]
+pub struct RotatingCamera {
+    /// By view: world to camera, with the camera at the origin; the first registered view is the world.
+    pub poses: Vec<Option<Rigid3>>,
+    /// Robust standard deviation of a coordinate, pixels.
+    pub error_px: f64,
+}
+
+/// Rotations of the views of one camera; `None` where rotations do not explain them.
+///
+/// * `table` – ordered views.
+pub fn rotating_camera(table: &TrackTable, camera: &Camera) -> Option<RotatingCamera> {
+    let mut seen: Vec<Vec<(usize, Vector3<f64>)>> = vec![Vec::new(); table.views.len()];
+    for (track, features) in table.tracks.iter().enumerate() {
+        for &feature in features {
+            seen[feature.view as usize].push((track, camera.ray_from_pixel(table.pixel(feature))));
+        }
+    }
+    let mut world = Directions { of_track: vec![None; table.tracks.len()], focal_px: camera.mean_focal() };
+    let mut rotations: Vec<Option<UnitQuaternion<f64>>> = vec![None; seen.len()];
+    let mut last = UnitQuaternion::identity();
+    for (view, rays) in seen.iter().enumerate() {
+        let is_first = rotations.iter().all(Option::is_none);
+        let rotation = if is_first && rays.len() >= MIN_POINTS { Some(last) } else { world.rotation(rays, last) };
+        if let Some(rotation) = rotation {
+            world.extend(rays, &rotation);
+            (rotations[view], last) = (Some(rotation), rotation);
+        }
+    }
+    for _ in 0..SWEEPS {
+        world.renew(&seen, &rotations);
+        for (rotation, rays) in rotations.iter_mut().zip(&seen) {
+            *rotation = rotation.and_then(|rotation| world.rotation(rays, rotation));
+        }
+    }
+    let num_seen = seen.iter().filter(|rays| !rays.is_empty()).count();
+    let num_found = rotations.iter().flatten().count();
+    if num_found < 2 || (num_found as f64) < MIN_VIEWS * num_seen as f64 {
+        return None;
+    }
+    let errors = rotations.iter().zip(&seen).filter_map(|(rotation, rays)| Some((rotation.as_ref()?, rays)));
+    let errors = errors.flat_map(|(rotation, rays)| world.errors_px(rays, rotation)).collect();
+    let first = rotations.iter().flatten().next().copied()?;
+    let pose = |rotation: UnitQuaternion<f64>| Rigid3::new(rotation * first.inverse(), Vector3::zeros());
+    let poses = rotations.into_iter().map(|rotation| rotation.map(pose)).collect();
+    // Two coordinates, of which the median distance is 1.18 σ.
+    Some(RotatingCamera { poses, error_px: median(errors)? / crate::math::RAYLEIGH_MEDIAN })
+}
+
+/// Directions of points in the world.
+struct Directions {
+    of_track: Vec<Option<Vector3<f64>>>,
+    focal_px: f64,
+}
+
+impl Directions {
+    /// Distances of rays from the directions of their points, pixels.
+    fn errors_px<'a>(
+        &'a self,
+        rays: &'a [(usize, Vector3<f64>)],
+        rotation: &'a UnitQuaternion<f64>,
+    ) -> impl Iterator<Item = f64> + 'a {
+        let known = rays.iter().filter_map(|(track, ray)| Some((self.of_track[*track]?, ray)));
+        known.map(move |(direction, ray)| self.focal_px * (rotation * direction - ray).norm())
+    }
+
+    /// The rotation of a view; `None` where too few points agree on one.
+    fn rotation(&self, rays: &[(usize, Vector3<f64>)], start: UnitQuaternion<f64>) -> Option<UnitQuaternion<f64>> {
+        const ROUNDS: usize = 8;
+        let known: Vec<(Vector3<f64>, Vector3<f64>)> =
+            rays.iter().filter_map(|(track, ray)| Some((self.of_track[*track]?, *ray))).collect();
+        if known.len() < MIN_POINTS {
+            return None;
+        }
+        let mut rotation = start;
+        for _ in 0..ROUNDS {
+            let errors: Vec<f64> = known.iter().map(|(d, ray)| (rotation * d - ray).norm()).collect();
+            // From a wide start to the noise of the points.
+            let scale = STD_PER_MAD * median(errors.clone())? + 0.2 / self.focal_px;
+            let mut sum = Matrix3::zeros();
+            for ((direction, ray), error) in known.iter().zip(&errors) {
+                sum += ray * direction.transpose() / (1.0 + (error / scale).powi(2));
+            }
+            rotation = nearest_rotation(&sum)?;
+        }
+        let most = MAX_ERROR_PX / self.focal_px;
+        let agreeing = known.iter().filter(|(direction, ray)| (rotation * direction - ray).norm() <= most).count();
+        (agreeing >= MIN_POINTS && agreeing as f64 >= MIN_SHARE * known.len() as f64).then_some(rotation)
+    }
+
+    /// Adds the directions of new points of a view.
+    fn extend(&mut self, rays: &[(usize, Vector3<f64>)], rotation: &UnitQuaternion<f64>) {
+        for (track, ray) in rays {
+            self.of_track[*track].get_or_insert_with(|| rotation.inverse() * ray);
+        }
+    }
+
+    /// Directions as the means over all views.
+    fn renew(&mut self, seen: &[Vec<(usize, Vector3<f64>)>], rotations: &[Option<UnitQuaternion<f64>>]) {
+        let mut sums = vec![Vector3::zeros(); self.of_track.len()];
+        for (rays, rotation) in seen.iter().zip(rotations) {
+            let Some(rotation) = rotation else { continue };
+            rays.iter().for_each(|(track, ray)| sums[*track] += rotation.inverse() * ray);
+        }
+        self.of_track = sums.iter().map(|sum| sum.try_normalize(f64::EPSILON)).collect();
+    }
+}
+
+/// The rotation R that maximizes tr(Rᵀ M).
+fn nearest_rotation(m: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
+    let svd = m.try_svd(true, true, f64::EPSILON, 100)?;
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    let flip = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * flip * v_t));
+    rotation.coords.iter().all(|x| x.is_finite()).then_some(rotation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::tracks::Feature;
+    use crate::math::seeded_rng;
+    use crate::synthetic::empty_table;
+    use nalgebra::{Point2, Point3};
+    use rand::Rng as _;
+    use rand_distr::StandardNormal;
+
+    /// Sixty views of a camera 40 m above a plane, which sways by `sway_m` and pans by 10°.
+    fn views(sway_m: f64) -> (TrackTable, Camera, Vec<UnitQuaternion<f64>>) {
+        let camera = Camera::with_focal(1280, 720, 1000.0);
+        let mut rng = seeded_rng(5, 0);
+        let points: Vec<Point3<f64>> =
+            (0..400).map(|_| Point3::new(rng.random_range(-60.0..60.0), rng.random_range(-20.0..60.0), 40.0)).collect();
+        let mut table = empty_table(60);
+        table.tracks = vec![Vec::new(); points.len()];
+        let down = UnitQuaternion::from_euler_angles(0.5, 0.0, 0.0);
+        let mut rotations = Vec::new();
+        for view in 0..60u32 {
+            let phase = f64::from(view) / 10.0;
+            let rotation = UnitQuaternion::from_euler_angles(0.01 * phase.sin(), 0.03 * phase, 0.0) * down;
+            let center = Vector3::new(phase.sin(), phase.cos(), 0.3 * phase.sin()) * sway_m;
+            rotations.push(rotation);
+            for (track, point) in points.iter().enumerate() {
+                let Some(pixel) = camera.pixel_from_cam(Point3::from(rotation * (point.coords - center))) else {
+                    continue;
+                };
+                let noise = [0, 1].map(|_| 0.3 * rng.sample::<f64, _>(StandardNormal));
+                let pixel = Point2::new(pixel.x + noise[0], pixel.y + noise[1]);
+                if camera.contains(pixel) {
+                    let feature = table.views[view as usize].pixels.len() as u32;
+                    table.views[view as usize].pixels.push(pixel);
+                    table.tracks[track].push(Feature { view, feature });
+                }
+            }
+        }
+        (table, camera, rotations)
+    }
+
+    fn worst_deg(found: &RotatingCamera, truth: &[UnitQuaternion<f64>]) -> f64 {
+        let turn = |k: usize| truth[k] * truth[0].inverse();
+        let angle = |k: usize| found.poses[k].map_or(f64::INFINITY, |pose| pose.rotation.angle_to(&turn(k)));
+        (0..truth.len()).map(angle).fold(0.0, f64::max).to_degrees()
+    }
+
+    #[test]
+    fn rotations_of_a_hovering_camera_are_found() {
+        for (sway_m, limit_deg) in [(0.0, 0.03), (0.1, 0.3)] {
+            let (table, camera, truth) = views(sway_m);
+            let found = rotating_camera(&table, &camera).unwrap();
+            let worst = worst_deg(&found, &truth);
+            assert!(worst < limit_deg, "{sway_m}: {worst}");
+        }
+    }
+
+    #[test]
+    fn a_camera_that_translates_is_none() {
+        let (table, camera, _) = views(8.0);
+        assert!(rotating_camera(&table, &camera).is_none());
+        assert!(rotating_camera(&TrackTable::default(), &camera).is_none());
+    }
+}
