@@ -174,6 +174,7 @@ fn data<'a>(result: &'a Showcase, pictures: Pictures) -> Data<'a> {
             Part { object: None, path: "trajectories.json".into(), holds: "trajectories, frame by frame".into() },
             Part { object: Some(CAR), path: "objects/1/".into(), holds: "cameras and points".into() },
         ],
+        is_sfm: false,
     }
 }
 
@@ -265,7 +266,8 @@ fn found_by(browser: &Path, page: &str, width: u32, script: &str) -> String {
     let probe = format!(
         "<script>const wait = setInterval(() => {{ if (!document.documentElement.dataset.ready) return; \
          clearInterval(wait); \
-         document.documentElement.dataset.found = (() => {{ {script} }})(); }}, 50);</script></body>"
+         (async () => {{ {script} }})().then((found) => {{ document.documentElement.dataset.found = found; }}); \
+         }}, 50);</script></body>"
     );
     std::fs::write(&file, format!("{before}{after}").replace("</body>", &probe)).expect("the page is written");
     let window = format!("--window-size={width},1000");
@@ -282,6 +284,52 @@ fn found_by(browser: &Path, page: &str, width: u32, script: &str) -> String {
 }
 
 const WIDTHS: [u32; 2] = [1400, 420];
+
+#[test]
+fn playing_moves_through_the_frames_and_stops() {
+    let Some(browser) = browser() else { return };
+    let result = showcase(60, 1);
+    let page = report::render(&data(&result, Pictures::default())).expect("the report renders");
+    let script = "const time = document.getElementById('time'), play = document.getElementById('play'); \
+        const cursor = () => document.querySelector('.area .cursor').style.left; \
+        time.value = 0; time.dispatchEvent(new Event('input')); \
+        const before = cursor(); \
+        play.click(); \
+        const pressed = play.getAttribute('aria-label'); \
+        await new Promise((resolve) => setTimeout(resolve, 1500)); \
+        const moved = Number(time.value) > 3 && cursor() !== before; \
+        if (play.getAttribute('aria-label') === 'Pause') play.click(); \
+        return `${pressed} ${moved} ${play.getAttribute('aria-label')}`;";
+    assert_eq!(found_by(&browser, &page, 1400, script), "Pause true Play");
+}
+
+#[test]
+fn models_alone_have_a_page_with_images_and_residuals() {
+    let Some(browser) = browser() else { return };
+    let result = showcase(60, 1);
+    let mut data = data(&result, pictures(&result));
+    data.objects.iter_mut().for_each(|object| object.trajectory = None);
+    let data = Data { is_sfm: true, metric: None, ground: None, evaluation: None, ..data };
+    let (folder, _guard) = folder();
+    let file = folder.join("sfm.html");
+    report::write(&file, &data).expect("the report is written");
+    let (document, log) = loaded(&browser, &WITH_WEBGL, &file);
+    assert_eq!(attribute(&document, "data-renderer"), Some("webgl"), "{log}");
+    assert_eq!(attribute(&document, "data-errors"), None, "{log}");
+    let page = report::render(&data).expect("the report renders");
+    let script = "const fold = document.getElementById('models-title').closest('details'); \
+        const rows = fold.querySelectorAll('table')[0].querySelectorAll('tbody tr').length; \
+        fold.querySelectorAll('details').forEach((inner) => { inner.open = true; }); \
+        const images = fold.querySelectorAll('table')[2].querySelectorAll('tbody tr').length; \
+        const charts = fold.querySelectorAll('.chart').length; \
+        const wide = document.documentElement.scrollWidth > innerWidth; \
+        return `${fold.open} ${rows} ${images} ${charts} ${document.querySelector('.vehicles') === null} ${wide}`;";
+    let (rows, images) = (1 + result.vehicles.len(), result.background.images.len());
+    for width in WIDTHS {
+        let expected = format!("true {rows} {images} 2 true false");
+        assert_eq!(found_by(&browser, &page, width, script), expected, "{width} pixels wide");
+    }
+}
 
 #[test]
 fn labels_of_the_time_axes_stay_on_one_line() {
@@ -433,7 +481,7 @@ fn without_a_rate_the_page_never_shows_a_second() {
         ..data(&result, Pictures::default())
     };
     let page = report::render(&data).expect("the report renders");
-    let script = "document.querySelector('.stages').remove(); \
+    let script = "document.querySelectorAll('.stages').forEach((table) => table.remove()); \
         const spoken = [...document.querySelectorAll('[aria-valuetext], [aria-label]')].map((e) => \
             `${e.getAttribute('aria-valuetext')} ${e.getAttribute('aria-label')}`); \
         const titles = [...document.querySelectorAll('rect title')].map((e) => e.textContent); \

@@ -186,10 +186,9 @@ mod tests {
         loop {
             match reader.read_event().unwrap() {
                 Event::Start(tag) | Event::Empty(tag) => {
-                    let of = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
                     let attributes = tag.attributes().map(Result::unwrap);
-                    let attributes = attributes.map(|a| (of(a.key.as_ref()), of(&a.value))).collect();
-                    found.push((of(tag.name().as_ref()), attributes));
+                    let named = attributes.map(|a| (a.key.as_ref().to_owned(), a.value.into_owned())).collect();
+                    found.push((tag.name().as_ref().to_owned(), named));
                 }
                 Event::Eof => return found,
                 _ => {}

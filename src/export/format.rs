@@ -171,8 +171,9 @@ mod tests {
         for wrong in ["", "xlsx", "csv,", "CSV", "csv,all"] {
             let refusal = Format::listed(wrong).unwrap_err();
             assert!(
-                refusal
-                    .contains("csv, geojson, kml, gpx, tum, kitti, gltf, video, sumo, levelx, colmap, trajectories-v2"),
+                refusal.contains(
+                    "csv, geojson, kml, gpx, tum, kitti, gltf, video, sumo, levelx, cot, colmap, trajectories-v2"
+                ),
                 "{refusal}"
             );
         }
