@@ -290,10 +290,12 @@ fn playing_moves_through_the_frames_and_stops() {
     let Some(browser) = browser() else { return };
     let result = showcase(60, 1);
     let page = report::render(&data(&result, Pictures::default())).expect("the report renders");
+    // Frames do not follow the browser's virtual time: timers do.
     let script = "const time = document.getElementById('time'), play = document.getElementById('play'); \
         const cursor = () => document.querySelector('.area .cursor').style.left; \
         time.value = 0; time.dispatchEvent(new Event('input')); \
         const before = cursor(); \
+        window.requestAnimationFrame = (show) => setTimeout(() => show(performance.now()), 16); \
         play.click(); \
         const pressed = play.getAttribute('aria-label'); \
         await new Promise((resolve) => setTimeout(resolve, 1500)); \
