@@ -143,7 +143,8 @@ mod tests {
     use crate::math::Sim3;
     use crate::pipeline::ModelReport;
     use crate::scene::{
-        self, Estimate, FrameId, ObjectPose, Reason, ReasonKind, ScaleEstimate, ScaleMethod, Travel, Trust, Unit,
+        self, Estimate, FrameId, ObjectId, ObjectPose, Reason, ReasonKind, ScaleEstimate, ScaleMethod, Travel, Trust,
+        Unit,
     };
 
     fn pose(frame: u32) -> ObjectPose {
