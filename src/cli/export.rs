@@ -33,8 +33,8 @@ pub(super) struct Args {
     /// Leave out vehicles with a lower verdict, and ground tracks
     #[arg(long, value_name = "VERDICT", value_parser = min_verdict)]
     pub(super) min_verdict: Option<Trust>,
-    /// Rows per second in csv, geojson, kml, gpx, tum, kitti, sumo, levelx, cot; interpolated between neighboring frames,
-    /// not across gaps [default: the frames]
+    /// Rows per second in csv, geojson, kml, gpx, tum, kitti, sumo, levelx, cot; interpolated between neighboring
+    /// frames, not across gaps [default: the frames]
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub(super) rate: Option<f64>,
     /// Units in csv and geojson: m/s, km/h or mph, and m or ft; separated by a comma, such as mph,ft [default: m/s,m]

@@ -65,8 +65,8 @@ pub enum ExportError {
     },
     /// Universal time is not known.
     #[error(
-        "--format cot: no dates in universal time; run again with --utc-offset \u{b1}HH:MM if the log's clock has no zone, \
-         or with a log that has dates"
+        "--format cot: no dates in universal time; run again with --utc-offset \u{b1}HH:MM if the log's clock has no \
+         zone, or with a log that has dates"
     )]
     NoUtc,
     /// Frames have no times.
