@@ -242,6 +242,28 @@ fn the_page_runs_without_errors_and_shows_the_trajectory() {
     assert!(x1 - x0 > 300 && y1 - y0 > 100, "they span {x0}..{x1} × {y0}..{y1}");
 }
 
+/// Color of the 3D view where nothing is drawn.
+const NOTHING: [u8; 3] = [0xe9, 0xed, 0xf1];
+
+#[test]
+fn the_view_through_a_narrow_camera_has_its_picture() {
+    let Some(browser) = browser() else { return };
+    let (folder, _guard) = folder();
+    let mut result = showcase(30, 1);
+    // A field of view of 33°: a dashcam on a road, a drone with a long lens.
+    result.background.cameras.values_mut().for_each(|camera| camera.focal = [1600.0; 2]);
+    let page = folder.join("narrow.html");
+    report::write(&page, &data(&result, Pictures { film: None, ..pictures(&result) })).expect("the report is written");
+    let shoot = || {
+        let picture = screenshot(&browser, &page, "#view=camera&full&theme=light", (1400, 1000), "narrow.png");
+        // Between the controls above and below.
+        let middle = image::imageops::crop_imm(&picture, 400, 200, 600, 500).to_image();
+        coloured(&middle, NOTHING).0
+    };
+    let empty = (0..ATTEMPTS).map(|_| shoot()).find(|count| *count < 30_000);
+    assert!(empty.is_some(), "the middle of the view has no picture");
+}
+
 #[test]
 fn without_webgl_the_page_says_so_and_shows_the_top_view() {
     let Some(browser) = browser() else { return };
@@ -434,7 +456,7 @@ fn the_film_follows_the_slider_and_speeds_have_units() {
     let width = if pictures.film.is_some() { 640 } else { 400 };
     let page = report::render(&data(&result, pictures)).expect("the report renders");
     let script = "const canvas = document.getElementById('now-picture'), time = document.getElementById('time'); \
-        if (canvas.width === 300) throw new Error('nothing is painted yet'); \
+        if (canvas.width !== WIDTH) throw new Error('the film is not painted yet'); \
         const labels = () => document.querySelectorAll('#now b').length; \
         const before = [canvas.width, labels() > 0]; \
         time.value = 3; time.dispatchEvent(new Event('input')); \
@@ -446,7 +468,7 @@ fn the_film_follows_the_slider_and_speeds_have_units() {
         const portrait = document.querySelectorAll('.portrait').length; \
         const clock = document.getElementById('clock').textContent; \
         return `${before} ${clock} ${units.hidden} ${said.join(', ')} ${portrait}`;";
-    let found = found_by(&browser, &page, 1400, script);
+    let found = found_by(&browser, &page, 1400, &script.replace("WIDTH", &width.to_string()));
     let speeds = "32.94 ± 0.66 km/h, 9.15 ± 0.18 m/s, 20.47 ± 0.41 mph, 32.94 ± 0.66 km/h";
     assert_eq!(found, format!("{width},true 0.20 s · frame 3 false {speeds} 3"));
 }

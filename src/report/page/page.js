@@ -55,6 +55,7 @@
 			this.covers = times.map((time, k) => Math.abs(at[this.of[k]] - time) <= reach);
 			video.addEventListener("seeked", () => {
 				paint(video, width, height);
+				this.isPainted = true;
 				if (this.shown !== this.wanted) this.seek();
 			});
 		}
@@ -78,9 +79,10 @@
 	const shotTimes = shots.map((shot) => shot.time), shotReach = reachOf(shotTimes);
 	const hasPicture = (index) => (film ? film.covers[index] : shots.length > 0 && Math.abs(shotTimes[shotOf[index]] - times[index]) <= shotReach);
 	const showPicture = () => {
-		if (film) return film.show(index);
-		const image = shots[shotOf[index]]?.image;
+		// Until the film's first picture is decoded, that of the strip next to it stands in.
+		const image = film?.isPainted ? null : shots[shotOf[index]]?.image;
 		if (image) paint(image, image.naturalWidth, image.naturalHeight);
+		film?.show(index);
 	};
 	const labels = () => (film ? film.labelsAt(index) : [...(shots[shotOf[index]]?.labels ?? [])].map((label) => label.cloneNode(true)));
 

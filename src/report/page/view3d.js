@@ -374,7 +374,8 @@ class SceneView {
 		this.controls.target.copy(center).addScaledVector(forward, 0.5 * radius);
 		this.camera.lookAt(this.controls.target);
 		this.camera.updateProjectionMatrix();
-		this.frustum.scale.setScalar(2000 / (0.085 * radius));
+		// At half the distance up to which is drawn, whatever the angle of view.
+		this.frustum.scale.setScalar(2000 * Math.max(tx, ty) / (0.085 * radius));
 		this.screen.renderOrder = -1;
 		this.screen.material.depthWrite = false;
 		this.screen.material.opacity = 1;
