@@ -121,7 +121,7 @@ pub struct OtherObject {
 /// The run's scale ratio.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScaleFigures {
-    /// r.
+    /// Scale ratio r: units of the background per unit of the object.
     pub ratio: f64,
     /// Its standard deviation, if the method gives one.
     pub std: Option<f64>,
