@@ -34,6 +34,8 @@
 //! # Ok::<(), pipeline::PipelineError>(())
 //! ```
 //!
+//! `examples/read_results.rs` reads an output folder without any feature.
+//!
 //! Rooms can be used one by one; which feature brings which, and what it needs, is in `docs/architecture.md`.
 
 pub mod bundle;

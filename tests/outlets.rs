@@ -83,7 +83,71 @@ fn every_outlet_has_the_same_figures() {
     assert!(page.contains(&format!("Explanation\">{state}</a>")), "the badge");
     assert!(vehicle["frames"][0].get("speed").is_none() && vehicle["frames"][0]["speed_m_s"].is_number());
     let old = json(&place.path("out/export/trajectories-v2.json"));
+    check_rate_and_units(&place, &vehicle["frames"]);
     assert!(old["version"] == 2 && old["objects"][0]["frames"][0].as_object().unwrap()["speed"].is_null());
+}
+
+/// Tables at another rate and in other units have the figures of the frames.
+fn check_rate_and_units(place: &Place, frames: &Value) {
+    let out = place.path("out").display().to_string();
+    let export = |more: &[&str]| outcome(tractrix().args(["export", &out, "--format", "csv"]).args(more));
+    let (code, _, stderr) = export(&["--rate", "48", "--units", "mph,ft"]);
+    assert_eq!(code, 0, "{stderr}");
+    let mut reader = csv::Reader::from_path(place.path("out/export/trajectories.csv")).unwrap();
+    let columns = reader.headers().unwrap().clone();
+    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+    let number = |row: &csv::StringRecord, name: &str| -> f64 {
+        row[columns.iter().position(|column| column == name).unwrap()].parse().unwrap()
+    };
+    let frames = frames.as_array().unwrap();
+    assert_eq!(rows.len(), 4 * (frames.len() - 1) + 1);
+    for (row, frame) in rows.iter().step_by(4).zip(frames) {
+        assert!((number(row, "time_s") - frame["time_s"].as_f64().unwrap()).abs() < 1e-6);
+        assert!((number(row, "speed_mph") * 0.44704 - frame["speed_m_s"].as_f64().unwrap()).abs() < 1e-3);
+        assert!((number(row, "x_ft") * 0.3048 - frame["position_m"][0].as_f64().unwrap()).abs() < 1e-3);
+    }
+    for (arguments, said) in
+        [(["--rate", "0"], "samples per second"), (["--units", "knots"], "expected m/s, km/h or mph")]
+    {
+        let (code, _, stderr) = export(&arguments);
+        assert!(code == 2 && stderr.contains(said), "{stderr}");
+    }
+    let (code, _, stderr) = outcome(tractrix().args(["export", &out, "--format", "gltf", "--rate", "10"]));
+    assert!(code == 1 && stderr.contains("--rate: gltf has the frames of the input"), "{stderr}");
+    let (code, _, stderr) = outcome(tractrix().args(["export", &out, "--format", "cot"]));
+    assert!(code == 1 && stderr.contains("--telemetry"), "{stderr}");
+}
+
+#[test]
+fn models_alone_have_a_page_and_can_be_exported() {
+    let place = Place::new(NUM_FRAMES);
+    let path = |name: &str| place.path(name).display().to_string();
+    let mut command = tractrix();
+    command.args(["sfm", &path("images"), "--output", &path("out"), "--intrinsics", &drive::intrinsics(), "--json"]);
+    let (code, stdout, stderr) = outcome(&mut command);
+    assert_eq!(code, 0, "{stderr}");
+    let output: Value = serde_json::from_str(&stdout).unwrap();
+    assert!(output["report"].as_str().unwrap().ends_with("report.html"));
+    let page = fs::read_to_string(place.path("out/report.html")).unwrap();
+    assert!(page.contains("images registered") && page.contains("Models and residuals"));
+    assert!(place.path("out/ply/background.ply").is_file());
+    export(&place, "colmap,tum,gltf");
+    assert!(place.path("out/export/colmap/sparse/0/points3D.bin").is_file());
+    let (code, _, stderr) = outcome(tractrix().args(["export", &path("out"), "--format", "csv"]));
+    assert!(code == 1 && stderr.contains("no trajectories"), "{stderr}");
+}
+
+#[test]
+fn every_schema_is_printed() {
+    let (code, list, _) = outcome(tractrix().args(["schema", "--json"]));
+    let list: Value = serde_json::from_str(&list).unwrap();
+    let names: Vec<&str> = list["schemas"].as_array().unwrap().iter().map(|s| s["name"].as_str().unwrap()).collect();
+    assert!(code == 0 && names.len() >= 9, "{names:?}");
+    for name in names {
+        let (code, text, stderr) = outcome(tractrix().args(["schema", name]));
+        let schema: Value = serde_json::from_str(&text).unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert!(code == 0 && schema["type"] == "object", "{name}: {stderr}");
+    }
 }
 
 #[test]

@@ -174,6 +174,7 @@ fn data<'a>(result: &'a Showcase, pictures: Pictures) -> Data<'a> {
             Part { object: None, path: "trajectories.json".into(), holds: "trajectories, frame by frame".into() },
             Part { object: Some(CAR), path: "objects/1/".into(), holds: "cameras and points".into() },
         ],
+        is_sfm: false,
     }
 }
 
@@ -241,6 +242,28 @@ fn the_page_runs_without_errors_and_shows_the_trajectory() {
     assert!(x1 - x0 > 300 && y1 - y0 > 100, "they span {x0}..{x1} × {y0}..{y1}");
 }
 
+/// Color of the 3D view where nothing is drawn.
+const NOTHING: [u8; 3] = [0xe9, 0xed, 0xf1];
+
+#[test]
+fn the_view_through_a_narrow_camera_has_its_picture() {
+    let Some(browser) = browser() else { return };
+    let (folder, _guard) = folder();
+    let mut result = showcase(30, 1);
+    // A field of view of 33°: a dashcam on a road, a drone with a long lens.
+    result.background.cameras.values_mut().for_each(|camera| camera.focal = [1600.0; 2]);
+    let page = folder.join("narrow.html");
+    report::write(&page, &data(&result, Pictures { film: None, ..pictures(&result) })).expect("the report is written");
+    let shoot = || {
+        let picture = screenshot(&browser, &page, "#view=camera&full&theme=light", (1400, 1000), "narrow.png");
+        // Between the controls above and below.
+        let middle = image::imageops::crop_imm(&picture, 400, 200, 600, 500).to_image();
+        coloured(&middle, NOTHING).0
+    };
+    let empty = (0..ATTEMPTS).map(|_| shoot()).find(|count| *count < 30_000);
+    assert!(empty.is_some(), "the middle of the view has no picture");
+}
+
 #[test]
 fn without_webgl_the_page_says_so_and_shows_the_top_view() {
     let Some(browser) = browser() else { return };
@@ -265,7 +288,8 @@ fn found_by(browser: &Path, page: &str, width: u32, script: &str) -> String {
     let probe = format!(
         "<script>const wait = setInterval(() => {{ if (!document.documentElement.dataset.ready) return; \
          clearInterval(wait); \
-         document.documentElement.dataset.found = (() => {{ {script} }})(); }}, 50);</script></body>"
+         (async () => {{ {script} }})().then((found) => {{ document.documentElement.dataset.found = found; }}); \
+         }}, 50);</script></body>"
     );
     std::fs::write(&file, format!("{before}{after}").replace("</body>", &probe)).expect("the page is written");
     let window = format!("--window-size={width},1000");
@@ -282,6 +306,54 @@ fn found_by(browser: &Path, page: &str, width: u32, script: &str) -> String {
 }
 
 const WIDTHS: [u32; 2] = [1400, 420];
+
+#[test]
+fn playing_moves_through_the_frames_and_stops() {
+    let Some(browser) = browser() else { return };
+    let result = showcase(60, 1);
+    let page = report::render(&data(&result, Pictures::default())).expect("the report renders");
+    // Frames do not follow the browser's virtual time: timers do.
+    let script = "const time = document.getElementById('time'), play = document.getElementById('play'); \
+        const cursor = () => document.querySelector('.area .cursor').style.left; \
+        time.value = 0; time.dispatchEvent(new Event('input')); \
+        const before = cursor(); \
+        window.requestAnimationFrame = (show) => setTimeout(() => show(performance.now()), 16); \
+        play.click(); \
+        const pressed = play.getAttribute('aria-label'); \
+        await new Promise((resolve) => setTimeout(resolve, 1500)); \
+        const moved = Number(time.value) > 3 && cursor() !== before; \
+        if (play.getAttribute('aria-label') === 'Pause') play.click(); \
+        return `${pressed} ${moved} ${play.getAttribute('aria-label')}`;";
+    assert_eq!(found_by(&browser, &page, 1400, script), "Pause true Play");
+}
+
+#[test]
+fn models_alone_have_a_page_with_images_and_residuals() {
+    let Some(browser) = browser() else { return };
+    let result = showcase(60, 1);
+    let mut data = data(&result, pictures(&result));
+    data.objects.iter_mut().for_each(|object| object.trajectory = None);
+    let data = Data { is_sfm: true, metric: None, ground: None, evaluation: None, ..data };
+    let (folder, _guard) = folder();
+    let file = folder.join("sfm.html");
+    report::write(&file, &data).expect("the report is written");
+    let (document, log) = loaded(&browser, &WITH_WEBGL, &file);
+    assert_eq!(attribute(&document, "data-renderer"), Some("webgl"), "{log}");
+    assert_eq!(attribute(&document, "data-errors"), None, "{log}");
+    let page = report::render(&data).expect("the report renders");
+    let script = "const fold = document.getElementById('models-title').closest('details'); \
+        const rows = fold.querySelectorAll('table')[0].querySelectorAll('tbody tr').length; \
+        fold.querySelectorAll('details').forEach((inner) => { inner.open = true; }); \
+        const images = fold.querySelectorAll('table')[2].querySelectorAll('tbody tr').length; \
+        const charts = fold.querySelectorAll('.chart').length; \
+        const wide = document.documentElement.scrollWidth > innerWidth; \
+        return `${fold.open} ${rows} ${images} ${charts} ${document.querySelector('.vehicles') === null} ${wide}`;";
+    let (rows, images) = (1 + result.vehicles.len(), result.background.images.len());
+    for width in WIDTHS {
+        let expected = format!("true {rows} {images} 2 true false");
+        assert_eq!(found_by(&browser, &page, width, script), expected, "{width} pixels wide");
+    }
+}
 
 #[test]
 fn labels_of_the_time_axes_stay_on_one_line() {
@@ -384,7 +456,7 @@ fn the_film_follows_the_slider_and_speeds_have_units() {
     let width = if pictures.film.is_some() { 640 } else { 400 };
     let page = report::render(&data(&result, pictures)).expect("the report renders");
     let script = "const canvas = document.getElementById('now-picture'), time = document.getElementById('time'); \
-        if (canvas.width === 300) throw new Error('nothing is painted yet'); \
+        if (canvas.width !== WIDTH) throw new Error('the film is not painted yet'); \
         const labels = () => document.querySelectorAll('#now b').length; \
         const before = [canvas.width, labels() > 0]; \
         time.value = 3; time.dispatchEvent(new Event('input')); \
@@ -396,7 +468,7 @@ fn the_film_follows_the_slider_and_speeds_have_units() {
         const portrait = document.querySelectorAll('.portrait').length; \
         const clock = document.getElementById('clock').textContent; \
         return `${before} ${clock} ${units.hidden} ${said.join(', ')} ${portrait}`;";
-    let found = found_by(&browser, &page, 1400, script);
+    let found = found_by(&browser, &page, 1400, &script.replace("WIDTH", &width.to_string()));
     let speeds = "32.94 ± 0.66 km/h, 9.15 ± 0.18 m/s, 20.47 ± 0.41 mph, 32.94 ± 0.66 km/h";
     assert_eq!(found, format!("{width},true 0.20 s · frame 3 false {speeds} 3"));
 }
@@ -433,7 +505,7 @@ fn without_a_rate_the_page_never_shows_a_second() {
         ..data(&result, Pictures::default())
     };
     let page = report::render(&data).expect("the report renders");
-    let script = "document.querySelector('.stages').remove(); \
+    let script = "document.querySelectorAll('.stages').forEach((table) => table.remove()); \
         const spoken = [...document.querySelectorAll('[aria-valuetext], [aria-label]')].map((e) => \
             `${e.getAttribute('aria-valuetext')} ${e.getAttribute('aria-label')}`); \
         const titles = [...document.querySelectorAll('rect title')].map((e) => e.textContent); \

@@ -165,11 +165,34 @@ def colmap(folder: Path) -> str:
     return f"pycolmap {pycolmap.__version__}: {size}, {share:.1f} % masked, undistorted"
 
 
+def cot(folder: Path) -> str:
+    """Events as TAK's own protocol has them, against the tables of the same export."""
+    import xml.etree.ElementTree
+
+    import takproto
+
+    wanted = {(row["vehicle"], row["date"]): row for row in rows(folder, "trajectories.csv")}
+    events = xml.etree.ElementTree.parse(folder / "cot-events.xml").getroot()
+    for event in events:
+        text = xml.etree.ElementTree.tostring(event, encoding="unicode")
+        found = takproto.parse_proto(takproto.xml2proto(text, takproto.TAKProtoVer.STREAM)).cotEvent
+        row = wanted.get((found.uid.rsplit(".", 1)[1], event.get("time", "")))
+        if row is None:
+            continue  # of a ground track
+        for value, column in ((found.lat, "latitude"), (found.lon, "longitude"), (found.ce, "place_std_m")):
+            expect(abs(value - float(row[column])) < 1e-4, f"{column} {value}, {row[column]} in the table")
+        if row["speed_m_s"]:
+            speed = found.detail.track.speed
+            expect(abs(speed - abs(float(row["speed_m_s"]))) < 1e-3, f"speed {speed}, {row['speed_m_s']} in the table")
+    return f"takproto: {len(events)} events"
+
+
 CHECKS: dict[str, tuple[str, Callable[[Path], str]]] = {
     "trajectories.geojson": ("trajectories.geojson", geojson_ways),
     "positions.geojson": ("positions.geojson", geojson_places),
     "trajectories.kml": ("trajectories.kml", kml),
     "camera.gpx": ("camera.gpx", gpx),
+    "cot": ("cot-events.xml", cot),
     "tum, kitti": ("tum", poses),
     "scene.glb": ("scene.glb", glb),
     "scene.glb in Blender": ("scene.glb", blender),

@@ -121,8 +121,8 @@ def cpu_s() -> float:
     return sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
 
 
-def run_colmap(images: Path, work: Path, given: list[float] | None) -> None:
-    """The part that is measured: features, exhaustive matching, incremental mapping, default options."""
+def run_colmap(images: Path, work: Path, given: list[float] | None, threads: int = -1) -> None:
+    """The measured part: features, exhaustive matching, incremental mapping; default options but for threads."""
     import pycolmap
 
     database, model = work / "database.db", work / "model"
@@ -131,11 +131,20 @@ def run_colmap(images: Path, work: Path, given: list[float] | None) -> None:
     reader.camera_model = "PINHOLE" if given else "SIMPLE_RADIAL"
     if given:
         reader.camera_params = ",".join(map(str, given))
-    pycolmap.extract_features(database, images, camera_mode=pycolmap.CameraMode.SINGLE, reader_options=reader)
+    extraction, matching = pycolmap.FeatureExtractionOptions(), pycolmap.FeatureMatchingOptions()
+    extraction.num_threads = matching.num_threads = threads
+    pycolmap.extract_features(
+        database,
+        images,
+        camera_mode=pycolmap.CameraMode.SINGLE,
+        reader_options=reader,
+        extraction_options=extraction,
+    )
     marks.append(cpu_s())
-    pycolmap.match_exhaustive(database)
+    pycolmap.match_exhaustive(database, matching_options=matching)
     marks.append(cpu_s())
     options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = threads
     if given:
         options.ba_refine_focal_length = options.ba_refine_extra_params = options.ba_refine_principal_point = False
     model.mkdir()

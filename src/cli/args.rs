@@ -89,6 +89,8 @@ pub(super) enum Command {
     Telemetry(super::telemetry::Args),
     /// List all options and their effective values
     Options(Box<super::options::Args>),
+    /// Print the JSON Schemas of results
+    Schema(super::schema::Args),
     /// Check installed libraries and networks
     Doctor(super::doctor::Args),
     /// Print a completion script for a shell

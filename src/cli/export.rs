@@ -6,7 +6,9 @@ use serde::Serialize;
 
 use super::output::{Failure, Form, show};
 use super::terminal::TerminalProgress;
-use crate::export::{self, ExportError, Exported, Format, MissingFormats, Need, Pictures, Results, Target};
+use crate::export::{
+    self, ExportError, Exported, Format, MissingFormats, Need, Pictures, RATES, Results, Target, Units,
+};
 use crate::io::RunFolder;
 use crate::pipeline::{self, Progress};
 use crate::scene::{Topic, Trust};
@@ -17,18 +19,27 @@ pub(super) struct Args {
     /// Output folder of `tractrix run`
     #[arg(value_name = "OUT")]
     pub(super) run: PathBuf,
-    /// Formats: csv, geojson, kml, gpx, tum, kitti, gltf, video, sumo, levelx, colmap, trajectories-v2; several
+    /// Formats: csv, geojson, kml, gpx, tum, kitti, gltf, video, sumo, levelx, cot, colmap, trajectories-v2;
+    /// several
     /// separated by commas; or all
     ///
     /// csv: tables of vehicles, of vehicles frame by frame, and of the camera. geojson, kml, gpx: georeferenced
     /// positions, which need --telemetry in the run. tum, kitti: poses. gltf: animated scene. video: masks, ids, speeds
-    /// and paths drawn into the video. sumo, levelx: trajectories for traffic research, in meters. colmap: images,
+    /// and paths drawn into the video. sumo, levelx: trajectories for traffic research, in meters. cot: events of
+    /// Cursor on Target; needs --telemetry with dates. colmap: images,
     /// masks and the background, ready for densification. all: everything that these results allow.
     #[arg(long, value_name = "NAMES", value_parser = asked)]
     pub(super) format: Formats,
     /// Leave out vehicles with a lower verdict, and ground tracks
     #[arg(long, value_name = "VERDICT", value_parser = min_verdict)]
     pub(super) min_verdict: Option<Trust>,
+    /// Rows per second in csv, geojson, kml, gpx, tum, kitti, sumo, levelx, cot; interpolated between neighboring
+    /// frames, not across gaps [default: the frames]
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    pub(super) rate: Option<f64>,
+    /// Units in csv and geojson: m/s, km/h or mph, and m or ft; separated by a comma, such as mph,ft [default: m/s,m]
+    #[arg(long, value_name = "UNITS", default_value = "m/s,m", hide_default_value = true)]
+    pub(super) units: Units,
     /// Output folder [default: OUT/export]
     #[arg(short, long, value_name = "DIR")]
     pub(super) output: Option<PathBuf>,
@@ -40,6 +51,11 @@ pub(super) struct Args {
 fn min_verdict(text: &str) -> Result<Trust, String> {
     let found = [Trust::Good, Trust::Fair, Trust::Doubtful].into_iter().find(|trust| trust.name() == text);
     found.ok_or_else(|| "expected good, fair or doubtful".to_owned())
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    let found = text.parse().ok().filter(|rate| RATES.contains(rate));
+    found.ok_or_else(|| format!("expected samples per second from {} to {}", RATES.start(), RATES.end()))
 }
 
 /// The formats that were asked for.
@@ -80,6 +96,7 @@ pub(super) fn run(args: &Args, form: Form, talk: &TerminalProgress) -> Result<()
     if let Some(lowest) = args.min_verdict {
         results.keep_trusted(lowest);
     }
+    results.units = args.units;
     let needs_pictures = args.format.formats.iter().any(|format| format.need() == Need::Pictures);
     let opened = needs_pictures.then(|| pipeline::reopen(&args.run, args.input.as_deref()));
     let source = match &opened {
@@ -90,8 +107,9 @@ pub(super) fn run(args: &Args, form: Form, talk: &TerminalProgress) -> Result<()
     talk.begin("export", None);
     let on_step = || talk.step();
     let pictures = Pictures::new(&folder, source, &on_step).of_frames(frames.as_deref());
-    let exported =
-        export::write(&results, &args.format.formats, args.format.asked, &pictures, || target(args, &folder));
+    let exported = export::write(&results, &args.format.formats, args.format.asked, args.rate, &pictures, || {
+        target(args, &folder)
+    });
     talk.end();
     talk.finish();
     let exported = exported?;

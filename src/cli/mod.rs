@@ -25,6 +25,8 @@ mod models;
 mod options;
 mod output;
 mod run;
+mod run_output;
+mod schema;
 mod stage_progress;
 mod stop;
 mod summarize;
@@ -127,6 +129,7 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &TerminalProgress) -> Res
         Command::Bal(own) => bal::run(own, form),
         Command::Telemetry(own) => telemetry::run(own, form),
         Command::Options(own) => options::run(own, form),
+        Command::Schema(own) => schema::run(own, form),
         Command::Doctor(own) => doctor::run(own, form),
         Command::Completions(own) => manual::completions(own, Args::command()),
         Command::Manual(own) => manual::pages(own, Args::command(), form),

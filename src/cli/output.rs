@@ -3,6 +3,8 @@
 use std::fmt;
 use std::io::{self, BufWriter, Write};
 
+use schemars::JsonSchema;
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::stop::{Signal, TRY_AGAIN};
@@ -28,6 +30,15 @@ pub(super) enum Failure {
     Again(anyhow::Error),
 }
 
+/// Value of "error" in the JSON output.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct ErrorOutput {
+    /// `input`, `usage`, `busy`, `stopped` or `again`.
+    kind: &'static str,
+    /// Subject, problem and remedy.
+    message: String,
+}
+
 impl Failure {
     pub(super) fn code(&self) -> u8 {
         match self {
@@ -45,6 +56,11 @@ impl Failure {
 
     /// Value of "error" in the JSON output.
     pub(super) fn as_json(&self) -> Value {
+        json!(self.output())
+    }
+
+    /// The same, typed.
+    pub(super) fn output(&self) -> ErrorOutput {
         let kind = match self {
             Self::Input(_) | Self::Partial(_) => "input",
             Self::Usage(_) => "usage",
@@ -52,7 +68,7 @@ impl Failure {
             Self::Stopped(_) => "stopped",
             Self::Again(_) => "again",
         };
-        json!({ "kind": kind, "message": self.to_string() })
+        ErrorOutput { kind, message: self.to_string() }
     }
 
     /// Prints the failure to stdout where JSON was asked for, unless that holds it already.
@@ -122,7 +138,7 @@ pub(super) enum Form {
 }
 
 /// Prints a result to stdout.
-pub(super) fn show(form: Form, value: &impl serde::Serialize, text: impl FnOnce() -> String) -> Result<(), Failure> {
+pub(super) fn show(form: Form, value: &impl Serialize, text: impl FnOnce() -> String) -> Result<(), Failure> {
     match form {
         Form::Text => print(&text()),
         Form::Json => print_json(value),
@@ -174,7 +190,7 @@ impl<W: Write> Write for Printable<W> {
 }
 
 /// Prints a value as indented JSON.
-pub(super) fn print_json(value: &impl serde::Serialize) -> Result<(), Failure> {
+pub(super) fn print_json(value: &impl Serialize) -> Result<(), Failure> {
     let mut stdout = Printable(BufWriter::new(io::stdout().lock()));
     let written = serde_json::to_writer_pretty(&mut stdout, value).map_err(io::Error::from);
     is_taken(written.and_then(|()| stdout.write_all(b"\n")).and_then(|()| stdout.flush())).map(drop)

@@ -2,11 +2,10 @@
 
 use std::ffi::OsString;
 
-use serde_json::json;
-
 use super::job::{JobArgs, resolve, use_machine};
 use super::models;
 use super::output::{Failure, Form, show};
+use super::run_output::RunOutput;
 use super::summary;
 use super::terminal::TerminalProgress;
 use crate::io::RunFolder;
@@ -44,34 +43,9 @@ pub(super) fn perform(task: &Job, form: Form, talk: &TerminalProgress) -> Result
     let folder = RunFolder::at(task.output);
     let trajectories = (goal >= Stage::Scale).then(|| folder.read_trajectories()).transpose()?;
     let failure = summary.failure().map(|failure| Failure::Partial(anyhow::anyhow!(failure)));
-    let mut value = as_json(&summary, goal, trajectories.as_ref());
-    if let Some(failure) = &failure {
-        value["error"] = failure.as_json();
-    }
-    show(form, &value, || as_text(&summary, goal, trajectories.as_ref()))?;
+    let output = RunOutput::new(&summary, goal, trajectories.as_ref(), failure.as_ref());
+    show(form, &output, || as_text(&summary, goal, trajectories.as_ref()))?;
     failure.map_or(Ok(()), Err)
-}
-
-fn as_json(summary: &Summary, goal: Stage, trajectories: Option<&Trajectories>) -> serde_json::Value {
-    let stages: serde_json::Map<_, _> = summary
-        .stages
-        .iter()
-        .map(|record| {
-            let value =
-                json!({ "cost": record.marker.cost, "reused": record.reused, "figures": record.marker.figures });
-            (record.stage.name().to_owned(), value)
-        })
-        .collect();
-    json!({
-        "output": summary.output,
-        "report": (goal == Stage::Report).then(|| RunFolder::at(&summary.output).report()),
-        "objects": trajectories.map(|found| summary::placed_as_json(summary, found)),
-        "ground_tracks": trajectories.map(summary::ground_tracks_as_json),
-        "missing": trajectories.map(|found| summary::missing_as_json(summary, found)),
-        "stages": stages,
-        "warnings": summary.warnings,
-        "failure": summary.failure(),
-    })
 }
 
 fn as_text(summary: &Summary, goal: Stage, trajectories: Option<&Trajectories>) -> String {
@@ -81,6 +55,11 @@ fn as_text(summary: &Summary, goal: Stage, trajectories: Option<&Trajectories>) 
         text += &summary::as_text(summary, found);
     }
     let folder = RunFolder::at(&summary.output);
-    let result = if goal == Stage::Report { folder.report() } else { summary.output.clone() };
+    let result = if has_page(goal) { folder.report() } else { summary.output.clone() };
     text + &format!("{}\n", result.display())
+}
+
+/// Returns true if the parts up to a stage end with a page.
+pub(super) fn has_page(goal: Stage) -> bool {
+    matches!(goal, Stage::Objects | Stage::Report)
 }

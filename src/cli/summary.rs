@@ -1,12 +1,10 @@
-//! The result of a run in its last lines, vehicle by vehicle, and the same as JSON.
+//! The result of a run in its last lines, vehicle by vehicle.
 
 use std::fmt::Write;
 
-use serde_json::{Value, json};
-
 use crate::pipeline::{Summary, Vehicle};
 use crate::report::{Verdict, estimate, ground_track_facts, travel_facts};
-use crate::scene::{Dimensions, GroundTrack, Movement, ObjectId, ObjectTrajectory, TimeBase, Trajectories};
+use crate::scene::{Dimensions, GroundTrack, Movement, ObjectTrajectory, TimeBase, Trajectories};
 
 /// One paragraph per vehicle; where a run ends before the trajectories, nothing.
 pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String {
@@ -109,7 +107,7 @@ fn doubts(found: &ObjectTrajectory) -> Vec<&str> {
     complaints.skip(usize::from(is_said)).map(|reason| reason.says.as_str()).collect()
 }
 
-fn why_not(vehicle: &Vehicle) -> &str {
+pub(super) fn why_not(vehicle: &Vehicle) -> &str {
     let reason = vehicle.model.failure.as_deref().or(vehicle.not_placed.as_deref());
     reason.unwrap_or("reason unknown")
 }
@@ -138,80 +136,15 @@ fn size(found: &ObjectTrajectory) -> Option<String> {
     (!said.is_empty()).then(|| said.join(", "))
 }
 
-/// The vehicles with a trajectory, for programs.
-pub(super) fn placed_as_json(summary: &Summary, trajectories: &Trajectories) -> Vec<Value> {
-    let value = |found: &ObjectTrajectory| {
-        let travel = found.travel.as_ref();
-        let size = found.dimensions.unwrap_or_default();
-        json!({
-            "id": found.id,
-            "class": found.class,
-            "movement": summary.vehicles.get(&found.id).and_then(|vehicle| vehicle.movement),
-            "frames": found.poses.len(),
-            "visible": summary.vehicles.get(&found.id).map(|vehicle| vehicle.model.num_visible),
-            "first_frame": found.poses.first().map(|pose| pose.frame),
-            "last_frame": found.poses.last().map(|pose| pose.frame),
-            "verdict": found.verdict.as_ref().map(|verdict| verdict.state),
-            "reasons": found.verdict.as_ref().map(|verdict| &verdict.reasons),
-            "path_units": travel.map(|travel| travel.path_units),
-            "path_m": travel.and_then(|travel| travel.path_m),
-            "displacement_m": travel.and_then(|travel| travel.displacement_m),
-            "mean_speed_m_s": travel.and_then(|travel| travel.mean_speed_m_s),
-            "max_speed_m_s": travel.and_then(|travel| travel.max_speed_m_s),
-            "length_m": size.length_m,
-            "width_m": size.width_m,
-            "height_m": size.height_m,
-            "scale": found.scale,
-            // Keys of before, for one minor version.
-            "path_length": travel.map(|travel| travel.path_units.value),
-            "judged": found.verdict,
-        })
-    };
-    trajectories.objects.iter().map(value).collect()
-}
-
-/// The ground tracks, for programs.
-pub(super) fn ground_tracks_as_json(trajectories: &Trajectories) -> Vec<Value> {
-    let value = |track: &GroundTrack| {
-        let travel = track.travel.as_ref();
-        json!({
-            "id": track.id,
-            "class": track.class,
-            "method": track.method,
-            "frames": track.positions.len(),
-            "first_frame": track.positions.first().map(|at| at.frame),
-            "last_frame": track.positions.last().map(|at| at.frame),
-            "omitted": track.omitted,
-            "reason": track.reason,
-            "verdict": track.verdict,
-            "path_units": travel.map(|travel| travel.path_units),
-            "path_m": travel.and_then(|travel| travel.path_m),
-            "displacement_m": travel.and_then(|travel| travel.displacement_m),
-            "mean_speed_m_s": travel.and_then(|travel| travel.mean_speed_m_s),
-            "max_speed_m_s": travel.and_then(|travel| travel.max_speed_m_s),
-        })
-    };
-    trajectories.ground_tracks.iter().map(value).collect()
-}
-
-/// The vehicles without, and why.
-pub(super) fn missing_as_json(summary: &Summary, trajectories: &Trajectories) -> Vec<Value> {
-    let is_placed = |id: &ObjectId| trajectories.objects.iter().any(|found| found.id == *id);
-    let missing = summary.vehicles.iter().filter(|(id, _)| !is_placed(id));
-    let value = |(id, vehicle): (&ObjectId, &Vehicle)| {
-        let Vehicle { class, movement, .. } = vehicle;
-        json!({ "id": id, "class": class, "movement": movement, "reason": why_not(vehicle) })
-    };
-    missing.map(value).collect()
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::run_output::objects_as_json;
     use super::*;
     use crate::math::Sim3;
     use crate::pipeline::ModelReport;
     use crate::scene::{
-        self, Estimate, FrameId, ObjectPose, Reason, ReasonKind, ScaleEstimate, ScaleMethod, Travel, Trust, Unit,
+        self, Estimate, FrameId, ObjectId, ObjectPose, Reason, ReasonKind, ScaleEstimate, ScaleMethod, Travel, Trust,
+        Unit,
     };
 
     fn pose(frame: u32) -> ObjectPose {
@@ -310,7 +243,7 @@ mod tests {
         assert!(text.starts_with("1 vehicle with a trajectory\n  1: vehicle, "), "{text}");
         let line = "path length: 4.50 ± 0.10 m, displacement: 4.50 ± 0.10 m, mean speed: 18.00 ± 0.72 km/h";
         assert!(text.contains(line) && text.contains("size: 4.31 ± 0.12 m long\n"), "{text}");
-        let value = &placed_as_json(&summary, &found)[0];
+        let value = &objects_as_json(&summary, &found)[0];
         assert_eq!((&value["verdict"], &value["path_m"]["value"]), (&"good".into(), &4.5.into()));
         assert_eq!((&value["mean_speed_m_s"]["value"], &value["length_m"]["std"]), (&5.0.into(), &0.118.into()));
         assert_eq!((&value["path_length"], &value["judged"]["state"]), (&0.45.into(), &"good".into()), "old keys");

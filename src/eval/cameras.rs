@@ -1,6 +1,7 @@
 //! Errors of the background cameras.
 
 use nalgebra::Point3;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::outcome::Outcome;
@@ -8,7 +9,7 @@ use super::registration::Registration;
 use crate::math::{Rigid3, Sim3, umeyama};
 
 /// Errors of the estimated cameras.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CameraErrors {
     /// Root mean square distance of centres, metres, after the similarity that is best for centres alone: the usual
     /// figure of other programs.

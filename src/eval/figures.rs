@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::cameras::CameraErrors;
@@ -12,7 +13,7 @@ use super::trajectory::TrajectoryError;
 use crate::scene::{ModelState, ObjectId, ScaleMethod};
 
 /// All figures of one run. Lengths are metres of the true world.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Evaluation {
     /// Version of this format.
     pub version: u32,
@@ -50,7 +51,7 @@ pub struct Evaluation {
 }
 
 /// Result of a reference method.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ReferenceFigures {
     /// Its scale ratio with the errors; `None` where it has none.
     pub found: Option<Alternative>,
@@ -61,7 +62,7 @@ pub struct ReferenceFigures {
 }
 
 /// Figures of the target's reconstruction before its adjustment with the ground.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct AsReconstructedFigures {
     /// The ratio that a perfect estimator would find.
     pub reference_ratio: f64,
@@ -72,7 +73,7 @@ pub struct AsReconstructedFigures {
 }
 
 /// Numbers of frames with a pose.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RegisteredFrames {
     /// Frames of the sequence.
     pub num_frames: usize,
@@ -100,7 +101,7 @@ pub struct RegisteredFrames {
 }
 
 /// The run's object that is the target.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Target {
     /// Its id.
     pub object: ObjectId,
@@ -109,7 +110,7 @@ pub struct Target {
 }
 
 /// An object that is not the target.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct OtherObject {
     /// Its id.
     pub object: ObjectId,
@@ -118,9 +119,9 @@ pub struct OtherObject {
 }
 
 /// The run's scale ratio.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScaleFigures {
-    /// r.
+    /// Scale ratio r: units of the background per unit of the object.
     pub ratio: f64,
     /// Its standard deviation, if the method gives one.
     pub std: Option<f64>,
@@ -145,7 +146,7 @@ impl Evaluation {
 }
 
 /// Result of one estimator.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Alternative {
     /// Its scale ratio.
     pub ratio: f64,

@@ -1,9 +1,10 @@
 //! A figure that may be unavailable.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A figure, or why there is none. In JSON, `"status"` is `"ok"` or `"unavailable"`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "status", rename_all = "kebab-case")]
 pub enum Outcome<T> {
     /// It could be computed.

@@ -18,6 +18,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Point3;
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::input::{Model, TruthFrame};
@@ -26,7 +27,7 @@ use crate::math::{Rigid3, median};
 use crate::scene::FrameId;
 
 /// The reference scale ratio and what it rests on.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ReferenceScale {
     /// r_ref: units of the background per unit of the object's model.
     pub ratio: f64,

@@ -11,6 +11,7 @@
 //! centres' spreads.
 
 use nalgebra::{Point3, Vector3};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::math::{Rigid3, Sim3, umeyama};
@@ -25,7 +26,7 @@ const MAGNITUDE_M: f64 = 1.0;
 const MIN_SPREAD: f64 = 1e-6;
 
 /// A similarity to the true world, in metres.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Registration {
     /// T_s; its scale is r_(bv), metres per unit of the background.
     pub world_from_background: Sim3,
@@ -36,7 +37,7 @@ pub struct Registration {
 }
 
 /// Source of the initial scale.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum InitialScale {
     /// Umeyama's similarity on camera centres.

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Point3;
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::input::TruthFrame;
@@ -12,7 +13,7 @@ use crate::math::{Rigid3, Sim3, median};
 use crate::scene::FrameId;
 
 /// Distances of the points of a trajectory to the true mesh, metres.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TrajectoryError {
     /// The trajectory error of the paper: the mean over frames and points.
     pub mean_m: f64,
@@ -30,7 +31,7 @@ pub struct TrajectoryError {
 }
 
 /// The error in one frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct FrameError {
     /// The frame.
     pub frame: FrameId,

@@ -38,6 +38,12 @@ impl Clock {
         known.unwrap_or_else(|| "1970-01-01T00:00:00Z".to_owned())
     }
 
+    /// Universal time of the video's start, seconds after 1970-01-01T00:00:00Z; `None` where it is not known.
+    pub fn utc_start_s(&self) -> Option<f64> {
+        let dates = self.dates.as_ref().filter(|dates| dates.zone == ClockZone::Utc && self.has_seconds())?;
+        dates.start_s
+    }
+
     /// The clock in a sentence.
     pub(super) fn in_words(&self) -> &'static str {
         match (self.dates.as_ref().map(|dates| dates.zone), self.time_base) {

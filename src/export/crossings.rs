@@ -4,6 +4,7 @@
 //! interpolated between two frames. Its time is as uncertain as the position along the path: σ_t = σ_s / v.
 
 use nalgebra::{Matrix2, Point2, Vector2};
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -31,7 +32,7 @@ pub enum Shape {
 }
 
 /// Direction of a crossing, seen along the line from its first to its last point.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Direction {
     /// From the left to the right.
@@ -41,7 +42,7 @@ pub enum Direction {
 }
 
 /// A vehicle crosses a line.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Crossing {
     /// Name of the line.
     pub gate: String,
@@ -64,7 +65,7 @@ pub struct Crossing {
 }
 
 /// A vehicle is in a zone.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Visit {
     /// Name of the zone.
     pub gate: String,
@@ -85,7 +86,7 @@ pub struct Visit {
 }
 
 /// Result of an analysis.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Analysis {
     /// Crossings of lines, by gate and time.
     pub crossings: Vec<Crossing>,

@@ -24,10 +24,19 @@ pub enum ExportError {
     #[error(transparent)]
     Image(#[from] ImageError),
     /// There is no result.
-    #[error("{}: not an output folder of `tractrix run` with a result (trajectories.json is missing)", path.display())]
+    #[error("{}: not an output folder of `tractrix run` or `tractrix sfm` with a result", path.display())]
     NoResult {
         /// The folder.
         path: PathBuf,
+    },
+    /// There are no trajectories.
+    #[error(
+        "--format {format}: no trajectories (trajectories.json is missing); run `tractrix run` into this folder, or \
+         export colmap, gltf, tum or kitti"
+    )]
+    NoTrajectories {
+        /// Requested format.
+        format: Format,
     },
     /// No camera is known.
     #[error("--format {format}: the background was not reconstructed, so nothing has a position")]
@@ -54,6 +63,30 @@ pub enum ExportError {
         /// Why.
         reason: String,
     },
+    /// Universal time is not known.
+    #[error(
+        "--format cot: no dates in universal time; run again with --utc-offset \u{b1}HH:MM if the log's clock has no \
+         zone, or with a log that has dates"
+    )]
+    NoUtc,
+    /// Frames have no times.
+    #[error("--rate: the images have no times; run again with --fps RATE")]
+    NoTimes,
+    /// A format has the frames of the input.
+    #[error("--rate: {format} has the frames of the input; export it without --rate")]
+    NotSampled {
+        /// Requested format.
+        format: Format,
+    },
+    /// More samples than fit the memory.
+    #[error("--rate {rate}: more than 3.6 million rows for one vehicle; give a lower rate")]
+    TooManySamples {
+        /// Samples per second.
+        rate: f64,
+    },
+    /// No requested format has units to choose.
+    #[error("--units: only csv and geojson have units to choose; add one of them to --format, or leave out --units")]
+    NoUnits,
     /// The input cannot be read.
     #[error(
         "images required but not available: {reason}; if the video or folder was moved, give its path with --input"

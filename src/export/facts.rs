@@ -1,5 +1,6 @@
 //! Properties of a vehicle as a whole.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::scene::{
@@ -8,7 +9,7 @@ use crate::scene::{
 };
 
 /// A vehicle's way in a few figures.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Facts {
     /// The vehicle.
     pub vehicle: ObjectId,

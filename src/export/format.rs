@@ -28,6 +28,8 @@ pub enum Format {
     Sumo,
     /// Tables in the form of levelXData.
     LevelX,
+    /// Events of Cursor on Target.
+    Cot,
     /// Pictures, masks and the background's model, ready for COLMAP's densification.
     Colmap,
     /// `trajectories.json` with the keys and words of version 2, for scripts written for it. Only by name.
@@ -49,7 +51,7 @@ pub enum Need {
 
 impl Format {
     /// Every format, in the order in which they are written.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Csv,
         Self::GeoJson,
         Self::Kml,
@@ -60,6 +62,7 @@ impl Format {
         Self::Video,
         Self::Sumo,
         Self::LevelX,
+        Self::Cot,
         Self::Colmap,
         Self::TrajectoriesV2,
     ];
@@ -77,6 +80,7 @@ impl Format {
             Self::Video => "video",
             Self::Sumo => "sumo",
             Self::LevelX => "levelx",
+            Self::Cot => "cot",
             Self::Colmap => "colmap",
             Self::TrajectoriesV2 => "trajectories-v2",
         }
@@ -85,17 +89,30 @@ impl Format {
     /// Requirement.
     pub fn need(self) -> Need {
         match self {
-            Self::GeoJson | Self::Kml | Self::Gpx => Need::Map,
+            Self::GeoJson | Self::Kml | Self::Gpx | Self::Cot => Need::Map,
             Self::Sumo | Self::LevelX => Need::Meters,
             Self::Video | Self::Colmap => Need::Pictures,
             Self::Csv | Self::Tum | Self::Kitti | Self::Gltf | Self::TrajectoriesV2 => Need::Nothing,
         }
     }
 
+    /// Returns true if it can be made of cameras and points alone.
+    fn is_of_models(self) -> bool {
+        matches!(self, Self::Tum | Self::Kitti | Self::Gltf | Self::Colmap)
+    }
+
+    /// Returns true if its rows can be at other times than those of the frames.
+    pub fn is_sampled(self) -> bool {
+        !matches!(self, Self::Gltf | Self::Video | Self::Colmap | Self::TrajectoriesV2)
+    }
+
     /// Why it cannot be made of these results, if that is so.
     pub fn obstacle(self, results: &Results) -> Option<ExportError> {
         match self {
             _ if results.views.is_empty() => Some(ExportError::NoCamera { format: self }),
+            _ if !results.has_trajectories && !self.is_of_models() => {
+                Some(ExportError::NoTrajectories { format: self })
+            }
             _ if self.need() == Need::Meters
                 && !(results.metric_frame().is_some() && results.clock().has_seconds()) =>
             {
@@ -104,6 +121,7 @@ impl Format {
             _ if self.need() == Need::Map && results.map().is_none() => {
                 Some(ExportError::NoMap { format: self, reason: results.why_no_map() })
             }
+            Self::Cot if results.clock().utc_start_s().is_none() => Some(ExportError::NoUtc),
             _ => None,
         }
     }
@@ -153,8 +171,9 @@ mod tests {
         for wrong in ["", "xlsx", "csv,", "CSV", "csv,all"] {
             let refusal = Format::listed(wrong).unwrap_err();
             assert!(
-                refusal
-                    .contains("csv, geojson, kml, gpx, tum, kitti, gltf, video, sumo, levelx, colmap, trajectories-v2"),
+                refusal.contains(
+                    "csv, geojson, kml, gpx, tum, kitti, gltf, video, sumo, levelx, cot, colmap, trajectories-v2"
+                ),
                 "{refusal}"
             );
         }

@@ -97,7 +97,7 @@ fn collection(results: &Results, features: Vec<Value>) -> Value {
 
 fn point(results: &Results, place: &MapPlace, properties: Map<String, Value>) -> Value {
     let geometry = json!({ "type": "Point", "coordinates": coordinates(results, place) });
-    json!({ "type": "Feature", "geometry": geometry, "properties": properties })
+    json!({ "type": "Feature", "geometry": geometry, "properties": results.units.properties(properties) })
 }
 
 /// A line needs two places, and none may cross the 180th meridian (RFC 7946, section 3.1.9): there it is cut.
@@ -118,6 +118,7 @@ fn way(fixes: &[Fix], results: &Results, clock: &Clock, mut properties: Map<Stri
             (json!({ "type": "MultiLineString", "coordinates": lines }), json!(times))
         }
     };
+    properties = results.units.properties(properties);
     properties.insert("coordTimes".into(), times);
     json!({ "type": "Feature", "geometry": geometry, "properties": properties })
 }

@@ -147,9 +147,12 @@ fn placemark(xml: &mut Xml, track: &Track, clock: &Clock) -> std::io::Result<()>
 
 /// An element that holds text.
 pub(super) fn element(xml: &mut Xml, name: &str, text: &str) -> std::io::Result<()> {
-    // A character that XML has no place for, even escaped.
-    let text: String = text.chars().map(|c| if is_allowed(c) { c } else { '?' }).collect();
-    xml.create_element(name).write_text_content(BytesText::new(&text)).map(drop)
+    xml.create_element(name).write_text_content(BytesText::new(&allowed(text))).map(drop)
+}
+
+/// A text without the characters that XML has no place for, even escaped.
+pub(super) fn allowed(text: &str) -> String {
+    text.chars().map(|c| if is_allowed(c) { c } else { '?' }).collect()
 }
 
 fn is_allowed(c: char) -> bool {

@@ -9,6 +9,7 @@
 
 mod annotate;
 mod clock;
+mod cot;
 pub mod crossings;
 mod error;
 mod facts;
@@ -20,6 +21,7 @@ mod kml;
 mod poses;
 #[cfg(test)]
 mod real_folders;
+mod resample;
 mod results;
 pub mod summary;
 mod table;
@@ -27,6 +29,7 @@ mod target;
 #[cfg(test)]
 mod testing;
 mod traffic;
+mod units;
 mod workspace;
 mod write;
 
@@ -34,6 +37,8 @@ pub use clock::Clock;
 pub use error::ExportError;
 pub use facts::Facts;
 pub use format::{Format, Need};
+pub use resample::RATES;
 pub use results::{RegisteredFrame, Results, local_frame};
 pub use target::Target;
+pub use units::Units;
 pub use write::{Exported, MissingFormats, Pictures, SkippedFormat, Written, write};

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Matrix3, Point3, SMatrix, Vector3};
 use serde::Deserialize;
 
-use super::{Clock, ExportError};
+use super::{Clock, ExportError, Units};
 use crate::camera::Camera;
 use crate::io::{IoError, RunFolder, json};
 use crate::math::{Rigid3, Sim3};
@@ -59,6 +59,10 @@ pub struct Results {
     pub background: Reconstruction,
     /// Ground points and planes; `None` where none were looked for.
     pub ground: Option<Ground>,
+    /// False for a folder of `tractrix sfm`, or of a run that did not come to trajectories.
+    pub has_trajectories: bool,
+    /// Units of tables.
+    pub units: Units,
 }
 
 /// Parts of `run.json` that exports use.
@@ -95,17 +99,20 @@ impl Results {
     ///   trajectories, and of other frames what the nominal rate says.
     ///
     /// # Errors
-    /// A folder without a result, or a file of it that is damaged.
+    /// A folder without a background, or a file of it that is damaged.
     pub fn read(folder: &RunFolder, frames: Option<&[Frame]>) -> Result<Self, ExportError> {
         let no_result = || ExportError::NoResult { path: folder.root().to_owned() };
-        let trajectories = folder.read_trajectories().map_err(|error| absent_or(error, no_result))?;
+        let trajectories = there(folder.read_trajectories())?;
         let RunJson { input } = json::read(&folder.run_json()).map_err(|error| absent_or(error, no_result))?;
-        let background = folder.read_background()?;
+        let background = folder.read_background().map_err(|error| absent_or(error, no_result))?;
+        let has_trajectories = trajectories.is_some();
+        let trajectories = trajectories.unwrap_or_else(Trajectories::empty);
         let times = Times::new(frames, &trajectories, &input);
         Ok(Self {
             views: views(&background, &times),
             ground: there(folder.read_ground())?,
             background,
+            has_trajectories,
             ..Self::of_trajectories(input, trajectories)
         })
     }
@@ -130,6 +137,8 @@ impl Results {
             trajectories,
             background: Reconstruction::default(),
             ground: None,
+            has_trajectories: true,
+            units: Units::default(),
             input: input.path,
         }
     }

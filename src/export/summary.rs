@@ -8,6 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Point3;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -25,7 +26,7 @@ const BEFORE: [&str; 2] = ["run", "input"];
 const AFTER: [&str; 7] = ["metres", "metres_reason", "date", "longitude", "latitude", "place_std_m", "missing"];
 
 /// One line of the table.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Row {
     /// The output folder.
     pub run: PathBuf,
@@ -48,7 +49,7 @@ pub struct Row {
 }
 
 /// All rows.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Summary {
     /// In the order in which the folders were given, and by name below them.
     pub rows: Vec<Row>,

@@ -8,7 +8,7 @@ use std::path::Path;
 use nalgebra::Point3;
 
 use super::facts::raw_speed;
-use super::{Clock, ExportError, Facts, RegisteredFrame, Results};
+use super::{Clock, ExportError, Facts, RegisteredFrame, Results, Units};
 use crate::io::{IoError, atomic};
 use crate::scene::{
     Estimate, FrameId, GroundPosition, GroundTrack, MapPlace, MetricPose, Motion, ObjectTrajectory, TimeBase,
@@ -157,7 +157,7 @@ pub(super) fn vehicles(path: &Path, results: &Results) -> Result<(), ExportError
         ];
         [fact_cells(&Facts::of(object, results.time_base)), scale.to_vec()].concat()
     };
-    write(path, &columns, results.trajectories.objects.iter().map(row))
+    write_in(path, results.units, &columns, results.trajectories.objects.iter().map(row))
 }
 
 /// Properties of a vehicle as a whole.
@@ -192,7 +192,7 @@ pub(super) fn trajectories(path: &Path, results: &Results) -> Result<(), ExportE
         let cells = |(index, heading)| [pose_cells(results, &clock, object, index), vec![heading]].concat();
         headings.enumerate().map(cells).collect::<Vec<_>>()
     });
-    write(path, &POSE_COLUMNS, rows)
+    write_in(path, results.units, &POSE_COLUMNS, rows)
 }
 
 fn pose_cells(results: &Results, clock: &Clock, object: &ObjectTrajectory, index: usize) -> Vec<String> {
@@ -237,7 +237,7 @@ pub(super) fn ground_tracks(path: &Path, results: &Results) -> Result<(), Export
         cells.extend(travel.into_iter().flat_map(estimate));
         cells
     };
-    write(path, &columns, results.trajectories.ground_tracks.iter().map(row))
+    write_in(path, results.units, &columns, results.trajectories.ground_tracks.iter().map(row))
 }
 
 /// One row per ground track and frame: the columns of `trajectories.csv`, with the method.
@@ -249,7 +249,7 @@ pub(super) fn ground_positions(path: &Path, results: &Results) -> Result<(), Exp
         let clock = &clock;
         track.positions.iter().map(move |position| contact_cells(results, clock, track, position))
     });
-    write(path, &columns, rows)
+    write_in(path, results.units, &columns, rows)
 }
 
 /// Columns that contact points have not.
@@ -302,7 +302,7 @@ fn metric_cells(pose: Option<&MetricPose>) -> Vec<String> {
 /// One row per frame of the camera.
 pub(super) fn camera(path: &Path, results: &Results) -> Result<(), ExportError> {
     let clock = results.clock();
-    write(path, &CAMERA_COLUMNS, results.views.iter().map(|view| view_cells(results, &clock, view)))
+    write_in(path, results.units, &CAMERA_COLUMNS, results.views.iter().map(|view| view_cells(results, &clock, view)))
 }
 
 fn view_cells(results: &Results, clock: &Clock, view: &RegisteredFrame) -> Vec<String> {
@@ -350,6 +350,19 @@ fn metres(value: Option<f64>) -> String {
 /// As many digits as tell the number from all others.
 fn exact(value: Option<f64>) -> String {
     value.map(|value| value.to_string()).unwrap_or_default()
+}
+
+/// As [`write()`], in units.
+fn write_in(
+    path: &Path,
+    units: Units,
+    columns: &[&str],
+    rows: impl Iterator<Item = Vec<String>>,
+) -> Result<(), ExportError> {
+    let (names, factors): (Vec<String>, Vec<f64>) = columns.iter().map(|name| units.column(name)).unzip();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let convert = |row: Vec<String>| row.into_iter().zip(&factors).map(|(cell, f)| Units::cell(*f, cell)).collect();
+    write(path, &names, rows.map(convert))
 }
 
 /// Writes a table; every row has as many cells as there are columns.
@@ -422,6 +435,17 @@ mod tests {
         let rows = read(camera, &results);
         assert_eq!(rows.len(), results.views.len());
         assert!(cell(&rows[0], "place_std_m").parse::<f64>().unwrap() > 0.0);
+    }
+
+    #[test]
+    fn tables_have_the_units_that_were_asked_for() {
+        let results = Results { units: "mph,ft".parse().unwrap(), ..with_metres(results()) };
+        let row = &read(trajectories, &results)[0];
+        assert_eq!((cell(row, "speed_mph"), cell(row, "speed_std_mph")), ("17.8955", "0.8948"));
+        let metric = results.trajectories.objects[0].poses[0].metric.unwrap();
+        let x_ft: f64 = cell(row, "x_ft").parse().unwrap();
+        assert!((0.3048 * x_ft - metric.position_m[0]).abs() < 1e-4 && !row.iter().any(|(name, _)| name == "x_m"));
+        assert_eq!(cell(&read(vehicles, &results)[0], "length_ft"), "14.1076");
     }
 
     #[test]

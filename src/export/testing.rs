@@ -37,6 +37,8 @@ pub(super) fn results_of(found: &Showcase) -> Results {
         },
         background: found.background.clone(),
         ground: Some(found.ground.clone()),
+        has_trajectories: true,
+        units: super::Units::default(),
     }
 }
 

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{ExportError, Format, Need, Results, Target};
-use super::{annotate, geojson, gltf, gpx, kml, poses, table, traffic, workspace};
+use super::{ExportError, Format, Need, Results, Target, Units};
+use super::{annotate, cot, geojson, gltf, gpx, kml, poses, table, traffic, workspace};
 use crate::image::RgbImage;
 use crate::io::{ExportFolder, RunFolder, trajectories};
 use crate::scene::{Frame, FrameId};
@@ -116,7 +116,7 @@ pub enum MissingFormats {
     ForAll,
 }
 
-/// Writes results in formats.
+/// Writes results in formats; with a `rate`, formats with rows or events have so many per second.
 ///
 /// # Errors
 /// A format that cannot be made of these results, where it was asked for by name: then nothing is written; a file that
@@ -125,11 +125,17 @@ pub fn write(
     results: &Results,
     formats: &[Format],
     asked: MissingFormats,
+    rate: Option<f64>,
     pictures: &Pictures,
     target: impl FnOnce() -> Result<Target, ExportError>,
 ) -> Result<Exported, ExportError> {
     let mut exported = Exported::default();
     let mut possible = Vec::new();
+    let sampled = rate.map(|rate| resampled(results, rate)).transpose()?;
+    let sampled = sampled.as_ref().unwrap_or(results);
+    if asked == MissingFormats::ByName {
+        check_form(results, formats, rate)?;
+    }
     for &format in formats {
         match obstacle(format, results, pictures) {
             None => possible.push(format),
@@ -141,7 +147,7 @@ pub fn write(
     }
     let target = target()?;
     for format in possible {
-        let files = one(format, results, pictures, &target)?;
+        let files = one(format, results, sampled, pictures, &target)?;
         exported.written.push(Written { format: format.name(), files });
     }
     Ok(exported)
@@ -152,26 +158,54 @@ fn obstacle(format: Format, results: &Results, pictures: &Pictures) -> Option<Ex
     format.obstacle(results).or_else(of_pictures)
 }
 
-/// Writes one format; gives its files.
-fn one(format: Format, results: &Results, pictures: &Pictures, target: &Target) -> Result<Vec<PathBuf>, ExportError> {
+/// Refuses formats to which a rate or units do not apply.
+fn check_form(results: &Results, formats: &[Format], rate: Option<f64>) -> Result<(), ExportError> {
+    if let Some(&format) = formats.iter().find(|format| rate.is_some() && !format.is_sampled()) {
+        return Err(ExportError::NotSampled { format });
+    }
+    let has_units = |format: &Format| matches!(format, Format::Csv | Format::GeoJson);
+    match results.units == Units::default() || formats.iter().any(has_units) {
+        true => Ok(()),
+        false => Err(ExportError::NoUnits),
+    }
+}
+
+fn resampled(results: &Results, rate: f64) -> Result<Results, ExportError> {
+    if !results.clock().has_seconds() {
+        return Err(ExportError::NoTimes);
+    }
+    results.resampled(rate).ok_or(ExportError::TooManySamples { rate })
+}
+
+/// Writes one format; gives its files. Rows and events are of `sampled`, whole vehicles and all else of `results`.
+fn one(
+    format: Format,
+    results: &Results,
+    sampled: &Results,
+    pictures: &Pictures,
+    target: &Target,
+) -> Result<Vec<PathBuf>, ExportError> {
     use ExportFolder as Names;
     type Writer = fn(&Path, &Results) -> Result<(), ExportError>;
-    let files: &[(&str, Writer)] = match format {
+    let files: &[(&str, Writer, &Results)] = match format {
         Format::Csv => &[
-            (Names::VEHICLES, table::vehicles),
-            (Names::TRAJECTORIES, table::trajectories),
-            (Names::GROUND_TRACKS, table::ground_tracks),
-            (Names::GROUND_POSITIONS, table::ground_positions),
-            (Names::CAMERA, table::camera),
+            (Names::VEHICLES, table::vehicles, results),
+            (Names::TRAJECTORIES, table::trajectories, sampled),
+            (Names::GROUND_TRACKS, table::ground_tracks, results),
+            (Names::GROUND_POSITIONS, table::ground_positions, sampled),
+            (Names::CAMERA, table::camera, sampled),
         ],
-        Format::GeoJson => &[(Names::WAYS_ON_MAP, geojson::ways), (Names::PLACES_ON_MAP, geojson::places)],
-        Format::Kml => &[(Names::KML, kml::write)],
-        Format::Gpx => &[(Names::GPX, gpx::write)],
-        Format::Sumo => &[(Names::SUMO, traffic::write_sumo)],
-        Format::TrajectoriesV2 => &[(Names::TRAJECTORIES_V2, trajectories_v2)],
-        Format::Tum => return folder(target, Names::TUM, |path| poses::write_tum(path, results)),
-        Format::LevelX => return folder(target, Names::LEVELX, |path| traffic::write_levelx(path, results)),
-        Format::Kitti => return folder(target, Names::KITTI, |path| poses::write_kitti(path, results)),
+        Format::GeoJson => {
+            &[(Names::WAYS_ON_MAP, geojson::ways, results), (Names::PLACES_ON_MAP, geojson::places, sampled)]
+        }
+        Format::Kml => &[(Names::KML, kml::write, sampled)],
+        Format::Gpx => &[(Names::GPX, gpx::write, sampled)],
+        Format::Sumo => &[(Names::SUMO, traffic::write_sumo, sampled)],
+        Format::Cot => &[(Names::COT, cot::write, sampled)],
+        Format::TrajectoriesV2 => &[(Names::TRAJECTORIES_V2, trajectories_v2, results)],
+        Format::Tum => return folder(target, Names::TUM, |path| poses::write_tum(path, sampled)),
+        Format::LevelX => return folder(target, Names::LEVELX, |path| traffic::write_levelx(path, sampled)),
+        Format::Kitti => return folder(target, Names::KITTI, |path| poses::write_kitti(path, sampled)),
         Format::Gltf => {
             let models = gltf::models(pictures.folder(), results)?;
             return file(target, Names::SCENE, |path| gltf::write(path, results, &models));
@@ -179,7 +213,7 @@ fn one(format: Format, results: &Results, pictures: &Pictures, target: &Target) 
         Format::Video => return file(target, Names::VIDEO, |path| annotate::write(path, results, pictures)),
         Format::Colmap => return folder(target, Names::COLMAP, |path| workspace::write(path, results, pictures)),
     };
-    files.iter().map(|(name, write)| target.put_file(name, |path| write(path, results))).collect()
+    files.iter().map(|(name, write, of)| target.put_file(name, |path| write(path, of))).collect()
 }
 
 fn trajectories_v2(path: &Path, results: &Results) -> Result<(), ExportError> {
@@ -251,7 +285,7 @@ mod tests {
         let into = folder.path().join("exported");
         let all = || {
             let target = || Ok(Target::at(&into, &[("OUT", run.root())])?);
-            write(&results, &Format::ALL, MissingFormats::ForAll, &pictures, target)
+            write(&results, &Format::ALL, MissingFormats::ForAll, None, &pictures, target)
         };
         let exported = all().unwrap();
         assert_eq!((exported.written.len(), exported.passed_over.len()), (Format::ALL.len(), 0));
@@ -290,19 +324,22 @@ mod tests {
         let into = folder.path().join("exported");
         let refused = |formats: &[Format]| {
             let target = || Ok(Target::at(&into, &[])?);
-            write(&results, formats, MissingFormats::ByName, &pictures, target).unwrap_err().to_string()
+            write(&results, formats, MissingFormats::ByName, None, &pictures, target).unwrap_err().to_string()
         };
         let map = refused(&[Format::Csv, Format::Kml]);
         assert!(map.contains("--format kml") && map.contains("--telemetry"), "{map}");
         assert!(refused(&[Format::Video]).contains("--input"));
         assert!(!into.exists());
         let exported =
-            write(&results, &Format::ALL, MissingFormats::ForAll, &pictures, || Ok(Target::at(&into, &[])?)).unwrap();
+            write(&results, &Format::ALL, MissingFormats::ForAll, None, &pictures, || Ok(Target::at(&into, &[])?))
+                .unwrap();
         let passed: Vec<_> = exported.passed_over.iter().map(|left| left.format).collect();
-        assert_eq!(passed, ["geojson", "kml", "gpx", "video", "sumo", "levelx", "colmap"]);
+        assert_eq!(passed, ["geojson", "kml", "gpx", "video", "sumo", "levelx", "cot", "colmap"]);
         assert!(into.join("scene.glb").is_file() && !into.join("camera.gpx").exists());
         std::fs::remove_file(run.trajectories()).unwrap();
-        let none = Results::read(&run, None).unwrap_err().to_string();
-        assert!(none.contains("trajectories.json is missing"), "{none}");
+        let models = Results::read(&run, None).unwrap();
+        let refused = Format::Csv.obstacle(&models).unwrap().to_string();
+        assert!(refused.contains("trajectories.json is missing"), "{refused}");
+        assert!(Format::Colmap.obstacle(&models).is_none() && Format::Tum.obstacle(&models).is_none());
     }
 }

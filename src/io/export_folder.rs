@@ -45,6 +45,8 @@ impl ExportFolder {
     pub const KITTI: &str = "kitti";
     /// Floating car data.
     pub const SUMO: &str = "sumo-fcd.xml";
+    /// Events of Cursor on Target.
+    pub const COT: &str = "cot-events.xml";
     /// Tables in the form of levelXData.
     pub const LEVELX: &str = "levelx";
     /// One row per vehicle and frame, of these.
@@ -64,8 +66,9 @@ impl ExportFolder {
     /// Description of the frame of the poses next to it.
     pub const ABOUT: &str = "about.txt";
 
-    const FILES: [&str; 13] = [
+    const FILES: [&str; 14] = [
         Self::SUMO,
+        Self::COT,
         Self::TRAJECTORIES_V2,
         Self::VEHICLES,
         Self::TRAJECTORIES,

@@ -12,6 +12,7 @@
 use std::path::Path;
 
 use nalgebra::{Point3, Vector3};
+use schemars::{JsonSchema, Schema};
 use serde::{Deserialize, Serialize};
 
 use super::extent::{LARGEST, is_sensible};
@@ -21,27 +22,49 @@ use crate::scene::{FrameId, Ground, GroundPlane, GroundSource, ObjectId, PlaneBa
 /// The only version there is.
 const VERSION: u32 = 1;
 
-#[derive(Serialize, Deserialize)]
+/// Ground points and local planes of a run (docs/formats.md).
+#[derive(Serialize, Deserialize, JsonSchema)]
 struct Document {
+    /// Version of this format.
     version: u32,
+    /// Source of the ground labels.
     source: GroundSource,
+    /// Ground points of `background/`.
     point_ids: Vec<Point3dId>,
+    /// By object, then frame.
     planes: Vec<Plane>,
 }
 
-#[derive(Serialize, Deserialize)]
+/// A local plane, in the frame and unit of `background/`.
+#[derive(Serialize, Deserialize, JsonSchema)]
 struct Plane {
+    /// The object.
     object: ObjectId,
+    /// The frame.
     frame: FrameId,
+    /// Unit normal towards the camera's side.
     normal: [f64; 3],
+    /// A point of the plane.
     point: [f64; 3],
+    /// Ground points near the object.
     num_points: usize,
+    /// Those on the plane.
     num_inliers: usize,
+    /// Root mean square distance of the inliers.
     rms: f64,
+    /// Basis of the plane.
     basis: PlaneBasis,
+    /// Standard deviation of its height below the object.
     height_std: f64,
+    /// The part of `height_std` that all frames of the object share.
     common_height_std: f64,
+    /// Standard deviation of the tilt, radians.
     tilt_std: f64,
+}
+
+/// The JSON schema of the file.
+pub fn schema() -> Schema {
+    json::schema_of::<Document>()
 }
 
 /// Writes the ground of a run; planes are ordered by object, then frame.

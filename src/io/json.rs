@@ -1,8 +1,12 @@
-//! Reading JSON, with errors that say where.
+//! Reading JSON, with errors that say where; JSON schemas of files.
 
 use std::path::Path;
 
+use schemars::generate::SchemaSettings;
+use schemars::transform::{RecursiveTransform, Transform};
+use schemars::{JsonSchema, Schema};
 use serde::de::DeserializeOwned;
+use serde_json::Value;
 
 use super::IoError;
 use crate::files;
@@ -49,7 +53,46 @@ pub fn check_version(path: &Path, found: u32, known: u32) -> Result<(), IoError>
     })
 }
 
+/// The JSON schema (draft 2020-12) of the values of a type as they are written, from its definition and documentation.
+pub fn schema_of<T: JsonSchema>() -> Schema {
+    let generator = SchemaSettings::draft2020_12().for_serialize().into_generator();
+    let mut schema = generator.into_root_schema_for::<T>();
+    RecursiveTransform(without_rust).transform(&mut schema);
+    schema
+}
+
+/// Takes the links and names of Rust's documentation out of a description.
+fn without_rust(schema: &mut Schema) {
+    if let Some(Value::String(text)) = schema.get_mut("description") {
+        *text = plain(text);
+    }
+}
+
+fn plain(text: &str) -> String {
+    let mut parts = text.split("`](");
+    let mut plain = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        // The target of a link ends with the parenthesis.
+        plain += "`";
+        plain += part.split_once(')').map_or(part, |(_, rest)| rest);
+    }
+    plain.replace("[`", "`").replace("`]", "`").replace("`None`", "null").replace('\n', " ")
+}
+
 /// serde_json ends its messages with the place, which the error says already.
 fn without_place(message: &str) -> String {
     message.rsplit_once(" at line ").map_or(message, |(text, _)| text).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn descriptions_are_without_rust() {
+        assert_eq!(
+            plain("At [`CLEAR`](super::CLEAR) or [`more`]; `None` where\nunknown"),
+            "At `CLEAR` or `more`; null where unknown"
+        );
+    }
 }

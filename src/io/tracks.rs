@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use schemars::{JsonSchema, Schema};
 use serde::{Deserialize, Serialize};
 
 use super::{IoError, atomic, json};
@@ -10,10 +11,18 @@ use crate::scene::TrackedObject;
 /// The only version there is.
 const VERSION: u32 = 1;
 
-#[derive(Serialize, Deserialize)]
+/// Tracked objects of a run (docs/formats.md).
+#[derive(Serialize, Deserialize, JsonSchema)]
 struct Document {
+    /// Version of this format.
     version: u32,
+    /// Ascending by id.
     objects: Vec<TrackedObject>,
+}
+
+/// The JSON schema of the file.
+pub fn schema() -> Schema {
+    json::schema_of::<Document>()
 }
 
 /// Writes the tracked objects of a run, ascending by id.

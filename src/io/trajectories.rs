@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use schemars::{JsonSchema, Schema};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -33,75 +34,116 @@ const OLDEST: u32 = 1;
 const MAX_SCALE_ERROR: f64 = 1e-9;
 
 // The order of these fields is the order of the keys in the file.
-#[derive(Serialize, Deserialize)]
+/// Trajectories of a run (docs/formats.md).
+#[derive(Serialize, Deserialize, JsonSchema)]
 struct Document {
+    /// Version of this format.
     version: u32,
+    /// Unit of every length whose key does not name one.
     unit: Unit,
-    /// Absent in files that do not speak of metres, as are the other keys of metres.
+    /// Meters; absent in files of older programs, as are the other keys of meters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     metric: Option<Metric>,
+    /// Vehicles with a trajectory, ascending by id.
     objects: Vec<Object>,
-    /// Absent where there is none.
+    /// Vehicles that are followed on the ground; absent where there is none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     ground_tracks: Vec<GroundTrack>,
 }
 
-#[derive(Serialize, Deserialize)]
+/// A vehicle.
+#[derive(Serialize, Deserialize, JsonSchema)]
 struct Object {
+    /// Its id, from 1.
     id: ObjectId,
+    /// Class of most of its detections.
     class: String,
+    /// Mean score of its detections, 0 to 1; 1 for given masks.
     confidence: f64,
+    /// Scale ratio between the object's and the background's unit.
     scale: Scale,
-    /// Absent in files of older programs.
+    /// Bases of its ground planes, and in how many frames.
     #[serde(default)]
     ground: BTreeMap<PlaneBasis, usize>,
+    /// Verdict; null if the trajectory was not judged.
     #[serde(default)]
     verdict: Option<Verdict>,
+    /// Size; absent where meters are unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     dimensions: Option<Dimensions>,
+    /// Path length, displacement and speeds; absent for fewer than four frames.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     travel: Option<Travel>,
+    /// Ascending; frames without both cameras are absent.
     frames: Vec<Pose>,
 }
 
-#[derive(Serialize, Deserialize)]
+/// A scale ratio.
+#[derive(Serialize, Deserialize, JsonSchema)]
 struct Scale {
+    /// One unit of the object's model in units of the background; positive.
     ratio: f64,
+    /// Its standard deviation; null where the method gives none.
     std: Option<f64>,
+    /// Method of `ratio`.
     method: ScaleMethod,
+    /// True if the motion leaves the ratio undetermined.
     degenerate: bool,
+    /// Reason why it is degenerate.
     reason: Option<String>,
+    /// Ratios by all methods, for the model in `objects/<id>`.
     alternatives: Ratios,
+    /// The same for the model in `as-reconstructed/<id>`; null where nothing was adjusted.
     #[serde(default)]
     as_reconstructed: Option<Ratios>,
+    /// Contributions to `std`, as shares of the ratio.
     #[serde(default)]
     shares: Option<ScaleShares>,
+    /// Evidence for the ratio.
     #[serde(default)]
     support: Option<ScaleSupport>,
+    /// Ratio by the camera path; absent unless the vehicle is stationary.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     camera_path: Option<CameraPathRatio>,
+    /// Results of the reference methods; absent unless they were requested.
     #[serde(default, skip_serializing_if = "References::is_empty")]
     references: References,
 }
 
-#[derive(Serialize, Deserialize)]
+/// A vehicle in one frame.
+#[derive(Serialize, Deserialize, JsonSchema)]
 struct Pose {
+    /// The frame.
     frame: FrameId,
+    /// Its image name.
     name: String,
+    /// Its time, seconds.
     time_s: f64,
+    /// The object's center in the frame of `background/`.
     position: [f64; 3],
+    /// From the frame of `objects/<id>` to that of `background/`.
     world_from_object: Placement,
+    /// Speed, where `unit` is `metre`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     speed: Option<f64>,
     #[serde(flatten)]
     metric: Option<MetricPose>,
 }
 
-#[derive(Serialize, Deserialize)]
+/// A point X of the object is at `scale * R * X + translation`.
+#[derive(Serialize, Deserialize, JsonSchema)]
 struct Placement {
+    /// The object's ratio.
     scale: f64,
+    /// Unit quaternion w, x, y, z.
     rotation_wxyz: [f64; 4],
+    /// Of the object's origin.
     translation: [f64; 3],
+}
+
+/// The JSON schema of the file.
+pub fn schema() -> Schema {
+    json::schema_of::<Document>()
 }
 
 /// Writes the trajectories of a run.

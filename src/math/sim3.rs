@@ -3,19 +3,22 @@
 use std::ops::Mul;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Rigid3;
 
 /// Scale, rotation, translation, `target_from_source`: `x_target = s R x_source + t`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Sim3 {
     /// Length in the target frame of one unit of the source frame.
     pub scale: f64,
     /// Rotation from the source to the target frame; in files `rotation_wxyz`.
     #[serde(rename = "rotation_wxyz", with = "super::wxyz")]
+    #[schemars(with = "[f64; 4]")]
     pub rotation: UnitQuaternion<f64>,
     /// Origin of the source frame, in the target frame.
+    #[schemars(with = "[f64; 3]")]
     pub translation: Vector3<f64>,
 }
 

@@ -27,6 +27,7 @@ use driver::progress::Muted;
 pub use driver::progress::{Plan, Planned, Progress, Silent};
 pub use driver::reopen::{arguments_of_run, known_frames, reopen};
 pub use driver::run::StageRecord;
+pub use driver::run_json::run_json_schema;
 pub use driver::stage::Stage;
 pub use driver::workspace::{Marker, Overwrite, Workspace};
 pub use error::PipelineError;
@@ -135,7 +136,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
     workspace.clear_ended()?;
     let muted = Muted(progress);
     let mut run = Run::new(options, &workspace, &source, job.arguments, progress);
-    let result = stages(&mut run, goal, &content, &muted);
+    let result = stages(&mut run, goal, &content, &muted).and_then(|()| page_of_models(&run));
     let error = result.as_ref().err().map(ToString::to_string);
     let written = crate::pipeline::driver::run_json::write(&run, error.as_deref());
     // What went wrong first says what to do: on a full disk it names the file that did not fit.
@@ -144,6 +145,16 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
     let summary = summary(job, run)?;
     leave_record(job, &workspace, identity, &summary)?;
     Ok(summary)
+}
+
+/// Writes the page of `tractrix sfm`, unless a whole run with the same models has left its page.
+fn page_of_models(run: &Run) -> Result<(), PipelineError> {
+    let has_page = run.all_reused() && run.workspace.marker(Stage::Report).is_some();
+    if run.goal != Stage::Objects || has_page {
+        return Ok(());
+    }
+    run.workspace.clear_marker(Stage::Report)?;
+    crate::pipeline::stages::report::write_models(run)
 }
 
 /// Says that nothing is left to be done, unless there is, or a file has changed since the run began.

@@ -44,6 +44,8 @@ pub struct Data<'a> {
     pub evaluation: Option<&'a Evaluation>,
     /// The files and folders of the result.
     pub parts: Vec<Part>,
+    /// True if models are all that was requested (`tractrix sfm`): then no trajectory is missing.
+    pub is_sfm: bool,
 }
 
 /// A reconstruction and the frames it lacks.

@@ -66,6 +66,17 @@ fn size(trajectory: &ObjectTrajectory, size: &Dimensions) -> Fact {
     Fact::new("size", [said("length", length_m), said("width", width_m), said("height", height_m)].join(", "))
 }
 
+/// Length, width and height in a line of a table: `4.30 ± 0.21 × 1.80 ± 0.09 × – m`; `None` where none is known.
+pub(super) fn size_in_brief(trajectory: &ObjectTrajectory) -> Option<String> {
+    let Dimensions { length_m, width_m, height_m } = trajectory.dimensions?;
+    let said = |dimension: Option<Estimate>| {
+        let said = dimension.map(|found| estimate(trajectory, found, "m"));
+        said.map_or("–".to_owned(), |said| said.trim_end_matches(" m").to_owned())
+    };
+    let sides = [length_m, width_m, height_m];
+    sides.iter().any(Option::is_some).then(|| format!("{} m", sides.map(said).join(" × ")))
+}
+
 /// A quantity over the frames of an object.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Quantity {
@@ -125,6 +136,8 @@ mod tests {
             value("size").starts_with("length 4.30 ± ") && value("size").ends_with("height not visible"),
             "{said:?}"
         );
+        let brief = size_in_brief(&world.trajectory).unwrap();
+        assert!(brief.starts_with("4.30 ± ") && brief.ends_with(" × – m"), "{brief}");
         assert!(value("distance to the camera").ends_with(" m"), "{said:?}");
         assert!(!readings(&data, &data.objects[0], Quantity::Heading).is_empty());
         let mut north = testing::World::in_metres();

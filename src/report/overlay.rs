@@ -5,7 +5,7 @@ use image::{Rgb, RgbImage, imageops};
 use serde::{Deserialize, Serialize};
 
 use super::ReportError;
-use crate::scene::{FrameId, Mask, ObjectId};
+use crate::scene::{BoundingBox, FrameId, Mask, ObjectId};
 
 /// Longer side of a strip picture, pixels.
 const THUMBNAIL_SIDE: u32 = 400;
@@ -54,34 +54,75 @@ pub(super) fn css_colour([r, g, b]: [u8; 3]) -> String {
 /// A picture with masks in their objects' colours: a tint inside, a solid outline. A mask of another size than the
 /// picture is scaled to it. Later masks lie over earlier ones.
 pub fn overlay(picture: &RgbImage, masks: &[(ObjectId, &Mask)]) -> RgbImage {
-    let mut out = picture.clone();
-    let (width, height) = out.dimensions();
-    let line_px = (width.max(height) / 360).max(1);
-    for &(id, mask) in masks {
-        let colour = object_colour(id);
-        let inside = resampled(mask, width, height);
-        let core = inside.eroded(line_px);
-        for ((pixel, &set), &deep) in out.pixels_mut().zip(inside.pixels()).zip(core.pixels()) {
-            if set {
-                *pixel = if deep { tinted(*pixel, colour) } else { Rgb(colour) };
+    drawn(picture.clone(), &Silhouette::of_all(masks))
+}
+
+/// A mask with the box around its pixels, which is all that is looked at.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Silhouette<'a> {
+    pub id: ObjectId,
+    pub mask: &'a Mask,
+    pub bounds: BoundingBox,
+}
+
+impl<'a> Silhouette<'a> {
+    /// Those of masks that are not empty.
+    pub fn of_all(masks: &[(ObjectId, &'a Mask)]) -> Vec<Self> {
+        masks.iter().filter_map(|&(id, mask)| Some(Self { id, mask, bounds: mask.bounding_box()? })).collect()
+    }
+
+    /// The number's place, above the middle of the mask.
+    pub fn label(&self) -> Label {
+        let Self { id: object, mask, bounds } = *self;
+        let x = f64::from(bounds.x0 + bounds.x1) / 2.0 / f64::from(mask.width());
+        Label { object, x, y: f64::from(bounds.y0) / f64::from(mask.height()) }
+    }
+}
+
+/// As [`overlay`], into the picture itself.
+pub(super) fn drawn(mut picture: RgbImage, silhouettes: &[Silhouette]) -> RgbImage {
+    let line_px = (picture.width().max(picture.height()) / 360).max(1);
+    for silhouette in silhouettes {
+        draw(&mut picture, silhouette, line_px);
+    }
+    picture
+}
+
+fn draw(picture: &mut RgbImage, silhouette: &Silhouette, line_px: u32) {
+    let Silhouette { id, mask, bounds } = *silhouette;
+    let colour = object_colour(id);
+    let (width, height) = picture.dimensions();
+    // Column and row of the mask at each of the picture, nearest neighbor: they ascend.
+    let nearest = |side: u32, own: u32| -> Vec<u32> {
+        let step = f64::from(own) / f64::from(side);
+        (0..side).map(|k| ((f64::from(k) + 0.5) * step) as u32).collect()
+    };
+    let (columns, rows) = (nearest(width, mask.width()), nearest(height, mask.height()));
+    let part = |places: &[u32], first: u32, end: u32| {
+        // One more on each side: beyond the border of a mask nothing is eroded.
+        let from = places.partition_point(|place| *place < first).saturating_sub(1);
+        from..(places.partition_point(|place| *place < end) + 1).min(places.len())
+    };
+    let (across, down) = (part(&columns, bounds.x0, bounds.x1), part(&rows, bounds.y0, bounds.y1));
+    let (columns, rows) = (&columns[across.clone()], &rows[down.clone()]);
+    let set = mask.pixels();
+    let inside = Mask::from_fn(columns.len() as u32, rows.len() as u32, |x, y| {
+        set[rows[y as usize] as usize * mask.width() as usize + columns[x as usize] as usize]
+    });
+    let core = inside.eroded(line_px);
+    for (y, row) in down.enumerate() {
+        for (x, column) in across.clone().enumerate() {
+            let index = y * columns.len() + x;
+            if inside.pixels()[index] {
+                let pixel = picture.get_pixel_mut(column as u32, row as u32);
+                *pixel = if core.pixels()[index] { tinted(*pixel, colour) } else { Rgb(colour) };
             }
         }
     }
-    out
 }
 
 fn tinted(pixel: Rgb<u8>, colour: [u8; 3]) -> Rgb<u8> {
     Rgb(std::array::from_fn(|k| (f32::from(pixel[k]) * (1.0 - TINT) + f32::from(colour[k]) * TINT).round() as u8))
-}
-
-/// The mask at another size, nearest neighbour.
-fn resampled(mask: &Mask, width: u32, height: u32) -> Mask {
-    if (mask.width(), mask.height()) == (width, height) {
-        return mask.clone();
-    }
-    let sx = f64::from(mask.width()) / f64::from(width);
-    let sy = f64::from(mask.height()) / f64::from(height);
-    Mask::from_fn(width, height, |x, y| mask.contains((f64::from(x) + 0.5) * sx, (f64::from(y) + 0.5) * sy))
 }
 
 /// Where an object's number stands in a strip picture.
@@ -116,13 +157,18 @@ impl Thumbnail {
     /// # Errors
     /// [`ReportError::Picture`] if the picture is empty.
     pub fn new(frame: FrameId, picture: &RgbImage, masks: &[(ObjectId, &Mask)]) -> Result<Self, ReportError> {
-        let small = overlay(&shrunk(picture, THUMBNAIL_SIDE), masks);
+        Self::of(frame, picture, &Silhouette::of_all(masks))
+    }
+
+    /// As [`Self::new`], of silhouettes.
+    pub(super) fn of(frame: FrameId, picture: &RgbImage, silhouettes: &[Silhouette]) -> Result<Self, ReportError> {
+        let small = drawn(shrunk(picture, THUMBNAIL_SIDE), silhouettes);
         let (width, height) = small.dimensions();
         let mut jpeg = Vec::new();
         JpegEncoder::new_with_quality(&mut jpeg, THUMBNAIL_QUALITY)
             .encode_image(&small)
             .map_err(|source| ReportError::Picture { frame: frame.0, source })?;
-        let labels = masks.iter().filter_map(|&(id, mask)| label(id, mask)).collect();
+        let labels = silhouettes.iter().map(Silhouette::label).collect();
         Ok(Self { frame, width, height, jpeg, labels })
     }
 }
@@ -140,12 +186,6 @@ fn shrunk_size((width, height): (u32, u32), longer: u32) -> (u32, u32) {
     }
     let scaled = |length: u32| (f64::from(length) * f64::from(longer) / f64::from(side)).round().max(1.0) as u32;
     (scaled(width), scaled(height))
-}
-
-pub(super) fn label(object: ObjectId, mask: &Mask) -> Option<Label> {
-    let b = mask.bounding_box()?;
-    let x = f64::from(b.x0 + b.x1) / 2.0 / f64::from(mask.width());
-    Some(Label { object, x, y: f64::from(b.y0) / f64::from(mask.height()) })
 }
 
 /// The frames whose pictures belong in the strip: all of a short clip, evenly spread ones of a longer one, always the

@@ -8,7 +8,7 @@ use image::{RgbImage, imageops};
 use serde::{Deserialize, Serialize};
 
 use super::ReportError;
-use super::overlay::{Label, Thumbnail, label, overlay, shrunk, spread, strip_frames};
+use super::overlay::{Label, Silhouette, Thumbnail, drawn, shrunk, spread, strip_frames};
 use crate::ffi::ffmpeg::{Encoder, FfmpegError};
 use crate::files;
 use crate::scene::{BoundingBox, FrameId, Mask, ObjectId};
@@ -89,14 +89,15 @@ impl PictureMaker {
     /// # Errors
     /// [`ReportError::Picture`] if the picture is empty, [`ReportError::Film`] if the film cannot be written.
     pub fn push(&mut self, frame: FrameId, picture: &RgbImage, masks: &[(ObjectId, &Mask)]) -> Result<(), ReportError> {
+        let silhouettes = Silhouette::of_all(masks);
         if self.of_strip.contains(&frame) {
-            self.strip.push(Thumbnail::new(frame, picture, masks)?);
+            self.strip.push(Thumbnail::of(frame, picture, &silhouettes)?);
         }
-        for (id, mask) in masks {
-            self.keep_portrait(*id, picture, mask);
+        for silhouette in &silhouettes {
+            self.keep_portrait(picture, silhouette);
         }
         if self.of_film.contains(&frame) && self.film.is_some() {
-            match self.add_to_film(frame, picture, masks) {
+            match self.add_to_film(frame, picture, &silhouettes) {
                 // Without such an encoder the page has the strip.
                 Err(FfmpegError::NoEncoder | FfmpegError::Encoder(_)) => self.film = None,
                 Err(source) => return Err(ReportError::Film(source)),
@@ -110,9 +111,9 @@ impl PictureMaker {
         &mut self,
         frame: FrameId,
         picture: &RgbImage,
-        masks: &[(ObjectId, &Mask)],
+        silhouettes: &[Silhouette],
     ) -> Result<(), FfmpegError> {
-        let small = overlay(&shrunk(picture, FILM_SIDE), masks);
+        let mut small = drawn(shrunk(picture, FILM_SIDE), silhouettes);
         let film = self.film.get_or_insert_default();
         let encoder = match &mut self.encoder {
             Some(encoder) => encoder,
@@ -121,15 +122,19 @@ impl PictureMaker {
                 none.insert(Encoder::preview(&self.path, small.dimensions(), FILM_RATE)?)
             }
         };
+        if small.dimensions() != (film.width, film.height) {
+            // A photograph of another size.
+            small = fitted(&small, (film.width, film.height));
+        }
         encoder.add(&small, film.frames.len() as f64 / FILM_RATE)?;
         film.frames.push(frame);
-        film.labels.push(masks.iter().filter_map(|&(id, mask)| label(id, mask)).collect());
+        film.labels.push(silhouettes.iter().map(Silhouette::label).collect());
         Ok(())
     }
 
     /// Keeps the part of a picture that a mask shows, if it shows more of the vehicle than those before.
-    fn keep_portrait(&mut self, id: ObjectId, picture: &RgbImage, mask: &Mask) {
-        let Some(found) = mask.bounding_box() else { return };
+    fn keep_portrait(&mut self, picture: &RgbImage, silhouette: &Silhouette) {
+        let Silhouette { id, bounds: found, .. } = *silhouette;
         let area = u64::from(found.x1 - found.x0) * u64::from(found.y1 - found.y0);
         if self.portraits.get(&id).is_some_and(|(largest, _)| area <= *largest) {
             return;
@@ -163,6 +168,18 @@ impl PictureMaker {
         let portraits = self.portraits.into_iter().filter_map(portrait).collect();
         Ok(Pictures { film, strip: self.strip, portraits })
     }
+}
+
+/// A picture in the middle of a black one of the given size, as large as fits.
+fn fitted(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
+    let (own_width, own_height) = picture.dimensions();
+    let scale = (f64::from(width) / f64::from(own_width)).min(f64::from(height) / f64::from(own_height));
+    let side = |own: u32, most: u32| ((f64::from(own) * scale).round() as u32).clamp(1, most);
+    let (fit_width, fit_height) = (side(own_width, width), side(own_height, height));
+    let fit = imageops::resize(picture, fit_width, fit_height, imageops::FilterType::Triangle);
+    let mut out = RgbImage::new(width, height);
+    imageops::replace(&mut out, &fit, i64::from((width - fit_width) / 2), i64::from((height - fit_height) / 2));
+    out
 }
 
 /// A box and some of what is around it.

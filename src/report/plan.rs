@@ -15,6 +15,8 @@ const SCENE_ZOOM: f64 = 10.0;
 const PATH_SIDE: f64 = 1000.0;
 /// Least longer side of a box; a vehicle that stands has none.
 const LEAST_SIDE: f64 = 1e-4;
+/// Length of the head of an arrow, as a share of the plan's shorter side.
+const ARROW: f64 = 0.05;
 /// Points drawn in the plan of the whole scene.
 const MAX_POINTS: usize = 2_500;
 /// Vertices drawn of one path.
@@ -43,6 +45,8 @@ struct PlanPath {
     path: String,
     start: [f64; 2],
     end: [f64; 2],
+    /// Head of an arrow at the end, in the direction of travel.
+    arrow: String,
 }
 
 /// A bar of a round length.
@@ -94,8 +98,17 @@ impl Turn {
 }
 
 impl Plan {
-    /// The whole scene.
+    /// The whole scene, with room around it.
     pub fn scene(data: &Data, view: &View) -> Self {
+        Self::of_all(data, view, 0.9)
+    }
+
+    /// All paths, as large as fits.
+    pub fn paths(data: &Data, view: &View) -> Self {
+        Self::of_all(data, view, 0.12)
+    }
+
+    fn of_all(data: &Data, view: &View, padding: f64) -> Self {
         let paper = Paper { zoom: SCENE_ZOOM, ..Paper::new(data, view) };
         let background = data.background.reconstruction;
         let camera: Vec<_> = background.images.values().map(|i| paper.place(i.cam_from_world.center())).collect();
@@ -105,14 +118,15 @@ impl Plan {
         all.extend(ground_tracks().flat_map(|track| paper.contacts(track)));
         // A trajectory of undetermined scale may lie anywhere; the plan keeps to the scene.
         all.retain(|p| p.iter().all(|v| v.abs() < 30.0 * SCENE_ZOOM));
-        let view_box = frame(&all, &[], 0.9, 0.45);
+        let view_box = frame(&all, &[], padding, 0.45);
+        let arrow = ARROW * view_box[2].min(view_box[3]);
         let near = background.points.values().map(|p| paper.place(p.position)).filter(|p| holds(view_box, p));
         Self {
             view_box,
             points: dots(&near.collect::<Vec<_>>()),
             camera: polyline(&camera),
-            paths: (data.objects.iter().filter_map(|o| paper.path(o)))
-                .chain(ground_tracks().filter_map(|track| paper.ground_path(track)))
+            paths: (data.objects.iter().filter_map(|o| paper.path(o, arrow)))
+                .chain(ground_tracks().filter_map(|track| paper.ground_path(track, arrow)))
                 .collect(),
             bar: paper.scale_bar(view_box),
             north: north(data, view_box),
@@ -123,14 +137,14 @@ impl Plan {
     pub fn object(data: &Data, object: &Object, view: &View) -> Option<Self> {
         let paper = Paper::new(data, view);
         let paper = paper.around(&paper.positions(object));
-        Some(paper.alone(data, paper.path(object)?, &paper.positions(object)))
+        Some(paper.alone(data, paper.path(object, ARROW * PATH_SIDE)?, &paper.positions(object)))
     }
 
     /// One ground track alone; `None` without positions that can be drawn.
     pub fn ground_track(data: &Data, track: &GroundTrack, view: &View) -> Option<Self> {
         let paper = Paper::new(data, view);
         let paper = paper.around(&paper.contacts(track));
-        Some(paper.alone(data, paper.ground_path(track)?, &paper.contacts(track)))
+        Some(paper.alone(data, paper.ground_path(track, ARROW * PATH_SIDE)?, &paper.contacts(track)))
     }
 }
 
@@ -164,7 +178,7 @@ impl<'a> Paper<'a> {
         track.positions.iter().map(|at| self.place(Point3::from(at.position))).filter(drawable).collect()
     }
 
-    fn ground_path(&self, track: &GroundTrack) -> Option<PlanPath> {
+    fn ground_path(&self, track: &GroundTrack, arrow: f64) -> Option<PlanPath> {
         let positions = self.contacts(track);
         let (start, end) = (*positions.first()?, *positions.last()?);
         Some(PlanPath {
@@ -175,6 +189,7 @@ impl<'a> Paper<'a> {
             path: polyline(&positions),
             start: start.map(tenth),
             end: end.map(tenth),
+            arrow: arrow_head(&positions, arrow),
         })
     }
 
@@ -183,7 +198,7 @@ impl<'a> Paper<'a> {
         poses.map(|p| self.place(Point3::from(p.position))).filter(drawable).collect()
     }
 
-    fn path(&self, object: &Object) -> Option<PlanPath> {
+    fn path(&self, object: &Object, arrow: f64) -> Option<PlanPath> {
         let positions = self.positions(object);
         let (start, end) = (*positions.first()?, *positions.last()?);
         Some(PlanPath {
@@ -194,6 +209,7 @@ impl<'a> Paper<'a> {
             path: polyline(&positions),
             start: start.map(tenth),
             end: end.map(tenth),
+            arrow: arrow_head(&positions, arrow),
         })
     }
 
@@ -208,6 +224,18 @@ impl<'a> Paper<'a> {
         let path = format!("M{left:.1} {top:.1}V{bottom:.1}H{right:.1}V{top:.1}");
         ScaleBar { path, label: self.ruler.round_length(length) }
     }
+}
+
+/// Head of an arrow at the end of a path: two strokes of a length, back along the last stretch of that length; empty
+/// for a path that is shorter.
+fn arrow_head(positions: &[[f64; 2]], length: f64) -> String {
+    let Some(&[x, y]) = positions.last() else { return String::new() };
+    let from = positions.iter().rev().find(|[a, b]| (x - a).hypot(y - b) >= length);
+    let Some([a, b]) = from else { return String::new() };
+    let back = (b - y).atan2(a - x);
+    // Half the angle between the strokes, radians.
+    let stroke = |turn: f64| format!("{:.1} {:.1}", x + length * (back + turn).cos(), y + length * (back + turn).sin());
+    format!("M{}L{x:.1} {y:.1}L{}", stroke(0.45), stroke(-0.45))
 }
 
 /// An arrow up the page with an N below it, in the upper right corner; `None` where north is not known.
@@ -282,6 +310,14 @@ mod tests {
         assert_eq!(*places[places.len() - 1], plan.paths[0].end, "and where it ends");
         assert!(places.windows(2).all(|w| w[0] != w[1]), "no two places fall together");
         assert!(plan.view_box[2] > PATH_SIDE && plan.view_box[2] < 3.0 * PATH_SIDE, "{:?}", plan.view_box);
+    }
+
+    #[test]
+    fn an_arrow_points_along_the_end_of_a_path() {
+        let positions = [[0.0, 0.0], [50.0, 0.0], [100.0, 0.0]];
+        assert_eq!(arrow_head(&positions, 10.0), "M91.0 -4.3L100.0 0.0L91.0 4.3");
+        assert_eq!(arrow_head(&positions, 200.0), "");
+        assert_eq!(arrow_head(&[], 1.0), "");
     }
 
     #[test]

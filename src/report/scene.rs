@@ -46,6 +46,9 @@ struct SceneFrame {
     time: f64,
     /// Camera centre and `view_from_cam` as w x y z; absent where the camera is unknown.
     camera: Option<[f64; 7]>,
+    /// As that of the scene, where this frame has other intrinsics.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tangent: Option<[f64; 2]>,
 }
 
 /// Packed points.
@@ -86,7 +89,13 @@ impl Scene {
     pub fn new(data: &Data, view: &View, timeline: &Timeline, names: &[String]) -> Self {
         let chosen = spread(data.frames.len(), MAX_FRAMES);
         let images = data.background.images(data.frames);
-        let frames = chosen.iter().map(|&i| scene_frame(&data.frames[i], images[i], view, timeline)).collect();
+        let background = data.background.reconstruction;
+        let usual = tangent(background);
+        let frames = chosen.iter().map(|&i| SceneFrame {
+            tangent: images[i].map(|image| tangent_of(background, image)).filter(|own| *own != usual),
+            ..scene_frame(&data.frames[i], images[i], view, timeline)
+        });
+        let frames = frames.collect();
         let shown = data.objects.iter().filter(|o| o.trajectory.is_some()).count().max(1);
         let budget = MAX_OBJECT_POINTS.min(MAX_ALL_OBJECT_POINTS / shown);
         let objects = || data.objects.iter().zip(names);
@@ -97,7 +106,7 @@ impl Scene {
             turn: Turn::of(data, view).rows(),
             ground: rounded(view.ground),
             radius: RADIUS,
-            tangent: tangent(data.background.reconstruction),
+            tangent: usual,
             frames,
             points: cloud(data.background.reconstruction, data.ground.map_or(&[], |g| &g.point_ids), MAX_POINTS, view),
             objects: placed.chain(on_ground).collect(),
@@ -125,9 +134,16 @@ impl Scene {
     }
 }
 
+/// Of the first image.
 fn tangent(background: &Reconstruction) -> [f64; 2] {
-    let camera = background.images.values().next().and_then(|i| background.cameras.get(&i.camera));
-    camera.map_or([0.5, 0.3], |c| {
+    background.images.values().next().map_or(USUAL_TANGENT, |image| tangent_of(background, image))
+}
+
+/// Where no camera is known: a field of view of 53° by 33°.
+const USUAL_TANGENT: [f64; 2] = [0.5, 0.3];
+
+fn tangent_of(background: &Reconstruction, image: &Image) -> [f64; 2] {
+    background.cameras.get(&image.camera).map_or(USUAL_TANGENT, |c| {
         [rounded(0.5 * f64::from(c.width) / c.focal[0]), rounded(0.5 * f64::from(c.height) / c.focal[1])]
     })
 }
@@ -140,7 +156,7 @@ fn scene_frame(frame: &Frame, image: Option<&Image>, view: &View, timeline: &Tim
     };
     let camera = image.map(pose).filter(|c| c.iter().all(|v| v.is_finite()));
     let time = timeline.of(frame.id).unwrap_or_default();
-    SceneFrame { frame: frame.id.0, time: rounded(time), camera }
+    SceneFrame { frame: frame.id.0, time: rounded(time), camera, tangent: None }
 }
 
 /// The points of a reconstruction, at most `limit` of them; `ground` are ids of points on the ground, ascending.

@@ -2,7 +2,7 @@
 
 use super::data::{Data, Object};
 use super::verdict::{Verdict, relative_std};
-use super::words::{capitalised, count, name, percent};
+use super::words::{capitalised, count, name, percent, thousands, with_unit};
 
 /// The sentence.
 pub(super) fn sentence(data: &Data) -> String {
@@ -16,6 +16,9 @@ pub(super) fn sentence(data: &Data) -> String {
     } else {
         format!("the camera path in {registered} of {}", count(frames, "frame"))
     };
+    if data.is_sfm {
+        return models_in_words(data);
+    }
     let found = data.objects.iter().filter(|o| o.trajectory.is_some()).count();
     if data.objects.is_empty() {
         return format!("Reconstructed: {camera}. No vehicle detected.");
@@ -32,6 +35,24 @@ pub(super) fn sentence(data: &Data) -> String {
         (f, s) => format!("the 3D trajectories of {f} of {s} vehicles"),
     };
     format!("Reconstructed: {camera}, and {vehicles}. {}{on_ground}", sureness(data))
+}
+
+/// Result of `tractrix sfm`.
+fn models_in_words(data: &Data) -> String {
+    let background = data.background.reconstruction;
+    let images = match (background.images.len(), data.frames.len()) {
+        (registered, all) if registered >= all => format!("all {}", count(all, "image")),
+        (registered, all) => format!("{registered} of {}", count(all, "image")),
+    };
+    let points = format!("{} points", thousands(background.points.len()));
+    let error =
+        background.mean_reprojection_error_px().map(|error| format!(", mean residual {}", with_unit(error, 2, "px")));
+    let found = data.objects.iter().filter(|object| object.model.is_some()).count();
+    let vehicles = match data.objects.len() {
+        0 => String::new(),
+        all => format!(" Models of vehicles, each in its own unit: {found} of {all}."),
+    };
+    format!("Reconstructed: {images} registered, {points}{}.{vehicles}", error.unwrap_or_default())
 }
 
 /// Scale uncertainties and verdicts in one sentence.
@@ -73,6 +94,14 @@ mod tests {
     use super::*;
     use crate::report::testing;
     use crate::scene::{self, Trust};
+
+    #[test]
+    fn models_alone_have_a_sentence_without_trajectories() {
+        let world = testing::world();
+        let said = sentence(&Data { is_sfm: true, ..world.data() });
+        assert!(said.contains("images registered, ") && said.contains("mean residual"), "{said}");
+        assert!(said.ends_with("Models of vehicles, each in its own unit: 1 of 2."), "{said}");
+    }
 
     #[test]
     fn the_sentence_names_the_vehicles_and_says_how_sure_each_is() {

@@ -114,6 +114,7 @@ pub(super) fn nothing(background: &Reconstruction) -> Data<'_> {
         stages: vec![stage],
         evaluation: None,
         parts: Vec::new(),
+        is_sfm: false,
     }
 }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// Index of a frame in its source, from 0: for a video the index of the decoded frame, for a folder the index in the
 /// sorted list of its images. It does not change with `--start`, `--end` or `--every`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct FrameId(pub u32);
 
@@ -23,7 +23,7 @@ impl fmt::Display for ObjectId {
 }
 
 /// Unit of the times of an input's frames.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum TimeBase {
     /// Seconds.

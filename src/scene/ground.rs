@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{FrameId, ObjectId, Point3dId};
 
 /// Where the ground labels came from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum GroundSource {
     /// Masks given by the user.
@@ -20,7 +21,7 @@ pub enum GroundSource {
 }
 
 /// Basis of a local plane: the links of the chain of fallbacks, the most reliable first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum PlaneBasis {
     /// Points that the object itself drives over, in other frames than this.

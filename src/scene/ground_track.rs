@@ -4,13 +4,14 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Vector3};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Estimate, FrameId, MetricPose, ObjectId, PlaneBasis, Travel};
 use crate::math::Sim3;
 
 /// Method of a ground track; the name is that of the contract.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum GroundTrackMethod {
     /// The ray of the lower mask edge meets the local ground plane.
     #[default]
@@ -26,7 +27,7 @@ impl GroundTrackMethod {
 }
 
 /// Error of a contact point in three independent parts, by how it changes over the frames.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ContactError {
     /// Covariance of the part that is new in every frame: pixels of the mask edge.
     pub noise: [[f64; 3]; 3],
@@ -72,7 +73,7 @@ impl ContactError {
 }
 
 /// Contact point of a vehicle with the ground in one frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GroundPosition {
     /// The frame.
     pub frame: FrameId,
@@ -90,7 +91,7 @@ pub struct GroundPosition {
 }
 
 /// Reason why a frame with a mask has no contact point.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum NoContact {
     /// The background has no camera for the frame.
@@ -119,7 +120,7 @@ impl NoContact {
 }
 
 /// Trust in a ground track; words of its own, since no model is judged.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum GroundTrackTrust {
     /// Distances are known to ±10 % or better.
@@ -142,7 +143,7 @@ impl GroundTrackTrust {
 }
 
 /// Verdict on a ground track.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GroundTrackVerdict {
     /// Trust.
     pub state: GroundTrackTrust,
@@ -153,7 +154,7 @@ pub struct GroundTrackVerdict {
 }
 
 /// Positions on the ground of a vehicle of which there is no usable 3D model.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GroundTrack {
     /// The vehicle.
     pub id: ObjectId,

@@ -7,12 +7,13 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::math::Sim3;
 
 /// On what metres rest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MetricVerdict {
     /// Mostly on what somebody measured.
@@ -38,7 +39,7 @@ impl MetricVerdict {
 }
 
 /// Contribution of one source to the meters per unit.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MetricShare {
     /// The source, for people.
     pub source: String,
@@ -67,7 +68,7 @@ pub fn sources_in_words(shares: &[MetricShare]) -> String {
 }
 
 /// A source that does not agree with the others.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MetricContradiction {
     /// The source.
     pub source: String,
@@ -78,7 +79,7 @@ pub struct MetricContradiction {
 }
 
 /// Axes of the metric frame. The third points up in both.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MetricAxes {
     /// East, north, up.
@@ -88,7 +89,7 @@ pub enum MetricAxes {
 }
 
 /// Where the origin of the metric frame lies on the ellipsoid of WGS 84.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MapOrigin {
     /// East of Greenwich, degrees.
     pub longitude: f64,
@@ -101,7 +102,7 @@ pub struct MapOrigin {
 }
 
 /// The transform into metres: a point X of the background is at `scale * R * X + translation`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MetricFrame {
     /// Metres per unit of the background.
     pub scale: f64,
@@ -123,7 +124,7 @@ pub struct MetricFrame {
 }
 
 /// Standard deviations of a [`MetricFrame`].
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MetricStd {
     /// Of the scale, metres per unit.
     pub scale: f64,
@@ -150,7 +151,7 @@ impl MetricFrame {
 }
 
 /// Metres of a result.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Metric {
     /// On what they rest.
     pub verdict: MetricVerdict,
@@ -173,7 +174,7 @@ pub struct Metric {
 }
 
 /// Zone of the clock on which [`Dates`] count.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ClockZone {
     /// Universal time.
@@ -185,7 +186,7 @@ pub enum ClockZone {
 }
 
 /// Dates of a result: of the video's start, or of each photograph.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Dates {
     /// The video's start, seconds after 1970-01-01T00:00:00 on the clock of `zone`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -198,7 +199,7 @@ pub struct Dates {
 }
 
 /// A value and its standard deviation.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Estimate {
     /// The value.
     pub value: f64,
@@ -214,7 +215,7 @@ impl Estimate {
 }
 
 /// Size of an object, meters; `None` for a dimension that was never visible.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Dimensions {
     /// Between its ends, along the direction in which it points.
     pub length_m: Option<Estimate>,
@@ -226,7 +227,7 @@ pub struct Dimensions {
 
 /// Travel of an object from its first to its last pose, from the smoothed trajectory (docs/maths/smoother.md,
 /// *Travel*): the one definition behind every outlet.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Travel {
     /// Path length, units of the background. The standard deviation lacks that of metres per unit.
     pub path_units: Estimate,
@@ -247,7 +248,7 @@ pub struct Travel {
 }
 
 /// An object's pose in one frame, in metres.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MetricPose {
     /// `position` in the metric frame, as it was reconstructed.
     pub position_m: [f64; 3],
@@ -267,7 +268,7 @@ pub struct MetricPose {
 }
 
 /// An object's motion in one frame, from all frames.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Motion {
     /// Position in the metric frame, smoothed.
     pub smoothed_position_m: [f64; 3],
@@ -295,7 +296,7 @@ pub struct Motion {
 }
 
 /// A place on the map.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MapPlace {
     /// East of Greenwich, degrees (WGS 84).
     pub longitude: f64,

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Point2, Point3};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::FrameId;
@@ -12,7 +13,7 @@ use crate::math::{Rigid3, Sim3, median};
 macro_rules! id {
     ($(#[$doc:meta])* $name:ident($inner:ty)) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
         #[serde(transparent)]
         pub struct $name(pub $inner);
     };

@@ -3,12 +3,13 @@
 use std::fmt;
 
 use nalgebra::Point2;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{FrameId, ObjectId};
 
 /// In how many frames what found an object.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct DetectionCounts {
     /// Frames in which its mask was given.
     pub given: usize,
@@ -65,7 +66,7 @@ impl fmt::Display for DetectionCounts {
 }
 
 /// Source of the outlines of an object's masks, the best first.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outline {
     /// They were given.
@@ -78,7 +79,7 @@ pub enum Outline {
 }
 
 /// Motion of an object against the background while it was visible.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Movement {
     /// It moved, at least for a while.
@@ -102,7 +103,7 @@ impl Movement {
 }
 
 /// Motion state of an object, with the reason.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct MovementFinding {
     /// Motion state.
     pub state: Movement,
@@ -111,7 +112,7 @@ pub struct MovementFinding {
 }
 
 /// Evidence that two detections show one object. `None` marks evidence that is not available.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct IdentityEvidence {
     /// Distance of the second from its prediction by the first, as a share of the tolerance: 0 to 1.
     pub place: Option<f64>,
@@ -141,7 +142,7 @@ impl fmt::Display for IdentityEvidence {
 }
 
 /// A time in which an object was not seen, or the seam between two pieces of its track that meet.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Gap {
     /// The last frame before it.
     pub last: FrameId,
@@ -152,7 +153,7 @@ pub struct Gap {
 }
 
 /// An object that might be the same as another one, and is not taken for it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct UnmergedTrack {
     /// The other one, which is seen later.
     pub object: ObjectId,
@@ -172,7 +173,7 @@ pub struct ObjectImage {
 }
 
 /// An object that was followed through the frames.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TrackedObject {
     /// Its id, from 1.
     pub id: ObjectId,

@@ -9,7 +9,7 @@ use super::{Dimensions, FrameId, GroundTrack, Metric, MetricPose, ObjectId, Plan
 use crate::math::Sim3;
 
 /// The ratio r between the object's and the background's unit of length, and how sure it is.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScaleEstimate {
     /// r > 0: one unit of the object's model is r units of the background.
     pub ratio: f64,
@@ -56,7 +56,7 @@ impl ScaleEstimate {
 }
 
 /// Scale ratio of a stationary vehicle by the camera path, which its model and the background both show.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CameraPathRatio {
     /// Ratio of the two camera paths.
     pub ratio: f64,
@@ -87,7 +87,7 @@ pub enum StationaryVehicles {
 
 /// Where the standard deviation of a scale ratio comes from. Each is a standard deviation as a share of the ratio; they
 /// are independent, so that their squares add up to that of the whole.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScaleShares {
     /// Of single frames: what planes and image positions of a stretch of time have in common.
     pub frames: f64,
@@ -115,7 +115,7 @@ impl ScaleShares {
 }
 
 /// Evidence for a scale ratio.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScaleSupport {
     /// Points of the object's model.
     pub num_points: usize,
@@ -134,7 +134,7 @@ pub struct ScaleSupport {
 }
 
 /// Which of an object's models an answer speaks of.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ModelState {
     /// As structure from motion left it, or as it was given.
@@ -148,7 +148,7 @@ pub enum ModelState {
 pub type Ratios = BTreeMap<ScaleMethod, f64>;
 
 /// Result of a reference method.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Reference {
     /// Its scale ratio; `None` where it has none.
     pub ratio: Option<f64>,
@@ -162,7 +162,7 @@ pub struct Reference {
 pub type References = BTreeMap<ScaleMethod, Reference>;
 
 /// The unit of length of a result.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Unit {
     /// That of the background reconstruction: arbitrary.
@@ -259,6 +259,11 @@ pub struct Trajectories {
 }
 
 impl Trajectories {
+    /// No trajectories.
+    pub fn empty() -> Self {
+        Self { unit: Unit::Background, metric: None, objects: Vec::new(), ground_tracks: Vec::new() }
+    }
+
     /// Ground track of a vehicle.
     pub fn ground_track(&self, id: ObjectId) -> Option<&GroundTrack> {
         self.ground_tracks.iter().find(|track| track.id == id)

@@ -1,9 +1,10 @@
 //! Verdicts on trajectories, with their reasons.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Trust in a trajectory, the best first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Trust {
     /// Everything that is known agrees with it, and its deviation is small.
@@ -31,7 +32,7 @@ impl Trust {
 }
 
 /// Subject of a check.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ReasonKind {
     /// Determinacy of the scale ratio by the motion.
@@ -63,7 +64,7 @@ pub enum ReasonKind {
 }
 
 /// Outcome of one check.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Finding {
     /// It speaks for the trajectory.
@@ -75,7 +76,7 @@ pub enum Finding {
 }
 
 /// One thing that speaks for or against a trajectory.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Reason {
     /// Subject.
     pub kind: ReasonKind,
@@ -106,7 +107,7 @@ impl Reason {
 }
 
 /// Verdict on a trajectory, with its reasons.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Verdict {
     /// Trust that follows from all reasons.
     pub state: Trust,

@@ -6,6 +6,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::cameras::{Cameras, PictureCamera};
@@ -21,7 +22,7 @@ use crate::image::scale_to_fit;
 use crate::scene::{Frame, FrameId, TimeBase, Topic, Warning};
 
 /// Kind of input.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
     /// A file that FFmpeg decodes.
@@ -31,7 +32,7 @@ pub enum Kind {
 }
 
 /// Properties of an input that are known before its frames are decoded.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Info {
     /// Video or folder.
     pub kind: Kind,

@@ -17,6 +17,7 @@ pub use summary::{Figures, Row, Summary, summarise};
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::figures::{Alternative, Evaluation, ReferenceFigures, RegisteredFrames, ScaleFigures};
@@ -24,7 +25,7 @@ use super::outcome::Outcome;
 use crate::scene::{ModelState, ScaleMethod};
 
 /// The results on a data set.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Benchmark {
     /// Version of this format.
     pub version: u32,
@@ -46,7 +47,7 @@ pub struct Benchmark {
 }
 
 /// The result on one sequence. Lengths are metres of the true world.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Entry {
     /// Name of its folder, which is unique.
     pub folder: String,
@@ -86,7 +87,7 @@ pub struct Entry {
 }
 
 /// Result of one estimator.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EstimatorResult {
     /// Which of the target's models it speaks of.
     pub model: ModelState,
@@ -109,7 +110,7 @@ impl EstimatorResult {
 }
 
 /// Cost of a run.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Cost {
     /// Elapsed time, seconds.
     pub wall_s: f64,

@@ -101,7 +101,7 @@ fn errors_of(model: &Reconstruction, point: &Point3d) -> Vec<Option<f64>> {
 }
 
 /// Mean reprojection error of the points that one image sees, pixels.
-pub(super) fn error_of_image(model: &Reconstruction, image: &Image) -> Option<f64> {
+pub fn error_of_image(model: &Reconstruction, image: &Image) -> Option<f64> {
     let camera = model.projecting_camera(image)?;
     let error = |seen: &crate::scene::Observation| {
         let point = model.points.get(&seen.point?)?;

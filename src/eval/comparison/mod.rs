@@ -14,9 +14,10 @@ mod table;
 
 pub use alignment::{Alignment, Basis};
 pub use coverage::Coverage;
-pub use figures::{ERROR_BIN_PX, ModelFigures, NUM_ERROR_BINS, NUM_TRACK_BINS, Reprojection};
+pub use figures::{ERROR_BIN_PX, ModelFigures, NUM_ERROR_BINS, NUM_TRACK_BINS, Reprojection, error_of_image};
 pub use pairing::MatchBy;
 pub use relative::{LIMITS_DEG, RelativePoses};
+pub use table::intrinsics_in_figures;
 
 use std::collections::BTreeMap;
 

@@ -137,12 +137,15 @@ fn intrinsics(pair: &IntrinsicsPair) -> String {
 impl IntrinsicsPair {
     /// The reference's and the other's, as text: size, focal lengths, principal point, distortion.
     pub fn in_figures(&self) -> [String; 2] {
-        [&self.reference, &self.other].map(|camera: &Camera| {
-            let ([fx, fy], [cx, cy], [k1, k2]) = (camera.focal, camera.principal, camera.radial);
-            let (width, height, more) = (camera.width, camera.height, camera.higher.in_figures());
-            format!("{width} × {height}, f {fx:.2} {fy:.2}, c {cx:.2} {cy:.2}, k {k1:.5} {k2:.5}{more}")
-        })
+        [&self.reference, &self.other].map(intrinsics_in_figures)
     }
+}
+
+/// Size and intrinsics of a camera in one line, pixels.
+pub fn intrinsics_in_figures(camera: &Camera) -> String {
+    let ([fx, fy], [cx, cy], [k1, k2]) = (camera.focal, camera.principal, camera.radial);
+    let (width, height, more) = (camera.width, camera.height, camera.higher.in_figures());
+    format!("{width} × {height}, f {fx:.2} {fy:.2}, c {cx:.2} {cy:.2}, k {k1:.5} {k2:.5}{more}")
 }
 
 /// Six significant digits.

@@ -9,7 +9,7 @@ use serde::Deserialize;
 use super::background::{self, ModelReport};
 use super::{ground, objects, scale, track};
 use crate::eval::Evaluation;
-use crate::io::{IoError, json};
+use crate::io::{ExportFolder, IoError, json};
 use crate::math::rounding::with_std;
 use crate::pipeline::driver::reopen::check_input;
 use crate::pipeline::driver::run::{Outcome, Run};
@@ -64,6 +64,61 @@ struct InputJson {
     path: PathBuf,
 }
 
+/// Writes the page of `tractrix sfm`, and the points of the background: models are its result.
+///
+/// # Errors
+/// A file that cannot be read or written.
+pub(in crate::pipeline) fn write_models(run: &Run) -> Result<(), PipelineError> {
+    let tracked = track::objects(run)?;
+    let (background, background_report) = background::background(run)?;
+    let reports = objects::reports(run)?;
+    let object_models = object_models(run, &reports)?;
+    let nothing = Trajectories::empty();
+    background::point_cloud::background(run, &background)?;
+    let data = Data {
+        title: title(run),
+        input: input_facts(run, &background)?,
+        version: crate::VERSION.to_owned(),
+        arguments: run.arguments.to_vec(),
+        time_base: run.info().time_base(),
+        frames: run.frames()?,
+        missing: missing(&background_report),
+        background: Model { reconstruction: &background, unregistered: background_report.unregistered },
+        metric: None,
+        ground: None,
+        objects: objects(&tracked, &reports, &object_models, &nothing, &BTreeMap::new(), |_, _| Vec::new()),
+        pictures: pictures(run, &tracked)?,
+        warnings: run.warnings(),
+        stages: stages(run),
+        evaluation: None,
+        parts: model_parts(run, &reports),
+        is_sfm: true,
+    };
+    run.workspace.put_file(&run.workspace.report(), |fresh| report::write(fresh, &data))
+}
+
+/// Files next to the page of `tractrix sfm`.
+fn model_parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Vec<Part> {
+    let folder = &run.workspace;
+    let part = |object: Option<ObjectId>, path: PathBuf, holds: &str| Part {
+        object,
+        path: link(folder.root(), &path),
+        holds: holds.into(),
+    };
+    let background = [
+        part(None, folder.background(), "cameras and points of the background, as a COLMAP model"),
+        part(None, folder.background_points(), "background points, for viewing"),
+        part(None, folder.run_json(), "options, cost and warnings of the run"),
+    ];
+    let models = reports.iter().filter(|(_, report)| report.failure.is_none());
+    let models = models.map(|(id, _)| part(Some(*id), folder.object(*id), "cameras and points, as a COLMAP model"));
+    background.into_iter().chain(models).collect()
+}
+
+fn title(run: &Run) -> String {
+    run.input().file_name().map_or_else(|| "input".into(), |name| name.to_string_lossy().into_owned())
+}
+
 pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
     let frames = run.frames()?;
     let tracked = track::objects(run)?;
@@ -75,7 +130,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     let failures = scale::failures(run)?;
     let evaluation = evaluation(run)?;
     let data = Data {
-        title: run.input().file_name().map_or_else(|| "input".into(), |name| name.to_string_lossy().into_owned()),
+        title: title(run),
         input: input_facts(run, &background)?,
         version: crate::VERSION.to_owned(),
         arguments: run.arguments.to_vec(),
@@ -93,6 +148,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
         stages: stages(run),
         evaluation: evaluation.as_ref(),
         parts: parts(run, &reports, &trajectories),
+        is_sfm: false,
     };
     let path = run.workspace.report();
     run.workspace.put_file(&path, |fresh| report::write(fresh, &data))?;
@@ -206,6 +262,9 @@ fn exported(folder: &Path) -> Vec<(PathBuf, String)> {
 
 /// Purpose of an export; `None` for an unknown name.
 fn opened_by(name: &str) -> Option<&'static str> {
+    if name == ExportFolder::COT {
+        return Some("events of Cursor on Target, for TAK");
+    }
     Some(match name.rsplit_once('.').map_or(name, |(_, extension)| extension) {
         "csv" => "table, for spreadsheets, pandas and R",
         "geojson" => "georeferenced positions, for QGIS and GDAL",
@@ -346,7 +405,7 @@ mod tests {
         assert!(
             names
                 .into_iter()
-                .chain(["sumo-fcd.xml", "tum", "kitti", "levelx", "colmap"])
+                .chain(["sumo-fcd.xml", "tum", "kitti", "levelx", "cot-events.xml", "colmap"])
                 .all(|name| opened_by(name).is_some())
         );
         assert_eq!(opened_by("notes.txt"), None);

@@ -49,22 +49,24 @@ pub(super) fn charts(data: &Data) -> Vec<Drawing> {
     .collect()
 }
 
+/// Names, figures and colors of all reconstructions of a comparison.
+pub(super) fn sides(comparison: &Comparison) -> Vec<(&str, &ModelFigures, &'static str)> {
+    let subjects = std::iter::once(&comparison.reference).chain(comparison.others.iter().map(|other| &other.subject));
+    subjects.enumerate().map(|(k, subject)| (subject.name.as_str(), &subject.figures, colour(k))).collect()
+}
+
 /// Histograms of errors and of track lengths, in shares of each reconstruction's own.
-pub(super) fn histograms(comparison: &Comparison) -> Vec<Drawing> {
-    let sides: Vec<(&str, &ModelFigures)> = std::iter::once(&comparison.reference)
-        .chain(comparison.others.iter().map(|other| &other.subject))
-        .map(|subject| (subject.name.as_str(), &subject.figures))
-        .collect();
+pub(in crate::report) fn histograms(sides: &[(&str, &ModelFigures, &str)]) -> Vec<Drawing> {
     let lines = |bins: &dyn Fn(&ModelFigures) -> Vec<usize>, start: f64, step: f64| {
-        let line = |(k, (name, figures)): (usize, &(&str, &ModelFigures))| Line {
+        let line = |(name, figures, colour): &(&str, &ModelFigures, &str)| Line {
             label: (*name).to_owned(),
-            colour: colour(k).into(),
+            colour: (*colour).to_owned(),
             points: shares(&bins(figures), start, step),
             dots: false,
             band: Vec::new(),
             raw: Vec::new(),
         };
-        sides.iter().enumerate().map(line).collect::<Vec<_>>()
+        sides.iter().map(line).collect::<Vec<_>>()
     };
     let errors = Chart {
         title: "Reprojection errors".into(),
@@ -85,7 +87,7 @@ pub(super) fn histograms(comparison: &Comparison) -> Vec<Drawing> {
         levels: Vec::new(),
         from_zero: true,
     };
-    let last = sides.iter().map(|(_, f)| f.track_lengths.len()).max().unwrap_or(1) as f64 + 1.0;
+    let last = sides.iter().map(|(_, f, _)| f.track_lengths.len()).max().unwrap_or(1) as f64 + 1.0;
     let widest = ERROR_BIN_PX * NUM_ERROR_BINS as f64;
     [errors.draw_whole((0.0, widest), ticks((0.0, widest)).0), tracks.draw_whole((2.0, last), whole_ticks((2.0, last)))]
         .into_iter()

@@ -21,22 +21,13 @@ class CompareView extends SceneView {
 		const cloud = this.cloud(places, bytesOf(colours), { size: count > 20000 ? 0.055 : 0.075, own: colour, ownShare: 0.5, parent: this.background });
 		const group = new THREE.Group();
 		const sure = cameras.filter(({ lost }) => !lost);
-		group.add(this.line(sure.flatMap((camera) => this.edges(camera)), { colour, width: 1.6 }));
+		group.add(this.line(sure.flatMap(({ pose, tangent }) => this.edges(pose, tangent)), { colour, width: 1.6 }));
 		const path = sure.slice(1).flatMap(({ pose }, k) => [...sure[k].pose.slice(0, 3), ...pose.slice(0, 3)]);
 		if (path.length) group.add(this.line(path, { colour, width: 1.2, opacity: 0.5 }));
 		const lost = cameras.filter((camera) => camera.lost);
-		if (lost.length) group.add(this.line(lost.flatMap((camera) => this.edges(camera)), { colour, width: 1.6, dashed: true }));
+		if (lost.length) group.add(this.line(lost.flatMap(({ pose, tangent }) => this.edges(pose, tangent)), { colour, width: 1.6, dashed: true }));
 		this.scene.add(group);
 		return { cloud, group };
-	}
-
-	/** The edges of a camera's pyramid, as segments. */
-	edges({ pose, tangent: [tx, ty] }) {
-		const d = 0.035 * this.data.radius / Math.max(tx, ty);
-		const turn = new THREE.Quaternion(pose[4], pose[5], pose[6], pose[3]);
-		const at = new THREE.Vector3().fromArray(pose);
-		const corner = [[-tx, -ty], [tx, -ty], [tx, ty], [-tx, ty]].map(([x, y]) => new THREE.Vector3(x * d, y * d, d).applyQuaternion(turn).add(at).toArray());
-		return corner.flatMap((c, k) => [...at.toArray(), ...c, ...c, ...corner[(k + 1) % 4]]);
 	}
 
 	setPart(side, part, visible) {

@@ -2,7 +2,7 @@
 //!
 //! It is made like the report ([`super`]): one file that loads nothing, with the report's style and 3D view.
 
-mod charts;
+pub(super) mod charts;
 mod scene;
 
 use std::path::Path;
@@ -73,7 +73,7 @@ fn page_context(data: &Data) -> Value {
         sides,
         table => comparison.table(),
         charts => charts::charts(data),
-        histograms => charts::histograms(comparison),
+        histograms => charts::histograms(&charts::sides(comparison)),
         details,
         unit => unit(comparison.unit),
         one => one(comparison.unit),

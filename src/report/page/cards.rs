@@ -32,6 +32,10 @@ pub(super) struct Card {
     badge: &'static str,
     /// Place in the order of trust, the best first; a ground track comes before a rejected trajectory.
     trust: usize,
+    /// Place in the table: by trust, then by the number of positions, the most first.
+    order: i64,
+    /// Size in a line of the table.
+    size: Option<String>,
     /// Meaning of the verdict for this vehicle.
     meaning: String,
     /// Why there is no trajectory.
@@ -82,6 +86,8 @@ fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Opt
             _ => verdict.label(),
         },
         trust: trust(verdict, object),
+        order: order(verdict, object),
+        size: object.trajectory.and_then(motion::size_in_brief),
         meaning: verdict.sentence(object.trajectory),
         reason: reason(object).map(|reason| plain(&reason)),
         against: judged(object).flat_map(Verdict::complaints).map(said).collect(),
@@ -105,6 +111,14 @@ fn trust(verdict: verdict::Verdict, object: &Object) -> usize {
         None if verdict == verdict::Verdict::Missing => place(verdict) + 1,
         None => place(verdict),
     }
+}
+
+fn order(verdict: verdict::Verdict, object: &Object) -> i64 {
+    /// More positions than any clip has.
+    const LARGE: i64 = 1 << 32;
+    let of_track = || object.ground_track.map_or(0, |track| track.positions.len());
+    let positions = object.trajectory.map_or_else(of_track, |trajectory| trajectory.poses.len());
+    LARGE * trust(verdict, object) as i64 - positions as i64
 }
 
 /// Badge of a vehicle that has only a ground track.

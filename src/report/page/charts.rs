@@ -14,6 +14,8 @@ use crate::scene::{Frame, FrameId, GroundPlane, Image, ObjectId, ObjectPose, Obj
 
 /// Objects with a line of their own in the charts and a row of frame bars.
 const MAX_CHARTED: usize = 16;
+/// Vehicles with a raw line next to their smoothed one; of more the raw lines would hide one another.
+const MAX_RAW: usize = 3;
 /// The colour of what concerns the camera.
 const CAMERA: &str = "var(--camera)";
 
@@ -149,12 +151,15 @@ impl Charts<'_> {
             levels: Vec::new(),
             from_zero: matches!(quantity, Quantity::Speed),
         };
-        let speeds = chart(
-            "Speed",
-            "km/h",
-            "Signed speed along the heading. Thin line: raw frame-to-frame speed. Band: ±1σ including scale.",
-            Quantity::Speed,
-        );
+        let num_shown = self.measured().count();
+        let thin = if num_shown > MAX_RAW { "" } else { " Thin line: raw frame-to-frame speed." };
+        let hidden = if num_shown < self.objects.iter().filter(|(o, _)| o.trajectory.is_some()).count() {
+            " Rejected vehicles are left out."
+        } else {
+            ""
+        };
+        let caption = format!("Signed speed along the heading.{thin} Band: ±1σ including scale.{hidden}");
+        let speeds = chart("Speed", "km/h", &caption, Quantity::Speed);
         let accelerations = chart(
             "Acceleration",
             "m/s²",
@@ -172,20 +177,30 @@ impl Charts<'_> {
         [if is_known { speeds } else { self.raw_speeds() }, accelerations, headings]
     }
 
+    /// Vehicles whose motion may be read off; all, where every one is rejected.
+    fn measured(&self) -> impl Iterator<Item = &(&Object<'_>, &String)> {
+        let is_sure = |object: &Object| object.trajectory.is_some_and(|found| !found.is_ruled_out());
+        let none = !self.objects.iter().any(|(object, _)| is_sure(object));
+        self.objects.iter().filter(move |(object, _)| none && object.trajectory.is_some() || is_sure(object))
+    }
+
     /// A line per object with its band.
     fn smoothed(&self, quantity: Quantity) -> Vec<Line> {
-        let line = |(line, (object, _)): (Line, &(&Object, &String))| {
+        let with_raw = self.measured().count() <= MAX_RAW;
+        let line = |(object, name): &(&Object, &String)| {
             let readings = motion::readings(self.data, object, quantity);
             let at = |r: &motion::Reading| self.timeline.of(r.pose.frame);
             let band = readings.iter().filter_map(|r| Some((at(r)?, r.value - r.std, r.value + r.std)));
             Line {
                 points: readings.iter().filter_map(|r| Some((at(r)?, r.value))).collect(),
-                raw: readings.iter().filter_map(|r| Some((at(r)?, r.raw?))).collect(),
+                raw: readings.iter().filter(|_| with_raw).filter_map(|r| Some((at(r)?, r.raw?))).collect(),
                 band: band.collect(),
-                ..line
+                label: (*name).clone(),
+                colour: css_colour(object_colour(object.id)),
+                dots: false,
             }
         };
-        self.lines(|_| Vec::new()).into_iter().zip(&self.objects).map(line).collect()
+        self.measured().map(line).collect()
     }
 
     fn raw_speeds(&self) -> Chart {

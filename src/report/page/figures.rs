@@ -10,6 +10,14 @@ use crate::scene::{Ground, GroundSource, PlaneBasis};
 pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
     let background = data.background.reconstruction;
     let with_trajectory = data.objects.iter().filter(|o| o.trajectory.is_some()).count();
+    let with_model = data.objects.iter().filter(|o| o.model.is_some()).count();
+    let vehicles = if data.is_sfm {
+        let note = format!("with a model, of {} detected", data.objects.len());
+        (!data.objects.is_empty()).then(|| Fact::new("vehicles", with_model.to_string()).with_note(note))
+    } else {
+        let note = format!("with a trajectory, of {} detected{}", data.objects.len(), ground_tracks(data));
+        Some(Fact::new("vehicles", with_trajectory.to_string()).with_note(note))
+    };
     let mut facts = vec![
         timeline.length(),
         Fact::new("camera registered", share(background.images.len(), data.frames.len())).with_note(format!(
@@ -17,19 +25,17 @@ pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
             background.images.len(),
             count(data.frames.len(), "frame")
         )),
-        Fact::new("vehicles", with_trajectory.to_string()).with_note(format!(
-            "with a trajectory, of {} detected{}",
-            data.objects.len(),
-            ground_tracks(data)
-        )),
         Fact::new("points", thousands(background.points.len())).with_note("in the background"),
     ];
     if let Some(error) = background.mean_reprojection_error_px() {
         let note = "mean over the background points";
         facts.push(Fact::new("reprojection error", with_unit(error, 2, "px")).with_note(note));
     }
-    facts.push(ground(data));
-    facts.push(unit(data));
+    facts.splice(2..2, vehicles);
+    if !data.is_sfm {
+        facts.push(ground(data));
+        facts.push(unit(data));
+    }
     facts
 }
 

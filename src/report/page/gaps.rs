@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::report::data::{Data, Missing, Model};
+use crate::report::data::{Data, Missing, Model, Object};
 use crate::report::words::{count, plain};
 use crate::scene::{ObjectId, Verdict, warning_text};
 
@@ -12,9 +12,13 @@ pub(super) const NO_REASON: &str = "no reason recorded";
 /// Everything that is not there, with the reason.
 pub(super) fn missing(data: &Data, names: &[String]) -> Vec<Missing> {
     let mut list = data.missing.clone();
-    for (object, name) in data.objects.iter().zip(names).filter(|(o, _)| o.trajectory.is_none()) {
+    for (object, name) in data.objects.iter().zip(names).filter(|(o, _)| lacks_result(data, o)) {
         let reason = object.failure.clone().unwrap_or_else(|| NO_REASON.to_owned());
-        let kind = if object.ground_track.is_some() { "ground track only" } else { "no trajectory" };
+        let kind = match object.ground_track {
+            Some(_) => "ground track only",
+            None if data.is_sfm => "no model",
+            None => "no trajectory",
+        };
         let what = format!("{name}, visible in {}: {kind}", count(object.visible.len(), "frame"));
         list.push(Missing { what, reason });
     }
@@ -23,6 +27,11 @@ pub(super) fn missing(data: &Data, names: &[String]) -> Vec<Missing> {
         list.extend(object.model.iter().flat_map(|m| unregistered(name, m)));
     }
     list
+}
+
+/// Returns true if an object lacks what was requested: a trajectory, or with `tractrix sfm` a model.
+fn lacks_result(data: &Data, object: &Object) -> bool {
+    if data.is_sfm { object.model.is_none() } else { object.trajectory.is_none() }
 }
 
 /// The frames of a model whose camera was not found, gathered by reason; reasons that differ in numbers only are one.

@@ -5,6 +5,7 @@ mod charts;
 mod cost;
 mod figures;
 mod gaps;
+mod models;
 mod strip;
 
 use base64::Engine;
@@ -38,7 +39,7 @@ pub(super) fn render(data: &Data) -> Result<String, ReportError> {
     fill(TEMPLATE, page_context(data))
 }
 
-/// Fills a template, which may include `head` and `brand`; everything is escaped.
+/// Fills a template, which may include `head` and `brand` and import from `drawing`; everything is escaped.
 pub(super) fn fill(template: &str, context: Value) -> Result<String, ReportError> {
     let mut environment = Environment::new();
     environment.set_auto_escape_callback(|_| AutoEscape::Html);
@@ -46,6 +47,7 @@ pub(super) fn fill(template: &str, context: Value) -> Result<String, ReportError
     environment.set_lstrip_blocks(true);
     environment.add_template("head", include_str!("head.html"))?;
     environment.add_template("brand", include_str!("brand.html"))?;
+    environment.add_template("drawing", include_str!("drawing.html"))?;
     environment.add_template("page", template)?;
     Ok(environment.get_template("page")?.render(context)?)
 }
@@ -69,8 +71,12 @@ fn page_context(data: &Data) -> Value {
         figures => figures::key_figures(data, &timeline),
         warnings => gaps::warnings(data, &names, &missing),
         missing,
-        cards => cards::cards(data, &timeline, &names, view.as_ref()),
+        is_sfm => data.is_sfm,
+        photographs => data.time_base == TimeBase::Frames,
+        models => models::models(data, &names),
+        cards => if data.is_sfm { Vec::new() } else { cards::cards(data, &timeline, &names, view.as_ref()) },
         plan => view.as_ref().map(|v| Plan::scene(data, v)),
+        above => view.as_ref().map(|v| Plan::paths(data, v)),
         scene => scene.as_ref().map(json),
         up_source => view.as_ref().map(|v| v.up_source),
         unit => Ruler::of(data.metric).unit,

@@ -23,7 +23,7 @@
 	// ---- the picture of the moment: of the film where the browser plays it, else of the strip
 
 	const canvas = find("now-picture");
-	let film = null;
+	let film = null, filmIsLate = null;
 	/** Draws the current picture, and has it shown in the 3D view. */
 	const paint = (source, width, height) => {
 		if (!canvas || !width) return;
@@ -39,7 +39,12 @@
 		const bytes = Uint8Array.from(atob(packed.mp4), (c) => c.charCodeAt(0));
 		Object.assign(video, { muted: true, playsInline: true, preload: "auto" });
 		video.addEventListener("error", () => resolve(null));
-		video.addEventListener("loadeddata", () => resolve(new Film(video, packed)), { once: true });
+		video.addEventListener("loadeddata", () => {
+			const opened = new Film(video, packed);
+			resolve(opened);
+			filmIsLate?.(opened);
+		}, { once: true });
+		// On a slow machine the page is there before its film, which then takes over.
 		setTimeout(resolve, 4000, null);
 		video.src = URL.createObjectURL(new Blob([bytes], { type: "video/mp4" }));
 	});
@@ -50,6 +55,7 @@
 			this.covers = times.map((time, k) => Math.abs(at[this.of[k]] - time) <= reach);
 			video.addEventListener("seeked", () => {
 				paint(video, width, height);
+				this.isPainted = true;
 				if (this.shown !== this.wanted) this.seek();
 			});
 		}
@@ -73,9 +79,10 @@
 	const shotTimes = shots.map((shot) => shot.time), shotReach = reachOf(shotTimes);
 	const hasPicture = (index) => (film ? film.covers[index] : shots.length > 0 && Math.abs(shotTimes[shotOf[index]] - times[index]) <= shotReach);
 	const showPicture = () => {
-		if (film) return film.show(index);
-		const image = shots[shotOf[index]]?.image;
+		// Until the film's first picture is decoded, that of the strip next to it stands in.
+		const image = film?.isPainted ? null : shots[shotOf[index]]?.image;
 		if (image) paint(image, image.naturalWidth, image.naturalHeight);
+		film?.show(index);
 	};
 	const labels = () => (film ? film.labelsAt(index) : [...(shots[shotOf[index]]?.labels ?? [])].map((label) => label.cloneNode(true)));
 
@@ -156,7 +163,9 @@
 		if (!frames[index].camera) add("Camera not registered", null, true);
 		for (const object of data?.objects ?? []) {
 			const pose = object.poses.find(([i]) => i === index);
-			if (pose) add(pose[3] ? `${object.name}: ${inUnit(pose[3])}` : object.name, object.colour, false);
+			// Speed and distance of a rejected trajectory are not to be read off.
+			const reading = object.degenerate ? "rejected" : pose?.[3] && inUnit(pose[3]);
+			if (pose) add(reading ? `${object.name}: ${reading}` : object.name, object.colour, false);
 		}
 	};
 
@@ -365,7 +374,8 @@
 			connect();
 			if (settings.has("full")) fill(true);
 			// The film with the paths drawn in opens the page; without it, the scene.
-			if (view) view.look(settings.get("view") ?? (film && data.objects.length ? "camera" : "home"));
+			if (view) view.look(settings.get("view") ?? find("stage").dataset.opens ?? (film && data.objects.length ? "camera" : "home"));
+			for (const box of document.querySelectorAll("[data-layer]:not(:checked)")) view?.setLayer(box.dataset.layer, false);
 		}
 		find("filter")?.addEventListener("change", ({ target }) => document.querySelectorAll("[data-trust]").forEach((row) => {
 			row.hidden = Number(row.dataset.trust) > Number(target.value);
@@ -375,8 +385,14 @@
 		addEventListener("hashchange", unfold);
 		unfold();
 		shots.forEach(({ element, time }) => element.addEventListener("click", () => jump(time, { scroll: false })));
-		document.querySelectorAll(".area, .row:not(.axis) .track").forEach(scrub);
+		document.querySelectorAll(".area:not(.still), .row:not(.axis) .track").forEach(scrub);
 		handles.forEach(makeSlider);
+		filmIsLate = (late) => {
+			if (film) return;
+			film = late;
+			if (view?.mode === "home" && !settings.has("view") && !find("stage").dataset.opens && data.objects.length) view.look("camera");
+			show(index);
+		};
 		show(opening());
 		root.dataset.renderer = view ? "webgl" : data ? "plan" : "none";
 		// Two frames later everything is on the screen.

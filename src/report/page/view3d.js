@@ -64,6 +64,7 @@ class SceneView {
 		this.addBackground();
 		this.addGrid();
 		this.addCamera();
+		this.addCameras();
 		this.objects = data.objects.map((object) => this.addObject(object));
 		this.recolour();
 		this.controls.addEventListener("start", () => this.setMode("free"));
@@ -122,6 +123,16 @@ class SceneView {
 		if (gaps.length) group.add(this.line(gaps, { ...style, dashed: true, opacity: 0.45, width: Math.max(1.5, style.width * 0.6) }));
 	}
 
+	/** Head of an arrow at the end of a path, in the direction of travel; none where the path is shorter. */
+	addArrow(group, places, style) {
+		const length = 0.035 * this.data.radius, [x, y, z] = places.at(-1);
+		const from = places.findLast(([a, , c]) => Math.hypot(x - a, z - c) >= length);
+		if (!from) return;
+		const back = Math.atan2(from[2] - z, from[0] - x);
+		const stroke = (turn) => [x, y, z, x + length * Math.cos(back + turn), y, z + length * Math.sin(back + turn)];
+		group.add(this.line([...stroke(0.45), ...stroke(-0.45)], { ...style, dashed: false }));
+	}
+
 	addBackground() {
 		const { positions, colours, reach, count } = this.data.points;
 		const packed = new Uint16Array(bytesOf(positions).buffer);
@@ -171,9 +182,29 @@ class SceneView {
 		this.screen.visible = false;
 		this.frustum.add(this.screen);
 		const places = this.data.frames.flatMap((f, i) => (f.camera ? [[i, f.camera.slice(0, 3)]] : []));
-		this.addPath(this.cameraGroup, places, { colour: "#fff", width: 2 });
-		this.cameraGroup.add(this.frustum);
+		this.path = new THREE.Group();
+		this.addPath(this.path, places, { colour: "#fff", width: 2 });
+		this.cameraGroup.add(this.path, this.frustum);
 		this.scene.add(this.cameraGroup);
+	}
+
+	/** Pyramids of all cameras, so many at most that they can still be told apart. */
+	addCameras() {
+		const known = this.data.frames.filter(({ camera }) => camera), step = Math.ceil(known.length / 300);
+		const shown = known.filter((_, k) => k % step === 0);
+		const edges = shown.flatMap(({ camera, tangent }) => this.edges(camera, tangent ?? this.data.tangent));
+		this.allCameras = new THREE.Group();
+		if (edges.length) this.allCameras.add(this.line(edges, { colour: "#fff", width: 1.2, opacity: 0.8 }));
+		this.scene.add(this.allCameras);
+	}
+
+	/** The edges of a camera's pyramid, as segments. */
+	edges(pose, [tx, ty]) {
+		const d = 0.035 * this.data.radius / Math.max(tx, ty);
+		const turn = new THREE.Quaternion(pose[4], pose[5], pose[6], pose[3]);
+		const at = new THREE.Vector3().fromArray(pose);
+		const corner = [[-tx, -ty], [tx, -ty], [tx, ty], [-tx, ty]].map(([x, y]) => new THREE.Vector3(x * d, y * d, d).applyQuaternion(turn).add(at).toArray());
+		return corner.flatMap((c, k) => [...at.toArray(), ...c, ...c, ...corner[(k + 1) % 4]]);
 	}
 
 	addObject(object) {
@@ -189,6 +220,7 @@ class SceneView {
 		const marker = this.cloud(new Float32Array(3), new Uint8Array(4), { size: 0.2, own: object.colour, ownShare: 1, parent: group });
 		marker.userData.least = 9;
 		this.addPath(group, object.poses.map(([i, at]) => [i, at]), this.pathStyle(object));
+		if (object.poses.length) this.addArrow(group, object.poses.map(([, at]) => at), this.pathStyle(object));
 		this.scene.add(group);
 		return { group, body, marker, poses: new Map(object.poses.map(([i, at, placement]) => [i, { at, placement }])) };
 	}
@@ -208,6 +240,7 @@ class SceneView {
 		this.renderer.setClearColor(colour("--view"));
 		this.grid.material.uniforms.colour.value = colour("--soft");
 		this.cameraGroup.traverse((part) => part.material?.isLineMaterial && part.material.color.copy(colour("--camera")));
+		this.allCameras.traverse((part) => part.material?.isLineMaterial && part.material.color.copy(colour("--soft")));
 		for (const cloud of this.clouds) cloud.material.uniforms.ground.value = colour("--ground");
 		this.draw();
 	}
@@ -251,6 +284,7 @@ class SceneView {
 	arrange() {
 		this.background.visible = this.layers.background !== false && !this.inside;
 		this.grid.visible = this.layers.grid !== false && !this.inside;
+		this.allCameras.visible = this.layers.cameras !== false && !this.inside;
 		this.data.objects.forEach((object, k) => {
 			const { group, body, poses } = this.objects[k];
 			group.visible = !this.hidden.has(object.id) && (!this.inside || poses.has(this.index));
@@ -261,7 +295,7 @@ class SceneView {
 	setLayer(name, visible) {
 		this.layers[name] = visible;
 		if (name === "ground") for (const cloud of this.clouds) cloud.material.uniforms.groundShare.value = visible ? 0.42 : 0;
-		if (name === "camera") this.cameraGroup.visible = visible;
+		if (name === "camera") this.path.visible = visible;
 		this.draw();
 	}
 
@@ -340,7 +374,8 @@ class SceneView {
 		this.controls.target.copy(center).addScaledVector(forward, 0.5 * radius);
 		this.camera.lookAt(this.controls.target);
 		this.camera.updateProjectionMatrix();
-		this.frustum.scale.setScalar(2000 / (0.085 * radius));
+		// At half the distance up to which is drawn, whatever the angle of view.
+		this.frustum.scale.setScalar(2000 * Math.max(tx, ty) / (0.085 * radius));
 		this.screen.renderOrder = -1;
 		this.screen.material.depthWrite = false;
 		this.screen.material.opacity = 1;

@@ -1,0 +1,114 @@
+//! Units of tables: columns and properties whose names end with a unit get another one, and their values with them.
+
+use std::str::FromStr;
+
+use serde_json::{Map, Value};
+
+/// Unit of speeds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Speed {
+    #[default]
+    MetersPerSecond,
+    KilometersPerHour,
+    MilesPerHour,
+}
+
+/// Unit of lengths; accelerations follow it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Length {
+    #[default]
+    Meters,
+    Feet,
+}
+
+/// Units of speeds and lengths in tables.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Units {
+    speed: Speed,
+    length: Length,
+}
+
+/// Feet in a meter; the international foot is exactly 0.3048 m.
+const FEET: f64 = 1.0 / 0.3048;
+/// Miles per hour in a meter per second; the mile is exactly 1609.344 m.
+const MPH: f64 = 3600.0 / 1609.344;
+/// Kilometers per hour in a meter per second.
+const KMH: f64 = 3.6;
+
+impl FromStr for Units {
+    type Err = String;
+
+    /// `m/s`, `km/h`, `mph`, `m` or `ft`, or two of them with a comma between.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mut units = Self::default();
+        for name in text.split(',').map(str::trim) {
+            match name {
+                "m/s" => units.speed = Speed::MetersPerSecond,
+                "km/h" => units.speed = Speed::KilometersPerHour,
+                "mph" => units.speed = Speed::MilesPerHour,
+                "m" => units.length = Length::Meters,
+                "ft" => units.length = Length::Feet,
+                other => return Err(format!("'{other}': no such unit; expected m/s, km/h or mph, and m or ft")),
+            }
+        }
+        Ok(units)
+    }
+}
+
+impl Units {
+    /// Name of a column in these units, and the factor of its values.
+    pub(super) fn column(self, name: &str) -> (String, f64) {
+        let renamed = |ending: &str, unit: &str, factor: f64| {
+            (name.strip_suffix(ending).unwrap_or(name).to_owned() + unit, factor)
+        };
+        match (self.speed, self.length) {
+            (_, Length::Feet) if name.ends_with("_m_s2") => renamed("_m_s2", "_ft_s2", FEET),
+            (Speed::KilometersPerHour, _) if name.ends_with("_m_s") => renamed("_m_s", "_km_h", KMH),
+            (Speed::MilesPerHour, _) if name.ends_with("_m_s") => renamed("_m_s", "_mph", MPH),
+            (_, Length::Feet) if name.ends_with("_m") => renamed("_m", "_ft", FEET),
+            _ => (name.to_owned(), 1.0),
+        }
+    }
+
+    /// A cell with its number multiplied, four decimals as in meters; other texts stay.
+    pub(super) fn cell(factor: f64, cell: String) -> String {
+        match cell.parse::<f64>() {
+            Ok(number) if factor != 1.0 => format!("{:.4}", factor * number),
+            _ => cell,
+        }
+    }
+
+    /// Properties with names and numbers in these units.
+    pub(super) fn properties(self, properties: Map<String, Value>) -> Map<String, Value> {
+        let converted = |(name, value): (String, Value)| {
+            let (name, factor) = self.column(&name);
+            match value.as_f64() {
+                Some(number) if factor != 1.0 => (name, (factor * number).into()),
+                _ => (name, value),
+            }
+        };
+        properties.into_iter().map(converted).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_values_change_together() {
+        let units: Units = "mph, ft".parse().unwrap();
+        let column = |name: &str| units.column(name);
+        assert_eq!(column("mean_speed_std_m_s"), ("mean_speed_std_mph".into(), MPH));
+        assert_eq!(column("acceleration_m_s2"), ("acceleration_ft_s2".into(), FEET));
+        assert_eq!(column("x_smoothed_m"), ("x_smoothed_ft".into(), FEET));
+        for other in ["path_units", "speed_units_s", "heading_deg", "time_s", "frame", "focal_x_px"] {
+            assert_eq!(column(other), (other.into(), 1.0));
+        }
+        let kmh: Units = "km/h".parse().unwrap();
+        assert_eq!((kmh.column("speed_m_s"), kmh.column("x_m")), (("speed_km_h".into(), 3.6), ("x_m".into(), 1.0)));
+        assert_eq!(Units::cell(3.6, "2.5000".into()), "9.0000");
+        assert_eq!((Units::cell(3.6, String::new()), Units::cell(1.0, "0.1".into())), (String::new(), "0.1".into()));
+        assert!("knots".parse::<Units>().unwrap_err().contains("expected m/s"));
+    }
+}
