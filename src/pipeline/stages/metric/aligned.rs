@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 
 use nalgebra::UnitQuaternion;
 
-use super::log::{Origin, Telemetry};
 use super::sources::{Ground, MAX_TILT};
 use crate::metric::{
     self, Alignment, CameraPath, Gravity, Offset, Orientation, Refusal, Source, Support, align_to_fixes,
     metric_from_cam,
 };
 use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::inputs::telemetry::{Origin, Telemetry};
 use crate::scene::{Frame, Image, MapOrigin, Reconstruction, TimeBase, Topic};
 use crate::telemetry::{self, ClockKind, Fix, LocalFixes, LocalFrame};
 use crate::video::{self, Kind};

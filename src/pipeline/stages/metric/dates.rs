@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use super::aligned::Aligned;
-use super::log::{Origin, Telemetry};
 use crate::math::median;
 use crate::metric::UtcOffset;
 use crate::pipeline::driver::run::Run;
+use crate::pipeline::inputs::telemetry::{Origin, Telemetry};
 use crate::scene::{ClockZone, Dates};
 use crate::telemetry::{self, ClockKind, Fix};
 use crate::video::{self, Kind, Taken};

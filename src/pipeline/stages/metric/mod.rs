@@ -7,7 +7,6 @@
 mod aligned;
 mod dates;
 mod ground_tracks;
-mod log;
 mod placed;
 mod sources;
 mod vehicles;
@@ -24,6 +23,7 @@ use crate::math::rounding::{figure, percent, significant};
 use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::inputs::telemetry as log;
 use crate::pipeline::{MetricOptions, Options, PipelineError, TelemetryChoice};
 use crate::scene::{
     GroundTrack, Metric, MetricFrame, MetricVerdict, ObjectId, ObjectTrajectory, Reconstruction, Topic, Trajectories,
@@ -32,8 +32,6 @@ use crate::scene::{
 use crate::telemetry;
 use aligned::Aligned;
 use ground_tracks::Scale;
-pub(in crate::pipeline) use log::beside as logs_beside;
-pub use log::telemetry_of;
 use placed::Placing;
 use sources::Ground;
 pub(in crate::pipeline) use vehicles::Size;

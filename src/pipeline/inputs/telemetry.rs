@@ -11,7 +11,7 @@ use crate::video::{self, Kind, VideoError};
 
 /// Where telemetry was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Origin {
+pub(in crate::pipeline) enum Origin {
     /// The user named it.
     Named,
     /// In a file next to the video.
@@ -23,17 +23,17 @@ pub(super) enum Origin {
 }
 
 /// A log and where it comes from.
-pub(super) struct Telemetry {
-    pub(super) log: Log,
-    pub(super) path: PathBuf,
-    pub(super) origin: Origin,
+pub(in crate::pipeline) struct Telemetry {
+    pub(in crate::pipeline) log: Log,
+    pub(in crate::pipeline) path: PathBuf,
+    pub(in crate::pipeline) origin: Origin,
 }
 
 /// Name endings of logs next to a video; the first that holds telemetry is taken.
 const EXTENSIONS: [&str; 6] = ["srt", "gpx", "csv", "nmea", "log", "txt"];
 
 /// The files whose content decides what is found, besides the input itself.
-pub(super) fn files(run: &Run) -> Vec<PathBuf> {
+pub(in crate::pipeline) fn files(run: &Run) -> Vec<PathBuf> {
     match &run.options.metric.telemetry {
         TelemetryChoice::None => Vec::new(),
         TelemetryChoice::File(path) => vec![path.clone()],
@@ -58,7 +58,7 @@ pub(in crate::pipeline) fn beside(video: &Path) -> Vec<PathBuf> {
 }
 
 /// The telemetry of the input; what is odd about it is reported.
-pub(super) fn find(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
+pub(in crate::pipeline) fn find(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
     let found = match &run.options.metric.telemetry {
         TelemetryChoice::None => None,
         TelemetryChoice::File(path) => named(path, run.options.memory(), outcome),
@@ -284,7 +284,7 @@ mod tests {
         assert!(matches!(&found, Some(Err(TelemetryError::Playlist { format, .. })) if format == "hls"), "{found:?}");
         let mut options = crate::pipeline::Options::default();
         options.metric.telemetry = TelemetryChoice::File(path);
-        let refused = super::super::check(&options).unwrap_err();
+        let refused = crate::pipeline::stages::metric::check(&options).unwrap_err();
         assert!(refused.to_string().contains("playlist (hls)"), "{refused}");
     }
 }
