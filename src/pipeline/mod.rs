@@ -37,7 +37,7 @@ pub use options::{
     MaskChoice, MaskingOptions, Method, MetricOptions, ModelFiles, MotionChoice, OptionRow, OptionSection, Options,
     TelemetryChoice, VehicleOptions,
 };
-pub use stages::background::{CameraReport, ModelReport};
+pub use stages::background::{CameraReport, ModelReport, background_frame};
 pub use stages::features::found_features::found_features;
 pub use stages::report::link_exports;
 

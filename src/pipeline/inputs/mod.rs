@@ -1,6 +1,9 @@
-//! Inputs of a run: images and cameras, given masks and models, networks, telemetry, and checks before the first long stage.
+//! Inputs of a run: images and cameras, given masks and models, networks, telemetry, and checks before the first long
+//! stage.
 
+pub(in crate::pipeline) mod alignment;
 pub(in crate::pipeline) mod cameras;
+mod clock_offsets;
 pub(in crate::pipeline) mod given_masks;
 pub(in crate::pipeline) mod given_models;
 pub(in crate::pipeline) mod images;
