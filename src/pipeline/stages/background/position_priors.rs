@@ -5,11 +5,12 @@
 //! Over a short path images know the shape better than a plain receiver, whose priors then change nothing; the
 //! positions of an RTK receiver take the drift out of a long one.
 
+use nalgebra::Point3;
 use serde_json::json;
 
 use crate::bundle::{self, CameraBlock, PosePrior, Problem};
 use crate::camera::NUM_INTRINSICS;
-use crate::math::{Rigid3, RobustLoss, median};
+use crate::math::{Rigid3, RobustLoss, median, umeyama};
 use crate::metric::{CenterFix, Kind, Source, Support, center_fixes, frame_on_map, fuse};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::threads::on_threads;
@@ -96,15 +97,23 @@ fn with_positions(
     metric.transform(&metric_from_world);
     let found = on_threads(run.options.threads, || adjusted(&metric, &priors, |id| std(id)[0] > 0.0))?;
     let Some(adjusted) = found else { return Ok(false) };
-    let both = metric.images.values().zip(adjusted.images.values());
-    let moved = both.map(|(a, b)| (a.cam_from_world.center() - b.cam_from_world.center()).norm());
-    let moved_m = median(moved.collect()).unwrap_or(0.0);
+    let moved_m = change_of_shape(&metric, &adjusted).unwrap_or(0.0);
     let std_m = median(priors.iter().map(|(_, fix)| fix.std_m.x).collect());
-    tracing::info!("adjusted with {} positions: cameras moved by {moved_m:.3} m (median)", priors.len());
+    tracing::info!("adjusted with {} positions: cameras moved by {moved_m:.4} m (median)", priors.len());
     outcome.figure("position_priors", json!({ "num": priors.len(), "std_m": std_m, "moved_m": moved_m }));
     *model = adjusted;
     model.transform(&metric_from_world.inverse());
     Ok(true)
+}
+
+/// Median distance of the cameras of two models after a similarity.
+fn change_of_shape(before: &Reconstruction, after: &Reconstruction) -> Option<f64> {
+    let centers = |model: &Reconstruction| -> Vec<Point3<f64>> {
+        model.images.values().map(|image| image.cam_from_world.center()).collect()
+    };
+    let (before, after) = (centers(before), centers(after));
+    let before_from_after = umeyama(&after, &before)?;
+    median(before.iter().zip(&after).map(|(a, b)| (a - before_from_after * *b).norm()).collect())
 }
 
 /// A model in meters, adjusted with positions of its cameras, by place; `None` where the positions contradict the
@@ -184,13 +193,13 @@ fn update_errors(model: &mut Reconstruction) {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Point3, Vector3};
+    use nalgebra::Vector3;
     use rand::Rng as _;
     use rand_distr::StandardNormal;
 
     use super::*;
     use crate::bundle::adjust as adjust_images;
-    use crate::math::{Rng, seeded_rng, umeyama};
+    use crate::math::{Rng, seeded_rng};
     use crate::synthetic::scene::{self, CameraMotion, static_scene};
 
     fn centers(model: &Reconstruction) -> Vec<Point3<f64>> {
