@@ -167,6 +167,71 @@ mod tests {
     }
 
     #[test]
+    fn headers_of_other_programs_are_read() {
+        let log = table(
+            "sep=,\nCUSTOM.date [local],CUSTOM.updateTime [local],OSD.flyTime,OSD.flyTime [s],OSD.latitude,\
+             OSD.longitude,OSD.height [ft],OSD.heightMax [ft],OSD.hSpeed [MPH],OSD.yaw [360]\n5/4/2024,1:05:06.50 PM,0m \
+             0.1s,0.1,12.345,-34.567,65.6168,131,20.1,34.4\n",
+        );
+        let first = &log.fixes[0];
+        assert_eq!((first.video_s, first.clock_s, log.clock), (Some(0.1), Some(1_714_827_906.5), ClockKind::Local));
+        assert!((first.relative_height_m.unwrap() - 20.0).abs() < 1e-4 && first.line == 3, "{first:?}");
+        let log = table(
+            "#DroneDeploy\t2.1.0\nSession ID\t0\nDate/Time (UTC)\tElapsed Time (sec)\tAircraft Latitude (Degrees)\tAircraft \
+             Longitude (Degrees)\tAircraft Barometric Altitude (ft)\n05/04/2024 13:05:06\t0.5\t12.345\t-34.567\t32.8084\n",
+        );
+        let first = &log.fixes[0];
+        assert_eq!((first.video_s, first.clock_s, log.clock), (Some(0.5), Some(1_714_827_906.0), ClockKind::Utc));
+        assert!((first.relative_height_m.unwrap() - 10.0).abs() < 1e-4);
+        let log = table(
+            "timestamp_utc,gps_latitude,gps_longitude,gps_altitude_ft,home_latitude\n2024-05-04 13:05:06.000 \
+                         UTC,12.345,-34.567,1000,1\n",
+        );
+        assert_eq!((log.fixes[0].latitude_deg, log.clock), (12.345, ClockKind::Utc));
+        assert!((log.fixes[0].gps_height_m.unwrap() - 304.8).abs() < 1e-9);
+        let log = table(
+            "\"cts\",\"date\",\"GPS (Lat.) [deg]\",\"GPS (Long.) [deg]\",\"GPS (Alt.) [m]\"\n100.0,\
+                         2024-05-04T13:05:06.100Z,12.345,-34.567,220\n",
+        );
+        assert_eq!((log.fixes[0].video_s, log.fixes[0].gps_height_m), (Some(0.1), Some(220.0)));
+    }
+
+    #[test]
+    fn units_commas_and_clocks_of_other_programs_are_read() {
+        let log = table("time,lat,lon,hMSL,hAcc\n,(deg),(deg),(ft),(m)\n2024-05-04T13:05:06Z,12.3,-34.5,100,1.5\n");
+        assert_eq!((log.fixes.len(), log.num_passed_over, log.fixes[0].horizontal_std_m), (1, 0, 1.5));
+        assert!((log.fixes[0].gps_height_m.unwrap() - 30.48).abs() < 1e-9);
+        let log = table("time;Latitude;Longitude;Altitude\n0;12,345;-34,567;220,5\n");
+        assert_eq!((log.fixes[0].longitude_deg, log.fixes[0].gps_height_m), (-34.567, Some(220.5)));
+        let log = table(
+            "\"Time (s)\",\"Latitude (°)\",\"Longitude (°)\",\"Vertical Accuracy (°)\"\n1.0E+00,1.2345E+01,-3.4E+01,3\n",
+        );
+        assert_eq!((log.fixes[0].latitude_deg, log.fixes[0].vertical_std_m), (12.345, 6.6));
+        let log = table("Id,Time(text),Time(seconds),Latitude,Longitude\n1,0m 0.3s,0.3,12.3,-34.5\n");
+        assert_eq!(log.fixes[0].video_s, Some(0.3));
+        let log = table(
+            "time,seconds_elapsed,longitude,latitude\n1714827906000000000,0.2,-34.5,12.3\n\
+                         1714827907000000,1.2,-34.5,12.3\n9714827907000000000,1.2,-34.5,12.3\n",
+        );
+        assert_eq!(log.fixes.iter().map(|fix| fix.clock_s.unwrap()).collect::<Vec<_>>(), [1714827906.0, 1714827907.0]);
+        assert!(log.passed_over[0].reason.contains("after the year 2100"), "{:?}", log.passed_over);
+    }
+
+    #[test]
+    fn tables_by_image_name_and_without_a_header_are_read() {
+        let log = table("#Label,X/Longitude,Y/Latitude,Z/Altitude\nframe_0000.jpg,-34.5,12.3,204\n");
+        assert!(log.is_by_name() && log.fixes[0].photograph.as_deref() == Some("frame_0000.jpg"));
+        let log =
+            table("EPSG:4326\n000000.jpg -34.567 12.345 220.0 34.4 -45.0 0.0 1.5 3.0\n000001.jpg -34.6 12.3 220.5\n");
+        assert_eq!((log.fixes.len(), log.fixes[0].latitude_deg, log.fixes[0].vertical_std_m), (2, 12.345, 3.0));
+        let log = table("IMG_1.JPG,12.345,-34.567,220\n");
+        assert_eq!((log.fixes[0].longitude_deg, log.fixes[0].gps_height_m), (-34.567, Some(220.0)));
+        let log = table("$V02\n1714827906,A,12.345,-34.567,3440,900\n1714827907,V,12.3,-34.5,0,0\n");
+        assert_eq!((log.fixes.len(), log.num_passed_over, log.clock), (1, 1, ClockKind::Utc));
+        assert!(!is_table("1,2.5,3.5\n4,5.5,6.5\n") && !is_table("EPSG:32632\na.jpg 500000.5 5200000.5 100\n"));
+    }
+
+    #[test]
     fn bad_rows_are_named_and_bad_units_refused() {
         let log = table("time_s,lat,lon\n0,4807.038,11.5\nx,48.5,11.5\n2,48.5\n3,0,0\n4,48.5,11.5\n");
         assert_eq!(log.fixes.len(), 1);
