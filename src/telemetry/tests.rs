@@ -33,8 +33,8 @@ const SEEDS: [&str; 14] = [
     "AXXXABC\r\nHFDTE160701\r\nB1101355206343N00006198WA0058700558\r\nB1101365206343N00006199WA0058700558\r\n",
     "FMT, 130, 50, GPS, QBIHBcLLeff, TimeUS,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd\nGPS, 1, 3, 565524000, 2312, \
      12, 0.9, 12.3, -34.5, 220.5, 9.1\n",
-    "[Script Info]\nDialogue: 0,0:00:00.00,0:00:01.00,Default,,0,0,0,,HOME(-34.5, 12.3) 2024.5.4 13:05:06\\NGPS(W: -34.5, \
-     N: 12.3, 100) ReH:20 \\NISO:100\n",
+    "[Script Info]\nDialogue: 0,0:00:00.00,0:00:01.00,Default,,0,0,0,,HOME(-34.5, 12.3) 2024.5.4 13:05:06\\NGPS(W: \
+     -34.5, N: 12.3, 100) ReH:20 \\NISO:100\n",
     "EPSG:4326\n000000.jpg -34.567 12.345 220.0 34.4 -45.0 0.0 1.5 3.0\n000001.jpg -34.568 12.346 220.5\n",
     "sep=,\nCUSTOM.date [local],CUSTOM.updateTime [local],OSD.flyTime,OSD.flyTime [s],OSD.latitude,OSD.longitude,\
      OSD.height [ft]\n5/4/2024,1:05:06.00 PM,0m 0.0s,0.0,12.345,-34.567,65.6\n",

@@ -4,9 +4,10 @@
 //! `transform_matrix` is `world_from_camera` with OpenGL's camera axes, x right, y *up*, z *backwards*: its second and
 //! third columns change their sign here. Pixels are counted from the corner, as here. Where the program that made the
 //! file has moved the world it says how in `applied_transform` (3 × 4, or 4 × 4), which is undone. Intrinsics stand at
-//! the top, or with a frame. A file without `camera_model` is read as OPENCV, with `is_fisheye` as OPENCV_FISHEYE; k₄ has
-//! a place with OPENCV_FISHEYE alone. Where `fl_x` is missing it follows from `camera_angle_x`, and a missing size from
-//! the picture, if that lies next to the file; its name may lack the ending `.png`, as in the scenes of NeRF's paper.
+//! the top, or with a frame. A file without `camera_model` is read as OPENCV, with `is_fisheye` as OPENCV_FISHEYE; k₄
+//! has a place with OPENCV_FISHEYE alone. Where `fl_x` is missing it follows from `camera_angle_x`, and a missing size
+//! from the picture, if that lies next to the file; its name may lack the ending `.png`, as in the scenes of NeRF's
+//! paper.
 //!
 //! Images get their places in the list plus one as ids, and the name `file_path`. There are no observations in the
 //! format; points are written to `sparse_pc.ply`, which `ply_file_path` names, and are not read.

@@ -170,15 +170,17 @@ mod tests {
     fn headers_of_other_programs_are_read() {
         let log = table(
             "sep=,\nCUSTOM.date [local],CUSTOM.updateTime [local],OSD.flyTime,OSD.flyTime [s],OSD.latitude,\
-             OSD.longitude,OSD.height [ft],OSD.heightMax [ft],OSD.hSpeed [MPH],OSD.yaw [360]\n5/4/2024,1:05:06.50 PM,0m \
+             OSD.longitude,OSD.height [ft],OSD.heightMax [ft],OSD.hSpeed [MPH],\
+             OSD.yaw [360]\n5/4/2024,1:05:06.50 PM,0m \
              0.1s,0.1,12.345,-34.567,65.6168,131,20.1,34.4\n",
         );
         let first = &log.fixes[0];
         assert_eq!((first.video_s, first.clock_s, log.clock), (Some(0.1), Some(1_714_827_906.5), ClockKind::Local));
         assert!((first.relative_height_m.unwrap() - 20.0).abs() < 1e-4 && first.line == 3, "{first:?}");
         let log = table(
-            "#DroneDeploy\t2.1.0\nSession ID\t0\nDate/Time (UTC)\tElapsed Time (sec)\tAircraft Latitude (Degrees)\tAircraft \
-             Longitude (Degrees)\tAircraft Barometric Altitude (ft)\n05/04/2024 13:05:06\t0.5\t12.345\t-34.567\t32.8084\n",
+            "#DroneDeploy\t2.1.0\nSession ID\t0\nDate/Time (UTC)\tElapsed Time (sec)\tAircraft Latitude \
+             (Degrees)\tAircraft Longitude (Degrees)\tAircraft Barometric Altitude (ft)\n05/04/2024 13:05:06\t0.5\t\
+             12.345\t-34.567\t32.8084\n",
         );
         let first = &log.fixes[0];
         assert_eq!((first.video_s, first.clock_s, log.clock), (Some(0.5), Some(1_714_827_906.0), ClockKind::Utc));
@@ -204,7 +206,8 @@ mod tests {
         let log = table("time;Latitude;Longitude;Altitude\n0;12,345;-34,567;220,5\n");
         assert_eq!((log.fixes[0].longitude_deg, log.fixes[0].gps_height_m), (-34.567, Some(220.5)));
         let log = table(
-            "\"Time (s)\",\"Latitude (°)\",\"Longitude (°)\",\"Vertical Accuracy (°)\"\n1.0E+00,1.2345E+01,-3.4E+01,3\n",
+            "\"Time (s)\",\"Latitude (°)\",\"Longitude (°)\",\"Vertical Accuracy (°)\"\n\
+             1.0E+00,1.2345E+01,-3.4E+01,3\n",
         );
         assert_eq!((log.fixes[0].latitude_deg, log.fixes[0].vertical_std_m), (12.345, 6.6));
         let log = table("Id,Time(text),Time(seconds),Latitude,Longitude\n1,0m 0.3s,0.3,12.3,-34.5\n");

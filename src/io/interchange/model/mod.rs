@@ -73,7 +73,7 @@ pub fn read_poses(path: &Path) -> Result<(Reconstruction, Format), IoError> {
     read_with(path, Intrinsics::Optional)
 }
 
-/// Whether a model without intrinsics is read.
+/// Need of intrinsics: a model without them can be compared, not converted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Intrinsics {
     Required,
