@@ -79,8 +79,7 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
     };
     if !report.given {
         let std = prior_std(run, &model, false)?;
-        let std = |id| std.get(&id).copied().unwrap_or_default();
-        let frame = position_priors::adjust(run, &mut model, std, &mut outcome)?;
+        let frame = position_priors::adjust(run, &mut model, &std, &mut outcome)?;
         report.describe_points(&model);
         run.workspace.write_state(FRAME, &frame)?;
         outcome.outputs.push(run.workspace.state(FRAME));

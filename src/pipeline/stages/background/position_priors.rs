@@ -2,11 +2,15 @@
 //!
 //! The path is laid onto the fixes by a similarity, and the adjustment runs in meters: the camera of the image nearest
 //! to a fix has its position as a prior, with its standard deviation and a robust loss (as COLMAP's pose_prior_mapper).
-//! Over a short path images know the shape better than a plain receiver, whose priors then change nothing; the
-//! positions of an RTK receiver take the drift out of a long one.
+//! Over a short path images know the shape better than a plain receiver, whose positions then take no part; those of an
+//! RTK receiver take the drift out of a long one.
+
+use std::collections::BTreeMap;
 
 use nalgebra::Point3;
 use serde_json::json;
+
+use super::DEVIATION_IMAGES;
 
 use crate::bundle::{self, CameraBlock, PosePrior, Problem};
 use crate::camera::NUM_INTRINSICS;
@@ -47,7 +51,7 @@ pub(super) fn cache_key(run: &Run) -> serde_json::Value {
 pub(super) fn adjust(
     run: &Run,
     model: &mut Reconstruction,
-    std: impl Fn(CameraId) -> [f64; NUM_INTRINSICS] + Sync,
+    std: &BTreeMap<CameraId, [f64; NUM_INTRINSICS]>,
     outcome: &mut Outcome,
 ) -> Result<Option<MetricFrame>, PipelineError> {
     if run.options.metric.telemetry == TelemetryChoice::None || model.is_empty() {
@@ -83,7 +87,7 @@ fn with_positions(
     run: &Run,
     model: &mut Reconstruction,
     fitted: &FittedLog,
-    std: impl Fn(CameraId) -> [f64; NUM_INTRINSICS] + Sync,
+    std: &BTreeMap<CameraId, [f64; NUM_INTRINSICS]>,
     outcome: &mut Outcome,
 ) -> Result<bool, PipelineError> {
     let frames = run.frames()?;
@@ -93,9 +97,13 @@ fn with_positions(
     let priors: Vec<(usize, CenterFix)> =
         centers.iter().filter_map(|fix| Some((*poses.get(fix.index)?, *fix))).collect();
     let metric_from_world = fitted.alignment.metric_from_world;
+    if !are_informative(model, &priors, std, metric_from_world.scale) {
+        tracing::debug!("positions are less precise than the path: they do not take part in the adjustment");
+        return Ok(false);
+    }
     let mut metric = model.clone();
     metric.transform(&metric_from_world);
-    let found = on_threads(run.options.threads, || adjusted(&metric, &priors, |id| std(id)[0] > 0.0))?;
+    let found = on_threads(run.options.threads, || adjusted(&metric, &priors, |id| is_free(std, id)))?;
     let Some(adjusted) = found else { return Ok(false) };
     let moved_m = change_of_shape(&metric, &adjusted).unwrap_or(0.0);
     let std_m = median(priors.iter().map(|(_, fix)| fix.std_m.x).collect());
@@ -104,6 +112,27 @@ fn with_positions(
     *model = adjusted;
     model.transform(&metric_from_world.inverse());
     Ok(true)
+}
+
+/// Returns true if a camera's focal length is not held.
+fn is_free(std: &BTreeMap<CameraId, [f64; NUM_INTRINSICS]>, id: CameraId) -> bool {
+    std.get(&id).is_some_and(|std| std[0] > 0.0)
+}
+
+/// Returns true if all positions together are more precise than the path: than its largest standard deviation.
+///
+/// * `scale` – meters per unit of the model.
+fn are_informative(
+    model: &Reconstruction,
+    priors: &[(usize, CenterFix)],
+    std: &BTreeMap<CameraId, [f64; NUM_INTRINSICS]>,
+    scale: f64,
+) -> bool {
+    // A model that leaves something undetermined has no such figures.
+    let Ok(Some(found)) = bundle::center_deviations(model, DEVIATION_IMAGES, std) else { return false };
+    let of_path_m = scale * found.centers.into_values().fold(0.0, f64::max);
+    let of_positions_m = median(priors.iter().map(|(_, fix)| fix.std_m.x).collect());
+    of_positions_m.is_some_and(|std_m| std_m / (priors.len() as f64).sqrt() <= of_path_m)
 }
 
 /// Median distance of the cameras of two models after a similarity.
@@ -162,7 +191,7 @@ fn prior(pose: usize, fix: &CenterFix, pixel_px: f64) -> PosePrior {
 
 /// Index in the model, and so in the problem, of each image of the path.
 fn poses_of_path(model: &Reconstruction, frames: &[crate::scene::Frame], most: usize) -> Vec<usize> {
-    let names: std::collections::BTreeMap<&str, usize> =
+    let names: BTreeMap<&str, usize> =
         model.images.values().enumerate().map(|(index, image)| (image.name.as_str(), index)).collect();
     let registered = alignment::registered(model, frames);
     let mut last_s = f64::NEG_INFINITY;
@@ -251,6 +280,7 @@ mod tests {
             let positions: Vec<_> = priors.iter().map(|(_, fix)| fix.position_m).collect();
             let mut aligned = drifted.clone();
             aligned.transform(&umeyama(&centers(&drifted), &positions).unwrap());
+            assert_eq!(are_informative(&aligned, &priors, &BTreeMap::new(), 1.0), std_m < 1.0);
             let found = adjusted(&aligned, &priors, |_| false).unwrap();
             let (before, after) = (rmse(&aligned, &truth), rmse(&found, &truth));
             println!("{std_m} m: {before:.4} m aligned afterwards, {after:.4} m with priors");
