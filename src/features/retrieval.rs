@@ -14,10 +14,10 @@ use rayon::prelude::*;
 use super::rootsift::{DESCRIPTOR_LEN, DESCRIPTOR_NORM, Features};
 use crate::math::seeded_rng;
 
-/// Visual words. On 340 frames of four scenes, 16, 64 and 128 find 87, 91 and 92 % of the pairs that matching verifies.
+/// Visual words: the smaller of the usual vocabularies of VLAD (16 to 256), 32 KiB per image.
 const NUM_WORDS: usize = 64;
 
-/// Features of a view that take part, the strongest: as good as all 5000, at a fifth of the cost.
+/// Features of a view that take part, the strongest: a bound of the cost, a fifth of what a photograph has.
 const NUM_STRONGEST: usize = 1000;
 
 /// Descriptors from which the words are made: 500 each.
