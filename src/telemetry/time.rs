@@ -73,7 +73,10 @@ pub(super) fn spelled_in_table_s(text: &str) -> Option<(f64, bool)> {
     let text = text.trim();
     let without_zone = ["UTC", "GMT"].into_iter().find_map(|zone| text.strip_suffix(zone)).map(str::trim_end);
     let civil = without_zone.unwrap_or(text);
-    let (clock_s, stated) = iso_s(civil).or_else(|| Some((with_slashes_s(civil)?, false)))?;
+    // Other spellings end with the seconds.
+    let is_half = civil.ends_with(['m', 'M']);
+    let iso = if is_half { None } else { iso_s(civil) };
+    let (clock_s, stated) = iso.or_else(|| Some((with_slashes_s(civil)?, false)))?;
     Some((clock_s, stated || without_zone.is_some()))
 }
 
