@@ -19,7 +19,7 @@ pub(super) fn cost(problem: &Problem, state: &State) -> f64 {
         .iter()
         .map(|prior| {
             let (rotation, center) = pose_residual(prior, &state.poses[prior.pose]);
-            rotation.norm_squared() + center.norm_squared()
+            prior.loss.evaluate(rotation.norm_squared())[0] + prior.loss.evaluate(center.norm_squared())[0]
         })
         .sum();
     let intrinsics: f64 = problem
@@ -83,14 +83,15 @@ fn hold(terms: &mut PriorTerms, mask: &[bool; 6]) {
 pub(super) fn pose_residual(prior: &PosePrior, cam_from_world: &Rigid3) -> (Vector3<f64>, Vector3<f64>) {
     let turn = cam_from_world.rotation * prior.cam_from_world.rotation.inverse();
     let center = cam_from_world.center() - prior.cam_from_world.center();
-    (turn.scaled_axis() / prior.sigma_rotation, center / prior.sigma_center)
+    (turn.scaled_axis() / prior.sigma_rotation, center.component_div(&prior.sigma_center))
 }
 
 /// ∂ of the rotation residual by ω, and of the centre residual by v (eq. 14).
 pub(super) fn pose_jacobians(prior: &PosePrior, cam_from_world: &Rigid3) -> (Matrix3<f64>, Matrix3<f64>) {
     let turn = (cam_from_world.rotation * prior.cam_from_world.rotation.inverse()).scaled_axis();
     let center = -cam_from_world.rotation.inverse().to_rotation_matrix().into_inner();
-    (inverse_left_jacobian(&turn) / prior.sigma_rotation, center / prior.sigma_center)
+    let weight = Matrix3::from_diagonal(&prior.sigma_center.map(f64::recip));
+    (inverse_left_jacobian(&turn) / prior.sigma_rotation, weight * center)
 }
 
 /// d log(exp(ω) R) / dω at ω = 0 for log R = φ: I − [φ]ₓ/2 + (1/θ² − (1 + cos θ)/(2 θ sin θ)) [φ]ₓ².
@@ -111,8 +112,9 @@ fn pose_terms(prior: &PosePrior, pose: &Rigid3) -> PriorTerms {
     let (d_rotation, d_center) = pose_jacobians(prior, pose);
     let mut terms = empty();
     for (first, residual, jacobian) in [(0, rotation, d_rotation), (3, center, d_center)] {
-        let hessian = jacobian.transpose() * jacobian;
-        let gradient = jacobian.transpose() * residual;
+        let weight = prior.loss.evaluate(residual.norm_squared())[1];
+        let hessian = jacobian.transpose() * jacobian * weight;
+        let gradient = jacobian.transpose() * residual * weight;
         for i in 0..3 {
             terms.gradient[first + i] = gradient[i];
             for j in 0..3 {

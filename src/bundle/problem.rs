@@ -116,7 +116,9 @@ pub struct PosePrior {
     /// Standard deviation of the rotation about each axis, radians; infinite leaves the rotation out.
     pub sigma_rotation: f64,
     /// Standard deviation of each coordinate of the camera centre, world units; infinite leaves the centre out.
-    pub sigma_center: f64,
+    pub sigma_center: Vector3<f64>,
+    /// Robust loss on rotation and centre each, in standard deviations: some positions of a receiver are wrong.
+    pub loss: RobustLoss,
 }
 
 /// A plane that is known in the camera's frame, n · x + h = 0, passes near a point of the world and is near level
@@ -279,7 +281,8 @@ impl Problem {
             in_range("pose prior", index, "pose", prior.pose, self.poses.len())?;
             let Rigid3 { rotation, translation } = prior.cam_from_world;
             let finite = rotation.coords.iter().chain(translation.iter()).all(|v| v.is_finite());
-            require(finite && prior.sigma_rotation > 0.0 && prior.sigma_center > 0.0, "pose prior", index)?;
+            let positive = prior.sigma_rotation > 0.0 && prior.sigma_center.iter().all(|sigma| *sigma > 0.0);
+            require(finite && positive, "pose prior", index)?;
         }
         for (index, prior) in self.priors.intrinsics.iter().enumerate() {
             in_range("intrinsics prior", index, "camera", prior.camera, self.cameras.len())?;

@@ -136,11 +136,12 @@ mod tests {
     use super::super::options::{Behind, Options};
     use super::super::piece::Pass;
     use super::super::priors;
-    use nalgebra::Vector2;
+    use nalgebra::{Vector2, Vector3};
 
     use super::super::problem::{CameraBlock, Observation, PointPrior, PosePrior, Problem};
     use super::super::state::State;
     use super::*;
+    use crate::math::RobustLoss;
     use crate::synthetic::scene::{self, CameraMotion, static_scene};
 
     const DAMPING: f64 = 1e-3;
@@ -224,7 +225,13 @@ mod tests {
         problem.points[7].fixed = true;
         problem.priors.points.push(PointPrior { point: 3, position: problem.points[3].position, sigma: 0.02 });
         let cam_from_world = problem.poses[9].cam_from_world;
-        problem.priors.poses.push(PosePrior { pose: 9, cam_from_world, sigma_rotation: 0.01, sigma_center: 0.1 });
+        problem.priors.poses.push(PosePrior {
+            pose: 9,
+            cam_from_world,
+            sigma_rotation: 0.01,
+            sigma_center: Vector3::repeat(0.1),
+            loss: RobustLoss::Squared,
+        });
         let twice = problem.observations[30];
         problem.observations.push(Observation { pixel: twice.pixel + Vector2::new(0.4, -0.3), ..twice });
         problem

@@ -301,7 +301,13 @@ fn priors_pull_as_strongly_as_they_say() {
     let (truth, mut problem) = disturbed(&scene::Options::default(), CameraBlock::free_focal_and_radial);
     let known: Vec<Rigid3> = truth.images.values().map(|i| i.cam_from_world).collect();
     for (pose, cam_from_world) in known.iter().enumerate() {
-        let prior = PosePrior { pose, cam_from_world: *cam_from_world, sigma_rotation: 0.1, sigma_center: 0.1 };
+        let prior = PosePrior {
+            pose,
+            cam_from_world: *cam_from_world,
+            sigma_rotation: 0.1,
+            sigma_center: Vector3::repeat(0.1),
+            loss: RobustLoss::Squared,
+        };
         problem.priors.poses.push(prior);
     }
     let summary = adjust(&mut problem, &tight()).unwrap();

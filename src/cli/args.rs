@@ -156,6 +156,7 @@ mod tests {
             let shown: Vec<bool> = flags.iter().map(|flag| help.contains(flag)).collect();
             assert_eq!(shown, flags.map(|flag| flags[..num_shown].contains(&flag)), "{name}");
         }
+        assert!(help("sfm").contains("--telemetry") && !help("sfm").contains("--camera-height"));
         // The same flags serve every part.
         assert!(Args::try_parse_from("tractrix segment in -o out --scale-method joint".split_whitespace()).is_ok());
     }

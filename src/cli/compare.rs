@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::output::{Failure, Form, show};
+use super::paired_times::{self, Times};
 use crate::eval::comparison::{Comparison, Cost, LengthUnit, MatchBy, Side, compare};
-use crate::io::interchange::model;
+use crate::io::interchange::model::{self, Format};
 use crate::io::{IoError, RunFolder, Sequence, json, refuse_place_of_results};
 use crate::report::comparison as page;
 use crate::scene::{CameraId, Image, ImageId, Reconstruction};
@@ -26,6 +27,9 @@ pub(super) struct Args {
     /// Criterion by which images are matched
     #[arg(long, value_enum, value_name = "WHAT", default_value = "name")]
     pub(super) match_by: By,
+    /// Time of the reference minus that of the models, seconds; for camera paths (TUM, EuRoC), matched by time
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_hyphen_values = true)]
+    pub(super) time_offset: f64,
     /// Label of a model, in the order given; may be repeated
     #[arg(long = "label", value_name = "TEXT")]
     pub(super) labels: Vec<String>,
@@ -116,21 +120,55 @@ fn sides(args: &Args) -> Result<Vec<Side>, Failure> {
     for (name, label) in names.iter_mut().zip(&args.labels) {
         name.clone_from(label);
     }
-    let mut sides = Vec::new();
+    let (mut sides, mut timed) = (Vec::new(), Vec::new());
     for (path, name) in args.models.iter().zip(names) {
-        sides.push(Side { name, model: model::read(path)?.0, cost: cost(path)? });
+        let (model, format) = read(path, args)?;
+        timed.push((format, paired_times::times(path, format, &model)));
+        sides.push(Side { name, model, cost: cost(path)? });
     }
-    let Some(truth) = &args.truth else { return Ok(sides) };
-    let model = match is_sequence(truth) {
-        true => {
+    if let Some(truth) = &args.truth {
+        let model = if is_sequence(truth) {
             let sequence = Sequence::open(truth)?;
             sides.iter_mut().for_each(|side| name_as_in(&sequence, &mut side.model));
+            timed.insert(0, (Format::ColmapText, None));
             model_of(&sequence)
-        }
-        false => model::read(truth)?.0,
-    };
-    sides.insert(0, Side { name: "truth".into(), model, cost: None });
+        } else {
+            let (model, format) = read(truth, args)?;
+            timed.insert(0, (format, paired_times::times(truth, format, &model)));
+            model
+        };
+        sides.insert(0, Side { name: "truth".into(), model, cost: None });
+    }
+    if args.match_by == By::Name {
+        pair_by_time(&mut sides, &timed, args.time_offset);
+    }
     Ok(sides)
+}
+
+/// A model; warns of parts that are skipped, and refuses to pair images by names that are none.
+fn read(path: &Path, args: &Args) -> Result<(Reconstruction, Format), Failure> {
+    let (model, format) = model::read_poses(path)?;
+    let lost = model::lost_on_reading(path, format);
+    if let (Format::Bundler, By::Order, [first, ..]) = (format, args.match_by, &lost[..]) {
+        return Err(Failure::Usage(format!("{}: {first}; --match-by order would pair any images", path.display())));
+    }
+    for loss in lost {
+        tracing::warn!("{}: {loss}", path.display());
+    }
+    Ok((model, format))
+}
+
+/// Names images by time where one side of a pair is a camera path, which has no names.
+fn pair_by_time(sides: &mut [Side], timed: &[(Format, Option<Times>)], offset_s: f64) {
+    let ([reference, others @ ..], [(of_reference, Some(reference_times)), timed @ ..]) = (sides, timed) else {
+        return;
+    };
+    for (side, (format, times)) in others.iter_mut().zip(timed) {
+        let is_path = *of_reference == Format::Tum || *format == Format::Tum;
+        if let Some(times) = times.as_ref().filter(|_| is_path) {
+            paired_times::rename((&reference.model, reference_times), &mut side.model, times, offset_s);
+        }
+    }
 }
 
 fn is_sequence(path: &Path) -> bool {

@@ -6,7 +6,6 @@ use serde::Serialize;
 
 use super::frame;
 use super::output::{Failure, Form, counted, show};
-use crate::io::interchange::colmap;
 use crate::io::interchange::database::{self, Features};
 use crate::io::interchange::model::{self, Format};
 use crate::io::{Losses, atomic};
@@ -128,24 +127,13 @@ impl Target {
             Self::Model(format) => model::write(&args.output, model, format)?,
             Self::Database => write_database(&args.input, &args.output, model)?,
         };
-        Ok(losses.counted(
-            several(&args.input, from),
-            "rig of several cameras is split into rigs of one camera each",
-            "rigs of several cameras are split into rigs of one camera each",
-        ))
+        Ok(model::lost_on_reading(&args.input, from).into_iter().fold(losses, Losses::with))
     }
 
     fn num_images(self, model: &Reconstruction) -> usize {
         // Points alone go to PLY.
         if self == Self::Model(Format::Ply) { 0 } else { model.images.len() }
     }
-}
-
-/// Rigs of several cameras, of which nothing is read.
-fn several(input: &Path, from: Format) -> usize {
-    let is_colmap = matches!(from, Format::ColmapText | Format::ColmapBinary);
-    let place = if is_colmap { model::detect(input).ok() } else { None };
-    place.map_or(0, |(folder, _)| colmap::num_rigs_of_several(&folder))
 }
 
 /// The model's features and matches; of an output folder all that its run followed.
@@ -226,6 +214,7 @@ fn convert(args: &Args) -> anyhow::Result<Conversion> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::io::interchange::colmap;
     use crate::io::testing::in_repository;
 
     fn convert(input: &Path, output: &Path, to: Option<To>) -> anyhow::Result<Conversion> {

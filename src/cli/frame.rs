@@ -10,6 +10,7 @@ use super::convert::TargetFrame;
 use crate::export::local_frame;
 use crate::io::RunFolder;
 use crate::math::Sim3;
+use crate::pipeline;
 use crate::scene::{MetricAxes, MetricFrame};
 
 /// A frame, and its description for the file next to the model.
@@ -27,10 +28,17 @@ pub(super) fn of(frame: TargetFrame, input: &Path) -> anyhow::Result<Option<Plac
         return Ok(None);
     }
     let named = frame.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
-    let trajectories = RunFolder::at(input)
-        .read_trajectories()
-        .with_context(|| format!("--frame {named}: requires the output folder of `tractrix run`"))?;
-    let Some(metric) = trajectories.metric.as_ref().and_then(|metric| metric.frame.as_ref()) else {
+    // `sfm` knows the frame of telemetry and photographs, `run` that of all sources.
+    let metric = match (RunFolder::at(input).read_trajectories(), pipeline::background_frame(input)) {
+        (Ok(trajectories), _) => trajectories.metric.and_then(|metric| metric.frame),
+        (Err(_), Some(frame)) => Some(frame),
+        (Err(error), None) => {
+            return Err(error).with_context(|| {
+                format!("--frame {named}: requires the output folder of `tractrix run`, or of `sfm` with positions")
+            });
+        }
+    };
+    let Some(metric) = &metric else {
         bail!("--frame {named}: meters are unknown; run again with a source of them, such as --camera-height");
     };
     let on_map = (metric.axes == MetricAxes::EastNorthUp).then_some(metric.origin).flatten();

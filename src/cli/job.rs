@@ -85,7 +85,7 @@ pub(super) struct JobArgs {
     /// video for frames in order of time, otherwise sift]
     #[arg(long, value_name = "KIND", value_parser = feature_kind, help_heading = "Geometry")]
     pub(super) features: Option<FeatureKind>,
-    /// Order of the frames: `time` or `none` (photographs: all pairs are matched)
+    /// Order of the frames: `time` or `none` (photographs: similar and near ones are matched)
     ///
     /// Default: time for videos, and for folders with --fps, --features video or a scene.json. For other folders some
     /// images are compared with their successors: with fewer than 60 % of the corners tracked, they are treated as
@@ -121,8 +121,8 @@ pub(super) struct JobArgs {
     #[arg(long, value_name = "N", help_heading = "Frames")]
     pub(super) video_track: Option<u32>,
 
-    /// Telemetry log: DJI subtitles, GPX, NMEA, CSV, or a video that has one, such as a GoPro's [default: found next to
-    /// or inside the video]
+    /// Telemetry log: subtitles of a drone, GPX, KML, NMEA, table (also by image name), or a video that has one, such
+    /// as a GoPro's [default: found next to or inside the video]
     #[arg(long, value_name = "FILE", conflicts_with = "no_telemetry", help_heading = "Meters")]
     pub(super) telemetry: Option<PathBuf>,
     /// Ignore telemetry, including that found next to or inside the video
@@ -189,14 +189,13 @@ impl JobArgs {
 /// nevertheless, so that the same flags serve every part.
 pub(super) fn shown_up_to(goal: Stage, flag: clap::Arg) -> clap::Arg {
     let first_use = match flag.get_id().as_str() {
-        "intrinsics" | "fixed" | "intrinsics_std" | "features" | "background_model" => Stage::Features,
+        "intrinsics" | "fixed" | "intrinsics_std" | "features" | "background_model" | "telemetry" | "no_telemetry"
+        | "time_offset" | "utc_offset" => Stage::Features,
         "flow_model" | "mask_network" | "motion" | "segment_every" => Stage::Track,
         "object_model" | "only_object" => Stage::Follow,
         "ground_masks" | "ground_label" | "ground_model" | "camera_pitch" => Stage::Ground,
         "scale_method" => Stage::Scale,
-        "telemetry" | "no_telemetry" | "time_offset" | "utc_offset" | "camera_height" | "known_length" | "scale" => {
-            Stage::Metric
-        }
+        "camera_height" | "known_length" | "scale" => Stage::Metric,
         _ => Stage::Frames,
     };
     flag.hide(first_use > goal)

@@ -24,6 +24,7 @@ mod manual;
 mod models;
 mod options;
 mod output;
+mod paired_times;
 mod run;
 mod run_output;
 mod schema;

@@ -12,7 +12,8 @@ use crate::telemetry::Summary;
 /// Show what was parsed from a telemetry file: format, fixes, times, ranges, and what was skipped
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct Args {
-    /// DJI subtitles, GPX, NMEA, CSV, video with telemetry, photograph, or folder of them (docs/telemetry.md)
+    /// Subtitles of a drone, GPX, KML, NMEA, table, video with telemetry, photograph, or folder of them
+    /// (docs/telemetry.md)
     pub(super) file: PathBuf,
 }
 

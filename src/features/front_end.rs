@@ -1,5 +1,8 @@
 //! From the frames of a source to tracks, by one of two ways.
 
+use std::collections::BTreeMap;
+
+use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -50,7 +53,7 @@ impl FrontEndOptions {
         let features = FeatureOptions { max_features: 5000, contrast_threshold: 0.02, ..FeatureOptions::background() };
         Self::Sift(SiftOptions {
             features,
-            pairing: Pairing::Exhaustive,
+            pairing: Pairing::UNORDERED,
             // With refined positions points of two views help more than they harm.
             min_track_length: 2,
             ..SiftOptions::background()
@@ -112,6 +115,14 @@ impl FrontEnd {
             }
             Self::Video(f) => f.push(frame, image, mask),
             Self::Sift(f) => f.push(frame, camera, image, mask),
+        }
+    }
+
+    /// Takes positions of frames by name, metres in any Cartesian frame: near photographs are matched, too.
+    pub fn know_positions(&mut self, positions: BTreeMap<String, Point3<f64>>) {
+        match self {
+            Self::Video(_) => {}
+            Self::Sift(f) => f.know_positions(positions),
         }
     }
 

@@ -10,6 +10,7 @@ pub mod matching;
 pub mod order;
 pub mod patch;
 pub mod refinement;
+mod retrieval;
 pub mod rootsift;
 pub mod sift;
 pub mod sift_front_end;

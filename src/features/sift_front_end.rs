@@ -1,8 +1,9 @@
-//! From frames to tracks by SIFT: features in every frame, matches between frames near in time, verified by geometry.
+//! From frames to tracks by SIFT: features in every frame, matches between frames near in time or similar to one
+//! another, verified by geometry.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
-use nalgebra::Vector2;
+use nalgebra::{Point3, Vector2};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::Target;
 use super::matching::{MatchOptions, match_features};
 use super::refinement::{self, Pyramid};
+use super::retrieval;
 use super::rootsift::{FeatureOptions, Features, extract};
 use super::tracks::{PairMatches, TrackTable, View, tracks_from_matches};
 use crate::camera::Camera;
@@ -30,9 +32,30 @@ pub enum Pairing {
         #[schemars(extend("unit" = "views"))]
         window: usize,
     },
-    /// All with all: for photographs in no order. The cost grows with the square of their number.
+    /// All with all. The cost grows with the square of their number.
     Exhaustive,
+    /// All with all of a small set, otherwise each with those most similar to it: for photographs in no order.
+    Retrieval {
+        /// Largest set of which all pairs are matched.
+        #[schemars(extend("unit" = "views"))]
+        exhaustive_up_to: usize,
+        /// Number of most similar views, and of nearest ones where positions are known.
+        #[schemars(extend("unit" = "views"))]
+        neighbors: usize,
+    },
 }
+
+impl Pairing {
+    /// For photographs in no order.
+    pub const UNORDERED: Self = Self::Retrieval { exhaustive_up_to: EXHAUSTIVE_UP_TO, neighbors: NEIGHBORS };
+}
+
+/// Most similar views with which a view is matched: 0.98 of the pairs with common points on four clips, 15 have 0.89
+/// (docs/decisions/033-image-retrieval.md).
+const NEIGHBORS: usize = 30;
+
+/// Up to here all pairs are about four times as many as those of retrieval, and none is missed.
+const EXHAUSTIVE_UP_TO: usize = 200;
 
 /// Options of the SIFT front end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -74,8 +97,13 @@ impl SiftOptions {
     pub fn check(&self) -> Checked {
         under("features", self.features.check())?;
         under("matching", self.matching.check())?;
-        if let Pairing::Sequential { window } = self.pairing {
-            within("pairing.sequential.window", window, 1..=10_000)?;
+        match self.pairing {
+            Pairing::Sequential { window } => within("pairing.sequential.window", window, 1..=10_000)?,
+            Pairing::Retrieval { exhaustive_up_to, neighbors } => {
+                within("pairing.retrieval.exhaustive_up_to", exhaustive_up_to, 0..=100_000)?;
+                within("pairing.retrieval.neighbors", neighbors, 1..=10_000)?;
+            }
+            Pairing::Exhaustive => {}
         }
         within("max_epipolar_error_px", self.max_epipolar_error_px, 0.01..=1000.0)?;
         within("min_pair_matches", self.min_pair_matches, 5..=60_000)?;
@@ -114,6 +142,8 @@ pub struct SiftFrontEnd {
     cameras: Vec<Camera>,
     views: Vec<View>,
     features: Vec<Features>,
+    /// Positions of frames by name, metres in any Cartesian frame, as far as known.
+    positions: BTreeMap<String, Point3<f64>>,
     waiting: Vec<Waiting>,
     /// Grey pictures for refinement, as long as they are not too many.
     pictures: Vec<GrayImage>,
@@ -136,10 +166,16 @@ impl SiftFrontEnd {
             cameras,
             views: Vec::new(),
             features: Vec::new(),
+            positions: BTreeMap::new(),
             waiting: Vec::new(),
             pictures: Vec::new(),
             num_pixels: 0.0,
         }
+    }
+
+    /// Takes positions of frames by name, metres in any Cartesian frame: near frames are matched, too.
+    pub fn know_positions(&mut self, positions: BTreeMap<String, Point3<f64>>) {
+        self.positions = positions;
     }
 
     /// Number of cameras of the frames.
@@ -198,10 +234,10 @@ impl SiftFrontEnd {
             .enumerate()
             .map(|(v, f)| f.pixels.iter().map(|&p| self.camera_of(v).normalized_from_pixel(p)).collect())
             .collect();
-        let pairs: Vec<PairMatches> = pairs_of(self.features.len(), self.options.pairing)
-            .into_par_iter()
-            .filter_map(|views| self.verified(views, &normalized, seed))
-            .collect();
+        let candidates = self.candidates(seed);
+        tracing::debug!("{} pairs of {} views are matched", candidates.len(), self.features.len());
+        let pairs: Vec<PairMatches> =
+            candidates.into_par_iter().filter_map(|views| self.verified(views, &normalized, seed)).collect();
         let counts: Vec<usize> = self.features.iter().map(Features::len).collect();
         let num_seen = counts.iter().filter(|&&n| n > 0).count();
         let min_length = self.options.min_track_length.min(num_seen);
@@ -214,6 +250,22 @@ impl SiftFrontEnd {
             tracing::debug!("{moved} of {} positions refined", table.num_observations());
         }
         Ok(table)
+    }
+
+    /// The pairs to match, ascending.
+    fn candidates(&self, seed: u64) -> Vec<[usize; 2]> {
+        let n = self.features.len();
+        match self.options.pairing {
+            Pairing::Retrieval { exhaustive_up_to, neighbors } if n > exhaustive_up_to => {
+                let position = |view: &View| self.positions.get(&view.name).copied();
+                let positions: Vec<_> = self.views.iter().map(position).collect();
+                let mut pairs = retrieval::similar_pairs(&self.features, neighbors, seed);
+                pairs.extend(retrieval::near_pairs(&positions, neighbors));
+                pairs.into_iter().collect()
+            }
+            Pairing::Sequential { window } => sequential_pairs(n, window),
+            Pairing::Exhaustive | Pairing::Retrieval { .. } => all_pairs(n),
+        }
     }
 
     fn camera_of(&self, view: usize) -> &Camera {
@@ -246,18 +298,17 @@ impl SiftFrontEnd {
     }
 }
 
-/// The pairs to match, ascending.
-fn pairs_of(n: usize, pairing: Pairing) -> Vec<[usize; 2]> {
+fn all_pairs(n: usize) -> Vec<[usize; 2]> {
+    (0..n).flat_map(|i| (i + 1..n).map(move |j| [i, j])).collect()
+}
+
+/// Each view with the next ones, and with those 2, 4, 8, … beyond; ascending.
+fn sequential_pairs(n: usize, window: usize) -> Vec<[usize; 2]> {
     let mut pairs = BTreeSet::new();
-    match pairing {
-        Pairing::Exhaustive => (0..n).for_each(|i| pairs.extend((i + 1..n).map(|j| [i, j]))),
-        Pairing::Sequential { window } => {
-            for i in 0..n {
-                pairs.extend((i + 1..=i + window).filter(|&j| j < n).map(|j| [i, j]));
-                let powers = (1..).map(|k| i + window + (1 << k)).take_while(|&j| j < n);
-                pairs.extend(powers.map(|j| [i, j]));
-            }
-        }
+    for i in 0..n {
+        pairs.extend((i + 1..=i + window).filter(|&j| j < n).map(|j| [i, j]));
+        let powers = (1..).map(|k| i + window + (1 << k)).take_while(|&j| j < n);
+        pairs.extend(powers.map(|j| [i, j]));
     }
     pairs.into_iter().collect()
 }
@@ -268,10 +319,10 @@ mod tests {
 
     #[test]
     fn pairs_reach_near_and_far() {
-        let pairs = pairs_of(20, Pairing::Sequential { window: 2 });
+        let pairs = sequential_pairs(20, 2);
         assert!(pairs.contains(&[0, 1]) && pairs.contains(&[0, 2]) && pairs.contains(&[0, 4]));
         assert!(pairs.contains(&[0, 18]) && !pairs.contains(&[0, 3]));
-        assert_eq!(pairs_of(5, Pairing::Exhaustive).len(), 10);
-        assert!(pairs_of(1, Pairing::Exhaustive).is_empty());
+        assert_eq!(all_pairs(5).len(), 10);
+        assert!(all_pairs(1).is_empty());
     }
 }

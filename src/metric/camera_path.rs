@@ -60,6 +60,12 @@ impl CameraPath {
         (self.centers[i] + velocity * (time_s - self.times_s[i]), velocity)
     }
 
+    /// Index of the pose nearest to a time.
+    pub fn nearest(&self, time_s: f64) -> usize {
+        let i = self.segment(time_s);
+        if time_s - self.times_s[i] <= self.times_s[i + 1] - time_s { i } else { i + 1 }
+    }
+
     /// Index of the pose before a time that has one after it.
     fn segment(&self, time_s: f64) -> usize {
         let after = self.times_s.partition_point(|&time| time <= time_s);

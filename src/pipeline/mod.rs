@@ -32,14 +32,14 @@ pub use driver::stage::Stage;
 pub use driver::workspace::{Marker, Overwrite, Workspace};
 pub use error::PipelineError;
 pub use evaluate::{SavedEvaluation, evaluate, keep_evaluation};
+pub use inputs::telemetry::telemetry_of;
 pub use options::{
     Ablation, DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MOST_THREADS,
     MaskChoice, MaskingOptions, Method, MetricOptions, ModelFiles, MotionChoice, OptionRow, OptionSection, Options,
     TelemetryChoice, VehicleOptions,
 };
-pub use stages::background::{CameraReport, ModelReport};
+pub use stages::background::{CameraReport, ModelReport, background_frame};
 pub use stages::features::found_features::found_features;
-pub use stages::metric::telemetry_of;
 pub use stages::report::link_exports;
 
 use crate::io::InputIdentity;

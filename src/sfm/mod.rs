@@ -38,12 +38,20 @@ use crate::features::{FrontEndOptions, Target};
 #[serde(deny_unknown_fields)]
 pub struct Options {
     /// From frames to tracks. `features`, where it is not `auto`, goes before the kind, and frames in no order are
-    /// worked on by `sift` with all pairs: with the options that are set here if that is the kind, else with the
-    /// defaults of an object, and for the background with 5000 features of a contrast from 0.02 on and tracks from two
-    /// views.
+    /// worked on by `sift` with pairs of any distance in time: with the options that are set here if that is the kind,
+    /// else with the defaults of an object, and for the background with 5000 features of a contrast from 0.02 on and
+    /// tracks from two views.
     pub front_end: FrontEndOptions,
     /// From tracks to a map.
     pub mapper: crate::mapper::Options,
+}
+
+/// Pairing of unordered pictures: that of the options unless it is one of frames in order.
+fn unordered_pairing(sift: &SiftOptions) -> Pairing {
+    match sift.pairing {
+        Pairing::Sequential { .. } => Pairing::UNORDERED,
+        of_any_order => of_any_order,
+    }
 }
 
 impl Options {
@@ -89,12 +97,12 @@ impl Options {
         Self { front_end: FrontEndOptions::Video(video), ..self }
     }
 
-    /// The same for pictures in no order: SIFT, all pairs, and no neighbours in time.
+    /// The same for pictures in no order: SIFT, pairs by similarity, and no neighbours in time.
     pub fn without_order(self, target: Target) -> Self {
-        let all_pairs = |sift| FrontEndOptions::Sift(SiftOptions { pairing: Pairing::Exhaustive, ..sift });
+        let unordered = |sift| FrontEndOptions::Sift(SiftOptions { pairing: unordered_pairing(&sift), ..sift });
         let front_end = match (self.front_end, target) {
-            (FrontEndOptions::Sift(sift), _) => all_pairs(sift),
-            (FrontEndOptions::Video(_), Target::Object) => all_pairs(SiftOptions::object()),
+            (FrontEndOptions::Sift(sift), _) => unordered(sift),
+            (FrontEndOptions::Video(_), Target::Object) => unordered(SiftOptions::object()),
             (FrontEndOptions::Video(_), Target::Background) => FrontEndOptions::unordered(),
         };
         Self { front_end, mapper: crate::mapper::Options { ordered: false, ..self.mapper } }

@@ -48,13 +48,24 @@ pub enum TelemetryError {
     },
     /// No known format.
     #[error(
-        "{}: neither a DJI subtitle file, nor GPX, NMEA, a CSV with longitude and latitude in its header, a \
-         photograph with GPS data, nor a video with telemetry; see docs/telemetry.md",
+        "{}: neither subtitles of a drone, nor GPX, KML, IGC, NMEA, ArduPilot's text log, a table with longitude and \
+         latitude in its header, a photograph with GPS data, nor a video with telemetry; see docs/telemetry.md \
+         (gpsbabel converts many others to GPX)",
         path.display()
     )]
     Unknown {
         /// The file.
         path: PathBuf,
+    },
+    /// Another program's format that is not read.
+    #[error("{}: {what}, which is not read; {cure}", path.display())]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// Format.
+        what: &'static str,
+        /// Command that makes a readable file.
+        cure: &'static str,
     },
     /// The file names other files instead of holding positions.
     #[error("{path}: a playlist ({format}), no telemetry; give the video files it names", path = path.display())]
@@ -75,10 +86,12 @@ pub enum TelemetryError {
         first: Option<String>,
     },
     /// The header of a table cannot be used.
-    #[error("{}, line 1: {problem}", path.display())]
+    #[error("{}, line {line}: {problem}", path.display())]
     Header {
         /// The file.
         path: PathBuf,
+        /// Its line, from 1.
+        line: usize,
         /// Problem, and the remedy.
         problem: String,
     },

@@ -8,7 +8,7 @@ use quick_xml::events::{BytesStart, Event};
 
 use super::coordinate;
 use super::fix::{ClockKind, Fix, HeightDatum, Log, Receiver};
-use super::text::number;
+use super::text::{LineCounter, number};
 use super::time;
 
 /// The name in reports.
@@ -32,7 +32,7 @@ pub(super) fn read(text: &str, empty: Log) -> Log {
     let mut log = Log { clock: ClockKind::Utc, height_datum: HeightDatum::SeaLevel, ..empty };
     let mut reader = Reader::from_str(text);
     reader.config_mut().check_end_names = false;
-    let mut lines = LineCounter { text: text.as_bytes(), at: 0, line: 1 };
+    let mut lines = LineCounter::new(text);
     let (mut open, mut content): (Option<Open>, String) = (None, String::new());
     loop {
         match reader.read_event() {
@@ -111,24 +111,6 @@ fn finish(open: Open, log: &mut Log) {
                 ..Fix::at(open.line, position).received_by(receiver, open.dilution)
             },
         ),
-    }
-}
-
-/// Line numbers of positions that only rise.
-struct LineCounter<'a> {
-    text: &'a [u8],
-    at: usize,
-    line: usize,
-}
-
-impl LineCounter<'_> {
-    fn at(&mut self, position: u64) -> usize {
-        let end = usize::try_from(position).unwrap_or(usize::MAX).min(self.text.len());
-        if end > self.at {
-            self.line += self.text[self.at..end].iter().filter(|&&byte| byte == b'\n').count();
-            self.at = end;
-        }
-        self.line
     }
 }
 

@@ -1,15 +1,21 @@
 //! Which format a file has, by its content.
 
 use super::text::decode;
-use super::{csv, dji, gpmf, nmea, srt};
+use super::{ardupilot, csv, dji, gpmf, igc, nmea, srt};
 
 /// A format of files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// DJI's subtitles.
+    /// Subtitles of a drone, DJI's or Autel's.
     Dji,
     /// GPX.
     Gpx,
+    /// KML.
+    Kml,
+    /// IGC.
+    Igc,
+    /// ArduPilot's log as text.
+    ArduPilot,
     /// NMEA 0183.
     Nmea,
     /// A table with a header.
@@ -40,10 +46,19 @@ impl Kind {
         if text.contains("<gpx") {
             return Some(Self::Gpx);
         }
+        if text.contains("<kml") {
+            return Some(Self::Kml);
+        }
+        if igc::is_igc(&text) {
+            return Some(Self::Igc);
+        }
+        if text.lines().take(20).any(ardupilot::is_message) {
+            return Some(Self::ArduPilot);
+        }
         if text.lines().any(nmea::is_sentence) {
             return Some(Self::Nmea);
         }
-        if text.lines().next().is_some_and(csv::is_header) {
+        if csv::is_table(&text) {
             return Some(Self::Csv);
         }
         let mut is_dji = false;
@@ -56,8 +71,11 @@ impl Kind {
     /// Name in messages.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Dji => "DJI subtitles",
+            Self::Dji => "drone subtitles",
             Self::Gpx => "GPX",
+            Self::Kml => "KML",
+            Self::Igc => "IGC",
+            Self::ArduPilot => "ArduPilot log",
             Self::Nmea => "NMEA 0183",
             Self::Csv => "CSV",
             Self::Photograph => "a photograph",

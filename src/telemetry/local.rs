@@ -1,5 +1,9 @@
 //! A log in metres east, north and up of its first fix.
 
+use std::collections::BTreeMap;
+
+use nalgebra::Point3;
+
 use super::fix::{Fix, Log};
 use super::geodesy::{Geodetic, LocalFrame};
 use crate::math::median;
@@ -82,6 +86,22 @@ impl Log {
             Heights::Absent => false,
         };
         Some(LocalFixes { frame, knows_height, fixes, heights, times })
+    }
+
+    /// True if every fix belongs to an image by its name: the log of a folder, not of a clock.
+    pub fn is_by_name(&self) -> bool {
+        self.fixes.iter().all(|fix| fix.photograph.is_some())
+    }
+
+    /// Positions of images by name, meters east, north and up of the first one.
+    pub fn positions_by_name(&self) -> BTreeMap<String, Point3<f64>> {
+        let Some(local) = self.local_fixes_at(TimeBase::Video, |_| Some(0.0)) else { return BTreeMap::new() };
+        let at = |fix: &PositionFix| Point3::new(fix.east_north_m.x, fix.east_north_m.y, fix.up_m.unwrap_or(0.0));
+        self.fixes
+            .iter()
+            .zip(&local.fixes)
+            .filter_map(|(fix, place)| Some((fix.photograph.clone()?, at(place))))
+            .collect()
     }
 
     fn heights(&self) -> Heights {

@@ -1,8 +1,9 @@
 //! Telemetry: where a receiver says that the camera was.
 //!
 //! A file of any known format becomes one [`Log`]: fixes in order of time, and what was skipped with its line and
-//! the reason. Formats are distinguished by their content, never by name or by the name of a drone: DJI's subtitle
-//! files (a registry of dialects), GPX, NMEA 0183, CSV with a header, GPMF, GPS data in photographs.
+//! the reason. Formats are distinguished by their content, never by name or by the name of a drone: subtitle files of
+//! drones (a registry of dialects), GPX, KML, IGC, NMEA 0183, ArduPilot's text logs, tables, GPMF, GPS data in
+//! photographs. `foreign` names the converter of what is not read.
 //! `docs/telemetry.md` describes each.
 //!
 //! Heights of two kinds are kept apart: absolute ones, which a receiver or a fusion with air pressure gives, and those
@@ -13,16 +14,20 @@
 //!
 //! Nothing here panics on any input, and time and memory are linear in the length of a file, which is limited.
 
+mod ardupilot;
 mod bytes;
 mod coordinate;
 mod csv;
 mod dji;
 mod error;
 mod fix;
+mod foreign;
 mod geodesy;
 mod gpmf;
 mod gpx;
+mod igc;
 mod kind;
+mod kml;
 mod local;
 mod nmea;
 mod order;

@@ -1,6 +1,34 @@
 //! Fixes in order of time, in spite of clocks that jump.
 
+use std::cmp::Ordering;
+
 use super::fix::{Fix, Log};
+
+/// Sorts fixes whose order in the file is another one: newest first, or tracks in any order.
+///
+/// Series of rising times that do not overlap are tracks and are sorted. Where they overlap, single times are wrong or
+/// the clock was set, and [`keep_rising`] decides.
+pub(super) fn sort_by_time(log: &mut Log) {
+    let by_video = log.fixes.iter().all(|fix| fix.video_s.is_some());
+    let time_s = |fix: &Fix| if by_video { fix.video_s } else { fix.clock_s };
+    let times: Option<Vec<f64>> = log.fixes.iter().map(time_s).collect();
+    let Some(times) = times else { return };
+    let num_falling = times.windows(2).filter(|pair| pair[1] < pair[0]).count();
+    if num_falling == 0 {
+        return;
+    }
+    let mut fixes = log.fixes.clone();
+    if 2 * num_falling > times.len() {
+        fixes.reverse();
+    }
+    let first_s = |run: &[Fix]| run.first().and_then(time_s);
+    let mut runs: Vec<&[Fix]> = fixes.chunk_by(|a, b| time_s(a) <= time_s(b)).collect();
+    runs.sort_by(|a, b| first_s(a).partial_cmp(&first_s(b)).unwrap_or(Ordering::Equal));
+    let is_apart = |pair: &[&[Fix]]| pair[0].last().and_then(time_s) <= first_s(pair[1]);
+    if runs.windows(2).all(is_apart) {
+        log.fixes = runs.concat();
+    }
+}
 
 /// Keeps the longest series of fixes whose times rise, and passes over the others.
 ///
@@ -63,7 +91,24 @@ fn longest_rise(times: &[Option<f64>]) -> Vec<bool> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::fix::Position;
     use super::*;
+
+    fn sorted(times: &[f64]) -> Vec<f64> {
+        let position = Position { longitude_deg: 1.0, latitude_deg: 1.0, resolution_deg: 1e-6 };
+        let fixes = times.iter().map(|time| Fix { clock_s: Some(*time), ..Fix::at(1, position) }).collect();
+        let mut log = Log { fixes, ..Log::default() };
+        sort_by_time(&mut log);
+        log.fixes.iter().map(|fix| fix.clock_s.unwrap()).collect()
+    }
+
+    #[test]
+    fn whole_tracks_are_sorted_and_wrong_times_are_not() {
+        assert_eq!(sorted(&[4.0, 3.0, 2.0, 2.0, 1.0]), [1.0, 2.0, 2.0, 3.0, 4.0]);
+        assert_eq!(sorted(&[7.0, 8.0, 9.0, 4.0, 5.0, 1.0, 2.0]), [1.0, 2.0, 4.0, 5.0, 7.0, 8.0, 9.0]);
+        assert_eq!(sorted(&[1.0, 2.0, 900.0, 3.0, 4.0]), [1.0, 2.0, 900.0, 3.0, 4.0]);
+        assert_eq!(sorted(&[]), [0.0; 0]);
+    }
 
     fn kept(times: &[f64]) -> Vec<f64> {
         let times: Vec<Option<f64>> = times.iter().copied().map(Some).collect();

@@ -66,8 +66,8 @@ fn fix(bytes: &[u8], line: usize) -> Result<Fix, String> {
     // Many cameras write blocks with a flaw somewhere: the readable fields count.
     let exif = exif.or_else(|error| error.distill_partial_result(|_| {}));
     let exif = exif.map_err(|error| format!("no readable EXIF data ({error})"))?;
-    let (longitude_deg, fine) = angle(&exif, Tag::GPSLongitude, Tag::GPSLongitudeRef).ok_or("no GPS position")?;
-    let (latitude_deg, also) = angle(&exif, Tag::GPSLatitude, Tag::GPSLatitudeRef).ok_or("no GPS position")?;
+    let (longitude_deg, fine) = angle(&exif, Tag::GPSLongitude, Tag::GPSLongitudeRef).ok_or_else(|| missing(bytes))?;
+    let (latitude_deg, also) = angle(&exif, Tag::GPSLatitude, Tag::GPSLatitudeRef).ok_or_else(|| missing(bytes))?;
     let position = coordinate::checked(Position { longitude_deg, latitude_deg, resolution_deg: fine.max(also) })?;
     let receiver = match exif.get_field(Tag::GPSDifferential, In::PRIMARY).and_then(|field| field.value.get_uint(0)) {
         Some(1) => Receiver::Differential,
@@ -83,6 +83,16 @@ fn fix(bytes: &[u8], line: usize) -> Result<Fix, String> {
         horizontal_std_m: stated.map_or(fix.horizontal_std_m, |error| error / std::f64::consts::SQRT_2),
         ..fix
     })
+}
+
+/// Reason for no position in the EXIF data: some programs and drones write it as XMP alone.
+fn missing(bytes: &[u8]) -> String {
+    // XMP is in the first segments.
+    const HEAD: usize = 1 << 18;
+    let mut names = bytes[..bytes.len().min(HEAD)].windows(b"GPSLatitude".len());
+    let is_in_xmp = names.any(|name| name.eq_ignore_ascii_case(b"GPSLatitude"));
+    let xmp = ", but one in XMP; copy it into the EXIF data (exiftool's xmp2gps.args)";
+    format!("no GPS position{}", if is_in_xmp { xmp } else { "" })
 }
 
 fn rationals(exif: &Exif, tag: Tag) -> Option<&[Rational]> {
@@ -198,6 +208,8 @@ mod tests {
         let reason = |bytes: &[u8]| read_one(bytes).passed_over.remove(0).reason;
         assert!(reason(&photograph(&position()[..2])).contains("no GPS position"));
         assert!(reason(b"II*\0").contains("no readable EXIF"));
+        let in_xmp = [photograph(&position()[..2]), b"<x drone-dji:GpsLatitude='1'/>".to_vec()].concat();
+        assert!(reason(&in_xmp).contains("xmp2gps"));
         let mut damaged = position();
         damaged[1] = (Tag::GPSLatitude, rational(&[(46, 0)]));
         assert!(reason(&photograph(&damaged)).contains("no GPS position"));

@@ -1,5 +1,6 @@
 //! A file of any format as a log.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -9,7 +10,7 @@ use super::fix::{ClockKind, Log, Room};
 use super::gpmf::{self, Payload};
 use super::srt::{self, Subtitle};
 use super::text::decode;
-use super::{Kind, csv, dji, gpx, nmea, order, photographs};
+use super::{Kind, ardupilot, csv, dji, foreign, gpx, igc, kml, nmea, order, photographs};
 use crate::memory::MemoryLimit;
 
 /// Reads a file; of a folder its photographs, in order of their names.
@@ -43,11 +44,14 @@ fn parse(bytes: &[u8], path: &Path, limit: MemoryLimit) -> Result<Log, Telemetry
     if bytes.iter().all(u8::is_ascii_whitespace) {
         return Err(TelemetryError::Empty { path: path.to_path_buf() });
     }
-    let kind = Kind::of(bytes).ok_or_else(|| TelemetryError::Unknown { path: path.to_path_buf() })?;
+    let kind = Kind::of(bytes).ok_or_else(|| unreadable(bytes, path))?;
     let empty = Log { room: Room::within(limit), ..Log::default() };
     let log = match kind {
         Kind::Dji => subtitles(&decode(bytes), empty),
         Kind::Gpx => gpx::read(&decode(bytes), empty),
+        Kind::Kml => kml::read(&decode(bytes), empty),
+        Kind::Igc => igc::read(&decode(bytes), empty),
+        Kind::ArduPilot => ardupilot::read(&decode(bytes), empty),
         Kind::Nmea => nmea::read(&decode(bytes), empty),
         Kind::Csv => csv::read(&decode(bytes), path, empty)?,
         Kind::Photograph => photographs::read_one(bytes),
@@ -82,6 +86,17 @@ pub fn read_gpmf(
     in_order(gpmf::read(payloads, settings, empty), Kind::Gpmf, path)
 }
 
+/// Refuses a file of no known format; of some the converter is known.
+fn unreadable(bytes: &[u8], path: &Path) -> TelemetryError {
+    // The formats are recognized by their beginning.
+    let head = &bytes[..bytes.len().min(1 << 16)];
+    let path = path.to_path_buf();
+    match foreign::recognize(head, &decode(head)) {
+        Some(format) => TelemetryError::Foreign { path, what: format.name, cure: format.cure },
+        None => TelemetryError::Unknown { path },
+    }
+}
+
 fn subtitles(text: &str, empty: Log) -> Log {
     let mut log = empty;
     srt::blocks(text, |block| match block {
@@ -113,13 +128,29 @@ fn in_order(mut log: Log, kind: Kind, path: &Path) -> Result<Log, TelemetryError
         return Err(TelemetryError::TooMany { path: path.to_path_buf(), most: log.room.most });
     }
     log.room = Room::default();
-    order::keep_rising(&mut log);
+    share_resolution(&mut log);
+    if !log.is_by_name() {
+        order::sort_by_time(&mut log);
+        order::keep_rising(&mut log);
+    }
     log.passed_over.sort_by_key(|passed| passed.line);
     if log.fixes.is_empty() {
         let first = log.passed_over.first().map(ToString::to_string);
         return Err(TelemetryError::NoFix { path: path.to_path_buf(), what: kind.name().to_owned(), first });
     }
     Ok(log)
+}
+
+/// Gives all fixes of a dialect the finest resolution of any: programs that write numbers drop zeros at their end.
+fn share_resolution(log: &mut Log) {
+    let mut finest: BTreeMap<&str, f64> = BTreeMap::new();
+    for fix in &log.fixes {
+        let least = finest.entry(fix.dialect).or_insert(fix.resolution_deg);
+        *least = least.min(fix.resolution_deg);
+    }
+    for fix in &mut log.fixes {
+        fix.resolution_deg = finest.get(fix.dialect).copied().unwrap_or(fix.resolution_deg);
+    }
 }
 
 fn photographs_in(folder: &Path) -> Result<Vec<PathBuf>, TelemetryError> {

@@ -1,4 +1,5 @@
-//! SubRip: blocks of a number, a time and lines of text, with empty lines between them.
+//! SubRip: blocks of a number, a time and lines of text, with empty lines between them. Besides, the entries of
+//! SubStation Alpha, one in a line: `Dialogue: 0,0:00:00.00,0:00:01.00,Default,,0,0,0,,text\Ntext`.
 
 use super::text::check_length;
 use super::time::subtitle_s;
@@ -21,12 +22,19 @@ const MOST_LINES: usize = 64;
 /// a second line with times. Of lines that are too long, `take` gets the number and the reason.
 pub(super) fn blocks<'a>(text: &'a str, mut take: impl FnMut(Result<Subtitle<'a>, (usize, String)>)) {
     let mut block = Subtitle { line: 1, start_s: None, lines: Vec::new() };
-    for (line, content) in (1..).zip(text.lines()) {
+    // Of SubStation Alpha the entries alone count.
+    let is_alpha = text.trim_start().starts_with("[Script Info]");
+    let wanted = |(_, content): &(usize, &str)| !is_alpha || content.trim_start().starts_with("Dialogue:");
+    for (line, content) in (1..).zip(text.lines()).filter(wanted) {
         if let Err(reason) = check_length(content) {
             take(Err((line, reason)));
             continue;
         }
         let content = content.trim();
+        if let Some(entry) = content.strip_prefix("Dialogue:").and_then(|fields| dialogue(fields, line)) {
+            take(Ok(entry));
+            continue;
+        }
         let start_s = content.split_once("-->").and_then(|(start, _)| subtitle_s(start));
         let is_next = content.is_empty() || (start_s.is_some() && block.start_s.is_some());
         if is_next {
@@ -40,6 +48,15 @@ pub(super) fn blocks<'a>(text: &'a str, mut take: impl FnMut(Result<Subtitle<'a>
         }
     }
     finish(&mut block).into_iter().for_each(|whole| take(Ok(whole)));
+}
+
+/// An entry of SubStation Alpha.
+fn dialogue(fields: &str, line: usize) -> Option<Subtitle<'_>> {
+    // Layer, start, end, style, name, three margins, effect, text.
+    let mut fields = fields.splitn(10, ',');
+    let start_s = subtitle_s(fields.nth(1)?);
+    let lines = fields.nth(7)?.split("\\N").map(str::trim).take(MOST_LINES).collect();
+    Some(Subtitle { line, start_s, lines })
 }
 
 /// Returns true if a line is the number before a block's times.
@@ -72,6 +89,13 @@ mod tests {
         let expected = [(3, Some(0.0), vec!["a", "b"]), (9, Some(1.5), vec!["c"]), (12, None, vec!["d"])];
         let found: Vec<_> = found.into_iter().map(|block| (block.line, block.start_s, block.lines)).collect();
         assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn entries_of_one_line_have_times_and_lines() {
+        let found =
+            all("[Script Info]\nFormat: Layer, Start\nDialogue: 0,0:00:01.50,0:00:02.00,Default,,0,0,0,,a,b \\N c\n");
+        assert_eq!(found, [Subtitle { line: 3, start_s: Some(1.5), lines: vec!["a,b", "c"] }]);
     }
 
     #[test]

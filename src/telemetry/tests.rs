@@ -10,7 +10,7 @@ use super::*;
 use crate::memory::MemoryLimit;
 
 /// One file of each format, written by hand.
-const SEEDS: [&str; 8] = [
+const SEEDS: [&str; 14] = [
     "1\n00:00:00,000 --> 00:00:00,033\n<font size=\"36\">SrtCnt : 1, DiffTime : 33ms\n2022-08-07 13:40:40,774,808\n\
      [iso : 100] [latitude: 41.424724] [longitude: 2.234156] [altitude: 117.0] </font>\n\n2\n00:00:00,033 --> \
      00:00:00,066\n2022-08-07 13:40:40,808,164\n[latitude: 41.424725] [longitude: 2.234147] [rel_alt: 1.0 \
@@ -28,6 +28,16 @@ const SEEDS: [&str; 8] = [
      084.4,230394,003.1,W\n",
     "time_s,latitude,longitude,altitude [ft],speed(km/h)\n0.0,48.5,9.25,1000,36\n1.0,48.5001,9.25,1001,37\n",
     "timestamp;lat;lon;\"height_m\"\n2022-08-07T13:40:40Z;48\u{b0}30'0\"N;9.25E;3\n",
+    "<kml><gx:Track><altitudeMode>absolute</altitudeMode><when>2024-05-04T13:05:06Z</when><when>2024-05-04T13:05:07Z\
+     </when><gx:coord>-34.5 12.2 5</gx:coord><gx:coord>-34.6 12.3 6</gx:coord></gx:Track></kml>",
+    "AXXXABC\r\nHFDTE160701\r\nB1101355206343N00006198WA0058700558\r\nB1101365206343N00006199WA0058700558\r\n",
+    "FMT, 130, 50, GPS, QBIHBcLLeff, TimeUS,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd\nGPS, 1, 3, 565524000, 2312, \
+     12, 0.9, 12.3, -34.5, 220.5, 9.1\n",
+    "[Script Info]\nDialogue: 0,0:00:00.00,0:00:01.00,Default,,0,0,0,,HOME(-34.5, 12.3) 2024.5.4 13:05:06\\NGPS(W: \
+     -34.5, N: 12.3, 100) ReH:20 \\NISO:100\n",
+    "EPSG:4326\n000000.jpg -34.567 12.345 220.0 34.4 -45.0 0.0 1.5 3.0\n000001.jpg -34.568 12.346 220.5\n",
+    "sep=,\nCUSTOM.date [local],CUSTOM.updateTime [local],OSD.flyTime,OSD.flyTime [s],OSD.latitude,OSD.longitude,\
+     OSD.height [ft]\n5/4/2024,1:05:06.00 PM,0m 0.0s,0.0,12.345,-34.567,65.6\n",
 ];
 
 fn read_text(bytes: &[u8]) -> Result<Log, TelemetryError> {
@@ -52,7 +62,7 @@ fn check(log: &Log) {
 
 #[test]
 fn every_seed_is_understood() {
-    for (seed, expected) in SEEDS.iter().zip([2, 2, 1, 1, 2, 1, 2, 1]) {
+    for (seed, expected) in SEEDS.iter().zip([2, 2, 1, 1, 2, 1, 2, 1, 2, 2, 1, 1, 2, 1]) {
         let log = read_text(seed.as_bytes()).unwrap();
         check(&log);
         assert_eq!((log.fixes.len(), log.num_passed_over), (expected, 0), "{seed}: {log:?}");
@@ -84,6 +94,18 @@ fn a_file_cut_anywhere_is_used_as_far_as_it_goes() {
 }
 
 #[test]
+fn logs_of_other_programs_are_refused_with_the_converter() {
+    let said = |bytes: &[u8]| read_text(bytes).unwrap_err().to_string();
+    assert!(said(b"\x0e\x10\x43\x08\0\0\0\0.FIT\0\0").contains("gpsbabel -i garmin_fit"));
+    assert!(said(b"<?xml?><TrainingCenterDatabase/>").contains("gpsbabel -i gtrnctr"));
+    assert!(said(b"$PMGNTRK,4322.061,N,07948.473,W,00116,M,173949,A,,020602*67\n").contains("gpsbabel -i magellan"));
+    assert!(said(b"PK\x03\x04doc.kml").contains("unpack"));
+    assert!(said(b"ULog\x01\x12\x35\x01").contains("ulog2csv"));
+    assert!(said(&[0xa3, 0x95, 0x80, 0x80]).contains("mavlogdump.py"));
+    assert!(said(b"EPSG:32632\na.jpg 500000.0 5200000.0 100\n").contains("gdaltransform"));
+}
+
+#[test]
 fn what_is_no_telemetry_is_refused_with_a_cure() {
     let said = |bytes: &[u8]| read_text(bytes).unwrap_err().to_string();
     assert!(said(b"").contains("empty") && said(b" \r\n\n").contains("empty"));
@@ -94,6 +116,17 @@ fn what_is_no_telemetry_is_refused_with_a_cure() {
     assert!(said(b"lat,lon\n0,0\n").contains("line 2: position (0, 0)"));
     assert!(said(&[0xff, 0xd8, 0xff, 0xe1]).contains("photograph"));
     assert!(read(Path::new("no such file")).unwrap_err().to_string().contains("no such file"));
+}
+
+#[test]
+fn tracks_in_another_order_are_sorted_and_zeros_at_the_end_of_numbers_count() {
+    let point = |second: usize, longitude: &str| {
+        format!("<trkpt lat='4.5' lon='{longitude}'><time>2024-05-04T13:05:{second:02}Z</time></trkpt>")
+    };
+    let newest_first = [point(9, "9.123456"), point(8, "9.12"), point(7, "9.123455")].concat();
+    let log = read_text(format!("<gpx>{newest_first}</gpx>").as_bytes()).unwrap();
+    assert_eq!(log.fixes.iter().map(|fix| fix.clock_s.unwrap() % 60.0).collect::<Vec<_>>(), [7.0, 8.0, 9.0]);
+    assert!(log.fixes.iter().all(|fix| (fix.resolution_deg - 1e-6).abs() < 1e-12), "{log:?}");
 }
 
 #[test]

@@ -51,11 +51,34 @@ pub(super) fn leading_number(text: &str) -> Option<(f64, &str)> {
     Some((number(&text[..end])?, &text[end..]))
 }
 
-/// Value of the last digit of a decimal number: 0.001 of “-12.345”.
+/// Value of the last digit of a decimal number: 0.001 of “-12.345” and of “-1.2345e1”.
 pub(super) fn resolution(text: &str) -> f64 {
-    let digits = text.trim().split_once('.').map_or("", |(_, digits)| digits);
-    let count = digits.bytes().take_while(u8::is_ascii_digit).count().min(15);
-    10f64.powi(-(count as i32))
+    let (mantissa, exponent) = text.trim().split_once(['e', 'E']).unwrap_or((text.trim(), "0"));
+    let digits = mantissa.split_once('.').map_or("", |(_, digits)| digits);
+    let count = digits.bytes().take_while(u8::is_ascii_digit).count() as i32;
+    10f64.powi((exponent.parse::<i32>().unwrap_or(0).clamp(-15, 15) - count).clamp(-15, 15))
+}
+
+/// Line numbers of positions that only rise.
+pub(super) struct LineCounter<'a> {
+    text: &'a [u8],
+    at: usize,
+    line: usize,
+}
+
+impl<'a> LineCounter<'a> {
+    pub(super) fn new(text: &'a str) -> Self {
+        Self { text: text.as_bytes(), at: 0, line: 1 }
+    }
+
+    pub(super) fn at(&mut self, position: u64) -> usize {
+        let end = usize::try_from(position).unwrap_or(usize::MAX).min(self.text.len());
+        if end > self.at {
+            self.line += self.text[self.at..end].iter().filter(|&&byte| byte == b'\n').count();
+            self.at = end;
+        }
+        self.line
+    }
 }
 
 #[cfg(test)]
@@ -77,7 +100,7 @@ mod tests {
         assert_eq!(leading_number("1.2.3"), None);
         assert_eq!((number("NaN"), number("inf"), number("1e999")), (None, None, None));
         assert!((resolution("-12.345") - 1e-3).abs() < 1e-15);
-        assert_eq!((resolution("7"), resolution("7.00x")), (1.0, 0.01));
+        assert_eq!((resolution("7"), resolution("7.00x"), resolution("1.2345e+01")), (1.0, 0.01, 1e-3));
     }
 
     #[test]

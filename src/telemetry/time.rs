@@ -67,6 +67,45 @@ pub(super) fn iso_s(text: &str) -> Option<(f64, bool)> {
     Some((spelled_s(text)?, false))
 }
 
+/// As [`iso_s`], of the spellings in tables, too: a zone in letters (`2024-05-04 13:05:06 UTC`), slashes
+/// (`05/04/2024`, month first unless it cannot be one), hours up to twelve (`1:05:06.00 PM`).
+pub(super) fn spelled_in_table_s(text: &str) -> Option<(f64, bool)> {
+    let text = text.trim();
+    let without_zone = ["UTC", "GMT"].into_iter().find_map(|zone| text.strip_suffix(zone)).map(str::trim_end);
+    let civil = without_zone.unwrap_or(text);
+    // Other spellings end with the seconds.
+    let is_half = civil.ends_with(['m', 'M']);
+    let iso = if is_half { None } else { iso_s(civil) };
+    let (clock_s, stated) = iso.or_else(|| Some((with_slashes_s(civil)?, false)))?;
+    Some((clock_s, stated || without_zone.is_some()))
+}
+
+fn with_slashes_s(text: &str) -> Option<f64> {
+    let (date, time) = text.split_once([' ', 'T'])?;
+    let parts: Vec<u32> = date.split(['/', '-', '.']).map(|part| part.parse().ok()).collect::<Option<_>>()?;
+    let [first, second, third] = parts[..] else { return None };
+    let (year, month, day) = match (first > 31, first > 12) {
+        (true, _) => (first, second, third),
+        (false, true) => (third, second, first),
+        (false, false) => (third, first, second),
+    };
+    let (time, half) = match time.trim().rsplit_once(' ') {
+        Some((time, half)) => (time, half.to_ascii_uppercase()),
+        None => (time.trim(), String::new()),
+    };
+    let mut parts = time.splitn(3, ':');
+    let (hour, minute): (u32, u32) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
+    let second = number(parts.next().unwrap_or("0"))?;
+    let hour = match half.as_str() {
+        "" => hour,
+        "AM" => hour % 12,
+        "PM" => hour % 12 + 12,
+        _ => return None,
+    };
+    let is_second = (0.0..61.0).contains(&second);
+    civil_s([year, month, day, hour, minute, second as u32], second.fract()).filter(|_| is_second)
+}
+
 /// Seconds after 1970-01-01T00:00:00 of an ISO 8601 time.
 pub fn clock_s(text: &str) -> Option<f64> {
     iso_s(text).map(|(clock_s, _)| clock_s)
@@ -112,6 +151,20 @@ mod tests {
         assert_eq!(iso_s("2022-08-07T15:40:40+02:00"), Some((AUGUST_S, true)));
         assert_eq!(iso_s("2022-08-07 13:40:40"), Some((AUGUST_S, false)));
         assert_eq!(spelled(AUGUST_S + 0.774).unwrap(), "2022-08-07T13:40:40.774");
+    }
+
+    #[test]
+    fn tables_write_zones_slashes_and_halves_of_the_day() {
+        let noon = AUGUST_S - 40.0;
+        assert_eq!(spelled_in_table_s("2022-08-07 13:40:00.5 UTC"), Some((noon + 0.5, true)));
+        assert_eq!(spelled_in_table_s("2022-08-07T13:40:00Z"), Some((noon, true)));
+        for text in ["08/07/2022 13:40", "8/7/2022 1:40:00.00 PM", "2022/8/7 01:40:00 pm"] {
+            assert_eq!(spelled_in_table_s(text), Some((noon, false)), "{text}");
+        }
+        assert_eq!(spelled_in_table_s("25/12/2022 12:00:00 AM"), spelled_in_table_s("2022-12-25 00:00:00"));
+        for text in ["UTC", "8/7/2022", "8/7 13:40", "1/2/3/4 13:40", "8/7/2022 13:40 XM", "8/7/2022 13:40:77", ""] {
+            assert_eq!(spelled_in_table_s(text), None, "{text}");
+        }
     }
 
     #[test]

@@ -113,7 +113,13 @@ fn pose_prior() {
     for angle in [0.0, 1e-6, 0.4, 2.0] {
         let near =
             Rigid3::new(UnitQuaternion::from_scaled_axis(Vector3::new(0.2, 1.0, -0.5) * angle), Vector3::zeros());
-        let prior = PosePrior { pose: 0, cam_from_world: near * pose(), sigma_rotation: 0.3, sigma_center: 0.7 };
+        let prior = PosePrior {
+            pose: 0,
+            cam_from_world: near * pose(),
+            sigma_rotation: 0.3,
+            sigma_center: Vector3::new(0.7, 0.5, 0.9),
+            loss: RobustLoss::Squared,
+        };
         let (rotation, center) = priors::pose_jacobians(&prior, &pose());
         let moved = |d: &[f64; 6]| {
             let (r, c) = priors::pose_residual(&prior, &perturb(&pose(), d));
@@ -168,7 +174,13 @@ fn the_gradient_is_that_of_the_cost() {
         let (truth, mut problem) =
             disturbed(&options, |camera| CameraBlock { camera, free: [true; 6], tie_focal: false });
         let known = truth.images.values().next().unwrap().cam_from_world;
-        problem.priors.poses.push(PosePrior { pose: 1, cam_from_world: known, sigma_rotation: 0.1, sigma_center: 0.2 });
+        problem.priors.poses.push(PosePrior {
+            pose: 1,
+            cam_from_world: known,
+            sigma_rotation: 0.1,
+            sigma_center: Vector3::repeat(0.2),
+            loss: RobustLoss::Cauchy { scale: 2.0 },
+        });
         let (values, sigma) = ([790.0, 810.0, 470.0, 280.0, 0.1, 0.0], [5.0, 6.0, 3.0, f64::INFINITY, 0.2, 0.1]);
         problem.priors.intrinsics.push(IntrinsicsPrior { camera: 0, values, sigma });
         problem.priors.planes.push(plane_through(Point3::new(0.3, -0.2, 0.5)));

@@ -94,7 +94,9 @@ impl<'a> Scene<'a> {
     }
 
     fn add_background(&mut self) {
-        let points: Vec<_> = self.results.background.points.values().collect();
+        let all: Vec<_> = self.results.background.points.values().collect();
+        let near = near_points(&all.iter().map(|point| point.position).collect::<Vec<_>>());
+        let points: Vec<_> = near.into_iter().map(|index| all[index]).collect();
         let places: Vec<_> = points.iter().map(|point| self.scene_from_world * point.position).collect();
         let colours: Vec<_> = points.iter().map(|point| point.rgb).collect();
         if let Some(cloud) = self.cloud(&places, &colours) {
@@ -144,7 +146,10 @@ impl<'a> Scene<'a> {
         let mut primitives = Vec::new();
         if let Some(model) = model {
             let points: Vec<_> = model.points.values().map(|point| point.position).collect();
+            let near = near_points(&points);
             let colours: Vec<_> = model.points.values().map(|point| point.rgb).collect();
+            let colours: Vec<_> = near.iter().map(|index| colours[*index]).collect();
+            let points: Vec<_> = near.into_iter().map(|index| points[index]).collect();
             primitives.extend(self.cloud(&points, &colours));
             let edges = vehicle::box_edges(&points, &scene_from_object);
             primitives.extend(edges.map(|edges| self.lines(&edges, Mode::Lines, colour)));
@@ -286,6 +291,22 @@ impl<'a> Scene<'a> {
         let middle = crate::math::median(distances.collect()).unwrap_or(1.0);
         (NEAR * middle * self.scene_from_world.scale).max(f64::from(f32::MIN_POSITIVE))
     }
+}
+
+/// Points beyond so many times the distance within which [`NEAR_SHARE`] of them lie are outliers: views of the whole
+/// scene, which programs open with, would show a dot.
+const NEAR_FACTOR: f64 = 3.0;
+const NEAR_SHARE: f64 = 0.95;
+
+/// Indices of the points that are no outliers, by their distance from the median point.
+fn near_points(points: &[Point3<f64>]) -> Vec<usize> {
+    let middle = |axis: usize| crate::math::median(points.iter().map(|point| point[axis]).collect()).unwrap_or(0.0);
+    let center = Point3::new(middle(0), middle(1), middle(2));
+    let distances: Vec<f64> = points.iter().map(|point| (point - center).norm()).collect();
+    let mut sorted = distances.clone();
+    sorted.sort_by(f64::total_cmp);
+    let limit = sorted.get((NEAR_SHARE * points.len() as f64) as usize).map_or(0.0, |near| NEAR_FACTOR * near);
+    (0..points.len()).filter(|&index| distances[index] <= limit).collect()
 }
 
 /// Metres, y up; without metres the background's frame, turned so that the mean normal of the ground, or else the mean

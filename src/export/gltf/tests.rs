@@ -63,3 +63,22 @@ fn what_is_not_there_is_left_out() {
     assert!(document.get("animations").is_none() && document.get("cameras").is_none());
     assert_eq!(document["nodes"].as_array().unwrap().len(), 1);
 }
+
+#[test]
+fn outliers_do_not_blow_up_the_scene() {
+    let found = showcase(12, 1);
+    let mut results = results_of(&found);
+    let extent = |results: &_| {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.glb");
+        write(&path, results, &models_of(&found)).unwrap();
+        let (document, _) = read(&path);
+        let places = document["accessors"].as_array().unwrap().iter().flat_map(|accessor| accessor["max"].as_array());
+        places.flatten().filter_map(Value::as_f64).fold(0.0, f64::max)
+    };
+    let before = extent(&results);
+    if let Some(point) = results.background.points.values_mut().next() {
+        point.position *= 1e5;
+    }
+    assert!(extent(&results) <= before);
+}

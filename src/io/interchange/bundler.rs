@@ -10,8 +10,9 @@
 //!
 //! p' has its origin in the middle of the picture. So y and z of the camera change their sign here, k₁ and k₂ are those
 //! of this program, and a pixel is (w/2 + x, h/2 − y). Neither names nor sizes of pictures are in the file. Names are
-//! read from `list.txt` or `NAME.list.txt` next to it, one line per camera, and written to `list.txt`; without it they
-//! are six-digit numbers from 0. Sizes are those of the pictures where these lie next to the file, else the smallest
+//! read from `list.txt`, `NAME.list.txt` or the only other list next to it (`imagelist.lst`), one line per camera, and
+//! written to `list.txt`; without it they are six-digit numbers from 0 ([`has_names`]). Of absolute paths the file name
+//! is taken. Sizes are those of the pictures where these lie next to the file, else the smallest
 //! even ones that hold all features. A camera with f = 0 is not registered.
 //!
 //! Written are pinholes with one focal length and k₁, k₂. Positions are relative to the principal point, as in the
@@ -95,7 +96,7 @@ fn add_camera(words: &mut Words<'_>, index: u32, name: String, model: &mut Recon
 
 /// The names of the list next to the file; none without one. Bundler writes `name 0 focal`, others the name alone.
 fn names(path: &Path) -> Result<Vec<String>, IoError> {
-    let Some(list) = lists(path).into_iter().find(|list| list.is_file()) else { return Ok(Vec::new()) };
+    let Some(list) = lists(path).into_iter().next() else { return Ok(Vec::new()) };
     let text = Text::read_file(&list)?;
     let name = |line: &str| {
         let mut fields = line.rsplitn(3, ' ');
@@ -105,13 +106,35 @@ fn names(path: &Path) -> Result<Vec<String>, IoError> {
             _ => line.to_owned(),
         }
     };
-    Ok(text.records().map(|(_, line)| name(line)).collect())
+    Ok(text.records().map(|(_, line)| relative(name(line))).collect())
 }
 
-/// Where the list of the pictures may lie, in the order in which it is looked for.
-pub(super) fn lists(path: &Path) -> [PathBuf; 2] {
+/// A relative name as it is; of an absolute path, of any system, the file name.
+fn relative(name: String) -> String {
+    let is_absolute = name.starts_with(['/', '\\']) || name.get(1..3) == Some(":\\");
+    if is_absolute { name.rsplit(['/', '\\']).next().unwrap_or_default().to_owned() } else { name }
+}
+
+/// The list of the pictures next to a file, if there is one: of the usual names, or the only one of another name.
+pub(super) fn lists(path: &Path) -> Vec<PathBuf> {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    ["list.txt".to_owned(), format!("{stem}.list.txt")].map(|name| path.with_file_name(name))
+    let usual = ["list.txt".to_owned(), format!("{stem}.list.txt")].map(|name| path.with_file_name(name));
+    if let Some(list) = usual.into_iter().find(|list| list.is_file()) {
+        return vec![list];
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let is_list = |file: &PathBuf| {
+        let name = file.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+        name.ends_with(".lst") || (name.ends_with(".txt") && name.contains("list"))
+    };
+    let others: Vec<PathBuf> = entries.filter(|file| is_list(file) && file.is_file()).collect();
+    if others.len() == 1 { others } else { Vec::new() }
+}
+
+/// True if images have the names of a list, not invented ones.
+pub fn has_names(path: &Path) -> bool {
+    !lists(path).is_empty()
 }
 
 /// The files that are written: the model and the list of its pictures.

@@ -1,15 +1,17 @@
-//! Camera paths without pictures: TUM's and KITTI's text files, read as sides of a comparison.
+//! Camera paths without pictures: text files of TUM, EuRoC and KITTI, read as sides of a comparison.
 //!
-//! Both hold `world_from_camera`, with this program's camera axes.
+//! All hold `world_from_camera`, with this program's camera axes (EuRoC: of the body).
 //!
 //! * TUM (J. Sturm et al., *A Benchmark for the Evaluation of RGB-D SLAM Systems*, IROS 2012; its "File Formats" page):
 //!   per line the time, the position, and the quaternion with its scalar *last*: `t tx ty tz qx qy qz qw`.
+//! * EuRoC (M. Burri et al., *The EuRoC Micro Aerial Vehicle Datasets*, IJRR 2016): per line, separated by commas, the
+//!   time in nanoseconds, the position, and the quaternion with its scalar *first*; further columns are ignored.
 //! * KITTI (A. Geiger et al., *Are we ready for Autonomous Driving?*, CVPR 2012; odometry development kit): per line
 //!   the upper 3 × 4 of the matrix, row by row.
 //!
-//! There are no names. An image is called what the file says of it: its time as it is written, or for KITTI its line
-//! from 0 with six digits, as that benchmark's pictures are called. Nothing is known of a lens, so nothing can be
-//! projected.
+//! There are no names. An image is called by its time in seconds ([`time_of`]), whatever unit the file has, or for
+//! KITTI by its line from 0 with six digits, as that benchmark's pictures are called. Nothing is known of a lens, so
+//! nothing can be projected.
 
 use std::path::Path;
 
@@ -24,17 +26,35 @@ use crate::scene::{CameraForm, CameraId, Image, ImageId, Reconstruction};
 
 const CAMERA: CameraId = CameraId(1);
 
-/// Reads a path in TUM's form.
+/// Reads a path in TUM's or EuRoC's form.
 ///
 /// # Errors
 /// A missing file, or a line that is not of eight numbers, or whose quaternion is no rotation.
 pub fn read_tum(path: &Path) -> Result<Reconstruction, IoError> {
-    read(path, |_, fields, values: &[f64; 8]| {
-        let [_, x, y, z, qx, qy, qz, qw] = *values;
-        let quaternion = Quaternion::new(qw, qx, qy, qz);
+    let is_euroc = Text::read_file(path)?.records().next().is_some_and(|(_, first)| first.contains(','));
+    read(path, |_, values: &[f64; 8]| {
+        let [time, x, y, z, a, b, c, d] = *values;
+        let quaternion = if is_euroc { Quaternion::new(a, b, c, d) } else { Quaternion::new(d, a, b, c) };
         let rotation = unit_quaternion(quaternion)?;
-        Some((fields[0].to_owned(), rotation, Point3::new(x, y, z)))
+        Some((name_of(in_seconds(time)), rotation, Point3::new(x, y, z)))
     })
+}
+
+/// Clocks that count smaller units after 1970 than seconds, by magnitude: least value and unit.
+const CLOCKS: [(f64, f64); 3] = [(1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)];
+
+fn in_seconds(time: f64) -> f64 {
+    CLOCKS.iter().find(|(least, _)| time >= *least).map_or(time, |(_, unit)| time * unit)
+}
+
+/// Name of an image by its time: seconds, to a microsecond, which is what a number of this size can hold.
+pub fn name_of(time_s: f64) -> String {
+    format!("{time_s:.6}")
+}
+
+/// Time in seconds of an image of a path in TUM's or EuRoC's form.
+pub fn time_of(image: &Image) -> Option<f64> {
+    image.name.parse().ok()
 }
 
 /// Reads a path in KITTI's form.
@@ -42,7 +62,7 @@ pub fn read_tum(path: &Path) -> Result<Reconstruction, IoError> {
 /// # Errors
 /// A missing file, or a line that is not of twelve numbers, or whose matrix is no rigid motion.
 pub fn read_kitti(path: &Path) -> Result<Reconstruction, IoError> {
-    read(path, |index, _, v: &[f64; 12]| {
+    read(path, |index, v: &[f64; 12]| {
         let matrix = Matrix3::new(v[0], v[1], v[2], v[4], v[5], v[6], v[8], v[9], v[10]);
         // KITTI's own files have six digits, and matrices that are rotations to as many.
         let rotation = rotation(&matrix)?;
@@ -53,19 +73,23 @@ pub fn read_kitti(path: &Path) -> Result<Reconstruction, IoError> {
 /// Reads lines of `N` numbers, each of which `pose` turns into a name, `world_from_camera`'s rotation, and a centre.
 fn read<const N: usize>(
     path: &Path,
-    pose: impl Fn(u32, &[&str], &[f64; N]) -> Option<(String, UnitQuaternion<f64>, Point3<f64>)>,
+    pose: impl Fn(u32, &[f64; N]) -> Option<(String, UnitQuaternion<f64>, Point3<f64>)>,
 ) -> Result<Reconstruction, IoError> {
     let text = Text::read_file(path)?;
     let mut model = Reconstruction::default();
     for (index, (line, record)) in (0..).zip(text.records()) {
-        let fields: Vec<&str> = record.split_whitespace().collect();
-        let values: Vec<f64> =
-            fields.iter().filter_map(|word| word.parse().ok()).filter(|value: &f64| value.is_finite()).collect();
+        let fields = record.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
+        let values: Vec<f64> = match record.contains(',') {
+            // EuRoC's truth goes on with velocities and biases.
+            true => fields.take(N).filter_map(|word| word.parse().ok()).collect(),
+            false => fields.filter_map(|word| word.parse().ok()).collect(),
+        };
+        let values: Vec<f64> = values.into_iter().filter(|value| value.is_finite()).collect();
         let Ok(values) = <[f64; N]>::try_from(values) else {
             return Err(text.error(line, "pose", format!("expected {N} finite numbers")));
         };
         let (name, rotation, center) =
-            pose(index, &fields, &values).ok_or_else(|| text.error(line, "pose", "invalid rotation"))?;
+            pose(index, &values).ok_or_else(|| text.error(line, "pose", "invalid rotation"))?;
         let cam_from_world = Rigid3::from_rotation_and_center(rotation.inverse(), center);
         let image = Image { name, camera: CAMERA, cam_from_world, observations: Vec::new() };
         model.images.insert(ImageId(index + 1), image);
@@ -97,7 +121,15 @@ mod tests {
     #[test]
     fn both_hold_the_camera_in_the_world() {
         let tum = in_file(TUM, read_tum).unwrap();
-        assert_eq!(tum.images[&ImageId(1)].name, "1305031102.1758");
+        assert_eq!(tum.images[&ImageId(1)].name, "1305031102.175800");
+        let exponents =
+            TUM.replace("1305031102.1758", "1.3050311021758e+09").replace("1305031102.2110", "1305031102211000000.0");
+        let names = |model: &Reconstruction| model.images.values().map(|image| image.name.clone()).collect::<Vec<_>>();
+        assert_eq!(names(&in_file(&exponents, read_tum).unwrap()), names(&tum));
+        let euroc = "#timestamp, p_x, p_y\n1305031102175800064,1,2,3,0.70710678,0,0,0.70710678,0.1,0.2\n";
+        let euroc = in_file(euroc, read_tum).unwrap();
+        let (a, b) = (&euroc.images[&ImageId(1)], &tum.images[&ImageId(1)]);
+        assert!((&a.name, a.cam_from_world) == (&b.name, b.cam_from_world), "{a:?} {b:?}");
         let kitti = in_file(KITTI, read_kitti).unwrap();
         assert_eq!(kitti.images[&ImageId(2)].name, "000001");
         // A quarter turn about z: the camera's x axis is the world's y axis.

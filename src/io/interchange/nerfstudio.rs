@@ -4,9 +4,10 @@
 //! `transform_matrix` is `world_from_camera` with OpenGL's camera axes, x right, y *up*, z *backwards*: its second and
 //! third columns change their sign here. Pixels are counted from the corner, as here. Where the program that made the
 //! file has moved the world it says how in `applied_transform` (3 × 4, or 4 × 4), which is undone. Intrinsics stand at
-//! the top, or with a frame. A file without `camera_model` is read as OPENCV; k₄ has a place with OPENCV_FISHEYE alone.
-//! Where `fl_x` is missing it follows from `camera_angle_x`, and a missing size from the picture, if that lies next to
-//! the file; its name may lack the ending `.png`, as in the scenes of NeRF's paper.
+//! the top, or with a frame. A file without `camera_model` is read as OPENCV, with `is_fisheye` as OPENCV_FISHEYE; k₄
+//! has a place with OPENCV_FISHEYE alone. Where `fl_x` is missing it follows from `camera_angle_x`, and a missing size
+//! from the picture, if that lies next to the file; its name may lack the ending `.png`, as in the scenes of NeRF's
+//! paper.
 //!
 //! Images get their places in the list plus one as ids, and the name `file_path`. There are no observations in the
 //! format; points are written to `sparse_pc.ply`, which `ply_file_path` names, and are not read.
@@ -17,7 +18,7 @@ use nalgebra::{Matrix3, Matrix4, Point3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::assembly::{Losses, check_finite, rotation, unsupported_camera};
-use super::ply;
+use super::{model, ply};
 use crate::camera::{Camera, HigherTerms, Model};
 use crate::io::{IoError, atomic, json};
 use crate::math::Rigid3;
@@ -50,6 +51,9 @@ struct Frame {
 struct Intrinsics {
     #[serde(skip_serializing_if = "Option::is_none")]
     camera_model: Option<String>,
+    /// instant-ngp's mark of an OPENCV_FISHEYE where `camera_model` is missing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    is_fisheye: Option<bool>,
     #[serde(skip_serializing_if = "Option::is_none")]
     camera_angle_x: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -83,6 +87,7 @@ impl Intrinsics {
     fn or(&self, top: &Self) -> Self {
         Self {
             camera_model: self.camera_model.clone().or_else(|| top.camera_model.clone()),
+            is_fisheye: self.is_fisheye.or(top.is_fisheye),
             camera_angle_x: self.camera_angle_x.or(top.camera_angle_x),
             w: self.w.or(top.w),
             h: self.h.or(top.h),
@@ -129,7 +134,8 @@ impl Intrinsics {
             let form = CameraForm::Foreign(model, params.to_vec());
             Ok((model.pinhole_part(width, height, params), Some(form)))
         };
-        match self.camera_model.as_deref().unwrap_or("OPENCV") {
+        let usual = if self.is_fisheye == Some(true) { "OPENCV_FISHEYE" } else { "OPENCV" };
+        match self.camera_model.as_deref().unwrap_or(usual) {
             "OPENCV_FISHEYE" => foreign(Model::OpenCvFisheye, &[fx, fy, cx, cy, k1, k2, k3, k4]),
             "EQUIRECTANGULAR" => foreign(Model::Equirectangular, &[f64::from(width), f64::from(height)]),
             "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" if k4 == 0.0 => {
@@ -170,6 +176,10 @@ impl Intrinsics {
 /// A missing file, JSON of another shape, intrinsics that are missing or of an unknown kind, or a matrix that is not
 /// rigid.
 pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
+    read_with(path, model::Intrinsics::Required)
+}
+
+pub(super) fn read_with(path: &Path, wanted: model::Intrinsics) -> Result<Reconstruction, IoError> {
     let document: Document = json::read_model(path, "nerfstudio's transforms.json")?;
     let world_from_moved = world_from_moved(&document.applied_transform)
         .ok_or_else(|| IoError::content(path, "applied_transform is not a rigid transform"))?;
@@ -181,7 +191,10 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
         let place = known.iter().position(|other| *other == intrinsics).unwrap_or(known.len());
         let camera = CameraId(place as u32 + 1);
         if place == known.len() {
-            let (values, form) = intrinsics.camera().map_err(problem)?;
+            let (values, form) = match intrinsics.camera() {
+                Err(_) if wanted == model::Intrinsics::Optional => (Camera::prior(1, 1), Some(CameraForm::Unknown)),
+                found => found.map_err(problem)?,
+            };
             model.cameras.insert(camera, values);
             model.camera_forms.extend(form.map(|form| (camera, form)));
             known.push(intrinsics);
@@ -321,6 +334,14 @@ mod tests {
         assert!(says("\"w\": 640,", "").contains("frame './images/a.jpg': no image size (w, h)"));
         assert!(says("\"k2\"", "\"k4\"").contains("fourth radial"));
         assert!(says("\"OPENCV\"", "\"FISHEYE624\"").contains("camera_model FISHEYE624"));
+        let sizeless = GOLDEN.replace("\"w\": 640,", "");
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("a.json"), sizeless).unwrap();
+        let poses = model::read_poses(&folder.path().join("a.json")).unwrap().0;
+        assert!(poses.images.len() == 1 && !poses.can_project(CameraId(1)));
+        let fisheye = GOLDEN.replace("\"camera_model\": \"OPENCV\"", "\"is_fisheye\": true");
+        let form = CameraForm::Foreign(Model::OpenCvFisheye, vec![500.0, 510.0, 320.0, 240.0, 0.1, 0.2, 0.0, 0.0]);
+        assert_eq!(read_text(&fisheye).unwrap().camera_forms[&CameraId(1)], form);
         assert!(says("[[1, 0, 0, 1]", "[[2, 0, 0, 1]").contains("transform_matrix is not a rigid transform"));
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("transforms.json");

@@ -7,7 +7,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 /// Time in which a receiver's bias forgets itself, seconds. Measured correlation times of single receivers go from one
 /// minute (reflections, at a moving receiver) to an hour (air); the shorter ones make fixes of a short video drift
 /// apart more, and are the careful choice.
-pub(super) const WANDER_TIME_S: f64 = 120.0;
+pub(in crate::metric) const WANDER_TIME_S: f64 = 120.0;
 
 /// Covariance of the errors of groups, factorised.
 pub(super) struct Errors {

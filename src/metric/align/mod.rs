@@ -14,7 +14,7 @@
 //! out with its deviation: a straight flight leaves the roll to the vertical, hovering leaves the scale. A log of
 //! another flight is refused: [`Refusal`].
 
-mod covariance;
+pub(super) mod covariance;
 #[cfg(test)]
 mod flights;
 mod refine;

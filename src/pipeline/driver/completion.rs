@@ -20,7 +20,7 @@ use crate::ffi::onnx;
 use crate::files;
 use crate::io::RunFolder;
 use crate::networks::default_models;
-use crate::pipeline::stages::metric;
+use crate::pipeline::inputs::telemetry;
 use crate::pipeline::{Instances, Options, PipelineError, Stage, TelemetryChoice};
 
 /// The record's file, in the folder for the run's own state.
@@ -84,7 +84,7 @@ impl Identity {
         let mut files = Vec::new();
         paths.for_each(|path| states(path, 0, &mut files));
         if options.metric.telemetry == TelemetryChoice::Auto && !input.is_dir() {
-            metric::logs_beside(input).iter().for_each(|path| states(path, 0, &mut files));
+            telemetry::beside(input).iter().for_each(|path| states(path, 0, &mut files));
         }
         Self { options: fingerprint::of_value(&of_options(options)), files: fingerprint::of_value(&files) }
     }

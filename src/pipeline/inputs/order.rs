@@ -138,7 +138,7 @@ mod tests {
         for features in [FeatureKind::Auto, FeatureKind::Sift] {
             let (background, _) = resolved(&with(features), false);
             let FrontEndOptions::Sift(sift) = &background.front_end else { panic!("photographs need SIFT") };
-            assert!(sift.pairing == Pairing::Exhaustive && !background.mapper.ordered);
+            assert!(sift.pairing == Pairing::UNORDERED && !background.mapper.ordered);
         }
     }
 }

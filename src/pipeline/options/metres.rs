@@ -17,12 +17,12 @@ pub enum TelemetryChoice {
     Auto,
     /// No telemetry.
     None,
-    /// Log file: DJI subtitles, GPX, NMEA, CSV, or a video with telemetry.
+    /// Log file: subtitles of a drone, GPX, KML, NMEA, CSV and others, or a video with telemetry.
     File(PathBuf),
 }
 
 /// Sources of the metric scale besides typical vehicle sizes; all are fused.
-#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MetricOptions {
     /// Telemetry.
@@ -47,6 +47,23 @@ pub struct MetricOptions {
     /// Known dimensions of vehicles, with standard deviation: `"1:length=4.47±0.02"`.
     #[schemars(with = "Vec<String>", extend("unit" = "metres, as text"))]
     pub known_lengths: Vec<KnownLength>,
+    /// True if positions of telemetry take part in the last adjustment of the background.
+    pub position_priors: bool,
+}
+
+impl Default for MetricOptions {
+    fn default() -> Self {
+        Self {
+            telemetry: TelemetryChoice::default(),
+            time_offset: None,
+            utc_offset: None,
+            camera_height: None,
+            camera_pitch: None,
+            scale: None,
+            known_lengths: Vec::new(),
+            position_priors: true,
+        }
+    }
 }
 
 impl MetricOptions {

@@ -1,4 +1,4 @@
-//! DJI's subtitle files: a registry of dialects, distinguished by what a block says.
+//! Subtitle files of drones, DJI's and Autel's: a registry of dialects, distinguished by what a block says.
 //!
 //! The same drone writes another dialect after an update, and one dialect is written by many drones; hence a block is
 //! asked which dialect it is, and a file may change from one to another in its middle. A new dialect is a row of
@@ -6,6 +6,7 @@
 
 mod brackets;
 mod calls;
+mod letters;
 mod words;
 
 use super::fix::{Fix, Log};
@@ -26,7 +27,8 @@ pub(super) struct Dialect {
 }
 
 /// All dialects; the first that recognises a block reads it.
-pub(super) const DIALECTS: [Dialect; 8] = [
+pub(super) const DIALECTS: [Dialect; 9] = [
+    Dialect { name: "autel", recognizes: letters::recognizes, read: letters::read },
     Dialect { name: "dji-brackets-two-heights", recognizes: brackets::has_two_heights, read: brackets::read },
     Dialect { name: "dji-brackets-altitude", recognizes: brackets::has_altitude, read: brackets::read },
     Dialect { name: "dji-brackets-no-height", recognizes: brackets::has_position, read: brackets::read },
@@ -149,6 +151,19 @@ mod tests {
         assert_eq!((dialect, place(&found)), ("dji-gps-latitude-first", (-6.112, 36.6146, None, Some(0.3))));
         let (found, dialect) = fix(&["GPS(39.5,116.25,69.800) BAROMETER(91.2) HOME(39.5,116.25)"]);
         assert_eq!((dialect, place(&found)), ("dji-gps-latitude-first", (116.25, 39.5, Some(69.8), Some(91.2))));
+    }
+
+    #[test]
+    fn letters_give_the_signs_that_numbers_lack() {
+        let found = |gps: &str| {
+            let (found, dialect) = fix(&["HOME(-34.5, 12.3) 2024.5.4 13:05:06", &format!("{gps} ReH:20 ")]);
+            assert_eq!((dialect, found.clock_s.is_some()), ("autel", true));
+            place(&found)
+        };
+        let expected = (-34.567, 12.345, None, Some(20.0));
+        assert_eq!(found("GPS(W: -34.567, N: 12.345, 100)"), expected);
+        assert_eq!(found("GPS(N: 12.345, W: 34.567, 100)"), expected);
+        assert!(reason(&["GPS(N: 12.345, N: 34.567, 100)"]).contains("longitude missing"));
     }
 
     #[test]

@@ -13,7 +13,7 @@ use crate::io::{IoError, RunFolder};
 
 /// Formats that can be read, in words.
 const READABLE: &str = "a COLMAP folder, an output folder, OpenMVG's sfm_data.json, OpenSfM's reconstruction.json, \
-                        nerfstudio's transforms.json, an .nvm, a Bundler file, or a camera path of TUM or KITTI";
+                        nerfstudio's transforms.json, an .nvm, a Bundler file, or a camera path of TUM, EuRoC or KITTI";
 
 /// Models inside a folder, in the order in which they are looked for.
 const INSIDE: [&str; 4] = ["sfm_data.json", "reconstruction.json", "transforms.json", "bundle.out"];
@@ -163,10 +163,16 @@ fn plain_text(start: &str) -> Option<Format> {
         return Some(Format::Bundler);
     }
     let first = start.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with('#'))?;
-    let numbers: Result<Vec<f64>, _> = first.split_whitespace().map(str::parse).collect();
-    match numbers.ok()?.len() {
-        8 => Some(Format::Tum),
-        12 => Some(Format::Kitti),
+    // A header without its mark is refused with its line.
+    if first.starts_with("timestamp ") {
+        return Some(Format::Tum);
+    }
+    let has_commas = first.contains(',');
+    let fields = first.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
+    let numbers: Result<Vec<f64>, _> = fields.map(str::parse).collect();
+    match (numbers.ok()?.len(), has_commas) {
+        (8, _) | (9.., true) => Some(Format::Tum),
+        (12, false) => Some(Format::Kitti),
         _ => None,
     }
 }

@@ -31,7 +31,7 @@ pub enum Format {
     Nvm,
     /// Bundler's `bundle.out`.
     Bundler,
-    /// A camera path in TUM's form; read only.
+    /// A camera path in TUM's or EuRoC's form; read only.
     Tum,
     /// A camera path in KITTI's form; read only.
     Kitti,
@@ -62,12 +62,31 @@ impl fmt::Display for Format {
 /// Nothing there, no format that is read (with what to do about it), what the format's reader says, or numbers so large
 /// that what follows from them is none.
 pub fn read(path: &Path) -> Result<(Reconstruction, Format), IoError> {
+    read_with(path, Intrinsics::Required)
+}
+
+/// As [`read`], also where intrinsics are missing: their cameras project nothing.
+///
+/// # Errors
+/// As [`read`], but for missing intrinsics.
+pub fn read_poses(path: &Path) -> Result<(Reconstruction, Format), IoError> {
+    read_with(path, Intrinsics::Optional)
+}
+
+/// Need of intrinsics: a model without them can be compared, not converted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Intrinsics {
+    Required,
+    Optional,
+}
+
+fn read_with(path: &Path, intrinsics: Intrinsics) -> Result<(Reconstruction, Format), IoError> {
     let (place, format) = detect(path)?;
     let model = match format {
         Format::ColmapText | Format::ColmapBinary => colmap::read_any(&place),
-        Format::OpenMvg => openmvg::read(&place),
+        Format::OpenMvg => openmvg::read_with(&place, intrinsics),
         Format::OpenSfm => opensfm::read(&place),
-        Format::Nerfstudio => nerfstudio::read(&place),
+        Format::Nerfstudio => nerfstudio::read_with(&place, intrinsics),
         Format::Nvm => nvm::read(&place),
         Format::Bundler => bundler::read(&place),
         Format::Tum => camera_path::read_tum(&place),
@@ -76,6 +95,28 @@ pub fn read(path: &Path) -> Result<(Reconstruction, Format), IoError> {
     }?;
     check_finite(&place, &model)?;
     Ok((model, format))
+}
+
+/// Sentences about parts of a file that [`read`] skips.
+pub fn lost_on_reading(path: &Path, format: Format) -> Vec<String> {
+    let Ok((place, _)) = detect(path) else { return Vec::new() };
+    let losses = match format {
+        Format::ColmapText | Format::ColmapBinary => Losses::default().counted(
+            colmap::num_rigs_of_several(&place),
+            "rig of several cameras is split into rigs of one camera each",
+            "rigs of several cameras are split into rigs of one camera each",
+        ),
+        Format::OpenSfm => Losses::default().counted(
+            opensfm::num_images_skipped(&place),
+            "image of a smaller reconstruction in the file is skipped",
+            "images of smaller reconstructions in the file are skipped",
+        ),
+        Format::Bundler if !bundler::has_names(&place) => {
+            Losses::default().with("image names are invented: there is no list.txt next to the file".to_owned())
+        }
+        _ => Losses::default(),
+    };
+    losses.sentences().to_vec()
 }
 
 /// Reads a reconstruction whose points are to be projected.

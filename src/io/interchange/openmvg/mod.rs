@@ -19,6 +19,7 @@ mod reader;
 mod writer;
 
 pub use reader::read;
+pub(super) use reader::read_with;
 pub use writer::write;
 
 /// From OpenMVG's pixel coordinates to ours.

@@ -9,6 +9,7 @@ use super::document::{Document, Entry, Extrinsic, Intrinsic, Landmark, Polymorph
 use super::{FIRST_USE, PIXEL_OFFSET, UNDEFINED};
 use crate::camera::{Camera, Model};
 use crate::io::interchange::assembly::{add_point, rotation};
+use crate::io::interchange::model::Intrinsics;
 use crate::io::{IoError, json};
 use crate::math::Rigid3;
 use crate::scene::{CameraForm, CameraId, Image, ImageId, Point3dId, Reconstruction};
@@ -19,13 +20,17 @@ use crate::scene::{CameraForm, CameraId, Image, ImageId, Point3dId, Reconstructi
 /// A missing file, JSON of another shape, a camera of an unknown kind, no view with a pose, a pose that is not rigid,
 /// or parts that refer to what is not there.
 pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
+    read_with(path, Intrinsics::Required)
+}
+
+pub(in crate::io::interchange) fn read_with(path: &Path, wanted: Intrinsics) -> Result<Reconstruction, IoError> {
     let document: Document = json::read_model(path, "OpenMVG's sfm_data.json")?;
     let mut model = Reconstruction::default();
     add_cameras(path, &document.intrinsics, &mut model)?;
     let poses = poses(path, &document.extrinsics)?;
     let views: BTreeSet<u32> = document.views.iter().map(|view| view.key).collect();
     for Entry { key, value } in &document.views {
-        add_image(path, *key, &value.ptr_wrapper.data, &poses, &mut model)?;
+        add_image(path, *key, &value.ptr_wrapper.data, &poses, &mut model, wanted)?;
     }
     if model.images.is_empty() {
         return Err(IoError::content(path, nothing_posed(document.views.len())));
@@ -61,10 +66,14 @@ fn add_image(
     view: &View,
     poses: &BTreeMap<u32, Rigid3>,
     model: &mut Reconstruction,
+    wanted: Intrinsics,
 ) -> Result<(), IoError> {
     let Some(&cam_from_world) = poses.get(&view.id_pose).filter(|_| view.id_pose != UNDEFINED) else { return Ok(()) };
     let camera = CameraId(view.id_intrinsic.wrapping_add(1));
-    if !model.cameras.contains_key(&camera) {
+    if !model.cameras.contains_key(&camera) && wanted == Intrinsics::Optional {
+        model.cameras.insert(camera, Camera::prior(1, 1));
+        model.camera_forms.insert(camera, CameraForm::Unknown);
+    } else if !model.cameras.contains_key(&camera) {
         return Err(IoError::content(path, format!("view {key}: its intrinsics do not exist")));
     }
     let folder = view.local_path.trim_end_matches('/');

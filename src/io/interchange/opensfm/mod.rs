@@ -76,6 +76,13 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     Ok(model)
 }
 
+/// Number of images in the other reconstructions of a file, which are not read.
+pub fn num_images_skipped(path: &Path) -> usize {
+    let list: Vec<Document> = json::read_model(path, "OpenSfM's reconstruction.json").unwrap_or_default();
+    let counts = list.iter().map(|document| document.shots.len());
+    counts.clone().sum::<usize>() - counts.max().unwrap_or(0)
+}
+
 /// The keys of points are their ids if all of them are positive numbers, else they are counted.
 fn point_ids(points: &BTreeMap<String, PointEntry>) -> Vec<(Point3dId, (&String, &PointEntry))> {
     let number = |key: &str| key.parse::<u64>().ok().filter(|id| *id > 0 && id.to_string() == key);

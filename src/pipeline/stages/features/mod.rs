@@ -11,7 +11,7 @@ use super::motion::point_tracks::{self, Follower};
 use crate::features::{FrontEnd, TrackTable};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::{fingerprint, intermediate};
-use crate::pipeline::inputs::{cameras, images, order};
+use crate::pipeline::inputs::{cameras, images, order, telemetry};
 use crate::pipeline::{Instances, PipelineError, Stage};
 use crate::scene::Topic;
 use crate::video::VideoError;
@@ -29,8 +29,17 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
         "background": background.front_end,
         "given_background": run.options.background_model.is_some(),
         "masks": given_masks(run)?,
+        "positions": given_positions(run)?,
         "seed": run.options.seed,
     }))
+}
+
+/// A log that may have positions of unordered photographs by name; those inside of them are part of the input.
+fn given_positions(run: &Run) -> Result<Vec<Option<String>>, PipelineError> {
+    if order::found(run)?.in_time {
+        return Ok(Vec::new());
+    }
+    Ok(telemetry::files(run).iter().map(|file| fingerprint::of_content(file).ok()).collect())
 }
 
 /// The masks that are given, which no stage before this one reads.
@@ -72,6 +81,9 @@ fn follow_background(
     let masking = Masking::new(run)?;
     let initial = initial.into_iter().map(|initial| initial.camera).collect();
     let mut background = FrontEnd::of_cameras(&options.front_end, initial)?;
+    if !order::found(run)?.in_time {
+        background.know_positions(telemetry::positions_by_name(run));
+    }
     let frames = run.frames()?;
     let wanted = frames.iter().map(|frame| frame.id).collect();
     let mut num_decoded = 0u64;

@@ -1,19 +1,14 @@
 //! The camera's path on the fixes of the telemetry.
 
-use std::collections::BTreeMap;
-
 use nalgebra::UnitQuaternion;
 
-use super::log::{Origin, Telemetry};
 use super::sources::{Ground, MAX_TILT};
-use crate::metric::{
-    self, Alignment, CameraPath, Gravity, Offset, Orientation, Refusal, Source, Support, align_to_fixes,
-    metric_from_cam,
-};
+use crate::metric::{self, Alignment, Gravity, Offset, Orientation, Refusal, Source, Support, metric_from_cam};
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::scene::{Frame, Image, MapOrigin, Reconstruction, TimeBase, Topic};
-use crate::telemetry::{self, ClockKind, Fix, LocalFixes, LocalFrame};
-use crate::video::{self, Kind};
+use crate::pipeline::inputs::alignment::{FittedLog, fit, registered};
+use crate::pipeline::inputs::telemetry::{Origin, Telemetry};
+use crate::scene::{Frame, Image, MapOrigin, Reconstruction, Topic};
+use crate::telemetry::{self, LocalFrame};
 
 /// A path on its fixes, with the map under it.
 pub(super) struct Aligned {
@@ -27,10 +22,7 @@ pub(super) struct Aligned {
 
 impl Aligned {
     pub(super) fn source(&self) -> Source {
-        let name = match self.origin {
-            Origin::Photographs => "positions of the photographs",
-            Origin::Named | Origin::Beside | Origin::Inside => "telemetry",
-        };
+        let name = if self.origin.is_of_images() { "positions of the photographs" } else { "telemetry" };
         Source {
             name: name.to_owned(),
             kind: metric::Kind::Telemetry,
@@ -50,9 +42,6 @@ impl Aligned {
         self.epoch_s + self.alignment.offset_s
     }
 }
-
-/// Deviation of camera centres, as a share of the way: what reconstructions drift by.
-const DRIFT: f64 = 0.002;
 
 /// Lays the path onto the fixes; why that cannot be is reported.
 pub(super) fn align(
@@ -83,27 +72,11 @@ fn try_align(
     outcome: &mut Outcome,
 ) -> Result<Aligned, String> {
     let frames = run.frames().map_err(|error| error.to_string())?;
-    if telemetry.origin != Origin::Photographs && run.info().time_base() == TimeBase::Frames {
-        return Err("frames without times; give --fps RATE".to_owned());
-    }
-    let (LocalFixes { frame: map, knows_height, mut fixes, times, .. }, epoch_s) = local_fixes(telemetry, frames)?;
-    fixes.iter_mut().for_each(|fix| fix.time_s -= epoch_s);
-    let path = camera_path(background, frames)?;
-    let offsets = offsets(run, telemetry, times, epoch_s);
-    let mut refusal = None;
-    for offset in offsets {
-        let support = support(background, frames, telemetry, ground, offset, epoch_s, outcome);
-        match align_to_fixes(&path, &fixes, &support) {
-            Ok(alignment) if !is_finite(&alignment) => return Err("fit is not finite".to_owned()),
-            Ok(alignment) => {
-                let aligned = Aligned { alignment, map, knows_height, epoch_s, origin: telemetry.origin };
-                warn_of_other_clock(telemetry, &aligned, refusal.as_ref(), outcome);
-                return Ok(aligned);
-            }
-            Err(reason) => refusal = refusal.or(Some(reason)),
-        }
-    }
-    Err(refusal.as_ref().map_or_else(String::new, Refusal::to_string))
+    let support = |offset, epoch_s| support(background, frames, telemetry, ground, offset, epoch_s, outcome);
+    let FittedLog { alignment, map, knows_height, epoch_s, refusal, .. } = fit(run, background, telemetry, support)?;
+    let aligned = Aligned { alignment, map, knows_height, epoch_s, origin: telemetry.origin };
+    warn_of_other_clock(telemetry, &aligned, refusal.as_ref(), outcome);
+    Ok(aligned)
 }
 
 /// Says where the log fits only at another time than it states.
@@ -115,78 +88,6 @@ fn warn_of_other_clock(telemetry: &Telemetry, aligned: &Aligned, refusal: Option
         telemetry.path.display(),
         aligned.clock_offset_s()
     )));
-}
-
-fn is_finite(alignment: &Alignment) -> bool {
-    let Alignment { metric_from_world, covariance, offset_s, offset_std_s, .. } = alignment;
-    let numbers = [metric_from_world.scale, *offset_s, *offset_std_s];
-    let values = numbers.iter().chain(metric_from_world.translation.iter()).chain(covariance.iter());
-    values.into_iter().all(|value| value.is_finite())
-}
-
-/// The fixes in metres, and the time from which the log's clock is to be counted: seconds after 1970 have too few
-/// digits for a step of milliseconds.
-fn local_fixes(telemetry: &Telemetry, frames: &[Frame]) -> Result<(LocalFixes, f64), String> {
-    let by_name: BTreeMap<&str, f64> = frames.iter().map(|frame| (frame.name.as_str(), frame.time_s)).collect();
-    let of_photograph = |fix: &Fix| by_name.get(fix.photograph.as_deref()?).copied();
-    let local = match telemetry.origin {
-        Origin::Photographs => telemetry.log.local_fixes_at(telemetry::TimeBase::Video, of_photograph),
-        Origin::Named | Origin::Beside | Origin::Inside => telemetry.log.local_fixes(),
-    };
-    let local = local.ok_or("no position with a time")?;
-    let first_s = local.fixes.first().map_or(0.0, |fix| fix.time_s);
-    let epoch_s = if local.times == telemetry::TimeBase::Clock { first_s } else { 0.0 };
-    Ok((local, epoch_s))
-}
-
-/// The camera's centres in the order of time.
-fn camera_path(background: &Reconstruction, frames: &[Frame]) -> Result<CameraPath, String> {
-    let seen = registered(background, frames);
-    let poses: Vec<_> = seen.iter().map(|(frame, image)| (frame.time_s, image.cam_from_world.center())).collect();
-    let way: f64 = poses.windows(2).map(|pair| (pair[1].1 - pair[0].1).norm()).filter(|step| step.is_finite()).sum();
-    CameraPath::new(poses, DRIFT * way).ok_or_else(|| "fewer than two frames registered".to_owned())
-}
-
-pub(super) fn registered<'a>(background: &'a Reconstruction, frames: &'a [Frame]) -> Vec<(&'a Frame, &'a Image)> {
-    let by_name: BTreeMap<&str, &Image> =
-        background.images.values().map(|image| (image.name.as_str(), image)).collect();
-    frames.iter().filter_map(|frame| Some((frame, *by_name.get(frame.name.as_str())?))).collect()
-}
-
-/// Columns of times are meant to count from the video's start: as well as people press two buttons at once, seconds.
-const TWO_BUTTONS_S: f64 = 2.0;
-
-/// Standard deviation of a container's start time, seconds: whole seconds, and the delay until the camera records.
-const STATED_START_S: f64 = 5.0;
-
-/// Candidates for the offset between log and video, the most certain first.
-fn offsets(run: &Run, telemetry: &Telemetry, times: telemetry::TimeBase, epoch_s: f64) -> Vec<Offset> {
-    let known = |mean_s, std_s| Offset::Known { mean_s, std_s };
-    let of_camera = |dialect: &&str| dialect.starts_with("dji") || dialect.starts_with("gpmf");
-    let is_of_camera = telemetry.log.dialects().keys().any(of_camera);
-    match (run.options.metric.time_offset, telemetry.origin, times) {
-        (_, Origin::Photographs, _) => vec![known(0.0, 1e-3)],
-        (Some(offset), _, _) => vec![known(offset.mean_s, offset.std_s)],
-        (None, _, telemetry::TimeBase::Clock) => {
-            let stated = stated_start_s(run, telemetry).map(|start_s| known(start_s - epoch_s, STATED_START_S));
-            stated.into_iter().chain([Offset::Unknown]).collect()
-        }
-        (None, _, telemetry::TimeBase::Video) if is_of_camera => vec![Offset::SAME_FILE],
-        (None, _, telemetry::TimeBase::Video) => vec![known(0.0, TWO_BUTTONS_S), Offset::Unknown],
-    }
-}
-
-/// When the video was begun by its own account, seconds after 1970; `None` where the log's clock is another one.
-fn stated_start_s(run: &Run, telemetry: &Telemetry) -> Option<f64> {
-    /// Cameras without a clock begin in 1970 or 1904.
-    const FIRST_CAMERAS_S: f64 = 1e9;
-    let utc_offset_s = match telemetry.log.clock {
-        ClockKind::Utc => 0.0,
-        ClockKind::Local => run.options.metric.utc_offset?.seconds(),
-        ClockKind::TimeOfDay | ClockKind::Absent => return None,
-    };
-    let stated = (run.info().kind == Kind::Video).then(|| video::stated_start(run.input())).flatten()?;
-    telemetry::clock_s(&stated).filter(|start_s| *start_s > FIRST_CAMERAS_S).map(|start_s| start_s + utc_offset_s)
 }
 
 /// The vertical from the camera's attitude in the log, else from the ground.

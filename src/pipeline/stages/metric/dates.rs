@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use super::aligned::Aligned;
-use super::log::{Origin, Telemetry};
 use crate::math::median;
 use crate::metric::UtcOffset;
 use crate::pipeline::driver::run::Run;
+use crate::pipeline::inputs::telemetry::Telemetry;
 use crate::scene::{ClockZone, Dates};
 use crate::telemetry::{self, ClockKind, Fix};
 use crate::video::{self, Kind, Taken};
@@ -23,7 +23,7 @@ pub(super) fn find(run: &Run, telemetry: Option<&Telemetry>, aligned: Option<&Al
     {
         return Some(dates);
     }
-    let telemetry = telemetry.filter(|telemetry| telemetry.origin != Origin::Photographs)?;
+    let telemetry = telemetry.filter(|telemetry| !telemetry.origin.is_of_images())?;
     let zone = match telemetry.log.clock {
         ClockKind::Utc => ClockZone::Utc,
         ClockKind::Local => ClockZone::Local,

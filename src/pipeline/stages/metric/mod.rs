@@ -7,7 +7,6 @@
 mod aligned;
 mod dates;
 mod ground_tracks;
-mod log;
 mod placed;
 mod sources;
 mod vehicles;
@@ -24,6 +23,7 @@ use crate::math::rounding::{figure, percent, significant};
 use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::inputs::{alignment, telemetry as log};
 use crate::pipeline::{MetricOptions, Options, PipelineError, TelemetryChoice};
 use crate::scene::{
     GroundTrack, Metric, MetricFrame, MetricVerdict, ObjectId, ObjectTrajectory, Reconstruction, Topic, Trajectories,
@@ -32,15 +32,13 @@ use crate::scene::{
 use crate::telemetry;
 use aligned::Aligned;
 use ground_tracks::Scale;
-pub(in crate::pipeline) use log::beside as logs_beside;
-pub use log::telemetry_of;
 use placed::Placing;
 use sources::Ground;
 pub(in crate::pipeline) use vehicles::Size;
 
 /// Inputs of this stage alone: the options of meters, and the content of telemetry files.
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
-    let MetricOptions { telemetry, time_offset, utc_offset, camera_height, camera_pitch: _, scale, known_lengths } =
+    let MetricOptions { telemetry, time_offset, utc_offset, camera_height, scale, known_lengths, .. } =
         &run.options.metric;
     let files = log::files(run);
     // What cannot be read next to a video is no telemetry; what was named has been read before.
@@ -145,7 +143,7 @@ fn find(
     let mut ground = Ground::of(run, background)?;
     let telemetry = log::find(run, outcome);
     if let Some(telemetry) = &telemetry {
-        let vertical = vertical::vertical(run, &aligned::registered(background, run.frames()?), telemetry, outcome);
+        let vertical = vertical::vertical(run, &alignment::registered(background, run.frames()?), telemetry, outcome);
         ground.take_vertical(vertical, outcome);
     }
     let aligned = telemetry.as_ref().and_then(|telemetry| aligned::align(run, background, &ground, telemetry, outcome));

@@ -2,9 +2,9 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::log::Telemetry;
 use crate::metric;
 use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::inputs::telemetry::Telemetry;
 use crate::scene::{Frame, Image, Topic};
 use crate::telemetry::CameraSample;
 

@@ -1,17 +1,20 @@
 //! Which telemetry belongs to the input.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+
+use nalgebra::Point3;
 
 use crate::memory::MemoryLimit;
 use crate::pipeline::TelemetryChoice;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::scene::Topic;
+use crate::scene::{Frame, Topic};
 use crate::telemetry::{self, Log, TelemetryError};
 use crate::video::{self, Kind, VideoError};
 
 /// Where telemetry was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Origin {
+pub(in crate::pipeline) enum Origin {
     /// The user named it.
     Named,
     /// In a file next to the video.
@@ -20,20 +23,29 @@ pub(super) enum Origin {
     Inside,
     /// In the photographs themselves.
     Photographs,
+    /// In a file that the user named, by image name.
+    ByName,
+}
+
+impl Origin {
+    /// True if every position belongs to an image, whatever the clocks say.
+    pub(in crate::pipeline) fn is_of_images(self) -> bool {
+        matches!(self, Self::Photographs | Self::ByName)
+    }
 }
 
 /// A log and where it comes from.
-pub(super) struct Telemetry {
-    pub(super) log: Log,
-    pub(super) path: PathBuf,
-    pub(super) origin: Origin,
+pub(in crate::pipeline) struct Telemetry {
+    pub(in crate::pipeline) log: Log,
+    pub(in crate::pipeline) path: PathBuf,
+    pub(in crate::pipeline) origin: Origin,
 }
 
 /// Name endings of logs next to a video; the first that holds telemetry is taken.
 const EXTENSIONS: [&str; 6] = ["srt", "gpx", "csv", "nmea", "log", "txt"];
 
 /// The files whose content decides what is found, besides the input itself.
-pub(super) fn files(run: &Run) -> Vec<PathBuf> {
+pub(in crate::pipeline) fn files(run: &Run) -> Vec<PathBuf> {
     match &run.options.metric.telemetry {
         TelemetryChoice::None => Vec::new(),
         TelemetryChoice::File(path) => vec![path.clone()],
@@ -58,10 +70,10 @@ pub(in crate::pipeline) fn beside(video: &Path) -> Vec<PathBuf> {
 }
 
 /// The telemetry of the input; what is odd about it is reported.
-pub(super) fn find(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
+pub(in crate::pipeline) fn find(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
     let found = match &run.options.metric.telemetry {
         TelemetryChoice::None => None,
-        TelemetryChoice::File(path) => named(path, run.options.memory(), outcome),
+        TelemetryChoice::File(path) => named(path, run, outcome),
         TelemetryChoice::Auto if run.info().kind == Kind::Video => {
             from_files(&beside(run.input()), run.options.memory(), outcome).or_else(|| inside(run, outcome))
         }
@@ -73,8 +85,19 @@ pub(super) fn find(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
     found
 }
 
-fn named(path: &Path, memory: MemoryLimit, outcome: &mut Outcome) -> Option<Telemetry> {
-    match telemetry_of(path, memory) {
+fn named(path: &Path, run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
+    match telemetry_of(path, run.options.memory()) {
+        Ok(mut log) if log.is_by_name() => {
+            let (num_fixes, num_unmatched) = (log.fixes.len(), match_names(&mut log, run.frames().ok()?));
+            if num_unmatched > 0 {
+                let path = path.display();
+                let text =
+                    format!("{path}: {num_unmatched} of {num_fixes} image names match no frame; check the names");
+                outcome.warn(Topic::TelemetryLinesSkipped.warning(text));
+            }
+            let found = Telemetry { log, path: path.to_owned(), origin: Origin::ByName };
+            (!found.log.fixes.is_empty()).then_some(found)
+        }
         Ok(log) => Some(Telemetry { log, path: path.to_owned(), origin: Origin::Named }),
         Err(error) => {
             let text = format!("telemetry gives no scale: {}", with_cause(&error));
@@ -196,8 +219,53 @@ fn photographs(run: &Run) -> Option<Telemetry> {
     let frames = run.frames().ok()?;
     let paths: Vec<PathBuf> = frames.iter().map(|frame| run.input().join(&frame.name)).collect();
     telemetry::read_photographs(&paths[..paths.len().min(NUM_TRIED)]).ok()?;
-    let log = telemetry::read_photographs(&paths).ok()?;
+    let mut log = telemetry::read_photographs(&paths).ok()?;
+    for fix in &mut log.fixes {
+        // Names in folders are longer than those of their files.
+        fix.photograph = frames.get(fix.line - 1).map(|frame| frame.name.clone());
+    }
     Some(Telemetry { log, path: run.input().to_owned(), origin: Origin::Photographs })
+}
+
+/// Positions of the frames by name, meters east, north and up of one of them, as far as photographs or a log by image
+/// name have them.
+pub(in crate::pipeline) fn positions_by_name(run: &Run) -> BTreeMap<String, Point3<f64>> {
+    let found = match &run.options.metric.telemetry {
+        TelemetryChoice::None => None,
+        TelemetryChoice::File(path) => named(path, run, &mut Outcome::default()),
+        TelemetryChoice::Auto if run.info().kind == Kind::Video => None,
+        TelemetryChoice::Auto => photographs(run),
+    };
+    found.filter(|found| found.log.is_by_name()).map_or_else(BTreeMap::new, |found| found.log.positions_by_name())
+}
+
+/// Gives the fixes of a log by image name the names of the frames that they belong to; labels often lack folder or
+/// extension. Fixes of other images are dropped; returns their number.
+fn match_names(log: &mut Log, frames: &[Frame]) -> usize {
+    let mut frame_of: BTreeMap<String, Option<&str>> = BTreeMap::new();
+    for frame in frames {
+        for key in keys(&frame.name) {
+            let entry = frame_of.entry(key).or_insert(Some(&frame.name));
+            // A key of two frames names neither.
+            *entry = entry.filter(|name| *name == frame.name);
+        }
+    }
+    let before = log.fixes.len();
+    log.fixes.retain_mut(|fix| {
+        let label = fix.photograph.as_deref().unwrap_or_default();
+        let name = keys(label).into_iter().find_map(|key| *frame_of.get(&key)?);
+        fix.photograph = name.map(str::to_owned);
+        name.is_some()
+    });
+    before - log.fixes.len()
+}
+
+/// Names under which an image is found, the strictest first: whole, without folders, without extension.
+fn keys(name: &str) -> [String; 3] {
+    let whole = name.replace('\\', "/").to_lowercase();
+    let file = whole.rsplit('/').next().unwrap_or_default().to_owned();
+    let stem = file.rsplit_once('.').map_or(file.as_str(), |(stem, _)| stem).to_owned();
+    [whole, file, stem]
 }
 
 fn say(found: &Telemetry, outcome: &mut Outcome) {
@@ -207,6 +275,7 @@ fn say(found: &Telemetry, outcome: &mut Outcome) {
         Origin::Beside => "found next to the video",
         Origin::Inside => "in the video",
         Origin::Photographs => "EXIF positions of the photographs",
+        Origin::ByName => "given, by image name",
     };
     tracing::info!("telemetry: {} ({whence}), {} positions", path.display(), log.fixes.len());
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
@@ -284,7 +353,7 @@ mod tests {
         assert!(matches!(&found, Some(Err(TelemetryError::Playlist { format, .. })) if format == "hls"), "{found:?}");
         let mut options = crate::pipeline::Options::default();
         options.metric.telemetry = TelemetryChoice::File(path);
-        let refused = super::super::check(&options).unwrap_err();
+        let refused = crate::pipeline::stages::metric::check(&options).unwrap_err();
         assert!(refused.to_string().contains("playlist (hls)"), "{refused}");
     }
 }

@@ -1,0 +1,104 @@
+//! A log laid onto the camera's path of a run.
+
+use std::collections::BTreeMap;
+
+use super::clock_offsets;
+use super::telemetry::{Origin, Telemetry};
+use crate::metric::{Alignment, CameraPath, Offset, PositionFix, Refusal, Support, align_to_fixes};
+use crate::pipeline::driver::run::Run;
+use crate::scene::{Frame, Image, Reconstruction, TimeBase};
+use crate::telemetry::{self, Fix, LocalFixes, LocalFrame};
+
+/// A log on the camera's path.
+pub(in crate::pipeline) struct FittedLog {
+    pub(in crate::pipeline) alignment: Alignment,
+    pub(in crate::pipeline) map: LocalFrame,
+    pub(in crate::pipeline) knows_height: bool,
+    /// The fixes in meters; times count from `epoch_s`.
+    pub(in crate::pipeline) fixes: Vec<PositionFix>,
+    /// Epoch of the log's times, seconds of its clock.
+    pub(in crate::pipeline) epoch_s: f64,
+    /// Why the log does not fit at the offset that it states.
+    pub(in crate::pipeline) refusal: Option<Refusal>,
+}
+
+/// Deviation of camera centres, as a share of the way: what reconstructions drift by.
+const DRIFT: f64 = 0.002;
+
+/// Lays a log onto the background's path.
+///
+/// * `support` – what is known besides, by offset and epoch of the log's times.
+///
+/// # Errors
+/// Why it cannot be.
+pub(in crate::pipeline) fn fit(
+    run: &Run,
+    background: &Reconstruction,
+    telemetry: &Telemetry,
+    mut support: impl FnMut(Offset, f64) -> Support,
+) -> Result<FittedLog, String> {
+    let frames = run.frames().map_err(|error| error.to_string())?;
+    if !telemetry.origin.is_of_images() && run.info().time_base() == TimeBase::Frames {
+        return Err("frames without times; give --fps RATE".to_owned());
+    }
+    let (LocalFixes { frame: map, knows_height, mut fixes, times, .. }, epoch_s) = local_fixes(telemetry, frames)?;
+    fixes.iter_mut().for_each(|fix| fix.time_s -= epoch_s);
+    let path = camera_path(background, frames)?;
+    let log_s = fixes.iter().map(|fix| fix.time_s).fold(0.0, f64::max);
+    let mut refusal = None;
+    for candidates in clock_offsets::candidates(run, telemetry, times, epoch_s, log_s) {
+        let mut fitting: Vec<Alignment> = Vec::new();
+        for offset in candidates {
+            match align_to_fixes(&path, &fixes, &support(offset, epoch_s)) {
+                Ok(alignment) if !is_finite(&alignment) => return Err("fit is not finite".to_owned()),
+                Ok(alignment) if fitting.iter().any(|other| clock_offsets::is_same(other, &alignment)) => {}
+                Ok(alignment) => fitting.push(alignment),
+                Err(reason) => refusal = refusal.or(Some(reason)),
+            }
+        }
+        if let [_] = fitting[..] {
+            let alignment = fitting.swap_remove(0);
+            return Ok(FittedLog { alignment, map, knows_height, fixes, epoch_s, refusal });
+        }
+    }
+    Err(refusal.as_ref().map_or_else(String::new, Refusal::to_string))
+}
+
+fn is_finite(alignment: &Alignment) -> bool {
+    let Alignment { metric_from_world, covariance, offset_s, offset_std_s, .. } = alignment;
+    let numbers = [metric_from_world.scale, *offset_s, *offset_std_s];
+    let values = numbers.iter().chain(metric_from_world.translation.iter()).chain(covariance.iter());
+    values.into_iter().all(|value| value.is_finite())
+}
+
+/// The fixes in metres, and the time from which the log's clock is to be counted: seconds after 1970 have too few
+/// digits for a step of milliseconds.
+fn local_fixes(telemetry: &Telemetry, frames: &[Frame]) -> Result<(LocalFixes, f64), String> {
+    let by_name: BTreeMap<&str, f64> = frames.iter().map(|frame| (frame.name.as_str(), frame.time_s)).collect();
+    let of_photograph = |fix: &Fix| by_name.get(fix.photograph.as_deref()?).copied();
+    let local = match telemetry.origin {
+        Origin::Photographs | Origin::ByName => telemetry.log.local_fixes_at(telemetry::TimeBase::Video, of_photograph),
+        Origin::Named | Origin::Beside | Origin::Inside => telemetry.log.local_fixes(),
+    };
+    let local = local.ok_or("no position with a time")?;
+    let first_s = local.fixes.first().map_or(0.0, |fix| fix.time_s);
+    let epoch_s = if local.times == telemetry::TimeBase::Clock { first_s } else { 0.0 };
+    Ok((local, epoch_s))
+}
+
+/// The camera's centres in the order of time.
+pub(in crate::pipeline) fn camera_path(background: &Reconstruction, frames: &[Frame]) -> Result<CameraPath, String> {
+    let seen = registered(background, frames);
+    let poses: Vec<_> = seen.iter().map(|(frame, image)| (frame.time_s, image.cam_from_world.center())).collect();
+    let way: f64 = poses.windows(2).map(|pair| (pair[1].1 - pair[0].1).norm()).filter(|step| step.is_finite()).sum();
+    CameraPath::new(poses, DRIFT * way).ok_or_else(|| "fewer than two frames registered".to_owned())
+}
+
+pub(in crate::pipeline) fn registered<'a>(
+    background: &'a Reconstruction,
+    frames: &'a [Frame],
+) -> Vec<(&'a Frame, &'a Image)> {
+    let by_name: BTreeMap<&str, &Image> =
+        background.images.values().map(|image| (image.name.as_str(), image)).collect();
+    frames.iter().filter_map(|frame| Some((frame, *by_name.get(frame.name.as_str())?))).collect()
+}
