@@ -124,12 +124,14 @@ fn models_alone_have_a_page_and_can_be_exported() {
     let path = |name: &str| place.path(name).display().to_string();
     let mut command = tractrix();
     command.args(["sfm", &path("images"), "--output", &path("out"), "--intrinsics", &drive::intrinsics(), "--json"]);
+    command.args(["--masks", &path("masks"), "--fps", "12"]);
     let (code, stdout, stderr) = outcome(&mut command);
     assert_eq!(code, 0, "{stderr}");
     let output: Value = serde_json::from_str(&stdout).unwrap();
     assert!(output["report"].as_str().unwrap().ends_with("report.html"));
     let page = fs::read_to_string(place.path("out/report.html")).unwrap();
     assert!(page.contains("images registered") && page.contains("Models and residuals"));
+    assert!(page.contains("each in its own unit: 1 of 1.") && page.contains("as-reconstructed&#x2f;1&#x2f;"));
     assert!(place.path("out/ply/background.ply").is_file());
     export(&place, "colmap,tum,gltf");
     assert!(place.path("out/export/colmap/sparse/0/points3D.bin").is_file());

@@ -456,7 +456,7 @@ fn the_film_follows_the_slider_and_speeds_have_units() {
     let width = if pictures.film.is_some() { 640 } else { 400 };
     let page = report::render(&data(&result, pictures)).expect("the report renders");
     let script = "const canvas = document.getElementById('now-picture'), time = document.getElementById('time'); \
-        if (canvas.width !== WIDTH) throw new Error('the film is not painted yet'); \
+        while (canvas.width !== WIDTH) await new Promise((resolve) => setTimeout(resolve, 50)); \
         const labels = () => document.querySelectorAll('#now b').length; \
         const before = [canvas.width, labels() > 0]; \
         time.value = 3; time.dispatchEvent(new Event('input')); \

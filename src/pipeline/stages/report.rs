@@ -72,7 +72,8 @@ pub(in crate::pipeline) fn write_models(run: &Run) -> Result<(), PipelineError> 
     let tracked = track::objects(run)?;
     let (background, background_report) = background::background(run)?;
     let reports = objects::reports(run)?;
-    let object_models = object_models(run, &reports)?;
+    // Objects are adjusted with the ground later, if ever.
+    let object_models = object_models(&reports, |id| run.workspace.read_as_reconstructed(id))?;
     let nothing = Trajectories::empty();
     background::point_cloud::background(run, &background)?;
     let data = Data {
@@ -111,7 +112,8 @@ fn model_parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Vec<Part
         part(None, folder.run_json(), "options, cost and warnings of the run"),
     ];
     let models = reports.iter().filter(|(_, report)| report.failure.is_none());
-    let models = models.map(|(id, _)| part(Some(*id), folder.object(*id), "cameras and points, as a COLMAP model"));
+    let models =
+        models.map(|(id, _)| part(Some(*id), folder.as_reconstructed(*id), "cameras and points, as a COLMAP model"));
     background.into_iter().chain(models).collect()
 }
 
@@ -124,7 +126,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     let tracked = track::objects(run)?;
     let (background, background_report) = background::background(run)?;
     let reports = objects::reports(run)?;
-    let object_models = object_models(run, &reports)?;
+    let object_models = object_models(&reports, |id| run.workspace.read_object(id))?;
     let trajectories = scale::trajectories(run)?;
     let ground = ground::ground(run)?;
     let failures = scale::failures(run)?;
@@ -156,13 +158,13 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
 }
 
 fn object_models(
-    run: &Run,
     reports: &BTreeMap<ObjectId, ModelReport>,
+    read: impl Fn(ObjectId) -> Result<Reconstruction, IoError>,
 ) -> Result<BTreeMap<ObjectId, Reconstruction>, PipelineError> {
     let mut models = BTreeMap::new();
     for (&id, report) in reports {
         if report.failure.is_none() {
-            models.insert(id, run.workspace.read_object(id)?);
+            models.insert(id, read(id)?);
         }
     }
     Ok(models)
