@@ -121,7 +121,7 @@ fn what_is_no_telemetry_is_refused_with_a_cure() {
 #[test]
 fn tracks_in_another_order_are_sorted_and_zeros_at_the_end_of_numbers_count() {
     let point = |second: usize, longitude: &str| {
-        format!("<trkpt lat='4.5' lon='{longitude}'><time>2024-05-04T13:05:{second:02}Z</time></trkpt>")
+        format!("<trkpt lat='4.512345' lon='{longitude}'><time>2024-05-04T13:05:{second:02}Z</time></trkpt>")
     };
     let newest_first = [point(9, "9.123456"), point(8, "9.12"), point(7, "9.123455")].concat();
     let log = read_text(format!("<gpx>{newest_first}</gpx>").as_bytes()).unwrap();
