@@ -459,7 +459,8 @@ proptest! {
         prop_finite!(ground::local_planes(background, ground_points, ObjectId(1), object, &options, 1));
         let shape = ground::BodyShape { clearance: 0.17, max_deviation: 6.0 };
         for labelled in [&[], ground_points.as_slice()] {
-            let chain = GroundChain { background, labelled, dominant: dominant.as_ref(), mount: mount.as_ref(), hovering: None, shape };
+            let (dominant, mount) = (dominant.as_ref(), mount.as_ref());
+            let chain = GroundChain { background, labelled, dominant, mount, hovering: None, shape };
             prop_finite!(chain.planes(ObjectId(1), object, &options, 1));
         }
         if let Ok(Some(found)) = bundle::center_deviations(background, 16, &BTreeMap::new()) {

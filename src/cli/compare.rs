@@ -153,7 +153,7 @@ fn read(path: &Path, args: &Args) -> Result<(Reconstruction, Format), Failure> {
         return Err(Failure::Usage(format!("{}: {first}; --match-by order would pair any images", path.display())));
     }
     for loss in lost {
-        tracing::warn!("{}: {loss}", path.display());
+        tracing::info!("{}: {loss}", path.display());
     }
     Ok((model, format))
 }

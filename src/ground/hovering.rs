@@ -2,8 +2,8 @@
 //!
 //! Without translation no point of the background has a depth. But a vehicle keeps its size and points where it goes:
 //! on a plane with the unit normal n towards the camera, at the height 1 below it, the ray u meets the ground at the
-//! distance 1 / s with s = −nᵀu. A box there of a car's proportions and unit length, along the path, has the extent b_ki
-//! in the image, so that the vehicle's extent is
+//! distance 1 / s with s = −nᵀu. A box there of a car's proportions and unit length, along the path, has the extent
+//! b_ki in the image, so that the vehicle's extent is
 //!
 //! ```text
 //! ln e_ki = a_k + ln b_ki(n) + error                                                                               (1)
@@ -11,8 +11,8 @@
 //!
 //! for frame i of vehicle k: along its own path each vehicle shows how the ground recedes. a_k, its length over the
 //! height of the camera, is also about the same for all vehicles. With a horizon that is level to some degrees and a
-//! pitch that may be given, the normal with the least sum of squares is taken; residuals count robustly. The unit of such
-//! a background is the camera's height.
+//! pitch that may be given, the normal with the least sum of squares is taken; residuals count robustly. The unit of
+//! such a background is the camera's height.
 
 use std::collections::BTreeMap;
 
@@ -36,7 +36,7 @@ pub struct HoveringGround {
     pub num_vehicles: usize,
 }
 
-/// A stated inclination of the camera's axis below the horizon in the first frame: value and standard deviation, radians.
+/// A stated inclination of the camera's axis below the horizon in the first frame, with standard deviation, radians.
 pub type StatedPitch = Option<[f64; 2]>;
 
 /// Standard deviation of an extent's logarithm along one path, which masks and changes of the view leave.

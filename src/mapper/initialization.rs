@@ -1,4 +1,4 @@
-//! What a map starts from: known poses, or one pair of views after the other.
+//! Start of a map: known poses, or one pair of views after the other.
 
 use super::incremental_mapper::{IncrementalMapper, PosePriors};
 use super::initial_pair::{self, InitialPair};

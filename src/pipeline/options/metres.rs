@@ -61,7 +61,7 @@ impl Default for MetricOptions {
             camera_pitch: None,
             scale: None,
             known_lengths: Vec::new(),
-            position_priors: true,
+            position_priors: false,
         }
     }
 }

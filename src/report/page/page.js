@@ -23,7 +23,7 @@
 	// ---- the picture of the moment: of the film where the browser plays it, else of the strip
 
 	const canvas = find("now-picture");
-	let film = null, filmIsLate = null;
+	let film = null;
 	/** Draws the current picture, and has it shown in the 3D view. */
 	const paint = (source, width, height) => {
 		if (!canvas || !width) return;
@@ -39,12 +39,7 @@
 		const bytes = Uint8Array.from(atob(packed.mp4), (c) => c.charCodeAt(0));
 		Object.assign(video, { muted: true, playsInline: true, preload: "auto" });
 		video.addEventListener("error", () => resolve(null));
-		video.addEventListener("loadeddata", () => {
-			const opened = new Film(video, packed);
-			resolve(opened);
-			filmIsLate?.(opened);
-		}, { once: true });
-		// On a slow machine the page is there before its film, which then takes over.
+		video.addEventListener("loadeddata", () => resolve(new Film(video, packed)), { once: true });
 		setTimeout(resolve, 4000, null);
 		video.src = URL.createObjectURL(new Blob([bytes], { type: "video/mp4" }));
 	});
@@ -55,7 +50,6 @@
 			this.covers = times.map((time, k) => Math.abs(at[this.of[k]] - time) <= reach);
 			video.addEventListener("seeked", () => {
 				paint(video, width, height);
-				this.isPainted = true;
 				if (this.shown !== this.wanted) this.seek();
 			});
 		}
@@ -79,10 +73,9 @@
 	const shotTimes = shots.map((shot) => shot.time), shotReach = reachOf(shotTimes);
 	const hasPicture = (index) => (film ? film.covers[index] : shots.length > 0 && Math.abs(shotTimes[shotOf[index]] - times[index]) <= shotReach);
 	const showPicture = () => {
-		// Until the film's first picture is decoded, that of the strip next to it stands in.
-		const image = film?.isPainted ? null : shots[shotOf[index]]?.image;
+		if (film) return film.show(index);
+		const image = shots[shotOf[index]]?.image;
 		if (image) paint(image, image.naturalWidth, image.naturalHeight);
-		film?.show(index);
 	};
 	const labels = () => (film ? film.labelsAt(index) : [...(shots[shotOf[index]]?.labels ?? [])].map((label) => label.cloneNode(true)));
 
@@ -387,12 +380,6 @@
 		shots.forEach(({ element, time }) => element.addEventListener("click", () => jump(time, { scroll: false })));
 		document.querySelectorAll(".area:not(.still), .row:not(.axis) .track").forEach(scrub);
 		handles.forEach(makeSlider);
-		filmIsLate = (late) => {
-			if (film) return;
-			film = late;
-			if (view?.mode === "home" && !settings.has("view") && !find("stage").dataset.opens && data.objects.length) view.look("camera");
-			show(index);
-		};
 		show(opening());
 		root.dataset.renderer = view ? "webgl" : data ? "plan" : "none";
 		// Two frames later everything is on the screen.

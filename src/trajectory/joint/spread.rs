@@ -20,8 +20,8 @@ use crate::trajectory::Contact;
 /// Stretches of frames of which each is left out once.
 const GROUPS: usize = 5;
 
-/// Observations per frame with which an object is adjusted without a stretch. In an adjustment those of a frame count as
-/// one or two independent ones anyway ([`JointOptions::independent_points`](super::JointOptions)), so that a hundred
+/// Observations per frame with which an object is adjusted without a stretch. In an adjustment those of a frame count
+/// as one or two independent ones anyway ([`JointOptions::independent_points`](super::JointOptions)), so that a hundred
 /// evenly chosen tracks leave the result as it is and cost a fifth in large vehicles.
 const OBSERVATIONS_PER_FRAME: usize = 100;
 

@@ -210,8 +210,8 @@ pub(in crate::pipeline) fn focal_deviation(run: &Run) -> Result<Option<f64>, Pip
     Ok(background_report(run)?.focal_deviation())
 }
 
-/// The one place where structure from motion is called. `poses` are those that a map starts from, if any; `watch` receives the
-/// finished share.
+/// The one place where structure from motion is called. `poses` are those that a map starts from, if any; `watch`
+/// receives the finished share.
 pub(in crate::pipeline) fn reconstruct(
     run: &Run,
     mut table: crate::features::TrackTable,

@@ -33,6 +33,9 @@ const MAX_LOSS_OF_FIT: f64 = 0.1;
 
 /// Inputs of the adjustment, for the stage's cache key.
 pub(super) fn cache_key(run: &Run) -> serde_json::Value {
+    if !run.options.metric.position_priors {
+        return json!(null);
+    }
     let files = telemetry::files(run);
     let contents: Vec<_> =
         files.iter().map(|file| crate::pipeline::driver::fingerprint::of_content(file).ok()).collect();
@@ -54,7 +57,8 @@ pub(super) fn adjust(
     std: &BTreeMap<CameraId, [f64; NUM_INTRINSICS]>,
     outcome: &mut Outcome,
 ) -> Result<Option<MetricFrame>, PipelineError> {
-    if run.options.metric.telemetry == TelemetryChoice::None || model.points.is_empty() {
+    let metric = &run.options.metric;
+    if !metric.position_priors || metric.telemetry == TelemetryChoice::None || model.points.is_empty() {
         return Ok(None);
     }
     let Some(telemetry) = telemetry::find(run, &mut Outcome::default()) else { return Ok(None) };
@@ -64,8 +68,7 @@ pub(super) fn adjust(
     };
     let Ok(fitted) = fit(model) else { return Ok(None) };
     let most_views = order::sfm_options(run)?.0.mapper.max_views_at_once;
-    let is_adjusted = run.options.metric.position_priors && model.images.len() <= most_views;
-    if is_adjusted && with_positions(run, model, &fitted, std, outcome)? {
+    if model.images.len() <= most_views && with_positions(run, model, &fitted, std, outcome)? {
         return Ok(fit(model).ok().and_then(|fitted| frame(&fitted)));
     }
     Ok(frame(&fitted))
