@@ -163,7 +163,7 @@ const CLAUSES: [&str; 4] = ["What ", "Whether ", "How ", "By how much "];
 const BANNED: [&str; 8] = ["anew", "beside", "once more", "told", "said", "passed over", "hangs on", "stands for"];
 /// Doc summaries and comment lines that still break the rules. A number here may only fall.
 const CLAUSES_LEFT: usize = 0;
-const BANNED_LEFT: usize = 2;
+const BANNED_LEFT: usize = 0;
 
 /// Doc summaries of a source that begin with a clause: the first line of every block of `///` or `//!`.
 fn clauses(source: &str) -> usize {

@@ -386,7 +386,8 @@
 		const ready = () => requestAnimationFrame(() => requestAnimationFrame(() => { root.dataset.ready = "true"; }));
 		if (!film?.video.seeking) return ready();
 		film.video.addEventListener("seeked", ready, { once: true });
-		setTimeout(ready, 2000);
+		// A browser that draws no more frames while it waits for the film is ready, too.
+		setTimeout(() => { root.dataset.ready = "true"; }, 2000);
 	};
 
 	// Pictures first: the frustum carries one.
