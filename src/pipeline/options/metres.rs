@@ -22,7 +22,7 @@ pub enum TelemetryChoice {
 }
 
 /// Sources of the metric scale besides typical vehicle sizes; all are fused.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MetricOptions {
     /// Telemetry.
@@ -49,21 +49,6 @@ pub struct MetricOptions {
     pub known_lengths: Vec<KnownLength>,
     /// True if positions of telemetry take part in the last adjustment of the background.
     pub position_priors: bool,
-}
-
-impl Default for MetricOptions {
-    fn default() -> Self {
-        Self {
-            telemetry: TelemetryChoice::default(),
-            time_offset: None,
-            utc_offset: None,
-            camera_height: None,
-            camera_pitch: None,
-            scale: None,
-            known_lengths: Vec::new(),
-            position_priors: false,
-        }
-    }
 }
 
 impl MetricOptions {
