@@ -59,11 +59,6 @@ impl TrackTable {
         self.tracks.iter().map(Vec::len).sum()
     }
 
-    /// Returns true if any track has a gap.
-    pub fn has_gaps(&self) -> bool {
-        self.tracks.iter().any(|track| track.windows(2).any(|pair| pair[1].view > pair[0].view + 1))
-    }
-
     /// Whitening of a feature's position error.
     pub fn whitening(&self, feature: Feature) -> Whitening {
         self.views[feature.view as usize].whitening_of(feature.feature)
