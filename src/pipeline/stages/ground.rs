@@ -194,7 +194,7 @@ fn find(
     Ok(GroundResults { labelled, dominant, mount: mount.ok(), hovering: None })
 }
 
-/// The ground below a camera that does not translate; `None` for others, and where nothing shows it. The stage `follow`
+/// The ground below a camera that does not translate; `None` for others, and where nothing shows it. The stage `track`
 /// must be done.
 pub(in crate::pipeline) fn hovering(
     run: &Run,
