@@ -79,10 +79,11 @@ pub(super) fn revised(by_points: &PointFinding, evidence: Option<&TrajectoryEvid
     MovementFinding { state, reason }
 }
 
-/// Returns true if the other methods contradict the scale of a trajectory and one another. Its motion relative to the
-/// camera is then no evidence: a wrong ratio moves a parked vehicle along.
+/// Returns true if other methods or the shape of the model contradict the scale of a trajectory. Its motion relative to
+/// the camera is then no evidence: a wrong ratio moves a parked vehicle along.
 pub(super) fn contradicts_scale(verdict: &Verdict) -> bool {
-    verdict.against().any(|reason| reason.kind == ReasonKind::Agreement && reason.weight >= 1.0)
+    let rests_on_scale = |kind| matches!(kind, ReasonKind::Agreement | ReasonKind::Shape);
+    verdict.against().any(|reason| rests_on_scale(reason.kind) && reason.weight >= 0.5)
 }
 
 #[cfg(test)]
@@ -132,9 +133,9 @@ mod tests {
     fn a_contradicted_scale_is_no_evidence_of_motion() {
         use crate::scene::{Reason, Trust};
         let verdict = |reason| Verdict { state: Trust::Doubtful, reasons: vec![reason] };
-        let agreement = |weight| verdict(Reason::doubts(ReasonKind::Agreement, weight, "contradicts"));
-        assert!(contradicts_scale(&agreement(1.0)) && !contradicts_scale(&agreement(0.5)));
+        let doubts = |kind, weight| contradicts_scale(&verdict(Reason::doubts(kind, weight, "contradicts")));
+        assert!(doubts(ReasonKind::Agreement, 0.5) && !doubts(ReasonKind::Agreement, 0.25));
+        assert!(doubts(ReasonKind::Shape, 1.0) && !doubts(ReasonKind::Pixels, 1.0));
         assert!(contradicts_scale(&verdict(Reason::refutes(ReasonKind::Agreement, "by far"))));
-        assert!(!contradicts_scale(&verdict(Reason::doubts(ReasonKind::Pixels, 1.0, "small"))));
     }
 }
