@@ -30,9 +30,16 @@ impl Default for SilhouetteOptions {
 pub struct SilhouetteVotes {
     /// Votes, and how many of them say outside.
     votes: BTreeMap<Point3dId, [u32; 2]>,
+    /// First images of all sub-maps but the first.
+    gaps: Vec<ImageId>,
 }
 
 impl SilhouetteVotes {
+    /// Votes of the images of one object; those of a sub-map judge its own points.
+    pub fn new(object: &Reconstruction) -> Self {
+        Self { gaps: object.gaps(), ..Self::default() }
+    }
+
     /// Takes the vote of one registered image; points that project beyond the picture or where `is_hidden` have
     /// none in it.
     ///
@@ -45,9 +52,14 @@ impl SilhouetteVotes {
         silhouette: &Mask,
         is_hidden: impl Fn(f64, f64) -> bool,
     ) {
+        let sub_map = |id: ImageId| self.gaps.partition_point(|gap| *gap <= id);
+        let of_image = sub_map(image);
         let Some(image) = object.images.get(&image) else { return };
         let camera = object.camera_of(image);
         for (&id, point) in &object.points {
+            if point.track.first().is_some_and(|element| sub_map(element.image) != of_image) {
+                continue;
+            }
             let Some(pixel) = camera.pixel_from_cam(image.cam_from_world * point.position) else { continue };
             if !camera.contains(pixel) || is_hidden(pixel.x, pixel.y) {
                 continue;
@@ -74,7 +86,7 @@ mod tests {
     use super::*;
     use crate::camera::Camera;
     use crate::math::Rigid3;
-    use crate::scene::{CameraId, Image, Point3d};
+    use crate::scene::{CameraId, Image, Point3d, TrackElement};
 
     /// Ten cameras in a row, 10 m before a ball of radius 1, and points in it, next to it and behind it.
     #[test]
@@ -127,6 +139,29 @@ mod tests {
         votes.add(&object, ImageId(1), &nothing, |_, _| true);
         assert_eq!(votes.outside(&options), []);
         votes.add(&object, ImageId(1), &nothing, |_, _| false);
+        assert_eq!(votes.outside(&options), [Point3dId(1)]);
+    }
+
+    #[test]
+    fn another_sub_map_has_no_vote() {
+        let camera = Camera::with_focal(100, 100, 100.0);
+        let mut object = Reconstruction::default();
+        object.cameras.insert(CameraId(1), camera);
+        let track = [1, 2].map(|image| TrackElement { image: ImageId(image), observation_idx: 0 }).to_vec();
+        let point = Point3d { position: Point3::new(0.0, 0.0, 5.0), rgb: [0; 3], error_px: 0.1, track };
+        object.points.insert(Point3dId(1), point);
+        let image = Image {
+            name: String::new(),
+            camera: CameraId(1),
+            cam_from_world: Rigid3::identity(),
+            observations: Vec::new(),
+        };
+        object.images.extend([1, 2, 9].map(|id| (ImageId(id), image.clone())));
+        let options = SilhouetteOptions { min_votes: 1, ..SilhouetteOptions::default() };
+        let mut votes = SilhouetteVotes::new(&object);
+        votes.add(&object, ImageId(9), &Mask::empty(100, 100), |_, _| false);
+        assert_eq!(votes.outside(&options), []);
+        votes.add(&object, ImageId(1), &Mask::empty(100, 100), |_, _| false);
         assert_eq!(votes.outside(&options), [Point3dId(1)]);
     }
 }

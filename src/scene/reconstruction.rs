@@ -122,6 +122,33 @@ impl Reconstruction {
         self.images.is_empty()
     }
 
+    /// The images of a video before which the map is interrupted: hardly a track leads there across missing frames.
+    pub fn gaps(&self) -> Vec<ImageId> {
+        // As many as a view needs to be registered; between neighboring frames a rigid motion takes three.
+        const MIN_SHARED: isize = 12;
+        const MIN_SHARED_NEXT: isize = 3;
+        let ids: Vec<ImageId> = self.images.keys().copied().collect();
+        // By image: tracks that begin before it, less those that end before it.
+        let mut change = vec![0isize; ids.len() + 1];
+        for point in self.points.values() {
+            let seen = || point.track.iter().map(|element| ids.partition_point(|id| *id < element.image));
+            if let (Some(first), Some(last)) = (seen().min(), seen().max()) {
+                change[first + 1] += 1;
+                change[(last + 1).min(ids.len())] -= 1;
+            }
+        }
+        let mut num_shared = 0;
+        let mut gaps = Vec::new();
+        for k in 1..ids.len() {
+            num_shared += change[k];
+            let is_next = ids[k].frame().0 == ids[k - 1].frame().0 + 1;
+            if num_shared < if is_next { MIN_SHARED_NEXT } else { MIN_SHARED } {
+                gaps.push(ids[k]);
+            }
+        }
+        gaps
+    }
+
     /// The intrinsics of an image of this reconstruction.
     pub fn camera_of(&self, image: &Image) -> &Camera {
         &self.cameras[&image.camera]

@@ -21,6 +21,7 @@ use nalgebra::{Matrix3, Point3, Rotation3, Unit, UnitQuaternion, Vector3};
 
 use self::fit::{Expected, Fit, Reach, Unknowns};
 use self::outline::OutlineView;
+use self::template::Template;
 use super::contact::solid_points;
 use super::{Body, Options, Silhouette, View, Views, forward_axis};
 use crate::math::{Rigid3, median, quantile, symmetric_eigen};
@@ -109,16 +110,58 @@ fn measured(subject: &Subject) -> Option<Extents> {
     }
 }
 
+/// A body of a vehicle's shape, fitted to the outlines of one map.
+#[derive(Clone, Debug)]
+pub(super) struct FittedBody {
+    template: &'static Template,
+    fit: Fit,
+    vehicle_from_object: Rigid3,
+}
+
+impl FittedBody {
+    /// The body that fits best; shape and size are those of `known` where given. `None` where the motion does not tell
+    /// the heading, or too few frames show the object.
+    pub(super) fn of(subject: &Subject, body: Body, known: Option<&Self>) -> Option<Self> {
+        let start = Start::of(subject).filter(|start| start.axis == Axis::Forward)?;
+        let sights = start.sights(subject);
+        let (weight, _) = weight_of(&sights)?;
+        let mut expected = start.expected(&sights);
+        for (known, k) in known.into_iter().flat_map(|known| (0..3).map(move |k| (known, k))) {
+            expected.value[k] = known.fit.value[k];
+            expected.std[k] = known.fit.covariance[(k, k)].sqrt();
+        }
+        let is_tried = |template: &&Template| known.is_none_or(|known| std::ptr::eq(known.template, *template));
+        let shapes = template::of_body(body).iter().filter(is_tried);
+        let fitted = shapes.filter_map(|template| Some((template, fit::fit(template, &sights, &expected, weight)?)));
+        let (template, fit) = fitted.min_by(|a, b| a.1.misfit.total_cmp(&b.1.misfit))?;
+        Some(Self { template, fit, vehicle_from_object: start.vehicle_from_object })
+    }
+
+    /// Standard deviation of the length, relative to it.
+    pub(super) fn length_std(&self) -> f64 {
+        self.fit.covariance[(0, 0)].sqrt()
+    }
+
+    /// From the body's frame (x forward, y left, z up, origin on the ground below its middle) to the map's.
+    pub(super) fn object_from_body(&self) -> Rigid3 {
+        let (value, axis) = (&self.fit.value, Vector3::z_axis());
+        let turned = UnitQuaternion::from_axis_angle(&axis, value[5]);
+        self.vehicle_from_object.inverse() * Rigid3::new(turned, Vector3::new(value[3], value[4], 0.0))
+    }
+}
+
+/// Weight of a line, and how many independent ones there are; `None` for too few frames.
+fn weight_of(sights: &[OutlineView]) -> Option<(f64, f64)> {
+    let independent = LINES_OF_A_SIGHT * num_views(sights) as f64;
+    let num_lines: usize = sights.iter().map(|sight| sight.touches.len()).sum();
+    (sights.len() >= MIN_SIGHTS).then(|| ((independent / num_lines.max(1) as f64).min(1.0), independent))
+}
+
 /// Bodies of all shapes that the object may have, and how many independent lines they rest on; `None` where too few
 /// frames show the object.
 fn fits(subject: &Subject, start: &Start) -> Option<(Vec<Fit>, f64)> {
     let sights = start.sights(subject);
-    if sights.len() < MIN_SIGHTS {
-        return None;
-    }
-    let independent = LINES_OF_A_SIGHT * num_views(&sights) as f64;
-    let num_lines: usize = sights.iter().map(|sight| sight.touches.len()).sum();
-    let weight = (independent / num_lines.max(1) as f64).min(1.0);
+    let (weight, independent) = weight_of(&sights)?;
     let expected = start.expected(&sights);
     let shapes = template::of_body(Body::of_class(&subject.trajectory.class));
     Some((shapes.iter().filter_map(|shape| fit::fit(shape, &sights, &expected, weight)).collect(), independent))

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use super::template::of_body;
 use super::*;
 use crate::camera::Camera;
+use crate::math::Sim3;
 use crate::scene::{
     CameraId, Frame, ImageId, ObjectId, PlaneBasis, Point3d, Point3dId, ScaleEstimate, ScaleMethod, Unit as LengthUnit,
 };
@@ -95,10 +96,39 @@ impl World {
         self
     }
 
-    fn extents(&self) -> Extents {
-        let Self { object, background, planes, silhouettes, trajectory, options } = self;
-        extents(&Subject { trajectory, object, background, planes, silhouettes, options })
+    /// Expresses the car in another frame.
+    fn in_frame(mut self, new_from_old: &Rigid3) -> Self {
+        let new_from_old = Sim3::new(1.0, new_from_old.rotation, new_from_old.translation);
+        self.object.transform(&new_from_old);
+        let old_from_new = new_from_old.inverse();
+        for pose in &mut self.trajectory.poses {
+            pose.world_from_object = pose.world_from_object * old_from_new;
+        }
+        self
     }
+
+    fn subject(&self) -> Subject<'_> {
+        let Self { object, background, planes, silhouettes, trajectory, options } = self;
+        Subject { trajectory, object, background, planes, silhouettes, options }
+    }
+
+    fn extents(&self) -> Extents {
+        extents(&self.subject())
+    }
+}
+
+#[test]
+fn bodies_of_two_sub_maps_tell_how_their_frames_are_related() {
+    let side = world(&[50.0, 60.0, 70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0]).drive();
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.1);
+    let rear_from_side = Rigid3::new(turn, Vector3::new(0.7, -0.3, 0.0));
+    let rear = world(&[165.0, 170.0, 175.0, 180.0, 185.0, 190.0, 195.0]).drive().in_frame(&rear_from_side);
+    let known = FittedBody::of(&side.subject(), Body::Car, None).unwrap();
+    let body = FittedBody::of(&rear.subject(), Body::Car, Some(&known)).unwrap();
+    let found = body.object_from_body() * known.object_from_body().inverse();
+    assert!((found.translation - rear_from_side.translation).xy().norm() < 0.1, "{found:?}");
+    assert!(found.angle_to(&rear_from_side) < 0.02, "{found:?}");
+    assert!(FittedBody::of(&world(&[50.0, 60.0, 70.0]).subject(), Body::Car, None).is_none());
 }
 
 /// Returns true if an extent is right within two standard deviations and a tenth.

@@ -109,10 +109,18 @@ impl<'a> Adjustment<'a> {
         })
     }
 
-    /// The same knowledge of a part of the object, which is adjusted as far as it takes to see by how much its size
-    /// differs.
+    /// The same adjustment of a part of the object.
+    pub(super) fn with_object(&self, object: Reconstruction) -> Self {
+        Self { object, ..self.clone() }
+    }
+
+    /// The same, adjusted as far as it takes to see by how much the part's size differs.
     pub(super) fn of_part(&self, object: Reconstruction) -> Self {
-        Self { object, tolerance: OF_A_PART, ..self.clone() }
+        Self { tolerance: OF_A_PART, ..self.with_object(object) }
+    }
+
+    pub(super) fn grounded(&self) -> &'a Grounded<'a> {
+        self.grounded
     }
 
     /// The same, as little believed as can be: how little an object wanders in a few frames is no proof.

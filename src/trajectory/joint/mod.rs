@@ -13,6 +13,7 @@
 mod adjustment;
 mod precision;
 mod spread;
+mod sub_maps;
 mod surface;
 #[cfg(test)]
 mod tests;
@@ -173,8 +174,10 @@ pub struct Joint {
 pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Joint, ScaleError> {
     views.require(3)?;
     let mut adjustment = Adjustment::new(grounded, views, options)?;
+    let all_options = options;
     let options = &options.joint;
     let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
+    settle_sub_maps(&mut adjustment, all_options);
     let contact = settle(&mut adjustment)?;
     let after_px = median_error_px(&adjustment.object).filter(|px| px.is_finite()).ok_or(ScaleError::NoObservations)?;
     if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {
@@ -193,6 +196,21 @@ pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Jo
     let ratio = 1.0 / object_from_ground.scale;
     let (std, error_px, num_uncertain) = (shares.total() * ratio, [before_px, after_px], uncertain.len());
     Ok(Joint { object, ratio, std, shares, contact, error_px, num_uncertain })
+}
+
+/// Adjusts every sub-map by itself, where there are several, and joins them.
+fn settle_sub_maps(adjustment: &mut Adjustment, options: &Options) {
+    let mut sub_maps = sub_maps::split(&adjustment.object);
+    if sub_maps.len() > 1 {
+        for sub_map in &mut sub_maps {
+            let mut part = adjustment.with_object(sub_map.clone());
+            match settle(&mut part) {
+                Ok(_) => *sub_map = part.object,
+                Err(error) => tracing::debug!("sub-map of {} images: {error}", sub_map.images.len()),
+            }
+        }
+        adjustment.object = sub_maps::join(sub_maps, adjustment.grounded(), options);
+    }
 }
 
 /// Adjusts in turns with the contact until that stays.

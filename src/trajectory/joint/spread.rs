@@ -65,8 +65,8 @@ fn jackknife(values: impl Iterator<Item = f64>) -> Option<f64> {
     (values.len() >= 3).then(|| ((count - 1.0) / count * squares).sqrt())
 }
 
-/// The object without some images; points that fewer than three are left of go, too.
-fn without_images(object: &Reconstruction, gone: &BTreeSet<ImageId>) -> Reconstruction {
+/// The object without some images and the points that fewer than three of the others observe.
+pub(super) fn without_images(object: &Reconstruction, gone: &BTreeSet<ImageId>) -> Reconstruction {
     let mut out = object.clone();
     out.images.retain(|id, _| !gone.contains(id));
     let mut lost = Vec::new();

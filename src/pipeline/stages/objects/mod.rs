@@ -232,7 +232,8 @@ fn check_silhouettes(
     let folder = run.workspace.unchecked_objects();
     let unchecked = markers.iter().filter(|(_, marker)| !marker.is_checked).map(|(&id, _)| {
         let model = colmap::read(&folder.join(id.to_string()))?;
-        Ok((id, Unchecked { model, votes: SilhouetteVotes::default() }))
+        let votes = SilhouetteVotes::new(&model);
+        Ok((id, Unchecked { model, votes }))
     });
     let mut unchecked: BTreeMap<ObjectId, Unchecked> = unchecked.collect::<Result<_, PipelineError>>()?;
     vote(run, tracked, &mut unchecked)?;

@@ -1,0 +1,92 @@
+//! Alignment of an object's sub-maps, which share hardly a point.
+//!
+//! After an occlusion a vehicle shows another side, so that hardly a track leads from the frames before to those after
+//! it. Each sub-map is adjusted with the ground by itself, which determines its height, inclination and size. Their
+//! relative position on the ground and heading follow from the outlines, which are those of one body: that of the
+//! sub-map that knows its length best is fitted to the outlines of the others ([`FittedBody`]). Motion across the gap
+//! tells less: extrapolated over 0.9 s, the polynomials of five rendered vehicles are off by 0.34 m and 11°.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::Grounded;
+use super::spread::without_images;
+use crate::math::Sim3;
+use crate::scene::{ImageId, ObjectId, Point3dId, Reconstruction, ScaleEstimate, ScaleMethod, Unit};
+use crate::trajectory::Options;
+use crate::trajectory::assemble::{ObjectDescription, assemble};
+use crate::trajectory::extents::{FittedBody, Subject};
+
+/// Sub-maps of an object, in the order of their images; the object itself where no gap divides it.
+pub(super) fn split(object: &Reconstruction) -> Vec<Reconstruction> {
+    let gaps = object.gaps();
+    let of = |id: &ImageId| gaps.partition_point(|gap| gap <= id);
+    let others = |k: usize| object.images.keys().filter(|id| of(id) != k).copied().collect();
+    (0..=gaps.len()).map(|k| without_images(object, &others(k))).collect()
+}
+
+/// Joins sub-maps whose ground is z = 0, in the background's unit. One to which no body can be fitted keeps its poses.
+pub(super) fn join(mut sub_maps: Vec<Reconstruction>, grounded: &Grounded, options: &Options) -> Reconstruction {
+    let of_known_size = |sub_map: &Reconstruction, known| fitted_body(sub_map, known, grounded, options);
+    let bodies = sub_maps.iter().map(|sub_map| of_known_size(sub_map, None));
+    let best = bodies.flatten().min_by(|a, b| a.length_std().total_cmp(&b.length_std()));
+    let mut joined = Reconstruction::default();
+    for sub_map in &mut sub_maps {
+        if let Some(best) = &best
+            && let Some(body) = of_known_size(sub_map, Some(best))
+        {
+            let best_from_this = best.object_from_body() * body.object_from_body().inverse();
+            let forward = best_from_this.rotation * Vector3::x();
+            let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), forward.y.atan2(forward.x));
+            let shift = best_from_this.translation;
+            tracing::debug!("sub-map of {} images: by {shift:?}, turned by {:?}", sub_map.images.len(), turn.angle());
+            sub_map.transform(&Sim3::new(1.0, turn, Vector3::new(shift.x, shift.y, 0.0)));
+        }
+        // A point that several of them observe has a position in each.
+        let known: Vec<Point3dId> =
+            sub_map.points.keys().filter(|id| joined.points.contains_key(id)).copied().collect();
+        sub_map.remove_points(&known);
+        joined.cameras.append(&mut sub_map.cameras);
+        joined.camera_forms.append(&mut sub_map.camera_forms);
+        joined.images.append(&mut sub_map.images);
+        joined.points.append(&mut sub_map.points);
+    }
+    joined
+}
+
+/// The body that fits the outlines of a sub-map, of the size of a known one where given.
+fn fitted_body(
+    sub_map: &Reconstruction,
+    known: Option<&FittedBody>,
+    grounded: &Grounded,
+    options: &Options,
+) -> Option<FittedBody> {
+    let Grounded { background, planes, silhouettes, frames, body, .. } = *grounded;
+    let anonymous = ObjectDescription { id: ObjectId(0), class: String::new(), confidence: 1.0 };
+    let scale = ScaleEstimate::new(1.0, ScaleMethod::Joint);
+    let trajectory = &assemble(anonymous, background, sub_map, scale, frames, Unit::Background);
+    FittedBody::of(&Subject { trajectory, object: sub_map, background, planes, silhouettes, options }, body, known)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::FrameId;
+    use crate::synthetic::drive::{Options, drive};
+
+    #[test]
+    fn a_map_is_split_where_frames_are_missing_and_hardly_a_track_leads_on() {
+        let mut object = drive(&Options { num_frames: 40, ..Options::default() }, 1).object;
+        let hidden = (15..22).map(|frame| ImageId::from(FrameId(frame))).collect();
+        object = without_images(&object, &hidden);
+        assert_eq!(split(&object), [object.clone()]);
+        let is_before = |image: ImageId| image < ImageId::from(FrameId(15));
+        let across = object.points.iter().filter(|(_, point)| {
+            point.track.iter().any(|e| is_before(e.image)) && point.track.iter().any(|e| !is_before(e.image))
+        });
+        let across: Vec<_> = across.map(|(id, _)| *id).skip(11).collect();
+        object.remove_points(&across);
+        let parts = split(&object);
+        assert_eq!(parts.iter().map(|part| part.images.len()).collect::<Vec<_>>(), [15, 18]);
+        assert!(parts[0].images.keys().all(|id| is_before(*id)));
+    }
+}
