@@ -85,6 +85,7 @@ const NAMES: [(Column, &[&str]); 18] = [
             "relalt",
             "heightabovetakeoff",
             "relativealtitude",
+            "ascent",
             "barometricheight",
             "barometricaltitude",
         ],
@@ -167,10 +168,17 @@ impl Unit {
 /// # Errors
 /// The problem with a unit, where a quantity has no other column.
 pub(super) fn columns<'a>(names: impl Iterator<Item = &'a str>) -> Result<Vec<KnownColumn>, String> {
+    let names: Vec<&str> = names.collect();
+    let is_of_receiver = has(names.iter().copied(), Column::VerticalStd);
     let mut candidates: Vec<(Column, [usize; 4], &str, Unit)> = Vec::new();
-    for (index, full) in names.enumerate() {
+    for (index, full) in names.into_iter().enumerate() {
         let (name, unit) = split_unit(full);
-        let Some((column, num_dropped)) = column_of(&name) else { continue };
+        let (column, num_dropped) = match column_of(&name) {
+            // A height with an accuracy is the receiver's (phyphox, u-blox), unless another column is plainly that.
+            Some((Column::RelativeHeight, _)) if is_of_receiver && name == "height" => (Column::GpsHeight, 1),
+            Some(found) => found,
+            None => continue,
+        };
         // GoPro's extractors count in milliseconds, and do not say so.
         let unit = if unit == Unit::Unstated && name == "cts" { Unit::Known(Dimension::Time, 1e-3) } else { unit };
         let order = [usize::from(!unit.suits(column)), num_dropped, usize::from(unit == Unit::Unstated), index];

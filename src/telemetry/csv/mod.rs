@@ -106,6 +106,10 @@ impl Table {
                 }
             }
         }
+        // Litchi's altitude is its ascent: the height above take-off again.
+        if log.fixes.iter().all(|fix| fix.gps_height_m == fix.relative_height_m) {
+            log.fixes.iter_mut().for_each(|fix| fix.gps_height_m = None);
+        }
         log.clock = match (any_clock, all_stated || self.is_utc) {
             (false, _) => ClockKind::Absent,
             (true, true) => ClockKind::Utc,
@@ -162,6 +166,10 @@ mod tests {
         assert_eq!((first.video_s, log.clock), (Some(0.1), ClockKind::Utc));
         assert!((first.relative_height_m.unwrap() - 30.48).abs() < 1e-9);
         assert!((first.gimbal.unwrap().yaw - std::f64::consts::PI).abs() < 1e-12);
+        let log = table("latitude,longitude,altitude(feet),ascent(feet)\n48.5,9.25,100,100\n48.5,9.25,101.5,101.5\n");
+        assert!(log.fixes[1].gps_height_m.is_none() && log.fixes[1].relative_height_m.is_some_and(|m| m > 30.9));
+        let log = table("latitude,longitude,altitude(feet),ascent(feet)\n48.5,9.25,1000,100\n48.5,9.25,1001,101\n");
+        assert!(log.fixes[1].gps_height_m.is_some_and(|m| m > 305.0) && log.fixes[1].relative_height_m.is_some());
         let log = table("timestamp;lat;lon\n1659879640;48.5;9.25\n1659879641000;48.5;9.25\n");
         assert_eq!(log.fixes.iter().map(|fix| fix.clock_s.unwrap()).collect::<Vec<_>>(), [1659879640.0, 1659879641.0]);
     }
@@ -206,10 +214,11 @@ mod tests {
         let log = table("time;Latitude;Longitude;Altitude\n0;12,345;-34,567;220,5\n");
         assert_eq!((log.fixes[0].longitude_deg, log.fixes[0].gps_height_m), (-34.567, Some(220.5)));
         let log = table(
-            "\"Time (s)\",\"Latitude (°)\",\"Longitude (°)\",\"Vertical Accuracy (°)\"\n\
-             1.0E+00,1.2345E+01,-3.4E+01,3\n",
+            "\"Time (s)\",\"Latitude (°)\",\"Longitude (°)\",\"Height (m)\",\"Vertical Accuracy (°)\"\n\
+             1.0E+00,1.2345E+01,-3.4E+01,2.2E+02,3\n",
         );
         assert_eq!((log.fixes[0].latitude_deg, log.fixes[0].vertical_std_m), (12.345, 6.6));
+        assert_eq!((log.fixes[0].gps_height_m, log.fixes[0].relative_height_m), (Some(220.0), None));
         let log = table("Id,Time(text),Time(seconds),Latitude,Longitude\n1,0m 0.3s,0.3,12.3,-34.5\n");
         assert_eq!(log.fixes[0].video_s, Some(0.3));
         let log = table(
