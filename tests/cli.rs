@@ -249,6 +249,13 @@ fn a_camera_that_stands_still_is_told_so() {
     let (stderr, run) = without_ground(&images, &masks, &folder.path().join("out"));
     assert!(stderr.contains("camera does not translate") && stderr.contains("--camera-pitch"), "{stderr}");
     assert_eq!(run["stages"]["background"]["figures"]["num_registered"], 6);
+    // Masks of other programs, in which 0 marks what is to be ignored, leave the vehicles alone.
+    for k in 0..6 {
+        let mask = image::GrayImage::from_fn(drive::WIDTH, drive::HEIGHT, |_, y| image::Luma([u8::from(y < 126)]));
+        mask.save(masks.join(format!("{k:04}.png"))).unwrap();
+    }
+    let (stderr, _) = without_ground(&images, &masks, &folder.path().join("inverted"));
+    assert!(stderr.contains("cover 71 % of the images") && stderr.contains("invert them"), "{stderr}");
 }
 
 /// Runs on images of a camera that stands still, none of whose vehicles moves: rotations and no ground.

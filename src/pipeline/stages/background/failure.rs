@@ -1,4 +1,4 @@
-//! Properties of the images that explain why no background was reconstructed.
+//! Properties of the images that explain why no background, or none with points, was reconstructed.
 
 use std::collections::BTreeSet;
 

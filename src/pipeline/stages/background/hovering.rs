@@ -1,6 +1,6 @@
 //! The background of a camera that does not translate: its rotations, and no points.
 
-use super::ModelReport;
+use super::{ModelReport, failure};
 use crate::mapper::rotating_camera;
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::Run;
@@ -22,8 +22,9 @@ pub(super) fn reconstruct(run: &Run) -> Result<Option<(Reconstruction, ModelRepo
     let mut model = Reconstruction { cameras: [(CAMERA, first.camera)].into(), ..Reconstruction::default() };
     let text = format!(
         "camera does not translate (rotations fit to {:.1} px): no points of the background; ground from the sizes of \
-         vehicles and --camera-pitch, unit is the camera's height; give --camera-height for meters",
-        found.error_px
+         vehicles and --camera-pitch, unit is the camera's height; give --camera-height for meters{}",
+        found.error_px,
+        failure::reasons(run)?
     );
     let remarks = vec![Topic::CameraHovers.warning(text)];
     let mut report = ModelReport { num_visible: table.views.len(), remarks, ..ModelReport::default() };
