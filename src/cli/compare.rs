@@ -243,6 +243,13 @@ fn why_not(comparison: &Comparison) -> String {
     let (Some(ours), Some(theirs)) = (other.only_in_reference.first(), other.only_in_other.first()) else {
         return format!("nothing to compare: {reason}");
     };
+    if let Some(time_s) = theirs.strip_prefix(paired_times::UNPAIRED) {
+        return format!(
+            "nothing to compare: {reason}. No times agree ({ours} s in {}, {time_s} s in {}); give --time-offset, or \
+             --match-by order for paths with a pose for every pose of the other",
+            comparison.reference.name, other.subject.name
+        );
+    }
     format!(
         "nothing to compare: {reason}. If images have different names ('{ours}' in {}, '{theirs}' in {}): --match-by \
          stem ignores folders and extensions, --match-by order pairs them by the order of their names",

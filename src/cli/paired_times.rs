@@ -8,6 +8,9 @@ use crate::math::{Rigid3, median};
 use crate::pipeline;
 use crate::scene::{Image, ImageId, Reconstruction};
 
+/// Start of the name of an image that is near none of the reference's.
+pub(super) const UNPAIRED: &str = "unpaired ";
+
 /// Times of a model's images, seconds, ascending.
 pub(super) type Times = Vec<(f64, ImageId)>;
 
@@ -49,7 +52,7 @@ pub(super) fn rename(reference: (&Reconstruction, &Times), model: &mut Reconstru
     let poses: Vec<(f64, Rigid3)> =
         times.iter().map(|(time_s, id)| (*time_s, model.images[id].cam_from_world)).collect();
     for image in model.images.values_mut() {
-        image.name.insert_str(0, "unpaired ");
+        image.name.insert_str(0, UNPAIRED);
     }
     for (id, (_, index, time_s)) in nearest {
         let image = model.images.get_mut(&times[index].1);

@@ -84,5 +84,5 @@ fn pair_error(a: &(Rigid3, Rigid3), b: &(Rigid3, Rigid3), least: f64) -> PairErr
 /// ∫₀^limit recall(e) de / limit: an error e below the limit counts from e on.
 fn area(sorted: &[f64], num_pairs: usize, limit: f64) -> f64 {
     let below = sorted.iter().take_while(|error| **error < limit);
-    below.map(|error| limit - error).sum::<f64>() / (limit * num_pairs as f64)
+    below.fold(0.0, |sum, error| sum + limit - error) / (limit * num_pairs as f64)
 }
