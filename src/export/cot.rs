@@ -7,10 +7,7 @@
 use std::io::Write;
 use std::path::Path;
 
-use quick_xml::Writer;
-use quick_xml::events::{BytesDecl, Event};
-
-use super::kml::{allowed, element};
+use super::xml::{self, Xml, allowed, element};
 use super::{ExportError, Results};
 use crate::io::atomic;
 use crate::math::median;
@@ -61,12 +58,9 @@ fn document(out: &mut dyn Write, results: &Results, start_s: f64) -> std::io::Re
     }
     // Stable: vehicles of one time stay in the order of their ids.
     events.sort_by(|(_, a, _), (_, b, _)| a.time_s.total_cmp(&b.time_s));
-    let mut xml = Writer::new_with_indent(out, b' ', 1);
-    xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
-    xml.create_element("events").write_inner_content(|xml| {
+    xml::document(out, "events", &[], |xml| {
         events.iter().try_for_each(|(vehicle, fix, valid_s)| event(xml, results, vehicle, fix, start_s, *valid_s))
-    })?;
-    xml.into_inner().write_all(b"\n")
+    })
 }
 
 fn vehicles(results: &Results) -> Vec<Vehicle> {
@@ -106,7 +100,7 @@ fn contact_fix(results: &Results, position: &GroundPosition) -> Option<Fix> {
 }
 
 fn event(
-    xml: &mut Writer<&mut dyn Write>,
+    xml: &mut Xml,
     results: &Results,
     vehicle: &Vehicle,
     fix: &Fix,
@@ -141,7 +135,7 @@ fn event(
     Ok(())
 }
 
-fn point(xml: &mut Writer<&mut dyn Write>, results: &Results, place: &MapPlace) -> std::io::Result<()> {
+fn point(xml: &mut Xml, results: &Results, place: &MapPlace) -> std::io::Result<()> {
     let [east, north, up] = place.place_std_m;
     let known = |value: f64| if results.knows_height() { format!("{value:.4}") } else { UNKNOWN.to_owned() };
     let [latitude, longitude] = [place.latitude, place.longitude].map(|degrees| format!("{degrees:.9}"));
@@ -152,7 +146,7 @@ fn point(xml: &mut Writer<&mut dyn Write>, results: &Results, place: &MapPlace) 
 }
 
 /// Speed and the direction of motion, with their standard deviations.
-fn track(xml: &mut Writer<&mut dyn Write>, metric: Option<&MetricPose>) -> std::io::Result<()> {
+fn track(xml: &mut Xml, metric: Option<&MetricPose>) -> std::io::Result<()> {
     let Some(motion) = metric.and_then(|metric| metric.motion) else { return Ok(()) };
     // A vehicle that backs up moves against its heading.
     let turn = if motion.speed_m_s < 0.0 { 180.0 } else { 0.0 };
@@ -174,6 +168,8 @@ mod tests {
     use std::collections::BTreeMap;
 
     use quick_xml::Reader;
+
+    use quick_xml::events::Event;
 
     use super::*;
     use crate::export::testing::{results, with_metres};

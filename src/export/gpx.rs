@@ -4,11 +4,8 @@
 use std::io::Write;
 use std::path::Path;
 
-use quick_xml::Writer;
-use quick_xml::events::{BytesDecl, Event};
-
 use super::geojson::camera_fixes;
-use super::kml::element;
+use super::xml::{self, Xml, element};
 use super::{ExportError, Results};
 use crate::io::atomic;
 
@@ -21,20 +18,17 @@ pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
 }
 
 fn document(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
-    let mut xml = Writer::new_with_indent(out, b' ', 1);
-    xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
-    xml.create_element("gpx").with_attributes(ATTRIBUTES).write_inner_content(|xml| {
+    xml::document(out, "gpx", &ATTRIBUTES, |xml| {
         xml.create_element("trk").write_inner_content(|xml| {
             element(xml, "name", &format!("camera of {}", results.title))?;
             xml.create_element("trkseg").write_inner_content(|xml| points(xml, results))?;
             Ok(())
         })?;
         Ok(())
-    })?;
-    xml.into_inner().write_all(b"\n")
+    })
 }
 
-fn points(xml: &mut Writer<&mut dyn Write>, results: &Results) -> std::io::Result<()> {
+fn points(xml: &mut Xml, results: &Results) -> std::io::Result<()> {
     let clock = results.clock();
     for fix in camera_fixes(results) {
         let [latitude, longitude] = [fix.place.latitude, fix.place.longitude].map(|degrees| format!("{degrees:.9}"));

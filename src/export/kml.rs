@@ -7,10 +7,8 @@
 use std::io::Write;
 use std::path::Path;
 
-use quick_xml::Writer;
-use quick_xml::events::{BytesDecl, BytesText, Event};
-
 use super::geojson::{Fix, camera_fixes, contact_fixes, vehicle_fixes};
+use super::xml::{self, Xml, element};
 use super::{Clock, ExportError, Facts, Results};
 use crate::io::atomic;
 use crate::math::rounding::with_std;
@@ -28,8 +26,6 @@ const THIN: &str = "2";
 
 /// The camera's line.
 const WHITE: [u8; 3] = [255; 3];
-
-type Xml<'a> = Writer<&'a mut dyn Write>;
 
 /// Content of one track.
 struct Track {
@@ -52,17 +48,14 @@ fn document(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
     let vehicles = results.trajectories.objects.iter().map(|object| vehicle(results, object));
     let ground_tracks = results.trajectories.ground_tracks.iter().map(|track| ground_track(results, track));
     let tracks = vehicles.chain(ground_tracks).chain([camera(results)]);
-    let mut xml = Writer::new_with_indent(out, b' ', 1);
-    xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
-    xml.create_element("kml").with_attributes(NAMESPACES).write_inner_content(|xml| {
+    xml::document(out, "kml", &NAMESPACES, |xml| {
         xml.create_element("Document").write_inner_content(|xml| {
             element(xml, "name", &results.title)?;
             element(xml, "description", clock.in_words())?;
             tracks.filter(|track| !track.fixes.is_empty()).try_for_each(|track| placemark(xml, &track, &clock))
         })?;
         Ok(())
-    })?;
-    xml.into_inner().write_all(b"\n")
+    })
 }
 
 fn vehicle(results: &Results, object: &ObjectTrajectory) -> Track {
@@ -145,22 +138,10 @@ fn placemark(xml: &mut Xml, track: &Track, clock: &Clock) -> std::io::Result<()>
     Ok(())
 }
 
-/// An element that holds text.
-pub(super) fn element(xml: &mut Xml, name: &str, text: &str) -> std::io::Result<()> {
-    xml.create_element(name).write_text_content(BytesText::new(&allowed(text))).map(drop)
-}
-
-/// A text without the characters that XML has no place for, even escaped.
-pub(super) fn allowed(text: &str) -> String {
-    text.chars().map(|c| if is_allowed(c) { c } else { '?' }).collect()
-}
-
-fn is_allowed(c: char) -> bool {
-    matches!(c, '\t' | '\n' | '\r' | ' '..='\u{d7ff}' | '\u{e000}'..='\u{fffd}' | '\u{10000}'..)
-}
-
 #[cfg(test)]
 mod tests {
+    use quick_xml::events::Event;
+
     use super::*;
     use crate::export::testing::{results, with_metres};
 

@@ -32,6 +32,7 @@ mod traffic;
 mod units;
 mod workspace;
 mod write;
+mod xml;
 
 pub use clock::Clock;
 pub use error::ExportError;

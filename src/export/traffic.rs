@@ -7,11 +7,9 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
-use quick_xml::Writer;
-use quick_xml::events::{BytesDecl, Event};
-
 use super::results::motions;
 use super::table::write as write_table;
+use super::xml::{self, Xml};
 use super::{ExportError, Results};
 use crate::io::{ExportFolder, atomic};
 use crate::math::median;
@@ -57,9 +55,7 @@ fn sumo(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
         // Texts of one width have the order of their numbers.
         by_time.entry(format!("{:012.3}", sample.time_s)).or_default().push(sample);
     }
-    let mut xml = Writer::new_with_indent(out, b' ', 1);
-    xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
-    xml.create_element("fcd-export").write_inner_content(|xml| {
+    xml::document(out, "fcd-export", &[], |xml| {
         for samples in by_time.values() {
             let time = format!("{:.3}", samples[0].time_s);
             xml.create_element("timestep")
@@ -67,12 +63,11 @@ fn sumo(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
                 .write_inner_content(|xml| samples.iter().try_for_each(|sample| vehicle(xml, sample)))?;
         }
         Ok(())
-    })?;
-    xml.into_inner().write_all(b"\n")
+    })
 }
 
 /// A vehicle at a time of the floating car data.
-fn vehicle(xml: &mut Writer<&mut dyn Write>, sample: &Sample) -> std::io::Result<()> {
+fn vehicle(xml: &mut Xml, sample: &Sample) -> std::io::Result<()> {
     let [x, y, z] = sample.motion.smoothed_position_m;
     let numbers = [x, y, z, sample.heading_deg, sample.motion.speed_m_s, sample.motion.acceleration_m_s2];
     let [x, y, z, angle, speed, acceleration] = numbers.map(|number| format!("{number:.3}"));

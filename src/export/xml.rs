@@ -1,0 +1,36 @@
+//! Documents in XML.
+
+use std::io::Write;
+
+use quick_xml::Writer;
+use quick_xml::events::{BytesDecl, BytesText, Event};
+
+/// A document that is being written.
+pub(super) type Xml<'a> = Writer<&'a mut dyn Write>;
+
+/// Writes a document with its root element.
+pub(super) fn document<'a>(
+    out: &'a mut dyn Write,
+    root: &str,
+    attributes: &[(&str, &str)],
+    content: impl FnOnce(&mut Xml<'a>) -> std::io::Result<()>,
+) -> std::io::Result<()> {
+    let mut xml = Writer::new_with_indent(out, b' ', 1);
+    xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
+    xml.create_element(root).with_attributes(attributes.iter().copied()).write_inner_content(content)?;
+    xml.into_inner().write_all(b"\n")
+}
+
+/// An element that holds text.
+pub(super) fn element(xml: &mut Xml, name: &str, text: &str) -> std::io::Result<()> {
+    xml.create_element(name).write_text_content(BytesText::new(&allowed(text))).map(drop)
+}
+
+/// A text without the characters that XML has no place for, even escaped.
+pub(super) fn allowed(text: &str) -> String {
+    text.chars().map(|c| if is_allowed(c) { c } else { '?' }).collect()
+}
+
+fn is_allowed(c: char) -> bool {
+    matches!(c, '\t' | '\n' | '\r' | ' '..='\u{d7ff}' | '\u{e000}'..='\u{fffd}' | '\u{10000}'..)
+}
