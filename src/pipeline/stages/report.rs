@@ -77,25 +77,51 @@ pub(in crate::pipeline) fn write_models(run: &Run) -> Result<(), PipelineError> 
     let nothing = Trajectories::empty();
     background::point_cloud::background(run, &background)?;
     let data = Data {
-        title: title(run),
-        input: input_facts(run, &background)?,
-        version: crate::VERSION.to_owned(),
-        arguments: run.arguments.to_vec(),
-        time_base: run.info().time_base(),
-        frames: run.frames()?,
-        missing: missing(&background_report),
-        background: Model { reconstruction: &background, unregistered: background_report.unregistered },
-        metric: None,
-        ground: None,
         objects: objects(&tracked, &reports, &object_models, &nothing, &BTreeMap::new(), |_, _| Vec::new()),
-        pictures: pictures(run, &tracked)?,
-        warnings: run.warnings(),
-        stages: stages(run),
-        evaluation: None,
         parts: model_parts(run, &reports),
-        is_sfm: true,
+        ..models(run, &background, background_report, &tracked)?
     };
     run.workspace.put_file(&run.workspace.report(), |fresh| report::write(fresh, &data))
+}
+
+/// Data of every page: those of a page of models, without objects and files.
+fn models<'a>(
+    run: &'a Run,
+    background: &'a Reconstruction,
+    report: ModelReport,
+    tracked: &[TrackedObject],
+) -> Result<Data<'a>, PipelineError> {
+    Ok(Data {
+        title: title(run),
+        input: input_facts(run, background)?,
+        version: crate::VERSION.to_owned(),
+        arguments: run.arguments.iter().map(|argument| without_folders(argument)).collect(),
+        time_base: run.info().time_base(),
+        frames: run.frames()?,
+        missing: missing(&report),
+        background: Model { reconstruction: background, unregistered: report.unregistered },
+        metric: None,
+        ground: None,
+        objects: Vec::new(),
+        pictures: pictures(run, tracked)?,
+        warnings: run.warnings().iter().map(|warning| without_folders(warning)).collect(),
+        stages: stages(run),
+        evaluation: None,
+        parts: Vec::new(),
+        is_sfm: true,
+    })
+}
+
+/// A text whose absolute paths are names alone: a page is mailed, and folders are those of this machine.
+fn without_folders(text: &str) -> String {
+    let bare = |word: &str| match word.split_once('/') {
+        Some((before, path)) if before.is_empty() || before.ends_with(['=', ':', '(', '"', '\'', '`']) => {
+            let name = path.trim_end_matches('/').rsplit('/').next().unwrap_or_default();
+            format!("{before}{name}")
+        }
+        _ => word.to_owned(),
+    };
+    text.split(' ').map(bare).collect::<Vec<_>>().join(" ")
 }
 
 /// Files next to the page of `tractrix sfm`.
@@ -122,7 +148,6 @@ fn title(run: &Run) -> String {
 }
 
 pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
-    let frames = run.frames()?;
     let tracked = track::objects(run)?;
     let (background, background_report) = background::background(run)?;
     let reports = objects::reports(run)?;
@@ -132,25 +157,15 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     let failures = scale::failures(run)?;
     let evaluation = evaluation(run)?;
     let data = Data {
-        title: title(run),
-        input: input_facts(run, &background)?,
-        version: crate::VERSION.to_owned(),
-        arguments: run.arguments.to_vec(),
-        time_base: run.info().time_base(),
-        frames,
-        missing: missing(&background_report),
-        background: Model { reconstruction: &background, unregistered: background_report.unregistered },
         metric: trajectories.metric.as_ref(),
         ground: Some(&ground),
         objects: objects(&tracked, &reports, &object_models, &trajectories, &failures, |id, model| {
             ratio_per_frame(run, &background, model, &ground, id)
         }),
-        pictures: pictures(run, &tracked)?,
-        warnings: run.warnings(),
-        stages: stages(run),
         evaluation: evaluation.as_ref(),
         parts: parts(run, &reports, &trajectories),
         is_sfm: false,
+        ..models(run, &background, background_report, &tracked)?
     };
     let path = run.workspace.report();
     run.workspace.put_file(&path, |fresh| report::write(fresh, &data))?;
@@ -398,6 +413,13 @@ mod tests {
             let read: RunJson = serde_json::from_value(document).unwrap();
             assert_eq!(read.options, options);
         }
+    }
+
+    #[test]
+    fn the_page_has_no_folders_of_this_machine() {
+        let text = without_folders("/opt/bin/tractrix run /home/me/a.mp4 --output out/a --masks=/home/me/masks/");
+        assert_eq!(text, "tractrix run a.mp4 --output out/a --masks=masks");
+        assert_eq!(without_folders("/home/me/a.mp4: 25 km/h [1/240]"), "a.mp4: 25 km/h [1/240]");
     }
 
     #[test]
