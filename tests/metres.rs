@@ -122,6 +122,42 @@ fn a_log_and_a_height_give_metres_and_do_nothing_else_anew() {
 }
 
 #[test]
+fn models_alone_go_to_the_map_and_to_no_unknown_format() {
+    let place = Place::new(NUM_FRAMES);
+    let path = |name: &str| place.path(name).display().to_string();
+    write_log(&place.path("log.csv"), |position| position);
+    let sfm = |more: &[&str]| {
+        let mut command = tractrix();
+        command.args(["sfm", &path("images"), "--output", &path("out"), "--masks", &path("masks")]);
+        command.args(["--intrinsics", &drive::intrinsics(), "--fps", &FPS.to_string(), "--threads", "1"]).args(more);
+        let (code, _, stderr) = outcome(&mut command);
+        assert_eq!(code, 0, "{stderr}");
+    };
+    let convert = |more: &[&str]| {
+        let (code, _, stderr) = outcome(tractrix().args(["convert", &path("out")]).args(more));
+        (code, stderr)
+    };
+    sfm(&[]);
+    let (code, stderr) = convert(&[&path("utm"), "--frame", "utm"]);
+    assert!(code == 1 && stderr.contains("--telemetry FILE"), "{stderr}");
+    sfm(&["--telemetry", &path("log.csv")]);
+    assert_eq!(stages_done(&place, "out"), [""; 0]);
+    assert_eq!(convert(&[&path("utm"), "--frame", "utm"]).0, 0);
+    let frame = json(&place.path("utm/frame.json"));
+    assert_eq!((&frame["epsg"], &frame["axes"]), (&32_632.into(), &"easting, northing, height".into()));
+    assert_eq!(convert(&[&path("points.ply"), "--frame", "enu"]).0, 0);
+    assert!(place.path("points.ply.frame.json").is_file());
+    sfm(&["--no-telemetry"]);
+    assert_eq!(convert(&[&path("other"), "--frame", "metric"]).0, 1);
+    for name in ["points.obj", "scene.e57"] {
+        let (code, stderr) = convert(&[&path(name)]);
+        assert!(code == 1 && stderr.contains("NAME.ply") && !place.path(name).exists(), "{stderr}");
+    }
+    assert_eq!(convert(&[&path("model.v2"), "--to", "colmap-text"]).0, 0);
+    assert_eq!(convert(&[&path("model.2026")]).0, 0);
+}
+
+#[test]
 fn logs_that_are_no_use_cost_nothing_but_their_metres() {
     let place = Place::new(NUM_FRAMES);
     let log = place.path("log.csv");

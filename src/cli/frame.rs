@@ -34,7 +34,10 @@ pub(super) fn of(frame: TargetFrame, input: &Path) -> anyhow::Result<Option<Plac
         (Err(_), Some(frame)) => Some(frame),
         (Err(error), None) => {
             return Err(error).with_context(|| {
-                format!("--frame {named}: requires the output folder of `tractrix run`, or of `sfm` with positions")
+                format!(
+                    "--frame {named}: requires the output folder of `tractrix run`, or of `sfm` with positions \
+                     (--telemetry FILE, or EXIF data) that fit the camera path"
+                )
             });
         }
     };

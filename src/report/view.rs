@@ -7,6 +7,7 @@
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::data::{Data, Object};
+use super::metres;
 use crate::math::{self, Sim3, symmetric_eigen};
 use crate::scene::{Point3d, Reconstruction};
 
@@ -115,7 +116,10 @@ fn up(data: &Data) -> (Vector3<f64>, &'static str) {
             return (side, "plane through the ground points");
         }
     }
-    (mean_camera_up(background), "mean upward axis of the cameras")
+    match data.metric.and_then(metres::frame).filter(|frame| frame.origin.is_some()) {
+        Some(frame) => (frame.metric_from_world().rotation.inverse() * Vector3::z(), "vertical of the telemetry"),
+        None => (mean_camera_up(background), "mean upward axis of the cameras"),
+    }
 }
 
 /// Mean of the cameras' −y axes, in the world.
@@ -213,7 +217,8 @@ pub(super) fn rounded(v: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::report::testing;
-    use crate::scene::ImageId;
+    use crate::scene::{ImageId, MapOrigin};
+    use crate::synthetic::showcase::showcase;
 
     #[test]
     fn one_lost_camera_does_not_move_the_view() {
@@ -223,6 +228,17 @@ mod tests {
         let after = View::new(&world.data()).unwrap();
         let ratio = after.view_from_world.scale / before.view_from_world.scale;
         assert!((0.5..2.0).contains(&ratio), "{ratio}");
+    }
+
+    #[test]
+    fn photographs_taken_straight_down_are_upright_by_their_positions() {
+        let (world, mut metric) = (testing::world(), showcase(4, 1).metric);
+        let frame = metric.frame.as_mut().unwrap();
+        frame.rotation_wxyz = [0.8, 0.6, 0.0, 0.0];
+        frame.origin = Some(MapOrigin { longitude: 8.5, latitude: 47.3, height_m: 0.0, knows_height: false });
+        let up = frame.metric_from_world().rotation.inverse() * Vector3::z();
+        let view = View::new(&Data { ground: None, metric: Some(&metric), ..world.data() }).unwrap();
+        assert!((view.view_from_world.rotation * up - Vector3::y()).norm() < 1e-9);
     }
 
     #[test]

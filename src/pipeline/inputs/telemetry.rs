@@ -32,6 +32,11 @@ impl Origin {
     pub(in crate::pipeline) fn is_of_images(self) -> bool {
         matches!(self, Self::Photographs | Self::ByName)
     }
+
+    /// Name of its positions as a source of scale.
+    pub(in crate::pipeline) fn source_name(self) -> &'static str {
+        if self.is_of_images() { "positions of the photographs" } else { "telemetry" }
+    }
 }
 
 /// A log and where it comes from.

@@ -64,7 +64,7 @@ struct InputJson {
     path: PathBuf,
 }
 
-/// Writes the page of `tractrix sfm`, and the points of the background: models are its result.
+/// Writes the page of `tractrix sfm`, the points of the background and its frame on the map: models are its result.
 ///
 /// # Errors
 /// A file that cannot be read or written.
@@ -76,7 +76,9 @@ pub(in crate::pipeline) fn write_models(run: &Run) -> Result<(), PipelineError> 
     let object_models = object_models(&reports, |id| run.workspace.read_as_reconstructed(id))?;
     let nothing = Trajectories::empty();
     background::point_cloud::background(run, &background)?;
+    let metric = background::map_frame::write(run, &background)?;
     let data = Data {
+        metric: metric.as_ref(),
         objects: objects(&tracked, &reports, &object_models, &nothing, &BTreeMap::new(), |_, _| Vec::new()),
         parts: model_parts(run, &reports),
         ..models(run, &background, background_report, &tracked)?

@@ -213,7 +213,7 @@ pub fn files_read(place: &Path, format: Format) -> Vec<PathBuf> {
 /// says, else the other COLMAP form than the one read. Text comes first where it can hold the names of the images.
 ///
 /// # Errors
-/// A JSON file whose name says nothing: three formats are written as JSON.
+/// A file whose name says nothing: an unknown ending, or JSON, as which three formats are written.
 pub fn format_for(from: Format, to: &Path, model: &Reconstruction) -> Result<Format, IoError> {
     let named = |name: &str| to.file_name().is_some_and(|n| n.eq_ignore_ascii_case(name));
     let ends = |extension: &str| to.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
@@ -235,9 +235,23 @@ pub fn format_for(from: Format, to: &Path, model: &Reconstruction) -> Result<For
                  give the format with --to"
                 .into(),
         });
+    } else if to.extension().is_some_and(is_ending) && !to.is_dir() {
+        return Err(IoError::Unsupported {
+            path: to.into(),
+            what: "output of unknown format".into(),
+            cure: "name it NAME.ply, NAME.nvm, NAME.db, bundle.out, sfm_data.json, reconstruction.json or \
+                 transforms.json, or a folder without an ending for COLMAP; or give the format with --to"
+                .into(),
+        });
     } else if from == Format::ColmapText || colmap::check_text_names(to, model).is_err() {
         Format::ColmapBinary
     } else {
         Format::ColmapText
     })
+}
+
+/// Returns true if the end of a name is that of a file (`obj`, `e57`) and not part of a folder's name (`2026`, `v2.1`).
+fn is_ending(extension: &std::ffi::OsStr) -> bool {
+    let text = extension.to_string_lossy();
+    text.starts_with(|c: char| c.is_ascii_alphabetic()) && text.chars().all(char::is_alphanumeric)
 }

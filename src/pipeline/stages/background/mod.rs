@@ -3,10 +3,12 @@
 pub(in crate::pipeline) mod calibration_check;
 pub(in crate::pipeline) mod failure;
 mod hovering;
+pub(in crate::pipeline) mod map_frame;
 pub(in crate::pipeline) mod model_report;
 pub(in crate::pipeline) mod point_cloud;
 mod position_priors;
 
+pub use map_frame::background_frame;
 pub use model_report::{CameraReport, ModelReport};
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,7 +20,6 @@ use super::features;
 use crate::bundle;
 use crate::camera::{Camera, NUM_INTRINSICS};
 use crate::io::interchange::colmap;
-use crate::io::{self, RunFolder};
 use crate::mapper::ModelWeakness;
 use crate::mapper::{self, PosePriors};
 use crate::pipeline::PipelineError;
@@ -27,19 +28,11 @@ use crate::pipeline::driver::threads::on_threads;
 use crate::pipeline::inputs::given_models::{self, Target};
 use crate::pipeline::inputs::{cameras, order};
 use crate::pipeline::options::ModelFiles;
-use crate::scene::{CameraId, FocalChange, FrameId, MetricFrame, Reconstruction, Topic, Warning};
+use crate::scene::{CameraId, FocalChange, FrameId, Reconstruction, Topic, Warning};
 
 /// Images whose position's standard deviation is computed: enough for a median.
 const DEVIATION_IMAGES: usize = 16;
 const BACKGROUND_REPORT: &str = "background-report.json";
-/// The frame on the map of a background that was reconstructed, or `null`.
-const FRAME: &str = "background-frame.json";
-
-/// Frame on the map of the background in an output folder, from positions of photographs or a log alone; `None` if it
-/// has none.
-pub fn background_frame(output: &Path) -> Option<MetricFrame> {
-    io::json::read::<Option<MetricFrame>>(&output.join(RunFolder::STATE).join(FRAME)).ok().flatten()
-}
 
 pub(in crate::pipeline) fn background_cache_key(run: &Run) -> Result<Value, PipelineError> {
     let known: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| (initial.origin, initial.known)).collect();
@@ -82,10 +75,8 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
     };
     if !report.given {
         let std = prior_std(run, &model, false)?;
-        let frame = position_priors::adjust(run, &mut model, &std, &mut outcome)?;
+        position_priors::adjust(run, &mut model, &std, &mut outcome)?;
         report.describe_points(&model);
-        run.workspace.write_state(FRAME, &frame)?;
-        outcome.outputs.push(run.workspace.state(FRAME));
     }
     if !model.points.is_empty() {
         if order::found(run)?.in_time {

@@ -10,19 +10,18 @@ use std::collections::BTreeMap;
 use nalgebra::Point3;
 use serde_json::json;
 
-use super::DEVIATION_IMAGES;
+use super::{DEVIATION_IMAGES, map_frame};
 
 use crate::bundle::{self, CameraBlock, PosePrior, Problem};
 use crate::camera::NUM_INTRINSICS;
 use crate::math::{Rigid3, RobustLoss, median, umeyama};
-use crate::metric::{CenterFix, Kind, Source, Support, center_fixes, frame_on_map, fuse};
+use crate::metric::{CenterFix, center_fixes};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::threads::on_threads;
 use crate::pipeline::inputs::alignment::{self, FittedLog};
 use crate::pipeline::inputs::{order, telemetry};
 use crate::pipeline::{PipelineError, TelemetryChoice};
-use crate::scene::{CameraId, MapOrigin, MetricFrame, Reconstruction};
-use crate::telemetry::Geodetic;
+use crate::scene::{CameraId, Reconstruction};
 
 /// Scale of the robust loss on positions, standard deviations: fixes that jump are farther away.
 const LOSS_SIGMAS: f64 = 3.0;
@@ -49,52 +48,34 @@ pub(super) fn cache_key(run: &Run) -> serde_json::Value {
     })
 }
 
-/// Adjusts a reconstructed background with the positions of its telemetry, if there are any that fit; returns its frame
-/// on the map. Errors of the log are reported by the stage `metric`.
+/// Adjusts a reconstructed background with the positions of its telemetry, if this is wanted and they fit. The stage
+/// `metric` reports errors of the log.
 pub(super) fn adjust(
     run: &Run,
     model: &mut Reconstruction,
     std: &BTreeMap<CameraId, [f64; NUM_INTRINSICS]>,
     outcome: &mut Outcome,
-) -> Result<Option<MetricFrame>, PipelineError> {
-    let metric = &run.options.metric;
-    if !metric.position_priors || metric.telemetry == TelemetryChoice::None || model.points.is_empty() {
-        return Ok(None);
-    }
-    let Some(telemetry) = telemetry::find(run, &mut Outcome::default()) else { return Ok(None) };
-    let fit = |model: &Reconstruction| {
-        let without_support = |offset, _| Support { offset, gravity: None, orientation: None };
-        alignment::fit(run, model, &telemetry, without_support)
-    };
-    let Ok(fitted) = fit(model) else { return Ok(None) };
+) -> Result<(), PipelineError> {
     let most_views = order::sfm_options(run)?.0.mapper.max_views_at_once;
-    if model.images.len() <= most_views && with_positions(run, model, &fitted, std, outcome)? {
-        return Ok(fit(model).ok().and_then(|fitted| frame(&fitted)));
+    if !run.options.metric.position_priors || model.images.len() > most_views {
+        return Ok(());
     }
-    Ok(frame(&fitted))
+    match map_frame::fit(run, model) {
+        Some((fitted, _)) => with_positions(run, model, &fitted, std, outcome),
+        None => Ok(()),
+    }
 }
 
-/// Frame on the map of a model on its fixes alone.
-fn frame(fitted: &FittedLog) -> Option<MetricFrame> {
-    let FittedLog { alignment, map, knows_height, .. } = fitted;
-    let log_scale = alignment.metric_from_world.scale.ln();
-    let source =
-        Source { name: "telemetry".to_owned(), kind: Kind::Telemetry, log_scale, std: alignment.log_scale_std() };
-    let Geodetic { longitude_deg: longitude, latitude_deg: latitude, height_m } = map.origin;
-    let origin = MapOrigin { longitude, latitude, height_m, knows_height: *knows_height };
-    Some(frame_on_map(&fuse(&[source])?, alignment, origin))
-}
-
-/// Adjusts with the positions; `false` where that changes nothing.
+/// Adjusts with the positions, where they are precise enough.
 fn with_positions(
     run: &Run,
     model: &mut Reconstruction,
     fitted: &FittedLog,
     std: &BTreeMap<CameraId, [f64; NUM_INTRINSICS]>,
     outcome: &mut Outcome,
-) -> Result<bool, PipelineError> {
+) -> Result<(), PipelineError> {
     let frames = run.frames()?;
-    let Ok(path) = alignment::camera_path(model, frames) else { return Ok(false) };
+    let Ok(path) = alignment::camera_path(model, frames) else { return Ok(()) };
     let centers = center_fixes(&path, &fitted.fixes, &fitted.alignment);
     let poses = poses_of_path(model, frames, path.centers().len());
     let priors: Vec<(usize, CenterFix)> =
@@ -102,19 +83,19 @@ fn with_positions(
     let metric_from_world = fitted.alignment.metric_from_world;
     if !are_informative(model, &priors, std, metric_from_world.scale) {
         tracing::debug!("positions are less precise than the path: they do not take part in the adjustment");
-        return Ok(false);
+        return Ok(());
     }
     let mut metric = model.clone();
     metric.transform(&metric_from_world);
     let found = on_threads(run.options.threads, || adjusted(&metric, &priors, |id| is_free(std, id)))?;
-    let Some(adjusted) = found else { return Ok(false) };
+    let Some(adjusted) = found else { return Ok(()) };
     let moved_m = change_of_shape(&metric, &adjusted).unwrap_or(0.0);
     let std_m = median(priors.iter().map(|(_, fix)| fix.std_m.x).collect());
     tracing::info!("adjusted with {} positions: cameras moved by {moved_m:.4} m (median)", priors.len());
     outcome.figure("position_priors", json!({ "num": priors.len(), "std_m": std_m, "moved_m": moved_m }));
     *model = adjusted;
     model.transform(&metric_from_world.inverse());
-    Ok(true)
+    Ok(())
 }
 
 /// Returns true if a camera's focal length is not held.

@@ -22,9 +22,8 @@ pub(super) struct Aligned {
 
 impl Aligned {
     pub(super) fn source(&self) -> Source {
-        let name = if self.origin.is_of_images() { "positions of the photographs" } else { "telemetry" };
         Source {
-            name: name.to_owned(),
+            name: self.origin.source_name().to_owned(),
             kind: metric::Kind::Telemetry,
             log_scale: self.alignment.metric_from_world.scale.ln(),
             std: self.alignment.log_scale_std(),

@@ -1,0 +1,68 @@
+//! Frame on the map of a background, from positions of photographs or a log alone; `metric` has that of all sources.
+//!
+//! Written at the end of `tractrix sfm` and not by the stage: a new log must not mean a new reconstruction.
+
+use std::path::Path;
+
+use crate::io::{self, RunFolder};
+use crate::metric::{Kind, Offset, Source, Support, frame_on_map, fuse};
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::inputs::alignment::{self, FittedLog};
+use crate::pipeline::inputs::telemetry::{self, Origin};
+use crate::pipeline::{PipelineError, TelemetryChoice};
+use crate::scene::{MapOrigin, Metric, MetricFrame, Reconstruction};
+use crate::telemetry::Geodetic;
+
+/// The frame, or `null`.
+const FILE: &str = "background-frame.json";
+
+/// Frame on the map of the background in an output folder of `tractrix sfm`; `None` if it has none.
+pub fn background_frame(output: &Path) -> Option<MetricFrame> {
+    io::json::read::<Option<MetricFrame>>(&output.join(RunFolder::STATE).join(FILE)).ok().flatten()
+}
+
+/// Meters of a background by its telemetry; writes their frame for [`background_frame`].
+///
+/// # Errors
+/// A file that cannot be written.
+pub(in crate::pipeline) fn write(run: &Run, background: &Reconstruction) -> Result<Option<Metric>, PipelineError> {
+    let metric = fit(run, background).and_then(|(fitted, origin)| metric(&fitted, origin));
+    run.workspace.write_state(FILE, &metric.as_ref().and_then(|metric| metric.frame.as_ref()))?;
+    Ok(metric)
+}
+
+/// Telemetry of the input on the path of a background, and its origin; `None` where there is none, or it does not fit.
+pub(super) fn fit(run: &Run, background: &Reconstruction) -> Option<(FittedLog, Origin)> {
+    if run.options.metric.telemetry == TelemetryChoice::None || background.points.is_empty() {
+        return None;
+    }
+    let telemetry = telemetry::find(run, &mut Outcome::default())?;
+    let without_support = |offset: Offset, _| Support { offset, gravity: None, orientation: None };
+    match alignment::fit(run, background, &telemetry, without_support) {
+        Ok(fitted) => Some((fitted, telemetry.origin)),
+        Err(reason) => {
+            tracing::info!("{}: positions give no frame on the map: {reason}", telemetry.path.display());
+            None
+        }
+    }
+}
+
+fn metric(fitted: &FittedLog, of_log: Origin) -> Option<Metric> {
+    let FittedLog { alignment, map, knows_height, .. } = fitted;
+    let log_scale = alignment.metric_from_world.scale.ln();
+    let name = of_log.source_name().to_owned();
+    let source = Source { name, kind: Kind::Telemetry, log_scale, std: alignment.log_scale_std() };
+    let Geodetic { longitude_deg: longitude, latitude_deg: latitude, height_m } = map.origin;
+    let origin = MapOrigin { longitude, latitude, height_m, knows_height: *knows_height };
+    let fused = fuse(&[source])?;
+    Some(Metric {
+        verdict: fused.verdict,
+        reason: None,
+        frame: Some(frame_on_map(&fused, alignment, origin)),
+        shares: fused.shares,
+        contradictions: Vec::new(),
+        time_offset_s: None,
+        time_offset_std_s: None,
+        dates: None,
+    })
+}
