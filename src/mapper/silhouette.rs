@@ -119,12 +119,13 @@ mod tests {
         assert_eq!(votes.outside(&SilhouetteOptions { min_votes: 11, ..options }), []);
     }
 
-    #[test]
-    fn what_stands_in_front_has_no_vote() {
-        let camera = Camera::with_focal(100, 100, 100.0);
+    /// One point in front of all images, observed in some.
+    fn point(images: &[u32], observed: &[u32]) -> Reconstruction {
         let mut object = Reconstruction::default();
-        object.cameras.insert(CameraId(1), camera);
-        let point = Point3d { position: Point3::new(0.0, 0.0, 5.0), rgb: [0; 3], error_px: 0.1, track: Vec::new() };
+        object.cameras.insert(CameraId(1), Camera::with_focal(100, 100, 100.0));
+        let element = |image: &u32| TrackElement { image: ImageId(*image), observation_idx: 0 };
+        let track = observed.iter().map(element).collect();
+        let point = Point3d { position: Point3::new(0.0, 0.0, 5.0), rgb: [0; 3], error_px: 0.1, track };
         object.points.insert(Point3dId(1), point);
         let image = Image {
             name: String::new(),
@@ -132,7 +133,13 @@ mod tests {
             cam_from_world: Rigid3::identity(),
             observations: Vec::new(),
         };
-        object.images.insert(ImageId(1), image);
+        object.images.extend(images.iter().map(|id| (ImageId(*id), image.clone())));
+        object
+    }
+
+    #[test]
+    fn what_stands_in_front_has_no_vote() {
+        let object = point(&[1], &[]);
         let options = SilhouetteOptions { min_votes: 1, ..SilhouetteOptions::default() };
         let nothing = Mask::empty(100, 100);
         let mut votes = SilhouetteVotes::default();
@@ -144,19 +151,7 @@ mod tests {
 
     #[test]
     fn another_sub_map_has_no_vote() {
-        let camera = Camera::with_focal(100, 100, 100.0);
-        let mut object = Reconstruction::default();
-        object.cameras.insert(CameraId(1), camera);
-        let track = [1, 2].map(|image| TrackElement { image: ImageId(image), observation_idx: 0 }).to_vec();
-        let point = Point3d { position: Point3::new(0.0, 0.0, 5.0), rgb: [0; 3], error_px: 0.1, track };
-        object.points.insert(Point3dId(1), point);
-        let image = Image {
-            name: String::new(),
-            camera: CameraId(1),
-            cam_from_world: Rigid3::identity(),
-            observations: Vec::new(),
-        };
-        object.images.extend([1, 2, 9].map(|id| (ImageId(id), image.clone())));
+        let object = point(&[1, 2, 9], &[1, 2]);
         let options = SilhouetteOptions { min_votes: 1, ..SilhouetteOptions::default() };
         let mut votes = SilhouetteVotes::new(&object);
         votes.add(&object, ImageId(9), &Mask::empty(100, 100), |_, _| false);

@@ -174,10 +174,9 @@ pub struct Joint {
 pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Joint, ScaleError> {
     views.require(3)?;
     let mut adjustment = Adjustment::new(grounded, views, options)?;
-    let all_options = options;
-    let options = &options.joint;
     let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
-    settle_sub_maps(&mut adjustment, all_options);
+    settle_sub_maps(&mut adjustment, options);
+    let options = &options.joint;
     let contact = settle(&mut adjustment)?;
     let after_px = median_error_px(&adjustment.object).filter(|px| px.is_finite()).ok_or(ScaleError::NoObservations)?;
     if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {

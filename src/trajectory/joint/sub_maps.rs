@@ -1,10 +1,10 @@
 //! Alignment of an object's sub-maps, which share hardly a point.
 //!
-//! After an occlusion a vehicle shows another side, so that hardly a track leads from the frames before to those after
-//! it. Each sub-map is adjusted with the ground by itself, which determines its height, inclination and size. Their
-//! relative position on the ground and heading follow from the outlines, which are those of one body: that of the
-//! sub-map that knows its length best is fitted to the outlines of the others ([`FittedBody`]). Motion across the gap
-//! tells less: extrapolated over 0.9 s, the polynomials of five rendered vehicles are off by 0.34 m and 11°.
+//! After an occlusion a vehicle shows another side, and hardly a track leads from the frames before to those after it.
+//! Each sub-map is adjusted with the ground by itself, which determines its height, inclination and size. Relative
+//! position on the ground and heading follow from the outlines, which are those of one body: the body of the sub-map
+//! with the smallest standard deviation of the length is fitted to the outlines of the others ([`FittedBody`]). The
+//! joined map is then adjusted as a whole. Derivation: docs/maths/scale.md; evidence: decision 35.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -83,6 +83,7 @@ mod tests {
         let across = object.points.iter().filter(|(_, point)| {
             point.track.iter().any(|e| is_before(e.image)) && point.track.iter().any(|e| !is_before(e.image))
         });
+        // Eleven of them stay, one fewer than a map needs.
         let across: Vec<_> = across.map(|(id, _)| *id).skip(11).collect();
         object.remove_points(&across);
         let parts = split(&object);
