@@ -13,7 +13,7 @@ use tractrix::scene::Mask;
 
 /// Whether networks can be run here.
 fn has_runtime() -> bool {
-    let Err(error) = tractrix::ffi::onnx::probe() else { return true };
+    let Err(error) = tractrix::ffi::onnx::probe(tractrix::ffi::onnx::Provider::Cpu) else { return true };
     assert!(std::env::var_os("TRACTRIX_REQUIRE_ONNXRUNTIME").is_none_or(|v| v != "1"), "{error}");
     eprintln!("skipped: {error}");
     false

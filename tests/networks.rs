@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use image::RgbImage;
-use tractrix::ffi::onnx;
+use tractrix::ffi::onnx::{self, Provider, Resources};
 use tractrix::networks::{
     BoxSegmenter, DetectorOptions, GrabCut, PromptOptions, default_models, load_box_segmenter, load_detector,
 };
@@ -31,7 +31,7 @@ fn truth(number: usize) -> (Mask, Rect) {
 
 /// Whether networks can run here.
 fn can_run() -> bool {
-    let missing = onnx::probe().err();
+    let missing = onnx::probe(Provider::Cpu).err();
     if let Some(reason) = &missing {
         eprintln!("not tested: {reason}");
     }
@@ -121,4 +121,44 @@ fn the_stand_in_finds_most_of_the_vehicle() {
     let found = GrabCut::new(&PromptOptions::default()).masks(&frame(10), &[rect]).unwrap();
     let iou = found[0].as_ref().map(|found| found.mask.iou(&mask)).unwrap();
     assert!(iou >= 0.7, "mask IoU {iou:.3}");
+}
+
+#[test]
+fn without_onnx_runtime_the_networks_find_the_same() {
+    if !can_run() {
+        return;
+    }
+    let (image, models, (_, rect)) = (frame(20), default_models().unwrap(), truth(20));
+    let found = [Provider::Cpu, Provider::Rust].map(|provider| {
+        let resources = Resources { provider, ..Resources::from(1) };
+        let mut detector = load_detector(&models.detector, &DetectorOptions::default(), resources).unwrap();
+        let mut masks =
+            load_box_segmenter(&models.mask_encoder, &models.mask_decoder, &PromptOptions::default(), resources)
+                .unwrap();
+        let boxes = detector.detect(&image).unwrap();
+        (boxes, masks.masks(&image, &[rect]).unwrap().remove(0).unwrap().mask)
+    });
+    let [(boxes, mask), (others, other)] = &found;
+    assert_eq!(boxes.len(), others.len());
+    for (a, b) in boxes.iter().zip(others) {
+        assert!(a.rect.iou(&b.rect) > 0.99 && a.class == b.class, "{a:?} {b:?}");
+    }
+    assert!(mask.iou(other) > 0.98, "{}", mask.iou(other));
+}
+
+#[test]
+fn a_provider_that_the_library_lacks_is_an_error() {
+    if !can_run() {
+        return;
+    }
+    let out = tempfile::tempdir().unwrap();
+    let clip = demo().join("video.mp4");
+    let program = env!("CARGO_BIN_EXE_tractrix");
+    let mut run = std::process::Command::new(program);
+    run.args(["run", clip.to_str().unwrap(), "--provider", "migraphx", "--output"]).arg(out.path().join("out"));
+    let ended = run.output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert!(!ended.status.success() && said.contains("provider migraphx") && said.contains("--provider cpu"), "{said}");
+    let doctor = std::process::Command::new(program).args(["doctor", "--provider", "rust"]).output().unwrap();
+    assert!(doctor.status.success() && String::from_utf8_lossy(&doctor.stdout).contains("provider rust"));
 }

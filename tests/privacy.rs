@@ -157,7 +157,10 @@ fn nothing_is_sent_and_nothing_is_written_outside_the_output_folder() {
         }
         for name in ["doctor", "run", "batch"] {
             let loads = |(of, call): &(String, String)| of == name && call.contains("libonnxruntime.so");
-            assert!(!tractrix::ffi::onnx::is_in_place() || calls.iter().any(loads), "{name} loads no ONNX Runtime");
+            assert!(
+                !tractrix::ffi::onnx::is_in_place(tractrix::ffi::onnx::Provider::Cpu) || calls.iter().any(loads),
+                "{name} loads no ONNX Runtime"
+            );
         }
     }
 }

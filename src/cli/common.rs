@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 
 use super::output::Failure;
+use crate::ffi::onnx::Provider;
 use crate::files;
 use crate::memory::MemoryLimit;
 use crate::pipeline::{Method, Options};
@@ -25,6 +26,10 @@ pub(super) struct CommonArgs {
     /// Threads [default: one per core]
     #[arg(long, value_name = "N", help_heading = "General")]
     pub(super) threads: Option<usize>,
+    /// Implementation and device that run networks: cpu, cuda, tensorrt, migraphx, openvino, xnnpack, acl (of ONNX
+    /// Runtime, if the library has them), or rust (without ONNX Runtime) [default: cpu]
+    #[arg(long, value_name = "NAME", help_heading = "General")]
+    pub(super) provider: Option<Provider>,
     /// Memory limit for input files, images and networks, such as 2GiB [default: 80 % of the memory]
     #[arg(long, value_name = "SIZE", help_heading = "General")]
     pub(super) memory_limit: Option<MemoryLimit>,
@@ -59,6 +64,7 @@ impl CommonArgs {
             options = options.with_value(key, value).map_err(|error| Failure::Usage(error.to_string()))?;
         }
         options.threads = self.threads.or(options.threads);
+        options.provider = self.provider.unwrap_or(options.provider);
         options.memory_limit = self.memory_limit.or(options.memory_limit);
         options.seed = self.seed.unwrap_or(options.seed);
         options.scale.method = self.scale_method.unwrap_or(options.scale.method);

@@ -9,7 +9,7 @@ use serde_json::json;
 use sha2::{Digest, Sha256};
 
 use super::output::{Failure, Form, show};
-use crate::ffi::onnx::OnnxError;
+use crate::ffi::onnx::{OnnxError, Provider, Resources};
 use crate::ffi::{ffmpeg, onnx};
 use crate::files;
 use crate::networks::{
@@ -29,6 +29,19 @@ pub(super) struct Args {
     /// Optical flow model to check
     #[arg(long, value_name = "FILE")]
     flow_model: Option<PathBuf>,
+    /// Implementation and device that run networks, as for `run`
+    #[arg(long, value_name = "NAME")]
+    provider: Option<Provider>,
+}
+
+impl Args {
+    fn provider(&self) -> Provider {
+        self.provider.unwrap_or_default()
+    }
+
+    fn resources(&self) -> Resources {
+        Resources { provider: self.provider(), ..Resources::from(0) }
+    }
 }
 
 /// State of a component.
@@ -78,7 +91,7 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
         memory(),
         opencv_library(),
         video_decoder(),
-        onnx_runtime(),
+        runtime(args.provider()),
     ];
     findings.extend(own_networks());
     findings.extend(models(args));
@@ -128,21 +141,23 @@ fn video_decoder() -> Finding {
     Finding::good("video decoding", format!("FFmpeg {}", ffmpeg::version()))
 }
 
-fn onnx_runtime() -> Finding {
-    let runtime = match onnx::probe() {
+fn runtime(provider: Provider) -> Finding {
+    let runtime = match onnx::probe(provider) {
         Ok(runtime) => runtime,
         Err(error) => {
-            let state = if matches!(error, OnnxError::NamedRuntime { .. }) { State::Wrong } else { State::Missing };
+            let is_named = matches!(error, OnnxError::NamedRuntime { .. } | OnnxError::Provider { .. });
+            let state = if is_named { State::Wrong } else { State::Missing };
             return Finding::bad(
                 ONNX,
                 state,
                 error.to_string(),
-                "required by all networks; install it with scripts/fetch-onnxruntime, or run with --masks",
+                "required by all networks; install it with scripts/fetch-onnxruntime, or run with --provider rust or --masks",
             );
         }
     };
     let version = runtime.version.unwrap_or_else(|| "version unknown".to_owned());
-    Finding::good(ONNX, format!("{version} at {}", runtime.library.display()))
+    let place = runtime.library.map(|library| format!("{version} at {}", library.display()));
+    Finding::good(ONNX, format!("{}; provider {}", place.unwrap_or_else(|| "not used".to_owned()), provider.name()))
 }
 
 /// The networks that come with the program: where they lie, their licences, and whether they are whole.
@@ -185,7 +200,12 @@ fn hash(path: &Path) -> std::io::Result<String> {
 fn models(args: &Args) -> [Finding; 3] {
     [
         match &args.segmentation_model {
-            Some(path) => model(SEGMENTATION, path, load_segmenter(path, &SegmentationOptions::default(), 0).map(drop)),
+            Some(path) => model(
+                args,
+                SEGMENTATION,
+                path,
+                load_segmenter(path, &SegmentationOptions::default(), args.resources()).map(drop),
+            ),
             None => Finding::good(
                 SEGMENTATION,
                 "none given: the bundled networks are used; --segmentation-model FILE selects another one, --masks DIR \
@@ -193,7 +213,12 @@ fn models(args: &Args) -> [Finding; 3] {
             ),
         },
         match &args.ground_model {
-            Some(path) => model(GROUND, path, load_ground_segmenter(path, &GroundOptions::default(), 0).map(drop)),
+            Some(path) => model(
+                args,
+                GROUND,
+                path,
+                load_ground_segmenter(path, &GroundOptions::default(), args.resources()).map(drop),
+            ),
             None => Finding::not_given(
                 GROUND,
                 "none given: the dominant plane below the camera is used",
@@ -202,7 +227,9 @@ fn models(args: &Args) -> [Finding; 3] {
             ),
         },
         match &args.flow_model {
-            Some(path) => model(FLOW, path, load_flow(Some(path), &FlowOptions::default(), 0).map(drop)),
+            Some(path) => {
+                model(args, FLOW, path, load_flow(Some(path), &FlowOptions::default(), args.resources()).map(drop))
+            }
             None => Finding::good(FLOW, "none given: OpenCV's DIS is used"),
         },
     ]
@@ -214,13 +241,13 @@ const GROUND: &str = "ground model";
 const FLOW: &str = "flow model";
 
 /// A model that was named.
-fn model(name: &'static str, path: &Path, loaded: Result<(), PerceptionError>) -> Finding {
+fn model(args: &Args, name: &'static str, path: &Path, loaded: Result<(), PerceptionError>) -> Finding {
     match loaded {
         Ok(()) => Finding::good(name, format!("{}: recognised", path.display())),
         Err(_) if !path.exists() => {
             Finding::bad(name, State::Missing, format!("{}: not found", path.display()), "check the path")
         }
-        Err(error) if onnx::probe().is_err() => {
+        Err(error) if onnx::probe(args.provider()).is_err() => {
             Finding::bad(name, State::Missing, error.to_string(), "a model can only be checked with ONNX Runtime")
         }
         Err(error) => {

@@ -121,9 +121,12 @@ pub enum PerceptionError {
 }
 
 impl PerceptionError {
-    /// Reports that an environment variable names a runtime or networks that cannot be used.
-    pub fn is_of_variable(&self) -> bool {
-        matches!(self, Self::NamedModels { .. } | Self::Onnx(OnnxError::NamedRuntime { .. }))
+    /// Returns true if what cannot be used was named by an environment variable or an option.
+    pub fn is_of_choice(&self) -> bool {
+        matches!(
+            self,
+            Self::NamedModels { .. } | Self::Onnx(OnnxError::NamedRuntime { .. } | OnnxError::Provider { .. })
+        )
     }
 }
 

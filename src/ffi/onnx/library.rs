@@ -8,14 +8,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
 use ort::environment::Environment;
+use ort::ep::{self, ExecutionProvider, ExecutionProviderDispatch};
 use ort::logging::LogLevel;
-use serde::Serialize;
 
-use super::OnnxError;
+use super::{MINIMUM_VERSION, OnnxError, Provider, RuntimeInfo};
 use crate::ffi::environment;
 
-/// The lowest minor version of ONNX Runtime 1.x that serves: the `api-*` feature that this crate asks `ort` for.
-pub const MINIMUM_VERSION: u32 = ort::MINOR_VERSION;
+const _: () = assert!(MINIMUM_VERSION == ort::MINOR_VERSION);
 
 /// The environment variables that may name the library, first come first served. `ORT_DYLIB_PATH` is `ort`'s own.
 const VARIABLES: [&str; 2] = ["TRACTRIX_ONNXRUNTIME", "ORT_DYLIB_PATH"];
@@ -25,15 +24,6 @@ const FILE_NAME: &str = "libonnxruntime.so";
 /// loaded. `with_telemetry(false)` comes too late: by then an event is on its way.
 const NO_TELEMETRY: (&CStr, &CStr) = (c"ORT_DISABLE_TELEMETRY", c"1");
 
-/// The runtime in use.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct RuntimeInfo {
-    /// The shared library; a bare file name if the system's loader found it.
-    pub library: PathBuf,
-    /// Its version, such as `1.31.1`; `None` where it does not say it.
-    pub version: Option<String>,
-}
-
 /// A loaded runtime. It lives until the process ends, as the library cannot be unloaded safely.
 pub(super) struct Runtime {
     pub(super) info: RuntimeInfo,
@@ -42,17 +32,46 @@ pub(super) struct Runtime {
 
 static RUNTIME: Mutex<Option<&'static Runtime>> = Mutex::new(None);
 
-/// Finds and loads the runtime, as loading a model would do; for `tractrix doctor`.
+/// Finds and loads the runtime, which must have the provider.
 ///
 /// # Errors
-/// [`OnnxError::RuntimeNotFound`], [`OnnxError::NamedRuntime`], [`OnnxError::Runtime`]; each says how to get it.
-pub fn probe() -> Result<RuntimeInfo, OnnxError> {
-    Ok(runtime()?.info.clone())
+/// As [`probe`](super::probe).
+pub(super) fn probe(provider: Provider) -> Result<RuntimeInfo, OnnxError> {
+    let info = runtime()?.info.clone();
+    execution_provider(provider)?;
+    Ok(info)
+}
+
+/// The provider as ONNX Runtime takes it; `None` for the processor, which needs none.
+///
+/// # Errors
+/// [`OnnxError::Provider`] if the loaded library was built without it.
+pub(super) fn execution_provider(provider: Provider) -> Result<Option<ExecutionProviderDispatch>, OnnxError> {
+    fn built_in<P: ExecutionProvider>() -> bool {
+        P::is_available().unwrap_or(false)
+    }
+    let (is_built_in, dispatch) = match provider {
+        Provider::Cpu | Provider::Rust => return Ok(None),
+        Provider::Cuda => (built_in::<ep::CUDA>(), ep::CUDA::default().build()),
+        Provider::Tensorrt => (built_in::<ep::TensorRT>(), ep::TensorRT::default().build()),
+        Provider::Migraphx => (built_in::<ep::MIGraphX>(), ep::MIGraphX::default().build()),
+        Provider::Openvino => (built_in::<ep::OpenVINO>(), ep::OpenVINO::default().build()),
+        Provider::Xnnpack => (built_in::<ep::XNNPACK>(), ep::XNNPACK::default().build()),
+        Provider::Acl => (built_in::<ep::ACL>(), ep::ACL::default().build()),
+    };
+    if is_built_in {
+        return Ok(Some(dispatch.error_on_failure()));
+    }
+    let library = runtime()?.info.library.as_deref().unwrap_or(Path::new(FILE_NAME)).display();
+    let reason = format!(
+        "{library} was built without it; set TRACTRIX_ONNXRUNTIME to a library that has it, or give --provider cpu"
+    );
+    Err(OnnxError::Provider { provider, reason })
 }
 
 /// Returns true if a library exists where it is searched for, without loading it. One that only the system's loader
 /// would find does not count.
-pub fn is_in_place() -> bool {
+pub(super) fn is_in_place() -> bool {
     let named = VARIABLES.iter().find_map(|variable| env::var_os(variable).filter(|value| !value.is_empty()));
     match named {
         Some(named) => Path::new(&named).exists(),
@@ -136,7 +155,7 @@ fn start(library: PathBuf) -> Result<Runtime, OnnxError> {
     };
     environment.set_log_level(LogLevel::Error);
     let version = named_version(ort::info()).or_else(|| symbol_version(&library));
-    Ok(Runtime { info: RuntimeInfo { library, version }, environment })
+    Ok(Runtime { info: RuntimeInfo { library: Some(library), version }, environment })
 }
 
 /// The version in the build information, which reads `ORT Build Info: git-branch=rel-1.31.1, git-commit-id=..., ...` if

@@ -1,20 +1,65 @@
-//! Networks in ONNX format, run by ONNX Runtime through the `ort` crate.
+//! Networks in ONNX format, run by ONNX Runtime (feature `onnxruntime`, crate `ort`) or in Rust (feature
+//! `networks-rust`, crate `rten`): see [`Provider`].
 //!
-//! The runtime is a shared library that is looked for when the first model is loaded, so that the program starts and
+//! ONNX Runtime is a shared library that is looked for when the first model is loaded, so that the program starts and
 //! does all other work without it: [`probe`] says where it is or how to get it. [`Model`] is one network; tensors go in
 //! and come out as [`Tensor`], row-major `f32`, whatever number type the network gives.
 //!
 //! Nothing here panics when the library is missing, too old or not ONNX Runtime at all.
 
+#[cfg(feature = "onnxruntime")]
 mod library;
 mod model;
+mod provider;
+#[cfg(feature = "networks-rust")]
+mod rust;
+#[cfg(feature = "onnxruntime")]
+mod session;
 
 use std::path::PathBuf;
 
+use serde::Serialize;
+
 use crate::memory::{MemoryLimit, TooMuch};
 
-pub use self::library::{MINIMUM_VERSION, RuntimeInfo, is_in_place, probe};
 pub use self::model::{Model, Tensor, TensorInfo};
+pub use self::provider::Provider;
+
+/// What runs the networks.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct RuntimeInfo {
+    /// The shared library; a bare file name if the system's loader found it. `None` for what is part of the program.
+    pub library: Option<PathBuf>,
+    /// Its version, such as `1.31.1`; `None` where it does not say it.
+    pub version: Option<String>,
+}
+
+/// Finds and loads what a provider needs, as loading a model would do.
+///
+/// # Errors
+/// [`OnnxError::RuntimeNotFound`], [`OnnxError::NamedRuntime`], [`OnnxError::Runtime`], [`OnnxError::Provider`]; each
+/// says how to get it.
+pub fn probe(provider: Provider) -> Result<RuntimeInfo, OnnxError> {
+    match provider {
+        #[cfg(feature = "networks-rust")]
+        Provider::Rust => Ok(RuntimeInfo { library: None, version: None }),
+        #[cfg(feature = "onnxruntime")]
+        _ if provider != Provider::Rust => library::probe(provider),
+        _ => Err(provider.not_built()),
+    }
+}
+
+/// Returns true if what a provider needs exists where it is searched for, without loading it. A library that only the
+/// system's loader would find does not count.
+pub fn is_in_place(provider: Provider) -> bool {
+    match provider {
+        Provider::Rust => cfg!(feature = "networks-rust"),
+        #[cfg(feature = "onnxruntime")]
+        _ => library::is_in_place(),
+        #[cfg(not(feature = "onnxruntime"))]
+        _ => false,
+    }
+}
 
 /// Resources of the machine for a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,18 +68,23 @@ pub struct Resources {
     pub num_threads: usize,
     /// Memory limit for its file, its inputs and its outputs.
     pub memory: MemoryLimit,
+    /// Implementation and device that run it.
+    pub provider: Provider,
 }
 
 impl From<usize> for Resources {
-    /// So many threads, and the usual share of the machine's memory.
+    /// So many threads, the usual share of the machine's memory, and the default provider.
     fn from(num_threads: usize) -> Self {
-        Self { num_threads, memory: MemoryLimit::of_machine() }
+        Self { num_threads, memory: MemoryLimit::of_machine(), provider: Provider::default() }
     }
 }
 
 /// Ways to get the runtime, for messages.
-const CURE: &str =
-    "install it with `scripts/fetch-onnxruntime`, or set the environment variable TRACTRIX_ONNXRUNTIME to its path";
+const CURE: &str = "install it with `scripts/fetch-onnxruntime`, set the environment variable TRACTRIX_ONNXRUNTIME to \
+                    its path, or give --provider rust";
+
+/// The lowest minor version of ONNX Runtime 1.x that serves: the `api-*` feature that this crate asks `ort` for.
+pub const MINIMUM_VERSION: u32 = 24;
 
 /// Errors of networks.
 #[derive(Debug, thiserror::Error)]
@@ -67,6 +117,14 @@ pub enum OnnxError {
         /// The runtime's message.
         reason: String,
     },
+    /// This build, or this ONNX Runtime library, does not have the provider.
+    #[error("provider {}: {reason}", provider.name())]
+    Provider {
+        /// The provider that was asked for.
+        provider: Provider,
+        /// Problem and remedy.
+        reason: String,
+    },
     /// There is no such model file.
     #[error("{}: model file not found", path.display())]
     NoModel {
@@ -74,7 +132,7 @@ pub enum OnnxError {
         path: PathBuf,
     },
     /// The file is not a network that this runtime can load.
-    #[error("{}: ONNX Runtime cannot load this network: {reason}", path.display())]
+    #[error("{}: this network cannot be loaded: {reason}", path.display())]
     Load {
         /// The file.
         path: PathBuf,

@@ -3,11 +3,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use ort::session::{Session, SessionInputValue};
-use ort::value::{DynValue, Outlet, TensorElementType, TensorRef};
-
-use super::library::runtime;
-use super::{OnnxError, Resources};
+use super::{OnnxError, Provider, Resources};
 
 /// Name and shape of an input or output.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -58,10 +54,22 @@ impl Tensor {
     }
 }
 
+/// A network that an implementation has loaded. Reasons of errors are its own words.
+pub(super) trait Engine: Send {
+    /// Inputs.
+    fn inputs(&self) -> Vec<TensorInfo>;
+    /// Outputs.
+    fn outputs(&self) -> Vec<TensorInfo>;
+    /// An entry of the metadata that the exporter left in the file.
+    fn metadata(&self, key: &str) -> Option<String>;
+    /// Runs the network; one tensor per input, one per output. The caller counts the inputs.
+    fn run(&mut self, inputs: &[Tensor]) -> Result<Vec<Tensor>, String>;
+}
+
 /// A network, loaded.
 pub struct Model {
     path: PathBuf,
-    session: Session,
+    engine: Box<dyn Engine>,
     inputs: Vec<TensorInfo>,
     outputs: Vec<TensorInfo>,
 }
@@ -81,20 +89,20 @@ impl Model {
     ///
     /// # Errors
     /// [`OnnxError::NoModel`], [`OnnxError::Load`], [`OnnxError::Memory`] for a file, or numbers that go in and come
-    /// out, which are more than memory holds; or one of the runtime's own errors when its library is missing.
+    /// out, which are more than memory holds; or one of the runtime's own errors when its library or the provider is
+    /// missing.
     pub fn load(path: &Path, resources: impl Into<Resources>) -> Result<Self, OnnxError> {
-        let Resources { num_threads, memory } = resources.into();
+        let Resources { num_threads, memory, provider } = resources.into();
         let found = std::fs::metadata(path).ok().filter(|found| found.is_file());
         let size = found.ok_or_else(|| OnnxError::NoModel { path: path.to_path_buf() })?.len();
         memory.check(|| format!("{}: the network", path.display()), u128::from(size))?;
-        let session = open(path, num_threads)?;
-        let inputs: Vec<_> = session.inputs().iter().map(describe).collect();
-        let outputs: Vec<_> = session.outputs().iter().map(describe).collect();
+        let engine = open(path, num_threads, provider)?;
+        let (inputs, outputs) = (engine.inputs(), engine.outputs());
         for tensor in inputs.iter().chain(&outputs) {
             let what = || format!("{}: {tensor}, declared by the network,", path.display());
             memory.check(what, tensor.num_bytes())?;
         }
-        Ok(Self { path: path.to_path_buf(), session, inputs, outputs })
+        Ok(Self { path: path.to_path_buf(), engine, inputs, outputs })
     }
 
     /// The file.
@@ -114,7 +122,7 @@ impl Model {
 
     /// An entry of the metadata that the exporter left in the file.
     pub fn metadata(&self, key: &str) -> Option<String> {
-        self.session.metadata().ok()?.custom(key)
+        self.engine.metadata(key)
     }
 
     /// Runs the network on one tensor per input, in the order of [`Self::inputs`].
@@ -124,59 +132,24 @@ impl Model {
     /// # Errors
     /// [`OnnxError::Run`], for instance when a shape does not fit.
     pub fn run(&mut self, inputs: &[Tensor]) -> Result<Vec<Tensor>, OnnxError> {
-        let Self { path, session, inputs: infos, .. } = self;
-        let failed = |reason: String| OnnxError::Run { path: path.clone(), reason };
-        if inputs.len() != infos.len() {
-            return Err(failed(format!("{} inputs given, the network has {}", inputs.len(), infos.len())));
+        let failed = |reason: String| OnnxError::Run { path: self.path.clone(), reason };
+        if inputs.len() != self.inputs.len() {
+            return Err(failed(format!("{} inputs given, the network has {}", inputs.len(), self.inputs.len())));
         }
-        let mut values: Vec<(String, SessionInputValue<'_>)> = Vec::with_capacity(inputs.len());
-        for (info, tensor) in infos.iter().zip(inputs) {
-            let view = TensorRef::from_array_view((tensor.shape.clone(), tensor.values.as_slice()))
-                .map_err(|e| failed(format!("input {}: {e}", info.name)))?;
-            values.push((info.name.clone(), view.into()));
+        self.engine.run(inputs).map_err(failed)
+    }
+}
+
+fn open(path: &Path, num_threads: usize, provider: Provider) -> Result<Box<dyn Engine>, OnnxError> {
+    match provider {
+        #[cfg(feature = "networks-rust")]
+        Provider::Rust => Ok(Box::new(super::rust::RustEngine::load(path, num_threads)?)),
+        #[cfg(feature = "onnxruntime")]
+        _ if provider != Provider::Rust => {
+            Ok(Box::new(super::session::OnnxRuntime::load(path, num_threads, provider)?))
         }
-        let outputs = session.run(values).map_err(|e| failed(e.to_string()))?;
-        outputs.iter().map(|(name, value)| extract(&value).map_err(|e| failed(format!("output {name}: {e}")))).collect()
+        _ => Err(provider.not_built()),
     }
-}
-
-fn open(path: &Path, num_threads: usize) -> Result<Session, OnnxError> {
-    let failed = |reason: String| OnnxError::Load { path: path.to_path_buf(), reason };
-    let builder = Session::builder(&runtime()?.environment).map_err(|e| failed(e.to_string()))?;
-    let builder = builder.with_intra_threads(num_threads).map_err(|e| failed(e.to_string()))?;
-    // Threads that spin between frames would take the processor from the other stages.
-    let mut builder = builder.with_intra_op_spinning(false).map_err(|e| failed(e.to_string()))?;
-    builder.commit_from_file(path).map_err(|e| failed(e.to_string()))
-}
-
-fn describe(outlet: &Outlet) -> TensorInfo {
-    let shape = outlet.dtype().tensor_shape();
-    let element = outlet.dtype().tensor_type().map_or_else(|| "not a tensor".to_owned(), |t| t.to_string());
-    TensorInfo {
-        name: outlet.name().to_owned(),
-        shape: shape.map_or_else(Vec::new, |s| s.iter().map(|&side| usize::try_from(side).ok()).collect()),
-        element,
-    }
-}
-
-/// Copies a tensor out of the runtime.
-fn extract(value: &DynValue) -> Result<Tensor, String> {
-    macro_rules! copy {
-        ($number:ty) => {{
-            let (shape, values) = value.try_extract_tensor::<$number>().map_err(|e| e.to_string())?;
-            (shape.iter().map(|&s| s as usize).collect(), values.iter().map(|&v| v as f32).collect())
-        }};
-    }
-    let (shape, values): (Vec<usize>, Vec<f32>) = match value.dtype().tensor_type() {
-        Some(TensorElementType::Float32) => copy!(f32),
-        Some(TensorElementType::Float64) => copy!(f64),
-        Some(TensorElementType::Int64) => copy!(i64),
-        Some(TensorElementType::Int32) => copy!(i32),
-        Some(TensorElementType::Uint8) => copy!(u8),
-        Some(other) => return Err(format!("number type {other} is not supported; export the network in float32")),
-        None => return Err("not a tensor".to_owned()),
-    };
-    Ok(Tensor { shape, values })
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 
 use super::fingerprint;
 use super::workspace::Workspace;
-use crate::ffi::onnx;
+use crate::ffi::onnx::{self, Provider};
 use crate::files;
 use crate::io::RunFolder;
 use crate::networks::default_models;
@@ -94,15 +94,15 @@ impl Identity {
 fn of_options(options: &Options) -> Value {
     let revisions: Vec<u32> = Stage::ALL.into_iter().map(Stage::revision).collect();
     let options = Options { threads: None, memory_limit: None, ..options.clone() };
-    let networks = (options.instances == Instances::Vehicles).then(shipped);
+    let networks = (options.instances == Instances::Vehicles).then(|| shipped(options.provider));
     json!({ "revisions": revisions, "networks": networks, "options": options })
 }
 
 /// The networks that come with the program, wherever they lie, and whether there is what runs them.
-fn shipped() -> Value {
+fn shipped(provider: Provider) -> Value {
     let of_file = |path: &Path| fs::metadata(path).ok().map(|found| json!([found.len(), found.mtime()]));
     let files = default_models().ok().map(|models| models.files().map(of_file).to_vec());
-    json!({ "files": files, "runtime": onnx::is_in_place() })
+    json!({ "files": files, "runtime": onnx::is_in_place(provider) })
 }
 
 /// Name and state of a file, or of all files in a folder, in the order of their names.

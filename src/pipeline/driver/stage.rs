@@ -105,8 +105,8 @@ impl Stage {
     pub(in crate::pipeline) fn revision(self) -> u32 {
         match self {
             Self::Scale => 11,
-            Self::Objects => 7,
-            Self::Background | Self::Motion | Self::Track => 6,
+            Self::Objects | Self::Track => 7,
+            Self::Background | Self::Motion => 6,
             Self::Features | Self::Ground => 5,
             Self::Follow | Self::Metric => 4,
             Self::Frames | Self::Segment | Self::Report => 3,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use crate::ffi::onnx;
+use crate::ffi::onnx::{self, Provider};
 use crate::networks::{
     BoxSegmenter, DefaultModels, Detector, GrabCut, PerceptionError, default_descriptions, default_models,
     load_box_segmenter, load_detector,
@@ -29,9 +29,9 @@ impl Networks {
     /// The networks that the options of a run choose, as far as they are there.
     ///
     /// # Errors
-    /// An environment variable names a runtime or networks that are needed and cannot be used.
+    /// An environment variable or an option names a runtime or networks that are needed and cannot be used.
     pub(in crate::pipeline) fn of(run: &Run) -> Result<Self, PipelineError> {
-        Ok(Self::chosen(run.options, shipped())?)
+        Ok(Self::chosen(run.options, shipped(run.options.provider))?)
     }
 
     /// * `shipped` – the networks that come with the program, or why they cannot be used.
@@ -39,7 +39,7 @@ impl Networks {
         let is_needed = matches!(options.vehicles.detector, DetectorChoice::Default)
             || matches!(options.vehicles.mask_network, MaskChoice::Default);
         let shipped = match shipped {
-            Err(error) if is_needed && error.is_of_variable() => return Err(error),
+            Err(error) if is_needed && error.is_of_choice() => return Err(error),
             shipped => shipped.map_err(|error| error.to_string()),
         };
         let mut networks = Self::default();
@@ -99,15 +99,21 @@ impl Networks {
     }
 
     /// Inputs of the detector's boxes.
-    pub(in crate::pipeline) fn fingerprint_of_detector(&self) -> Result<Value, PipelineError> {
-        Ok(json!(self.detector.as_deref().map(fingerprint::of_content).transpose()?))
+    pub(in crate::pipeline) fn fingerprint_of_detector(&self, run: &Run) -> Result<Value, PipelineError> {
+        of_networks(run, self.detector.as_slice())
     }
 
     /// Inputs of the masks of boxes.
-    pub(in crate::pipeline) fn fingerprint_of_masks(&self) -> Result<Value, PipelineError> {
-        let parts = self.masks.iter().flatten().map(|path| fingerprint::of_content(path));
-        Ok(json!(parts.collect::<Result<Vec<_>, _>>()?))
+    pub(in crate::pipeline) fn fingerprint_of_masks(&self, run: &Run) -> Result<Value, PipelineError> {
+        of_networks(run, self.masks.as_ref().map_or(&[], |parts| &parts[..]))
     }
+}
+
+/// What the answers of networks depend on besides their options: their contents and what runs them.
+pub(in crate::pipeline) fn of_networks(run: &Run, files: &[PathBuf]) -> Result<Value, PipelineError> {
+    let hashes = files.iter().map(|path| fingerprint::of_content(path)).collect::<Result<Vec<_>, _>>()?;
+    let provider = (!files.is_empty()).then_some(run.options.provider);
+    Ok(json!({ "files": hashes, "provider": provider }))
 }
 
 /// Returns true if files are, byte for byte, networks for a task that come with the program: those are known to work,
@@ -124,10 +130,10 @@ fn came_with_the_program(files: &[PathBuf], task: &str) -> Result<bool, Pipeline
 }
 
 /// The networks that come with the program, if they and what runs them are there.
-fn shipped() -> Result<DefaultModels, PerceptionError> {
-    match (default_models(), onnx::probe().map_err(PerceptionError::from)) {
+fn shipped(provider: Provider) -> Result<DefaultModels, PerceptionError> {
+    match (default_models(), onnx::probe(provider).map_err(PerceptionError::from)) {
         // What the user has named comes first.
-        (Err(error), _) | (_, Err(error)) if error.is_of_variable() => Err(error),
+        (Err(error), _) | (_, Err(error)) if error.is_of_choice() => Err(error),
         (Err(error), _) | (_, Err(error)) => Err(error),
         (Ok(models), Ok(_)) => Ok(models),
     }
@@ -152,9 +158,12 @@ mod tests {
         let models = || PerceptionError::NamedModels { reason: "none".into() };
         let runtime =
             || PerceptionError::from(OnnxError::NamedRuntime { variable: "ORT_DYLIB_PATH", reason: "none".into() });
+        let provider =
+            || PerceptionError::from(OnnxError::Provider { provider: Provider::Acl, reason: "not built in".into() });
         let mut options = Options::default();
         let said = |options: &Options, error| Networks::chosen(options, Err(error)).map_err(|error| error.to_string());
         assert!(said(&options, models()).unwrap_err().contains("TRACTRIX_MODELS"));
+        assert!(said(&options, provider()).unwrap_err().contains("provider acl"));
         options.vehicles.detector = DetectorChoice::None;
         assert!(said(&options, runtime()).unwrap_err().contains("ORT_DYLIB_PATH"));
         options.vehicles.mask_network = MaskChoice::None;

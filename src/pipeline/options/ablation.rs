@@ -20,7 +20,7 @@ const fn ablation(name: &'static str, decision: u32, settings: &'static [(&'stat
 
 impl Ablation {
     /// All of them, by decision. `docs/decisions/README.md` has the same table and says which decisions have no switch.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 17] = [
         ablation(
             "track-length-limit",
             4,
@@ -58,6 +58,7 @@ impl Ablation {
             ],
         ),
         ablation("stationary-ratio", 32, &[("tuning.scale.stationary", "none")]),
+        ablation("sub-maps", 35, &[("tuning.scale.joint.align_sub_maps", "false")]),
     ];
 
     /// The mechanisms that a list names: `all`, or names separated by commas.

@@ -26,7 +26,7 @@ pub use vehicles::{DetectorChoice, MaskChoice, MotionChoice, VehicleOptions};
 use super::PipelineError;
 use crate::camera::Camera;
 use crate::checks::{Checked, OptionError, under, within};
-use crate::ffi::onnx::Resources;
+use crate::ffi::onnx::{Provider, Resources};
 use crate::io::interchange::colmap::Encoding;
 use crate::mapper::Intrinsics;
 use crate::memory::MemoryLimit;
@@ -190,6 +190,8 @@ pub struct Options {
     pub only_objects: BTreeSet<ObjectId>,
     /// Vehicle detection by the bundled networks and by motion.
     pub vehicles: VehicleOptions,
+    /// Implementation and device that run networks.
+    pub provider: Provider,
     /// Vehicle detector.
     pub detector: DetectorOptions,
     /// Detection of moving objects.
@@ -270,6 +272,7 @@ impl Default for Options {
             model_files: ModelFiles::Auto,
             only_objects: BTreeSet::new(),
             vehicles: VehicleOptions::default(),
+            provider: Provider::default(),
             detector: DetectorOptions::default(),
             motion: MotionOptions::default(),
             prompt: PromptOptions::default(),
@@ -298,7 +301,7 @@ impl Options {
 
     /// Resources that a network may use.
     pub(super) fn resources(&self) -> Resources {
-        Resources { num_threads: self.threads.unwrap_or(0), memory: self.memory() }
+        Resources { num_threads: self.threads.unwrap_or(0), memory: self.memory(), provider: self.provider }
     }
 
     /// Memory limit.

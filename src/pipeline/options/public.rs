@@ -15,7 +15,7 @@ use super::schema::{self, join};
 pub(super) const TUNING: &str = "tuning";
 
 /// Paths of the public options: targets of flags, choices that depend on the footage, and what documents set.
-const PUBLIC: [&str; 58] = [
+const PUBLIC: [&str; 59] = [
     "video.start",
     "video.end",
     "video.every",
@@ -40,6 +40,7 @@ const PUBLIC: [&str; 58] = [
     "vehicles.motion",
     "vehicles.mask_network",
     "vehicles.segment_every",
+    "provider",
     "detector.confidence",
     "detector.classes",
     "detector.input_size",

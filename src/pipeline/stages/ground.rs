@@ -18,6 +18,7 @@ use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_masks::MaskFolder;
 use crate::pipeline::inputs::images;
+use crate::pipeline::inputs::networks::of_networks;
 use crate::pipeline::{GroundLabels, Options, PipelineError, Stage};
 use crate::scene::{
     BoundingBox, Frame, FrameId, Ground, GroundSource, LabelMap, Mask, ObjectId, ObjectImage, Point3dId,
@@ -36,7 +37,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
         GroundLabels::Geometric => json!("geometric"),
         GroundLabels::Masks { folder, label } => json!({ "masks": fingerprint::of_content(folder)?, "label": label }),
         GroundLabels::Model(path) => json!({
-            "model": fingerprint::of_content(path)?,
+            "model": of_networks(run, std::slice::from_ref(path))?,
             "options": run.options.ground_segmentation,
         }),
     };

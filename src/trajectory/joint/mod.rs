@@ -75,6 +75,8 @@ pub struct JointOptions {
     pub compare_planes: bool,
     /// True if points are drawn onto the surface of their neighbors.
     pub smooth_surface: bool,
+    /// True if sub-maps of a vehicle are adjusted by themselves and aligned by its body.
+    pub align_sub_maps: bool,
     /// Where the vehicle touches the ground.
     pub contact: ContactOptions,
 }
@@ -93,6 +95,7 @@ impl Default for JointOptions {
             least_share: 0.5,
             compare_planes: true,
             smooth_surface: true,
+            align_sub_maps: true,
             contact: ContactOptions::default(),
         }
     }
@@ -175,7 +178,9 @@ pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Jo
     views.require(3)?;
     let mut adjustment = Adjustment::new(grounded, views, options)?;
     let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
-    settle_sub_maps(&mut adjustment, options);
+    if options.joint.align_sub_maps {
+        settle_sub_maps(&mut adjustment, options);
+    }
     let options = &options.joint;
     let contact = settle(&mut adjustment)?;
     let after_px = median_error_px(&adjustment.object).filter(|px| px.is_finite()).ok_or(ScaleError::NoObservations)?;

@@ -24,7 +24,8 @@ impl<T: Serialize + DeserializeOwned> FrameFolder<T> {
         Self { folder, things: PhantomData }
     }
 
-    fn path(&self, frame: FrameId) -> PathBuf {
+    /// The file of a frame.
+    pub(in crate::pipeline) fn path(&self, frame: FrameId) -> PathBuf {
         self.folder.join(format!("{:06}.bin", frame.0))
     }
 

@@ -12,7 +12,7 @@ use crate::networks::{Segmenter, load_segmenter};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
-use crate::pipeline::inputs::networks::Networks;
+use crate::pipeline::inputs::networks::{Networks, of_networks};
 use crate::pipeline::{Instances, PipelineError, Stage};
 use crate::scene::{BoxDetection, Frame, FrameId, Topic};
 use detections::{DetectionFolder, FrameFolder};
@@ -30,11 +30,11 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
         // Given masks are read by later stages; this one has nothing to do.
         Instances::Masks(_) => json!("masks"),
         Instances::Model(path) => json!({
-            "model": fingerprint::of_content(path)?,
+            "model": of_networks(run, std::slice::from_ref(path))?,
             "options": run.options.segmentation,
         }),
         Instances::Vehicles => {
-            let detector = Networks::of(run)?.fingerprint_of_detector()?;
+            let detector = Networks::of(run)?.fingerprint_of_detector(run)?;
             let every = Schedule::of(run)?.detector;
             json!({ "detector": detector, "options": run.options.detector, "every": every })
         }

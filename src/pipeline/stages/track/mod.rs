@@ -5,6 +5,7 @@ mod cached_prompts;
 mod detected;
 mod end_motion;
 mod given;
+mod kept_masks;
 mod merged;
 pub(in crate::pipeline) mod movement;
 
@@ -18,12 +19,13 @@ use crate::io::{RunFolder, masks};
 use crate::networks::{FlowEstimator, load_flow};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::inputs::networks::Networks;
+use crate::pipeline::inputs::networks::{Networks, of_networks};
 use crate::pipeline::inputs::order;
 use crate::pipeline::{Instances, PipelineError};
 use crate::scene::{Frame, Mask, Movement, ObjectId, Topic, TrackedObject};
 use crate::tracking::{MaskEvidence, TrackSummary, support};
 use detected::{Finds, Followed};
+use kept_masks::KeptMasks;
 
 /// Where masks that were asked for are kept while the stage is at work.
 pub(in crate::pipeline) const ANSWERS: &str = "answers-";
@@ -31,7 +33,7 @@ pub(in crate::pipeline) const ANSWERS: &str = "answers-";
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
     let options = run.options;
     let following = || -> Result<Value, PipelineError> {
-        let flow_model = options.flow_model.as_deref().map(fingerprint::of_content).transpose()?;
+        let flow_model = of_networks(run, options.flow_model.as_slice())?;
         let (_, objects) = order::sfm_options(run)?;
         Ok(json!({
             "tracker": options.tracker,
@@ -45,7 +47,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
         Instances::Model(_) => following()?,
         Instances::Vehicles => json!({
             "following": following()?,
-            "masks": Networks::of(run)?.fingerprint_of_masks()?,
+            "masks": Networks::of(run)?.fingerprint_of_masks(run)?,
             "prompt": options.prompt,
             "every": Schedule::of(run)?.masks,
         }),
@@ -57,7 +59,9 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let answers = run.workspace.intermediate(ANSWERS, fingerprint)?;
     let objects = run.workspace.put_folder(&run.workspace.tracks(), |folder| {
         let (mut objects, summaries) = tracked(run, folder, &answers, &mut outcome)?;
-        let sighted = movement::find(run, folder, &mut objects)?;
+        let (masks, kept) = KeptMasks::keep(run, folder, &objects, fingerprint)?;
+        outcome.outputs.push(kept);
+        let sighted = movement::find(run, &masks, &mut objects)?;
         leave_out(&mut objects, &summaries, &sighted, &mut outcome);
         Ok(objects)
     })?;
@@ -129,10 +133,10 @@ pub(in crate::pipeline) fn masks_of(
     objects: &[TrackedObject],
     frame: &Frame,
 ) -> Result<Vec<(ObjectId, Mask)>, PipelineError> {
-    masks_in(run, &run.workspace.tracks(), objects, frame)
+    KeptMasks::done(run).read(objects, frame)
 }
 
-/// As [`masks_of`], of a folder that is still in the making.
+/// The masks of a folder of images that is still in the making.
 fn masks_in(
     run: &Run,
     folder: &Path,

@@ -1,10 +1,11 @@
 //! Which of the tracked objects moved: the points of the stage `motion` that lie on their masks say it.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use super::kept_masks::KeptMasks;
 use crate::motion::{ContactDepth, Judgement, MovementReason, PointOnObject, StaticPoint, judge_pieces};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::Run;
@@ -42,16 +43,15 @@ pub(in crate::pipeline) fn by_points(run: &Run) -> Result<PointFindings, Pipelin
     run.workspace.read_state(FINDINGS)
 }
 
-/// Says of every object whether it moved; its masks lie in `folder`, which is still in the making. Gives what its masks
-/// say of it; nothing where nothing was looked at.
+/// Says of every object whether it moved. Gives what its masks say of it; nothing where nothing was looked at.
 pub(super) fn find(
     run: &Run,
-    folder: &Path,
+    masks: &KeptMasks,
     objects: &mut [TrackedObject],
 ) -> Result<BTreeMap<ObjectId, MaskEvidence>, PipelineError> {
     let points = motion::points(run)?;
     let size = (run.info().width, run.info().height);
-    let on = if points.frames.is_empty() { BTreeMap::new() } else { on_objects(run, folder, objects, &points)? };
+    let on = if points.frames.is_empty() { BTreeMap::new() } else { on_objects(run, masks, objects, &points)? };
     let second = frames_per_second(run.frames()?);
     let none = OnObject::default();
     let (mut sighted, mut findings) = (BTreeMap::new(), PointFindings::new());
@@ -123,7 +123,7 @@ fn finding(object: &TrackedObject, judged: &Judgement) -> MovementFinding {
 /// Points on the masks of each object.
 fn on_objects(
     run: &Run,
-    folder: &Path,
+    masks: &KeptMasks,
     objects: &[TrackedObject],
     points: &Points,
 ) -> Result<BTreeMap<ObjectId, OnObject>, PipelineError> {
@@ -142,7 +142,7 @@ fn on_objects(
         live.extend(starting.remove(&index).into_iter().flatten());
         live.retain(|&k| points.tracks[k].end() > index);
         let Some(frame) = names.get(id) else { continue };
-        for (object, mask) in super::masks_in(run, folder, objects, frame)? {
+        for (object, mask) in masks.read(objects, frame)? {
             let on_it = found.entry(object).or_default();
             on_it.area += mask.area_px2();
             on_it.num_masks += 1;
