@@ -11,9 +11,11 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use image::{Rgb, RgbImage};
-use tractrix::networks::{FlowOptions, SegmentationOptions, load_flow, load_segmenter};
+use tractrix::networks::{FlowOptions, KnownMasks, SegmentationOptions, load_flow, load_segmenter};
 use tractrix::scene::{Frame, Mask, ObjectId};
-use tractrix::tracking::{Evidence, FrameInput, TrackSummary, TrackedMask, Tracker, TrackerOptions};
+use tractrix::tracking::{
+    BoxSource, DetectedBox, Evidence, FrameInput, TrackSummary, TrackedMask, Tracker, TrackerOptions,
+};
 use tractrix::video::Source;
 
 /// How long each part took, all frames together.
@@ -54,9 +56,9 @@ fn follow(
         let (frame, image) = item?;
         let detections = timed(&mut times.segmentation, || segmenter.segment(&image))?;
         let flow = previous.map(|previous| timed(&mut times.flow, || estimator.flow(&previous, &image))).transpose()?;
-        let masks = timed(&mut times.tracking, || {
-            tracker.advance(&frame, &image, FrameInput::Masks(detections), flow.as_ref())
-        })?;
+        let (found, mut known) = (DetectedBox::of_masks(&detections), KnownMasks::new(detections));
+        let look = FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(&mut known) };
+        let masks = timed(&mut times.tracking, || tracker.advance(&frame, &image, look, flow.as_ref()))?;
         if let Some(folder) = pictures {
             write_picture(folder, &frame, &image, &masks)?;
         }

@@ -632,3 +632,25 @@ fn wrong_intrinsics_are_adjusted_and_named() {
     let (stderr, _, fit) = run("fixed", &wrong, &["--fixed"]);
     assert!(stderr.contains(MISFIT) && stderr.contains("remove --fixed"), "{stderr} {fit}");
 }
+
+#[test]
+fn a_video_from_a_pipe_is_recorded_and_run_like_a_file() {
+    let place = TempDir::new().unwrap();
+    let video = fs::read(clip(place.path(), 6)).unwrap();
+    let out = place.path().join("out");
+    let segment = |input: &str| {
+        let mut command = tractrix();
+        command.args(["segment", input, "--detector", "none", "--output", out.to_str().unwrap()]);
+        command
+    };
+    let (code, _, said) = outcome(segment("-").write_stdin(video.clone()));
+    assert_eq!(code, 0, "{said}");
+    let recording = out.join("recording.avi");
+    assert_eq!(fs::read(&recording).unwrap(), video);
+    let (code, _, said) = outcome(&mut segment(recording.to_str().unwrap()));
+    assert!(code == 0 && said.contains("already"), "the same run is done: {said}");
+    let (code, _, said) = outcome(segment("-").write_stdin(video));
+    assert!(code == 2 && said.contains("recording.avi") && said.contains("--overwrite"), "{said}");
+    let (code, _, said) = outcome(segment("-").arg("--overwrite").write_stdin(""));
+    assert!(code == 1 && said.contains("standard input is empty"), "{said}");
+}

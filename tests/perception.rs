@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use tractrix::networks::{
-    FlowOptions, GroundOptions, SegmentationOptions, load_flow, load_ground_segmenter, load_segmenter,
+    FlowOptions, GroundOptions, KnownMasks, SegmentationOptions, load_flow, load_ground_segmenter, load_segmenter,
 };
 use tractrix::scene::{BoundingBox, Frame, Mask, ObjectId};
-use tractrix::tracking::{FrameInput, TrackSummary, TrackedMask, Tracker, TrackerOptions};
+use tractrix::tracking::{BoxSource, DetectedBox, FrameInput, TrackSummary, TrackedMask, Tracker, TrackerOptions};
 use tractrix::video::Source;
 
 const MODEL: &str = "models/yolov8n-seg_640_fromint8.onnx";
@@ -45,7 +45,9 @@ fn follow(clip: &Path, limit: usize) -> Outcome {
     for (frame, image) in frames(clip).take(limit) {
         let detections = segmenter.segment(&image).unwrap();
         let flow = previous.map(|p| estimator.flow(&p, &image).unwrap());
-        let masks = tracker.advance(&frame, &image, FrameInput::Masks(detections), flow.as_ref()).unwrap();
+        let (found, mut known) = (DetectedBox::of_masks(&detections), KnownMasks::new(detections));
+        let look = FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(&mut known) };
+        let masks = tracker.advance(&frame, &image, look, flow.as_ref()).unwrap();
         assert_disjoint(&masks);
         outcome.boxes.push(masks.iter().filter_map(|m| Some((m.object, m.mask.bounding_box()?))).collect());
         previous = Some(image);

@@ -23,8 +23,9 @@ const OWN_MASKS: [&str; 2] = ["masks", "segmentation_model"];
 
 #[derive(Debug, clap::Args)]
 pub(super) struct JobArgs {
-    /// Video file, folder of images, or folder of a ground-truth sequence (one with a scene.json)
+    /// Video file, folder of images, folder of a ground-truth sequence (one with a scene.json), or `-`
     ///
+    /// `-` records the video of standard input in the output folder, byte for byte, and runs on the recording.
     /// Of a sequence, images, masks, ground labels and intrinsics are used, unless given otherwise.
     pub(super) input: PathBuf,
     /// Folder for the results; created if missing, resumed if an earlier run was stopped

@@ -25,6 +25,7 @@ mod models;
 mod options;
 mod output;
 mod paired_times;
+mod recording;
 mod run;
 mod run_output;
 mod schema;

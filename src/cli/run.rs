@@ -1,10 +1,12 @@
 //! `run` and the commands that do a part of it.
 
 use std::ffi::OsString;
+use std::path::Path;
 
 use super::job::{JobArgs, resolve, use_machine};
 use super::models;
 use super::output::{Failure, Form, show};
+use super::recording;
 use super::run_output::RunOutput;
 use super::summary;
 use super::terminal::TerminalProgress;
@@ -19,8 +21,11 @@ pub(super) fn run(
     form: Form,
     talk: &TerminalProgress,
 ) -> Result<(), Failure> {
-    let (input, options) = resolve(job, goal)?;
+    let (mut input, options) = resolve(job, goal)?;
     use_machine(&options)?;
+    if input == Path::new(recording::STDIN) {
+        input = recording::record(&job.output, job.overwrite)?;
+    }
     let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
     let task = Job {
         input: &input,

@@ -17,7 +17,7 @@ use super::boxes::FrameView;
 use super::region::Region;
 use super::track::{Moment, Presence, Track, leaves};
 use super::tracker::{TrackObservation, Tracker};
-use super::{Correction, FrameInput, TrackSummary, TrackedMask, TrackerOptions};
+use super::{Correction, TrackSummary, TrackedMask, TrackerOptions};
 use crate::networks::{BoxSegmenter, PerceptionError};
 use crate::scene::{Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
@@ -134,7 +134,7 @@ impl BackwardTracker {
         for (_, mask) in known {
             self.tracker.same_size("a known mask", frame, image, (mask.width(), mask.height()))?;
         }
-        self.tracker.check_sizes(frame, image, &FrameInput::NotLooked, flow)?;
+        self.tracker.check_sizes(frame, image, flow)?;
         match self.tracker.last_frame {
             Some((previous, ..)) if frame.id >= previous => {
                 Err(PerceptionError::FrameOrder { previous, found: frame.id })

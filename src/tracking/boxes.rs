@@ -114,7 +114,7 @@ impl Tracker {
 
     /// Where all tracks should be, and what boxes show.
     fn meet(&self, view: &FrameView, found: Vec<DetectedBox>) -> Meeting {
-        let predictions = self.predict(&[], view.flow, view.image, view.elapsed_s);
+        let predictions = self.predict(view.flow, view.image, view.elapsed_s);
         let is_carried: Vec<bool> =
             self.tracks.iter().zip(&predictions).map(|(track, p)| self.is_trusted(track, p, view.image)).collect();
         let trusted = predictions.iter().zip(&is_carried).filter(|(_, is_carried)| **is_carried);
@@ -151,14 +151,16 @@ impl Tracker {
         self.waiting.iter().filter_map(moved).collect()
     }
 
-    /// Joins boxes and the tracks in sight, by their boxes and, where they are known, by their masks.
+    /// Joins boxes and the tracks in sight, by their boxes and, where they are known, by their masks. An object that is
+    /// partly hidden may show all of itself again: its whole outline counts as well as what was seen of it.
     fn associate_boxes(&self, meeting: &mut Meeting) {
         let rows: Vec<usize> = (0..self.tracks.len()).filter(|t| meeting.is_carried[*t]).collect();
         let pairs = assign(rows.len(), meeting.sights.len(), |row, s| {
             let (track, sight) = (&self.tracks[rows[row]], &meeting.sights[s]);
-            let carried = &meeting.carried(rows[row])?.region;
-            let by_box = carried.rect().iou(&sight.rect);
-            let by_mask = meeting.masks[s].as_ref().map_or(0.0, |fresh| fresh.region.iou(carried));
+            let carried = meeting.carried(rows[row])?;
+            let best = |overlap: &dyn Fn(&Region) -> f64| overlap(&carried.region).max(overlap(&carried.whole));
+            let by_box = best(&|region| region.rect().iou(&sight.rect));
+            let by_mask = meeting.masks[s].as_ref().map_or(0.0, |fresh| best(&|region| fresh.region.iou(region)));
             let meets = by_mask >= self.options.min_overlap || by_box >= MIN_BOX_OVERLAP;
             (meets && track.may_be(sight.class())).then_some(0.5 * (by_box + by_mask))
         });

@@ -1,36 +1,32 @@
-//! Mask tracking: which detection is which object.
+//! Multi-object tracking of masks: which detection is which object.
 //!
-//! After Bullinger et al., *Instance Flow Based Online Multiple Object Tracking*, 2017: the mask of an object in frame
-//! t is carried to t + 1 by optical flow, and the carried masks are assigned to the new detections by mask overlap with
-//! the Hungarian algorithm. Beyond that:
+//! Input are boxes of a detector, of motion, or of both, and a [`BoxSegmenter`] that is asked for their masks in some
+//! frames. A segmentation network is a detector and a box segmenter that knows the answer
+//! ([`KnownMasks`](crate::networks::KnownMasks)). For every frame, after Bullinger et al., *Instance Flow Based Online
+//! Multiple Object Tracking*, 2017:
 //!
-//! - An object without a detection keeps its carried mask for some frames ([`Evidence::Carried`]), as long as enough of
-//!   its pixels have a consistent flow and keep their colours: this bridges missed detections.
-//! - After that it is lost: nothing is reported, and its place moves on with the background's flow plus its own
-//!   velocity. For a moment ([`Gap`]) it is found again by place and colours. Later, what comes up there is an object
-//!   of its own that remembers which one it may be ([`Predecessor`]), which [`merging`] decides by more evidence.
-//! - Lasting ids are given when an object was detected several times within a few frames, so that a false alarm gets
-//!   none. Its masks from before are not lost: every mask is reported at once under a provisional id, and
-//!   [`Tracker::finish`] says which provisional ids became which objects.
+//! - *Prediction* (`propagation.rs`): the mask of an object is carried to the next frame by optical flow. Pixels that
+//!   show something which comes before the object are taken out of it (`occlusion.rs`); the outline of the whole object
+//!   is carried besides, and masks are asked for in its box, too, until all of it is seen again.
+//! - *Boxes* of one frame that mean one object are joined (`box_groups.rs`). A box of motion that covers several objects
+//!   speaks for each. Boxes that show nothing that is followed wait, moved by flow, until masks are asked for.
+//! - *Segmentation* (`prompting.rs`): every box is asked about, and every carried mask that no box repeats: so a track
+//!   lives on where the detector is blind.
+//! - *Association* (`boxes.rs`, `assignment.rs`): masks and boxes meet the tracks by overlap (Hungarian algorithm), lost
+//!   ones by place and appearance.
+//! - *Update* (`choice.rs`, `track.rs`): of the new masks and the carried one an object gets the one that fits its size,
+//!   colours, place and box best. No two objects get the same. A mask may fail twice in a row; then the object counts as
+//!   lost once its mask is older than [`TrackerOptions::max_carried`] frames. A new mask is carried back to the frames
+//!   that are nearer to it than to the last one (`retrace.rs`): [`Tracker::take_corrections`].
+//! - *Confirmation*: an id is given with the third box, whenever it comes, as long as the object was never lost. Every
+//!   mask is reported at once under a provisional id; [`Tracker::finish`] says which of them became which objects.
+//! - *Loss and re-identification*: nothing is reported of a lost object, and its place moves on with the background's
+//!   flow plus its own velocity. For a moment ([`Gap`]) it is found again by place and colours. Later, what comes up
+//!   there is an object of its own that remembers which one it may be ([`Predecessor`]), which [`merging`] decides by
+//!   more evidence.
 //!
-//! Where only boxes are known ([`FrameInput::Boxes`]), masks are asked for in some frames and carried in the others:
-//!
-//! - Boxes of one frame that mean one object are joined. A box of motion that covers several objects speaks for each.
-//!   Boxes that show nothing that is followed wait, moved by flow, until masks are asked for.
-//! - Then every box is asked about, and every carried mask that no box repeats: so a track lives on where the detector
-//!   is blind. Masks and boxes meet the tracks by overlap (Hungarian again), lost ones by place and appearance.
-//! - Of the new masks and the carried one an object gets the one that fits its size, colours, place and box best
-//!   (`choice.rs`). No two objects get the same. A mask may fail twice in a row; then the object counts as lost once
-//!   its mask is older than [`TrackerOptions::max_carried`] frames.
-//! - When a new mask comes, it is carried back to the frames that are nearer to it than to the last one
-//!   (`retrace.rs`): [`Tracker::take_corrections`].
-//! - Pixels of a carried mask that show something which comes before the object are taken out of it (`occlusion.rs`),
-//!   and the outline of the whole object is carried besides: masks are asked for in its box, too, until all of it is
-//!   seen again.
-//! - Carrying between such frames is no miss, and confirmation counts boxes, not frames: an id is given with the third
-//!   box, whenever it comes, as long as the object was never lost.
-//! - Objects that were found late are followed back in time when all frames are through ([`BackwardTracker`]).
-//! - [`support`] says which objects are vehicles enough for a trajectory.
+//! Objects that were found late are followed back in time when all frames are through ([`BackwardTracker`]). [`support`]
+//! says which objects are vehicles enough for a trajectory.
 //!
 //! The tracker is a plain function of its inputs: fed again with the detections that a killed run left behind, it gives
 //! the same ids.
@@ -66,14 +62,14 @@ pub use self::backward::{BackwardTracker, End, Extension};
 pub use self::retrace::Correction;
 pub use self::support::{MaskEvidence, Unsupported, support};
 pub use self::tracker::Tracker;
-use crate::checks::{Checked, ordered, some_of, within};
+use crate::checks::{Checked, some_of, within};
 use crate::networks::BoxSegmenter;
-use crate::scene::{BoxDetection, Detection, DetectionCounts, FrameId, Gap, IdentityEvidence, Mask, ObjectId, Outline};
+use crate::scene::{
+    BoxDetection, Detection, DetectionCounts, DetectionSource, FrameId, Gap, IdentityEvidence, Mask, ObjectId, Outline,
+};
 
 /// Input of the tracker for one frame.
 pub enum FrameInput<'a> {
-    /// An instance segmentation network looked at it.
-    Masks(Vec<Detection>),
     /// Boxes of a detector, of motion, or of both.
     Boxes {
         /// Detections; may be empty.
@@ -94,6 +90,18 @@ pub struct DetectedBox {
     pub found: BoxDetection,
     /// True if its points show that it is stationary ([`shows_standing`](crate::motion::shows_standing)).
     pub stands: bool,
+}
+
+impl DetectedBox {
+    /// The boxes of masks that a segmentation network found; empty masks have none.
+    pub fn of_masks(detections: &[Detection]) -> Vec<Self> {
+        let of_mask = |found: &Detection| {
+            let rect = found.mask.bounding_box()?.into();
+            let (class, confidence, finder) = (found.class.clone(), found.confidence, DetectionSource::Detector);
+            Some(BoxDetection { class, confidence, rect, finder }.into())
+        };
+        detections.iter().filter_map(of_mask).collect()
+    }
 }
 
 impl From<BoxDetection> for DetectedBox {
@@ -126,7 +134,7 @@ pub enum BoxSource {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Evidence {
-    /// A detection of this frame. Where only boxes are known, the mask may be carried, and a box agrees with it.
+    /// A box of this frame agrees with the mask, which may be carried.
     Detected {
         /// The model's score, 0 to 1.
         confidence: f64,
@@ -181,7 +189,7 @@ pub struct TrackSummary {
     pub num_detector_looks: usize,
     /// Mean confidence of the detector's boxes, 0 to 1; 0 if there is none.
     pub class_confidence: f64,
-    /// Mean quality of the masks that were asked for, 0 to 1; `None` if the masks are a segmentation network's own.
+    /// Mean quality of the masks that were asked for, 0 to 1 (1 for those of [`KnownMasks`](crate::networks::KnownMasks)).
     pub mask_quality: Option<f64>,
     /// Quality of its outlines.
     pub outline: Outline,
@@ -221,16 +229,9 @@ pub struct TrackerOptions {
     /// Overlap (intersection over union) that a detection must have with the carried mask of its object.
     #[schemars(extend("unit" = "share"))]
     pub min_overlap: f64,
-    /// Of two detections of which one lies in the other by more than this share, only the surer one counts.
-    #[schemars(extend("unit" = "share"))]
-    pub duplicate_overlap: f64,
-    /// Detections that give an object its lasting id, if they lie within `confirm_window` looks. Boxes need not lie
-    /// close together.
+    /// Detections that give an object its lasting id.
     #[schemars(extend("unit" = "detections"))]
     pub min_detections: usize,
-    /// Looks (frames that somebody looked at) within which `min_detections` detections must lie.
-    #[schemars(extend("unit" = "frames"))]
-    pub confirm_window: usize,
     /// Frames for which a mask is carried without a detection. Frames in which nobody asks for a mask do not count.
     #[schemars(extend("unit" = "frames"))]
     pub max_carried: usize,
@@ -272,9 +273,7 @@ impl Default for TrackerOptions {
             start_motion: 0.85,
             min_area_px2: 40,
             min_overlap: 0.2,
-            duplicate_overlap: 0.7,
             min_detections: 3,
-            confirm_window: 6,
             max_carried: 8,
             max_rest_secs: 1.0,
             min_carried_share: 0.4,
@@ -296,10 +295,7 @@ impl TrackerOptions {
         within("start_motion", self.start_motion, 0.0..=1.0)?;
         within("min_area_px2", self.min_area_px2, 0..=1 << 30)?;
         within("min_overlap", self.min_overlap, 0.0..=1.0)?;
-        within("duplicate_overlap", self.duplicate_overlap, 0.0..=1.0)?;
         within("min_detections", self.min_detections, 1..=1_000_000)?;
-        ordered(("min_detections", self.min_detections), ("confirm_window", self.confirm_window))?;
-        within("confirm_window", self.confirm_window, 1..=1_000_000)?;
         within("max_carried", self.max_carried, 0..=1_000_000)?;
         within("max_rest_secs", self.max_rest_secs, 0.0..=1e9)?;
         within("min_carried_share", self.min_carried_share, 0.0..=1.0)?;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::appearance::Appearance;
-use super::box_groups::{BoxGroup, Finding};
+use super::box_groups::BoxGroup;
 use super::choice::Fresh;
 use super::occlusion::Cover;
 use super::propagation::Propagated;
@@ -16,8 +16,6 @@ use crate::scene::{BoundingBox, FrameId, Gap, IdentityEvidence, ObjectId, Outlin
 
 /// Share of the way that velocity and looks move towards each new measurement.
 const LEARNING_RATE: f64 = 0.4;
-/// A tentative track ends after so many looks without a detection.
-const MAX_TENTATIVE_GAP: usize = 2;
 /// A tentative track whose mask a network renews again and again ends after so many looks without a box: a detector
 /// that knows the object badly finds it in one frame of ten.
 const MAX_UNBOXED_LOOKS: usize = 30;
@@ -54,24 +52,6 @@ pub(super) enum Presence {
     Lost(f64),
 }
 
-/// A detection of one frame, as the tracker uses it.
-#[derive(Clone, Debug)]
-pub(super) struct Candidate {
-    pub(super) class: String,
-    pub(super) confidence: f64,
-    pub(super) region: Region,
-    pub(super) appearance: Option<Appearance>,
-}
-
-/// Kind of input of a track.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Origin {
-    /// Masks of a segmentation network, which looks at every frame.
-    Masks,
-    /// Boxes whose masks are asked for.
-    Boxes,
-}
-
 /// Number of looks before a frame (how many of the tracker's frames somebody looked at), its id and time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moment {
@@ -89,14 +69,6 @@ pub(super) struct Prediction {
     pub(super) moved: Option<Region>,
     /// Background motion at its position, pixels.
     pub(super) background: [f64; 2],
-}
-
-impl Prediction {
-    /// The best overlap with a region that either prediction has.
-    pub(super) fn overlap(&self, region: &Region) -> f64 {
-        let carried = self.carried.as_ref().map_or(0.0, |c| c.region.iou(region));
-        carried.max(self.moved.as_ref().map_or(0.0, |moved| moved.iou(region)))
-    }
 }
 
 /// One object while it is followed.
@@ -122,16 +94,12 @@ pub(super) struct Track {
     /// Last moment at which the object was detected.
     pub(super) last_detected: Moment,
     first: FrameId,
-    /// Counts of the latest detections, as many as confirmation asks for.
-    recent: Vec<usize>,
     class_votes: BTreeMap<String, f64>,
     sum_confidence: f64,
-    sum_area: f64,
     num_detected: usize,
     num_carried: usize,
     /// Carried frames since the last detection, which count once there is another detection.
     carried_since: usize,
-    origin: Origin,
     /// Masks asked for in vain since the last one that fitted.
     num_failed: usize,
     /// The last look at which a box showed the object.
@@ -160,15 +128,6 @@ pub(super) struct Recognised {
 }
 
 impl Track {
-    /// A new track from its first detection.
-    pub(super) fn start(provisional: ObjectId, candidate: &Candidate, now: Moment) -> Self {
-        let region = candidate.region.clone();
-        let mut track = Self::bare(provisional, Origin::Masks, region, candidate.appearance.clone(), now);
-        track.ledger.look(BoxSource::Detector);
-        track.count(candidate, now);
-        track
-    }
-
     /// A new track from its first box and the mask in it.
     pub(super) fn start_from_box(
         provisional: ObjectId,
@@ -178,7 +137,7 @@ impl Track {
         now: Moment,
     ) -> Self {
         let region = fresh.region.clone();
-        let mut track = Self::bare(provisional, Origin::Boxes, region, fresh.appearance.clone(), now);
+        let mut track = Self::bare(provisional, region, fresh.appearance.clone(), now);
         // Its life begins with the first of the boxes that waited: those frames were looked at as well.
         (0..=sight.earlier.len()).for_each(|_| track.ledger.look(BoxSource::Detector));
         track.note(sight, now);
@@ -194,7 +153,7 @@ impl Track {
         quality: f64,
         now: Moment,
     ) -> Self {
-        Self { quality, ..Self::bare(provisional, Origin::Boxes, region, appearance, now) }
+        Self { quality, ..Self::bare(provisional, region, appearance, now) }
     }
 
     /// Frames with a mask since the track was resumed, until the last one that can be trusted.
@@ -202,13 +161,7 @@ impl Track {
         self.ledger.found.prompted + self.ledger.found.carried
     }
 
-    fn bare(
-        provisional: ObjectId,
-        origin: Origin,
-        region: Region,
-        appearance: Option<Appearance>,
-        now: Moment,
-    ) -> Self {
+    fn bare(provisional: ObjectId, region: Region, appearance: Option<Appearance>, now: Moment) -> Self {
         let (size, area) = (region.size(), region.area() as f64);
         Self {
             provisional,
@@ -223,14 +176,11 @@ impl Track {
             velocity: [0.0; 2],
             last_detected: now,
             first: now.frame,
-            recent: Vec::new(),
             class_votes: BTreeMap::new(),
             sum_confidence: 0.0,
-            sum_area: 0.0,
             num_detected: 0,
             num_carried: 0,
             carried_since: 0,
-            origin,
             num_failed: 0,
             last_boxed: now.count,
             area,
@@ -242,17 +192,6 @@ impl Track {
             is_succeeded: false,
             seen_share: 1.0,
         }
-    }
-
-    fn count(&mut self, candidate: &Candidate, now: Moment) {
-        self.recent.push(now.count);
-        *self.class_votes.entry(candidate.class.clone()).or_default() += candidate.confidence;
-        self.sum_confidence += candidate.confidence;
-        self.sum_area += candidate.region.area() as f64;
-        self.num_detected += 1;
-        let detector = Some(candidate.confidence);
-        self.ledger.note(&Finding { class: String::new(), detector, motion: None, stands: false });
-        self.trust(now);
     }
 
     /// Accepts the masks that were propagated since the last reliable one.
@@ -358,29 +297,8 @@ impl Track {
         is_known && stands && !is_seen_to_move && now.time_s - self.renewed_s < options.max_rest_secs
     }
 
-    /// Kind of input.
-    pub(super) fn origin(&self) -> Origin {
-        self.origin
-    }
-
     pub(super) fn is_lost(&self) -> bool {
         matches!(self.presence, Presence::Lost(_))
-    }
-
-    /// Continues the track with a detection.
-    pub(super) fn detect(&mut self, candidate: &Candidate, prediction: &Prediction, now: Moment, elapsed_s: f64) {
-        if self.presence == Presence::Detected {
-            // Flow follows the object's pixels; the centre of what is visible lags while something hides a part of it.
-            let by_centre = || difference(candidate.region.centre(), self.region.centre());
-            let displacement = prediction.carried.as_ref().map_or_else(by_centre, |c| c.displacement);
-            self.learn_velocity(displacement, prediction.background, elapsed_s);
-        }
-        self.size = candidate.region.size().max(self.size * (1.0 - SHRINK_RATE));
-        self.region = candidate.region.clone();
-        self.learn_whole(None);
-        self.learn_look(candidate.appearance.as_ref());
-        self.presence = Presence::Detected;
-        self.count(candidate, now);
     }
 
     fn learn_look(&mut self, newer: Option<&Appearance>) {
@@ -433,23 +351,13 @@ impl Track {
     /// Returns true if enough detections confirm the track. Boxes need not be close together in time: the masks between
     /// them, each propagated from the one before, tie them together.
     pub(super) fn earns_id(&self, options: &TrackerOptions) -> bool {
-        if self.origin == Origin::Boxes {
-            return self.id.is_none() && self.num_detected >= options.min_detections;
-        }
-        let latest = self.recent.len().checked_sub(options.min_detections).map(|start| &self.recent[start..]);
-        let close =
-            |counts: &[usize]| counts.last().zip(counts.first()).is_some_and(|(l, f)| l - f < options.confirm_window);
-        self.id.is_none() && latest.is_some_and(close)
+        self.id.is_none() && self.num_detected >= options.min_detections
     }
 
     /// Returns true if the track ends: a tentative one that was not confirmed in time, a lost one that did not return.
     pub(super) fn is_over(&self, now: Moment, options: &TrackerOptions) -> bool {
-        let gap = now.count - self.last_detected.count;
         match self.presence {
-            _ if self.id.is_none() && self.origin == Origin::Boxes => {
-                self.is_lost() || now.count - self.last_boxed > MAX_UNBOXED_LOOKS
-            }
-            _ if self.id.is_none() => gap > MAX_TENTATIVE_GAP,
+            _ if self.id.is_none() => self.is_lost() || now.count - self.last_boxed > MAX_UNBOXED_LOOKS,
             Presence::Lost(since) => self.is_succeeded || now.time_s - since > options.max_lost_secs,
             _ => false,
         }
@@ -469,7 +377,7 @@ impl Track {
         let reach = self.size.max(region.size()) * (1.0 + lost_s);
         let [dx, dy] = difference(region.centre(), self.region.centre());
         let nearness = 1.0 - dx.hypot(dy) / reach;
-        let ratio = region.area() as f64 / self.mean_area().max(1.0);
+        let ratio = region.area() as f64 / self.ledger.mean_area().max(1.0);
         let fits = similarity >= min_similarity && nearness > 0.0 && (0.25..=4.0).contains(&ratio);
         let evidence = IdentityEvidence {
             place: Some(1.0 - nearness),
@@ -525,13 +433,6 @@ impl Track {
         lost.is_succeeded = true;
     }
 
-    fn mean_area(&self) -> f64 {
-        match self.origin {
-            Origin::Masks => self.sum_area / self.num_detected as f64,
-            Origin::Boxes => self.ledger.mean_area(),
-        }
-    }
-
     /// Pixels of the object while all of it was seen.
     pub(super) fn full_area(&self) -> f64 {
         self.area
@@ -571,7 +472,7 @@ impl Track {
             last: self.last_detected.frame,
             num_detected: self.num_detected,
             num_carried: self.num_carried,
-            mean_area_px2: self.mean_area(),
+            mean_area_px2: self.ledger.mean_area(),
             found: self.ledger.found,
             num_looks: self.ledger.num_looks(),
             num_detector_looks: self.ledger.num_detector_looks(),

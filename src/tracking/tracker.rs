@@ -3,20 +3,17 @@
 use ::image::RgbImage;
 
 use super::appearance::Appearance;
-use super::assignment::assign;
 use super::box_groups::BoxGroup;
 use super::boxes::FrameView;
 use super::occlusion::Pictures;
-use super::propagation::{PreviousObject, background_displacement, carry, carry_whole};
+use super::propagation::{PreviousObject, background_displacement, carry_whole};
 use super::region::Region;
 use super::retrace::{Correction, Reported};
-use super::track::{Candidate, Moment, Origin, Prediction, Presence, Recognised, Track, compatible, leaves};
-use super::{BoxSource, Evidence, FrameInput, IgnoredBoxes, TrackSummary, TrackedMask, TrackerOptions};
+use super::track::{Moment, Prediction, Presence, Recognised, Track, leaves};
+use super::{Evidence, FrameInput, IgnoredBoxes, TrackSummary, TrackedMask, TrackerOptions};
 use crate::networks::PerceptionError;
-use crate::scene::{Detection, Flow, Frame, FrameId, Mask, ObjectId, Rect};
+use crate::scene::{Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
-/// A carried mask must keep at least this share of its pixels after nearer objects took theirs.
-const MIN_VISIBLE: f64 = 0.3;
 /// A detection of which more than this share lies in an object that is already followed starts no track of its own.
 pub(super) const MAX_COVERED: f64 = 0.6;
 
@@ -87,12 +84,11 @@ impl Tracker {
         look: FrameInput<'_>,
         flow: Option<&Flow>,
     ) -> Result<Vec<TrackedMask>, PerceptionError> {
-        let elapsed_s = self.check(frame, image, &look, flow)?;
+        let elapsed_s = self.check(frame, image, flow)?;
         let now = Moment { count: self.num_looks, frame: frame.id, time_s: frame.time_s };
         let view = FrameView { image, flow, now, elapsed_s };
         let by = match look {
             FrameInput::NotLooked => None,
-            FrameInput::Masks(_) => Some(BoxSource::Detector),
             FrameInput::Boxes { by, .. } => Some(by),
         };
         if let Some(by) = by {
@@ -100,7 +96,6 @@ impl Tracker {
             self.tracks.iter_mut().for_each(|track| track.look(by));
         }
         let sightings = match look {
-            FrameInput::Masks(detections) => self.follow_masks(&view, detections),
             FrameInput::Boxes { found, prompter, .. } => self.follow_boxes(&view, found, prompter)?,
             FrameInput::NotLooked => self.follow_boxes(&view, Vec::new(), None)?,
         };
@@ -109,28 +104,6 @@ impl Tracker {
         self.last_frame = Some((frame.id, frame.time_s, image.dimensions()));
         self.last_picture = Some(image.clone());
         Ok(masks)
-    }
-
-    /// Follows all tracks into a frame of which masks are known.
-    fn follow_masks(&mut self, view: &FrameView, detections: Vec<Detection>) -> Vec<TrackObservation> {
-        let FrameView { image, flow, now, elapsed_s } = *view;
-        let candidates = self.candidates(image, detections);
-        let predictions = self.predict(&candidates, flow, image, elapsed_s);
-        let (pairs, left) = self.associate(&candidates, &predictions, now);
-
-        let mut sightings = Vec::new();
-        for &(track_idx, candidate_idx) in &pairs {
-            let candidate = &candidates[candidate_idx];
-            self.note_gap(track_idx, &candidate.region, candidate.appearance.as_ref(), now);
-            self.tracks[track_idx].detect(candidate, &predictions[track_idx], now, elapsed_s);
-            let evidence = Evidence::Detected { confidence: candidate.confidence };
-            sightings.push(TrackObservation { track_idx, evidence, region: candidate.region.clone() });
-        }
-        sightings.extend(self.start_tracks(&candidates, &left, &sightings, now));
-        let unseen: Vec<usize> = (0..predictions.len()).filter(|t| !pairs.iter().any(|p| p.0 == *t)).collect();
-        let carried = self.carry_on(&unseen, &predictions, &sightings, image, now, elapsed_s);
-        sightings.extend(carried);
-        sightings
     }
 
     /// The places in which flow is of use: those of all that is followed or waits.
@@ -157,14 +130,8 @@ impl Tracker {
     }
 
     /// Checks order and sizes; gives the seconds since the last frame, 0 for the first.
-    fn check(
-        &self,
-        frame: &Frame,
-        image: &RgbImage,
-        look: &FrameInput<'_>,
-        flow: Option<&Flow>,
-    ) -> Result<f64, PerceptionError> {
-        self.check_sizes(frame, image, look, flow)?;
+    fn check(&self, frame: &Frame, image: &RgbImage, flow: Option<&Flow>) -> Result<f64, PerceptionError> {
+        self.check_sizes(frame, image, flow)?;
         match self.last_frame {
             Some((previous, ..)) if frame.id <= previous => {
                 Err(PerceptionError::FrameOrder { previous, found: frame.id })
@@ -178,15 +145,10 @@ impl Tracker {
         &self,
         frame: &Frame,
         image: &RgbImage,
-        look: &FrameInput<'_>,
         flow: Option<&Flow>,
     ) -> Result<(), PerceptionError> {
         self.options.check()?;
         self.same_size("the image", frame, image, image.dimensions())?;
-        let detections = if let FrameInput::Masks(detections) = look { detections.as_slice() } else { &[] };
-        for detection in detections {
-            self.same_size("a detected mask", frame, image, (detection.mask.width(), detection.mask.height()))?;
-        }
         flow.map_or(Ok(()), |flow| self.same_size("the flow", frame, image, (flow.width, flow.height)))
     }
 
@@ -205,120 +167,24 @@ impl Tracker {
         Err(PerceptionError::SizeMismatch { what: format!("{what} of {}", frame.name), expected, found })
     }
 
-    /// The detections that count: of a tracked class, large enough, each object once.
-    fn candidates(&self, image: &RgbImage, mut detections: Vec<Detection>) -> Vec<Candidate> {
-        detections.retain(|d| self.options.track_classes.contains(&d.class));
-        detections.sort_by(|a, b| b.confidence.total_cmp(&a.confidence));
-        let mut kept: Vec<Candidate> = Vec::new();
-        for Detection { class, confidence, mask } in detections {
-            let Some(region) = Region::from_mask(&mask) else { continue };
-            let limit = self.options.duplicate_overlap;
-            let same = |k: &Candidate| {
-                compatible(&k.class, &class) && region.covered_by(&k.region).max(k.region.covered_by(&region)) > limit
-            };
-            if region.area() >= self.options.min_area_px2 && !kept.iter().any(same) {
-                let appearance = Appearance::of(image, &region);
-                kept.push(Candidate { class, confidence, region, appearance });
-            }
-        }
-        kept
-    }
-
     /// Where each track should be now.
-    pub(super) fn predict(
-        &self,
-        candidates: &[Candidate],
-        flow: Option<&Flow>,
-        image: &RgbImage,
-        elapsed_s: f64,
-    ) -> Vec<Prediction> {
+    pub(super) fn predict(&self, flow: Option<&Flow>, image: &RgbImage, elapsed_s: f64) -> Vec<Prediction> {
         let size = image.dimensions();
         let pictures = self.last_picture.as_ref().map(|before| Pictures { before, now: image });
         let mut occupied = Mask::empty(size.0, size.1);
-        let regions = self.tracks.iter().map(|t| &t.region).chain(candidates.iter().map(|c| &c.region));
-        for (x, y) in regions.flat_map(Region::iter) {
+        for (x, y) in self.tracks.iter().flat_map(|track| track.region.iter()) {
             occupied.set(x, y, true);
         }
         let predict_one = |track: &Track| {
             let background = flow.and_then(|f| background_displacement(f, track.region.bounds(), &occupied));
             let background = background.unwrap_or_default();
             let is_seen = !matches!(track.presence, Presence::Lost(_));
-            let carried = flow.filter(|_| is_seen).and_then(|f| match track.origin() {
-                Origin::Masks => carry(&track.region, f),
-                Origin::Boxes => {
-                    let seen = PreviousObject { region: &track.region, whole: &track.whole, cover: &track.cover };
-                    carry_whole(&seen, f, pictures)
-                }
-            });
+            let seen = PreviousObject { region: &track.region, whole: &track.whole, cover: &track.cover };
+            let carried = flow.filter(|_| is_seen).and_then(|flow| carry_whole(&seen, flow, pictures));
             let moved = track.whole.moved(track.expected(background, elapsed_s), size.0, size.1);
             Prediction { carried, moved, background }
         };
         self.tracks.iter().map(predict_one).collect()
-    }
-
-    /// Pairs (track, candidate) and the candidates left over. Tracks in sight go first, by overlap; then the others, by
-    /// place and appearance.
-    fn associate(
-        &self,
-        candidates: &[Candidate],
-        predictions: &[Prediction],
-        now: Moment,
-    ) -> (Vec<(usize, usize)>, Vec<usize>) {
-        let fits = |t: usize, c: usize| compatible(self.tracks[t].class(), &candidates[c].class);
-        let in_sight: Vec<usize> =
-            (0..self.tracks.len()).filter(|&t| !matches!(self.tracks[t].presence, Presence::Lost(_))).collect();
-        let mut pairs: Vec<(usize, usize)> = assign(in_sight.len(), candidates.len(), |row, c| {
-            let overlap = predictions[in_sight[row]].overlap(&candidates[c].region);
-            (fits(in_sight[row], c) && overlap >= self.options.min_overlap).then_some(overlap)
-        })
-        .into_iter()
-        .map(|(row, c)| (in_sight[row], c))
-        .collect();
-        let free = |pairs: &[(usize, usize)]| -> Vec<usize> {
-            (0..candidates.len()).filter(|c| !pairs.iter().any(|p| p.1 == *c)).collect()
-        };
-        let columns = free(&pairs);
-        let is_free = |t: &usize| {
-            !pairs.iter().any(|p| p.0 == *t) && (!self.tracks[*t].is_lost() || self.tracks[*t].is_briefly_lost(now))
-        };
-        let rows: Vec<usize> = (0..self.tracks.len()).filter(is_free).collect();
-        let found_again = assign(rows.len(), columns.len(), |row, column| {
-            let (track, candidate) = (&self.tracks[rows[row]], &candidates[columns[column]]);
-            let (region, appearance) = (&candidate.region, candidate.appearance.as_ref());
-            let recognised = track.recognise(region, appearance, now, self.options.min_similarity)?;
-            fits(rows[row], columns[column]).then_some(recognised.score)
-        });
-        pairs.extend(found_again.into_iter().map(|(row, column)| (rows[row], columns[column])));
-        pairs.sort_unstable();
-        let left = free(&pairs);
-        (pairs, left)
-    }
-
-    /// Starts tracks from sure detections that no followed object explains.
-    fn start_tracks(
-        &mut self,
-        candidates: &[Candidate],
-        left: &[usize],
-        seen: &[TrackObservation],
-        now: Moment,
-    ) -> Vec<TrackObservation> {
-        let mut started = Vec::new();
-        for candidate in left.iter().map(|&c| &candidates[c]) {
-            let explained = seen.iter().any(|s| candidate.region.covered_by(&s.region) > MAX_COVERED);
-            if candidate.confidence < self.options.start_confidence || explained {
-                continue;
-            }
-            self.num_started += 1;
-            let track = Track::start(ObjectId(self.num_started), candidate, now);
-            self.add(track, candidate.appearance.as_ref(), now);
-            let evidence = Evidence::Detected { confidence: candidate.confidence };
-            started.push(TrackObservation {
-                track_idx: self.tracks.len() - 1,
-                evidence,
-                region: candidate.region.clone(),
-            });
-        }
-        started
     }
 
     /// Remembers that a track which is about to be found again was lost.
@@ -343,45 +209,6 @@ impl Tracker {
             track.follow_after(&mut self.tracks[idx], evidence);
         }
         self.tracks.push(track);
-    }
-
-    /// Continues the tracks without a detection: by their carried mask where it can be trusted, else as lost.
-    fn carry_on(
-        &mut self,
-        unseen: &[usize],
-        predictions: &[Prediction],
-        seen: &[TrackObservation],
-        image: &RgbImage,
-        now: Moment,
-        elapsed_s: f64,
-    ) -> Vec<TrackObservation> {
-        let mut carried_on = Vec::new();
-        for &track_idx in unseen {
-            let prediction = &predictions[track_idx];
-            let track = &mut self.tracks[track_idx];
-            let trusted = prediction.carried.as_ref().filter(|c| {
-                let hidden: f64 = seen.iter().map(|s| c.region.covered_by(&s.region)).sum();
-                let worn_out = matches!(track.presence, Presence::Carried(n) if n >= self.options.max_carried);
-                let looks_right = match (&track.appearance, Appearance::of(image, &c.region)) {
-                    (Some(before), Some(now)) => before.similarity(&now) >= self.options.min_similarity,
-                    _ => true,
-                };
-                !worn_out && c.share >= self.options.min_carried_share && hidden < 1.0 - MIN_VISIBLE && looks_right
-            });
-            if let Some(carried) = trusted {
-                track.count_unboxed(false);
-                track.carry(carried, prediction.background, elapsed_s);
-                carried_on.push(TrackObservation {
-                    track_idx,
-                    evidence: Evidence::Carried,
-                    region: carried.region.clone(),
-                });
-            } else {
-                let moved = prediction.moved.clone().unwrap_or_else(|| track.region.clone());
-                track.lose(moved, now);
-            }
-        }
-        carried_on
     }
 
     /// The masks of the frame: each pixel goes to one object, to a detected one before a prompted one before a carried

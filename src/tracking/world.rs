@@ -5,7 +5,7 @@ use ::image::{Rgb, RgbImage};
 use super::{
     BackwardTracker, BoxSource, DetectedBox, Extension, FrameInput, TrackSummary, TrackedMask, Tracker, TrackerOptions,
 };
-use crate::networks::{BoxMask, BoxSegmenter, PerceptionError};
+use crate::networks::{BoxMask, BoxSegmenter, KnownMasks, PerceptionError};
 use crate::scene::{BoxDetection, Detection, DetectionSource, Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
 pub(super) const WIDTH: u32 = 200;
@@ -117,7 +117,9 @@ impl World {
         let mut frames = Vec::new();
         for t in 0..num_frames {
             let flow = (t > 0).then(|| self.flow(t));
-            let look = FrameInput::Masks(seen(t, self.detections(t)));
+            let detections = seen(t, self.detections(t));
+            let (found, mut known) = (DetectedBox::of_masks(&detections), KnownMasks::new(detections));
+            let look = FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(&mut known) };
             frames.push(tracker.advance(&Self::frame(t), &self.image(t), look, flow.as_ref()).unwrap());
         }
         (frames, tracker.finish())

@@ -1,6 +1,7 @@
 //! Masks of boxes: which pixels of a box are the object.
 
 mod grabcut;
+mod known;
 mod mobile_sam;
 mod options;
 mod outline;
@@ -9,6 +10,7 @@ mod window;
 use ::image::RgbImage;
 
 pub use self::grabcut::GrabCut;
+pub use self::known::KnownMasks;
 pub use self::mobile_sam::load_box_segmenter;
 pub use self::options::PromptOptions;
 use super::PerceptionError;

@@ -488,7 +488,7 @@ mod tests {
             ("objects.mapper.max_starts", "0"),
             ("objects.front_end.patch_radius_px", "-1"),
             ("ground.min_points", "60"),
-            ("tracker.confirm_window", "2"),
+            ("tracker.min_detections", "0"),
             ("scale.joint.sigma_distance", "[0.2, 0.1]"),
             ("scale.joint.contact.side", "[0.1, 0]"),
             ("intrinsics.given", "[0, 800, 480, 270, 0, 0]"),

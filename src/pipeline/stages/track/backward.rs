@@ -87,14 +87,14 @@ fn follow_back(
     let starting = followed.iter().filter(|f| ids.contains(&f.summary.first)).map(|f| f.summary.clone());
     let starting: Vec<TrackSummary> = starting.collect();
     let objects: Vec<TrackedObject> = followed.iter().map(|f| f.object.clone()).collect();
-    let mut tracker = BackwardTracker::new(run.options.tracker.clone(), &starting);
+    let mut tracker = BackwardTracker::new(finds.tracker_options(run), &starting);
     let mut found: Vec<(Frame, TrackedMask)> = Vec::new();
     let mut later: Option<&RgbImage> = None;
     for (frame, picture) in window.iter().rev() {
         let known = super::masks_in(run, folder, &objects, frame)?;
         let near = |later| flow.flow_near(later, picture, &tracker.places());
         let carried = later.filter(|_| tracker.is_following()).map(near).transpose()?;
-        let prompter = finds.prompter_backward(frame);
+        let prompter = finds.prompter_backward(frame)?;
         let earlier = tracker.advance(frame, picture, &known, prompter, carried.as_ref())?;
         found.extend(earlier.into_iter().map(|mask| (frame.clone(), mask)));
         for Correction { frame, object, mask } in tracker.take_corrections() {

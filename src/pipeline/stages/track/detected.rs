@@ -7,7 +7,7 @@ use ::image::RgbImage;
 
 use super::cached_prompts::{CachedSegmenter, Pass};
 use crate::io::{IoError, RunFolder, masks};
-use crate::networks::BoxSegmenter;
+use crate::networks::{BoxSegmenter, KnownMasks};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
 use crate::pipeline::inputs::networks::Networks;
@@ -18,14 +18,18 @@ use crate::pipeline::stages::{motion, segment};
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{BoxDetection, Frame, FrameId, ObjectId, Topic, TrackedObject};
 use crate::tracking::{
-    BoxSource, Correction, DetectedBox, FrameInput, IgnoredBoxes, TrackSummary, TrackedMask, Tracker,
+    BoxSource, Correction, DetectedBox, FrameInput, IgnoredBoxes, TrackSummary, TrackedMask, Tracker, TrackerOptions,
 };
 
-/// Where what was found in the frames comes from.
+/// Detections of a run, and whom to ask for their masks.
 pub(super) enum Finds {
-    /// Masks in every frame.
-    Masks(DetectionFolder),
-    /// Boxes, and whom to ask for masks in some frames.
+    /// Of a segmentation network of the user's, which looked at every frame.
+    Masks {
+        folder: DetectionFolder,
+        /// Those of the current frame.
+        known: KnownMasks,
+    },
+    /// Of the detector and of motion; masks are asked for in some frames.
     Boxes {
         detected: segment::BoxFolder,
         moving: FrameFolder<BoxDetection>,
@@ -37,7 +41,7 @@ pub(super) enum Finds {
 impl Finds {
     /// Of a network of the user's; the stage `segment` must be done.
     pub(super) fn masks(run: &Run) -> Self {
-        Self::Masks(segment::finished(run))
+        Self::Masks { folder: segment::finished(run), known: KnownMasks::default() }
     }
 
     /// Of the detector and of motion, whose stages must be done.
@@ -54,21 +58,38 @@ impl Finds {
         Ok(Self::Boxes { detected, moving, prompter, rhythm: Schedule::of(run)? })
     }
 
-    /// Whom to ask for masks in a frame that is looked at again, from the end on; nobody in frames between.
-    pub(super) fn prompter_backward(&mut self, frame: &Frame) -> Option<&mut dyn BoxSegmenter> {
+    /// Options of the tracker. Masks that are known already cost nothing: even those of what stands are all taken.
+    pub(super) fn tracker_options(&self, run: &Run) -> TrackerOptions {
+        let options = run.options.tracker.clone();
         match self {
-            Self::Masks(_) => None,
+            Self::Masks { .. } => TrackerOptions { max_rest_secs: 0.0, ..options },
+            Self::Boxes { .. } => options,
+        }
+    }
+
+    /// Whom to ask for masks in a frame that is looked at again, from the end on; nobody in frames between.
+    pub(super) fn prompter_backward(&mut self, frame: &Frame) -> Result<Option<&mut dyn BoxSegmenter>, PipelineError> {
+        Ok(match self {
+            Self::Masks { folder, known } => {
+                *known = KnownMasks::new(folder.read(frame.id)?);
+                Some(known)
+            }
             Self::Boxes { prompter, rhythm, .. } => {
                 prompter.begin(frame.id, Pass::Backward);
                 (frame.id.0 as usize).is_multiple_of(rhythm.masks).then_some(prompter as &mut dyn BoxSegmenter)
             }
-        }
+        })
     }
 
     /// Input of the tracker for the `index`-th frame.
     fn look(&mut self, run: &Run, index: usize, frame: &Frame) -> Result<FrameInput<'_>, PipelineError> {
         Ok(match self {
-            Self::Masks(folder) => FrameInput::Masks(folder.read(frame.id)?),
+            Self::Masks { folder, known } => {
+                let detections = folder.read(frame.id)?;
+                let found = DetectedBox::of_masks(&detections);
+                *known = KnownMasks::new(detections);
+                FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(known) }
+            }
             Self::Boxes { detected, moving, prompter, rhythm } => {
                 let mut found = stationary_boxes::boxes(run, detected, frame.id)?;
                 found.extend(moving.read(frame.id)?.into_iter().map(DetectedBox::from));
@@ -96,7 +117,7 @@ pub(super) fn follow(
     let frames = run.frames()?;
     let names: BTreeMap<FrameId, &Frame> = frames.iter().map(|frame| (frame.id, frame)).collect();
     let mut flow = super::load_flow_estimator(run)?;
-    let mut tracker = Tracker::new(run.options.tracker.clone());
+    let mut tracker = Tracker::new(finds.tracker_options(run));
     let mut previous: Option<RgbImage> = None;
     let mut seen: BTreeMap<ObjectId, BTreeSet<FrameId>> = BTreeMap::new();
     let mut index = 0;

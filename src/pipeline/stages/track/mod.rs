@@ -24,7 +24,7 @@ use crate::pipeline::inputs::order;
 use crate::pipeline::{Instances, PipelineError};
 use crate::scene::{Frame, Mask, Movement, ObjectId, Topic, TrackedObject};
 use crate::tracking::{MaskEvidence, TrackSummary, support};
-use detected::{Finds, Followed};
+use detected::Finds;
 use kept_masks::KeptMasks;
 
 /// Where masks that were asked for are kept while the stage is at work.
@@ -83,24 +83,23 @@ fn tracked(
     answers: &Path,
     outcome: &mut Outcome,
 ) -> Result<(Vec<TrackedObject>, BTreeMap<ObjectId, TrackSummary>), PipelineError> {
-    let split = |followed: Vec<Followed>| followed.into_iter().map(|f| (f.object, (f.summary.id, f.summary))).unzip();
-    Ok(match &run.options.instances {
-        Instances::None => (Vec::new(), BTreeMap::new()),
-        Instances::Masks(masks) => (given::split(run, masks, folder, outcome)?, BTreeMap::new()),
-        Instances::Model(_) => {
-            let mut followed = super::track::detected::follow(run, &mut Finds::masks(run), folder, outcome)?;
-            super::track::merged::join_pieces(run, folder, &mut followed, outcome)?;
-            let (objects, _): (Vec<_>, BTreeMap<_, _>) = split(followed);
-            (objects, BTreeMap::new())
-        }
-        Instances::Vehicles => {
-            let mut finds = Finds::boxes(run, answers.to_owned(), outcome)?;
-            let mut followed = super::track::detected::follow(run, &mut finds, folder, outcome)?;
-            backward::extend(run, &mut finds, folder, &mut followed, outcome)?;
-            super::track::merged::join_pieces(run, folder, &mut followed, outcome)?;
-            split(followed)
-        }
-    })
+    let mut finds = match &run.options.instances {
+        Instances::None => return Ok((Vec::new(), BTreeMap::new())),
+        Instances::Masks(masks) => return Ok((given::split(run, masks, folder, outcome)?, BTreeMap::new())),
+        Instances::Model(_) => Finds::masks(run),
+        Instances::Vehicles => Finds::boxes(run, answers.to_owned(), outcome)?,
+    };
+    let mut followed = detected::follow(run, &mut finds, folder, outcome)?;
+    backward::extend(run, &mut finds, folder, &mut followed, outcome)?;
+    merged::join_pieces(run, folder, &mut followed, outcome)?;
+    let (mut objects, mut summaries): (Vec<_>, BTreeMap<_, _>) =
+        followed.into_iter().map(|f| (f.object, (f.summary.id, f.summary))).unzip();
+    if let Finds::Masks { .. } = finds {
+        // What a network of the user's finds is taken for a vehicle, and states no quality of its masks.
+        summaries.clear();
+        objects.iter_mut().for_each(|object: &mut TrackedObject| object.mask_quality = None);
+    }
+    Ok((objects, summaries))
 }
 
 /// Says of the objects that are not vehicles enough that they are not reconstructed.

@@ -1,0 +1,124 @@
+//! `run -`: a video from standard input. It is recorded first, byte for byte, and the run reads the recording.
+
+use std::fs::{self, File};
+use std::io::{self, IsTerminal, Read, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+
+use super::output::Failure;
+use crate::io::{OwnedFolder, RunFolder};
+
+/// Name of standard input on the command line.
+pub(super) const STDIN: &str = "-";
+/// Name of the recording without its extension.
+const STEM: &str = "recording";
+/// Bytes by which the container is recognized: two packets of an MPEG transport stream and more.
+const HEAD_BYTES: usize = 1024;
+
+/// Records standard input to its end in the output folder; gives the file. A program that is stopped leaves what it
+/// received.
+///
+/// # Errors
+/// A terminal, no data, an earlier recording that `overwrite` does not replace, a folder of others, a full disk.
+pub(super) fn record(output: &Path, overwrite: bool) -> Result<PathBuf, Failure> {
+    let input = io::stdin().lock();
+    if input.is_terminal() {
+        return Err(Failure::Usage("-: standard input is a terminal; pipe a video into it".to_owned()));
+    }
+    // The folder becomes a run's own, and is free again for the run.
+    drop(OwnedFolder::open(output, RunFolder::MADE_BY, RunFolder::place).map_err(anyhow::Error::from)?);
+    let earlier = recordings(output).with_context(|| format!("{}: cannot be read", output.display()))?;
+    if let Some(found) = earlier.first().filter(|_| !overwrite) {
+        let (path, output) = (found.display(), output.display());
+        return Err(Failure::Usage(format!(
+            "{path}: recording exists; run it with `tractrix run {path} --output {output}`, or give --overwrite"
+        )));
+    }
+    Ok(write(input, output, &earlier)?)
+}
+
+/// Recordings in a folder.
+fn recordings(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let paths = fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<PathBuf>>>()?;
+    Ok(paths.into_iter().filter(|path| path.file_stem().is_some_and(|stem| stem == STEM) && path.is_file()).collect())
+}
+
+/// Writes the recording; earlier ones go when there is something to write.
+fn write(mut input: impl Read, folder: &Path, earlier: &[PathBuf]) -> anyhow::Result<PathBuf> {
+    let mut head = Vec::new();
+    let read = |error| anyhow!("-: standard input cannot be read: {error}");
+    input.by_ref().take(HEAD_BYTES as u64).read_to_end(&mut head).map_err(read)?;
+    if head.is_empty() {
+        return Err(anyhow!("-: standard input is empty; check the program that writes to it"));
+    }
+    for path in earlier {
+        fs::remove_file(path).with_context(|| format!("{}: cannot be removed", path.display()))?;
+    }
+    let path = folder.join(STEM).with_extension(extension(&head));
+    let mut fill = || {
+        let mut file = File::create_new(&path)?;
+        file.write_all(&head)?;
+        io::copy(&mut input, &mut file)?;
+        file.sync_all()
+    };
+    fill().with_context(|| format!("{}: recording failed; what was received before is there", path.display()))?;
+    Ok(path)
+}
+
+/// Extension of a container or elementary stream, by its first bytes.
+fn extension(head: &[u8]) -> &'static str {
+    const TS_PACKET: usize = 188;
+    let is_sync = |at: usize| head.get(at) == Some(&b'G');
+    match head {
+        [0x1a, 0x45, 0xdf, 0xa3, ..] => "mkv",
+        [_, _, _, _, b'f', b't', b'y', b'p', ..] => "mp4",
+        [b'Y', b'U', b'V', b'4', ..] => "y4m",
+        [b'R', b'I', b'F', b'F', ..] => "avi",
+        [b'F', b'L', b'V', ..] => "flv",
+        [0, 0, 1, unit, ..] | [0, 0, 0, 1, unit, ..] => elementary(*unit),
+        _ if is_sync(0) && is_sync(TS_PACKET) => "ts",
+        _ => "video",
+    }
+}
+
+/// Kind of an elementary stream, by the header of its first unit. H.265 begins with its parameter sets or a delimiter,
+/// types 32 to 35; in H.264 these headers would be of coded slices, with which no stream begins (ITU-T H.264 and H.265,
+/// table 7-1).
+fn elementary(unit: u8) -> &'static str {
+    if (32..=35).contains(&(unit >> 1 & 0x3f)) { "h265" } else { "h264" }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recordings_are_byte_for_byte_and_named_by_their_content() {
+        let mut ts = vec![0; 400];
+        (ts[0], ts[188]) = (b'G', b'G');
+        let of = |head: &[u8]| {
+            let folder = tempfile::tempdir().unwrap();
+            let data = [head, &[7; 3000][..]].concat();
+            let path = write(&data[..], folder.path(), &[]).unwrap();
+            assert_eq!(fs::read(&path).unwrap(), data);
+            assert_eq!(recordings(folder.path()).unwrap(), [path.clone()]);
+            path.extension().unwrap().to_string_lossy().into_owned()
+        };
+        assert_eq!(of(&ts), "ts");
+        assert_eq!(of(b"\x1a\x45\xdf\xa3"), "mkv");
+        assert_eq!(of(b"\0\0\0\x18ftypisom"), "mp4");
+        assert_eq!(of(b"YUV4MPEG2 W64 H48"), "y4m");
+        assert_eq!((of(&[0, 0, 0, 1, 0x67]), of(&[0, 0, 0, 1, 0x40, 1])), ("h264".into(), "h265".into()));
+        assert_eq!(of(b"?"), "video");
+    }
+
+    #[test]
+    fn nothing_is_no_video() {
+        let folder = tempfile::tempdir().unwrap();
+        let earlier = write(&b"FLV"[..], folder.path(), &[]).unwrap();
+        let error = write(&b""[..], folder.path(), std::slice::from_ref(&earlier)).unwrap_err();
+        assert!(error.to_string().contains("standard input is empty"));
+        assert_eq!(recordings(folder.path()).unwrap(), [earlier], "nothing was lost");
+    }
+}
