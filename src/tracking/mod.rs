@@ -5,25 +5,24 @@
 //! ([`KnownMasks`](crate::networks::KnownMasks)). For every frame, after Bullinger et al., *Instance Flow Based Online
 //! Multiple Object Tracking*, 2017:
 //!
-//! - *Prediction* (`propagation.rs`): the mask of an object is carried to the next frame by optical flow. Pixels that
-//!   show something which comes before the object are taken out of it (`occlusion.rs`); the outline of the whole object
-//!   is carried besides, and masks are asked for in its box, too, until all of it is seen again.
-//! - *Boxes* of one frame that mean one object are joined (`box_groups.rs`). A box of motion that covers several objects
-//!   speaks for each. Boxes that show nothing that is followed wait, moved by flow, until masks are asked for.
-//! - *Segmentation* (`prompting.rs`): every box is asked about, and every carried mask that no box repeats: so a track
-//!   lives on where the detector is blind.
-//! - *Association* (`boxes.rs`, `assignment.rs`): masks and boxes meet the tracks by overlap (Hungarian algorithm), lost
-//!   ones by place and appearance.
-//! - *Update* (`choice.rs`, `track.rs`): of the new masks and the carried one an object gets the one that fits its size,
-//!   colours, place and box best. No two objects get the same. A mask may fail twice in a row; then the object counts as
-//!   lost once its mask is older than [`TrackerOptions::max_carried`] frames. A new mask is carried back to the frames
-//!   that are nearer to it than to the last one (`retrace.rs`): [`Tracker::take_corrections`].
-//! - *Confirmation*: an id is given with the third box, whenever it comes, as long as the object was never lost. Every
-//!   mask is reported at once under a provisional id; [`Tracker::finish`] says which of them became which objects.
-//! - *Loss and re-identification*: nothing is reported of a lost object, and its place moves on with the background's
-//!   flow plus its own velocity. For a moment ([`Gap`]) it is found again by place and colours. Later, what comes up
-//!   there is an object of its own that remembers which one it may be ([`Predecessor`]), which [`merging`] decides by
-//!   more evidence.
+//! - *Prediction* (`propagation.rs`): optical flow carries the mask of an object to the next frame. Pixels of occluders
+//!   are taken out of it (`occlusion.rs`); the outline of the whole object is carried, too, and its mask requested
+//!   until all of it is visible again.
+//! - *Boxes* of one frame that mean one object are joined (`box_groups.rs`). A box of motion that covers several
+//!   objects counts for each. Boxes without a track wait, moved by flow, until masks are requested.
+//! - *Segmentation* (`prompting.rs`): the mask of every box is requested, and of every carried mask that no box
+//!   repeats: a track lives on where the detector is blind.
+//! - *Association* (`boxes.rs`, `assignment.rs`): masks and boxes meet the tracks by overlap (Hungarian algorithm),
+//!   lost ones by place and appearance.
+//! - *Update* (`choice.rs`, `track.rs`): of the new masks and the carried one an object gets the one that fits its
+//!   size, colours, place and box best. No two objects get the same. A mask may fail twice in a row; then the object
+//!   is lost once its mask is older than [`TrackerOptions::max_carried`] frames. A new mask is carried back to the
+//!   frames that are nearer to it than to the last one (`retrace.rs`): [`Tracker::take_corrections`].
+//! - *Confirmation*: the third box gives an id, whenever it comes, if the object was never lost. Every mask is reported
+//!   at once under a provisional id; [`Tracker::finish`] relates them to objects.
+//! - *Loss and re-identification*: a lost object is not reported, and its place moves on with the background's flow
+//!   plus its own velocity. For a moment ([`Gap`]) it is found again by place and colours. Later, an object that
+//!   appears there is new and remembers its [`Predecessor`]; [`merging`] decides by more evidence.
 //!
 //! Objects that were found late are followed back in time when all frames are through ([`BackwardTracker`]). [`support`]
 //! says which objects are vehicles enough for a trajectory.
@@ -189,7 +188,7 @@ pub struct TrackSummary {
     pub num_detector_looks: usize,
     /// Mean confidence of the detector's boxes, 0 to 1; 0 if there is none.
     pub class_confidence: f64,
-    /// Mean quality of the masks that were asked for, 0 to 1 (1 for those of [`KnownMasks`](crate::networks::KnownMasks)).
+    /// Mean quality of the requested masks, 0 to 1 (1 for [`KnownMasks`](crate::networks::KnownMasks)).
     pub mask_quality: Option<f64>,
     /// Quality of its outlines.
     pub outline: Outline,

@@ -25,7 +25,7 @@ use crate::memory::{MemoryLimit, TooMuch};
 pub use self::model::{Model, Tensor, TensorInfo};
 pub use self::provider::Provider;
 
-/// What runs the networks.
+/// Library that runs the networks.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RuntimeInfo {
     /// The shared library; a bare file name if the system's loader found it. `None` for what is part of the program.

@@ -109,7 +109,7 @@ impl Networks {
     }
 }
 
-/// What the answers of networks depend on besides their options: their contents and what runs them.
+/// Inputs of networks besides their options: contents of the files and the provider.
 pub(in crate::pipeline) fn of_networks(run: &Run, files: &[PathBuf]) -> Result<Value, PipelineError> {
     let hashes = files.iter().map(|path| fingerprint::of_content(path)).collect::<Result<Vec<_>, _>>()?;
     let provider = (!files.is_empty()).then_some(run.options.provider);
