@@ -192,13 +192,13 @@ def compare_clips(networks: dict, videos: list[Path], frames: int) -> None:
 def main() -> None:
     """Reads the arguments and compares."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--network", type=Path, required=True)
+    parser.add_argument("--network", type=Path)
     parser.add_argument("--frames", type=int, default=6)
     parser.add_argument("--clips", action="store_true")
     parser.add_argument("--student-only", action="store_true")
     parser.add_argument("paths", type=Path, nargs="+")
     arguments = parser.parse_args()
-    networks = {"small": Student(arguments.network)}
+    networks = {"small": Student(arguments.network)} if arguments.network else {}
     if not arguments.student_only:
         networks["MobileSAM"] = Shipped()
     if arguments.clips:

@@ -141,6 +141,28 @@ def ground_texture(photos: list[np.ndarray], r: np.random.Generator) -> np.ndarr
     return np.clip(texture, 0.003, 0.95)
 
 
+def body_pattern(photos: list[np.ndarray], r: np.random.Generator) -> np.ndarray:
+    """A linear texture for a body: camouflage of a few paints, or a photograph's part."""
+    size = 256
+    if photos and r.random() < 0.4:
+        photo = photos[int(r.integers(len(photos)))]
+        side = int(r.uniform(0.1, 0.6) * min(photo.shape[:2]))
+        y, x = int(r.integers(photo.shape[0] - side + 1)), int(r.integers(photo.shape[1] - side + 1))
+        part = cv2.resize(photo[y : y + side, x : x + side], (size, size), interpolation=cv2.INTER_AREA)
+        return (part.astype(np.float64) / 255) ** 2.2
+    pattern = np.tile(random_paint(r), (size, size, 1))
+    for _ in range(int(r.integers(1, 4))):
+        pattern[noise((size, size), r.uniform(5, 60), r) > r.uniform(-0.2, 0.7)] = random_paint(r)
+    return pattern
+
+
+def patterned(at: np.ndarray, normal: np.ndarray, pattern: np.ndarray, per_m: float) -> np.ndarray:
+    """Colors of a pattern at points of a body."""
+    u = np.where(np.abs(normal[:, 0]) > 0.6, at[:, 1], at[:, 0])
+    v = np.where(np.abs(normal[:, 2]) > 0.6, at[:, 1], at[:, 2])
+    return pattern[(v * per_m).astype(int) % 256, (u * per_m).astype(int) % 256]
+
+
 def look_at(center: np.ndarray, target: np.ndarray, roll: float) -> np.ndarray:
     """Rotation from world to camera, x right, y down, z forward."""
     z = (target - center) / np.linalg.norm(target - center)
@@ -254,6 +276,10 @@ def scene(garage: Garage, photos: list[np.ndarray], r: np.random.Generator) -> t
         material = materials[k][number]
         color, gloss = garage.color(name, local, normal, paint)
         color[material == 1], gloss[material == 1] = paint, 0.05
+        if r.random() < 0.3:
+            share, body = r.uniform(0.4, 1.0), material <= 1
+            pattern = patterned(local[body], normal[body], body_pattern(photos, r), r.uniform(20, 90))
+            color[body] = color[body] * (1 - share) + share * pattern
         for m, (gray, shine) in LOOKS.items():
             color[material == m], gloss[material == m] = gray, shine
         normal = normal @ turn.T

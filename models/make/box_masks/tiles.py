@@ -135,19 +135,32 @@ def taught(image: np.ndarray, box: np.ndarray, teacher: Teacher) -> tuple[np.nda
     return np.where((parts == largest) | (found[0] < 0.5), np.rint(found[0] * 255), 0).astype(np.uint8), own
 
 
+def label(folder: Path, entry: dict, teacher: Teacher) -> np.ndarray | None:
+    """The teacher's mask of a detected vehicle if its own box confirms the detector's; kept beside the crop."""
+    kept = (folder / entry["file"]).with_suffix(".png")
+    if not kept.is_file():
+        image, box = read(folder / entry["file"]), np.array(entry["box"])
+        mask = np.zeros(image.shape[:2], np.uint8)
+        first = taught(image, box, teacher)
+        if first is not None and iou(first[1], box) > 0.6:
+            second = taught(image, first[1], teacher)
+            if second is not None and iou(second[1], first[1]) > 0.85:
+                mask = second[0]
+        cv2.imwrite(str(kept), mask)
+    mask = cv2.imread(str(kept), cv2.IMREAD_GRAYSCALE)
+    return mask if (mask > 127).any() else None
+
+
 def real_tiles(folder: Path, entry: dict, teacher: Teacher) -> Tiles:
-    """The tile of one detected vehicle; its box is that of the teacher's mask if that confirms the detector's."""
+    """Tiles of one detected vehicle; its box is that of the teacher's mask."""
     tiles = Tiles()
-    image, box = read(folder / entry["file"]), np.array(entry["box"])
-    first = taught(image, box, teacher)
-    if first is None or iou(first[1], box) < 0.6:
+    mask = label(folder, entry, teacher)
+    if mask is None:
         return tiles
-    second = taught(image, first[1], teacher)
-    if second is None or iou(second[1], first[1]) < 0.85:
-        return tiles
+    image = read(folder / entry["file"])
     r = np.random.default_rng(zlib.crc32(entry["file"].encode()))
     for seen in (image, degraded(image, r)):
-        tiles.add(seen, second[0], second[1], REAL)
+        tiles.add(seen, mask, box_of(mask > 127), REAL)
     return tiles
 
 

@@ -153,6 +153,29 @@ def colored(image: torch.Tensor) -> torch.Tensor:
     return image.clamp(0, 1) * 255
 
 
+def truncated(mask: torch.Tensor, box: torch.Tensor, share: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Puts the border of the image through some objects: what is beyond it (n, 1, h, w), boxes of what remains."""
+    count, side = len(mask), mask.shape[-1]
+    at = torch.arange(side, device=mask.device)[None]
+    use = torch.rand(count, device=mask.device) < share
+    edge = torch.randint(4, (count,), device=mask.device)
+    part = uniform(count, 0.06, 0.6, mask)
+    size = box[:, 2:] - box[:, :2]
+    low = box[:, :2] + part[:, None] * size
+    high = box[:, 2:] - part[:, None] * size
+    beyond_x = ((edge == 0)[:, None] & (at < low[:, :1])) | ((edge == 2)[:, None] & (at >= high[:, :1]))
+    beyond_y = ((edge == 1)[:, None] & (at < low[:, 1:])) | ((edge == 3)[:, None] & (at >= high[:, 1:]))
+    beyond = beyond_x[:, None, :] | beyond_y[:, :, None]
+    rest = (mask[:, 0] > 127) & ~beyond
+    columns, rows = rest.any(1), rest.any(2)
+    first = torch.stack([columns.float().argmax(1), rows.float().argmax(1)], 1)
+    last = side - torch.stack([columns.flip(1).float().argmax(1), rows.flip(1).float().argmax(1)], 1)
+    tight = torch.cat([first, last], 1).float()
+    use &= rest.sum((1, 2)) > 0.15 * (mask[:, 0] > 127).sum((1, 2)).clamp(min=1)
+    use &= (tight[:, 2:] - tight[:, :2]).amin(1) > 12
+    return (beyond & use[:, None, None])[:, None].float(), torch.where(use[:, None], tight, box)
+
+
 def batch(data: Data, count: int, augment: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
     """Inputs (n, 4, 128, 128) and targets (n, 1, 128, 128)."""
     device = data.image.device
@@ -167,6 +190,8 @@ def batch(data: Data, count: int, augment: bool = True) -> tuple[torch.Tensor, t
     n = len(rows)
     tiles = torch.cat([data.image[rows].permute(0, 3, 1, 2), data.mask[rows][:, None]], 1).float()
     box, scale = data.box[rows], data.scale[rows]
+    outside, box = truncated(tiles[:, 3:], box, 0.14)
+    tiles = torch.cat([tiles, outside], 1)
     size = torch.cat([box[:, 2:] - box[:, :2]] * 2, 1)
     spread = torch.tensor([0.0, 0.05, 0.1], device=device)[torch.randint(3, (n, 1), device=device)]
     moved = box + (torch.rand(n, 4, device=device) * 2 - 1) * spread * size
@@ -174,7 +199,7 @@ def batch(data: Data, count: int, augment: bool = True) -> tuple[torch.Tensor, t
     flip = torch.where(torch.rand(n, device=device) < 0.5, -1.0, 1.0)
     grid, area = crop_grid(moved, scale, 2 * SIDE, flip)
     crops = sampled(tiles, grid)
-    image, mask = crops[:, :3], (crops[:, 3:] / 255).clamp(0, 1)
+    image, mask, outside = crops[:, :3], (crops[:, 3:4] / 255).clamp(0, 1), crops[:, 4:] > 0.5
     image = with_background(image, mask, 0.25)
     image, mask = with_occluder(image, mask, 0.12)
     image = colored(image)
@@ -207,6 +232,9 @@ def batch(data: Data, count: int, augment: bool = True) -> tuple[torch.Tensor, t
             image = torch.where(beyond, torch.full_like(image, 114), image)
             channel = torch.where(beyond, torch.full_like(channel, -1), channel)
             mask = torch.where(beyond, torch.zeros_like(mask), mask)
+    image = torch.where(outside, torch.full_like(image, 114), image)
+    channel = torch.where(outside, torch.full_like(channel, -1), channel)
+    mask = torch.where(outside, torch.zeros_like(mask), mask)
     return torch.cat([(image - 128) / 64, channel], 1), mask
 
 
@@ -235,6 +263,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=400)
     parser.add_argument("--batch", type=int, default=256)
     parser.add_argument("--rate", type=float, default=3e-3)
+    parser.add_argument("--refresh", type=float, default=60, help="seconds between looks for new tiles")
+    parser.add_argument("--start", type=Path, help="checkpoint whose weights training starts from")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
@@ -246,6 +276,8 @@ def main() -> None:
     data = Data(arguments.tiles, device)
     data.refresh()
     network = BoxMaskNet().to(device).to(memory_format=torch.channels_last)
+    if arguments.start:
+        network.load_state_dict(torch.load(arguments.start, map_location=device)["average"])
     average = copy.deepcopy(network)
     decayed = [p for p in network.parameters() if p.dim() > 1]
     others = [p for p in network.parameters() if p.dim() <= 1]
@@ -293,7 +325,7 @@ def main() -> None:
                 else:
                     mean.copy_(value)
         running.append((loss.detach(), overlap.detach()))
-        if time.monotonic() - last > 10:
+        if time.monotonic() - last > 8:
             last = time.monotonic()
             means = torch.stack([torch.stack(r) for r in running]).nanmean(0).tolist()
             running = []
@@ -301,7 +333,7 @@ def main() -> None:
             print(json.dumps(line), flush=True)
             log.write(json.dumps(line) + "\n")
             log.flush()
-            if last - saved > 60:
+            if last - saved > arguments.refresh:
                 saved = last
                 save()
                 data.refresh()
