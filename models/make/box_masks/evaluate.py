@@ -18,7 +18,7 @@ from crops import PAD, SIDE, box_of, cut, moved, window
 from teacher import MODELS, Teacher, session
 
 SHIPPED_SIDE, SHIPPED_WINDOW = 336, 1.84
-LEAST_SIDE = 12
+LEAST_SIDE, LEAST_SHORT = 12, 8
 
 
 def cpu_s() -> float:
@@ -120,7 +120,7 @@ def cases(sequence: Path, frames: int, shrink: float | None) -> list[tuple[np.nd
                 masks = [mask]
             for mask in masks:
                 box = box_of(mask)
-                if box is None or max(box[2] - box[0], box[3] - box[1]) < LEAST_SIDE or mask.sum() < 60:
+                if box is None or max(box[2:] - box[:2]) < LEAST_SIDE or min(box[2:] - box[:2]) < LEAST_SHORT:
                     continue
                 if shrink is None:
                     found.append((image, mask))

@@ -20,7 +20,7 @@ from crops import box_of
 from tiles import EMPTY, SYNTHETIC, Tiles, degraded
 
 SIDE, FINE = 300, 2
-PER_FILE = 24
+PER_FILE = 16
 VIEWS = ("top", "front", "rear", "left", "right")
 # Linear color and reflection at right angles, by material after body and plain.
 LOOKS = {2: (0.018, 0.02), 3: (0.42, 0.3), 4: (0.035, 0.03), 5: (0.02, 0.04), 6: (0.6, 0.5), 7: (0.008, 0.0)}

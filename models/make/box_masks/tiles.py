@@ -231,18 +231,18 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
     jobs = []
-    photos = sorted(p for p in arguments.photos.glob("*") if p.suffix in (".webp", ".jpg"))
-    for path in photos[: arguments.only]:
-        jobs.append((PHOTO, arguments.output / f"photo_{path.stem}.npz", path, arguments.prompts))
-    for path in sorted(arguments.real.glob("*.json")):
-        entries = json.loads(path.read_text())["boxes"][: 24 * arguments.only]
-        for k in range(0, len(entries), 24):
-            name = f"real_{path.stem}_{k:05d}.npz"
-            jobs.append((REAL, arguments.output / name, arguments.real, entries[k : k + 24]))
     renders = sorted(p for p in arguments.renders.glob("*") if p.suffix in (".webp", ".jpg"))
     for path in renders[: arguments.only]:
         if path.with_suffix(".png").is_file():
             jobs.append((RENDER, arguments.output / f"render_{path.stem}.npz", path, arguments.variants))
+    for path in sorted(arguments.real.glob("*.json")):
+        entries = json.loads(path.read_text())["boxes"][: 8 * arguments.only]
+        for k in range(0, len(entries), 8):
+            name = f"real_{path.stem}_{k:05d}.npz"
+            jobs.append((REAL, arguments.output / name, arguments.real, entries[k : k + 8]))
+    photos = sorted(p for p in arguments.photos.glob("*") if p.suffix in (".webp", ".jpg"))
+    for path in photos[: arguments.only]:
+        jobs.append((PHOTO, arguments.output / f"photo_{path.stem}.npz", path, arguments.prompts))
     counts = {"photo": 0, "real": 0, "render": 0}
     with ProcessPoolExecutor(arguments.processes) as pool:
         for job, count in zip(jobs, pool.map(work, jobs)):

@@ -304,7 +304,7 @@ def main() -> None:
 
     while time.monotonic() - before < arguments.seconds and step < MOST_STEPS:
         done = (time.monotonic() - before) / arguments.seconds
-        rate = arguments.rate * min(1.0, step / 300) * (0.5 * (1 + np.cos(np.pi * done)) + 0.002)
+        rate = float(arguments.rate * min(1.0, step / 300) * (0.5 * (1 + np.cos(np.pi * done)) + 0.002))
         for group in optimizer.param_groups:
             group["lr"] = rate
         with torch.no_grad():

@@ -1,6 +1,8 @@
 //! Masks of boxes: which pixels of a box are the object.
 
+mod box_net;
 mod grabcut;
+mod local;
 mod mobile_sam;
 mod options;
 mod outline;
@@ -8,6 +10,7 @@ mod window;
 
 use ::image::RgbImage;
 
+pub use self::box_net::load_small_box_segmenter;
 pub use self::grabcut::GrabCut;
 pub use self::mobile_sam::load_box_segmenter;
 pub use self::options::PromptOptions;

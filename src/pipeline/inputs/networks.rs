@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use crate::ffi::onnx::{self, Provider};
 use crate::networks::{
     BoxSegmenter, DefaultModels, Detector, GrabCut, PerceptionError, default_descriptions, default_models,
-    load_box_segmenter, load_detector,
+    load_box_segmenter, load_detector, load_small_box_segmenter,
 };
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::Run;
@@ -19,8 +19,8 @@ use crate::pipeline::{DetectorChoice, MaskChoice, Options, PipelineError};
 pub(in crate::pipeline) struct Networks {
     /// The detector.
     pub(in crate::pipeline) detector: Option<PathBuf>,
-    /// The two parts of the mask network.
-    masks: Option<[PathBuf; 2]>,
+    /// The parts of the mask network: the small one has one, the other two.
+    masks: Vec<PathBuf>,
     /// Missing networks, with the consequence.
     pub(in crate::pipeline) doubts: Vec<String>,
 }
@@ -37,7 +37,7 @@ impl Networks {
     /// * `shipped` – the networks that come with the program, or why they cannot be used.
     fn chosen(options: &Options, shipped: Result<DefaultModels, PerceptionError>) -> Result<Self, PerceptionError> {
         let is_needed = matches!(options.vehicles.detector, DetectorChoice::Default)
-            || matches!(options.vehicles.mask_network, MaskChoice::Default);
+            || options.vehicles.mask_network != MaskChoice::None;
         let shipped = match shipped {
             Err(error) if is_needed && error.is_of_choice() => return Err(error),
             shipped => shipped.map_err(|error| error.to_string()),
@@ -55,9 +55,12 @@ impl Networks {
         };
         let masks = match options.vehicles.mask_network {
             MaskChoice::None => None,
-            MaskChoice::Default => default("no mask network: masks are by color only")
-                .map(|found| [found.mask_encoder, found.mask_decoder]),
+            choice => default("no mask network: masks are by color only").map(|found| match choice {
+                MaskChoice::Small => vec![found.small_masks],
+                _ => vec![found.mask_encoder, found.mask_decoder],
+            }),
         };
+        let masks = masks.unwrap_or_default();
         Ok(Self { detector, masks, ..networks })
     }
 
@@ -69,10 +72,11 @@ impl Networks {
 
     /// Segmenter of boxes: the mask network, or colors alone.
     pub(in crate::pipeline) fn load_box_segmenter(&self, run: &Run) -> Result<Box<dyn BoxSegmenter>, PipelineError> {
-        let options = &run.options.prompt;
-        Ok(match &self.masks {
-            Some([encoder, decoder]) => load_box_segmenter(encoder, decoder, options, run.options.resources())?,
-            None => Box::new(GrabCut::new(options)),
+        let (options, resources) = (&run.options.prompt, run.options.resources());
+        Ok(match &self.masks[..] {
+            [encoder, decoder] => load_box_segmenter(encoder, decoder, options, resources)?,
+            [small, ..] => load_small_box_segmenter(small, options, resources)?,
+            [] => Box::new(GrabCut::new(options)),
         })
     }
 
@@ -92,7 +96,7 @@ impl Networks {
     /// # Errors
     /// As [`Self::load_box_segmenter`].
     pub(in crate::pipeline) fn check_prompter(&self, run: &Run) -> Result<(), PipelineError> {
-        match came_with_the_program(self.masks.as_ref().map_or(&[], |parts| &parts[..]), "box-masks")? {
+        match came_with_the_program(&self.masks, "box-masks")? {
             true => Ok(()),
             false => self.load_box_segmenter(run).map(drop),
         }
@@ -105,7 +109,7 @@ impl Networks {
 
     /// Inputs of the masks of boxes.
     pub(in crate::pipeline) fn fingerprint_of_masks(&self, run: &Run) -> Result<Value, PipelineError> {
-        of_networks(run, self.masks.as_ref().map_or(&[], |parts| &parts[..]))
+        of_networks(run, &self.masks)
     }
 }
 
@@ -145,8 +149,8 @@ mod tests {
     use crate::ffi::onnx::OnnxError;
 
     fn there() -> DefaultModels {
-        let [detector, mask_encoder, mask_decoder] = ["d", "e", "f"].map(PathBuf::from);
-        DefaultModels { detector, mask_encoder, mask_decoder }
+        let [detector, mask_encoder, mask_decoder, small_masks] = ["d", "e", "f", "s"].map(PathBuf::from);
+        DefaultModels { detector, mask_encoder, mask_decoder, small_masks }
     }
 
     fn missing() -> PerceptionError {
@@ -173,7 +177,7 @@ mod tests {
     #[test]
     fn what_is_missing_is_said_and_stood_in_for() {
         let networks = Networks::chosen(&Options::default(), Err(missing())).unwrap();
-        assert!(networks.detector.is_none() && networks.masks.is_none());
+        assert!(networks.detector.is_none() && networks.masks.is_empty());
         let [detector, masks] = &networks.doubts[..] else { panic!("two doubts: {:?}", networks.doubts) };
         assert!(detector.contains("motion only") && masks.contains("color only"));
         assert!(networks.doubts.iter().all(|doubt| doubt.ends_with("folder not found")));
@@ -181,12 +185,13 @@ mod tests {
 
     #[test]
     fn a_shipped_network_is_known_for_its_own_task_alone() {
-        let Ok(DefaultModels { detector, mask_encoder, mask_decoder }) = default_models() else {
+        let Ok(DefaultModels { detector, mask_encoder, mask_decoder, small_masks }) = default_models() else {
             println!("skipped: no networks beside the program");
             return;
         };
         let known = |file: &PathBuf, task| came_with_the_program(std::slice::from_ref(file), task).unwrap();
         assert!(known(&detector, "boxes") && known(&mask_encoder, "box-masks") && known(&mask_decoder, "box-masks"));
+        assert!(known(&small_masks, "box-masks"));
         assert!(!known(&mask_decoder, "boxes") && !known(&detector, "box-masks"));
     }
 
@@ -195,11 +200,13 @@ mod tests {
         let mut options = Options::default();
         options.vehicles.detector = DetectorChoice::None;
         let networks = Networks::chosen(&options, Ok(there())).unwrap();
-        assert!(networks.detector.is_none() && networks.masks.is_some() && networks.doubts.is_empty());
+        assert!(networks.detector.is_none() && networks.masks.len() == 2 && networks.doubts.is_empty());
+        options.vehicles.mask_network = MaskChoice::Small;
+        assert_eq!(Networks::chosen(&options, Ok(there())).unwrap().masks, [PathBuf::from("s")]);
         options.vehicles.detector = DetectorChoice::File("mine.onnx".into());
         options.vehicles.mask_network = MaskChoice::None;
         let networks = Networks::chosen(&options, Err(missing())).unwrap();
         assert_eq!(networks.detector, Some("mine.onnx".into()));
-        assert!(networks.masks.is_none() && networks.doubts.is_empty());
+        assert!(networks.masks.is_empty() && networks.doubts.is_empty());
     }
 }
